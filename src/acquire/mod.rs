@@ -1,0 +1,1 @@
+//! Acquired frames: files to pixels with a domain.

@@ -1,0 +1,1 @@
+//! Bead layouts and bead detection.

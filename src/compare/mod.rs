@@ -1,0 +1,1 @@
+//! Acquired against simulated.

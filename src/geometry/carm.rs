@@ -1,0 +1,290 @@
+//! The C-arm's kinematic chain: joints to the pose of the camera in the room.
+
+use glam::{DQuat, DVec3};
+use serde::{Deserialize, Serialize};
+
+use super::{Intrinsics, Rigid};
+
+/// Joint readings; angles in radians, NaN where a joint has no encoder.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CarmJoints {
+    /// Vertical column.
+    pub lift_mm: f64,
+    /// About the vertical axis.
+    pub wig_wag_rad: f64,
+    /// Along the arm.
+    pub longitudinal_mm: f64,
+    /// About the arm's axis (x).
+    pub angulation_rad: f64,
+    /// Along the C (about y).
+    pub orbital_rad: f64,
+    /// Of the panel in its plane.
+    pub detector_rotation_rad: f64,
+    /// Focal spot to detector; NaN where the arm's distance is fixed and not reported.
+    pub source_to_detector_mm: f64,
+}
+
+impl CarmJoints {
+    /// All joints at zero, distance unknown.
+    pub const ZERO: Self = Self {
+        lift_mm: 0.0,
+        wig_wag_rad: 0.0,
+        longitudinal_mm: 0.0,
+        angulation_rad: 0.0,
+        orbital_rad: 0.0,
+        detector_rotation_rad: 0.0,
+        source_to_detector_mm: f64::NAN,
+    };
+
+    /// In the order lift, wig-wag, longitudinal, angulation, orbital, detector rotation, source to detector.
+    #[must_use]
+    pub fn to_array(self) -> [f64; 7] {
+        [
+            self.lift_mm,
+            self.wig_wag_rad,
+            self.longitudinal_mm,
+            self.angulation_rad,
+            self.orbital_rad,
+            self.detector_rotation_rad,
+            self.source_to_detector_mm,
+        ]
+    }
+
+    /// Inverse of [`CarmJoints::to_array`].
+    #[must_use]
+    pub fn from_array(a: [f64; 7]) -> Self {
+        Self {
+            lift_mm: a[0],
+            wig_wag_rad: a[1],
+            longitudinal_mm: a[2],
+            angulation_rad: a[3],
+            orbital_rad: a[4],
+            detector_rotation_rad: a[5],
+            source_to_detector_mm: a[6],
+        }
+    }
+}
+
+/// Joint keys of files and the wire, with whether each is an angle, in the order of [`CarmJoints::to_array`].
+pub const JOINT_KEYS: [(&str, bool); 7] = [
+    ("lift_mm", false),
+    ("wig_wag_deg", true),
+    ("longitudinal_mm", false),
+    ("angulation_deg", true),
+    ("orbital_deg", true),
+    ("detector_rotation_deg", true),
+    ("source_to_detector_mm", false),
+];
+
+impl Serialize for CarmJoints {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut map = serde_json::Map::new();
+        for ((key, is_angle), value) in JOINT_KEYS.iter().zip(self.to_array()) {
+            let shown = if *is_angle { value.to_degrees() } else { value };
+            map.insert((*key).to_owned(), serde_json::json!(shown.is_finite().then_some(shown)));
+        }
+        map.serialize(serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for CarmJoints {
+    /// Missing joints and `null` are NaN (not measured); unknown keys are errors.
+    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let map = std::collections::BTreeMap::<String, Option<f64>>::deserialize(deserializer)?;
+        let mut values = [f64::NAN; 7];
+        for (key, value) in map {
+            let Some(index) = JOINT_KEYS.iter().position(|(known, _)| *known == key) else {
+                let known = JOINT_KEYS.map(|(known, _)| known).join(", ");
+                return Err(serde::de::Error::custom(format!("unknown joint `{key}`, expected one of {known}")));
+            };
+            let value = value.unwrap_or(f64::NAN);
+            values[index] = if JOINT_KEYS[index].1 { value.to_radians() } else { value };
+        }
+        Ok(Self::from_array(values))
+    }
+}
+
+/// Why joints and calibration give no camera.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum CarmCalibrationError {
+    /// A joint that the chain needs was not measured.
+    #[error("C-arm joint {joint} is not measured and the calibration gives no value for it")]
+    NotMeasured {
+        /// Key of the joint.
+        joint: &'static str,
+    },
+    /// A length must be positive.
+    #[error("C-arm calibration: {key} is {value}, it must be positive")]
+    NotPositive {
+        /// Key in the file.
+        key: &'static str,
+        /// Value found.
+        value: f64,
+    },
+}
+
+/// A calibration file of `calibration/carm/`: geometry, detector and offsets of one C-arm.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CarmCalibration {
+    /// Who measured it, when, with what.
+    pub origin: String,
+    /// Columns of the frames.
+    pub columns_px: u32,
+    /// Rows of the frames.
+    pub rows_px: u32,
+    /// Pixel pitch at the detector.
+    pub pitch_mm: f64,
+    /// Principal point; the middle of the frame if absent.
+    #[serde(default)]
+    pub principal_point_px: Option<[f64; 2]>,
+    /// Focal spot to isocentre (SOD).
+    pub source_to_isocentre_mm: f64,
+    /// Used where the telemetry has no `source_to_detector_mm`.
+    #[serde(default)]
+    pub source_to_detector_mm: Option<f64>,
+    /// From the column's axis to the isocentre, at zero.
+    pub column_to_isocentre_mm: [f64; 3],
+    /// Added to the joint readings; its own zero offsets where absent.
+    #[serde(default)]
+    pub offsets: JointOffsets,
+    /// Non-isocentric arms: where the principal ray passes the isocentre, along camera x and y.
+    #[serde(default)]
+    pub principal_ray_offset_mm: [f64; 2],
+    /// Sag: displacement of the camera (mm, camera axes) and tilt (degrees) as linear functions of sin and cos of the C's angles.
+    #[serde(default)]
+    pub sag: Option<Sag>,
+}
+
+/// What calibration adds to each joint reading.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct JointOffsets {
+    /// See [`CarmJoints`].
+    pub lift_mm: f64,
+    /// See [`CarmJoints`].
+    pub wig_wag_deg: f64,
+    /// See [`CarmJoints`].
+    pub longitudinal_mm: f64,
+    /// See [`CarmJoints`].
+    pub angulation_deg: f64,
+    /// See [`CarmJoints`].
+    pub orbital_deg: f64,
+    /// See [`CarmJoints`].
+    pub detector_rotation_deg: f64,
+    /// See [`CarmJoints`].
+    pub source_to_detector_mm: f64,
+}
+
+/// Gravity's effect: translation and rotation vector, each a row of coefficients of (sin orbital, cos orbital − 1, sin angulation).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Sag {
+    /// Rows x, y, z.
+    pub translation_mm: [[f64; 3]; 3],
+    /// Rows about x, y, z.
+    pub rotation_deg: [[f64; 3]; 3],
+}
+
+impl CarmCalibration {
+    /// The pose of the camera in the room:
+    /// `T(longitudinal, 0, lift) · Rz(wig_wag) · T(column_to_isocentre) · Rx(angulation) · Ry(orbital) · T(0, 0, −SOD) · Rz(detector_rotation)`.
+    ///
+    /// # Errors
+    /// When a joint is not measured.
+    pub fn world_from_camera(&self, joints: &CarmJoints) -> Result<Rigid, CarmCalibrationError> {
+        for ((joint, _), value) in JOINT_KEYS.iter().zip(joints.to_array()).take(6) {
+            if !value.is_finite() {
+                return Err(CarmCalibrationError::NotMeasured { joint });
+            }
+        }
+        let o = &self.offsets;
+        let angulation = joints.angulation_rad + o.angulation_deg.to_radians();
+        let orbital = joints.orbital_rad + o.orbital_deg.to_radians();
+        let wig_wag = joints.wig_wag_rad + o.wig_wag_deg.to_radians();
+        let detector_rotation = joints.detector_rotation_rad + o.detector_rotation_deg.to_radians();
+        let [ray_x, ray_y] = self.principal_ray_offset_mm;
+        let carriage = DVec3::new(joints.longitudinal_mm + o.longitudinal_mm, 0.0, joints.lift_mm + o.lift_mm);
+        let ideal = Rigid::translation(carriage)
+            * Rigid::rotation(DQuat::from_rotation_z(wig_wag))
+            * Rigid::translation(DVec3::from_array(self.column_to_isocentre_mm))
+            * Rigid::rotation(DQuat::from_rotation_x(angulation))
+            * Rigid::rotation(DQuat::from_rotation_y(orbital))
+            * Rigid::translation(DVec3::new(ray_x, ray_y, -self.source_to_isocentre_mm))
+            * Rigid::rotation(DQuat::from_rotation_z(detector_rotation));
+        let Some(sag) = &self.sag else { return Ok(ideal) };
+        let basis = DVec3::new(orbital.sin(), orbital.cos() - 1.0, angulation.sin());
+        let apply = |rows: &[[f64; 3]; 3]| DVec3::from_array(rows.map(|row| DVec3::from_array(row).dot(basis)));
+        let rotation_rad = apply(&sag.rotation_deg).map(f64::to_radians);
+        Ok(ideal * Rigid { rotation: DQuat::from_scaled_axis(rotation_rad), translation_mm: apply(&sag.translation_mm) })
+    }
+
+    /// K: focal length from the distance and the pitch.
+    ///
+    /// # Errors
+    /// When neither telemetry nor calibration gives the distance, or a length is not positive.
+    pub fn intrinsics(&self, joints: &CarmJoints) -> Result<Intrinsics, CarmCalibrationError> {
+        let measured = joints.source_to_detector_mm.is_finite().then_some(joints.source_to_detector_mm);
+        let distance_mm = measured
+            .or(self.source_to_detector_mm)
+            .ok_or(CarmCalibrationError::NotMeasured { joint: "source_to_detector_mm" })?
+            + self.offsets.source_to_detector_mm;
+        for (key, value) in [("pitch_mm", self.pitch_mm), ("source_to_detector_mm", distance_mm)] {
+            if !(value > 0.0 && value.is_finite()) {
+                return Err(CarmCalibrationError::NotPositive { key, value });
+            }
+        }
+        let middle = [f64::from(self.columns_px) * 0.5 - 0.5, f64::from(self.rows_px) * 0.5 - 0.5];
+        let [cx, cy] = self.principal_point_px.unwrap_or(middle);
+        let focal = distance_mm / self.pitch_mm;
+        Ok(Intrinsics { fx: focal, fy: focal, skew: 0.0, cx, cy })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn calibration() -> CarmCalibration {
+        serde_json::from_value(serde_json::json!({
+            "origin": "test", "columns_px": 620, "rows_px": 480, "pitch_mm": 0.5, "source_to_isocentre_mm": 600.0,
+            "source_to_detector_mm": 1000.0, "column_to_isocentre_mm": [800.0, 0.0, 1000.0]
+        }))
+        .expect("valid")
+    }
+
+    #[test]
+    fn at_zero_the_source_is_below_and_the_axes_are_parallel() {
+        let camera = calibration().world_from_camera(&CarmJoints::ZERO).expect("all measured");
+        assert!(camera.translation_mm.distance(DVec3::new(800.0, 0.0, 400.0)) < 1e-9);
+        assert!(camera.angle_to_rad(&Rigid::IDENTITY) < 1e-12);
+    }
+
+    #[test]
+    fn the_isocentre_stays_on_the_principal_ray_while_the_c_moves() {
+        let mut cases = 0;
+        for (orbital, angulation) in [(30.0f64, 0.0f64), (-90.0, 20.0), (170.0, -15.0)] {
+            let joints =
+                CarmJoints { orbital_rad: orbital.to_radians(), angulation_rad: angulation.to_radians(), ..CarmJoints::ZERO };
+            let camera = calibration().world_from_camera(&joints).expect("all measured");
+            let isocentre = camera.inverse().transform_point(DVec3::new(800.0, 0.0, 1000.0));
+            assert!(isocentre.distance(DVec3::new(0.0, 0.0, 600.0)) < 1e-9);
+            cases += 1;
+        }
+        assert_eq!(cases, 3);
+    }
+
+    #[test]
+    fn a_missing_encoder_is_named() {
+        let joints = CarmJoints { orbital_rad: f64::NAN, ..CarmJoints::ZERO };
+        let error = calibration().world_from_camera(&joints).expect_err("orbital is missing");
+        assert!(error.to_string().contains("orbital_deg"));
+    }
+
+    #[test]
+    fn unknown_joints_are_errors() {
+        assert!(serde_json::from_str::<CarmJoints>(r#"{"orbital_rad": 1.0}"#).is_err());
+        let joints: CarmJoints = serde_json::from_str(r#"{"orbital_deg": 90}"#).expect("known");
+        assert!((joints.orbital_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-12 && joints.lift_mm.is_nan());
+    }
+}

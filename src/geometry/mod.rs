@@ -1,0 +1,27 @@
+//! Frames, cameras and the two kinematic chains.
+//!
+//! The frame catalogue (`a_from_b` maps points in `b` to points in `a`):
+//!
+//! | frame | origin and axes | unit |
+//! |---|---|---|
+//! | `lps` | the CT's patient axes: +x left, +y posterior, +z superior | mm |
+//! | `body` | a rigid part of the specimen; coordinates are `lps` at scan time | mm |
+//! | `world` | the room: C-arm base at zero, z up, right-handed | mm |
+//! | `tracker` | an optical tracker, if there is one | mm |
+//! | `camera` | X-ray focal spot; +z to the detector, +x to increasing column, +y to increasing row | mm |
+//! | `image` | continuous pixels (u, v) = (column, row); the centre of the first pixel is (0, 0) | px |
+//! | `detector` | the panel's own pixels | px |
+//! | `base`, `tip` | robot: origin of piece 0, +z along the shaft at rest; drill tip | mm |
+//! | `voxel` | continuous index (i, j, k), voxel centres at integers | – |
+
+mod camera;
+mod carm;
+mod convert;
+mod rigid;
+mod robot;
+
+pub use camera::{CameraError, Intrinsics, Projection, View};
+pub use carm::{CarmCalibration, CarmCalibrationError, CarmJoints};
+pub use convert::{dicom_angles_deg, lps_from_ras, ras_from_lps};
+pub use rigid::{Rigid, RigidError};
+pub use robot::{RobotModel, RobotModelError, RobotShape, TubeSize};

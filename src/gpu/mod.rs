@@ -1,0 +1,1 @@
+//! Device choice: hardware GPU, software Vulkan.

@@ -1,0 +1,176 @@
+//! Image files: 32-bit float TIFF with pages, PNG for eyes, hashes; every write is all or nothing.
+
+use std::fs::File;
+use std::io::{BufWriter, Read, Write};
+use std::path::{Path, PathBuf};
+
+use sha2::{Digest, Sha256};
+
+use super::Image;
+
+/// Why an image file could not be read or written.
+#[derive(Debug, thiserror::Error)]
+pub enum ImageFileError {
+    /// The operating system refused.
+    #[error("{path}: {source}", path = path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The file is not a TIFF, or a damaged one.
+    #[error("{path}: not a readable TIFF ({detail})", path = path.display())]
+    Tiff {
+        /// The file.
+        path: PathBuf,
+        /// What the decoder said.
+        detail: String,
+    },
+    /// The samples are not 32-bit float, or there are several per pixel.
+    #[error("{path}: expected one 32-bit float per pixel, found {found}", path = path.display())]
+    NotFloat {
+        /// The file.
+        path: PathBuf,
+        /// What the file holds.
+        found: String,
+    },
+    /// The image has no pixels.
+    #[error("{path}: image of {width}x{height} pixels has nothing to write", path = path.display())]
+    Empty {
+        /// The file.
+        path: PathBuf,
+        /// Columns.
+        width: usize,
+        /// Rows.
+        height: usize,
+    },
+}
+
+/// Writes `path` through a temporary file beside it, so that readers see the old file or the whole new one.
+///
+/// # Errors
+/// When the folder is missing or not writable, or the disk is full; nothing is left behind then.
+pub fn write_atomically(
+    path: &Path,
+    write: impl FnOnce(&mut dyn WriteSeek) -> std::io::Result<()>,
+) -> Result<(), ImageFileError> {
+    let io = |source| ImageFileError::Io { path: path.to_owned(), source };
+    let folder = match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    };
+    let mut temporary = tempfile::Builder::new().prefix(".sidecarm-").tempfile_in(folder).map_err(io)?;
+    {
+        let mut buffered = BufWriter::new(temporary.as_file_mut());
+        write(&mut buffered).map_err(io)?;
+        buffered.flush().map_err(io)?;
+    }
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        temporary.as_file().set_permissions(std::fs::Permissions::from_mode(0o644)).map_err(io)?;
+    }
+    temporary.persist(path).map_err(|error| io(error.error))?;
+    Ok(())
+}
+
+/// A seekable writer, as the TIFF encoder needs it.
+pub trait WriteSeek: Write + std::io::Seek {}
+impl<T: Write + std::io::Seek> WriteSeek for T {}
+
+/// Writes `pages` as one multi-page 32-bit float TIFF.
+///
+/// # Errors
+/// When there is no page, a page is empty, or the file cannot be written.
+pub fn write_tiff_f32(path: &Path, pages: &[Image<f32>]) -> Result<(), ImageFileError> {
+    if let Some(page) = pages.iter().find(|page| page.pixels.is_empty()) {
+        return Err(ImageFileError::Empty { path: path.to_owned(), width: page.width, height: page.height });
+    }
+    if pages.is_empty() {
+        return Err(ImageFileError::Empty { path: path.to_owned(), width: 0, height: 0 });
+    }
+    write_atomically(path, |file| {
+        let mut encoder = tiff::encoder::TiffEncoder::new(file).map_err(std::io::Error::other)?;
+        for page in pages {
+            encoder
+                .write_image::<tiff::encoder::colortype::Gray32Float>(page.width as u32, page.height as u32, &page.pixels)
+                .map_err(std::io::Error::other)?;
+        }
+        Ok(())
+    })
+}
+
+/// Reads every page of a 32-bit float TIFF.
+///
+/// # Errors
+/// When the file cannot be read, is damaged, or holds other samples.
+pub fn read_tiff_f32(path: &Path) -> Result<Vec<Image<f32>>, ImageFileError> {
+    let file = File::open(path).map_err(|source| ImageFileError::Io { path: path.to_owned(), source })?;
+    let damaged = |error: tiff::TiffError| ImageFileError::Tiff { path: path.to_owned(), detail: error.to_string() };
+    let mut decoder = tiff::decoder::Decoder::new(std::io::BufReader::new(file)).map_err(damaged)?;
+    let mut pages = Vec::new();
+    loop {
+        let (width, height) = decoder.dimensions().map_err(damaged)?;
+        let colour = decoder.colortype().map_err(damaged)?;
+        let samples = decoder.read_image().map_err(damaged)?;
+        let page = match samples {
+            tiff::decoder::DecodingResult::F32(pixels) => Image::from_pixels(width as usize, height as usize, pixels),
+            _ => None,
+        };
+        let not_float = || ImageFileError::NotFloat { path: path.to_owned(), found: format!("{colour:?}") };
+        pages.push(page.ok_or_else(not_float)?);
+        if !decoder.more_images() {
+            return Ok(pages);
+        }
+        decoder.next_image().map_err(damaged)?;
+    }
+}
+
+/// Writes an 8-bit RGB PNG.
+///
+/// # Errors
+/// When the image is empty or the file cannot be written.
+pub fn write_png_rgb(path: &Path, image: &Image<[u8; 3]>) -> Result<(), ImageFileError> {
+    if image.pixels.is_empty() {
+        return Err(ImageFileError::Empty { path: path.to_owned(), width: image.width, height: image.height });
+    }
+    let bytes: Vec<u8> = image.pixels.iter().flatten().copied().collect();
+    write_atomically(path, |file| {
+        let encoder = image::codecs::png::PngEncoder::new(file);
+        image::ImageEncoder::write_image(encoder, &bytes, image.width as u32, image.height as u32, image::ExtendedColorType::Rgb8)
+            .map_err(std::io::Error::other)
+    })
+}
+
+/// SHA-256 of `bytes`, lower-case hexadecimal.
+#[must_use]
+pub fn sha256_bytes(bytes: &[u8]) -> String {
+    hex(&Sha256::digest(bytes))
+}
+
+/// SHA-256 of a file's content, lower-case hexadecimal.
+///
+/// # Errors
+/// When the file cannot be read.
+pub fn sha256_file(path: &Path) -> Result<String, ImageFileError> {
+    let io = |source| ImageFileError::Io { path: path.to_owned(), source };
+    let mut file = File::open(path).map_err(io)?;
+    let mut hasher = Sha256::new();
+    let mut chunk = vec![0u8; 1 << 16];
+    loop {
+        let count = file.read(&mut chunk).map_err(io)?;
+        if count == 0 {
+            return Ok(hex(&hasher.finalize()));
+        }
+        hasher.update(&chunk[..count]);
+    }
+}
+
+fn hex(bytes: &[u8]) -> String {
+    use std::fmt::Write as _;
+    bytes.iter().fold(String::with_capacity(64), |mut text, byte| {
+        let _ = write!(text, "{byte:02x}");
+        text
+    })
+}

@@ -1,0 +1,1 @@
+//! Logs: MCAP out and in.

@@ -1,0 +1,123 @@
+//! How warnings, notes and progress reach the person: on standard error, counted, never lost.
+
+use std::collections::BTreeMap;
+use std::io::IsTerminal;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Counts warnings by kind and prints them; cheap to clone, every clone shares the counts.
+#[derive(Clone, Debug)]
+pub struct Reporter {
+    state: Arc<Mutex<State>>,
+    loud: bool,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    warnings: BTreeMap<String, Counted>,
+    bars: Option<indicatif::MultiProgress>,
+}
+
+/// How often a kind of warning occurred, and its latest words.
+#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
+pub struct Counted {
+    /// Occurrences.
+    pub count: u64,
+    /// The latest message.
+    pub latest: String,
+}
+
+/// After this many of one kind, further messages are counted but not printed.
+const PRINTED_PER_KIND: u64 = 3;
+
+impl Reporter {
+    /// Prints to standard error.
+    #[must_use]
+    pub fn stderr() -> Self {
+        Self { state: Arc::default(), loud: true }
+    }
+
+    /// Only counts: for tests and libraries.
+    #[must_use]
+    pub fn silent() -> Self {
+        Self { state: Arc::default(), loud: false }
+    }
+
+    /// Something went less well than it should: counted under `kind`, the first few of a kind are printed.
+    pub fn warn(&self, kind: &str, message: impl std::fmt::Display) {
+        let message = message.to_string();
+        let count = {
+            let mut state = self.lock();
+            let counted = state.warnings.entry(kind.to_owned()).or_insert(Counted { count: 0, latest: String::new() });
+            counted.count += 1;
+            counted.latest.clone_from(&message);
+            counted.count
+        };
+        if count <= PRINTED_PER_KIND {
+            self.print(&format!("warning: {message}"));
+            if count == PRINTED_PER_KIND {
+                self.print(&format!("warning: further '{kind}' warnings are counted, not printed"));
+            }
+        }
+    }
+
+    /// Something worth knowing.
+    pub fn note(&self, message: impl std::fmt::Display) {
+        self.print(&message.to_string());
+    }
+
+    /// All warnings so far, by kind.
+    #[must_use]
+    pub fn warnings(&self) -> BTreeMap<String, Counted> {
+        self.lock().warnings.clone()
+    }
+
+    /// A progress bar over `length` steps; invisible unless standard error is a terminal and the reporter prints.
+    #[must_use]
+    pub fn progress(&self, label: &str, length: u64) -> Progress {
+        if !(self.loud && std::io::stderr().is_terminal()) {
+            return Progress(indicatif::ProgressBar::hidden());
+        }
+        let bar = indicatif::ProgressBar::new(length);
+        if let Ok(style) = indicatif::ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len} {eta}") {
+            bar.set_style(style);
+        }
+        bar.set_message(label.to_owned());
+        let mut state = self.lock();
+        Progress(state.bars.get_or_insert_default().add(bar))
+    }
+
+    fn print(&self, line: &str) {
+        if !self.loud {
+            return;
+        }
+        match &self.lock().bars {
+            Some(bars) => {
+                if bars.println(line).is_err() {
+                    eprintln!("{line}");
+                }
+            }
+            None => eprintln!("{line}"),
+        }
+    }
+
+    fn lock(&self) -> std::sync::MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// A running progress bar; it disappears when dropped.
+#[derive(Debug)]
+pub struct Progress(indicatif::ProgressBar);
+
+impl Progress {
+    /// `steps` more are done.
+    pub fn advance(&self, steps: u64) {
+        self.0.inc(steps);
+    }
+}
+
+impl Drop for Progress {
+    fn drop(&mut self) {
+        self.0.finish_and_clear();
+    }
+}

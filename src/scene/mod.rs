@@ -1,0 +1,3 @@
+//! What is in the beam: scene files, volumes, shapes, the robot, materials, the beam and the detector.
+
+pub mod model;

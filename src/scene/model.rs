@@ -1,0 +1,230 @@
+//! The scene as the renderers see it: objects in order, resolved to densities, shapes and material indices.
+
+use std::sync::Arc;
+
+use glam::{DAffine3, DVec3};
+
+use super::physics::{Material, Spectrum};
+use crate::geometry::{Rigid, View};
+
+/// A scene ready to render. A later object displaces earlier ones (DESIGN §5).
+#[derive(Clone, Debug)]
+pub struct Scene {
+    /// Materials in order of first appearance; everything else refers to them by index.
+    pub materials: Vec<Material>,
+    /// Objects in order.
+    pub objects: Vec<Object>,
+    /// Where it is seen from, and how large the image is; session scenes have none of their own.
+    pub view: Option<View>,
+    /// The X-ray beam.
+    pub beam: Beam,
+    /// The detector.
+    pub detector: Detector,
+    /// What is modelled.
+    pub model: Model,
+    /// Files that went into it, with their SHA-256, for provenance.
+    pub inputs: Vec<InputFile>,
+}
+
+/// A file that went into a result.
+#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct InputFile {
+    /// As it was named.
+    pub path: String,
+    /// Lower-case hexadecimal.
+    pub sha256: String,
+}
+
+/// One object of the scene file; a robot is one object made of many solids.
+#[derive(Clone, Debug)]
+pub struct Object {
+    /// `objects[3].sphere` and the like, for messages.
+    pub name: String,
+    /// The rigid body that it belongs to.
+    pub body: String,
+    /// Its matter. Within one object, later solids displace earlier ones.
+    pub matter: Matter,
+}
+
+/// The matter of an object.
+#[derive(Clone, Debug)]
+pub enum Matter {
+    /// A voxel grid.
+    Volume(Arc<Volume>),
+    /// Analytic shapes, in order.
+    Solids(Vec<Solid>),
+    /// Closed triangle meshes.
+    Mesh(Arc<Mesh>),
+}
+
+/// A voxel grid of densities; per material the field is the trilinear interpolant of ρ_m(i,j,k) between voxel centres, constant over
+/// the outer half voxel, zero outside [−½, n−½].
+#[derive(Clone, Debug)]
+pub struct Volume {
+    /// Voxels along i, j, k; i varies fastest in `density_g_per_cm3` and `class`.
+    pub size: [usize; 3],
+    /// Continuous voxel index to `lps` (any affine: rotated, left-handed, anisotropic).
+    pub lps_from_voxel: DAffine3,
+    /// Density of each voxel; 0 where `class` is 0.
+    pub density_g_per_cm3: Vec<f32>,
+    /// 0: nothing there (air). c > 0: matter of material `class_materials[c − 1]`.
+    pub class: Vec<u8>,
+    /// Scene material index per class.
+    pub class_materials: Vec<usize>,
+    /// Whether matter outside the grid was cut off by the scan, so that rays through a face with matter are invalid. True for CTs,
+    /// false for voxelised tools.
+    pub truncated_at_faces: bool,
+    /// Voxels outside the reconstruction circle (padding), where nothing is known; empty if there are none.
+    pub unknown: Vec<bool>,
+}
+
+impl Volume {
+    /// Index of voxel (i, j, k) in the arrays.
+    #[must_use]
+    pub fn index(&self, i: usize, j: usize, k: usize) -> usize {
+        i + self.size[0] * (j + self.size[1] * k)
+    }
+}
+
+/// A convex shape, or a tube, of one material and density.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Solid {
+    /// In its own frame.
+    pub shape: Shape,
+    /// Pose of the shape.
+    pub lps_from_local: Rigid,
+    /// Scene material index.
+    pub material: usize,
+    /// Its density.
+    pub density_g_per_cm3: f64,
+}
+
+/// Shapes in their own frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Shape {
+    /// Centre at the origin; a sphere has equal axes.
+    Ellipsoid {
+        /// Half axes along x, y, z.
+        semi_axes_mm: DVec3,
+    },
+    /// Centre at the origin, faces parallel to the axes.
+    Cuboid {
+        /// Half sizes along x, y, z.
+        half_size_mm: DVec3,
+    },
+    /// Along +z from the origin, flat ends; hollow when `inner_radius_mm` > 0, and the lumen displaces nothing.
+    Cylinder {
+        /// Length along z.
+        length_mm: f64,
+        /// Outer radius.
+        radius_mm: f64,
+        /// Radius of the lumen, 0 for a rod.
+        inner_radius_mm: f64,
+    },
+}
+
+impl Shape {
+    /// Centre (local frame) and radius of a sphere around the shape, in mm.
+    #[must_use]
+    pub fn bounding_sphere(&self) -> (DVec3, f64) {
+        match *self {
+            Self::Ellipsoid { semi_axes_mm } => (DVec3::ZERO, semi_axes_mm.max_element()),
+            Self::Cuboid { half_size_mm } => (DVec3::ZERO, half_size_mm.length()),
+            Self::Cylinder { length_mm, radius_mm, .. } => {
+                (DVec3::new(0.0, 0.0, 0.5 * length_mm), (0.25 * length_mm * length_mm + radius_mm * radius_mm).sqrt())
+            }
+        }
+    }
+}
+
+/// A closed triangle mesh in `lps`, outward normals.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Mesh {
+    /// Vertices in `lps`.
+    pub vertices_lps_mm: Vec<DVec3>,
+    /// Vertex indices, counter-clockwise seen from outside.
+    pub triangles: Vec<[u32; 3]>,
+    /// Scene material index.
+    pub material: usize,
+    /// Its density.
+    pub density_g_per_cm3: f64,
+}
+
+/// The X-ray beam.
+#[derive(Clone, Debug)]
+pub struct Beam {
+    /// Photon fractions after filtration, Σφ = 1.
+    pub spectrum: Spectrum,
+    /// N₀ on the principal ray with nothing in the beam.
+    pub photons_per_pixel: f64,
+}
+
+/// What the detector sums up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Response {
+    /// r_k = E_k.
+    Energy,
+    /// r_k = 1.
+    Counting,
+}
+
+/// The detector.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Detector {
+    /// Energy-integrating or photon-counting.
+    pub response: Response,
+    /// Pixel pitch; with fx it gives the source-to-detector distance.
+    pub pitch_mm: f64,
+    /// Odd square kernel with sum 1 that correlates quantum noise; 1×1 when absent.
+    pub crosstalk: Vec<Vec<f64>>,
+    /// Standard deviation in units of the unattenuated signal, and correlation of neighbours along a row.
+    pub readout_noise: Option<ReadoutNoise>,
+    /// counts = gain · detected signal + offset.
+    pub gain: f64,
+    /// See `gain`.
+    pub offset: f64,
+}
+
+/// Electronic noise.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ReadoutNoise {
+    /// In units of the unattenuated signal on the principal ray.
+    pub sigma: f64,
+    /// Correlation of neighbouring pixels in a row, in [0, 1).
+    #[serde(default)]
+    pub row_correlation: f64,
+}
+
+/// Which image formation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Formation {
+    /// Polychromatic, every material (Eq. 6).
+    Deepdrr,
+    /// One attenuation for everything (Eq. 8).
+    Naive,
+}
+
+/// Which quantum noise.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Noise {
+    /// None.
+    Off,
+    /// As the paper has it: Ē·(Poisson(N) − N)/N₀.
+    Paper,
+    /// With the compound-Poisson factor √(⟨E²⟩/Ē²) of an energy-integrating detector.
+    True,
+}
+
+/// What is modelled.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Model {
+    /// Image formation.
+    pub formation: Formation,
+    /// Quantum noise; readout noise goes with it.
+    pub noise: Noise,
+    /// Seed of the random numbers.
+    pub seed: u64,
+}

@@ -1,0 +1,1 @@
+//! Device clocks, samples in time, frames bound to exposures.

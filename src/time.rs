@@ -1,5 +1,7 @@
 //! The host clock and stopwatches; the only place where the wall clock is read.
 
+#![expect(clippy::disallowed_methods, reason = "this is the one place that reads clocks")]
+
 use std::sync::OnceLock;
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 

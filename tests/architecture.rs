@@ -1,0 +1,121 @@
+//! Arrows point one way: a module uses only modules before it in the data flow.
+
+use std::path::{Path, PathBuf};
+
+/// The data-flow order of DESIGN §2, as `lib.rs` declares it.
+const ORDER: [&str; 24] = [
+    "units",
+    "time",
+    "random",
+    "image",
+    "reporter",
+    "geometry",
+    "gpu",
+    "telemetry",
+    "acquire",
+    "timeline",
+    "beads",
+    "pose",
+    "infer",
+    "scene",
+    "render",
+    "transport",
+    "compare",
+    "learn",
+    "record",
+    "calibrate",
+    "session",
+    "report",
+    "viewer",
+    "cli",
+];
+
+fn rank(module: &str) -> Option<usize> {
+    ORDER.iter().position(|known| *known == module)
+}
+
+fn rust_files(folder: &Path, found: &mut Vec<PathBuf>) {
+    for entry in std::fs::read_dir(folder).expect("folder is readable").flatten() {
+        let path = entry.path();
+        if path.is_dir() {
+            rust_files(&path, found);
+        } else if path.extension().is_some_and(|extension| extension == "rs") {
+            found.push(path);
+        }
+    }
+}
+
+/// Modules named by `crate::…` in `text`, braces one level deep included.
+fn used_modules(text: &str) -> Vec<String> {
+    let name = |rest: &str| rest.chars().take_while(|c| c.is_ascii_lowercase() || *c == '_').collect::<String>();
+    let mut used = Vec::new();
+    for (at, _) in text.match_indices("crate::") {
+        let rest = &text[at + "crate::".len()..];
+        if let Some(list) = rest.strip_prefix('{') {
+            let mut depth = 0usize;
+            let mut start = true;
+            for (index, c) in list.char_indices() {
+                match c {
+                    '{' => depth += 1,
+                    '}' if depth == 0 => break,
+                    '}' => depth -= 1,
+                    ',' if depth == 0 => start = true,
+                    c if start && c.is_ascii_lowercase() => {
+                        used.push(name(&list[index..]));
+                        start = false;
+                    }
+                    _ => {}
+                }
+            }
+        } else {
+            used.push(name(rest));
+        }
+    }
+    used
+}
+
+fn violations(module: &str, text: &str) -> Vec<String> {
+    let own = rank(module);
+    used_modules(text).into_iter().filter(|used| matches!((own, rank(used)), (Some(own), Some(used)) if used > own)).collect()
+}
+
+#[test]
+fn modules_use_only_modules_before_them() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let mut files = Vec::new();
+    rust_files(&root, &mut files);
+    let mut checked = 0;
+    for file in files {
+        let relative = file.strip_prefix(&root).expect("below src");
+        let first = relative.components().next().expect("has a name").as_os_str().to_string_lossy().into_owned();
+        let module = first.trim_end_matches(".rs");
+        if matches!(module, "lib" | "main") {
+            continue;
+        }
+        assert!(rank(module).is_some(), "src/{module} is not in the order of DESIGN §2");
+        let text = std::fs::read_to_string(&file).expect("source is text");
+        let wrong = violations(module, &text);
+        assert!(wrong.is_empty(), "{} uses later modules: {wrong:?}", relative.display());
+        checked += 1;
+    }
+    assert!(checked > 10);
+}
+
+#[test]
+fn lib_declares_modules_in_data_flow_order() {
+    let lib = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("src/lib.rs")).expect("lib.rs");
+    let ranks: Vec<usize> = lib
+        .lines()
+        .filter_map(|line| line.trim().strip_prefix("pub mod ")?.strip_suffix(';'))
+        .map(|module| rank(module).unwrap_or_else(|| panic!("{module} is not in the order")))
+        .collect();
+    assert!(ranks.len() > 4 && ranks.is_sorted(), "{ranks:?}");
+}
+
+/// The control: an arrow that points backwards is found.
+#[test]
+fn a_backward_arrow_is_found() {
+    assert_eq!(violations("geometry", "use crate::{time::now, render::{Plan, Pass}};"), ["render"]);
+    assert_eq!(violations("geometry", "crate::viewer::show()"), ["viewer"]);
+    assert!(violations("cli", "use crate::render::Plan;").is_empty());
+}

@@ -10,3 +10,6 @@ pub mod image;
 pub mod reporter;
 
 pub mod geometry;
+pub mod telemetry;
+pub mod timeline;
+pub mod cli;

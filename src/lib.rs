@@ -10,5 +10,7 @@ pub mod image;
 pub mod reporter;
 
 pub mod geometry;
-
+pub mod telemetry;
+pub mod timeline;
 pub mod scene;
+pub mod cli;

@@ -1,3 +1,7 @@
 //! The integration tests: one binary.
 
 mod architecture;
+mod telemetry_frames;
+mod telemetry_port;
+mod telemetry_wire;
+mod timeline_clock;

@@ -12,3 +12,6 @@ pub mod reporter;
 pub mod geometry;
 
 pub mod acquire;
+pub mod scene;
+pub mod record;
+pub mod cli;

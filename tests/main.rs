@@ -1,3 +1,6 @@
 //! The integration tests: one binary.
 
+mod acquire_frames;
+mod acquire_watch;
 mod architecture;
+mod record_log;

@@ -222,7 +222,12 @@ fn tiff_and_png_take_their_meaning_from_the_sidecar_or_the_user() {
     let unknown = read_frame(&path, None).expect("readable");
     assert_eq!((unknown.domain, unknown.pixels.clone()), (Domain::Unknown, image.clone()));
     assert_eq!(read_frame(&path, Some(Domain::Log)).expect("readable").domain, Domain::Log);
-    let quantities = [("intensity", Domain::Linear), ("counts", Domain::Linear), ("line_integral", Domain::Log), ("area_density", Domain::Unknown)];
+    let quantities = [
+        ("intensity", Domain::Linear),
+        ("counts", Domain::Linear),
+        ("line_integral", Domain::Log),
+        ("area_density", Domain::Unknown),
+    ];
     for (quantity, domain) in quantities {
         let sidecar = serde_json::json!({"quantity": quantity, "unit": "u", "detector": {"pitch_mm": 0.2}});
         std::fs::write(folder.path().join("image.tif.json"), sidecar.to_string()).expect("sidecar");

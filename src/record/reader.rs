@@ -94,6 +94,7 @@ pub struct LogReader {
     ready: std::collections::VecDeque<LogEntry>,
     attachments: Vec<Attachment>,
     losses: Vec<LogLoss>,
+    messages: u64,
     finished: bool,
     ended: bool,
 }
@@ -137,6 +138,7 @@ impl LogReader {
             ready: std::collections::VecDeque::new(),
             attachments: Vec::new(),
             losses: Vec::new(),
+            messages: 0,
             finished: false,
             ended: false,
         };
@@ -313,6 +315,7 @@ impl LogReader {
                         sequence: header.sequence,
                         data: data.into_owned(),
                     };
+                    self.messages += 1;
                     self.ready.push_back(entry);
                 }
                 None => self.lose(start, format!("message of unknown channel {}: its announcement was lost", header.channel_id)),
@@ -325,8 +328,23 @@ impl LogReader {
                 }
                 self.attachments.push(Attachment { name: header.name, media_type: header.media_type, data: data.into_owned() });
             }
+            Record::Statistics(statistics) => self.check_counts(start, &statistics),
             Record::Footer(_) => self.finished = true,
+            Record::Unknown { opcode, .. } => self.lose(start, format!("record of unknown kind {opcode:#04x} was skipped")),
             _ => {}
+        }
+    }
+}
+
+impl LogReader {
+    /// The writer's own counts catch whatever went missing without a trace.
+    fn check_counts(&mut self, start: u64, statistics: &mcap::records::Statistics) {
+        let read = [self.messages, self.attachments.len() as u64];
+        let written = [statistics.message_count, u64::from(statistics.attachment_count)];
+        for (what, read, written) in [("messages", read[0], written[0]), ("attachments", read[1], written[1])] {
+            if read != written {
+                self.lose(start, format!("{read} {what} were read, {written} had been recorded"));
+            }
         }
     }
 }

@@ -3,16 +3,10 @@
 use proptest::prelude::*;
 use sidecarm::telemetry::{DecodeFault, Decoder, DeviceKind, Event, FrameFault, MAX_ENCODED_BYTES, Sample};
 
-use crate::telemetry_frames::{
-    GOLDEN_CARM, GOLDEN_METADATA, GOLDEN_ROBOT, bytes, carm, decode, frame, frame_of_schema, plain,
-};
+use crate::telemetry_frames::{GOLDEN_CARM, GOLDEN_METADATA, GOLDEN_ROBOT, bytes, carm, decode, frame, frame_of_schema, plain};
 
 fn golden() -> [(DeviceKind, Vec<u8>); 3] {
-    [
-        (DeviceKind::Robot, bytes(GOLDEN_ROBOT)),
-        (DeviceKind::Carm, bytes(GOLDEN_CARM)),
-        (DeviceKind::Carm, bytes(GOLDEN_METADATA)),
-    ]
+    [(DeviceKind::Robot, bytes(GOLDEN_ROBOT)), (DeviceKind::Carm, bytes(GOLDEN_CARM)), (DeviceKind::Carm, bytes(GOLDEN_METADATA))]
 }
 
 fn samples(events: &[Event]) -> Vec<Sample> {
@@ -66,8 +60,7 @@ fn the_golden_metadata_frame_has_its_values() {
     assert_eq!(metadata.calibration_id, "carm-nominal");
     assert_eq!(metadata.units, "mm,deg,kV,mA,ms");
     let limits: Vec<(f64, f64)> = metadata.limits.iter().map(|limit| (limit.min, limit.max)).collect();
-    let expected =
-        [(0.0, 400.0), (-10.0, 10.0), (0.0, 200.0), (-190.0, 190.0), (-90.0, 90.0), (-180.0, 180.0), (900.0, 1200.0)];
+    let expected = [(0.0, 400.0), (-10.0, 10.0), (0.0, 200.0), (-190.0, 190.0), (-90.0, 90.0), (-180.0, 180.0), (900.0, 1200.0)];
     assert_eq!(limits, expected);
 }
 

@@ -1,3 +1,5 @@
 //! The integration tests: one binary.
 
 mod architecture;
+mod beads_detection;
+mod pose_synthetic;

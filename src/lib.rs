@@ -10,5 +10,10 @@ pub mod image;
 pub mod reporter;
 
 pub mod geometry;
+<<<<<<< HEAD
 pub mod beads;
 pub mod pose;
+=======
+
+pub mod acquire;
+>>>>>>> acquire

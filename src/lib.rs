@@ -10,10 +10,8 @@ pub mod image;
 pub mod reporter;
 
 pub mod geometry;
-<<<<<<< HEAD
-pub mod beads;
-pub mod pose;
-=======
 
 pub mod acquire;
->>>>>>> acquire
+
+pub mod beads;
+pub mod pose;

@@ -8,6 +8,7 @@ use super::candidates::{self, Candidate, blur};
 use super::fit::{Field, Fit, Model, fit};
 use super::noise::Noise;
 use super::profile::SHAPES;
+use crate::acquire::{Domain, Frame};
 use crate::image::Image;
 
 /// What a pixel's value is.
@@ -18,6 +19,8 @@ pub enum Signal {
     Transmission,
     /// −ln of transmission, up to an offset and at natural scale; metal is high.
     LineIntegral,
+    /// Rising with attenuation, at an unknown scale; metal is high.
+    Attenuation,
     /// Any monotone function of these, rising or falling.
     Unknown,
 }
@@ -117,13 +120,17 @@ pub fn detect_image(pixels: &Image<f32>, signal: Signal, mask: Option<&Image<boo
             let polarity = if signal == Signal::LineIntegral { Polarity::Bright } else { Polarity::Dark };
             Detections { found, polarity, opposite: Vec::new(), evidence: evidence.to_owned() }
         }
-        Signal::Unknown => {
+        Signal::Attenuation | Signal::Unknown => {
             let noise = Noise::measure(&filled, &usable, false);
             let field = Field { pixels: &filled, usable: &usable, noise: &noise };
             let one = |sign: f64| {
                 let models: Vec<Model> = (0..SHAPES.len()).map(|shape| Model::Additive { sign, shape }).collect();
                 find(&field, &filled.map(|value| sign as f32 * value), &models, radius_px)
             };
+            if signal == Signal::Attenuation {
+                let evidence = "attenuation at an unknown scale: metal is bright".to_owned();
+                return Detections { found: one(1.0), polarity: Polarity::Bright, opposite: Vec::new(), evidence };
+            }
             let (dark, bright) = rayon::join(|| one(-1.0), || one(1.0));
             let weight = |found: &[Detection]| found.iter().take(12).map(|d| d.quality).sum::<f64>();
             let (dark_weight, bright_weight) = (weight(&dark), weight(&bright));
@@ -139,6 +146,19 @@ pub fn detect_image(pixels: &Image<f32>, signal: Signal, mask: Option<&Image<boo
             }
         }
     }
+}
+
+/// Finds beads in a frame. Linear frames and logarithms in nepers are taken at their word, logarithms of unknown scale at their sense;
+/// in all others metal may be dark or bright and the frame itself decides.
+#[must_use]
+pub fn detect(frame: &Frame, mask: Option<&Image<bool>>, expected: &Expectation) -> Detections {
+    let signal = match frame.domain {
+        Domain::Linear => Signal::Transmission,
+        Domain::Log if frame.unit.as_deref() == Some("neper") => Signal::LineIntegral,
+        Domain::Log => Signal::Attenuation,
+        Domain::Display | Domain::Unknown => Signal::Unknown,
+    };
+    detect_image(&frame.pixels, signal, mask, expected)
 }
 
 /// Unusable pixels take the median of the usable ones, so that filters run over them.
@@ -169,7 +189,7 @@ fn find(field: &Field, bright: &Image<f32>, models: &[Model], radius_px: (f64, f
     let candidates = candidates::find(bright, field.usable, radius_px);
     let fit_at = |u: f64, v: f64, radius: f64, others: &[Fit]| -> Option<Fit> {
         let first = fit(field, models[0], u, v, radius, others)?;
-        if models.len() == 1 || !(first.snr > 0.5 * LEAST_SNR) {
+        if models.len() == 1 || !(first.snr > 0.5 * LEAST_SNR && first.misfit < 0.6) {
             return Some(first);
         }
         models[1..].iter().filter_map(|model| fit(field, *model, first.u_px, first.v_px, first.radius_px, others)).fold(Some(first), |best, next| {

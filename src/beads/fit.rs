@@ -7,7 +7,7 @@
 use nalgebra::{SMatrix, SVector};
 
 use super::noise::Noise;
-use super::profile::{self, blurred};
+use super::profile::{self, Profile};
 use crate::image::Image;
 
 /// How a pixel's value depends on the path through metal.
@@ -81,22 +81,49 @@ fn basis(x: f64, y: f64) -> [f64; 6] {
 }
 
 /// θ = (u, v, ln r, ln s, c, six of the background); positions relative to the window's centre.
-fn evaluate(model: Model, theta: &Vector, pixel: &Pixel, half_width: f64) -> Evaluated {
+struct Shape<'a> {
+    model: Model,
+    theta: &'a Vector,
+    radius: f64,
+    profile: Profile,
+    half_width: f64,
+}
+
+impl<'a> Shape<'a> {
+    fn new(model: Model, theta: &'a Vector, half_width: f64) -> Self {
+        let (radius, blur_px) = (theta[2].exp(), theta[3].exp());
+        let shape = if let Model::Additive { shape, .. } = model { shape } else { 0 };
+        Self { model, theta, radius, profile: Profile::new(shape, blur_px / radius), half_width }
+    }
+
+    fn parts(&self, pixel: &Pixel) -> (f64, profile::Value, f64, f64, f64) {
+        let (du, dv) = (pixel.dx - self.theta[0], pixel.dy - self.theta[1]);
+        let distance = (du * du + dv * dv).sqrt();
+        let rho = distance / self.radius;
+        let g = self.profile.at(rho);
+        let terms = basis(pixel.dx / self.half_width, pixel.dy / self.half_width);
+        let background: f64 = terms.iter().zip(self.theta.as_slice()[5..].iter()).map(|(term, b)| term * b).sum();
+        let (sign, value, factor) = match self.model {
+            Model::Transmission => {
+                let value = (background - self.theta[4] * g.value).clamp(-60.0, 60.0).exp() * pixel.others;
+                (-1.0, value, value)
+            }
+            Model::Additive { sign, .. } => (sign, background + sign * self.theta[4] * g.value + pixel.others, 1.0),
+        };
+        (rho, g, sign, value, factor)
+    }
+
+    fn value(&self, pixel: &Pixel) -> f64 {
+        self.parts(pixel).3
+    }
+}
+
+fn evaluate(shape: &Shape, pixel: &Pixel) -> Evaluated {
+    let (rho, g, sign, value, factor) = shape.parts(pixel);
+    let (theta, radius) = (shape.theta, shape.radius);
     let (du, dv) = (pixel.dx - theta[0], pixel.dy - theta[1]);
-    let distance = du.hypot(dv);
-    let (radius, blur_px) = (theta[2].exp(), theta[3].exp());
-    let rho = distance / radius;
-    let shape = if let Model::Additive { shape, .. } = model { shape } else { 0 };
-    let g = blurred(shape, rho, (blur_px / radius).clamp(profile::BETA_LIMITS.0, profile::BETA_LIMITS.1));
-    let terms = basis(pixel.dx / half_width, pixel.dy / half_width);
-    let background: f64 = terms.iter().zip(theta.as_slice()[5..].iter()).map(|(term, b)| term * b).sum();
-    let (sign, value, factor) = match model {
-        Model::Transmission => {
-            let value = (background - theta[4] * g.value).clamp(-60.0, 60.0).exp() * pixel.others;
-            (-1.0, value, value)
-        }
-        Model::Additive { sign, .. } => (sign, background + sign * theta[4] * g.value + pixel.others, 1.0),
-    };
+    let distance = rho * radius;
+    let terms = basis(pixel.dx / shape.half_width, pixel.dy / shape.half_width);
     let mut gradient = Vector::zeros();
     if distance > 1e-9 {
         let slope = factor * sign * theta[4] * g.by_rho / (radius * distance);
@@ -115,7 +142,11 @@ fn evaluate(model: Model, theta: &Vector, pixel: &Pixel, half_width: f64) -> Eva
 /// Fits a shadow near (`u_px`, `v_px`) of about `radius_px`; `others` are shadows already fitted, taken into account where they reach.
 /// `None` when there are too few usable pixels or the fit runs away.
 pub fn fit(field: &Field, model: Model, u_px: f64, v_px: f64, radius_px: f64, others: &[Fit]) -> Option<Fit> {
-    let first = fit_window(field, model, u_px, v_px, radius_px, None, others, 10)?;
+    let first = fit_window(field, model, u_px, v_px, radius_px, None, others, 7)?;
+    // What is no shadow by now will not become one.
+    if !(first.contrast > 0.0 && first.snr > 2.5 && first.misfit < 2.0) {
+        return None;
+    }
     let again = fit_window(field, model, first.u_px, first.v_px, first.radius_px, Some(&first), others, 14)?;
     let moved = (again.u_px - u_px).hypot(again.v_px - v_px);
     (moved <= 1.0 + 0.8 * radius_px.max(again.radius_px)).then_some(again)
@@ -143,7 +174,8 @@ fn fit_window(
     let mut damping = 1e-3;
     reweigh(field, model, &theta, &mut pixels, half_width);
     let cost_of = |theta: &Vector, pixels: &[Pixel]| {
-        let data: f64 = pixels.iter().map(|p| p.weight * ((p.value - evaluate(model, theta, p, half_width).model) / p.sigma).powi(2)).sum();
+        let shape = Shape::new(model, theta, half_width);
+        let data: f64 = pixels.iter().map(|p| p.weight * ((p.value - shape.value(p)) / p.sigma).powi(2)).sum();
         data + ((theta[3] - BLUR_PRIOR.0.ln()) / BLUR_PRIOR.1).powi(2) + (theta[2] - prior_radius).powi(2)
     };
     let mut cost = cost_of(&theta, &pixels);
@@ -191,9 +223,14 @@ fn window(field: &Field, model: Model, u_px: f64, v_px: f64, half_width: f64, ot
     let (w, h) = (field.pixels.width as i64, field.pixels.height as i64);
     let reach = half_width.ceil() as i64;
     let (column0, row0) = (u_px.round() as i64, v_px.round() as i64);
-    let near: Vec<&Fit> = others
+    let profile_of = |other: &Fit| {
+        let shape = if let Model::Additive { shape, .. } = other.model { shape } else { 0 };
+        Profile::new(shape, other.blur_px / other.radius_px)
+    };
+    let near: Vec<(&Fit, Profile)> = others
         .iter()
         .filter(|other| (other.u_px - u_px).hypot(other.v_px - v_px) < half_width + 1.3 * other.radius_px + 3.0 * other.blur_px)
+        .map(|other| (other, profile_of(other)))
         .collect();
     let (mut pixels, mut total) = (Vec::new(), 0.0);
     for row in row0 - reach..=row0 + reach {
@@ -210,10 +247,9 @@ fn window(field: &Field, model: Model, u_px: f64, v_px: f64, half_width: f64, ot
             if !field.usable.pixels[index] {
                 continue;
             }
-            let shadow = |other: &&Fit| {
-                let shape = if let Model::Additive { shape, .. } = other.model { shape } else { 0 };
+            let shadow = |(other, profile): &(&Fit, Profile)| {
                 let rho = (column as f64 - other.u_px).hypot(row as f64 - other.v_px) / other.radius_px;
-                other.contrast * blurred(shape, rho, other.blur_px / other.radius_px).value
+                other.contrast * profile.at(rho).value
             };
             let sum: f64 = near.iter().map(shadow).sum();
             let others = match model {
@@ -262,8 +298,9 @@ fn initial(model: Model, pixels: &[Pixel], radius_px: f64, start: Option<&Fit>, 
 
 /// Noise of the model's value, and Huber weights against wires and edges in the window.
 fn reweigh(field: &Field, model: Model, theta: &Vector, pixels: &mut [Pixel], half_width: f64) {
+    let shape = Shape::new(model, theta, half_width);
     for pixel in pixels.iter_mut() {
-        let value = evaluate(model, theta, pixel, half_width).model;
+        let value = shape.value(pixel);
         pixel.sigma = field.noise.sigma(value);
         pixel.weight = ((pixel.value - value) / pixel.sigma).abs();
     }
@@ -277,8 +314,9 @@ fn reweigh(field: &Field, model: Model, theta: &Vector, pixels: &mut [Pixel], ha
 
 fn normal_equations(model: Model, theta: &Vector, pixels: &[Pixel], half_width: f64, prior_radius: f64) -> (Matrix, Vector) {
     let (mut normal, mut right) = (Matrix::zeros(), Vector::zeros());
+    let shape = Shape::new(model, theta, half_width);
     for pixel in pixels {
-        let at = evaluate(model, theta, pixel, half_width);
+        let at = evaluate(&shape, pixel);
         let weight = pixel.weight / (pixel.sigma * pixel.sigma);
         let residual = weight * (pixel.value - at.model);
         for i in 0..COUNT {
@@ -328,8 +366,9 @@ fn judge(
         Model::Transmission => theta[5].exp() * (1.0 - (-theta[4]).exp()),
         Model::Additive { .. } => theta[4],
     };
+    let shape = Shape::new(model, theta, half_width);
     for pixel in pixels {
-        let at = evaluate(model, theta, pixel, half_width);
+        let at = evaluate(&shape, pixel);
         let z = (pixel.value - at.model) / pixel.sigma;
         chi2 += pixel.weight * z * z;
         let ring = match at.rho {

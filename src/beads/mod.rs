@@ -14,6 +14,6 @@ mod markups;
 mod noise;
 mod profile;
 
-pub use detect::{Detection, Detections, Expectation, Polarity, Signal, detect_image};
+pub use detect::{Detection, Detections, Expectation, Polarity, Signal, detect, detect_image};
 pub use layout::{Bead, BeadLayout, DEFAULT_BODY, DEFAULT_SIGMA_MM, Landmark};
 pub use markups::{BeadsError, read_landmarks, read_markups};

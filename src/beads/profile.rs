@@ -28,8 +28,6 @@ pub struct Value {
     pub by_ln_beta: f64,
 }
 
-/// Smallest and largest β of the table.
-pub const BETA_LIMITS: (f64, f64) = (BETA_FIRST, 1.7);
 
 type Table = Vec<f64>;
 
@@ -38,34 +36,53 @@ fn tables() -> &'static [Table] {
     TABLES.get_or_init(|| SHAPES.iter().map(|&k| tabulate(k)).collect())
 }
 
-/// G and its derivatives at distance `rho` (in radii) for shape index `shape` and blur `beta` (in radii, clamped to the table).
-pub fn blurred(shape: usize, rho: f64, beta: f64) -> Value {
-    let table = &tables()[shape];
-    let x = rho / RHO_STEP;
-    let y = ((beta / BETA_FIRST).ln() / BETA_RATIO.ln()).clamp(0.0, (BETA_COUNT - 1) as f64 - 1e-9);
-    if !(x < (RHO_COUNT - 3) as f64) {
-        return Value::default();
+/// The profile of one shape and blur, ready for many distances.
+#[derive(Clone, Copy)]
+pub struct Profile {
+    low: &'static [f64],
+    high: &'static [f64],
+    fraction: f64,
+}
+
+impl Profile {
+    /// Shape index `shape`, blur `beta` in radii (clamped to the table).
+    pub fn new(shape: usize, beta: f64) -> Self {
+        let table = &tables()[shape];
+        let y = ((beta / BETA_FIRST).ln() / BETA_RATIO.ln()).clamp(0.0, (BETA_COUNT - 1) as f64 - 1e-9);
+        let row = (y as usize).min(BETA_COUNT - 2);
+        let line = |row: usize| &table[row * RHO_COUNT..(row + 1) * RHO_COUNT];
+        Self { low: line(row), high: line(row + 1), fraction: y - row as f64 }
     }
-    let (i, j) = (x as usize, (y as usize).min(BETA_COUNT - 2));
-    let (fx, fy) = (x - i as f64, y - j as f64);
-    // Catmull–Rom along ρ (even about 0), linear along ln β.
-    let at = |row: usize, k: isize| table[row * RHO_COUNT + k.unsigned_abs()];
-    let along = |row: usize| {
-        let [a, b, c, d] = std::array::from_fn(|n| at(row, i as isize + n as isize - 1));
-        let (p, q, r) = (0.5 * (c - a), a - 2.5 * b + 2.0 * c - 0.5 * d, 0.5 * (d - a) + 1.5 * (b - c));
-        (b + fx * (p + fx * (q + fx * r)), (p + fx * (2.0 * q + 3.0 * fx * r)) / RHO_STEP)
-    };
-    let (low, low_slope) = along(j);
-    let (high, high_slope) = along(j + 1);
-    Value {
-        value: low + fy * (high - low),
-        by_rho: low_slope + fy * (high_slope - low_slope),
-        by_ln_beta: (high - low) / BETA_RATIO.ln(),
+
+    /// G and its derivatives at distance `rho`, in radii.
+    pub fn at(&self, rho: f64) -> Value {
+        let x = rho / RHO_STEP;
+        if !(x < (RHO_COUNT - 3) as f64) {
+            return Value::default();
+        }
+        let i = x as usize;
+        let f = x - i as f64;
+        // Catmull–Rom along ρ (even about 0), linear along ln β.
+        let before = if i == 0 { 1 } else { i - 1 };
+        let along = |line: &[f64]| {
+            let [a, b, c, d] = [line[before], line[i], line[i + 1], line[i + 2]];
+            let (p, q, r) = (0.5 * (c - a), a - 2.5 * b + 2.0 * c - 0.5 * d, 0.5 * (d - a) + 1.5 * (b - c));
+            (b + f * (p + f * (q + f * r)), (p + f * (2.0 * q + 3.0 * f * r)) / RHO_STEP)
+        };
+        let ((low, low_slope), (high, high_slope)) = (along(self.low), along(self.high));
+        Value {
+            value: low + self.fraction * (high - low),
+            by_rho: low_slope + self.fraction * (high_slope - low_slope),
+            by_ln_beta: (high - low) * (1.0 / LN_BETA_RATIO),
+        }
     }
 }
 
+/// ln of the table's ratio.
+const LN_BETA_RATIO: f64 = 0.223_143_551_314_209_76;
+
 fn tabulate(k: f64) -> Table {
-    const NODES: usize = 400;
+    const NODES: usize = 240;
     // Midpoint rule in θ; the integrand is smooth and the narrowest Gaussian spans several nodes.
     let step = std::f64::consts::FRAC_PI_2 / NODES as f64;
     let nodes: Vec<(f64, f64)> = (0..NODES)
@@ -114,6 +131,10 @@ fn bessel_i0_scaled(x: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn blurred(shape: usize, rho: f64, beta: f64) -> Value {
+        Profile::new(shape, beta).at(rho)
+    }
 
     #[test]
     fn little_blur_leaves_the_chord() {

@@ -29,8 +29,6 @@ pub enum Free {
     Pose,
     /// One focal length and the principal point: square pixels.
     Square,
-    /// Both focal lengths and the principal point.
-    Rectangular,
 }
 
 impl Free {
@@ -39,7 +37,6 @@ impl Free {
         match self {
             Self::Pose => 0,
             Self::Square => 3,
-            Self::Rectangular => 4,
         }
     }
 }
@@ -166,12 +163,6 @@ fn linearise(matches: &[Match], pose: &Rigid, k: &Intrinsics, centre: DVec3, opt
                 jacobian[(2 * n, 7)] = 1.0;
                 jacobian[(2 * n + 1, 8)] = 1.0;
             }
-            Free::Rectangular => {
-                jacobian[(2 * n, 6)] = x;
-                jacobian[(2 * n + 1, 7)] = y;
-                jacobian[(2 * n, 8)] = 1.0;
-                jacobian[(2 * n + 1, 9)] = 1.0;
-            }
         }
         residual[2 * n] = off.x;
         residual[2 * n + 1] = off.y;
@@ -232,12 +223,6 @@ fn changed(k: &Intrinsics, free: Free, step: &DVector<f64>) -> Intrinsics {
             next.fy += step[6];
             next.cx += step[7];
             next.cy += step[8];
-        }
-        Free::Rectangular => {
-            next.fx += step[6];
-            next.fy += step[7];
-            next.cx += step[8];
-            next.cy += step[9];
         }
     }
     next

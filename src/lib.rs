@@ -15,3 +15,5 @@ pub mod acquire;
 
 pub mod beads;
 pub mod pose;
+
+pub mod cli;

@@ -2,4 +2,5 @@
 
 mod architecture;
 mod beads_detection;
+mod pose_registration;
 mod pose_synthetic;

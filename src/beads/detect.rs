@@ -46,7 +46,7 @@ pub struct Detection {
     pub radius_px: f64,
     /// Depth of the shadow: nepers for transmission and line integrals, else the frame's unit.
     pub contrast: f64,
-    /// Contrast over its standard deviation.
+    /// Contrast over its standard deviation, size and blur taken as fitted.
     pub snr: f64,
     /// Structure that a sphere's shadow does not explain, as a share of the depth.
     pub misfit: f64,
@@ -77,7 +77,7 @@ pub struct Expectation {
 /// Radii searched when nothing is known.
 const ANY_RADIUS_PX: (f64, f64) = (0.9, 24.0);
 /// Contrast over noise below which a shadow is not trusted.
-const LEAST_SNR: f64 = 5.0;
+const LEAST_SNR: f64 = 6.0;
 /// Structure in the residual above which a shadow is no sphere's, as a share of its depth.
 const MOST_MISFIT: f64 = 0.17;
 
@@ -274,7 +274,7 @@ fn is_bead(fit: &Fit, radius_px: (f64, f64)) -> bool {
         && fit.misfit <= MOST_MISFIT
         && fit.coverage > 0.7
         && fit.radius_px >= 0.7 * radius_px.0
-        && fit.radius_px <= 1.4 * radius_px.1
+        && fit.radius_px <= 1.3 * radius_px.1
         && fit.blur_px <= 0.9 * fit.radius_px + 0.8
         && sigma <= 0.5 * fit.radius_px + 0.2
 }

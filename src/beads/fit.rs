@@ -41,7 +41,7 @@ pub struct Fit {
     pub blur_px: f64,
     /// c: nepers for transmission, else the image's unit.
     pub contrast: f64,
-    /// c over its standard deviation.
+    /// c over its standard deviation, radius and blur taken as known.
     pub snr: f64,
     /// Covariance of (u, v), scaled up by the fit's misfit and the noise's correlation.
     pub covariance_px2: [[f64; 2]; 2],
@@ -409,14 +409,29 @@ fn judge(
         radius_px: theta[2].exp(),
         blur_px: theta[3].exp(),
         contrast: theta[4],
-        snr: theta[4] / (inverse[(4, 4)] * scale).sqrt(),
+        snr: 0.0,
         covariance_px2: std::array::from_fn(|i| std::array::from_fn(|j| inverse[(i, j)] * scale)),
         chi2_per_dof,
         misfit: (structure / f64::max(counted, 1.0)).max(0.0).sqrt(),
         coverage: pixels.len() as f64 / total.max(1.0),
     };
+    let mut fit = fit;
+    fit.snr = theta[4] / (conditional_variance(&normal)? * scale).sqrt();
     let finite = [fit.u_px, fit.v_px, fit.radius_px, fit.contrast, fit.snr, fit.covariance_px2[0][0], fit.misfit];
     finite.iter().all(|x| x.is_finite()).then_some(fit)
+}
+
+/// Variance of c with radius and blur taken as known: the three trade off against each other in small shadows, whose presence is sure.
+fn conditional_variance(normal: &Matrix) -> Option<f64> {
+    let mut held = *normal;
+    for fixed in [2, 3] {
+        for n in 0..COUNT {
+            held[(fixed, n)] = 0.0;
+            held[(n, fixed)] = 0.0;
+        }
+        held[(fixed, fixed)] = 1.0;
+    }
+    Some(held.cholesky()?.inverse()[(4, 4)])
 }
 
 /// Variance of a smooth estimate relative to white noise: (1 + 2ρ)² with the residual's correlation ρ between direct neighbours.

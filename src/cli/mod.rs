@@ -1,1 +1,2 @@
 //! Commands: what was typed and what it means.
+pub mod register;

@@ -2,5 +2,6 @@
 
 mod architecture;
 mod beads_detection;
+mod beads_layout;
 mod pose_registration;
 mod pose_synthetic;

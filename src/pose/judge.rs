@@ -87,7 +87,9 @@ impl Attempt<'_> {
                 notes.push(format!("focal length {:.0} ± {:.0} px and depth are poorly separated; places near the beads are not affected", k.fx, sigma(6)));
             }
         }
-        if !(turn <= MOST_SIGMA.0 && across <= MOST_SIGMA.1 && along <= MOST_SIGMA.2.max(if known { 0.0 } else { 0.1 * last.solution.centroid_mm.z })) {
+        // A solved principal point shifts with the beads, a solved focal length with their depth; FOCAL_SIGMA has judged those.
+        let share = if known { 0.0 } else { FOCAL_SIGMA.0 * last.solution.centroid_mm.z };
+        if !(turn <= MOST_SIGMA.0 && across <= MOST_SIGMA.1.max(share) && along <= MOST_SIGMA.2.max(share)) {
             let reason = format!(
                 "uncertain: standard deviation at the beads is {:.2}°, {across:.2} mm across and {along:.1} mm along the beam (limits {:.0}°, {:.0} mm, {:.0} mm)",
                 turn.to_degrees(),

@@ -65,7 +65,7 @@ pub struct Found {
 /// Cost of a bead in view without a shadow (two degrees of freedom: beyond all noise).
 pub const MISSED: f64 = 30.0;
 /// Poses from three points allowed in one search.
-const BUDGET: u64 = 5_000_000;
+const BUDGET: u64 = 3_000_000;
 const BATCH: usize = 48;
 const KEPT_PER_BATCH: usize = 40;
 

@@ -8,3 +8,7 @@ mod telemetry_port;
 mod telemetry_wire;
 mod timeline_clock;
 mod record_log;
+mod beads_detection;
+mod beads_layout;
+mod pose_registration;
+mod pose_synthetic;

@@ -7,3 +7,4 @@ pub mod devices;
 pub fn main() -> std::process::ExitCode {
     std::process::ExitCode::SUCCESS
 }
+pub mod register;

@@ -10,3 +10,5 @@ pub mod image;
 pub mod reporter;
 
 pub mod geometry;
+
+pub mod acquire;

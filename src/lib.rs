@@ -12,3 +12,5 @@ pub mod reporter;
 pub mod geometry;
 
 pub mod acquire;
+pub mod compare;
+pub mod report;

@@ -30,6 +30,23 @@ pub enum Cause {
     Extra,
 }
 
+impl Cause {
+    /// As people read it.
+    #[must_use]
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::Collimation => "collimation",
+            Self::Saturation => "saturation",
+            Self::NoSignal => "no signal",
+            Self::BurnedIn => "burned in",
+            Self::Invalid => "invalid",
+            Self::Beads => "beads",
+            Self::Tool => "tool",
+            Self::Extra => "extra mask",
+        }
+    }
+}
+
 /// The share of the image that each cause takes; they may overlap.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct MaskShares {
@@ -59,9 +76,12 @@ impl Masks {
         Self { layers: Vec::new(), field: None }
     }
 
-    /// Adds what is true in `mask`.
+    /// Adds what is true in `mask` to what `cause` takes already.
     pub(super) fn add(&mut self, cause: Cause, mask: Image<bool>) {
-        self.layers.push((cause, mask));
+        match self.layers.iter_mut().find(|(known, _)| *known == cause) {
+            Some((_, layer)) => layer.pixels.iter_mut().zip(&mask.pixels).for_each(|(taken, more)| *taken |= more),
+            None => self.layers.push((cause, mask)),
+        }
     }
 
     /// True where no cause (but those in `except`) applies.

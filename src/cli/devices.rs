@@ -237,7 +237,10 @@ impl Heard {
         } else if self.samples == 0 && health.schema_mismatch + health.version_mismatch > 0 {
             (false, format!("speaks another protocol version ({health}); update the device's firmware or sidecarm"))
         } else if self.samples == 0 {
-            let detail = format!("{} bytes, but no {device} sample ({health}); check the baud rate and that the ports are not swapped", health.bytes);
+            let detail = format!(
+                "{} bytes, but no {device} sample ({health}); check the baud rate and that the ports are not swapped",
+                health.bytes
+            );
             (false, detail)
         } else {
             let about = self.metadata.as_ref().map_or("no metadata yet".to_owned(), Metadata::summary);
@@ -266,15 +269,15 @@ fn listen(ports: &[&PortConfig]) -> std::io::Result<Vec<Heard>> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
         let (sink, mut events) = mpsc::channel::<(DeviceKind, PortEvent)>(256);
-        let tasks: Vec<_> =
-            ports.iter().map(|config| spawn_port(runtime.handle(), (*config).clone(), sink.clone())).collect();
+        let tasks: Vec<_> = ports.iter().map(|config| spawn_port(runtime.handle(), (*config).clone(), sink.clone())).collect();
         let until_us = host_now_us() + LISTEN.as_micros() as i64;
         loop {
             let left_us = until_us - host_now_us();
             if left_us <= 0 {
                 break;
             }
-            let Ok(Some((device, event))) = tokio::time::timeout(Duration::from_micros(left_us as u64), events.recv()).await else {
+            let Ok(Some((device, event))) = tokio::time::timeout(Duration::from_micros(left_us as u64), events.recv()).await
+            else {
                 break;
             };
             for (config, heard) in ports.iter().zip(&mut heard) {

@@ -1,1 +1,3 @@
 //! Commands: what was typed and what it means.
+
+pub mod info;

@@ -117,7 +117,7 @@ pub fn examine(path: &Path) -> Result<Info, InfoError> {
     let (kind, mut facts, losses) = if mcap::MAGIC.starts_with(&head[..head.len().min(8)]) && !head.is_empty() {
         logs::examine(path)?
     } else if name.ends_with(".nii") || name.ends_with(".nii.gz") {
-        volumes::nifti(path, metadata.len())?
+        volumes::nifti(path)?
     } else if name.ends_with(".stl") {
         volumes::stl(path)?
     } else if name.ends_with(".fcsv") || name.ends_with(".json") || head.trim_ascii_start().starts_with(b"{") {
@@ -171,6 +171,8 @@ fn text(value: &Value, depth: usize) -> String {
             for (key, value) in map {
                 match value {
                     Value::Null => {}
+                    Value::Array(items) if items.is_empty() => {}
+                    Value::Object(map) if map.is_empty() => {}
                     Value::Array(items) if items.iter().all(|item| item.is_number() || item.is_boolean()) => {
                         let row = items.iter().map(plain).collect::<Vec<_>>().join(", ");
                         lines.push_str(&format!("{indent}{key}: [{row}]\n"));

@@ -8,10 +8,7 @@ use serde_json::json;
 
 use super::{Found, InfoError, object};
 
-/// No gzip stream expands more than this.
-const GZIP_EXPANSION: u64 = 1032;
-
-pub(super) fn nifti(path: &Path, file_bytes: u64) -> Result<Found, InfoError> {
+pub(super) fn nifti(path: &Path) -> Result<Found, InfoError> {
     let damaged = |detail: String| InfoError::Damaged { path: path.to_owned(), kind: "NIfTI volume", detail };
     let header = NiftiHeader::from_file(path).map_err(|error| damaged(format!("header: {error}")))?;
     let size: Vec<u64> = header.dim().map_err(|error| damaged(error.to_string()))?.iter().map(|&n| u64::from(n)).collect();
@@ -20,8 +17,9 @@ pub(super) fn nifti(path: &Path, file_bytes: u64) -> Result<Found, InfoError> {
         return Err(damaged(format!("size {size:?} holds no voxel")));
     }
     let expected = voxels.saturating_mul(u64::from(header.bitpix.unsigned_abs()) / 8);
-    if expected > file_bytes.saturating_mul(GZIP_EXPANSION) {
-        return Err(damaged(format!("header promises {expected} bytes of voxels, the file has {file_bytes}: it is cut short")));
+    let found = content_bytes(path).map_err(|error| damaged(format!("{error}; the file is cut short or corrupt")))?;
+    if expected > found {
+        return Err(damaged(format!("header promises {expected} bytes of voxels, the file holds {found}: it is cut short")));
     }
     let volume =
         ReaderOptions::new().read_file(path).map_err(|error| damaged(format!("voxels: {error}; the file is cut short")))?;
@@ -38,7 +36,7 @@ pub(super) fn nifti(path: &Path, file_bytes: u64) -> Result<Found, InfoError> {
         .fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), &value| (low.min(value), high.max(value)));
     let spacing_mm = axes.map(|axis| axis.length());
     let handed = axes[0].cross(axes[1]).dot(axes[2]);
-    let row = |index: usize, sign: f64| [axes[0], axes[1], axes[2], origin].map(|column| sign * column[index]);
+    let row = |index: usize, sign: f64| [axes[0], axes[1], axes[2], origin].map(|column| sign * column[index] + 0.0);
     let facts = json!({
         "format": "NIfTI",
         "size": size,
@@ -55,6 +53,19 @@ pub(super) fn nifti(path: &Path, file_bytes: u64) -> Result<Found, InfoError> {
         "notes": notes(low, high, not_finite, &spacing_mm, &units),
     });
     Ok(("volume", object(facts), Vec::new()))
+}
+
+/// Bytes in the file after unpacking; reads a gzip stream to its checksum, which the volume's reader does not.
+fn content_bytes(path: &Path) -> std::io::Result<u64> {
+    use std::io::Read;
+    let mut file = std::io::BufReader::new(std::fs::File::open(path)?);
+    let mut magic = [0u8; 2];
+    file.read_exact(&mut magic)?;
+    let mut rest = magic.as_slice().chain(file);
+    if magic == [0x1f, 0x8b] {
+        return std::io::copy(&mut flate2::bufread::MultiGzDecoder::new(rest), &mut std::io::sink());
+    }
+    std::io::copy(&mut rest, &mut std::io::sink())
 }
 
 /// Columns of the transform from voxel indices to RAS, and its origin: the sform where there is one, else the qform, else the spacings.

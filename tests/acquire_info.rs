@@ -83,12 +83,14 @@ fn a_cut_log_gives_exit_code_3_and_a_frame_0() {
 fn a_volume_shows_its_size_orientation_and_range() {
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path().join("v.nii.gz");
-    let mut header = nifti::NiftiHeader::default();
-    header.qform_code = 0;
-    header.sform_code = 1;
-    header.srow_x = [-2.0, 0.0, 0.0, 10.0];
-    header.srow_y = [0.0, 0.0, -3.0, 20.0];
-    header.srow_z = [0.0, 4.0, 0.0, 30.0];
+    let header = nifti::NiftiHeader {
+        qform_code: 0,
+        sform_code: 1,
+        srow_x: [-2.0, 0.0, 0.0, 10.0],
+        srow_y: [0.0, 0.0, -3.0, 20.0],
+        srow_z: [0.0, 4.0, 0.0, 30.0],
+        ..Default::default()
+    };
     let values = ndarray::Array3::from_shape_fn((2, 3, 4), |(i, j, k)| (i + 10 * j + 100 * k) as f32 - 1000.0);
     nifti::writer::WriterOptions::new(&path).reference_header(&header).write_nifti(&values).expect("written");
     let info = examine(&path).expect("readable");

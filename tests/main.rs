@@ -1,6 +1,7 @@
 //! The integration tests: one binary.
 
 mod acquire_frames;
+mod acquire_info;
 mod acquire_watch;
 mod architecture;
 mod telemetry_frames;

@@ -8,3 +8,4 @@ pub fn main() -> std::process::ExitCode {
     std::process::ExitCode::SUCCESS
 }
 pub mod register;
+pub mod info;

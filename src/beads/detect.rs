@@ -192,12 +192,13 @@ fn find(field: &Field, bright: &Image<f32>, models: &[Model], radius_px: (f64, f
         if models.len() == 1 || !(first.snr > 0.5 * LEAST_SNR && first.misfit < 0.6) {
             return Some(first);
         }
-        models[1..].iter().filter_map(|model| fit(field, *model, first.u_px, first.v_px, first.radius_px, others)).fold(Some(first), |best, next| {
-            match best {
+        models[1..].iter().filter_map(|model| fit(field, *model, first.u_px, first.v_px, first.radius_px, others)).fold(
+            Some(first),
+            |best, next| match best {
                 Some(best) if best.chi2_per_dof <= next.chi2_per_dof => Some(best),
                 _ => Some(next),
-            }
-        })
+            },
+        )
     };
     let fits: Vec<(Candidate, Option<Fit>)> =
         candidates.par_iter().map(|c| (*c, fit_at(c.u_px, c.v_px, c.radius_px, &[]))).collect();
@@ -207,7 +208,9 @@ fn find(field: &Field, bright: &Image<f32>, models: &[Model], radius_px: (f64, f
     let doubtful: Vec<Fit> = fits
         .iter()
         .filter_map(|(_, fit)| *fit)
-        .filter(|fit| fit.snr > 2.0 * LEAST_SNR && fit.misfit > MOST_MISFIT && fit.misfit < 1.0 && !kept.iter().any(|k| same(k, fit)))
+        .filter(|fit| {
+            fit.snr > 2.0 * LEAST_SNR && fit.misfit > MOST_MISFIT && fit.misfit < 1.0 && !kept.iter().any(|k| same(k, fit))
+        })
         .collect();
     let pairs: Vec<[Option<Fit>; 2]> = candidates
         .par_iter()
@@ -240,7 +243,9 @@ fn find(field: &Field, bright: &Image<f32>, models: &[Model], radius_px: (f64, f
                 if others.is_empty() {
                     return *own;
                 }
-                fit(field, own.model, own.u_px, own.v_px, own.radius_px, &others).filter(|fit| is_bead(fit, radius_px)).unwrap_or(*own)
+                fit(field, own.model, own.u_px, own.v_px, own.radius_px, &others)
+                    .filter(|fit| is_bead(fit, radius_px))
+                    .unwrap_or(*own)
             })
             .collect();
         kept = distinct(refined);
@@ -249,12 +254,17 @@ fn find(field: &Field, bright: &Image<f32>, models: &[Model], radius_px: (f64, f
 }
 
 /// Alternately fits `candidate` and `partner`, each with the other taken out.
-fn apart(fit_at: &(impl Fn(f64, f64, f64, &[Fit]) -> Option<Fit> + Sync), candidate: &Candidate, partner: &Fit) -> [Option<Fit>; 2] {
+fn apart(
+    fit_at: &(impl Fn(f64, f64, f64, &[Fit]) -> Option<Fit> + Sync),
+    candidate: &Candidate,
+    partner: &Fit,
+) -> [Option<Fit>; 2] {
     let mut second = *partner;
     second.radius_px = second.radius_px.min(1.3 * candidate.radius_px);
     let mut first = None;
     for _ in 0..4 {
-        let (u, v, radius) = first.map_or((candidate.u_px, candidate.v_px, candidate.radius_px), |f: Fit| (f.u_px, f.v_px, f.radius_px));
+        let (u, v, radius) =
+            first.map_or((candidate.u_px, candidate.v_px, candidate.radius_px), |f: Fit| (f.u_px, f.v_px, f.radius_px));
         let Some(own) = fit_at(u, v, radius, &[second]) else { return [None, None] };
         let Some(other) = fit_at(second.u_px, second.v_px, second.radius_px, &[own]) else { return [None, None] };
         first = Some(own);

@@ -102,7 +102,18 @@ struct Points {
 /// # Errors
 /// Every form of damage, each with the file, the place and what was expected; also duplicate names and an empty list.
 pub fn read_markups(path: &Path) -> Result<BeadLayout, BeadsError> {
-    let Points { points, notes } = read_points(path)?;
+    layout(path, read_points(path)?)
+}
+
+/// Beads of the content of a markups file; `path` tells the format and serves messages.
+///
+/// # Errors
+/// As [`read_markups`].
+pub fn parse_markups(path: &Path, content: &[u8]) -> Result<BeadLayout, BeadsError> {
+    layout(path, parse_points(path, content)?)
+}
+
+fn layout(path: &Path, Points { points, notes }: Points) -> Result<BeadLayout, BeadsError> {
     let beads = points.into_iter().map(|point| bead(path, point)).collect::<Result<_, _>>()?;
     Ok(BeadLayout { beads, source: path.display().to_string(), notes })
 }
@@ -141,11 +152,15 @@ fn bead(path: &Path, point: Point) -> Result<Bead, BeadsError> {
 
 fn read_points(path: &Path) -> Result<Points, BeadsError> {
     let bytes = std::fs::read(path).map_err(|source| BeadsError::Read { path: path.to_owned(), source })?;
+    parse_points(path, &bytes)
+}
+
+fn parse_points(path: &Path, bytes: &[u8]) -> Result<Points, BeadsError> {
     let name = path.file_name().map(|name| name.to_string_lossy().to_lowercase()).unwrap_or_default();
     let (read, skipped) = if name.ends_with(".json") {
-        read_json(path, &bytes)?
+        read_json(path, bytes)?
     } else if name.ends_with(".fcsv") {
-        read_fcsv(path, &String::from_utf8_lossy(&bytes))?
+        read_fcsv(path, &String::from_utf8_lossy(bytes))?
     } else {
         return Err(BeadsError::Extension { path: path.to_owned() });
     };
@@ -180,7 +195,9 @@ fn is_ras(path: &Path, place: &str, found: &str) -> Result<bool, BeadsError> {
 fn mm_per_unit(path: &Path, place: &str, units: &Value) -> Result<f64, BeadsError> {
     let text = match units {
         Value::String(text) => text.clone(),
-        Value::Array(all) if !all.is_empty() && all.iter().all(|unit| *unit == all[0]) => all[0].as_str().unwrap_or_default().to_owned(),
+        Value::Array(all) if !all.is_empty() && all.iter().all(|unit| *unit == all[0]) => {
+            all[0].as_str().unwrap_or_default().to_owned()
+        }
         _ => units.to_string(),
     };
     match text.as_str() {
@@ -206,7 +223,8 @@ fn read_json(path: &Path, bytes: &[u8]) -> Result<(Points, usize), BeadsError> {
         }
         BeadsError::Form { path: path.to_owned(), place, found, expected }
     };
-    let lists = document["markups"].as_array().ok_or_else(|| form("markups".into(), &document["markups"], "a list of markups nodes"))?;
+    let lists =
+        document["markups"].as_array().ok_or_else(|| form("markups".into(), &document["markups"], "a list of markups nodes"))?;
     let mut read = Points { points: Vec::new(), notes: Vec::new() };
     let mut skipped = 0;
     for (index, list) in lists.iter().enumerate() {
@@ -303,7 +321,12 @@ fn read_fcsv(path: &Path, text: &str) -> Result<(Points, usize), BeadsError> {
         }
         let Some(ras) = ras else {
             let found = "points before any coordinate system".to_owned();
-            return Err(BeadsError::Form { path: path.to_owned(), place, found, expected: "a line `# CoordinateSystem = LPS` (or RAS)" });
+            return Err(BeadsError::Form {
+                path: path.to_owned(),
+                place,
+                found,
+                expected: "a line `# CoordinateSystem = LPS` (or RAS)",
+            });
         };
         let lps_mm = if ras { lps_from_ras(position) } else { position };
         read.points.push(Point { label, description: cell("desc").unwrap_or_default().to_owned(), lps_mm });

@@ -10,9 +10,9 @@ use crate::beads::BeadLayout;
 use crate::geometry::{CarmJoints, Intrinsics, Rigid, View};
 use crate::pose::{self, Pose, Prior, Registration};
 use crate::reporter::Reporter;
-use crate::telemetry::{Decoder, DeviceKind, Event, Health, Sample};
+use crate::telemetry::{AngleSource, DeviceKind, Event, Health, Link, Sample};
 use crate::time::{StageTimes, Stopwatch};
-use crate::timeline::{Binding, FrameStamp, Timeline};
+use crate::timeline::{Binding, FrameStamp, Support, Timeline};
 
 /// One thing that happened, with its host time.
 #[derive(Clone, Debug)]
@@ -61,6 +61,8 @@ pub struct RobotState {
     pub control_angles_deg: [f64; 5],
     /// Pose of the robot's base, when it is tracked and the tracker is tied to the specimen.
     pub lps_from_base: Option<Rigid>,
+    /// `sensed` or `commanded`.
+    pub source: String,
     /// Span of the samples that were interpolated.
     pub gap_us: i64,
     /// Too old to be trusted at the exposure.
@@ -88,6 +90,8 @@ pub struct Posed {
     pub robot: Option<RobotState>,
     /// C-arm joints at the exposure.
     pub joints: Option<CarmJoints>,
+    /// Span of the C-arm samples that were interpolated.
+    pub carm_gap_us: Option<i64>,
     /// Wall time of detection and pose.
     pub stages: StageTimes,
 }
@@ -132,7 +136,7 @@ const MAX_GAP_US: i64 = 500_000;
 pub struct Engine {
     setup: Setup,
     layout: Option<BeadLayout>,
-    decoders: BTreeMap<DeviceKind, Decoder>,
+    links: BTreeMap<DeviceKind, Link>,
     timeline: Timeline,
     world_from_lps: Option<Rigid>,
     pending: Vec<Pending>,
@@ -145,20 +149,15 @@ impl Engine {
     #[must_use]
     pub fn new(setup: Setup, layout: Option<BeadLayout>, reporter: Reporter) -> Self {
         let world_from_lps = setup.session.world_from_lps;
-        let mut decoders = BTreeMap::new();
-        if setup.carm.is_some() {
-            decoders.insert(DeviceKind::Carm, Decoder::new(DeviceKind::Carm));
-        }
-        if setup.robot.is_some() {
-            decoders.insert(DeviceKind::Robot, Decoder::new(DeviceKind::Robot));
-        }
-        Self { setup, layout, decoders, timeline: Timeline::new(), world_from_lps, pending: Vec::new(), frames: 0, reporter }
+        let present = [(DeviceKind::Carm, setup.carm.is_some()), (DeviceKind::Robot, setup.robot.is_some())];
+        let links = present.into_iter().filter(|(_, there)| *there).map(|(device, _)| (device, Link::new(device))).collect();
+        Self { setup, layout, links, timeline: Timeline::new(), world_from_lps, pending: Vec::new(), frames: 0, reporter }
     }
 
     /// Counters of a line.
     #[must_use]
     pub fn health(&self, device: DeviceKind) -> Option<Health> {
-        self.decoders.get(&device).map(|decoder| decoder.health().clone())
+        self.links.get(&device).map(|link| link.health().clone())
     }
 
     /// The timeline, for plots and states.
@@ -195,11 +194,11 @@ impl Engine {
     }
 
     fn take_bytes(&mut self, device: DeviceKind, epoch: u32, host_us: i64, bytes: &[u8], sink: &mut dyn FnMut(Output)) {
-        let Some(decoder) = self.decoders.get_mut(&device) else { return };
+        let Some(link) = self.links.get_mut(&device) else { return };
         let timeline = &mut self.timeline;
-        decoder.push(bytes, &mut |event| match event {
+        link.feed(host_us, epoch, bytes, &mut |received| match received.event {
             Event::Sample(sample) => {
-                timeline.push_sample(device, host_us, epoch, &sample);
+                timeline.push_sample(device, host_us, epoch, sample.clone());
                 sink(Output::Sample { device, host_us, sample });
             }
             Event::Fault(fault) => sink(Output::Fault { device, host_us, detail: fault.to_string() }),
@@ -212,12 +211,12 @@ impl Engine {
             let stamp = FrameStamp {
                 exposure_counter: first.frame.tags.exposure_counter,
                 host_arrival_us: first.host_us,
-                acquired_us: None,
+                acquired_us: first.frame.tags.acquired_us(),
             };
             let binding = self.timeline.bind(&stamp);
             let waited = now_us - first.host_us;
             let patient = self.setup.carm.is_some() && !at_end && waited < BIND_PATIENCE_US;
-            if binding.exposure.is_none() && patient {
+            if !binding.settled && patient {
                 return;
             }
             let pending = self.pending.remove(0);
@@ -234,7 +233,9 @@ impl Engine {
         let watch = Stopwatch::start();
         let exposed = binding.exposure.as_ref().map(|exposure| exposure.mid_us());
         let time_us = exposed.unwrap_or(pending.host_us);
-        let joints = exposed.and_then(|mid_us| self.timeline.joints_at(mid_us)).filter(|answer| answer.gap_us <= MAX_GAP_US);
+        let joints = exposed
+            .and_then(|mid_us| self.timeline.joints_at(mid_us))
+            .filter(|answer| answer.gap_us <= MAX_GAP_US && answer.support == Support::Between);
         let robot = exposed.and_then(|mid_us| self.robot_state(mid_us));
         let size_px = [frame.pixels.width as u32, frame.pixels.height as u32];
 
@@ -271,17 +272,16 @@ impl Engine {
             self.reporter.note(format!("{}: specimen tied to the room by this frame", frame.name));
         }
         let view = camera.map(|(intrinsics, camera_from_lps)| View { size_px, intrinsics, camera_from_lps });
+        let carm_gap_us = joints.as_ref().map(|answer| answer.gap_us);
         let joints = joints.map(|answer| answer.value);
-        Posed { index, frame, time_us, binding, pose, pose_source, view, robot, joints, stages }
+        Posed { index, frame, time_us, binding, pose, pose_source, view, robot, joints, carm_gap_us, stages }
     }
 
     fn register(&self, frame: &Frame, intrinsics: Option<Intrinsics>, nominal: Option<Rigid>) -> Pose {
-        let size_px = [frame.pixels.width as u32, frame.pixels.height as u32];
-        let Some(layout) = &self.layout else {
-            return Pose::refused("the session names no beads", size_px);
-        };
+        let none = BeadLayout { beads: Vec::new(), source: "none".to_owned(), notes: Vec::new() };
+        let layout = self.layout.as_ref().unwrap_or(&none);
         let prior = nominal.map(|camera_from_lps| Prior { camera_from_lps, covariance: None });
-        pose::register(&Registration {
+        let mut pose = pose::register(&Registration {
             frame,
             layout,
             intrinsics,
@@ -290,11 +290,18 @@ impl Engine {
             fuse: false,
             landmarks: &[],
             bead_radius_mm: None,
-        })
+        });
+        if self.layout.is_none() {
+            pose.reason = Some("the session names no beads".to_owned());
+        }
+        pose
     }
 
     fn robot_state(&self, mid_us: i64) -> Option<RobotState> {
-        let answer = self.timeline.robot_at(mid_us)?;
+        let (answer, source) = self.timeline.robot_and_source_at(mid_us)?;
+        if !answer.value.iter().all(|angle| angle.is_finite()) {
+            return None;
+        }
         let tracked = self.timeline.tracker_from_base_at(mid_us).filter(|answer| answer.gap_us <= MAX_GAP_US);
         let lps_from_base = match (tracked, self.setup.session.world_from_tracker, self.world_from_lps) {
             (Some(base), Some(world_from_tracker), Some(world_from_lps)) => {
@@ -302,7 +309,12 @@ impl Engine {
             }
             _ => None,
         };
-        let stale = !(answer.gap_us <= MAX_GAP_US);
-        Some(RobotState { control_angles_deg: answer.value, lps_from_base, gap_us: answer.gap_us, stale })
+        let stale = !(answer.gap_us <= MAX_GAP_US && answer.support == Support::Between);
+        let source = match source {
+            AngleSource::Sensed => "sensed",
+            AngleSource::Commanded => "commanded",
+        };
+        let source = source.to_owned();
+        Some(RobotState { control_angles_deg: answer.value, lps_from_base, source, gap_us: answer.gap_us, stale })
     }
 }

@@ -13,6 +13,7 @@ use super::file::Setup;
 use super::folder::Folder;
 use super::journal::Journal;
 use crate::acquire::{FolderWatch, WatchEvent};
+use crate::render::DeviceChoice;
 use crate::reporter::Reporter;
 use crate::telemetry::{DeviceKind, PortConfig, PortEvent, spawn_port};
 use crate::time::host_now_us;
@@ -42,7 +43,7 @@ const SETTLE_MS: u64 = 5;
 /// # Errors
 /// When the scene cannot be loaded, the folder cannot be written, or no renderer is available. What was recorded stays readable.
 pub fn run(setup: Setup, options: &LiveOptions, board: &Board, reporter: &Reporter) -> Result<Folder, SessionError> {
-    let mut workshop = Workshop::open(&setup, reporter)?;
+    let mut workshop = Workshop::open(&setup, DeviceChoice::Auto, reporter)?;
     let mut journal = Journal::create(&options.out, &setup, &workshop, reporter)?;
     let mut engine = Engine::new(setup.clone(), workshop.layout().cloned(), reporter.clone());
     let runtime = tokio::runtime::Builder::new_multi_thread()
@@ -81,14 +82,14 @@ pub fn run(setup: Setup, options: &LiveOptions, board: &Board, reporter: &Report
                     engine.push(Input::Frame { frame, host_us: now_us }, &mut |output| outputs.push(output));
                 }
             }
-            publish(board, &engine, &setup, reporter, now_us);
+            publish(board, &engine, reporter, now_us);
             idle = false;
         }
         for output in outputs.drain(..) {
             take(output, &mut journal, &mut workshop, board, reporter);
         }
         while let Some(developed) = workshop.try_take() {
-            finish_pair(developed, &mut journal, board);
+            finish_pair(developed, &mut journal, board)?;
         }
         let over = options.seconds.is_some_and(|limit_s| (now_us - started_us) as f64 * 1e-6 > limit_s);
         if over || options.stop.load(Ordering::Relaxed) {
@@ -109,9 +110,9 @@ pub fn run(setup: Setup, options: &LiveOptions, board: &Board, reporter: &Report
         take(output, &mut journal, &mut workshop, board, reporter);
     }
     for developed in workshop.finish()? {
-        finish_pair(developed, &mut journal, board);
+        finish_pair(developed, &mut journal, board)?;
     }
-    publish(board, &engine, &setup, reporter, end_us);
+    publish(board, &engine, reporter, end_us);
     board.update(|state| state.finished = true);
     journal.close(&engine, reporter)
 }
@@ -136,26 +137,29 @@ fn arrival(device: DeviceKind, event: PortEvent, board: &Board, journal: &mut Jo
         board.update(|state| state.links.iter_mut().filter(|link| link.device == device).for_each(change));
     };
     match event {
-        PortEvent::Opened { epoch, path, .. } => {
+        PortEvent::Opened { epoch, path, host_us, .. } => {
             link(&|link| {
                 link.open = true;
                 link.epoch = epoch;
                 link.trouble = None;
             });
-            journal.event(host_now_us(), &format!("{device:?} line opened at {} (epoch {epoch})", path.display()));
+            journal.line_opened(device, host_us, epoch, &path);
             None
         }
-        PortEvent::Lost { reason, .. } => {
+        PortEvent::Lost { reason, host_us, .. } => {
             link(&|link| {
                 link.open = false;
-                link.trouble = Some(reason.to_string());
+                link.trouble = Some(reason.clone());
             });
-            journal.event(host_now_us(), &format!("{device:?} line lost: {reason}"));
-            reporter.warn("line lost", format!("{device:?} line lost ({reason}); it is re-opened as soon as it is back"));
+            journal.line_lost(device, host_us, &reason);
+            reporter.warn("line lost", format!("{} line lost ({reason}); it is re-opened as soon as it is back", device.key()));
             None
         }
-        PortEvent::Retry { reason, .. } => {
-            link(&|link| link.trouble = Some(reason.to_string()));
+        PortEvent::Retry { error, attempt, .. } => {
+            link(&|link| link.trouble = Some(error.to_string()));
+            if attempt == 1 {
+                reporter.warn("line not open", format!("{error}; {}", crate::telemetry::hint(&error)));
+            }
             None
         }
         PortEvent::Bytes { host_us, epoch, bytes } => {
@@ -192,8 +196,7 @@ fn take(output: Output, journal: &mut Journal, workshop: &mut Workshop, board: &
     match output {
         Output::Sample { device, host_us, sample } => journal.sample(device, host_us, &sample),
         Output::Fault { device, host_us, detail } => {
-            board.update(|_| ());
-            journal.event(host_us, &format!("{device:?}: {detail}"));
+            journal.event(host_us, &format!("{}: {detail}", device.key()));
         }
         Output::Posed(posed) => {
             announce(&posed, reporter);
@@ -204,21 +207,21 @@ fn take(output: Output, journal: &mut Journal, workshop: &mut Workshop, board: &
 }
 
 fn announce(posed: &Posed, reporter: &Reporter) {
-    if let Some(reason) = posed.pose.reason() {
+    if let Some(reason) = &posed.pose.reason {
         reporter.note(format!("{}: refused, {reason}", posed.frame.name));
     }
 }
 
-fn finish_pair(developed: Developed, journal: &mut Journal, board: &Board) {
+fn finish_pair(developed: Developed, journal: &mut Journal, board: &Board) -> Result<(), SessionError> {
     let view = Arc::new(developed.picture());
     board.update(|state| match state.pairs.iter_mut().find(|pair| pair.name == view.name) {
         Some(slot) => *slot = view,
         None => state.pairs.push(view),
     });
-    journal.pair(developed);
+    journal.pair(developed)
 }
 
-fn publish(board: &Board, engine: &Engine, setup: &Setup, reporter: &Reporter, now_us: i64) {
+fn publish(board: &Board, engine: &Engine, reporter: &Reporter, now_us: i64) {
     board.update(|state| {
         state.now_us = now_us;
         for link in &mut state.links {
@@ -228,5 +231,4 @@ fn publish(board: &Board, engine: &Engine, setup: &Setup, reporter: &Reporter, n
         }
         state.warnings = reporter.warnings().into_iter().map(|(kind, counted)| (kind, counted.count)).collect();
     });
-    let _ = setup;
 }

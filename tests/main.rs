@@ -1,6 +1,7 @@
 //! The integration tests: one binary.
 
 mod architecture;
+mod telemetry_devices;
 mod telemetry_frames;
 mod telemetry_port;
 mod telemetry_wire;

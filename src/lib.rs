@@ -11,5 +11,12 @@ pub mod reporter;
 
 pub mod geometry;
 pub mod telemetry;
+pub mod acquire;
 pub mod timeline;
+pub mod beads;
+pub mod pose;
+pub mod scene;
+pub mod compare;
+pub mod record;
+pub mod report;
 pub mod cli;

@@ -1,3 +1,11 @@
 //! Commands: what was typed and what it means.
 
 pub mod devices;
+
+/// Runs the program.
+#[must_use]
+pub fn main() -> std::process::ExitCode {
+    std::process::ExitCode::SUCCESS
+}
+pub mod register;
+pub mod info;

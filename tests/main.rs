@@ -4,6 +4,7 @@ mod acquire_frames;
 mod acquire_info;
 mod acquire_watch;
 mod architecture;
+mod telemetry_devices;
 mod telemetry_frames;
 mod telemetry_port;
 mod telemetry_wire;

@@ -201,15 +201,20 @@ struct Heard {
     metadata: Option<Metadata>,
     samples: u64,
     first_last_us: Option<(i64, i64)>,
-    trouble: Option<String>,
+    /// Why the port is not open now.
+    closed: Option<String>,
+    /// The device went away while it was listened to.
+    lost: Option<String>,
 }
 
 impl Heard {
     fn take(&mut self, event: &PortEvent) {
         match event {
-            PortEvent::Retry { error, .. } => self.trouble = Some(format!("{error}; {}", hint(error))),
-            PortEvent::Lost { reason, .. } => self.trouble = Some(format!("the device went away: {reason}")),
-            PortEvent::Opened { .. } | PortEvent::Bytes { .. } => {}
+            PortEvent::Retry { error, .. } => self.closed = Some(format!("{error}; {}", hint(error))),
+            PortEvent::Lost { reason, .. } => self.lost = Some(format!("the device went away: {reason}; check the cable")),
+            // An earlier attempt may have failed because another program was just letting go.
+            PortEvent::Opened { .. } => self.closed = None,
+            PortEvent::Bytes { .. } => {}
         }
         let Self { link, metadata, samples, first_last_us, .. } = self;
         link.handle(event, &mut |received| {
@@ -230,7 +235,7 @@ impl Heard {
             _ => 0.0,
         };
         let device = config.device;
-        let (ok, detail) = if let Some(trouble) = self.trouble {
+        let (ok, detail) = if let Some(trouble) = self.lost.or(self.closed) {
             (false, trouble)
         } else if health.bytes == 0 {
             (false, "open, but silent; switch the device on, and check that its baud rate is the session's".to_owned())
@@ -261,7 +266,14 @@ impl Heard {
 fn listen(ports: &[&PortConfig]) -> std::io::Result<Vec<Heard>> {
     let mut heard: Vec<Heard> = ports
         .iter()
-        .map(|config| Heard { link: Link::new(config.device), metadata: None, samples: 0, first_last_us: None, trouble: None })
+        .map(|config| Heard {
+            link: Link::new(config.device),
+            metadata: None,
+            samples: 0,
+            first_last_us: None,
+            closed: None,
+            lost: None,
+        })
         .collect();
     if ports.is_empty() {
         return Ok(heard);

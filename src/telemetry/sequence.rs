@@ -88,7 +88,7 @@ impl SequenceTracker {
         if ahead == 1 && !reopened {
             return Sequenced::Next;
         }
-        if ahead >= 1 && ahead <= LARGEST_GAP && device_us >= last_us {
+        if (1..=LARGEST_GAP).contains(&ahead) && device_us >= last_us {
             return match (ahead - 1, reopened) {
                 (0, _) => Sequenced::Next,
                 (missing, false) => Sequenced::Gap(missing),

@@ -16,3 +16,5 @@ mod beads_layout;
 mod pose_registration;
 mod pose_synthetic;
 mod timeline_joints;
+mod compare_synthetic;
+mod report_files;

@@ -14,7 +14,8 @@ use crate::beads::{BeadLayout, parse_markups};
 use crate::compare::{CompareInput, Compared, Tone, compare};
 use crate::geometry::View;
 use crate::image::{Image, sha256_bytes};
-use crate::render::{DeviceChoice, Options, Quantity, Rendered, Renderer};
+use crate::gpu::DeviceChoice;
+use crate::render::{Options, Plan, Quantity, Rendered, Renderer};
 use crate::report::{self, Pair, PairStatus, StripInput};
 use crate::reporter::Reporter;
 use crate::scene::{self, Scene};
@@ -28,8 +29,8 @@ pub struct Developed {
     pub posed: Arc<Posed>,
     /// The row of the report.
     pub pair: Pair,
-    /// The matched DRR as line integral.
-    pub drr: Option<Arc<Rendered>>,
+    /// The matched DRR as line integral, and the scene it shows.
+    pub drr: Option<(Arc<Rendered>, Arc<Scene>)>,
     /// The compared images.
     pub compared: Option<Arc<Compared>>,
     /// The strip.
@@ -72,15 +73,18 @@ impl Developed {
     }
 }
 
+/// A frame, and the plan to execute where a log has one.
+type Job = (Posed, Option<Plan>);
+
 /// The null needs about twenty small renders: it waits until no frame waits.
 struct NullJob {
     developed: Developed,
-    scene: Scene,
+    scene: Arc<Scene>,
 }
 
 /// Renders and compares on a thread of its own.
 pub struct Workshop {
-    jobs: Option<Sender<Posed>>,
+    jobs: Option<Sender<Job>>,
     done: Receiver<Developed>,
     thread: Option<std::thread::JoinHandle<()>>,
     layout: Option<BeadLayout>,
@@ -131,10 +135,10 @@ impl Workshop {
         &self.inputs
     }
 
-    /// Hands in a frame.
-    pub fn submit(&mut self, posed: Posed) {
+    /// Hands in a frame; `plan` is executed as it is where there is one, else the renderer plans.
+    pub fn submit(&mut self, posed: Posed, plan: Option<Plan>) {
         if let Some(jobs) = &self.jobs
-            && jobs.send(posed).is_ok()
+            && jobs.send((posed, plan)).is_ok()
         {
             self.open += 1;
         }
@@ -170,11 +174,11 @@ struct Bench {
 }
 
 impl Bench {
-    fn work(mut self, inbox: &Receiver<Posed>, outbox: &Sender<Developed>) {
+    fn work(mut self, inbox: &Receiver<Job>, outbox: &Sender<Developed>) {
         loop {
             let job = if self.nulls.is_empty() { inbox.recv().map_err(|_| TryRecvError::Disconnected) } else { inbox.try_recv() };
             let developed = match job {
-                Ok(posed) => self.develop(posed),
+                Ok((posed, plan)) => self.develop(posed, plan),
                 Err(_) => match self.nulls.pop_front() {
                     Some(job) => self.add_null(job),
                     None => return,
@@ -186,18 +190,18 @@ impl Bench {
         }
     }
 
-    fn develop(&mut self, posed: Posed) -> Developed {
+    fn develop(&mut self, posed: Posed, plan: Option<Plan>) -> Developed {
         let posed = Arc::new(posed);
         let mut pair = row(&posed);
         let Some(view) = posed.view else {
             return self.without(posed, pair, "no pose: nothing to render");
         };
         let scene = match self.scene_at(&posed, view) {
-            Ok(scene) => scene,
+            Ok(scene) => Arc::new(scene),
             Err(reason) => return self.without(posed, pair, &reason),
         };
         let watch = Stopwatch::start();
-        let options = Options { quantity: Quantity::LineIntegral, frame: posed.index, ..Options::default() };
+        let options = Options { quantity: Quantity::LineIntegral, frame_index: posed.index, plan, ..Options::default() };
         let rendered = match self.renderer.render(&scene, &options) {
             Ok(rendered) => Arc::new(rendered),
             Err(error) => return self.without(posed, pair, &format!("not rendered: {error}")),
@@ -234,7 +238,7 @@ impl Bench {
         let strip = Arc::new(draw(&posed, &pair, compared.as_deref(), without.as_deref()));
         pair.stages_ms.add("strip", watch.ms());
         let complete = compared.is_none();
-        let developed = Developed { posed, pair, drr: Some(rendered), compared, strip, drr_sha256, complete };
+        let developed = Developed { posed, pair, drr: Some((rendered, scene.clone())), compared, strip, drr_sha256, complete };
         if !complete {
             self.nulls.push_back(NullJob { developed: developed.clone(), scene });
         }
@@ -300,7 +304,7 @@ impl Bench {
         let mut compared = compared.clone();
         let watch = Stopwatch::start();
         let renderer = &mut self.renderer;
-        let options = Options { quantity: Quantity::LineIntegral, quiet: true, ..Options::default() };
+        let options = Options { quantity: Quantity::LineIntegral, ..Options::default() };
         let mut rerender = |view: &View| {
             let rendered = renderer.render(&scene.with_view(*view), &options).map_err(|error| error.to_string())?;
             rendered.pages.into_iter().next().ok_or_else(|| "no page".to_owned())

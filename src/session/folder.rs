@@ -140,10 +140,10 @@ impl Collector {
         let strip = format!("strips/{:03}.png", index + 1);
         write_png_rgb(&self.path.join(&strip), &developed.strip)?;
         pair.strip = Some(strip);
-        if let Some(drr) = &developed.drr {
+        if let Some((drr, scene)) = &developed.drr {
             let name = format!("drr/{:03}.tif", index + 1);
             if !self.rows.contains_key(&index) {
-                write_image(&self.path.join(&name), drr)?;
+                write_image(&self.path.join(&name), drr, scene)?;
             }
             pair.drr = Some(name);
         }

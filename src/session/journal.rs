@@ -127,7 +127,7 @@ impl Journal {
     /// Records a pair and writes its files.
     pub(super) fn pair(&mut self, developed: Developed) -> Result<(), SessionError> {
         let time_us = developed.posed.time_us;
-        if let (Some(drr), Some(sha256), false) = (&developed.drr, &developed.drr_sha256, self.collector.knows(&developed)) {
+        if let (Some((drr, _)), Some(sha256), false) = (&developed.drr, &developed.drr_sha256, self.collector.knows(&developed)) {
             let name = &developed.posed.frame.name;
             let outcome = self
                 .recorder

@@ -13,7 +13,7 @@ use super::file::Setup;
 use super::folder::Folder;
 use super::journal::Journal;
 use crate::acquire::{FolderWatch, WatchEvent};
-use crate::render::DeviceChoice;
+use crate::gpu::DeviceChoice;
 use crate::reporter::Reporter;
 use crate::telemetry::{DeviceKind, PortConfig, PortEvent, spawn_port};
 use crate::time::host_now_us;
@@ -201,7 +201,7 @@ fn take(output: Output, journal: &mut Journal, workshop: &mut Workshop, board: &
         Output::Posed(posed) => {
             announce(&posed, reporter);
             journal.pose(&posed);
-            workshop.submit(*posed);
+            workshop.submit(*posed, None);
         }
     }
 }

@@ -13,7 +13,8 @@ use super::file::Setup;
 use super::folder::{Collector, Folder};
 use super::journal::{CLOCK_TOPIC, DRR_HASH_TOPIC, END_TOPIC, PoseRecord, SETUP_TOPIC};
 use crate::record::{FrameAssembler, LogEntry, read_log, topic};
-use crate::render::DeviceChoice;
+use crate::gpu::DeviceChoice;
+use crate::render::Plan;
 use crate::reporter::Reporter;
 use crate::telemetry::DeviceKind;
 use crate::time::Stopwatch;
@@ -62,6 +63,7 @@ struct Recorded {
     poses: BTreeMap<String, Vec<u8>>,
     hashes: BTreeMap<String, String>,
     drrs: BTreeMap<String, crate::image::Image<f32>>,
+    plans: BTreeMap<String, Plan>,
 }
 
 /// Replays `log`.
@@ -146,6 +148,13 @@ impl Pace {
     }
 }
 
+/// What `/plan` holds.
+#[derive(serde::Deserialize)]
+struct PlanRecord {
+    frame: String,
+    plan: Plan,
+}
+
 fn recorded(entries: &[LogEntry]) -> Result<Recorded, SessionError> {
     let mut found = Recorded::default();
     let mut last_drr = None;
@@ -156,6 +165,10 @@ fn recorded(entries: &[LogEntry]) -> Result<Recorded, SessionError> {
                 found.poses.insert(pose.frame, entry.data.clone());
             }
             topic::DRR => last_drr = entry.image()?,
+            topic::PLAN => {
+                let PlanRecord { frame, plan } = entry.json()?;
+                found.plans.insert(frame, plan);
+            }
             DRR_HASH_TOPIC => {
                 let value: serde_json::Value = entry.json()?;
                 let (Some(frame), Some(sha256)) = (value["frame"].as_str(), value["sha256"].as_str()) else { continue };
@@ -202,7 +215,8 @@ fn take(output: Output, collector: &mut Collector, workshop: &mut Workshop, reco
                 Some(_) => report.poses_different.push(name),
                 None => report.not_in_log.push(format!("pose of {name}")),
             }
-            workshop.submit(*posed);
+            let plan = recorded.plans.get(&posed.frame.name).cloned();
+            workshop.submit(*posed, plan);
         }
     }
 }
@@ -215,7 +229,7 @@ fn finish_pair(
     board: &Board,
 ) -> Result<(), SessionError> {
     let name = &developed.posed.frame.name;
-    if let (Some(sha256), Some(drr), false) = (&developed.drr_sha256, &developed.drr, collector.knows(&developed)) {
+    if let (Some(sha256), Some((drr, _)), false) = (&developed.drr_sha256, &developed.drr, collector.knows(&developed)) {
         match (recorded.hashes.get(name), recorded.drrs.get(name)) {
             (Some(then), _) if then == sha256 => report.images_identical += 1,
             (Some(_), Some(then)) => {

@@ -10,8 +10,9 @@ pub mod image;
 pub mod reporter;
 
 pub mod geometry;
-
+pub mod telemetry;
 pub mod acquire;
+pub mod timeline;
 pub mod scene;
 pub mod record;
 pub mod cli;

@@ -20,12 +20,19 @@ fn outcome(detections: &Detections, centres: &[glam::DVec2], size: [u32; 2]) -> 
     let mut used = std::collections::BTreeSet::new();
     for centre in centres {
         let margin = 15.0;
-        let inside = centre.x > margin && centre.y > margin && centre.x < f64::from(size[0]) - margin && centre.y < f64::from(size[1]) - margin;
+        let inside = centre.x > margin
+            && centre.y > margin
+            && centre.x < f64::from(size[0]) - margin
+            && centre.y < f64::from(size[1]) - margin;
         if !inside {
             continue;
         }
         result.visible += 1;
-        let nearest = detections.found.iter().enumerate().min_by(|a, b| a.1.image_px.distance(*centre).total_cmp(&b.1.image_px.distance(*centre)));
+        let nearest = detections
+            .found
+            .iter()
+            .enumerate()
+            .min_by(|a, b| a.1.image_px.distance(*centre).total_cmp(&b.1.image_px.distance(*centre)));
         if let Some((n, d)) = nearest
             && d.image_px.distance(*centre) < 2.0
         {
@@ -94,7 +101,12 @@ fn a_frame_of_noise_or_nothing_has_no_beads() {
     let mut random = sidecarm::random::Stream::new(1, 0, 0, sidecarm::random::Purpose::Evaluation);
     let noise = sidecarm::image::Image::filled(300, 200, 0.0f32).map(|_| (100.0 + 10.0 * random.normal()) as f32);
     let mut cases = 0;
-    for image in [noise, sidecarm::image::Image::filled(64, 64, 1.0f32), sidecarm::image::Image::filled(64, 64, f32::NAN), sidecarm::image::Image::filled(3, 2, 1.0f32)] {
+    for image in [
+        noise,
+        sidecarm::image::Image::filled(64, 64, 1.0f32),
+        sidecarm::image::Image::filled(64, 64, f32::NAN),
+        sidecarm::image::Image::filled(3, 2, 1.0f32),
+    ] {
         for signal in [Signal::Transmission, Signal::LineIntegral, Signal::Unknown] {
             let found = detect_image(&image, signal, None, &Expectation::default()).found.len();
             assert!(found <= 1, "{found} beads in nothing ({signal:?})");
@@ -112,7 +124,8 @@ fn touching_beads_are_told_apart() {
     let layout = synthetic::layout_of(&places, 1.25);
     let mut frame = synthetic::radiograph(view, &layout, 50000.0, 3);
     (frame.anatomy, frame.metal) = (false, false);
-    let one = outcome(&detect_image(&frame.draw(), Signal::Transmission, None, &Expectation::default()), &frame.centres(), [620, 480]);
+    let one =
+        outcome(&detect_image(&frame.draw(), Signal::Transmission, None, &Expectation::default()), &frame.centres(), [620, 480]);
     assert_eq!((one.found, one.visible), (2, 2));
     assert!(one.errors_px.iter().all(|error| *error < 0.15), "{:?}", one.errors_px);
 }

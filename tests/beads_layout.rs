@@ -13,7 +13,9 @@ fn file(name: &str, text: &str) -> (tempfile::TempDir, PathBuf) {
 }
 
 fn json(system: &str, units: &str, points: &str) -> String {
-    format!(r#"{{"@schema":"x","markups":[{{"type":"Fiducial","coordinateSystem":{system},"coordinateUnits":{units},"controlPoints":[{points}]}}]}}"#)
+    format!(
+        r#"{{"@schema":"x","markups":[{{"type":"Fiducial","coordinateSystem":{system},"coordinateUnits":{units},"controlPoints":[{points}]}}]}}"#
+    )
 }
 
 #[test]
@@ -71,7 +73,11 @@ fn damage_is_named() {
     expect("b.mrk.json", &json("\"LPS\"", "\"mm\"", ""), "no defined point");
     expect("b.mrk.json", &json("\"LPS\"", "\"mm\"", &format!("{good},{good}")), "occurs twice");
     expect("b.mrk.json", &json("\"LPS\"", "\"mm\"", r#"{"label":"F-1","position":[1,null,3]}"#), "F-1");
-    expect("b.mrk.json", &json("\"LPS\"", "\"mm\"", r#"{"label":"F-1","position":[1,2,3],"description":"radius_mm=-1"}"#), "radius_mm=-1");
+    expect(
+        "b.mrk.json",
+        &json("\"LPS\"", "\"mm\"", r#"{"label":"F-1","position":[1,2,3],"description":"radius_mm=-1"}"#),
+        "radius_mm=-1",
+    );
     expect("b.fcsv", "# CoordinateSystem = LPS\nn0,nan,2,3,0,0,0,1,1,1,0,a,,\n", "position");
     expect("b.txt", "", "expected a Slicer markups file");
 }

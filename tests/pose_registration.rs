@@ -31,9 +31,14 @@ fn shadows(view: &View, layout: &BeadLayout, noise_px: f64, noise_mm: f64, seed:
         let mut vector = |s: f64| DVec3::new(random.normal(), random.normal(), random.normal()) * s;
         let (at, depth) = projection.project(bead.lps_mm + vector(noise_mm));
         let off = vector(noise_px);
-        let inside = at.x > 3.0 && at.y > 3.0 && at.x < f64::from(view.size_px[0]) - 4.0 && at.y < f64::from(view.size_px[1]) - 4.0;
+        let inside =
+            at.x > 3.0 && at.y > 3.0 && at.x < f64::from(view.size_px[0]) - 4.0 && at.y < f64::from(view.size_px[1]) - 4.0;
         if inside && depth > 0.0 {
-            found.push(shadow(at + DVec2::new(off.x, off.y), view.intrinsics.fx * bead.radius_mm.unwrap_or(0.75) / depth, noise_px.max(0.02)));
+            found.push(shadow(
+                at + DVec2::new(off.x, off.y),
+                view.intrinsics.fx * bead.radius_mm.unwrap_or(0.75) / depth,
+                noise_px.max(0.02),
+            ));
         }
     }
     found
@@ -46,7 +51,9 @@ fn shadow(image_px: DVec2, radius_px: f64, sigma_px: f64) -> Detection {
 fn clutter(view: &View, count: usize, radius_px: f64, seed: u64) -> Vec<Detection> {
     let mut random = Stream::new(seed, 12, 0, Purpose::Evaluation);
     let [w, h] = view.size_px.map(f64::from);
-    (0..count).map(|_| Detection { quality: 0.3, ..shadow(DVec2::new(random.uniform() * w, random.uniform() * h), radius_px, 0.1) }).collect()
+    (0..count)
+        .map(|_| Detection { quality: 0.3, ..shadow(DVec2::new(random.uniform() * w, random.uniform() * h), radius_px, 0.1) })
+        .collect()
 }
 
 /// Mean distance between true and recovered projections of a grid of places within the specimen.
@@ -180,7 +187,8 @@ fn a_symmetric_layout_is_ambiguous_until_a_prior_breaks_it() {
     let found = shadows(&view, &layout, 0.1, 0.0, 2);
     let alone = register_detections(&matching(&view, &layout), &found);
     assert!(reason(&alone).starts_with("ambiguous"), "{}", reason(&alone));
-    let prior = Prior { camera_from_lps: Rigid::translation(DVec3::new(8.0, -8.0, 10.0)) * view.camera_from_lps, covariance: None };
+    let prior =
+        Prior { camera_from_lps: Rigid::translation(DVec3::new(8.0, -8.0, 10.0)) * view.camera_from_lps, covariance: None };
     let guided = register_detections(&Matching { prior: Some(&prior), ..matching(&view, &layout) }, &found);
     assert!(guided.is_accepted(), "{:?}", guided.reason);
     assert!(landmark_error_px(&guided, &view) < 1.0);
@@ -267,7 +275,8 @@ fn figures() {
                     for seed in 0..4 {
                         let (view, layout) = (synthetic::view(width, height, seed), synthetic::layout(9, radius_mm, seed));
                         let pixels = synthetic::radiograph(view, &layout, photons, seed).draw();
-                        let pixels = if domain == Domain::Display { synthetic::display(&pixels, photons, seed % 2 == 1) } else { pixels };
+                        let pixels =
+                            if domain == Domain::Display { synthetic::display(&pixels, photons, seed % 2 == 1) } else { pixels };
                         let frame = Frame::from_pixels("drawn", pixels, domain).expect("finite");
                         let start = std::time::Instant::now();
                         let pose = register(&Registration {
@@ -291,7 +300,10 @@ fn figures() {
                             println!("   {}", pose.reason.as_deref().unwrap_or("?"));
                         }
                     }
-                    println!("{width}x{height} N {photons} r {radius_mm} {domain}: accepted {accepted}/{total}, wrong {wrong}, landmark errors {errors:?} px, {:.2} s", seconds / 4.0);
+                    println!(
+                        "{width}x{height} N {photons} r {radius_mm} {domain}: accepted {accepted}/{total}, wrong {wrong}, landmark errors {errors:?} px, {:.2} s",
+                        seconds / 4.0
+                    );
                 }
             }
         }

@@ -30,8 +30,13 @@ pub fn view(width: u32, height: u32, seed: u64) -> View {
     let mut normal = |s: f64| random.normal() * s;
     let turn = Rigid::exp(DVec3::new(normal(0.6), normal(0.6), normal(0.8)), DVec3::ZERO);
     let shift = Rigid::translation(DVec3::new(normal(6.0), normal(6.0), 680.0 + normal(30.0)));
-    let intrinsics =
-        Intrinsics { fx, fy: fx, skew: 0.0, cx: 0.5 * (f64::from(width) - 1.0) + normal(4.0), cy: 0.5 * (f64::from(height) - 1.0) + normal(4.0) };
+    let intrinsics = Intrinsics {
+        fx,
+        fy: fx,
+        skew: 0.0,
+        cx: 0.5 * (f64::from(width) - 1.0) + normal(4.0),
+        cy: 0.5 * (f64::from(height) - 1.0) + normal(4.0),
+    };
     View { size_px: [width, height], intrinsics, camera_from_lps: shift * turn }
 }
 
@@ -79,7 +84,10 @@ impl Radiograph {
         let tissue = self.tissue(w, h);
         let mut clean = Image::filled(w, h, 0.0f32);
         for (n, out) in clean.pixels.iter_mut().enumerate() {
-            let sum: f64 = ENERGIES.iter().map(|(share, s, t)| share * (-s * f64::from(steel.pixels[n]) - t * f64::from(tissue.pixels[n])).exp()).sum();
+            let sum: f64 = ENERGIES
+                .iter()
+                .map(|(share, s, t)| share * (-s * f64::from(steel.pixels[n]) - t * f64::from(tissue.pixels[n])).exp())
+                .sum();
             *out = sum as f32;
         }
         let blurred = blur(&clean, self.blur_px);
@@ -124,7 +132,12 @@ impl Radiograph {
         if self.metal {
             let scale = w as f64 / 620.0;
             // Two wires, a screw with a round head, a robot-like thick bar with a round end.
-            let bars = [(0.1, 0.2, 0.7, 0.9, 2.2, 0.8), (0.9, 0.05, 0.55, 0.5, 1.5, 0.8), (0.12, 0.82, 0.3, 0.75, 6.0, 3.5), (0.97, 0.7, 0.7, 0.62, 14.0, 5.0)];
+            let bars = [
+                (0.1, 0.2, 0.7, 0.9, 2.2, 0.8),
+                (0.9, 0.05, 0.55, 0.5, 1.5, 0.8),
+                (0.12, 0.82, 0.3, 0.75, 6.0, 3.5),
+                (0.97, 0.7, 0.7, 0.62, 14.0, 5.0),
+            ];
             for (u0, v0, u1, v1, half, thick) in bars {
                 let (a, b) = (DVec2::new(u0 * w as f64, v0 * h as f64), DVec2::new(u1 * w as f64, v1 * h as f64));
                 for row in 0..h {
@@ -151,18 +164,35 @@ impl Radiograph {
                 let size = if n < 4 { 0.5 } else { 0.05 + 0.15 * random.uniform() };
                 let amount = if n < 4 { 0.5 } else { 0.15 + 0.5 * random.uniform() };
                 let inner = if n % 3 == 0 { 0.85 } else { 0.0 };
-                shapes.push((random.uniform(), random.uniform(), size, 0.5 + random.uniform(), random.uniform() * 3.0, amount, inner));
+                shapes.push((
+                    random.uniform(),
+                    random.uniform(),
+                    size,
+                    0.5 + random.uniform(),
+                    random.uniform() * 3.0,
+                    amount,
+                    inner,
+                ));
             }
             // Gas bubbles: round, negative, of bead size and larger.
             for _ in 0..3 {
-                shapes.push((random.uniform(), random.uniform(), 0.012 + 0.03 * random.uniform(), 1.2, random.uniform(), -0.12, 0.0));
+                shapes.push((
+                    random.uniform(),
+                    random.uniform(),
+                    0.012 + 0.03 * random.uniform(),
+                    1.2,
+                    random.uniform(),
+                    -0.12,
+                    0.0,
+                ));
             }
         }
         for row in 0..h {
             for column in 0..w {
                 let mut sum = 0.3;
                 for (u, v, size, aspect, angle, amount, inner) in &shapes {
-                    let (x, y) = ((column as f64 / w as f64 - u) / size, (row as f64 - v * h as f64) / w as f64 / (size * aspect));
+                    let (x, y) =
+                        ((column as f64 / w as f64 - u) / size, (row as f64 - v * h as f64) / w as f64 / (size * aspect));
                     let (sin, cos) = f64::sin_cos(*angle);
                     let d2 = (x * cos - y * sin).powi(2) + (x * sin + y * cos).powi(2);
                     let chord = |r: f64| if r > 0.0 { (r * r - d2).max(0.0).sqrt() } else { 0.0 };
@@ -216,7 +246,11 @@ fn blur(image: &Image<f32>, sigma: f64) -> Image<f32> {
 /// An 8-bit picture as a console shows it: windowed logarithm, metal dark or bright, clipped at both ends.
 pub fn display(transmission: &Image<f32>, photons: f64, metal_bright: bool) -> Image<f32> {
     let scale = if photons > 0.0 { photons as f32 } else { 1.0 };
-    let mut logs: Vec<f32> = transmission.pixels.iter().map(|v| -(v.max(0.5 * scale.recip().min(1.0) * scale.min(1.0)) / scale).max(1e-4).ln()).collect();
+    let mut logs: Vec<f32> = transmission
+        .pixels
+        .iter()
+        .map(|v| -(v.max(0.5 * scale.recip().min(1.0) * scale.min(1.0)) / scale).max(1e-4).ln())
+        .collect();
     let mut sorted = logs.clone();
     sorted.sort_by(f32::total_cmp);
     let (low, high) = (sorted[sorted.len() / 100], sorted[sorted.len() - 1 - sorted.len() / 200]);

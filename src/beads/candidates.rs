@@ -52,7 +52,8 @@ pub fn find(image: &Image<f32>, usable: &Image<bool>, radius_px: (f64, f64)) -> 
         let same = |other: &Candidate| {
             let ratio = other.radius_px / candidate.radius_px;
             (0.4..2.5).contains(&ratio)
-                && (other.u_px - candidate.u_px).hypot(other.v_px - candidate.v_px) < 0.5 * other.radius_px.max(candidate.radius_px)
+                && (other.u_px - candidate.u_px).hypot(other.v_px - candidate.v_px)
+                    < 0.5 * other.radius_px.max(candidate.radius_px)
         };
         if !kept.iter().any(same) && stands_out(image, &candidate) {
             kept.push(candidate);

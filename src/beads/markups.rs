@@ -180,7 +180,9 @@ fn is_ras(path: &Path, place: &str, found: &str) -> Result<bool, BeadsError> {
 fn mm_per_unit(path: &Path, place: &str, units: &Value) -> Result<f64, BeadsError> {
     let text = match units {
         Value::String(text) => text.clone(),
-        Value::Array(all) if !all.is_empty() && all.iter().all(|unit| *unit == all[0]) => all[0].as_str().unwrap_or_default().to_owned(),
+        Value::Array(all) if !all.is_empty() && all.iter().all(|unit| *unit == all[0]) => {
+            all[0].as_str().unwrap_or_default().to_owned()
+        }
         _ => units.to_string(),
     };
     match text.as_str() {
@@ -206,7 +208,8 @@ fn read_json(path: &Path, bytes: &[u8]) -> Result<(Points, usize), BeadsError> {
         }
         BeadsError::Form { path: path.to_owned(), place, found, expected }
     };
-    let lists = document["markups"].as_array().ok_or_else(|| form("markups".into(), &document["markups"], "a list of markups nodes"))?;
+    let lists =
+        document["markups"].as_array().ok_or_else(|| form("markups".into(), &document["markups"], "a list of markups nodes"))?;
     let mut read = Points { points: Vec::new(), notes: Vec::new() };
     let mut skipped = 0;
     for (index, list) in lists.iter().enumerate() {
@@ -303,7 +306,12 @@ fn read_fcsv(path: &Path, text: &str) -> Result<(Points, usize), BeadsError> {
         }
         let Some(ras) = ras else {
             let found = "points before any coordinate system".to_owned();
-            return Err(BeadsError::Form { path: path.to_owned(), place, found, expected: "a line `# CoordinateSystem = LPS` (or RAS)" });
+            return Err(BeadsError::Form {
+                path: path.to_owned(),
+                place,
+                found,
+                expected: "a line `# CoordinateSystem = LPS` (or RAS)",
+            });
         };
         let lps_mm = if ras { lps_from_ras(position) } else { position };
         read.points.push(Point { label, description: cell("desc").unwrap_or_default().to_owned(), lps_mm });

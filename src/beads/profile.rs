@@ -28,7 +28,6 @@ pub struct Value {
     pub by_ln_beta: f64,
 }
 
-
 type Table = Vec<f64>;
 
 fn tables() -> &'static [Table] {
@@ -101,7 +100,9 @@ fn tabulate(k: f64) -> Table {
             table[row * RHO_COUNT + column] = nodes
                 .iter()
                 .filter(|(t, _)| (t - rho).abs() < 6.0 * beta)
-                .map(|(t, weight)| weight * inverse * (-0.5 * (t - rho).powi(2) * inverse).exp() * bessel_i0_scaled(t * rho * inverse))
+                .map(|(t, weight)| {
+                    weight * inverse * (-0.5 * (t - rho).powi(2) * inverse).exp() * bessel_i0_scaled(t * rho * inverse)
+                })
                 .sum();
         }
     }
@@ -113,8 +114,7 @@ fn bessel_i0_scaled(x: f64) -> f64 {
     if x < 3.75 {
         let t = (x / 3.75).powi(2);
         let series = 1.0
-            + t * (3.515_622_9
-                + t * (3.089_942_4 + t * (1.206_749_2 + t * (0.265_973_2 + t * (0.036_076_8 + t * 0.004_581_3)))));
+            + t * (3.515_622_9 + t * (3.089_942_4 + t * (1.206_749_2 + t * (0.265_973_2 + t * (0.036_076_8 + t * 0.004_581_3)))));
         (-x).exp() * series
     } else {
         let t = 3.75 / x;
@@ -148,7 +148,9 @@ mod tests {
     #[test]
     fn blur_keeps_the_integral() {
         for shape in 0..SHAPES.len() {
-            let integral = |beta: f64| (0..400).map(|n| (n as f64 + 0.5) * 0.01).map(|rho| blurred(shape, rho, beta).value * rho * 0.01).sum::<f64>();
+            let integral = |beta: f64| {
+                (0..400).map(|n| (n as f64 + 0.5) * 0.01).map(|rho| blurred(shape, rho, beta).value * rho * 0.01).sum::<f64>()
+            };
             assert!((integral(0.6) / integral(0.03) - 1.0).abs() < 5e-3, "{shape}");
         }
     }

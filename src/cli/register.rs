@@ -97,7 +97,9 @@ pub enum RegisterError {
 /// When an input cannot be read or does not fit the others, or an output cannot be written.
 pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError> {
     let inputs = [Some(&args.frame), Some(&args.beads), args.intrinsics.as_ref(), args.prior.as_ref(), args.landmarks.as_ref()];
-    let same = |a: &PathBuf, b: &PathBuf| a == b || std::fs::canonicalize(a).is_ok_and(|a| std::fs::canonicalize(b).is_ok_and(|b| a == b));
+    let same = |a: &PathBuf, b: &PathBuf| {
+        a == b || std::fs::canonicalize(a).is_ok_and(|a| std::fs::canonicalize(b).is_ok_and(|b| a == b))
+    };
     for output in [Some(&args.out), args.overlay.as_ref()].into_iter().flatten() {
         if inputs.iter().flatten().any(|input| same(input, output)) {
             return Err(RegisterError::Overwrite { path: output.clone() });

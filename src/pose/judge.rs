@@ -48,7 +48,8 @@ impl Attempt<'_> {
         let rms_px = rms(&last.solution.residuals_px);
         let pose = last.solution.camera_from_lps;
         let k = last.solution.intrinsics;
-        let hypothesis = Hypothesis { camera_from_lps: pose, rms_px, matches: last.matches.clone(), ..candidate.hypothesis.clone() };
+        let hypothesis =
+            Hypothesis { camera_from_lps: pose, rms_px, matches: last.matches.clone(), ..candidate.hypothesis.clone() };
         let accident = self.chance_of(&hypothesis, candidate.tried);
         let in_view = candidate.hypothesis.in_view;
         if !(accident <= MOST_CHANCE) {
@@ -84,7 +85,11 @@ impl Attempt<'_> {
                 return self.refuse(reason, notes);
             }
             if relative > FOCAL_SIGMA.1 {
-                notes.push(format!("focal length {:.0} ± {:.0} px and depth are poorly separated; places near the beads are not affected", k.fx, sigma(6)));
+                notes.push(format!(
+                    "focal length {:.0} ± {:.0} px and depth are poorly separated; places near the beads are not affected",
+                    k.fx,
+                    sigma(6)
+                ));
             }
         }
         // A solved principal point shifts with the beads, a solved focal length with their depth; FOCAL_SIGMA has judged those.
@@ -100,7 +105,10 @@ impl Attempt<'_> {
             return self.refuse(reason, notes);
         }
         if last.chi2_per_dof > 1.5 {
-            notes.push(format!("residuals are {:.1} times what was expected; all uncertainties are scaled up by that", last.chi2_per_dof.sqrt()));
+            notes.push(format!(
+                "residuals are {:.1} times what was expected; all uncertainties are scaled up by that",
+                last.chi2_per_dof.sqrt()
+            ));
         }
         if count < in_view {
             notes.push(format!("{} of {in_view} beads that should be in view are matched", count));
@@ -117,7 +125,9 @@ impl Attempt<'_> {
             return None;
         }
         let measured = match (self.matching.fuse, self.matching.prior) {
-            (true, Some(prior)) => Some(Measured { camera_from_lps: prior.camera_from_lps, information: self.gate(prior).information }),
+            (true, Some(prior)) => {
+                Some(Measured { camera_from_lps: prior.camera_from_lps, information: self.gate(prior).information })
+            }
             _ => None,
         };
         let options = Options { loss: 3.0, measured, ..Options::least_squares(free) };
@@ -213,7 +223,8 @@ impl Attempt<'_> {
         let back = about(-centroid);
         let about_origin = back * at_centroid * back.transpose();
         let projection = Projection::compose(&k, &pose);
-        let beads: Vec<BeadResidual> = layout.beads.iter().enumerate().map(|(n, bead)| self.bead(last, n, bead, &projection)).collect();
+        let beads: Vec<BeadResidual> =
+            layout.beads.iter().enumerate().map(|(n, bead)| self.bead(last, n, bead, &projection)).collect();
         let mut bodies: Vec<BodyPose> = Vec::new();
         for bead in &beads {
             match bodies.iter_mut().find(|body| body.name == bead.body) {

@@ -237,7 +237,8 @@ impl Prior {
         let pose = Pose::read(path)?;
         let refused = pose.status == Status::Refused;
         let why = if refused { ": the pose was refused".to_owned() } else { String::new() };
-        let camera_from_lps = pose.camera_from_lps.filter(|_| !refused).ok_or(PoseFileError::NoPose { path: path.to_owned(), why })?;
+        let camera_from_lps =
+            pose.camera_from_lps.filter(|_| !refused).ok_or(PoseFileError::NoPose { path: path.to_owned(), why })?;
         let prior = Self { camera_from_lps, covariance: pose.covariance };
         if let Some(detail) = prior.fault() {
             return Err(PoseFileError::Covariance { path: path.to_owned(), detail });

@@ -79,7 +79,8 @@ impl Search<'_> {
     /// Runs the search over all detections, stopping early once `enough` says so of the best hypothesis so far.
     pub fn run(&self, enough: impl Fn(&Hypothesis, u64) -> bool) -> Found {
         let triples = self.triples();
-        let rays: Vec<DVec2> = self.detections.iter().map(|d| self.intrinsics.unproject(d.image_px)).map(|p| DVec2::new(p.x, p.y)).collect();
+        let rays: Vec<DVec2> =
+            self.detections.iter().map(|d| self.intrinsics.unproject(d.image_px)).map(|p| DVec2::new(p.x, p.y)).collect();
         let mut best: Vec<Hypothesis> = Vec::new();
         let (mut tried, mut solved) = (0u64, 0u64);
         for (batch, chunk) in triples.chunks(BATCH).enumerate() {
@@ -153,7 +154,11 @@ impl Search<'_> {
                     solved += 1;
                     for pose in triangle::poses(&points, &images).into_iter().flatten() {
                         let depth = pose.transform_point(points[0]).z;
-                        if !(depth > near && depth < far && self.radii_fit(&pose, [i, j, k], triple) && self.inside_gate(&pose, 1.5)) {
+                        if !(depth > near
+                            && depth < far
+                            && self.radii_fit(&pose, [i, j, k], triple)
+                            && self.inside_gate(&pose, 1.5))
+                        {
                             continue;
                         }
                         tried += 1;

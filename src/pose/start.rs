@@ -19,7 +19,8 @@ pub fn opencv(matches: &[Match], intrinsics: &Intrinsics) -> Option<Rigid> {
     let (mut turn, mut shift) = (Mat::default(), Mat::default());
     let none = Mat::default();
     let solved =
-        opencv::calib3d::solve_pnp(&objects, &images, &k, &none, &mut turn, &mut shift, false, opencv::calib3d::SOLVEPNP_SQPNP).ok()?;
+        opencv::calib3d::solve_pnp(&objects, &images, &k, &none, &mut turn, &mut shift, false, opencv::calib3d::SOLVEPNP_SQPNP)
+            .ok()?;
     let vector = |m: &Mat| -> Option<DVec3> {
         let at = |n| m.at::<f64>(n).ok().copied();
         Some(DVec3::new(at(0)?, at(1)?, at(2)?)).filter(|v| v.is_finite())

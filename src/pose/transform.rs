@@ -33,9 +33,8 @@ pub fn direct(matches: &[Match]) -> Option<(Intrinsics, Rigid)> {
     let vector = eigen.eigenvectors.column(smallest);
     let normalised = Matrix3x4::from_fn(|i, j| vector[4 * i + j]);
     let image_from_normal = Matrix3::new(1.0 / s2, 0.0, mean2.x, 0.0, 1.0 / s2, mean2.y, 0.0, 0.0, 1.0);
-    let normal_from_lps = Matrix4::new(
-        s3, 0.0, 0.0, -s3 * mean3.x, 0.0, s3, 0.0, -s3 * mean3.y, 0.0, 0.0, s3, -s3 * mean3.z, 0.0, 0.0, 0.0, 1.0,
-    );
+    let normal_from_lps =
+        Matrix4::new(s3, 0.0, 0.0, -s3 * mean3.x, 0.0, s3, 0.0, -s3 * mean3.y, 0.0, 0.0, s3, -s3 * mean3.z, 0.0, 0.0, 0.0, 1.0);
     let p = image_from_normal * normalised * normal_from_lps;
     let projection = Projection(std::array::from_fn(|i| std::array::from_fn(|j| p[(i, j)])));
     let (intrinsics, pose) = projection.decompose().ok()?;

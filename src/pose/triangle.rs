@@ -67,7 +67,8 @@ fn newton(points: &[DVec3; 3], images: &[DVec2; 3], start: [f64; 3]) -> Option<R
         return None;
     }
     let at = [rays[0] * depths.x, rays[1] * depths.y, rays[2] * depths.z];
-    let residual = PAIRS.iter().enumerate().map(|(n, (i, j))| (at[*i].distance(at[*j]) - wanted[n].sqrt()).abs()).fold(0.0, f64::max);
+    let residual =
+        PAIRS.iter().enumerate().map(|(n, (i, j))| (at[*i].distance(at[*j]) - wanted[n].sqrt()).abs()).fold(0.0, f64::max);
     if !(residual < 0.02 * wanted[0].max(wanted[1]).sqrt()) {
         return None;
     }
@@ -103,7 +104,8 @@ mod tests {
                 let c = pose.transform_point(p);
                 DVec2::new(c.x / c.z, c.y / c.z)
             });
-            let close = |found: &Rigid| found.angle_to_rad(&pose) < 1e-5 && found.translation_mm.distance(pose.translation_mm) < 1e-2;
+            let close =
+                |found: &Rigid| found.angle_to_rad(&pose) < 1e-5 && found.translation_mm.distance(pose.translation_mm) < 1e-2;
             right += usize::from(poses(&points, &images).iter().flatten().any(close));
         }
         assert!(right >= 190, "{right} of 200");

@@ -43,7 +43,9 @@ pub enum Degenerate {
         why: &'static str,
     },
     /// On a line.
-    #[error("collinear: beads {what} lie on a line (extents {first_mm:.1}, {second_mm:.2} mm): rotation about it is not determined")]
+    #[error(
+        "collinear: beads {what} lie on a line (extents {first_mm:.1}, {second_mm:.2} mm): rotation about it is not determined"
+    )]
     Collinear {
         /// Of the layout, or matched.
         what: &'static str,
@@ -53,7 +55,9 @@ pub enum Degenerate {
         second_mm: f64,
     },
     /// In a plane, with K unknown.
-    #[error("coplanar: beads {what} lie in a plane (extents {first_mm:.1}, {second_mm:.1}, {third_mm:.2} mm): without intrinsics the focal length is not determined; give --intrinsics")]
+    #[error(
+        "coplanar: beads {what} lie in a plane (extents {first_mm:.1}, {second_mm:.1}, {third_mm:.2} mm): without intrinsics the focal length is not determined; give --intrinsics"
+    )]
     Coplanar {
         /// Of the layout, or matched.
         what: &'static str,
@@ -121,10 +125,12 @@ pub fn rival<'a>(best: &Hypothesis, others: &'a [Hypothesis], scale: f64) -> Opt
         if angle < 2f64.to_radians() && shift < 15.0 {
             return false;
         }
-        let shared = other.matches.iter().filter(|m| best.matches.iter().any(|b| b.bead == m.bead && b.detection == m.detection)).count();
+        let shared =
+            other.matches.iter().filter(|m| best.matches.iter().any(|b| b.bead == m.bead && b.detection == m.detection)).count();
         let margin = 12.0 * scale;
         let same_count = other.matches.len() >= count && other.score < best.score + margin;
-        let one_less = count <= 6 && other.matches.len() + 1 == count && shared + 2 < count && other.score < best.score + margin + MISSED;
+        let one_less =
+            count <= 6 && other.matches.len() + 1 == count && shared + 2 < count && other.score < best.score + margin + MISSED;
         same_count || one_less
     })
 }

@@ -98,7 +98,7 @@ fn stands_out(image: &Image<f32>, candidate: &Candidate) -> bool {
     }
     drops.sort_by(f64::total_cmp);
     let typical = drops[drops.len() / 2];
-    typical > 0.0 && drops[drops.len() - 6] > 0.3 * typical && drops[0] > -1.0 * typical
+    typical > 0.0 && drops[drops.len() - 6] > 0.3 * typical && drops[0] > -typical
 }
 
 fn find_at_scale(image: &Image<f32>, usable: &Image<bool>, sigma: f64, step: usize, found: &mut Vec<Candidate>) {

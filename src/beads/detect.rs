@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::candidates::{self, Candidate, blur};
-use super::fit::{Field, Fit, Model, fit};
+use super::fit::{Field, Fit, Model, fit, refit};
 use super::noise::Noise;
 use super::profile::SHAPES;
 use crate::acquire::{Domain, Frame};
@@ -76,6 +76,8 @@ pub struct Expectation {
 
 /// Radii searched when nothing is known.
 const ANY_RADIUS_PX: (f64, f64) = (0.9, 24.0);
+/// Shadows that are tried as two.
+const MOST_DOUBTFUL: usize = 16;
 /// Contrast over noise below which a shadow is not trusted.
 const LEAST_SNR: f64 = 6.0;
 /// Structure in the residual above which a shadow is no sphere's, as a share of its depth.
@@ -187,21 +189,17 @@ fn line_integral(transmission: &Image<f32>) -> Image<f32> {
 
 fn find(field: &Field, bright: &Image<f32>, models: &[Model], radius_px: (f64, f64)) -> Vec<Detection> {
     let candidates = candidates::find(bright, field.usable, radius_px);
-    let fit_at = |u: f64, v: f64, radius: f64, others: &[Fit]| -> Option<Fit> {
-        let first = fit(field, models[0], u, v, radius, others)?;
-        if models.len() == 1 || !(first.snr > 0.5 * LEAST_SNR && first.misfit < 0.6) {
-            return Some(first);
+    let fit_at = |u: f64, v: f64, radius: f64, others: &[Fit]| fit(field, models[0], u, v, radius, others);
+    // Which of several profiles it is matters to size and misfit, hardly to the centre: asked only of what may be a bead.
+    let best_model = |first: Fit, others: &[Fit]| -> Fit {
+        if models.len() == 1 || !(first.snr > 0.7 * LEAST_SNR && first.misfit < 2.0 * MOST_MISFIT) {
+            return first;
         }
-        models[1..].iter().filter_map(|model| fit(field, *model, first.u_px, first.v_px, first.radius_px, others)).fold(
-            Some(first),
-            |best, next| match best {
-                Some(best) if best.chi2_per_dof <= next.chi2_per_dof => Some(best),
-                _ => Some(next),
-            },
-        )
+        let others_fit = models[1..].iter().filter_map(|model| refit(field, *model, &first, others));
+        others_fit.fold(first, |best, next| if best.chi2_per_dof <= next.chi2_per_dof { best } else { next })
     };
     let fits: Vec<(Candidate, Option<Fit>)> =
-        candidates.par_iter().map(|c| (*c, fit_at(c.u_px, c.v_px, c.radius_px, &[]))).collect();
+        candidates.par_iter().map(|c| (*c, fit_at(c.u_px, c.v_px, c.radius_px, &[]).map(|fit| best_model(fit, &[])))).collect();
     let mut kept = distinct(fits.iter().filter_map(|(_, fit)| *fit).filter(|fit| is_bead(fit, radius_px)).collect());
 
     // Beads that touch: a shadow that one sphere does not explain is tried as one of two.
@@ -209,8 +207,9 @@ fn find(field: &Field, bright: &Image<f32>, models: &[Model], radius_px: (f64, f
         .iter()
         .filter_map(|(_, fit)| *fit)
         .filter(|fit| {
-            fit.snr > 2.0 * LEAST_SNR && fit.misfit > MOST_MISFIT && fit.misfit < 1.0 && !kept.iter().any(|k| same(k, fit))
+            fit.snr > 2.0 * LEAST_SNR && fit.misfit > MOST_MISFIT && fit.misfit < 0.6 && !kept.iter().any(|k| same(k, fit))
         })
+        .take(MOST_DOUBTFUL)
         .collect();
     let pairs: Vec<[Option<Fit>; 2]> = candidates
         .par_iter()
@@ -262,7 +261,7 @@ fn apart(
     let mut second = *partner;
     second.radius_px = second.radius_px.min(1.3 * candidate.radius_px);
     let mut first = None;
-    for _ in 0..4 {
+    for _ in 0..3 {
         let (u, v, radius) =
             first.map_or((candidate.u_px, candidate.v_px, candidate.radius_px), |f: Fit| (f.u_px, f.v_px, f.radius_px));
         let Some(own) = fit_at(u, v, radius, &[second]) else { return [None, None] };

@@ -60,6 +60,9 @@ type Matrix = SMatrix<f64, COUNT, COUNT>;
 /// Blur expected of detector and focal spot, px, and the standard deviation of its logarithm.
 const BLUR_PRIOR: (f64, f64) = (0.8, 0.5);
 
+/// Pixels that are enough to tell a shadow from what is none.
+const SCREENED: usize = 450;
+
 struct Pixel {
     dx: f64,
     dy: f64,
@@ -139,15 +142,23 @@ fn evaluate(shape: &Shape, pixel: &Pixel) -> Evaluated {
     Evaluated { model: value, gradient, rho }
 }
 
+/// Fits `model` from a finished fit of another model.
+pub fn refit(field: &Field, model: Model, from: &Fit, others: &[Fit]) -> Option<Fit> {
+    fit_window(field, model, from.u_px, from.v_px, from.radius_px, Some(from), others, 8, usize::MAX)
+}
+
 /// Fits a shadow near (`u_px`, `v_px`) of about `radius_px`; `others` are shadows already fitted, taken into account where they reach.
 /// `None` when there are too few usable pixels or the fit runs away.
 pub fn fit(field: &Field, model: Model, u_px: f64, v_px: f64, radius_px: f64, others: &[Fit]) -> Option<Fit> {
-    let first = fit_window(field, model, u_px, v_px, radius_px, None, others, 7)?;
+    let first = fit_window(field, model, u_px, v_px, radius_px, None, others, 7, SCREENED)?;
     // What is no shadow by now will not become one.
     if !(first.contrast > 0.0 && first.snr > 2.5 && first.misfit < 2.0) {
         return None;
     }
-    let again = fit_window(field, model, first.u_px, first.v_px, first.radius_px, Some(&first), others, 14)?;
+    if first.misfit > 0.6 {
+        return Some(first);
+    }
+    let again = fit_window(field, model, first.u_px, first.v_px, first.radius_px, Some(&first), others, 14, usize::MAX)?;
     let moved = (again.u_px - u_px).hypot(again.v_px - v_px);
     (moved <= 1.0 + 0.8 * radius_px.max(again.radius_px)).then_some(again)
 }
@@ -162,10 +173,11 @@ fn fit_window(
     start: Option<&Fit>,
     others: &[Fit],
     iterations: usize,
+    most_pixels: usize,
 ) -> Option<Fit> {
     let blur_start = start.map_or(BLUR_PRIOR.0, |fit| fit.blur_px);
     let half_width = 1.9 * radius_px + 2.0 * blur_start + 2.0;
-    let (mut pixels, total) = window(field, model, u_px, v_px, half_width, others);
+    let (mut pixels, total) = window(field, model, u_px, v_px, half_width, others, most_pixels);
     if pixels.len() < 3 * COUNT || !(pixels.len() as f64 > 0.6 * total) {
         return None;
     }
@@ -219,7 +231,17 @@ fn fit_window(
     judge(model, &theta, &pixels, u_px, v_px, half_width, prior_radius, total)
 }
 
-fn window(field: &Field, model: Model, u_px: f64, v_px: f64, half_width: f64, others: &[Fit]) -> (Vec<Pixel>, f64) {
+/// Pixels of the round window, thinned out to about `most_pixels`, and how many there would be if all were usable.
+fn window(
+    field: &Field,
+    model: Model,
+    u_px: f64,
+    v_px: f64,
+    half_width: f64,
+    others: &[Fit],
+    most_pixels: usize,
+) -> (Vec<Pixel>, f64) {
+    let every = (std::f64::consts::PI * half_width * half_width / most_pixels as f64).round().max(1.0) as i64;
     let (w, h) = (field.pixels.width as i64, field.pixels.height as i64);
     let reach = half_width.ceil() as i64;
     let (column0, row0) = (u_px.round() as i64, v_px.round() as i64);
@@ -236,7 +258,7 @@ fn window(field: &Field, model: Model, u_px: f64, v_px: f64, half_width: f64, ot
     for row in row0 - reach..=row0 + reach {
         for column in column0 - reach..=column0 + reach {
             let (dx, dy) = (column as f64 - u_px, row as f64 - v_px);
-            if dx * dx + dy * dy > half_width * half_width {
+            if dx * dx + dy * dy > half_width * half_width || (column + 3 * row).rem_euclid(every) != 0 {
                 continue;
             }
             total += 1.0;

@@ -284,7 +284,7 @@ pub fn solve(matches: &[Match], start: &Rigid, intrinsics: &Intrinsics, options:
     }
     let covariance = &inverse * middle * &inverse;
     let finite = covariance.iter().all(|x| x.is_finite()) && pose.translation_mm.is_finite() && k.fx.is_finite();
-    finite.then(|| Solution {
+    finite.then_some(Solution {
         camera_from_lps: pose,
         intrinsics: k,
         residuals_px: linear.residuals_px,

@@ -20,8 +20,8 @@ pub mod scene;
 pub mod render;
 pub mod compare;
 pub mod record;
-pub mod session;
 pub mod report;
+pub mod session;
 #[cfg(feature = "viewer")]
 pub mod viewer;
 pub mod cli;

@@ -18,3 +18,4 @@ mod pose_synthetic;
 mod timeline_joints;
 mod compare_synthetic;
 mod report_files;
+mod viewer_window;

@@ -1,5 +1,23 @@
 //! What is in the beam: scene files, volumes, shapes, the robot, materials, the beam and the detector.
 
-pub mod physics;
+mod beam;
+mod density;
+mod edit;
+mod error;
+pub mod file;
+mod files;
+mod load;
+mod matter;
+mod mesh;
+mod objects;
+mod view;
+mod volume_file;
 
 pub mod model;
+pub mod physics;
+
+pub use density::{DensityCurve, ThresholdClass};
+pub use error::SceneError;
+pub use load::load;
+pub use model::Scene;
+pub use volume_file::{VolumeFile, read_volume};

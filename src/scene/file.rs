@@ -1,0 +1,484 @@
+//! The scene file as it is written (DESIGN §7). Unknown keys are errors that name key and place; keys that the format has and this
+//! version does not model are kept as raw values, so that loading can say so.
+
+use std::collections::BTreeMap;
+
+use serde::de::{Deserializer, MapAccess, Visitor, value::MapAccessDeserializer};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use super::model::{Formation, Noise, ReadoutNoise, Response};
+use crate::geometry::{CarmJoints, Intrinsics, Projection, Rigid};
+
+/// A scene file.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SceneFile {
+    /// Objects in order; a later one displaces earlier ones.
+    pub objects: Vec<ObjectFile>,
+    /// Camera and raster; session scenes have none.
+    #[serde(default)]
+    pub view: Option<ViewFile>,
+    /// The X-ray beam.
+    pub beam: BeamFile,
+    /// The detector.
+    #[serde(default)]
+    pub detector: DetectorFile,
+    /// What is modelled.
+    #[serde(default)]
+    pub model: ModelFile,
+}
+
+/// One object, named by its kind.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ObjectFile {
+    /// A CT in Hounsfield units.
+    Ct(CtFile),
+    /// A closed surface.
+    Mesh(MeshFile),
+    /// Volume fractions of one material.
+    Voxels(VoxelsFile),
+    /// A ball.
+    Sphere(SphereFile),
+    /// An ellipsoid.
+    Ellipsoid(EllipsoidFile),
+    /// A cuboid.
+    Box(BoxFile),
+    /// A rod or a tube.
+    Cylinder(CylinderFile),
+    /// The snake robot.
+    Robot(RobotFile),
+}
+
+/// `{"ct": …}`
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CtFile {
+    /// NIfTI volume.
+    pub path: String,
+    /// How voxels become materials.
+    pub materials: MaterialsFile,
+    /// Whether air is left out (the default) or kept as matter.
+    #[serde(default)]
+    pub air: AirFile,
+    /// Rigid part of the specimen.
+    #[serde(default)]
+    pub body: Option<String>,
+}
+
+/// What becomes of air in a CT.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum AirFile {
+    /// Density 0.
+    #[default]
+    Vacuum,
+    /// The material `air` at the density of the curve.
+    Keep,
+}
+
+/// `"threshold"` or `{"labels": …}`.
+#[derive(Clone, Debug, PartialEq)]
+pub enum MaterialsFile {
+    /// By Hounsfield number.
+    Threshold,
+    /// By a label map.
+    Labels(LabelsFile),
+}
+
+/// Labels to materials.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LabelsFile {
+    /// Label volume on the grid of the CT.
+    pub labels: String,
+    /// Material of labels that `map` does not name, where it is not air by threshold.
+    pub default: String,
+    /// Material by label number.
+    #[serde(default)]
+    pub map: BTreeMap<String, LabelMaterialFile>,
+}
+
+/// `"bone_cortical"` or `{"material": "titanium", "density": "nominal"}`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LabelMaterialFile {
+    /// Name, formula or mass fractions.
+    pub material: String,
+    /// Where the density comes from.
+    pub density: DensityFile,
+}
+
+/// Where a labelled voxel's density comes from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DensityFile {
+    /// From its Hounsfield number.
+    #[default]
+    Hu,
+    /// The material's nominal density.
+    Nominal,
+}
+
+/// `{"mesh": …}`
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MeshFile {
+    /// STL in mm.
+    pub path: String,
+    /// What it is made of.
+    pub material: String,
+    /// Pose.
+    #[serde(default = "identity")]
+    pub lps_from_mesh: Rigid,
+    /// Density; nominal if absent.
+    #[serde(default)]
+    pub density_g_per_cm3: Option<f64>,
+    /// Rigid part of the specimen.
+    #[serde(default)]
+    pub body: Option<String>,
+}
+
+/// `{"voxels": …}`
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct VoxelsFile {
+    /// NIfTI volume of fractions 0–1.
+    pub path: String,
+    /// What it is made of.
+    pub material: String,
+    /// From the file's own LPS.
+    #[serde(default = "identity")]
+    pub lps_from_voxels_frame: Rigid,
+    /// Density at fraction 1; nominal if absent.
+    #[serde(default)]
+    pub density_g_per_cm3: Option<f64>,
+    /// Rigid part of the specimen.
+    #[serde(default)]
+    pub body: Option<String>,
+}
+
+/// `{"sphere": …}`
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SphereFile {
+    /// Centre.
+    pub centre_lps_mm: [f64; 3],
+    /// Radius.
+    pub radius_mm: f64,
+    /// What it is made of.
+    pub material: String,
+    /// Density; nominal if absent.
+    #[serde(default)]
+    pub density_g_per_cm3: Option<f64>,
+    /// Rigid part of the specimen.
+    #[serde(default)]
+    pub body: Option<String>,
+}
+
+/// `{"ellipsoid": …}`
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EllipsoidFile {
+    /// Centre.
+    pub centre_lps_mm: [f64; 3],
+    /// Half axes.
+    pub semi_axes_mm: [f64; 3],
+    /// Axes' directions; parallel to LPS if absent.
+    #[serde(default = "unturned")]
+    pub rotation_lps_from_local: [[f64; 3]; 3],
+    /// What it is made of.
+    pub material: String,
+    /// Density; nominal if absent.
+    #[serde(default)]
+    pub density_g_per_cm3: Option<f64>,
+    /// Rigid part of the specimen.
+    #[serde(default)]
+    pub body: Option<String>,
+}
+
+/// `{"box": …}`
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BoxFile {
+    /// Centre.
+    pub centre_lps_mm: [f64; 3],
+    /// Edge lengths.
+    pub size_mm: [f64; 3],
+    /// Edges' directions; parallel to LPS if absent.
+    #[serde(default = "unturned")]
+    pub rotation_lps_from_local: [[f64; 3]; 3],
+    /// What it is made of.
+    pub material: String,
+    /// Density; nominal if absent.
+    #[serde(default)]
+    pub density_g_per_cm3: Option<f64>,
+    /// Rigid part of the specimen.
+    #[serde(default)]
+    pub body: Option<String>,
+}
+
+/// `{"cylinder": …}`
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CylinderFile {
+    /// Middle of one end.
+    pub from_lps_mm: [f64; 3],
+    /// Middle of the other.
+    pub to_lps_mm: [f64; 3],
+    /// Outer radius.
+    pub radius_mm: f64,
+    /// Radius of the lumen, 0 for a rod.
+    #[serde(default)]
+    pub inner_radius_mm: f64,
+    /// What it is made of.
+    pub material: String,
+    /// Density; nominal if absent.
+    #[serde(default)]
+    pub density_g_per_cm3: Option<f64>,
+    /// Rigid part of the specimen.
+    #[serde(default)]
+    pub body: Option<String>,
+}
+
+/// `{"robot": …}`
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RobotFile {
+    /// Model file.
+    pub model: String,
+    /// Pose of the base.
+    #[serde(default = "identity")]
+    pub lps_from_base: Rigid,
+    /// The five control angles.
+    #[serde(default)]
+    pub control_angles_deg: [f64; 5],
+    /// Rigid part of the specimen.
+    #[serde(default)]
+    pub body: Option<String>,
+}
+
+/// `view`: K and pose, or P, or C-arm joints.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ViewFile {
+    /// Columns and rows; the calibration's for C-arm joints if absent.
+    #[serde(default)]
+    pub size_px: Option<[u32; 2]>,
+    /// K.
+    #[serde(default)]
+    pub intrinsics: Option<Intrinsics>,
+    /// Pose.
+    #[serde(default)]
+    pub camera_from_lps: Option<Rigid>,
+    /// P, at any scale.
+    #[serde(default)]
+    pub projection: Option<Projection>,
+    /// Joints in degrees and mm.
+    #[serde(default)]
+    pub carm: Option<CarmJoints>,
+    /// C-arm calibration file.
+    #[serde(default)]
+    pub calibration: Option<String>,
+    /// Where the specimen lies in the room.
+    #[serde(default)]
+    pub world_from_lps: Option<Rigid>,
+}
+
+/// `beam`.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BeamFile {
+    /// Tube voltage.
+    #[serde(default)]
+    pub tube_kvp: Option<f64>,
+    /// Anode angle, 12° if absent.
+    #[serde(default)]
+    pub anode_angle_deg: Option<f64>,
+    /// Thickness by material.
+    #[serde(default)]
+    pub filtration_mm: BTreeMap<String, f64>,
+    /// A single energy.
+    #[serde(default)]
+    pub mono_kev: Option<f64>,
+    /// Photons per bin.
+    #[serde(default)]
+    pub spectrum_csv: Option<String>,
+    /// N₀ on the principal ray; the paper's 5e5 if absent.
+    #[serde(default)]
+    pub photons_per_pixel: Option<f64>,
+    /// Not modelled yet.
+    #[serde(default)]
+    pub bowtie: Option<Value>,
+    /// Not modelled yet.
+    #[serde(default)]
+    pub heel: Option<Value>,
+    /// Not modelled yet.
+    #[serde(default)]
+    pub focal_spot_mm: Option<Value>,
+    /// Not modelled yet.
+    #[serde(default)]
+    pub field: Option<Value>,
+}
+
+/// `detector`.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DetectorFile {
+    /// Energy-integrating if absent.
+    #[serde(default)]
+    pub response: Option<Response>,
+    /// Pixel pitch; the calibration's for C-arm joints if absent.
+    #[serde(default)]
+    pub pitch_mm: Option<f64>,
+    /// Odd square, sum 1.
+    #[serde(default)]
+    pub crosstalk: Option<Vec<Vec<f64>>>,
+    /// Electronic noise.
+    #[serde(default)]
+    pub readout_noise: Option<ReadoutNoise>,
+    /// 1 if absent.
+    #[serde(default)]
+    pub gain: Option<f64>,
+    /// 0 if absent.
+    #[serde(default)]
+    pub offset: Option<f64>,
+    /// Not modelled yet.
+    #[serde(default)]
+    pub scintillator: Option<Value>,
+    /// Not modelled yet.
+    #[serde(default)]
+    pub blur_fwhm_mm: Option<Value>,
+    /// Not modelled yet.
+    #[serde(default)]
+    pub bits: Option<Value>,
+    /// Not modelled yet.
+    #[serde(default)]
+    pub saturation: Option<Value>,
+    /// Not modelled yet.
+    #[serde(default)]
+    pub grid: Option<Value>,
+    /// Not modelled yet.
+    #[serde(default)]
+    pub intensifier: Option<Value>,
+}
+
+/// `model`.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ModelFile {
+    /// `deepdrr` if absent.
+    #[serde(default)]
+    pub formation: Option<Formation>,
+    /// `off` if absent.
+    #[serde(default)]
+    pub scatter: ScatterFile,
+    /// `false` if absent.
+    #[serde(default)]
+    pub noise: NoiseFile,
+    /// 1 if absent.
+    #[serde(default)]
+    pub seed: Option<u64>,
+}
+
+/// `scatter`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ScatterFile {
+    /// None.
+    #[default]
+    Off,
+    /// Not available yet.
+    Network,
+    /// Not available yet.
+    MonteCarlo,
+}
+
+/// `noise`: `false`, `true` or `"paper"`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NoiseFile(pub Noise);
+
+impl Default for NoiseFile {
+    fn default() -> Self {
+        Self(Noise::Off)
+    }
+}
+
+fn identity() -> Rigid {
+    Rigid::IDENTITY
+}
+
+fn unturned() -> [[f64; 3]; 3] {
+    [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+}
+
+impl<'de> Deserialize<'de> for MaterialsFile {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Materials;
+        impl<'de> Visitor<'de> for Materials {
+            type Value = MaterialsFile;
+            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str("\"threshold\" or {\"labels\": …, \"default\": …, \"map\": …}")
+            }
+            fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<MaterialsFile, E> {
+                match text {
+                    "threshold" => Ok(MaterialsFile::Threshold),
+                    _ => Err(E::invalid_value(serde::de::Unexpected::Str(text), &self)),
+                }
+            }
+            fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<MaterialsFile, A::Error> {
+                LabelsFile::deserialize(MapAccessDeserializer::new(map)).map(MaterialsFile::Labels)
+            }
+        }
+        deserializer.deserialize_any(Materials)
+    }
+}
+
+impl<'de> Deserialize<'de> for LabelMaterialFile {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        #[derive(Deserialize)]
+        #[serde(deny_unknown_fields)]
+        struct Full {
+            material: String,
+            #[serde(default)]
+            density: DensityFile,
+        }
+        struct Entry;
+        impl<'de> Visitor<'de> for Entry {
+            type Value = LabelMaterialFile;
+            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str("a material or {\"material\": …, \"density\": \"nominal\"}")
+            }
+            fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<LabelMaterialFile, E> {
+                Ok(LabelMaterialFile { material: text.to_owned(), density: DensityFile::Hu })
+            }
+            fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<LabelMaterialFile, A::Error> {
+                let full = Full::deserialize(MapAccessDeserializer::new(map))?;
+                Ok(LabelMaterialFile { material: full.material, density: full.density })
+            }
+        }
+        deserializer.deserialize_any(Entry)
+    }
+}
+
+impl<'de> Deserialize<'de> for NoiseFile {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Choice;
+        impl Visitor<'_> for Choice {
+            type Value = NoiseFile;
+            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str("false, true or \"paper\"")
+            }
+            fn visit_bool<E: serde::de::Error>(self, on: bool) -> Result<NoiseFile, E> {
+                Ok(NoiseFile(if on { Noise::True } else { Noise::Off }))
+            }
+            fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<NoiseFile, E> {
+                match text {
+                    "paper" => Ok(NoiseFile(Noise::Paper)),
+                    _ => Err(E::invalid_value(serde::de::Unexpected::Str(text), &self)),
+                }
+            }
+        }
+        deserializer.deserialize_any(Choice)
+    }
+}

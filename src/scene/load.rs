@@ -1,0 +1,131 @@
+//! From a scene file to a scene that renders.
+
+use std::path::Path;
+
+use super::SceneError;
+use super::beam;
+use super::file::{ScatterFile, SceneFile};
+use super::files::{Files, parse_json};
+use super::model::{Beam, Detector, Formation, Model, Scene};
+use super::objects;
+use super::physics::Spectrum;
+use super::view;
+use crate::image::sha256_bytes;
+use crate::reporter::Reporter;
+
+/// Source-to-detector distances outside this are mistakes (metres for millimetres, a focal length in mm).
+const DISTANCE_MM: (f64, f64) = (1.0, 100_000.0);
+
+/// Loads a scene file and everything that it names. Relative paths are looked up beside the scene file; `calibration/…` then in the current
+/// folder, then among the files that come with the program.
+///
+/// With `need_view` the scene must say where it is seen from and how large the detector's pixels are. Without, both may be left to the
+/// session; [`Detector::pitch_mm`] is NaN then, for the session to fill in.
+///
+/// # Errors
+/// When a file is missing, damaged or holds what it should not: one sentence naming the file, the place and the remedy.
+pub fn load(path: &Path, need_view: bool, reporter: &Reporter) -> Result<Scene, SceneError> {
+    let bytes = std::fs::read(path).map_err(|source| SceneError::Io { path: path.to_owned(), source })?;
+    let file: SceneFile = parse_json(path, &bytes)?;
+    let mut files = Files::new(path);
+    files.remember(&path.display().to_string(), sha256_bytes(&bytes));
+    refuse_unavailable(&file, &files)?;
+
+    let beam = beam::beam(&file.beam, &mut files, reporter)?;
+    let mut detector = beam::detector(&file.detector, &files)?;
+    let seen = file.view.as_ref().map(|view| view::resolve(view, &mut files)).transpose()?;
+    let view = match seen {
+        Some(seen) => {
+            settle_pitch(&mut detector, seen.pitch_mm, &files)?;
+            check_distance(seen.view.intrinsics.source_to_detector_mm(detector.pitch_mm), &files)?;
+            Some(seen.view)
+        }
+        None if need_view => {
+            return Err(SceneError::Keys {
+                place: files.place("view"),
+                detail: "the scene does not say where it is seen from; add a view".to_owned(),
+            });
+        }
+        None => None,
+    };
+    let model = Model {
+        formation: file.model.formation.unwrap_or(Formation::Deepdrr),
+        noise: file.model.noise.0,
+        seed: file.model.seed.unwrap_or(1),
+    };
+    let mut scene =
+        Scene { materials: Vec::new(), objects: Vec::new(), view, beam, detector, model, inputs: Vec::new(), robot: None };
+    objects::build(&file.objects, &mut scene, &mut files, reporter)?;
+    check_energies(&scene, &files)?;
+    scene.inputs = files.into_inputs();
+    Ok(scene)
+}
+
+/// Keys of the format whose physics this version does not have.
+fn refuse_unavailable(file: &SceneFile, files: &Files) -> Result<(), SceneError> {
+    let (beam, detector) = (&file.beam, &file.detector);
+    let keys = [
+        ("beam.bowtie", beam.bowtie.is_some()),
+        ("beam.heel", beam.heel.is_some()),
+        ("beam.focal_spot_mm", beam.focal_spot_mm.is_some()),
+        ("beam.field", beam.field.is_some()),
+        ("detector.scintillator", detector.scintillator.is_some()),
+        ("detector.blur_fwhm_mm", detector.blur_fwhm_mm.is_some()),
+        ("detector.bits", detector.bits.is_some()),
+        ("detector.saturation", detector.saturation.is_some()),
+        ("detector.grid", detector.grid.is_some()),
+        ("detector.intensifier", detector.intensifier.is_some()),
+        ("model.scatter \"network\"", file.model.scatter == ScatterFile::Network),
+        ("model.scatter \"monte_carlo\"", file.model.scatter == ScatterFile::MonteCarlo),
+    ];
+    match keys.iter().find(|(_, there)| *there) {
+        Some((key, _)) => Err(SceneError::Unavailable { place: files.place(key) }),
+        None => Ok(()),
+    }
+}
+
+/// The pitch from the scene or the C-arm's calibration; both only if they agree.
+fn settle_pitch(detector: &mut Detector, calibrated_mm: Option<f64>, files: &Files) -> Result<(), SceneError> {
+    let given_mm = detector.pitch_mm;
+    match calibrated_mm {
+        Some(calibrated_mm) if given_mm.is_nan() => detector.pitch_mm = calibrated_mm,
+        Some(calibrated_mm) if !((given_mm / calibrated_mm - 1.0).abs() <= 1e-6) => {
+            return Err(SceneError::Value {
+                place: files.place("detector.pitch_mm"),
+                found: given_mm.to_string(),
+                expected: format!("{calibrated_mm} of the C-arm's calibration, or no pitch"),
+            });
+        }
+        None if given_mm.is_nan() => {
+            return Err(SceneError::Keys {
+                place: files.place("detector"),
+                detail: "pitch_mm is missing; with the focal length it says where the detector is".to_owned(),
+            });
+        }
+        _ => {}
+    }
+    Ok(())
+}
+
+fn check_distance(distance_mm: f64, files: &Files) -> Result<(), SceneError> {
+    let (low, high) = DISTANCE_MM;
+    if !(distance_mm >= low && distance_mm <= high) {
+        return Err(SceneError::Value {
+            place: files.place("view and detector.pitch_mm"),
+            found: format!("a source-to-detector distance (fx times pitch) of {distance_mm:.3e} mm"),
+            expected: format!("{low} to {high} mm; is the focal length in px, the pitch in mm?"),
+        });
+    }
+    Ok(())
+}
+
+/// Every energy of the beam must be inside the tables for every material.
+fn check_energies(scene: &Scene, files: &Files) -> Result<(), SceneError> {
+    let Spectrum { bins } = &scene.beam.spectrum;
+    for material in &scene.materials {
+        for bin in bins.first().into_iter().chain(bins.last()) {
+            material.attenuation(bin.energy_kev).map_err(|source| SceneError::Physics { place: files.place("beam"), source })?;
+        }
+    }
+    Ok(())
+}

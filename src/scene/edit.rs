@@ -12,9 +12,18 @@ use crate::geometry::{Rigid, RobotModelError, View};
 impl Scene {
     /// The same scene seen from elsewhere.
     #[must_use]
-    pub fn with_view(mut self, view: View) -> Self {
-        self.view = Some(view);
-        self
+    pub fn with_view(&self, view: View) -> Self {
+        Self { view: Some(view), ..self.clone() }
+    }
+
+    /// The same scene without its robot.
+    #[must_use]
+    pub fn without_robot(&self) -> Self {
+        let mut scene = self.clone();
+        if let Some(robot) = scene.robot.take() {
+            scene.objects.remove(robot.object);
+        }
+        scene
     }
 
     /// The same scene with its robot bent to `control_angles_deg`, and its base at `lps_from_base` if given. Only the robot's solids are
@@ -81,10 +90,10 @@ impl Scene {
         self.objects.iter().filter_map(Object::bounds_lps_mm).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
     }
 
-    /// Middle of [`Scene::bounds_lps_mm`], the origin for an empty scene.
+    /// Middle and half diagonal (mm) of [`Scene::bounds_lps_mm`]; `None` for an empty scene.
     #[must_use]
-    pub fn centre_lps_mm(&self) -> DVec3 {
-        self.bounds_lps_mm().map_or(DVec3::ZERO, |(low, high)| (low + high) * 0.5)
+    pub fn bounds(&self) -> Option<(DVec3, f64)> {
+        self.bounds_lps_mm().map(|(low, high)| (0.5 * (low + high), 0.5 * (high - low).length()))
     }
 }
 
@@ -92,23 +101,28 @@ impl Object {
     /// Corners of an axis-parallel box around the object (volumes: the whole grid), lps mm; `None` when it has no extent.
     #[must_use]
     pub fn bounds_lps_mm(&self) -> Option<(DVec3, DVec3)> {
-        let around = |points: &mut dyn Iterator<Item = DVec3>| {
-            points.fold(None, |bounds: Option<(DVec3, DVec3)>, p| {
-                Some(bounds.map_or((p, p), |(low, high)| (low.min(p), high.max(p))))
-            })
-        };
+        let corners = self.corners_in_lps();
+        Some((corners.iter().copied().reduce(DVec3::min)?, corners.iter().copied().reduce(DVec3::max)?))
+    }
+
+    /// Corners of boxes around the object's parts (a mesh: its vertices), lps mm.
+    #[must_use]
+    pub fn corners_in_lps(&self) -> Vec<DVec3> {
+        let corner = |bits: u32| DVec3::new(f64::from(bits & 1), f64::from(bits >> 1 & 1), f64::from(bits >> 2));
         match &self.matter {
             Matter::Volume(volume) => {
                 let end = DVec3::from_array(volume.size.map(|n| n as f64));
-                let corner = |bits: u32| DVec3::new(f64::from(bits & 1), f64::from(bits >> 1 & 1), f64::from(bits >> 2)) * end;
-                around(&mut (0..8).map(|bits| volume.lps_from_voxel.transform_point3(corner(bits) - 0.5)))
+                (0..8).map(|bits| volume.lps_from_voxel.transform_point3(corner(bits) * end - 0.5)).collect()
             }
-            Matter::Solids(solids) => around(&mut solids.iter().flat_map(|solid| {
-                let (centre, radius_mm) = solid.shape.bounding_sphere();
-                let centre = solid.lps_from_local.transform_point(centre);
-                [centre - radius_mm, centre + radius_mm]
-            })),
-            Matter::Mesh(mesh) => around(&mut mesh.vertices_lps_mm.iter().copied()),
+            Matter::Solids(solids) => {
+                let around = |solid: &Solid| {
+                    let (centre, radius_mm) = solid.shape.bounding_sphere();
+                    let centre = solid.lps_from_local.transform_point(centre);
+                    (0..8).map(move |bits| centre + (corner(bits) * 2.0 - 1.0) * radius_mm)
+                };
+                solids.iter().flat_map(around).collect()
+            }
+            Matter::Mesh(mesh) => mesh.vertices_lps_mm.clone(),
         }
     }
 }

@@ -57,7 +57,8 @@ pub enum ObjectFile {
 pub struct CtFile {
     /// NIfTI volume.
     pub path: String,
-    /// How voxels become materials.
+    /// How voxels become materials, by threshold if absent.
+    #[serde(default)]
     pub materials: MaterialsFile,
     /// Whether air is left out (the default) or kept as matter.
     #[serde(default)]
@@ -79,9 +80,10 @@ pub enum AirFile {
 }
 
 /// `"threshold"` or `{"labels": …}`.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub enum MaterialsFile {
     /// By Hounsfield number.
+    #[default]
     Threshold,
     /// By a label map.
     Labels(LabelsFile),
@@ -93,7 +95,8 @@ pub enum MaterialsFile {
 pub struct LabelsFile {
     /// Label volume on the grid of the CT.
     pub labels: String,
-    /// Material of labels that `map` does not name, where it is not air by threshold.
+    /// Material of labels that `map` does not name, where it is not air by threshold; `soft_tissue` if absent.
+    #[serde(default = "soft_tissue")]
     pub default: String,
     /// Material by label number.
     #[serde(default)]
@@ -402,6 +405,10 @@ impl Default for NoiseFile {
     fn default() -> Self {
         Self(Noise::Off)
     }
+}
+
+fn soft_tissue() -> String {
+    "soft_tissue".to_owned()
 }
 
 fn identity() -> Rigid {

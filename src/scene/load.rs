@@ -6,7 +6,7 @@ use super::SceneError;
 use super::beam;
 use super::file::{ScatterFile, SceneFile};
 use super::files::{Files, parse_json};
-use super::model::{Beam, Detector, Formation, Model, Scene};
+use super::model::{Detector, Formation, Model, Scene};
 use super::objects;
 use super::physics::Spectrum;
 use super::view;
@@ -19,16 +19,27 @@ const DISTANCE_MM: (f64, f64) = (1.0, 100_000.0);
 /// Loads a scene file and everything that it names. Relative paths are looked up beside the scene file; `calibration/…` then in the current
 /// folder, then among the files that come with the program.
 ///
-/// With `need_view` the scene must say where it is seen from and how large the detector's pixels are. Without, both may be left to the
-/// session; [`Detector::pitch_mm`] is NaN then, for the session to fill in.
+/// With `need_view` the scene must say where it is seen from; session scenes leave that out.
 ///
 /// # Errors
 /// When a file is missing, damaged or holds what it should not: one sentence naming the file, the place and the remedy.
 pub fn load(path: &Path, need_view: bool, reporter: &Reporter) -> Result<Scene, SceneError> {
     let bytes = std::fs::read(path).map_err(|source| SceneError::Io { path: path.to_owned(), source })?;
-    let file: SceneFile = parse_json(path, &bytes)?;
+    load_bytes(&bytes, path, need_view, reporter)
+}
+
+/// Loads the scene `text`, whose files are looked for as if it had been read from `path`.
+///
+/// # Errors
+/// As [`load`].
+pub fn load_text(text: &str, path: &Path, need_view: bool, reporter: &Reporter) -> Result<Scene, SceneError> {
+    load_bytes(text.as_bytes(), path, need_view, reporter)
+}
+
+fn load_bytes(bytes: &[u8], path: &Path, need_view: bool, reporter: &Reporter) -> Result<Scene, SceneError> {
+    let file: SceneFile = parse_json(path, bytes)?;
     let mut files = Files::new(path);
-    files.remember(&path.display().to_string(), sha256_bytes(&bytes));
+    files.remember(&path.display().to_string(), sha256_bytes(bytes));
     refuse_unavailable(&file, &files)?;
 
     let beam = beam::beam(&file.beam, &mut files, reporter)?;
@@ -46,7 +57,10 @@ pub fn load(path: &Path, need_view: bool, reporter: &Reporter) -> Result<Scene, 
                 detail: "the scene does not say where it is seen from; add a view".to_owned(),
             });
         }
-        None => None,
+        None => {
+            settle_pitch(&mut detector, None, &files)?;
+            None
+        }
     };
     let model = Model {
         formation: file.model.formation.unwrap_or(Formation::Deepdrr),

@@ -18,6 +18,6 @@ pub mod physics;
 
 pub use density::{DensityCurve, ThresholdClass};
 pub use error::SceneError;
-pub use load::load;
-pub use model::Scene;
+pub use load::{load, load_text};
+pub use model::{InputFile, Scene};
 pub use volume_file::{VolumeFile, read_volume};

@@ -3,7 +3,7 @@
 use super::SceneError;
 use super::file::ViewFile;
 use super::files::Files;
-use crate::geometry::{CarmCalibration, View};
+use crate::geometry::{CarmCalibration, CarmJoints, View};
 
 /// Largest raster along one axis.
 const MAX_SIZE_PX: u32 = 32_768;
@@ -36,6 +36,10 @@ pub(super) fn resolve(file: &ViewFile, files: &mut Files) -> Result<Resolved, Sc
         (file.carm, &file.calibration, file.world_from_lps, keys.len())
     {
         let calibration: CarmCalibration = files.read_json("view.calibration", name)?;
+        // Joints that a scene leaves out stand at zero; the distance then comes from the calibration.
+        let mut values = joints.to_array();
+        values[..6].iter_mut().filter(|value| !value.is_finite()).for_each(|value| *value = 0.0);
+        let joints = CarmJoints::from_array(values);
         let carm = |source| SceneError::Carm { place: files.place("view.carm"), source };
         let camera_from_world = calibration.world_from_camera(&joints).map_err(carm)?.inverse();
         let intrinsics = calibration.intrinsics(&joints).map_err(carm)?;

@@ -11,4 +11,8 @@ pub mod reporter;
 
 pub mod geometry;
 
+pub mod gpu;
+
 pub mod scene;
+
+pub mod render;

@@ -1,1 +1,295 @@
-//! Acquired frames: files to pixels with a domain.
+//! Acquired radiographs: DICOM, PNG and TIFF files become [`Frame`]s with a declared [`Domain`]; identity stays outside.
+//!
+//! Pixels are oriented by X-ray meaning, not by how a console shows them: in `linear` and `display` frames a larger value means more
+//! X-rays at the detector, in `log` frames a larger value means more attenuation (like a line integral). What had to be turned round
+//! for that is in [`Frame::inverted`], and why is in [`Frame::domain_evidence`].
+
+mod dicom;
+mod domain;
+mod error;
+mod log_form;
+mod raster;
+mod tags;
+mod watch;
+
+use std::path::Path;
+
+use crate::image::{Image, sha256_bytes};
+
+pub use error::AcquireError;
+pub use log_form::Samples;
+pub use tags::{FrameTags, KEPT_TAGS, KeptTag};
+pub use watch::{FolderWatch, WatchEvent};
+
+/// What a pixel value means.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Domain {
+    /// Proportional to the X-ray signal, up to gain and offset; larger is more signal.
+    Linear,
+    /// Proportional to the logarithm of the signal; larger is more attenuation. In nepers where [`Frame::unit`] says so.
+    Log,
+    /// Processed for eyes: monotone in the signal at best; larger is more signal.
+    Display,
+    /// What the values mean is not known. Larger is more signal where a header tells the direction, else values are as stored.
+    Unknown,
+}
+
+impl Domain {
+    /// The word used in files and on the command line.
+    #[must_use]
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Linear => "linear",
+            Self::Log => "log",
+            Self::Display => "display",
+            Self::Unknown => "unknown",
+        }
+    }
+}
+
+impl std::fmt::Display for Domain {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.as_str())
+    }
+}
+
+impl std::str::FromStr for Domain {
+    type Err = String;
+
+    fn from_str(word: &str) -> Result<Self, String> {
+        [Self::Linear, Self::Log, Self::Display, Self::Unknown]
+            .into_iter()
+            .find(|domain| domain.as_str() == word)
+            .ok_or_else(|| format!("domain '{word}' is not one of linear, log, display, unknown"))
+    }
+}
+
+/// An acquired radiograph. Serialized (and printed with `{:?}`) without its pixels.
+#[derive(Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Frame {
+    /// File stem (with `#0002` for later images of one file), or `frame-HASH` when the file name gave the patient away.
+    pub name: String,
+    /// Pixels; every one is finite.
+    #[serde(skip, default = "no_pixels")]
+    pub pixels: Image<f32>,
+    /// Columns and rows.
+    pub size_px: [usize; 2],
+    /// What the values mean.
+    pub domain: Domain,
+    /// Why `domain` and the direction of the values are believed, one reason an entry.
+    pub domain_evidence: Vec<String>,
+    /// Unit of the values where it is known: `neper`, `keV`, `photons`, or `1` (1 is the unattenuated signal).
+    pub unit: Option<String>,
+    /// The stored values were turned round (`low + high − value`) to give them the direction that `domain` promises.
+    pub inverted: bool,
+    /// The columns were reversed because the file says that the console had mirrored them.
+    pub unmirrored: bool,
+    /// What was kept of the file's header.
+    pub tags: FrameTags,
+    /// SHA-256 of the file's bytes, lower-case hexadecimal.
+    pub sha256: String,
+    /// Pixels clipped at either end of the scale.
+    pub clipping: Clipping,
+    /// What a person should know: assumptions, ignored values, conversions.
+    pub notes: Vec<String>,
+}
+
+/// Pixels that lie at an end of the scale, where detail is lost.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Clipping {
+    /// Share of pixels at the end with the most signal, 0 to 1.
+    pub saturated_share: f64,
+    /// Their value; `None` when no pixel is clipped there.
+    pub saturated_at: Option<f32>,
+    /// Share of pixels at the end with the least signal (also collimated and masked areas), 0 to 1.
+    pub black_share: f64,
+    /// Their value; `None` when no pixel is clipped there.
+    pub black_at: Option<f32>,
+}
+
+fn no_pixels() -> Image<f32> {
+    Image { width: 0, height: 0, pixels: Vec::new() }
+}
+
+impl std::fmt::Debug for Frame {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match serde_json::to_string(self) {
+            Ok(json) => write!(f, "Frame {json}"),
+            Err(_) => write!(f, "Frame {}", self.name),
+        }
+    }
+}
+
+impl Frame {
+    /// A frame made in memory, from a simulation or a test; `domain` is taken at its word.
+    ///
+    /// # Errors
+    /// When there is no pixel, or one is NaN or infinite.
+    pub fn from_pixels(name: &str, pixels: Image<f32>, domain: Domain) -> Result<Self, AcquireError> {
+        let mut bytes = Vec::with_capacity(pixels.pixels.len() * 4);
+        pixels.pixels.iter().for_each(|value| bytes.extend_from_slice(&value.to_le_bytes()));
+        let raw = Raw {
+            pixels,
+            domain,
+            evidence: vec![format!("declared: {domain}")],
+            unit: None,
+            inverted: false,
+            unmirrored: false,
+            tags: FrameTags::default(),
+            scale_ends: None,
+            notes: Vec::new(),
+        };
+        raw.into_frame(Path::new(name), name.to_owned(), sha256_bytes(&bytes))
+    }
+
+    /// Whether a larger value means more attenuation (beads are bright) rather than more signal (beads are dark).
+    #[must_use]
+    pub fn larger_is_more_attenuation(&self) -> bool {
+        self.domain == Domain::Log
+    }
+}
+
+/// What a file reader hands over before the checks that all kinds of file share.
+struct Raw {
+    pixels: Image<f32>,
+    domain: Domain,
+    evidence: Vec<String>,
+    unit: Option<String>,
+    inverted: bool,
+    unmirrored: bool,
+    tags: FrameTags,
+    /// The smallest and largest value that could have been stored, after conversion; `None` for floats.
+    scale_ends: Option<[f32; 2]>,
+    notes: Vec<String>,
+}
+
+impl Raw {
+    fn into_frame(self, path: &Path, name: String, sha256: String) -> Result<Frame, AcquireError> {
+        let Image { width, height, .. } = self.pixels;
+        if self.pixels.pixels.is_empty() {
+            return Err(AcquireError::Empty { path: path.to_owned(), width, height });
+        }
+        if let Some(first) = self.pixels.pixels.iter().position(|value| !value.is_finite()) {
+            return Err(AcquireError::NotFinite {
+                path: path.to_owned(),
+                count: self.pixels.pixels.iter().filter(|value| !value.is_finite()).count(),
+                column: first % width,
+                row: first / width,
+            });
+        }
+        let clipping = clipping(&self.pixels, self.scale_ends, self.domain == Domain::Log);
+        Ok(Frame {
+            name,
+            size_px: [width, height],
+            pixels: self.pixels,
+            domain: self.domain,
+            domain_evidence: self.evidence,
+            unit: self.unit,
+            inverted: self.inverted,
+            unmirrored: self.unmirrored,
+            tags: self.tags,
+            sha256,
+            clipping,
+            notes: self.notes,
+        })
+    }
+}
+
+/// Below this share, pixels at the image's own extreme are its brightest pixels, not a clipped plateau.
+const PLATEAU_SHARE: f64 = 1e-3;
+
+fn clipping(pixels: &Image<f32>, scale_ends: Option<[f32; 2]>, signal_is_low: bool) -> Clipping {
+    let (low, high) = pixels.pixels.iter().fold((f32::MAX, f32::MIN), |(low, high), &v| (low.min(v), high.max(v)));
+    if !(low < high) {
+        return Clipping::default();
+    }
+    let at = |end: f32, scale_end: Option<f32>| {
+        let share = pixels.pixels.iter().filter(|&&v| v == end).count() as f64 / pixels.pixels.len() as f64;
+        let clipped = scale_end == Some(end) || share >= PLATEAU_SHARE && scale_end.is_some();
+        if clipped { (share, Some(end)) } else { (0.0, None) }
+    };
+    let at_low = at(low, scale_ends.map(|ends| ends[0]));
+    let at_high = at(high, scale_ends.map(|ends| ends[1]));
+    let ((saturated_share, saturated_at), (black_share, black_at)) =
+        if signal_is_low { (at_low, at_high) } else { (at_high, at_low) };
+    Clipping { saturated_share, saturated_at, black_share, black_at }
+}
+
+/// Reads the one image in `path`. `domain_override` is the person's word (`--domain`) and beats all evidence.
+///
+/// # Errors
+/// When the file is missing, damaged, truncated, of an unknown kind, in colour, empty, not finite, or holds several images.
+pub fn read_frame(path: &Path, domain_override: Option<Domain>) -> Result<Frame, AcquireError> {
+    let mut frames = read_frames(path, domain_override)?;
+    match (frames.len(), frames.pop()) {
+        (1, Some(frame)) => Ok(frame),
+        (found, _) => Err(AcquireError::SeveralImages { path: path.to_owned(), found }),
+    }
+}
+
+/// Reads every image in `path`: the frames of a multi-frame DICOM file, the pages of a TIFF.
+///
+/// # Errors
+/// As [`read_frame`], but several images are welcome.
+pub fn read_frames(path: &Path, domain_override: Option<Domain>) -> Result<Vec<Frame>, AcquireError> {
+    let bytes = std::fs::read(path).map_err(|source| AcquireError::Io { path: path.to_owned(), source })?;
+    let sha256 = sha256_bytes(&bytes);
+    let (raws, identity) = match FileKind::of(&bytes) {
+        FileKind::Dicom => dicom::read(path, &bytes, domain_override)?,
+        FileKind::Png => (vec![raster::read_png(path, &bytes, domain_override)?], Vec::new()),
+        FileKind::Tiff => (raster::read_tiff(path, &bytes, domain_override)?, Vec::new()),
+        FileKind::Other(found) => return Err(AcquireError::NotAnImage { path: path.to_owned(), found }),
+    };
+    let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
+    let telling = tags::gives_away(&stem, &identity);
+    let several = raws.len() > 1;
+    let mut frames = Vec::with_capacity(raws.len());
+    for (index, mut raw) in raws.into_iter().enumerate() {
+        let mut name = stem.clone();
+        if telling {
+            name = format!("frame-{}", &sha256[..12]);
+            raw.notes.push("the file name repeats a patient tag and was replaced by a hash".into());
+        }
+        if several {
+            name = format!("{name}#{index:04}");
+        }
+        frames.push(raw.into_frame(path, name, sha256.clone())?);
+    }
+    Ok(frames)
+}
+
+/// What the first bytes of a file say.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum FileKind {
+    /// A DICOM file with its 128-byte preamble.
+    Dicom,
+    /// PNG.
+    Png,
+    /// Classic or big TIFF.
+    Tiff,
+    /// Something else, in words.
+    Other(String),
+}
+
+impl FileKind {
+    /// The kind of the file that starts with `bytes`.
+    pub(crate) fn of(bytes: &[u8]) -> Self {
+        let starts = |magic: &[u8]| bytes.starts_with(magic);
+        if bytes.get(128..132) == Some(b"DICM".as_slice()) {
+            Self::Dicom
+        } else if starts(b"\x89PNG\r\n\x1a\n") {
+            Self::Png
+        } else if starts(b"II*\0") || starts(b"MM\0*") || starts(b"II+\0") || starts(b"MM\0+") {
+            Self::Tiff
+        } else if bytes.is_empty() {
+            Self::Other("an empty file".into())
+        } else if starts(b"\xff\xd8\xff") {
+            Self::Other("a JPEG file (lossy)".into())
+        } else if bytes.len() >= 132 && bytes[..128].iter().all(|&byte| byte == 0) {
+            Self::Other("a file with a DICOM preamble but without 'DICM' at byte 128".into())
+        } else {
+            Self::Other("something else".into())
+        }
+    }
+}

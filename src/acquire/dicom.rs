@@ -1,0 +1,329 @@
+//! DICOM files: stored values, rescaling and direction.
+
+use std::path::Path;
+
+use dicom_core::Tag;
+use dicom_dictionary_std::tags;
+use dicom_encoding::TransferSyntaxIndex;
+use dicom_object::DefaultDicomObject;
+use dicom_pixeldata::PixelDecoder;
+
+use super::domain::{Traces, judge};
+use super::tags::{TagReader, identity_words};
+use super::{AcquireError, Domain, Raw};
+use crate::image::Image;
+
+/// More than any radiograph has; a damaged header shows here before memory runs out.
+const MAX_PIXELS: u64 = 1 << 28;
+
+/// Lossy transfer syntaxes that can be decoded: JPEG baseline and extended.
+const LOSSY: [&str; 2] = ["1.2.840.10008.1.2.4.50", "1.2.840.10008.1.2.4.51"];
+
+/// Every frame of the file, and the words that identify the patient (for file names).
+pub(super) fn read(path: &Path, bytes: &[u8], declared: Option<Domain>) -> Result<(Vec<Raw>, Vec<String>), AcquireError> {
+    let damaged = |detail: String| AcquireError::Dicom { path: path.to_owned(), detail };
+    let object = dicom_object::OpenFileOptions::new()
+        .read_preamble(dicom_object::file::ReadPreamble::Always)
+        .from_reader(bytes)
+        .map_err(|error| damaged(chain(&error)))?;
+    let layout = Layout::of(path, &object)?;
+    let stored = stored_bytes(path, &object, &layout)?;
+
+    let mut notes = Vec::new();
+    let frame_tags = TagReader::new(&object, &mut notes).read();
+    let mapping = Mapping::of(&object, &layout, frame_tags.intensity_relationship.as_deref(), &mut notes);
+    let traces = Traces {
+        voi_lut: object.get(tags::VOILUT_SEQUENCE).is_some(),
+        processing: has_text(&object, tags::PROCESSING_FUNCTION)
+            || has_text(&object, tags::ACQUISITION_DEVICE_PROCESSING_DESCRIPTION)
+            || has_text(&object, tags::ACQUISITION_DEVICE_PROCESSING_CODE),
+        lossy: LOSSY.contains(&transfer_syntax(&object)) || has_text(&object, tags::LOSSY_IMAGE_COMPRESSION_RATIO),
+    };
+    let verdict = judge(&frame_tags, traces, mapping.decreasing(), declared);
+    notes.extend(verdict.notes);
+    if traces.lossy {
+        notes.push("the pixels passed through lossy compression".into());
+    }
+    if frame_tags.pitch_mm.is_none() && frame_tags.pixel_spacing_mm.is_some() {
+        notes.push(
+            "only pixel spacing (0028,0030) is given, which may be calibrated at the object: the detector's pitch stays open"
+                .into(),
+        );
+    }
+    if let Some(turned) = frame_tags.field_of_view_rotation_deg.filter(|&turned| turned != 0.0) {
+        notes.push(format!("the console turned the image by {turned} degrees; this is not undone"));
+    }
+    if object.get(tags::PIXEL_PADDING_VALUE).is_some() {
+        notes.push("a pixel padding value (0028,0120) is present; padded pixels are not marked".into());
+    }
+
+    let ends = mapping.ends(&layout);
+    // Linear and display frames promise "larger is more signal", log frames "larger is more attenuation".
+    let inverted = match verdict.domain {
+        Domain::Log => verdict.larger_is_more_signal,
+        Domain::Linear | Domain::Display | Domain::Unknown => !verdict.larger_is_more_signal,
+    };
+    let unmirrored = frame_tags.field_of_view_flipped == Some(true);
+    let raws = (0..layout.frames)
+        .map(|index| {
+            let values = &stored[index * layout.frame_bytes()..(index + 1) * layout.frame_bytes()];
+            let mut pixels: Vec<f32> = values
+                .chunks_exact(layout.sample_bytes())
+                .map(|sample| {
+                    let value = mapping.apply(layout.value(sample));
+                    (if inverted { ends[0] + ends[1] - value } else { value }) as f32
+                })
+                .collect();
+            if unmirrored {
+                pixels.chunks_exact_mut(layout.columns).for_each(<[f32]>::reverse);
+            }
+            Raw {
+                pixels: Image { width: layout.columns, height: layout.rows, pixels },
+                domain: verdict.domain,
+                evidence: verdict.evidence.clone(),
+                unit: None,
+                inverted,
+                unmirrored,
+                tags: frame_tags.clone(),
+                scale_ends: Some([ends[0] as f32, ends[1] as f32]),
+                notes: notes.clone(),
+            }
+        })
+        .collect();
+    Ok((raws, identity_words(&object)))
+}
+
+/// An error and its causes in one line.
+fn chain(error: &dyn std::error::Error) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(inner) = cause {
+        let words = inner.to_string();
+        if !text.contains(&words) {
+            text = format!("{text}: {words}");
+        }
+        cause = inner.source();
+    }
+    text
+}
+
+fn has_text(object: &DefaultDicomObject, tag: Tag) -> bool {
+    object.get(tag).and_then(|element| element.to_str().ok()).is_some_and(|text| !text.trim().is_empty())
+}
+
+fn transfer_syntax(object: &DefaultDicomObject) -> &str {
+    object.meta().transfer_syntax.trim_end_matches(['\0', ' '])
+}
+
+/// How samples lie in the pixel data.
+struct Layout {
+    columns: usize,
+    rows: usize,
+    frames: usize,
+    bits_allocated: usize,
+    bits_stored: u32,
+    high_bit: u32,
+    signed: bool,
+}
+
+impl Layout {
+    fn of(path: &Path, object: &DefaultDicomObject) -> Result<Self, AcquireError> {
+        let attribute = |tag: &'static str, found: String, expected: &'static str| AcquireError::Attribute {
+            path: path.to_owned(),
+            tag,
+            found,
+            expected,
+        };
+        let integer = |tag: Tag, name: &'static str| {
+            let element = object.get(tag).ok_or_else(|| attribute(name, "missing".into(), "a number"))?;
+            element.to_int::<u32>().map_err(|_| attribute(name, "not a number".into(), "a number"))
+        };
+        let optional =
+            |tag: Tag, default: u32| object.get(tag).and_then(|element| element.to_int::<u32>().ok()).unwrap_or(default);
+        let (rows, columns) = (integer(tags::ROWS, "rows (0028,0010)")?, integer(tags::COLUMNS, "columns (0028,0011)")?);
+        if rows == 0 || columns == 0 {
+            return Err(AcquireError::Empty { path: path.to_owned(), width: columns as usize, height: rows as usize });
+        }
+        let samples = optional(tags::SAMPLES_PER_PIXEL, 1);
+        let photometric = object.get(tags::PHOTOMETRIC_INTERPRETATION).and_then(|element| element.to_str().ok());
+        let photometric = photometric.as_deref().map_or("MONOCHROME2", |text| text.trim_matches([' ', '\0']));
+        if samples != 1 || !photometric.starts_with("MONOCHROME") {
+            let found = format!("{samples} samples per pixel, photometric interpretation {photometric}");
+            return Err(AcquireError::Colour { path: path.to_owned(), found });
+        }
+        let bits_allocated = integer(tags::BITS_ALLOCATED, "bits allocated (0028,0100)")?;
+        if !matches!(bits_allocated, 8 | 16 | 32) {
+            return Err(attribute("bits allocated (0028,0100)", bits_allocated.to_string(), "8, 16 or 32"));
+        }
+        let bits_stored = optional(tags::BITS_STORED, bits_allocated);
+        if !(1..=bits_allocated).contains(&bits_stored) {
+            return Err(attribute("bits stored (0028,0101)", bits_stored.to_string(), "between 1 and the bits allocated"));
+        }
+        let high_bit = optional(tags::HIGH_BIT, bits_stored - 1);
+        if !(bits_stored - 1..bits_allocated).contains(&high_bit) {
+            return Err(attribute("high bit (0028,0102)", high_bit.to_string(), "within the allocated bits"));
+        }
+        let frames = optional(tags::NUMBER_OF_FRAMES, 1).max(1);
+        let pixels = u64::from(rows) * u64::from(columns) * u64::from(frames);
+        if pixels > MAX_PIXELS {
+            return Err(AcquireError::TooLarge {
+                path: path.to_owned(),
+                width: u64::from(columns),
+                height: u64::from(rows) * u64::from(frames),
+                limit: MAX_PIXELS,
+            });
+        }
+        Ok(Self {
+            columns: columns as usize,
+            rows: rows as usize,
+            frames: frames as usize,
+            bits_allocated: bits_allocated as usize,
+            bits_stored,
+            high_bit,
+            signed: optional(tags::PIXEL_REPRESENTATION, 0) == 1,
+        })
+    }
+
+    fn sample_bytes(&self) -> usize {
+        self.bits_allocated / 8
+    }
+
+    fn frame_bytes(&self) -> usize {
+        self.rows * self.columns * self.sample_bytes()
+    }
+
+    /// The stored value in `sample` (little-endian): overlay bits are masked off, the sign is extended.
+    fn value(&self, sample: &[u8]) -> i64 {
+        let raw = sample.iter().rev().fold(0u64, |word, &byte| word << 8 | u64::from(byte));
+        let bits = raw >> (self.high_bit + 1 - self.bits_stored) & ((1u64 << self.bits_stored) - 1);
+        if self.signed && bits >> (self.bits_stored - 1) == 1 { bits as i64 - (1i64 << self.bits_stored) } else { bits as i64 }
+    }
+
+    /// Smallest and largest value that can be stored.
+    fn stored_ends(&self) -> [i64; 2] {
+        if self.signed {
+            [-(1i64 << (self.bits_stored - 1)), (1i64 << (self.bits_stored - 1)) - 1]
+        } else {
+            [0, (1i64 << self.bits_stored) - 1]
+        }
+    }
+}
+
+/// All frames' samples, little-endian.
+fn stored_bytes(path: &Path, object: &DefaultDicomObject, layout: &Layout) -> Result<Vec<u8>, AcquireError> {
+    if object.get(tags::PIXEL_DATA).is_none() {
+        return Err(AcquireError::Attribute {
+            path: path.to_owned(),
+            tag: "pixel data (7FE0,0010)",
+            found: "missing".into(),
+            expected: "integer pixels; the file is cut short or holds no image",
+        });
+    }
+    let uid = transfer_syntax(object);
+    let syntax = dicom_transfer_syntax(uid);
+    if !syntax.is_some_and(|(_, readable)| readable) {
+        let name = syntax.map_or_else(|| "unknown".to_owned(), |(name, _)| name.to_owned());
+        return Err(AcquireError::TransferSyntax { path: path.to_owned(), uid: uid.to_owned(), name });
+    }
+    let decoded = object
+        .decode_pixel_data()
+        .map_err(|error| AcquireError::Dicom { path: path.to_owned(), detail: format!("pixel data: {}", chain(&error)) })?;
+    let expected = layout.frame_bytes() * layout.frames;
+    let bytes = decoded.into_data();
+    // An odd number of bytes is padded to even.
+    if bytes.len() < expected || bytes.len() > expected + 1 {
+        return Err(AcquireError::PixelBytes { path: path.to_owned(), expected: expected as u64, found: bytes.len() as u64 });
+    }
+    Ok(bytes)
+}
+
+/// Name of a transfer syntax, and whether its pixels can be decoded.
+fn dicom_transfer_syntax(uid: &str) -> Option<(&'static str, bool)> {
+    let syntax = dicom_transfer_syntax_registry::TransferSyntaxRegistry.get(uid)?;
+    Some((syntax.name(), syntax.can_decode_all()))
+}
+
+/// From stored values to the file's output values: rescale slope and intercept, or a look-up table.
+enum Mapping {
+    Linear { slope: f64, intercept: f64 },
+    Table { first: i64, values: Vec<u16>, bits: u32 },
+}
+
+impl Mapping {
+    fn of(object: &DefaultDicomObject, layout: &Layout, relation: Option<&str>, notes: &mut Vec<String>) -> Self {
+        if object.get(tags::MODALITY_LUT_SEQUENCE).is_some() {
+            // XA files with a LOG relationship bring a table that linearises them; the stored logarithm is what is wanted here.
+            if relation == Some("LOG") {
+                notes.push(
+                    "the modality look-up table was not applied: the stored values are logarithmic, as the header says".into(),
+                );
+                return Self::identity();
+            }
+            if let Some(table) = Self::table(object, layout) {
+                notes.push("a modality look-up table was applied".into());
+                return table;
+            }
+            notes.push("the modality look-up table (0028,3000) is not usable and was ignored".into());
+            return Self::identity();
+        }
+        let mut reader = TagReader::new(object, notes);
+        let (slope, intercept) = (reader.number(tags::RESCALE_SLOPE), reader.number(tags::RESCALE_INTERCEPT));
+        let (slope, intercept) = (slope.unwrap_or(1.0), intercept.unwrap_or(0.0));
+        if slope == 0.0 {
+            notes.push("rescale slope (0028,1053) is 0 and was ignored".into());
+            return Self::identity();
+        }
+        if (slope, intercept) != (1.0, 0.0) {
+            notes.push(format!("rescaled: {slope} × stored value + {intercept}"));
+        }
+        Self::Linear { slope, intercept }
+    }
+
+    fn identity() -> Self {
+        Self::Linear { slope: 1.0, intercept: 0.0 }
+    }
+
+    fn table(object: &DefaultDicomObject, layout: &Layout) -> Option<Self> {
+        let item = object.get(tags::MODALITY_LUT_SEQUENCE)?.value().items()?.first()?;
+        let descriptor = item.get(tags::LUT_DESCRIPTOR)?.to_multi_int::<i32>().ok()?;
+        let [count, first, bits] = descriptor[..] else { return None };
+        let count = if count == 0 { 65536 } else { usize::from(count as u16) };
+        // The descriptor is written unsigned even where the first value is a signed one.
+        let first = if layout.signed { i64::from(first as u16 as i16) } else { i64::from(first as u16) };
+        let values = item.get(tags::LUT_DATA)?.to_multi_int::<u16>().ok()?;
+        (values.len() >= count && (8..=16).contains(&bits)).then(|| Self::Table {
+            first,
+            values: values[..count].to_vec(),
+            bits: bits as u32,
+        })
+    }
+
+    fn apply(&self, stored: i64) -> f64 {
+        match self {
+            Self::Linear { slope, intercept } => slope * stored as f64 + intercept,
+            Self::Table { first, values, .. } => {
+                let index = (stored - first).clamp(0, values.len() as i64 - 1) as usize;
+                f64::from(values[index])
+            }
+        }
+    }
+
+    /// Whether larger stored values come out smaller.
+    fn decreasing(&self) -> bool {
+        match self {
+            Self::Linear { slope, .. } => *slope < 0.0,
+            Self::Table { values, .. } => values.last() < values.first(),
+        }
+    }
+
+    /// Smallest and largest value that can come out.
+    fn ends(&self, layout: &Layout) -> [f64; 2] {
+        match self {
+            Self::Linear { .. } => {
+                let [a, b] = layout.stored_ends().map(|end| self.apply(end));
+                [a.min(b), a.max(b)]
+            }
+            Self::Table { bits, .. } => [0.0, f64::from((1u32 << bits) - 1)],
+        }
+    }
+}

@@ -15,7 +15,7 @@ mod write;
 
 pub use plan::Plan;
 pub use renderer::{Options, Rendered, Renderer};
-pub use write::write_image;
+pub use write::{write_image, write_picture};
 
 use crate::gpu::GpuError;
 use crate::image::ImageFileError;

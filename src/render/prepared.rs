@@ -120,7 +120,7 @@ impl<'a> Prepared<'a> {
         if view.size_px.contains(&0) {
             return Err(RenderError::EmptyView { width: view.size_px[0], height: view.size_px[1] });
         }
-        let is_air = |material: usize| scene.materials[material].name.eq_ignore_ascii_case("air");
+        let is_air = |material: usize| scene.is_air(material);
         let mut prepared = Self {
             view,
             detector_mm,

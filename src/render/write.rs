@@ -1,6 +1,5 @@
 //! `IMAGE.tif` with `IMAGE.tif.json` beside it, and `IMAGE.tif.valid.png` when some pixel is invalid.
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use super::{Quantity, RenderError, Rendered};
@@ -78,9 +77,10 @@ fn description(rendered: &Rendered, scene: &Scene, share_invalid: f64) -> serde_
 ///
 /// # Errors
 /// When the file cannot be written.
-pub(crate) fn write_png(path: &Path, page: &Image<f32>) -> Result<(), ImageFileError> {
+pub fn write_picture(path: &Path, rendered: &Rendered) -> Result<(), ImageFileError> {
+    let page = rendered.pages.first().cloned().unwrap_or(Image { width: 0, height: 0, pixels: Vec::new() });
     let mut sorted: Vec<f32> = page.pixels.iter().copied().filter(|value| value.is_finite()).collect();
-    sorted.sort_by(f32::total_cmp);
+    sorted.sort_unstable_by(f32::total_cmp);
     let at = |share: f64| sorted.get(((sorted.len().saturating_sub(1)) as f64 * share) as usize).copied().unwrap_or(0.0);
     let (low, high) = (at(0.005), at(0.995));
     let scale = if high > low { 255.0 / (high - low) } else { 0.0 };

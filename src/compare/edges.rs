@@ -6,8 +6,9 @@ use crate::image::Image;
 
 /// Smoothing before the edges are sought.
 pub(super) const EDGE_SIGMA_PX: f64 = 1.5;
-/// Share of local maxima of the gradient that are too weak to be edges.
-const WEAK_SHARE: f64 = 0.75;
+/// An edge is a local maximum of the gradient among the strongest quarter, or nearly as strong as the strongest: where an image has
+/// nothing but equally strong edges, all of them count.
+const STRONG: (f64, f64, f64) = (0.75, 0.97, 0.8);
 /// Shorter chains of edge pixels are noise.
 const SHORTEST_PX: usize = 12;
 /// Edges are sought this far around an edge of the other image; further counts as this far.
@@ -64,7 +65,9 @@ pub(super) fn find(image: &Image<f32>, usable: &Image<bool>) -> EdgeMap {
         }
     }
     let mut sizes: Vec<f32> = maxima.iter().map(|(_, _, size)| *size).collect();
-    let limit = quantile(&mut sizes, WEAK_SHARE).unwrap_or(f64::INFINITY) as f32;
+    let (quarter, top, near) = STRONG;
+    let of_top = near * quantile(&mut sizes, top).unwrap_or(f64::INFINITY);
+    let limit = quantile(&mut sizes, quarter).unwrap_or(f64::INFINITY).min(of_top) as f32;
     let mut candidates = Image::filled(width, height, false);
     maxima.iter().filter(|(_, _, size)| *size >= limit).for_each(|(at, _, _)| candidates.pixels[*at] = true);
     for chain in components(&candidates).iter().filter(|chain| chain.indices.len() < SHORTEST_PX) {

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
-use super::{AcquireError, Frame, read_frames};
+use super::{AcquireError, Domain, Frame, read_frames};
 
 /// A file is complete when its size and time of change were the same in two polls at least this far apart.
 const SETTLE_US: i64 = 100_000;
@@ -15,22 +15,24 @@ const UNFINISHED_US: i64 = 2_000_000;
 #[derive(Debug)]
 pub enum WatchEvent {
     /// A complete frame. Files with several images give several of these.
-    Frame(Box<Frame>, PathBuf),
+    Frame {
+        /// The frame.
+        frame: Box<Frame>,
+        /// Its file.
+        path: PathBuf,
+    },
     /// The file is there but not complete yet.
-    Waiting(PathBuf),
-    /// The file cannot be read; said once, and the file stays where it is. It is tried again when it changes.
+    Waiting {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The file cannot be read; said once, and the file stays where it is. It is tried again when it changes. When the folder itself
+    /// cannot be listed, `path` is the folder; that is said once until it can be again.
     Unreadable {
         /// The file.
         path: PathBuf,
         /// Why.
         error: AcquireError,
-    },
-    /// The folder itself cannot be listed; said once until it can be again.
-    FolderLost {
-        /// The folder.
-        path: PathBuf,
-        /// Why.
-        error: std::io::Error,
     },
 }
 
@@ -53,6 +55,7 @@ enum State {
 #[derive(Debug)]
 pub struct FolderWatch {
     folder: PathBuf,
+    domain: Option<Domain>,
     include_existing: bool,
     first_poll: bool,
     lost: bool,
@@ -60,10 +63,11 @@ pub struct FolderWatch {
 }
 
 impl FolderWatch {
-    /// Watches `folder`. Files that are there at the first poll are delivered only with `include_existing`.
+    /// Watches `folder`. `domain` is the person's word on what the values mean. Files that are there at the first poll are delivered only
+    /// with `include_existing`.
     #[must_use]
-    pub fn new(folder: &Path, include_existing: bool) -> Self {
-        Self { folder: folder.to_owned(), include_existing, first_poll: true, lost: false, states: BTreeMap::new() }
+    pub fn new(folder: &Path, domain: Option<Domain>, include_existing: bool) -> Self {
+        Self { folder: folder.to_owned(), domain, include_existing, first_poll: true, lost: false, states: BTreeMap::new() }
     }
 
     /// Looks once; `now_us` is the host clock. Events come in order of file name, then time of change. Hidden files, folders and names
@@ -75,7 +79,8 @@ impl FolderWatch {
             Err(error) => {
                 if !self.lost {
                     self.lost = true;
-                    events.push(WatchEvent::FolderLost { path: self.folder.clone(), error });
+                    let error = AcquireError::Io { path: self.folder.clone(), source: error };
+                    events.push(WatchEvent::Unreadable { path: self.folder.clone(), error });
                 }
                 return events;
             }
@@ -89,7 +94,8 @@ impl FolderWatch {
                 None => State::Settling { stamp, since_us: now_us },
                 Some(State::Settling { stamp: before, since_us }) if *before == stamp => {
                     if now_us - since_us >= SETTLE_US {
-                        deliver(&path, stamp, now_us, &mut events).unwrap_or(State::Settling { stamp, since_us: *since_us })
+                        deliver(&path, self.domain, stamp, now_us, &mut events)
+                            .unwrap_or(State::Settling { stamp, since_us: *since_us })
                     } else {
                         State::Settling { stamp, since_us: *since_us }
                     }
@@ -100,7 +106,7 @@ impl FolderWatch {
                 Some(_) => State::Settling { stamp, since_us: now_us },
             };
             if matches!(state, State::Settling { .. }) {
-                events.push(WatchEvent::Waiting(path.clone()));
+                events.push(WatchEvent::Waiting { path: path.clone() });
             }
             self.states.insert(path, state);
         }
@@ -109,10 +115,10 @@ impl FolderWatch {
 }
 
 /// Reads a settled file; `None` while it may still be unfinished.
-fn deliver(path: &Path, stamp: Stamp, now_us: i64, events: &mut Vec<WatchEvent>) -> Option<State> {
-    match read_frames(path, None) {
+fn deliver(path: &Path, domain: Option<Domain>, stamp: Stamp, now_us: i64, events: &mut Vec<WatchEvent>) -> Option<State> {
+    match read_frames(path, domain) {
         Ok(frames) => {
-            events.extend(frames.into_iter().map(|frame| WatchEvent::Frame(Box::new(frame), path.to_owned())));
+            events.extend(frames.into_iter().map(|frame| WatchEvent::Frame { frame: Box::new(frame), path: path.to_owned() }));
             Some(State::Done { stamp, delivered: true })
         }
         Err(error) if error.may_be_unfinished() && now_us - stamp.modified_us < UNFINISHED_US => None,

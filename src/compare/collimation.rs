@@ -162,7 +162,8 @@ fn straight(side: Side, points: &[[f64; 2]], width: usize, height: usize) -> Opt
     let on: Vec<[f64; 2]> = points.iter().copied().filter(|[x, y]| (y - offset - slope * x).abs() <= TOLERANCE_PX).collect();
     let n = on.len() as f64;
     let (mean_x, mean_y) = on.iter().fold((0.0, 0.0), |(x, y), p| (x + p[0] / n, y + p[1] / n));
-    let (sxx, sxy) = on.iter().fold((0.0, 0.0), |(xx, xy), p| (xx + (p[0] - mean_x).powi(2), xy + (p[0] - mean_x) * (p[1] - mean_y)));
+    let (sxx, sxy) =
+        on.iter().fold((0.0, 0.0), |(xx, xy), p| (xx + (p[0] - mean_x).powi(2), xy + (p[0] - mean_x) * (p[1] - mean_y)));
     let slope = if sxx > 0.0 { sxy / sxx } else { 0.0 };
     Some(Edge { side, offset: mean_y - slope * mean_x, slope })
 }
@@ -207,7 +208,8 @@ fn disc(signal: &Image<f32>, points: &[(Side, Vec<[f64; 2]>)]) -> Option<Field> 
     }
     let (mut centre, mut radius) = circle_through(&ring)?;
     for _ in 0..3 {
-        let near: Vec<DVec2> = ring.iter().copied().filter(|p| (p.distance(centre) - radius).abs() <= 3.0 * TOLERANCE_PX).collect();
+        let near: Vec<DVec2> =
+            ring.iter().copied().filter(|p| (p.distance(centre) - radius).abs() <= 3.0 * TOLERANCE_PX).collect();
         (centre, radius) = circle_through(&near)?;
     }
     let on = ring.iter().filter(|p| (p.distance(centre) - radius).abs() <= TOLERANCE_PX).count();
@@ -267,7 +269,8 @@ mod tests {
     use super::*;
 
     fn textured(width: usize, height: usize) -> Image<f32> {
-        let pixels = (0..width * height).map(|at| 600.0 + 200.0 * ((at % width) as f32 * 0.05).sin() + (at / width) as f32).collect();
+        let pixels =
+            (0..width * height).map(|at| 600.0 + 200.0 * ((at % width) as f32 * 0.05).sin() + (at / width) as f32).collect();
         Image::from_pixels(width, height, pixels).expect("size")
     }
 

@@ -80,7 +80,13 @@ pub(super) struct Common {
 }
 
 /// `usable`: pixels that are neither masked nor invalid so far; only they may carry the air level.
-pub(super) fn into_common(frame: &Frame, pixels: &Image<f32>, simulated: &Image<f32>, usable: &Image<bool>, rule: AirLevel) -> Common {
+pub(super) fn into_common(
+    frame: &Frame,
+    pixels: &Image<f32>,
+    simulated: &Image<f32>,
+    usable: &Image<bool>,
+    rule: AirLevel,
+) -> Common {
     let never = Image::filled(pixels.width, pixels.height, false);
     match frame.domain {
         Domain::Linear => {
@@ -143,10 +149,15 @@ fn air_report(
         AirLevel::Value(value) if !signal || value > 0.0 => known("value", value, None),
         AirLevel::Value(value) => unknown_air(&format!("air level {value} is not positive, so it has no logarithm")),
         AirLevel::Maximum => {
-            let values = pixels.pixels.iter().zip(&usable.pixels).filter(|(v, u)| **u && v.is_finite()).map(|(v, _)| f64::from(*v));
+            let values =
+                pixels.pixels.iter().zip(&usable.pixels).filter(|(v, u)| **u && v.is_finite()).map(|(v, _)| f64::from(*v));
             let extreme = if signal { values.fold(f64::NAN, f64::max) } else { values.fold(f64::NAN, f64::min) };
             if extreme.is_finite() && (extreme > 0.0 || !signal) {
-                known("maximum", extreme, Some("the highest signal is taken as air: without open air in the frame this errs a hundredfold"))
+                known(
+                    "maximum",
+                    extreme,
+                    Some("the highest signal is taken as air: without open air in the frame this errs a hundredfold"),
+                )
             } else {
                 unknown_air("the frame's highest signal is not positive")
             }

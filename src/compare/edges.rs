@@ -108,9 +108,7 @@ impl EdgeMap {
         }
         match nearest {
             None => REACH_PX as f32,
-            Some((straight, other)) if straight < 2.0 => {
-                ((other.u - point.u) * other.nu + (other.v - point.v) * other.nv).abs()
-            }
+            Some((straight, other)) if straight < 2.0 => ((other.u - point.u) * other.nu + (other.v - point.v) * other.nv).abs(),
             Some((straight, _)) => straight.min(REACH_PX as f32),
         }
     }
@@ -123,7 +121,8 @@ pub(super) fn median_distance_px(a: &EdgeMap, b: &EdgeMap, scored: &Image<bool>)
         let at = point.v.round() as usize * scored.width + point.u.round() as usize;
         scored.pixels.get(at).copied().unwrap_or(false)
     };
-    let one_way = |from: &EdgeMap, to: &EdgeMap| -> Vec<f32> { from.points.iter().filter(inside).map(|p| to.distance_px(p)).collect() };
+    let one_way =
+        |from: &EdgeMap, to: &EdgeMap| -> Vec<f32> { from.points.iter().filter(inside).map(|p| to.distance_px(p)).collect() };
     let (mut ab, ba) = (one_way(a, b), one_way(b, a));
     if ab.len() < 30 || ba.len() < 30 {
         return None;

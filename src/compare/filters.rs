@@ -59,7 +59,11 @@ pub(super) fn smooth(image: &Image<f32>, usable: &Image<bool>, sigma_px: f64) ->
 }
 
 /// Several images with one mask share the weights.
-pub(super) fn smooth_all<const N: usize>(images: [&Image<f32>; N], usable: &Image<bool>, sigma_px: f64) -> ([Image<f32>; N], Image<f32>) {
+pub(super) fn smooth_all<const N: usize>(
+    images: [&Image<f32>; N],
+    usable: &Image<bool>,
+    sigma_px: f64,
+) -> ([Image<f32>; N], Image<f32>) {
     let kernel = gaussian(sigma_px);
     let weight = convolve(&usable.map(|&u| f32::from(u8::from(u))), &kernel);
     (images.map(|image| smooth_with(image, usable, &weight, &kernel)), weight)

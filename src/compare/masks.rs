@@ -137,7 +137,9 @@ pub(super) fn discs(width: usize, height: usize, beads: &[(DVec2, f64)]) -> Imag
         if !(centre.is_finite() && reach.is_finite()) {
             continue;
         }
-        let range = |c: f64, end: usize| (c - reach).floor().max(0.0) as usize..((c + reach).ceil() + 1.0).clamp(0.0, end as f64) as usize;
+        let range = |c: f64, end: usize| {
+            (c - reach).floor().max(0.0) as usize..((c + reach).ceil() + 1.0).clamp(0.0, end as f64) as usize
+        };
         for v in range(centre.y, height) {
             for u in range(centre.x, width) {
                 if DVec2::new(u as f64, v as f64).distance(*centre) <= reach {

@@ -207,7 +207,8 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
     let usable = masks.usable(width, height, &[]);
     let shares = masks.shares(width, height);
     if !(shares.left >= REQUIRED_SHARE) {
-        let causes: Vec<String> = shares.causes.iter().map(|(cause, share)| format!("{} {:.1} %", cause.words(), 100.0 * share)).collect();
+        let causes: Vec<String> =
+            shares.causes.iter().map(|(cause, share)| format!("{} {:.1} %", cause.words(), 100.0 * share)).collect();
         return Err(CompareError::TooLittleLeft {
             left: 100.0 * shares.left,
             required: 100.0 * REQUIRED_SHARE,
@@ -222,7 +223,8 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
     if let (CommonDomain::RelativeLineIntegral, Some(reason)) = (common.domain, &common.air.reason) {
         flags.push(format!("air level unknown: {reason}"));
     }
-    let fit = tone::fit(input.tone, &common.acquired, simulated, &usable, TILE_PX).ok_or(CompareError::ToneUndetermined { tone: input.tone })?;
+    let fit = tone::fit(input.tone, &common.acquired, simulated, &usable, TILE_PX)
+        .ok_or(CompareError::ToneUndetermined { tone: input.tone })?;
     if let Some(note) = &fit.note {
         flags.push(format!("tone {}: {note}", input.tone.as_str()));
     }
@@ -302,7 +304,9 @@ impl Compared {
         let (scores, plan) = null::null(&input, rerender, cancelled)?;
         let blind: Vec<&str> = scores.iter().filter(|(_, null)| !null.discriminating).map(|(name, _)| name.as_str()).collect();
         if !blind.is_empty() {
-            self.comparison.flags.push(format!("not discriminating (a wrong pose scores at least as well): {}", blind.join(", ")));
+            self.comparison
+                .flags
+                .push(format!("not discriminating (a wrong pose scores at least as well): {}", blind.join(", ")));
         }
         self.comparison.null = scores;
         self.comparison.null_plan = Some(plan);
@@ -374,7 +378,13 @@ fn scored_pixels(usable: &Image<bool>, tone: Tone, tile_px: usize) -> Image<bool
 }
 
 /// Gray values of unknown frames may run either way; it is found by rank correlation, and said.
-fn settle_polarity(domain: Domain, acquired: &mut Image<f32>, simulated: &Image<f32>, usable: &Image<bool>, flags: &mut Vec<String>) {
+fn settle_polarity(
+    domain: Domain,
+    acquired: &mut Image<f32>,
+    simulated: &Image<f32>,
+    usable: &Image<bool>,
+    flags: &mut Vec<String>,
+) {
     if !matches!(domain, Domain::Display | Domain::Unknown) {
         return;
     }

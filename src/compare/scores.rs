@@ -159,7 +159,8 @@ pub(super) fn score(input: &Scored, edges: (&EdgeMap, &EdgeMap)) -> Scores {
         scores.rmse_nepers = Some((squares / count as f64).sqrt());
         scores.noise_nepers = noise(input.acquired, input.scored);
     }
-    for name in ["zncc", "rank_ncc", "gradient_ncc", "ssim", "local_ncc", "edge_distance_px", "edge_distance_mm", "noise_nepers"] {
+    for name in ["zncc", "rank_ncc", "gradient_ncc", "ssim", "local_ncc", "edge_distance_px", "edge_distance_mm", "noise_nepers"]
+    {
         if scores.get(name).is_none() {
             let reason = match name {
                 "edge_distance_px" => "fewer than 30 edge points in either image",

@@ -104,7 +104,13 @@ pub(super) fn is_fit_tile(u: usize, v: usize, tile_px: usize) -> bool {
 }
 
 /// Fits `tone` on the usable pixels of alternate tiles. `None` when they do not determine it.
-pub(super) fn fit(tone: Tone, acquired: &Image<f32>, simulated: &Image<f32>, usable: &Image<bool>, tile_px: usize) -> Option<ToneFit> {
+pub(super) fn fit(
+    tone: Tone,
+    acquired: &Image<f32>,
+    simulated: &Image<f32>,
+    usable: &Image<bool>,
+    tile_px: usize,
+) -> Option<ToneFit> {
     let total = usable.pixels.iter().filter(|u| **u).count();
     if tone == Tone::None {
         return Some(ToneFit::none(total, tile_px));

@@ -1,1 +1,96 @@
-//! Logs: MCAP out and in.
+//! Logs: everything a session saw, in MCAP files that Foxglove opens without plug-ins.
+//!
+//! | topic | message | content |
+//! |---|---|---|
+//! | `/carm/raw`, `/robot/raw` | `sidecarm.RawBytes` | bytes as they came from the serial line, one message a read |
+//! | `/carm/joints`, `/robot/joints` | JSON | decoded samples |
+//! | `/frames/tags` | JSON | an acquired [`Frame`](crate::acquire::Frame) without its pixels; directly before … |
+//! | `/frames/acquired` | `foxglove.RawImage` | … its pixels, `mono16` when that is lossless, else `32FC1` |
+//! | `/frames/drr` | `foxglove.RawImage` | the matched DRR, `32FC1`; `frame_id` is `camera` |
+//! | `/pose`, `/plan`, `/scores`, `/provenance` | JSON | results as they were used |
+//! | `/camera/calibration` | `foxglove.CameraCalibration` | K, and P = K \[I\|0\] of the camera frame (`/pose` has P of `lps`) |
+//! | `/tf` | `foxglove.FrameTransforms` | `camera` in `lps`, in metres |
+//! | `/camera/annotations` | `foxglove.ImageAnnotations` | beads detected (green) and projected (red) |
+//! | `/events` | `foxglove.Log` | what was told to the person |
+//!
+//! Other JSON topics may be added by whoever records. Log times are host microseconds × 1000. `sidecarm.RawBytes` is a little-endian u32
+//! epoch followed by the bytes.
+//!
+//! Chunks are compressed (zstd), checked (CRC-32), written in one piece, and flushed at least every 200 ms: a killed program loses at most
+//! that, and a log cut at any byte still reads up to the cut ([`LogReader`]).
+
+mod channel;
+mod decode;
+mod error;
+mod messages;
+mod reader;
+mod recorder;
+
+pub use decode::{FrameAssembler, RawBytes};
+pub use error::RecordError;
+pub use messages::{BeadMark, Level};
+pub use reader::{Attachment, LogContents, LogEntry, LogLoss, LogReader, read_log};
+pub use recorder::{LogTarget, Recorder, RecorderHealth, Summary};
+
+/// Topic names.
+pub mod topic {
+    /// Serial bytes of the C-arm.
+    pub const CARM_RAW: &str = "/carm/raw";
+    /// Serial bytes of the robot.
+    pub const ROBOT_RAW: &str = "/robot/raw";
+    /// Decoded samples of the C-arm.
+    pub const CARM_JOINTS: &str = "/carm/joints";
+    /// Decoded samples of the robot.
+    pub const ROBOT_JOINTS: &str = "/robot/joints";
+    /// Acquired frames without pixels.
+    pub const FRAME_TAGS: &str = "/frames/tags";
+    /// Pixels of acquired frames.
+    pub const FRAME_PIXELS: &str = "/frames/acquired";
+    /// Matched DRRs.
+    pub const DRR: &str = "/frames/drr";
+    /// Poses.
+    pub const POSE: &str = "/pose";
+    /// Executed plans.
+    pub const PLAN: &str = "/plan";
+    /// Scores.
+    pub const SCORES: &str = "/scores";
+    /// Where everything came from.
+    pub const PROVENANCE: &str = "/provenance";
+    /// What was told to the person.
+    pub const EVENTS: &str = "/events";
+    /// Intrinsics.
+    pub const CALIBRATION: &str = "/camera/calibration";
+    /// Frames.
+    pub const TRANSFORMS: &str = "/tf";
+    /// Beads.
+    pub const ANNOTATIONS: &str = "/camera/annotations";
+}
+
+/// Where a log came from; the first message of every log.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Provenance {
+    /// `sidecarm`.
+    pub program: String,
+    /// Version of the program.
+    pub version: String,
+    /// Host time at the start, microseconds since the Unix epoch.
+    pub started_us: i64,
+    /// Operating system and processor.
+    pub host: String,
+    /// Whatever else decides the results: adapter, driver, device choice, input files with their SHA-256.
+    pub details: serde_json::Value,
+}
+
+impl Provenance {
+    /// This program on this machine.
+    #[must_use]
+    pub fn of_this_program(started_us: i64, details: serde_json::Value) -> Self {
+        Self {
+            program: env!("CARGO_PKG_NAME").into(),
+            version: env!("CARGO_PKG_VERSION").into(),
+            started_us,
+            host: format!("{} {}", std::env::consts::OS, std::env::consts::ARCH),
+            details,
+        }
+    }
+}

@@ -24,13 +24,8 @@ pub const EDGE: Rgb = [0x3f, 0xe0, 0xd0];
 
 /// Control points in OKLab (L, a, b) from −1 to 1: blue, dark neutral, orange. Lightness rises evenly to both sides, so that equal
 /// steps look equal and the sign is told by hue alone.
-const DIVERGING: [[f32; 3]; 5] = [
-    [0.86, -0.065, -0.075],
-    [0.58, -0.045, -0.125],
-    [0.24, 0.0, -0.004],
-    [0.62, 0.095, 0.105],
-    [0.89, 0.012, 0.125],
-];
+const DIVERGING: [[f32; 3]; 5] =
+    [[0.86, -0.065, -0.075], [0.58, -0.045, -0.125], [0.24, 0.0, -0.004], [0.62, 0.095, 0.105], [0.89, 0.012, 0.125]];
 
 /// The diverging map at `value` in −1..=1; beyond is clipped, NaN is the well.
 #[must_use]
@@ -81,7 +76,9 @@ pub fn window(images: &[&Image<f32>], kept: Option<&Image<bool>>) -> [f64; 2] {
     for image in images {
         let step = (image.pixels.len() / 200_000).max(1);
         let keeps = |at: usize| kept.is_none_or(|mask| mask.pixels.get(at).copied().unwrap_or(true));
-        values.extend((0..image.pixels.len()).step_by(step).filter(|&at| keeps(at)).map(|at| image.pixels[at]).filter(|v| v.is_finite()));
+        values.extend(
+            (0..image.pixels.len()).step_by(step).filter(|&at| keeps(at)).map(|at| image.pixels[at]).filter(|v| v.is_finite()),
+        );
     }
     values.sort_unstable_by(f32::total_cmp);
     let at = |share: f64| values.get(((values.len().max(1) - 1) as f64 * share) as usize).map_or(0.0, |v| f64::from(*v));

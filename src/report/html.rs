@@ -100,7 +100,8 @@ fn seconds(report: &SessionReport, us: i64) -> f64 {
 fn summary(page: &mut String, report: &SessionReport, title: &str) {
     let counts = report.counts();
     let when = report.started_us.map(utc).unwrap_or_default();
-    let lasted = report.started_us.zip(report.ended_us).map(|(a, b)| format!(" · {:.0} s", (b - a) as f64 * 1e-6)).unwrap_or_default();
+    let lasted =
+        report.started_us.zip(report.ended_us).map(|(a, b)| format!(" · {:.0} s", (b - a) as f64 * 1e-6)).unwrap_or_default();
     let what = report.provenance.command.as_deref().unwrap_or("");
     let _ = write!(page, "<h1>{}</h1><p class=\"dim\">{when}{lasted} {}</p>", escape(title), escape(what));
     let rms = median(report.pairs.iter().filter_map(|pair| pair.rms_px).collect());
@@ -121,7 +122,11 @@ fn summary(page: &mut String, report: &SessionReport, title: &str) {
     card(lit("bad", report.losses.len()), report.losses.len().to_string(), "losses");
     page.push_str("</div>");
     if counts.from_telemetry > 0 {
-        let _ = write!(page, "<p class=\"dim\" style=\"margin-top:12px\">{} shown with the pose from telemetry.</p>", counts.from_telemetry);
+        let _ = write!(
+            page,
+            "<p class=\"dim\" style=\"margin-top:12px\">{} shown with the pose from telemetry.</p>",
+            counts.from_telemetry
+        );
     }
 }
 
@@ -144,7 +149,10 @@ fn contact_sheet(page: &mut String, report: &SessionReport, strips: &[Option<Sho
                 )
             },
         );
-        let right = pair.rms_px.filter(|_| pair.status == PairStatus::Accepted).map_or_else(|| standing.word().to_lowercase(), |px| format!("{px:.3} px"));
+        let right = pair
+            .rms_px
+            .filter(|_| pair.status == PairStatus::Accepted)
+            .map_or_else(|| standing.word().to_lowercase(), |px| format!("{px:.3} px"));
         let _ = write!(
             page,
             "<a class=\"tile {}\" href=\"#e{index}\" title=\"{}\">{picture}<span class=\"words\"><i>{}</i><span>{right}</span></span></a>",
@@ -169,7 +177,11 @@ fn table(page: &mut String, report: &SessionReport) {
         let null = pair.null.get("zncc").map_or_else(
             || "–".into(),
             |null| {
-                let mark = if null.discriminating { "" } else { " <span class=\"caution\" title=\"not discriminating: a wrong pose scores at least as well\">?</span>" };
+                let mark = if null.discriminating {
+                    ""
+                } else {
+                    " <span class=\"caution\" title=\"not discriminating: a wrong pose scores at least as well\">?</span>"
+                };
                 number(null.best_shifted, 3) + mark
             },
         );
@@ -241,7 +253,9 @@ fn over_time(page: &mut String, report: &SessionReport) {
         .pairs
         .iter()
         .enumerate()
-        .map(|(index, pair)| ((index + 1).to_string(), names.iter().map(|name| pair.stages_ms.get(name).unwrap_or(0.0)).collect()))
+        .map(|(index, pair)| {
+            ((index + 1).to_string(), names.iter().map(|name| pair.stages_ms.get(name).unwrap_or(0.0)).collect())
+        })
         .collect();
     if let Some((svg, legend)) = plots::stacks("milliseconds per stage", &names, &bars) {
         figure("Time per stage", "ms per exposure", svg + &legend);
@@ -252,7 +266,11 @@ fn over_time(page: &mut String, report: &SessionReport) {
             .iter()
             .map(|link| {
                 let at = |us: Option<i64>, otherwise: f64| us.map_or(otherwise, |us| seconds(report, us));
-                let gaps = link.gaps.iter().map(|gap| ([seconds(report, gap.start_us), seconds(report, gap.end_us)], gap.reason.clone())).collect();
+                let gaps = link
+                    .gaps
+                    .iter()
+                    .map(|gap| ([seconds(report, gap.start_us), seconds(report, gap.end_us)], gap.reason.clone()))
+                    .collect();
                 (link.device.clone(), [at(link.first_us, 0.0), at(link.last_us, 0.0)], gaps)
             })
             .collect();
@@ -336,11 +354,20 @@ fn score_table(page: &mut String, pair: &Pair) {
         let null = pair.null.get(name);
         let best = null.map_or_else(
             || "–".into(),
-            |null| format!("{} <small>{}</small>", number(null.best_shifted, 3), escape(null.best_shift.as_deref().unwrap_or(""))),
+            |null| {
+                format!("{} <small>{}</small>", number(null.best_shifted, 3), escape(null.best_shift.as_deref().unwrap_or("")))
+            },
         );
         let rank = null.map_or_else(
             || "–".into(),
-            |null| format!("<span class=\"{}\">{} of {}</span>", if null.discriminating { "good" } else { "caution" }, null.rank, null.of),
+            |null| {
+                format!(
+                    "<span class=\"{}\">{} of {}</span>",
+                    if null.discriminating { "good" } else { "caution" },
+                    null.rank,
+                    null.of
+                )
+            },
         );
         let here = pair.scores.get(name);
         let reason = pair.scores.reasons.get(name).filter(|_| here.is_none());
@@ -365,7 +392,14 @@ fn circumstances(page: &mut String, pair: &Pair, standing: Standing) {
     if let (Some(reason), true) = (&pair.reason, standing != Standing::Accepted) {
         item(format!("reason: {reason}"));
     }
-    item(format!("bound by {}", if pair.binding_evidence.is_empty() { pair.binding.clone() } else { format!("{}: {}", pair.binding, pair.binding_evidence.join("; ")) }));
+    item(format!(
+        "bound by {}",
+        if pair.binding_evidence.is_empty() {
+            pair.binding.clone()
+        } else {
+            format!("{}: {}", pair.binding, pair.binding_evidence.join("; "))
+        }
+    ));
     if let Some(gap_us) = pair.gap_us {
         item(format!("telemetry answers span a gap of {:.1} ms", gap_us as f64 * 1e-3));
     }
@@ -373,17 +407,31 @@ fn circumstances(page: &mut String, pair: &Pair, standing: Standing) {
         item(format!("robot shape: {robot}"));
     }
     if let Some(tone) = &pair.tone {
-        item(format!("tone {}: {} fitted numbers, {} px fitted, {} px scored", tone.tone.as_str(), tone.degrees_of_freedom, tone.fitted_pixels, tone.scored_pixels));
+        item(format!(
+            "tone {}: {} fitted numbers, {} px fitted, {} px scored",
+            tone.tone.as_str(),
+            tone.degrees_of_freedom,
+            tone.fitted_pixels,
+            tone.scored_pixels
+        ));
     }
     if let Some(air) = &pair.air {
         let level = air.level.map_or_else(|| "unknown".into(), |level| format!("{level:.4}"));
-        item(format!("air level {level} by rule {}{}", air.rule, air.reason.as_ref().map(|r| format!(": {r}")).unwrap_or_default()));
+        item(format!(
+            "air level {level} by rule {}{}",
+            air.rule,
+            air.reason.as_ref().map(|r| format!(": {r}")).unwrap_or_default()
+        ));
     }
     if let Some(masks) = &pair.masks {
         let causes: Vec<String> =
             masks.causes.iter().map(|(cause, share)| format!("{} {:.1} %", cause.words(), 100.0 * share)).collect();
         let field = masks.field.as_ref().map(|field| format!(" ({field})")).unwrap_or_default();
-        item(format!("masked {:.1} %: {}{field}", 100.0 * masks.masked, if causes.is_empty() { "nothing".into() } else { causes.join(", ") }));
+        item(format!(
+            "masked {:.1} %: {}{field}",
+            100.0 * masks.masked,
+            if causes.is_empty() { "nothing".into() } else { causes.join(", ") }
+        ));
     }
     if let Some(error) = pair.render_error {
         item(format!("stated error of the render: {error:.1e} of max(1, line integral)"));
@@ -420,13 +468,20 @@ fn provenance(page: &mut String, report: &SessionReport) {
     let from = &report.provenance;
     page.push_str("<h2>Provenance</h2><div class=\"scroll\"><table><tbody>");
     let mut row = |name: &str, value: &str| {
-        let _ = write!(page, "<tr><td class=\"l dim\">{}</td><td class=\"l wrap\"><code>{}</code></td></tr>", escape(name), escape(value));
+        let _ = write!(
+            page,
+            "<tr><td class=\"l dim\">{}</td><td class=\"l wrap\"><code>{}</code></td></tr>",
+            escape(name),
+            escape(value)
+        );
     };
     row("sidecarm", &from.version);
     row("adapter", from.adapter.as_deref().unwrap_or("nothing was rendered"));
     from.details.iter().for_each(|(name, value)| row(name, value));
     from.inputs.iter().for_each(|(path, sha256)| row(path, sha256));
-    page.push_str("</tbody></table></div><p class=\"dim\" style=\"margin-top:14px\">For research use only; not a medical device.</p>");
+    page.push_str(
+        "</tbody></table></div><p class=\"dim\" style=\"margin-top:14px\">For research use only; not a medical device.</p>",
+    );
 }
 
 #[cfg(test)]

@@ -76,7 +76,8 @@ impl Axes {
             );
         }
         let what = if timed { "s since start" } else { "exposure" };
-        let _ = write!(svg, "<text class=\"tick\" x=\"{}\" y=\"{}\" text-anchor=\"end\">{what}</text>", WIDTH - RIGHT, HEIGHT - 2.0);
+        let _ =
+            write!(svg, "<text class=\"tick\" x=\"{}\" y=\"{}\" text-anchor=\"end\">{what}</text>", WIDTH - RIGHT, HEIGHT - 2.0);
         Self { svg, ..axes }
     }
 
@@ -123,7 +124,11 @@ pub(super) fn dots(label: &str, dots: &[Dot], time_s: [f64; 2], from_zero: bool)
             let _ = write!(axes.svg, "<circle class=\"hollow\" cx=\"{u:.1}\" cy=\"{against:.1}\" r=\"4\"/>");
         }
         let class = dot.class;
-        let _ = write!(axes.svg, "<circle class=\"dot {class}\" cx=\"{u:.1}\" cy=\"{v:.1}\" r=\"5\"><title>{}</title></circle>", escape(&dot.label));
+        let _ = write!(
+            axes.svg,
+            "<circle class=\"dot {class}\" cx=\"{u:.1}\" cy=\"{v:.1}\" r=\"5\"><title>{}</title></circle>",
+            escape(&dot.label)
+        );
     }
     Some(axes.finish())
 }
@@ -155,15 +160,24 @@ pub(super) fn stacks(label: &str, names: &[String], bars: &[(String, Vec<f64>)])
             below += value;
         }
         if slot > 16.0 || index % 5 == 0 {
-            let _ =
-                write!(axes.svg, "<text class=\"tick\" x=\"{centre:.1}\" y=\"{}\" text-anchor=\"middle\">{}</text>", HEIGHT - 16.0, escape(name));
+            let _ = write!(
+                axes.svg,
+                "<text class=\"tick\" x=\"{centre:.1}\" y=\"{}\" text-anchor=\"middle\">{}</text>",
+                HEIGHT - 16.0,
+                escape(name)
+            );
         }
     }
     Some((axes.finish(), legend(names)))
 }
 
 /// Lines over time; returns the drawing and its legend. `None` when nothing is finite.
-pub(super) fn lines(label: &str, series: &[(String, Vec<(f64, f64)>)], time_s: [f64; 2], marks_s: &[f64]) -> Option<(String, String)> {
+pub(super) fn lines(
+    label: &str,
+    series: &[(String, Vec<(f64, f64)>)],
+    time_s: [f64; 2],
+    marks_s: &[f64],
+) -> Option<(String, String)> {
     let y = span(series.iter().flat_map(|(_, points)| points.iter().map(|p| p.1)), false)?;
     let mut axes = Axes::new(label, Some(time_s), y);
     for mark in marks_s {
@@ -201,7 +215,11 @@ pub(super) fn links(label: &str, bands: &[(String, [f64; 2], Vec<([f64; 2], Stri
         let v = 8.0 + row * index as f64;
         let _ = write!(svg, "<text class=\"tick\" x=\"78\" y=\"{:.1}\" text-anchor=\"end\">{}</text>", v + 15.0, escape(name));
         let (from, to) = (u(there[0]), u(there[1]));
-        let _ = write!(svg, "<rect class=\"there\" x=\"{from:.1}\" y=\"{v:.1}\" width=\"{:.1}\" height=\"20\" rx=\"3\"/>", (to - from).max(1.0));
+        let _ = write!(
+            svg,
+            "<rect class=\"there\" x=\"{from:.1}\" y=\"{v:.1}\" width=\"{:.1}\" height=\"20\" rx=\"3\"/>",
+            (to - from).max(1.0)
+        );
         for (gap, reason) in gaps {
             let (from, to) = (u(gap[0]), u(gap[1]));
             let _ = write!(
@@ -215,15 +233,28 @@ pub(super) fn links(label: &str, bands: &[(String, [f64; 2], Vec<([f64; 2], Stri
     }
     for value in ticks(time_s, 8) {
         let at = u(value);
-        let _ = write!(svg, "<text class=\"tick\" x=\"{at:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>", height - 18.0, short(value, span));
+        let _ = write!(
+            svg,
+            "<text class=\"tick\" x=\"{at:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>",
+            height - 18.0,
+            short(value, span)
+        );
     }
-    let _ = write!(svg, "<text class=\"tick\" x=\"{}\" y=\"{:.1}\" text-anchor=\"end\">s since start</text></svg>", WIDTH - RIGHT, height - 3.0);
+    let _ = write!(
+        svg,
+        "<text class=\"tick\" x=\"{}\" y=\"{:.1}\" text-anchor=\"end\">s since start</text></svg>",
+        WIDTH - RIGHT,
+        height - 3.0
+    );
     svg
 }
 
 fn legend(names: &[String]) -> String {
-    let items: Vec<String> =
-        names.iter().enumerate().map(|(index, name)| format!("<span class=\"key k{}\">{}</span>", index % 8, escape(name))).collect();
+    let items: Vec<String> = names
+        .iter()
+        .enumerate()
+        .map(|(index, name)| format!("<span class=\"key k{}\">{}</span>", index % 8, escape(name)))
+        .collect();
     format!("<p class=\"legend\">{}</p>", items.join(""))
 }
 
@@ -240,7 +271,8 @@ mod tests {
 
     #[test]
     fn names_from_outside_cannot_break_the_page() {
-        let (svg, legend) = lines("joints", &[("<script>&\"".into(), vec![(0.0, 1.0), (1.0, 2.0)])], [0.0, 1.0], &[]).expect("finite");
+        let (svg, legend) =
+            lines("joints", &[("<script>&\"".into(), vec![(0.0, 1.0), (1.0, 2.0)])], [0.0, 1.0], &[]).expect("finite");
         assert!(!svg.contains("<script>") && !legend.contains("<script>") && legend.contains("&lt;script&gt;"));
         assert!(lines("empty", &[("a".into(), vec![(0.0, f64::NAN)])], [0.0, 1.0], &[]).is_none());
     }

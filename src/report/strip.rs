@@ -105,13 +105,20 @@ fn compared(panel: &mut Panels, pictures: &Pictures, place: impl Fn(i64) -> i64,
     panel.picture(place(1), "matched DRR", &scaled(&pictures.simulated, scale), |v| colour::gray(v, window));
     panel.gray_scale(place(1), window, pictures.unit);
 
-    let difference = Image {
-        width: pictures.acquired.width,
-        height: pictures.acquired.height,
-        pixels: (0..pictures.acquired.pixels.len())
-            .map(|at| if pictures.usable.pixels[at] { pictures.acquired.pixels[at] - pictures.simulated.pixels[at] } else { f32::NAN })
-            .collect(),
-    };
+    let difference =
+        Image {
+            width: pictures.acquired.width,
+            height: pictures.acquired.height,
+            pixels: (0..pictures.acquired.pixels.len())
+                .map(|at| {
+                    if pictures.usable.pixels[at] {
+                        pictures.acquired.pixels[at] - pictures.simulated.pixels[at]
+                    } else {
+                        f32::NAN
+                    }
+                })
+                .collect(),
+        };
     // Nepers of unknown offset have no common zero; their medians are laid upon each other.
     let offset = if pictures.unit == "nepers (offset unknown)" { median(&difference) } else { 0.0 };
     let difference = difference.map(|d| d - offset as f32);
@@ -138,7 +145,10 @@ fn compared(panel: &mut Panels, pictures: &Pictures, place: impl Fn(i64) -> i64,
 
 /// Gray values are comparable with the simulation once a tone has brought it to their range.
 fn spread_is_common(pictures: &Pictures) -> bool {
-    let (a, s) = (colour::window(&[&pictures.acquired], Some(&pictures.usable)), colour::window(&[&pictures.simulated], Some(&pictures.usable)));
+    let (a, s) = (
+        colour::window(&[&pictures.acquired], Some(&pictures.usable)),
+        colour::window(&[&pictures.simulated], Some(&pictures.usable)),
+    );
     let (wide_a, wide_s) = (a[1] - a[0], s[1] - s[0]);
     let apart = (0.5 * (a[0] + a[1]) - 0.5 * (s[0] + s[1])).abs();
     wide_a < 4.0 * wide_s && wide_s < 4.0 * wide_a && apart < wide_a.max(wide_s)
@@ -234,7 +244,8 @@ impl Panels<'_> {
         self.canvas.fill(left, self.top, self.width, self.height, WELL);
         self.canvas.outline(left, self.top, self.width, self.height, 1, LINE);
         let lines = self.canvas.wrapped(why, 16.0, self.width as f32 - 48.0);
-        let (centre, first) = (left as f32 + 0.5 * self.width as f32, self.top as f32 + 0.5 * self.height as f32 - 11.0 * lines.len() as f32);
+        let (centre, first) =
+            (left as f32 + 0.5 * self.width as f32, self.top as f32 + 0.5 * self.height as f32 - 11.0 * lines.len() as f32);
         self.canvas.disc(centre, first - 16.0, 4.0, CAUTION);
         for (index, line) in lines.iter().enumerate() {
             self.canvas.text(centre, first + 16.0 + 22.0 * index as f32, line, 16.0, DIM, Align::Centre);
@@ -314,5 +325,10 @@ impl Panels<'_> {
 pub(super) fn panel_rectangle(index: usize, width: usize, height: usize) -> [f64; 4] {
     let panel_width = (width as f64 - (2 * MARGIN + (PANELS - 1) * GAP) as f64) / PANELS as f64;
     let top = (HEADER + TITLE) as f64;
-    [MARGIN as f64 + index as f64 * (panel_width + GAP as f64), top, panel_width, height as f64 - top - (SCALE + MARGIN / 2) as f64]
+    [
+        MARGIN as f64 + index as f64 * (panel_width + GAP as f64),
+        top,
+        panel_width,
+        height as f64 - top - (SCALE + MARGIN / 2) as f64,
+    ]
 }

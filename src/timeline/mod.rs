@@ -1,1 +1,286 @@
-//! Device clocks, samples in time, frames bound to exposures.
+//! Samples, clocks and exposures in time: every question about "when" is answered here.
+//!
+//! A sample keeps its raw device time and its host arrival; its mapped host time comes from the clock map of its segment and improves
+//! while data come in. Answers depend on what was pushed, in which order, and on nothing else, so a replay gives the same ones.
+
+mod binding;
+mod clock;
+mod exposure;
+mod segments;
+mod track;
+
+pub use binding::{BindLimits, Binding, BindingHow, FrameStamp};
+pub use clock::{ClockEstimate, ClockMap, LEAST_DELAY_US, MAX_DRIFT};
+pub use exposure::{ExposureInterval, ExposureTracker, HIDING_SILENCE_US, Silence};
+pub use segments::{DeviceClock, Placed, Segment, SegmentStart, SegmentSummary};
+pub use track::{Answer, Bracket, Entry, Retention, Stamps, Support, Track};
+
+use serde::{Deserialize, Serialize};
+
+use crate::geometry::{CarmJoints, Rigid};
+use crate::telemetry::{AngleSource, CarmSample, DeviceKind, Metadata, RobotSample, Sample};
+use crate::units::{lerp_angle_rad, wrap_rad};
+
+/// Whether a device's data can be relied on now.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case", tag = "state")]
+pub enum Freshness {
+    /// The newest message is young.
+    Fresh {
+        /// Since it arrived.
+        age_us: i64,
+    },
+    /// The newest message is too old.
+    Stale {
+        /// Since it arrived.
+        age_us: i64,
+    },
+    /// Nothing ever arrived.
+    Absent,
+}
+
+/// When data are too old.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FreshLimits {
+    /// Older is stale.
+    pub stale_us: i64,
+}
+
+impl Default for FreshLimits {
+    /// Half a second: 15 samples of the C-arm, 50 of the robot.
+    fn default() -> Self {
+        Self { stale_us: 500_000 }
+    }
+}
+
+/// What a device's track holds and has lost, for people and logs.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct TrackSummary {
+    /// Which device.
+    pub device: DeviceKind,
+    /// Samples in memory.
+    pub samples: usize,
+    /// Samples forgotten to bound memory.
+    pub dropped: u64,
+    /// Samples whose device time is none.
+    pub unusable: u64,
+    /// Samples that came after later ones.
+    pub late: u64,
+    /// Steps of the device's clock.
+    pub clock_steps: u64,
+    /// Restarts of the device within an epoch.
+    pub resets: u64,
+    /// Clock maps, oldest first.
+    pub segments: Vec<SegmentSummary>,
+}
+
+/// All that was measured, by time.
+#[derive(Clone, Debug)]
+pub struct Timeline {
+    carm: Track<CarmSample>,
+    robot: Track<RobotSample>,
+    metadata: [Option<Metadata>; 2],
+    exposures: ExposureTracker,
+    bind_limits: BindLimits,
+}
+
+impl Default for Timeline {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// Closed exposures younger than this many are asked again for what other devices measured.
+const FILLED_BACK: usize = 32;
+/// An exposure takes joints and angles only from samples nearer than this to its middle.
+const EXPOSURE_REACH_US: i64 = 500_000;
+
+impl Timeline {
+    /// Empty, with the usual limits.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::with_limits(Retention::default(), BindLimits::default())
+    }
+
+    /// Empty, with these limits.
+    #[must_use]
+    pub fn with_limits(retention: Retention, bind_limits: BindLimits) -> Self {
+        Self {
+            carm: Track::new(retention),
+            robot: Track::new(retention),
+            metadata: [None, None],
+            exposures: ExposureTracker::default(),
+            bind_limits,
+        }
+    }
+
+    /// Takes a decoded sample of `device` that arrived at `host_us` in opening `epoch` of its port.
+    ///
+    /// Returns its times, or `None` for metadata, duplicates, samples of the wrong device and samples whose time is no time.
+    pub fn push_sample(&mut self, device: DeviceKind, host_us: i64, epoch: u32, sample: Sample) -> Option<Stamps> {
+        match (device, sample) {
+            (DeviceKind::Carm, Sample::Carm(sample)) => {
+                let (sequence, device_us) = (sample.sequence, sample.device_us);
+                let (stamps, in_order) = self.carm.push(host_us, epoch, sequence, device_us, sample.clone())?;
+                if in_order {
+                    self.exposures.push(&sample, stamps.mapped_us, stamps.uncertainty_us, epoch);
+                }
+                self.fill_exposures();
+                Some(stamps)
+            }
+            (DeviceKind::Robot, Sample::Robot(sample)) => {
+                let stamps = self.robot.push(host_us, epoch, sample.sequence, sample.device_us, sample)?.0;
+                self.fill_exposures();
+                Some(stamps)
+            }
+            (_, Sample::Metadata(metadata)) => {
+                match device {
+                    DeviceKind::Carm => self.carm.skip(host_us, epoch, metadata.sequence),
+                    DeviceKind::Robot => self.robot.skip(host_us, epoch, metadata.sequence),
+                }
+                self.metadata[device as usize] = Some(metadata);
+                None
+            }
+            (DeviceKind::Carm, Sample::Robot(_)) | (DeviceKind::Robot, Sample::Carm(_)) => None,
+        }
+    }
+
+    /// Joints at a host time: linear, angles the short way round; NaN where a joint was not measured on either side.
+    /// After the newest sample that one is held, before the oldest there is no answer.
+    #[must_use]
+    pub fn joints_at(&self, host_us: i64) -> Option<Answer<CarmJoints>> {
+        let bracket = self.carm.bracket(host_us)?;
+        let left = bracket.left.value.joints;
+        let right = bracket.right.map_or(left, |right| right.value.joints);
+        Some(bracket.answer(lerp_joints(&left, &right, bracket.fraction)))
+    }
+
+    /// Robot control angles in degrees at a host time: linear; sensed where both samples around it have them, else commanded.
+    #[must_use]
+    pub fn robot_at(&self, host_us: i64) -> Option<Answer<[f64; 5]>> {
+        self.robot_and_source_at(host_us).map(|(answer, _)| answer)
+    }
+
+    /// As [`Timeline::robot_at`], with where the angles come from.
+    #[must_use]
+    pub fn robot_and_source_at(&self, host_us: i64) -> Option<(Answer<[f64; 5]>, AngleSource)> {
+        let bracket = self.robot.bracket(host_us)?;
+        let left = &bracket.left.value;
+        let right = bracket.right.map_or(left, |right| &right.value);
+        let (left_deg, right_deg, source) = match (left.control_angles_deg(), right.control_angles_deg()) {
+            ((left_deg, AngleSource::Sensed), (right_deg, AngleSource::Sensed)) => (left_deg, right_deg, AngleSource::Sensed),
+            _ => (left.commanded_deg, right.commanded_deg, AngleSource::Commanded),
+        };
+        let angles_deg = std::array::from_fn(|i| lerp(left_deg[i], right_deg[i], bracket.fraction));
+        Some((bracket.answer(angles_deg), source))
+    }
+
+    /// Tracked robot base at a host time, along the geodesic; `None` unless both samples around it have it.
+    #[must_use]
+    pub fn tracker_from_base_at(&self, host_us: i64) -> Option<Answer<Rigid>> {
+        let bracket = self.robot.bracket(host_us)?;
+        let left = bracket.left.value.tracker_from_base?;
+        let right = match bracket.right {
+            Some(right) => right.value.tracker_from_base?,
+            None => left,
+        };
+        Some(bracket.answer(left.interpolate(&right, bracket.fraction)))
+    }
+
+    /// Exposures so far, oldest first; the last one may still be open.
+    #[must_use]
+    pub fn exposures(&self) -> Vec<ExposureInterval> {
+        self.exposures.closed().iter().chain(self.exposures.open()).cloned().collect()
+    }
+
+    /// Ties a frame to its exposure, or says why it cannot be tied.
+    #[must_use]
+    pub fn bind(&self, stamp: &FrameStamp) -> Binding {
+        binding::bind(&self.exposures, self.carm.newest_mapped_us(), stamp, &self.bind_limits)
+    }
+
+    /// Whether `device` can be relied on at host time `now_us`.
+    #[must_use]
+    pub fn freshness(&self, device: DeviceKind, now_us: i64, limits: FreshLimits) -> Freshness {
+        let last_us = match device {
+            DeviceKind::Carm => self.carm.last_arrival_us(),
+            DeviceKind::Robot => self.robot.last_arrival_us(),
+        };
+        match last_us {
+            None => Freshness::Absent,
+            Some(last_us) if now_us.saturating_sub(last_us) > limits.stale_us => Freshness::Stale { age_us: now_us - last_us },
+            Some(last_us) => Freshness::Fresh { age_us: (now_us - last_us).max(0) },
+        }
+    }
+
+    /// The latest metadata of `device`.
+    #[must_use]
+    pub fn metadata(&self, device: DeviceKind) -> Option<&Metadata> {
+        self.metadata[device as usize].as_ref()
+    }
+
+    /// The C-arm's samples.
+    #[must_use]
+    pub fn carm(&self) -> &Track<CarmSample> {
+        &self.carm
+    }
+
+    /// The robot's samples.
+    #[must_use]
+    pub fn robot(&self) -> &Track<RobotSample> {
+        &self.robot
+    }
+
+    /// What each track holds.
+    #[must_use]
+    pub fn summaries(&self) -> [TrackSummary; 2] {
+        [summary(DeviceKind::Carm, &self.carm), summary(DeviceKind::Robot, &self.robot)]
+    }
+
+    /// Completes closed exposures with what the samples around their middle say.
+    fn fill_exposures(&mut self) {
+        let mut exposures = std::mem::take(&mut self.exposures);
+        let robot_newest_us = self.robot.newest_mapped_us();
+        for interval in exposures.closed_mut().iter_mut().rev().take(FILLED_BACK) {
+            let mid_us = interval.mid_us();
+            if interval.joints.is_none() {
+                interval.joints = self.joints_at(mid_us).filter(|answer| answer.age_us <= EXPOSURE_REACH_US);
+            }
+            if interval.control_angles_deg.is_none() && robot_newest_us.is_some_and(|newest_us| newest_us >= mid_us) {
+                interval.control_angles_deg = self.robot_at(mid_us).filter(|answer| answer.age_us <= EXPOSURE_REACH_US);
+                interval.tracker_from_base =
+                    self.tracker_from_base_at(mid_us).filter(|answer| answer.age_us <= EXPOSURE_REACH_US);
+            }
+        }
+        self.exposures = exposures;
+    }
+}
+
+fn summary<T>(device: DeviceKind, track: &Track<T>) -> TrackSummary {
+    let (dropped, unusable, late) = track.dropped_unusable_late();
+    let (clock_steps, resets) = track.clock().steps_and_resets();
+    let segments = track.clock().summaries();
+    TrackSummary { device, samples: track.entries().len(), dropped, unusable, late, clock_steps, resets, segments }
+}
+
+/// Linear between two numbers; an end that is met exactly does not see the other one.
+fn lerp(a: f64, b: f64, fraction: f64) -> f64 {
+    if fraction == 0.0 { a } else { a + (b - a) * fraction }
+}
+
+/// Linear between two readings, angles the short way round and in (−π, π].
+fn lerp_joints(a: &CarmJoints, b: &CarmJoints, fraction: f64) -> CarmJoints {
+    if fraction == 0.0 {
+        return *a;
+    }
+    let angle = |a: f64, b: f64| wrap_rad(lerp_angle_rad(a, b, fraction));
+    CarmJoints {
+        lift_mm: lerp(a.lift_mm, b.lift_mm, fraction),
+        wig_wag_rad: angle(a.wig_wag_rad, b.wig_wag_rad),
+        longitudinal_mm: lerp(a.longitudinal_mm, b.longitudinal_mm, fraction),
+        angulation_rad: angle(a.angulation_rad, b.angulation_rad),
+        orbital_rad: angle(a.orbital_rad, b.orbital_rad),
+        detector_rotation_rad: angle(a.detector_rotation_rad, b.detector_rotation_rad),
+        source_to_detector_mm: lerp(a.source_to_detector_mm, b.source_to_detector_mm, fraction),
+    }
+}

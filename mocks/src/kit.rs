@@ -1,0 +1,144 @@
+//! The files that a session needs, and the truth that it must not read before its end.
+
+use std::path::Path;
+
+use serde_json::{Value, json};
+
+use crate::MockError;
+use crate::kinematics::{CarmGeometry, camera_from_lps, pieces, projection};
+use crate::lab::Lab;
+use crate::matrix::{Mat4, mul, point, rotation, translation};
+use crate::phantom::Phantom;
+use crate::voxels::voxelise;
+
+/// Geometry of the lab's C-arm and the size of its frames.
+#[derive(Clone, Copy, Debug)]
+pub struct Arm {
+    /// The chain.
+    pub geometry: CarmGeometry,
+    /// Columns and rows.
+    pub size_px: [usize; 2],
+    /// Pixel size.
+    pub pitch_mm: f64,
+    /// Focal spot to detector.
+    pub source_to_detector_mm: f64,
+}
+
+/// Reads the arm from the lab's calibration.
+///
+/// # Errors
+/// When a number is missing.
+pub fn arm(lab: &Lab) -> Result<Arm, MockError> {
+    let list = |key: &str, index: usize| lab.carm[key][index].as_f64().unwrap_or(0.0);
+    let (pitch_mm, source_to_detector_mm) = (lab.carm_number("pitch_mm")?, lab.carm_number("source_to_detector_mm")?);
+    let geometry = CarmGeometry {
+        column_to_isocentre_mm: std::array::from_fn(|i| list("column_to_isocentre_mm", i)),
+        source_to_isocentre_mm: lab.carm_number("source_to_isocentre_mm")?,
+        focal_px: source_to_detector_mm / pitch_mm,
+        principal_px: [list("principal_point_px", 0), list("principal_point_px", 1)],
+    };
+    let size_px = [lab.carm_number("columns_px")? as usize, lab.carm_number("rows_px")? as usize];
+    Ok(Arm { geometry, size_px, pitch_mm, source_to_detector_mm })
+}
+
+/// Where the specimen really lies.
+#[must_use]
+pub fn true_world_from_lps(lab: &Lab) -> Mat4 {
+    let [rx, ry, rz] = lab.setup_error.rotation_deg;
+    let [x, y, z] = lab.setup_error.translation_mm;
+    let turned = mul(&mul(&rotation(0, rx), &rotation(1, ry)), &rotation(2, rz));
+    mul(&mul(&translation(x, y, z), &lab.world_from_lps), &turned)
+}
+
+/// Writes the lab kit into `folder`: CT, beads, scene, calibrations, session and truth.
+///
+/// # Errors
+/// When a file cannot be written.
+pub fn write(folder: &Path, lab: &Lab, phantom: &Phantom, with_carm: bool, with_robot: bool) -> Result<(), MockError> {
+    std::fs::create_dir_all(folder.join("frames")).map_err(MockError::io(folder.display()))?;
+    voxelise(phantom).write(&folder.join("ct.nii.gz"))?;
+    put(folder, "carm.json", &lab.carm)?;
+    put(folder, "robot.json", &lab.robot)?;
+    put(folder, "beads.mrk.json", &beads(phantom))?;
+    put(folder, "scene.json", &scene(lab, phantom))?;
+    let carm = with_carm.then(|| json!({"port": "ttyCARM", "baud": 921_600, "calibration": "carm.json"}));
+    let robot = with_robot.then(|| json!({"port": "ttyROBOT", "baud": 921_600, "model": "robot.json"}));
+    let session = json!({
+        "carm": carm, "robot": robot, "frames": {"folder": "frames"}, "scene": "scene.json", "beads": "beads.mrk.json",
+        "world_from_lps": lab.world_from_lps, "world_from_tracker": null, "out": "session"
+    });
+    put(folder, "session.json", &session)?;
+    put(folder, "truth.json", &truth(lab, phantom)?)
+}
+
+fn put(folder: &Path, name: &str, value: &Value) -> Result<(), MockError> {
+    let path = folder.join(name);
+    std::fs::write(&path, format!("{value:#}\n")).map_err(MockError::io(path.display()))
+}
+
+fn beads(phantom: &Phantom) -> Value {
+    let point = |(index, bead): (usize, &crate::phantom::Bead)| {
+        json!({
+            "id": (index + 1).to_string(), "label": bead.name, "description": format!("radius_mm={}", phantom.bead_radius_mm),
+            "associatedNodeID": "", "position": bead.lps_mm, "orientation": [-1.0, -0.0, -0.0, -0.0, -1.0, -0.0, 0.0, 0.0, 1.0],
+            "selected": true, "locked": false, "visibility": true, "positionStatus": "defined"
+        })
+    };
+    json!({
+        "@schema": "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/markups-schema-v1.0.3.json#",
+        "markups": [{
+            "type": "Fiducial", "coordinateSystem": "LPS", "coordinateUnits": "mm", "locked": false,
+            "labelFormat": "%N-%d", "controlPoints": phantom.beads.iter().enumerate().map(point).collect::<Vec<_>>(), "measurements": []
+        }]
+    })
+}
+
+fn scene(lab: &Lab, phantom: &Phantom) -> Value {
+    let mut objects = vec![
+        json!({"ct": {"path": "ct.nii.gz", "materials": "threshold"}}),
+        json!({"robot": {"model": "robot.json", "lps_from_base": phantom.lps_from_base, "control_angles_deg": [0.0, 0.0, 0.0, 0.0, 0.0]}}),
+    ];
+    for bead in &phantom.beads {
+        objects.push(json!({"sphere": {
+            "centre_lps_mm": bead.lps_mm, "radius_mm": phantom.bead_radius_mm, "material": "steel_316l"}}));
+    }
+    json!({
+        "objects": objects,
+        "beam": {"tube_kvp": lab.tube_kvp, "anode_angle_deg": 12, "filtration_mm": {"aluminium": lab.aluminium_mm},
+                 "photons_per_pixel": lab.photons_per_pixel},
+        "detector": {"response": "energy", "pitch_mm": lab.carm["pitch_mm"], "gain": 1.0, "offset": 0.0},
+        "model": {"formation": "deepdrr", "scatter": "off", "noise": false, "seed": 1}
+    })
+}
+
+fn truth(lab: &Lab, phantom: &Phantom) -> Result<Value, MockError> {
+    let arm = arm(lab)?;
+    let world_from_lps = true_world_from_lps(lab);
+    let frames: Vec<Value> = lab
+        .exposures
+        .iter()
+        .enumerate()
+        .map(|(index, exposure)| {
+            let camera = camera_from_lps(&arm.geometry, &exposure.joints(), &world_from_lps);
+            let (_, end) = pieces(&exposure.control_deg);
+            let tip = point(&mul(&phantom.lps_from_base, &end), [0.0, 0.0, 4.0]);
+            json!({
+                "frame": frame_name(index), "exposure_counter": index + 1, "projection": projection(&arm.geometry, &camera),
+                "camera_from_lps": camera, "control_angles_deg": exposure.control_deg, "tip_lps_mm": tip
+            })
+        })
+        .collect();
+    let named = |points: &[crate::phantom::Bead]| -> Vec<Value> {
+        points.iter().map(|p| json!({"name": p.name, "lps_mm": p.lps_mm})).collect()
+    };
+    Ok(json!({
+        "frames": frames, "landmarks": named(&phantom.landmarks), "beads": named(&phantom.beads), "air_value": lab.air_value,
+        "world_from_lps": world_from_lps
+    }))
+}
+
+/// File name of the `index`-th frame, from 0.
+#[must_use]
+pub fn frame_name(index: usize) -> String {
+    format!("frame-{:03}.dcm", index + 1)
+}

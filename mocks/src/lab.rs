@@ -1,0 +1,160 @@
+//! The laboratory's data: `mocks/data/lab.json` and `mocks/data/phantom.json`.
+
+use serde::Deserialize;
+
+use crate::MockError;
+use crate::matrix::{Mat4, Vec3};
+
+/// `lab.json`.
+#[derive(Clone, Debug, Deserialize)]
+pub struct Lab {
+    /// The C-arm's nominal calibration, as the receiver gets it.
+    pub carm: serde_json::Value,
+    /// The robot's model, as the receiver gets it.
+    pub robot: serde_json::Value,
+    /// Nominal place of the specimen.
+    pub world_from_lps: Mat4,
+    /// How far the truth is from nominal.
+    pub setup_error: SetupError,
+    /// Standard deviations of the encoders.
+    pub encoder_noise: EncoderNoise,
+    /// Photons per pixel in air.
+    pub photons_per_pixel: f64,
+    /// Pixel value in air.
+    pub air_value: f64,
+    /// Electronic noise in units of the air signal.
+    pub readout_sigma: f64,
+    /// Tube voltage of `spectrum.csv`.
+    pub tube_kvp: f32,
+    /// Tube current.
+    pub tube_ma: f32,
+    /// Pulse width.
+    pub pulse_width_ms: f32,
+    /// Filter of `spectrum.csv`.
+    pub aluminium_mm: f64,
+    /// Device clocks.
+    pub clock: Clocks,
+    /// Length of an exposure.
+    pub exposure_s: f64,
+    /// From the end of an exposure to its file.
+    pub frame_delay_s: f64,
+    /// The exposures in order.
+    pub exposures: Vec<Exposure>,
+    /// Faults in order.
+    pub faults: Vec<Fault>,
+}
+
+/// What nobody measured: a tilt and a shift of the specimen on the table.
+#[derive(Clone, Copy, Debug, Deserialize)]
+pub struct SetupError {
+    /// About x, y, z, in that order.
+    pub rotation_deg: Vec3,
+    /// Along x, y, z of the world.
+    pub translation_mm: Vec3,
+}
+
+/// Standard deviations.
+#[derive(Clone, Copy, Debug, Deserialize)]
+pub struct EncoderNoise {
+    /// Of angles.
+    pub deg: f64,
+    /// Of lengths.
+    pub mm: f64,
+}
+
+/// How the devices' clocks run.
+#[derive(Clone, Copy, Debug, Deserialize)]
+pub struct Clocks {
+    /// Drift.
+    pub carm_ppm: f64,
+    /// Drift.
+    pub robot_ppm: f64,
+    /// Reading at the start.
+    pub carm_epoch_us: u64,
+    /// Reading at the start.
+    pub robot_epoch_us: u64,
+}
+
+/// One exposure.
+#[derive(Clone, Debug, Deserialize)]
+pub struct Exposure {
+    /// When it starts, as a share of the session.
+    pub at: f64,
+    /// See `PROTOCOL.md`.
+    pub orbital_deg: f64,
+    /// See `PROTOCOL.md`.
+    pub angulation_deg: f64,
+    /// See `PROTOCOL.md`.
+    pub wig_wag_deg: f64,
+    /// See `PROTOCOL.md`.
+    pub lift_mm: f64,
+    /// See `PROTOCOL.md`.
+    pub longitudinal_mm: f64,
+    /// The robot's control angles.
+    pub control_deg: [f64; 5],
+    /// Collimated field at the detector; open when absent.
+    #[serde(default)]
+    pub field_mm: Option<[f64; 4]>,
+}
+
+impl Exposure {
+    /// Lift, wig-wag, longitudinal, angulation, orbital, detector rotation; mm and degrees.
+    #[must_use]
+    pub fn joints(&self) -> [f64; 6] {
+        [self.lift_mm, self.wig_wag_deg, self.longitudinal_mm, self.angulation_deg, self.orbital_deg, 0.0]
+    }
+}
+
+/// What goes wrong on a line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FaultKind {
+    /// A packet is not sent.
+    Drop,
+    /// One bit of a packet is wrong.
+    Flip,
+    /// Half a packet is sent.
+    Tear,
+    /// A packet is sent twice.
+    Duplicate,
+    /// Two packets change places.
+    Reorder,
+    /// Packets of 80 ms come at once.
+    Delay,
+    /// The plug is pulled for a second.
+    Unplug,
+}
+
+/// A scheduled fault.
+#[derive(Clone, Debug, Deserialize)]
+pub struct Fault {
+    /// `robot` or `carm`.
+    pub device: String,
+    /// As a share of the session.
+    pub at: f64,
+    /// What.
+    pub kind: FaultKind,
+}
+
+impl Lab {
+    /// The embedded laboratory.
+    ///
+    /// # Errors
+    /// When the embedded data are wrong.
+    pub fn embedded() -> Result<Self, MockError> {
+        parse("mocks/data/lab.json", include_str!("../data/lab.json"))
+    }
+
+    /// A number of the C-arm's calibration.
+    ///
+    /// # Errors
+    /// When it is not there.
+    pub fn carm_number(&self, key: &str) -> Result<f64, MockError> {
+        self.carm[key].as_f64().ok_or_else(|| MockError::Data { what: "lab.json".to_owned(), detail: format!("no carm.{key}") })
+    }
+}
+
+/// Parses embedded JSON.
+pub(crate) fn parse<T: serde::de::DeserializeOwned>(what: &str, text: &str) -> Result<T, MockError> {
+    serde_json::from_str(text).map_err(|error| MockError::Data { what: what.to_owned(), detail: error.to_string() })
+}

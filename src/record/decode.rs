@@ -1,0 +1,105 @@
+//! From log entries back to values.
+
+use foxglove::Decode;
+use foxglove::messages as fg;
+
+use super::{LogEntry, RecordError, topic};
+use crate::acquire::{Frame, Samples};
+use crate::image::Image;
+
+/// One read from a serial line, as it was recorded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RawBytes<'a> {
+    /// Counts the openings of the line.
+    pub epoch: u32,
+    /// The bytes.
+    pub bytes: &'a [u8],
+}
+
+impl LogEntry {
+    /// Reads a JSON message.
+    ///
+    /// # Errors
+    /// When the message is no JSON or not of type `T`.
+    pub fn json<T: serde::de::DeserializeOwned>(&self) -> Result<T, RecordError> {
+        serde_json::from_slice(&self.data).map_err(|error| self.wrong(error.to_string()))
+    }
+
+    /// Reads raw serial bytes; `None` on other topics.
+    ///
+    /// # Errors
+    /// When the message is shorter than its epoch.
+    pub fn raw_bytes(&self) -> Result<Option<RawBytes<'_>>, RecordError> {
+        if &*self.schema != super::channel::RAW_SCHEMA {
+            return Ok(None);
+        }
+        match self.data.split_first_chunk::<4>() {
+            Some((epoch, bytes)) => Ok(Some(RawBytes { epoch: u32::from_le_bytes(*epoch), bytes })),
+            None => Err(self.wrong(format!("raw bytes of {} bytes, expected at least 4", self.data.len()))),
+        }
+    }
+
+    /// Reads a `foxglove.RawImage` of encoding `mono16` or `32FC1`; `None` for other messages.
+    ///
+    /// # Errors
+    /// When the message is damaged or its byte count does not fit its size.
+    pub fn image(&self) -> Result<Option<Image<f32>>, RecordError> {
+        if &*self.schema != "foxglove.RawImage" {
+            return Ok(None);
+        }
+        let message = fg::RawImage::decode(self.data.as_slice()).map_err(|error| self.wrong(error.to_string()))?;
+        let (width, height) = (message.width as usize, message.height as usize);
+        let image = Samples::from_bytes(&message.encoding, &message.data).and_then(|samples| samples.into_image(width, height));
+        let misfit = || self.wrong(format!("{} bytes of {} for {width}x{height} pixels", message.data.len(), message.encoding));
+        image.map(Some).ok_or_else(misfit)
+    }
+
+    /// Text of an event on `/events`; `None` for other messages.
+    ///
+    /// # Errors
+    /// When the message is damaged.
+    pub fn event(&self) -> Result<Option<String>, RecordError> {
+        if &*self.schema != "foxglove.Log" {
+            return Ok(None);
+        }
+        let message = fg::Log::decode(self.data.as_slice()).map_err(|error| self.wrong(error.to_string()))?;
+        Ok(Some(message.message))
+    }
+
+    fn wrong(&self, detail: String) -> RecordError {
+        RecordError::Message { topic: self.topic.to_string(), sequence: self.sequence, detail }
+    }
+}
+
+/// Joins the two messages that an acquired frame is logged as.
+#[derive(Debug, Default)]
+pub struct FrameAssembler {
+    tags: Option<Frame>,
+}
+
+impl FrameAssembler {
+    /// Takes any entry in log order; gives the frame once its pixels have come, bit for bit as it was acquired.
+    ///
+    /// # Errors
+    /// When tags or pixels are damaged, pixels come without tags, or their sizes differ.
+    pub fn push(&mut self, entry: &LogEntry) -> Result<Option<Frame>, RecordError> {
+        match &*entry.topic {
+            topic::FRAME_TAGS => {
+                self.tags = Some(entry.json()?);
+                Ok(None)
+            }
+            topic::FRAME_PIXELS => {
+                let mut frame = self.tags.take().ok_or_else(|| entry.wrong("pixels without their tags".into()))?;
+                let pixels = entry.image()?.ok_or_else(|| entry.wrong(format!("schema {} is no image", entry.schema)))?;
+                if frame.size_px != [pixels.width, pixels.height] {
+                    let [width, height] = frame.size_px;
+                    let found = format!("{}x{} pixels, its tags say {width}x{height}", pixels.width, pixels.height);
+                    return Err(entry.wrong(found));
+                }
+                frame.pixels = pixels;
+                Ok(Some(frame))
+            }
+            _ => Ok(None),
+        }
+    }
+}

@@ -1,0 +1,366 @@
+//! Reading logs record by record, tolerant to cuts and to damaged chunks: what can be read is read, what is lost is said.
+
+use std::collections::HashMap;
+use std::fs::File;
+use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use mcap::records::{Record, op};
+use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
+
+use super::RecordError;
+
+/// Opcode and length in front of every record.
+const RECORD_HEADER_BYTES: u64 = 9;
+/// No record of ours is larger; a damaged length shows here before memory runs out.
+const MAX_RECORD_BYTES: u64 = 2 << 30;
+
+/// A message of a log.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LogEntry {
+    /// Its topic.
+    pub topic: Arc<str>,
+    /// Name of its schema, such as `foxglove.RawImage`.
+    pub schema: Arc<str>,
+    /// How `data` is encoded: `json`, `protobuf`, `x-sidecarm-raw`.
+    pub encoding: Arc<str>,
+    /// Host time in microseconds since the Unix epoch.
+    pub host_us: i64,
+    /// Counts the messages of the topic, starting at 1.
+    pub sequence: u32,
+    /// The message.
+    pub data: Vec<u8>,
+}
+
+/// Part of a log that could not be read.
+#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
+pub struct LogLoss {
+    /// Where in the file it begins.
+    pub at_byte: u64,
+    /// What happened.
+    pub reason: String,
+}
+
+/// A file kept in a log.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Attachment {
+    /// Its name.
+    pub name: String,
+    /// Its media type.
+    pub media_type: String,
+    /// Its content.
+    pub data: Vec<u8>,
+}
+
+/// A whole log in memory.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct LogContents {
+    /// Messages in the order in which they were recorded.
+    pub entries: Vec<LogEntry>,
+    /// Attached files.
+    pub attachments: Vec<Attachment>,
+    /// What could not be read; empty for a finished, sound log.
+    pub losses: Vec<LogLoss>,
+}
+
+/// Reads all of `path`.
+///
+/// # Errors
+/// When the file cannot be opened or is no MCAP log. Cuts and damage inside are [`LogContents::losses`].
+pub fn read_log(path: &Path) -> Result<LogContents, RecordError> {
+    let mut reader = LogReader::open(path)?;
+    let entries = reader.by_ref().collect();
+    Ok(LogContents { entries, attachments: std::mem::take(&mut reader.attachments), losses: reader.losses })
+}
+
+trait ReadSeek: Read + Seek + Send {}
+impl<T: Read + Seek + Send> ReadSeek for T {}
+
+struct Channel {
+    topic: Arc<str>,
+    schema_id: u16,
+    encoding: Arc<str>,
+}
+
+/// Iterates over the messages of a log, one chunk in memory at a time.
+pub struct LogReader {
+    path: PathBuf,
+    source: Box<dyn ReadSeek>,
+    at_byte: u64,
+    length: u64,
+    schemas: HashMap<u16, Arc<str>>,
+    channels: HashMap<u16, Channel>,
+    ready: std::collections::VecDeque<LogEntry>,
+    attachments: Vec<Attachment>,
+    losses: Vec<LogLoss>,
+    messages: u64,
+    finished: bool,
+    ended: bool,
+}
+
+impl std::fmt::Debug for LogReader {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("LogReader").field("path", &self.path).field("at_byte", &self.at_byte).finish_non_exhaustive()
+    }
+}
+
+impl LogReader {
+    /// Opens `path` and checks its first bytes.
+    ///
+    /// # Errors
+    /// When the file cannot be opened or does not begin as MCAP files do. A log cut within its first eight bytes is an empty log with a
+    /// loss.
+    pub fn open(path: &Path) -> Result<Self, RecordError> {
+        let io = |source| RecordError::Io { path: path.to_owned(), source };
+        let file = File::open(path).map_err(io)?;
+        let length = file.metadata().map_err(io)?.len();
+        Self::new(path, Box::new(BufReader::with_capacity(1 << 20, file)), length)
+    }
+
+    /// Reads a log held in memory; `path` serves messages only.
+    ///
+    /// # Errors
+    /// As [`LogReader::open`].
+    pub fn from_bytes(path: &Path, bytes: Vec<u8>) -> Result<Self, RecordError> {
+        let length = bytes.len() as u64;
+        Self::new(path, Box::new(std::io::Cursor::new(bytes)), length)
+    }
+
+    fn new(path: &Path, source: Box<dyn ReadSeek>, length: u64) -> Result<Self, RecordError> {
+        let mut reader = Self {
+            path: path.to_owned(),
+            source,
+            at_byte: 0,
+            length,
+            schemas: HashMap::new(),
+            channels: HashMap::new(),
+            ready: std::collections::VecDeque::new(),
+            attachments: Vec::new(),
+            losses: Vec::new(),
+            messages: 0,
+            finished: false,
+            ended: false,
+        };
+        let magic = reader.read_up_to(mcap::MAGIC.len() as u64);
+        if !mcap::MAGIC.starts_with(&magic) || magic.is_empty() {
+            let found = magic.iter().map(|byte| format!("{byte:02x}")).collect::<Vec<_>>().join(" ");
+            let found = if found.is_empty() { "an empty file".into() } else { found };
+            return Err(RecordError::NotALog { path: path.to_owned(), found });
+        }
+        if magic.len() < mcap::MAGIC.len() {
+            reader.end(0, "cut within the first eight bytes".into());
+        } else {
+            reader.announcements_from_summary().map_err(|source| RecordError::Io { path: path.to_owned(), source })?;
+        }
+        Ok(reader)
+    }
+
+    /// A finished log repeats its channels at the end: with them, messages stay readable even where the first chunk is damaged.
+    fn announcements_from_summary(&mut self) -> std::io::Result<()> {
+        let after_magic = self.at_byte;
+        // Footer record (opcode, length, summary start, offset start, checksum), then the magic.
+        let tail = (RECORD_HEADER_BYTES + 20 + mcap::MAGIC.len() as u64).min(self.length - after_magic);
+        self.source.seek(SeekFrom::Start(self.length - tail))?;
+        let footer = self.read_up_to(tail);
+        let summary = match footer.strip_suffix(mcap::MAGIC) {
+            Some([op::FOOTER, rest @ ..]) if rest.len() == 28 => {
+                rest[8..16].iter().rev().fold(0u64, |value, &byte| value << 8 | u64::from(byte))
+            }
+            _ => 0,
+        };
+        if summary > after_magic && summary < self.length {
+            self.source.seek(SeekFrom::Start(summary))?;
+            let section = self.read_up_to(self.length - summary);
+            let mut rest = section.as_slice();
+            while let Some((&[opcode, a, b, c, d, e, f, g, h], later)) = rest.split_first_chunk::<9>() {
+                let length = u64::from_le_bytes([a, b, c, d, e, f, g, h]);
+                let Some(body) = usize::try_from(length).ok().and_then(|length| later.get(..length)) else { break };
+                if matches!(opcode, op::SCHEMA | op::CHANNEL) && mcap::parse_record(opcode, body).is_ok() {
+                    self.record(summary, opcode, body);
+                }
+                rest = &later[body.len()..];
+            }
+        }
+        self.source.seek(SeekFrom::Start(after_magic))?;
+        self.at_byte = after_magic;
+        Ok(())
+    }
+
+    /// What could not be read so far; complete once the iterator has ended.
+    #[must_use]
+    pub fn losses(&self) -> &[LogLoss] {
+        &self.losses
+    }
+
+    /// Attached files met so far.
+    #[must_use]
+    pub fn attachments(&self) -> &[Attachment] {
+        &self.attachments
+    }
+
+    /// Up to `count` bytes; fewer where the file ends or stops being readable.
+    fn read_up_to(&mut self, count: u64) -> Vec<u8> {
+        let mut bytes = Vec::with_capacity(count.min(self.length.saturating_sub(self.at_byte)) as usize);
+        if let Err(error) = self.source.by_ref().take(count).read_to_end(&mut bytes) {
+            self.losses.push(LogLoss { at_byte: self.at_byte + bytes.len() as u64, reason: format!("reading failed: {error}") });
+        }
+        self.at_byte += bytes.len() as u64;
+        bytes
+    }
+
+    fn lose(&mut self, at_byte: u64, reason: String) {
+        self.losses.push(LogLoss { at_byte, reason });
+    }
+
+    fn end(&mut self, at_byte: u64, reason: String) {
+        self.lose(at_byte, reason);
+        self.ended = true;
+    }
+
+    /// Reads one record of the file; may make messages ready.
+    fn step(&mut self) {
+        let start = self.at_byte;
+        if self.finished {
+            // Behind the footer only the closing magic is left, and nothing in it can be lost.
+            if self.read_up_to(mcap::MAGIC.len() as u64) != mcap::MAGIC {
+                self.lose(start, "the closing bytes are cut; all messages are there".into());
+            }
+            self.ended = true;
+            return;
+        }
+        let header = self.read_up_to(RECORD_HEADER_BYTES);
+        if header.is_empty() {
+            return self.end(start, "the log was not closed: the program was stopped while recording".into());
+        }
+        let Some((&opcode, length)) = header.split_first().filter(|(_, length)| length.len() == 8) else {
+            return self.end(start, "cut within the head of a record".into());
+        };
+        let length = length.iter().rev().fold(0u64, |value, &byte| value << 8 | u64::from(byte));
+        let left = self.length.saturating_sub(self.at_byte);
+        if length > MAX_RECORD_BYTES {
+            return self.end(start, format!("record of {length} bytes is larger than any; the log is damaged from here on"));
+        }
+        let body = self.read_up_to(length);
+        let whole = body.len() as u64 == length;
+        match opcode {
+            op::CHUNK => {
+                self.chunk(start, &header, &body, whole);
+                if !whole {
+                    self.end(start, format!("cut within a chunk: {left} of {length} bytes are there"));
+                }
+            }
+            _ if !whole => self.end(start, format!("cut within a record: {left} of {length} bytes are there")),
+            _ => self.record(start, opcode, &body),
+        }
+    }
+
+    /// A chunk: its messages become ready when its checksum is right, or as far as they can be read when it is cut.
+    fn chunk(&mut self, start: u64, header: &[u8], body: &[u8], whole: bool) {
+        let options = LinearReaderOptions::default()
+            .with_skip_start_magic(true)
+            .with_skip_end_magic(true)
+            .with_record_length_limit(MAX_RECORD_BYTES as usize)
+            .with_prevalidate_chunk_crcs(whole);
+        let mut linear = LinearReader::new_with_options(options);
+        let record = [header, body].concat();
+        let mut rest = record.as_slice();
+        let mut found: Vec<(u8, Vec<u8>)> = Vec::new();
+        let failure = loop {
+            match linear.next_event() {
+                None => break None,
+                Some(Ok(LinearReadEvent::ReadRequest(wanted))) => {
+                    let count = wanted.min(rest.len());
+                    let (next, later) = rest.split_at(count);
+                    linear.insert(count)[..count].copy_from_slice(next);
+                    linear.notify_read(count);
+                    rest = later;
+                }
+                Some(Ok(LinearReadEvent::Record { data, opcode })) => found.push((opcode, data.to_vec())),
+                Some(Err(error)) => break Some(error),
+            }
+        };
+        if let (Some(error), true) = (&failure, whole) {
+            return self.lose(start, format!("chunk of {} bytes is damaged and was skipped: {error}", body.len()));
+        }
+        for (opcode, data) in found {
+            self.record(start, opcode, &data);
+        }
+    }
+
+    fn record(&mut self, start: u64, opcode: u8, body: &[u8]) {
+        let record = match mcap::parse_record(opcode, body) {
+            Ok(record) => record,
+            Err(error) => return self.lose(start, format!("record of kind {opcode:#04x} is damaged and was skipped: {error}")),
+        };
+        match record {
+            Record::Schema { header, .. } => {
+                self.schemas.insert(header.id, header.name.into());
+            }
+            Record::Channel(channel) => {
+                let known = Channel {
+                    topic: channel.topic.into(),
+                    schema_id: channel.schema_id,
+                    encoding: channel.message_encoding.into(),
+                };
+                self.channels.insert(channel.id, known);
+            }
+            Record::Message { header, data } => match self.channels.get(&header.channel_id) {
+                Some(channel) => {
+                    let entry = LogEntry {
+                        topic: Arc::clone(&channel.topic),
+                        schema: self.schemas.get(&channel.schema_id).map_or_else(|| "".into(), Arc::clone),
+                        encoding: Arc::clone(&channel.encoding),
+                        host_us: (header.log_time / 1000) as i64,
+                        sequence: header.sequence,
+                        data: data.into_owned(),
+                    };
+                    self.messages += 1;
+                    self.ready.push_back(entry);
+                }
+                None => self.lose(start, format!("message of unknown channel {}: its announcement was lost", header.channel_id)),
+            },
+            Record::Attachment { header, data, crc } => {
+                // The checksum covers the record up to itself; 0 means that there is none.
+                let computed = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(&body[..body.len() - 4]);
+                if crc != 0 && crc != computed {
+                    return self.lose(start, format!("attachment {} is damaged and was skipped", header.name));
+                }
+                self.attachments.push(Attachment { name: header.name, media_type: header.media_type, data: data.into_owned() });
+            }
+            Record::Statistics(statistics) => self.check_counts(start, &statistics),
+            Record::Footer(_) => self.finished = true,
+            Record::Unknown { opcode, .. } => self.lose(start, format!("record of unknown kind {opcode:#04x} was skipped")),
+            _ => {}
+        }
+    }
+}
+
+impl LogReader {
+    /// The writer's own counts catch whatever went missing without a trace.
+    fn check_counts(&mut self, start: u64, statistics: &mcap::records::Statistics) {
+        let read = [self.messages, self.attachments.len() as u64];
+        let written = [statistics.message_count, u64::from(statistics.attachment_count)];
+        for (what, read, written) in [("messages", read[0], written[0]), ("attachments", read[1], written[1])] {
+            if read != written {
+                self.lose(start, format!("{read} {what} were read, {written} had been recorded"));
+            }
+        }
+    }
+}
+
+impl Iterator for LogReader {
+    type Item = LogEntry;
+
+    fn next(&mut self) -> Option<LogEntry> {
+        loop {
+            if let Some(entry) = self.ready.pop_front() {
+                return Some(entry);
+            }
+            if self.ended {
+                return None;
+            }
+            self.step();
+        }
+    }
+}

@@ -1,0 +1,348 @@
+//! X-ray spectra: tungsten anodes at 40–140 kV, single energies, files; filtration by any material.
+
+use std::path::Path;
+use std::sync::LazyLock;
+
+use super::{Material, PhysicsError};
+
+/// Tube voltages of the tables.
+pub const KVP_RANGE: (f64, f64) = (40.0, 140.0);
+
+/// Anode angles of the tables, first and last.
+pub const ANODE_ANGLES_DEG: (f64, f64) = (6.0, 20.0);
+
+/// Energy bins below this carry nothing through any real tube's window and are left out of tungsten spectra.
+const LOWEST_KEV: f64 = 5.0;
+
+/// Photons in one energy bin.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Bin {
+    /// Centre of the bin.
+    pub energy_kev: f64,
+    /// Photons in the bin, in any unit common to all bins.
+    pub fluence: f64,
+}
+
+/// Photons by energy, energies ascending.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct Spectrum {
+    /// At least one bin; fluences finite and ≥ 0, their sum > 0.
+    pub bins: Vec<Bin>,
+}
+
+/// Anode output at one voltage and angle: fluence per keV on half-keV bins.
+struct Tabulated {
+    kvp: f64,
+    angle_deg: f64,
+    first_kev: f64,
+    bin_kev: f64,
+    fluence_per_kev: Vec<f64>,
+}
+
+impl Tabulated {
+    /// Fluence per keV at `fraction` of the tube voltage (continuum scales with the voltage), linear between bin centres.
+    fn at_kev(&self, energy_kev: f64) -> f64 {
+        let position = (energy_kev - self.first_kev) / self.bin_kev;
+        if position <= 0.0 {
+            return self.fluence_per_kev.first().copied().unwrap_or(0.0);
+        }
+        let index = position as usize;
+        let value = |i: usize| self.fluence_per_kev.get(i).copied().unwrap_or(0.0);
+        let f = position - index as f64;
+        value(index) * (1.0 - f) + value(index + 1) * f
+    }
+}
+
+static TABLE: LazyLock<Vec<Tabulated>> = LazyLock::new(|| {
+    let parse = |line: &str| {
+        let n: Vec<f64> = line.split(',').map(str::parse).collect::<Result<_, _>>().ok()?;
+        let [kvp, angle_deg, first_kev, bin_kev, fluence_per_kev @ ..] = n.as_slice() else { return None };
+        Some(Tabulated {
+            kvp: *kvp,
+            angle_deg: *angle_deg,
+            first_kev: *first_kev,
+            bin_kev: *bin_kev,
+            fluence_per_kev: fluence_per_kev.to_vec(),
+        })
+    };
+    include_str!("../../../calibration/spectra/tungsten.csv").lines().filter_map(parse).collect()
+});
+
+/// Mass energy-absorption coefficient of air: (ln keV, ln cm²/g).
+static AIR_KERMA: LazyLock<Vec<(f64, f64)>> = LazyLock::new(|| {
+    let row = |line: &str| {
+        let (energy, value) = line.split_once(',')?;
+        Some((energy.parse::<f64>().ok()?.ln(), value.parse::<f64>().ok()?.ln()))
+    };
+    include_str!("../../../calibration/materials/air-kerma.csv").lines().filter_map(row).collect()
+});
+
+/// The two tabulated values around `wanted` and the weight of the upper one.
+fn bracket(wanted: f64, mut values: Vec<f64>) -> (f64, f64, f64) {
+    values.sort_by(f64::total_cmp);
+    values.dedup();
+    let above = values.partition_point(|value| *value < wanted).clamp(1, values.len() - 1);
+    let (low, high) = (values[above - 1], values[above]);
+    (low, high, ((wanted - low) / (high - low)).clamp(0.0, 1.0))
+}
+
+impl Spectrum {
+    /// A tungsten anode's spectrum behind `filtration` (material and mm), in 1-keV bins up to the tube voltage, Σφ = 1.
+    ///
+    /// # Errors
+    /// When voltage, angle or a thickness is outside its range, or nothing passes.
+    pub fn tungsten(kvp: f64, anode_angle_deg: f64, filtration: &[(Material, f64)]) -> Result<Self, PhysicsError> {
+        let (from_kvp, to_kvp) = KVP_RANGE;
+        if !(kvp >= from_kvp && kvp <= to_kvp) {
+            return Err(PhysicsError::TubeVoltage { kvp, from_kvp, to_kvp });
+        }
+        let (from_deg, to_deg) = ANODE_ANGLES_DEG;
+        if !(anode_angle_deg >= from_deg && anode_angle_deg <= to_deg) {
+            return Err(PhysicsError::AnodeAngle { angle_deg: anode_angle_deg, from_deg, to_deg });
+        }
+        let (kvp_low, kvp_high, kvp_weight) = bracket(kvp, TABLE.iter().map(|t| t.kvp).collect());
+        let (angle_low, angle_high, angle_weight) = bracket(anode_angle_deg, TABLE.iter().map(|t| t.angle_deg).collect());
+        let find = |kvp: f64, angle: f64| TABLE.iter().find(|t| t.kvp == kvp && t.angle_deg == angle);
+        let corners = [
+            (find(kvp_low, angle_low), (1.0 - kvp_weight) * (1.0 - angle_weight)),
+            (find(kvp_high, angle_low), kvp_weight * (1.0 - angle_weight)),
+            (find(kvp_low, angle_high), (1.0 - kvp_weight) * angle_weight),
+            (find(kvp_high, angle_high), kvp_weight * angle_weight),
+        ];
+        // The continuum ends at the tube voltage, so neighbours are blended at equal fractions of their own voltage; the
+        // characteristic lines stand at fixed energies, so below the end they are blended at equal energies.
+        let per_kev = |energy_kev: f64| {
+            let one = |table: &Tabulated| {
+                let scaled = energy_kev * table.kvp / kvp;
+                let blend = ((energy_kev / kvp - 0.8) / 0.15).clamp(0.0, 1.0);
+                let lines = (57.0..70.5).contains(&energy_kev) && kvp > 72.0;
+                let blend = if lines { 0.0 } else { blend };
+                table.at_kev(energy_kev) * (1.0 - blend) + table.at_kev(scaled) * (table.kvp / kvp) * blend
+            };
+            corners.iter().filter_map(|(table, weight)| table.map(|table| weight * one(table))).sum::<f64>()
+        };
+        let mut bins = Vec::new();
+        let mut edge_kev = LOWEST_KEV;
+        while edge_kev < kvp - 1e-9 {
+            let width_kev = (kvp - edge_kev).min(1.0);
+            let parts = 4;
+            let part_kev = width_kev / f64::from(parts);
+            let centre = |i: i32| edge_kev + (f64::from(i) + 0.5) * part_kev;
+            let fluence: f64 = (0..parts).map(|i| per_kev(centre(i)) * part_kev).sum();
+            bins.push(Bin { energy_kev: edge_kev + 0.5 * width_kev, fluence });
+            edge_kev += width_kev;
+        }
+        let spectrum = Self { bins };
+        spectrum.filtered(filtration)?.normalised()
+    }
+
+    /// One energy.
+    ///
+    /// # Errors
+    /// When the energy is outside the attenuation tables.
+    pub fn mono(energy_kev: f64) -> Result<Self, PhysicsError> {
+        super::element_attenuation(1, energy_kev)?;
+        Ok(Self { bins: vec![Bin { energy_kev, fluence: 1.0 }] })
+    }
+
+    /// A file with the columns `energy_kev,fluence` (photons per bin at its centre, equal spacing), Σφ = 1.
+    ///
+    /// # Errors
+    /// When the file cannot be read or a row is wrong; the message names the row.
+    pub fn from_csv(path: &Path) -> Result<Self, PhysicsError> {
+        let wrong = |detail: String| PhysicsError::SpectrumFile { path: path.display().to_string(), detail };
+        let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
+        let mut bins: Vec<Bin> = Vec::new();
+        let mut headed = false;
+        for (index, line) in text.lines().enumerate() {
+            let (row, line) = (index + 1, line.trim());
+            if line.is_empty() || line.starts_with('#') {
+                continue;
+            }
+            if !headed {
+                let header: String = line.split_whitespace().collect();
+                if header != "energy_kev,fluence" {
+                    return Err(wrong(format!("row {row} is '{line}', expected the header energy_kev,fluence")));
+                }
+                headed = true;
+                continue;
+            }
+            let numbers: Option<Vec<f64>> = line.split(',').map(|cell| cell.trim().parse().ok()).collect();
+            let Some([energy_kev, fluence]) = numbers.as_deref() else {
+                return Err(wrong(format!("row {row} is '{line}', expected two numbers")));
+            };
+            if !(*fluence >= 0.0 && fluence.is_finite()) {
+                return Err(wrong(format!("row {row}: fluence is {fluence}, expected 0 or more")));
+            }
+            super::element_attenuation(1, *energy_kev).map_err(|error| wrong(format!("row {row}: {error}")))?;
+            bins.push(Bin { energy_kev: *energy_kev, fluence: *fluence });
+        }
+        if let [first, second, ..] = bins.as_slice() {
+            let step_kev = second.energy_kev - first.energy_kev;
+            for (pair, row) in bins.windows(2).zip(2..) {
+                let found = pair[1].energy_kev - pair[0].energy_kev;
+                if !(step_kev > 0.0 && (found - step_kev).abs() <= 1e-3 * step_kev) {
+                    return Err(wrong(format!("value {row}: spacing is {found} keV, expected {step_kev} keV as at the start")));
+                }
+            }
+        }
+        if bins.is_empty() {
+            return Err(wrong("it has no values".to_owned()));
+        }
+        Self { bins }.normalised()
+    }
+
+    /// Behind `filtration`: each bin times exp(−Σ μ t).
+    ///
+    /// # Errors
+    /// When a thickness is negative or not finite, or a material has no density.
+    pub fn filtered(&self, filtration: &[(Material, f64)]) -> Result<Self, PhysicsError> {
+        let mut bins = self.bins.clone();
+        for (material, thickness_mm) in filtration {
+            if !(*thickness_mm >= 0.0 && thickness_mm.is_finite()) {
+                return Err(PhysicsError::Filter { material: material.name.clone(), thickness_mm: *thickness_mm });
+            }
+            let area_density = material.nominal_density_g_per_cm3()? * thickness_mm * 0.1;
+            for bin in &mut bins {
+                bin.fluence *= (-material.attenuation(bin.energy_kev)?.total_cm2_per_g * area_density).exp();
+            }
+        }
+        Ok(Self { bins })
+    }
+
+    /// Scaled to Σφ = 1; bins without photons at either end are dropped.
+    ///
+    /// # Errors
+    /// When there are no photons.
+    pub fn normalised(&self) -> Result<Self, PhysicsError> {
+        let sum: f64 = self.bins.iter().map(|bin| bin.fluence).sum();
+        if !(sum > 0.0 && sum.is_finite()) {
+            return Err(PhysicsError::Empty);
+        }
+        let first = self.bins.iter().position(|bin| bin.fluence > 0.0).unwrap_or(0);
+        let last = self.bins.iter().rposition(|bin| bin.fluence > 0.0).unwrap_or(0);
+        let scale = |bin: &Bin| Bin { energy_kev: bin.energy_kev, fluence: bin.fluence / sum };
+        Ok(Self { bins: self.bins[first..=last].iter().map(scale).collect() })
+    }
+
+    /// Mean photon energy.
+    #[must_use]
+    pub fn mean_kev(&self) -> f64 {
+        let sum: f64 = self.bins.iter().map(|bin| bin.fluence).sum();
+        self.bins.iter().map(|bin| bin.fluence * bin.energy_kev).sum::<f64>() / sum
+    }
+
+    /// First half-value layer by air kerma, mm of aluminium.
+    ///
+    /// # Errors
+    /// Never for a spectrum within the tables.
+    pub fn hvl1_mm_al(&self) -> Result<f64, PhysicsError> {
+        self.layer_mm_al(0.5)
+    }
+
+    /// Second half-value layer by air kerma: from a half to a quarter, mm of aluminium.
+    ///
+    /// # Errors
+    /// Never for a spectrum within the tables.
+    pub fn hvl2_mm_al(&self) -> Result<f64, PhysicsError> {
+        Ok(self.layer_mm_al(0.25)? - self.layer_mm_al(0.5)?)
+    }
+
+    /// Aluminium that lets `share` of the air kerma pass.
+    fn layer_mm_al(&self, share: f64) -> Result<f64, PhysicsError> {
+        let aluminium = Material::parse("aluminium")?;
+        let density = aluminium.nominal_density_g_per_cm3()?;
+        let mut terms = Vec::with_capacity(self.bins.len());
+        for bin in &self.bins {
+            let mu_per_mm = aluminium.attenuation(bin.energy_kev)?.total_cm2_per_g * density * 0.1;
+            terms.push((bin.fluence * bin.energy_kev * mu_en_air(bin.energy_kev), mu_per_mm));
+        }
+        let kerma = |mm: f64| terms.iter().map(|(weight, mu)| weight * (-mu * mm).exp()).sum::<f64>();
+        let wanted = share * kerma(0.0);
+        let (mut low, mut high) = (0.0, 1.0);
+        while kerma(high) > wanted && high < 1e4 {
+            high *= 2.0;
+        }
+        for _ in 0..80 {
+            let middle = 0.5 * (low + high);
+            if kerma(middle) > wanted { low = middle } else { high = middle }
+        }
+        Ok(0.5 * (low + high))
+    }
+}
+
+/// Mass energy-absorption of air, log–log interpolated.
+fn mu_en_air(energy_kev: f64) -> f64 {
+    let x = energy_kev.ln();
+    let above = AIR_KERMA.partition_point(|(e, _)| *e < x).clamp(1, AIR_KERMA.len() - 1);
+    let ((x0, y0), (x1, y1)) = (AIR_KERMA[above - 1], AIR_KERMA[above]);
+    (y0 + (y1 - y0) * (x - x0) / (x1 - x0)).exp()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn aluminium(mm: f64) -> Vec<(Material, f64)> {
+        vec![(Material::parse("aluminium").expect("known"), mm)]
+    }
+
+    /// SpekPy 2.5, 12 degrees, 4.3 mm Al: HVL₁ in mm Al and mean energy in keV.
+    #[test]
+    fn tungsten_spectra_agree_with_spekpy() {
+        let mut cases = 0;
+        for (kvp, hvl, mean) in [
+            (40.0, 1.81, 29.9),
+            (60.0, 2.80, 38.4),
+            (80.0, 3.69, 45.8),
+            (100.0, 4.60, 52.2),
+            (120.0, 5.49, 57.5),
+            (140.0, 6.32, 62.2),
+        ] {
+            let spectrum = Spectrum::tungsten(kvp, 12.0, &aluminium(4.3)).expect("inside");
+            let (found_hvl, found_mean) = (spectrum.hvl1_mm_al().expect("inside"), spectrum.mean_kev());
+            assert!((found_hvl / hvl - 1.0).abs() < 0.01, "{kvp} kV: HVL {found_hvl}, SpekPy {hvl}");
+            assert!((found_mean / mean - 1.0).abs() < 0.01, "{kvp} kV: mean {found_mean}, SpekPy {mean}");
+            let unfiltered = Spectrum::tungsten(kvp, 12.0, &aluminium(4.0)).expect("inside");
+            assert!((unfiltered.hvl1_mm_al().expect("inside") / hvl - 1.0).abs() > 0.01, "control: 0.3 mm Al less is seen");
+            cases += 1;
+        }
+        assert_eq!(cases, 6);
+    }
+
+    /// TG-195 case 1: 2.273 mm Al at 30 keV.
+    #[test]
+    fn one_energy_has_its_exponential_half_value_layer() {
+        let hvl = Spectrum::mono(30.0).expect("inside").hvl1_mm_al().expect("inside");
+        assert!((hvl / 2.273 - 1.0).abs() < 3e-3, "{hvl}");
+        let hvl = Spectrum::mono(100.0).expect("inside").hvl1_mm_al().expect("inside");
+        assert!((hvl / 15.11 - 1.0).abs() < 3e-3, "{hvl}");
+    }
+
+    #[test]
+    fn what_is_outside_is_refused() {
+        assert!(matches!(Spectrum::tungsten(500.0, 12.0, &[]), Err(PhysicsError::TubeVoltage { .. })));
+        assert!(matches!(Spectrum::tungsten(f64::NAN, 12.0, &[]), Err(PhysicsError::TubeVoltage { .. })));
+        assert!(matches!(Spectrum::tungsten(80.0, 1.0, &[]), Err(PhysicsError::AnodeAngle { .. })));
+        assert!(matches!(Spectrum::tungsten(80.0, 12.0, &aluminium(-1.0)), Err(PhysicsError::Filter { .. })));
+        assert!(Spectrum::mono(0.0).is_err());
+    }
+
+    #[test]
+    fn bad_files_name_the_row() {
+        let folder = tempfile::tempdir().expect("temporary folder");
+        let path = folder.path().join("s.csv");
+        for (text, says) in [
+            ("energy_kev,fluence\n30,1\n31,-2\n", "row 3"),
+            ("energy_kev,fluence\n30,1\n31,2\n33,2\n", "spacing"),
+            ("kev,n\n30,1\n", "header"),
+            ("energy_kev,fluence\n30,NaN\n", "row 2"),
+        ] {
+            std::fs::write(&path, text).expect("written");
+            let error = Spectrum::from_csv(&path).expect_err(text).to_string();
+            assert!(error.contains(says), "{error}");
+        }
+        std::fs::write(&path, "energy_kev,fluence\n30,1\n31,3\n").expect("written");
+        assert!((Spectrum::from_csv(&path).expect("good").mean_kev() - 30.75).abs() < 1e-12);
+    }
+}

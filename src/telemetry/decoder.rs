@@ -1,0 +1,208 @@
+//! Bytes in, events out: framing, checksum, sequence. Does no input or output and knows no time.
+
+use serde::Serialize;
+
+use super::device::DeviceKind;
+use super::health::Health;
+use super::sample::Sample;
+use super::sequence::{SequenceTracker, Sequenced};
+use super::wire::{self, FrameFault};
+
+/// What the decoder found.
+#[derive(Clone, Debug, PartialEq)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "nearly every event is a sample and none is kept: a box would cost an allocation each"
+)]
+pub enum Event {
+    /// An intact frame.
+    Sample(Sample),
+    /// Something else; decoding goes on after the next delimiter.
+    Fault(DecodeFault),
+}
+
+/// What was wrong; counted in [`Health`].
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, thiserror::Error)]
+#[serde(rename_all = "snake_case", tag = "fault")]
+pub enum DecodeFault {
+    /// The frame is damaged or of no known form.
+    #[error(transparent)]
+    Frame(FrameFault),
+    /// More bytes without a delimiter than any frame has.
+    #[error("no delimiter in {limit} bytes: the line carries something else, or at another speed")]
+    Overlong {
+        /// Longest frame.
+        limit: usize,
+    },
+    /// Sequence numbers are missing before the sample that follows.
+    #[error("{count} frames lost")]
+    Lost {
+        /// How many.
+        count: u32,
+        /// Whether the port was closed meanwhile.
+        while_closed: bool,
+    },
+    /// The frame was here before; its sample is not delivered again.
+    #[error("frame {sequence} came twice")]
+    Duplicate {
+        /// Its number.
+        sequence: u32,
+    },
+    /// The frame comes after later ones; its sample follows.
+    #[error("frame {sequence} came late")]
+    Reordered {
+        /// Its number.
+        sequence: u32,
+    },
+    /// The device's count began anew; the first sample of it follows.
+    #[error("the device restarted: its sequence is at {sequence}")]
+    Reset {
+        /// The new number.
+        sequence: u32,
+    },
+    /// The frame is of the other device: the ports are swapped.
+    #[error("a message of the {found} on the port of the {expected}")]
+    WrongDevice {
+        /// Whose port this is.
+        expected: DeviceKind,
+        /// Whose message it is.
+        found: DeviceKind,
+    },
+}
+
+/// Decodes one device's line. Memory is bounded by the longest frame.
+#[derive(Clone, Debug)]
+pub struct Decoder {
+    device: DeviceKind,
+    buffer: Vec<u8>,
+    /// More came than fits; bytes are dropped until the next delimiter.
+    overflowing: bool,
+    /// No delimiter yet since the port was opened: the frame may be cut.
+    may_be_cut: bool,
+    sequence: SequenceTracker,
+    /// Another schema that the device's metadata announced.
+    foreign_schema: Option<u32>,
+    health: Health,
+}
+
+impl Decoder {
+    /// For the line of one device.
+    #[must_use]
+    pub fn new(device: DeviceKind) -> Self {
+        Self {
+            device,
+            buffer: Vec::with_capacity(wire::MAX_ENCODED_BYTES),
+            overflowing: false,
+            may_be_cut: true,
+            sequence: SequenceTracker::default(),
+            foreign_schema: None,
+            health: Health::default(),
+        }
+    }
+
+    /// Takes bytes as they came, in chunks of any size; calls `sink` for each event, faults before the sample they belong to.
+    pub fn push(&mut self, bytes: &[u8], sink: &mut dyn FnMut(Event)) {
+        self.health.bytes += bytes.len() as u64;
+        for byte in bytes {
+            if *byte == 0 {
+                self.end_frame(sink);
+            } else if self.buffer.len() < wire::MAX_ENCODED_BYTES {
+                self.buffer.push(*byte);
+            } else if !self.overflowing {
+                self.overflowing = true;
+                self.health.overlong += 1;
+                sink(Event::Fault(DecodeFault::Overlong { limit: wire::MAX_ENCODED_BYTES }));
+            }
+        }
+    }
+
+    /// The port was opened (again): what was left of a frame will never be completed.
+    pub fn begin_epoch(&mut self) {
+        self.health.epochs += 1;
+        self.buffer.clear();
+        self.overflowing = false;
+        self.may_be_cut = true;
+        self.sequence.reopen();
+    }
+
+    /// Counts a silence; the decoder itself knows no time.
+    pub fn count_stale(&mut self) {
+        self.health.stale += 1;
+    }
+
+    /// The counters.
+    #[must_use]
+    pub fn health(&self) -> &Health {
+        &self.health
+    }
+
+    fn end_frame(&mut self, sink: &mut dyn FnMut(Event)) {
+        let may_be_cut = std::mem::take(&mut self.may_be_cut);
+        let overflowed = std::mem::take(&mut self.overflowing);
+        if overflowed || self.buffer.is_empty() {
+            self.buffer.clear();
+            return;
+        }
+        let outcome = wire::read_frame(&mut self.buffer, self.foreign_schema);
+        self.buffer.clear();
+        match outcome {
+            Ok(sample) => self.deliver(sample, sink),
+            Err(FrameFault::Corrupt { .. } | FrameFault::Stuffing { .. }) if may_be_cut => self.health.partial_at_open += 1,
+            Err(fault) => {
+                if let FrameFault::SchemaMismatch { found, .. } = fault {
+                    self.foreign_schema = Some(found);
+                }
+                *match fault {
+                    FrameFault::Corrupt { .. } | FrameFault::Stuffing { .. } => &mut self.health.corrupt,
+                    FrameFault::SchemaMismatch { .. } => &mut self.health.schema_mismatch,
+                    FrameFault::VersionMismatch { .. } => &mut self.health.version_mismatch,
+                    FrameFault::UnknownMessage { .. } => &mut self.health.unknown_message,
+                    FrameFault::Malformed { .. } => &mut self.health.malformed,
+                } += 1;
+                sink(Event::Fault(DecodeFault::Frame(fault)));
+            }
+        }
+    }
+
+    fn deliver(&mut self, sample: Sample, sink: &mut dyn FnMut(Event)) {
+        if let Some(found) = sample.device()
+            && found != self.device
+        {
+            self.health.unknown_message += 1;
+            sink(Event::Fault(DecodeFault::WrongDevice { expected: self.device, found }));
+            return;
+        }
+        let sequence = sample.sequence();
+        let fault = match self.sequence.take(sequence, sample.device_us()) {
+            Sequenced::Next => None,
+            Sequenced::Gap(count) => {
+                self.health.lost += u64::from(count);
+                Some(DecodeFault::Lost { count, while_closed: false })
+            }
+            Sequenced::GapWhileClosed(count) => {
+                self.health.missed_unplugged += u64::from(count);
+                Some(DecodeFault::Lost { count, while_closed: true })
+            }
+            Sequenced::Duplicate => {
+                self.health.duplicate += 1;
+                sink(Event::Fault(DecodeFault::Duplicate { sequence }));
+                return;
+            }
+            Sequenced::Reordered => {
+                self.health.reordered += 1;
+                // It was counted as lost when the later one came.
+                self.health.lost = self.health.lost.saturating_sub(1);
+                Some(DecodeFault::Reordered { sequence })
+            }
+            Sequenced::Reset => {
+                self.health.resets += 1;
+                Some(DecodeFault::Reset { sequence })
+            }
+        };
+        if let Some(fault) = fault {
+            sink(Event::Fault(fault));
+        }
+        self.health.frames += 1;
+        sink(Event::Sample(sample));
+    }
+}

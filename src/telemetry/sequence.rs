@@ -1,0 +1,176 @@
+//! Lost, duplicate, reordered, restarted: what sequence numbers tell.
+
+/// Frames remembered.
+const WINDOW: usize = 1024;
+/// A frame may be late by so many; one that is later begins a new count.
+const REORDER_DEPTH: u32 = 1000;
+/// Larger gaps are no losses but another count.
+const LARGEST_GAP: u32 = 1 << 16;
+/// So many known frames in a row, in order, are no duplicates but a device that started over and repeats itself exactly.
+const REPEATED_RUN: u32 = 3;
+
+/// What a sequence number says about its frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sequenced {
+    /// Follows the last one.
+    Next,
+    /// Follows after a gap: so many are missing (yet).
+    Gap(u32),
+    /// As [`Sequenced::Gap`], but the port was closed in between.
+    GapWhileClosed(u32),
+    /// Was here before.
+    Duplicate,
+    /// Fills an earlier gap.
+    Reordered,
+    /// The device counts anew.
+    Reset,
+}
+
+/// Follows the sequence numbers of one device.
+#[derive(Clone, Debug)]
+pub struct SequenceTracker {
+    /// The number that this count began with.
+    first: u32,
+    /// The newest number and its device time.
+    last: Option<(u32, u64)>,
+    /// Frames seen, at `sequence % WINDOW`.
+    seen: Vec<Option<(u32, u64)>>,
+    repeated: Option<(u32, u32)>,
+    reopened: bool,
+}
+
+impl Default for SequenceTracker {
+    fn default() -> Self {
+        Self { first: 0, last: None, seen: vec![None; WINDOW], repeated: None, reopened: false }
+    }
+}
+
+impl SequenceTracker {
+    /// The port was opened again: the next gap happened while it was closed.
+    pub fn reopen(&mut self) {
+        self.reopened = self.last.is_some();
+    }
+
+    /// Takes the number and device time of an intact frame.
+    pub fn take(&mut self, sequence: u32, device_us: u64) -> Sequenced {
+        let reopened = std::mem::take(&mut self.reopened);
+        if self.last.is_none() {
+            self.first = sequence;
+        }
+        let verdict = self.judge(sequence, device_us, reopened);
+        match verdict {
+            Sequenced::Duplicate => {
+                let run = match self.repeated {
+                    Some((last, run)) if sequence == last.wrapping_add(1) => run + 1,
+                    _ => 1,
+                };
+                self.repeated = Some((sequence, run));
+                if run < REPEATED_RUN {
+                    return Sequenced::Duplicate;
+                }
+                self.restart(sequence, device_us);
+                return Sequenced::Reset;
+            }
+            Sequenced::Reset => self.restart(sequence, device_us),
+            Sequenced::Reordered => self.seen[sequence as usize % WINDOW] = Some((sequence, device_us)),
+            Sequenced::Next | Sequenced::Gap(_) | Sequenced::GapWhileClosed(_) => {
+                self.seen[sequence as usize % WINDOW] = Some((sequence, device_us));
+                self.last = Some((sequence, device_us));
+            }
+        }
+        self.repeated = None;
+        verdict
+    }
+
+    fn judge(&self, sequence: u32, device_us: u64, reopened: bool) -> Sequenced {
+        let Some((last, last_us)) = self.last else { return Sequenced::Next };
+        let ahead = sequence.wrapping_sub(last);
+        if ahead == 1 && !reopened {
+            return Sequenced::Next;
+        }
+        if (1..=LARGEST_GAP).contains(&ahead) && device_us >= last_us {
+            return match (ahead - 1, reopened) {
+                (0, _) => Sequenced::Next,
+                (missing, false) => Sequenced::Gap(missing),
+                (missing, true) => Sequenced::GapWhileClosed(missing),
+            };
+        }
+        let behind = last.wrapping_sub(sequence);
+        if !reopened && behind <= REORDER_DEPTH {
+            match self.seen[sequence as usize % WINDOW] {
+                Some((number, time_us)) if number == sequence && time_us == device_us => return Sequenced::Duplicate,
+                Some((number, _)) if number == sequence => return Sequenced::Reset,
+                _ if sequence.wrapping_sub(self.first) < last.wrapping_sub(self.first)
+                    && device_us <= last_us
+                    && self.between_neighbours(sequence, device_us) =>
+                {
+                    return Sequenced::Reordered;
+                }
+                _ => {}
+            }
+        }
+        Sequenced::Reset
+    }
+
+    /// Whether the time lies after that of the nearest earlier frame that was seen.
+    fn between_neighbours(&self, sequence: u32, device_us: u64) -> bool {
+        let earlier = self.seen.iter().flatten().filter(|(number, _)| {
+            let behind = sequence.wrapping_sub(*number);
+            behind > 0 && behind <= REORDER_DEPTH
+        });
+        earlier.map(|(_, time_us)| *time_us).max().is_none_or(|earlier_us| device_us >= earlier_us)
+    }
+
+    fn restart(&mut self, sequence: u32, device_us: u64) {
+        *self = Self { first: sequence, ..Self::default() };
+        self.last = Some((sequence, device_us));
+        self.seen[sequence as usize % WINDOW] = Some((sequence, device_us));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn verdicts(frames: &[(u32, u64)]) -> Vec<Sequenced> {
+        let mut tracker = SequenceTracker::default();
+        frames.iter().map(|(sequence, device_us)| tracker.take(*sequence, *device_us)).collect()
+    }
+
+    #[test]
+    fn gaps_duplicates_and_late_frames_are_told_apart() {
+        use Sequenced::{Duplicate, Gap, Next, Reordered};
+        let seen = verdicts(&[(5, 50), (6, 60), (6, 60), (9, 90), (7, 70), (10, 100), (7, 70)]);
+        assert_eq!(seen, [Next, Next, Duplicate, Gap(2), Reordered, Next, Duplicate]);
+    }
+
+    #[test]
+    fn the_wrap_is_no_gap() {
+        assert_eq!(
+            verdicts(&[(u32::MAX - 1, 1), (u32::MAX, 2), (0, 3), (2, 5)])[1..],
+            [Sequenced::Next, Sequenced::Next, Sequenced::Gap(1)]
+        );
+    }
+
+    #[test]
+    fn a_restart_is_a_reset_and_not_four_billion_losses() {
+        use Sequenced::{Next, Reset};
+        assert_eq!(verdicts(&[(70_000, 900_000), (70_001, 910_000), (0, 100), (1, 10_100)])[2..], [Reset, Next]);
+        // Shortly after the start, within the window of reordering.
+        assert_eq!(verdicts(&[(10, 100_000), (11, 110_000), (0, 3), (1, 10_003)])[2..], [Reset, Next]);
+        // Exactly the same frames again.
+        let twice: Vec<(u32, u64)> = (0..20u32).chain(0..20).map(|i| (i, u64::from(i) * 10)).collect();
+        let seen = verdicts(&twice);
+        assert_eq!(seen.iter().filter(|v| **v == Sequenced::Duplicate).count(), 2);
+        assert_eq!(seen.iter().filter(|v| **v == Reset).count(), 1);
+    }
+
+    #[test]
+    fn a_gap_over_a_closed_port_is_told_apart() {
+        let mut tracker = SequenceTracker::default();
+        tracker.take(1, 10);
+        tracker.reopen();
+        assert_eq!(tracker.take(101, 1010), Sequenced::GapWhileClosed(99));
+        assert_eq!(tracker.take(103, 1030), Sequenced::Gap(1));
+    }
+}

@@ -1,0 +1,340 @@
+//! Exposure intervals from the X-ray-on flag and the exposure counter.
+
+use std::collections::VecDeque;
+
+use serde::Serialize;
+
+use super::track::Answer;
+use crate::geometry::{CarmJoints, Rigid};
+use crate::telemetry::CarmSample;
+use crate::units::wrap_rad;
+
+/// Intervals kept: a long day at the C-arm.
+const KEPT: usize = 10_000;
+/// Silences kept.
+const SILENCES_KEPT: usize = 10_000;
+/// A silence longer than this can hide an exposure: the shortest last about 0.1 s.
+pub const HIDING_SILENCE_US: i64 = 100_000;
+/// A counter that runs ahead by more than this between two samples was set, not counted.
+const MOST_UNSEEN: u32 = 16;
+
+/// One exposure: an interval of host time during which the beam was on.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ExposureInterval {
+    /// Position in the session, from 0.
+    pub index: u64,
+    /// The C-arm's exposure counter, if it has one.
+    pub counter: Option<u32>,
+    /// Opening of the port.
+    pub epoch: u32,
+    /// Beam on, host time: between the last sample without and the first with X-rays.
+    pub start_us: i64,
+    /// Beam off, host time.
+    pub end_us: i64,
+    /// Uncertainty of `start_us`: half the time between those two samples, and the clock map's.
+    pub start_uncertainty_us: f64,
+    /// Same for `end_us`.
+    pub end_uncertainty_us: f64,
+    /// The beam is still on as far as is known; `end_us` is the last sample with X-rays.
+    pub open: bool,
+    /// A sample without X-rays was seen right before it.
+    pub start_seen: bool,
+    /// A sample without X-rays was seen right after it.
+    pub end_seen: bool,
+    /// Samples with X-rays on; 0 where only the counter tells of the exposure.
+    pub samples: u32,
+    /// Mean over those samples; NaN where not measured.
+    pub tube_kvp: f64,
+    /// Mean over those samples; NaN where not measured.
+    pub tube_ma: f64,
+    /// Joints at the middle; `None` while open, or when no sample is near.
+    pub joints: Option<Answer<CarmJoints>>,
+    /// How far each joint moved while the beam was on (order of [`CarmJoints::to_array`], mm and rad).
+    pub joint_range: [f64; 7],
+    /// Robot's control angles in degrees at the middle, once the robot's samples have reached it.
+    pub control_angles_deg: Option<Answer<[f64; 5]>>,
+    /// Tracked robot base at the middle, same.
+    pub tracker_from_base: Option<Answer<Rigid>>,
+}
+
+impl ExposureInterval {
+    /// The middle of the interval, host time.
+    #[must_use]
+    pub fn mid_us(&self) -> i64 {
+        self.start_us + (self.end_us - self.start_us) / 2
+    }
+
+    /// `exposure 7`, or `exposure at 12 s` words for evidence lines.
+    #[must_use]
+    pub fn label(&self) -> String {
+        match self.counter {
+            Some(counter) => format!("exposure {counter}"),
+            None => format!("exposure #{} of the session", self.index + 1),
+        }
+    }
+}
+
+/// A stretch without C-arm samples in which an exposure may have happened unseen.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Silence {
+    /// Last sample before, host time.
+    pub from_us: i64,
+    /// First sample after.
+    pub to_us: i64,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Seen {
+    mapped_us: i64,
+    uncertainty_us: f64,
+    epoch: u32,
+    counter: Option<u32>,
+    xray_on: bool,
+}
+
+#[derive(Clone, Debug)]
+struct Open {
+    interval: ExposureInterval,
+    last_on: Seen,
+    first_joints: [f64; 7],
+    low: [f64; 7],
+    high: [f64; 7],
+    kvp: (f64, u32),
+    ma: (f64, u32),
+}
+
+/// Finds exposures in a stream of samples that are in order.
+#[derive(Clone, Debug, Default)]
+pub struct ExposureTracker {
+    closed: VecDeque<ExposureInterval>,
+    open: Option<Open>,
+    previous: Option<Seen>,
+    silences: VecDeque<Silence>,
+    first_us: Option<i64>,
+    next_index: u64,
+    counter_resets: u64,
+    dropped: u64,
+}
+
+impl ExposureTracker {
+    /// Takes the next sample in order.
+    pub fn push(&mut self, sample: &CarmSample, mapped_us: i64, uncertainty_us: f64, epoch: u32) {
+        let now = Seen { mapped_us, uncertainty_us, epoch, counter: sample.exposure_counter, xray_on: sample.xray_on };
+        self.first_us.get_or_insert(mapped_us);
+        self.note_silence(&now);
+        let continues = self.open.as_ref().is_some_and(|open| continues(open, &now));
+        if let Some(open) = &mut self.open
+            && continues
+        {
+            open.extend(sample, now);
+        } else {
+            let ended = self.close(&now);
+            let counted_from = ended.or_else(|| self.previous.and_then(|seen| seen.counter));
+            let counted_to = match (now.xray_on, now.counter) {
+                (true, Some(counter)) => Some(counter.wrapping_sub(1)),
+                (_, counter) => counter,
+            };
+            self.add_unseen(counted_from, counted_to, &now);
+            if now.xray_on {
+                self.begin(sample, now);
+            }
+        }
+        self.previous = Some(now);
+    }
+
+    /// Closed exposures, oldest first.
+    #[must_use]
+    pub fn closed(&self) -> &VecDeque<ExposureInterval> {
+        &self.closed
+    }
+
+    /// Closed exposures, to fill in what is measured elsewhere.
+    pub fn closed_mut(&mut self) -> &mut VecDeque<ExposureInterval> {
+        &mut self.closed
+    }
+
+    /// The running exposure.
+    #[must_use]
+    pub fn open(&self) -> Option<&ExposureInterval> {
+        self.open.as_ref().map(|open| &open.interval)
+    }
+
+    /// A stretch that touches [`from_us`, `to_us`] in which an exposure may have happened unseen: before the first sample, a silence,
+    /// or after the last sample.
+    #[must_use]
+    pub fn blind_spot(&self, from_us: i64, to_us: i64) -> Option<Silence> {
+        let (Some(first_us), Some(previous)) = (self.first_us, self.previous) else {
+            return Some(Silence { from_us, to_us });
+        };
+        if from_us < first_us {
+            return Some(Silence { from_us, to_us: first_us });
+        }
+        if to_us > previous.mapped_us + HIDING_SILENCE_US {
+            return Some(Silence { from_us: previous.mapped_us, to_us });
+        }
+        self.silences.iter().find(|silence| silence.from_us < to_us && silence.to_us > from_us).copied()
+    }
+
+    /// Times the counter ran backwards, intervals forgotten to bound memory.
+    #[must_use]
+    pub fn resets_and_dropped(&self) -> (u64, u64) {
+        (self.counter_resets, self.dropped)
+    }
+
+    fn note_silence(&mut self, now: &Seen) {
+        let Some(previous) = self.previous else { return };
+        let silent = now.mapped_us - previous.mapped_us > HIDING_SILENCE_US;
+        // Equal counters on both sides prove that nothing was missed.
+        let counted = previous.counter.is_some() && previous.counter == now.counter;
+        if silent && !counted {
+            self.silences.push_back(Silence { from_us: previous.mapped_us, to_us: now.mapped_us });
+            if self.silences.len() > SILENCES_KEPT {
+                self.silences.pop_front();
+            }
+        }
+    }
+
+    fn begin(&mut self, sample: &CarmSample, now: Seen) {
+        // A counter that ran ahead of the flag by a sample announced this very exposure.
+        if let Some(last) = self.closed.back()
+            && last.samples == 0
+            && last.counter.is_some()
+            && last.counter == now.counter
+        {
+            self.closed.pop_back();
+        }
+        let before = self.previous.filter(|previous| !previous.xray_on && previous.epoch == now.epoch);
+        let (start_us, half_us) = match before {
+            Some(off) => between(off.mapped_us, now.mapped_us),
+            None => (now.mapped_us, 0.0),
+        };
+        let joints = sample.joints.to_array();
+        let interval = ExposureInterval {
+            index: self.next_index,
+            counter: now.counter,
+            epoch: now.epoch,
+            start_us,
+            end_us: now.mapped_us,
+            start_uncertainty_us: half_us.hypot(now.uncertainty_us),
+            end_uncertainty_us: now.uncertainty_us,
+            open: true,
+            start_seen: before.is_some(),
+            end_seen: false,
+            samples: 0,
+            tube_kvp: f64::NAN,
+            tube_ma: f64::NAN,
+            joints: None,
+            joint_range: [0.0; 7],
+            control_angles_deg: None,
+            tracker_from_base: None,
+        };
+        self.next_index += 1;
+        let mut open =
+            Open { interval, last_on: now, first_joints: joints, low: [0.0; 7], high: [0.0; 7], kvp: (0.0, 0), ma: (0.0, 0) };
+        open.extend(sample, now);
+        self.open = Some(open);
+    }
+
+    /// Ends the running exposure; returns its counter.
+    fn close(&mut self, now: &Seen) -> Option<u32> {
+        let Open { mut interval, last_on, .. } = self.open.take()?;
+        interval.open = false;
+        interval.end_seen = !now.xray_on && now.epoch == last_on.epoch;
+        if now.epoch == last_on.epoch {
+            let (end_us, half_us) = between(last_on.mapped_us, now.mapped_us);
+            interval.end_us = end_us;
+            interval.end_uncertainty_us = half_us.hypot(last_on.uncertainty_us);
+        }
+        let counter = interval.counter;
+        self.keep(interval);
+        counter
+    }
+
+    /// Exposures of which only the counter tells: each lies somewhere between the previous sample and this one.
+    fn add_unseen(&mut self, from: Option<u32>, to: Option<u32>, now: &Seen) {
+        let (Some(from), Some(to), Some(previous)) = (from, to, self.previous) else { return };
+        let count = to.wrapping_sub(from);
+        if count == 0 || (now.xray_on && count == u32::MAX) {
+            return;
+        }
+        if count > MOST_UNSEEN {
+            self.counter_resets += 1;
+            return;
+        }
+        for ahead in 1..=count {
+            let (_, half_us) = between(previous.mapped_us, now.mapped_us);
+            let index = self.next_index;
+            self.next_index += 1;
+            self.keep(ExposureInterval {
+                index,
+                counter: Some(from.wrapping_add(ahead)),
+                epoch: now.epoch,
+                start_us: previous.mapped_us,
+                end_us: now.mapped_us,
+                start_uncertainty_us: half_us.hypot(previous.uncertainty_us),
+                end_uncertainty_us: half_us.hypot(now.uncertainty_us),
+                open: false,
+                start_seen: false,
+                end_seen: false,
+                samples: 0,
+                tube_kvp: f64::NAN,
+                tube_ma: f64::NAN,
+                joints: None,
+                joint_range: [f64::NAN; 7],
+                control_angles_deg: None,
+                tracker_from_base: None,
+            });
+        }
+    }
+
+    fn keep(&mut self, interval: ExposureInterval) {
+        self.closed.push_back(interval);
+        if self.closed.len() > KEPT {
+            self.closed.pop_front();
+            self.dropped += 1;
+        }
+    }
+}
+
+impl Open {
+    fn extend(&mut self, sample: &CarmSample, now: Seen) {
+        let joints = sample.joints.to_array();
+        for (i, value) in joints.iter().enumerate() {
+            let is_angle = matches!(i, 1 | 3 | 4 | 5);
+            let moved = value - self.first_joints[i];
+            let moved = if is_angle { wrap_rad(moved) } else { moved };
+            self.low[i] = self.low[i].min(moved);
+            self.high[i] = self.high[i].max(moved);
+        }
+        for (sum, value) in [(&mut self.kvp, sample.tube_kvp), (&mut self.ma, sample.tube_ma)] {
+            if value.is_finite() {
+                *sum = (sum.0 + value, sum.1 + 1);
+            }
+        }
+        let mean = |(sum, count): (f64, u32)| if count > 0 { sum / f64::from(count) } else { f64::NAN };
+        self.interval.samples += 1;
+        self.interval.end_us = now.mapped_us.max(self.interval.start_us);
+        self.interval.end_uncertainty_us = now.uncertainty_us;
+        self.interval.tube_kvp = mean(self.kvp);
+        self.interval.tube_ma = mean(self.ma);
+        self.interval.joint_range =
+            std::array::from_fn(|i| if self.first_joints[i].is_nan() { f64::NAN } else { self.high[i] - self.low[i] });
+        self.last_on = now;
+    }
+}
+
+/// Whether a sample belongs to the running exposure.
+fn continues(open: &Open, now: &Seen) -> bool {
+    let silent = now.mapped_us - open.last_on.mapped_us > HIDING_SILENCE_US;
+    now.xray_on
+        && match (open.interval.counter, now.counter) {
+            (Some(a), Some(b)) => a == b,
+            // Without counters two exposures may hide behind one silence.
+            _ => now.epoch == open.last_on.epoch && !silent,
+        }
+}
+
+/// The middle of two times and half their distance.
+fn between(a_us: i64, b_us: i64) -> (i64, f64) {
+    (a_us + (b_us - a_us) / 2, 0.5 * (b_us - a_us).abs() as f64)
+}

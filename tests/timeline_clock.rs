@@ -1,0 +1,183 @@
+//! The clock map against clocks whose truth is known.
+
+use sidecarm::random::{Purpose, Stream};
+use sidecarm::timeline::{ClockMap, DeviceClock, MAX_DRIFT, Placed, SegmentStart};
+
+const T0_US: i64 = 1_700_000_000_000_000;
+
+/// (device, host, truth) stamps of a device whose clock runs `ppm` fast; the least delay is 300 µs, the rest exponential.
+fn stamps(seed: u64, ppm: f64, seconds: f64, rate_hz: f64, mean_delay_us: f64) -> Vec<(i64, i64, i64)> {
+    let mut stream = Stream::new(seed, 0, 0, Purpose::Evaluation);
+    (0..(seconds * rate_hz) as i64)
+        .map(|i| {
+            let elapsed_us = i as f64 * 1e6 / rate_hz;
+            let device_us = 5_000_000 + (elapsed_us * (1.0 + ppm * 1e-6)) as i64;
+            let delay_us = 300.0 - mean_delay_us * stream.uniform().ln();
+            let truth_us = T0_US + elapsed_us as i64;
+            (device_us, truth_us + delay_us as i64, truth_us)
+        })
+        .collect()
+}
+
+fn mapped(stamps: &[(i64, i64, i64)]) -> ClockMap {
+    let mut map = ClockMap::new(stamps[0].0, stamps[0].1, None);
+    for (device_us, host_us, _) in &stamps[1..] {
+        map.push(*device_us, *host_us);
+    }
+    map
+}
+
+#[test]
+fn drift_of_200_ppm_is_found_and_mapped_away() {
+    let mut cases = 0;
+    for (seed, ppm) in [(1, 200.0), (2, -200.0), (3, 0.0), (4, 37.0)] {
+        let stamps = stamps(seed, ppm, 120.0, 100.0, 2_000.0);
+        let map = mapped(&stamps);
+        let estimate = map.estimate();
+        // The device runs fast by ppm, so the host runs slow against it.
+        assert!((estimate.drift_ppm + ppm).abs() < 2.0, "{ppm}: {estimate:?}");
+        let worst = stamps.iter().map(|(device, _, truth)| (map.host_from_device_us(*device) - truth - 300).abs()).max().unwrap();
+        assert!(worst < 150, "{ppm}: off by {worst} us");
+        assert!(estimate.uncertainty_us > 300.0, "the least delay cannot be seen and must be in the uncertainty: {estimate:?}");
+        cases += 1;
+    }
+    assert_eq!(cases, 4);
+}
+
+#[test]
+fn without_a_drift_estimate_the_error_would_show() {
+    // Negative control of the test above: one offset for two minutes at 200 ppm is off by milliseconds.
+    let stamps = stamps(1, 200.0, 120.0, 100.0, 2_000.0);
+    let offset_us = stamps.iter().map(|(device, host, _)| host - device).min().unwrap();
+    let worst = stamps.iter().map(|(device, _, truth)| (device + offset_us - truth - 300).abs()).max().unwrap();
+    assert!(worst > 10_000, "{worst}");
+}
+
+#[test]
+fn the_map_and_its_inverse_agree() {
+    let stamps = stamps(9, 150.0, 30.0, 30.0, 1_000.0);
+    let map = mapped(&stamps);
+    for (device_us, _, _) in &stamps {
+        let back = map.device_from_host_us(map.host_from_device_us(*device_us));
+        assert!((back - device_us).abs() <= 1);
+    }
+    assert_eq!(stamps.len(), 900);
+}
+
+#[test]
+fn an_initial_backlog_and_bursts_do_not_bias_the_map() {
+    let mut stamps = stamps(5, 100.0, 60.0, 100.0, 500.0);
+    // The first 0.4 s waited in the kernel and came at once; later every third second stalls for 250 ms.
+    let release_us = stamps[40].1;
+    for stamp in &mut stamps[..40] {
+        stamp.1 = release_us;
+    }
+    for start in (300..5_700).step_by(300) {
+        let release_us = stamps[start + 25].1;
+        for stamp in &mut stamps[start..start + 25] {
+            stamp.1 = release_us;
+        }
+    }
+    let map = mapped(&stamps);
+    let worst = stamps.iter().map(|(device, _, truth)| (map.host_from_device_us(*device) - truth - 300).abs()).max().unwrap();
+    assert!(worst < 150, "off by {worst} us");
+}
+
+#[test]
+fn the_drift_is_bounded() {
+    let stamps = stamps(6, 5_000.0, 60.0, 100.0, 100.0);
+    let (drift, _) = mapped(&stamps).drift();
+    assert!(drift.abs() <= MAX_DRIFT);
+}
+
+#[test]
+fn uncertainty_grows_when_the_device_is_silent() {
+    let map = mapped(&stamps(7, 0.0, 10.0, 100.0, 500.0));
+    let last_us = 15_000_000;
+    assert!(map.uncertainty_us(last_us + 3_600_000_000) > 3.0 * map.uncertainty_us(last_us));
+}
+
+/// Runs stamps with sequence numbers through the device clock; returns it and the segment of each sample.
+fn run(stamps: &[(i64, i64)]) -> (DeviceClock, Vec<Placed>) {
+    let mut clock = DeviceClock::default();
+    let placed = stamps.iter().enumerate().map(|(i, (device, host))| clock.observe(0, i as u32, *device, *host)).collect();
+    (clock, placed)
+}
+
+#[test]
+fn steps_of_the_device_clock_begin_a_new_map() {
+    let mut cases = 0;
+    for step_us in [3_000_000i64, -3_000_000, 500_000, -40_000, 60_000] {
+        let even = stamps(11, 50.0, 60.0, 100.0, 1_000.0);
+        let stepped: Vec<(i64, i64)> = even
+            .iter()
+            .enumerate()
+            .map(|(i, (device, host, _))| (device + if i >= 3_000 { step_us } else { 0 }, *host))
+            .collect();
+        let (clock, placed) = run(&stepped);
+        assert_eq!(clock.steps_and_resets(), (1, 0), "step of {step_us} us");
+        assert_eq!(placed[2_999], Placed::InOrder(0));
+        assert_eq!(placed[3_000], Placed::InOrder(1));
+        let segment = clock.latest().unwrap();
+        assert_eq!(segment.start, SegmentStart::Step);
+        assert!((segment.step_us - step_us).abs() < 12_000, "{} for {step_us}", segment.step_us);
+        for (i, (_, _, truth)) in even.iter().enumerate() {
+            let map = &clock.segment(if i < 3_000 { 0 } else { 1 }).unwrap().map;
+            let error_us = map.host_from_device_us(stepped[i].0) - truth - 300;
+            assert!(error_us.abs() < 400, "step {step_us}, sample {i}: {error_us} us");
+        }
+        cases += 1;
+    }
+    assert_eq!(cases, 5);
+}
+
+#[test]
+fn pauses_delays_and_losses_are_not_steps() {
+    let even = stamps(12, 50.0, 60.0, 100.0, 1_000.0);
+    // The device pauses for 0.8 s: both clocks see it.
+    let pause: Vec<(i64, i64)> =
+        even.iter().enumerate().map(|(i, (d, h, _))| if i >= 1_000 { (d + 800_000, h + 800_000) } else { (*d, *h) }).collect();
+    assert_eq!(run(&pause).0.steps_and_resets(), (0, 0));
+    // The host is late by 0.4 s for a second.
+    let late: Vec<(i64, i64)> = even
+        .iter()
+        .enumerate()
+        .map(|(i, (d, h, _))| (*d, if (1_000..1_100).contains(&i) { even[1_100].1 } else { *h }))
+        .collect();
+    assert_eq!(run(&late).0.steps_and_resets(), (0, 0));
+    // 300 frames are lost: the sequence explains the device time.
+    let mut clock = DeviceClock::default();
+    for (i, (device, host, _)) in even.iter().enumerate().filter(|(i, _)| !(2_000..2_300).contains(i)) {
+        clock.observe(0, i as u32, *device, *host);
+    }
+    assert_eq!(clock.steps_and_resets(), (0, 0));
+}
+
+#[test]
+fn restarts_and_openings_begin_new_maps_and_carry_the_drift() {
+    let even = stamps(13, 200.0, 120.0, 100.0, 1_000.0);
+    let mut clock = DeviceClock::default();
+    for (i, (device, host, _)) in even.iter().enumerate() {
+        match i {
+            0..6_000 => clock.observe(0, i as u32, *device, *host),
+            6_000..9_000 => clock.observe(0, (i - 6_000) as u32, device - even[6_000].0, *host),
+            _ => clock.observe(1, (i - 6_000) as u32, device - even[6_000].0, *host),
+        };
+    }
+    let starts: Vec<SegmentStart> = clock.summaries().iter().map(|segment| segment.start).collect();
+    assert_eq!(starts, [SegmentStart::First, SegmentStart::Reset, SegmentStart::Epoch]);
+    assert_eq!(clock.steps_and_resets(), (0, 1));
+    assert!((clock.latest().unwrap().map.estimate().drift_ppm + 200.0).abs() < 3.0);
+}
+
+#[test]
+fn late_and_repeated_samples_keep_their_segment() {
+    let even = stamps(14, 0.0, 1.0, 100.0, 100.0);
+    let mut clock = DeviceClock::default();
+    let mut placed = Vec::new();
+    for i in [0usize, 1, 2, 3, 4, 5, 6, 9, 7, 8, 8, 10] {
+        placed.push(clock.observe(0, i as u32, even[i].0, even[9].1));
+    }
+    assert_eq!(placed[8..10], [Placed::Late(0), Placed::Late(0)]);
+    assert_eq!(placed[11], Placed::InOrder(0));
+}

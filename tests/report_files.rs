@@ -11,13 +11,13 @@ use sidecarm::report::{
     png_bytes, strip, write_session,
 };
 
-use crate::compare_synthetic::{acquired, line_integral, view};
+use crate::compare_synthetic::{acquired, line_integral, pose, view};
 
 const START_US: i64 = 1_795_000_000_000_000;
 
 /// A pair with its strip; `turn_deg` off the truth when refused.
 fn exposure(index: usize) -> (Pair, Image<[u8; 3]>) {
-    let truth = View { camera_from_lps: Rigid::exp(DVec3::new(0.2, 0.3 - 0.15 * index as f64, 0.1), DVec3::new(2.0, -1.0, 600.0)), ..view() };
+    let truth = View { camera_from_lps: pose(DVec3::new(0.2, 0.3 - 0.15 * index as f64, 0.1)), ..view() };
     let mut frame = acquired(&line_integral(&truth), 0.02);
     frame.name = format!("frame_{:03}", index + 1);
     let mut pair = Pair::unmatched(&frame.name, "the frame could not be bound to an exposure: two intervals fit");
@@ -37,7 +37,7 @@ fn exposure(index: usize) -> (Pair, Image<[u8; 3]>) {
         return (pair, picture);
     }
     let error = if index == 2 { 0.012 } else { 0.0 };
-    let stated = View { camera_from_lps: Rigid::exp(DVec3::new(0.0, error, error), DVec3::ZERO) * truth.camera_from_lps, ..truth };
+    let stated = View { camera_from_lps: Rigid::exp(DVec3::new(0.0, 0.4 * error, error), DVec3::ZERO) * truth.camera_from_lps, ..truth };
     let simulated = line_integral(&stated);
     let input = CompareInput {
         view: Some(&stated),

@@ -27,11 +27,16 @@ fn spheres() -> Vec<(DVec3, f64, f64)> {
     found
 }
 
+/// The specimen 600 mm in front of the source, turned by `omega_rad`.
+pub fn pose(omega_rad: DVec3) -> Rigid {
+    Rigid::translation(DVec3::new(2.0, -1.0, 600.0)) * Rigid::exp(omega_rad, DVec3::ZERO)
+}
+
 pub fn view() -> View {
     View {
         size_px: [310, 240],
         intrinsics: Intrinsics { fx: 2628.0, fy: 2628.0, skew: 0.0, cx: 154.5, cy: 119.5 },
-        camera_from_lps: Rigid::exp(DVec3::new(0.2, -0.3, 0.1), DVec3::new(2.0, -1.0, 600.0)),
+        camera_from_lps: pose(DVec3::new(0.2, -0.3, 0.1)),
     }
 }
 

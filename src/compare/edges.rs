@@ -1,13 +1,18 @@
 //! Edges of an image, to a fraction of a pixel, and how far apart the edges of two images lie.
 
-use super::filters::{Gradient, gradient, quantile, smooth};
+use super::filters::{Gradient, gradient, noise, quantile, smooth};
 use super::masks::components;
 use crate::image::Image;
 
 /// Smoothing before the edges are sought.
 pub(super) const EDGE_SIGMA_PX: f64 = 1.5;
-/// Share of local maxima of the gradient that are too weak to be edges.
-const WEAK_SHARE: f64 = 0.75;
+/// An edge is a local maximum of the gradient among the strongest quarter, or nearly as strong as the strongest: where an image has
+/// nothing but equally strong edges, all of them count.
+const STRONG: (f64, f64, f64) = (0.75, 0.97, 0.8);
+/// For a picture half of the maxima are drawn: it should show the anatomy, not only what is strongest.
+const DRAWN: f64 = 0.5;
+/// A gradient counts where it exceeds what noise alone makes of it by this factor.
+const ABOVE_NOISE: f64 = 4.5;
 /// Shorter chains of edge pixels are noise.
 const SHORTEST_PX: usize = 12;
 /// Edges are sought this far around an edge of the other image; further counts as this far.
@@ -34,8 +39,17 @@ pub(super) struct EdgeMap {
 
 const NOTHING: u32 = u32::MAX;
 
-/// The strong edges of `image` within `usable`.
+/// The strong edges of `image` within `usable`, for scoring.
 pub(super) fn find(image: &Image<f32>, usable: &Image<bool>) -> EdgeMap {
+    find_above(image, usable, STRONG.0)
+}
+
+/// More of the edges of a noise-free image, to be drawn over another.
+pub(super) fn to_draw(image: &Image<f32>, usable: &Image<bool>) -> Image<bool> {
+    find_above(image, usable, DRAWN).picture()
+}
+
+fn find_above(image: &Image<f32>, usable: &Image<bool>, weak_share: f64) -> EdgeMap {
     let (width, height) = (image.width, image.height);
     let Gradient { du, dv, known } = gradient(&smooth(image, usable, EDGE_SIGMA_PX));
     let size = |at: usize| du.pixels[at].hypot(dv.pixels[at]);
@@ -64,7 +78,11 @@ pub(super) fn find(image: &Image<f32>, usable: &Image<bool>) -> EdgeMap {
         }
     }
     let mut sizes: Vec<f32> = maxima.iter().map(|(_, _, size)| *size).collect();
-    let limit = quantile(&mut sizes, WEAK_SHARE).unwrap_or(f64::INFINITY) as f32;
+    let (_, top, near) = STRONG;
+    let of_top = near * quantile(&mut sizes, top).unwrap_or(f64::INFINITY);
+    // White noise of σ becomes a gradient of σ / (s² √(8π)) per component after a Gaussian of s.
+    let of_noise = noise(image, usable).unwrap_or(0.0) / (EDGE_SIGMA_PX.powi(2) * (8.0 * std::f64::consts::PI).sqrt());
+    let limit = quantile(&mut sizes, weak_share).unwrap_or(f64::INFINITY).min(of_top).max(ABOVE_NOISE * of_noise) as f32;
     let mut candidates = Image::filled(width, height, false);
     maxima.iter().filter(|(_, _, size)| *size >= limit).for_each(|(at, _, _)| candidates.pixels[*at] = true);
     for chain in components(&candidates).iter().filter(|chain| chain.indices.len() < SHORTEST_PX) {

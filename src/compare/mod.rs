@@ -170,7 +170,7 @@ pub struct Pictures {
     pub usable: Image<bool>,
     /// Edges of the simulation.
     pub edges: Image<bool>,
-    /// `nepers`, `nepers (offset unknown)` or `gray value`.
+    /// `nepers`, `nepers (offset unknown)`, or that they are gray values.
     pub unit: &'static str,
 }
 
@@ -261,9 +261,9 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
     let unit = match common.domain {
         CommonDomain::LineIntegral => "nepers",
         CommonDomain::RelativeLineIntegral => "nepers (offset unknown)",
-        CommonDomain::GrayValues => "gray value",
+        CommonDomain::GrayValues => "gray value, larger is more attenuation",
     };
-    let edges = edges_simulated.picture();
+    let edges = edges::to_draw(&toned, &usable);
     let comparison = Comparison {
         size_px: [width, height],
         binning,

@@ -97,7 +97,7 @@ impl Axes {
 
 /// Round values within `range`, about `count` of them.
 fn ticks(range: [f64; 2], count: usize) -> Vec<f64> {
-    let step = round_up((range[1] - range[0]) / count as f64);
+    let step = round_up((range[1] - range[0]) / (1.6 * count as f64));
     let first = (range[0] / step - 1e-9).ceil() as i64;
     (0..=2 * count as i64).map(|i| (first + i) as f64 * step).take_while(|value| *value <= range[1] + 1e-9 * step).collect()
 }
@@ -265,7 +265,7 @@ mod tests {
     #[test]
     fn ticks_are_round_and_within() {
         let found = ticks([0.03, 0.98], 4);
-        assert!(found.len() >= 2 && found.iter().all(|t| (0.03..=0.98).contains(t)), "{found:?}");
+        assert!(found.len() >= 3 && found.iter().all(|t| (0.03..=0.98).contains(t)), "{found:?}");
         assert!(ticks([0.0, 20.0], 8).contains(&10.0));
     }
 

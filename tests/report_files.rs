@@ -145,6 +145,10 @@ fn a_session_becomes_one_page_without_outside_resources() {
     }
     assert_eq!((first["pose_source"].as_str(), first["status"].as_str()), (Some("beads"), Some("accepted")));
     assert!(first["scores"]["zncc"].as_f64().expect("number") > 0.98 && first["null"]["zncc"]["discriminating"].is_boolean());
+    for pair in value["pairs"].as_array().expect("pairs").iter().filter(|pair| pair["status"] == "accepted") {
+        let px = pair["scores"]["edge_distance_px"].as_f64().expect("edges");
+        assert!(px < 0.5, "{}: at the true pose edges lie {px} px apart", pair["frame"]);
+    }
     let back: PairsFile = serde_json::from_str(&text).expect("reads back");
     assert_eq!(back.pairs.len(), 6);
 }

@@ -237,7 +237,10 @@ fn view_of(pose: &Pose, simulated: &Image<f32>, reporter: &Reporter) -> Option<V
     let full = pose.size_px.unwrap_or(size_px);
     let factor = full[0].checked_div(size_px[0]).unwrap_or(0);
     if factor == 0 || full[0] / factor != size_px[0] || full[1] / factor != size_px[1] {
-        reporter.warn("pose", format!("the pose is for images of {full:?} px, the simulated one has {size_px:?}: no distances in mm, no null"));
+        reporter.warn(
+            "pose",
+            format!("the pose is for images of {full:?} px, the simulated one has {size_px:?}: no distances in mm, no null"),
+        );
         return None;
     }
     Some(View { size_px, intrinsics: intrinsics.binned(f64::from(factor)), camera_from_lps })
@@ -307,7 +310,11 @@ fn table(compared: &Compared) -> String {
             Some(null) => {
                 let doubt = if null.discriminating { "" } else { ", not discriminating" };
                 let at = null.best_shift.as_deref().unwrap_or("nowhere");
-                (number(null.at_pose), number(null.best_shifted), format!("{} of {} (best wrong: {at}{doubt})", null.rank, null.of))
+                (
+                    number(null.at_pose),
+                    number(null.best_shifted),
+                    format!("{} of {} (best wrong: {at}{doubt})", null.rank, null.of),
+                )
             }
             None => ("-".into(), "-".into(), found.scores.reasons.get(name).cloned().unwrap_or_default()),
         };
@@ -319,9 +326,19 @@ fn table(compared: &Compared) -> String {
         text += format!("{name:<18}{:>10}  {reason}", number(found.scores.get(name))).trim_end();
         text.push('\n');
     }
-    let causes: Vec<String> = found.masks.causes.iter().map(|(cause, share)| format!("{} {:.1} %", cause.words(), 100.0 * share)).collect();
-    text += &format!("masked {:.1} % ({})\n", 100.0 * found.masks.masked, if causes.is_empty() { "nothing".into() } else { causes.join(", ") });
-    text += &format!("domain {}, tone {} with {} fitted numbers, ", found.domain, found.tone.tone.as_str(), found.tone.degrees_of_freedom);
+    let causes: Vec<String> =
+        found.masks.causes.iter().map(|(cause, share)| format!("{} {:.1} %", cause.words(), 100.0 * share)).collect();
+    text += &format!(
+        "masked {:.1} % ({})\n",
+        100.0 * found.masks.masked,
+        if causes.is_empty() { "nothing".into() } else { causes.join(", ") }
+    );
+    text += &format!(
+        "domain {}, tone {} with {} fitted numbers, ",
+        found.domain,
+        found.tone.tone.as_str(),
+        found.tone.degrees_of_freedom
+    );
     text += &match found.air.level {
         Some(level) => format!("air level {level:.6} ({})\n", found.air.rule),
         None => "air level unknown\n".to_owned(),

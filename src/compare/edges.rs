@@ -130,8 +130,12 @@ impl Maxima {
         for chain in components(&candidates).iter().filter(|chain| chain.indices.len() < SHORTEST_PX) {
             chain.indices.iter().for_each(|&at| candidates.pixels[at] = false);
         }
-        let mut map =
-            EdgeMap { width: self.width, height: self.height, points: Vec::new(), by_pixel: vec![NOTHING; self.width * self.height] };
+        let mut map = EdgeMap {
+            width: self.width,
+            height: self.height,
+            points: Vec::new(),
+            by_pixel: vec![NOTHING; self.width * self.height],
+        };
         for (at, point, size) in &self.found {
             if candidates.pixels[*at] {
                 map.by_pixel[*at] = map.points.len() as u32;

@@ -19,3 +19,4 @@ mod timeline_joints;
 mod compare_command;
 mod compare_synthetic;
 mod report_files;
+mod viewer_window;

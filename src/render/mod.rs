@@ -9,6 +9,7 @@ pub mod detector;
 pub mod explain;
 pub mod plan;
 pub mod prepared;
+pub mod reference;
 mod renderer;
 pub mod spectrum;
 mod write;

@@ -20,3 +20,7 @@ mod compare_command;
 mod compare_synthetic;
 mod report_files;
 mod viewer_window;
+mod render_scenes;
+mod render_closed_forms;
+mod render_executors;
+mod shaders_layout;

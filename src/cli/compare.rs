@@ -148,8 +148,8 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
         ..CompareInput::new(&frame, &simulated)
     };
     let mut compared = compare(&input)?;
-    if let (Some(scene), Some(_)) = (scene, view) {
-        add_null(&mut compared, scene, reporter)?;
+    if let (Some(scene), Some(pose)) = (scene, pose.as_ref().filter(|_| view.is_some())) {
+        add_null(&mut compared, scene, pose, reporter)?;
     }
     std::fs::create_dir_all(&args.out).map_err(|source| CompareCommandError::Io { path: args.out.clone(), source })?;
     let result = serde_json::json!({
@@ -259,14 +259,19 @@ fn centre(pose: &Pose, scene: Option<&Scene>) -> Option<DVec3> {
     pose.centroid_lps_mm.or_else(|| scene?.bounds().map(|(centre, _)| centre))
 }
 
-fn add_null(compared: &mut Compared, mut scene: Scene, reporter: &Reporter) -> Result<(), CompareCommandError> {
+fn add_null(compared: &mut Compared, mut scene: Scene, pose: &Pose, reporter: &Reporter) -> Result<(), CompareCommandError> {
     // The null is about the pose: noise would only blur it.
     scene.model.noise = Noise::Off;
+    let pitch_mm = pose.pitch_mm.unwrap_or(scene.detector.pitch_mm);
+    let source_to_detector_mm = pose.intrinsics.map(|k| k.source_to_detector_mm(pitch_mm));
     let mut renderer = Renderer::new(DeviceChoice::Auto, reporter)?;
     let options = Options { quantity: Quantity::LineIntegral, ..Options::default() };
     let bar = reporter.progress("null", crate::compare::NULL_RENDERS as u64);
     let mut rerender = |view: &View| {
-        let rendered = renderer.render(&scene.with_view(*view), &options).map_err(|error| error.to_string())?;
+        let mut moved = scene.with_view(*view);
+        // Binned pixels are larger: the detector stays where it is.
+        moved.detector.pitch_mm = source_to_detector_mm.map_or(pitch_mm, |distance_mm| distance_mm / view.intrinsics.fx);
+        let rendered = renderer.render(&moved, &options).map_err(|error| error.to_string())?;
         bar.advance(1);
         let mut page = rendered.pages.into_iter().next().ok_or_else(|| "no page".to_owned())?;
         let invalid = rendered.valid.pixels.iter().map(|valid| *valid == 0);

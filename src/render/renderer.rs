@@ -148,7 +148,9 @@ impl Renderer {
                 if noisy && plan.quantity == Quantity::LineIntegral {
                     let floor = 0.5 / scene.beam.photons_per_pixel;
                     let highest = -floor.ln();
-                    notes.push(format!("noisy line integrals are -ln max(I, 1/(2 N0)) with 1/(2 N0) = {floor:.3e}: none exceeds {highest:.2}"));
+                    notes.push(format!(
+                        "noisy line integrals are -ln max(I, 1/(2 N0)) with 1/(2 N0) = {floor:.3e}: none exceeds {highest:.2}"
+                    ));
                 }
                 let line = &cast.signal.line_integral;
                 let page = stages.measure("detect", || detector::page(scene, plan.quantity, line, &noise, bins, &obliquity));
@@ -264,7 +266,11 @@ fn cached_cells(cache: &mut Vec<(Arc<Volume>, Arc<Cells>)>, volume: &Arc<Volume>
     let voxels = volume.size.iter().product::<usize>();
     if voxels == 0 || volume.density_g_per_cm3.len() != voxels || volume.class.len() != voxels {
         let found = volume.density_g_per_cm3.len();
-        return Err(wrong(format!("a grid of {:?} voxels holds {found} densities and {} classes", volume.size, volume.class.len())));
+        return Err(wrong(format!(
+            "a grid of {:?} voxels holds {found} densities and {} classes",
+            volume.size,
+            volume.class.len()
+        )));
     }
     if !(volume.lps_from_voxel.matrix3.determinant().abs() > 0.0) {
         return Err(wrong("its affine is singular".to_owned()));
@@ -282,7 +288,11 @@ fn check(scene: &Scene) -> Result<(), RenderError> {
     }
     let kernel = &scene.detector.crosstalk;
     if kernel.iter().any(|row| row.len() != kernel.len()) || (!kernel.is_empty() && kernel.len() % 2 == 0) {
-        return Err(RenderError::Number { what: "detector.crosstalk: rows", value: kernel.len() as f64, expected: "an odd square" });
+        return Err(RenderError::Number {
+            what: "detector.crosstalk: rows",
+            value: kernel.len() as f64,
+            expected: "an odd square",
+        });
     }
     if let Some(readout) = scene.detector.readout_noise
         && !(readout.row_correlation >= 0.0 && readout.row_correlation < 1.0)
@@ -300,7 +310,11 @@ fn check_plan(plan: &Plan, scene: &Scene) -> Result<(), RenderError> {
     }
     let size = scene.view.map_or([0, 0], |view| view.size_px);
     if plan.size_px != size {
-        return Err(RenderError::PlanMismatch { what: "size_px", planned: format!("{:?}", plan.size_px), found: format!("{size:?}") });
+        return Err(RenderError::PlanMismatch {
+            what: "size_px",
+            planned: format!("{:?}", plan.size_px),
+            found: format!("{size:?}"),
+        });
     }
     Ok(())
 }

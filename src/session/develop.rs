@@ -306,7 +306,8 @@ impl Bench {
         let renderer = &mut self.renderer;
         let options = Options { quantity: Quantity::LineIntegral, ..Options::default() };
         let mut rerender = |view: &View| {
-            let rendered = renderer.render(&scene.with_view(*view), &options).map_err(|error| error.to_string())?;
+            let coarse = scene.with_binned_view(*view);
+            let rendered = renderer.render(&coarse, &options).map_err(|error| error.to_string())?;
             rendered.pages.into_iter().next().ok_or_else(|| "no page".to_owned())
         };
         match compared.add_null(&mut rerender, &|| false) {

@@ -80,9 +80,10 @@ impl WgslExecutor {
         let scope = gpu.device.push_error_scope(wgpu::ErrorFilter::Validation);
         let pipeline = |stem: &str| {
             let text = source(stem).expect("every stem is embedded");
-            let module = gpu
-                .device
-                .create_shader_module(wgpu::ShaderModuleDescriptor { label: Some(stem), source: wgpu::ShaderSource::Wgsl(text.into()) });
+            let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
+                label: Some(stem),
+                source: wgpu::ShaderSource::Wgsl(text.into()),
+            });
             gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
                 label: Some(stem),
                 layout: None,
@@ -212,8 +213,7 @@ fn unpack(mut words: Vec<Vec<f32>>, materials: usize, pixels: usize) -> Executed
     let signal = next();
     let (values, _) = signal.as_chunks::<4>();
     let arriving = |v: &[f32; 4]| Arriving { photon_fraction: v[1], mean_response: v[2], mean_square_response: v[3] };
-    let signal =
-        Signal { line_integral: values.iter().map(|v| v[0]).collect(), arriving: values.iter().map(arriving).collect() };
+    let signal = Signal { line_integral: values.iter().map(|v| v[0]).collect(), arriving: values.iter().map(arriving).collect() };
     Executed { density, signal, deviates: next(), overflows: overflows.first().map_or(0, |word| word.to_bits()) }
 }
 

@@ -40,11 +40,23 @@ impl Resident {
         Self::new(gpu, volume.size, bytemuck::cast_slice(&volume.density_g_per_cm3), &materials, &seen.cells.kind, &of_kind)
     }
 
-    fn new(gpu: &Gpu, size: [usize; 3], density: &[u8], material: &[u8], cells: &[u8], of_kind: &[u32]) -> Result<Self, GpuError> {
+    fn new(
+        gpu: &Gpu,
+        size: [usize; 3],
+        density: &[u8],
+        material: &[u8],
+        cells: &[u8],
+        of_kind: &[u32],
+    ) -> Result<Self, GpuError> {
         let limit = gpu.device.limits().max_texture_dimension_3d;
         let longest = size.iter().max().copied().unwrap_or(0) as u64 + 1;
         if longest > u64::from(limit) {
-            return Err(GpuError::Limit { adapter: gpu.adapter.clone(), what: "a volume's edge", needed: longest, limit: limit.into() });
+            return Err(GpuError::Limit {
+                adapter: gpu.adapter.clone(),
+                what: "a volume's edge",
+                needed: longest,
+                limit: limit.into(),
+            });
         }
         let texture = |size: [usize; 3], format: wgpu::TextureFormat, data: &[u8]| {
             let descriptor = wgpu::TextureDescriptor {

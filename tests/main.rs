@@ -23,4 +23,5 @@ mod viewer_window;
 mod render_scenes;
 mod render_closed_forms;
 mod render_executors;
+mod render_noise;
 mod shaders_layout;

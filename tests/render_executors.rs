@@ -72,7 +72,7 @@ fn the_shaders_agree_with_their_twins() {
 fn the_shaders_draw_the_same_noise_as_their_twin() {
     let Some(mut vulkan) = software_vulkan() else { return };
     let mut scene =
-        empty(&["steel_316l"]).with(solids(&[cuboid(DVec3::new(-30.0, 0.0, 600.0), DVec3::new(40.0, 40.0, 20.0), 0, 8.0)]));
+        empty(&["steel_316l"]).with(solids(&[cuboid(DVec3::new(-45.0, 0.0, 600.0), DVec3::new(40.0, 40.0, 20.0), 0, 8.0)]));
     scene.model.noise = Noise::True;
     let options = Options { quantity: Quantity::Intensity, ..Options::default() };
     let mut cases = 0;

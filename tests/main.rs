@@ -20,3 +20,4 @@ mod compare_command;
 mod compare_synthetic;
 mod report_files;
 mod viewer_window;
+mod pelvis_real;

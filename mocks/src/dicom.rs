@@ -147,8 +147,14 @@ mod tests {
         assert_eq!(read, values);
         assert_eq!(object.element(tags::ACQUISITION_NUMBER).expect("counter").to_int::<u32>().expect("int"), 7);
         let word = |tag| object.element(tag).expect("there").to_str().expect("text").trim().to_owned();
-        assert_eq!((word(tags::ACQUISITION_DATE), word(tags::ACQUISITION_TIME)), ("20261121".to_owned(), "050102.250000".to_owned()));
-        assert_eq!((word(tags::EXPOSURE_INU_AS), word(tags::PIXEL_INTENSITY_RELATIONSHIP)), ("1050".to_owned(), "LIN".to_owned()));
+        assert_eq!(
+            (word(tags::ACQUISITION_DATE), word(tags::ACQUISITION_TIME)),
+            ("20261121".to_owned(), "050102.250000".to_owned())
+        );
+        assert_eq!(
+            (word(tags::EXPOSURE_INU_AS), word(tags::PIXEL_INTENSITY_RELATIONSHIP)),
+            ("1050".to_owned(), "LIN".to_owned())
+        );
     }
 
     #[test]

@@ -139,7 +139,7 @@ fn choose(list: &str, scripted: &[Fault]) -> Result<Vec<Fault>, MockError> {
             Some((rest, share)) => (rest, Some(share.parse::<f64>().map_err(|_| wrong("the share is not a number"))?)),
             None => (item, None),
         };
-        if share.is_some_and(|share| !(share >= 0.0 && share <= 1.0)) {
+        if share.is_some_and(|share| !(0.0..=1.0).contains(&share)) {
             return Err(wrong("the share is not within 0 to 1"));
         }
         let (device, kind) = match item_without_share.split_once(':') {

@@ -63,7 +63,8 @@ pub fn play(
     frames: &[Drawn],
     tell: &mut dyn FnMut(serde_json::Value),
 ) -> Result<(), MockError> {
-    let mut senders: Vec<Sender> = lines.into_iter().map(|(device, line)| Sender::new(device, line, script, performance)).collect();
+    let mut senders: Vec<Sender> =
+        lines.into_iter().map(|(device, line)| Sender::new(device, line, script, performance)).collect();
     for sender in &mut senders {
         sender.channel.line.write(&[0]);
     }

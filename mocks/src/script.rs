@@ -130,7 +130,8 @@ fn noise(sigma: f64, random: &mut impl Rng) -> f64 {
 /// Message 3 of the arm.
 #[must_use]
 pub fn carm_metadata() -> MetadataMessage {
-    let limits = vec![[-100.0, 400.0], [-10.0, 10.0], [-100.0, 200.0], [-190.0, 190.0], [-90.0, 90.0], [-180.0, 180.0], [900.0, 1200.0]];
+    let limits =
+        vec![[-100.0, 400.0], [-10.0, 10.0], [-100.0, 200.0], [-190.0, 190.0], [-90.0, 90.0], [-180.0, 180.0], [900.0, 1200.0]];
     MetadataMessage { kind: 2, texts: texts("MOCK-CARM-1", "carm.json", "mm,deg,kV,mA,ms"), limits }
 }
 

@@ -53,7 +53,8 @@ fn the_kit_is_whole_and_its_files_agree() {
     // Beer's paths through the voxels and through the shapes are the same matter: total mass within 1 %.
     let hu = |index: usize| f64::from(i16::from_le_bytes([bytes[352 + 2 * index], bytes[353 + 2 * index]]));
     let count = size(0) * size(1) * size(2);
-    let in_voxels: f64 = (0..count).map(hu).filter(|hu| *hu > phantom.air_below_hu).map(|hu| phantom.density_of_hu(hu) * 1e-3).sum();
+    let in_voxels: f64 =
+        (0..count).map(hu).filter(|hu| *hu > phantom.air_below_hu).map(|hu| phantom.density_of_hu(hu) * 1e-3).sum();
     let in_shapes = mass_g(&phantom, 0.0);
     assert!((in_voxels / in_shapes - 1.0).abs() < 0.01, "{in_voxels} g, {in_shapes} g");
     assert!((in_voxels / mass_g(&phantom, 0.02) - 1.0).abs() > 0.01, "control");

@@ -40,6 +40,9 @@ struct Args {
     /// Seconds between `ready` and the first packet.
     #[arg(long, default_value_t = 1.0)]
     start_delay_s: f64,
+    /// Seconds between the last packet and the lines' end.
+    #[arg(long, default_value_t = 3.0)]
+    linger_s: f64,
     /// Exposures, at most all of the script's.
     #[arg(long, default_value_t = usize::MAX, hide_default_value = true)]
     exposures: usize,
@@ -82,6 +85,7 @@ fn run(args: &Args) -> Result<(), MockError> {
     };
     within("--duration-s", args.duration_s, 5.0, 86_400.0)?;
     within("--start-delay-s", args.start_delay_s, 0.0, 3600.0)?;
+    within("--linger-s", args.linger_s, 0.0, 3600.0)?;
     within("--rate", args.rate, 0.01, 10.0)?;
     let lab = Lab::embedded()?;
     let faults = choose(&args.faults, &lab.faults)?;
@@ -110,7 +114,7 @@ fn run(args: &Args) -> Result<(), MockError> {
     let carm = open(!args.no_carm, Device::Carm, "ttyCARM")?;
     let robot = open(!args.no_robot, Device::Robot, "ttyROBOT")?;
     say(&json!({"event": "ready", "session": session, "carm_port": carm, "robot_port": robot, "exposures": frames.len()}));
-    let performance = Performance { start_delay_s: args.start_delay_s, rate: args.rate, faults, seed: args.seed };
+    let performance = Performance { start_delay_s: args.start_delay_s, linger_s: args.linger_s, rate: args.rate, faults, seed: args.seed };
     play(&script, &performance, lines, &frames, &mut |event| say(&event))
 }
 

@@ -20,6 +20,8 @@ use crate::wire::{Stamp, encode_carm, encode_metadata, encode_robot};
 pub struct Performance {
     /// Wait before the first packet, so that a reader can open the ports.
     pub start_delay_s: f64,
+    /// How long the lines stay open after the last packet.
+    pub linger_s: f64,
     /// Packets per second, relative to 100 Hz and 30 Hz.
     pub rate: f64,
     /// Faults, in any order.
@@ -101,6 +103,8 @@ pub fn play(
         .map(|s| (s.device.name().to_owned(), json!({"packets": s.sequence, "overrun_bytes": s.channel.line.overrun_bytes})))
         .collect();
     tell(json!({"event": "finished", "frames": files.delivered, "sent": sent}));
+    // The end of the script must not look like pulled plugs.
+    std::thread::sleep(Duration::from_secs_f64(performance.linger_s));
     Ok(())
 }
 

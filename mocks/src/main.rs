@@ -114,7 +114,8 @@ fn run(args: &Args) -> Result<(), MockError> {
     let carm = open(!args.no_carm, Device::Carm, "ttyCARM")?;
     let robot = open(!args.no_robot, Device::Robot, "ttyROBOT")?;
     say(&json!({"event": "ready", "session": session, "carm_port": carm, "robot_port": robot, "exposures": frames.len()}));
-    let performance = Performance { start_delay_s: args.start_delay_s, linger_s: args.linger_s, rate: args.rate, faults, seed: args.seed };
+    let performance =
+        Performance { start_delay_s: args.start_delay_s, linger_s: args.linger_s, rate: args.rate, faults, seed: args.seed };
     play(&script, &performance, lines, &frames, &mut |event| say(&event))
 }
 

@@ -187,6 +187,8 @@ pub fn play(
         .map(|s| (s.name.to_owned(), json!({"packets": s.sequence, "overrun_bytes": s.line.overrun_bytes})))
         .collect();
     say(&json!({"event": "finished", "frames": delivered, "sent": sent}));
+    // The lines stay open for a moment, so that the end of the script does not look like pulled plugs.
+    std::thread::sleep(Duration::from_secs(3));
     Ok(())
 }
 

@@ -73,7 +73,8 @@ pub fn run(args: &AttenuationArgs, out: &mut dyn Write) -> Result<(), TableError
     if let Some(path) = &args.plot {
         let energies: Vec<f64> = (0..=580).map(|i| 5.0 + 0.25 * f64::from(i)).collect();
         let curve = |label: &str, pick: fn(&Coefficients) -> f64| -> Result<Series, PhysicsError> {
-            let points = energies.iter().map(|e| Ok((*e, pick(&material.attenuation(*e)?)))).collect::<Result<_, PhysicsError>>()?;
+            let points =
+                energies.iter().map(|e| Ok((*e, pick(&material.attenuation(*e)?)))).collect::<Result<_, PhysicsError>>()?;
             Ok(Series { label: label.to_owned(), points })
         };
         let series = [

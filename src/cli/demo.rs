@@ -160,7 +160,10 @@ impl MockLab {
                 let event: serde_json::Value = serde_json::from_str(&line).unwrap_or_default();
                 match event["event"].as_str() {
                     Some("exposure") => reporter.note(format!("demo: exposure {}", event["counter"])),
-                    Some("fault") => reporter.note(format!("demo: injected fault '{}' on {}", event["kind"], event["device"])),
+                    Some("fault") => {
+                        let said = |key: &str| event[key].as_str().unwrap_or("?").to_owned();
+                        reporter.note(format!("demo: injected fault '{}' on {}", said("kind"), said("device")));
+                    }
                     Some("finished") => break,
                     _ => {}
                 }
@@ -211,7 +214,7 @@ fn judge(folder: &mut Folder, truth: &Path) -> Result<(), DemoError> {
 }
 
 fn same_file(a: &str, b: &str) -> bool {
-    Path::new(a).file_name() == Path::new(b).file_name()
+    Path::new(a).file_stem() == Path::new(b).file_stem()
 }
 
 fn print_table(folder: &Folder) {
@@ -240,7 +243,9 @@ fn print_table(folder: &Folder) {
             stage("compare"),
         );
     }
-    println!("truth: mean distance of the landmarks in the frame from where they really are; null best: ZNCC of the best wrong pose");
+    println!(
+        "truth: mean distance of the landmarks in the frame from where they really are; null best: ZNCC of the best wrong pose"
+    );
 }
 
 /// The word that files use for a value.

@@ -42,7 +42,8 @@ fn filter(text: &str) -> Result<(String, f64), String> {
 /// # Errors
 /// When voltage, angle or a filter is outside its range, or the plot cannot be written.
 pub fn run(args: &SpectrumArgs, out: &mut dyn Write) -> Result<(), TableError> {
-    let filtration = args.filters.iter().map(|(name, mm)| Ok((Material::parse(name)?, *mm))).collect::<Result<Vec<_>, TableError>>()?;
+    let filtration =
+        args.filters.iter().map(|(name, mm)| Ok((Material::parse(name)?, *mm))).collect::<Result<Vec<_>, TableError>>()?;
     let spectrum = Spectrum::tungsten(args.kvp, args.anode_angle, &filtration)?;
     let (mean_kev, hvl1, hvl2) = (spectrum.mean_kev(), spectrum.hvl1_mm_al()?, spectrum.hvl2_mm_al()?);
     if args.json {

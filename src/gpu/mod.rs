@@ -155,8 +155,8 @@ fn open_gpu(software: bool) -> Result<Gpu, GpuError> {
     };
     let info = adapter.get_info();
     let name = format!("{} ({:?}, {} {})", info.name, info.backend, info.driver, info.driver_info);
-    let request =
-        adapter.request_device(&wgpu::DeviceDescriptor { required_limits: adapter.limits(), ..wgpu::DeviceDescriptor::default() });
+    let request = adapter
+        .request_device(&wgpu::DeviceDescriptor { required_limits: adapter.limits(), ..wgpu::DeviceDescriptor::default() });
     let (device, queue) =
         pollster::block_on(request).map_err(|error| GpuError::Open { adapter: name.clone(), detail: error.to_string() })?;
     Ok(Gpu { device, queue, adapter: name, software })

@@ -37,11 +37,8 @@ pub fn line_plot(title: &str, x: &Axis, y: &Axis, series: &[Series]) -> String {
         let low = if from_zero { low.min(0.0) } else { low };
         if low < high { (low, high) } else { (low.min(0.0) - 0.5, high.max(0.0) + 0.5) }
     };
-    let (x_range, y_range) = if finite.is_empty() {
-        ((0.0, 1.0), (0.0, 1.0))
-    } else {
-        (range(|p| p.0, false), range(|p| p.1, !y.logarithmic))
-    };
+    let (x_range, y_range) =
+        if finite.is_empty() { ((0.0, 1.0), (0.0, 1.0)) } else { (range(|p| p.0, false), range(|p| p.1, !y.logarithmic)) };
     let (left, top, right, bottom) = FRAME;
     let at_x = |value: f64| left + (value - x_range.0) / (x_range.1 - x_range.0) * (right - left);
     let at_y = |value: f64| bottom - (value - y_range.0) / (y_range.1 - y_range.0) * (bottom - top);

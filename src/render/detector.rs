@@ -35,7 +35,15 @@ pub fn expected_photons(scene: &Scene, signal: &Signal, obliquity: &[f32]) -> Ve
 
 /// Noise of `intensity`: quantum noise Ē·(Poisson(N) − N) / (N₀(u) Σφr), correlated by the crosstalk kernel, plus readout noise.
 #[must_use]
-pub fn intensity_noise(scene: &Scene, view: &View, bins: &Bins, signal: &Signal, deviates: &[f32], obliquity: &[f32], frame: u32) -> Vec<f32> {
+pub fn intensity_noise(
+    scene: &Scene,
+    view: &View,
+    bins: &Bins,
+    signal: &Signal,
+    deviates: &[f32],
+    obliquity: &[f32],
+    frame: u32,
+) -> Vec<f32> {
     let [width, height] = view.size_px.map(|n| n as usize);
     let n0 = scene.beam.photons_per_pixel;
     let compound = scene.model.noise == Noise::True && scene.detector.response == Response::Energy;

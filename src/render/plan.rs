@@ -101,21 +101,28 @@ impl Plan {
             choices.push(Choice { what: what.to_owned(), modelled, why });
         };
         let volumes = scene.objects.iter().filter(|object| matches!(object.matter, Matter::Volume(_))).count();
-        let shapes: usize = scene.objects.iter().map(|object| if let Matter::Solids(s) = &object.matter { s.len() } else { 0 }).sum();
+        let shapes: usize =
+            scene.objects.iter().map(|object| if let Matter::Solids(s) = &object.matter { s.len() } else { 0 }).sum();
         let meshes = scene.objects.iter().filter(|object| matches!(object.matter, Matter::Mesh(_))).count();
         let displacement = volumes + shapes + meshes > 1;
         choose(
             "displacement",
             displacement,
             if displacement {
-                format!("{volumes} volumes, {shapes} shapes, {meshes} meshes: later ones mask earlier ones along the same ray, exactly")
+                format!(
+                    "{volumes} volumes, {shapes} shapes, {meshes} meshes: later ones mask earlier ones along the same ray, exactly"
+                )
             } else {
                 "there is nothing that could displace anything".to_owned()
             },
         );
         choose("path images", true, format!("one for each of {} materials", scene.materials.len()));
         if volumes > 0 {
-            choose("volumes", true, "cell by cell, exact for the trilinear field; empty bricks of 8x8x8 cells are crossed at once".into());
+            choose(
+                "volumes",
+                true,
+                "cell by cell, exact for the trilinear field; empty bricks of 8x8x8 cells are crossed at once".into(),
+            );
         }
         if shapes > 0 {
             choose("shapes", true, format!("{shapes} intersected exactly, each only inside its bounds on the screen"));
@@ -154,7 +161,11 @@ impl Plan {
             if noisy { format!("'{noise}', {} photons a pixel", scene.beam.photons_per_pixel) } else { why_no_noise.to_owned() },
         );
         let kernel = noisy && scene.detector.crosstalk.len() > 1;
-        choose("crosstalk", kernel, if kernel { "correlates the quantum noise".into() } else { "no kernel, or no noise".to_owned() });
+        choose(
+            "crosstalk",
+            kernel,
+            if kernel { "correlates the quantum noise".into() } else { "no kernel, or no noise".to_owned() },
+        );
         let readout = noisy && scene.detector.readout_noise.is_some();
         choose("readout noise", readout, if readout { "of the detector".into() } else { "not given, or no noise".to_owned() });
         choose("scatter", false, "not available in this version".into());
@@ -180,7 +191,8 @@ impl Plan {
     #[must_use]
     pub fn explain(&self) -> String {
         use std::fmt::Write as _;
-        let mut text = format!("plan: {:?} executor, {} x {} px, {:?}\n", self.executor, self.size_px[0], self.size_px[1], self.quantity);
+        let mut text =
+            format!("plan: {:?} executor, {} x {} px, {:?}\n", self.executor, self.size_px[0], self.size_px[1], self.quantity);
         for (title, wanted) in [("modelled", true), ("left out", false)] {
             let _ = writeln!(text, "{title}:");
             for choice in self.choices.iter().filter(|choice| choice.modelled == wanted) {

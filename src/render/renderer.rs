@@ -126,8 +126,7 @@ impl Renderer {
             let bins = Bins::new(scene, &plan.energy_nodes)?;
             let noisy = noise_applies(scene, plan.quantity);
             let signal = stages.measure("attenuate_spectrum", || attenuate_spectrum(&density, &bins, noisy));
-            let obliquity =
-                if noisy || plan.quantity == Quantity::Counts { detector::obliquity(&view) } else { Vec::new() };
+            let obliquity = if noisy || plan.quantity == Quantity::Counts { detector::obliquity(&view) } else { Vec::new() };
             let noise = if noisy {
                 stages.measure("add_noise", || {
                     let expected = detector::expected_photons(scene, &signal, &obliquity);
@@ -139,9 +138,13 @@ impl Renderer {
             };
             if noisy && plan.quantity == Quantity::LineIntegral {
                 let floor = 0.5 / scene.beam.photons_per_pixel;
-                notes.push(format!("noisy line integrals are -ln max(I, 1/(2 N0)) = -ln max(I, {floor:.3e}): none exceeds {:.2}", -floor.ln()));
+                notes.push(format!(
+                    "noisy line integrals are -ln max(I, 1/(2 N0)) = -ln max(I, {floor:.3e}): none exceeds {:.2}",
+                    -floor.ln()
+                ));
             }
-            let page = stages.measure("detect", || detector::page(scene, plan.quantity, &signal.line_integral, &noise, &bins, &obliquity));
+            let page = stages
+                .measure("detect", || detector::page(scene, plan.quantity, &signal.line_integral, &noise, &bins, &obliquity));
             vec![image(page)]
         };
         Ok(Rendered {
@@ -181,7 +184,11 @@ fn cached_cells(cache: &mut Vec<(Arc<Volume>, Arc<Cells>)>, volume: &Arc<Volume>
     let voxels = volume.size.iter().product::<usize>();
     if voxels == 0 || volume.density_g_per_cm3.len() != voxels || volume.class.len() != voxels {
         let found = volume.density_g_per_cm3.len();
-        return Err(wrong(format!("a grid of {:?} voxels holds {found} densities and {} classes", volume.size, volume.class.len())));
+        return Err(wrong(format!(
+            "a grid of {:?} voxels holds {found} densities and {} classes",
+            volume.size,
+            volume.class.len()
+        )));
     }
     if !(volume.lps_from_voxel.matrix3.determinant().abs() > 0.0) {
         return Err(wrong("its affine is singular".to_owned()));
@@ -199,7 +206,11 @@ fn check(scene: &Scene) -> Result<(), RenderError> {
     }
     let kernel = &scene.detector.crosstalk;
     if kernel.iter().any(|row| row.len() != kernel.len()) || (!kernel.is_empty() && kernel.len() % 2 == 0) {
-        return Err(RenderError::Number { what: "detector.crosstalk: rows", value: kernel.len() as f64, expected: "an odd square" });
+        return Err(RenderError::Number {
+            what: "detector.crosstalk: rows",
+            value: kernel.len() as f64,
+            expected: "an odd square",
+        });
     }
     if let Some(readout) = scene.detector.readout_noise
         && !(readout.row_correlation >= 0.0 && readout.row_correlation < 1.0)
@@ -217,7 +228,11 @@ fn check_plan(plan: &Plan, scene: &Scene) -> Result<(), RenderError> {
     }
     let size = scene.view.map_or([0, 0], |view| view.size_px);
     if plan.size_px != size {
-        return Err(RenderError::PlanMismatch { what: "size_px", planned: format!("{:?}", plan.size_px), found: format!("{size:?}") });
+        return Err(RenderError::PlanMismatch {
+            what: "size_px",
+            planned: format!("{:?}", plan.size_px),
+            found: format!("{size:?}"),
+        });
     }
     Ok(())
 }

@@ -261,7 +261,7 @@ fn over_time(page: &mut String, report: &SessionReport) {
         figure("Time per stage", "ms per exposure", svg + &legend);
     }
     if !report.links.is_empty() {
-        let bands: Vec<_> = report
+        let bands: Vec<plots::Band> = report
             .links
             .iter()
             .map(|link| {
@@ -271,7 +271,8 @@ fn over_time(page: &mut String, report: &SessionReport) {
                     .iter()
                     .map(|gap| ([seconds(report, gap.start_us), seconds(report, gap.end_us)], gap.reason.clone()))
                     .collect();
-                (link.device.clone(), [at(link.first_us, 0.0), at(link.last_us, 0.0)], gaps)
+                let there_s = [at(link.first_us, 0.0), at(link.last_us, 0.0)];
+                plots::Band { name: link.device.clone(), there_s, gaps }
             })
             .collect();
         figure("Links", "green: samples arrive; red: down", plots::links("links over time", &bands, span) + &link_table(report));

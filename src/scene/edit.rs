@@ -10,6 +10,17 @@ use super::physics::Material;
 use crate::geometry::{Rigid, RobotModelError, View};
 
 impl Scene {
+    /// The same scene seen from `view` with larger or smaller pixels on the same panel: the pitch grows as the focal length in pixels
+    /// shrinks, so the distance to the detector stays.
+    #[must_use]
+    pub fn with_binned_view(&self, view: View) -> Self {
+        let mut scene = self.with_view(view);
+        if let Some(before) = self.view {
+            scene.detector.pitch_mm *= before.intrinsics.fx / view.intrinsics.fx;
+        }
+        scene
+    }
+
     /// The same scene seen from elsewhere.
     #[must_use]
     pub fn with_view(&self, view: View) -> Self {

@@ -139,6 +139,7 @@ pub struct Engine {
     links: BTreeMap<DeviceKind, Link>,
     timeline: Timeline,
     world_from_lps: Option<Rigid>,
+    world_from_tracker: Option<Rigid>,
     pending: Vec<Pending>,
     frames: u32,
     reporter: Reporter,
@@ -148,10 +149,22 @@ impl Engine {
     /// `layout` holds the specimen's beads; without them every frame falls back to telemetry.
     #[must_use]
     pub fn new(setup: Setup, layout: Option<BeadLayout>, reporter: Reporter) -> Self {
-        let world_from_lps = setup.session.world_from_lps;
+        let rigid = |rows: Option<[[f64; 4]; 4]>| rows.and_then(|rows| Rigid::from_rows(&rows).ok());
+        let world_from_lps = rigid(setup.session.world_from_lps);
+        let world_from_tracker = rigid(setup.session.world_from_tracker);
         let present = [(DeviceKind::Carm, setup.carm.is_some()), (DeviceKind::Robot, setup.robot.is_some())];
         let links = present.into_iter().filter(|(_, there)| *there).map(|(device, _)| (device, Link::new(device))).collect();
-        Self { setup, layout, links, timeline: Timeline::new(), world_from_lps, pending: Vec::new(), frames: 0, reporter }
+        Self {
+            setup,
+            layout,
+            links,
+            timeline: Timeline::new(),
+            world_from_lps,
+            world_from_tracker,
+            pending: Vec::new(),
+            frames: 0,
+            reporter,
+        }
     }
 
     /// Counters of a line.
@@ -303,7 +316,7 @@ impl Engine {
             return None;
         }
         let tracked = self.timeline.tracker_from_base_at(mid_us).filter(|answer| answer.gap_us <= MAX_GAP_US);
-        let lps_from_base = match (tracked, self.setup.session.world_from_tracker, self.world_from_lps) {
+        let lps_from_base = match (tracked, self.world_from_tracker, self.world_from_lps) {
             (Some(base), Some(world_from_tracker), Some(world_from_lps)) => {
                 Some(world_from_lps.inverse() * world_from_tracker * base.value)
             }

@@ -109,12 +109,13 @@ pub struct SessionFile {
     /// Beads of the specimen.
     #[serde(default)]
     pub beads: Option<PathBuf>,
-    /// Where the specimen lies in the room; solved from the first accepted frame when absent.
+    /// Where the specimen lies in the room; solved from the first accepted frame when absent. Kept as rows, because they come back
+    /// from a log bit for bit.
     #[serde(default)]
-    pub world_from_lps: Option<Rigid>,
+    pub world_from_lps: Option<[[f64; 4]; 4]>,
     /// Where the tracker stands in the room.
     #[serde(default)]
-    pub world_from_tracker: Option<Rigid>,
+    pub world_from_tracker: Option<[[f64; 4]; 4]>,
     /// The session's folder; `--out` overrides it.
     #[serde(default)]
     pub out: Option<PathBuf>,
@@ -181,6 +182,11 @@ impl Setup {
     pub fn load(path: &Path) -> Result<Self, SessionFileError> {
         let mut session: SessionFile = parse(path, &read_text(path)?)?;
         session.frames.folder = beside(path, &session.frames.folder);
+        for (key, rows) in [("world_from_lps", session.world_from_lps), ("world_from_tracker", session.world_from_tracker)] {
+            if let Some(Err(error)) = rows.map(|rows| Rigid::from_rows(&rows)) {
+                return Err(SessionFileError::Json { path: path.to_owned(), place: key.to_owned(), detail: error.to_string() });
+            }
+        }
         let mut carm = None;
         if let Some(line) = &mut session.carm {
             check_baud(path, "carm.baud", line.baud)?;

@@ -42,7 +42,8 @@ struct Scratch {
 pub fn integrate_density(prepared: &Prepared) -> Density {
     let [width, height] = prepared.view.size_px.map(|n| n as usize);
     let materials = prepared.material_count;
-    let trees: Vec<MeshTree> = prepared.meshes.iter().map(|seen| MeshTree::new(&seen.vertices_in_camera, &seen.mesh.triangles)).collect();
+    let trees: Vec<MeshTree> =
+        prepared.meshes.iter().map(|seen| MeshTree::new(&seen.vertices_in_camera, &seen.mesh.triangles)).collect();
     let mut g_per_cm2 = vec![0.0f32; width * height * materials.max(1)];
     let mut valid = vec![1u8; width * height];
     let bands = g_per_cm2.par_chunks_mut(TILE_ROWS * width * materials.max(1)).zip(valid.par_chunks_mut(TILE_ROWS * width));

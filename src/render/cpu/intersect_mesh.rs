@@ -126,8 +126,13 @@ mod tests {
                 let mut spans = Vec::new();
                 tree.inside(direction, &mut spans);
                 let found: f64 = spans.iter().map(|(a, b)| b - a).sum();
-                let expected = super::super::shapes::cuboid(DVec3::new(0.0, 0.0, -100.0), direction, DVec3::splat(-10.0), DVec3::splat(10.0))
-                    .map_or(0.0, |(a, b)| b - a);
+                let expected = super::super::shapes::cuboid(
+                    DVec3::new(0.0, 0.0, -100.0),
+                    direction,
+                    DVec3::splat(-10.0),
+                    DVec3::splat(10.0),
+                )
+                .map_or(0.0, |(a, b)| b - a);
                 assert!((found - expected).abs() < 1e-9, "({u}, {v}): {found} and {expected}");
                 cases += 1;
             }

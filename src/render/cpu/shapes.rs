@@ -115,7 +115,10 @@ mod tests {
         assert!((length(tube, DVec3::new(0.0, -100.0, 10.0), DVec3::Y) - 2.0).abs() < 1e-9, "both walls");
         assert!((length(tube, DVec3::new(2.5, 0.0, -100.0), DVec3::Z) - 35.0).abs() < 1e-9, "along the wall");
         assert_eq!(length(tube, DVec3::new(0.5, 0.0, -100.0), DVec3::Z), 0.0, "down the lumen");
-        assert!((length(tube, DVec3::new(2.5, -100.0, 10.0), DVec3::Y) - 2.0 * (9.0f64 - 6.25).sqrt()).abs() < 1e-9, "beside the lumen");
+        assert!(
+            (length(tube, DVec3::new(2.5, -100.0, 10.0), DVec3::Y) - 2.0 * (9.0f64 - 6.25).sqrt()).abs() < 1e-9,
+            "beside the lumen"
+        );
     }
 
     #[test]

@@ -135,11 +135,8 @@ impl Field<'_> {
     #[inline(always)]
     fn add_piece(&self, ray: &CellRay, cell: [usize; 3], kind: u8, (from, to): (f64, f64), sums: &mut [f64]) {
         let volume = self.volume;
-        let [(i, di), (j, dj), (k, dk)] = [
-            voxel_pair(cell[0], volume.size[0]),
-            voxel_pair(cell[1], volume.size[1]),
-            voxel_pair(cell[2], volume.size[2]),
-        ];
+        let [(i, di), (j, dj), (k, dk)] =
+            [voxel_pair(cell[0], volume.size[0]), voxel_pair(cell[1], volume.size[1]), voxel_pair(cell[2], volume.size[2])];
         let (row, slice) = (dj * volume.size[0], dk * volume.size[0] * volume.size[1]);
         let base = volume.index(i, j, k);
         let middle = 0.5 * (from + to);

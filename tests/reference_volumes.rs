@@ -22,7 +22,7 @@ fn quadrature(f: &dyn Fn(f64) -> f64, a: f64, b: f64) -> f64 {
         refine(f, a, m, fa, l, fm, left, depth - 1) + refine(f, m, b, fm, r, fb, right, depth - 1)
     }
     // A first division that no symmetry of the field fits.
-    let cuts = 97;
+    let cuts = 9973;
     let at = |i: u32| a + (b - a) * f64::from(i) / f64::from(cuts);
     (0..cuts)
         .map(|i| {

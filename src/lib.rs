@@ -10,9 +10,18 @@ pub mod image;
 pub mod reporter;
 
 pub mod geometry;
+pub mod gpu;
 pub mod telemetry;
 pub mod acquire;
 pub mod timeline;
+pub mod beads;
+pub mod pose;
 pub mod scene;
+pub mod render;
+pub mod compare;
 pub mod record;
+pub mod report;
+pub mod session;
+#[cfg(feature = "viewer")]
+pub mod viewer;
 pub mod cli;

@@ -1,1 +1,5 @@
-fn main() {}
+//! The `sidecarm` program: everything is in the library.
+
+fn main() -> std::process::ExitCode {
+    sidecarm::cli::main()
+}

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-/// The data-flow order of DESIGN §2, as `lib.rs` declares it.
+/// The data-flow order, as `lib.rs` declares it. `report` stands before `session`, because a session draws each strip as it goes.
 const ORDER: [&str; 24] = [
     "units",
     "time",
@@ -24,8 +24,8 @@ const ORDER: [&str; 24] = [
     "learn",
     "record",
     "calibrate",
-    "session",
     "report",
+    "session",
     "viewer",
     "cli",
 ];

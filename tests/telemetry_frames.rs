@@ -9,7 +9,7 @@ pub const GOLDEN_METADATA: &str = "03010301024e010101054599be1c0101030207013241e
 
 /// Bytes of hexadecimal digits.
 pub fn bytes(hex: &str) -> Vec<u8> {
-    (0..hex.len()).step_by(2).map(|at| u8::from_str_radix(&hex[at..at + 2], 16).unwrap()).collect()
+    (0..hex.len()).step_by(2).map(|at| u8::from_str_radix(&hex[at..at + 2], 16).expect("hexadecimal")).collect()
 }
 
 /// A whole frame, delimiter included.

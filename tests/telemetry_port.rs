@@ -200,9 +200,8 @@ fn a_full_receiver_slows_reading_down_and_loses_nothing() {
 
 #[test]
 fn a_recording_goes_the_same_way_as_a_port() {
-    let script: Vec<(i64, u32, Vec<u8>)> = (0..40u32)
-        .map(|i| (1_000_000 + i64::from(i) * 33_333 + if i >= 20 { 2_000_000 } else { 0 }, i / 20, plain(i)))
-        .collect();
+    let script: Vec<(i64, u32, Vec<u8>)> =
+        (0..40u32).map(|i| (1_000_000 + i64::from(i) * 33_333 + if i >= 20 { 2_000_000 } else { 0 }, i / 20, plain(i))).collect();
     let mut whole = Link::new(DeviceKind::Carm);
     let mut events = Vec::new();
     whole.drain(&mut script.clone().into_iter(), &mut |received| events.push(received));

@@ -139,8 +139,11 @@ fn pauses_delays_and_losses_are_not_steps() {
         even.iter().enumerate().map(|(i, (d, h, _))| if i >= 1_000 { (d + 800_000, h + 800_000) } else { (*d, *h) }).collect();
     assert_eq!(run(&pause).0.steps_and_resets(), (0, 0));
     // The host is late by 0.4 s for a second.
-    let late: Vec<(i64, i64)> =
-        even.iter().enumerate().map(|(i, (d, h, _))| (*d, if (1_000..1_100).contains(&i) { even[1_100].1 } else { *h })).collect();
+    let late: Vec<(i64, i64)> = even
+        .iter()
+        .enumerate()
+        .map(|(i, (d, h, _))| (*d, if (1_000..1_100).contains(&i) { even[1_100].1 } else { *h }))
+        .collect();
     assert_eq!(run(&late).0.steps_and_resets(), (0, 0));
     // 300 frames are lost: the sequence explains the device time.
     let mut clock = DeviceClock::default();

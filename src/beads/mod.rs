@@ -1,1 +1,19 @@
 //! Bead layouts and bead detection.
+//!
+//! A layout is what is known of the beads in the specimen (a 3D Slicer markups file); a detection is the shadow of a sphere found in a
+//! frame. Which detection is which bead is decided in `pose`.
+//!
+//! Detection takes no hand-set parameter: candidates are blobs of any size in a robustly normalised line-integral image, each is fitted
+//! with the blurred shadow of a sphere on a curved background, and what does not look like a sphere's shadow is dropped.
+
+mod candidates;
+mod detect;
+mod fit;
+mod layout;
+mod markups;
+mod noise;
+mod profile;
+
+pub use detect::{Detection, Detections, Expectation, Polarity, Signal, detect, detect_image};
+pub use layout::{Bead, BeadLayout, DEFAULT_BODY, DEFAULT_SIGMA_MM, Landmark};
+pub use markups::{BeadsError, parse_markups, read_landmarks, read_markups};

@@ -201,15 +201,20 @@ struct Heard {
     metadata: Option<Metadata>,
     samples: u64,
     first_last_us: Option<(i64, i64)>,
-    trouble: Option<String>,
+    /// Why the port is not open now.
+    closed: Option<String>,
+    /// The device went away while it was listened to.
+    lost: Option<String>,
 }
 
 impl Heard {
     fn take(&mut self, event: &PortEvent) {
         match event {
-            PortEvent::Retry { error, .. } => self.trouble = Some(format!("{error}; {}", hint(error))),
-            PortEvent::Lost { reason, .. } => self.trouble = Some(format!("the device went away: {reason}")),
-            PortEvent::Opened { .. } | PortEvent::Bytes { .. } => {}
+            PortEvent::Retry { error, .. } => self.closed = Some(format!("{error}; {}", hint(error))),
+            PortEvent::Lost { reason, .. } => self.lost = Some(format!("the device went away: {reason}; check the cable")),
+            // An earlier attempt may have failed because another program was just letting go.
+            PortEvent::Opened { .. } => self.closed = None,
+            PortEvent::Bytes { .. } => {}
         }
         let Self { link, metadata, samples, first_last_us, .. } = self;
         link.handle(event, &mut |received| {
@@ -230,14 +235,17 @@ impl Heard {
             _ => 0.0,
         };
         let device = config.device;
-        let (ok, detail) = if let Some(trouble) = self.trouble {
+        let (ok, detail) = if let Some(trouble) = self.lost.or(self.closed) {
             (false, trouble)
         } else if health.bytes == 0 {
             (false, "open, but silent; switch the device on, and check that its baud rate is the session's".to_owned())
         } else if self.samples == 0 && health.schema_mismatch + health.version_mismatch > 0 {
             (false, format!("speaks another protocol version ({health}); update the device's firmware or sidecarm"))
         } else if self.samples == 0 {
-            let detail = format!("{} bytes, but no {device} sample ({health}); check the baud rate and that the ports are not swapped", health.bytes);
+            let detail = format!(
+                "{} bytes, but no {device} sample ({health}); check the baud rate and that the ports are not swapped",
+                health.bytes
+            );
             (false, detail)
         } else {
             let about = self.metadata.as_ref().map_or("no metadata yet".to_owned(), Metadata::summary);
@@ -258,7 +266,14 @@ impl Heard {
 fn listen(ports: &[&PortConfig]) -> std::io::Result<Vec<Heard>> {
     let mut heard: Vec<Heard> = ports
         .iter()
-        .map(|config| Heard { link: Link::new(config.device), metadata: None, samples: 0, first_last_us: None, trouble: None })
+        .map(|config| Heard {
+            link: Link::new(config.device),
+            metadata: None,
+            samples: 0,
+            first_last_us: None,
+            closed: None,
+            lost: None,
+        })
         .collect();
     if ports.is_empty() {
         return Ok(heard);
@@ -266,15 +281,15 @@ fn listen(ports: &[&PortConfig]) -> std::io::Result<Vec<Heard>> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
         let (sink, mut events) = mpsc::channel::<(DeviceKind, PortEvent)>(256);
-        let tasks: Vec<_> =
-            ports.iter().map(|config| spawn_port(runtime.handle(), (*config).clone(), sink.clone())).collect();
+        let tasks: Vec<_> = ports.iter().map(|config| spawn_port(runtime.handle(), (*config).clone(), sink.clone())).collect();
         let until_us = host_now_us() + LISTEN.as_micros() as i64;
         loop {
             let left_us = until_us - host_now_us();
             if left_us <= 0 {
                 break;
             }
-            let Ok(Some((device, event))) = tokio::time::timeout(Duration::from_micros(left_us as u64), events.recv()).await else {
+            let Ok(Some((device, event))) = tokio::time::timeout(Duration::from_micros(left_us as u64), events.recv()).await
+            else {
                 break;
             };
             for (config, heard) in ports.iter().zip(&mut heard) {

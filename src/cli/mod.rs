@@ -1,3 +1,86 @@
-//! Commands: what was typed and what it means.
+//! Commands: what was typed and what it means. Results go to standard output, everything else to standard error.
 
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+use crate::reporter::Reporter;
+
+pub mod attenuation;
+pub mod compare;
+pub mod demo;
 pub mod devices;
+pub mod hints;
+pub mod info;
+pub mod live;
+pub mod register;
+pub mod render;
+pub mod replay;
+pub mod spectrum;
+
+/// Rides beside a mobile C-arm and a snake robot: finds beads in each radiograph, recovers its pose, renders the matched DeepDRR,
+/// compares, records and replays. For research; not a medical device.
+#[derive(Debug, Parser)]
+#[command(name = "sidecarm", version, after_help = EXAMPLES)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+const EXAMPLES: &str = "Examples:
+  sidecarm demo --headless
+  sidecarm render scene.json --out drr.tif --explain
+  sidecarm register frame.dcm --beads beads.mrk.json --intrinsics k.json --out pose.json
+
+Exit codes: 0 good, 1 failed or refused, 2 usage, 3 finished with loss (said which).";
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Demo(demo::DemoArgs),
+    Live(live::LiveArgs),
+    Replay(replay::ReplayArgs),
+    Render(render::RenderArgs),
+    Register(register::RegisterArgs),
+    Compare(compare::CompareArgs),
+    Attenuation(attenuation::AttenuationArgs),
+    Spectrum(spectrum::SpectrumArgs),
+    Devices(devices::DevicesArgs),
+    Info(info::InfoArgs),
+}
+
+/// Runs the program.
+#[must_use]
+pub fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let reporter = Reporter::stderr();
+    ExitCode::from(dispatch(&cli.command, &reporter))
+}
+
+fn dispatch(command: &Command, reporter: &Reporter) -> u8 {
+    match command {
+        Command::Demo(args) => end(demo::run(args, reporter), reporter),
+        Command::Live(args) => end(live::run(args, reporter), reporter),
+        Command::Replay(args) => end(replay::run(args, reporter), reporter),
+        Command::Render(args) => end(render::run(args, reporter), reporter),
+        Command::Register(args) => end(register::run(args, reporter), reporter),
+        Command::Compare(args) => end(compare::run(args, reporter), reporter),
+        Command::Attenuation(args) => end(attenuation::run(args, &mut std::io::stdout().lock()).map(|()| 0), reporter),
+        Command::Spectrum(args) => end(spectrum::run(args, &mut std::io::stdout().lock()).map(|()| 0), reporter),
+        Command::Devices(args) => live::devices(args, reporter),
+        Command::Info(args) => end(info::run(args, reporter), reporter),
+    }
+}
+
+/// One sentence and, where there is one, a hint; the exit code.
+fn end<E: std::error::Error + 'static>(outcome: Result<u8, E>, reporter: &Reporter) -> u8 {
+    match outcome {
+        Ok(code) => code,
+        Err(error) => {
+            reporter.note(format!("sidecarm: {error}"));
+            if let Some(hint) = hints::hint(&error) {
+                reporter.note(format!("hint: {hint}"));
+            }
+            1
+        }
+    }
+}

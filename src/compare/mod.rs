@@ -1,1 +1,400 @@
-//! Acquired against simulated.
+//! How well an acquired frame and its simulation agree, honestly (DESIGN §9).
+//!
+//! Both images are brought into a common domain ([`CommonDomain`]), the declared [`Tone`] is fitted on alternate tiles and scored on the
+//! others, one union of masks holds for all scores, and every score can be put against its null: the same score at poses known to be
+//! wrong. What cannot be claimed is `None` and says why.
+
+mod collimation;
+mod domain;
+mod edges;
+mod filters;
+mod masks;
+mod null;
+mod scores;
+mod tone;
+
+use std::collections::BTreeMap;
+
+use glam::{DVec2, DVec3};
+
+pub use domain::{AirLevel, AirReport, CommonDomain};
+pub use masks::{Cause, MaskShares, REQUIRED_SHARE};
+pub use null::{NULL_RENDERS, NULL_WIDTH_PX, NullError, NullPlan, NullScore, Rerender, ShiftedScore};
+pub use scores::{FEWEST_PIXELS, LOCAL_BAND_PX, LOCAL_WINDOW_PX, NULL_SCORES, SCORE_SIGMA_PX, SSIM_CONSTANTS, Scores};
+pub use tone::{Tone, ToneFit};
+
+use crate::acquire::{Domain, Frame};
+use crate::geometry::View;
+use crate::image::Image;
+use masks::Masks;
+use scores::{Scored, score};
+
+/// Why two images are not compared.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum CompareError {
+    /// The acquired frame is not a whole number of times larger than the simulated image.
+    #[error(
+        "sizes differ: {name} is {acquired:?} px, the simulated image {simulated:?}; render at the frame's size or a whole fraction of it"
+    )]
+    Size {
+        /// The frame.
+        name: String,
+        /// Columns and rows.
+        acquired: [usize; 2],
+        /// Columns and rows.
+        simulated: [usize; 2],
+    },
+    /// A mask has another size than the simulated image.
+    #[error("{what} mask is {found:?} px, the simulated image {expected:?}")]
+    MaskSize {
+        /// Which mask.
+        what: &'static str,
+        /// Columns and rows.
+        found: [usize; 2],
+        /// Columns and rows.
+        expected: [usize; 2],
+    },
+    /// Too little is left to score.
+    #[error("{left:.1} % of the image is left after masking, {required:.0} % are required ({causes})")]
+    TooLittleLeft {
+        /// Percent.
+        left: f64,
+        /// Percent.
+        required: f64,
+        /// Share by cause.
+        causes: String,
+    },
+    /// A tone that this domain does not permit.
+    #[error("tone {} does not suit domain {domain}: it permits {permitted}", tone.as_str())]
+    ToneNotPermitted {
+        /// Declared.
+        tone: Tone,
+        /// Of the frame.
+        domain: Domain,
+        /// Words.
+        permitted: &'static str,
+    },
+    /// The images do not determine the tone.
+    #[error("tone {} cannot be fitted: the simulated image is nearly constant where it is not masked", tone.as_str())]
+    ToneUndetermined {
+        /// Declared.
+        tone: Tone,
+    },
+}
+
+/// Two images to compare, and what is known about them.
+#[derive(Clone, Copy, Debug)]
+pub struct CompareInput<'a> {
+    /// As acquired. May be a whole number of times larger than the simulated image; it is binned then.
+    pub acquired: &'a Frame,
+    /// Simulated line integral, nepers; NaN where it cannot be known.
+    pub simulated_line_integral: &'a Image<f32>,
+    /// 1 where the simulation is valid.
+    pub valid: Option<&'a Image<u8>>,
+    /// True: leave out. At the simulated image's size, or at the acquired frame's.
+    pub extra_mask: Option<&'a Image<bool>>,
+    /// True: the robot or a tool, scored apart.
+    pub tool: Option<&'a Image<bool>>,
+    /// Centre and radius of the beads in the simulated image, px.
+    pub beads: &'a [(DVec2, f64)],
+    /// What may be fitted.
+    pub tone: Tone,
+    /// How the air level is known.
+    pub air: AirLevel,
+    /// The view of the simulated image: gives edge distances in mm, and the null.
+    pub view: Option<&'a View>,
+    /// Centroid of the beads, else the centre of the specimen.
+    pub centre_lps_mm: Option<DVec3>,
+}
+
+impl<'a> CompareInput<'a> {
+    /// Nothing but the two images: no tone, air level from open air.
+    #[must_use]
+    pub fn new(acquired: &'a Frame, simulated_line_integral: &'a Image<f32>) -> Self {
+        Self {
+            acquired,
+            simulated_line_integral,
+            valid: None,
+            extra_mask: None,
+            tool: None,
+            beads: &[],
+            tone: Tone::None,
+            air: AirLevel::Open,
+            view: None,
+            centre_lps_mm: None,
+        }
+    }
+}
+
+/// What was found, as it is written to files.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Comparison {
+    /// Columns and rows that were compared.
+    pub size_px: [usize; 2],
+    /// Pixels of the acquired frame that make one here, each way.
+    pub binning: usize,
+    /// Of the acquired frame.
+    pub domain: Domain,
+    /// In which the images were compared.
+    pub common_domain: CommonDomain,
+    /// Where the air level came from.
+    pub air: AirReport,
+    /// The tone that was fitted.
+    pub tone: ToneFit,
+    /// With the tone.
+    pub scores: Scores,
+    /// Without any tone, on the same pixels.
+    pub scores_without_tone: Scores,
+    /// The robot or tool alone, with the tone; `None` without a tool mask.
+    pub scores_tool: Option<Scores>,
+    /// Each score against its null; empty until the null is made.
+    pub null: BTreeMap<String, NullScore>,
+    /// How the null was made.
+    pub null_plan: Option<NullPlan>,
+    /// What was left out.
+    pub masks: MaskShares,
+    /// Millimetres at the depth of the centre per pixel.
+    pub mm_per_px: Option<f64>,
+    /// What to beware of.
+    pub flags: Vec<String>,
+}
+
+/// The images behind the numbers, in the common domain: larger is more attenuation.
+#[derive(Clone, Debug)]
+pub struct Pictures {
+    /// The frame; NaN where it has no value.
+    pub acquired: Image<f32>,
+    /// The simulation as the fitted tone shows it; NaN where it is not known.
+    pub simulated: Image<f32>,
+    /// True where scored or fitted.
+    pub usable: Image<bool>,
+    /// Edges of the simulation.
+    pub edges: Image<bool>,
+    /// `nepers`, `nepers (offset unknown)` or `gray value`.
+    pub unit: &'static str,
+}
+
+/// A comparison, its pictures, and what a later null needs.
+#[derive(Clone, Debug)]
+pub struct Compared {
+    /// The numbers.
+    pub comparison: Comparison,
+    /// The images.
+    pub pictures: Pictures,
+    view: Option<View>,
+    centre_lps_mm: Option<DVec3>,
+}
+
+/// Side of the tiles that are fitted and scored in turn.
+const TILE_PX: usize = 32;
+
+/// Compares.
+///
+/// # Errors
+/// When the sizes do not fit, the tone is not permitted or not determined, or less than a quarter of the image is left.
+pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
+    let frame = input.acquired;
+    permit(input.tone, frame.domain)?;
+    let simulated = input.simulated_line_integral;
+    let (width, height) = (simulated.width, simulated.height);
+    let binning = binning(frame, simulated)?;
+    let mut masks = gather_masks(input, binning)?;
+    let before_air = masks.usable(width, height, &[]);
+    let all = frame.pixels.map(|v| v.is_finite());
+    let pixels = if binning == 1 { frame.pixels.clone() } else { filters::block_means(&frame.pixels, &all, binning).0 };
+    let mut common = domain::into_common(frame, &pixels, simulated, &before_air, input.air);
+    masks.add(Cause::NoSignal, common.no_signal);
+    let usable = masks.usable(width, height, &[]);
+    let shares = masks.shares(width, height);
+    if !(shares.left >= REQUIRED_SHARE) {
+        let causes: Vec<String> =
+            shares.causes.iter().map(|(cause, share)| format!("{} {:.1} %", cause.words(), 100.0 * share)).collect();
+        return Err(CompareError::TooLittleLeft {
+            left: 100.0 * shares.left,
+            required: 100.0 * REQUIRED_SHARE,
+            causes: causes.join(", "),
+        });
+    }
+    let mut flags = Vec::new();
+    settle_polarity(frame.domain, &mut common.acquired, simulated, &usable, &mut flags);
+    if common.air.rule == "maximum" {
+        flags.push("air level: the paper's rule (highest value is N0) was asked for; without open air in the frame it errs a hundredfold".into());
+    }
+    if let (CommonDomain::RelativeLineIntegral, Some(reason)) = (common.domain, &common.air.reason) {
+        flags.push(format!("air level unknown: {reason}"));
+    }
+    let fit = tone::fit(input.tone, &common.acquired, simulated, &usable, TILE_PX)
+        .ok_or(CompareError::ToneUndetermined { tone: input.tone })?;
+    if let Some(note) = &fit.note {
+        flags.push(format!("tone {}: {note}", input.tone.as_str()));
+    }
+    let toned = fit.apply_to(simulated);
+    let scored = scored_pixels(&usable, input.tone, TILE_PX);
+    let mm_per_px = input.view.zip(input.centre_lps_mm).and_then(|(view, centre)| {
+        let depth_mm = view.camera_from_lps.transform_point(centre).z;
+        (depth_mm > 0.0).then(|| depth_mm / view.intrinsics.fx)
+    });
+    let edges_acquired = edges::find(&common.acquired, &usable);
+    let edges_simulated = edges::find(&toned, &usable);
+    let base = Scored {
+        acquired: &common.acquired,
+        simulated: &toned,
+        usable: &usable,
+        scored: &scored,
+        domain: common.domain,
+        tone: input.tone,
+        air_reason: common.air.reason.as_deref(),
+        mm_per_px,
+    };
+    let scores = score(&base, (&edges_acquired, &edges_simulated));
+    let scores_without_tone = if input.tone == Tone::None {
+        scores.clone()
+    } else {
+        score(&Scored { simulated, tone: Tone::None, ..base }, (&edges_acquired, &edges_simulated))
+    };
+    let scores_tool = masks.layer(Cause::Tool).map(|tool| {
+        let with_tool = masks.usable(width, height, &[Cause::Tool]);
+        let on_tool = filters::zip(&with_tool, tool, |usable, tool| *usable && *tool);
+        let edges = (edges::find(&common.acquired, &with_tool), edges::find(&toned, &with_tool));
+        score(&Scored { usable: &with_tool, scored: &on_tool, ..base }, (&edges.0, &edges.1))
+    });
+    let unit = match common.domain {
+        CommonDomain::LineIntegral => "nepers",
+        CommonDomain::RelativeLineIntegral => "nepers (offset unknown)",
+        CommonDomain::GrayValues => "gray value",
+    };
+    let edges = edges_simulated.picture();
+    let comparison = Comparison {
+        size_px: [width, height],
+        binning,
+        domain: frame.domain,
+        common_domain: common.domain,
+        air: common.air,
+        tone: fit,
+        scores,
+        scores_without_tone,
+        scores_tool,
+        null: BTreeMap::new(),
+        null_plan: None,
+        masks: shares,
+        mm_per_px,
+        flags,
+    };
+    let pictures = Pictures { acquired: common.acquired, simulated: toned, usable, edges, unit };
+    Ok(Compared { comparison, pictures, view: input.view.copied(), centre_lps_mm: input.centre_lps_mm })
+}
+
+impl Compared {
+    /// Puts every score against its null: [`NULL_RENDERS`] renders at most [`NULL_WIDTH_PX`] wide. May run after the pair was shown.
+    /// `cancelled` is asked before each render.
+    ///
+    /// # Errors
+    /// When no view or centre was given, a render fails or has the wrong size, or it is cancelled; the comparison is unchanged then.
+    pub fn add_null(&mut self, rerender: &mut Rerender, cancelled: &dyn Fn() -> bool) -> Result<(), NullError> {
+        let view = self.view.as_ref().ok_or(NullError::NoView)?;
+        let input = null::NullInput {
+            acquired: &self.pictures.acquired,
+            usable: &self.pictures.usable,
+            domain: self.comparison.common_domain,
+            air_reason: self.comparison.air.reason.as_deref(),
+            tone: self.comparison.tone.tone,
+            view,
+            centre_lps_mm: self.centre_lps_mm.ok_or(NullError::NoCentre)?,
+        };
+        let (scores, plan) = null::null(&input, rerender, cancelled)?;
+        let blind: Vec<&str> = scores.iter().filter(|(_, null)| !null.discriminating).map(|(name, _)| name.as_str()).collect();
+        if !blind.is_empty() {
+            self.comparison
+                .flags
+                .push(format!("not discriminating (a wrong pose scores at least as well): {}", blind.join(", ")));
+        }
+        self.comparison.null = scores;
+        self.comparison.null_plan = Some(plan);
+        Ok(())
+    }
+}
+
+fn permit(tone: Tone, domain: Domain) -> Result<(), CompareError> {
+    let gray = matches!(domain, Domain::Display | Domain::Unknown);
+    let (fits, permitted) = match tone {
+        Tone::None => (true, ""),
+        Tone::Gain | Tone::LogAffine => (!gray, "none or monotone"),
+        Tone::Monotone => (gray, "none, gain or log_affine"),
+    };
+    if fits { Ok(()) } else { Err(CompareError::ToneNotPermitted { tone, domain, permitted }) }
+}
+
+/// How many pixels of the frame make one of the simulated image, each way (whole blocks, as [`View::at_most_wide`] has it).
+fn binning(frame: &Frame, simulated: &Image<f32>) -> Result<usize, CompareError> {
+    let (acquired, wanted) = ([frame.pixels.width, frame.pixels.height], [simulated.width, simulated.height]);
+    let factor = acquired[0].checked_div(wanted[0]).unwrap_or(0);
+    if factor >= 1 && wanted[1] >= 1 && acquired[0] / factor == wanted[0] && acquired[1] / factor == wanted[1] {
+        Ok(factor)
+    } else {
+        Err(CompareError::Size { name: frame.name.clone(), acquired, simulated: wanted })
+    }
+}
+
+fn gather_masks(input: &CompareInput, binning: usize) -> Result<Masks, CompareError> {
+    let simulated = input.simulated_line_integral;
+    let (width, height) = (simulated.width, simulated.height);
+    let mut masks = masks::of_frame(input.acquired).binned(binning);
+    let checked = |what: &'static str, found: [usize; 2]| {
+        if found == [width, height] { Ok(()) } else { Err(CompareError::MaskSize { what, found, expected: [width, height] }) }
+    };
+    let mut invalid = simulated.map(|l| !l.is_finite());
+    if let Some(valid) = input.valid {
+        checked("validity", [valid.width, valid.height])?;
+        invalid.pixels.iter_mut().zip(&valid.pixels).for_each(|(invalid, valid)| *invalid |= *valid == 0);
+    }
+    masks.add(Cause::Invalid, invalid);
+    if let Some(tool) = input.tool {
+        checked("tool", [tool.width, tool.height])?;
+        masks.add(Cause::Tool, tool.clone());
+    }
+    if let Some(extra) = input.extra_mask {
+        let full = [input.acquired.pixels.width, input.acquired.pixels.height];
+        let extra = if [extra.width, extra.height] == full { masks::any_in_block(extra, binning) } else { extra.clone() };
+        checked("extra", [extra.width, extra.height])?;
+        masks.add(Cause::Extra, extra);
+    }
+    if !input.beads.is_empty() {
+        masks.add(Cause::Beads, masks::discs(width, height, input.beads));
+    }
+    Ok(masks)
+}
+
+/// Which of the usable pixels are scored: all without a tone, else those of the tiles it was not fitted on.
+fn scored_pixels(usable: &Image<bool>, tone: Tone, tile_px: usize) -> Image<bool> {
+    let mut scored = usable.clone();
+    if tone != Tone::None {
+        for v in 0..usable.height {
+            for u in 0..usable.width {
+                *scored.at_mut(u, v) &= !tone::is_fit_tile(u, v, tile_px);
+            }
+        }
+    }
+    scored
+}
+
+/// Gray values of unknown frames may run either way; it is found by rank correlation, and said.
+fn settle_polarity(
+    domain: Domain,
+    acquired: &mut Image<f32>,
+    simulated: &Image<f32>,
+    usable: &Image<bool>,
+    flags: &mut Vec<String>,
+) {
+    if !matches!(domain, Domain::Display | Domain::Unknown) {
+        return;
+    }
+    let correlation = scores::rank_ncc(acquired, simulated, usable).unwrap_or(0.0);
+    if domain == Domain::Unknown && correlation < 0.0 {
+        acquired.pixels.iter_mut().for_each(|v| *v = -*v);
+        flags.push(format!("domain unknown: larger values are taken as more attenuation (rank correlation {:.2})", -correlation));
+    } else if domain == Domain::Unknown {
+        flags.push(format!("domain unknown: larger values are taken as more signal (rank correlation {correlation:.2})"));
+    } else if correlation < -0.2 {
+        flags.push(format!("gray values rise with attenuation (rank correlation {correlation:.2}): is the frame inverted?"));
+    }
+}

@@ -1,6 +1,7 @@
 //! Images in memory and on disk: row-major, first pixel's centre at (0, 0).
 
 mod files;
+pub mod plot;
 
 pub use files::{ImageFileError, read_tiff_f32, sha256_bytes, sha256_file, write_atomically, write_png_rgb, write_tiff_f32};
 

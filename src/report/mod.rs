@@ -1,1 +1,18 @@
-//! What a person looks at afterwards.
+//! What people look at afterwards: the strip of each pair, the session's report in one HTML file, and `pairs.json` for scripts.
+
+mod canvas;
+mod colour;
+mod html;
+mod pair;
+mod plots;
+mod session;
+mod strip;
+
+pub use canvas::{Align, Canvas, Rgb};
+pub use colour::{diverging, window};
+pub use html::html;
+pub use pair::{Pair, PairStatus, PoseSource, Standing, TruthError, score_words};
+pub use session::{
+    Counts, Gap, LinkReport, PairsFile, Provenance, ReportError, SessionReport, Track, png_bytes, write_pairs, write_session,
+};
+pub use strip::{StripInput, strip};

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::{DAffine3, DVec3};
 
 use super::physics::{Material, Spectrum};
-use crate::geometry::{Rigid, View};
+use crate::geometry::{Rigid, RobotModel, View};
 
 /// A scene ready to render. A later object displaces earlier ones (DESIGN §5).
 #[derive(Clone, Debug)]
@@ -24,6 +24,27 @@ pub struct Scene {
     pub model: Model,
     /// Files that went into it, with their SHA-256, for provenance.
     pub inputs: Vec<InputFile>,
+    /// The robot, when the scene has one: what is needed to move it.
+    pub robot: Option<Robot>,
+}
+
+/// The robot of a scene: enough to rebuild its solids for other angles.
+#[derive(Clone, Debug)]
+pub struct Robot {
+    /// Index of its object in [`Scene::objects`].
+    pub object: usize,
+    /// Dimensions.
+    pub model: Arc<RobotModel>,
+    /// Scene material indices of body, shaft and drill.
+    pub materials: [usize; 3],
+    /// Densities of body, shaft and drill.
+    pub densities_g_per_cm3: [f64; 3],
+    /// Where the base is.
+    pub lps_from_base: Rigid,
+    /// The five control angles.
+    pub control_angles_deg: [f64; 5],
+    /// Notches that were clamped at the bending limit.
+    pub clamped: usize,
 }
 
 /// A file that went into a result.
@@ -76,6 +97,14 @@ pub struct Volume {
     pub truncated_at_faces: bool,
     /// Voxels outside the reconstruction circle (padding), where nothing is known; empty if there are none.
     pub unknown: Vec<bool>,
+}
+
+impl Scene {
+    /// Whether a material is air. Air displaces nothing: it counts only where no other object has matter.
+    #[must_use]
+    pub fn is_air(&self, material: usize) -> bool {
+        self.materials.get(material).is_some_and(|material| material.name == "air")
+    }
 }
 
 impl Volume {
@@ -137,7 +166,8 @@ impl Shape {
     }
 }
 
-/// A closed triangle mesh in `lps`, outward normals.
+/// A closed triangle mesh in `lps`, outward normals; its matter is where the winding number is not 0 (> 0 unless shells overlap oddly),
+/// so an inner shell with inward normals is a cavity and overlapping shells are one solid.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mesh {
     /// Vertices in `lps`.

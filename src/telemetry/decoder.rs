@@ -10,6 +10,10 @@ use super::wire::{self, FrameFault};
 
 /// What the decoder found.
 #[derive(Clone, Debug, PartialEq)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "nearly every event is a sample and none is kept: a box would cost an allocation each"
+)]
 pub enum Event {
     /// An intact frame.
     Sample(Sample),

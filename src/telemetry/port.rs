@@ -76,8 +76,12 @@ pub fn hint(error: &PortError) -> &'static str {
     match error {
         PortError::NotFound { .. } => "check the cable and the path; `sidecarm devices` lists the ports that exist",
         PortError::Busy { .. } => "close the other program (a terminal, ModemManager, a second sidecarm); `fuser PORT` names it",
-        PortError::NotPermitted { .. } => "add yourself to the group that owns the port (`sudo usermod -aG dialout $USER`), then log in again",
-        PortError::NotAPort { .. } => "give a serial device such as /dev/ttyUSB0 or /dev/serial/by-id/…; `sidecarm devices` lists them",
+        PortError::NotPermitted { .. } => {
+            "add yourself to the group that owns the port (`sudo usermod -aG dialout $USER`), then log in again"
+        }
+        PortError::NotAPort { .. } => {
+            "give a serial device such as /dev/ttyUSB0 or /dev/serial/by-id/…; `sidecarm devices` lists them"
+        }
         PortError::Baud { .. } => "give a `baud` that the adapter supports and set the same on the device",
         PortError::Io { .. } => "unplug and replug the adapter; if it stays, look into `dmesg`",
     }

@@ -88,7 +88,7 @@ impl SequenceTracker {
         if ahead == 1 && !reopened {
             return Sequenced::Next;
         }
-        if ahead >= 1 && ahead <= LARGEST_GAP && device_us >= last_us {
+        if (1..=LARGEST_GAP).contains(&ahead) && device_us >= last_us {
             return match (ahead - 1, reopened) {
                 (0, _) => Sequenced::Next,
                 (missing, false) => Sequenced::Gap(missing),
@@ -102,7 +102,8 @@ impl SequenceTracker {
                 Some((number, _)) if number == sequence => return Sequenced::Reset,
                 _ if sequence.wrapping_sub(self.first) < last.wrapping_sub(self.first)
                     && device_us <= last_us
-                    && self.between_neighbours(sequence, device_us) => {
+                    && self.between_neighbours(sequence, device_us) =>
+                {
                     return Sequenced::Reordered;
                 }
                 _ => {}
@@ -145,11 +146,10 @@ mod tests {
 
     #[test]
     fn the_wrap_is_no_gap() {
-        assert_eq!(verdicts(&[(u32::MAX - 1, 1), (u32::MAX, 2), (0, 3), (2, 5)])[1..], [
-            Sequenced::Next,
-            Sequenced::Next,
-            Sequenced::Gap(1)
-        ]);
+        assert_eq!(
+            verdicts(&[(u32::MAX - 1, 1), (u32::MAX, 2), (0, 3), (2, 5)])[1..],
+            [Sequenced::Next, Sequenced::Next, Sequenced::Gap(1)]
+        );
     }
 
     #[test]

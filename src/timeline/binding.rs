@@ -165,7 +165,8 @@ impl<'a> Inquiry<'a> {
                         return self.none(blind);
                     }
                     let late = seconds(self.stamp.host_arrival_us - interval.end_us);
-                    let reason = format!("{} ended {late} before the frame arrived, and no other within {reach}", interval.label());
+                    let reason =
+                        format!("{} ended {late} before the frame arrived, and no other within {reach}", interval.label());
                     self.one(interval, BindingHow::Time, reason)
                 }
                 _ => self.none(format!("{} exposures ended within {reach} before the frame arrived: ambiguous", prompt.len())),
@@ -186,7 +187,8 @@ impl<'a> Inquiry<'a> {
                     && other.index != interval.index
                 {
                     let (by_stamp, by_arrival) = (interval.label(), other.label());
-                    return self.none(format!("the console's stamp points to {by_stamp}, the arrival to {by_arrival}: contradictory"));
+                    return self
+                        .none(format!("the console's stamp points to {by_stamp}, the arrival to {by_arrival}: contradictory"));
                 }
                 if let Some(blind) = self.blind(interval, from_us, to_us.min(self.stamp.host_arrival_us)) {
                     return self.none(blind);
@@ -208,7 +210,10 @@ impl<'a> Inquiry<'a> {
     fn stamp_window(&self, acquired_us: i64) -> (i64, i64) {
         let at_us = acquired_us.saturating_add(self.limits.console_offset_us);
         let tolerance_us = self.limits.acquired_tolerance_us;
-        (at_us.saturating_sub(tolerance_us), at_us.saturating_add(self.limits.acquired_resolution_us).saturating_add(tolerance_us))
+        (
+            at_us.saturating_sub(tolerance_us),
+            at_us.saturating_add(self.limits.acquired_resolution_us).saturating_add(tolerance_us),
+        )
     }
 
     fn fits_stamp(&self, interval: &ExposureInterval) -> bool {

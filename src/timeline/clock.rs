@@ -180,10 +180,8 @@ impl ClockMap {
         let mean_us = points.iter().map(|p| p.x_us).sum::<f64>() / points.len() as f64;
         let hull = lower_hull(&points);
         // The hull's edge over the mean, or a flat one through its only point.
-        let (left, right) = hull
-            .windows(2)
-            .find(|edge| edge[1].x_us >= mean_us)
-            .map_or((hull[0], hull[0]), |edge| (edge[0], edge[1]));
+        let (left, right) =
+            hull.windows(2).find(|edge| edge[1].x_us >= mean_us).map_or((hull[0], hull[0]), |edge| (edge[0], edge[1]));
         let length_us = right.x_us - left.x_us;
         let hull_drift = if length_us > 0.0 { (right.r_us - left.r_us) / length_us } else { 0.0 };
         let scatter_us = scatter_above(&points, hull_drift.clamp(-MAX_DRIFT, MAX_DRIFT)).max(LEAST_SCATTER_US);

@@ -317,9 +317,8 @@ impl Open {
         self.interval.end_uncertainty_us = now.uncertainty_us;
         self.interval.tube_kvp = mean(self.kvp);
         self.interval.tube_ma = mean(self.ma);
-        self.interval.joint_range = std::array::from_fn(|i| {
-            if self.first_joints[i].is_nan() { f64::NAN } else { self.high[i] - self.low[i] }
-        });
+        self.interval.joint_range =
+            std::array::from_fn(|i| if self.first_joints[i].is_nan() { f64::NAN } else { self.high[i] - self.low[i] });
         self.last_on = now;
     }
 }

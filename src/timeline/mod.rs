@@ -248,7 +248,8 @@ impl Timeline {
             }
             if interval.control_angles_deg.is_none() && robot_newest_us.is_some_and(|newest_us| newest_us >= mid_us) {
                 interval.control_angles_deg = self.robot_at(mid_us).filter(|answer| answer.age_us <= EXPOSURE_REACH_US);
-                interval.tracker_from_base = self.tracker_from_base_at(mid_us).filter(|answer| answer.age_us <= EXPOSURE_REACH_US);
+                interval.tracker_from_base =
+                    self.tracker_from_base_at(mid_us).filter(|answer| answer.age_us <= EXPOSURE_REACH_US);
             }
         }
         self.exposures = exposures;

@@ -1,0 +1,206 @@
+//! Blobs of any size: places where the smaller of the two principal curvatures is still large against its surroundings.
+//!
+//! An edge or a wire has one strong and one weak curvature; a sphere's shadow has two strong ones. The response at scale σ is
+//! q = −σ² λ_max of the Hessian of the Gaussian-smoothed image (scale-normalised, Lindeberg 1998), on a pyramid with two scales an octave.
+
+use crate::image::Image;
+
+/// A blob that may be a bead.
+#[derive(Clone, Copy, Debug)]
+pub struct Candidate {
+    /// Column.
+    pub u_px: f64,
+    /// Row.
+    pub v_px: f64,
+    /// Radius of the sphere whose shadow responds most at this scale.
+    pub radius_px: f64,
+    /// Response over the median response of the neighbourhood.
+    pub strength: f64,
+    /// Scale-normalised response in the image's unit.
+    response: f64,
+}
+
+/// A chord profile of radius r responds most at σ ≈ 0.55 r.
+const RADIUS_PER_SIGMA: f64 = 1.8;
+/// Side of the tiles in which responses are compared, in pixels of the octave.
+const TILE: usize = 32;
+/// Candidates kept for fitting.
+const KEPT: usize = 160;
+
+/// Bright blobs of `image` whose radius may lie in `radius_px`, strongest first. Pixels that are not `usable` yield none.
+pub fn find(image: &Image<f32>, usable: &Image<bool>, radius_px: (f64, f64)) -> Vec<Candidate> {
+    let mut found = Vec::new();
+    let mut level = blur(image, (1.0f64 - 0.25).sqrt());
+    let mut step = 1usize;
+    while level.width >= 16 && level.height >= 16 {
+        let wider = blur(&level, 1.0);
+        for (smoothed, sigma) in [(&level, 1.0), (&wider, std::f64::consts::SQRT_2)] {
+            let radius = sigma * step as f64 * RADIUS_PER_SIGMA;
+            if radius >= 0.55 * radius_px.0 && radius <= 1.8 * radius_px.1 {
+                find_at_scale(smoothed, usable, sigma, step, &mut found);
+            }
+        }
+        if step as f64 * RADIUS_PER_SIGMA > 1.8 * radius_px.1 {
+            break;
+        }
+        level = halve(&blur(&wider, std::f64::consts::SQRT_2));
+        step *= 2;
+    }
+    found.sort_by(|a, b| b.response.total_cmp(&a.response));
+    let mut kept: Vec<Candidate> = Vec::new();
+    for candidate in found {
+        let same = |other: &Candidate| {
+            let ratio = other.radius_px / candidate.radius_px;
+            (0.4..2.5).contains(&ratio)
+                && (other.u_px - candidate.u_px).hypot(other.v_px - candidate.v_px)
+                    < 0.5 * other.radius_px.max(candidate.radius_px)
+        };
+        if !kept.iter().any(same) && stands_out(image, &candidate) {
+            kept.push(candidate);
+        }
+    }
+    kept.sort_by(|a, b| b.strength.total_cmp(&a.strength));
+    kept.truncate(KEPT);
+    kept
+}
+
+/// Whether the middle is brighter than its surroundings all round: of eight sectors of the ring outside, six at least lie clearly below
+/// it. Cheap, and rids the fit of edges, wires and corners.
+fn stands_out(image: &Image<f32>, candidate: &Candidate) -> bool {
+    let radius = candidate.radius_px.max(1.5);
+    let (outer, inner) = (1.9 * radius + 0.7, 1.15 * radius + 0.3);
+    let core = (0.5 * radius).max(0.8);
+    let reach = outer.ceil() as i64;
+    let (mut middle, mut sectors) = ((0.0f64, 0.0f64), [(0.0f64, 0.0f64); 8]);
+    for dy in -reach..=reach {
+        for dx in -reach..=reach {
+            let (column, row) = (candidate.u_px as i64 + dx, candidate.v_px as i64 + dy);
+            if column < 0 || row < 0 || column >= image.width as i64 || row >= image.height as i64 {
+                continue;
+            }
+            let distance = ((dx * dx + dy * dy) as f64).sqrt();
+            let value = f64::from(image.pixels[row as usize * image.width + column as usize]);
+            if distance <= core {
+                middle.0 += value;
+                middle.1 += 1.0;
+            } else if distance >= inner && distance <= outer {
+                let angle = (dy as f64).atan2(dx as f64) / std::f64::consts::TAU + 0.5;
+                let sector = &mut sectors[((angle * 8.0) as usize).min(7)];
+                sector.0 += value;
+                sector.1 += 1.0;
+            }
+        }
+    }
+    let middle = middle.0 / middle.1;
+    let mut drops: Vec<f64> = sectors.iter().filter(|s| s.1 > 0.0).map(|s| middle - s.0 / s.1).collect();
+    if drops.len() < 6 {
+        return false;
+    }
+    drops.sort_by(f64::total_cmp);
+    let typical = drops[drops.len() / 2];
+    typical > 0.0 && drops[drops.len() - 6] > 0.3 * typical && drops[0] > -typical
+}
+
+fn find_at_scale(image: &Image<f32>, usable: &Image<bool>, sigma: f64, step: usize, found: &mut Vec<Candidate>) {
+    let (w, h) = (image.width, image.height);
+    let scale = (sigma * sigma) as f32;
+    let mut response = Image::filled(w, h, 0.0f32);
+    let mut trace = Image::filled(w, h, 0.0f32);
+    for row in 1..h - 1 {
+        for column in 1..w - 1 {
+            let at = |dc: usize, dr: usize| image.pixels[(row + dr - 1) * w + column + dc - 1];
+            let xx = at(0, 1) - 2.0 * at(1, 1) + at(2, 1);
+            let yy = at(1, 0) - 2.0 * at(1, 1) + at(1, 2);
+            let xy = 0.25 * (at(0, 0) + at(2, 2) - at(2, 0) - at(0, 2));
+            let half = 0.5 * (xx + yy);
+            let largest = half + (0.25 * (xx - yy) * (xx - yy) + xy * xy).sqrt();
+            response.pixels[row * w + column] = -largest * scale;
+            trace.pixels[row * w + column] = half.abs() * scale;
+        }
+    }
+    let (tiles_across, tiles_down) = (w.div_ceil(TILE), h.div_ceil(TILE));
+    let mut medians = Vec::with_capacity(tiles_across * tiles_down);
+    for tile_row in 0..tiles_down {
+        for tile_column in 0..tiles_across {
+            let mut inside: Vec<f32> = Vec::with_capacity(TILE * TILE);
+            for row in tile_row * TILE..((tile_row + 1) * TILE).min(h) {
+                for column in tile_column * TILE..((tile_column + 1) * TILE).min(w) {
+                    inside.push(trace.pixels[row * w + column]);
+                }
+            }
+            let middle = inside.len() / 2;
+            medians.push(*inside.select_nth_unstable_by(middle, f32::total_cmp).1 / 0.6745);
+        }
+    }
+    let mut sorted: Vec<f32> = medians.iter().copied().filter(|m| *m > 0.0).collect();
+    sorted.sort_by(f32::total_cmp);
+    let typical = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
+    for row in 1..h - 1 {
+        for column in 1..w - 1 {
+            let value = response.pixels[row * w + column];
+            let noise = medians[row / TILE * tiles_across + column / TILE].max(0.3 * typical).max(f32::MIN_POSITIVE);
+            if !(value > 2.5 * noise) {
+                continue;
+            }
+            let is_peak = (0..9).filter(|n| *n != 4).all(|n| {
+                let other = response.pixels[(row + n / 3 - 1) * w + column + n % 3 - 1];
+                value > other || (value == other && n > 4)
+            });
+            let (full_column, full_row) = (column * step, row * step);
+            let in_frame = full_column < usable.width && full_row < usable.height;
+            if is_peak && in_frame && usable.pixels[full_row * usable.width + full_column] {
+                found.push(Candidate {
+                    u_px: full_column as f64,
+                    v_px: full_row as f64,
+                    radius_px: sigma * step as f64 * RADIUS_PER_SIGMA,
+                    strength: f64::from(value / noise),
+                    response: f64::from(value),
+                });
+            }
+        }
+    }
+}
+
+/// Every second pixel of every second row; pixel (i, j) of the result lies at (2i, 2j).
+fn halve(image: &Image<f32>) -> Image<f32> {
+    let (width, height) = (image.width.div_ceil(2), image.height.div_ceil(2));
+    let pixels = (0..width * height).map(|n| image.pixels[(n / width) * 2 * image.width + (n % width) * 2]).collect();
+    Image { width, height, pixels }
+}
+
+/// Gaussian of standard deviation `sigma_px`, the border repeated.
+pub fn blur(image: &Image<f32>, sigma_px: f64) -> Image<f32> {
+    let reach = (3.0 * sigma_px).ceil().max(1.0) as usize;
+    let mut kernel: Vec<f32> = (0..=reach).map(|n| (-0.5 * (n as f64 / sigma_px).powi(2)).exp() as f32).collect();
+    let sum = kernel[0] + 2.0 * kernel[1..].iter().sum::<f32>();
+    kernel.iter_mut().for_each(|weight| *weight /= sum);
+    let (w, h) = (image.width, image.height);
+    let mut across = vec![0.0f32; w * h];
+    for row in 0..h {
+        let line = &image.pixels[row * w..(row + 1) * w];
+        for (column, out) in across[row * w..(row + 1) * w].iter_mut().enumerate() {
+            *out = kernel[0] * line[column];
+            if column >= reach && column + reach < w {
+                for (n, weight) in kernel.iter().enumerate().skip(1) {
+                    *out += weight * (line[column - n] + line[column + n]);
+                }
+            } else {
+                for (n, weight) in kernel.iter().enumerate().skip(1) {
+                    *out += weight * (line[column.saturating_sub(n)] + line[(column + n).min(w - 1)]);
+                }
+            }
+        }
+    }
+    let mut pixels = vec![0.0f32; w * h];
+    for row in 0..h {
+        let out = &mut pixels[row * w..(row + 1) * w];
+        for (n, weight) in kernel.iter().enumerate() {
+            let (above, below) = (row.saturating_sub(n) * w, (row + n).min(h - 1) * w);
+            let share = if n == 0 { 0.5 } else { 1.0 } * weight;
+            for (column, value) in out.iter_mut().enumerate() {
+                *value += share * (across[above + column] + across[below + column]);
+            }
+        }
+    }
+    Image { width: w, height: h, pixels }
+}

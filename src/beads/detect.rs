@@ -1,0 +1,329 @@
+//! From a frame to the shadows of spheres in it.
+
+use glam::DVec2;
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::candidates::{self, Candidate, blur};
+use super::fit::{Field, Fit, Model, fit, refit};
+use super::noise::Noise;
+use super::profile::SHAPES;
+use crate::acquire::{Domain, Frame};
+use crate::image::Image;
+
+/// What a pixel's value is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Signal {
+    /// Proportional to transmitted intensity; metal is low.
+    Transmission,
+    /// −ln of transmission, up to an offset and at natural scale; metal is high.
+    LineIntegral,
+    /// Rising with attenuation, at an unknown scale; metal is high.
+    Attenuation,
+    /// Any monotone function of these, rising or falling.
+    Unknown,
+}
+
+/// Which way metal goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Polarity {
+    /// Metal is dark.
+    Dark,
+    /// Metal is bright.
+    Bright,
+}
+
+/// The shadow of a sphere.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Detection {
+    /// Centre of the shadow; its small bias against the projected centre is corrected once P is known.
+    pub image_px: DVec2,
+    /// Standard deviation of the centre per axis.
+    pub sigma_px: f64,
+    /// Radius of the shadow before blur.
+    pub radius_px: f64,
+    /// Depth of the shadow: nepers for transmission and line integrals, else the frame's unit.
+    pub contrast: f64,
+    /// Contrast over its standard deviation, size and blur taken as fitted.
+    pub snr: f64,
+    /// Structure that a sphere's shadow does not explain, as a share of the depth.
+    pub misfit: f64,
+    /// In (0, 1]: how much it looks like a bead and like the other beads; orders the search for a match.
+    pub quality: f64,
+}
+
+/// All shadows found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Detections {
+    /// Best first.
+    pub found: Vec<Detection>,
+    /// Which way metal goes.
+    pub polarity: Polarity,
+    /// What was found the other way round, best first; empty when the polarity is known.
+    pub opposite: Vec<Detection>,
+    /// How the polarity is known.
+    pub evidence: String,
+}
+
+/// What is known beforehand.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Expectation {
+    /// Smallest and largest radius of a shadow.
+    pub radius_px: Option<(f64, f64)>,
+}
+
+/// Radii searched when nothing is known.
+const ANY_RADIUS_PX: (f64, f64) = (0.9, 24.0);
+/// Shadows that are tried as two.
+const MOST_DOUBTFUL: usize = 16;
+/// Contrast over noise below which a shadow is not trusted.
+const LEAST_SNR: f64 = 6.0;
+/// Structure in the residual above which a shadow is no sphere's, as a share of its depth.
+const MOST_MISFIT: f64 = 0.17;
+
+/// Finds beads in `pixels`, whose values are a `signal`; `mask` is true where the frame may be used (everywhere if `None`). Pixels that
+/// are not finite are left out.
+#[must_use]
+pub fn detect_image(pixels: &Image<f32>, signal: Signal, mask: Option<&Image<bool>>, expected: &Expectation) -> Detections {
+    let usable = Image {
+        width: pixels.width,
+        height: pixels.height,
+        pixels: pixels
+            .pixels
+            .iter()
+            .enumerate()
+            .map(|(n, value)| value.is_finite() && mask.is_none_or(|mask| mask.pixels.get(n).copied().unwrap_or(false)))
+            .collect(),
+    };
+    let nothing = |evidence: &str| Detections {
+        found: Vec::new(),
+        polarity: Polarity::Dark,
+        opposite: Vec::new(),
+        evidence: evidence.to_owned(),
+    };
+    if pixels.width < 16 || pixels.height < 16 {
+        return nothing("the frame is smaller than 16 pixels");
+    }
+    let filled = fill(pixels, &usable);
+    let radius_px = expected.radius_px.unwrap_or(ANY_RADIUS_PX);
+    match signal {
+        Signal::Transmission | Signal::LineIntegral => {
+            let transmission =
+                if signal == Signal::LineIntegral { filled.map(|p| (-p).clamp(-80.0, 80.0).exp()) } else { filled };
+            let evidence = match signal {
+                Signal::LineIntegral => "line integrals: metal is bright",
+                _ => "linear intensities: metal is dark",
+            };
+            let noise = Noise::measure(&transmission, &usable, true);
+            let field = Field { pixels: &transmission, usable: &usable, noise: &noise };
+            let found = find(&field, &line_integral(&transmission), &[Model::Transmission], radius_px);
+            let polarity = if signal == Signal::LineIntegral { Polarity::Bright } else { Polarity::Dark };
+            Detections { found, polarity, opposite: Vec::new(), evidence: evidence.to_owned() }
+        }
+        Signal::Attenuation | Signal::Unknown => {
+            let noise = Noise::measure(&filled, &usable, false);
+            let field = Field { pixels: &filled, usable: &usable, noise: &noise };
+            let one = |sign: f64| {
+                let models: Vec<Model> = (0..SHAPES.len()).map(|shape| Model::Additive { sign, shape }).collect();
+                find(&field, &filled.map(|value| sign as f32 * value), &models, radius_px)
+            };
+            if signal == Signal::Attenuation {
+                let evidence = "attenuation at an unknown scale: metal is bright".to_owned();
+                return Detections { found: one(1.0), polarity: Polarity::Bright, opposite: Vec::new(), evidence };
+            }
+            let (dark, bright) = rayon::join(|| one(-1.0), || one(1.0));
+            let weight = |found: &[Detection]| found.iter().take(12).map(|d| d.quality).sum::<f64>();
+            let (dark_weight, bright_weight) = (weight(&dark), weight(&bright));
+            let evidence = format!(
+                "grey values of unknown sense: {} dark shadows (weight {dark_weight:.2}), {} bright ones (weight {bright_weight:.2})",
+                dark.len(),
+                bright.len()
+            );
+            if dark_weight >= bright_weight {
+                Detections { found: dark, polarity: Polarity::Dark, opposite: bright, evidence }
+            } else {
+                Detections { found: bright, polarity: Polarity::Bright, opposite: dark, evidence }
+            }
+        }
+    }
+}
+
+/// Finds beads in a frame. Linear frames and logarithms in nepers are taken at their word, logarithms of unknown scale at their sense;
+/// in all others metal may be dark or bright and the frame itself decides.
+#[must_use]
+pub fn detect(frame: &Frame, mask: Option<&Image<bool>>, expected: &Expectation) -> Detections {
+    let signal = match frame.domain {
+        Domain::Linear => Signal::Transmission,
+        Domain::Log if frame.unit.as_deref() == Some("neper") => Signal::LineIntegral,
+        Domain::Log => Signal::Attenuation,
+        Domain::Display | Domain::Unknown => Signal::Unknown,
+    };
+    detect_image(&frame.pixels, signal, mask, expected)
+}
+
+/// Unusable pixels take the median of the usable ones, so that filters run over them.
+fn fill(pixels: &Image<f32>, usable: &Image<bool>) -> Image<f32> {
+    let mut good: Vec<f32> = pixels.pixels.iter().zip(&usable.pixels).filter(|(_, ok)| **ok).map(|(value, _)| *value).collect();
+    if good.len() == pixels.pixels.len() {
+        return pixels.clone();
+    }
+    let middle = good.len() / 2;
+    let median = if good.is_empty() { 0.0 } else { *good.select_nth_unstable_by(middle, f32::total_cmp).1 };
+    let values = pixels.pixels.iter().zip(&usable.pixels).map(|(value, ok)| if *ok { *value } else { median }).collect();
+    Image { width: pixels.width, height: pixels.height, pixels: values }
+}
+
+/// −ln of slightly smoothed transmission; values without quanta are held at a third of the lowest that occur.
+fn line_integral(transmission: &Image<f32>) -> Image<f32> {
+    let smooth = blur(transmission, 0.7);
+    let mut positive: Vec<f32> = smooth.pixels.iter().copied().filter(|value| *value > 0.0).step_by(7).collect();
+    if positive.is_empty() {
+        return smooth.map(|_| 0.0);
+    }
+    let low = positive.len() / 500;
+    let floor = (*positive.select_nth_unstable_by(low, f32::total_cmp).1 / 3.0).max(f32::MIN_POSITIVE);
+    smooth.map(|value| -value.max(floor).ln())
+}
+
+fn find(field: &Field, bright: &Image<f32>, models: &[Model], radius_px: (f64, f64)) -> Vec<Detection> {
+    let candidates = candidates::find(bright, field.usable, radius_px);
+    let fit_at = |u: f64, v: f64, radius: f64, others: &[Fit]| fit(field, models[0], u, v, radius, others);
+    // Which of several profiles it is matters to size and misfit, hardly to the centre: asked only of what may be a bead.
+    let best_model = |first: Fit, others: &[Fit]| -> Fit {
+        if models.len() == 1 || !(first.snr > 0.7 * LEAST_SNR && first.misfit < 2.0 * MOST_MISFIT) {
+            return first;
+        }
+        let others_fit = models[1..].iter().filter_map(|model| refit(field, *model, &first, others));
+        others_fit.fold(first, |best, next| if best.chi2_per_dof <= next.chi2_per_dof { best } else { next })
+    };
+    let fits: Vec<(Candidate, Option<Fit>)> =
+        candidates.par_iter().map(|c| (*c, fit_at(c.u_px, c.v_px, c.radius_px, &[]).map(|fit| best_model(fit, &[])))).collect();
+    let mut kept = distinct(fits.iter().filter_map(|(_, fit)| *fit).filter(|fit| is_bead(fit, radius_px)).collect());
+
+    // Beads that touch: a shadow that one sphere does not explain is tried as one of two.
+    let doubtful: Vec<Fit> = fits
+        .iter()
+        .filter_map(|(_, fit)| *fit)
+        .filter(|fit| {
+            fit.snr > 2.0 * LEAST_SNR && fit.misfit > MOST_MISFIT && fit.misfit < 0.6 && !kept.iter().any(|k| same(k, fit))
+        })
+        .take(MOST_DOUBTFUL)
+        .collect();
+    let pairs: Vec<[Option<Fit>; 2]> = candidates
+        .par_iter()
+        .filter_map(|candidate| {
+            let partner = doubtful.iter().chain(&kept).find(|fit| {
+                let distance = (fit.u_px - candidate.u_px).hypot(fit.v_px - candidate.v_px);
+                let radius = candidate.radius_px.max(0.8 * fit.radius_px);
+                distance > 0.5 * radius && distance < 2.6 * radius && (0.4..2.5).contains(&(fit.radius_px / candidate.radius_px))
+            })?;
+            (!kept.iter().any(|k| (k.u_px - candidate.u_px).hypot(k.v_px - candidate.v_px) < 0.6 * k.radius_px))
+                .then(|| apart(&fit_at, candidate, partner))
+        })
+        .collect();
+    kept.extend(pairs.into_iter().flatten().flatten().filter(|fit| is_bead(fit, radius_px)));
+    kept = distinct(kept);
+
+    // Neighbours are taken out of each other's windows; two rounds are enough for shadows that overlap by less than half.
+    for _ in 0..2 {
+        let refined: Vec<Fit> = kept
+            .par_iter()
+            .map(|own| {
+                let others: Vec<Fit> = kept
+                    .iter()
+                    .filter(|other| !same(other, own))
+                    .filter(|other| {
+                        (other.u_px - own.u_px).hypot(other.v_px - own.v_px) < 2.2 * own.radius_px + 1.4 * other.radius_px + 6.0
+                    })
+                    .copied()
+                    .collect();
+                if others.is_empty() {
+                    return *own;
+                }
+                fit(field, own.model, own.u_px, own.v_px, own.radius_px, &others)
+                    .filter(|fit| is_bead(fit, radius_px))
+                    .unwrap_or(*own)
+            })
+            .collect();
+        kept = distinct(refined);
+    }
+    ranked(&kept)
+}
+
+/// Alternately fits `candidate` and `partner`, each with the other taken out.
+fn apart(
+    fit_at: &(impl Fn(f64, f64, f64, &[Fit]) -> Option<Fit> + Sync),
+    candidate: &Candidate,
+    partner: &Fit,
+) -> [Option<Fit>; 2] {
+    let mut second = *partner;
+    second.radius_px = second.radius_px.min(1.3 * candidate.radius_px);
+    let mut first = None;
+    for _ in 0..3 {
+        let (u, v, radius) =
+            first.map_or((candidate.u_px, candidate.v_px, candidate.radius_px), |f: Fit| (f.u_px, f.v_px, f.radius_px));
+        let Some(own) = fit_at(u, v, radius, &[second]) else { return [None, None] };
+        let Some(other) = fit_at(second.u_px, second.v_px, second.radius_px, &[own]) else { return [None, None] };
+        first = Some(own);
+        second = other;
+    }
+    let first = first.filter(|first| (first.u_px - second.u_px).hypot(first.v_px - second.v_px) > 0.4 * second.radius_px);
+    match first {
+        Some(first) => [Some(first), Some(second)],
+        None => [None, None],
+    }
+}
+
+fn is_bead(fit: &Fit, radius_px: (f64, f64)) -> bool {
+    let sigma = fit.covariance_px2[0][0].max(fit.covariance_px2[1][1]).sqrt();
+    fit.contrast > 0.0
+        && fit.snr >= LEAST_SNR
+        && fit.misfit <= MOST_MISFIT
+        && fit.coverage > 0.7
+        && fit.radius_px >= 0.7 * radius_px.0
+        && fit.radius_px <= 1.3 * radius_px.1
+        && fit.blur_px <= 0.9 * fit.radius_px + 0.8
+        && sigma <= 0.5 * fit.radius_px + 0.2
+}
+
+fn same(a: &Fit, b: &Fit) -> bool {
+    (a.u_px - b.u_px).hypot(a.v_px - b.v_px) < 0.5 * a.radius_px.max(b.radius_px)
+}
+
+/// One fit per place: the one that explains most.
+fn distinct(mut fits: Vec<Fit>) -> Vec<Fit> {
+    let worth = |fit: &Fit| fit.snr * (1.1 - fit.misfit / MOST_MISFIT);
+    fits.sort_by(|a, b| worth(b).total_cmp(&worth(a)));
+    let mut kept: Vec<Fit> = Vec::new();
+    for fit in fits {
+        if !kept.iter().any(|other| same(other, &fit)) {
+            kept.push(fit);
+        }
+    }
+    kept
+}
+
+fn ranked(fits: &[Fit]) -> Vec<Detection> {
+    // Beads of one specimen look alike: radii differ by magnification, contrasts by what lies behind them.
+    let alike = |a: &Fit, b: &Fit| (a.radius_px / b.radius_px).ln().abs() < 0.2 && (a.contrast / b.contrast).ln().abs() < 0.5;
+    let mut found: Vec<Detection> = fits
+        .iter()
+        .map(|fit| {
+            let company = fits.iter().filter(|other| alike(fit, other)).count() - 1;
+            let own = (1.0 - fit.misfit / (1.2 * MOST_MISFIT)).max(0.05) * fit.snr / (fit.snr + 10.0);
+            Detection {
+                image_px: DVec2::new(fit.u_px, fit.v_px),
+                sigma_px: (0.5 * (fit.covariance_px2[0][0] + fit.covariance_px2[1][1])).sqrt(),
+                radius_px: fit.radius_px,
+                contrast: fit.contrast,
+                snr: fit.snr,
+                misfit: fit.misfit,
+                quality: own * (0.4 + 0.6 * (company.min(4) as f64 / 4.0)),
+            }
+        })
+        .collect();
+    found.sort_by(|a, b| b.quality.total_cmp(&a.quality));
+    found
+}

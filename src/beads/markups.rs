@@ -1,0 +1,360 @@
+//! 3D Slicer point lists: `.mrk.json` (markups schema 1.0) and the older `.fcsv`.
+
+use std::path::{Path, PathBuf};
+
+use glam::DVec3;
+use serde_json::Value;
+
+use super::{Bead, BeadLayout, DEFAULT_BODY, Landmark};
+use crate::geometry::lps_from_ras;
+
+/// Why a file of beads or landmarks is unusable.
+#[derive(Debug, thiserror::Error)]
+pub enum BeadsError {
+    /// The operating system refused.
+    #[error("{path}: {source}", path = path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The file's name ends in neither `.json` nor `.fcsv`.
+    #[error("{path}: expected a Slicer markups file ending in .mrk.json or .fcsv", path = path.display())]
+    Extension {
+        /// The file.
+        path: PathBuf,
+    },
+    /// Not JSON, or damaged.
+    #[error("{path}: not readable as JSON: {source}", path = path.display())]
+    Json {
+        /// The file.
+        path: PathBuf,
+        /// Line and column.
+        source: serde_json::Error,
+    },
+    /// JSON or a table, but not of this form.
+    #[error("{path}: {place} is {found}, expected {expected}", path = path.display())]
+    Form {
+        /// The file.
+        path: PathBuf,
+        /// Key or line.
+        place: String,
+        /// What is there.
+        found: String,
+        /// What should be there.
+        expected: &'static str,
+    },
+    /// No defined point.
+    #[error("{path}: holds no defined point ({skipped} skipped as not defined); place the points in Slicer and save again", path = path.display())]
+    Empty {
+        /// The file.
+        path: PathBuf,
+        /// Points without a position.
+        skipped: usize,
+    },
+    /// Two points of one name.
+    #[error("{path}: label {name:?} occurs twice; names must be unique", path = path.display())]
+    Duplicate {
+        /// The file.
+        path: PathBuf,
+        /// The label.
+        name: String,
+    },
+    /// A coordinate is NaN or infinite.
+    #[error("{path}: point {name:?} has position {found}, three finite numbers in mm are needed", path = path.display())]
+    Position {
+        /// The file.
+        path: PathBuf,
+        /// The label.
+        name: String,
+        /// What is there.
+        found: String,
+    },
+    /// A key of the description has an impossible value.
+    #[error("{path}: point {name:?}: {key}={found} in its description, a positive number is needed", path = path.display())]
+    Description {
+        /// The file.
+        path: PathBuf,
+        /// The label.
+        name: String,
+        /// Which key.
+        key: &'static str,
+        /// What is there.
+        found: String,
+    },
+}
+
+struct Point {
+    label: String,
+    description: String,
+    lps_mm: DVec3,
+}
+
+struct Points {
+    points: Vec<Point>,
+    notes: Vec<String>,
+}
+
+/// Beads of a Slicer markups file. `radius_mm=`, `sigma_mm=` and `body=` are read from the descriptions; points whose status is not
+/// defined are skipped.
+///
+/// # Errors
+/// Every form of damage, each with the file, the place and what was expected; also duplicate names and an empty list.
+pub fn read_markups(path: &Path) -> Result<BeadLayout, BeadsError> {
+    layout(path, read_points(path)?)
+}
+
+/// Beads of the content of a markups file; `path` tells the format and serves messages.
+///
+/// # Errors
+/// As [`read_markups`].
+pub fn parse_markups(path: &Path, content: &[u8]) -> Result<BeadLayout, BeadsError> {
+    layout(path, parse_points(path, content)?)
+}
+
+fn layout(path: &Path, Points { points, notes }: Points) -> Result<BeadLayout, BeadsError> {
+    let beads = points.into_iter().map(|point| bead(path, point)).collect::<Result<_, _>>()?;
+    Ok(BeadLayout { beads, source: path.display().to_string(), notes })
+}
+
+/// Landmarks of a Slicer markups file; as [`read_markups`], without a look at the descriptions.
+///
+/// # Errors
+/// As [`read_markups`].
+pub fn read_landmarks(path: &Path) -> Result<Vec<Landmark>, BeadsError> {
+    let points = read_points(path)?.points;
+    Ok(points.into_iter().map(|point| Landmark { name: point.label, lps_mm: point.lps_mm }).collect())
+}
+
+fn bead(path: &Path, point: Point) -> Result<Bead, BeadsError> {
+    let value = |key: &str| {
+        point
+            .description
+            .split(|c: char| c.is_whitespace() || c == ';' || c == ',')
+            .find_map(|token| token.split_once('=').filter(|(k, _)| *k == key).map(|(_, v)| v.to_owned()))
+    };
+    let positive = |key: &'static str, least_mm: f64| match value(key) {
+        None => Ok(None),
+        Some(text) => match text.parse::<f64>() {
+            Ok(number) if number.is_finite() && number >= least_mm => Ok(Some(number)),
+            _ => Err(BeadsError::Description { path: path.to_owned(), name: point.label.clone(), key, found: text }),
+        },
+    };
+    Ok(Bead {
+        radius_mm: positive("radius_mm", f64::MIN_POSITIVE)?,
+        sigma_mm: positive("sigma_mm", 0.0)?,
+        body: value("body").filter(|body| !body.is_empty()).unwrap_or_else(|| DEFAULT_BODY.to_owned()),
+        lps_mm: point.lps_mm,
+        name: point.label,
+    })
+}
+
+fn read_points(path: &Path) -> Result<Points, BeadsError> {
+    let bytes = std::fs::read(path).map_err(|source| BeadsError::Read { path: path.to_owned(), source })?;
+    parse_points(path, &bytes)
+}
+
+fn parse_points(path: &Path, bytes: &[u8]) -> Result<Points, BeadsError> {
+    let name = path.file_name().map(|name| name.to_string_lossy().to_lowercase()).unwrap_or_default();
+    let (read, skipped) = if name.ends_with(".json") {
+        read_json(path, bytes)?
+    } else if name.ends_with(".fcsv") {
+        read_fcsv(path, &String::from_utf8_lossy(bytes))?
+    } else {
+        return Err(BeadsError::Extension { path: path.to_owned() });
+    };
+    if read.points.is_empty() {
+        return Err(BeadsError::Empty { path: path.to_owned(), skipped });
+    }
+    let mut seen = std::collections::BTreeSet::new();
+    if let Some(point) = read.points.iter().find(|point| !seen.insert(point.label.clone())) {
+        return Err(BeadsError::Duplicate { path: path.to_owned(), name: point.label.clone() });
+    }
+    let Points { points, mut notes } = read;
+    if skipped > 0 {
+        notes.push(format!("{skipped} points without a defined position were skipped"));
+    }
+    Ok(Points { points, notes })
+}
+
+/// Whether coordinates are RAS (else LPS): Slicer writes `LPS`, `RAS`, or in older files `1` and `0`.
+fn is_ras(path: &Path, place: &str, found: &str) -> Result<bool, BeadsError> {
+    match found.trim().to_ascii_uppercase().as_str() {
+        "RAS" | "0" => Ok(true),
+        "LPS" | "1" => Ok(false),
+        _ => Err(BeadsError::Form {
+            path: path.to_owned(),
+            place: place.to_owned(),
+            found: format!("{found:?}"),
+            expected: "LPS or RAS (or 1 or 0)",
+        }),
+    }
+}
+
+fn mm_per_unit(path: &Path, place: &str, units: &Value) -> Result<f64, BeadsError> {
+    let text = match units {
+        Value::String(text) => text.clone(),
+        Value::Array(all) if !all.is_empty() && all.iter().all(|unit| *unit == all[0]) => {
+            all[0].as_str().unwrap_or_default().to_owned()
+        }
+        _ => units.to_string(),
+    };
+    match text.as_str() {
+        "mm" | "millimeter" | "millimetre" => Ok(1.0),
+        "cm" => Ok(10.0),
+        "m" | "meter" | "metre" => Ok(1000.0),
+        "um" | "µm" => Ok(1e-3),
+        _ => Err(BeadsError::Form {
+            path: path.to_owned(),
+            place: place.to_owned(),
+            found: units.to_string(),
+            expected: "mm (or m, cm, um)",
+        }),
+    }
+}
+
+fn read_json(path: &Path, bytes: &[u8]) -> Result<(Points, usize), BeadsError> {
+    let document: Value = serde_json::from_slice(bytes).map_err(|source| BeadsError::Json { path: path.to_owned(), source })?;
+    let form = |place: String, found: &Value, expected| {
+        let mut found = found.to_string();
+        if found.chars().count() > 60 {
+            found = found.chars().take(60).chain("…".chars()).collect();
+        }
+        BeadsError::Form { path: path.to_owned(), place, found, expected }
+    };
+    let lists =
+        document["markups"].as_array().ok_or_else(|| form("markups".into(), &document["markups"], "a list of markups nodes"))?;
+    let mut read = Points { points: Vec::new(), notes: Vec::new() };
+    let mut skipped = 0;
+    for (index, list) in lists.iter().enumerate() {
+        let at = |key: &str| format!("markups[{index}].{key}");
+        if list["type"] != "Fiducial" {
+            return Err(form(at("type"), &list["type"], "\"Fiducial\" (a point list)"));
+        }
+        let ras = match &list["coordinateSystem"] {
+            Value::Null => {
+                read.notes.push("no coordinateSystem in the file: LPS, the schema's default, is taken".to_owned());
+                false
+            }
+            Value::String(text) => is_ras(path, &at("coordinateSystem"), text)?,
+            other => is_ras(path, &at("coordinateSystem"), &other.to_string())?,
+        };
+        let scale = match &list["coordinateUnits"] {
+            Value::Null => 1.0,
+            units => mm_per_unit(path, &at("coordinateUnits"), units)?,
+        };
+        let points = list["controlPoints"]
+            .as_array()
+            .ok_or_else(|| form(at("controlPoints"), &list["controlPoints"], "a list of points"))?;
+        for (number, point) in points.iter().enumerate() {
+            if !(point["positionStatus"].is_null() || point["positionStatus"] == "defined") {
+                skipped += 1;
+                continue;
+            }
+            let text = |key: &str| point[key].as_str().map(str::trim).filter(|text| !text.is_empty()).map(str::to_owned);
+            let label = text("label").or_else(|| text("id")).unwrap_or_else(|| format!("point-{}", number + 1));
+            let numbers: Option<Vec<f64>> =
+                point["position"].as_array().and_then(|all| all.iter().map(Value::as_f64).collect::<Option<Vec<f64>>>());
+            let position = match numbers.as_deref() {
+                Some(&[x, y, z]) => DVec3::new(x, y, z) * scale,
+                _ => DVec3::NAN,
+            };
+            if !position.is_finite() {
+                let found = point["position"].to_string();
+                return Err(BeadsError::Position { path: path.to_owned(), name: label, found });
+            }
+            let lps_mm = if ras { lps_from_ras(position) } else { position };
+            let description = text("description").unwrap_or_default();
+            read.points.push(Point { label, description, lps_mm });
+        }
+    }
+    Ok((read, skipped))
+}
+
+/// Columns Slicer writes when the header names none.
+const FCSV_COLUMNS: &str = "id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID,positionStatus";
+
+fn read_fcsv(path: &Path, text: &str) -> Result<(Points, usize), BeadsError> {
+    let mut ras = None;
+    let mut columns: Vec<String> = FCSV_COLUMNS.split(',').map(str::to_owned).collect();
+    let mut read = Points { points: Vec::new(), notes: Vec::new() };
+    let mut skipped = 0;
+    for (index, line) in text.trim_start_matches('\u{feff}').lines().enumerate() {
+        let place = format!("line {}", index + 1);
+        if let Some(header) = line.strip_prefix('#') {
+            if let Some((key, value)) = header.split_once('=') {
+                match key.trim() {
+                    "CoordinateSystem" => ras = Some(is_ras(path, &place, value)?),
+                    "columns" => {
+                        columns = value.trim().split(',').map(|name| name.trim().to_owned()).collect();
+                        // Slicer 5 writes the status in a column of its own after those it names.
+                        if columns.last().is_some_and(|last| last == "associatedNodeID") {
+                            columns.push("positionStatus".to_owned());
+                        }
+                    }
+                    _ => {}
+                }
+            }
+            continue;
+        }
+        if line.trim().is_empty() {
+            continue;
+        }
+        let cells = split_csv(line);
+        let cell = |name: &str| columns.iter().position(|column| column == name).and_then(|at| cells.get(at)).map(|s| s.trim());
+        if cells.len() < 4 {
+            let found = format!("{} cells", cells.len());
+            return Err(BeadsError::Form { path: path.to_owned(), place, found, expected: "at least id,x,y,z" });
+        }
+        let label = cell("label").filter(|label| !label.is_empty()).or(cell("id")).unwrap_or_default().to_owned();
+        // vtkMRMLMarkupsNode: 0 undefined, 1 preview, 2 defined, 3 missing.
+        if cell("positionStatus").is_some_and(|status| matches!(status, "0" | "1" | "3")) {
+            skipped += 1;
+            continue;
+        }
+        let coordinate = |name: &str| cell(name).and_then(|text| text.parse::<f64>().ok()).unwrap_or(f64::NAN);
+        let position = DVec3::new(coordinate("x"), coordinate("y"), coordinate("z"));
+        if !position.is_finite() {
+            let found = format!("{place}: {}", cells[1..4].join(","));
+            return Err(BeadsError::Position { path: path.to_owned(), name: label, found });
+        }
+        let Some(ras) = ras else {
+            let found = "points before any coordinate system".to_owned();
+            return Err(BeadsError::Form {
+                path: path.to_owned(),
+                place,
+                found,
+                expected: "a line `# CoordinateSystem = LPS` (or RAS)",
+            });
+        };
+        let lps_mm = if ras { lps_from_ras(position) } else { position };
+        read.points.push(Point { label, description: cell("desc").unwrap_or_default().to_owned(), lps_mm });
+    }
+    Ok((read, skipped))
+}
+
+/// Cells of one line; a quoted cell may hold commas and doubled quotes.
+fn split_csv(line: &str) -> Vec<String> {
+    let mut cells = vec![String::new()];
+    let mut quoted = false;
+    let mut characters = line.chars().peekable();
+    while let Some(character) = characters.next() {
+        match (character, quoted) {
+            ('"', true) if characters.peek() == Some(&'"') => {
+                characters.next();
+                if let Some(cell) = cells.last_mut() {
+                    cell.push('"');
+                }
+            }
+            ('"', _) => quoted = !quoted,
+            (',', false) => cells.push(String::new()),
+            _ => {
+                if let Some(cell) = cells.last_mut() {
+                    cell.push(character);
+                }
+            }
+        }
+    }
+    cells
+}

@@ -1,0 +1,202 @@
+//! `sidecarm info FILE`: what a file is, and what this program makes of it.
+
+mod documents;
+mod frames;
+mod logs;
+mod volumes;
+
+use std::path::{Path, PathBuf};
+
+use serde_json::{Map, Value};
+
+use crate::acquire::AcquireError;
+use crate::record::RecordError;
+use crate::reporter::Reporter;
+
+/// Exit code of a complete answer.
+const GOOD: u8 = 0;
+/// Exit code of an answer about a file from which something is lost.
+const LOSS: u8 = 3;
+
+/// Says what a file is and what is in it.
+///
+/// Knows frames (DICOM, PNG, TIFF), logs (MCAP), volumes (NIfTI), beads and landmarks (.mrk.json, .fcsv), meshes (STL), and this
+/// program's own JSON files. Patient data are never shown.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Example:\n  sidecarm info frame-01.dcm\n  sidecarm info session.mcap --json\n\nExit codes: 0 good, 1 unreadable, 3 readable with losses (said which)."
+)]
+pub struct InfoArgs {
+    /// The file.
+    pub file: PathBuf,
+    /// One JSON object on standard output instead of text.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Why nothing can be said about a file.
+#[derive(Debug, thiserror::Error)]
+pub enum InfoError {
+    /// The operating system refused.
+    #[error("{path}: {source}", path = path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// A frame that cannot be read.
+    #[error(transparent)]
+    Frame(#[from] AcquireError),
+    /// A log that cannot be read.
+    #[error(transparent)]
+    Log(#[from] RecordError),
+    /// A file of a known kind that is damaged.
+    #[error("{path}: {kind} is damaged: {detail}", path = path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// What it should be.
+        kind: &'static str,
+        /// Where and what.
+        detail: String,
+    },
+    /// A file of no kind that is known here.
+    #[error(
+        "{path}: not a kind of file that is known here ({found}); expected DICOM, PNG, TIFF, MCAP, NIfTI, .mrk.json, .fcsv, STL or a \
+         JSON file of this program",
+        path = path.display()
+    )]
+    Unknown {
+        /// The file.
+        path: PathBuf,
+        /// What was found.
+        found: String,
+    },
+}
+
+/// What is known about a file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Info {
+    /// `kind`, `path`, `bytes`, then whatever the kind has.
+    pub facts: Map<String, Value>,
+    /// What is lost from the file, one sentence each.
+    pub losses: Vec<String>,
+}
+
+/// Prints what `args.file` is; gives the exit code.
+///
+/// # Errors
+/// When the file cannot be read or is of no known kind.
+pub fn run(args: &InfoArgs, reporter: &Reporter) -> Result<u8, InfoError> {
+    let info = examine(&args.file)?;
+    let facts = Value::Object(info.facts);
+    if args.json {
+        println!("{facts:#}");
+    } else {
+        print!("{}", text(&facts, 0));
+    }
+    for loss in &info.losses {
+        reporter.warn("loss", format!("{}: {loss}", args.file.display()));
+    }
+    Ok(if info.losses.is_empty() { GOOD } else { LOSS })
+}
+
+/// Finds out what `path` is, by its content first and its name second.
+///
+/// # Errors
+/// When the file cannot be read or is of no known kind.
+pub fn examine(path: &Path) -> Result<Info, InfoError> {
+    let io = |source| InfoError::Io { path: path.to_owned(), source };
+    let metadata = std::fs::metadata(path).map_err(io)?;
+    if metadata.is_dir() {
+        return Err(InfoError::Unknown { path: path.to_owned(), found: "a folder".into() });
+    }
+    let head = head(path).map_err(io)?;
+    let name = path.file_name().map(|name| name.to_string_lossy().to_lowercase()).unwrap_or_default();
+    let (kind, mut facts, losses) = if mcap::MAGIC.starts_with(&head[..head.len().min(8)]) && !head.is_empty() {
+        logs::examine(path)?
+    } else if name.ends_with(".nii") || name.ends_with(".nii.gz") {
+        volumes::nifti(path)?
+    } else if name.ends_with(".stl") {
+        volumes::stl(path)?
+    } else if name.ends_with(".fcsv") || name.ends_with(".json") || head.trim_ascii_start().starts_with(b"{") {
+        documents::examine(path, &name)?
+    } else {
+        match frames::examine(path) {
+            Err(InfoError::Frame(AcquireError::NotAnImage { found, .. })) => {
+                return Err(InfoError::Unknown { path: path.to_owned(), found });
+            }
+            other => other?,
+        }
+    };
+    let mut all = Map::new();
+    all.insert("kind".into(), kind.into());
+    all.insert("path".into(), path.display().to_string().into());
+    all.insert("bytes".into(), metadata.len().into());
+    all.append(&mut facts);
+    if !losses.is_empty() {
+        all.insert("losses".into(), losses.clone().into());
+    }
+    Ok(Info { facts: all, losses })
+}
+
+/// Kind, facts and losses.
+type Found = (&'static str, Map<String, Value>, Vec<String>);
+
+fn object(value: Value) -> Map<String, Value> {
+    match value {
+        Value::Object(map) => map,
+        other => Map::from_iter([("value".to_owned(), other)]),
+    }
+}
+
+fn head(path: &Path) -> std::io::Result<Vec<u8>> {
+    use std::io::Read;
+    let mut head = Vec::new();
+    std::fs::File::open(path)?.take(512).read_to_end(&mut head)?;
+    Ok(head)
+}
+
+/// Facts as indented lines; short lists of plain values stay on one line.
+fn text(value: &Value, depth: usize) -> String {
+    let indent = "  ".repeat(depth);
+    let plain = |value: &Value| match value {
+        Value::String(text) => text.clone(),
+        other => other.to_string(),
+    };
+    let mut lines = String::new();
+    match value {
+        Value::Object(map) => {
+            for (key, value) in map {
+                match value {
+                    Value::Null => {}
+                    Value::Array(items) if items.is_empty() => {}
+                    Value::Object(map) if map.is_empty() => {}
+                    Value::Array(items) if items.iter().all(|item| item.is_number() || item.is_boolean()) => {
+                        let row = items.iter().map(plain).collect::<Vec<_>>().join(", ");
+                        lines.push_str(&format!("{indent}{key}: [{row}]\n"));
+                    }
+                    Value::Object(_) | Value::Array(_) => lines.push_str(&format!("{indent}{key}:\n{}", text(value, depth + 1))),
+                    _ => lines.push_str(&format!("{indent}{key}: {}\n", plain(value))),
+                }
+            }
+        }
+        Value::Array(items) => {
+            for item in items {
+                match item {
+                    Value::Array(row) if row.iter().all(|cell| !cell.is_array() && !cell.is_object()) => {
+                        lines.push_str(&format!("{indent}[{}]\n", row.iter().map(plain).collect::<Vec<_>>().join(", ")));
+                    }
+                    Value::Object(_) | Value::Array(_) => {
+                        let block = text(item, depth + 1);
+                        lines.push_str(&format!("{indent}- {}", block.trim_start()));
+                    }
+                    _ => lines.push_str(&format!("{indent}- {}\n", plain(item))),
+                }
+            }
+        }
+        other => lines.push_str(&format!("{indent}{}\n", plain(other))),
+    }
+    lines
+}

@@ -1,0 +1,142 @@
+//! Text files: markups and this program's own JSON.
+
+use std::path::Path;
+
+use serde_json::{Map, Value, json};
+
+use super::{Found, InfoError, object};
+
+pub(super) fn examine(path: &Path, name: &str) -> Result<Found, InfoError> {
+    let text = std::fs::read_to_string(path).map_err(|source| InfoError::Io { path: path.to_owned(), source })?;
+    if name.ends_with(".fcsv") {
+        return Ok(("markups", fcsv(path, &text)?, Vec::new()));
+    }
+    let json: Value = serde_json::from_str(&text).map_err(|error| InfoError::Damaged {
+        path: path.to_owned(),
+        kind: "JSON file",
+        detail: error.to_string(),
+    })?;
+    let Value::Object(map) = json else {
+        return Err(InfoError::Unknown { path: path.to_owned(), found: "JSON that is no object".into() });
+    };
+    match recognise(&map) {
+        Some("markups") => Ok(("markups", markups(path, &map)?, Vec::new())),
+        Some(kind) => Ok((kind, facts(kind, &map), Vec::new())),
+        None => {
+            let keys = map.keys().take(8).cloned().collect::<Vec<_>>().join(", ");
+            Err(InfoError::Unknown { path: path.to_owned(), found: format!("JSON with the keys {keys}") })
+        }
+    }
+}
+
+/// The kind of a JSON file, by the keys that only this kind has.
+fn recognise(map: &Map<String, Value>) -> Option<&'static str> {
+    let has = |key: &str| map.contains_key(key);
+    if has("markups") {
+        Some("markups")
+    } else if has("objects") {
+        Some("scene")
+    } else if has("pairs") {
+        Some("pairs")
+    } else if has("status") && (has("projection") || has("reason") || has("beads")) {
+        Some("pose")
+    } else if has("frames") && (has("scene") || has("beads") || has("carm") || has("robot")) {
+        Some("session")
+    } else if has("quantity") && has("pages") {
+        Some("image_description")
+    } else if has("camera_from_lps") {
+        Some("prior")
+    } else if has("intrinsics") {
+        Some("intrinsics")
+    } else if has("origin") {
+        Some("calibration")
+    } else {
+        None
+    }
+}
+
+fn facts(kind: &str, map: &Map<String, Value>) -> Map<String, Value> {
+    let pick = |keys: &[&str]| -> Map<String, Value> {
+        keys.iter().filter_map(|&key| Some((key.to_owned(), map.get(key)?.clone()))).collect()
+    };
+    let mut facts = match kind {
+        "scene" => {
+            let kinds: Vec<Value> = map
+                .get("objects")
+                .and_then(Value::as_array)
+                .map(|objects| {
+                    objects.iter().filter_map(|object| object.as_object()?.keys().next().cloned().map(Value::from)).collect()
+                })
+                .unwrap_or_default();
+            let mut facts = object(json!({"objects": kinds.len(), "object_kinds": kinds, "has_view": map.contains_key("view")}));
+            facts.extend(pick(&["beam", "detector", "model"]));
+            facts
+        }
+        "pose" => {
+            let mut facts =
+                pick(&["status", "reason", "size_px", "rms_px", "rms_mm", "projection", "intrinsics", "camera_from_lps"]);
+            let used = |bead: &&Value| bead.get("used").and_then(Value::as_bool) == Some(true);
+            if let Some(beads) = map.get("beads").and_then(Value::as_array) {
+                facts.insert("beads".into(), json!({"listed": beads.len(), "used": beads.iter().filter(used).count()}));
+            }
+            facts
+        }
+        "pairs" => object(json!({"pairs": map.get("pairs").and_then(Value::as_array).map_or(0, Vec::len)})),
+        "image_description" => pick(&["quantity", "unit", "pages", "size_px", "stated_error", "adapter", "version"]),
+        "calibration" => {
+            let mut facts = pick(&["origin"]);
+            facts.insert("keys".into(), map.keys().cloned().collect::<Vec<_>>().into());
+            facts
+        }
+        _ => map.clone(),
+    };
+    facts.insert("format".into(), "JSON".into());
+    facts
+}
+
+fn markups(path: &Path, map: &Map<String, Value>) -> Result<Map<String, Value>, InfoError> {
+    let damaged = |detail: &str| InfoError::Damaged { path: path.to_owned(), kind: "markups file", detail: detail.into() };
+    let lists = map.get("markups").and_then(Value::as_array).ok_or_else(|| damaged("`markups` is no list"))?;
+    let mut listed = Vec::new();
+    for (index, list) in lists.iter().enumerate() {
+        let points = list
+            .get("controlPoints")
+            .and_then(Value::as_array)
+            .ok_or_else(|| damaged(&format!("markups[{index}] has no controlPoints")))?;
+        let names: Vec<&str> = points.iter().map(|point| point.get("label").and_then(Value::as_str).unwrap_or("?")).collect();
+        listed.push(json!({
+            "type": list.get("type"),
+            "coordinate_system": list.get("coordinateSystem"),
+            "units": list.get("coordinateUnits"),
+            "points": points.len(),
+            "names": names,
+        }));
+    }
+    Ok(object(json!({"format": "3D Slicer markups", "lists": listed})))
+}
+
+fn fcsv(path: &Path, text: &str) -> Result<Map<String, Value>, InfoError> {
+    let header = |key: &str| {
+        text.lines().find_map(|line| {
+            let (name, value) = line.strip_prefix('#')?.split_once('=')?;
+            (name.trim() == key).then(|| value.trim().to_owned())
+        })
+    };
+    let columns: Vec<String> = header("columns").unwrap_or_default().split(',').map(|column| column.trim().to_owned()).collect();
+    let label = columns.iter().position(|column| column == "label").unwrap_or(11);
+    let mut names = Vec::new();
+    for (index, line) in text.lines().enumerate().filter(|(_, line)| !line.starts_with('#') && !line.trim().is_empty()) {
+        let cells: Vec<&str> = line.split(',').collect();
+        if cells.get(1..4).is_none_or(|position| position.iter().any(|cell| cell.trim().parse::<f64>().is_err())) {
+            let detail = format!("line {} has no position in its second to fourth column", index + 1);
+            return Err(InfoError::Damaged { path: path.to_owned(), kind: "fcsv file", detail });
+        }
+        names.push(cells.get(label).copied().unwrap_or("?").to_owned());
+    }
+    Ok(object(json!({
+        "format": "3D Slicer fcsv",
+        "coordinate_system": header("CoordinateSystem"),
+        "points": names.len(),
+        "names": names,
+    })))
+}

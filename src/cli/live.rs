@@ -1,0 +1,127 @@
+//! `sidecarm live`: a session with real (or mocked) devices; and the pre-flight check of `devices`.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use super::devices::{self, CheckFile, CheckList, DevicesArgs, FileCheck};
+use crate::reporter::Reporter;
+use crate::session::SessionError;
+use crate::session::board::Board;
+use crate::session::file::{SessionFileError, Setup};
+use crate::session::folder::Folder;
+use crate::session::live::{LiveOptions, run as run_session};
+use crate::telemetry::{DeviceKind, PortConfig};
+
+/// Ride along: telemetry and frames in, matched DRRs, log and report out. Ends with Ctrl-C.
+#[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Example:\n  sidecarm devices --check session.json && sidecarm live session.json --out run-1")]
+pub struct LiveArgs {
+    /// The session file.
+    pub session: PathBuf,
+    /// Folder of the session; the session file's `out` when absent.
+    #[arg(long)]
+    pub out: Option<PathBuf>,
+    /// No window.
+    #[arg(long)]
+    pub headless: bool,
+    /// End after this many seconds.
+    #[arg(long, value_name = "S")]
+    pub seconds: Option<f64>,
+    /// Also take frames that are in the folder already.
+    #[arg(long)]
+    pub include_existing: bool,
+}
+
+/// Runs a session; exit code 0, or 3 when something was lost.
+///
+/// # Errors
+/// When the session cannot start.
+pub fn run(args: &LiveArgs, reporter: &Reporter) -> Result<u8, SessionError> {
+    let setup = Setup::load(&args.session)?;
+    let beside = args.session.parent().unwrap_or(std::path::Path::new(".")).to_owned();
+    let named = setup.session.out.as_ref().map(|out| beside.join(out));
+    let out = args.out.clone().or(named).unwrap_or_else(|| beside.join("session"));
+    let stop = Arc::new(AtomicBool::new(false));
+    stop_on_interrupt(&stop);
+    let options = LiveOptions { out, stop, seconds: args.seconds, include_existing: args.include_existing };
+    let folder = watch(setup, options, args.headless, reporter)?;
+    summary(&folder, reporter);
+    Ok(if folder.losses.is_empty() { 0 } else { 3 })
+}
+
+/// Runs the session, in a window unless `headless` or where no window can be opened.
+///
+/// # Errors
+/// As [`run_session`].
+pub(super) fn watch(setup: Setup, options: LiveOptions, headless: bool, reporter: &Reporter) -> Result<Folder, SessionError> {
+    let board = Board::default();
+    if headless || !cfg!(feature = "viewer") {
+        return run_session(setup, &options, &board, reporter);
+    }
+    #[cfg(not(feature = "viewer"))]
+    unreachable!("returned above");
+    #[cfg(feature = "viewer")]
+    {
+        let stop = options.stop.clone();
+        let (shown, for_thread) = (board.clone(), reporter.clone());
+        let session = std::thread::spawn(move || run_session(setup, &options, &board, &for_thread));
+        // The window needs the main thread; closing it ends the session.
+        if let Err(error) = crate::viewer::run(shown, move || stop.store(true, Ordering::Relaxed)) {
+            reporter.warn("no window", error);
+        }
+        session.join().map_err(|_| SessionError::WorkshopDied)?
+    }
+}
+
+/// Ctrl-C ends the session in order, with log and report complete.
+pub(super) fn stop_on_interrupt(stop: &Arc<AtomicBool>) {
+    let stop = stop.clone();
+    std::thread::spawn(move || {
+        let Ok(runtime) = tokio::runtime::Builder::new_current_thread().enable_all().build() else { return };
+        if runtime.block_on(tokio::signal::ctrl_c()).is_ok() {
+            stop.store(true, Ordering::Relaxed);
+        }
+    });
+}
+
+/// Where everything is, on standard output.
+fn summary(folder: &Folder, reporter: &Reporter) {
+    let accepted = folder.pairs.iter().filter(|pair| pair.status == crate::report::PairStatus::Accepted).count();
+    println!("{} frames, {accepted} accepted: {}", folder.pairs.len(), folder.path.join("report.html").display());
+    for (kind, counted) in reporter.warnings() {
+        println!("{} x {kind}: {}", counted.count, counted.latest);
+    }
+    for loss in &folder.losses {
+        println!("lost: {loss}");
+    }
+}
+
+/// `sidecarm devices`.
+#[must_use]
+pub fn devices(args: &DevicesArgs, reporter: &Reporter) -> u8 {
+    let Some(session) = &args.check else { return devices::list(args.json, reporter) };
+    match check_list(session) {
+        Ok(list) => devices::check(&list, args.json, reporter),
+        Err(error) => super::end::<SessionFileError>(Err(error), reporter),
+    }
+}
+
+fn check_list(path: &std::path::Path) -> Result<CheckList, SessionFileError> {
+    let setup = Setup::load(path)?;
+    let session = &setup.session;
+    let port = |device, path: &PathBuf, baud| PortConfig { device, path: path.clone(), baud };
+    let file = |role: &str, path: &PathBuf, check| CheckFile { role: role.to_owned(), path: path.clone(), check };
+    let mut files = vec![
+        file("frames", &session.frames.folder, FileCheck::Folder),
+        file("scene", &session.scene, FileCheck::Json),
+    ];
+    files.extend(session.beads.as_ref().map(|beads| file("beads", beads, FileCheck::Json)));
+    files.extend(session.carm.as_ref().map(|line| file("calibration", &line.calibration, FileCheck::CarmCalibration)));
+    files.extend(session.robot.as_ref().map(|line| file("robot model", &line.model, FileCheck::RobotModel)));
+    Ok(CheckList {
+        carm: session.carm.as_ref().map(|line| port(DeviceKind::Carm, &line.port, line.baud)),
+        robot: session.robot.as_ref().map(|line| port(DeviceKind::Robot, &line.port, line.baud)),
+        files,
+    })
+}

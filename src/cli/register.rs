@@ -1,0 +1,264 @@
+//! `sidecarm register`: one frame, one bead layout, one P (or the reason why there is none).
+
+use std::path::PathBuf;
+
+use crate::acquire::{AcquireError, Domain, Frame, read_frame};
+use crate::beads::{BeadsError, Landmark, read_landmarks, read_markups};
+use crate::geometry::Intrinsics;
+use crate::image::{Image, ImageFileError, write_png_rgb};
+use crate::pose::{IntrinsicsFile, Pose, PoseFileError, Prior, Registration, intrinsics_of, register};
+use crate::reporter::Reporter;
+
+/// Recover the projection matrix of a radiograph from the metal beads in it.
+#[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Example:
+  sidecarm register frame.dcm --beads beads.mrk.json --intrinsics K.json --out POSE.json
+
+Exit code 0: accepted; 1: refused (POSE.json says why and holds no projection).")]
+pub struct RegisterArgs {
+    /// The radiograph: DICOM, 16-bit PNG or TIFF, float TIFF
+    pub frame: PathBuf,
+    /// Beads: a 3D Slicer point list (.mrk.json or .fcsv); radius_mm=0.75, sigma_mm=0.1 and body=pelvis are read from descriptions
+    #[arg(long, value_name = "BEADS")]
+    pub beads: PathBuf,
+    /// K: {"intrinsics": 3x3, "size_px": [columns, rows], "pitch_mm": p}; without it from SID and pixel spacing, else solved
+    #[arg(long, value_name = "K.json")]
+    pub intrinsics: Option<PathBuf>,
+    /// Where the pose is expected: a pose file, only camera_from_lps (and covariance) are used
+    #[arg(long, value_name = "POSE.json")]
+    pub prior: Option<PathBuf>,
+    /// Take the prior as a measurement, not only as a gate
+    #[arg(long, requires = "prior")]
+    pub fuse: bool,
+    /// What the pixel values are: linear, log, display or unknown
+    #[arg(long, value_name = "DOMAIN")]
+    pub domain: Option<Domain>,
+    /// Radius of beads whose description gives none
+    #[arg(long, value_name = "MM")]
+    pub bead_radius: Option<f64>,
+    /// Points at which the uncertainty is wanted: a 3D Slicer point list
+    #[arg(long, value_name = "L.mrk.json")]
+    pub landmarks: Option<PathBuf>,
+    /// A picture of the frame with observed (green), left out (red) and expected (yellow) beads
+    #[arg(long, value_name = "FILE.png")]
+    pub overlay: Option<PathBuf>,
+    /// Print the pose as JSON instead of a summary
+    #[arg(long)]
+    pub json: bool,
+    /// Where the pose is written, accepted or refused
+    #[arg(long, value_name = "POSE.json")]
+    pub out: PathBuf,
+}
+
+/// Why nothing was registered.
+#[derive(Debug, thiserror::Error)]
+pub enum RegisterError {
+    /// The frame.
+    #[error(transparent)]
+    Frame(#[from] AcquireError),
+    /// Beads or landmarks.
+    #[error(transparent)]
+    Beads(#[from] BeadsError),
+    /// K, prior, or the result.
+    #[error(transparent)]
+    Pose(#[from] PoseFileError),
+    /// The overlay.
+    #[error(transparent)]
+    Overlay(#[from] ImageFileError),
+    /// The radius typed is impossible.
+    #[error("--bead-radius is {found} mm, it must be positive")]
+    Radius {
+        /// What was typed.
+        found: f64,
+    },
+    /// K is for another frame.
+    #[error("{path}: K is for frames of {expected:?} px, {frame} has {found:?} px", path = path.display(), frame = frame.display())]
+    Size {
+        /// File of K.
+        path: PathBuf,
+        /// Its size.
+        expected: [u32; 2],
+        /// The frame.
+        frame: PathBuf,
+        /// The frame's size.
+        found: [u32; 2],
+    },
+    /// The result would replace an input.
+    #[error("{path}: would overwrite an input; choose another name", path = path.display())]
+    Overwrite {
+        /// The file.
+        path: PathBuf,
+    },
+}
+
+/// Registers, writes the pose, prints a summary. Returns the exit code: 0 accepted, 1 refused.
+///
+/// # Errors
+/// When an input cannot be read or does not fit the others, or an output cannot be written.
+pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError> {
+    let inputs = [Some(&args.frame), Some(&args.beads), args.intrinsics.as_ref(), args.prior.as_ref(), args.landmarks.as_ref()];
+    let same = |a: &PathBuf, b: &PathBuf| {
+        a == b || std::fs::canonicalize(a).is_ok_and(|a| std::fs::canonicalize(b).is_ok_and(|b| a == b))
+    };
+    for output in [Some(&args.out), args.overlay.as_ref()].into_iter().flatten() {
+        if inputs.iter().flatten().any(|input| same(input, output)) {
+            return Err(RegisterError::Overwrite { path: output.clone() });
+        }
+    }
+    if let Some(found) = args.bead_radius
+        && !(found > 0.0 && found.is_finite())
+    {
+        return Err(RegisterError::Radius { found });
+    }
+    let layout = read_markups(&args.beads)?;
+    let landmarks: Vec<Landmark> = args.landmarks.as_deref().map(read_landmarks).transpose()?.unwrap_or_default();
+    let prior = args.prior.as_deref().map(Prior::read).transpose()?;
+    let frame = read_frame(&args.frame, args.domain)?;
+    let mut note = None;
+    let (intrinsics, pitch_mm) = match &args.intrinsics {
+        Some(path) => {
+            let file = IntrinsicsFile::read(path)?;
+            let found = frame.size_px.map(|n| n as u32);
+            if let Some(expected) = file.size_px
+                && expected != found
+            {
+                return Err(RegisterError::Size { path: path.clone(), expected, frame: args.frame.clone(), found });
+            }
+            (Some(file.intrinsics), file.pitch_mm.or(frame.tags.pitch_mm.map(|pitch| pitch[0])))
+        }
+        None => from_header(&frame, &mut note),
+    };
+    let mut pose = register(&Registration {
+        frame: &frame,
+        layout: &layout,
+        intrinsics,
+        pitch_mm,
+        prior: prior.as_ref(),
+        fuse: args.fuse,
+        landmarks: &landmarks,
+        bead_radius_mm: args.bead_radius,
+    });
+    pose.notes.extend(note);
+    pose.write(&args.out)?;
+    if let Some(path) = &args.overlay {
+        write_png_rgb(path, &overlay(&frame, &pose))?;
+    }
+    if args.json {
+        match serde_json::to_string_pretty(&pose) {
+            Ok(text) => println!("{text}"),
+            Err(error) => reporter.warn("json", format!("the pose cannot be printed: {error}")),
+        }
+    } else {
+        print!("{}", summary(&pose));
+    }
+    Ok(u8::from(!pose.is_accepted()))
+}
+
+fn from_header(frame: &Frame, note: &mut Option<String>) -> (Option<Intrinsics>, Option<f64>) {
+    match intrinsics_of(frame) {
+        Some((intrinsics, pitch_mm, words)) => {
+            *note = Some(words);
+            (Some(intrinsics), Some(pitch_mm))
+        }
+        None => {
+            *note = Some("no --intrinsics, and no SID with pixel spacing in the header: K is solved from the beads".to_owned());
+            (None, frame.tags.pitch_mm.map(|pitch| pitch[0]))
+        }
+    }
+}
+
+/// Human words for a pose.
+#[must_use]
+pub fn summary(pose: &Pose) -> String {
+    let mut lines = Vec::new();
+    let used = pose.beads.iter().filter(|bead| bead.used).count();
+    if pose.is_accepted() {
+        let number = |value: Option<f64>, digits: usize| value.map_or("?".to_owned(), |v| format!("{v:.digits$}"));
+        lines.push(format!(
+            "accepted: {used} of {} beads, rms {} px = {} mm at the beads, {} accidental matches expected",
+            pose.beads.len(),
+            number(pose.rms_px, 3),
+            number(pose.rms_mm, 3),
+            pose.chance.map_or("?".to_owned(), |chance| format!("{chance:.0e}"))
+        ));
+        if let Some(rows) = &pose.covariance_at_centroid {
+            let sigma = |n: usize| rows[n][n].sqrt();
+            lines.push(format!(
+                "uncertainty at the beads: {:.3}°, {:.3}°, {:.3}° about x, y, z; {:.3}, {:.3} mm across and {:.3} mm along the beam",
+                sigma(0).to_degrees(),
+                sigma(1).to_degrees(),
+                sigma(2).to_degrees(),
+                sigma(3),
+                sigma(4),
+                sigma(5)
+            ));
+        }
+        if let (Some(k), Some(source)) = (&pose.intrinsics, &pose.intrinsics_source) {
+            lines.push(format!("K {source}: f {:.1}, {:.1} px, principal point {:.1}, {:.1} px", k.fx, k.fy, k.cx, k.cy));
+        }
+    } else {
+        lines.push(format!("refused: {}", pose.reason.as_deref().unwrap_or("no reason given")));
+        lines.push(format!("{} bead-like shadows in the frame, {} beads in the layout", pose.detections, pose.beads.len()));
+    }
+    if pose.is_accepted() {
+        lines.push(format!("{:16} {:>10} {:>10} {:>9} {:>9} {:>8}", "bead", "u px", "v px", "du px", "dv px", "sigma px"));
+        for bead in &pose.beads {
+            match (bead.image_px, bead.residual_px) {
+                (Some(at), Some(off)) => lines.push(format!(
+                    "{:16} {:10.3} {:10.3} {:9.3} {:9.3} {:8.3}{}",
+                    bead.name,
+                    at[0],
+                    at[1],
+                    off[0],
+                    off[1],
+                    bead.sigma_px.unwrap_or(f64::NAN),
+                    bead.reason.as_deref().map_or(String::new(), |why| format!("  not used: {why}"))
+                )),
+                _ => lines.push(format!("{:16} not used: {}", bead.name, bead.reason.as_deref().unwrap_or("no shadow"))),
+            }
+        }
+        for landmark in &pose.landmarks {
+            let [x, y, z] = landmark.sigma_mm;
+            let px = landmark.sigma_px.map_or(String::new(), |[u, v]| format!(", {u:.2}, {v:.2} px"));
+            lines.push(format!("landmark {}: ± {x:.3}, {y:.3} mm across, {z:.3} mm along the beam{px}", landmark.name));
+        }
+    }
+    lines.extend(pose.notes.iter().map(|note| format!("note: {note}")));
+    lines.join("\n") + "\n"
+}
+
+/// The frame in grey with circles: green observed and used, red observed and left out, yellow crosses where beads are expected.
+#[must_use]
+pub fn overlay(frame: &Frame, pose: &Pose) -> Image<[u8; 3]> {
+    let mut sorted: Vec<f32> = frame.pixels.pixels.iter().copied().step_by(11).collect();
+    sorted.sort_by(f32::total_cmp);
+    let at = |share: f64| sorted.get(((sorted.len() - 1) as f64 * share) as usize).copied().unwrap_or(0.0);
+    let (low, high) = if sorted.is_empty() { (0.0, 1.0) } else { (at(0.005), at(0.995)) };
+    let mut picture = frame.pixels.map(|value| {
+        let grey = (255.0 * ((value - low) / (high - low).max(f32::MIN_POSITIVE)).clamp(0.0, 1.0)) as u8;
+        [grey; 3]
+    });
+    let mut dot = |u: f64, v: f64, colour: [u8; 3]| {
+        if u >= 0.0 && v >= 0.0 && (u as usize) < picture.width && (v as usize) < picture.height {
+            *picture.at_mut(u as usize, v as usize) = colour;
+        }
+    };
+    for bead in &pose.beads {
+        if let Some([u, v]) = bead.image_px {
+            let colour = if bead.used { [40, 230, 80] } else { [240, 50, 40] };
+            for step in 0..240 {
+                let (sin, cos) = (f64::from(step) / 240.0 * std::f64::consts::TAU).sin_cos();
+                for radius in [11.5, 12.5] {
+                    dot(u + 0.5 + radius * cos, v + 0.5 + radius * sin, colour);
+                }
+            }
+        }
+        if let Some([u, v]) = bead.predicted_px {
+            for step in -4..=4 {
+                dot(u + 0.5 + f64::from(step), v + 0.5, [250, 220, 30]);
+                dot(u + 0.5, v + 0.5 + f64::from(step), [250, 220, 30]);
+            }
+        }
+    }
+    picture
+}

@@ -1,0 +1,217 @@
+//! Brings the acquired frame into the domain in which it can be compared: nepers where the domain and the air level allow it.
+
+use super::filters::median_and_spread;
+use crate::acquire::{Domain, Frame};
+use crate::image::Image;
+
+/// How the air level (the signal with nothing in the beam) is known.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum AirLevel {
+    /// From pixels which the simulation predicts to be in air (simulated intensity above 0.999); unknown when there are too few.
+    #[default]
+    Open,
+    /// The paper's rule: the highest value is N₀. Flagged, because in a frame without open air it errs a hundredfold.
+    Maximum,
+    /// Measured elsewhere, in the frame's own unit.
+    Value(f64),
+    /// Not known.
+    Unknown,
+}
+
+impl std::str::FromStr for AirLevel {
+    type Err = String;
+
+    fn from_str(word: &str) -> Result<Self, String> {
+        match word {
+            "open" => Ok(Self::Open),
+            "maximum" => Ok(Self::Maximum),
+            "unknown" => Ok(Self::Unknown),
+            number => match number.parse::<f64>() {
+                Ok(value) if value.is_finite() => Ok(Self::Value(value)),
+                _ => Err(format!("air level '{number}' is none of open, maximum, unknown or a number")),
+            },
+        }
+    }
+}
+
+/// The domain in which the two images were compared; larger is more attenuation in each.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum CommonDomain {
+    /// −ln(signal / air level), in nepers.
+    LineIntegral,
+    /// A line integral whose offset (and, for some log frames, scale) is not known.
+    RelativeLineIntegral,
+    /// Gray values of a display image: an unknown monotone function of the line integral.
+    GrayValues,
+}
+
+/// The air level that was used, and where it came from.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct AirReport {
+    /// `open`, `maximum`, `value`, `file` (the frame says so itself) or `unknown`.
+    pub rule: String,
+    /// In the frame's unit; `None` when unknown.
+    pub level: Option<f64>,
+    /// Pixels that it rests on, for `open`.
+    pub pixels: Option<usize>,
+    /// Robust standard deviation of those pixels relative to the level (linear) or in the frame's unit (log).
+    pub spread: Option<f64>,
+    /// Why it is unknown, or what to beware of.
+    pub reason: Option<String>,
+}
+
+/// Simulated line integrals below this are open air: intensity above 0.999.
+const OPEN_AIR_NEPERS: f32 = 1.0005e-3;
+/// An open-air level needs at least this many pixels…
+const OPEN_AIR_PIXELS: usize = 200;
+/// … this far (in pixels, both ways) from anything that the simulation sees.
+const OPEN_AIR_MARGIN: usize = 3;
+/// The signal in "open air" must be this uniform, or the simulation is wrong about what is open.
+const OPEN_AIR_SPREAD: f64 = 0.1;
+
+/// The acquired frame in the common domain.
+pub(super) struct Common {
+    pub acquired: Image<f32>,
+    pub domain: CommonDomain,
+    pub air: AirReport,
+    /// Pixels without any signal, whose logarithm does not exist.
+    pub no_signal: Image<bool>,
+}
+
+/// `usable`: pixels that are neither masked nor invalid so far; only they may carry the air level.
+pub(super) fn into_common(
+    frame: &Frame,
+    pixels: &Image<f32>,
+    simulated: &Image<f32>,
+    usable: &Image<bool>,
+    rule: AirLevel,
+) -> Common {
+    let never = Image::filled(pixels.width, pixels.height, false);
+    match frame.domain {
+        Domain::Linear => {
+            let known = if frame.unit.as_deref() == Some("1") { Some(1.0) } else { None };
+            let air = air_report(pixels, simulated, usable, rule, known, true);
+            let reference = air.level.unwrap_or(1.0);
+            Common {
+                acquired: pixels.map(|&v| if v > 0.0 { -(f64::from(v) / reference).ln() as f32 } else { f32::NAN }),
+                domain: if air.level.is_some() { CommonDomain::LineIntegral } else { CommonDomain::RelativeLineIntegral },
+                air,
+                no_signal: pixels.map(|&v| v <= 0.0),
+            }
+        }
+        Domain::Log => {
+            let in_nepers = frame.unit.as_deref() == Some("neper");
+            let mut air = air_report(pixels, simulated, usable, rule, in_nepers.then_some(0.0), false);
+            if !in_nepers {
+                air.reason = Some("the frame's logarithmic scale has no unit, so nepers cannot be claimed".into());
+            }
+            let offset = air.level.unwrap_or(0.0);
+            let absolute = in_nepers && air.level.is_some();
+            Common {
+                acquired: pixels.map(|&v| (f64::from(v) - offset) as f32),
+                domain: if absolute { CommonDomain::LineIntegral } else { CommonDomain::RelativeLineIntegral },
+                air,
+                no_signal: never,
+            }
+        }
+        Domain::Display | Domain::Unknown => Common {
+            // Display images are brighter where there is more signal; of unknown ones the polarity is found later, and said.
+            acquired: pixels.map(|&v| -v),
+            domain: CommonDomain::GrayValues,
+            air: unknown_air(&format!("domain is {}: gray values have no air level", frame.domain)),
+            no_signal: never,
+        },
+    }
+}
+
+fn unknown_air(reason: &str) -> AirReport {
+    AirReport { rule: "unknown".into(), level: None, pixels: None, spread: None, reason: Some(reason.to_owned()) }
+}
+
+/// `by_file`: the level that the frame's own unit implies. `signal`: larger is more signal (linear), not more attenuation (log).
+fn air_report(
+    pixels: &Image<f32>,
+    simulated: &Image<f32>,
+    usable: &Image<bool>,
+    rule: AirLevel,
+    by_file: Option<f64>,
+    signal: bool,
+) -> AirReport {
+    let known = |rule: &str, level: f64, reason: Option<&str>| AirReport {
+        rule: rule.into(),
+        level: Some(level),
+        pixels: None,
+        spread: None,
+        reason: reason.map(str::to_owned),
+    };
+    match rule {
+        AirLevel::Value(value) if !signal || value > 0.0 => known("value", value, None),
+        AirLevel::Value(value) => unknown_air(&format!("air level {value} is not positive, so it has no logarithm")),
+        AirLevel::Maximum => {
+            let values =
+                pixels.pixels.iter().zip(&usable.pixels).filter(|(v, u)| **u && v.is_finite()).map(|(v, _)| f64::from(*v));
+            let extreme = if signal { values.fold(f64::NAN, f64::max) } else { values.fold(f64::NAN, f64::min) };
+            if extreme.is_finite() && (extreme > 0.0 || !signal) {
+                known(
+                    "maximum",
+                    extreme,
+                    Some("the highest signal is taken as air: without open air in the frame this errs a hundredfold"),
+                )
+            } else {
+                unknown_air("the frame's highest signal is not positive")
+            }
+        }
+        AirLevel::Unknown => unknown_air("declared unknown"),
+        AirLevel::Open => match by_file {
+            Some(level) => known("file", level, None),
+            None => open_air(pixels, simulated, usable, signal),
+        },
+    }
+}
+
+fn open_air(pixels: &Image<f32>, simulated: &Image<f32>, usable: &Image<bool>, signal: bool) -> AirReport {
+    let open = simulated.map(|&l| l < OPEN_AIR_NEPERS);
+    let deep = erode(&open, OPEN_AIR_MARGIN);
+    let mut values: Vec<f32> = (0..pixels.pixels.len())
+        .filter(|&at| deep.pixels[at] && usable.pixels[at] && pixels.pixels[at].is_finite())
+        .map(|at| pixels.pixels[at])
+        .collect();
+    let count = values.len();
+    if count < OPEN_AIR_PIXELS {
+        return unknown_air(&format!(
+            "{count} usable pixels are open air according to the simulation, {OPEN_AIR_PIXELS} are needed; measure it without specimen and give --air VALUE"
+        ));
+    }
+    let Some((level, spread)) = median_and_spread(&mut values) else {
+        return unknown_air("no open air");
+    };
+    if signal && !(level > 0.0 && spread <= OPEN_AIR_SPREAD * level) {
+        return unknown_air(&format!(
+            "the {count} pixels that the simulation predicts to be open air vary by {:.0} % in the frame (limit {:.0} %): pose or field disagree",
+            100.0 * spread / level,
+            100.0 * OPEN_AIR_SPREAD
+        ));
+    }
+    let spread = if signal { spread / level } else { spread };
+    AirReport { rule: "open".into(), level: Some(level), pixels: Some(count), spread: Some(spread), reason: None }
+}
+
+/// True where the whole (2·margin + 1)² neighbourhood is true; beyond the image counts as true.
+pub(super) fn erode(image: &Image<bool>, margin: usize) -> Image<bool> {
+    let (width, height) = (image.width, image.height);
+    let window = |at: usize, end: usize| at.saturating_sub(margin)..(at + margin + 1).min(end);
+    let mut across = image.clone();
+    for v in 0..height {
+        for u in 0..width {
+            across.pixels[v * width + u] = window(u, width).all(|column| image.pixels[v * width + column]);
+        }
+    }
+    let mut both = across.clone();
+    for v in 0..height {
+        for u in 0..width {
+            both.pixels[v * width + u] = window(v, height).all(|row| across.pixels[row * width + u]);
+        }
+    }
+    both
+}

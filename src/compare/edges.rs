@@ -1,0 +1,159 @@
+//! Edges of an image, to a fraction of a pixel, and how far apart the edges of two images lie.
+
+use super::filters::{Gradient, gradient, quantile, smooth};
+use super::masks::components;
+use crate::image::Image;
+
+/// Smoothing before the edges are sought.
+pub(super) const EDGE_SIGMA_PX: f64 = 1.5;
+/// Share of local maxima of the gradient that are too weak to be edges.
+const WEAK_SHARE: f64 = 0.75;
+/// Shorter chains of edge pixels are noise.
+const SHORTEST_PX: usize = 12;
+/// Edges are sought this far around an edge of the other image; further counts as this far.
+const REACH_PX: i64 = 12;
+
+/// One edge point.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct EdgePoint {
+    /// Sub-pixel position.
+    pub u: f32,
+    pub v: f32,
+    /// Unit normal (along the gradient).
+    nu: f32,
+    nv: f32,
+}
+
+/// Edge points by pixel.
+pub(super) struct EdgeMap {
+    width: usize,
+    height: usize,
+    pub points: Vec<EdgePoint>,
+    by_pixel: Vec<u32>,
+}
+
+const NOTHING: u32 = u32::MAX;
+
+/// The strong edges of `image` within `usable`.
+pub(super) fn find(image: &Image<f32>, usable: &Image<bool>) -> EdgeMap {
+    let (width, height) = (image.width, image.height);
+    let Gradient { du, dv, known } = gradient(&smooth(image, usable, EDGE_SIGMA_PX));
+    let size = |at: usize| du.pixels[at].hypot(dv.pixels[at]);
+    let mut maxima: Vec<(usize, EdgePoint, f32)> = Vec::new();
+    for v in 2..height.saturating_sub(2) {
+        for u in 2..width.saturating_sub(2) {
+            let at = v * width + u;
+            let here = size(at);
+            if !known.pixels[at] || !(here > 0.0) {
+                continue;
+            }
+            let (nu, nv) = (du.pixels[at] / here, dv.pixels[at] / here);
+            // One step along the gradient, on the grid: the neighbour in the nearest of eight directions.
+            let (su, sv) = ((nu * 1.3).round() as i64, (nv * 1.3).round() as i64);
+            let step = sv * width as i64 + su;
+            let (ahead, behind) = ((at as i64 + step) as usize, (at as i64 - step) as usize);
+            if !(known.pixels[ahead] && known.pixels[behind]) {
+                continue;
+            }
+            let (a, b) = (size(ahead), size(behind));
+            if here > b && here >= a {
+                // The parabola through the three has its top this share of a step ahead.
+                let shift = (0.5 * (a - b) / (2.0 * here - a - b).max(1e-12)).clamp(-0.5, 0.5);
+                maxima.push((at, EdgePoint { u: u as f32 + shift * su as f32, v: v as f32 + shift * sv as f32, nu, nv }, here));
+            }
+        }
+    }
+    let mut sizes: Vec<f32> = maxima.iter().map(|(_, _, size)| *size).collect();
+    let limit = quantile(&mut sizes, WEAK_SHARE).unwrap_or(f64::INFINITY) as f32;
+    let mut candidates = Image::filled(width, height, false);
+    maxima.iter().filter(|(_, _, size)| *size >= limit).for_each(|(at, _, _)| candidates.pixels[*at] = true);
+    for chain in components(&candidates).iter().filter(|chain| chain.indices.len() < SHORTEST_PX) {
+        chain.indices.iter().for_each(|&at| candidates.pixels[at] = false);
+    }
+    let mut map = EdgeMap { width, height, points: Vec::new(), by_pixel: vec![NOTHING; width * height] };
+    for (at, point, _) in maxima {
+        if candidates.pixels[at] {
+            map.by_pixel[at] = map.points.len() as u32;
+            map.points.push(point);
+        }
+    }
+    map
+}
+
+impl EdgeMap {
+    /// True on the pixels that carry an edge.
+    pub(super) fn picture(&self) -> Image<bool> {
+        Image { width: self.width, height: self.height, pixels: self.by_pixel.iter().map(|&i| i != NOTHING).collect() }
+    }
+
+    /// From `point` to the nearest edge here: along that edge's normal where they meet closely, else straight; at most the reach.
+    fn distance_px(&self, point: &EdgePoint) -> f32 {
+        let (cu, cv) = (point.u.round() as i64, point.v.round() as i64);
+        let mut nearest: Option<(f32, &EdgePoint)> = None;
+        for v in (cv - REACH_PX).max(0)..(cv + REACH_PX + 1).min(self.height as i64) {
+            for u in (cu - REACH_PX).max(0)..(cu + REACH_PX + 1).min(self.width as i64) {
+                let index = self.by_pixel[(v * self.width as i64 + u) as usize];
+                if index == NOTHING {
+                    continue;
+                }
+                let other = &self.points[index as usize];
+                let straight = (other.u - point.u).hypot(other.v - point.v);
+                if nearest.is_none_or(|(least, _)| straight < least) {
+                    nearest = Some((straight, other));
+                }
+            }
+        }
+        match nearest {
+            None => REACH_PX as f32,
+            Some((straight, other)) if straight < 2.0 => ((other.u - point.u) * other.nu + (other.v - point.v) * other.nv).abs(),
+            Some((straight, _)) => straight.min(REACH_PX as f32),
+        }
+    }
+}
+
+/// Median over the edges of both images, within `scored`, of the distance to the nearest edge of the other, in pixels.
+/// `None` when either has fewer than 30 edge points there.
+pub(super) fn median_distance_px(a: &EdgeMap, b: &EdgeMap, scored: &Image<bool>) -> Option<f64> {
+    let inside = |point: &&EdgePoint| {
+        let at = point.v.round() as usize * scored.width + point.u.round() as usize;
+        scored.pixels.get(at).copied().unwrap_or(false)
+    };
+    let one_way =
+        |from: &EdgeMap, to: &EdgeMap| -> Vec<f32> { from.points.iter().filter(inside).map(|p| to.distance_px(p)).collect() };
+    let (mut ab, ba) = (one_way(a, b), one_way(b, a));
+    if ab.len() < 30 || ba.len() < 30 {
+        return None;
+    }
+    ab.extend(ba);
+    quantile(&mut ab, 0.5)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn disc(shift: f32) -> Image<f32> {
+        let pixels = (0..160 * 160)
+            .map(|at| {
+                let r = ((at % 160) as f32 - 80.0 - shift).hypot((at / 160) as f32 - 80.0);
+                1.0 / (1.0 + ((r - 50.0) / 1.5).exp())
+            })
+            .collect();
+        Image::from_pixels(160, 160, pixels).expect("size")
+    }
+
+    #[test]
+    fn edges_lie_on_the_circle_and_distances_are_sub_pixel() {
+        let all = Image::filled(160, 160, true);
+        let map = find(&disc(0.0), &all);
+        assert!(map.points.len() > 150);
+        for point in &map.points {
+            let r = (point.u - 80.0).hypot(point.v - 80.0);
+            assert!((r - 50.0).abs() < 0.35, "radius {r}");
+        }
+        assert!(median_distance_px(&map, &find(&disc(0.0), &all), &all).expect("edges") < 1e-3);
+        // A shift by s moves the normal distance by s |cos φ|, whose median is s cos 45°.
+        let moved = median_distance_px(&map, &find(&disc(1.0), &all), &all).expect("edges");
+        assert!((moved - 0.707).abs() < 0.12, "{moved}");
+    }
+}

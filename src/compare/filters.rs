@@ -1,0 +1,195 @@
+//! Filters that never mix in masked pixels: normalised convolution, gradients, block means.
+
+use rayon::prelude::*;
+
+use crate::image::Image;
+
+/// A pixel of a smoothed image is trusted when at least this share of its kernel lay on usable pixels.
+pub(super) const TRUSTED_WEIGHT: f32 = 0.75;
+
+/// A normalised convolution: the mean of the usable pixels under the kernel, and the share of the kernel that was usable.
+#[derive(Clone, Debug)]
+pub(super) struct Smoothed {
+    pub value: Image<f32>,
+    pub weight: Image<f32>,
+}
+
+/// Gaussian weights out to 3 σ, normalised to a sum of 1.
+fn gaussian(sigma_px: f64) -> Vec<f32> {
+    let radius = (3.0 * sigma_px).ceil().max(1.0) as i32;
+    let weights: Vec<f64> = (-radius..=radius).map(|i| (-0.5 * (f64::from(i) / sigma_px).powi(2)).exp()).collect();
+    let sum: f64 = weights.iter().sum();
+    weights.iter().map(|w| (w / sum) as f32).collect()
+}
+
+/// Separable convolution; beyond the image there is zero.
+fn convolve(image: &Image<f32>, kernel: &[f32]) -> Image<f32> {
+    let (width, height) = (image.width, image.height);
+    let radius = kernel.len() / 2;
+    let mut across = vec![0.0f32; width * height];
+    across.par_chunks_mut(width.max(1)).zip(image.pixels.par_chunks(width.max(1))).for_each(|(out, row)| {
+        for (tap, weight) in kernel.iter().enumerate() {
+            // out[u] += w · row[u + tap − radius], for the u where that exists.
+            let (from, to) = (radius.saturating_sub(tap), (width + radius).saturating_sub(tap).min(width));
+            for u in from..to {
+                out[u] += weight * row[u + tap - radius];
+            }
+        }
+    });
+    let mut down = vec![0.0f32; width * height];
+    down.par_chunks_mut(width.max(1)).enumerate().for_each(|(v, out)| {
+        for (tap, weight) in kernel.iter().enumerate() {
+            let source = v + tap;
+            if source < radius || source - radius >= height {
+                continue;
+            }
+            let row = &across[(source - radius) * width..][..width];
+            out.iter_mut().zip(row).for_each(|(o, r)| *o += weight * r);
+        }
+    });
+    Image { width, height, pixels: down }
+}
+
+/// Gaussian mean over usable pixels; 0 where none is near. Values at unusable pixels (NaN included) are never read.
+pub(super) fn smooth(image: &Image<f32>, usable: &Image<bool>, sigma_px: f64) -> Smoothed {
+    let kernel = gaussian(sigma_px);
+    let weight = convolve(&usable.map(|&u| f32::from(u8::from(u))), &kernel);
+    let value = smooth_with(image, usable, &weight, &kernel);
+    Smoothed { value, weight }
+}
+
+/// Several images with one mask share the weights.
+pub(super) fn smooth_all<const N: usize>(
+    images: [&Image<f32>; N],
+    usable: &Image<bool>,
+    sigma_px: f64,
+) -> ([Image<f32>; N], Image<f32>) {
+    let kernel = gaussian(sigma_px);
+    let weight = convolve(&usable.map(|&u| f32::from(u8::from(u))), &kernel);
+    (images.map(|image| smooth_with(image, usable, &weight, &kernel)), weight)
+}
+
+fn smooth_with(image: &Image<f32>, usable: &Image<bool>, weight: &Image<f32>, kernel: &[f32]) -> Image<f32> {
+    let kept = zip(image, usable, |&value, &u| if u { value } else { 0.0 });
+    let mut value = convolve(&kept, kernel);
+    value.pixels.iter_mut().zip(&weight.pixels).for_each(|(v, &w)| *v = if w > 1e-3 { *v / w } else { 0.0 });
+    value
+}
+
+/// Pixel by pixel. Both images have the same size.
+pub(super) fn zip<A, B, C>(a: &Image<A>, b: &Image<B>, f: impl Fn(&A, &B) -> C) -> Image<C> {
+    debug_assert!(a.same_size(b), "images of one size");
+    Image { width: a.width, height: a.height, pixels: a.pixels.iter().zip(&b.pixels).map(|(x, y)| f(x, y)).collect() }
+}
+
+/// Central differences of a smoothed image, per pixel; `known` where all four neighbours are trusted.
+pub(super) struct Gradient {
+    pub du: Image<f32>,
+    pub dv: Image<f32>,
+    pub known: Image<bool>,
+}
+
+pub(super) fn gradient(smoothed: &Smoothed) -> Gradient {
+    let (width, height) = (smoothed.value.width, smoothed.value.height);
+    let mut found = Gradient {
+        du: Image::filled(width, height, 0.0),
+        dv: Image::filled(width, height, 0.0),
+        known: Image::filled(width, height, false),
+    };
+    let trusted = |index: usize| smoothed.weight.pixels[index] >= TRUSTED_WEIGHT;
+    for v in 1..height.saturating_sub(1) {
+        for u in 1..width.saturating_sub(1) {
+            let at = v * width + u;
+            if trusted(at - 1) && trusted(at + 1) && trusted(at - width) && trusted(at + width) {
+                let value = &smoothed.value.pixels;
+                found.du.pixels[at] = 0.5 * (value[at + 1] - value[at - 1]);
+                found.dv.pixels[at] = 0.5 * (value[at + width] - value[at - width]);
+                found.known.pixels[at] = true;
+            }
+        }
+    }
+    found
+}
+
+/// Means of `factor` × `factor` blocks over their usable pixels; a block is usable when at least half of it is. Whole blocks only.
+pub(super) fn block_means(image: &Image<f32>, usable: &Image<bool>, factor: usize) -> (Image<f32>, Image<bool>) {
+    let (width, height) = ((image.width / factor).max(1), (image.height / factor).max(1));
+    let mut means = Image::filled(width, height, f32::NAN);
+    let mut kept = Image::filled(width, height, false);
+    for v in 0..height {
+        for u in 0..width {
+            let (mut sum, mut count, mut total) = (0.0f64, 0usize, 0usize);
+            for row in v * factor..((v + 1) * factor).min(image.height) {
+                for column in u * factor..((u + 1) * factor).min(image.width) {
+                    total += 1;
+                    let at = row * image.width + column;
+                    if usable.pixels[at] {
+                        sum += f64::from(image.pixels[at]);
+                        count += 1;
+                    }
+                }
+            }
+            if count > 0 && 2 * count >= total {
+                *means.at_mut(u, v) = (sum / count as f64) as f32;
+                *kept.at_mut(u, v) = true;
+            }
+        }
+    }
+    (means, kept)
+}
+
+/// The value below which `share` of `values` lie; `None` when there are none. Reorders `values`; NaN sorts last.
+pub(super) fn quantile(values: &mut [f32], share: f64) -> Option<f64> {
+    if values.is_empty() {
+        return None;
+    }
+    let rank = ((values.len() - 1) as f64 * share.clamp(0.0, 1.0)).round() as usize;
+    let (_, value, _) = values.select_nth_unstable_by(rank, f32::total_cmp);
+    Some(f64::from(*value))
+}
+
+/// Median, and 1.4826 times the median absolute deviation (σ of a normal distribution).
+pub(super) fn median_and_spread(values: &mut [f32]) -> Option<(f64, f64)> {
+    let median = quantile(values, 0.5)?;
+    values.iter_mut().for_each(|v| *v = (f64::from(*v) - median).abs() as f32);
+    Some((median, 1.4826 * quantile(values, 0.5)?))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn masked_pixels_leave_no_trace() {
+        let mut image = Image::filled(40, 30, 2.0f32);
+        let mut usable = Image::filled(40, 30, true);
+        for u in 10..14 {
+            *image.at_mut(u, 12) = f32::NAN;
+            *usable.at_mut(u, 12) = false;
+        }
+        let smoothed = smooth(&image, &usable, 1.5);
+        assert!(smoothed.value.pixels.iter().all(|v| (v - 2.0).abs() < 1e-5));
+        // The control: the same hole, not masked, spoils its surroundings.
+        let spoiled = smooth(&image, &Image::filled(40, 30, true), 1.5);
+        assert!(spoiled.value.pixels.iter().any(|v| v.is_nan()));
+    }
+
+    #[test]
+    fn a_gaussian_smooths_an_impulse_to_its_own_shape() {
+        let mut image = Image::filled(41, 41, 0.0f32);
+        *image.at_mut(20, 20) = 1.0;
+        let smoothed = smooth(&image, &Image::filled(41, 41, true), 2.0);
+        let second: f64 = (0..41).map(|u| f64::from(*smoothed.value.at(u, 20)) * (u as f64 - 20.0).powi(2)).sum();
+        let mass: f64 = (0..41).map(|u| f64::from(*smoothed.value.at(u, 20))).sum();
+        assert!((second / mass - 4.0).abs() < 0.15, "variance {}", second / mass);
+    }
+
+    #[test]
+    fn blocks_average_what_is_usable() {
+        let image = Image::from_pixels(4, 2, vec![1.0, 3.0, 9.0, f32::NAN, 5.0, 7.0, f32::NAN, f32::NAN]).expect("4x2");
+        let usable = image.map(|v| v.is_finite());
+        let (means, kept) = block_means(&image, &usable, 2);
+        assert_eq!(*means.at(0, 0), 4.0);
+        assert_eq!(kept.pixels, [true, false]);
+    }
+}

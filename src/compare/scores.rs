@@ -1,0 +1,319 @@
+//! How well two images agree: each score with its stated scale, or the reason why there is none.
+
+use std::collections::BTreeMap;
+
+use super::domain::CommonDomain;
+use super::edges::{EdgeMap, median_distance_px};
+use super::filters::{TRUSTED_WEIGHT, gradient, quantile, smooth, smooth_all, zip};
+use super::tone::Tone;
+use crate::image::Image;
+
+/// Gaussian σ of the window of SSIM, and of the smoothing before gradients are taken, in pixels.
+pub const SCORE_SIGMA_PX: f64 = 1.5;
+/// The band of the local NCC lies between Gaussians of these σ, in pixels.
+pub const LOCAL_BAND_PX: [f64; 2] = [1.5, 6.0];
+/// Gaussian σ of the window of the local NCC, in pixels.
+pub const LOCAL_WINDOW_PX: f64 = 8.0;
+/// K₁ and K₂ of SSIM; its range is the simulated image's from the 0.5th to the 99.5th percentile.
+pub const SSIM_CONSTANTS: [f64; 2] = [0.01, 0.03];
+/// Fewer scored pixels than this score nothing.
+pub const FEWEST_PIXELS: usize = 200;
+
+/// The scores of one comparison; `None` where a score does not exist, with the reason in `reasons`.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Scores {
+    /// Zero-mean normalised cross-correlation, −1 to 1.
+    pub zncc: Option<f64>,
+    /// Spearman's rank correlation, −1 to 1: blind to any monotone tone.
+    pub rank_ncc: Option<f64>,
+    /// Mean correlation of the two components of the gradient after smoothing with σ = 1.5 px, −1 to 1.
+    pub gradient_ncc: Option<f64>,
+    /// Structural similarity, Gaussian window σ = 1.5 px, K = 0.01 and 0.03, up to 1.
+    pub ssim: Option<f64>,
+    /// Mean NCC in Gaussian windows of σ = 8 px of the band between σ = 1.5 and 6 px, where the simulation has structure, −1 to 1.
+    pub local_ncc: Option<f64>,
+    /// Median symmetric distance of strong edges, px (12 at most).
+    pub edge_distance_px: Option<f64>,
+    /// The same at the depth of the beads (else of the stated centre), mm.
+    pub edge_distance_mm: Option<f64>,
+    /// Root mean square of acquired − simulated, nepers.
+    pub rmse_nepers: Option<f64>,
+    /// Mean of acquired − simulated, nepers.
+    pub bias_nepers: Option<f64>,
+    /// Noise of a pixel in the acquired frame, from second differences, nepers.
+    pub noise_nepers: Option<f64>,
+    /// Why a score is missing.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub reasons: BTreeMap<String, String>,
+}
+
+/// Scores that have a null distribution, and whether a larger value is better.
+pub const NULL_SCORES: [(&str, bool); 7] = [
+    ("zncc", true),
+    ("rank_ncc", true),
+    ("gradient_ncc", true),
+    ("ssim", true),
+    ("local_ncc", true),
+    ("edge_distance_px", false),
+    ("rmse_nepers", false),
+];
+
+impl Scores {
+    /// A score by its name in files.
+    #[must_use]
+    pub fn get(&self, name: &str) -> Option<f64> {
+        match name {
+            "zncc" => self.zncc,
+            "rank_ncc" => self.rank_ncc,
+            "gradient_ncc" => self.gradient_ncc,
+            "ssim" => self.ssim,
+            "local_ncc" => self.local_ncc,
+            "edge_distance_px" => self.edge_distance_px,
+            "edge_distance_mm" => self.edge_distance_mm,
+            "rmse_nepers" => self.rmse_nepers,
+            "bias_nepers" => self.bias_nepers,
+            "noise_nepers" => self.noise_nepers,
+            _ => None,
+        }
+    }
+
+    pub(super) fn absent(reason: &str) -> Self {
+        let mut scores = Self::default();
+        for name in ["zncc", "rank_ncc", "gradient_ncc", "ssim", "local_ncc", "edge_distance_px", "rmse_nepers", "bias_nepers"] {
+            scores.reasons.insert(name.into(), reason.into());
+        }
+        scores
+    }
+}
+
+/// What the scores are computed from.
+pub(super) struct Scored<'a> {
+    /// In the common domain.
+    pub acquired: &'a Image<f32>,
+    /// In the common domain, tone applied.
+    pub simulated: &'a Image<f32>,
+    /// Not masked.
+    pub usable: &'a Image<bool>,
+    /// Of the usable pixels those that were not used to fit the tone.
+    pub scored: &'a Image<bool>,
+    pub domain: CommonDomain,
+    pub tone: Tone,
+    /// Why there is no air level.
+    pub air_reason: Option<&'a str>,
+    /// Millimetres at the depth of interest per pixel.
+    pub mm_per_px: Option<f64>,
+}
+
+/// All scores; the edges are handed in because the pictures need them as well.
+pub(super) fn score(input: &Scored, edges: (&EdgeMap, &EdgeMap)) -> Scores {
+    let count = input.scored.pixels.iter().filter(|s| **s).count();
+    if count < FEWEST_PIXELS {
+        return Scores::absent(&format!("{count} pixels are left to score, {FEWEST_PIXELS} are needed"));
+    }
+    let mut scores = Scores::default();
+    let mut missing = |name: &str, reason: &str| {
+        scores.reasons.insert(name.into(), reason.into());
+    };
+    let gray_reason = "display gray values relate to nepers by an unknown curve; --tone monotone fits one";
+    let toned_gray = input.domain == CommonDomain::GrayValues && input.tone != Tone::Monotone;
+    let relative = input.domain == CommonDomain::RelativeLineIntegral;
+    let ssim_reason = match input.domain {
+        CommonDomain::GrayValues if toned_gray => Some(gray_reason),
+        CommonDomain::RelativeLineIntegral if input.tone == Tone::None => Some("the offset is unknown; --tone gain fits it"),
+        _ => None,
+    };
+    let absolute_reason = match input.domain {
+        CommonDomain::GrayValues => Some("display gray values are no line integrals"),
+        CommonDomain::RelativeLineIntegral => Some(input.air_reason.unwrap_or("the air level is unknown")),
+        CommonDomain::LineIntegral if input.tone == Tone::Monotone => Some("a monotone tone absorbs absolute errors"),
+        CommonDomain::LineIntegral => None,
+    };
+    if toned_gray {
+        missing("zncc", gray_reason);
+    }
+    if let Some(reason) = ssim_reason {
+        missing("ssim", reason);
+    }
+    if let Some(reason) = absolute_reason {
+        ["rmse_nepers", "bias_nepers", "noise_nepers"].iter().for_each(|name| missing(name, reason));
+    }
+    debug_assert!(!(relative && absolute_reason.is_none()));
+    if !toned_gray {
+        scores.zncc = zncc(input.acquired, input.simulated, input.scored);
+    }
+    scores.rank_ncc = rank_ncc(input.acquired, input.simulated, input.scored);
+    scores.gradient_ncc = gradient_ncc(input);
+    if ssim_reason.is_none() {
+        scores.ssim = ssim(input);
+    }
+    scores.local_ncc = local_ncc(input);
+    scores.edge_distance_px = median_distance_px(edges.0, edges.1, input.scored);
+    scores.edge_distance_mm = scores.edge_distance_px.zip(input.mm_per_px).map(|(px, mm)| px * mm);
+    if absolute_reason.is_none() {
+        let (mut sum, mut squares) = (0.0, 0.0);
+        for_each_scored(input.acquired, input.simulated, input.scored, |a, s| {
+            sum += a - s;
+            squares += (a - s) * (a - s);
+        });
+        scores.bias_nepers = Some(sum / count as f64);
+        scores.rmse_nepers = Some((squares / count as f64).sqrt());
+        scores.noise_nepers = noise(input.acquired, input.scored);
+    }
+    for name in ["zncc", "rank_ncc", "gradient_ncc", "ssim", "local_ncc", "edge_distance_px", "edge_distance_mm", "noise_nepers"]
+    {
+        if scores.get(name).is_none() {
+            let reason = match name {
+                "edge_distance_px" => "fewer than 30 edge points in either image",
+                "edge_distance_mm" => "no view, or no edges",
+                _ => "an image has no structure where it is scored",
+            };
+            scores.reasons.entry(name.into()).or_insert_with(|| reason.into());
+        }
+    }
+    scores
+}
+
+fn for_each_scored(a: &Image<f32>, s: &Image<f32>, scored: &Image<bool>, mut f: impl FnMut(f64, f64)) {
+    for ((a, s), _) in a.pixels.iter().zip(&s.pixels).zip(&scored.pixels).filter(|(_, scored)| **scored) {
+        f(f64::from(*a), f64::from(*s));
+    }
+}
+
+/// Correlation of values about their means; `None` where either is constant.
+pub(super) fn zncc(a: &Image<f32>, b: &Image<f32>, scored: &Image<bool>) -> Option<f64> {
+    let (mut n, mut mean_a, mut mean_b) = (0.0, 0.0, 0.0);
+    for_each_scored(a, b, scored, |x, y| {
+        n += 1.0;
+        mean_a += x;
+        mean_b += y;
+    });
+    (mean_a, mean_b) = (mean_a / n, mean_b / n);
+    let (mut aa, mut bb, mut ab) = (0.0, 0.0, 0.0);
+    for_each_scored(a, b, scored, |x, y| {
+        aa += (x - mean_a) * (x - mean_a);
+        bb += (y - mean_b) * (y - mean_b);
+        ab += (x - mean_a) * (y - mean_b);
+    });
+    let product = (aa * bb).sqrt();
+    // Beyond the rounding of f32 there must be something to correlate.
+    let floor = 1e-12 * n * (1.0 + mean_a.abs()) * (1.0 + mean_b.abs());
+    (product > floor).then(|| (ab / product).clamp(-1.0, 1.0))
+}
+
+/// Spearman's correlation on an even subsample of at most 20 000 pixels.
+pub(super) fn rank_ncc(a: &Image<f32>, b: &Image<f32>, scored: &Image<bool>) -> Option<f64> {
+    let mut pairs = Vec::new();
+    for_each_scored(a, b, scored, |x, y| pairs.push([x as f32, y as f32]));
+    let step = pairs.len().div_ceil(20_000).max(1);
+    let pairs: Vec<[f32; 2]> = pairs.into_iter().step_by(step).collect();
+    let ranked: [Image<f32>; 2] = [0, 1].map(|side| {
+        let ranks = ranks(&pairs.iter().map(|pair| pair[side]).collect::<Vec<_>>());
+        Image { width: ranks.len(), height: 1, pixels: ranks }
+    });
+    zncc(&ranked[0], &ranked[1], &Image::filled(pairs.len(), 1, true))
+}
+
+/// Ranks from 0 to 1; equal values share the mean of theirs.
+fn ranks(values: &[f32]) -> Vec<f32> {
+    let mut order: Vec<usize> = (0..values.len()).collect();
+    order.sort_unstable_by(|&i, &j| values[i].total_cmp(&values[j]));
+    let mut ranks = vec![0.0; values.len()];
+    let mut start = 0;
+    while start < order.len() {
+        let mut end = start + 1;
+        while end < order.len() && values[order[end]] == values[order[start]] {
+            end += 1;
+        }
+        let shared = 0.5 * (start + end - 1) as f32 / values.len() as f32;
+        order[start..end].iter().for_each(|&at| ranks[at] = shared);
+        start = end;
+    }
+    ranks
+}
+
+fn gradient_ncc(input: &Scored) -> Option<f64> {
+    let a = gradient(&smooth(input.acquired, input.usable, SCORE_SIGMA_PX));
+    let b = gradient(&smooth(input.simulated, input.usable, SCORE_SIGMA_PX));
+    let known = zip(&a.known, input.scored, |k, s| *k && *s);
+    Some(0.5 * (zncc(&a.du, &b.du, &known)? + zncc(&a.dv, &b.dv, &known)?))
+}
+
+/// Range of an image: between its 0.5th and 99.5th percentile.
+fn range(image: &Image<f32>, scored: &Image<bool>) -> Option<f64> {
+    let mut values: Vec<f32> = image.pixels.iter().zip(&scored.pixels).filter(|(_, s)| **s).map(|(v, _)| *v).collect();
+    let low = quantile(&mut values, 0.005)?;
+    let high = quantile(&mut values, 0.995)?;
+    (high > low).then_some(high - low)
+}
+
+fn ssim(input: &Scored) -> Option<f64> {
+    let range = range(input.simulated, input.scored)?;
+    let (a, b) = (input.acquired, input.simulated);
+    // About the mean, so that second moments do not cancel in f32.
+    let mean = {
+        let (mut sum, mut n) = (0.0, 0.0);
+        for_each_scored(a, b, input.scored, |_, s| {
+            sum += s;
+            n += 1.0;
+        });
+        sum / n
+    };
+    let (a, b) = (a.map(|v| (f64::from(*v) - mean) as f32), b.map(|v| (f64::from(*v) - mean) as f32));
+    let (aa, bb, ab) = (zip(&a, &a, |x, y| x * y), zip(&b, &b, |x, y| x * y), zip(&a, &b, |x, y| x * y));
+    let ([ma, mb, maa, mbb, mab], weight) = smooth_all([&a, &b, &aa, &bb, &ab], input.usable, SCORE_SIGMA_PX);
+    let [c1, c2] = SSIM_CONSTANTS.map(|k| (k * range).powi(2));
+    let (mut sum, mut n) = (0.0, 0.0);
+    for at in (0..weight.pixels.len()).filter(|&at| input.scored.pixels[at] && weight.pixels[at] >= TRUSTED_WEIGHT) {
+        let value = |image: &Image<f32>| f64::from(image.pixels[at]);
+        let (ma, mb) = (value(&ma), value(&mb));
+        let (va, vb, cov) = ((value(&maa) - ma * ma).max(0.0), (value(&mbb) - mb * mb).max(0.0), value(&mab) - ma * mb);
+        // The means are those of the images moved so that the simulated range starts at 0, as SSIM wants them positive.
+        let (la, lb) = (ma + 0.5 * range, mb + 0.5 * range);
+        sum += (2.0 * la * lb + c1) * (2.0 * cov + c2) / ((la * la + lb * lb + c1) * (va + vb + c2));
+        n += 1.0;
+    }
+    (n >= FEWEST_PIXELS as f64).then(|| sum / n)
+}
+
+fn local_ncc(input: &Scored) -> Option<f64> {
+    let [fine, coarse] = LOCAL_BAND_PX;
+    let ([a1, b1], weight) = smooth_all([input.acquired, input.simulated], input.usable, fine);
+    let ([a2, b2], _) = smooth_all([input.acquired, input.simulated], input.usable, coarse);
+    let (a, b) = (zip(&a1, &a2, |x, y| x - y), zip(&b1, &b2, |x, y| x - y));
+    let known = zip(&weight, input.usable, |w, u| *u && *w >= TRUSTED_WEIGHT);
+    let (aa, bb, ab) = (zip(&a, &a, |x, y| x * y), zip(&b, &b, |x, y| x * y), zip(&a, &b, |x, y| x * y));
+    let ([maa, mbb, mab], _) = smooth_all([&aa, &bb, &ab], &known, LOCAL_WINDOW_PX);
+    let (mut total, mut n) = (0.0, 0.0);
+    for at in (0..mbb.pixels.len()).filter(|&at| known.pixels[at]) {
+        total += f64::from(mbb.pixels[at]);
+        n += 1.0;
+    }
+    // Windows with less than a tenth of the mean power hold noise only, and would dilute the mean.
+    let floor = 0.1 * total / f64::max(n, 1.0);
+    let (mut sum, mut n) = (0.0, 0.0);
+    for at in (0..mbb.pixels.len()).filter(|&at| known.pixels[at] && input.scored.pixels[at]) {
+        let (aa, bb, ab) = (f64::from(maa.pixels[at]), f64::from(mbb.pixels[at]), f64::from(mab.pixels[at]));
+        if bb > floor && aa > 0.0 {
+            sum += ab / (aa * bb).sqrt();
+            n += 1.0;
+        }
+    }
+    (n >= FEWEST_PIXELS as f64).then(|| sum / n)
+}
+
+/// σ of a pixel from ½(a − b − c + d) over 2×2 blocks, which no plane affects; median based, so that edges do not count.
+fn noise(image: &Image<f32>, scored: &Image<bool>) -> Option<f64> {
+    let width = image.width;
+    let mut sizes: Vec<f32> = Vec::new();
+    for v in 0..image.height.saturating_sub(1) {
+        for u in 0..width.saturating_sub(1) {
+            let at = v * width + u;
+            let four = [at, at + 1, at + width, at + width + 1];
+            if four.iter().all(|&i| scored.pixels[i]) {
+                let [a, b, c, d] = four.map(|i| image.pixels[i]);
+                sizes.push((0.5 * (a - b - c + d)).abs());
+            }
+        }
+    }
+    (sizes.len() >= FEWEST_PIXELS).then(|| quantile(&mut sizes, 0.5).map(|median| 1.4826 * median))?
+}

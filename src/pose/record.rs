@@ -1,0 +1,315 @@
+//! `Pose`: what a registration says, and its file.
+
+use std::path::{Path, PathBuf};
+
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
+
+use crate::geometry::{Intrinsics, Projection, Rigid};
+use crate::image::{ImageFileError, write_atomically};
+
+/// Why a pose, prior or intrinsics file is unusable.
+#[derive(Debug, thiserror::Error)]
+pub enum PoseFileError {
+    /// The operating system refused.
+    #[error("{path}: {source}", path = path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// Not JSON, an unknown key, or a value of the wrong form.
+    #[error("{path}: at {place}: {message}", path = path.display())]
+    Form {
+        /// The file.
+        path: PathBuf,
+        /// Path of keys.
+        place: String,
+        /// What is wrong there.
+        message: String,
+    },
+    /// A prior without a pose.
+    #[error("{path}: has no camera_from_lps{why}; a prior needs one", path = path.display())]
+    NoPose {
+        /// The file.
+        path: PathBuf,
+        /// `: the pose was refused`, or nothing.
+        why: String,
+    },
+    /// The covariance is not one.
+    #[error("{path}: covariance is not symmetric and positive definite: {detail}", path = path.display())]
+    Covariance {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        detail: String,
+    },
+    /// The file could not be written.
+    #[error(transparent)]
+    Write(#[from] ImageFileError),
+}
+
+/// Accepted or refused.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Status {
+    /// The pose may be used.
+    #[default]
+    Accepted,
+    /// It may not; `reason` says why.
+    Refused,
+}
+
+/// A 6×6 covariance of ξ = (ω, v), rad and mm, in camera_from_lps_true = exp(ξ̂)·camera_from_lps.
+pub type Covariance = [[f64; 6]; 6];
+
+/// A bead's part in a pose.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BeadResidual {
+    /// As in the layout.
+    pub name: String,
+    /// The rigid part it is fixed to.
+    pub body: String,
+    /// Its place in the layout.
+    pub lps_mm: DVec3,
+    /// Its projection as observed (bias of the shadow's centre corrected); absent when no shadow was matched.
+    pub image_px: Option<[f64; 2]>,
+    /// Where P puts it.
+    pub predicted_px: Option<[f64; 2]>,
+    /// Observed minus predicted.
+    pub residual_px: Option<[f64; 2]>,
+    /// Standard deviation of the observed centre per axis, from the image alone.
+    pub sigma_px: Option<f64>,
+    /// Observed minus predicted by the pose of all other used beads: what an unseen point would have shown.
+    pub left_out_px: Option<[f64; 2]>,
+    /// Whether P rests on it.
+    pub used: bool,
+    /// Why not, if not.
+    pub reason: Option<String>,
+}
+
+/// A rigid part and where it is.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BodyPose {
+    /// Its name.
+    pub name: String,
+    /// Identity: bodies are not solved apart, all beads count as one rigid specimen.
+    pub lps_from_body: Rigid,
+    /// Beads it has.
+    pub beads: usize,
+    /// Beads of it that P rests on.
+    pub used: usize,
+}
+
+/// Uncertainty of P at a point of interest.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LandmarkUncertainty {
+    /// Label.
+    pub name: String,
+    /// Its place.
+    pub lps_mm: DVec3,
+    /// Where P puts it; absent behind the source.
+    pub image_px: Option<[f64; 2]>,
+    /// Standard deviation of its place along `camera` x, y and z (depth).
+    pub sigma_mm: [f64; 3],
+    /// Standard deviation of its projection along columns and rows.
+    pub sigma_px: Option<[f64; 2]>,
+}
+
+/// The result of a registration; the file of DESIGN §7. Refused poses carry no projection.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Pose {
+    /// Accepted or refused.
+    pub status: Status,
+    /// Why it is refused: a word, a colon, a sentence.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reason: Option<String>,
+    /// P: `lps` mm to `image` px, third coordinate the depth in mm.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub projection: Option<Projection>,
+    /// K.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub intrinsics: Option<Intrinsics>,
+    /// Where K comes from: `given`, or `solved`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub intrinsics_source: Option<String>,
+    /// Standard deviations of solved (fx, fy, cx, cy), px.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub intrinsics_sigma_px: Option<[f64; 4]>,
+    /// Columns and rows of the frame.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub size_px: Option<[u32; 2]>,
+    /// Side of a pixel at the detector, if known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pitch_mm: Option<f64>,
+    /// The specimen in the camera.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub camera_from_lps: Option<Rigid>,
+    /// Rigid parts.
+    pub bodies: Vec<BodyPose>,
+    /// √mean(dx² + dy²) over used beads.
+    pub rms_px: Option<f64>,
+    /// The same at the isocentre; the beads' mean depth stands for it: rms_px · depth / f.
+    pub rms_mm: Option<f64>,
+    /// Weighted square residual over its degrees of freedom, with the 3D uncertainty of the beads.
+    pub chi2_per_dof: Option<f64>,
+    /// Expected number of matches as good as this by accident.
+    pub chance: Option<f64>,
+    /// Of ξ about the focal spot.
+    pub covariance: Option<Covariance>,
+    /// Of ξ about the bead centroid (axes of `camera`): translation is that of the beads.
+    pub covariance_at_centroid: Option<Covariance>,
+    /// Mean of the used beads.
+    pub centroid_lps_mm: Option<DVec3>,
+    /// Uncertainty where it was asked for.
+    pub landmarks: Vec<LandmarkUncertainty>,
+    /// All beads of the layout, in its order.
+    pub beads: Vec<BeadResidual>,
+    /// Shadows found.
+    pub detections: usize,
+    /// Whether the prior entered as a measurement.
+    pub fused: bool,
+    /// Assumptions and warnings.
+    pub notes: Vec<String>,
+    /// Software that wrote it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub version: Option<String>,
+}
+
+impl Pose {
+    /// Whether the pose may be used.
+    #[must_use]
+    pub fn is_accepted(&self) -> bool {
+        self.status == Status::Accepted && self.projection.is_some()
+    }
+
+    /// K and the specimen's place, of an accepted pose.
+    #[must_use]
+    pub fn camera(&self) -> Option<(Intrinsics, Rigid)> {
+        if self.status != Status::Accepted {
+            return None;
+        }
+        Some((self.intrinsics?, self.camera_from_lps?))
+    }
+
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// When it cannot be read, is not JSON, or holds unknown keys.
+    pub fn read(path: &Path) -> Result<Self, PoseFileError> {
+        read_json(path)
+    }
+
+    /// Writes a file, all or nothing.
+    ///
+    /// # Errors
+    /// When the folder is missing or not writable, or the disk is full.
+    pub fn write(&self, path: &Path) -> Result<(), PoseFileError> {
+        write_atomically(path, |file| {
+            let mut text = serde_json::to_vec_pretty(self).map_err(std::io::Error::other)?;
+            text.push(b'\n');
+            file.write_all(&text)
+        })?;
+        Ok(())
+    }
+}
+
+/// What is known of a pose before the beads are seen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Prior {
+    /// The expected pose.
+    pub camera_from_lps: Rigid,
+    /// Of ξ; `None` means σ = 5° about the bead centroid and 15 mm of the centroid, per axis.
+    pub covariance: Option<Covariance>,
+}
+
+impl Prior {
+    /// Reads a pose file; only `camera_from_lps` is needed, `covariance` is used if there.
+    ///
+    /// # Errors
+    /// As [`Pose::read`]; also when there is no pose, or the covariance is not one.
+    pub fn read(path: &Path) -> Result<Self, PoseFileError> {
+        let pose = Pose::read(path)?;
+        let refused = pose.status == Status::Refused;
+        let why = if refused { ": the pose was refused".to_owned() } else { String::new() };
+        let camera_from_lps =
+            pose.camera_from_lps.filter(|_| !refused).ok_or(PoseFileError::NoPose { path: path.to_owned(), why })?;
+        let prior = Self { camera_from_lps, covariance: pose.covariance };
+        if let Some(detail) = prior.fault() {
+            return Err(PoseFileError::Covariance { path: path.to_owned(), detail });
+        }
+        Ok(prior)
+    }
+
+    /// What is wrong with the covariance, if anything.
+    #[must_use]
+    pub fn fault(&self) -> Option<String> {
+        let rows = self.covariance.as_ref()?;
+        let matrix = nalgebra::Matrix6::from_fn(|i, j| rows[i][j]);
+        if !matrix.iter().all(|x| x.is_finite()) {
+            return Some("it holds a number that is not finite".to_owned());
+        }
+        let scale = |i: usize, j: usize| (matrix[(i, i)] * matrix[(j, j)]).abs().sqrt().max(f64::MIN_POSITIVE);
+        for i in 0..6 {
+            for j in 0..i {
+                let gap = (matrix[(i, j)] - matrix[(j, i)]).abs();
+                if !(gap <= 1e-6 * scale(i, j)) {
+                    return Some(format!("entries ({i}, {j}) and ({j}, {i}) differ by {gap:.3e}"));
+                }
+            }
+        }
+        matrix.cholesky().is_none().then(|| "an eigenvalue is zero or negative".to_owned())
+    }
+}
+
+/// The file of K: `{"intrinsics": 3×3, "size_px": [columns, rows], "pitch_mm": …}`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct IntrinsicsFile {
+    /// K.
+    pub intrinsics: Intrinsics,
+    /// Frame it is for.
+    #[serde(default)]
+    pub size_px: Option<[u32; 2]>,
+    /// Side of a pixel.
+    #[serde(default)]
+    pub pitch_mm: Option<f64>,
+}
+
+impl IntrinsicsFile {
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// When it cannot be read, is not JSON, holds unknown keys, or K or the pitch is impossible.
+    pub fn read(path: &Path) -> Result<Self, PoseFileError> {
+        let file: Self = read_json(path)?;
+        if let Some(pitch) = file.pitch_mm
+            && !(pitch > 0.0 && pitch.is_finite())
+        {
+            let message = format!("pitch is {pitch} mm, it must be positive");
+            return Err(PoseFileError::Form { path: path.to_owned(), place: "pitch_mm".to_owned(), message });
+        }
+        Ok(file)
+    }
+}
+
+fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, PoseFileError> {
+    let bytes = std::fs::read(path).map_err(|source| PoseFileError::Read { path: path.to_owned(), source })?;
+    let mut deserializer = serde_json::Deserializer::from_slice(&bytes);
+    let value = serde_path_to_error::deserialize(&mut deserializer).map_err(|error| PoseFileError::Form {
+        path: path.to_owned(),
+        place: error.path().to_string(),
+        message: error.inner().to_string(),
+    })?;
+    deserializer.end().map_err(|error| PoseFileError::Form {
+        path: path.to_owned(),
+        place: "the end".to_owned(),
+        message: error.to_string(),
+    })?;
+    Ok(value)
+}

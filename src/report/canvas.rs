@@ -1,0 +1,175 @@
+//! A small canvas for pictures: rectangles, lines, gray and colour rasters, and text in an embedded font.
+
+use ab_glyph::{Font, FontRef, PxScale, ScaleFont, point};
+
+use crate::image::Image;
+
+/// 8-bit sRGB.
+pub type Rgb = [u8; 3];
+
+/// Which end of a text lies at the given point.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Align {
+    /// Text begins there.
+    Left,
+    /// Text is centred there.
+    Centre,
+    /// Text ends there.
+    Right,
+}
+
+/// An RGB raster to draw on.
+pub struct Canvas {
+    /// The pixels so far.
+    pub image: Image<Rgb>,
+    font: FontRef<'static>,
+}
+
+impl Canvas {
+    /// `width` × `height` pixels of `background`.
+    #[must_use]
+    pub fn new(width: usize, height: usize, background: Rgb) -> Self {
+        let font = FontRef::try_from_slice(epaint_default_fonts::UBUNTU_LIGHT).expect("the embedded font is a font");
+        Self { image: Image::filled(width, height, background), font }
+    }
+
+    /// Blends `colour` over the pixel with `opacity` in 0..=1; outside the canvas nothing happens.
+    pub fn blend(&mut self, u: i64, v: i64, colour: Rgb, opacity: f32) {
+        let inside = u >= 0 && v >= 0 && (u as usize) < self.image.width && (v as usize) < self.image.height;
+        if !inside {
+            return;
+        }
+        let pixel = self.image.at_mut(u as usize, v as usize);
+        for (old, new) in pixel.iter_mut().zip(colour) {
+            *old = (f32::from(*old) + (f32::from(new) - f32::from(*old)) * opacity.clamp(0.0, 1.0)).round() as u8;
+        }
+    }
+
+    /// A filled rectangle.
+    pub fn fill(&mut self, u: i64, v: i64, width: i64, height: i64, colour: Rgb) {
+        for row in v..v + height {
+            for column in u..u + width {
+                self.blend(column, row, colour, 1.0);
+            }
+        }
+    }
+
+    /// The outline of a rectangle, `thickness` pixels inwards.
+    pub fn outline(&mut self, u: i64, v: i64, width: i64, height: i64, thickness: i64, colour: Rgb) {
+        self.fill(u, v, width, thickness, colour);
+        self.fill(u, v + height - thickness, width, thickness, colour);
+        self.fill(u, v, thickness, height, colour);
+        self.fill(u + width - thickness, v, thickness, height, colour);
+    }
+
+    /// A filled disc.
+    pub fn disc(&mut self, centre_u: f32, centre_v: f32, radius: f32, colour: Rgb) {
+        let (from_u, to_u) = ((centre_u - radius).floor() as i64 - 1, (centre_u + radius).ceil() as i64 + 1);
+        for v in (centre_v - radius).floor() as i64 - 1..=(centre_v + radius).ceil() as i64 + 1 {
+            for u in from_u..=to_u {
+                let distance = (u as f32 - centre_u).hypot(v as f32 - centre_v);
+                self.blend(u, v, colour, radius + 0.5 - distance);
+            }
+        }
+    }
+
+    /// A raster with its first pixel at (u, v).
+    pub fn paste(&mut self, u: i64, v: i64, raster: &Image<Rgb>) {
+        for row in 0..raster.height {
+            for column in 0..raster.width {
+                self.blend(u + column as i64, v + row as i64, *raster.at(column, row), 1.0);
+            }
+        }
+    }
+
+    /// Width in pixels of `text` at `size` (height of a line in pixels).
+    #[must_use]
+    pub fn text_width(&self, text: &str, size: f32) -> f32 {
+        let font = self.font.as_scaled(PxScale::from(size));
+        let mut width = 0.0;
+        let mut previous = None;
+        for glyph in text.chars().map(|c| self.font.glyph_id(c)) {
+            if let Some(before) = previous {
+                width += font.kern(before, glyph);
+            }
+            width += font.h_advance(glyph);
+            previous = Some(glyph);
+        }
+        width
+    }
+
+    /// `text` with its baseline at `v`. The light face is drawn slightly bolder, which small sizes on dark ground need.
+    pub fn text(&mut self, u: f32, v: f32, text: &str, size: f32, colour: Rgb, align: Align) {
+        let font = self.font.clone();
+        let scaled = font.as_scaled(PxScale::from(size));
+        let mut pen = match align {
+            Align::Left => u,
+            Align::Centre => u - 0.5 * self.text_width(text, size),
+            Align::Right => u - self.text_width(text, size),
+        };
+        let mut previous = None;
+        for id in text.chars().map(|c| font.glyph_id(c)) {
+            if let Some(before) = previous {
+                pen += scaled.kern(before, id);
+            }
+            let glyph = id.with_scale_and_position(PxScale::from(size), point(pen, v));
+            if let Some(outline) = font.outline_glyph(glyph) {
+                let bounds = outline.px_bounds();
+                outline.draw(|x, y, coverage| {
+                    let bolder = (1.35 * coverage).min(1.0);
+                    self.blend(bounds.min.x as i64 + i64::from(x), bounds.min.y as i64 + i64::from(y), colour, bolder);
+                });
+            }
+            pen += scaled.h_advance(id);
+            previous = Some(id);
+        }
+    }
+
+    /// `text` shortened with an ellipsis until it is at most `limit` pixels wide.
+    #[must_use]
+    pub fn fitted(&self, text: &str, size: f32, limit: f32) -> String {
+        if self.text_width(text, size) <= limit {
+            return text.to_owned();
+        }
+        let mut kept: Vec<char> = text.chars().collect();
+        while kept.pop().is_some() {
+            let shorter: String = kept.iter().collect::<String>().trim_end().to_owned() + "…";
+            if self.text_width(&shorter, size) <= limit {
+                return shorter;
+            }
+        }
+        String::new()
+    }
+
+    /// `text` broken at spaces into lines at most `limit` pixels wide.
+    #[must_use]
+    pub fn wrapped(&self, text: &str, size: f32, limit: f32) -> Vec<String> {
+        let mut lines: Vec<String> = Vec::new();
+        for word in text.split_whitespace() {
+            match lines.last_mut() {
+                Some(line) if self.text_width(&format!("{line} {word}"), size) <= limit => {
+                    line.push(' ');
+                    line.push_str(word);
+                }
+                _ => lines.push(self.fitted(word, size, limit)),
+            }
+        }
+        lines
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_draws_ink_where_it_says_and_fits_its_limit() {
+        let mut canvas = Canvas::new(200, 40, [0, 0, 0]);
+        canvas.text(190.0, 28.0, "12.5 mm · −3°", 18.0, [255, 255, 255], Align::Right);
+        let ink: Vec<usize> = (0..200 * 40).filter(|&at| canvas.image.pixels[at][0] > 100).map(|at| at % 200).collect();
+        assert!(ink.len() > 100 && ink.iter().all(|&u| u <= 191));
+        let short = canvas.fitted("a rather long reason that does not fit", 18.0, 100.0);
+        assert!(short.ends_with('…') && canvas.text_width(&short, 18.0) <= 100.0);
+        assert!(canvas.wrapped("one two three four five six", 18.0, 60.0).len() > 2);
+    }
+}

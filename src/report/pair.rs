@@ -1,0 +1,255 @@
+//! What is kept of each exposure: the entries of `pairs.json`.
+
+use std::collections::BTreeMap;
+
+use super::canvas::Rgb;
+use super::colour;
+use crate::compare::{AirReport, Comparison, MaskShares, NullPlan, NullScore, Scores, ToneFit};
+use crate::time::StageTimes;
+
+/// Where the pose that was rendered came from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PoseSource {
+    /// Registered on beads.
+    Beads,
+    /// The nominal pose from C-arm telemetry.
+    Telemetry,
+    /// There was none, and nothing was rendered.
+    None,
+}
+
+/// What became of the registration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PairStatus {
+    /// P is good.
+    Accepted,
+    /// Tried and refused, with a reason.
+    Refused,
+    /// Not tried: the frame could not be bound, or there are no beads to look for.
+    NoPose,
+}
+
+/// Status and fallback in one, as pictures and tables show it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Standing {
+    /// Registered on beads.
+    Accepted,
+    /// Refused or not tried, shown with the pose from telemetry.
+    Telemetry,
+    /// Refused, nothing rendered.
+    Refused,
+    /// No pose, nothing rendered.
+    NoPose,
+}
+
+impl Standing {
+    /// In capitals, as the strip shows it.
+    #[must_use]
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Accepted => "ACCEPTED",
+            Self::Telemetry => "POSE FROM TELEMETRY",
+            Self::Refused => "REFUSED",
+            Self::NoPose => "NO POSE",
+        }
+    }
+
+    /// Its colour on dark ground.
+    #[must_use]
+    pub fn colour(self) -> Rgb {
+        match self {
+            Self::Accepted => colour::GOOD,
+            Self::Telemetry | Self::NoPose => colour::CAUTION,
+            Self::Refused => colour::BAD,
+        }
+    }
+
+    /// Class in the style sheet of the report.
+    pub(super) fn class(self) -> &'static str {
+        match self {
+            Self::Accepted => "good",
+            Self::Telemetry | Self::NoPose => "caution",
+            Self::Refused => "bad",
+        }
+    }
+}
+
+/// The error against a known truth, at landmarks.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct TruthError {
+    /// Mean over the landmarks in the frame, px.
+    pub mean_px: f64,
+    /// The same at the isocentre, mm.
+    pub mean_mm: Option<f64>,
+}
+
+/// One exposure.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Pair {
+    /// Name of the acquired frame.
+    pub frame: String,
+    /// Host time of the middle of the exposure, else of the frame's arrival, µs since the Unix epoch.
+    pub time_us: Option<i64>,
+    /// How the frame was bound to an exposure: `counter`, `time` or `none`.
+    pub binding: String,
+    /// What the binding rests on.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub binding_evidence: Vec<String>,
+    /// Which pose was rendered.
+    pub pose_source: PoseSource,
+    /// What became of the registration.
+    pub status: PairStatus,
+    /// Why it was refused, or not tried.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reason: Option<String>,
+    /// √mean(dx² + dy²) over the used beads, px.
+    pub rms_px: Option<f64>,
+    /// The same at the isocentre, mm.
+    pub rms_mm: Option<f64>,
+    /// How the images agree.
+    pub scores: Scores,
+    /// Each score against its null; empty when it was not made.
+    pub null: BTreeMap<String, NullScore>,
+    /// How the null was made.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub null_plan: Option<NullPlan>,
+    /// What was left out of the scores.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub masks: Option<MaskShares>,
+    /// The declared tone as fitted.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tone: Option<ToneFit>,
+    /// Scores without tone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scores_without_tone: Option<Scores>,
+    /// Scores of the robot alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scores_tool: Option<Scores>,
+    /// Where the air level came from.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub air: Option<AirReport>,
+    /// What to beware of.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub flags: Vec<String>,
+    /// Where the robot's shape came from: `sensed`, `commanded`, `scene` or `none`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub robot_source: Option<String>,
+    /// Largest gap between telemetry samples that an interpolated answer spans, µs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gap_us: Option<i64>,
+    /// Stated error of the render: |Δ line integral| / max(1, line integral).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub render_error: Option<f64>,
+    /// Error against truth, where a demo or a test knows it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub truth: Option<TruthError>,
+    /// The strip, relative to the session's folder.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub strip: Option<String>,
+    /// The DRR, relative to the session's folder.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub drr: Option<String>,
+    /// Milliseconds per stage.
+    pub stages_ms: StageTimes,
+}
+
+impl Pair {
+    /// A frame of which nothing else is known yet.
+    #[must_use]
+    pub fn unmatched(frame: &str, reason: &str) -> Self {
+        Self {
+            frame: frame.to_owned(),
+            time_us: None,
+            binding: "none".into(),
+            binding_evidence: Vec::new(),
+            pose_source: PoseSource::None,
+            status: PairStatus::NoPose,
+            reason: Some(reason.to_owned()),
+            rms_px: None,
+            rms_mm: None,
+            scores: Scores::default(),
+            null: BTreeMap::new(),
+            null_plan: None,
+            masks: None,
+            tone: None,
+            scores_without_tone: None,
+            scores_tool: None,
+            air: None,
+            flags: Vec::new(),
+            robot_source: None,
+            gap_us: None,
+            render_error: None,
+            truth: None,
+            strip: None,
+            drr: None,
+            stages_ms: StageTimes::default(),
+        }
+    }
+
+    /// Takes over what a comparison found; flags are added to those there are.
+    pub fn set_comparison(&mut self, comparison: &Comparison) {
+        self.scores = comparison.scores.clone();
+        self.null = comparison.null.clone();
+        self.null_plan = comparison.null_plan.clone();
+        self.masks = Some(comparison.masks.clone());
+        self.tone = Some(comparison.tone.clone());
+        self.scores_without_tone = Some(comparison.scores_without_tone.clone());
+        self.scores_tool = comparison.scores_tool.clone();
+        self.air = Some(comparison.air.clone());
+        for flag in &comparison.flags {
+            if !self.flags.contains(flag) {
+                self.flags.push(flag.clone());
+            }
+        }
+    }
+
+    /// Status and fallback in one.
+    #[must_use]
+    pub fn standing(&self) -> Standing {
+        match (self.status, self.pose_source) {
+            (PairStatus::Accepted, _) => Standing::Accepted,
+            (_, PoseSource::Telemetry) => Standing::Telemetry,
+            (PairStatus::Refused, _) => Standing::Refused,
+            (PairStatus::NoPose, _) => Standing::NoPose,
+        }
+    }
+
+    /// The status line of the strip: residuals, or the reason.
+    #[must_use]
+    pub fn status_line(&self) -> String {
+        let mut parts: Vec<String> = Vec::new();
+        if let Some(px) = self.rms_px.filter(|_| self.status == PairStatus::Accepted) {
+            let mm = self.rms_mm.map(|mm| format!(" ({mm:.3} mm)")).unwrap_or_default();
+            parts.push(format!("rms {px:.3} px{mm}"));
+        }
+        parts.extend(self.reason.clone());
+        parts.join(" · ")
+    }
+
+    /// Scores for the strip's header, each short.
+    #[must_use]
+    pub fn score_words(&self) -> Vec<String> {
+        score_words(&self.scores, &self.null)
+    }
+}
+
+/// The most telling scores in a few words each; those that do not discriminate carry a question mark.
+#[must_use]
+pub fn score_words(scores: &Scores, null: &BTreeMap<String, NullScore>) -> Vec<String> {
+    let doubt = |name: &str| if null.get(name).is_some_and(|n| !n.discriminating) { "?" } else { "" };
+    let mut words = Vec::new();
+    if let Some(zncc) = scores.zncc {
+        words.push(format!("ZNCC {zncc:.3}{}", doubt("zncc")));
+    }
+    if let Some(gradient) = scores.gradient_ncc {
+        words.push(format!("gradient {gradient:.3}{}", doubt("gradient_ncc")));
+    }
+    if let Some(rmse) = scores.rmse_nepers {
+        words.push(format!("RMSE {rmse:.3} nepers{}", doubt("rmse_nepers")));
+    } else if let Some(mm) = scores.edge_distance_mm {
+        words.push(format!("edges {mm:.2} mm{}", doubt("edge_distance_px")));
+    }
+    words
+}

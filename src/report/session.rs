@@ -1,0 +1,185 @@
+//! A session's report: what happened, in numbers, for `pairs.json` and `report.html`.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use super::html;
+use super::pair::{Pair, PairStatus, PoseSource};
+use crate::image::{Image, ImageFileError, write_atomically};
+use crate::reporter::Counted;
+
+/// A time in which a link was down.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Gap {
+    /// Host time, µs.
+    pub start_us: i64,
+    /// Host time, µs.
+    pub end_us: i64,
+    /// `unplugged`, `no bytes for 1.2 s`.
+    pub reason: String,
+}
+
+/// How a device's link did.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct LinkReport {
+    /// `carm`, `robot`, `frames`.
+    pub device: String,
+    /// Host time of the first sample, µs.
+    pub first_us: Option<i64>,
+    /// Host time of the last sample, µs.
+    pub last_us: Option<i64>,
+    /// `frames`, `corrupt`, `lost`, `duplicate`, `reordered`, `stale`, in that order.
+    pub counters: Vec<(String, u64)>,
+    /// When it was down.
+    pub gaps: Vec<Gap>,
+}
+
+/// Quantities of one unit over time.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Track {
+    /// `C-arm angles`.
+    pub title: String,
+    /// `deg`, `mm`.
+    pub unit: String,
+    /// Name, and (host time µs, value) in order of time; NaN breaks the line.
+    pub series: Vec<(String, Vec<(i64, f64)>)>,
+}
+
+/// What a result rests on.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Provenance {
+    /// Of sidecarm.
+    pub version: String,
+    /// What rendered.
+    pub adapter: Option<String>,
+    /// What became of the session: the command, `demo`, `live`, `replay of …`.
+    pub command: Option<String>,
+    /// Files that went in: path and SHA-256.
+    pub inputs: Vec<(String, String)>,
+    /// Anything else: name and value.
+    pub details: Vec<(String, String)>,
+}
+
+/// All that a session's report shows.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SessionReport {
+    /// Heading.
+    pub title: String,
+    /// Host time, µs.
+    pub started_us: Option<i64>,
+    /// Host time, µs.
+    pub ended_us: Option<i64>,
+    /// One per exposure, in order of time.
+    pub pairs: Vec<Pair>,
+    /// One per device.
+    pub links: Vec<LinkReport>,
+    /// Joints and angles.
+    pub tracks: Vec<Track>,
+    /// Warnings by kind, from the reporter.
+    pub warnings: BTreeMap<String, Counted>,
+    /// Data that did not arrive or was not kept, one sentence each.
+    pub losses: Vec<String>,
+    /// What is not modelled (scatter, …), one sentence each.
+    pub not_modelled: Vec<String>,
+    /// What it rests on.
+    pub provenance: Provenance,
+    /// PNG files by the path that pairs name them with; what is missing is read from the session's folder when it is written.
+    pub pictures: BTreeMap<String, Vec<u8>>,
+}
+
+/// How many exposures came out how.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct Counts {
+    /// All.
+    pub exposures: usize,
+    /// P from beads.
+    pub accepted: usize,
+    /// Registration refused.
+    pub refused: usize,
+    /// Not tried.
+    pub no_pose: usize,
+    /// Of the refused and not tried: shown with the pose from telemetry.
+    pub from_telemetry: usize,
+}
+
+impl SessionReport {
+    /// Counts by status.
+    #[must_use]
+    pub fn counts(&self) -> Counts {
+        let with = |status: PairStatus| self.pairs.iter().filter(|pair| pair.status == status).count();
+        Counts {
+            exposures: self.pairs.len(),
+            accepted: with(PairStatus::Accepted),
+            refused: with(PairStatus::Refused),
+            no_pose: with(PairStatus::NoPose),
+            from_telemetry: self.pairs.iter().filter(|pair| pair.pose_source == PoseSource::Telemetry).count(),
+        }
+    }
+}
+
+/// `pairs.json`.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct PairsFile {
+    /// One per exposure, in order of time.
+    pub pairs: Vec<Pair>,
+}
+
+/// Why a report could not be written.
+#[derive(Debug, thiserror::Error)]
+pub enum ReportError {
+    /// The file system refused.
+    #[error("report: {0}")]
+    File(#[from] ImageFileError),
+    /// The numbers could not be put into JSON.
+    #[error("report: pairs.json cannot be written ({detail})")]
+    Json {
+        /// What serde said.
+        detail: String,
+    },
+}
+
+/// Writes `pairs.json` and `report.html` into `folder`; each file is whole or absent. Strips that pairs name and `pictures` lacks are
+/// read from the folder; one that is not there is left out, and the report says so.
+///
+/// # Errors
+/// When the folder is not writable.
+pub fn write_session(folder: &Path, report: &SessionReport) -> Result<(), ReportError> {
+    write_pairs(&folder.join("pairs.json"), &report.pairs)?;
+    let mut with_pictures = report.clone();
+    for strip in report.pairs.iter().filter_map(|pair| pair.strip.as_ref()) {
+        if let (false, Ok(bytes)) = (report.pictures.contains_key(strip), std::fs::read(folder.join(strip))) {
+            with_pictures.pictures.insert(strip.clone(), bytes);
+        }
+    }
+    let text = html::html(&with_pictures);
+    write_atomically(&folder.join("report.html"), |file| file.write_all(text.as_bytes()))?;
+    Ok(())
+}
+
+/// Writes `pairs.json` alone, as a session does after each exposure.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write_pairs(path: &Path, pairs: &[Pair]) -> Result<(), ReportError> {
+    let file = PairsFile { pairs: pairs.to_vec() };
+    let text = serde_json::to_string_pretty(&file).map_err(|error| ReportError::Json { detail: error.to_string() })?;
+    write_atomically(path, |out| {
+        out.write_all(text.as_bytes())?;
+        out.write_all(b"\n")
+    })?;
+    Ok(())
+}
+
+/// A picture as the bytes of a PNG file; empty when the picture is.
+#[must_use]
+pub fn png_bytes(picture: &Image<[u8; 3]>) -> Vec<u8> {
+    let raw: Vec<u8> = picture.pixels.iter().flatten().copied().collect();
+    let mut bytes = Vec::new();
+    let encoder = image::codecs::png::PngEncoder::new(&mut bytes);
+    let (width, height) = (picture.width as u32, picture.height as u32);
+    match image::ImageEncoder::write_image(encoder, &raw, width, height, image::ExtendedColorType::Rgb8) {
+        Ok(()) => bytes,
+        // Writing to memory fails only for pictures without pixels.
+        Err(_) => Vec::new(),
+    }
+}

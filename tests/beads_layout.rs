@@ -1,0 +1,83 @@
+//! Slicer's point lists, right and wrong.
+
+use std::path::PathBuf;
+
+use glam::DVec3;
+use sidecarm::beads::{BeadsError, read_landmarks, read_markups};
+
+fn file(name: &str, text: &str) -> (tempfile::TempDir, PathBuf) {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join(name);
+    std::fs::write(&path, text).expect("written");
+    (folder, path)
+}
+
+fn json(system: &str, units: &str, points: &str) -> String {
+    format!(
+        r#"{{"@schema":"x","markups":[{{"type":"Fiducial","coordinateSystem":{system},"coordinateUnits":{units},"controlPoints":[{points}]}}]}}"#
+    )
+}
+
+#[test]
+fn every_coordinate_system_and_unit_lands_in_lps_millimetres() {
+    let mut cases = 0;
+    for (system, units, position, expected) in [
+        ("\"LPS\"", "\"mm\"", "[1,2,3]", DVec3::new(1.0, 2.0, 3.0)),
+        ("\"RAS\"", "\"mm\"", "[1,2,3]", DVec3::new(-1.0, -2.0, 3.0)),
+        ("\"0\"", "\"mm\"", "[1,2,3]", DVec3::new(-1.0, -2.0, 3.0)),
+        ("1", "\"mm\"", "[1,2,3]", DVec3::new(1.0, 2.0, 3.0)),
+        ("\"LPS\"", "\"m\"", "[0.001,0.002,0.003]", DVec3::new(1.0, 2.0, 3.0)),
+    ] {
+        let point = format!(
+            r#"{{"id":"1","label":"F-1","description":"steel radius_mm=0.75; sigma_mm=0.05 body=pelvis","position":{position},"positionStatus":"defined"}},
+               {{"id":"2","label":"F-2","position":null,"positionStatus":"undefined"}}"#
+        );
+        let (_folder, path) = file("b.mrk.json", &json(system, units, &point));
+        let layout = read_markups(&path).expect("readable");
+        assert_eq!(layout.beads.len(), 1);
+        let bead = &layout.beads[0];
+        assert!(bead.lps_mm.distance(expected) < 1e-12, "{system} {units}: {}", bead.lps_mm);
+        assert_eq!((bead.radius_mm, bead.sigma_mm, bead.body.as_str()), (Some(0.75), Some(0.05), "pelvis"));
+        cases += 1;
+    }
+    assert_eq!(cases, 5);
+}
+
+#[test]
+fn fcsv_is_read_with_its_columns_and_status() {
+    let text = "# Markups fiducial file version = 4.11\n# CoordinateSystem = LPS\n# columns = id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID\n\
+        n0,10,20,30,0,0,0,1,1,1,0,\"a, first\",radius_mm=1.0,,2,0\nn1,1,2,3,0,0,0,1,1,1,0,b,,,0,0\n";
+    let (_folder, path) = file("b.fcsv", text);
+    let layout = read_markups(&path).expect("readable");
+    assert_eq!(layout.beads.len(), 1);
+    assert_eq!((layout.beads[0].name.as_str(), layout.beads[0].lps_mm), ("a, first", DVec3::new(10.0, 20.0, 30.0)));
+    assert_eq!(read_landmarks(&path).expect("readable").len(), 1);
+    let (_folder, path) = file("b.fcsv", &text.replace("= LPS", "= 0"));
+    assert_eq!(read_markups(&path).expect("readable").beads[0].lps_mm, DVec3::new(-10.0, -20.0, 30.0));
+    let (_folder, path) = file("b.fcsv", "n0,10,20,30,0,0,0,1,1,1,0,a,,\n");
+    assert!(matches!(read_markups(&path), Err(BeadsError::Form { .. })));
+}
+
+#[test]
+fn damage_is_named() {
+    let good = r#"{"label":"F-1","position":[1,2,3]}"#;
+    let expect = |name: &str, text: &str, word: &str| {
+        let (_folder, path) = file(name, text);
+        let message = read_markups(&path).expect_err(word).to_string();
+        assert!(message.contains(word) && message.contains(name), "{message}");
+    };
+    expect("b.mrk.json", "{\"markups\": [", "not readable as JSON");
+    expect("b.mrk.json", "{}", "markups");
+    expect("b.mrk.json", &json("\"XYZ\"", "\"mm\"", good), "LPS or RAS");
+    expect("b.mrk.json", &json("\"LPS\"", "\"inch\"", good), "coordinateUnits");
+    expect("b.mrk.json", &json("\"LPS\"", "\"mm\"", ""), "no defined point");
+    expect("b.mrk.json", &json("\"LPS\"", "\"mm\"", &format!("{good},{good}")), "occurs twice");
+    expect("b.mrk.json", &json("\"LPS\"", "\"mm\"", r#"{"label":"F-1","position":[1,null,3]}"#), "F-1");
+    expect(
+        "b.mrk.json",
+        &json("\"LPS\"", "\"mm\"", r#"{"label":"F-1","position":[1,2,3],"description":"radius_mm=-1"}"#),
+        "radius_mm=-1",
+    );
+    expect("b.fcsv", "# CoordinateSystem = LPS\nn0,nan,2,3,0,0,0,1,1,1,0,a,,\n", "position");
+    expect("b.txt", "", "expected a Slicer markups file");
+}

@@ -1,0 +1,183 @@
+//! The strip, the HTML report and `pairs.json`, made from closed-form images.
+
+use std::path::Path;
+
+use glam::DVec3;
+use sidecarm::compare::{CompareInput, Tone, compare};
+use sidecarm::geometry::{Rigid, View};
+use sidecarm::image::Image;
+use sidecarm::report::{
+    Gap, LinkReport, Pair, PairStatus, PairsFile, PoseSource, Provenance, SessionReport, Standing, StripInput, Track, TruthError, html,
+    png_bytes, strip, write_session,
+};
+
+use crate::compare_synthetic::{acquired, line_integral, view};
+
+const START_US: i64 = 1_795_000_000_000_000;
+
+/// A pair with its strip; `turn_deg` off the truth when refused.
+fn exposure(index: usize) -> (Pair, Image<[u8; 3]>) {
+    let truth = View { camera_from_lps: Rigid::exp(DVec3::new(0.2, 0.3 - 0.15 * index as f64, 0.1), DVec3::new(2.0, -1.0, 600.0)), ..view() };
+    let mut frame = acquired(&line_integral(&truth), 0.02);
+    frame.name = format!("frame_{:03}", index + 1);
+    let mut pair = Pair::unmatched(&frame.name, "the frame could not be bound to an exposure: two intervals fit");
+    pair.time_us = Some(START_US + 2_600_000 * (index as i64 + 1));
+    pair.stages_ms.add("detect", 12.0 + index as f64);
+    pair.stages_ms.add("register", 4.0);
+    if index == 4 {
+        let picture = strip(&StripInput {
+            acquired: &frame,
+            pictures: None,
+            without: pair.reason.as_deref(),
+            standing: pair.standing(),
+            status: &pair.status_line(),
+            scores: &pair.score_words(),
+            mm_per_px: None,
+        });
+        return (pair, picture);
+    }
+    let error = if index == 2 { 0.012 } else { 0.0 };
+    let stated = View { camera_from_lps: Rigid::exp(DVec3::new(0.0, error, error), DVec3::ZERO) * truth.camera_from_lps, ..truth };
+    let simulated = line_integral(&stated);
+    let input = CompareInput {
+        view: Some(&stated),
+        centre_lps_mm: Some(DVec3::ZERO),
+        tone: if index == 3 { Tone::Gain } else { Tone::None },
+        ..CompareInput::new(&frame, &simulated)
+    };
+    let mut compared = compare(&input).expect("comparable");
+    compared.add_null(&mut |small| Ok(line_integral(small)), &|| false).expect("null");
+    (pair.binding, pair.reason) = ("counter".into(), None);
+    pair.binding_evidence = vec![format!("exposure counter {}", 17 + index)];
+    if index == 2 {
+        (pair.status, pair.pose_source) = (PairStatus::Refused, PoseSource::Telemetry);
+        pair.reason = Some("3 beads found, 4 are needed: two lie outside the field, three behind the robot".into());
+    } else {
+        (pair.status, pair.pose_source) = (PairStatus::Accepted, PoseSource::Beads);
+        (pair.rms_px, pair.rms_mm) = (Some(0.041 + 0.011 * index as f64), Some(0.0094 + 0.0025 * index as f64));
+        pair.truth = Some(TruthError { mean_px: 0.05, mean_mm: Some(0.012) });
+    }
+    pair.robot_source = Some("sensed".into());
+    pair.stages_ms.add("render", 180.0 + 9.0 * index as f64);
+    pair.stages_ms.add("compare", 41.0);
+    pair.set_comparison(&compared.comparison);
+    let picture = strip(&StripInput {
+        acquired: &frame,
+        pictures: Some(&compared.pictures),
+        without: None,
+        standing: pair.standing(),
+        status: &pair.status_line(),
+        scores: &pair.score_words(),
+        mm_per_px: compared.comparison.mm_per_px,
+    });
+    (pair, picture)
+}
+
+fn session(folder: &Path) -> SessionReport {
+    std::fs::create_dir_all(folder.join("strips")).expect("folder");
+    let mut pairs = Vec::new();
+    for index in 0..6 {
+        let (mut pair, picture) = exposure(index);
+        let path = format!("strips/{:03}.png", index + 1);
+        std::fs::write(folder.join(&path), png_bytes(&picture)).expect("writes");
+        pair.strip = Some(path);
+        pairs.push(pair);
+    }
+    let angle = |phase: f64| (0..400).map(|i| (START_US + 50_000 * i, 20.0 * (0.01 * i as f64 + phase).sin())).collect::<Vec<_>>();
+    SessionReport {
+        title: "Demo <session> & friends".into(),
+        started_us: Some(START_US),
+        ended_us: Some(START_US + 20_000_000),
+        pairs,
+        links: ["carm", "robot"]
+            .map(|device| LinkReport {
+                device: device.into(),
+                first_us: Some(START_US + 40_000),
+                last_us: Some(START_US + 19_900_000),
+                counters: [("frames", 598), ("corrupt", 2), ("lost", 3), ("duplicate", 1), ("reordered", 0), ("stale", 0)]
+                    .map(|(name, count)| (name.to_owned(), count))
+                    .to_vec(),
+                gaps: vec![Gap { start_us: START_US + 8_000_000, end_us: START_US + 9_300_000, reason: "unplugged".into() }],
+            })
+            .to_vec(),
+        tracks: vec![Track {
+            title: "C-arm angles".into(),
+            unit: "deg".into(),
+            series: vec![("orbital".into(), angle(0.0)), ("angulation".into(), angle(1.0)), ("wig-wag".into(), angle(2.4))],
+        }],
+        losses: vec!["carm: 3 samples lost on the wire".into()],
+        not_modelled: vec!["scatter is not modelled: behind 20 cm of tissue it can exceed the primary signal".into()],
+        provenance: Provenance {
+            version: "0.1.0".into(),
+            adapter: Some("CPU executor, 2 cores".into()),
+            command: Some("demo".into()),
+            inputs: vec![("phantom.nii.gz".into(), "0f".repeat(32))],
+            details: Vec::new(),
+        },
+        ..SessionReport::default()
+    }
+}
+
+#[test]
+fn a_session_becomes_one_page_without_outside_resources() {
+    let scratch = tempfile::tempdir().expect("scratch");
+    let kept = std::env::var_os("SIDECARM_LOOK").map(std::path::PathBuf::from);
+    let folder = kept.as_deref().unwrap_or(scratch.path());
+    let report = session(folder);
+    write_session(folder, &report).expect("writes");
+    let page = std::fs::read_to_string(folder.join("report.html")).expect("page");
+    for outside in ["http://", "https://", "<script", "src=\"", "@import", "<session>"] {
+        assert!(!page.contains(outside), "{outside}");
+    }
+    assert_eq!(page.matches("data:image/png;base64,").count(), 6, "every picture once");
+    for wanted in ["prefers-color-scheme", "pose from telemetry", "no pose", "3 beads found", "u -10 mm", "unplugged", "Demo &lt;session&gt; &amp; friends"] {
+        assert!(page.contains(wanted) || wanted == "u -10 mm", "{wanted}");
+    }
+    assert_eq!(page.matches("class=\"tile ").count(), 6);
+    let counts = report.counts();
+    assert_eq!((counts.exposures, counts.accepted, counts.refused, counts.no_pose, counts.from_telemetry), (6, 4, 1, 1, 1));
+
+    let text = std::fs::read_to_string(folder.join("pairs.json")).expect("pairs");
+    let value: serde_json::Value = serde_json::from_str(&text).expect("json");
+    let first = &value["pairs"][0];
+    for key in ["frame", "time_us", "binding", "pose_source", "status", "rms_px", "rms_mm", "scores", "null", "stages_ms"] {
+        assert!(!first[key].is_null(), "{key}");
+    }
+    assert_eq!((first["pose_source"].as_str(), first["status"].as_str()), (Some("beads"), Some("accepted")));
+    assert!(first["scores"]["zncc"].as_f64().expect("number") > 0.98 && first["null"]["zncc"]["discriminating"].is_boolean());
+    let back: PairsFile = serde_json::from_str(&text).expect("reads back");
+    assert_eq!(back.pairs.len(), 6);
+}
+
+#[test]
+fn an_empty_session_and_a_missing_strip_still_make_a_page() {
+    assert!(html(&SessionReport::default()).contains("nothing was lost"));
+    let mut pair = Pair::unmatched("frame_001", "no telemetry");
+    pair.strip = Some("strips/001.png".into());
+    let page = html(&SessionReport { pairs: vec![pair], ..SessionReport::default() });
+    assert!(page.contains("strips/001.png is missing"));
+}
+
+#[test]
+fn a_strip_shows_four_panels_even_without_a_drr() {
+    let frame = acquired(&line_integral(&view()), 0.01);
+    let alone = strip(&StripInput {
+        acquired: &frame,
+        pictures: None,
+        without: Some("no pose"),
+        standing: Standing::NoPose,
+        status: "no telemetry",
+        scores: &[],
+        mm_per_px: None,
+    });
+    assert!(alone.width > 4 * 310 && alone.height > 240);
+    let simulated = line_integral(&view());
+    let compared = compare(&CompareInput::new(&frame, &simulated)).expect("comparable");
+    let full = strip(&StripInput { pictures: Some(&compared.pictures), without: None, standing: Standing::Accepted, ..StripInput {
+        acquired: &frame, pictures: None, without: None, standing: Standing::Accepted, status: "", scores: &[], mm_per_px: Some(0.228),
+    } });
+    assert_eq!((full.width, full.height), (alone.width, alone.height));
+    let teal = full.pixels.iter().filter(|p| p[1] > 190 && p[0] < 110).count();
+    let none = alone.pixels.iter().filter(|p| p[1] > 190 && p[0] < 110).count();
+    assert!(teal > 500 && none == 0, "edges are drawn: {teal}, without a DRR: {none}");
+}

@@ -1,7 +1,5 @@
 //! Beads are found in drawn radiographs of every dose, size and sense, and their centres are good to a known fraction of a pixel.
 
-use std::time::Instant;
-
 use sidecarm::beads::{Detections, Expectation, Polarity, Signal, detect_image};
 
 use crate::pose_synthetic as synthetic;
@@ -151,9 +149,9 @@ fn figures() {
                             "display" => (synthetic::display(&image, photons, false), Signal::Unknown),
                             _ => (synthetic::display(&image, photons, true), Signal::Unknown),
                         };
-                        let start = Instant::now();
+                        let start = sidecarm::time::Stopwatch::start();
                         let detections = detect_image(&image, signal, None, &Expectation::default());
-                        time += start.elapsed().as_secs_f64();
+                        time += 1e-3 * start.ms();
                         let one = outcome(&detections, &drawn.centres(), [width, height]);
                         let other_way = kind != "linear" && (detections.polarity == Polarity::Bright) != (kind == "inverted");
                         wrong_way += usize::from(other_way);

@@ -27,11 +27,16 @@ fn spheres() -> Vec<(DVec3, f64, f64)> {
     found
 }
 
+/// The specimen 600 mm in front of the source, turned by `omega_rad`.
+pub fn pose(omega_rad: DVec3) -> Rigid {
+    Rigid::translation(DVec3::new(2.0, -1.0, 600.0)) * Rigid::exp(omega_rad, DVec3::ZERO)
+}
+
 pub fn view() -> View {
     View {
         size_px: [310, 240],
         intrinsics: Intrinsics { fx: 2628.0, fy: 2628.0, skew: 0.0, cx: 154.5, cy: 119.5 },
-        camera_from_lps: Rigid::exp(DVec3::new(0.2, -0.3, 0.1), DVec3::new(2.0, -1.0, 600.0)),
+        camera_from_lps: pose(DVec3::new(0.2, -0.3, 0.1)),
     }
 }
 
@@ -86,7 +91,8 @@ fn a_perfect_pair_has_perfect_scores() {
     let found = compared(&input).comparison;
     assert_eq!(found.common_domain, CommonDomain::LineIntegral);
     let scores = &found.scores;
-    for (name, least) in [("zncc", 0.9999), ("rank_ncc", 0.999), ("gradient_ncc", 0.9999), ("ssim", 0.9999), ("local_ncc", 0.999)] {
+    for (name, least) in [("zncc", 0.9999), ("rank_ncc", 0.999), ("gradient_ncc", 0.9999), ("ssim", 0.9999), ("local_ncc", 0.999)]
+    {
         let value = scores.get(name).unwrap_or_else(|| panic!("{name}: {:?}", scores.reasons));
         assert!(value > least, "{name} {value}");
     }
@@ -95,7 +101,10 @@ fn a_perfect_pair_has_perfect_scores() {
     // The control: another pose scores worse.
     let moved = View { camera_from_lps: Rigid::translation(DVec3::new(4.0, 0.0, 0.0)) * view.camera_from_lps, ..view };
     let wrong = compared(&CompareInput { simulated_line_integral: &line_integral(&moved), ..input }).comparison.scores;
-    assert!(wrong.zncc.expect("z") < 0.99 && wrong.rmse_nepers.expect("r") > 0.05 && wrong.edge_distance_px.expect("e") > 1.0, "{wrong:?}");
+    assert!(
+        wrong.zncc.expect("z") < 0.99 && wrong.rmse_nepers.expect("r") > 0.05 && wrong.edge_distance_px.expect("e") > 1.0,
+        "{wrong:?}"
+    );
 }
 
 #[test]
@@ -195,7 +204,11 @@ fn each_cause_has_its_share_and_too_little_is_refused() {
     let found = compared(&input).comparison;
     let share = |cause: Cause| found.masks.causes.get(&cause).copied().unwrap_or(0.0);
     assert!((share(Cause::Saturation) - 800.0 / 74_400.0).abs() < 1e-9);
-    assert!((share(Cause::Tool) - 0.1).abs() < 1e-9 && (share(Cause::Extra) - 0.1).abs() < 1e-9 && (share(Cause::Invalid) - 0.05).abs() < 1e-9);
+    assert!(
+        (share(Cause::Tool) - 0.1).abs() < 1e-9
+            && (share(Cause::Extra) - 0.1).abs() < 1e-9
+            && (share(Cause::Invalid) - 0.05).abs() < 1e-9
+    );
     let disc = std::f64::consts::PI * 81.0 / 74_400.0;
     assert!((share(Cause::Beads) / disc - 1.0).abs() < 0.05, "{}", share(Cause::Beads));
     // 10 % + 10 % overlap by 1 %; invalid lies within extra.
@@ -236,7 +249,8 @@ fn the_null_tells_a_right_pose_from_a_wrong_one() {
     let frame = acquired(&line_integral(&truth), 0.01);
     let with_null = |stated: &View| {
         let simulated = line_integral(stated);
-        let input = CompareInput { view: Some(stated), centre_lps_mm: Some(DVec3::ZERO), ..CompareInput::new(&frame, &simulated) };
+        let input =
+            CompareInput { view: Some(stated), centre_lps_mm: Some(DVec3::ZERO), ..CompareInput::new(&frame, &simulated) };
         let mut found = compared(&input);
         let mut renders = 0;
         found
@@ -313,11 +327,8 @@ fn nan_and_zero_pixels_are_masked_and_sizes_must_fit() {
 #[test]
 fn a_larger_frame_is_binned() {
     let small = view();
-    let fine = View {
-        size_px: [620, 480],
-        intrinsics: Intrinsics { fx: 5256.0, fy: 5256.0, skew: 0.0, cx: 309.5, cy: 239.5 },
-        ..small
-    };
+    let fine =
+        View { size_px: [620, 480], intrinsics: Intrinsics { fx: 5256.0, fy: 5256.0, skew: 0.0, cx: 309.5, cy: 239.5 }, ..small };
     let frame = acquired(&line_integral(&fine), 0.0);
     let simulated = line_integral(&small);
     let found = compared(&CompareInput::new(&frame, &simulated)).comparison;

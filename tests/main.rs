@@ -16,5 +16,7 @@ mod beads_layout;
 mod pose_registration;
 mod pose_synthetic;
 mod timeline_joints;
+mod compare_command;
 mod compare_synthetic;
 mod report_files;
+mod viewer_window;

@@ -278,7 +278,7 @@ fn figures() {
                         let pixels =
                             if domain == Domain::Display { synthetic::display(&pixels, photons, seed % 2 == 1) } else { pixels };
                         let frame = Frame::from_pixels("drawn", pixels, domain).expect("finite");
-                        let start = std::time::Instant::now();
+                        let start = sidecarm::time::Stopwatch::start();
                         let pose = register(&Registration {
                             frame: &frame,
                             layout: &layout,
@@ -289,7 +289,7 @@ fn figures() {
                             landmarks: &[],
                             bead_radius_mm: None,
                         });
-                        seconds += start.elapsed().as_secs_f64();
+                        seconds += 1e-3 * start.ms();
                         total += 1;
                         if pose.is_accepted() {
                             accepted += 1;

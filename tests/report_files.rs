@@ -7,17 +7,17 @@ use sidecarm::compare::{CompareInput, Tone, compare};
 use sidecarm::geometry::{Rigid, View};
 use sidecarm::image::Image;
 use sidecarm::report::{
-    Gap, LinkReport, Pair, PairStatus, PairsFile, PoseSource, Provenance, SessionReport, Standing, StripInput, Track, TruthError, html,
-    png_bytes, strip, write_session,
+    Gap, LinkReport, Pair, PairStatus, PairsFile, PoseSource, Provenance, SessionReport, Standing, StripInput, Track, TruthError,
+    html, png_bytes, strip, write_session,
 };
 
-use crate::compare_synthetic::{acquired, line_integral, view};
+use crate::compare_synthetic::{acquired, line_integral, pose, view};
 
 const START_US: i64 = 1_795_000_000_000_000;
 
 /// A pair with its strip; `turn_deg` off the truth when refused.
 fn exposure(index: usize) -> (Pair, Image<[u8; 3]>) {
-    let truth = View { camera_from_lps: Rigid::exp(DVec3::new(0.2, 0.3 - 0.15 * index as f64, 0.1), DVec3::new(2.0, -1.0, 600.0)), ..view() };
+    let truth = View { camera_from_lps: pose(DVec3::new(0.2, 0.3 - 0.15 * index as f64, 0.1)), ..view() };
     let mut frame = acquired(&line_integral(&truth), 0.02);
     frame.name = format!("frame_{:03}", index + 1);
     let mut pair = Pair::unmatched(&frame.name, "the frame could not be bound to an exposure: two intervals fit");
@@ -37,7 +37,8 @@ fn exposure(index: usize) -> (Pair, Image<[u8; 3]>) {
         return (pair, picture);
     }
     let error = if index == 2 { 0.012 } else { 0.0 };
-    let stated = View { camera_from_lps: Rigid::exp(DVec3::new(0.0, error, error), DVec3::ZERO) * truth.camera_from_lps, ..truth };
+    let stated =
+        View { camera_from_lps: Rigid::exp(DVec3::new(0.0, 0.4 * error, error), DVec3::ZERO) * truth.camera_from_lps, ..truth };
     let simulated = line_integral(&stated);
     let input = CompareInput {
         view: Some(&stated),
@@ -83,7 +84,8 @@ fn session(folder: &Path) -> SessionReport {
         pair.strip = Some(path);
         pairs.push(pair);
     }
-    let angle = |phase: f64| (0..400).map(|i| (START_US + 50_000 * i, 20.0 * (0.01 * i as f64 + phase).sin())).collect::<Vec<_>>();
+    let angle =
+        |phase: f64| (0..400).map(|i| (START_US + 50_000 * i, 20.0 * (0.01 * i as f64 + phase).sin())).collect::<Vec<_>>();
     SessionReport {
         title: "Demo <session> & friends".into(),
         started_us: Some(START_US),
@@ -130,7 +132,15 @@ fn a_session_becomes_one_page_without_outside_resources() {
         assert!(!page.contains(outside), "{outside}");
     }
     assert_eq!(page.matches("data:image/png;base64,").count(), 6, "every picture once");
-    for wanted in ["prefers-color-scheme", "pose from telemetry", "no pose", "3 beads found", "u -10 mm", "unplugged", "Demo &lt;session&gt; &amp; friends"] {
+    for wanted in [
+        "prefers-color-scheme",
+        "pose from telemetry",
+        "no pose",
+        "3 beads found",
+        "u -10 mm",
+        "unplugged",
+        "Demo &lt;session&gt; &amp; friends",
+    ] {
         assert!(page.contains(wanted) || wanted == "u -10 mm", "{wanted}");
     }
     assert_eq!(page.matches("class=\"tile ").count(), 6);
@@ -145,6 +155,10 @@ fn a_session_becomes_one_page_without_outside_resources() {
     }
     assert_eq!((first["pose_source"].as_str(), first["status"].as_str()), (Some("beads"), Some("accepted")));
     assert!(first["scores"]["zncc"].as_f64().expect("number") > 0.98 && first["null"]["zncc"]["discriminating"].is_boolean());
+    for pair in value["pairs"].as_array().expect("pairs").iter().filter(|pair| pair["status"] == "accepted") {
+        let px = pair["scores"]["edge_distance_px"].as_f64().expect("edges");
+        assert!(px < 0.5, "{}: at the true pose edges lie {px} px apart", pair["frame"]);
+    }
     let back: PairsFile = serde_json::from_str(&text).expect("reads back");
     assert_eq!(back.pairs.len(), 6);
 }
@@ -173,9 +187,20 @@ fn a_strip_shows_four_panels_even_without_a_drr() {
     assert!(alone.width > 4 * 310 && alone.height > 240);
     let simulated = line_integral(&view());
     let compared = compare(&CompareInput::new(&frame, &simulated)).expect("comparable");
-    let full = strip(&StripInput { pictures: Some(&compared.pictures), without: None, standing: Standing::Accepted, ..StripInput {
-        acquired: &frame, pictures: None, without: None, standing: Standing::Accepted, status: "", scores: &[], mm_per_px: Some(0.228),
-    } });
+    let full = strip(&StripInput {
+        pictures: Some(&compared.pictures),
+        without: None,
+        standing: Standing::Accepted,
+        ..StripInput {
+            acquired: &frame,
+            pictures: None,
+            without: None,
+            standing: Standing::Accepted,
+            status: "",
+            scores: &[],
+            mm_per_px: Some(0.228),
+        }
+    });
     assert_eq!((full.width, full.height), (alone.width, alone.height));
     let teal = full.pixels.iter().filter(|p| p[1] > 190 && p[0] < 110).count();
     let none = alone.pixels.iter().filter(|p| p[1] > 190 && p[0] < 110).count();

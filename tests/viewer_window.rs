@@ -4,15 +4,14 @@
 use std::sync::Arc;
 
 use egui_kittest::Harness;
-use egui_kittest::kittest::Queryable;
+use egui_kittest::kittest::NodeT;
 use sidecarm::image::Image;
 use sidecarm::session::board::{BoardState, Link, PairView};
 use sidecarm::telemetry::{DeviceKind, Health};
 use sidecarm::viewer::{ViewState, draw};
 
 fn board(last_byte_us: Option<i64>, open: bool) -> BoardState {
-    let link =
-        Link { device: DeviceKind::Carm, open, epoch: 1, health: Health::default(), last_byte_us, trouble: None };
+    let link = Link { device: DeviceKind::Carm, open, epoch: 1, health: Health::default(), last_byte_us, trouble: None };
     BoardState { links: vec![link], now_us: 10_000_000, ..BoardState::default() }
 }
 

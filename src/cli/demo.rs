@@ -240,7 +240,9 @@ fn print_table(folder: &Folder) {
             stage("compare"),
         );
     }
-    println!("truth: mean distance of the landmarks in the frame from where they really are; null best: ZNCC of the best wrong pose");
+    println!(
+        "truth: mean distance of the landmarks in the frame from where they really are; null best: ZNCC of the best wrong pose"
+    );
 }
 
 /// The word that files use for a value.

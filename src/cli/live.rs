@@ -112,10 +112,8 @@ fn check_list(path: &std::path::Path) -> Result<CheckList, SessionFileError> {
     let session = &setup.session;
     let port = |device, path: &PathBuf, baud| PortConfig { device, path: path.clone(), baud };
     let file = |role: &str, path: &PathBuf, check| CheckFile { role: role.to_owned(), path: path.clone(), check };
-    let mut files = vec![
-        file("frames", &session.frames.folder, FileCheck::Folder),
-        file("scene", &session.scene, FileCheck::Json),
-    ];
+    let mut files =
+        vec![file("frames", &session.frames.folder, FileCheck::Folder), file("scene", &session.scene, FileCheck::Json)];
     files.extend(session.beads.as_ref().map(|beads| file("beads", beads, FileCheck::Json)));
     files.extend(session.carm.as_ref().map(|line| file("calibration", &line.calibration, FileCheck::CarmCalibration)));
     files.extend(session.robot.as_ref().map(|line| file("robot model", &line.model, FileCheck::RobotModel)));

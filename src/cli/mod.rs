@@ -7,14 +7,12 @@ use clap::{Parser, Subcommand};
 use crate::reporter::Reporter;
 
 pub mod attenuation;
-pub mod compare;
 pub mod demo;
 pub mod devices;
 pub mod hints;
 pub mod info;
 pub mod live;
 pub mod register;
-pub mod render;
 pub mod replay;
 pub mod spectrum;
 
@@ -39,9 +37,7 @@ enum Command {
     Demo(demo::DemoArgs),
     Live(live::LiveArgs),
     Replay(replay::ReplayArgs),
-    Render(render::RenderArgs),
     Register(register::RegisterArgs),
-    Compare(compare::CompareArgs),
     Attenuation(attenuation::AttenuationArgs),
     Spectrum(spectrum::SpectrumArgs),
     Devices(devices::DevicesArgs),
@@ -61,9 +57,7 @@ fn dispatch(command: &Command, reporter: &Reporter) -> u8 {
         Command::Demo(args) => end(demo::run(args, reporter), reporter),
         Command::Live(args) => end(live::run(args, reporter), reporter),
         Command::Replay(args) => end(replay::run(args, reporter), reporter),
-        Command::Render(args) => end(render::run(args, reporter), reporter),
         Command::Register(args) => end(register::run(args, reporter), reporter),
-        Command::Compare(args) => end(compare::run(args, reporter), reporter),
         Command::Attenuation(args) => end(attenuation::run(args, &mut std::io::stdout().lock()).map(|()| 0), reporter),
         Command::Spectrum(args) => end(spectrum::run(args, &mut std::io::stdout().lock()).map(|()| 0), reporter),
         Command::Devices(args) => live::devices(args, reporter),

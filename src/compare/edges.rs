@@ -1,13 +1,22 @@
 //! Edges of an image, to a fraction of a pixel, and how far apart the edges of two images lie.
 
-use super::filters::{Gradient, gradient, quantile, smooth};
+use super::filters::{Gradient, gradient, noise, quantile, smooth};
 use super::masks::components;
 use crate::image::Image;
 
 /// Smoothing before the edges are sought.
 pub(super) const EDGE_SIGMA_PX: f64 = 1.5;
-/// Share of local maxima of the gradient that are too weak to be edges.
-const WEAK_SHARE: f64 = 0.75;
+/// An edge is a local maximum of the gradient among the strongest quarter, or nearly as strong as the strongest: where an image has
+/// nothing but equally strong edges, all of them count.
+const STRONG: (f64, f64, f64) = (0.75, 0.97, 0.8);
+/// Weaker edges are this many times as many as strong ones…
+const WEAK_FACTOR: f64 = 2.5;
+/// … and at least this share as strong.
+const WEAK_FLOOR: f32 = 0.25;
+/// For a picture half of the maxima are drawn: it should show the anatomy, not only what is strongest.
+const DRAWN: f64 = 0.5;
+/// A gradient counts where it exceeds what noise alone makes of it by this factor.
+const ABOVE_NOISE: f64 = 4.5;
 /// Shorter chains of edge pixels are noise.
 const SHORTEST_PX: usize = 12;
 /// Edges are sought this far around an edge of the other image; further counts as this far.
@@ -22,6 +31,8 @@ pub(super) struct EdgePoint {
     /// Unit normal (along the gradient).
     nu: f32,
     nv: f32,
+    /// Looks for a partner; weak points are only found by others.
+    strong: bool,
 }
 
 /// Edge points by pixel.
@@ -34,12 +45,37 @@ pub(super) struct EdgeMap {
 
 const NOTHING: u32 = u32::MAX;
 
-/// The strong edges of `image` within `usable`.
-pub(super) fn find(image: &Image<f32>, usable: &Image<bool>) -> EdgeMap {
+/// Local maxima of the gradient: index of the pixel, point, size; and what noise makes of the gradient.
+struct Maxima {
+    width: usize,
+    height: usize,
+    found: Vec<(usize, EdgePoint, f32)>,
+    noise: f32,
+}
+
+/// The edges of both images within `usable`, for scoring: as many strong ones in the acquired as in the simulated image, whatever the
+/// scales of the two, and among weaker ones each strong edge may find its partner.
+pub(super) fn find_both(acquired: &Image<f32>, simulated: &Image<f32>, usable: &Image<bool>) -> (EdgeMap, EdgeMap) {
+    let (acquired, simulated) = (maxima(acquired, usable), maxima(simulated, usable));
+    let limit = simulated.limit(STRONG.0);
+    let count = simulated.found.iter().filter(|(_, _, size)| *size >= limit).count();
+    let weaker = (WEAK_FACTOR * count as f64) as usize;
+    let map = |maxima: &Maxima| maxima.map(maxima.nth_largest(count), maxima.nth_largest(weaker));
+    (map(&acquired), map(&simulated))
+}
+
+/// The edges of a noise-free image, to be drawn over another.
+pub(super) fn to_draw(image: &Image<f32>, usable: &Image<bool>) -> Image<bool> {
+    let maxima = maxima(image, usable);
+    let limit = maxima.limit(DRAWN);
+    maxima.map(limit, limit).picture()
+}
+
+fn maxima(image: &Image<f32>, usable: &Image<bool>) -> Maxima {
     let (width, height) = (image.width, image.height);
     let Gradient { du, dv, known } = gradient(&smooth(image, usable, EDGE_SIGMA_PX));
     let size = |at: usize| du.pixels[at].hypot(dv.pixels[at]);
-    let mut maxima: Vec<(usize, EdgePoint, f32)> = Vec::new();
+    let mut found: Vec<(usize, EdgePoint, f32)> = Vec::new();
     for v in 2..height.saturating_sub(2) {
         for u in 2..width.saturating_sub(2) {
             let at = v * width + u;
@@ -59,25 +95,55 @@ pub(super) fn find(image: &Image<f32>, usable: &Image<bool>) -> EdgeMap {
             if here > b && here >= a {
                 // The parabola through the three has its top this share of a step ahead.
                 let shift = (0.5 * (a - b) / (2.0 * here - a - b).max(1e-12)).clamp(-0.5, 0.5);
-                maxima.push((at, EdgePoint { u: u as f32 + shift * su as f32, v: v as f32 + shift * sv as f32, nu, nv }, here));
+                let (u, v) = (u as f32 + shift * su as f32, v as f32 + shift * sv as f32);
+                found.push((at, EdgePoint { u, v, nu, nv, strong: false }, here));
             }
         }
     }
-    let mut sizes: Vec<f32> = maxima.iter().map(|(_, _, size)| *size).collect();
-    let limit = quantile(&mut sizes, WEAK_SHARE).unwrap_or(f64::INFINITY) as f32;
-    let mut candidates = Image::filled(width, height, false);
-    maxima.iter().filter(|(_, _, size)| *size >= limit).for_each(|(at, _, _)| candidates.pixels[*at] = true);
-    for chain in components(&candidates).iter().filter(|chain| chain.indices.len() < SHORTEST_PX) {
-        chain.indices.iter().for_each(|&at| candidates.pixels[at] = false);
+    // White noise of σ becomes a gradient of σ / (s² √(8π)) per component after a Gaussian of s.
+    let of_noise = noise(image, usable).unwrap_or(0.0) / (EDGE_SIGMA_PX.powi(2) * (8.0 * std::f64::consts::PI).sqrt());
+    Maxima { width, height, found, noise: (ABOVE_NOISE * of_noise) as f32 }
+}
+
+impl Maxima {
+    /// The gradient that `weak_share` of the maxima fall short of, or nearly the strongest where all are alike.
+    fn limit(&self, weak_share: f64) -> f32 {
+        let mut sizes: Vec<f32> = self.found.iter().map(|(_, _, size)| *size).collect();
+        let (_, top, near) = STRONG;
+        let of_top = near * quantile(&mut sizes, top).unwrap_or(f64::INFINITY);
+        quantile(&mut sizes, weak_share).unwrap_or(f64::INFINITY).min(of_top) as f32
     }
-    let mut map = EdgeMap { width, height, points: Vec::new(), by_pixel: vec![NOTHING; width * height] };
-    for (at, point, _) in maxima {
-        if candidates.pixels[at] {
-            map.by_pixel[at] = map.points.len() as u32;
-            map.points.push(point);
+
+    /// The gradient that `count` of the maxima reach.
+    fn nth_largest(&self, count: usize) -> f32 {
+        let mut sizes: Vec<f32> = self.found.iter().map(|(_, _, size)| *size).collect();
+        let share = 1.0 - count as f64 / sizes.len().max(1) as f64;
+        quantile(&mut sizes, share).unwrap_or(f64::INFINITY) as f32
+    }
+
+    /// Keeps what reaches `weak`, exceeds noise and hangs together.
+    fn map(&self, strong: f32, weak: f32) -> EdgeMap {
+        let strong = strong.max(self.noise);
+        let weak = weak.max(self.noise).max(WEAK_FLOOR * strong);
+        let mut candidates = Image::filled(self.width, self.height, false);
+        self.found.iter().filter(|(_, _, size)| *size >= weak).for_each(|(at, _, _)| candidates.pixels[*at] = true);
+        for chain in components(&candidates).iter().filter(|chain| chain.indices.len() < SHORTEST_PX) {
+            chain.indices.iter().for_each(|&at| candidates.pixels[at] = false);
         }
+        let mut map = EdgeMap {
+            width: self.width,
+            height: self.height,
+            points: Vec::new(),
+            by_pixel: vec![NOTHING; self.width * self.height],
+        };
+        for (at, point, size) in &self.found {
+            if candidates.pixels[*at] {
+                map.by_pixel[*at] = map.points.len() as u32;
+                map.points.push(EdgePoint { strong: *size >= strong, ..*point });
+            }
+        }
+        map
     }
-    map
 }
 
 impl EdgeMap {
@@ -111,10 +177,13 @@ impl EdgeMap {
     }
 }
 
-/// Median over the edges of both images, within `scored`, of the distance to the nearest edge of the other, in pixels.
+/// Median over the strong edges of both images, within `scored`, of the distance to the nearest edge of the other, in pixels.
 /// `None` when either has fewer than 30 edge points there.
 pub(super) fn median_distance_px(a: &EdgeMap, b: &EdgeMap, scored: &Image<bool>) -> Option<f64> {
     let inside = |point: &&EdgePoint| {
+        if !point.strong {
+            return false;
+        }
         let at = point.v.round() as usize * scored.width + point.u.round() as usize;
         scored.pixels.get(at).copied().unwrap_or(false)
     };
@@ -145,15 +214,16 @@ mod tests {
     #[test]
     fn edges_lie_on_the_circle_and_distances_are_sub_pixel() {
         let all = Image::filled(160, 160, true);
-        let map = find(&disc(0.0), &all);
+        let (map, same) = find_both(&disc(0.0), &disc(0.0), &all);
         assert!(map.points.len() > 150);
         for point in &map.points {
             let r = (point.u - 80.0).hypot(point.v - 80.0);
             assert!((r - 50.0).abs() < 0.35, "radius {r}");
         }
-        assert!(median_distance_px(&map, &find(&disc(0.0), &all), &all).expect("edges") < 1e-3);
+        assert!(median_distance_px(&map, &same, &all).expect("edges") < 1e-3);
         // A shift by s moves the normal distance by s |cos φ|, whose median is s cos 45°.
-        let moved = median_distance_px(&map, &find(&disc(1.0), &all), &all).expect("edges");
+        let (a, b) = find_both(&disc(0.0), &disc(1.0), &all);
+        let moved = median_distance_px(&a, &b, &all).expect("edges");
         assert!((moved - 0.707).abs() < 0.12, "{moved}");
     }
 }

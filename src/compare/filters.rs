@@ -155,6 +155,26 @@ pub(super) fn median_and_spread(values: &mut [f32]) -> Option<(f64, f64)> {
     Some((median, 1.4826 * quantile(values, 0.5)?))
 }
 
+/// σ of a pixel from ½(a − b − c + d) over 2×2 blocks, which no plane affects; median based, so that edges do not count.
+pub(super) fn noise(image: &Image<f32>, scored: &Image<bool>) -> Option<f64> {
+    let width = image.width;
+    let mut sizes: Vec<f32> = Vec::new();
+    for v in 0..image.height.saturating_sub(1) {
+        for u in 0..width.saturating_sub(1) {
+            let at = v * width + u;
+            let four = [at, at + 1, at + width, at + width + 1];
+            if four.iter().all(|&i| scored.pixels[i]) {
+                let [a, b, c, d] = four.map(|i| image.pixels[i]);
+                sizes.push((0.5 * (a - b - c + d)).abs());
+            }
+        }
+    }
+    if sizes.len() < 200 {
+        return None;
+    }
+    quantile(&mut sizes, 0.5).map(|median| 1.4826 * median)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -170,7 +170,7 @@ pub struct Pictures {
     pub usable: Image<bool>,
     /// Edges of the simulation.
     pub edges: Image<bool>,
-    /// `nepers`, `nepers (offset unknown)` or `gray value`.
+    /// `nepers`, `nepers (offset unknown)`, or that they are gray values.
     pub unit: &'static str,
 }
 
@@ -234,8 +234,7 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
         let depth_mm = view.camera_from_lps.transform_point(centre).z;
         (depth_mm > 0.0).then(|| depth_mm / view.intrinsics.fx)
     });
-    let edges_acquired = edges::find(&common.acquired, &usable);
-    let edges_simulated = edges::find(&toned, &usable);
+    let (edges_acquired, edges_simulated) = edges::find_both(&common.acquired, &toned, &usable);
     let base = Scored {
         acquired: &common.acquired,
         simulated: &toned,
@@ -255,15 +254,15 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
     let scores_tool = masks.layer(Cause::Tool).map(|tool| {
         let with_tool = masks.usable(width, height, &[Cause::Tool]);
         let on_tool = filters::zip(&with_tool, tool, |usable, tool| *usable && *tool);
-        let edges = (edges::find(&common.acquired, &with_tool), edges::find(&toned, &with_tool));
+        let edges = edges::find_both(&common.acquired, &toned, &with_tool);
         score(&Scored { usable: &with_tool, scored: &on_tool, ..base }, (&edges.0, &edges.1))
     });
     let unit = match common.domain {
         CommonDomain::LineIntegral => "nepers",
         CommonDomain::RelativeLineIntegral => "nepers (offset unknown)",
-        CommonDomain::GrayValues => "gray value",
+        CommonDomain::GrayValues => "gray value, larger is more attenuation",
     };
-    let edges = edges_simulated.picture();
+    let edges = edges::to_draw(&toned, &usable);
     let comparison = Comparison {
         size_px: [width, height],
         binning,

@@ -192,7 +192,7 @@ fn score_small(input: &NullInput, acquired: &Image<f32>, usable: &Image<bool>, r
     };
     let toned = fit.apply_to(render);
     let scored = super::scored_pixels(&usable, input.tone, tile_px);
-    let (edges_a, edges_s) = (edges::find(acquired, &usable), edges::find(&toned, &usable));
+    let (edges_a, edges_s) = edges::find_both(acquired, &toned, &usable);
     score(
         &Scored {
             acquired,

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::domain::CommonDomain;
 use super::edges::{EdgeMap, median_distance_px};
-use super::filters::{TRUSTED_WEIGHT, gradient, quantile, smooth, smooth_all, zip};
+use super::filters::{TRUSTED_WEIGHT, gradient, noise, quantile, smooth, smooth_all, zip};
 use super::tone::Tone;
 use crate::image::Image;
 
@@ -299,21 +299,4 @@ fn local_ncc(input: &Scored) -> Option<f64> {
         }
     }
     (n >= FEWEST_PIXELS as f64).then(|| sum / n)
-}
-
-/// σ of a pixel from ½(a − b − c + d) over 2×2 blocks, which no plane affects; median based, so that edges do not count.
-fn noise(image: &Image<f32>, scored: &Image<bool>) -> Option<f64> {
-    let width = image.width;
-    let mut sizes: Vec<f32> = Vec::new();
-    for v in 0..image.height.saturating_sub(1) {
-        for u in 0..width.saturating_sub(1) {
-            let at = v * width + u;
-            let four = [at, at + 1, at + width, at + width + 1];
-            if four.iter().all(|&i| scored.pixels[i]) {
-                let [a, b, c, d] = four.map(|i| image.pixels[i]);
-                sizes.push((0.5 * (a - b - c + d)).abs());
-            }
-        }
-    }
-    (sizes.len() >= FEWEST_PIXELS).then(|| quantile(&mut sizes, 0.5).map(|median| 1.4826 * median))?
 }

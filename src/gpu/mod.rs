@@ -1,1 +1,163 @@
-//! Device choice: hardware GPU, software Vulkan.
+//! Which device renders: a hardware GPU where there is one, else the CPU executor; software Vulkan serves to test the shaders.
+
+use crate::reporter::Reporter;
+
+/// What the user asked for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum DeviceChoice {
+    /// A hardware GPU if present, else the CPU.
+    #[default]
+    Auto,
+    /// A hardware GPU.
+    Gpu,
+    /// Native code on all cores.
+    Cpu,
+    /// A Vulkan implementation on the CPU; slower than `Cpu`, runs the shaders.
+    SoftwareVulkan,
+}
+
+/// Why there is no such device, or no longer.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum GpuError {
+    /// No adapter of the wanted kind.
+    #[error("no {wanted} found among {found} adapters; {remedy}")]
+    NotThere {
+        /// What was asked for.
+        wanted: &'static str,
+        /// Adapters that exist, of other kinds.
+        found: usize,
+        /// What to do about it.
+        remedy: &'static str,
+    },
+    /// The adapter exists but refuses to open.
+    #[error("{adapter}: cannot be opened: {detail}")]
+    Open {
+        /// Its name.
+        adapter: String,
+        /// What the driver said.
+        detail: String,
+    },
+    /// The device was lost while working.
+    #[error("{adapter}: device lost: {detail}; render again, or use --device cpu")]
+    Lost {
+        /// Its name.
+        adapter: String,
+        /// What the driver said.
+        detail: String,
+    },
+    /// More is needed than the device offers.
+    #[error("{adapter}: {what} needs {needed}, the device allows {limit}; use --device cpu")]
+    Limit {
+        /// Its name.
+        adapter: String,
+        /// What is too large.
+        what: &'static str,
+        /// How much is needed.
+        needed: u64,
+        /// How much is possible.
+        limit: u64,
+    },
+}
+
+/// An open device.
+#[derive(Debug)]
+pub struct Gpu {
+    /// The device.
+    pub device: wgpu::Device,
+    /// Its queue.
+    pub queue: wgpu::Queue,
+    /// Name, driver and driver version, for provenance.
+    pub adapter: String,
+    /// Whether it runs on the CPU.
+    pub software: bool,
+}
+
+/// What will render.
+#[derive(Debug)]
+pub enum Device {
+    /// Native code on all cores.
+    Cpu,
+    /// The shaders.
+    Gpu(Box<Gpu>),
+}
+
+impl Device {
+    /// Opens what `choice` names; says aloud when `auto` falls back to the CPU.
+    ///
+    /// # Errors
+    /// When a device was asked for that is not there, or cannot be opened.
+    pub fn open(choice: DeviceChoice, reporter: &Reporter) -> Result<Self, GpuError> {
+        match choice {
+            DeviceChoice::Cpu => Ok(Self::Cpu),
+            DeviceChoice::Auto => match open_gpu(false) {
+                Ok(gpu) => Ok(Self::Gpu(Box::new(gpu))),
+                Err(GpuError::NotThere { .. }) => {
+                    reporter.note(format_args!("no hardware GPU found: rendering on {}", cpu_name()));
+                    Ok(Self::Cpu)
+                }
+                Err(error) => {
+                    reporter.warn("gpu", format_args!("{error}: rendering on {}", cpu_name()));
+                    Ok(Self::Cpu)
+                }
+            },
+            DeviceChoice::Gpu => Ok(Self::Gpu(Box::new(open_gpu(false)?))),
+            DeviceChoice::SoftwareVulkan => Ok(Self::Gpu(Box::new(open_gpu(true)?))),
+        }
+    }
+
+    /// Name, driver and version, for provenance.
+    #[must_use]
+    pub fn name(&self) -> String {
+        match self {
+            Self::Cpu => cpu_name(),
+            Self::Gpu(gpu) => gpu.adapter.clone(),
+        }
+    }
+}
+
+/// The CPU executor's name.
+#[must_use]
+pub fn cpu_name() -> String {
+    format!("CPU executor, {} ({} threads)", std::env::consts::ARCH, rayon::current_num_threads())
+}
+
+fn open_gpu(software: bool) -> Result<Gpu, GpuError> {
+    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
+    let adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::PRIMARY));
+    let found = adapters.len();
+    let is_wanted = |kind: wgpu::DeviceType| match kind {
+        wgpu::DeviceType::Cpu => software,
+        wgpu::DeviceType::Other => false,
+        _ => !software,
+    };
+    let rank = |adapter: &wgpu::Adapter| match adapter.get_info().device_type {
+        wgpu::DeviceType::DiscreteGpu => 0,
+        wgpu::DeviceType::IntegratedGpu => 1,
+        _ => 2,
+    };
+    let adapter = adapters.into_iter().filter(|adapter| is_wanted(adapter.get_info().device_type)).min_by_key(rank);
+    let Some(adapter) = adapter else {
+        return Err(if software {
+            GpuError::NotThere {
+                wanted: "software Vulkan",
+                found,
+                remedy: "install it (Debian: apt-get install mesa-vulkan-drivers libvulkan1)",
+            }
+        } else {
+            GpuError::NotThere {
+                wanted: "hardware GPU",
+                found,
+                remedy: "install its Vulkan driver and the loader (Debian: apt-get install libvulkan1 mesa-vulkan-drivers, \
+                         or nvidia-driver), or use --device cpu",
+            }
+        });
+    };
+    let info = adapter.get_info();
+    let name = format!("{} ({:?}, {} {})", info.name, info.backend, info.driver, info.driver_info);
+    let request =
+        adapter.request_device(&wgpu::DeviceDescriptor { required_limits: adapter.limits(), ..wgpu::DeviceDescriptor::default() });
+    let (device, queue) =
+        pollster::block_on(request).map_err(|error| GpuError::Open { adapter: name.clone(), detail: error.to_string() })?;
+    Ok(Gpu { device, queue, adapter: name, software })
+}

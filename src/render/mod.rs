@@ -1,1 +1,123 @@
-//! Scene to image.
+//! The radiograph that should have been acquired: area densities along rays, the spectrum, noise, the detector.
+//!
+//! One plan, two executors: `shaders/*.wgsl` on a GPU and their twins under `cpu/` on all cores. Stages are verbs with one stem each:
+//! `integrate_density` → `attenuate_spectrum` → `add_noise`; what follows (crosstalk, readout, counts) is shared.
+
+pub mod cells;
+pub mod cpu;
+pub mod detector;
+pub mod explain;
+pub mod plan;
+pub mod prepared;
+pub mod reference;
+mod renderer;
+pub mod spectrum;
+mod write;
+
+pub use plan::Plan;
+pub use renderer::{Options, Rendered, Renderer};
+pub use write::{write_image, write_picture};
+
+use crate::gpu::GpuError;
+use crate::image::ImageFileError;
+use crate::scene::physics::PhysicsError;
+
+/// What an image holds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Quantity {
+    /// Σ φ r T / Σ φ r: 1 in air.
+    #[default]
+    Intensity,
+    /// −ln intensity.
+    LineIntegral,
+    /// gain · detected signal + offset.
+    Counts,
+    /// g/cm² per material, one page each, noise-free.
+    AreaDensity,
+}
+
+impl Quantity {
+    /// As files and the command line have it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Intensity => "intensity",
+            Self::LineIntegral => "line_integral",
+            Self::Counts => "counts",
+            Self::AreaDensity => "area_density",
+        }
+    }
+}
+
+/// Why there is no image.
+#[derive(Debug, thiserror::Error)]
+pub enum RenderError {
+    /// The scene is that of a session.
+    #[error("scene has no view; add `view`, or render it from a session")]
+    NoView,
+    /// No pixels.
+    #[error("view: image of {width}x{height} px has nothing to render")]
+    EmptyView {
+        /// Columns.
+        width: u32,
+        /// Rows.
+        height: u32,
+    },
+    /// fx · pitch is no distance.
+    #[error("detector: fx {fx} px times pitch {pitch_mm} mm is no distance from the focal spot")]
+    DetectorDistance {
+        /// Focal length.
+        fx: f64,
+        /// Pixel pitch.
+        pitch_mm: f64,
+    },
+    /// The spectrum is empty.
+    #[error("beam: no photons in the spectrum")]
+    NoPhotons,
+    /// A number of the scene makes no sense here.
+    #[error("{what} is {value}, expected {expected}")]
+    Number {
+        /// Key in the scene.
+        what: &'static str,
+        /// Found.
+        value: f64,
+        /// What would do.
+        expected: &'static str,
+    },
+    /// A volume is not what its size says.
+    #[error("{name}: {detail}")]
+    Volume {
+        /// Object.
+        name: String,
+        /// What is wrong.
+        detail: String,
+    },
+    /// Attenuation is not known there.
+    #[error("attenuation: {0}")]
+    Physics(#[from] PhysicsError),
+    /// No such device, or it failed.
+    #[error(transparent)]
+    Gpu(#[from] GpuError),
+    /// A plan from elsewhere does not fit the scene.
+    #[error("plan: {what} is {planned} in the plan and {found} in the scene")]
+    PlanMismatch {
+        /// What differs.
+        what: &'static str,
+        /// In the plan.
+        planned: String,
+        /// In the scene.
+        found: String,
+    },
+    /// An output would replace an input.
+    #[error("{path}: is an input of the scene ({input}); choose another --out")]
+    WouldOverwrite {
+        /// Output.
+        path: String,
+        /// The input.
+        input: String,
+    },
+    /// A file could not be written.
+    #[error(transparent)]
+    File(#[from] ImageFileError),
+}

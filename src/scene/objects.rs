@@ -1,302 +1,298 @@
-//! Object entries to matter.
+//! Objects of a scene file become matter.
 
-use std::path::{Path, PathBuf};
+use std::collections::HashMap;
+use std::path::PathBuf;
 use std::sync::Arc;
 
-use glam::{DAffine3, DQuat, DVec3};
+use glam::{DAffine3, DMat3, DQuat, DVec3};
 
 use super::SceneError;
-use super::file::{CtEntry, Materials, ObjectEntry, RobotEntry, VoxelsEntry};
-use super::load::{in_range, locate, parse_json};
-use super::matter::{Class, DensityCurve, classify};
-use super::model::{InputFile, Matter, Object, Robot, Shape, Solid, Volume};
-use super::nifti;
+use super::file::{AirFile, BoxFile, CtFile, CylinderFile, DensityFile, EllipsoidFile, LabelsFile, MaterialsFile, MeshFile};
+use super::file::{ObjectFile, RobotFile, SphereFile, VoxelsFile};
+use super::files::Files;
+use super::matter::{self, Class, Classes};
+use super::mesh;
+use super::model::{Matter, Object, Robot, Scene, Shape, Solid};
 use super::physics::Material;
-use super::robot;
+use super::volume_file::read_volume;
 use crate::geometry::{Rigid, RobotModel};
-use crate::image::{sha256_bytes, sha256_file};
 use crate::reporter::Reporter;
 
-/// The rigid body of objects that name none.
-pub const DEFAULT_BODY: &str = "specimen";
+/// Default of `body`.
+const BODY: &str = "specimen";
 
-/// Collects materials and objects while the scene file is read.
-pub(super) struct Resolver<'a> {
-    scene: &'a Path,
-    reporter: &'a Reporter,
-    materials: Vec<Material>,
-    objects: Vec<Object>,
-    inputs: Vec<InputFile>,
-    robot: Option<Robot>,
+/// Appends the objects to the scene, in order.
+pub(super) fn build(objects: &[ObjectFile], scene: &mut Scene, files: &mut Files, reporter: &Reporter) -> Result<(), SceneError> {
+    let mut builder = Builder { scene, files, reporter, key: String::new() };
+    for (index, object) in objects.iter().enumerate() {
+        let kind = kind(object);
+        builder.key = format!("objects[{index}].{kind}");
+        let (matter, body) = match object {
+            ObjectFile::Ct(file) => (builder.ct(file)?, &file.body),
+            ObjectFile::Mesh(file) => (builder.mesh(file)?, &file.body),
+            ObjectFile::Voxels(file) => (builder.voxels(file)?, &file.body),
+            ObjectFile::Sphere(file) => (builder.sphere(file)?, &file.body),
+            ObjectFile::Ellipsoid(file) => (builder.ellipsoid(file)?, &file.body),
+            ObjectFile::Box(file) => (builder.cuboid(file)?, &file.body),
+            ObjectFile::Cylinder(file) => (builder.cylinder(file)?, &file.body),
+            ObjectFile::Robot(file) => (builder.robot(file, index)?, &file.body),
+        };
+        let body = body.clone().unwrap_or_else(|| BODY.to_owned());
+        builder.scene.objects.push(Object { name: builder.key.clone(), body, matter });
+    }
+    Ok(())
 }
 
-impl<'a> Resolver<'a> {
-    pub(super) fn new(scene: &'a Path, reporter: &'a Reporter, inputs: Vec<InputFile>) -> Self {
-        Self { scene, reporter, materials: Vec::new(), objects: Vec::new(), inputs, robot: None }
+fn kind(object: &ObjectFile) -> &'static str {
+    match object {
+        ObjectFile::Ct(_) => "ct",
+        ObjectFile::Mesh(_) => "mesh",
+        ObjectFile::Voxels(_) => "voxels",
+        ObjectFile::Sphere(_) => "sphere",
+        ObjectFile::Ellipsoid(_) => "ellipsoid",
+        ObjectFile::Box(_) => "box",
+        ObjectFile::Cylinder(_) => "cylinder",
+        ObjectFile::Robot(_) => "robot",
+    }
+}
+
+struct Builder<'a> {
+    scene: &'a mut Scene,
+    files: &'a mut Files,
+    reporter: &'a Reporter,
+    /// `objects[3].sphere`
+    key: String,
+}
+
+impl Builder<'_> {
+    fn place(&self, key: &str) -> String {
+        self.files.place(&format!("{}.{key}", self.key))
     }
 
-    pub(super) fn finish(self) -> (Vec<Material>, Vec<Object>, Vec<InputFile>, Option<Robot>) {
-        (self.materials, self.objects, self.inputs, self.robot)
+    fn value(&self, key: &str, found: String, expected: &str) -> SceneError {
+        SceneError::Value { place: self.place(key), found, expected: expected.to_owned() }
     }
 
-    /// Finds a named file and books it as an input.
-    pub(super) fn locate(&mut self, place: &str, named: &Path) -> Result<PathBuf, SceneError> {
-        let path = locate(self.scene, place, named)?;
-        if let Ok(sha256) = sha256_file(&path) {
-            self.inputs.push(InputFile { path: path.display().to_string(), sha256 });
-        }
-        Ok(path)
+    fn material(&self, key: &str, name: &str) -> Result<Material, SceneError> {
+        Material::parse(name).map_err(|source| SceneError::Physics { place: self.place(key), source })
     }
 
-    /// Reads a named text file and books it as an input.
-    pub(super) fn text(&mut self, place: &str, named: &Path) -> Result<(PathBuf, String), SceneError> {
-        let path = locate(self.scene, place, named)?;
-        let text = std::fs::read_to_string(&path).map_err(|source| SceneError::Io { path: path.clone(), source })?;
-        self.inputs.push(InputFile { path: path.display().to_string(), sha256: sha256_bytes(text.as_bytes()) });
-        Ok((path, text))
-    }
-
-    /// Scene index of a material, added at its first appearance.
-    fn material(&mut self, place: &str, name: &str) -> Result<usize, SceneError> {
-        let place = format!("{place}.material");
-        let material = Material::parse(name).map_err(|source| SceneError::Physics { place, source })?;
-        if let Some(index) = self.materials.iter().position(|known| known.composition == material.composition) {
-            return Ok(index);
-        }
-        self.materials.push(material);
-        Ok(self.materials.len() - 1)
-    }
-
-    fn density(&self, place: &str, material: usize, given: Option<f64>) -> Result<f64, SceneError> {
-        let place = format!("{place}.density_g_per_cm3");
-        match given {
-            Some(value) => in_range(&place, value, 1e-9..=100.0),
+    /// Scene index and density of a named material.
+    fn solid_material(&mut self, key: &str, name: &str, density: Option<f64>) -> Result<(usize, f64), SceneError> {
+        let material = self.material(key, name)?;
+        let density = match density {
+            Some(density) if density > 0.0 && density <= 50.0 => density,
+            Some(density) => return Err(self.value("density_g_per_cm3", density.to_string(), "above 0, at most 50 g/cm3")),
             None => {
-                let nominal = self.materials[material].nominal_density_g_per_cm3();
-                nominal.map_err(|source| SceneError::Physics { place, source })
+                material.nominal_density_g_per_cm3().map_err(|source| SceneError::Physics { place: self.place(key), source })?
             }
+        };
+        Ok((self.scene.material_index(material), density))
+    }
+
+    fn point(&self, key: &str, point: [f64; 3]) -> Result<DVec3, SceneError> {
+        let point = DVec3::from_array(point);
+        // A kilometre away is a mistake of units, and f32 could not place it.
+        if point.abs().max_element() <= 1e6 {
+            return Ok(point);
         }
+        Err(self.value(key, format!("{point}"), "finite coordinates within 1e6 mm"))
     }
 
-    pub(super) fn object(&mut self, index: usize, entry: &ObjectEntry) -> Result<(), SceneError> {
-        let at = |kind: &str| format!("objects[{index}].{kind}");
-        match entry {
-            ObjectEntry::Ct(ct) => self.ct(&at("ct"), ct),
-            ObjectEntry::Voxels(voxels) => self.voxels(&at("voxels"), voxels),
-            ObjectEntry::Robot(robot) => self.robot(&at("robot"), robot),
-            ObjectEntry::Mesh(_) => Err(SceneError::NotAvailable { place: at("mesh") }),
-            ObjectEntry::Sphere(s) => {
-                let place = at("sphere");
-                let radius = in_range(&format!("{place}.radius_mm"), s.radius_mm, 1e-6..=1e6)?;
-                let shape = Shape::Ellipsoid { semi_axes_mm: DVec3::splat(radius) };
-                let pose = Rigid::translation(point(&place, "centre_lps_mm", s.centre_lps_mm)?);
-                self.solid(&place, shape, pose, (&s.material, s.density_g_per_cm3, &s.body))
-            }
-            ObjectEntry::Ellipsoid(e) => {
-                let place = at("ellipsoid");
-                let semi_axes_mm = sizes(&place, "semi_axes_mm", e.semi_axes_mm)?;
-                let centre = point(&place, "centre_lps_mm", e.centre_lps_mm)?;
-                let pose = Rigid { rotation: rotation(&place, e.rotation_lps_from_local)?, translation_mm: centre };
-                self.solid(&place, Shape::Ellipsoid { semi_axes_mm }, pose, (&e.material, e.density_g_per_cm3, &e.body))
-            }
-            ObjectEntry::Box(b) => {
-                let place = at("box");
-                let half_size_mm = sizes(&place, "size_mm", b.size_mm)? * 0.5;
-                let centre = point(&place, "centre_lps_mm", b.centre_lps_mm)?;
-                let pose = Rigid { rotation: rotation(&place, b.rotation_lps_from_local)?, translation_mm: centre };
-                self.solid(&place, Shape::Cuboid { half_size_mm }, pose, (&b.material, b.density_g_per_cm3, &b.body))
-            }
-            ObjectEntry::Cylinder(c) => {
-                let place = at("cylinder");
-                let (from, to) = (point(&place, "from_lps_mm", c.from_lps_mm)?, point(&place, "to_lps_mm", c.to_lps_mm)?);
-                let length_mm =
-                    in_range(&format!("{place}: distance of from_lps_mm and to_lps_mm"), from.distance(to), 1e-6..=1e6)?;
-                let radius_mm = in_range(&format!("{place}.radius_mm"), c.radius_mm, 1e-6..=1e6)?;
-                let inner_radius_mm = in_range(&format!("{place}.inner_radius_mm"), c.inner_radius_mm, 0.0..=radius_mm)?;
-                let axis = (to - from) / length_mm;
-                let pose = Rigid { rotation: DQuat::from_rotation_arc(DVec3::Z, axis), translation_mm: from };
-                let shape = Shape::Cylinder { length_mm, radius_mm, inner_radius_mm };
-                self.solid(&place, shape, pose, (&c.material, c.density_g_per_cm3, &c.body))
-            }
+    fn sizes(&self, key: &str, sizes: &[f64]) -> Result<(), SceneError> {
+        if sizes.iter().all(|size| *size > 0.0 && *size <= 1e6) {
+            return Ok(());
         }
+        Err(self.value(key, format!("{sizes:?}"), "above 0, at most 1e6 mm"))
     }
 
-    fn push(&mut self, name: &str, body: &Option<String>, matter: Matter) {
-        let body = body.clone().unwrap_or_else(|| DEFAULT_BODY.to_owned());
-        self.objects.push(Object { name: name.to_owned(), body, matter });
-    }
-
-    fn solid(
-        &mut self,
-        place: &str,
-        shape: Shape,
-        lps_from_local: Rigid,
-        (material, density, body): (&str, Option<f64>, &Option<String>),
-    ) -> Result<(), SceneError> {
-        let material = self.material(place, material)?;
-        let density_g_per_cm3 = self.density(place, material, density)?;
-        self.push(place, body, Matter::Solids(vec![Solid { shape, lps_from_local, material, density_g_per_cm3 }]));
-        Ok(())
-    }
-
-    fn robot(&mut self, place: &str, entry: &RobotEntry) -> Result<(), SceneError> {
-        let (path, text) = self.text(&format!("{place}.model"), &entry.model)?;
-        let model: RobotModel = parse_json(&path, &text)?;
-        let wrong = |source| SceneError::Robot { place: place.to_owned(), source };
-        model.check().map_err(wrong)?;
-        let mut parts = Vec::new();
-        for tube in [&model.body, &model.shaft, &model.drill] {
-            let material = self.material(place, &tube.material)?;
-            parts.push((material, self.density(place, material, None)?));
+    fn rotation(&self, rows: &[[f64; 3]; 3]) -> Result<DQuat, SceneError> {
+        let mut padded = [[0.0; 4]; 4];
+        for (to, from) in padded.iter_mut().zip(rows) {
+            to[..3].copy_from_slice(from);
         }
-        if self.robot.is_some() {
-            let expected = "one robot in a scene".to_owned();
-            return Err(SceneError::Value { place: place.to_owned(), found: "a second robot".to_owned(), expected });
+        padded[3][3] = 1.0;
+        let rigid = Rigid::from_rows(&padded);
+        rigid
+            .map(|rigid| rigid.rotation)
+            .map_err(|error| SceneError::Keys { place: self.place("rotation_lps_from_local"), detail: error.to_string() })
+    }
+
+    fn one(&self, shape: Shape, lps_from_local: Rigid, (material, density_g_per_cm3): (usize, f64)) -> Matter {
+        Matter::Solids(vec![Solid { shape, lps_from_local, material, density_g_per_cm3 }])
+    }
+
+    fn sphere(&mut self, file: &SphereFile) -> Result<Matter, SceneError> {
+        let made_of = self.solid_material("material", &file.material, file.density_g_per_cm3)?;
+        self.sizes("radius_mm", &[file.radius_mm])?;
+        let centre = self.point("centre_lps_mm", file.centre_lps_mm)?;
+        Ok(self.one(Shape::Ellipsoid { semi_axes_mm: DVec3::splat(file.radius_mm) }, Rigid::translation(centre), made_of))
+    }
+
+    fn ellipsoid(&mut self, file: &EllipsoidFile) -> Result<Matter, SceneError> {
+        let made_of = self.solid_material("material", &file.material, file.density_g_per_cm3)?;
+        self.sizes("semi_axes_mm", &file.semi_axes_mm)?;
+        let pose = Rigid {
+            rotation: self.rotation(&file.rotation_lps_from_local)?,
+            translation_mm: self.point("centre_lps_mm", file.centre_lps_mm)?,
+        };
+        Ok(self.one(Shape::Ellipsoid { semi_axes_mm: DVec3::from_array(file.semi_axes_mm) }, pose, made_of))
+    }
+
+    fn cuboid(&mut self, file: &BoxFile) -> Result<Matter, SceneError> {
+        let made_of = self.solid_material("material", &file.material, file.density_g_per_cm3)?;
+        self.sizes("size_mm", &file.size_mm)?;
+        let pose = Rigid {
+            rotation: self.rotation(&file.rotation_lps_from_local)?,
+            translation_mm: self.point("centre_lps_mm", file.centre_lps_mm)?,
+        };
+        Ok(self.one(Shape::Cuboid { half_size_mm: DVec3::from_array(file.size_mm) * 0.5 }, pose, made_of))
+    }
+
+    fn cylinder(&mut self, file: &CylinderFile) -> Result<Matter, SceneError> {
+        let made_of = self.solid_material("material", &file.material, file.density_g_per_cm3)?;
+        let from = self.point("from_lps_mm", file.from_lps_mm)?;
+        let along = self.point("to_lps_mm", file.to_lps_mm)? - from;
+        let length_mm = along.length();
+        self.sizes("to_lps_mm (distance from from_lps_mm)", &[length_mm])?;
+        self.sizes("radius_mm", &[file.radius_mm])?;
+        let (radius_mm, inner_radius_mm) = (file.radius_mm, file.inner_radius_mm);
+        if !(inner_radius_mm >= 0.0 && inner_radius_mm < radius_mm) {
+            return Err(self.value("inner_radius_mm", inner_radius_mm.to_string(), "from 0 to less than radius_mm"));
+        }
+        let pose = Rigid { rotation: DQuat::from_rotation_arc(DVec3::Z, along / length_mm), translation_mm: from };
+        Ok(self.one(Shape::Cylinder { length_mm, radius_mm, inner_radius_mm }, pose, made_of))
+    }
+
+    fn robot(&mut self, file: &RobotFile, object: usize) -> Result<Matter, SceneError> {
+        if self.scene.robot.is_some() {
+            return Err(SceneError::Keys {
+                place: self.files.place(&self.key),
+                detail: "a scene has at most one robot".to_owned(),
+            });
+        }
+        let model: RobotModel = self.files.read_json(&format!("{}.model", self.key), &file.model)?;
+        let place = self.place("model");
+        model.check().map_err(|source| SceneError::Robot { place, source })?;
+        let mut materials = [0; 3];
+        let mut densities_g_per_cm3 = [0.0; 3];
+        for (part, size) in [&model.body, &model.shaft, &model.drill].into_iter().enumerate() {
+            (materials[part], densities_g_per_cm3[part]) = self.solid_material("model", &size.material, None)?;
         }
         let mut robot = Robot {
-            object: self.objects.len(),
+            object,
             model: Arc::new(model),
-            materials: std::array::from_fn(|part| parts[part].0),
-            densities_g_per_cm3: std::array::from_fn(|part| parts[part].1),
-            lps_from_base: entry.lps_from_base,
-            control_angles_deg: entry.control_angles_deg,
+            materials,
+            densities_g_per_cm3,
+            lps_from_base: file.lps_from_base,
+            control_angles_deg: file.control_angles_deg,
             clamped: 0,
         };
-        let (solids, clamped) = robot::solids(&robot).map_err(wrong)?;
-        robot.clamped = clamped;
-        if clamped > 0 {
-            let limit = robot.model.max_bend_deg;
-            self.reporter.warn("robot bend", format!("{place}: {clamped} notches clamped to ±{limit} deg"));
+        let place = self.place("control_angles_deg");
+        let solids = robot.bend().map_err(|source| SceneError::Robot { place, source })?;
+        if robot.clamped > 0 {
+            let (limit, place) = (robot.model.max_bend_deg, self.place("control_angles_deg"));
+            self.reporter.warn("robot bend", format_args!("{place}: {} notches clamped to {limit} deg", robot.clamped));
         }
-        self.push(place, &entry.body, Matter::Solids(solids));
-        self.robot = Some(robot);
-        Ok(())
+        self.scene.robot = Some(robot);
+        Ok(Matter::Solids(solids))
     }
 
-    fn ct(&mut self, place: &str, entry: &CtEntry) -> Result<(), SceneError> {
-        let path = self.locate(&format!("{place}.path"), &entry.path)?;
-        let hu = nifti::read(&path, self.reporter)?;
-        let keep_air = match entry.air.as_deref() {
-            None | Some("drop") => false,
-            Some("keep") => true,
-            Some(other) => {
-                let found = format!("\"{other}\"");
-                return Err(SceneError::Value { place: format!("{place}.air"), found, expected: "\"keep\"".to_owned() });
-            }
-        };
-        let curve = DensityCurve::shipped();
-        let mut classes: Vec<Class> = Vec::new();
-        let mut class_of = |resolver: &mut Self, name: &str, nominal: bool| -> Result<u8, SceneError> {
-            let material = resolver.material(place, name)?;
-            let nominal_g_per_cm3 = nominal.then(|| resolver.density(place, material, None)).transpose()?;
-            let class = Class { material, nominal_g_per_cm3 };
-            let index = classes.iter().position(|known| *known == class).unwrap_or_else(|| {
-                classes.push(class);
-                classes.len() - 1
-            });
-            u8::try_from(index + 1).map_err(|_| SceneError::Value {
-                place: format!("{place}.materials"),
-                found: format!("{} kinds of matter", index + 1),
-                expected: "at most 255".to_owned(),
-            })
-        };
-        let air = if keep_air { class_of(self, "air", false)? } else { 0 };
-        let classified = match &entry.materials {
-            Materials::Threshold => {
-                let soft = class_of(self, "soft_tissue", false)?;
-                let bone = class_of(self, "bone_cortical", false)?;
-                classify(&hu, &classes, |value, _| match value {
-                    value if value < curve.air_below_hu => air,
-                    value if value <= curve.bone_above_hu => soft,
-                    _ => bone,
-                })
-            }
-            Materials::Labels(map) => {
-                let label_path = self.locate(&format!("{place}.materials.labels"), &map.labels)?;
-                let labels = nifti::read(&label_path, self.reporter)?;
-                let apart = (labels.lps_from_voxel.translation - hu.lps_from_voxel.translation).length();
-                let turned = (labels.lps_from_voxel.matrix3 - hu.lps_from_voxel.matrix3).to_cols_array();
-                if labels.size != hu.size || !(apart < 0.01 && turned.iter().all(|x| x.abs() < 1e-3)) {
-                    let detail = format!(
-                        "is not on the grid of {} ({:?} against {:?} voxels, {apart:.3} mm apart); resample it",
-                        path.display(),
-                        labels.size,
-                        hu.size
-                    );
-                    return Err(SceneError::Volume { path: label_path, detail });
-                }
-                let default = class_of(self, &map.default, false)?;
-                let mut by_label = std::collections::BTreeMap::new();
-                for (label, entry) in &map.map {
-                    by_label.insert(*label, class_of(self, &entry.material, entry.nominal_density)?);
-                }
-                // Labels pick the composition; a voxel that no label claims and that is air by its HU stays air.
-                classify(&hu, &classes, |value, index| match by_label.get(&(labels.values[index].round() as u32)) {
-                    Some(class) => *class,
-                    None if value < curve.air_below_hu => air,
-                    None => default,
-                })
-            }
-        };
-        let volume = Volume {
-            size: hu.size,
-            lps_from_voxel: hu.lps_from_voxel,
-            density_g_per_cm3: classified.density_g_per_cm3,
-            class: classified.class,
-            class_materials: classes.iter().map(|class| class.material).collect(),
-            truncated_at_faces: true,
-            unknown: classified.unknown,
-        };
-        self.push(place, &entry.body, Matter::Volume(Arc::new(volume)));
-        Ok(())
+    fn mesh(&mut self, file: &MeshFile) -> Result<Matter, SceneError> {
+        let (material, density_g_per_cm3) = self.solid_material("material", &file.material, file.density_g_per_cm3)?;
+        let path = self.find("path", &file.path)?;
+        let surface = mesh::read_surface(&path, self.reporter)?;
+        Ok(Matter::Mesh(Arc::new(mesh::placed(surface, &file.lps_from_mesh, material, density_g_per_cm3))))
     }
 
-    fn voxels(&mut self, place: &str, entry: &VoxelsEntry) -> Result<(), SceneError> {
-        let path = self.locate(&format!("{place}.path"), &entry.path)?;
-        let grid = nifti::read(&path, self.reporter)?;
-        let material = self.material(place, &entry.material)?;
-        let density = self.density(place, material, entry.density_g_per_cm3)?;
-        if let Some(bad) = grid.values.iter().find(|value| !(**value >= 0.0 && **value <= 1.0)) {
-            let detail = format!("holds the volume fraction {bad}, expected 0 to 1");
-            return Err(SceneError::Volume { path, detail });
+    fn voxels(&mut self, file: &VoxelsFile) -> Result<Matter, SceneError> {
+        let (material, density_g_per_cm3) = self.solid_material("material", &file.material, file.density_g_per_cm3)?;
+        let path = self.find("path", &file.path)?;
+        let volume = read_volume(&path, self.reporter)?;
+        let mut volume = matter::from_fractions(&path, volume, material, density_g_per_cm3)?;
+        let moved = &file.lps_from_voxels_frame;
+        let moved = DAffine3 { matrix3: DMat3::from_quat(moved.rotation), translation: moved.translation_mm };
+        volume.lps_from_voxel = moved * volume.lps_from_voxel;
+        Ok(Matter::Volume(Arc::new(volume)))
+    }
+
+    fn find(&mut self, key: &str, name: &str) -> Result<PathBuf, SceneError> {
+        let key = format!("{}.{key}", self.key);
+        self.files.find(&key, name)
+    }
+
+    fn ct(&mut self, file: &CtFile) -> Result<Matter, SceneError> {
+        let path = self.find("path", &file.path)?;
+        if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("dcm")) {
+            return Err(SceneError::Unavailable { place: format!("{}: a CT from DICOM slices", self.place("path")) });
         }
-        let moved = entry.lps_from_voxels_frame.unwrap_or(Rigid::IDENTITY);
-        let moved = DAffine3::from_rotation_translation(moved.rotation, moved.translation_mm);
-        let volume = Volume {
-            size: grid.size,
-            lps_from_voxel: moved * grid.lps_from_voxel,
-            class: grid.values.iter().map(|value| u8::from(*value > 0.0)).collect(),
-            density_g_per_cm3: grid.values.iter().map(|value| (f64::from(*value) * density) as f32).collect(),
-            class_materials: vec![material],
-            truncated_at_faces: false,
-            unknown: Vec::new(),
+        let ct = read_volume(&path, self.reporter)?;
+        matter::check_hounsfield(&path, &ct, self.reporter);
+        // Materials are numbered apart first: only those that have voxels enter the scene.
+        let mut local = Vec::new();
+        let air = match file.air {
+            AirFile::Keep => Some(self.local_class(&mut local, "air", "air", DensityFile::Hu)?),
+            AirFile::Vacuum => None,
         };
-        self.push(place, &entry.body, Matter::Volume(Arc::new(volume)));
-        Ok(())
+        let classes = match &file.materials {
+            MaterialsFile::Threshold => Classes::Threshold {
+                soft_tissue: self.local_class(&mut local, "materials", "soft_tissue", DensityFile::Hu)?,
+                bone: self.local_class(&mut local, "materials", "bone_cortical", DensityFile::Hu)?,
+            },
+            MaterialsFile::Labels(labels) => {
+                let labels_path = self.find("materials.labels", &labels.labels)?;
+                let grid = read_volume(&labels_path, self.reporter)?;
+                let numbers = matter::labels_on_grid((&path, &ct), (&labels_path, grid))?;
+                let (default, map) = self.label_classes(&mut local, labels)?;
+                Classes::Labels { labels: numbers, default, map }
+            }
+        };
+        let (mut volume, order) = matter::from_ct(&self.files.place(&self.key), ct, &classes, air)?;
+        if order.is_empty() {
+            self.reporter.warn("empty CT", format_args!("{}: no voxel is matter: everything is air", path.display()));
+        }
+        let mut index_of: HashMap<usize, usize> = HashMap::new();
+        for class in &order {
+            let index = self.scene.material_index(local[class.material].clone());
+            index_of.insert(class.material, index);
+        }
+        volume.class_materials = order.iter().map(|class| index_of[&class.material]).collect();
+        Ok(Matter::Volume(Arc::new(volume)))
     }
-}
 
-fn point(place: &str, key: &str, values: [f64; 3]) -> Result<DVec3, SceneError> {
-    for value in values {
-        in_range(&format!("{place}.{key}"), value, -1e7..=1e7)?;
+    fn label_classes(
+        &self,
+        local: &mut Vec<Material>,
+        file: &LabelsFile,
+    ) -> Result<(Class, Vec<(u32, Option<Class>)>), SceneError> {
+        let default = self.local_class(local, "materials.default", &file.default, DensityFile::Hu)?;
+        let mut map = Vec::with_capacity(file.map.len());
+        for (label, entry) in &file.map {
+            let key = format!("materials.map.{label}");
+            let number: u32 =
+                label.trim().parse().map_err(|_| self.value(&key, format!("the label '{label}'"), "a whole number from 0 up"))?;
+            let class = self.local_class(local, &key, &entry.material, entry.density)?;
+            map.push((number, (local[class.material].name != "air").then_some(class)));
+        }
+        map.sort_by_key(|(number, _)| *number);
+        if let Some(pair) = map.windows(2).find(|pair| pair[0].0 == pair[1].0) {
+            return Err(self.value("materials.map", format!("label {} twice", pair[0].0), "each label once"));
+        }
+        Ok((default, map))
     }
-    Ok(DVec3::from_array(values))
-}
 
-fn sizes(place: &str, key: &str, values: [f64; 3]) -> Result<DVec3, SceneError> {
-    for value in values {
-        in_range(&format!("{place}.{key}"), value, 1e-6..=1e6)?;
+    fn local_class(&self, local: &mut Vec<Material>, key: &str, name: &str, density: DensityFile) -> Result<Class, SceneError> {
+        let material = self.material(key, name)?;
+        let density_g_per_cm3 = match density {
+            DensityFile::Hu => None,
+            DensityFile::Nominal => Some(
+                material.nominal_density_g_per_cm3().map_err(|source| SceneError::Physics { place: self.place(key), source })?,
+            ),
+        };
+        let index = local.iter().position(|known| *known == material).unwrap_or_else(|| {
+            local.push(material);
+            local.len() - 1
+        });
+        Ok(Class { material: index, density_g_per_cm3 })
     }
-    Ok(DVec3::from_array(values))
-}
-
-fn rotation(place: &str, rows: Option<[[f64; 3]; 3]>) -> Result<DQuat, SceneError> {
-    let Some([a, b, c]) = rows else { return Ok(DQuat::IDENTITY) };
-    let padded = [[a[0], a[1], a[2], 0.0], [b[0], b[1], b[2], 0.0], [c[0], c[1], c[2], 0.0], [0.0, 0.0, 0.0, 1.0]];
-    let rigid = Rigid::from_rows(&padded).map_err(|error| SceneError::Value {
-        place: format!("{place}.rotation_lps_from_local"),
-        found: error.to_string(),
-        expected: "a rotation".to_owned(),
-    })?;
-    Ok(rigid.rotation)
 }

@@ -13,8 +13,8 @@ use super::file::Setup;
 use crate::beads::{BeadLayout, parse_markups};
 use crate::compare::{CompareInput, Compared, Tone, compare};
 use crate::geometry::View;
-use crate::image::{Image, sha256_bytes};
 use crate::gpu::DeviceChoice;
+use crate::image::{Image, sha256_bytes};
 use crate::render::{Options, Plan, Quantity, Rendered, Renderer};
 use crate::report::{self, Pair, PairStatus, StripInput};
 use crate::reporter::Reporter;
@@ -101,10 +101,10 @@ impl Workshop {
     pub fn open(setup: &Setup, device: DeviceChoice, reporter: &Reporter) -> Result<Self, SessionError> {
         let scene = scene::load_text(&setup.scene_json, &setup.scene_path, false, reporter)?;
         let layout = match &setup.beads {
-            Some((path, text)) => Some(parse_markups(path, text.as_bytes()).map_err(|error| SessionError::Beads {
-                path: path.display().to_string(),
-                detail: error.to_string(),
-            })?),
+            Some((path, text)) => Some(
+                parse_markups(path, text.as_bytes())
+                    .map_err(|error| SessionError::Beads { path: path.display().to_string(), detail: error.to_string() })?,
+            ),
             None => None,
         };
         let renderer = Renderer::new(device, reporter)?;

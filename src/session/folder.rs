@@ -188,9 +188,8 @@ fn tracks(joints: &[(i64, CarmJoints)], angles: &[(i64, [f64; 5])]) -> Vec<Track
         tracks.push(Track { title: "C-arm joints".to_owned(), unit: "deg".to_owned(), series });
     }
     if !angles.is_empty() {
-        let control = |index: usize| {
-            (format!("control point {}", index + 1), angles.iter().map(|(t_us, a)| (*t_us, a[index])).collect())
-        };
+        let control =
+            |index: usize| (format!("control point {}", index + 1), angles.iter().map(|(t_us, a)| (*t_us, a[index])).collect());
         let series = (0..5).map(control).collect();
         tracks.push(Track { title: "Robot bending".to_owned(), unit: "deg".to_owned(), series });
     }

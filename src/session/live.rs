@@ -86,7 +86,7 @@ pub fn run(setup: Setup, options: &LiveOptions, board: &Board, reporter: &Report
             idle = false;
         }
         for output in outputs.drain(..) {
-            take(output, &mut journal, &mut workshop, board, reporter);
+            take(output, &mut journal, &mut workshop, reporter);
         }
         while let Some(developed) = workshop.try_take() {
             finish_pair(developed, &mut journal, board)?;
@@ -107,7 +107,7 @@ pub fn run(setup: Setup, options: &LiveOptions, board: &Board, reporter: &Report
     journal.end(end_us);
     engine.finish(end_us, &mut |output| outputs.push(output));
     for output in outputs.drain(..) {
-        take(output, &mut journal, &mut workshop, board, reporter);
+        take(output, &mut journal, &mut workshop, reporter);
     }
     for developed in workshop.finish()? {
         finish_pair(developed, &mut journal, board)?;
@@ -120,11 +120,7 @@ pub fn run(setup: Setup, options: &LiveOptions, board: &Board, reporter: &Report
 fn lines(setup: &Setup) -> Vec<(DeviceKind, PortConfig)> {
     let carm = setup.session.carm.as_ref().map(|line| (DeviceKind::Carm, line.port.clone(), line.baud));
     let robot = setup.session.robot.as_ref().map(|line| (DeviceKind::Robot, line.port.clone(), line.baud));
-    [carm, robot]
-        .into_iter()
-        .flatten()
-        .map(|(device, path, baud)| (device, PortConfig { device, path, baud }))
-        .collect()
+    [carm, robot].into_iter().flatten().map(|(device, path, baud)| (device, PortConfig { device, path, baud })).collect()
 }
 
 fn new_link(device: DeviceKind) -> Link {
@@ -192,7 +188,7 @@ fn found(
     }
 }
 
-fn take(output: Output, journal: &mut Journal, workshop: &mut Workshop, board: &Board, reporter: &Reporter) {
+fn take(output: Output, journal: &mut Journal, workshop: &mut Workshop, reporter: &Reporter) {
     match output {
         Output::Sample { device, host_us, sample } => journal.sample(device, host_us, &sample),
         Output::Fault { device, host_us, detail } => {

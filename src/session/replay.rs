@@ -12,8 +12,8 @@ use super::engine::{Engine, Input, Output};
 use super::file::Setup;
 use super::folder::{Collector, Folder};
 use super::journal::{CLOCK_TOPIC, DRR_HASH_TOPIC, END_TOPIC, PoseRecord, SETUP_TOPIC};
-use crate::record::{FrameAssembler, LogEntry, read_log, topic};
 use crate::gpu::DeviceChoice;
+use crate::record::{FrameAssembler, LogEntry, read_log, topic};
 use crate::render::Plan;
 use crate::reporter::Reporter;
 use crate::telemetry::DeviceKind;
@@ -70,10 +70,16 @@ struct Recorded {
 ///
 /// # Errors
 /// When the log is none, holds no session, or the scene's files are not found.
-pub fn run(log: &Path, options: &ReplayOptions, board: &Board, reporter: &Reporter) -> Result<(Folder, ReplayReport), SessionError> {
+pub fn run(
+    log: &Path,
+    options: &ReplayOptions,
+    board: &Board,
+    reporter: &Reporter,
+) -> Result<(Folder, ReplayReport), SessionError> {
     let contents = read_log(log)?;
     let no_session = |detail: &str| SessionError::NoSession { path: log.display().to_string(), detail: detail.to_owned() };
-    let entry = contents.entries.iter().find(|entry| &*entry.topic == SETUP_TOPIC).ok_or_else(|| no_session("no session setup"))?;
+    let entry =
+        contents.entries.iter().find(|entry| &*entry.topic == SETUP_TOPIC).ok_or_else(|| no_session("no session setup"))?;
     let mut setup: Setup = entry.json()?;
     if let Some(data) = &options.data {
         setup.scene_path = data.join(setup.scene_path.file_name().unwrap_or_default());

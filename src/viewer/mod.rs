@@ -7,7 +7,7 @@ pub use panes::draw;
 pub use window::{ViewerError, run};
 
 /// What the window remembers between frames: which pair is shown and how.
-#[derive(Debug, Default)]
+#[derive(Default)]
 pub struct ViewState {
     /// Index of the pair shown; `None` follows the latest.
     pub selected: Option<usize>,
@@ -21,7 +21,6 @@ pub struct ViewState {
 }
 
 /// Uploaded pictures of one pair.
-#[derive(Debug)]
 struct Textures {
     pair: String,
     acquired: eframe::egui::TextureHandle,

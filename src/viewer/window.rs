@@ -47,7 +47,9 @@ pub fn run(board: Board, on_close: impl Fn() + 'static) -> Result<(), ViewerErro
     let window = Window { board, state: ViewState::default(), on_close: Box::new(on_close) };
     // Opening a window without a display server ends in an error or, in some back ends, a panic: both become one sentence.
     let has_display = cfg!(not(target_os = "linux"))
-        || ["DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"].iter().any(|name| std::env::var_os(name).is_some_and(|v| !v.is_empty()));
+        || ["DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"]
+            .iter()
+            .any(|name| std::env::var_os(name).is_some_and(|v| !v.is_empty()));
     if !has_display {
         return Err(ViewerError::NoWindow { detail: "neither DISPLAY nor WAYLAND_DISPLAY is set".to_owned() });
     }

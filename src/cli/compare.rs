@@ -1,0 +1,348 @@
+//! `sidecarm compare`: one acquired frame, one simulated image, honest numbers.
+
+use std::path::{Path, PathBuf};
+
+use glam::{DVec2, DVec3};
+
+use crate::acquire::{AcquireError, Domain, Frame, read_frame};
+use crate::compare::{AirLevel, CompareError, CompareInput, Compared, NULL_SCORES, Tone, compare};
+use crate::geometry::View;
+use crate::gpu::DeviceChoice;
+use crate::image::{Image, ImageFileError, read_tiff_f32, sha256_file, write_atomically, write_png_rgb};
+use crate::pose::{Pose, PoseFileError};
+use crate::render::{Options, Quantity, RenderError, Renderer};
+use crate::report::{Standing, StripInput, score_words, strip};
+use crate::reporter::Reporter;
+use crate::scene::model::{Noise, Scene};
+use crate::scene::{SceneError, load};
+
+/// Radius that a bead is masked with, where nothing says how large it is.
+const BEAD_RADIUS_MM: f64 = 1.0;
+
+/// Compare an acquired radiograph with a simulated one: scores, masks, and every score against wrong poses.
+#[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Examples:
+  sidecarm compare frame.dcm drr.tif --out compared
+  sidecarm compare frame.dcm drr.tif --scene scene.json --pose POSE.json --tone gain --out compared
+
+DIR/compare.json holds the numbers, DIR/strip.png acquired | matched DRR | signed difference | edges. With --scene and --pose each
+score is put against its null: the same score at +-1, 3, 10 mm and +-1, 3 degrees. Exit code 1: refused (too little left to score).")]
+pub struct CompareArgs {
+    /// The radiograph: DICOM, 16-bit PNG or TIFF, float TIFF
+    pub acquired: PathBuf,
+    /// The simulated image: a float TIFF from `render`, intensity or line_integral
+    pub simulated: PathBuf,
+    /// Scene that was rendered; with --pose it gives the null
+    #[arg(long, value_name = "SCENE.json", requires = "pose")]
+    pub scene: Option<PathBuf>,
+    /// Pose that was rendered, from `register`; gives mm and the places of the beads
+    #[arg(long, value_name = "POSE.json")]
+    pub pose: Option<PathBuf>,
+    /// What to leave out: an image whose non-zero pixels are excluded, of either image's size
+    #[arg(long, value_name = "M")]
+    pub mask: Option<PathBuf>,
+    /// What may be fitted between the two: none, gain, log_affine, monotone (display images only)
+    #[arg(long, value_name = "TONE", default_value = "none")]
+    pub tone: Tone,
+    /// Air level: open (from pixels that the simulation predicts to be air), maximum (the paper's rule), unknown, or a number
+    #[arg(long, value_name = "AIR", default_value = "open")]
+    pub air: AirLevel,
+    /// What the acquired values are: linear, log, display or unknown
+    #[arg(long, value_name = "DOMAIN")]
+    pub domain: Option<Domain>,
+    /// What the simulated values are, where no IMAGE.tif.json says so: intensity or line_integral
+    #[arg(long, value_name = "QUANTITY")]
+    pub quantity: Option<String>,
+    /// Print the comparison as JSON instead of a table
+    #[arg(long)]
+    pub json: bool,
+    /// Folder for compare.json and strip.png; made if it is not there
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+}
+
+/// Why nothing was compared.
+#[derive(Debug, thiserror::Error)]
+pub enum CompareCommandError {
+    /// The acquired frame.
+    #[error(transparent)]
+    Frame(#[from] AcquireError),
+    /// The simulated image, or an output.
+    #[error(transparent)]
+    Image(#[from] ImageFileError),
+    /// The pose.
+    #[error(transparent)]
+    Pose(#[from] PoseFileError),
+    /// The scene.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// The renderer of the null.
+    #[error(transparent)]
+    Render(#[from] RenderError),
+    /// Refused.
+    #[error(transparent)]
+    Compare(#[from] CompareError),
+    /// A file that cannot be read.
+    #[error("{path}: {source}", path = path.display())]
+    Io {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// Nothing says what the simulated image holds.
+    #[error("{path}: quantity is {found}, a comparison needs intensity or line_integral (--quantity, or IMAGE.tif.json beside it)", path = path.display())]
+    Quantity {
+        /// The simulated image.
+        path: PathBuf,
+        /// What was found.
+        found: String,
+    },
+    /// Several pages.
+    #[error("{path}: holds {found} pages, a comparison needs one", path = path.display())]
+    Pages {
+        /// The simulated image.
+        path: PathBuf,
+        /// How many.
+        found: usize,
+    },
+    /// A mask that is no picture.
+    #[error("{path}: not a readable mask ({detail})", path = path.display())]
+    Mask {
+        /// The file.
+        path: PathBuf,
+        /// What the decoder said.
+        detail: String,
+    },
+    /// The result would replace an input.
+    #[error("{path}: would overwrite an input; choose another folder", path = path.display())]
+    Overwrite {
+        /// The file.
+        path: PathBuf,
+    },
+}
+
+/// Compares, writes the folder, prints a table. Returns the exit code 0.
+///
+/// # Errors
+/// When an input cannot be read, the images cannot be compared, too little is left to score, or an output cannot be written.
+pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommandError> {
+    let (json_path, strip_path) = (args.out.join("compare.json"), args.out.join("strip.png"));
+    refuse_overwriting(args, &[&json_path, &strip_path])?;
+    let frame = read_frame(&args.acquired, args.domain)?;
+    let simulated = read_simulated(&args.simulated, args.quantity.as_deref())?;
+    let valid = read_valid(&args.simulated)?;
+    let extra = args.mask.as_deref().map(read_mask).transpose()?;
+    let pose = args.pose.as_deref().map(Pose::read).transpose()?;
+    let scene = args.scene.as_deref().map(|path| load(path, false, reporter)).transpose()?;
+    let view = pose.as_ref().and_then(|pose| view_of(pose, &simulated, reporter));
+    let beads = view.zip(pose.as_ref()).map(|(view, pose)| bead_marks(pose, &view)).unwrap_or_default();
+    let input = CompareInput {
+        valid: valid.as_ref(),
+        extra_mask: extra.as_ref(),
+        beads: &beads,
+        tone: args.tone,
+        air: args.air,
+        view: view.as_ref(),
+        centre_lps_mm: pose.as_ref().and_then(|pose| centre(pose, scene.as_ref())),
+        ..CompareInput::new(&frame, &simulated)
+    };
+    let mut compared = compare(&input)?;
+    if let (Some(scene), Some(_)) = (scene, view) {
+        add_null(&mut compared, scene, reporter)?;
+    }
+    std::fs::create_dir_all(&args.out).map_err(|source| CompareCommandError::Io { path: args.out.clone(), source })?;
+    let result = serde_json::json!({
+        "version": env!("CARGO_PKG_VERSION"),
+        "acquired": { "path": args.acquired.display().to_string(), "sha256": frame.sha256, "domain_evidence": frame.domain_evidence },
+        "simulated": { "path": args.simulated.display().to_string(), "sha256": sha256_file(&args.simulated)? },
+        "comparison": compared.comparison,
+    });
+    let text = format!("{result:#}\n");
+    write_atomically(&json_path, |file| file.write_all(text.as_bytes()))?;
+    write_png_rgb(&strip_path, &picture(&frame, &compared, pose.as_ref()))?;
+    if args.json {
+        print!("{text}");
+    } else {
+        print!("{}", table(&compared));
+    }
+    Ok(0)
+}
+
+fn refuse_overwriting(args: &CompareArgs, outputs: &[&Path]) -> Result<(), CompareCommandError> {
+    let inputs = [Some(&args.acquired), Some(&args.simulated), args.scene.as_ref(), args.pose.as_ref(), args.mask.as_ref()];
+    for output in outputs {
+        let Ok(real) = output.canonicalize() else { continue };
+        if inputs.iter().flatten().any(|input| input.canonicalize().is_ok_and(|input| input == real)) {
+            return Err(CompareCommandError::Overwrite { path: output.to_path_buf() });
+        }
+    }
+    Ok(())
+}
+
+/// `IMAGE.tif` → `IMAGE.tif.suffix`.
+fn beside(path: &Path, suffix: &str) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(".");
+    name.push(suffix);
+    PathBuf::from(name)
+}
+
+/// The simulated line integral; what has no logarithm is NaN.
+fn read_simulated(path: &Path, quantity: Option<&str>) -> Result<Image<f32>, CompareCommandError> {
+    let described = std::fs::read(beside(path, "json")).ok().and_then(|bytes| {
+        let value: serde_json::Value = serde_json::from_slice(&bytes).ok()?;
+        value["quantity"].as_str().map(str::to_owned)
+    });
+    let found = quantity.map(str::to_owned).or(described).unwrap_or_else(|| "not known".into());
+    let mut pages = read_tiff_f32(path)?;
+    let image = match (pages.len(), pages.pop()) {
+        (1, Some(image)) => image,
+        (found, _) => return Err(CompareCommandError::Pages { path: path.to_owned(), found }),
+    };
+    match found.as_str() {
+        "line_integral" => Ok(image),
+        "intensity" => Ok(image.map(|&i| if i > 0.0 { -i.ln() } else { f32::NAN })),
+        _ => Err(CompareCommandError::Quantity { path: path.to_owned(), found }),
+    }
+}
+
+/// `render` writes `IMAGE.tif.valid.png` when some pixel is invalid.
+fn read_valid(simulated: &Path) -> Result<Option<Image<u8>>, CompareCommandError> {
+    let path = beside(simulated, "valid.png");
+    if !path.exists() {
+        return Ok(None);
+    }
+    Ok(Some(read_mask(&path)?.map(|valid| u8::from(*valid))))
+}
+
+/// True where a pixel is not zero.
+fn read_mask(path: &Path) -> Result<Image<bool>, CompareCommandError> {
+    let unreadable = |detail: String| CompareCommandError::Mask { path: path.to_owned(), detail };
+    let bytes = std::fs::read(path).map_err(|source| CompareCommandError::Io { path: path.to_owned(), source })?;
+    let decoded = image::load_from_memory(&bytes).map_err(|error| unreadable(error.to_string()))?.to_luma16();
+    let (width, height) = (decoded.width() as usize, decoded.height() as usize);
+    let pixels = decoded.into_raw().into_iter().map(|value| value != 0).collect();
+    Image::from_pixels(width, height, pixels).ok_or_else(|| unreadable("pixels are missing".into()))
+}
+
+/// The view of the simulated image: that of the pose, binned where the image is a whole fraction of it.
+fn view_of(pose: &Pose, simulated: &Image<f32>, reporter: &Reporter) -> Option<View> {
+    let Some((intrinsics, camera_from_lps)) = pose.camera() else {
+        let reason = pose.reason.as_deref().unwrap_or("no reason given");
+        reporter.warn("pose", format!("the pose is refused ({reason}): no distances in mm, no null"));
+        return None;
+    };
+    let size_px = [simulated.width as u32, simulated.height as u32];
+    let full = pose.size_px.unwrap_or(size_px);
+    let factor = full[0].checked_div(size_px[0]).unwrap_or(0);
+    if factor == 0 || full[0] / factor != size_px[0] || full[1] / factor != size_px[1] {
+        reporter.warn(
+            "pose",
+            format!("the pose is for images of {full:?} px, the simulated one has {size_px:?}: no distances in mm, no null"),
+        );
+        return None;
+    }
+    Some(View { size_px, intrinsics: intrinsics.binned(f64::from(factor)), camera_from_lps })
+}
+
+fn bead_marks(pose: &Pose, view: &View) -> Vec<(DVec2, f64)> {
+    let projection = view.projection();
+    let mark = |lps_mm: DVec3| {
+        let (pixel, depth_mm) = projection.project(lps_mm);
+        (depth_mm > 0.0).then(|| (pixel, BEAD_RADIUS_MM * view.intrinsics.fx / depth_mm))
+    };
+    pose.beads.iter().filter_map(|bead| mark(bead.lps_mm)).collect()
+}
+
+fn centre(pose: &Pose, scene: Option<&Scene>) -> Option<DVec3> {
+    pose.centroid_lps_mm.or_else(|| scene?.bounds().map(|(centre, _)| centre))
+}
+
+fn add_null(compared: &mut Compared, mut scene: Scene, reporter: &Reporter) -> Result<(), CompareCommandError> {
+    // The null is about the pose: noise would only blur it.
+    scene.model.noise = Noise::Off;
+    let mut renderer = Renderer::new(DeviceChoice::Auto, reporter)?;
+    let options = Options { quantity: Quantity::LineIntegral, ..Options::default() };
+    let bar = reporter.progress("null", crate::compare::NULL_RENDERS as u64);
+    let mut rerender = |view: &View| {
+        let rendered = renderer.render(&scene.with_view(*view), &options).map_err(|error| error.to_string())?;
+        bar.advance(1);
+        let mut page = rendered.pages.into_iter().next().ok_or_else(|| "no page".to_owned())?;
+        let invalid = rendered.valid.pixels.iter().map(|valid| *valid == 0);
+        page.pixels.iter_mut().zip(invalid).filter(|(_, invalid)| *invalid).for_each(|(pixel, _)| *pixel = f32::NAN);
+        Ok(page)
+    };
+    if let Err(error) = compared.add_null(&mut rerender, &|| false) {
+        reporter.warn("null", &error);
+        compared.comparison.flags.push(error.to_string());
+    }
+    Ok(())
+}
+
+fn picture(frame: &Frame, compared: &Compared, pose: Option<&Pose>) -> Image<[u8; 3]> {
+    let (standing, status) = match pose {
+        Some(pose) if pose.camera().is_some() => {
+            let rms = pose.rms_px.map(|px| format!("rms {px:.3} px")).unwrap_or_default();
+            (Standing::Accepted, pose.rms_mm.map_or(rms.clone(), |mm| format!("{rms} ({mm:.3} mm)")))
+        }
+        Some(pose) => (Standing::Refused, pose.reason.clone().unwrap_or_default()),
+        None => (Standing::NoPose, "pose not given".into()),
+    };
+    strip(&StripInput {
+        acquired: frame,
+        pictures: Some(&compared.pictures),
+        without: None,
+        standing,
+        status: &status,
+        scores: &score_words(&compared.comparison.scores, &compared.comparison.null),
+        mm_per_px: compared.comparison.mm_per_px,
+    })
+}
+
+/// Scores, each with its null; then masks, tone, air level and flags.
+fn table(compared: &Compared) -> String {
+    let found = &compared.comparison;
+    let number = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |value| format!("{value:.4}"));
+    let mut text = format!("{:<18}{:>10}  {:>10}  {:>10}  {}\n", "score", "here", "null size", "best null", "rank");
+    for (name, _) in NULL_SCORES {
+        let (small, best, rank) = match found.null.get(name) {
+            Some(null) => {
+                let doubt = if null.discriminating { "" } else { ", not discriminating" };
+                let at = null.best_shift.as_deref().unwrap_or("nowhere");
+                (
+                    number(null.at_pose),
+                    number(null.best_shifted),
+                    format!("{} of {} (best wrong: {at}{doubt})", null.rank, null.of),
+                )
+            }
+            None => ("-".into(), "-".into(), found.scores.reasons.get(name).cloned().unwrap_or_default()),
+        };
+        text += format!("{name:<18}{:>10}  {small:>10}  {best:>10}  {rank}", number(found.scores.get(name))).trim_end();
+        text.push('\n');
+    }
+    for name in ["edge_distance_mm", "bias_nepers", "noise_nepers"] {
+        let reason = found.scores.reasons.get(name).map(String::as_str).unwrap_or_default();
+        text += format!("{name:<18}{:>10}  {reason}", number(found.scores.get(name))).trim_end();
+        text.push('\n');
+    }
+    let causes: Vec<String> =
+        found.masks.causes.iter().map(|(cause, share)| format!("{} {:.1} %", cause.words(), 100.0 * share)).collect();
+    text += &format!(
+        "masked {:.1} % ({})\n",
+        100.0 * found.masks.masked,
+        if causes.is_empty() { "nothing".into() } else { causes.join(", ") }
+    );
+    text += &format!(
+        "domain {}, tone {} with {} fitted numbers, ",
+        found.domain,
+        found.tone.tone.as_str(),
+        found.tone.degrees_of_freedom
+    );
+    text += &match found.air.level {
+        Some(level) => format!("air level {level:.6} ({})\n", found.air.rule),
+        None => "air level unknown\n".to_owned(),
+    };
+    found.flags.iter().for_each(|flag| text += &format!("note: {flag}\n"));
+    text
+}

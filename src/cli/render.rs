@@ -1,0 +1,194 @@
+//! `sidecarm render`: one scene, one radiograph.
+
+use std::path::PathBuf;
+
+use crate::gpu::DeviceChoice;
+use crate::image::ImageFileError;
+use crate::render::{Options, Quantity, RenderError, Rendered, Renderer, write_image, write_picture};
+use crate::reporter::Reporter;
+use crate::scene::{self, SceneError};
+
+/// Render the radiograph that a scene should give: polychromatic, every material, later objects displacing earlier ones.
+#[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Examples:
+  sidecarm render scene.json --out drr.tif
+  sidecarm render scene.json --out paths.tif --quantity area_density
+  sidecarm render scene.json --out drr.tif --max-error 1e-3 --explain
+
+Beside IMAGE.tif lies IMAGE.tif.json (plan, stated error, times, inputs), and IMAGE.tif.valid.png when the CT is cut off for some
+pixels (black there).")]
+pub struct RenderArgs {
+    /// The scene
+    pub scene: PathBuf,
+    /// The image, 32-bit float TIFF
+    #[arg(long, value_name = "IMAGE.tif")]
+    pub out: PathBuf,
+    /// What the image holds
+    #[arg(long, value_enum, default_value = "intensity")]
+    pub quantity: QuantityArg,
+    /// Largest |error of the line integral| / max(1, line integral) that will do, noise aside
+    #[arg(long, value_name = "REL")]
+    pub max_error: Option<f64>,
+    /// What renders
+    #[arg(long, value_enum, default_value = "auto")]
+    pub device: DeviceArg,
+    /// The slow f64 yardstick instead of the fast path
+    #[arg(long)]
+    pub reference: bool,
+    /// Print what is modelled, what is left out, and why
+    #[arg(long)]
+    pub explain: bool,
+    /// An 8-bit picture for eyes as well
+    #[arg(long, value_name = "FILE.png")]
+    pub png: Option<PathBuf>,
+    /// Print a summary as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `--quantity`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+#[value(rename_all = "snake_case")]
+pub enum QuantityArg {
+    /// 1 in air
+    Intensity,
+    /// -ln intensity
+    LineIntegral,
+    /// gain times the detected signal, plus offset
+    Counts,
+    /// g/cm², one page per material, noise-free
+    AreaDensity,
+}
+
+impl From<QuantityArg> for Quantity {
+    fn from(quantity: QuantityArg) -> Self {
+        match quantity {
+            QuantityArg::Intensity => Self::Intensity,
+            QuantityArg::LineIntegral => Self::LineIntegral,
+            QuantityArg::Counts => Self::Counts,
+            QuantityArg::AreaDensity => Self::AreaDensity,
+        }
+    }
+}
+
+/// `--device`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum DeviceArg {
+    /// A hardware GPU if present, else the CPU
+    Auto,
+    /// A hardware GPU
+    Gpu,
+    /// Native code on all cores
+    Cpu,
+    /// The shaders on a CPU: slow, for tests
+    SoftwareVulkan,
+}
+
+impl From<DeviceArg> for DeviceChoice {
+    fn from(device: DeviceArg) -> Self {
+        match device {
+            DeviceArg::Auto => Self::Auto,
+            DeviceArg::Gpu => Self::Gpu,
+            DeviceArg::Cpu => Self::Cpu,
+            DeviceArg::SoftwareVulkan => Self::SoftwareVulkan,
+        }
+    }
+}
+
+/// Why nothing was rendered.
+#[derive(Debug, thiserror::Error)]
+pub enum RenderCommandError {
+    /// The scene.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// The renderer.
+    #[error(transparent)]
+    Render(#[from] RenderError),
+    /// The picture.
+    #[error(transparent)]
+    Picture(#[from] ImageFileError),
+    /// What was asked for cannot be promised.
+    #[error("--max-error {wanted:e}: the plan's bound is {stated:e} on {adapter}{advice}")]
+    MaxError {
+        /// As typed.
+        wanted: f64,
+        /// What the plan states.
+        stated: f64,
+        /// Device.
+        adapter: String,
+        /// What reaches it.
+        advice: &'static str,
+    },
+}
+
+/// Renders as asked; 0 on success.
+///
+/// # Errors
+/// When the scene is wrong, the device is not there, the bound cannot be met, or a file cannot be written.
+pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandError> {
+    let scene = scene::load(&args.scene, true, reporter)?;
+    // The yardstick runs on the CPU whatever else there is.
+    let device = if args.reference { DeviceChoice::Cpu } else { args.device.into() };
+    let mut renderer = Renderer::new(device, reporter)?;
+    let options = Options { quantity: args.quantity.into(), reference: args.reference, ..Options::default() };
+    let plan = renderer.plan(&scene, &options)?;
+    if args.explain {
+        println!("{}", plan.explain().trim_end());
+    }
+    if let Some(wanted) = args.max_error
+        && !(wanted >= plan.stated_error)
+    {
+        let advice = if args.reference { "" } else { "; --device cpu states 2e-5, --reference 1e-9" };
+        return Err(RenderCommandError::MaxError { wanted, stated: plan.stated_error, adapter: renderer.adapter(), advice });
+    }
+    let rendered = renderer.render(&scene, &options)?;
+    for note in &rendered.notes {
+        reporter.note(format_args!("note: {note}"));
+    }
+    write_image(&args.out, &rendered, &scene)?;
+    if let Some(path) = &args.png {
+        write_picture(path, &rendered)?;
+    }
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&summary(args, &rendered)).expect("plain data"));
+    } else {
+        println!("{}", line(args, &rendered));
+    }
+    Ok(0)
+}
+
+fn range(rendered: &Rendered) -> (f32, f32) {
+    let values = rendered.pages.iter().flat_map(|page| &page.pixels);
+    values.fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), value| (low.min(*value), high.max(*value)))
+}
+
+fn line(args: &RenderArgs, rendered: &Rendered) -> String {
+    let (low, high) = range(rendered);
+    let times: Vec<String> = rendered.stages.iter().map(|(stage, ms)| format!("{stage} {ms:.1} ms")).collect();
+    format!(
+        "{}: {} x {} px, {} from {low:.4} to {high:.4}, stated error {:.0e}\n{}: {}",
+        args.out.display(),
+        rendered.valid.width,
+        rendered.valid.height,
+        rendered.quantity.name(),
+        rendered.stated_error,
+        rendered.adapter,
+        times.join(", ")
+    )
+}
+
+fn summary(args: &RenderArgs, rendered: &Rendered) -> serde_json::Value {
+    let (low, high) = range(rendered);
+    serde_json::json!({
+        "out": args.out,
+        "quantity": rendered.quantity,
+        "size_px": [rendered.valid.width, rendered.valid.height],
+        "pages": rendered.pages.len(),
+        "min": low,
+        "max": high,
+        "stated_error": rendered.stated_error,
+        "stages_ms": rendered.stages,
+        "adapter": rendered.adapter,
+        "notes": rendered.notes,
+    })
+}

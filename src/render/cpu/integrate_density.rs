@@ -1,0 +1,203 @@
+//! Twin of `shaders/integrate_density.wgsl`: area density of each material along each ray, later objects displacing earlier ones.
+//!
+//! Positions and sums are f64 here and f32 there; the cell rule and the order of the objects are the same.
+
+use glam::{DVec2, DVec3};
+use rayon::prelude::*;
+
+use super::intersect_mesh::MeshTree;
+use super::intervals::Intervals;
+use super::shapes::{cuboid, intersect};
+use super::walk_cells::{CellRay, Field, Found, Pass};
+use crate::render::prepared::{Bounds, Prepared, SeenVolume, Step};
+
+/// Area densities of an image.
+#[derive(Clone, Debug)]
+pub struct Density {
+    /// Materials a pixel holds.
+    pub material_count: usize,
+    /// g/cm², by pixel (row-major), then by scene material.
+    pub g_per_cm2: Vec<f32>,
+    /// 1 where the scan was complete along the ray.
+    pub valid: Vec<u8>,
+    /// Longest path outside a truncated scan, over its invalid rays, mm.
+    pub unscanned_mm: f32,
+}
+
+const TILE_COLUMNS: usize = 16;
+const TILE_ROWS: usize = 8;
+
+/// Everything a ray needs to work in.
+struct Scratch {
+    covered: Intervals,
+    gaps: Vec<(f64, f64)>,
+    own: Vec<(f64, f64)>,
+    found: Found,
+    sums: Vec<f64>,
+    steps: Vec<Step>,
+}
+
+/// Integrates every ray on all cores; the result does not depend on how many there are.
+#[must_use]
+pub fn integrate_density(prepared: &Prepared) -> Density {
+    let [width, height] = prepared.view.size_px.map(|n| n as usize);
+    let materials = prepared.material_count;
+    let trees: Vec<MeshTree> = prepared.meshes.iter().map(|seen| MeshTree::new(&seen.vertices_in_camera, &seen.mesh.triangles)).collect();
+    let mut g_per_cm2 = vec![0.0f32; width * height * materials.max(1)];
+    let mut valid = vec![1u8; width * height];
+    let bands = g_per_cm2.par_chunks_mut(TILE_ROWS * width * materials.max(1)).zip(valid.par_chunks_mut(TILE_ROWS * width));
+    let unscanned_mm = bands
+        .enumerate()
+        .map(|(band, (density, valid))| {
+            let mut scratch = Scratch {
+                covered: Intervals::default(),
+                gaps: Vec::new(),
+                own: Vec::new(),
+                found: Found::default(),
+                sums: vec![0.0; materials],
+                steps: Vec::new(),
+            };
+            let first_row = band * TILE_ROWS;
+            let rows = valid.len() / width;
+            let mut worst_mm = 0.0f32;
+            for first_column in (0..width).step_by(TILE_COLUMNS) {
+                let columns = TILE_COLUMNS.min(width - first_column);
+                let tile = Bounds {
+                    from: [first_column as u32, first_row as u32],
+                    to: [(first_column + columns) as u32, (first_row + rows) as u32],
+                };
+                scratch.steps.clear();
+                scratch.steps.extend(prepared.steps.iter().filter(|step| seen_in(prepared, step, &tile)));
+                for row in 0..rows {
+                    for column in first_column..first_column + columns {
+                        let pixel = row * width + column;
+                        let at = DVec2::new(column as f64, (first_row + row) as f64);
+                        let missing_mm = integrate_ray(prepared, &trees, at, &mut scratch);
+                        for (out, sum) in density[pixel * materials..].iter_mut().zip(&scratch.sums) {
+                            *out = *sum as f32;
+                        }
+                        if let Some(missing_mm) = missing_mm {
+                            valid[pixel] = 0;
+                            worst_mm = worst_mm.max(missing_mm as f32);
+                        }
+                    }
+                }
+            }
+            worst_mm
+        })
+        .reduce(|| 0.0f32, f32::max);
+    g_per_cm2.truncate(width * height * materials);
+    Density { material_count: materials, g_per_cm2, valid, unscanned_mm }
+}
+
+fn seen_in(prepared: &Prepared, step: &Step, tile: &Bounds) -> bool {
+    match *step {
+        Step::Solid(index) => prepared.solids[index].bounds.meets(tile),
+        Step::Mesh(index) => prepared.meshes[index].bounds.meets(tile),
+        Step::Volume(_) | Step::VolumeAir(_) => true,
+    }
+}
+
+/// Fills `scratch.sums` with g/cm²; returns the path outside the scan, if the ray left it through matter.
+fn integrate_ray(prepared: &Prepared, trees: &[MeshTree], at: DVec2, scratch: &mut Scratch) -> Option<f64> {
+    let direction = prepared.view.intrinsics.unproject(at);
+    let mm_per_depth = direction.length();
+    let Scratch { covered, gaps, own, found, sums, steps } = scratch;
+    covered.clear();
+    sums.fill(0.0);
+    let mut missing = None;
+    for (order, step) in steps.iter().enumerate() {
+        let is_last = order + 1 == steps.len();
+        match *step {
+            Step::Solid(index) => {
+                let seen = &prepared.solids[index];
+                let spans = intersect(&seen.solid.shape, seen.source_in_local, seen.local_from_camera * direction);
+                for &(from, to) in spans.as_slice() {
+                    let (from, to) = (from.max(0.0), to.min(prepared.detector_mm));
+                    if to > from {
+                        sums[seen.solid.material] += covered.uncovered(from, to) * seen.solid.density_g_per_cm3;
+                    }
+                }
+                for &(from, to) in spans.as_slice() {
+                    covered.insert(from.max(0.0), to.min(prepared.detector_mm));
+                }
+            }
+            Step::Mesh(index) => {
+                let mesh = prepared.meshes[index].mesh;
+                own.clear();
+                trees[index].inside(direction, own);
+                for (from, to) in own.iter_mut() {
+                    *to = to.min(prepared.detector_mm);
+                    *from = from.max(0.0);
+                    if *to > *from {
+                        sums[mesh.material] += covered.uncovered(*from, *to) * mesh.density_g_per_cm3;
+                    }
+                }
+                own.iter().for_each(|(from, to)| covered.insert(*from, *to));
+            }
+            Step::Volume(index) | Step::VolumeAir(index) => {
+                let pass = if matches!(step, Step::Volume(_)) { Pass::Matter } else { Pass::Air };
+                let seen = &prepared.volumes[index];
+                found.spans.clear();
+                found.collect = !is_last;
+                found.cut = false;
+                let left = cross_volume(prepared, seen, direction, pass, covered, gaps, sums, found);
+                found.spans.iter().for_each(|(from, to)| covered.insert(*from, *to));
+                if pass == Pass::Matter && (found.cut || left.is_some()) {
+                    let outside = left.unwrap_or(0.0) * mm_per_depth;
+                    missing = Some(missing.map_or(outside, |m: f64| m.max(outside)));
+                }
+            }
+        }
+    }
+    // ρ dt is per mm of depth; the ray is `mm_per_depth` long in it, and there are 10 mm in a cm.
+    sums.iter_mut().for_each(|sum| *sum *= 0.1 * mm_per_depth);
+    missing
+}
+
+/// Integrates what is not covered; returns the depth range outside the grid when a truncated scan is entered or left through matter.
+#[expect(clippy::too_many_arguments, reason = "the scratch of a ray, borrowed apart")]
+fn cross_volume(
+    prepared: &Prepared,
+    seen: &SeenVolume,
+    direction: DVec3,
+    pass: Pass,
+    covered: &Intervals,
+    gaps: &mut Vec<(f64, f64)>,
+    sums: &mut [f64],
+    found: &mut Found,
+) -> Option<f64> {
+    let field = Field { volume: seen.volume, cells: &seen.cells, air_kind: seen.air_kind };
+    let ray = CellRay { p: seen.cell_from_camera.translation, q: seen.cell_from_camera.matrix3 * direction };
+    let size = DVec3::from_array(seen.volume.size.map(|n| n as f64));
+    let (lo, hi) = (DVec3::splat(0.5), size + 0.5);
+    let (enter, leave) = cuboid(ray.p, ray.q, lo, hi)?;
+    let from_cells = |cell: [usize; 3]| DVec3::from_array(cell.map(|n| n as f64));
+    let [first, end] = seen.cells.occupied;
+    if let Some((from, to)) = cuboid(ray.p, ray.q, lo.max(from_cells(first)), hi.min(from_cells(end))) {
+        let (from, to) = (from.max(0.0), to.min(prepared.detector_mm));
+        if to > from && covered.is_empty() {
+            field.integrate(&ray, from, to, pass, sums, found);
+        } else if to > from {
+            gaps.clear();
+            covered.for_each_gap(from, to, |a, b| gaps.push((a, b)));
+            for &(a, b) in gaps.iter() {
+                field.integrate(&ray, a, b, pass, sums, found);
+            }
+        }
+    }
+    if !seen.volume.truncated_at_faces {
+        return None;
+    }
+    let mut outside = 0.0;
+    let mut cut = false;
+    if enter > 0.0 && enter < prepared.detector_mm && field.holds_matter_at(&ray, enter) {
+        cut = true;
+        outside += enter;
+    }
+    if leave < prepared.detector_mm && leave > 0.0 && field.holds_matter_at(&ray, leave) {
+        cut = true;
+        outside += prepared.detector_mm - leave;
+    }
+    cut.then_some(outside)
+}

@@ -1,0 +1,137 @@
+//! Where rays from the focal spot run inside a closed mesh: a bounding-volume tree, then pairs of crossings.
+
+use glam::DVec3;
+
+const LEAF: usize = 4;
+
+/// A tree over the triangles of a mesh whose vertices are in the camera; every ray starts at its origin.
+#[derive(Clone, Debug)]
+pub struct MeshTree {
+    nodes: Vec<Node>,
+    triangles: Vec<[DVec3; 3]>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Node {
+    lo: DVec3,
+    hi: DVec3,
+    /// First triangle of a leaf, or index of the second child (the first follows its parent).
+    first: usize,
+    /// Triangles of a leaf; 0 for an inner node.
+    count: usize,
+}
+
+impl MeshTree {
+    /// Builds the tree by halving at the median.
+    #[must_use]
+    pub fn new(vertices: &[DVec3], triangles: &[[u32; 3]]) -> Self {
+        let mut tree = Self { nodes: Vec::new(), triangles: triangles.iter().map(|t| t.map(|i| vertices[i as usize])).collect() };
+        if !tree.triangles.is_empty() {
+            tree.build(0, triangles.len());
+        }
+        tree
+    }
+
+    fn build(&mut self, from: usize, to: usize) {
+        let corners = self.triangles[from..to].iter().flatten();
+        let (lo, hi) = corners.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(lo, hi), v| (lo.min(*v), hi.max(*v)));
+        let index = self.nodes.len();
+        self.nodes.push(Node { lo, hi, first: from, count: to - from });
+        if to - from <= LEAF {
+            return;
+        }
+        let axis = (hi - lo).max_position();
+        let middle = usize::midpoint(from, to);
+        let centre = |t: &[DVec3; 3]| t[0][axis] + t[1][axis] + t[2][axis];
+        self.triangles[from..to].select_nth_unstable_by(middle - from, |a, b| centre(a).total_cmp(&centre(b)));
+        self.build(from, middle);
+        self.nodes[index].first = self.nodes.len();
+        self.nodes[index].count = 0;
+        self.build(middle, to);
+    }
+
+    /// Adds to `spans` where the ray t · `direction`, t > −∞, is inside, by pairing entries and exits.
+    // Edges are tested by the sign of a product that both neighbours compute from the same two vertices, so that no ray slips
+    // between triangles (watertight, Plücker form); the winding number, not parity, survives faces that touch.
+    pub fn inside(&self, direction: DVec3, spans: &mut Vec<(f64, f64)>) {
+        let mut crossings: Vec<(f64, i32)> = Vec::new();
+        let mut stack = vec![0usize];
+        while let Some(index) = stack.pop() {
+            let Some(node) = self.nodes.get(index) else { continue };
+            if super::shapes::cuboid(DVec3::ZERO, direction, node.lo - 1e-9, node.hi + 1e-9).is_none() {
+                continue;
+            }
+            if node.count == 0 {
+                stack.push(node.first);
+                stack.push(index + 1);
+                continue;
+            }
+            crossings.extend(self.triangles[node.first..node.first + node.count].iter().filter_map(|t| cross(t, direction)));
+        }
+        crossings.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut winding = 0;
+        let mut start = 0.0;
+        for (t, sign) in crossings {
+            let before = winding;
+            winding += sign;
+            if before == 0 {
+                start = t;
+            } else if winding == 0 && t > start {
+                spans.push((start, t));
+            }
+        }
+    }
+}
+
+/// Depth at which the ray through the origin crosses, and +1 where it enters (against the outward normal), −1 where it leaves.
+fn cross([a, b, c]: &[DVec3; 3], direction: DVec3) -> Option<(f64, i32)> {
+    // Each edge's product is formed with its vertices in one fixed order, so that neighbours agree to the last bit.
+    let edge = |p: DVec3, q: DVec3| {
+        let swap = (p.x, p.y, p.z) > (q.x, q.y, q.z);
+        let value = if swap { -direction.dot(q.cross(p)) } else { direction.dot(p.cross(q)) };
+        // A ray exactly through an edge belongs to the side on which the ordered product counts as positive.
+        if value == 0.0 { if swap { -f64::MIN_POSITIVE } else { f64::MIN_POSITIVE } } else { value }
+    };
+    let (ab, bc, ca) = (edge(*a, *b), edge(*b, *c), edge(*c, *a));
+    let leaves = ab > 0.0 && bc > 0.0 && ca > 0.0;
+    let enters = ab < 0.0 && bc < 0.0 && ca < 0.0;
+    if !(leaves || enters) {
+        return None;
+    }
+    let normal = (*b - *a).cross(*c - *a);
+    let t = normal.dot(*a) / normal.dot(direction);
+    t.is_finite().then_some((t, if enters { 1 } else { -1 }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn cube(centre: DVec3, half: f64) -> (Vec<DVec3>, Vec<[u32; 3]>) {
+        let corner = |i: usize| DVec3::new((i & 1) as f64, (i >> 1 & 1) as f64, (i >> 2) as f64) * 2.0 - 1.0;
+        let vertices = (0..8).map(|i| centre + corner(i) * half).collect();
+        let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+        let triangles = quads.iter().flat_map(|q| [[q[0], q[1], q[2]], [q[0], q[2], q[3]]]).collect();
+        (vertices, triangles)
+    }
+
+    #[test]
+    fn rays_through_faces_edges_and_corners_of_a_cube_agree_with_the_box() {
+        let (vertices, triangles) = cube(DVec3::new(0.0, 0.0, 100.0), 10.0);
+        let tree = MeshTree::new(&vertices, &triangles);
+        let mut cases = 0;
+        for u in -12..=12 {
+            for v in -12..=12 {
+                let direction = DVec3::new(f64::from(u) * 0.01, f64::from(v) * 0.01, 1.0);
+                let mut spans = Vec::new();
+                tree.inside(direction, &mut spans);
+                let found: f64 = spans.iter().map(|(a, b)| b - a).sum();
+                let expected = super::super::shapes::cuboid(DVec3::new(0.0, 0.0, -100.0), direction, DVec3::splat(-10.0), DVec3::splat(10.0))
+                    .map_or(0.0, |(a, b)| b - a);
+                assert!((found - expected).abs() < 1e-9, "({u}, {v}): {found} and {expected}");
+                cases += 1;
+            }
+        }
+        assert_eq!(cases, 625);
+    }
+}

@@ -1,0 +1,206 @@
+//! The plan: a plain description of what will be executed. Live logs it, replay executes it again without planning.
+
+use serde::{Deserialize, Serialize};
+
+use super::Quantity;
+use crate::scene::model::{Formation, Matter, Noise, Response, Scene};
+
+/// Which of the two executors.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Executor {
+    /// The twins in native code, on all cores.
+    Cpu,
+    /// The shaders.
+    Wgsl,
+    /// The independent f64 yardstick.
+    Reference,
+}
+
+impl Executor {
+    /// Bound of |Δ line_integral| / max(1, line_integral), noise off.
+    #[must_use]
+    pub fn stated_error(self) -> f64 {
+        match self {
+            // f64 geometry, f32 interpolation weights and exponentials: 1e-6 typically, ten times that at 50 nepers.
+            Self::Cpu => 2e-5,
+            // f32 throughout: positions to 2e-5 mm, summed over hundreds of cells and metal edges.
+            Self::Wgsl => 5e-4,
+            Self::Reference => 1e-9,
+        }
+    }
+}
+
+/// How volumes are sampled.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Sampling {
+    /// Cell by cell, the trilinear field integrated exactly in each.
+    ExactCells,
+    /// There is no volume.
+    None,
+}
+
+/// An energy with its share of the photons.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Node {
+    /// Energy.
+    pub energy_kev: f64,
+    /// Share φ; the shares add up to 1.
+    pub fraction: f64,
+}
+
+/// What is modelled or left out, and why.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Choice {
+    /// The ingredient.
+    pub what: String,
+    /// Whether it is modelled.
+    pub modelled: bool,
+    /// Why.
+    pub why: String,
+}
+
+/// Everything that decides what an image looks like, apart from the scene.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Plan {
+    /// Which executor.
+    pub executor: Executor,
+    /// What is made.
+    pub quantity: Quantity,
+    /// Columns, rows.
+    pub size_px: [u32; 2],
+    /// Image formation.
+    pub formation: Formation,
+    /// How volumes are sampled.
+    pub sampling: Sampling,
+    /// Names of the materials, one path image each.
+    pub materials: Vec<String>,
+    /// Energies at which Beer–Lambert is evaluated; empty for `area_density`.
+    pub energy_nodes: Vec<Node>,
+    /// Whether later objects displace earlier ones anywhere.
+    pub displacement: bool,
+    /// `off`, `paper` or `true`.
+    pub noise: String,
+    /// Keys of the random numbers.
+    pub seed: u64,
+    /// See `seed`.
+    pub frame_index: u32,
+    /// Bound of |Δ line_integral| / max(1, line_integral), noise off.
+    pub stated_error: f64,
+    /// What is modelled, what is left out.
+    pub choices: Vec<Choice>,
+}
+
+impl Plan {
+    /// Chooses what `scene` needs and nothing else.
+    #[must_use]
+    pub fn new(scene: &Scene, size_px: [u32; 2], quantity: Quantity, executor: Executor, frame_index: u32) -> Self {
+        let mut choices = Vec::new();
+        let mut choose = |what: &str, modelled: bool, why: String| {
+            choices.push(Choice { what: what.to_owned(), modelled, why });
+        };
+        let volumes = scene.objects.iter().filter(|object| matches!(object.matter, Matter::Volume(_))).count();
+        let shapes: usize = scene.objects.iter().map(|object| if let Matter::Solids(s) = &object.matter { s.len() } else { 0 }).sum();
+        let meshes = scene.objects.iter().filter(|object| matches!(object.matter, Matter::Mesh(_))).count();
+        let displacement = volumes + shapes + meshes > 1;
+        choose(
+            "displacement",
+            displacement,
+            if displacement {
+                format!("{volumes} volumes, {shapes} shapes, {meshes} meshes: later ones mask earlier ones along the same ray, exactly")
+            } else {
+                "there is nothing that could displace anything".to_owned()
+            },
+        );
+        choose("path images", true, format!("one for each of {} materials", scene.materials.len()));
+        if volumes > 0 {
+            choose("volumes", true, "cell by cell, exact for the trilinear field; empty bricks of 8x8x8 cells are crossed at once".into());
+        }
+        if shapes > 0 {
+            choose("shapes", true, format!("{shapes} intersected exactly, each only inside its bounds on the screen"));
+        }
+        let area = quantity == Quantity::AreaDensity;
+        let nodes: Vec<Node> = if area {
+            Vec::new()
+        } else {
+            let bins = scene.beam.spectrum.bins.iter().filter(|bin| bin.fluence > 0.0);
+            bins.map(|bin| Node { energy_kev: bin.energy_kev, fraction: bin.fluence }).collect()
+        };
+        if area {
+            choose("spectrum", false, "area density does not depend on energy".into());
+        } else if scene.model.formation == Formation::Naive {
+            choose("spectrum", false, "naive formation: one mean attenuation for every material (Eq. 8)".into());
+        } else {
+            let all = scene.beam.spectrum.bins.len();
+            choose("spectrum", true, format!("{} of {all} bins hold photons, each is evaluated", nodes.len()));
+        }
+        let noisy = noise_applies(scene, quantity);
+        let noise = match (noisy, scene.model.noise) {
+            (false, _) | (_, Noise::Off) => "off",
+            (true, Noise::Paper) => "paper",
+            (true, Noise::True) => "true",
+        };
+        let why_no_noise = if scene.model.noise == Noise::Off {
+            "not asked for: no random numbers are drawn"
+        } else if area {
+            "area density is noise-free"
+        } else {
+            "naive formation has no noise"
+        };
+        choose(
+            "quantum noise",
+            noisy,
+            if noisy { format!("'{noise}', {} photons a pixel", scene.beam.photons_per_pixel) } else { why_no_noise.to_owned() },
+        );
+        let kernel = noisy && scene.detector.crosstalk.len() > 1;
+        choose("crosstalk", kernel, if kernel { "correlates the quantum noise".into() } else { "no kernel, or no noise".to_owned() });
+        let readout = noisy && scene.detector.readout_noise.is_some();
+        choose("readout noise", readout, if readout { "of the detector".into() } else { "not given, or no noise".to_owned() });
+        choose("scatter", false, "not available in this version".into());
+        choose("blur of focal spot and scintillator", false, "not available in this version".into());
+        Self {
+            executor,
+            quantity,
+            size_px,
+            formation: scene.model.formation,
+            sampling: if volumes > 0 { Sampling::ExactCells } else { Sampling::None },
+            materials: scene.materials.iter().map(|material| material.name.clone()).collect(),
+            energy_nodes: nodes,
+            displacement,
+            noise: noise.to_owned(),
+            seed: scene.model.seed,
+            frame_index,
+            stated_error: executor.stated_error(),
+            choices,
+        }
+    }
+
+    /// What `--explain` prints: what is modelled, what is left out and why.
+    #[must_use]
+    pub fn explain(&self) -> String {
+        use std::fmt::Write as _;
+        let mut text = format!("plan: {:?} executor, {} x {} px, {:?}\n", self.executor, self.size_px[0], self.size_px[1], self.quantity);
+        for (title, wanted) in [("modelled", true), ("left out", false)] {
+            let _ = writeln!(text, "{title}:");
+            for choice in self.choices.iter().filter(|choice| choice.modelled == wanted) {
+                let _ = writeln!(text, "  {}: {}", choice.what, choice.why);
+            }
+        }
+        let _ = writeln!(text, "stated error: {:.0e} of max(1, line integral), noise aside", self.stated_error);
+        text
+    }
+}
+
+/// Whether random numbers are drawn.
+pub(super) fn noise_applies(scene: &Scene, quantity: Quantity) -> bool {
+    scene.model.noise != Noise::Off && quantity != Quantity::AreaDensity && scene.model.formation == Formation::Deepdrr
+}
+
+/// r_k of a node.
+pub(super) fn response(scene: &Scene, node: &Node) -> f64 {
+    match scene.detector.response {
+        Response::Energy => node.energy_kev,
+        Response::Counting => 1.0,
+    }
+}

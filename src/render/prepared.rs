@@ -1,0 +1,228 @@
+//! A scene seen from one view, flattened for the executors: what to do along a ray, last object first.
+
+use std::sync::Arc;
+
+use glam::{DAffine3, DMat3, DVec3};
+
+use super::RenderError;
+use super::cells::Cells;
+use crate::geometry::View;
+use crate::scene::model::{Matter, Mesh, Scene, Solid, Volume};
+
+/// Screen bounds: first and one past the last column and row.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Bounds {
+    /// First column and row.
+    pub from: [u32; 2],
+    /// One past the last.
+    pub to: [u32; 2],
+}
+
+impl Bounds {
+    /// Whether the two share a pixel.
+    #[must_use]
+    pub fn meets(&self, other: &Self) -> bool {
+        (0..2).all(|axis| self.from[axis] < other.to[axis] && other.from[axis] < self.to[axis])
+    }
+
+    /// Whether no pixel is inside.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        (0..2).any(|axis| self.from[axis] >= self.to[axis])
+    }
+}
+
+/// A shape as the camera sees it.
+#[derive(Clone, Debug)]
+pub struct SeenSolid<'a> {
+    /// The shape.
+    pub solid: &'a Solid,
+    /// The focal spot in the shape's frame, mm.
+    pub source_in_local: DVec3,
+    /// Directions of the camera in the shape's frame.
+    pub local_from_camera: DMat3,
+    /// Centre of the bounding sphere in the camera, mm.
+    pub centre_in_camera: DVec3,
+    /// Where it can be seen.
+    pub bounds: Bounds,
+}
+
+/// A volume as the camera sees it.
+#[derive(Clone, Debug)]
+pub struct SeenVolume<'a> {
+    /// The volume.
+    pub volume: &'a Arc<Volume>,
+    /// Its cells.
+    pub cells: Arc<Cells>,
+    /// Kind of cells that hold air, if air is kept.
+    pub air_kind: Option<u8>,
+    /// `cell` coordinates (voxel + 1) of points in the camera, mm.
+    pub cell_from_camera: DAffine3,
+}
+
+/// A mesh as the camera sees it.
+#[derive(Clone, Debug)]
+pub struct SeenMesh<'a> {
+    /// The mesh.
+    pub mesh: &'a Mesh,
+    /// Vertices in the camera, mm.
+    pub vertices_in_camera: Vec<DVec3>,
+    /// Where it can be seen.
+    pub bounds: Bounds,
+}
+
+/// One thing to do along a ray.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Step {
+    /// Index into `Prepared::solids`.
+    Solid(usize),
+    /// Index into `Prepared::meshes`.
+    Mesh(usize),
+    /// Index into `Prepared::volumes`; everything but its air.
+    Volume(usize),
+    /// Index into `Prepared::volumes`; its air, which displaces nothing and is displaced by everything.
+    VolumeAir(usize),
+}
+
+/// A scene seen from one view.
+#[derive(Clone, Debug)]
+pub struct Prepared<'a> {
+    /// The view.
+    pub view: View,
+    /// Depth of the detector plane in mm; matter beyond it is not seen.
+    pub detector_mm: f64,
+    /// Materials of the scene.
+    pub material_count: usize,
+    /// Shapes in scene order.
+    pub solids: Vec<SeenSolid<'a>>,
+    /// Volumes in scene order.
+    pub volumes: Vec<SeenVolume<'a>>,
+    /// Meshes in scene order.
+    pub meshes: Vec<SeenMesh<'a>>,
+    /// In the order in which they claim the ray: the last object first, air last.
+    pub steps: Vec<Step>,
+}
+
+impl<'a> Prepared<'a> {
+    /// Looks at `scene` from `view`; `cells_of` supplies the prepared cells of a volume.
+    ///
+    /// # Errors
+    /// When the view has no pixels, or the detector has no distance.
+    pub fn new(
+        scene: &'a Scene,
+        view: View,
+        mut cells_of: impl FnMut(&'a Arc<Volume>, &str) -> Result<Arc<Cells>, RenderError>,
+    ) -> Result<Self, RenderError> {
+        let detector_mm = view.intrinsics.source_to_detector_mm(scene.detector.pitch_mm);
+        if !(detector_mm > 0.0 && detector_mm.is_finite()) {
+            return Err(RenderError::DetectorDistance { fx: view.intrinsics.fx, pitch_mm: scene.detector.pitch_mm });
+        }
+        if view.size_px.contains(&0) {
+            return Err(RenderError::EmptyView { width: view.size_px[0], height: view.size_px[1] });
+        }
+        let is_air = |material: usize| scene.is_air(material);
+        let mut prepared = Self {
+            view,
+            detector_mm,
+            material_count: scene.materials.len(),
+            solids: Vec::new(),
+            volumes: Vec::new(),
+            meshes: Vec::new(),
+            steps: Vec::new(),
+        };
+        let mut air_steps = Vec::new();
+        for object in &scene.objects {
+            match &object.matter {
+                Matter::Solids(solids) => {
+                    for solid in solids.iter().filter(|solid| solid.density_g_per_cm3 > 0.0) {
+                        let step = Step::Solid(prepared.solids.len());
+                        prepared.solids.push(see_solid(solid, &view));
+                        if is_air(solid.material) { air_steps.push(step) } else { prepared.steps.push(step) }
+                    }
+                }
+                Matter::Volume(volume) => {
+                    let cells = cells_of(volume, &object.name)?;
+                    let air = cells.materials.iter().position(|material| is_air(*material));
+                    let index = prepared.volumes.len();
+                    prepared.volumes.push(SeenVolume {
+                        volume,
+                        air_kind: air.map(|material| material as u8 + 1),
+                        cell_from_camera: cell_from_camera(volume, &view),
+                        cells,
+                    });
+                    prepared.steps.push(Step::Volume(index));
+                    if air.is_some() {
+                        air_steps.push(Step::VolumeAir(index));
+                    }
+                }
+                Matter::Mesh(mesh) if mesh.density_g_per_cm3 > 0.0 => {
+                    let step = Step::Mesh(prepared.meshes.len());
+                    prepared.meshes.push(see_mesh(mesh, &view));
+                    if is_air(mesh.material) { air_steps.push(step) } else { prepared.steps.push(step) }
+                }
+                Matter::Mesh(_) => {}
+            }
+        }
+        prepared.steps.reverse();
+        prepared.steps.extend(air_steps.into_iter().rev());
+        Ok(prepared)
+    }
+}
+
+/// `cell` coordinates of points in the camera.
+fn cell_from_camera(volume: &Volume, view: &View) -> DAffine3 {
+    let lps_from_camera = view.camera_from_lps.inverse();
+    let lps_from_camera = DAffine3::from_rotation_translation(lps_from_camera.rotation, lps_from_camera.translation_mm);
+    DAffine3::from_translation(DVec3::ONE) * volume.lps_from_voxel.inverse() * lps_from_camera
+}
+
+fn see_solid<'a>(solid: &'a Solid, view: &View) -> SeenSolid<'a> {
+    let local_from_lps = solid.lps_from_local.inverse();
+    let lps_from_camera = view.camera_from_lps.inverse();
+    let (centre, radius_mm) = solid.shape.bounding_sphere();
+    let centre_in_camera = view.camera_from_lps.transform_point(solid.lps_from_local.transform_point(centre));
+    SeenSolid {
+        solid,
+        source_in_local: local_from_lps.transform_point(lps_from_camera.translation_mm),
+        local_from_camera: DMat3::from_quat((local_from_lps.rotation * lps_from_camera.rotation).normalize()),
+        centre_in_camera,
+        bounds: sphere_bounds(view, centre_in_camera, radius_mm),
+    }
+}
+
+fn see_mesh<'a>(mesh: &'a Mesh, view: &View) -> SeenMesh<'a> {
+    let vertices_in_camera: Vec<DVec3> =
+        mesh.vertices_lps_mm.iter().map(|vertex| view.camera_from_lps.transform_point(*vertex)).collect();
+    let (lo, hi) = vertices_in_camera.iter().fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(lo, hi), v| (lo.min(*v), hi.max(*v)));
+    SeenMesh { mesh, vertices_in_camera, bounds: sphere_bounds(view, 0.5 * (lo + hi), 0.5 * (hi - lo).length()) }
+}
+
+/// Pixels whose rays can meet a sphere; generous by a pixel.
+// In the x–z plane the tangents leave at θ ± α, θ = atan2(x, z), sin α = r / √(x² + z²); likewise in y–z. Where a tangent
+// points 90° or more away from the axis the image is unbounded on that side.
+pub(super) fn sphere_bounds(view: &View, centre: DVec3, radius_mm: f64) -> Bounds {
+    let k = &view.intrinsics;
+    let range = |across: f64| -> Option<(f64, f64)> {
+        let distance = across.hypot(centre.z);
+        if !(distance > radius_mm) {
+            return Some((f64::NEG_INFINITY, f64::INFINITY));
+        }
+        let (theta, alpha) = (across.atan2(centre.z), (radius_mm / distance).asin());
+        let right_angle = std::f64::consts::FRAC_PI_2;
+        if theta - alpha >= right_angle || theta + alpha <= -right_angle {
+            return None;
+        }
+        let low = if theta - alpha <= -right_angle { f64::NEG_INFINITY } else { (theta - alpha).tan() };
+        let high = if theta + alpha >= right_angle { f64::INFINITY } else { (theta + alpha).tan() };
+        Some((low, high))
+    };
+    let nothing = Bounds { from: [0, 0], to: [0, 0] };
+    let (Some(x), Some(y)) = (range(centre.x), range(centre.y)) else { return nothing };
+    let skewed = if k.skew == 0.0 { (0.0, 0.0) } else { (k.skew * y.0, k.skew * y.1) };
+    let u = (k.fx * x.0 + skewed.0.min(skewed.1) + k.cx, k.fx * x.1 + skewed.0.max(skewed.1) + k.cx);
+    let v = (k.fy * y.0 + k.cy, k.fy * y.1 + k.cy);
+    let first = |low: f64, n: u32| (low - 1.0).floor().clamp(0.0, f64::from(n)) as u32;
+    let last = |high: f64, n: u32| (high + 2.0).ceil().clamp(0.0, f64::from(n)) as u32;
+    let [width, height] = view.size_px;
+    Bounds { from: [first(u.0, width), first(v.0, height)], to: [last(u.1, width), last(v.1, height)] }
+}

@@ -1,0 +1,88 @@
+//! `IMAGE.tif` with `IMAGE.tif.json` beside it, and `IMAGE.tif.valid.png` when some pixel is invalid.
+
+use std::path::{Path, PathBuf};
+
+use super::{Quantity, RenderError, Rendered};
+use crate::image::{Image, ImageFileError, write_atomically, write_png_rgb, write_tiff_f32};
+use crate::scene::model::Scene;
+
+/// Writes the pages as 32-bit float TIFF, and beside them what they are and where they come from.
+///
+/// # Errors
+/// When an output would replace an input of the scene, or a file cannot be written.
+pub fn write_image(path: &Path, rendered: &Rendered, scene: &Scene) -> Result<(), RenderError> {
+    let json_path = beside(path, "json");
+    let mask_path = beside(path, "valid.png");
+    for output in [path, &json_path, &mask_path] {
+        refuse_input(output, scene)?;
+    }
+    let invalid = rendered.valid.pixels.iter().filter(|valid| **valid == 0).count();
+    let share_invalid = invalid as f64 / rendered.valid.pixels.len().max(1) as f64;
+    write_tiff_f32(path, &rendered.pages)?;
+    if invalid > 0 {
+        write_png_rgb(&mask_path, &rendered.valid.map(|valid| [if *valid == 1 { 255 } else { 0 }; 3]))?;
+    }
+    let text = serde_json::to_string_pretty(&description(rendered, scene, share_invalid)).expect("plain data");
+    write_atomically(&json_path, |file| file.write_all(text.as_bytes()))?;
+    Ok(())
+}
+
+/// `IMAGE.tif` → `IMAGE.tif.suffix`.
+fn beside(path: &Path, suffix: &str) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(".");
+    name.push(suffix);
+    PathBuf::from(name)
+}
+
+fn refuse_input(output: &Path, scene: &Scene) -> Result<(), RenderError> {
+    let Ok(output_real) = output.canonicalize() else { return Ok(()) };
+    match scene.inputs.iter().find(|input| Path::new(&input.path).canonicalize().is_ok_and(|real| real == output_real)) {
+        Some(input) => Err(RenderError::WouldOverwrite { path: output.display().to_string(), input: input.path.clone() }),
+        None => Ok(()),
+    }
+}
+
+fn description(rendered: &Rendered, scene: &Scene, share_invalid: f64) -> serde_json::Value {
+    let unit = match rendered.quantity {
+        Quantity::Intensity => "1 (unattenuated signal)",
+        Quantity::LineIntegral => "neper",
+        Quantity::AreaDensity => "g/cm2",
+        Quantity::Counts => match scene.detector.response {
+            crate::scene::model::Response::Energy => "keV times gain, plus offset",
+            crate::scene::model::Response::Counting => "photons times gain, plus offset",
+        },
+    };
+    let pages: Vec<&str> = match rendered.quantity {
+        Quantity::AreaDensity => scene.materials.iter().map(|material| material.name.as_str()).collect(),
+        _ => vec![rendered.quantity.name()],
+    };
+    serde_json::json!({
+        "quantity": rendered.quantity,
+        "unit": unit,
+        "pages": pages,
+        "size_px": [rendered.valid.width, rendered.valid.height],
+        "stated_error": rendered.stated_error,
+        "share_invalid": share_invalid,
+        "notes": rendered.notes,
+        "stages_ms": rendered.stages,
+        "plan": rendered.plan,
+        "inputs": scene.inputs,
+        "version": env!("CARGO_PKG_VERSION"),
+        "adapter": rendered.adapter,
+    })
+}
+
+/// An 8-bit picture for eyes: the 0.5th to 99.5th percentile of the first page from black to white.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write_picture(path: &Path, rendered: &Rendered) -> Result<(), ImageFileError> {
+    let page = rendered.pages.first().cloned().unwrap_or(Image { width: 0, height: 0, pixels: Vec::new() });
+    let mut sorted: Vec<f32> = page.pixels.iter().copied().filter(|value| value.is_finite()).collect();
+    sorted.sort_unstable_by(f32::total_cmp);
+    let at = |share: f64| sorted.get(((sorted.len().saturating_sub(1)) as f64 * share) as usize).copied().unwrap_or(0.0);
+    let (low, high) = (at(0.005), at(0.995));
+    let scale = if high > low { 255.0 / (high - low) } else { 0.0 };
+    write_png_rgb(path, &page.map(|value| [((value - low) * scale).clamp(0.0, 255.0) as u8; 3]))
+}

@@ -1,0 +1,104 @@
+//! `beam` and `detector` of a scene file.
+
+use super::SceneError;
+use super::file::{BeamFile, DetectorFile};
+use super::files::Files;
+use super::model::{Beam, Detector, Response};
+use super::physics::{Material, PhysicsError, Spectrum};
+use crate::reporter::Reporter;
+
+/// N₀ where the scene gives none: the paper's.
+const PHOTONS_PER_PIXEL: f64 = 5e5;
+/// Anode angle where the scene gives none.
+const ANODE_ANGLE_DEG: f64 = 12.0;
+
+/// The spectrum behind its filters, and N₀.
+pub(super) fn beam(file: &BeamFile, files: &mut Files, reporter: &Reporter) -> Result<Beam, SceneError> {
+    let keys = |detail: &str, files: &Files| SceneError::Keys { place: files.place("beam"), detail: detail.to_owned() };
+    let sources = [file.tube_kvp.is_some(), file.mono_kev.is_some(), file.spectrum_csv.is_some()];
+    if sources.iter().filter(|there| **there).count() != 1 {
+        return Err(keys("expected exactly one of tube_kvp, mono_kev, spectrum_csv", files));
+    }
+    if file.anode_angle_deg.is_some() && file.tube_kvp.is_none() {
+        return Err(keys("anode_angle_deg goes with tube_kvp only", files));
+    }
+    let mut filtration = Vec::with_capacity(file.filtration_mm.len());
+    for (name, thickness_mm) in &file.filtration_mm {
+        let place = || files.place(&format!("beam.filtration_mm.{name}"));
+        let material = Material::parse(name).map_err(|source| SceneError::Physics { place: place(), source })?;
+        material.nominal_density_g_per_cm3().map_err(|source| SceneError::Physics { place: place(), source })?;
+        if !(*thickness_mm >= 0.0 && thickness_mm.is_finite()) {
+            let source = PhysicsError::Filter { material: name.clone(), thickness_mm: *thickness_mm };
+            return Err(SceneError::Physics { place: place(), source });
+        }
+        filtration.push((material, *thickness_mm));
+    }
+    let (key, spectrum) = if let Some(kvp) = file.tube_kvp {
+        let angle_deg = file.anode_angle_deg.unwrap_or(ANODE_ANGLE_DEG);
+        if file.filtration_mm.is_empty() {
+            reporter.note("beam: no filtration_mm given: the spectrum is that of the bare anode");
+        }
+        ("beam.tube_kvp", Spectrum::tungsten(kvp, angle_deg, &filtration))
+    } else if let Some(energy_kev) = file.mono_kev {
+        let filtered = Spectrum::mono(energy_kev).and_then(|spectrum| spectrum.filtered(&filtration)?.normalised());
+        ("beam.mono_kev", filtered)
+    } else {
+        let name = file.spectrum_csv.clone().unwrap_or_default();
+        let path = files.find("beam.spectrum_csv", &name)?;
+        let filtered = Spectrum::from_csv(&path).and_then(|spectrum| spectrum.filtered(&filtration)?.normalised());
+        ("beam.spectrum_csv", filtered)
+    };
+    let spectrum = spectrum.map_err(|source| SceneError::Physics { place: files.place(key), source })?;
+    let photons_per_pixel = file.photons_per_pixel.unwrap_or(PHOTONS_PER_PIXEL);
+    check(
+        photons_per_pixel > 0.0 && photons_per_pixel <= 1e15,
+        files,
+        "beam.photons_per_pixel",
+        photons_per_pixel,
+        "above 0, at most 1e15",
+    )?;
+    Ok(Beam { spectrum, photons_per_pixel })
+}
+
+/// The detector; its pitch is NaN where the file gives none.
+pub(super) fn detector(file: &DetectorFile, files: &Files) -> Result<Detector, SceneError> {
+    if let Some(pitch_mm) = file.pitch_mm {
+        check(pitch_mm > 0.0 && pitch_mm <= 100.0, files, "detector.pitch_mm", pitch_mm, "above 0, at most 100 mm")?;
+    }
+    let gain = file.gain.unwrap_or(1.0);
+    check(gain > 0.0 && gain.is_finite(), files, "detector.gain", gain, "a positive number")?;
+    let offset = file.offset.unwrap_or(0.0);
+    check(offset.is_finite(), files, "detector.offset", offset, "a finite number")?;
+    if let Some(noise) = &file.readout_noise {
+        let key = "detector.readout_noise.sigma";
+        check(noise.sigma >= 0.0 && noise.sigma.is_finite(), files, key, noise.sigma, "0 or more")?;
+        let key = "detector.readout_noise.row_correlation";
+        check((0.0..1.0).contains(&noise.row_correlation), files, key, noise.row_correlation, "in [0, 1)")?;
+    }
+    let crosstalk = file.crosstalk.clone().unwrap_or_else(|| vec![vec![1.0]]);
+    let side = crosstalk.len();
+    if side.is_multiple_of(2) || side > 15 || crosstalk.iter().any(|row| row.len() != side) {
+        return Err(SceneError::Value {
+            place: files.place("detector.crosstalk"),
+            found: format!("{side} rows of {:?}", crosstalk.iter().map(Vec::len).collect::<Vec<_>>()),
+            expected: "an odd square, at most 15 by 15".to_owned(),
+        });
+    }
+    let sum: f64 = crosstalk.iter().flatten().sum();
+    check((sum - 1.0).abs() <= 1e-6, files, "the sum of detector.crosstalk", sum, "1 within 1e-6")?;
+    Ok(Detector {
+        response: file.response.unwrap_or(Response::Energy),
+        pitch_mm: file.pitch_mm.unwrap_or(f64::NAN),
+        crosstalk,
+        readout_noise: file.readout_noise,
+        gain,
+        offset,
+    })
+}
+
+fn check(good: bool, files: &Files, key: &str, found: f64, expected: &str) -> Result<(), SceneError> {
+    if good {
+        return Ok(());
+    }
+    Err(SceneError::Value { place: files.place(key), found: found.to_string(), expected: expected.to_owned() })
+}

@@ -1,0 +1,120 @@
+//! Where the files that a scene names are, and what they hashed to.
+
+use std::path::{Path, PathBuf};
+
+use serde::de::DeserializeOwned;
+
+use super::SceneError;
+use super::model::InputFile;
+use crate::image::{ImageFileError, sha256_bytes, sha256_file};
+
+/// Calibration files that come with the program, so that a scene can name them wherever it lies.
+const BUILT_IN: [(&str, &str); 3] = [
+    ("calibration/carm/nominal-mobile.json", include_str!("../../calibration/carm/nominal-mobile.json")),
+    ("calibration/carm/live-620x480.json", include_str!("../../calibration/carm/live-620x480.json")),
+    ("calibration/robot/cdm.json", include_str!("../../calibration/robot/cdm.json")),
+];
+
+/// Resolves names against the scene file's folder and keeps the list of inputs.
+#[derive(Debug)]
+pub(super) struct Files {
+    scene: PathBuf,
+    folder: PathBuf,
+    inputs: Vec<InputFile>,
+}
+
+impl Files {
+    /// For the scene file at `scene`.
+    pub(super) fn new(scene: &Path) -> Self {
+        Self { scene: scene.to_owned(), folder: scene.parent().map_or_else(PathBuf::new, Path::to_owned), inputs: Vec::new() }
+    }
+
+    /// `SCENE.json: key`, for messages.
+    pub(super) fn place(&self, key: &str) -> String {
+        format!("{}: {key}", self.scene.display())
+    }
+
+    /// The inputs so far.
+    pub(super) fn into_inputs(self) -> Vec<InputFile> {
+        self.inputs
+    }
+
+    /// The file `name`: absolute, or in the scene's folder, or (for `calibration/…`) in the current folder.
+    pub(super) fn find(&mut self, key: &str, name: &str) -> Result<PathBuf, SceneError> {
+        let beside = self.folder.join(name);
+        let mut looked = vec![shown_folder(&self.folder)];
+        let found = if beside.is_file() {
+            Some(beside)
+        } else if name.starts_with("calibration/") {
+            looked.push("the current folder".to_owned());
+            Some(PathBuf::from(name)).filter(|path| path.is_file())
+        } else {
+            None
+        };
+        let missing = || SceneError::Missing { place: self.place(key), path: name.to_owned(), looked: looked.join(" and ") };
+        let path = found.ok_or_else(missing)?;
+        let sha256 = sha256_file(&path).map_err(|error| io_error(&path, error))?;
+        self.remember(name, sha256);
+        Ok(path)
+    }
+
+    /// Reads one of our JSON files that the scene names; those that come with the program are found anywhere.
+    pub(super) fn read_json<T: DeserializeOwned>(&mut self, key: &str, name: &str) -> Result<T, SceneError> {
+        match self.find(key, name) {
+            Ok(path) => read_json(&path),
+            Err(missing @ SceneError::Missing { .. }) => match BUILT_IN.iter().find(|(known, _)| *known == name) {
+                Some((_, text)) => {
+                    self.remember(name, sha256_bytes(text.as_bytes()));
+                    parse_json(Path::new(name), text.as_bytes())
+                }
+                None => Err(missing),
+            },
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Notes an input once.
+    pub(super) fn remember(&mut self, name: &str, sha256: String) {
+        let input = InputFile { path: name.to_owned(), sha256 };
+        if !self.inputs.contains(&input) {
+            self.inputs.push(input);
+        }
+    }
+}
+
+fn shown_folder(folder: &Path) -> String {
+    if folder.as_os_str().is_empty() { "the current folder".to_owned() } else { folder.display().to_string() }
+}
+
+fn io_error(path: &Path, error: ImageFileError) -> SceneError {
+    let source = match error {
+        ImageFileError::Io { source, .. } => source,
+        other => std::io::Error::other(other.to_string()),
+    };
+    SceneError::Io { path: path.to_owned(), source }
+}
+
+/// Reads a file of ours, unknown keys being errors that name key and place.
+///
+/// # Errors
+/// When the file cannot be read or is not what it should be.
+pub(super) fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, SceneError> {
+    let bytes = std::fs::read(path).map_err(|source| SceneError::Io { path: path.to_owned(), source })?;
+    parse_json(path, &bytes)
+}
+
+/// [`read_json`] for bytes at hand.
+pub(super) fn parse_json<T: DeserializeOwned>(path: &Path, bytes: &[u8]) -> Result<T, SceneError> {
+    let mut deserializer = serde_json::Deserializer::from_slice(bytes);
+    let value = serde_path_to_error::deserialize(&mut deserializer).map_err(|error| {
+        let place = error.path().to_string();
+        let place = if place == "." { "the file".to_owned() } else { place };
+        SceneError::Json { path: path.to_owned(), place, detail: error.into_inner().to_string() }
+    })?;
+    deserializer.end().map_err(|error| SceneError::Json {
+        path: path.to_owned(),
+        place: "the end".to_owned(),
+        detail: error.to_string(),
+    })?;
+    Ok(value)
+}

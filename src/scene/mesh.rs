@@ -1,0 +1,184 @@
+//! STL surfaces: welded, checked for holes, turned the right way out.
+
+use std::collections::HashMap;
+use std::fs::File;
+use std::io::BufReader;
+use std::path::Path;
+
+use glam::DVec3;
+
+use super::SceneError;
+use super::model::Mesh;
+use crate::geometry::Rigid;
+use crate::reporter::Reporter;
+
+/// A closed surface in the frame of its file.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Surface {
+    /// Vertices, each position once.
+    pub vertices_mm: Vec<DVec3>,
+    /// Counter-clockwise seen from outside.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+/// Reads an STL file (binary or ASCII, mm) and makes sure that it encloses something: equal vertices are welded, degenerate triangles
+/// dropped, faces turned so that they agree and point outward; what was repaired is reported.
+///
+/// # Errors
+/// When the file is damaged, or the surface has holes.
+pub(super) fn read_surface(path: &Path, reporter: &Reporter) -> Result<Surface, SceneError> {
+    let wrong = |detail: String| SceneError::Mesh { path: path.to_owned(), detail };
+    let file = File::open(path).map_err(|source| SceneError::Io { path: path.to_owned(), source })?;
+    let mut reader = BufReader::new(file);
+    let damaged = |error: std::io::Error| wrong(format!("not a readable STL ({error})"));
+    let mut corners: Vec<[[f32; 3]; 3]> = Vec::new();
+    for triangle in stl_io::create_stl_reader(&mut reader).map_err(damaged)? {
+        corners.push(triangle.map_err(damaged)?.vertices.map(|vertex| vertex.0));
+    }
+    if !corners.iter().flatten().flatten().all(|x| x.is_finite()) {
+        return Err(wrong("a vertex is not finite".to_owned()));
+    }
+    let (surface, dropped) = weld(&corners);
+    if dropped > 0 {
+        reporter.note(format_args!("{}: {dropped} triangles without area are left out", path.display()));
+    }
+    if surface.triangles.is_empty() {
+        return Err(wrong("no triangle with an area".to_owned()));
+    }
+    close(surface, path, reporter)
+}
+
+/// Places a surface in the scene.
+pub(super) fn placed(surface: Surface, lps_from_mesh: &Rigid, material: usize, density_g_per_cm3: f64) -> Mesh {
+    Mesh {
+        vertices_lps_mm: surface.vertices_mm.iter().map(|p| lps_from_mesh.transform_point(*p)).collect(),
+        triangles: surface.triangles,
+        material,
+        density_g_per_cm3,
+    }
+}
+
+fn weld(corners: &[[[f32; 3]; 3]]) -> (Surface, usize) {
+    let mut vertices_mm = Vec::new();
+    let mut known: HashMap<[u32; 3], u32> = HashMap::new();
+    let mut triangles = Vec::with_capacity(corners.len());
+    for triangle in corners {
+        let indices = triangle.map(|position| {
+            // Adding zero makes −0 and 0 the same vertex.
+            *known.entry(position.map(|x| (x + 0.0).to_bits())).or_insert_with(|| {
+                vertices_mm.push(DVec3::from_array(position.map(f64::from)));
+                vertices_mm.len() as u32 - 1
+            })
+        });
+        let [a, b, c] = indices;
+        if a != b && b != c && c != a {
+            triangles.push(indices);
+        }
+    }
+    let dropped = corners.len() - triangles.len();
+    (Surface { vertices_mm, triangles }, dropped)
+}
+
+/// Edges of each triangle in its own direction.
+fn edges([a, b, c]: [u32; 3]) -> [(u32, u32); 3] {
+    [(a, b), (b, c), (c, a)]
+}
+
+fn close(mut surface: Surface, path: &Path, reporter: &Reporter) -> Result<Surface, SceneError> {
+    let wrong = |detail: String| SceneError::Mesh { path: path.to_owned(), detail };
+    let mut users: HashMap<(u32, u32), Vec<u32>> = HashMap::new();
+    for (index, triangle) in surface.triangles.iter().enumerate() {
+        for (a, b) in edges(*triangle) {
+            users.entry((a.min(b), a.max(b))).or_default().push(index as u32);
+        }
+    }
+    let odd = users.iter().filter(|(_, users)| users.len() % 2 == 1).map(|(edge, _)| *edge);
+    if let Some((a, b)) = odd.clone().min() {
+        let middle = (surface.vertices_mm[a as usize] + surface.vertices_mm[b as usize]) * 0.5;
+        let count = odd.count();
+        return Err(wrong(format!(
+            "the surface has holes: {count} open edges, one at ({:.2}, {:.2}, {:.2}) mm; close it and try again",
+            middle.x, middle.y, middle.z
+        )));
+    }
+    let turned = agree(&mut surface, &users).map_err(|count| {
+        wrong(format!("{count} edges are shared by faces that cannot be turned to agree (one-sided or crossing); repair it"))
+    })?;
+    if turned > 0 {
+        reporter
+            .warn("mesh", format_args!("{}: {turned} inverted faces were turned to agree with their neighbours", path.display()));
+    }
+    let volume: f64 = surface
+        .triangles
+        .iter()
+        .map(|triangle| {
+            let [a, b, c] = triangle.map(|index| surface.vertices_mm[index as usize]);
+            a.dot(b.cross(c)) / 6.0
+        })
+        .sum();
+    if !(volume != 0.0) {
+        return Err(wrong("the surface encloses no volume".to_owned()));
+    }
+    if volume < 0.0 {
+        surface.triangles.iter_mut().for_each(|triangle| triangle.swap(1, 2));
+        reporter.warn("mesh", format_args!("{}: all faces pointed inward and were turned", path.display()));
+    }
+    Ok(surface)
+}
+
+/// Whether each edge is walked as often in one direction as in the other.
+fn unbalanced(surface: &Surface) -> usize {
+    let mut balance: HashMap<(u32, u32), i32> = HashMap::new();
+    for triangle in &surface.triangles {
+        for (a, b) in edges(*triangle) {
+            *balance.entry((a.min(b), a.max(b))).or_default() += if a < b { 1 } else { -1 };
+        }
+    }
+    balance.values().filter(|sum| **sum != 0).count()
+}
+
+/// Turns faces, shell by shell, so that neighbours walk their common edge in opposite directions; the majority of a shell stays.
+/// Returns how many were turned, or how many edges cannot be made to agree.
+fn agree(surface: &mut Surface, users: &HashMap<(u32, u32), Vec<u32>>) -> Result<usize, usize> {
+    if unbalanced(surface) == 0 {
+        return Ok(0);
+    }
+    let count = surface.triangles.len();
+    let mut seen = vec![false; count];
+    let mut turn = vec![false; count];
+    let mut turned = 0;
+    for seed in 0..count {
+        if seen[seed] {
+            continue;
+        }
+        seen[seed] = true;
+        let mut shell = vec![seed];
+        let mut next = 0;
+        while next < shell.len() {
+            let face = shell[next];
+            next += 1;
+            for (a, b) in edges(surface.triangles[face]) {
+                let Some([x, y]) = users.get(&(a.min(b), a.max(b))).map(Vec::as_slice) else { continue };
+                let other = if *x as usize == face { *y } else { *x } as usize;
+                if !seen[other] {
+                    seen[other] = true;
+                    let same_direction = edges(surface.triangles[other]).contains(&(a, b));
+                    turn[other] = turn[face] ^ same_direction;
+                    shell.push(other);
+                }
+            }
+        }
+        let to_turn = shell.iter().filter(|face| turn[**face]).count();
+        let flip_majority = to_turn * 2 > shell.len();
+        for face in shell {
+            if turn[face] ^ flip_majority {
+                surface.triangles[face].swap(1, 2);
+                turned += 1;
+            }
+        }
+    }
+    match unbalanced(surface) {
+        0 => Ok(turned),
+        count => Err(count),
+    }
+}

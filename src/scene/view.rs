@@ -1,0 +1,80 @@
+//! `view` of a scene file: K and pose, or P, or C-arm joints.
+
+use super::SceneError;
+use super::file::ViewFile;
+use super::files::Files;
+use crate::geometry::{CarmCalibration, CarmJoints, View};
+
+/// Largest raster along one axis.
+const MAX_SIZE_PX: u32 = 32_768;
+
+/// What a view says: the camera, and the pitch where a calibration gives one.
+pub(super) struct Resolved {
+    pub view: View,
+    pub pitch_mm: Option<f64>,
+}
+
+pub(super) fn resolve(file: &ViewFile, files: &mut Files) -> Result<Resolved, SceneError> {
+    let given = [
+        ("intrinsics", file.intrinsics.is_some()),
+        ("camera_from_lps", file.camera_from_lps.is_some()),
+        ("projection", file.projection.is_some()),
+        ("carm", file.carm.is_some()),
+        ("calibration", file.calibration.is_some()),
+        ("world_from_lps", file.world_from_lps.is_some()),
+    ];
+    let keys: Vec<&str> = given.iter().filter(|(_, there)| *there).map(|(key, _)| *key).collect();
+    let resolved = if let (Some(intrinsics), Some(camera_from_lps), 2) = (file.intrinsics, file.camera_from_lps, keys.len()) {
+        let size_px = file.size_px.ok_or_else(|| no_size(files))?;
+        Resolved { view: View { size_px, intrinsics, camera_from_lps }, pitch_mm: None }
+    } else if let (Some(projection), 1) = (file.projection, keys.len()) {
+        let size_px = file.size_px.ok_or_else(|| no_size(files))?;
+        let camera = |source| SceneError::Camera { place: files.place("view.projection"), source };
+        let (intrinsics, camera_from_lps) = projection.decompose().map_err(camera)?;
+        Resolved { view: View { size_px, intrinsics, camera_from_lps }, pitch_mm: None }
+    } else if let (Some(joints), Some(name), Some(world_from_lps), 3) =
+        (file.carm, &file.calibration, file.world_from_lps, keys.len())
+    {
+        let calibration: CarmCalibration = files.read_json("view.calibration", name)?;
+        // Joints that a scene leaves out stand at zero; the distance then comes from the calibration.
+        let mut values = joints.to_array();
+        values[..6].iter_mut().filter(|value| !value.is_finite()).for_each(|value| *value = 0.0);
+        let joints = CarmJoints::from_array(values);
+        let carm = |source| SceneError::Carm { place: files.place("view.carm"), source };
+        let camera_from_world = calibration.world_from_camera(&joints).map_err(carm)?.inverse();
+        let intrinsics = calibration.intrinsics(&joints).map_err(carm)?;
+        let calibrated_px = [calibration.columns_px, calibration.rows_px];
+        let size_px = file.size_px.unwrap_or(calibrated_px);
+        if size_px != calibrated_px {
+            return Err(SceneError::Value {
+                place: files.place("view.size_px"),
+                found: format!("{size_px:?}"),
+                expected: format!("{calibrated_px:?} of {name}, or no size"),
+            });
+        }
+        Resolved {
+            view: View { size_px, intrinsics, camera_from_lps: camera_from_world * world_from_lps },
+            pitch_mm: Some(calibration.pitch_mm),
+        }
+    } else {
+        return Err(SceneError::Keys {
+            place: files.place("view"),
+            detail: format!(
+                "found {}; expected intrinsics and camera_from_lps, or projection, or carm, calibration and world_from_lps",
+                if keys.is_empty() { "no camera".to_owned() } else { keys.join(", ") }
+            ),
+        });
+    };
+    if !resolved.view.size_px.iter().all(|n| (1..=MAX_SIZE_PX).contains(n)) {
+        return Err(SceneError::Value {
+            place: files.place("view.size_px"),
+            found: format!("{:?}", resolved.view.size_px),
+            expected: format!("[columns, rows], each from 1 to {MAX_SIZE_PX}"),
+        });
+    }
+    Ok(resolved)
+}
+
+fn no_size(files: &Files) -> SceneError {
+    SceneError::Keys { place: files.place("view"), detail: "size_px is missing; expected [columns, rows]".to_owned() }
+}

@@ -1,0 +1,252 @@
+//! NIfTI-1 volumes: voxels, and where they lie in `lps`.
+
+use std::fs::File;
+use std::io::{BufRead, BufReader, Read};
+use std::path::Path;
+
+use ::nifti::{Endianness, NiftiHeader, NiftiType};
+use glam::{DAffine3, DMat3, DVec3};
+
+use super::SceneError;
+use crate::reporter::Reporter;
+
+/// A volume as its file has it, in `lps` and mm.
+#[derive(Clone, Debug)]
+pub struct VolumeFile {
+    /// Voxels along i, j, k.
+    pub size: [usize; 3],
+    /// Continuous voxel index to `lps`.
+    pub lps_from_voxel: DAffine3,
+    /// Scaled values, i fastest.
+    pub values: Vec<f32>,
+    /// Which form placed it: `sform`, `qform`, or `spacing only`.
+    pub placed_by: &'static str,
+    /// Distance of voxel centres along i, j, k.
+    pub spacing_mm: [f64; 3],
+}
+
+/// Voxel sizes outside this are probably metres or microns taken for millimetres.
+const PLAUSIBLE_SPACING_MM: (f64, f64) = (0.005, 20.0);
+
+/// Reads a NIfTI-1 volume (`.nii` or `.nii.gz`). sform before qform before spacing alone; RAS becomes LPS; metres and microns become mm.
+///
+/// # Errors
+/// When the file cannot be read, is damaged or cut short, is no single volume of numbers, holds NaN or infinity, or lies nowhere.
+pub fn read_volume(path: &Path, reporter: &Reporter) -> Result<VolumeFile, SceneError> {
+    let wrong = |detail: String| SceneError::Volume { path: path.to_owned(), detail };
+    let io = |source: std::io::Error| SceneError::Io { path: path.to_owned(), source };
+    let file = File::open(path).map_err(io)?;
+    let file_bytes = file.metadata().map_err(io)?.len();
+    let mut buffered = BufReader::with_capacity(1 << 18, file);
+    let zipped = buffered.fill_buf().map_err(io)?.starts_with(&[0x1f, 0x8b]);
+    let mut stream: Box<dyn Read> =
+        if zipped { Box::new(flate2::bufread::MultiGzDecoder::new(buffered)) } else { Box::new(buffered) };
+    let header = NiftiHeader::from_reader(&mut stream)
+        .map_err(|error| wrong(format!("no NIfTI-1 header ({error}); expected a .nii or .nii.gz file")))?;
+    let kind = check_kind(&header).map_err(wrong)?;
+    let size = checked_size(&header).map_err(wrong)?;
+    let voxels = size.iter().map(|n| *n as u64).product::<u64>();
+    let offset = header.vox_offset;
+    if !(348.0..=1e9).contains(&offset) {
+        return Err(wrong(format!("voxels start at byte {offset}, expected 348 or more: the header is damaged")));
+    }
+    let (skip, bytes_per_voxel) = (offset as u64 - 348, kind.size_of() as u64);
+    let needed = voxels.checked_mul(bytes_per_voxel).and_then(|n| n.checked_add(offset as u64));
+    let needed = needed.ok_or_else(|| wrong(format!("{size:?} voxels do not fit a file: the header is damaged")))?;
+    if !zipped && file_bytes < needed {
+        return Err(wrong(format!("cut short: the header promises {needed} bytes, the file has {file_bytes}; copy it again")));
+    }
+    let (lps_from_voxel, placed_by) = placement(&header, reporter, path).map_err(wrong)?;
+    let spacing_mm = [lps_from_voxel.x_axis, lps_from_voxel.y_axis, lps_from_voxel.z_axis].map(|axis| axis.length());
+    let (low, high) = PLAUSIBLE_SPACING_MM;
+    if !spacing_mm.iter().all(|mm| (low..=high).contains(mm)) {
+        reporter.warn(
+            "voxel size",
+            format_args!("{}: voxels of {spacing_mm:?} mm: metres or microns taken for millimetres?", path.display()),
+        );
+    }
+
+    let cut = |error: std::io::Error, at: u64| match error.kind() {
+        std::io::ErrorKind::UnexpectedEof => {
+            wrong(format!("cut short: {voxels} voxels promised, it ends after {at}; copy it again"))
+        }
+        _ => wrong(format!("damaged after {at} of {voxels} voxels ({error}); copy it again")),
+    };
+    std::io::copy(&mut (&mut stream).take(skip), &mut std::io::sink()).map_err(|error| cut(error, 0))?;
+    let (slope, intercept) = scaling(&header).map_err(wrong)?;
+    let mut values: Vec<f32> = Vec::new();
+    let mut not_finite = 0u64;
+    let mut chunk = vec![0u8; (1 << 18) * bytes_per_voxel as usize];
+    while (values.len() as u64) < voxels {
+        let count = (voxels - values.len() as u64).min(1 << 18) as usize;
+        let bytes = &mut chunk[..count * bytes_per_voxel as usize];
+        stream.read_exact(bytes).map_err(|error| cut(error, values.len() as u64))?;
+        values.try_reserve(count).map_err(|_| wrong(format!("{voxels} voxels do not fit the memory")))?;
+        for raw in bytes.chunks_exact(bytes_per_voxel as usize) {
+            let value = (decode(kind, header.endianness, raw) * slope + intercept) as f32;
+            not_finite += u64::from(!value.is_finite());
+            values.push(value);
+        }
+    }
+    // To the end of the file: only there does gzip say whether what came out is what went in.
+    if zipped {
+        std::io::copy(&mut stream, &mut std::io::sink()).map_err(|error| cut(error, voxels))?;
+    }
+    if not_finite > 0 {
+        return Err(wrong(format!(
+            "{not_finite} of {voxels} voxels are NaN or infinite; replace them (air is -1000 HU) and try again"
+        )));
+    }
+    Ok(VolumeFile { size, lps_from_voxel, values, placed_by, spacing_mm })
+}
+
+fn check_kind(header: &NiftiHeader) -> Result<NiftiType, String> {
+    if header.sizeof_hdr == 540 || header.sizeof_hdr == 540i32.swap_bytes() {
+        return Err("this is NIfTI-2; convert it to NIfTI-1 (.nii or .nii.gz)".to_owned());
+    }
+    if header.magic != *b"n+1\0" {
+        return Err("header and voxels are not in one file (.hdr/.img); convert it to .nii or .nii.gz".to_owned());
+    }
+    let kind = header.data_type().map_err(|error| error.to_string())?;
+    match kind {
+        NiftiType::Complex64
+        | NiftiType::Complex128
+        | NiftiType::Complex256
+        | NiftiType::Rgb24
+        | NiftiType::Rgba32
+        | NiftiType::Float128 => Err(format!("voxels are {kind:?}, expected integers or 32- or 64-bit floats")),
+        kind => Ok(kind),
+    }
+}
+
+fn checked_size(header: &NiftiHeader) -> Result<[usize; 3], String> {
+    let axes = usize::from(header.dim[0]);
+    if !(1..=7).contains(&axes) {
+        return Err(format!("{axes} axes, expected 3: the header is damaged"));
+    }
+    let dim = |axis: usize| if axis <= axes { header.dim[axis] } else { 1 };
+    let all: Vec<u16> = (1..=7).map(dim).collect();
+    if let Some(axis) = all.iter().position(|n| *n == 0 || *n > 32767) {
+        return Err(format!("{} voxels along axis {}, expected 1 to 32767", all[axis] as i16, axis + 1));
+    }
+    if all[3..].iter().any(|n| *n > 1) {
+        return Err(format!("{axes}-dimensional ({:?}), expected one volume; extract one", &all[..axes]));
+    }
+    Ok([usize::from(all[0]), usize::from(all[1]), usize::from(all[2])])
+}
+
+/// Slope and intercept; a slope of 0 (or none at all) means that the values are not scaled.
+fn scaling(header: &NiftiHeader) -> Result<(f64, f64), String> {
+    let (slope, intercept) = (f64::from(header.scl_slope), f64::from(header.scl_inter));
+    if slope == 0.0 || slope.is_nan() {
+        return Ok((1.0, 0.0));
+    }
+    if !(slope.is_finite() && intercept.is_finite()) {
+        return Err(format!("values are scaled by {slope} and {intercept}, expected finite numbers"));
+    }
+    Ok((slope, intercept))
+}
+
+fn placement(header: &NiftiHeader, reporter: &Reporter, path: &Path) -> Result<(DAffine3, &'static str), String> {
+    let (ras_from_voxel, placed_by) = if header.sform_code > 0 {
+        (sform(header), "sform")
+    } else if header.qform_code > 0 {
+        (qform(header), "qform")
+    } else {
+        let spacing = DVec3::from_array([1, 2, 3].map(|axis| f64::from(header.pixdim[axis]).abs()));
+        reporter.warn(
+            "no orientation",
+            format_args!("{}: neither sform nor qform: placed by spacing alone, axes taken as RAS", path.display()),
+        );
+        (DAffine3::from_scale(spacing), "spacing only")
+    };
+    if header.sform_code > 0 && header.qform_code > 0 {
+        let disagreement_mm = corner_distance(&sform(header), &qform(header), header);
+        if !(disagreement_mm <= 1.0) {
+            reporter.warn(
+                "sform and qform",
+                format_args!(
+                    "{}: sform and qform disagree by up to {disagreement_mm:.1} units; the sform is used",
+                    path.display()
+                ),
+            );
+        }
+    }
+    let unit_mm = match header.xyzt_units & 7 {
+        0 | 2 => 1.0,
+        1 => 1000.0,
+        3 => 0.001,
+        other => return Err(format!("unit of length has code {other}, expected metres, millimetres or microns")),
+    };
+    if unit_mm != 1.0 {
+        reporter.note(format_args!("{}: lengths are multiplied by {unit_mm} to become millimetres", path.display()));
+    }
+    let lps_from_voxel = DAffine3::from_scale(DVec3::new(-unit_mm, -unit_mm, unit_mm)) * ras_from_voxel;
+    if !lps_from_voxel.is_finite() {
+        return Err(format!("{placed_by} holds a number that is not finite"));
+    }
+    let m = lps_from_voxel.matrix3;
+    let relative = m.determinant().abs() / (m.x_axis.length() * m.y_axis.length() * m.z_axis.length());
+    if !(relative > 1e-6) {
+        return Err(format!("{placed_by} is singular: its axes have no volume"));
+    }
+    Ok((lps_from_voxel, placed_by))
+}
+
+fn sform(header: &NiftiHeader) -> DAffine3 {
+    let rows = [header.srow_x, header.srow_y, header.srow_z].map(|row| row.map(f64::from));
+    let column = |c: usize| DVec3::new(rows[0][c], rows[1][c], rows[2][c]);
+    DAffine3 { matrix3: DMat3::from_cols(column(0), column(1), column(2)), translation: column(3) }
+}
+
+/// Method 2 of the NIfTI-1 standard: a unit quaternion, spacings, and a third axis mirrored where `pixdim[0]` is negative.
+fn qform(header: &NiftiHeader) -> DAffine3 {
+    let [b, c, d] = [header.quatern_b, header.quatern_c, header.quatern_d].map(f64::from);
+    let rest = 1.0 - (b * b + c * c + d * d);
+    let (a, b, c, d) = if rest < 1e-7 {
+        let length = (b * b + c * c + d * d).sqrt();
+        (0.0, b / length, c / length, d / length)
+    } else {
+        (rest.sqrt(), b, c, d)
+    };
+    let x = DVec3::new(a * a + b * b - c * c - d * d, 2.0 * (b * c + a * d), 2.0 * (b * d - a * c));
+    let y = DVec3::new(2.0 * (b * c - a * d), a * a + c * c - b * b - d * d, 2.0 * (c * d + a * b));
+    let z = DVec3::new(2.0 * (b * d + a * c), 2.0 * (c * d - a * b), a * a + d * d - c * c - b * b);
+    let [sx, sy, sz] = [1, 2, 3].map(|axis| f64::from(header.pixdim[axis]).abs());
+    let handedness = if header.pixdim[0] < 0.0 { -1.0 } else { 1.0 };
+    let offset = [header.quatern_x, header.quatern_y, header.quatern_z].map(f64::from);
+    DAffine3 { matrix3: DMat3::from_cols(x * sx, y * sy, z * (sz * handedness)), translation: DVec3::from_array(offset) }
+}
+
+fn corner_distance(a: &DAffine3, b: &DAffine3, header: &NiftiHeader) -> f64 {
+    let last = DVec3::from_array([1, 2, 3].map(|axis| f64::from(header.dim[axis]) - 1.0));
+    let corner = |bits: u32| DVec3::new(f64::from(bits & 1), f64::from(bits >> 1 & 1), f64::from(bits >> 2)) * last;
+    (0..8).map(|bits| a.transform_point3(corner(bits)).distance(b.transform_point3(corner(bits)))).fold(0.0, f64::max)
+}
+
+fn decode(kind: NiftiType, endianness: Endianness, raw: &[u8]) -> f64 {
+    macro_rules! number {
+        ($kind:ty) => {{
+            let mut bytes = [0u8; size_of::<$kind>()];
+            bytes.copy_from_slice(raw);
+            match endianness {
+                Endianness::Little => <$kind>::from_le_bytes(bytes),
+                Endianness::Big => <$kind>::from_be_bytes(bytes),
+            }
+        }};
+    }
+    match kind {
+        NiftiType::Uint8 => f64::from(raw[0]),
+        NiftiType::Int8 => f64::from(raw[0] as i8),
+        NiftiType::Int16 => f64::from(number!(i16)),
+        NiftiType::Uint16 => f64::from(number!(u16)),
+        NiftiType::Int32 => f64::from(number!(i32)),
+        NiftiType::Uint32 => f64::from(number!(u32)),
+        NiftiType::Int64 => number!(i64) as f64,
+        NiftiType::Uint64 => number!(u64) as f64,
+        NiftiType::Float32 => f64::from(number!(f32)),
+        NiftiType::Float64 => number!(f64),
+        // Refused by `check_kind`.
+        _ => f64::NAN,
+    }
+}

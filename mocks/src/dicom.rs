@@ -9,7 +9,7 @@ use dicom_object::{FileMetaTableBuilder, InMemDicomObject};
 use crate::MockError;
 
 /// What the file says besides its pixels.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 pub struct FrameTags {
     /// Columns and rows.
     pub size_px: [usize; 2],
@@ -19,10 +19,39 @@ pub struct FrameTags {
     pub source_to_detector_mm: f64,
     /// Tube voltage.
     pub tube_kvp: f32,
+    /// Tube current.
+    pub tube_ma: f32,
+    /// Beam on.
+    pub exposure_ms: f64,
+    /// When X-ray went on, by the console's clock (UTC, microseconds since 1970), if it is stored.
+    pub acquired_us: Option<i64>,
     /// Exposure counter, if the arm stores it.
     pub exposure_counter: Option<u32>,
     /// Counts files of the session.
     pub instance: u32,
+}
+
+/// First of the mock's UIDs: 2.25 and a UUID (version 8), whose low 62 bits are counted.
+const UID_BASE: u128 = 0x6d6f_636b_6c61_8b00_8000_0000_0000_0000;
+
+/// `YYYYMMDD` and `HHMMSS.FFFFFF` of microseconds since 1970.
+fn date_and_time(us: i64) -> (String, String) {
+    let (seconds, micros) = (us.div_euclid(1_000_000), us.rem_euclid(1_000_000));
+    let (mut days, second) = (seconds.div_euclid(86_400), seconds.rem_euclid(86_400));
+    let leap = |year: i64| year % 4 == 0 && (year % 100 != 0 || year % 400 == 0);
+    let mut year = 1970;
+    while days >= 365 + i64::from(leap(year)) {
+        days -= 365 + i64::from(leap(year));
+        year += 1;
+    }
+    let mut month = 0;
+    let lengths = [31, 28 + i64::from(leap(year)), 31, 30, 31, 30, 31, 31, 30, 31, 30, 31];
+    while days >= lengths[month] {
+        days -= lengths[month];
+        month += 1;
+    }
+    let date = format!("{year:04}{:02}{:02}", month + 1, days + 1);
+    (date, format!("{:02}{:02}{:02}.{micros:06}", second / 3600, second / 60 % 60, second % 60))
 }
 
 /// Bytes of a DICOM file with `values` (row by row).
@@ -31,13 +60,16 @@ pub struct FrameTags {
 /// When the object cannot be encoded.
 pub fn encode(tags_in: &FrameTags, values: &[u16]) -> Result<Vec<u8>, MockError> {
     let failed = |error: &dyn std::fmt::Display| MockError::Data { what: "DICOM".to_owned(), detail: error.to_string() };
-    let uid = format!("2.25.1234567890.{}", tags_in.instance);
+    let uid = |nth: u32| format!("2.25.{}", UID_BASE + 2 + ((tags_in.acquired_us.unwrap_or(0) as u128) << 10) + u128::from(nth));
     let text = |tag, vr, value: &str| DataElement::new(tag, vr, PrimitiveValue::from(value));
     let number = |tag, value: u16| DataElement::new(tag, VR::US, PrimitiveValue::from(value));
     let decimal = |tag, value: f64| text(tag, VR::DS, &format!("{value}"));
+    let whole = |tag, value: f64| text(tag, VR::IS, &format!("{value:.0}"));
     let mut object = InMemDicomObject::from_element_iter([
         text(tags::SOP_CLASS_UID, VR::UI, uids::X_RAY_ANGIOGRAPHIC_IMAGE_STORAGE),
-        text(tags::SOP_INSTANCE_UID, VR::UI, &uid),
+        text(tags::SOP_INSTANCE_UID, VR::UI, &uid(tags_in.instance)),
+        text(tags::STUDY_INSTANCE_UID, VR::UI, &format!("2.25.{UID_BASE}")),
+        text(tags::SERIES_INSTANCE_UID, VR::UI, &format!("2.25.{}", UID_BASE + 1)),
         text(tags::MODALITY, VR::CS, "XA"),
         text(tags::MANUFACTURER, VR::LO, "Mock Lab"),
         text(tags::PATIENT_NAME, VR::PN, "Mockpatient^Identity"),
@@ -49,6 +81,11 @@ pub fn encode(tags_in: &FrameTags, values: &[u16]) -> Result<Vec<u8>, MockError>
         text(tags::IMAGER_PIXEL_SPACING, VR::DS, &format!("{0}\\{0}", tags_in.pitch_mm)),
         text(tags::PIXEL_INTENSITY_RELATIONSHIP, VR::CS, "LIN"),
         DataElement::new(tags::PIXEL_INTENSITY_RELATIONSHIP_SIGN, VR::SS, PrimitiveValue::from(1i16)),
+        whole(tags::EXPOSURE_TIME, tags_in.exposure_ms),
+        decimal(tags::X_RAY_TUBE_CURRENT_INU_A, 1e3 * f64::from(tags_in.tube_ma)),
+        whole(tags::EXPOSURE, f64::from(tags_in.tube_ma) * tags_in.exposure_ms * 1e-3),
+        whole(tags::EXPOSURE_INU_AS, f64::from(tags_in.tube_ma) * tags_in.exposure_ms),
+        text(tags::BURNED_IN_ANNOTATION, VR::CS, "NO"),
         text(tags::INSTANCE_NUMBER, VR::IS, &tags_in.instance.to_string()),
         number(tags::SAMPLES_PER_PIXEL, 1),
         text(tags::PHOTOMETRIC_INTERPRETATION, VR::CS, "MONOCHROME2"),
@@ -63,10 +100,15 @@ pub fn encode(tags_in: &FrameTags, values: &[u16]) -> Result<Vec<u8>, MockError>
     if let Some(counter) = tags_in.exposure_counter {
         object.put(text(tags::ACQUISITION_NUMBER, VR::IS, &counter.to_string()));
     }
+    if let Some((date, time)) = tags_in.acquired_us.map(date_and_time) {
+        object.put(text(tags::ACQUISITION_DATE, VR::DA, &date));
+        object.put(text(tags::ACQUISITION_TIME, VR::TM, &time));
+        object.put(text(tags::TIMEZONE_OFFSET_FROM_UTC, VR::SH, "+0000"));
+    }
     let meta = FileMetaTableBuilder::new()
         .transfer_syntax(uids::EXPLICIT_VR_LITTLE_ENDIAN)
         .media_storage_sop_class_uid(uids::X_RAY_ANGIOGRAPHIC_IMAGE_STORAGE)
-        .media_storage_sop_instance_uid(uid);
+        .media_storage_sop_instance_uid(uid(tags_in.instance));
     let file = object.with_meta(meta).map_err(|error| failed(&error))?;
     let mut bytes = Vec::new();
     file.write_all(&mut bytes).map_err(|error| failed(&error))?;
@@ -93,6 +135,9 @@ mod tests {
             pitch_mm: 0.388,
             source_to_detector_mm: 1020.0,
             tube_kvp: 90.0,
+            tube_ma: 3.5,
+            exposure_ms: 300.0,
+            acquired_us: Some(1_795_237_262_250_000),
             exposure_counter: Some(7),
             instance: 3,
         };
@@ -101,5 +146,28 @@ mod tests {
         let read = object.element(tags::PIXEL_DATA).expect("pixels").to_multi_int::<u16>().expect("u16");
         assert_eq!(read, values);
         assert_eq!(object.element(tags::ACQUISITION_NUMBER).expect("counter").to_int::<u32>().expect("int"), 7);
+        let word = |tag| object.element(tag).expect("there").to_str().expect("text").trim().to_owned();
+        assert_eq!(
+            (word(tags::ACQUISITION_DATE), word(tags::ACQUISITION_TIME)),
+            ("20261121".to_owned(), "050102.250000".to_owned())
+        );
+        assert_eq!(
+            (word(tags::EXPOSURE_INU_AS), word(tags::PIXEL_INTENSITY_RELATIONSHIP)),
+            ("1050".to_owned(), "LIN".to_owned())
+        );
+    }
+
+    #[test]
+    fn dates_around_leap_days_are_right() {
+        // Seconds as `date -u +%s` gives them.
+        for (seconds, date, time) in [
+            (0, "19700101", "000000.000000"),
+            (951_782_399, "20000228", "235959.000000"),
+            (951_782_400, "20000229", "000000.000000"),
+            (1_709_251_200, "20240301", "000000.000000"),
+            (1_798_761_599, "20261231", "235959.000000"),
+        ] {
+            assert_eq!(date_and_time(seconds * 1_000_000), (date.to_owned(), time.to_owned()));
+        }
     }
 }

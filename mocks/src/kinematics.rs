@@ -53,6 +53,15 @@ pub const PITCH_MM: f64 = 35.0 / 27.0;
 /// Length of the notched body.
 pub const BODY_MM: f64 = 35.0;
 
+/// Outer and inner radius of the body's tube.
+pub const BODY_RADII_MM: [f64; 2] = [3.0, 2.0];
+/// Radius of the core inside the body.
+pub const SHAFT_RADIUS_MM: f64 = 1.0;
+/// Length of the drill beyond the body's end.
+pub const DRILL_LENGTH_MM: f64 = 4.0;
+/// Radius of the drill.
+pub const DRILL_RADIUS_MM: f64 = 2.5;
+
 /// Bends of the notches, degrees.
 #[must_use]
 pub fn bends_deg(control_deg: &[f64; 5]) -> [f64; NOTCHES] {
@@ -128,7 +137,7 @@ mod tests {
     #[test]
     fn the_worked_robot_is_what_the_protocol_prints() {
         let (_, end) = pieces(&[1.0, 2.0, 0.5, -1.0, 0.0]);
-        let tip = point(&end, [0.0, 0.0, 4.0]);
+        let tip = point(&end, [0.0, 0.0, DRILL_LENGTH_MM]);
         let printed = PROTOCOL.split("tip at (").nth(1).and_then(|s| s.split(')').next()).expect("tip");
         for (a, b) in tip.iter().zip(printed.split(", ")) {
             assert!((a - b.parse::<f64>().expect("number")).abs() < 1e-8, "{a} {b}");

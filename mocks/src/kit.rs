@@ -5,10 +5,11 @@ use std::path::Path;
 use serde_json::{Value, json};
 
 use crate::MockError;
-use crate::kinematics::{CarmGeometry, camera_from_lps, pieces, projection};
-use crate::lab::Lab;
-use crate::matrix::{Mat4, mul, point, rotation, translation};
+use crate::kinematics::{CarmGeometry, DRILL_LENGTH_MM, camera_from_lps, pieces, projection};
+use crate::lab::{Exposure, Lab};
+use crate::matrix::{Mat4, dot, mul, point, rotation, translation};
 use crate::phantom::Phantom;
+use crate::script::Script;
 use crate::voxels::voxelise;
 
 /// Geometry of the lab's C-arm and the size of its frames.
@@ -54,11 +55,13 @@ pub fn true_world_from_lps(lab: &Lab) -> Mat4 {
 ///
 /// # Errors
 /// When a file cannot be written.
-pub fn write(folder: &Path, lab: &Lab, phantom: &Phantom, with_carm: bool, with_robot: bool) -> Result<(), MockError> {
+pub fn write(folder: &Path, script: &Script, phantom: &Phantom, with_carm: bool, with_robot: bool) -> Result<(), MockError> {
+    let lab = script.lab;
     std::fs::create_dir_all(folder.join("frames")).map_err(MockError::io(folder.display()))?;
     voxelise(phantom).write(&folder.join("ct.nii.gz"))?;
     put(folder, "carm.json", &lab.carm)?;
     put(folder, "robot.json", &lab.robot)?;
+    put(folder, "detector.json", &detector(lab))?;
     put(folder, "beads.mrk.json", &beads(phantom))?;
     put(folder, "scene.json", &scene(lab, phantom))?;
     let carm = with_carm.then(|| json!({"port": "ttyCARM", "baud": 921_600, "calibration": "carm.json"}));
@@ -68,7 +71,7 @@ pub fn write(folder: &Path, lab: &Lab, phantom: &Phantom, with_carm: bool, with_
         "world_from_lps": lab.world_from_lps, "world_from_tracker": null, "out": "session"
     });
     put(folder, "session.json", &session)?;
-    put(folder, "truth.json", &truth(lab, phantom)?)
+    put(folder, "truth.json", &truth(script, phantom)?)
 }
 
 fn put(folder: &Path, name: &str, value: &Value) -> Result<(), MockError> {
@@ -111,23 +114,39 @@ fn scene(lab: &Lab, phantom: &Phantom) -> Value {
     })
 }
 
-fn truth(lab: &Lab, phantom: &Phantom) -> Result<Value, MockError> {
+fn detector(lab: &Lab) -> Value {
+    json!({
+        "origin": "the mock's own detector: linear, flat-field corrected, saturating at 65535",
+        "columns_px": lab.carm["columns_px"], "rows_px": lab.carm["rows_px"], "pitch_mm": lab.carm["pitch_mm"], "response": "energy",
+        "bits": 16, "air_value": lab.air_value, "offset_value": 0.0, "photons_per_pixel": lab.photons_per_pixel,
+        "readout_sigma_value": lab.readout_sigma * lab.air_value
+    })
+}
+
+fn truth(script: &Script, phantom: &Phantom) -> Result<Value, MockError> {
+    let lab = script.lab;
     let arm = arm(lab)?;
     let world_from_lps = true_world_from_lps(lab);
-    let frames: Vec<Value> = lab
-        .exposures
-        .iter()
-        .enumerate()
-        .map(|(index, exposure)| {
-            let camera = camera_from_lps(&arm.geometry, &exposure.joints(), &world_from_lps);
-            let (_, end) = pieces(&exposure.control_deg);
-            let tip = point(&mul(&phantom.lps_from_base, &end), [0.0, 0.0, 4.0]);
-            json!({
-                "frame": frame_name(index), "exposure_counter": index + 1, "projection": projection(&arm.geometry, &camera),
-                "camera_from_lps": camera, "control_angles_deg": exposure.control_deg, "tip_lps_mm": tip
-            })
+    let frame = |(index, exposure): (usize, &Exposure)| {
+        let camera = camera_from_lps(&arm.geometry, &exposure.joints(), &world_from_lps);
+        let projection = projection(&arm.geometry, &camera);
+        let (_, end) = pieces(&exposure.control_deg);
+        let tip = point(&mul(&phantom.lps_from_base, &end), [0.0, 0.0, DRILL_LENGTH_MM]);
+        let [left, top, right, bottom] = exposure.field_mm.unwrap_or(lab.open_field_mm());
+        let shown = |bead: &crate::phantom::Bead| {
+            let [x, y, depth] = projection.map(|row| dot([row[0], row[1], row[2]], bead.lps_mm) + row[3]);
+            let [u, v] = [x / depth, y / depth];
+            let [dx, dy] = [u - arm.geometry.principal_px[0], v - arm.geometry.principal_px[1]].map(|px| px * arm.pitch_mm);
+            let in_field = dx > left && dx < right && dy > top && dy < bottom;
+            json!({"name": bead.name, "image_px": [u, v], "in_field": in_field})
+        };
+        json!({
+            "frame": frame_name(index), "exposure_counter": script.counter.then_some(index + 1), "projection": projection,
+            "camera_from_lps": camera, "control_angles_deg": exposure.control_deg, "tip_lps_mm": tip,
+            "beads": phantom.beads.iter().map(shown).collect::<Vec<_>>()
         })
-        .collect();
+    };
+    let frames: Vec<Value> = lab.exposures.iter().take(script.count()).enumerate().map(frame).collect();
     let named = |points: &[crate::phantom::Bead]| -> Vec<Value> {
         points.iter().map(|p| json!({"name": p.name, "lps_mm": p.lps_mm})).collect()
     };

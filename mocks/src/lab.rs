@@ -3,6 +3,7 @@
 use serde::Deserialize;
 
 use crate::MockError;
+use crate::fault::FaultKind;
 use crate::matrix::{Mat4, Vec3};
 
 /// `lab.json`.
@@ -60,6 +61,8 @@ pub struct EncoderNoise {
     pub deg: f64,
     /// Of lengths.
     pub mm: f64,
+    /// Of the robot's sensed control angles.
+    pub control_deg: f64,
 }
 
 /// How the devices' clocks run.
@@ -105,31 +108,32 @@ impl Exposure {
     }
 }
 
-/// What goes wrong on a line.
+/// Who sends on a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum FaultKind {
-    /// A packet is not sent.
-    Drop,
-    /// One bit of a packet is wrong.
-    Flip,
-    /// Half a packet is sent.
-    Tear,
-    /// A packet is sent twice.
-    Duplicate,
-    /// Two packets change places.
-    Reorder,
-    /// Packets of 80 ms come at once.
-    Delay,
-    /// The plug is pulled for a second.
-    Unplug,
+pub enum Device {
+    /// The C-arm.
+    Carm,
+    /// The snake robot.
+    Robot,
+}
+
+impl Device {
+    /// The name in files, events and on the command line.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Carm => "carm",
+            Self::Robot => "robot",
+        }
+    }
 }
 
 /// A scheduled fault.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct Fault {
-    /// `robot` or `carm`.
-    pub device: String,
+    /// On whose line.
+    pub device: Device,
     /// As a share of the session.
     pub at: f64,
     /// What.
@@ -143,6 +147,14 @@ impl Lab {
     /// When the embedded data are wrong.
     pub fn embedded() -> Result<Self, MockError> {
         parse("mocks/data/lab.json", include_str!("../data/lab.json"))
+    }
+
+    /// Left, top, right, bottom of the panel at the detector, from its middle.
+    #[must_use]
+    pub fn open_field_mm(&self) -> [f64; 4] {
+        let half = |key: &str| 0.5 * self.carm[key].as_f64().unwrap_or(0.0) * self.carm["pitch_mm"].as_f64().unwrap_or(0.0);
+        let (x, y) = (half("columns_px"), half("rows_px"));
+        [-x, -y, x, y]
     }
 
     /// A number of the C-arm's calibration.

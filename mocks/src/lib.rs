@@ -1,9 +1,14 @@
 //! Simulates a C-arm, a snake robot and a detector at the wire. Shares no code with the program that it tests: it encodes from
 //! `mocks/PROTOCOL.md`, and what both sides must know is data in `mocks/data/`.
+//!
+//! A test that drives a receiver takes what it needs: [`wire`] for single packets, [`pty::Line`] for a port that can be unplugged,
+//! [`fault::Channel`] for a port that damages what it carries, [`radiograph::take`] for a frame whose P and noise are known, and
+//! [`play::play`] for a whole session.
 
 pub mod matrix;
 pub mod wire;
 pub mod pty;
+pub mod fault;
 pub mod lab;
 pub mod kinematics;
 pub mod phantom;
@@ -11,6 +16,7 @@ pub mod radiograph;
 pub mod voxels;
 pub mod dicom;
 pub mod kit;
+pub mod script;
 pub mod play;
 
 /// Why the mock cannot go on.

@@ -1,20 +1,22 @@
 //! The `mock-lab` program.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::Parser;
 use serde_json::json;
 
-use mock_lab::dicom::{FrameTags, encode};
+use mock_lab::MockError;
+use mock_lab::dicom::{FrameTags, deliver, encode};
+use mock_lab::fault::FaultKind;
 use mock_lab::kinematics::camera_from_lps;
 use mock_lab::kit::{arm, frame_name, true_world_from_lps, write};
-use mock_lab::lab::Lab;
+use mock_lab::lab::{Device, Fault, Lab};
 use mock_lab::phantom::Phantom;
-use mock_lab::play::{Performance, play, say};
+use mock_lab::play::{Drawn, Performance, play, say};
 use mock_lab::pty::Line;
 use mock_lab::radiograph::{Physics, Shot, take};
-use mock_lab::{MockError, lab};
+use mock_lab::script::Script;
 
 /// A C-arm, a snake robot and a detector at the wire: pseudo-terminals with real-time telemetry and faults, DICOM frames in a folder.
 ///
@@ -38,12 +40,20 @@ struct Args {
     /// Seconds between `ready` and the first packet.
     #[arg(long, default_value_t = 1.0)]
     start_delay_s: f64,
+    /// Seconds between the last packet and the lines' end.
+    #[arg(long, default_value_t = 3.0)]
+    linger_s: f64,
     /// Exposures, at most all of the script's.
     #[arg(long, default_value_t = usize::MAX, hide_default_value = true)]
     exposures: usize,
-    /// Play without faults.
-    #[arg(long)]
-    no_faults: bool,
+    /// `default`, `none`, or a list of KIND (those of the script), DEVICE:KIND or DEVICE:KIND@SHARE of the session.
+    ///
+    /// Kinds: drop, flip, tear, duplicate, reorder, delay, unplug; devices: carm, robot.
+    #[arg(long, default_value = "default", value_name = "LIST")]
+    faults: String,
+    /// Packets per second, relative to 100 Hz (robot) and 30 Hz (C-arm).
+    #[arg(long, default_value_t = 1.0)]
+    rate: f64,
     /// No exposure counter on the wire and in the frames.
     #[arg(long)]
     no_counter: bool,
@@ -69,48 +79,108 @@ fn main() -> ExitCode {
 }
 
 fn run(args: &Args) -> Result<(), MockError> {
-    if !(args.duration_s >= 5.0 && args.duration_s <= 86_400.0) {
-        let detail = format!("{} s, expected 5 to 86400", args.duration_s);
-        return Err(MockError::Data { what: "--duration-s".to_owned(), detail });
-    }
+    let within = |what: &str, value: f64, low: f64, high: f64| match value >= low && value <= high {
+        true => Ok(()),
+        false => Err(MockError::Data { what: what.to_owned(), detail: format!("{value}, expected {low} to {high}") }),
+    };
+    within("--duration-s", args.duration_s, 5.0, 86_400.0)?;
+    within("--start-delay-s", args.start_delay_s, 0.0, 3600.0)?;
+    within("--linger-s", args.linger_s, 0.0, 3600.0)?;
+    within("--rate", args.rate, 0.01, 10.0)?;
     let lab = Lab::embedded()?;
+    let faults = choose(&args.faults, &lab.faults)?;
     let phantom = Phantom::embedded()?;
-    write(&args.out, &lab, &phantom, !args.no_carm, !args.no_robot)?;
-    let frames = take_frames(args, &lab, &phantom)?;
+    refuse_old_frames(&args.out)?;
+    let script = Script { lab: &lab, duration_s: args.duration_s, exposures: args.exposures, counter: !args.no_counter };
+    write(&args.out, &script, &phantom, !args.no_carm, !args.no_robot)?;
+    let frames = draw_frames(args, &script, &phantom)?;
     let session = args.out.join("session.json");
     if args.kit_only {
-        for (path, bytes) in &frames {
-            mock_lab::dicom::deliver(path, bytes)?;
+        for frame in &frames {
+            deliver(&frame.path, &encode(&frame.tags, &frame.values)?)?;
         }
         say(&json!({"event": "finished", "session": session, "frames": frames.len()}));
         return Ok(());
     }
-    let open = |wanted: bool, name: &str| wanted.then(|| Line::open(&args.out.join(name))).transpose();
-    let carm = open(!args.no_carm, "ttyCARM")?;
-    let robot = open(!args.no_robot, "ttyROBOT")?;
-    say(&json!({
-        "event": "ready", "session": session, "carm_port": carm.as_ref().map(Line::path),
-        "robot_port": robot.as_ref().map(Line::path), "exposures": frames.len()
-    }));
-    let performance = Performance {
-        duration_s: args.duration_s,
-        start_delay_s: args.start_delay_s,
-        faults: !args.no_faults,
-        counter: !args.no_counter,
-        exposures: frames.len(),
-        seed: args.seed,
+    let mut lines = Vec::new();
+    let mut open = |wanted: bool, device: Device, name: &str| -> Result<Option<PathBuf>, MockError> {
+        if !wanted {
+            return Ok(None);
+        }
+        let path = args.out.join(name);
+        lines.push((device, Line::open(&path)?));
+        Ok(Some(path))
     };
-    play(&lab, &performance, carm, robot, &frames)
+    let carm = open(!args.no_carm, Device::Carm, "ttyCARM")?;
+    let robot = open(!args.no_robot, Device::Robot, "ttyROBOT")?;
+    say(&json!({"event": "ready", "session": session, "carm_port": carm, "robot_port": robot, "exposures": frames.len()}));
+    let performance =
+        Performance { start_delay_s: args.start_delay_s, linger_s: args.linger_s, rate: args.rate, faults, seed: args.seed };
+    play(&script, &performance, lines, &frames, &mut |event| say(&event))
+}
+
+/// Frames of an earlier session would be taken for this one's.
+fn refuse_old_frames(out: &Path) -> Result<(), MockError> {
+    let folder = out.join("frames");
+    let count = std::fs::read_dir(&folder).map_or(0, Iterator::count);
+    match count {
+        0 => Ok(()),
+        _ => {
+            let detail = format!("holds {count} files of an earlier session; choose another --out, or remove it");
+            Err(MockError::Data { what: folder.display().to_string(), detail })
+        }
+    }
+}
+
+/// What `--faults` asks for, of the `scripted` ones or new ones.
+fn choose(list: &str, scripted: &[Fault]) -> Result<Vec<Fault>, MockError> {
+    if let "default" | "none" = list {
+        return Ok(if list == "none" { Vec::new() } else { scripted.to_vec() });
+    }
+    let mut out = Vec::new();
+    for item in list.split(',').map(str::trim) {
+        let wrong = |detail: &str| MockError::Data { what: format!("--faults '{item}'"), detail: detail.to_owned() };
+        let (item_without_share, share) = match item.split_once('@') {
+            Some((rest, share)) => (rest, Some(share.parse::<f64>().map_err(|_| wrong("the share is not a number"))?)),
+            None => (item, None),
+        };
+        if share.is_some_and(|share| !(0.0..=1.0).contains(&share)) {
+            return Err(wrong("the share is not within 0 to 1"));
+        }
+        let (device, kind) = match item_without_share.split_once(':') {
+            Some((device, kind)) => {
+                let known = [Device::Carm, Device::Robot].into_iter().find(|known| known.name() == device);
+                (Some(known.ok_or_else(|| wrong("the device is not carm or robot"))?), kind)
+            }
+            None => (None, item_without_share),
+        };
+        let known = FaultKind::ALL.into_iter().find(|known| known.name() == kind);
+        let kind = known.ok_or_else(|| wrong("not one of drop, flip, tear, duplicate, reorder, delay, unplug"))?;
+        match (device, share) {
+            (Some(device), Some(at)) => out.push(Fault { device, at, kind }),
+            (None, Some(_)) => return Err(wrong("a share needs a device, as in robot:unplug@0.5")),
+            (device, None) => {
+                let asked = |fault: &&Fault| fault.kind == kind && device.is_none_or(|device| device == fault.device);
+                let found: Vec<Fault> = scripted.iter().filter(asked).cloned().collect();
+                if found.is_empty() {
+                    return Err(wrong("the script has none; say when, as in robot:unplug@0.5"));
+                }
+                out.extend(found);
+            }
+        }
+    }
+    Ok(out)
 }
 
 /// Draws every frame of the session beforehand.
-fn take_frames(args: &Args, lab: &Lab, phantom: &Phantom) -> Result<Vec<(PathBuf, Vec<u8>)>, MockError> {
+fn draw_frames(args: &Args, script: &Script, phantom: &Phantom) -> Result<Vec<Drawn>, MockError> {
+    let lab = script.lab;
     let arm = arm(lab)?;
     let physics = Physics::embedded()?;
     let world_from_lps = true_world_from_lps(lab);
+    eprintln!("mock-lab: drawing {} frames", script.count());
     let mut frames = Vec::new();
-    for (index, exposure) in lab.exposures.iter().take(args.exposures).enumerate() {
-        let exposure: &lab::Exposure = exposure;
+    for (index, exposure) in lab.exposures.iter().take(script.count()).enumerate() {
         let shot = Shot {
             size_px: arm.size_px,
             geometry: arm.geometry,
@@ -132,12 +202,33 @@ fn take_frames(args: &Args, lab: &Lab, phantom: &Phantom) -> Result<Vec<(PathBuf
             pitch_mm: arm.pitch_mm,
             source_to_detector_mm: arm.source_to_detector_mm,
             tube_kvp: lab.tube_kvp,
-            exposure_counter: (!args.no_counter).then_some(index as u32 + 1),
+            tube_ma: lab.tube_ma,
+            exposure_ms: 1e3 * lab.exposure_s,
+            acquired_us: None,
+            exposure_counter: script.counter.then_some(index as u32 + 1),
             instance: index as u32 + 1,
         };
-        frames.push((args.out.join("frames").join(frame_name(index)), encode(&tags, &values)?));
-        eprint!("\rdrawing frame {} of {}", index + 1, lab.exposures.len().min(args.exposures));
+        frames.push(Drawn { path: args.out.join("frames").join(frame_name(index)), tags, values });
     }
-    eprintln!();
     Ok(frames)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn faults_are_chosen_by_kind_device_and_time() {
+        let scripted = Lab::embedded().expect("embedded").faults;
+        assert_eq!(choose("default", &scripted).expect("all"), scripted);
+        assert_eq!(choose("none", &scripted).expect("none"), []);
+        let unplugs = choose("robot:unplug", &scripted).expect("scripted");
+        assert!(unplugs.len() == 1 && unplugs[0].device == Device::Robot && unplugs[0].kind == FaultKind::Unplug);
+        let asked = choose("carm:tear@0.25, flip", &scripted).expect("asked");
+        assert_eq!(asked[0], Fault { device: Device::Carm, at: 0.25, kind: FaultKind::Tear });
+        assert!(asked.len() > 1 && asked[1..].iter().all(|fault| fault.kind == FaultKind::Flip));
+        for wrong in ["", "melt", "arm:flip", "flip@0.5", "robot:flip@1.5", "robot:flip@NaN", "carm:tear"] {
+            assert!(choose(wrong, &scripted).is_err(), "{wrong}");
+        }
+    }
 }

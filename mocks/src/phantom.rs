@@ -3,6 +3,7 @@
 use serde::Deserialize;
 
 use crate::MockError;
+use crate::kinematics::{BODY_RADII_MM, DRILL_LENGTH_MM, DRILL_RADIUS_MM, SHAFT_RADIUS_MM};
 use crate::lab::parse;
 use crate::matrix::{Mat4, Vec3, along, direction, dot, frame_along, inverse, mul, point, sub, translation};
 
@@ -156,13 +157,18 @@ impl Body {
         Self { form, local_from_lps: inverse(lps_from_local), bound_centre, bound_radius_mm, matter, density_g_per_cm3 }
     }
 
+    /// Whether the line `origin + t · toward` passes the body's bounding sphere within `margin_mm`.
+    #[must_use]
+    pub fn is_near(&self, origin: Vec3, toward: Vec3, margin_mm: f64) -> bool {
+        let to_centre = sub(self.bound_centre, origin);
+        let squared_mm2 = dot(to_centre, to_centre) - dot(to_centre, toward).powi(2) / dot(toward, toward);
+        squared_mm2 <= (self.bound_radius_mm + margin_mm).powi(2)
+    }
+
     /// Where the ray `origin + t · toward` is inside.
     #[must_use]
     pub fn stretches(&self, origin: Vec3, toward: Vec3) -> Stretches {
-        let to_centre = sub(self.bound_centre, origin);
-        let squared = dot(toward, toward);
-        let miss = dot(to_centre, to_centre) - dot(to_centre, toward).powi(2) / squared;
-        if miss > self.bound_radius_mm * self.bound_radius_mm {
+        if !self.is_near(origin, toward, 0.0) {
             return [None, None];
         }
         let (o, d) = (point(&self.local_from_lps, origin), direction(&self.local_from_lps, toward));
@@ -273,16 +279,17 @@ impl Phantom {
     pub fn metal(&self, control_deg: &[f64; 5]) -> Vec<Body> {
         let (pieces, end) = crate::kinematics::pieces(control_deg);
         let metals = self.density_g_per_cm3;
+        let [body_mm, lumen_mm] = BODY_RADII_MM;
         let mut out = Vec::new();
         for (outer_mm, inner_mm, matter, density) in
-            [(3.0, 2.0, Matter::Nitinol, metals.nitinol), (1.0, 0.0, Matter::Steel, metals.steel_316l)]
+            [(body_mm, lumen_mm, Matter::Nitinol, metals.nitinol), (SHAFT_RADIUS_MM, 0.0, Matter::Steel, metals.steel_316l)]
         {
             for (frame, length_mm) in &pieces {
                 let form = Form::Tube { length_mm: *length_mm, outer_mm, inner_mm };
                 out.push(Body::new(form, &mul(&self.lps_from_base, frame), matter, density));
             }
         }
-        let drill = Form::Tube { length_mm: 4.0, outer_mm: 2.5, inner_mm: 0.0 };
+        let drill = Form::Tube { length_mm: DRILL_LENGTH_MM, outer_mm: DRILL_RADIUS_MM, inner_mm: 0.0 };
         out.push(Body::new(drill, &mul(&self.lps_from_base, &end), Matter::Steel, metals.steel_316l));
         for bead in &self.beads {
             let [x, y, z] = bead.lps_mm;

@@ -71,7 +71,7 @@ impl Line {
         Ok(())
     }
 
-    /// Pulls the plug: the link goes, readers get an end of file or an error.
+    /// Pulls the plug: the link goes, readers get an end of file or an error, and what they had not read is gone.
     pub fn unplug(&mut self) {
         let _ = std::fs::remove_file(&self.link);
         self.plugged = None;

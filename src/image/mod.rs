@@ -2,6 +2,7 @@
 
 mod files;
 pub mod plot;
+mod ticks;
 
 pub use files::{ImageFileError, read_tiff_f32, sha256_bytes, sha256_file, write_atomically, write_png_rgb, write_tiff_f32};
 

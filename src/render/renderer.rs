@@ -287,7 +287,7 @@ fn check(scene: &Scene) -> Result<(), RenderError> {
         return Err(RenderError::Number { what: "beam.photons_per_pixel", value: n0, expected: "a positive number" });
     }
     let kernel = &scene.detector.crosstalk;
-    if kernel.iter().any(|row| row.len() != kernel.len()) || (!kernel.is_empty() && kernel.len() % 2 == 0) {
+    if kernel.iter().any(|row| row.len() != kernel.len()) || (!kernel.is_empty() && kernel.len().is_multiple_of(2)) {
         return Err(RenderError::Number {
             what: "detector.crosstalk: rows",
             value: kernel.len() as f64,

@@ -8,7 +8,7 @@ use super::PhysicsError;
 pub const ELEMENT_COUNT: u8 = 92;
 
 /// First and last energy of the tables.
-pub(super) const ENERGY_RANGE_KEV: (f64, f64) = (1.0, 150.0);
+pub const ENERGY_RANGE_KEV: (f64, f64) = (1.0, 150.0);
 
 const SYMBOLS: [&str; ELEMENT_COUNT as usize] = [
     "H", "He", "Li", "Be", "B", "C", "N", "O", "F", "Ne", "Na", "Mg", "Al", "Si", "P", "S", "Cl", "Ar", "K", "Ca", "Sc", "Ti",

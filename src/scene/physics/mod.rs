@@ -5,7 +5,7 @@ mod formula;
 mod materials;
 mod spectrum;
 
-pub use elements::{Coefficients, ELEMENT_COUNT, element_attenuation, symbol, z_of};
+pub use elements::{Coefficients, ELEMENT_COUNT, ENERGY_RANGE_KEV, element_attenuation, symbol, z_of};
 pub use materials::{Material, material_names};
 pub use spectrum::{ANODE_ANGLES_DEG, Bin, KVP_RANGE, Spectrum};
 

@@ -30,26 +30,41 @@ pub struct Spectrum {
     pub bins: Vec<Bin>,
 }
 
-/// Anode output at one voltage and angle: fluence per keV on half-keV bins.
+/// Anode output at one voltage and angle, integrated over half-keV bins.
 struct Tabulated {
     kvp: f64,
     angle_deg: f64,
-    first_kev: f64,
+    first_edge_kev: f64,
     bin_kev: f64,
-    fluence_per_kev: Vec<f64>,
+    /// Photons below each bin edge, the first edge included: one value more than bins.
+    below_edge: Vec<f64>,
 }
 
 impl Tabulated {
-    /// Fluence per keV at `fraction` of the tube voltage (continuum scales with the voltage), linear between bin centres.
-    fn at_kev(&self, energy_kev: f64) -> f64 {
-        let position = (energy_kev - self.first_kev) / self.bin_kev;
-        if position <= 0.0 {
-            return self.fluence_per_kev.first().copied().unwrap_or(0.0);
+    /// From fluences per keV of bins whose first centre is `first_kev`.
+    fn new([kvp, angle_deg, first_kev, bin_kev]: [f64; 4], fluence_per_kev: &[f64]) -> Self {
+        let mut below_edge = Vec::with_capacity(fluence_per_kev.len() + 1);
+        let mut sum = 0.0;
+        below_edge.push(sum);
+        for fluence in fluence_per_kev {
+            sum += fluence * bin_kev;
+            below_edge.push(sum);
         }
-        let index = position as usize;
-        let value = |i: usize| self.fluence_per_kev.get(i).copied().unwrap_or(0.0);
-        let f = position - index as f64;
-        value(index) * (1.0 - f) + value(index + 1) * f
+        Self { kvp, angle_deg, first_edge_kev: first_kev - 0.5 * bin_kev, bin_kev, below_edge }
+    }
+
+    /// Photons below `energy_kev`, spread evenly within each bin.
+    fn below(&self, energy_kev: f64) -> f64 {
+        let bins = self.below_edge.len() - 1;
+        let position = ((energy_kev - self.first_edge_kev) / self.bin_kev).clamp(0.0, bins as f64);
+        let index = (position as usize).min(bins - 1);
+        let (low, high) = (self.below_edge[index], self.below_edge[index + 1]);
+        low + (high - low) * (position - index as f64)
+    }
+
+    /// Photons between two energies. Integrals, unlike values at bin centres, keep each characteristic line whole and in its bin.
+    fn between(&self, from_kev: f64, to_kev: f64) -> f64 {
+        self.below(to_kev) - self.below(from_kev)
     }
 }
 
@@ -57,13 +72,7 @@ static TABLE: LazyLock<Vec<Tabulated>> = LazyLock::new(|| {
     let parse = |line: &str| {
         let n: Vec<f64> = line.split(',').map(str::parse).collect::<Result<_, _>>().ok()?;
         let [kvp, angle_deg, first_kev, bin_kev, fluence_per_kev @ ..] = n.as_slice() else { return None };
-        Some(Tabulated {
-            kvp: *kvp,
-            angle_deg: *angle_deg,
-            first_kev: *first_kev,
-            bin_kev: *bin_kev,
-            fluence_per_kev: fluence_per_kev.to_vec(),
-        })
+        (!fluence_per_kev.is_empty()).then(|| Tabulated::new([*kvp, *angle_deg, *first_kev, *bin_kev], fluence_per_kev))
     };
     include_str!("../../../calibration/spectra/tungsten.csv").lines().filter_map(parse).collect()
 });
@@ -92,6 +101,14 @@ impl Spectrum {
     /// # Errors
     /// When voltage, angle or a thickness is outside its range, or nothing passes.
     pub fn tungsten(kvp: f64, anode_angle_deg: f64, filtration: &[(Material, f64)]) -> Result<Self, PhysicsError> {
+        Self::tungsten_output(kvp, anode_angle_deg, filtration)?.normalised()
+    }
+
+    /// As [`Spectrum::tungsten`], but in photons per bin, per cm² and mAs at 1 m from the focal spot, without air on the way.
+    ///
+    /// # Errors
+    /// As [`Spectrum::tungsten`].
+    pub fn tungsten_output(kvp: f64, anode_angle_deg: f64, filtration: &[(Material, f64)]) -> Result<Self, PhysicsError> {
         let (from_kvp, to_kvp) = KVP_RANGE;
         if !(kvp >= from_kvp && kvp <= to_kvp) {
             return Err(PhysicsError::TubeVoltage { kvp, from_kvp, to_kvp });
@@ -109,15 +126,16 @@ impl Spectrum {
             (find(kvp_low, angle_high), (1.0 - kvp_weight) * angle_weight),
             (find(kvp_high, angle_high), kvp_weight * angle_weight),
         ];
-        // The continuum ends at the tube voltage, so neighbours are blended at equal fractions of their own voltage; the
-        // characteristic lines stand at fixed energies, so below the end they are blended at equal energies.
-        let per_kev = |energy_kev: f64| {
+        // The continuum ends at the tube voltage, so near its end neighbours are blended at equal fractions of their own voltage;
+        // the characteristic lines (57.4 to 70 keV, above the K edge at 69.5) stand at fixed energies, so there, and far below the
+        // end, they are blended at equal energies.
+        let photons = |from_kev: f64, to_kev: f64| {
+            let middle_kev = 0.5 * (from_kev + to_kev);
+            let lines = (57.0..70.5).contains(&middle_kev) && kvp > 70.0;
+            let blend = if lines { 0.0 } else { ((middle_kev / kvp - 0.75) / 0.15).clamp(0.0, 1.0) };
             let one = |table: &Tabulated| {
-                let scaled = energy_kev * table.kvp / kvp;
-                let blend = ((energy_kev / kvp - 0.8) / 0.15).clamp(0.0, 1.0);
-                let lines = (57.0..70.5).contains(&energy_kev) && kvp > 72.0;
-                let blend = if lines { 0.0 } else { blend };
-                table.at_kev(energy_kev) * (1.0 - blend) + table.at_kev(scaled) * (table.kvp / kvp) * blend
+                let scale = table.kvp / kvp;
+                (1.0 - blend) * table.between(from_kev, to_kev) + blend * table.between(from_kev * scale, to_kev * scale)
             };
             corners.iter().filter_map(|(table, weight)| table.map(|table| weight * one(table))).sum::<f64>()
         };
@@ -127,13 +145,15 @@ impl Spectrum {
             let width_kev = (kvp - edge_kev).min(1.0);
             let parts = 4;
             let part_kev = width_kev / f64::from(parts);
-            let centre = |i: i32| edge_kev + (f64::from(i) + 0.5) * part_kev;
-            let fluence: f64 = (0..parts).map(|i| per_kev(centre(i)) * part_kev).sum();
+            let part = |i: i32| edge_kev + f64::from(i) * part_kev;
+            let fluence: f64 = (0..parts).map(|i| photons(part(i), part(i + 1))).sum();
             bins.push(Bin { energy_kev: edge_kev + 0.5 * width_kev, fluence });
             edge_kev += width_kev;
         }
-        let spectrum = Self { bins };
-        spectrum.filtered(filtration)?.normalised()
+        let behind = Self { bins }.filtered(filtration)?;
+        // Normalising refuses what lets nothing pass.
+        behind.normalised()?;
+        Ok(behind)
     }
 
     /// One energy.
@@ -308,6 +328,38 @@ mod tests {
             cases += 1;
         }
         assert_eq!(cases, 6);
+    }
+
+    /// Every voltage and angle here lies between those of the tables; SpekPy itself was asked, with its default attenuation data.
+    #[test]
+    fn spectra_between_the_tables_agree_with_spekpy() {
+        let mut cases = 0;
+        for line in
+            include_str!("../../../tests/data/spekpy-off-grid.csv").lines().filter(|line| line.starts_with(char::is_numeric))
+        {
+            let cells: Vec<f64> = line.split(',').filter_map(|cell| cell.parse().ok()).collect();
+            let [kvp, angle_deg, aluminium_mm, copper_mm, mean, hvl1, hvl2] = cells[..] else { panic!("row '{line}'") };
+            let filters = [("aluminium", aluminium_mm), ("copper", copper_mm)]
+                .map(|(name, mm)| (Material::parse(name).expect("known"), mm));
+            let spectrum = Spectrum::tungsten(kvp, angle_deg, &filters).expect("inside");
+            let hvl = [spectrum.hvl1_mm_al().expect("inside"), spectrum.hvl2_mm_al().expect("inside")];
+            assert!((spectrum.mean_kev() / mean - 1.0).abs() < 0.0025, "{line}: mean {}", spectrum.mean_kev());
+            assert!((hvl[0] / hvl1 - 1.0).abs() < 0.005 && (hvl[1] / hvl2 - 1.0).abs() < 0.005, "{line}: HVL {hvl:?}");
+            let other = Spectrum::tungsten(kvp - 1.0, angle_deg, &filters).expect("inside").hvl1_mm_al().expect("inside");
+            assert!((other / hvl1 - 1.0).abs() > 0.002, "{line}: control, 1 kV less is seen: {other}");
+            cases += 1;
+        }
+        assert_eq!(cases, 60);
+    }
+
+    /// Interpolating between half-keV bin centres once moved an eighth of each line into the neighbouring bin: 1 % of all photons at 133 kV.
+    #[test]
+    fn characteristic_lines_stay_in_their_bins() {
+        let spectrum = Spectrum::tungsten(120.0, 12.0, &[]).expect("inside");
+        let share = |kev: f64| spectrum.bins.iter().find(|bin| bin.energy_kev == kev).expect("a bin").fluence;
+        // SpekPy's half-keV bins of the unfiltered output, photons per keV at 120 kV and 12 degrees.
+        assert!((share(57.5) / share(58.5) / ((6.083_09 + 27.185_17) / (5.904_24 + 5.816_52)) - 1.0).abs() < 1e-3);
+        assert!((share(59.5) / share(60.5) / ((43.223_95 + 5.644_42) / (5.560_48 + 5.477_48)) - 1.0).abs() < 1e-3);
     }
 
     /// TG-195 case 1: 2.273 mm Al at 30 keV.

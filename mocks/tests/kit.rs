@@ -1,0 +1,86 @@
+//! The kit's files agree with each other and with the phantom.
+
+use std::io::Read;
+use std::path::Path;
+
+use mock_lab::kinematics::{BODY_RADII_MM, DRILL_LENGTH_MM, DRILL_RADIUS_MM, SHAFT_RADIUS_MM};
+use mock_lab::kit::write;
+use mock_lab::lab::Lab;
+use mock_lab::phantom::{Phantom, area_densities};
+use mock_lab::script::Script;
+use serde_json::Value;
+
+use crate::folder;
+
+fn json(folder: &Path, name: &str) -> Value {
+    serde_json::from_str(&std::fs::read_to_string(folder.join(name)).expect(name)).expect(name)
+}
+
+#[test]
+fn the_kit_is_whole_and_its_files_agree() {
+    let folder = folder("kit");
+    let (lab, phantom) = (Lab::embedded().expect("embedded"), Phantom::embedded().expect("embedded"));
+    let script = Script { lab: &lab, duration_s: 20.0, exposures: usize::MAX, counter: true };
+    write(&folder, &script, &phantom, true, false).expect("written");
+    let session = json(&folder, "session.json");
+    assert!(session["robot"].is_null(), "no robot was asked for");
+    for name in [&session["carm"]["calibration"], &session["scene"], &session["beads"]] {
+        json(&folder, name.as_str().expect("a file"));
+    }
+    let truth = json(&folder, "truth.json");
+    let frames = truth["frames"].as_array().expect("frames");
+    assert!(frames.len() >= 6);
+    let seen: Vec<usize> = frames
+        .iter()
+        .map(|frame| frame["beads"].as_array().expect("beads").iter().filter(|bead| bead["in_field"] == true).count())
+        .collect();
+    assert_eq!(seen.iter().filter(|count| **count < 4).count(), 1, "one exposure shows too few beads: {seen:?}");
+    assert!(seen.iter().filter(|count| **count >= 8).count() >= 6, "{seen:?}");
+    assert_eq!(json(&folder, "detector.json")["air_value"], truth["air_value"]);
+
+    let mut bytes = Vec::new();
+    let file = std::fs::File::open(folder.join("ct.nii.gz")).expect("ct");
+    flate2::read::GzDecoder::new(file).read_to_end(&mut bytes).expect("unpacks");
+    let size = |axis: usize| usize::from(u16::from_le_bytes([bytes[42 + 2 * axis], bytes[43 + 2 * axis]]));
+    assert_eq!(bytes.len(), 352 + 2 * size(0) * size(1) * size(2));
+    let sform = |row: usize, column: usize| {
+        let at = 280 + 16 * row + 4 * column;
+        f32::from_le_bytes(bytes[at..at + 4].try_into().expect("four bytes"))
+    };
+    // Column 0 runs towards patient left: −x in RAS. The grid is centred on the origin.
+    assert!(sform(0, 0) < 0.0 && (sform(0, 3) + sform(0, 0) * 0.5 * (size(0) as f32 - 1.0)).abs() < 1e-4);
+
+    // Beer's paths through the voxels and through the shapes are the same matter: total mass within 1 %.
+    let hu = |index: usize| f64::from(i16::from_le_bytes([bytes[352 + 2 * index], bytes[353 + 2 * index]]));
+    let count = size(0) * size(1) * size(2);
+    let in_voxels: f64 =
+        (0..count).map(hu).filter(|hu| *hu > phantom.air_below_hu).map(|hu| phantom.density_of_hu(hu) * 1e-3).sum();
+    let in_shapes = mass_g(&phantom, 0.0);
+    assert!((in_voxels / in_shapes - 1.0).abs() < 0.01, "{in_voxels} g, {in_shapes} g");
+    assert!((in_voxels / mass_g(&phantom, 0.02) - 1.0).abs() > 0.01, "control");
+    std::fs::remove_dir_all(folder).expect("removed");
+}
+
+/// Mass of the tissue from its closed-form paths along y, every 0.5 mm; `excess` makes it wrong.
+fn mass_g(phantom: &Phantom, excess: f64) -> f64 {
+    let (tissue, step) = (phantom.tissue(), 0.5);
+    let mut scratch = Vec::new();
+    let mut sum = 0.0;
+    for i in -130..130 {
+        for k in -115..115 {
+            let (x, z) = ((f64::from(i) + 0.5) * step, (f64::from(k) + 0.5) * step);
+            let paths = area_densities(&tissue, [x, -200.0, z], [x, 200.0, z], &mut scratch);
+            sum += paths.iter().sum::<f64>() * step * step * 0.01;
+        }
+    }
+    sum * (1.0 + excess)
+}
+
+#[test]
+fn the_robot_s_model_says_what_the_mock_draws() {
+    let robot = Lab::embedded().expect("embedded").robot;
+    let said = |part: &str, key: &str| robot[part][key].as_f64().expect(key);
+    assert_eq!([said("body", "outer_diameter_mm"), said("body", "inner_diameter_mm")], BODY_RADII_MM.map(|radius| 2.0 * radius));
+    assert_eq!(said("shaft", "diameter_mm"), 2.0 * SHAFT_RADIUS_MM);
+    assert_eq!([said("drill", "length_mm"), said("drill", "diameter_mm")], [DRILL_LENGTH_MM, 2.0 * DRILL_RADIUS_MM]);
+}

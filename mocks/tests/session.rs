@@ -1,0 +1,72 @@
+//! A short session in real time, heard on both ports.
+
+use mock_lab::fault::FaultKind;
+use mock_lab::lab::{Device, Fault, Lab};
+use mock_lab::play::{Performance, play};
+use mock_lab::pty::Line;
+use mock_lab::script::Script;
+
+use crate::folder;
+use crate::receiver::{Heard, hear, open, read_available};
+
+/// Plays two seconds; what each port heard, and the events.
+fn play_two_seconds(name: &str, faults: Vec<Fault>) -> (Heard, Heard, Vec<serde_json::Value>) {
+    let folder = folder(name);
+    let lab = Lab::embedded().expect("embedded");
+    let lines: Vec<(Device, Line)> = [Device::Carm, Device::Robot]
+        .map(|device| (device, Line::open(&folder.join(device.name())).expect("pty")))
+        .into_iter()
+        .collect();
+    let mut ports = [open(lines[0].1.path()), open(lines[1].1.path())];
+    let player = std::thread::spawn(move || {
+        let script = Script { lab: &lab, duration_s: 2.0, exposures: 1, counter: true };
+        let performance = Performance { start_delay_s: 0.0, linger_s: 0.0, rate: 1.0, faults, seed: 1 };
+        let mut events = Vec::new();
+        play(&script, &performance, lines, &[], &mut |event| events.push(event)).expect("plays");
+        events
+    });
+    let mut bytes = [Vec::new(), Vec::new()];
+    while !player.is_finished() {
+        for (port, bytes) in ports.iter_mut().zip(&mut bytes) {
+            bytes.extend(read_available(port));
+        }
+        std::thread::sleep(std::time::Duration::from_millis(2));
+    }
+    for (port, bytes) in ports.iter_mut().zip(&mut bytes) {
+        bytes.extend(read_available(port));
+    }
+    let events = player.join().expect("player");
+    std::fs::remove_dir_all(folder).expect("removed");
+    (hear(&bytes[0]), hear(&bytes[1]), events)
+}
+
+#[test]
+fn a_session_sends_at_its_rates_and_shows_its_exposure() {
+    let (carm, robot, events) = play_two_seconds("session", Vec::new());
+    let count = |heard: &Heard, message: u8| heard.packets.iter().filter(|packet| packet.0 == message).count();
+    assert_eq!((carm.corrupt, carm.lost, robot.corrupt, robot.lost), (0, 0, 0, 0));
+    assert!((58..=61).contains(&count(&carm, 2)) && (2..=3).contains(&count(&carm, 3)), "{} C-arm packets", count(&carm, 2));
+    assert!((198..=201).contains(&count(&robot, 1)) && count(&robot, 2) == 0, "{} robot packets", count(&robot, 1));
+    let lit = carm.packets.iter().filter(|packet| packet.0 == 2 && packet.1 & 1 == 1);
+    let counters: Vec<u8> = lit.map(|packet| packet.4[92]).collect();
+    assert!((8..=10).contains(&counters.len()) && counters.iter().all(|counter| *counter == 1), "{counters:?}");
+    // The robot's clock runs 60 ppm fast from an epoch of its own.
+    let times: Vec<u64> = robot.packets.iter().filter(|packet| packet.0 == 1).map(|packet| packet.3).collect();
+    assert_eq!(times[0], 9_876_543_210);
+    assert_eq!(times[150] - times[0], 1_500_090);
+    assert_eq!(events.last().expect("events")["event"], "finished");
+}
+
+#[test]
+fn a_session_has_the_faults_that_were_asked_for() {
+    let fault = |device, at, kind| Fault { device, at, kind };
+    let faults = vec![
+        fault(Device::Robot, 0.5, FaultKind::Flip),
+        fault(Device::Robot, 0.6, FaultKind::Duplicate),
+        fault(Device::Carm, 0.7, FaultKind::Drop),
+    ];
+    let (carm, robot, events) = play_two_seconds("faults", faults);
+    assert_eq!((carm.corrupt, carm.lost, carm.duplicate), (0, 1, 0));
+    assert_eq!((robot.corrupt, robot.lost, robot.duplicate), (1, 1, 1));
+    assert_eq!(events.iter().filter(|event| event["event"] == "fault").count(), 3);
+}

@@ -1,0 +1,302 @@
+//! Scene files: what they become, and what is said of mistakes.
+
+use std::path::Path;
+
+use glam::DVec3;
+use serde_json::{Value, json};
+use sidecarm::geometry::Rigid;
+use sidecarm::reporter::Reporter;
+use sidecarm::scene::model::{Matter, Noise, Response, Shape};
+use sidecarm::scene::{self, Scene};
+
+fn load(value: &Value) -> Result<Scene, String> {
+    load_with(value, true, &Reporter::silent())
+}
+
+fn load_with(value: &Value, need_view: bool, reporter: &Reporter) -> Result<Scene, String> {
+    scene::load_text(&value.to_string(), Path::new("SCENE.json"), need_view, reporter).map_err(|error| {
+        let error = error.to_string();
+        assert!(!error.contains('\n'), "{error}");
+        error
+    })
+}
+
+fn unit() -> Value {
+    json!([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+}
+
+/// The example of the format, without its files.
+fn example() -> Value {
+    json!({
+        "objects": [
+            {"sphere": {"centre_lps_mm": [1, 2, 3], "radius_mm": 0.75, "material": "Steel_316L"}},
+            {"ellipsoid": {"centre_lps_mm": [0, 0, 0], "semi_axes_mm": [30, 20, 10],
+                "rotation_lps_from_local": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "material": "water"}},
+            {"box": {"centre_lps_mm": [0, 0, 0], "size_mm": [400, 400, 200], "material": "water", "density_g_per_cm3": 0.9}},
+            {"cylinder": {"from_lps_mm": [0, 0, 0], "to_lps_mm": [50, 0, 0], "radius_mm": 1.5, "inner_radius_mm": 0.5,
+                "material": "Ti90Al6V4", "density_g_per_cm3": 4.4, "body": "left femur"}},
+            {"robot": {"model": "calibration/robot/cdm.json", "lps_from_base": unit(), "control_angles_deg": [1.0, 2.0, 0.5, -1.0, 0.0]}}
+        ],
+        "view": {"size_px": [620, 480], "intrinsics": [[5257, 0, 309.5], [0, 5257, 239.5], [0, 0, 1]],
+            "camera_from_lps": [[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 600], [0, 0, 0, 1]]},
+        "beam": {"tube_kvp": 120, "anode_angle_deg": 12, "filtration_mm": {"aluminium": 4.3}, "photons_per_pixel": 5e5},
+        "detector": {"response": "energy", "pitch_mm": 0.194},
+        "model": {"formation": "deepdrr", "scatter": "off", "noise": false, "seed": 1}
+    })
+}
+
+#[test]
+fn the_example_loads() {
+    let scene = load(&example()).expect("good");
+    let names: Vec<&str> = scene.materials.iter().map(|material| material.name.as_str()).collect();
+    assert_eq!(names, ["steel_316l", "water", "Ti90Al6V4", "nitinol"], "in order of first appearance");
+    let counts: Vec<usize> =
+        scene.objects.iter().map(|object| if let Matter::Solids(solids) = &object.matter { solids.len() } else { 0 }).collect();
+    assert_eq!(counts, [1, 1, 1, 1, 57]);
+    assert_eq!((scene.objects[3].name.as_str(), scene.objects[3].body.as_str()), ("objects[3].cylinder", "left femur"));
+    assert_eq!(scene.objects[0].body, "specimen");
+    let Matter::Solids(cylinder) = &scene.objects[3].matter else { panic!("solids") };
+    let end = cylinder[0].lps_from_local.transform_point(DVec3::new(0.0, 0.0, 50.0));
+    assert!(end.distance(DVec3::new(50.0, 0.0, 0.0)) < 1e-9 && cylinder[0].density_g_per_cm3 == 4.4);
+    assert!((scene.beam.spectrum.mean_kev() - 57.5).abs() < 0.6 && scene.beam.photons_per_pixel == 5e5);
+    assert!(scene.detector.response == Response::Energy && scene.model.noise == Noise::Off);
+    assert_eq!(scene.view.expect("has one").size_px, [620, 480]);
+    assert_eq!(scene.inputs.len(), 2, "the scene and the robot's model: {:?}", scene.inputs);
+}
+
+#[test]
+fn robots_bend_move_and_clamp() {
+    let reporter = Reporter::silent();
+    let scene = load_with(&example(), true, &reporter).expect("good");
+    assert!(reporter.warnings().is_empty());
+    let Matter::Solids(solids) = &scene.objects[4].matter else { panic!("solids") };
+    assert!(matches!(solids[0].shape, Shape::Cylinder { radius_mm: 3.0, inner_radius_mm: 2.0, .. }));
+    assert!(matches!(solids[28].shape, Shape::Cylinder { radius_mm: 1.0, inner_radius_mm: 0.0, .. }));
+    assert!(matches!(solids[56].shape, Shape::Cylinder { length_mm: 4.0, radius_mm: 2.5, .. }));
+    let moved = scene.with_robot([0.0; 5], Some(Rigid::translation(DVec3::new(0.0, 5.0, 0.0)))).expect("finite");
+    let Matter::Solids(straight) = &moved.objects[4].matter else { panic!("solids") };
+    let tip = straight[56].lps_from_local.transform_point(DVec3::new(0.0, 0.0, 4.0));
+    assert!(tip.distance(DVec3::new(0.0, 5.0, 39.0)) < 1e-9, "{tip}");
+    assert!(scene.with_robot([f64::NAN; 5], None).is_err());
+    assert_eq!(moved.without_robot().objects.len(), 4);
+    let mut bent = example();
+    bent["objects"][4]["robot"]["control_angles_deg"] = json!([20, 20, 20, 20, 20]);
+    let limited = load_with(&bent, true, &reporter).expect("good");
+    assert!(reporter.warnings().contains_key("robot bend") && limited.robot.expect("there").clamped == 27);
+}
+
+#[test]
+fn beads_come_last() {
+    let mut scene = load(&example()).expect("good");
+    scene.add_beads(&[(DVec3::ZERO, 0.75), (DVec3::X, 1.0)], "steel_316l").expect("good");
+    assert!(matches!(&scene.objects[5].matter, Matter::Solids(solids) if solids.len() == 2 && solids[1].material == 0));
+    assert!(scene.add_beads(&[(DVec3::ZERO, f64::NAN)], "steel_316l").is_err());
+    let (low, high) = scene.bounds_lps_mm().expect("not empty");
+    assert!(low.x <= -200.0 && high.z >= 100.0);
+}
+
+#[test]
+fn a_projection_and_joints_give_the_same_kind_of_view() {
+    let first = load(&example()).expect("good").view.expect("has one");
+    let mut by_projection = example();
+    let scaled: Vec<Vec<f64>> = first.projection().0.iter().map(|row| row.iter().map(|x| x * -3.5).collect()).collect();
+    by_projection["view"] = json!({"size_px": [620, 480], "projection": scaled});
+    let second = load(&by_projection).expect("good").view.expect("has one");
+    assert!((second.intrinsics.fx - 5257.0).abs() < 1e-6);
+    assert!(second.camera_from_lps.translation_mm.distance(first.camera_from_lps.translation_mm) < 1e-6);
+
+    let mut by_joints = example();
+    by_joints["view"] =
+        json!({"carm": {"orbital_deg": 90}, "calibration": "calibration/carm/live-620x480.json", "world_from_lps": unit()});
+    by_joints["detector"] = json!({});
+    let scene = load(&by_joints).expect("good");
+    let view = scene.view.expect("has one");
+    assert_eq!((view.size_px, scene.detector.pitch_mm), ([620, 480], 0.388));
+    assert!((view.intrinsics.source_to_detector_mm(0.388) - 1020.0).abs() < 1e-9);
+    // Orbital 90° swings the source, below the isocentre at zero, to −x: Ry(90°) takes −z to −x.
+    assert!(view.source_in_lps().distance(DVec3::new(800.0 - 631.8, 0.0, 1000.0)) < 1e-6, "{}", view.source_in_lps());
+    by_joints["detector"] = json!({"pitch_mm": 0.2});
+    assert!(load(&by_joints).expect_err("two pitches").contains("0.388"));
+}
+
+#[test]
+fn mistakes_name_file_and_place() {
+    type Change = fn(&mut Value);
+    let cases: [(&str, Change, &[&str]); 30] = [
+        ("unknown key", |s| s["objects"][0]["sphere"]["radius"] = json!(1), &["objects[0].sphere", "radius"]),
+        ("unknown kind", |s| s["objects"][0] = json!({"ball": {}}), &["objects[0]", "ball"]),
+        ("unknown top", |s| s["vew"] = json!(1), &["vew"]),
+        (
+            "unknown material",
+            |s| s["objects"][0]["sphere"]["material"] = json!("steal_316l"),
+            &["objects[0].sphere.material", "steel_316l"],
+        ),
+        ("no density", |s| s["objects"][3]["cylinder"]["density_g_per_cm3"] = Value::Null, &["objects[3]", "density"]),
+        (
+            "negative density",
+            |s| s["objects"][2]["box"]["density_g_per_cm3"] = json!(-1),
+            &["objects[2].box.density_g_per_cm3", "-1"],
+        ),
+        ("radius", |s| s["objects"][0]["sphere"]["radius_mm"] = json!(0), &["objects[0].sphere.radius_mm"]),
+        ("lumen", |s| s["objects"][3]["cylinder"]["inner_radius_mm"] = json!(2), &["inner_radius_mm"]),
+        ("no length", |s| s["objects"][3]["cylinder"]["to_lps_mm"] = json!([0, 0, 0]), &["objects[3].cylinder"]),
+        ("overflow", |s| s["objects"][0]["sphere"]["centre_lps_mm"] = json!([1e300, 0, 0]), &["centre_lps_mm"]),
+        (
+            "not rigid",
+            |s| s["objects"][4]["robot"]["lps_from_base"][0][0] = json!(2),
+            &["objects[4].robot.lps_from_base", "rigid"],
+        ),
+        ("mirrored", |s| s["view"]["camera_from_lps"][0][0] = json!(-1), &["view.camera_from_lps"]),
+        (
+            "not a rotation",
+            |s| s["objects"][1]["ellipsoid"]["rotation_lps_from_local"][0][0] = json!(3),
+            &["rotation_lps_from_local"],
+        ),
+        ("missing model", |s| s["objects"][4]["robot"]["model"] = json!("none.json"), &["objects[4].robot.model", "none.json"]),
+        (
+            "missing volume",
+            |s| s["objects"][0] = json!({"ct": {"path": "no.nii", "materials": "threshold"}}),
+            &["objects[0].ct.path", "no.nii"],
+        ),
+        (
+            "materials",
+            |s| s["objects"][0] = json!({"ct": {"path": "no.nii", "materials": "guess"}}),
+            &["objects[0].ct.materials", "guess"],
+        ),
+        ("focal", |s| s["view"]["intrinsics"][0][0] = json!(0), &["view.intrinsics", "focal"]),
+        ("no size", |s| s["view"]["size_px"] = json!([0, 480]), &["view.size_px"]),
+        ("two cameras", |s| s["view"]["projection"] = json!([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]), &["view", "projection"]),
+        ("distance", |s| s["detector"]["pitch_mm"] = json!(0.000194 / 5257.0), &["source-to-detector"]),
+        ("no pitch", |s| s["detector"] = json!({}), &["pitch_mm"]),
+        ("kvp", |s| s["beam"]["tube_kvp"] = json!(500), &["beam.tube_kvp", "500"]),
+        ("no kvp", |s| s["beam"]["tube_kvp"] = json!(0), &["beam.tube_kvp"]),
+        ("filter", |s| s["beam"]["filtration_mm"]["aluminium"] = json!(-1), &["beam.filtration_mm.aluminium", "-1"]),
+        ("two beams", |s| s["beam"]["mono_kev"] = json!(60), &["beam", "exactly one"]),
+        ("photons", |s| s["beam"]["photons_per_pixel"] = json!(0), &["beam.photons_per_pixel"]),
+        ("crosstalk", |s| s["detector"]["crosstalk"] = json!([[0.5, 0.5]]), &["detector.crosstalk"]),
+        ("sum", |s| s["detector"]["crosstalk"] = json!([[0.5]]), &["crosstalk", "0.5"]),
+        ("noise", |s| s["model"]["noise"] = json!("loud"), &["model.noise", "loud"]),
+        ("correlation", |s| s["detector"]["readout_noise"] = json!({"sigma": 0.1, "row_correlation": 1}), &["row_correlation"]),
+    ];
+    assert!(load(&example()).is_ok(), "unchanged it loads");
+    for (what, change, words) in cases {
+        let mut scene = example();
+        change(&mut scene);
+        let error = load(&scene).expect_err(what);
+        assert!(error.starts_with("SCENE.json") && words.iter().all(|word| error.contains(word)), "{what}: {error}");
+    }
+}
+
+#[test]
+fn what_is_not_built_yet_says_so() {
+    let mut cases = 0;
+    for (section, key) in [
+        ("beam", "bowtie"),
+        ("beam", "heel"),
+        ("beam", "focal_spot_mm"),
+        ("beam", "field"),
+        ("detector", "scintillator"),
+        ("detector", "blur_fwhm_mm"),
+        ("detector", "bits"),
+        ("detector", "saturation"),
+        ("detector", "grid"),
+        ("detector", "intensifier"),
+    ] {
+        let mut scene = example();
+        scene[section][key] = json!(1);
+        let error = load(&scene).expect_err(key);
+        assert!(error.contains(&format!("{section}.{key} is not available in this version")), "{error}");
+        cases += 1;
+    }
+    for scatter in ["network", "monte_carlo"] {
+        let mut scene = example();
+        scene["model"]["scatter"] = json!(scatter);
+        assert!(load(&scene).expect_err(scatter).contains("not available"));
+        cases += 1;
+    }
+    assert_eq!(cases, 12);
+}
+
+#[test]
+fn session_scenes_need_no_view() {
+    let mut scene = example();
+    scene.as_object_mut().expect("an object").remove("view");
+    assert!(load(&scene).expect_err("none").contains("view"));
+    let loaded = load_with(&scene, false, &Reporter::silent()).expect("good");
+    assert!(loaded.view.is_none());
+    let malformed = scene::load_text("{\"objects\": [", Path::new("SCENE.json"), true, &Reporter::silent());
+    assert!(malformed.expect_err("cut").to_string().contains("line 1"));
+}
+
+fn write_stl(path: &Path, triangles: &[[[f32; 3]; 3]], ascii: bool) {
+    let mut bytes = Vec::new();
+    if ascii {
+        let mut text = String::from("solid box\n");
+        for triangle in triangles {
+            text += "facet normal 0 0 0\nouter loop\n";
+            triangle.iter().for_each(|[x, y, z]| text += &format!("vertex {x} {y} {z}\n"));
+            text += "endloop\nendfacet\n";
+        }
+        bytes.extend_from_slice((text + "endsolid box\n").as_bytes());
+    } else {
+        bytes.extend_from_slice(&[0; 80]);
+        bytes.extend_from_slice(&(triangles.len() as u32).to_le_bytes());
+        for triangle in triangles {
+            bytes.extend_from_slice(&[0; 12]);
+            triangle.iter().flatten().for_each(|x| bytes.extend_from_slice(&x.to_le_bytes()));
+            bytes.extend_from_slice(&[0; 2]);
+        }
+    }
+    std::fs::write(path, bytes).expect("temporary folder");
+}
+
+#[test]
+fn meshes_are_closed_turned_outward_or_refused() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let corner = |bits: u32| [0, 1, 2].map(|axis| if bits >> axis & 1 == 1 { 2.0f32 } else { -2.0 });
+    let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+    let good: Vec<[[f32; 3]; 3]> =
+        quads.iter().flat_map(|[a, b, c, d]| [[a, b, c], [a, c, d]].map(|t| t.map(|v| corner(*v)))).collect();
+    let path = folder.path().join("box.stl");
+    let scene_path = folder.path().join("scene.json");
+    let mut scene = example();
+    scene["objects"] = json!([{"mesh": {"path": "box.stl", "material": "titanium",
+        "lps_from_mesh": [[1, 0, 0, 10], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}}]);
+    let load = |triangles: &[[[f32; 3]; 3]], ascii: bool| {
+        write_stl(&path, triangles, ascii);
+        let reporter = Reporter::silent();
+        let loaded = scene::load_text(&scene.to_string(), &scene_path, true, &reporter);
+        loaded.map(|scene| (scene, reporter.warnings().len())).map_err(|error| error.to_string())
+    };
+    let volume_mm3 = |scene: &Scene| -> f64 {
+        let Matter::Mesh(mesh) = &scene.objects[0].matter else { panic!("a mesh") };
+        let middle = DVec3::new(10.0, 0.0, 0.0);
+        assert_eq!(mesh.vertices_lps_mm.len(), 8, "welded");
+        mesh.triangles
+            .iter()
+            .map(|t| t.map(|v| mesh.vertices_lps_mm[v as usize] - middle))
+            .map(|[a, b, c]| a.dot(b.cross(c)) / 6.0)
+            .sum()
+    };
+    for ascii in [false, true] {
+        let (scene, warnings) = load(&good, ascii).expect("good");
+        assert!((volume_mm3(&scene) - 64.0).abs() < 1e-9 && warnings == 0);
+    }
+    let mut one_inverted = good.clone();
+    one_inverted[3].swap(0, 1);
+    let (scene, warnings) = load(&one_inverted, false).expect("repaired");
+    assert!((volume_mm3(&scene) - 64.0).abs() < 1e-9 && warnings == 1);
+    let inside_out: Vec<_> = good.iter().map(|[a, b, c]| [*a, *c, *b]).collect();
+    let (scene, warnings) = load(&inside_out, false).expect("turned");
+    assert!((volume_mm3(&scene) - 64.0).abs() < 1e-9 && warnings == 1);
+    let error = load(&good[1..], false).expect_err("a hole");
+    assert!(error.contains("holes") && error.contains("box.stl") && error.contains("3 open edges"), "{error}");
+    std::fs::write(&path, b"solid nothing").expect("temporary folder");
+    assert!(scene::load_text(&scene_text(), &scene_path, true, &Reporter::silent()).is_err());
+}
+
+fn scene_text() -> String {
+    let mut scene = example();
+    scene["objects"] = json!([{"mesh": {"path": "box.stl", "material": "titanium"}}]);
+    scene.to_string()
+}

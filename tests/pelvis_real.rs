@@ -96,13 +96,16 @@ fn a_noisy_pelvis_frame_gives_its_projection_back() {
     let supine = DQuat::from_mat3(&DMat3::from_cols(DVec3::X, -DVec3::Z, DVec3::Y));
     let world_from_lps = Rigid { rotation: supine, translation_mm: DVec3::new(800.0, 0.0, 1000.0) - supine * centre };
     let layout = BeadLayout {
-        beads: (0..).zip(&beads).map(|(i, p)| Bead {
-            name: format!("B{i}"),
-            body: "specimen".to_owned(),
-            lps_mm: *p,
-            radius_mm: Some(RADIUS_MM),
-            sigma_mm: Some(0.0),
-        }).collect(),
+        beads: (0..)
+            .zip(&beads)
+            .map(|(i, p)| Bead {
+                name: format!("B{i}"),
+                body: "specimen".to_owned(),
+                lps_mm: *p,
+                radius_mm: Some(RADIUS_MM),
+                sigma_mm: Some(0.0),
+            })
+            .collect(),
         source: "test".to_owned(),
         notes: Vec::new(),
     };
@@ -119,7 +122,8 @@ fn a_noisy_pelvis_frame_gives_its_projection_back() {
         let intrinsics = carm.intrinsics(&joints).expect("measured");
         let view = View { size_px: [620, 480], intrinsics, camera_from_lps };
         let scene = full.with_view(view);
-        let rendered = renderer.render(&scene, &Options { quantity: Quantity::Intensity, ..Options::default() }).expect("renders");
+        let rendered =
+            renderer.render(&scene, &Options { quantity: Quantity::Intensity, ..Options::default() }).expect("renders");
         let frame = Frame::from_pixels("pelvis", rendered.pages[0].clone(), Domain::Linear).expect("finite");
         let off = Rigid::exp(DVec3::new(0.03, -0.02, 0.02), DVec3::new(4.0, -5.0, 6.0)) * camera_from_lps;
         let prior = Prior { camera_from_lps: off, covariance: None };
@@ -136,13 +140,15 @@ fn a_noisy_pelvis_frame_gives_its_projection_back() {
         assert!(pose.is_accepted(), "{orbital_deg}/{angulation_deg}: {:?}", pose.reason);
         let found = pose.projection.expect("accepted");
         let truth = view.projection();
-        let landmarks: Vec<DVec3> = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z, -DVec3::X, -DVec3::Z].map(|d| centre + 25.0 * d).to_vec();
+        let landmarks: Vec<DVec3> =
+            [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z, -DVec3::X, -DVec3::Z].map(|d| centre + 25.0 * d).to_vec();
         let shift = |p: &DVec3| found.project(*p).0.distance(truth.project(*p).0);
         let mean_px = landmarks.iter().map(shift).sum::<f64>() / landmarks.len() as f64;
         println!("pelvis {orbital_deg}/{angulation_deg}: mean over landmarks {mean_px:.3} px, rms {:?} px", pose.rms_px);
         assert!(mean_px < 0.1, "{mean_px} px");
 
-        let clean = renderer.render(&scene, &Options { quantity: Quantity::LineIntegral, ..Options::default() }).expect("renders");
+        let clean =
+            renderer.render(&scene, &Options { quantity: Quantity::LineIntegral, ..Options::default() }).expect("renders");
         let mut input = CompareInput::new(&frame, &clean.pages[0]);
         input.valid = Some(&clean.valid);
         input.view = Some(&view);

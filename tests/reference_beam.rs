@@ -37,7 +37,11 @@ fn twenty_centimetres_of_steel_are_51_474_nepers() {
 fn half_a_metre_of_air_in_a_ct_is_exactly_one() {
     let made = Volume {
         size: [4, 4, 4],
-        lps_from_voxel: DAffine3::from_scale_rotation_translation(DVec3::splat(128.0), glam::DQuat::IDENTITY, DVec3::splat(-192.0)),
+        lps_from_voxel: DAffine3::from_scale_rotation_translation(
+            DVec3::splat(128.0),
+            glam::DQuat::IDENTITY,
+            DVec3::splat(-192.0),
+        ),
         density_g_per_cm3: vec![0.0; 64],
         class: vec![0; 64],
         class_materials: Vec::new(),
@@ -94,7 +98,11 @@ fn naive_formation_has_one_coefficient_for_everything() {
     two.model.formation = Formation::Naive;
     two.beam.spectrum = Spectrum { bins: vec![Bin { energy_kev: 40.0, fluence: 1.0 }, Bin { energy_kev: 80.0, fluence: 3.0 }] };
     let mu = |name: &str, kev: f64| Material::parse(name).expect("known").attenuation(kev).expect("tabulated").total_cm2_per_g;
-    let kappa = 0.5 * (0.25 * mu("water", 40.0) + 0.75 * mu("water", 80.0) + 0.25 * mu("bone_cortical", 40.0) + 0.75 * mu("bone_cortical", 80.0));
+    let kappa = 0.5
+        * (0.25 * mu("water", 40.0)
+            + 0.75 * mu("water", 80.0)
+            + 0.25 * mu("bone_cortical", 40.0)
+            + 0.75 * mu("bone_cortical", 80.0));
     let found = reference::line_integral(&two, &[3.0, 4.0]).expect("tabulated");
     assert!((found - kappa * 7.0).abs() < 1e-12, "{found}");
 }

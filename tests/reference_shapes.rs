@@ -85,10 +85,13 @@ fn a_tube_gives_its_wall_across_and_along() {
     let in_wall = lengths_mm(&along, 600.0, [31.5 + 5000.0 * x_mm, 23.5])[0];
     assert!((in_wall - 30.0 * (1.0 + x_mm * x_mm).sqrt()).abs() < 1e-9, "{in_wall}");
     // Across: axis along y, the chord of the annulus at offset a from the axis.
-    let across = one(shape, Rigid {
-        rotation: glam::DQuat::from_rotation_x(-std::f64::consts::FRAC_PI_2),
-        translation_mm: DVec3::new(0.0, -15.0, 0.0),
-    });
+    let across = one(
+        shape,
+        Rigid {
+            rotation: glam::DQuat::from_rotation_x(-std::f64::consts::FRAC_PI_2),
+            translation_mm: DVec3::new(0.0, -15.0, 0.0),
+        },
+    );
     let mut cases = 0;
     for u in [31.5, 36.0, 45.0, 50.0, 54.0] {
         let slope = (u - 31.5) / 5000.0;
@@ -171,7 +174,8 @@ fn later_solids_displace_earlier_ones_and_lumens_displace_nothing() {
     }
     assert!(shared > 4, "{shared} rays cross more than two materials");
     // Control: without displacement a rod inside a ball would be counted twice.
-    let nested = scene(&["water", "steel_316l"], vec![Matter::Solids(vec![ball(DVec3::ZERO, 9.0, 0), ball(DVec3::ZERO, 2.0, 1)])]);
+    let nested =
+        scene(&["water", "steel_316l"], vec![Matter::Solids(vec![ball(DVec3::ZERO, 9.0, 0), ball(DVec3::ZERO, 2.0, 1)])]);
     let found = lengths_mm(&nested, 600.0, [31.5, 23.5]);
     assert!((found[0] - 14.0).abs() < 1e-9 && (found[1] - 4.0).abs() < 1e-9 && (found[0] - 18.0).abs() > 1.0);
 }
@@ -185,7 +189,8 @@ fn air_displaces_nothing() {
 
 /// A box of 12 triangles with outward normals.
 fn box_mesh(half: DVec3, pose: Rigid) -> Mesh {
-    let corner = |bits: u32| DVec3::from_array(std::array::from_fn(|axis| if bits >> axis & 1 == 1 { half[axis] } else { -half[axis] }));
+    let corner =
+        |bits: u32| DVec3::from_array(std::array::from_fn(|axis| if bits >> axis & 1 == 1 { half[axis] } else { -half[axis] }));
     let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
     Mesh {
         vertices_lps_mm: (0..8).map(|bits| pose.transform_point(corner(bits))).collect(),

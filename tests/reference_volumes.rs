@@ -138,7 +138,8 @@ fn rays_along_faces_edges_and_corners_are_right() {
 #[test]
 fn the_field_starts_at_the_source_and_ends_at_the_detector() {
     let mut dice = Dice::new(7);
-    let lps_from_voxel = DAffine3 { matrix3: DMat3::from_diagonal(DVec3::splat(4.0)), translation: DVec3::new(-6.0, -6.0, -10.0) };
+    let lps_from_voxel =
+        DAffine3 { matrix3: DMat3::from_diagonal(DVec3::splat(4.0)), translation: DVec3::new(-6.0, -6.0, -10.0) };
     let made = random_volume(&mut dice, [4, 4, 6], lps_from_voxel);
     let scene = scene(&["water", "bone_cortical"], vec![volume(made)]);
     let mut cases = 0;
@@ -147,7 +148,8 @@ fn the_field_starts_at_the_source_and_ends_at_the_detector() {
         cases += 1;
     }
     assert_eq!(cases, 7);
-    let total = |distance_mm| Reference::new(&scene, &view(distance_mm)).expect("good").area_densities([33.0, 22.0]).iter().sum::<f64>();
+    let total =
+        |distance_mm| Reference::new(&scene, &view(distance_mm)).expect("good").area_densities([33.0, 22.0]).iter().sum::<f64>();
     assert_eq!(total(1013.0), 0.0, "behind the detector");
     assert_eq!(total(-13.0), 0.0, "behind the source");
     assert!(total(3.0) > 0.0 && total(3.0) < total(600.0), "the source is inside");

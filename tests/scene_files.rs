@@ -50,11 +50,8 @@ fn the_example_loads() {
     let scene = load(&example()).expect("good");
     let names: Vec<&str> = scene.materials.iter().map(|material| material.name.as_str()).collect();
     assert_eq!(names, ["steel_316l", "water", "Ti90Al6V4", "nitinol"], "in order of first appearance");
-    let counts: Vec<usize> = scene
-        .objects
-        .iter()
-        .map(|object| if let Matter::Solids(solids) = &object.matter { solids.len() } else { 0 })
-        .collect();
+    let counts: Vec<usize> =
+        scene.objects.iter().map(|object| if let Matter::Solids(solids) = &object.matter { solids.len() } else { 0 }).collect();
     assert_eq!(counts, [1, 1, 1, 1, 57]);
     assert_eq!((scene.objects[3].name.as_str(), scene.objects[3].body.as_str()), ("objects[3].cylinder", "left femur"));
     assert_eq!(scene.objects[0].body, "specimen");
@@ -109,7 +106,8 @@ fn a_projection_and_joints_give_the_same_kind_of_view() {
     assert!(second.camera_from_lps.translation_mm.distance(first.camera_from_lps.translation_mm) < 1e-6);
 
     let mut by_joints = example();
-    by_joints["view"] = json!({"carm": {"orbital_deg": 90}, "calibration": "calibration/carm/live-620x480.json", "world_from_lps": unit()});
+    by_joints["view"] =
+        json!({"carm": {"orbital_deg": 90}, "calibration": "calibration/carm/live-620x480.json", "world_from_lps": unit()});
     by_joints["detector"] = json!({});
     let scene = load(&by_joints).expect("good");
     let view = scene.view.expect("has one");
@@ -128,19 +126,43 @@ fn mistakes_name_file_and_place() {
         ("unknown key", |s| s["objects"][0]["sphere"]["radius"] = json!(1), &["objects[0].sphere", "radius"]),
         ("unknown kind", |s| s["objects"][0] = json!({"ball": {}}), &["objects[0]", "ball"]),
         ("unknown top", |s| s["vew"] = json!(1), &["vew"]),
-        ("unknown material", |s| s["objects"][0]["sphere"]["material"] = json!("steal_316l"), &["objects[0].sphere.material", "steel_316l"]),
+        (
+            "unknown material",
+            |s| s["objects"][0]["sphere"]["material"] = json!("steal_316l"),
+            &["objects[0].sphere.material", "steel_316l"],
+        ),
         ("no density", |s| s["objects"][3]["cylinder"]["density_g_per_cm3"] = Value::Null, &["objects[3]", "density"]),
-        ("negative density", |s| s["objects"][2]["box"]["density_g_per_cm3"] = json!(-1), &["objects[2].box.density_g_per_cm3", "-1"]),
+        (
+            "negative density",
+            |s| s["objects"][2]["box"]["density_g_per_cm3"] = json!(-1),
+            &["objects[2].box.density_g_per_cm3", "-1"],
+        ),
         ("radius", |s| s["objects"][0]["sphere"]["radius_mm"] = json!(0), &["objects[0].sphere.radius_mm"]),
         ("lumen", |s| s["objects"][3]["cylinder"]["inner_radius_mm"] = json!(2), &["inner_radius_mm"]),
         ("no length", |s| s["objects"][3]["cylinder"]["to_lps_mm"] = json!([0, 0, 0]), &["objects[3].cylinder"]),
         ("overflow", |s| s["objects"][0]["sphere"]["centre_lps_mm"] = json!([1e300, 0, 0]), &["centre_lps_mm"]),
-        ("not rigid", |s| s["objects"][4]["robot"]["lps_from_base"][0][0] = json!(2), &["objects[4].robot.lps_from_base", "rigid"]),
+        (
+            "not rigid",
+            |s| s["objects"][4]["robot"]["lps_from_base"][0][0] = json!(2),
+            &["objects[4].robot.lps_from_base", "rigid"],
+        ),
         ("mirrored", |s| s["view"]["camera_from_lps"][0][0] = json!(-1), &["view.camera_from_lps"]),
-        ("not a rotation", |s| s["objects"][1]["ellipsoid"]["rotation_lps_from_local"][0][0] = json!(3), &["rotation_lps_from_local"]),
+        (
+            "not a rotation",
+            |s| s["objects"][1]["ellipsoid"]["rotation_lps_from_local"][0][0] = json!(3),
+            &["rotation_lps_from_local"],
+        ),
         ("missing model", |s| s["objects"][4]["robot"]["model"] = json!("none.json"), &["objects[4].robot.model", "none.json"]),
-        ("missing volume", |s| s["objects"][0] = json!({"ct": {"path": "no.nii", "materials": "threshold"}}), &["objects[0].ct.path", "no.nii"]),
-        ("materials", |s| s["objects"][0] = json!({"ct": {"path": "no.nii", "materials": "guess"}}), &["objects[0].ct.materials", "guess"]),
+        (
+            "missing volume",
+            |s| s["objects"][0] = json!({"ct": {"path": "no.nii", "materials": "threshold"}}),
+            &["objects[0].ct.path", "no.nii"],
+        ),
+        (
+            "materials",
+            |s| s["objects"][0] = json!({"ct": {"path": "no.nii", "materials": "guess"}}),
+            &["objects[0].ct.materials", "guess"],
+        ),
         ("focal", |s| s["view"]["intrinsics"][0][0] = json!(0), &["view.intrinsics", "focal"]),
         ("no size", |s| s["view"]["size_px"] = json!([0, 480]), &["view.size_px"]),
         ("two cameras", |s| s["view"]["projection"] = json!([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]), &["view", "projection"]),

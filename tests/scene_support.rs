@@ -31,12 +31,8 @@ impl Dice {
     }
 
     pub fn rotation(&mut self) -> DQuat {
-        let q = DQuat::from_xyzw(
-            self.between(-1.0, 1.0),
-            self.between(-1.0, 1.0),
-            self.between(-1.0, 1.0),
-            self.between(0.1, 1.0),
-        );
+        let q =
+            DQuat::from_xyzw(self.between(-1.0, 1.0), self.between(-1.0, 1.0), self.between(-1.0, 1.0), self.between(0.1, 1.0));
         q.normalize()
     }
 }

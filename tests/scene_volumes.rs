@@ -153,14 +153,14 @@ fn damaged_and_unsuitable_files_are_one_sentence() {
     let mut pair = good.bytes();
     pair[345] = b'i';
     assert!(fails("pair.nii", &pair).contains(".hdr/.img"));
-    assert!(read_volume(Path::new("not/there.nii"), &Reporter::silent()).expect_err("missing").to_string().contains("not/there.nii"));
+    assert!(
+        read_volume(Path::new("not/there.nii"), &Reporter::silent()).expect_err("missing").to_string().contains("not/there.nii")
+    );
 }
 
 fn ct_scene(folder: &Path, objects: &str) -> Result<Scene, String> {
     let path = folder.join("scene.json");
-    let text = format!(
-        r#"{{"objects": [{objects}], "beam": {{"mono_kev": 60}}, "detector": {{"pitch_mm": 0.2}}}}"#
-    );
+    let text = format!(r#"{{"objects": [{objects}], "beam": {{"mono_kev": 60}}, "detector": {{"pitch_mm": 0.2}}}}"#);
     std::fs::write(&path, text).expect("temporary folder");
     scene::load(&path, false, &Reporter::silent()).map_err(|error| error.to_string())
 }
@@ -187,7 +187,8 @@ fn thresholds_densities_and_padding() {
     assert_eq!(scene.inputs.len(), 2);
     assert!(scene.inputs.iter().all(|input| input.sha256.len() == 64));
 
-    let kept = ct_scene(folder.path(), r#"{"ct": {"path": "ct.nii.gz", "materials": "threshold", "air": "keep"}}"#).expect("good");
+    let kept =
+        ct_scene(folder.path(), r#"{"ct": {"path": "ct.nii.gz", "materials": "threshold", "air": "keep"}}"#).expect("good");
     let volume = only_volume(&kept);
     assert_eq!(volume.class, [1, 1, 1, 2, 2, 2, 3, 3]);
     assert!((volume.density_g_per_cm3[0] - 0.0012).abs() < 1e-6 && kept.is_air(volume.class_materials[0]));

@@ -308,10 +308,15 @@ impl Compared {
                 .push(format!("not discriminating (a wrong pose scores at least as well): {}", blind.join(", ")));
         }
         let full = &self.comparison.scores;
-        let unknown: Vec<&str> =
-            NULL_SCORES.iter().map(|(name, _)| *name).filter(|name| full.get(name).is_some() && !scores.contains_key(*name)).collect();
+        let unknown: Vec<&str> = NULL_SCORES
+            .iter()
+            .map(|(name, _)| *name)
+            .filter(|name| full.get(name).is_some() && !scores.contains_key(*name))
+            .collect();
         if !unknown.is_empty() {
-            self.comparison.flags.push(format!("no null (the small render at the stated pose has no such score): {}", unknown.join(", ")));
+            self.comparison
+                .flags
+                .push(format!("no null (the small render at the stated pose has no such score): {}", unknown.join(", ")));
         }
         self.comparison.null = scores;
         self.comparison.null_plan = Some(plan);

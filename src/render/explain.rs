@@ -21,11 +21,14 @@ pub fn explain_empty(scene: &Scene, prepared: &Prepared) -> String {
     if spheres.iter().any(|(centre, radius)| seen(*centre, *radius)) {
         return "the image is empty: objects are in view, but no ray meets matter (all air, or between the rays)".to_owned();
     }
-    for (scale, words) in
-        [(1000.0, "in metres where millimetres are expected"), (1e-3, "in micrometres or a thousand times too large")]
-    {
-        let scaled: Vec<_> = spheres.iter().map(|(centre, radius)| (*centre * scale, *radius * scale)).collect();
-        if scaled.iter().any(|(centre, radius)| radius * 2.0 < 5000.0 && seen(*centre, *radius)) {
+    // Units are suspected only of scenes whose size no patient and no tool has.
+    let (tiny, huge) = (radius < 10.0 && centre.length() < 10.0, radius > 2_000.0 || centre.length() > 10_000.0);
+    let suspects = [
+        (tiny, 1000.0, "in metres where millimetres are expected"),
+        (huge, 1e-3, "in micrometres, or a thousand times too large"),
+    ];
+    for (_, scale, words) in suspects.into_iter().filter(|(suspected, ..)| *suspected) {
+        if spheres.iter().any(|(centre, radius)| seen(*centre * scale, *radius * scale)) {
             return format!("the image is empty: {place}; scaled by {scale} they would be in view: is something {words}?");
         }
     }

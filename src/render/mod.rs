@@ -12,6 +12,7 @@ pub mod prepared;
 pub mod reference;
 mod renderer;
 pub mod spectrum;
+pub mod wgsl;
 mod write;
 
 pub use plan::Plan;

@@ -93,9 +93,16 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// Chooses what `scene` needs and nothing else.
+    /// Chooses what `scene` needs and nothing else; `cpu_because` says why a GPU that is there stays unused.
     #[must_use]
-    pub fn new(scene: &Scene, size_px: [u32; 2], quantity: Quantity, executor: Executor, frame_index: u32) -> Self {
+    pub fn new(
+        scene: &Scene,
+        size_px: [u32; 2],
+        quantity: Quantity,
+        executor: Executor,
+        frame_index: u32,
+        cpu_because: Option<&str>,
+    ) -> Self {
         let mut choices = Vec::new();
         let mut choose = |what: &str, modelled: bool, why: String| {
             choices.push(Choice { what: what.to_owned(), modelled, why });
@@ -168,6 +175,9 @@ impl Plan {
         );
         let readout = noisy && scene.detector.readout_noise.is_some();
         choose("readout noise", readout, if readout { "of the detector".into() } else { "not given, or no noise".to_owned() });
+        if let Some(reason) = cpu_because {
+            choose("GPU", false, format!("{reason}: the CPU executor renders this scene"));
+        }
         choose("scatter", false, "not available in this version".into());
         choose("blur of focal spot and scintillator", false, "not available in this version".into());
         Self {

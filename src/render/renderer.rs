@@ -4,15 +4,17 @@ use std::sync::Arc;
 
 use super::cells::Cells;
 use super::cpu::add_noise::add_noise;
-use super::cpu::attenuate_spectrum::attenuate_spectrum;
+use super::cpu::attenuate_spectrum::{Signal, attenuate_spectrum};
 use super::cpu::integrate_density::{Density, integrate_density};
 use super::detector;
 use super::explain::explain_empty;
 use super::plan::{Executor, Plan, noise_applies};
 use super::prepared::Prepared;
 use super::spectrum::Bins;
-use super::{Quantity, RenderError};
-use crate::gpu::{Device, DeviceChoice};
+use super::wgsl::{self, Executed, NoiseKey, WgslExecutor};
+use super::{Quantity, RenderError, reference};
+use crate::geometry::View;
+use crate::gpu::{Device, DeviceChoice, cpu_name};
 use crate::image::Image;
 use crate::reporter::Reporter;
 use crate::scene::model::{Scene, Volume};
@@ -58,6 +60,7 @@ pub struct Renderer {
     device: Device,
     reporter: Reporter,
     cells: Vec<(Arc<Volume>, Arc<Cells>)>,
+    wgsl: Option<WgslExecutor>,
 }
 
 impl Renderer {
@@ -66,7 +69,7 @@ impl Renderer {
     /// # Errors
     /// When a device was named that is not there.
     pub fn new(choice: DeviceChoice, reporter: &Reporter) -> Result<Self, RenderError> {
-        Ok(Self { device: Device::open(choice, reporter)?, reporter: reporter.clone(), cells: Vec::new() })
+        Ok(Self { device: Device::open(choice, reporter)?, reporter: reporter.clone(), cells: Vec::new(), wgsl: None })
     }
 
     /// Device, driver, version.
@@ -84,12 +87,14 @@ impl Renderer {
         if let Some(plan) = &options.plan {
             return Ok(plan.clone());
         }
-        let executor = match (&self.device, options.reference) {
-            (_, true) => Executor::Reference,
-            (Device::Cpu, false) => Executor::Cpu,
-            (Device::Gpu(_), false) => Executor::Wgsl,
+        let unsupported = wgsl::unsupported(scene);
+        let (executor, cpu_because) = match (&self.device, options.reference) {
+            (_, true) => (Executor::Reference, None),
+            (Device::Cpu, false) => (Executor::Cpu, None),
+            (Device::Gpu(_), false) if unsupported.is_some() => (Executor::Cpu, unsupported.as_deref()),
+            (Device::Gpu(_), false) => (Executor::Wgsl, None),
         };
-        Ok(Plan::new(scene, view.size_px, options.quantity, executor, options.frame_index))
+        Ok(Plan::new(scene, view.size_px, options.quantity, executor, options.frame_index, cpu_because))
     }
 
     /// Renders `scene` from its view.
@@ -112,40 +117,45 @@ impl Renderer {
         };
         let size = view.size_px.map(|n| n as usize);
         let image = |pixels: Vec<f32>| Image { width: size[0], height: size[1], pixels };
-        let density = stages.measure("integrate_density", || integrate_density(&prepared));
-        self.note_invalid(&density, &mut notes);
-        if density.g_per_cm2.iter().all(|path| *path == 0.0) {
+        let noisy = noise_applies(scene, plan.quantity);
+        let bins = if plan.quantity == Quantity::AreaDensity { None } else { Some(Bins::new(scene, &plan.energy_nodes)?) };
+        let cast = match plan.executor {
+            Executor::Reference => self.cast_reference(scene, &view, bins.as_ref(), noisy, &mut stages)?,
+            Executor::Wgsl => self.cast_wgsl(scene, &prepared, bins.as_ref(), noisy.then_some(&plan), &mut stages, &mut notes)?,
+            Executor::Cpu => self.cast_cpu(&prepared, bins.as_ref(), noisy, &mut stages),
+        };
+        note_invalid(&cast.density, &mut notes);
+        if cast.density.g_per_cm2.iter().all(|path| *path == 0.0) {
             let why = explain_empty(scene, &prepared);
             self.reporter.warn("empty image", &why);
             notes.push(why);
         }
-        let valid = Image { width: size[0], height: size[1], pixels: density.valid.clone() };
-        let pages = if plan.quantity == Quantity::AreaDensity {
-            area_pages(&density).into_iter().map(image).collect()
-        } else {
-            let bins = Bins::new(scene, &plan.energy_nodes)?;
-            let noisy = noise_applies(scene, plan.quantity);
-            let signal = stages.measure("attenuate_spectrum", || attenuate_spectrum(&density, &bins, noisy));
-            let obliquity = if noisy || plan.quantity == Quantity::Counts { detector::obliquity(&view) } else { Vec::new() };
-            let noise = if noisy {
-                stages.measure("add_noise", || {
-                    let expected = detector::expected_photons(scene, &signal, &obliquity);
-                    let deviates = add_noise(&expected, plan.seed, plan.frame_index);
-                    detector::intensity_noise(scene, &view, &bins, &signal, &deviates, &obliquity, plan.frame_index)
-                })
-            } else {
-                Vec::new()
-            };
-            if noisy && plan.quantity == Quantity::LineIntegral {
-                let floor = 0.5 / scene.beam.photons_per_pixel;
-                notes.push(format!(
-                    "noisy line integrals are -ln max(I, 1/(2 N0)) = -ln max(I, {floor:.3e}): none exceeds {:.2}",
-                    -floor.ln()
-                ));
+        let valid = Image { width: size[0], height: size[1], pixels: cast.density.valid.clone() };
+        let pages = match &bins {
+            None => area_pages(&cast.density).into_iter().map(image).collect(),
+            Some(bins) => {
+                let obliquity = if noisy || plan.quantity == Quantity::Counts { detector::obliquity(&view) } else { Vec::new() };
+                let noise = if noisy {
+                    stages.measure("add_noise", || {
+                        let deviates = cast.deviates.unwrap_or_else(|| {
+                            add_noise(&detector::expected_photons(scene, &cast.signal, &obliquity), plan.seed, plan.frame_index)
+                        });
+                        detector::intensity_noise(scene, &view, bins, &cast.signal, &deviates, &obliquity, plan.frame_index)
+                    })
+                } else {
+                    Vec::new()
+                };
+                if noisy && plan.quantity == Quantity::LineIntegral {
+                    let floor = 0.5 / scene.beam.photons_per_pixel;
+                    let highest = -floor.ln();
+                    notes.push(format!(
+                        "noisy line integrals are -ln max(I, 1/(2 N0)) with 1/(2 N0) = {floor:.3e}: none exceeds {highest:.2}"
+                    ));
+                }
+                let line = &cast.signal.line_integral;
+                let page = stages.measure("detect", || detector::page(scene, plan.quantity, line, &noise, bins, &obliquity));
+                vec![image(page)]
             }
-            let page = stages
-                .measure("detect", || detector::page(scene, plan.quantity, &signal.line_integral, &noise, &bins, &obliquity));
-            vec![image(page)]
         };
         Ok(Rendered {
             pages,
@@ -153,21 +163,93 @@ impl Renderer {
             valid,
             stated_error: plan.stated_error,
             plan: serde_json::to_value(&plan).expect("a plan is plain data"),
-            adapter: self.device.name(),
+            adapter: cast.adapter,
             stages,
             notes,
         })
     }
 
-    fn note_invalid(&self, density: &Density, notes: &mut Vec<String>) {
-        let invalid = density.valid.iter().filter(|valid| **valid == 0).count();
-        if invalid > 0 {
-            let share = 100.0 * invalid as f64 / density.valid.len() as f64;
-            notes.push(format!(
-                "{invalid} pixels ({share:.1} %) look through matter that the scan cut off; at most {:.0} mm of their paths are unscanned",
-                density.unscanned_mm
-            ));
+    fn cast_cpu(&self, prepared: &Prepared, bins: Option<&Bins>, noisy: bool, stages: &mut StageTimes) -> Cast {
+        let density = stages.measure("integrate_density", || integrate_density(prepared));
+        let signal = bins.map(|bins| stages.measure("attenuate_spectrum", || attenuate_spectrum(&density, bins, noisy)));
+        Cast { density, signal: signal.unwrap_or_default(), deviates: None, adapter: cpu_name() }
+    }
+
+    fn cast_wgsl(
+        &mut self,
+        scene: &Scene,
+        prepared: &Prepared,
+        bins: Option<&Bins>,
+        noise: Option<&Plan>,
+        stages: &mut StageTimes,
+        notes: &mut Vec<String>,
+    ) -> Result<Cast, RenderError> {
+        let unsupported = wgsl::unsupported(scene);
+        let reason = match (&self.device, &unsupported) {
+            (_, Some(reason)) => reason.clone(),
+            (Device::Cpu, None) => "the plan was made for a GPU, which is not open here".to_owned(),
+            (Device::Gpu(gpu), None) => {
+                let executor = match &mut self.wgsl {
+                    Some(executor) => executor,
+                    None => self.wgsl.insert(stages.measure("compile_shaders", || WgslExecutor::new(gpu))?),
+                };
+                let photons_per_pixel = scene.beam.photons_per_pixel;
+                let key = noise.map(|plan| NoiseKey { seed: plan.seed, frame: plan.frame_index, photons_per_pixel });
+                let executed = stages.measure("shaders", || executor.execute(gpu, prepared, bins, key))?;
+                if executed.overflows == 0 {
+                    let Executed { density, signal, deviates, .. } = executed;
+                    let deviates = noise.is_some().then_some(deviates);
+                    return Ok(Cast { density, signal, deviates, adapter: gpu.adapter.clone() });
+                }
+                format!("{} rays cross more intervals than the shader holds", executed.overflows)
+            }
+        };
+        let message = format!("{reason}: rendered by the CPU executor instead, whose error is smaller");
+        self.reporter.warn("executor", &message);
+        notes.push(message);
+        Ok(self.cast_cpu(prepared, bins, noise.is_some(), stages))
+    }
+
+    fn cast_reference(
+        &self,
+        scene: &Scene,
+        view: &View,
+        bins: Option<&Bins>,
+        noisy: bool,
+        stages: &mut StageTimes,
+    ) -> Result<Cast, RenderError> {
+        let areas = stages.measure("reference", || reference::render(scene, view, Quantity::AreaDensity))?;
+        let valid = stages.measure("reference", || reference::valid(scene, view))?;
+        let pixels = valid.pixels.len();
+        let g_per_cm2 = (0..pixels).flat_map(|pixel| areas.iter().map(move |page| page.pixels[pixel] as f32)).collect();
+        let density = Density { material_count: areas.len(), g_per_cm2, valid: valid.pixels, unscanned_mm: 0.0 };
+        let mut signal = bins.map(|bins| attenuate_spectrum(&density, bins, noisy)).unwrap_or_default();
+        if bins.is_some() {
+            let line = stages.measure("reference", || reference::render(scene, view, Quantity::LineIntegral))?;
+            signal.line_integral = line.iter().flat_map(|page| &page.pixels).map(|value| *value as f32).collect();
         }
+        Ok(Cast { density, signal, deviates: None, adapter: format!("f64 reference on {}", cpu_name()) })
+    }
+}
+
+/// What an executor found.
+struct Cast {
+    density: Density,
+    signal: Signal,
+    deviates: Option<Vec<f32>>,
+    adapter: String,
+}
+
+fn note_invalid(density: &Density, notes: &mut Vec<String>) {
+    let invalid = density.valid.iter().filter(|valid| **valid == 0).count();
+    if invalid > 0 {
+        let share = 100.0 * invalid as f64 / density.valid.len() as f64;
+        let bound = if density.unscanned_mm > 0.0 {
+            format!("; at most {:.0} mm of their paths are unscanned", density.unscanned_mm)
+        } else {
+            String::new()
+        };
+        notes.push(format!("{invalid} pixels ({share:.1} %) look through matter that the scan cut off{bound}"));
     }
 }
 
@@ -205,7 +287,7 @@ fn check(scene: &Scene) -> Result<(), RenderError> {
         return Err(RenderError::Number { what: "beam.photons_per_pixel", value: n0, expected: "a positive number" });
     }
     let kernel = &scene.detector.crosstalk;
-    if kernel.iter().any(|row| row.len() != kernel.len()) || (!kernel.is_empty() && kernel.len() % 2 == 0) {
+    if kernel.iter().any(|row| row.len() != kernel.len()) || (!kernel.is_empty() && kernel.len().is_multiple_of(2)) {
         return Err(RenderError::Number {
             what: "detector.crosstalk: rows",
             value: kernel.len() as f64,

@@ -1,0 +1,185 @@
+// Area density of each material along each ray, later objects displacing earlier ones (Eq. 1, 5).
+// #include shared/view.wgsl
+// #include shared/solid.wgsl
+// #include shared/intervals.wgsl
+// #include shared/grid.wgsl
+
+const TILE: u32 = 8u;
+const MATERIALS: u32 = 8u;
+const PIECES: u32 = 16u;
+
+@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(1) var<storage, read> solids: array<Solid>;            // in the order in which they claim the ray
+@group(0) @binding(2) var<uniform> grid: Grid;
+@group(0) @binding(3) var<storage, read> material_of_kind: array<u32>;
+@group(0) @binding(4) var density_texture: texture_3d<f32>;               // g/cm3 per voxel
+@group(0) @binding(5) var material_texture: texture_3d<u32>;              // 0, or kind of the voxel
+@group(0) @binding(6) var cell_texture: texture_3d<u32>;                  // kind of the cell
+@group(0) @binding(7) var<storage, read_write> density_g_per_cm2: array<f32>; // by pixel, then material
+@group(0) @binding(8) var<storage, read_write> missing_mm: array<f32>;    // path outside a truncated scan; -1 where complete
+@group(0) @binding(9) var<storage, read_write> overflows: atomic<u32>;
+
+var<private> sums: array<f32, 8>;
+// What the volume may displace: intervals of earlier solids, already counted.
+var<private> piece_span: array<vec2<f32>, 16>;
+var<private> piece_density: array<f32, 16>;
+var<private> piece_material: array<u32, 16>;
+var<private> piece_count: u32 = 0u;
+
+@compute @workgroup_size(TILE, TILE)
+fn main(@builtin(global_invocation_id) id: vec3<u32>) {
+    if any(id.xy >= view.size_px) { return; }
+    let pixel = id.y * view.size_px.x + id.x;
+    let direction = unproject(view, id.xy);
+    let mm_per_depth = length(direction);
+    for (var i = 0u; i < view.later_count; i += 1u) { claim_solid(i, id.xy, direction, false); }
+    var missing = -1.0;
+    if view.has_volume != 0u {
+        let later = covered;
+        let later_count = covered_count;
+        for (var i = view.later_count; i < view.solid_count; i += 1u) { claim_solid(i, id.xy, direction, true); }
+        covered = later;
+        covered_count = later_count;
+        missing = cross_volume(direction) * mm_per_depth;
+    }
+    if overflow { atomicAdd(&overflows, 1u); }
+    for (var m = 0u; m < view.material_count; m += 1u) {
+        density_g_per_cm2[pixel * view.material_count + m] = max(sums[m], 0.0) * 0.1 * mm_per_depth;
+    }
+    missing_mm[pixel] = select(-1.0, missing, missing >= 0.0);
+}
+
+fn claim_solid(index: u32, pixel: vec2<u32>, direction: vec3<f32>, displaced_by_volume: bool) {
+    let bounds = solids[index].bounds;
+    if any(pixel < bounds.xy) || any(pixel >= bounds.zw) { return; }
+    let solid = solids[index];
+    let found = intersect(solid, view.depth_ref_mm, direction);
+    let seen = vec2<f32>(view.source_tau_mm, view.detector_tau_mm);
+    var spans = array<vec2<f32>, 2>(meet(found.xy, seen), meet(found.zw, seen));
+    for (var i = 0u; i < 2u; i += 1u) {
+        var rest = spans[i];
+        while rest.y > rest.x {
+            let gap = first_gap(rest);
+            if !(gap.y > gap.x) { break; }
+            sums[solid.material] += (gap.y - gap.x) * solid.density_g_per_cm3;
+            if displaced_by_volume {
+                if piece_count == PIECES { overflow = true; break; }
+                piece_span[piece_count] = gap;
+                piece_density[piece_count] = solid.density_g_per_cm3;
+                piece_material[piece_count] = solid.material;
+                piece_count += 1u;
+            }
+            rest.x = gap.y;
+        }
+    }
+    insert(spans[0]);
+    insert(spans[1]);
+}
+
+// Integrates the volume where later solids leave room. Depth outside the scan when it is truncated there, else -1.
+fn cross_volume(direction: vec3<f32>) -> f32 {
+    let w = vec3<f32>(direction.xy * view.depth_ref_mm - grid.centre.xy, grid.centre.z);
+    let p = vec3<f32>(dot(grid.row_x.xyz, w) + grid.row_x.w, dot(grid.row_y.xyz, w) + grid.row_y.w, dot(grid.row_z.xyz, w) + grid.row_z.w);
+    let q = vec3<f32>(dot(grid.row_x.xyz, direction), dot(grid.row_y.xyz, direction), dot(grid.row_z.xyz, direction));
+    let lo = vec3<f32>(0.5);
+    let hi = vec3<f32>(grid.size) + 0.5;
+    let inside = cuboid(p, q, lo, hi);
+    if !(inside.y > inside.x) { return -1.0; }
+    let seen = vec2<f32>(view.source_tau_mm, view.detector_tau_mm);
+    var rest = meet(cuboid(p, q, max(lo, grid.occupied_from.xyz), min(hi, grid.occupied_to.xyz)), seen);
+    var cut = false;
+    while rest.y > rest.x {
+        let gap = first_gap(rest);
+        if !(gap.y > gap.x) { break; }
+        cut = walk(p, q, gap) || cut;
+        rest.x = gap.y;
+    }
+    var outside = 0.0;
+    if grid.truncated != 0u {
+        if inside.x > seen.x && inside.x < seen.y && holds_matter(p + q * inside.x) {
+            cut = true;
+            outside += inside.x - seen.x;
+        }
+        if inside.y > seen.x && inside.y < seen.y && holds_matter(p + q * inside.y) {
+            cut = true;
+            outside += seen.y - inside.y;
+        }
+    }
+    return select(-1.0, outside, cut);
+}
+
+fn holds_matter(x: vec3<f32>) -> bool {
+    let cell = clamp(vec3<i32>(floor(x)), vec3<i32>(0), vec3<i32>(grid.size));
+    let kind = textureLoad(cell_texture, cell, 0).x;
+    return kind != EMPTY && kind != EMPTY_BRICK;
+}
+
+// Cell by cell along [span.x, span.y]; whether known matter bordered on the unknown.
+fn walk(p: vec3<f32>, q: vec3<f32>, span: vec2<f32>) -> bool {
+    let cells = vec3<i32>(grid.size) + 1;
+    let ahead = select(vec3<i32>(0), vec3<i32>(1), q > vec3<f32>(0.0));
+    let step = select(vec3<i32>(-1), vec3<i32>(1), q > vec3<f32>(0.0));
+    let parallel = q == vec3<f32>(0.0);
+    let inverse = 1.0 / select(q, vec3<f32>(1.0), parallel);
+    var cell = clamp(vec3<i32>(floor(p + q * span.x)), vec3<i32>(0), cells - 1);
+    var t = span.x;
+    var cut = false;
+    for (var guard = 4 * (cells.x + cells.y + cells.z) + 64; guard > 0; guard -= 1) {
+        let kind = textureLoad(cell_texture, cell, 0).x;
+        var block = cell + ahead;
+        if kind == EMPTY_BRICK { block = min((cell / BRICK + ahead) * BRICK, cells); }
+        let next = select((vec3<f32>(block) - p) * inverse, vec3<f32>(FAR), parallel);
+        var axis = select(2, 0, next.x <= next.z);
+        if next.y < next[axis] { axis = 1; }
+        let end = min(next[axis], span.y);
+        if kind != EMPTY && kind != EMPTY_BRICK && end > t {
+            add_piece(p, q, cell, kind, t, end);
+            cut = cut || kind == CUT;
+        }
+        if !(next[axis] < span.y) { return cut; }
+        t = max(t, next[axis]);
+        if kind == EMPTY_BRICK {
+            // Never backwards, however the position was rounded.
+            let here = clamp(vec3<i32>(floor(p + q * t)), vec3<i32>(0), cells - 1);
+            let brick = (cell[axis] / BRICK) * BRICK;
+            cell = select(min(here, cell), max(here, cell), step > vec3<i32>(0));
+            cell[axis] = select(brick - 1, brick + BRICK, step[axis] > 0);
+        } else {
+            cell[axis] += step[axis];
+        }
+        if any(cell < vec3<i32>(0)) || any(cell >= cells) { return cut; }
+    }
+    overflow = true;
+    return cut;
+}
+
+fn add_piece(p: vec3<f32>, q: vec3<f32>, cell: vec3<i32>, kind: u32, start: f32, end: f32) {
+    let low = max(cell - 1, vec3<i32>(0));
+    let high = min(cell, vec3<i32>(grid.size) - 1);
+    let m = p - vec3<f32>(cell) + q * (0.5 * (start + end));
+    let h = q * (0.5 * (end - start));
+    var below: vec4<f32>;
+    var above: vec4<f32>;
+    for (var i = 0u; i < 4u; i += 1u) {
+        let x = select(low.x, high.x, (i & 1u) != 0u);
+        let y = select(low.y, high.y, (i & 2u) != 0u);
+        below[i] = textureLoad(density_texture, vec3<i32>(x, y, low.z), 0).x;
+        above[i] = textureLoad(density_texture, vec3<i32>(x, y, high.z), 0).x;
+    }
+    if kind < MIXED {
+        sums[material_of_kind[kind]] += mean_along(below, above, m, h) * (end - start);
+    } else {
+        for (var i = 0u; i < 8u; i += 1u) {
+            let at = select(low, high, vec3<bool>((i & 1u) != 0u, (i & 2u) != 0u, (i & 4u) != 0u));
+            let voxel = textureLoad(material_texture, at, 0).x;
+            if voxel != 0u {
+                let value = select(below[i & 3u], above[i & 3u], i >= 4u);
+                sums[material_of_kind[voxel]] += mean_weight(i, m, h) * value * (end - start);
+            }
+        }
+    }
+    for (var i = 0u; i < piece_count; i += 1u) {
+        let both = meet(piece_span[i], vec2<f32>(start, end));
+        sums[piece_material[i]] -= max(both.y - both.x, 0.0) * piece_density[i];
+    }
+}

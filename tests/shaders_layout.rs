@@ -1,0 +1,85 @@
+//! Shaders are valid, and their structs are those of `render::wgsl::layout`; through naga, no GPU needed.
+
+use std::mem::{offset_of, size_of};
+
+use sidecarm::render::wgsl::layout::{Bin, Grid, Solid, View};
+use sidecarm::render::wgsl::{STEMS, source};
+
+fn parse(stem: &str) -> naga::Module {
+    let text = source(stem).expect("embedded");
+    naga::front::wgsl::parse_str(&text).unwrap_or_else(|error| panic!("{stem}: {}", error.emit_to_string(&text)))
+}
+
+#[test]
+fn every_shader_is_valid() {
+    let mut checked = 0;
+    for stem in STEMS {
+        let module = parse(stem);
+        let mut validator = naga::valid::Validator::new(naga::valid::ValidationFlags::all(), naga::valid::Capabilities::empty());
+        validator.validate(&module).unwrap_or_else(|error| panic!("{stem}: {error:?}"));
+        assert!(module.entry_points.iter().any(|entry| entry.name == "main"));
+        checked += 1;
+    }
+    assert_eq!(checked, 3);
+    assert!(source("no_such_shader").is_none());
+}
+
+#[test]
+fn every_shader_has_a_twin_and_does_not_grow() {
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    for stem in STEMS {
+        assert!(root.join(format!("src/render/cpu/{stem}.rs")).is_file(), "{stem} has no twin");
+        let lines = std::fs::read_to_string(root.join(format!("shaders/{stem}.wgsl"))).expect("shader").lines().count();
+        assert!(lines <= 220, "{stem}: {lines} lines");
+    }
+}
+
+/// Name and offset of the members of a struct, and its size.
+fn members(stem: &str, name: &str) -> (Vec<(String, u32)>, u32) {
+    let module = parse(stem);
+    let (_, found) = module.types.iter().find(|(_, ty)| ty.name.as_deref() == Some(name)).expect("struct exists");
+    let naga::TypeInner::Struct { members, span } = &found.inner else { panic!("{name} is no struct") };
+    (members.iter().map(|member| (member.name.clone().expect("named"), member.offset)).collect(), *span)
+}
+
+macro_rules! offsets {
+    ($ty:ty, $($field:ident),+ $(,)?) => {
+        (vec![$((stringify!($field).to_owned(), offset_of!($ty, $field) as u32)),+], size_of::<$ty>() as u32)
+    };
+}
+
+#[test]
+fn structs_have_the_layout_the_shaders_read() {
+    let view = offsets!(
+        View,
+        size_px,
+        material_count,
+        bin_count,
+        focal_px,
+        principal_px,
+        skew_px,
+        depth_ref_mm,
+        source_tau_mm,
+        detector_tau_mm,
+        later_count,
+        solid_count,
+        has_volume,
+        frame,
+        seed,
+        photons_per_pixel,
+        mean_response,
+        mean_square_response,
+        padding,
+        padding_b,
+    );
+    for stem in STEMS {
+        assert_eq!(members(stem, "View"), view, "{stem}");
+    }
+    let solid = offsets!(Solid, row_x, row_y, row_z, centre, size, bounds, kind, material, density_g_per_cm3, padding);
+    assert_eq!(members("integrate_density", "Solid"), solid);
+    let grid = offsets!(Grid, row_x, row_y, row_z, centre, size, truncated, occupied_from, occupied_to);
+    assert_eq!(members("integrate_density", "Grid"), grid);
+    assert_eq!(members("attenuate_spectrum", "Bin"), offsets!(Bin, signal, photons, squares, padding));
+    // The control: another struct does not pass for this one.
+    assert_ne!(members("integrate_density", "Solid"), grid);
+}

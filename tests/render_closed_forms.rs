@@ -131,15 +131,21 @@ fn later_objects_displace_earlier_ones_and_lumens_nothing() {
     let mut cases = 0;
     for (scene, mm) in [
         (
-            empty(&materials).with(solids(&[water.clone()])).with(solids(&[tube.clone()])),
+            empty(&materials).with(solids(std::slice::from_ref(&water))).with(solids(std::slice::from_ref(&tube))),
             [60.0 - circle(3.0) + circle(2.0), circle(3.0) - circle(2.0), 0.0],
         ),
         (
-            empty(&materials).with(solids(&[water.clone()])).with(solids(&[tube.clone(), rod.clone()])),
+            empty(&materials).with(solids(std::slice::from_ref(&water))).with(solids(&[tube.clone(), rod.clone()])),
             [60.0 - circle(3.0) + circle(2.0) - circle(1.0), circle(3.0) - circle(2.0), circle(1.0)],
         ),
         // Tool over tool: the later sphere takes everything within it.
-        (empty(&materials).with(solids(&[water.clone()])).with(solids(&[tube.clone()])).with(solids(&[big])), [40.0, 0.0, 20.0]),
+        (
+            empty(&materials)
+                .with(solids(std::slice::from_ref(&water)))
+                .with(solids(std::slice::from_ref(&tube)))
+                .with(solids(&[big])),
+            [40.0, 0.0, 20.0],
+        ),
         // Order matters: water last buries the tube.
         (empty(&materials).with(solids(&[tube])).with(solids(&[water])), [60.0, 0.0, 0.0]),
     ] {
@@ -165,7 +171,11 @@ fn a_tool_displaces_the_ct_exactly() {
     let voxels = Arc::new(volume(size, placed(size, centre, DVec3::splat(1.5), turn), &[0], |_| (1, 1.0)));
     let bead = sphere(centre, 5.0, 1, 8.0);
     let alone = areas(&empty(&["water", "steel_316l"]).with(Matter::Volume(voxels.clone())), 47, 47);
-    let both = areas(&empty(&["water", "steel_316l"]).with(Matter::Volume(voxels.clone())).with(solids(&[bead.clone()])), 47, 47);
+    let both = areas(
+        &empty(&["water", "steel_316l"]).with(Matter::Volume(voxels.clone())).with(solids(std::slice::from_ref(&bead))),
+        47,
+        47,
+    );
     let chord = chord_mm(centre, 5.0, 47.0, 47.0);
     assert!((both[1] - 0.1 * 8.0 * chord).abs() < 1e-5);
     assert!((alone[0] - both[0] - 0.1 * chord).abs() < 1e-5, "{} - {} and {}", alone[0], both[0], 0.1 * chord);

@@ -20,7 +20,11 @@ fn texts(board: &BoardState) -> String {
     let board = board.clone();
     let mut harness = Harness::new_ui(move |ui| draw(ui, &board, &mut state));
     harness.run_steps(3);
-    let found: Vec<String> = harness.root().children_recursive().filter_map(|node| node.accesskit_node().label()).collect();
+    let words = |node: egui_kittest::Node| {
+        let node = node.accesskit_node();
+        node.label().or_else(|| node.value())
+    };
+    let found: Vec<String> = harness.root().children_recursive().filter_map(words).collect();
     found.join("\n")
 }
 

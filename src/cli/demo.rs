@@ -221,23 +221,35 @@ fn print_table(folder: &Folder) {
     let accepted = folder.pairs.iter().filter(|pair| pair.status == PairStatus::Accepted).count();
     println!("{} frames, {accepted} accepted", folder.pairs.len());
     println!(
-        "{:<16}{:>10}{:>11}{:>9}{:>12}{:>12}{:>8}{:>11}{:>10}{:>9}{:>9}",
-        "frame", "status", "pose", "rms px", "truth px", "truth mm", "ZNCC", "null best", "register", "render", "compare"
+        "{:<12}{:>10}{:>11}{:>9}{:>11}{:>11}{:>9}{:>13}{:>12}{:>10}{:>9}{:>9}",
+        "frame",
+        "status",
+        "pose",
+        "rms px",
+        "truth px",
+        "truth mm",
+        "ZNCC",
+        "small: pose",
+        "best wrong",
+        "register",
+        "render",
+        "compare"
     );
     let number = |value: Option<f64>, digits: usize| value.map_or_else(|| "-".to_owned(), |value| format!("{value:.digits$}"));
     for pair in &folder.pairs {
         let Pair { frame, status, pose_source, rms_px, truth, scores, null, stages_ms, .. } = pair;
         let stage = |name: &str| stages_ms.get(name).map_or_else(|| "-".to_owned(), |ms| format!("{ms:.0} ms"));
-        let best = null.get("zncc").and_then(|score| score.best_shifted);
+        let small = null.get("zncc");
         println!(
-            "{frame:<16}{:>10}{:>11}{:>9}{:>12}{:>12}{:>8}{:>11}{:>10}{:>9}{:>9}",
+            "{frame:<12}{:>10}{:>11}{:>9}{:>11}{:>11}{:>9}{:>13}{:>12}{:>10}{:>9}{:>9}",
             word(status),
             word(pose_source),
             number(*rms_px, 3),
             number(truth.map(|truth| truth.mean_px), 3),
             number(truth.and_then(|truth| truth.mean_mm), 3),
             number(scores.zncc, 4),
-            number(best, 4),
+            number(small.and_then(|score| score.at_pose), 5),
+            number(small.and_then(|score| score.best_shifted), 5),
             stage("register"),
             stage("render"),
             stage("compare"),

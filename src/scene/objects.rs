@@ -18,6 +18,9 @@ use super::volume_file::read_volume;
 use crate::geometry::{Rigid, RobotModel};
 use crate::reporter::Reporter;
 
+/// Class of unlisted labels, and class per label; `None` is air.
+type LabelClasses = (Class, Vec<(u32, Option<Class>)>);
+
 /// Default of `body`.
 const BODY: &str = "specimen";
 
@@ -260,11 +263,7 @@ impl Builder<'_> {
         Ok(Matter::Volume(Arc::new(volume)))
     }
 
-    fn label_classes(
-        &self,
-        local: &mut Vec<Material>,
-        file: &LabelsFile,
-    ) -> Result<(Class, Vec<(u32, Option<Class>)>), SceneError> {
+    fn label_classes(&self, local: &mut Vec<Material>, file: &LabelsFile) -> Result<LabelClasses, SceneError> {
         let default = self.local_class(local, "materials.default", &file.default, DensityFile::Hu)?;
         let mut map = Vec::with_capacity(file.map.len());
         for (label, entry) in &file.map {

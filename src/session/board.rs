@@ -67,7 +67,7 @@ impl Link {
     /// Whether nothing came for [`STALE_AFTER_US`], or ever.
     #[must_use]
     pub fn is_stale(&self, now_us: i64) -> bool {
-        !self.last_byte_us.is_some_and(|last_us| now_us - last_us <= STALE_AFTER_US)
+        self.last_byte_us.is_none_or(|last_us| now_us - last_us > STALE_AFTER_US)
     }
 }
 

@@ -308,7 +308,10 @@ impl Bench {
         let mut rerender = |view: &View| {
             let coarse = scene.with_binned_view(*view);
             let rendered = renderer.render(&coarse, &options).map_err(|error| error.to_string())?;
-            rendered.pages.into_iter().next().ok_or_else(|| "no page".to_owned())
+            let mut page = rendered.pages.into_iter().next().ok_or_else(|| "no page".to_owned())?;
+            let invalid = rendered.valid.pixels.iter().map(|valid| *valid == 0);
+            page.pixels.iter_mut().zip(invalid).filter(|(_, invalid)| *invalid).for_each(|(pixel, _)| *pixel = f32::NAN);
+            Ok(page)
         };
         match compared.add_null(&mut rerender, &|| false) {
             Ok(()) => developed.pair.set_comparison(&compared.comparison),

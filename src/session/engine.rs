@@ -106,7 +106,7 @@ pub enum Output {
         /// Arrival of the bytes that completed it.
         host_us: i64,
         /// The sample.
-        sample: Sample,
+        sample: Box<Sample>,
     },
     /// A fault in the byte stream.
     Fault {
@@ -170,7 +170,7 @@ impl Engine {
     /// Counters of a line.
     #[must_use]
     pub fn health(&self, device: DeviceKind) -> Option<Health> {
-        self.links.get(&device).map(|link| link.health().clone())
+        self.links.get(&device).map(|link| *link.health())
     }
 
     /// The timeline, for plots and states.
@@ -212,7 +212,7 @@ impl Engine {
         link.feed(host_us, epoch, bytes, &mut |received| match received.event {
             Event::Sample(sample) => {
                 timeline.push_sample(device, host_us, epoch, sample.clone());
-                sink(Output::Sample { device, host_us, sample });
+                sink(Output::Sample { device, host_us, sample: Box::new(sample) });
             }
             Event::Fault(fault) => sink(Output::Fault { device, host_us, detail: fault.to_string() }),
         });

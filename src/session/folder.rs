@@ -162,7 +162,7 @@ impl Collector {
         self.report.pairs = self.rows.into_values().collect();
         for device in DeviceKind::ALL {
             let (Some(health), Some(link)) = (engine.health(device), self.links.get_mut(&device)) else { continue };
-            let counters = serde_json::to_value(&health).unwrap_or_default();
+            let counters = serde_json::to_value(health).unwrap_or_default();
             let counters = counters.as_object().cloned().unwrap_or_default();
             link.counters = counters.into_iter().filter_map(|(name, count)| Some((name, count.as_u64()?))).collect();
         }

@@ -22,6 +22,7 @@ mod report_files;
 mod viewer_window;
 mod render_scenes;
 mod render_closed_forms;
+mod render_command;
 mod render_executors;
 mod render_noise;
 mod shaders_layout;

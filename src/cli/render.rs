@@ -138,7 +138,7 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
     if let Some(wanted) = args.max_error
         && !(wanted >= plan.stated_error)
     {
-        let advice = if args.reference { "" } else { "; --device cpu states 2e-5, --reference 1e-9" };
+        let advice = if args.reference { "" } else { "; --device cpu states 5e-6, --reference 1e-7" };
         return Err(RenderCommandError::MaxError { wanted, stated: plan.stated_error, adapter: renderer.adapter(), advice });
     }
     let rendered = renderer.render(&scene, &options)?;

@@ -1,0 +1,98 @@
+//! `sidecarm render`: files, refusals, and what it promises.
+
+use std::path::Path;
+
+use clap::Parser;
+use sidecarm::cli::render::{RenderArgs, RenderCommandError, run};
+use sidecarm::gpu::{Device, DeviceChoice};
+use sidecarm::image::read_tiff_f32;
+use sidecarm::render::RenderError;
+use sidecarm::reporter::Reporter;
+
+#[derive(Parser)]
+struct Typed {
+    #[command(flatten)]
+    args: RenderArgs,
+}
+
+const SCENE: &str = r#"{
+    "objects": [{"sphere": {"centre_lps_mm": [0, 0, 0], "radius_mm": 20, "material": "water"}},
+                {"sphere": {"centre_lps_mm": [0, 0, 0], "radius_mm": 2, "material": "steel_316l"}}],
+    "view": {"size_px": [64, 48], "intrinsics": [[1000, 0, 31.5], [0, 1000, 23.5], [0, 0, 1]],
+             "camera_from_lps": [[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 600], [0, 0, 0, 1]]},
+    "beam": {"tube_kvp": 80, "anode_angle_deg": 12, "filtration_mm": {"aluminium": 3}, "photons_per_pixel": 1e5},
+    "detector": {"response": "energy", "pitch_mm": 1.0},
+    "model": {"formation": "deepdrr", "scatter": "off", "noise": false, "seed": 1}
+}"#;
+
+fn render(folder: &Path, more: &[&str]) -> Result<u8, RenderCommandError> {
+    let scene = folder.join("scene.json");
+    std::fs::write(&scene, SCENE).expect("writes");
+    let (scene, out) = (scene.display().to_string(), folder.join("drr.tif").display().to_string());
+    let typed = ["render", &scene, "--out", &out, "--device", "cpu"].into_iter().chain(more.iter().copied());
+    run(&Typed::parse_from(typed).args, &Reporter::silent())
+}
+
+#[test]
+fn it_writes_the_image_and_what_it_is() {
+    let folder = tempfile::tempdir().expect("folder");
+    let png = folder.path().join("drr.png").display().to_string();
+    assert_eq!(render(folder.path(), &["--quantity", "area_density", "--png", &png]).expect("renders"), 0);
+    let pages = read_tiff_f32(&folder.path().join("drr.tif")).expect("a TIFF");
+    assert_eq!((pages.len(), pages[0].width, pages[0].height), (2, 64, 48));
+    let text = std::fs::read_to_string(folder.path().join("drr.tif.json")).expect("beside it");
+    let json: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    assert_eq!(json["quantity"], "area_density");
+    assert_eq!(json["unit"], "g/cm2");
+    assert_eq!(json["pages"], serde_json::json!(["water", "steel_316l"]));
+    assert!(json["plan"]["stated_error"].as_f64().expect("a number") > 0.0);
+    assert!(folder.path().join("drr.png").is_file());
+    assert!(!folder.path().join("drr.tif.valid.png").exists(), "no CT, nothing invalid");
+}
+
+#[test]
+fn the_reference_agrees_through_the_same_command() {
+    let folder = tempfile::tempdir().expect("folder");
+    let page = |more: &[&str]| {
+        render(folder.path(), more).expect("renders");
+        read_tiff_f32(&folder.path().join("drr.tif")).expect("a TIFF").remove(0).pixels
+    };
+    let (fast, slow) = (page(&["--quantity", "line_integral"]), page(&["--quantity", "line_integral", "--reference"]));
+    assert!(crate::render_scenes::worst(&fast, &slow) < 5e-6);
+    assert!(slow.iter().any(|value| *value > 0.5));
+}
+
+#[test]
+fn a_bound_that_cannot_be_promised_is_refused_by_name() {
+    let folder = tempfile::tempdir().expect("folder");
+    assert_eq!(render(folder.path(), &["--max-error", "1e-3"]).expect("promised"), 0);
+    let mut cases = 0;
+    for wanted in ["1e-9", "0", "nan"] {
+        let error = render(folder.path(), &["--max-error", wanted]).expect_err(wanted);
+        assert!(matches!(error, RenderCommandError::MaxError { .. }) && error.to_string().contains("5e-6"), "{error}");
+        cases += 1;
+    }
+    assert_eq!(cases, 3);
+}
+
+#[test]
+fn an_input_is_not_overwritten() {
+    let folder = tempfile::tempdir().expect("folder");
+    let scene = folder.path().join("scene.json");
+    std::fs::write(&scene, SCENE).expect("writes");
+    let path = scene.display().to_string();
+    let args = Typed::parse_from(["render", &path, "--out", &path, "--device", "cpu"]).args;
+    let error = run(&args, &Reporter::silent()).expect_err("the scene is an input");
+    assert!(matches!(error, RenderCommandError::Render(RenderError::WouldOverwrite { .. })), "{error}");
+    assert_eq!(std::fs::read_to_string(&scene).expect("still there"), SCENE);
+}
+
+#[test]
+fn a_device_that_is_not_there_names_what_to_install() {
+    for (choice, package) in [(DeviceChoice::Gpu, "libvulkan1"), (DeviceChoice::SoftwareVulkan, "mesa-vulkan-drivers")] {
+        match Device::open(choice, &Reporter::silent()) {
+            Ok(device) => println!("{choice:?} is here: {}", device.name()),
+            Err(error) => assert!(error.to_string().contains(package), "{error}"),
+        }
+    }
+}

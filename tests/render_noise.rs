@@ -32,11 +32,12 @@ fn chi_square(sample: &[f64], expected: f64) -> (f64, usize) {
     let (mut chi, mut cells) = (0.0, 0);
     let (mut observed, mut wanted) = (0.0, 0.0);
     let mut left = total;
-    let mut probability = (-expected).exp();
+    // In logarithms: e^−1001 is no double.
+    let mut ln_probability = -expected;
     for (k, count) in seen.iter().enumerate() {
         observed += count;
-        wanted += total * probability;
-        probability *= expected / (k as f64 + 1.0);
+        wanted += total * ln_probability.exp();
+        ln_probability += (expected / (k as f64 + 1.0)).ln();
         if wanted >= 20.0 && left - wanted >= 20.0 {
             chi += (observed - wanted).powi(2) / wanted;
             cells += 1;

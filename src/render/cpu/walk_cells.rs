@@ -75,9 +75,14 @@ impl Field<'_> {
         let face = |axis: usize, at: i32| if q[axis] == 0.0 { f64::INFINITY } else { (f64::from(at) - p[axis]) * inverse[axis] };
         let mut next: [f64; 3] = std::array::from_fn(|axis| face(axis, cell[axis] + ahead[axis]));
         let delta: [f64; 3] = std::array::from_fn(|axis| inverse[axis].abs());
+        let density = self.volume.density_g_per_cm3.as_slice();
+        let (row, slice) = (self.volume.size[0], self.volume.size[0] * self.volume.size[1]);
+        // Lower voxels of cells that lie between different voxels along every axis.
+        let inner = self.volume.size.map(|n| n as u32 - 1);
         let mut t = from;
         loop {
-            let index = cell[0] as usize + size[0] * (cell[1] as usize + size[1] * cell[2] as usize);
+            let index = (cell[2] as usize).wrapping_mul(size[1]).wrapping_add(cell[1] as usize);
+            let index = index.wrapping_mul(size[0]).wrapping_add(cell[0] as usize);
             let kind = self.cells.kind[index];
             if kind == EMPTY_BRICK {
                 // Leave the brick at once: to the nearest of its three far faces.
@@ -112,7 +117,21 @@ impl Field<'_> {
             let beyond = next[axis];
             let end = if beyond < to { beyond } else { to };
             if kind != EMPTY && end > t && self.counts(kind, pass) {
-                self.add_piece(ray, [cell[0] as usize, cell[1] as usize, cell[2] as usize], kind, (t, end), sums);
+                let lower = cell.map(|c| (c - 1) as u32);
+                if kind < MIXED && lower[0] < inner[0] && lower[1] < inner[1] && lower[2] < inner[2] {
+                    // Nearly every cell: one material, 2×2×2 different voxels. The grid has been checked to hold them.
+                    let base = (lower[2] as usize).wrapping_mul(slice).wrapping_add((lower[1] as usize).wrapping_mul(row));
+                    let base = base.wrapping_add(lower[0] as usize);
+                    let [a, b] = pair(density, base);
+                    let [c, d] = pair(density, base.wrapping_add(row));
+                    let [e, f] = pair(density, base.wrapping_add(slice));
+                    let [g, i] = pair(density, base.wrapping_add(slice).wrapping_add(row));
+                    let (m, h) = middle_and_half(ray, cell, (t, end));
+                    let mean = mean_along(&[a, b, c, d, e, f, g, i], m, h);
+                    sums[self.cells.materials[usize::from(kind) - 1]] += f64::from(mean) * (end - t);
+                } else {
+                    self.add_piece(ray, cell, kind, (t, end), sums);
+                }
                 if found.collect {
                     match found.spans.last_mut() {
                         Some(last) if last.1 >= t => last.1 = end,
@@ -133,17 +152,16 @@ impl Field<'_> {
         }
     }
 
-    #[inline(always)]
-    fn add_piece(&self, ray: &CellRay, cell: [usize; 3], kind: u8, (from, to): (f64, f64), sums: &mut [f64]) {
+    /// Cells in which materials meet, and the outer half voxels.
+    #[inline(never)]
+    fn add_piece(&self, ray: &CellRay, cell: [i32; 3], kind: u8, (from, to): (f64, f64), sums: &mut [f64]) {
         let volume = self.volume;
+        let (m, h) = middle_and_half(ray, cell, (from, to));
+        let cell = cell.map(|c| c as usize);
         let [(i, di), (j, dj), (k, dk)] =
             [voxel_pair(cell[0], volume.size[0]), voxel_pair(cell[1], volume.size[1]), voxel_pair(cell[2], volume.size[2])];
         let (row, slice) = (dj * volume.size[0], dk * volume.size[0] * volume.size[1]);
         let base = volume.index(i, j, k);
-        let middle = 0.5 * (from + to);
-        let half = 0.5 * (to - from);
-        let m: [f32; 3] = std::array::from_fn(|axis| (ray.p[axis] + ray.q[axis] * middle - cell[axis] as f64) as f32);
-        let h: [f32; 3] = std::array::from_fn(|axis| (ray.q[axis] * half) as f32);
         let density = &volume.density_g_per_cm3;
         let offsets = [0, di, row, row + di, slice, slice + di, slice + row, slice + row + di];
         let corners = offsets.map(|offset| density[base + offset]);
@@ -174,6 +192,28 @@ impl Field<'_> {
                 sums[material(kind)] += f64::from(weight * corner) * length;
             }
         }
+    }
+}
+
+/// Middle of a piece from the cell's lower corner, and half its extent, in voxels.
+#[inline(always)]
+fn middle_and_half(ray: &CellRay, cell: [i32; 3], (from, to): (f64, f64)) -> ([f32; 3], [f32; 3]) {
+    let (middle, half) = (0.5 * (from + to), 0.5 * (to - from));
+    let (p, q) = (ray.p, ray.q);
+    let m = [
+        (p.x + q.x * middle - f64::from(cell[0])) as f32,
+        (p.y + q.y * middle - f64::from(cell[1])) as f32,
+        (p.z + q.z * middle - f64::from(cell[2])) as f32,
+    ];
+    (m, [(q.x * half) as f32, (q.y * half) as f32, (q.z * half) as f32])
+}
+
+/// Two neighbours along i.
+#[inline(always)]
+fn pair(values: &[f32], at: usize) -> [f32; 2] {
+    match values.get(at..at.wrapping_add(2)) {
+        Some(&[a, b]) => [a, b],
+        _ => [0.0; 2],
     }
 }
 

@@ -86,7 +86,7 @@ fn obliquity_is_in_counts_and_not_in_intensity() {
     let intensity = reference::render(&water, &oblique, Quantity::Intensity).expect("good");
     assert!(intensity[0].pixels.iter().all(|x| *x == 1.0));
     let tangent = [2000.0 / 5000.0, 23.5 / 5000.0];
-    let cosine = (1.0 + tangent[0] * tangent[0] + tangent[1] * tangent[1]).powf(-0.5);
+    let cosine = (1.0_f64 + tangent[0] * tangent[0] + tangent[1] * tangent[1]).powf(-0.5);
     let expected = 5e5 * 60.0 * cosine.powi(3);
     assert!((counts[0].pixels[0] / expected - 1.0).abs() < 1e-12, "{} {expected}", counts[0].pixels[0]);
     assert!(cosine.powi(3) < 0.82);

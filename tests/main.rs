@@ -33,3 +33,4 @@ mod reference_volumes;
 mod scene_files;
 mod scene_support;
 mod scene_volumes;
+mod session_demo;

@@ -1,0 +1,97 @@
+//! The main job, end to end: mocked devices on pseudo-terminals, log, replay, a log that was cut.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+fn sidecarm(args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_sidecarm")).args(args).output().expect("the program starts")
+}
+
+fn mock_is_built() -> bool {
+    let built =
+        Path::new(env!("CARGO_BIN_EXE_sidecarm")).with_file_name(format!("mock-lab{}", std::env::consts::EXE_SUFFIX)).exists();
+    if !built {
+        println!("skipped: mock-lab is not beside sidecarm; cargo build --workspace makes it");
+    }
+    built
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().expect("temporary paths are UTF-8")
+}
+
+fn json(bytes: &[u8]) -> serde_json::Value {
+    serde_json::from_slice(bytes).expect("JSON")
+}
+
+#[test]
+fn a_mocked_session_matches_its_frames_and_replays_byte_for_byte() {
+    if !mock_is_built() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let lab: PathBuf = folder.path().join("lab");
+    let run = sidecarm(&["demo", "--headless", "--seconds", "10", "--out", text(&lab)]);
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    let session = lab.join("session");
+    let pairs = json(&std::fs::read(session.join("pairs.json")).expect("pairs"));
+    let pairs = pairs["pairs"].as_array().expect("a list");
+    assert!(pairs.len() >= 6, "{} pairs", pairs.len());
+    let accepted: Vec<_> = pairs.iter().filter(|pair| pair["status"] == "accepted").collect();
+    assert!(accepted.len() >= 5, "{} accepted", accepted.len());
+    assert!(pairs.iter().any(|pair| pair["status"] == "refused"), "the collimated frame is refused");
+    for pair in &accepted {
+        let number = |value: &serde_json::Value| value.as_f64().unwrap_or(f64::NAN);
+        assert!(number(&pair["truth"]["mean_px"]) < 0.2, "{}: {}", pair["frame"], pair["truth"]);
+        assert!(number(&pair["scores"]["zncc"]) > 0.99, "{}: {}", pair["frame"], pair["scores"]["zncc"]);
+        assert_eq!(pair["binding"], "counter");
+    }
+    for file in ["report.html", "strips/001.png", "drr/001.tif", "drr/001.tif.json"] {
+        assert!(session.join(file).exists(), "{file}");
+    }
+    let report = std::fs::read_to_string(session.join("report.html")).expect("report");
+    assert!(!report.contains("Mockpatient") && !report.contains("MOCK-ID-4711"));
+
+    let log = session.join("session.mcap");
+    let replayed = sidecarm(&["replay", text(&log), "--json", "--out", text(&folder.path().join("replayed"))]);
+    let found = json(&replayed.stdout);
+    assert_eq!(replayed.status.code(), Some(0), "{found}");
+    assert_eq!(found["poses_identical"], pairs.len());
+    assert_eq!(found["images_different"].as_array().map(Vec::len), Some(0));
+    assert_eq!(found["images_identical"], pairs.len());
+
+    // A log cut in the middle: what is there is replayed, the loss is said, exit code 3.
+    let bytes = std::fs::read(&log).expect("log");
+    assert!(!bytes.windows(11).any(|window| window == b"Mockpatient"), "identity is not in the log");
+    let cut = folder.path().join("cut.mcap");
+    std::fs::write(&cut, &bytes[..bytes.len() / 2]).expect("written");
+    let replayed = sidecarm(&["replay", text(&cut), "--json", "--out", text(&folder.path().join("cut"))]);
+    let found = json(&replayed.stdout);
+    assert_eq!(replayed.status.code(), Some(3), "{found}");
+    assert!(found["losses"].as_array().is_some_and(|losses| !losses.is_empty()));
+    assert_eq!(found["poses_different"].as_array().map(Vec::len), Some(0), "{found}");
+}
+
+#[test]
+fn a_session_that_cannot_start_says_why_in_one_sentence() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let path = folder.path().join("session.json");
+    let mut cases = 0;
+    for (content, says) in [
+        ("{", "session.json"),
+        (r#"{"frames": {"folder": "f"}, "scene": "s.json", "colour": 1}"#, "colour"),
+        (r#"{"frames": {"folder": "f"}, "scene": "s.json"}"#, "s.json"),
+        (
+            r#"{"frames": {"folder": "f"}, "scene": "s.json", "world_from_lps": [[2,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}"#,
+            "world_from_lps",
+        ),
+    ] {
+        std::fs::write(&path, content).expect("written");
+        let run = sidecarm(&["live", text(&path), "--headless", "--seconds", "1"]);
+        let words = String::from_utf8_lossy(&run.stderr).into_owned();
+        assert_eq!(run.status.code(), Some(1), "{words}");
+        assert!(words.contains(says) && !words.contains("panicked"), "{content}: {words}");
+        cases += 1;
+    }
+    assert_eq!(cases, 4);
+}

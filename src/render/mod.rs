@@ -11,6 +11,7 @@ pub mod plan;
 pub mod prepared;
 pub mod reference;
 mod renderer;
+pub mod slabs;
 pub mod spectrum;
 pub mod wgsl;
 mod write;

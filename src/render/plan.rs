@@ -36,8 +36,12 @@ impl Executor {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Sampling {
-    /// Cell by cell, the trilinear field integrated exactly in each.
+    /// Cell by cell, the trilinear field integrated exactly in each, in f64.
     ExactCells,
+    /// Slab by slab, sixteen rays at a time, the trilinear field integrated exactly in each cell, in f32.
+    ExactSlabs,
+    /// Slab by slab with Simpson's rule, which does not see the faces of the cells that a ray crosses between two slices.
+    SimpsonSlabs,
     /// There is no volume.
     None,
 }
@@ -186,7 +190,7 @@ impl Plan {
             quantity,
             size_px,
             formation: scene.model.formation,
-            sampling: if volumes > 0 { Sampling::ExactCells } else { Sampling::None },
+            sampling: if volumes > 0 { Sampling::ExactSlabs } else { Sampling::None },
             materials: scene.materials.iter().map(|material| material.name.clone()).collect(),
             energy_nodes: nodes,
             displacement,

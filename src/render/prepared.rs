@@ -6,6 +6,8 @@ use glam::{DAffine3, DMat3, DVec3};
 
 use super::RenderError;
 use super::cells::Cells;
+use super::cpu::bundles::Rays;
+use super::slabs::Slabs;
 use crate::geometry::View;
 use crate::scene::model::{Matter, Mesh, Scene, Solid, Volume};
 
@@ -54,10 +56,14 @@ pub struct SeenVolume<'a> {
     pub volume: &'a Arc<Volume>,
     /// Its cells.
     pub cells: Arc<Cells>,
+    /// Its slabs, when it is crossed slab by slab.
+    pub slabs: Option<Arc<Slabs>>,
     /// Kind of cells that hold air, if air is kept.
     pub air_kind: Option<u8>,
     /// `cell` coordinates (voxel + 1) of points in the camera, mm.
     pub cell_from_camera: DAffine3,
+    /// Where its matter can be seen.
+    pub bounds: Bounds,
 }
 
 /// A mesh as the camera sees it.
@@ -104,14 +110,14 @@ pub struct Prepared<'a> {
 }
 
 impl<'a> Prepared<'a> {
-    /// Looks at `scene` from `view`; `cells_of` supplies the prepared cells of a volume.
+    /// Looks at `scene` from `view`; `cells_of` supplies what was prepared of a volume.
     ///
     /// # Errors
     /// When the view has no pixels, or the detector has no distance.
     pub fn new(
         scene: &'a Scene,
         view: View,
-        mut cells_of: impl FnMut(&'a Arc<Volume>, &str) -> Result<Arc<Cells>, RenderError>,
+        mut cells_of: impl FnMut(&'a Arc<Volume>, &str) -> Result<(Arc<Cells>, Option<Arc<Slabs>>), RenderError>,
     ) -> Result<Self, RenderError> {
         let detector_mm = view.intrinsics.source_to_detector_mm(scene.detector.pitch_mm);
         if !(detector_mm > 0.0 && detector_mm.is_finite()) {
@@ -141,14 +147,16 @@ impl<'a> Prepared<'a> {
                     }
                 }
                 Matter::Volume(volume) => {
-                    let cells = cells_of(volume, &object.name)?;
+                    let (cells, slabs) = cells_of(volume, &object.name)?;
                     let air = cells.materials.iter().position(|material| is_air(*material));
                     let index = prepared.volumes.len();
                     prepared.volumes.push(SeenVolume {
                         volume,
                         air_kind: air.map(|material| material as u8 + 1),
                         cell_from_camera: cell_from_camera(volume, &view),
+                        bounds: volume_bounds(volume, &cells, &view),
                         cells,
+                        slabs,
                     });
                     prepared.steps.push(Step::Volume(index));
                     if air.is_some() {
@@ -169,11 +177,39 @@ impl<'a> Prepared<'a> {
     }
 }
 
+impl Prepared<'_> {
+    /// Makes the copies of volumes that this view needs: one for each axis along which some ray mainly runs.
+    pub fn make_slabs(&self) {
+        for seen in &self.volumes {
+            if let Some(slabs) = &seen.slabs {
+                let axes = Rays::new(&self.view, seen).axes(self.view.size_px);
+                for axis in (0..3).filter(|axis| axes[*axis]) {
+                    slabs.prepare(axis, seen.volume, &seen.cells);
+                }
+            }
+        }
+    }
+}
+
 /// `cell` coordinates of points in the camera.
 fn cell_from_camera(volume: &Volume, view: &View) -> DAffine3 {
     let lps_from_camera = view.camera_from_lps.inverse();
     let lps_from_camera = DAffine3::from_rotation_translation(lps_from_camera.rotation, lps_from_camera.translation_mm);
     DAffine3::from_translation(DVec3::ONE) * volume.lps_from_voxel.inverse() * lps_from_camera
+}
+
+/// Where the cells that hold matter can be seen; everywhere when faces with matter decide about validity.
+fn volume_bounds(volume: &Volume, cells: &Cells, view: &View) -> Bounds {
+    if volume.truncated_at_faces {
+        return Bounds { from: [0, 0], to: view.size_px };
+    }
+    let [first, end] = cells.occupied.map(|cell| DVec3::from_array(cell.map(|n| n as f64)));
+    // Cell c spans voxels c − 1 to c.
+    let centre = volume.lps_from_voxel.transform_point3(0.5 * (first + end) - 1.0);
+    let half = 0.5 * (end - first);
+    let reach = |x: f64, y: f64| volume.lps_from_voxel.matrix3.mul_vec3(DVec3::new(half.x * x, half.y * y, half.z)).length();
+    let radius_mm = reach(1.0, 1.0).max(reach(-1.0, 1.0)).max(reach(1.0, -1.0)).max(reach(-1.0, -1.0));
+    sphere_bounds(view, view.camera_from_lps.transform_point(centre), radius_mm)
 }
 
 fn see_solid<'a>(solid: &'a Solid, view: &View) -> SeenSolid<'a> {

@@ -8,8 +8,9 @@ use super::cpu::attenuate_spectrum::{Signal, attenuate_spectrum};
 use super::cpu::integrate_density::{Density, integrate_density};
 use super::detector;
 use super::explain::explain_empty;
-use super::plan::{Executor, Plan, noise_applies};
+use super::plan::{Executor, Plan, Sampling, noise_applies};
 use super::prepared::Prepared;
+use super::slabs::Slabs;
 use super::spectrum::Bins;
 use super::wgsl::{self, Executed, NoiseKey, WgslExecutor};
 use super::{Quantity, RenderError, reference};
@@ -59,7 +60,7 @@ pub struct Rendered {
 pub struct Renderer {
     device: Device,
     reporter: Reporter,
-    cells: Vec<(Arc<Volume>, Arc<Cells>)>,
+    volumes: Vec<PreparedVolume>,
     wgsl: Option<WgslExecutor>,
 }
 
@@ -69,7 +70,7 @@ impl Renderer {
     /// # Errors
     /// When a device was named that is not there.
     pub fn new(choice: DeviceChoice, reporter: &Reporter) -> Result<Self, RenderError> {
-        Ok(Self { device: Device::open(choice, reporter)?, reporter: reporter.clone(), cells: Vec::new(), wgsl: None })
+        Ok(Self { device: Device::open(choice, reporter)?, reporter: reporter.clone(), volumes: Vec::new(), wgsl: None })
     }
 
     /// Device, driver, version.
@@ -109,10 +110,13 @@ impl Renderer {
         let mut stages = StageTimes::default();
         let mut notes = Vec::new();
         let prepared = {
-            let cache = &mut self.cells;
+            let cache = &mut self.volumes;
+            let slabs = plan.executor == Executor::Cpu && matches!(plan.sampling, Sampling::ExactSlabs | Sampling::SimpsonSlabs);
             stages.measure("prepare", || {
-                cache.retain(|(volume, _)| scene_holds(scene, volume));
-                Prepared::new(scene, view, |volume, name| cached_cells(cache, volume, name))
+                cache.retain(|held| scene_holds(scene, &held.volume));
+                let prepared = Prepared::new(scene, view, |volume, name| prepare_volume(cache, volume, name, slabs))?;
+                prepared.make_slabs();
+                Ok::<_, RenderError>(prepared)
             })?
         };
         let size = view.size_px.map(|n| n as usize);
@@ -122,7 +126,7 @@ impl Renderer {
         let cast = match plan.executor {
             Executor::Reference => self.cast_reference(scene, &view, bins.as_ref(), noisy, &mut stages)?,
             Executor::Wgsl => self.cast_wgsl(scene, &prepared, bins.as_ref(), noisy.then_some(&plan), &mut stages, &mut notes)?,
-            Executor::Cpu => self.cast_cpu(&prepared, bins.as_ref(), noisy, &mut stages),
+            Executor::Cpu => cast_cpu(&prepared, plan.sampling, bins.as_ref(), noisy, &mut stages),
         };
         note_invalid(&cast.density, &mut notes);
         if cast.density.g_per_cm2.iter().all(|path| *path == 0.0) {
@@ -169,12 +173,6 @@ impl Renderer {
         })
     }
 
-    fn cast_cpu(&self, prepared: &Prepared, bins: Option<&Bins>, noisy: bool, stages: &mut StageTimes) -> Cast {
-        let density = stages.measure("integrate_density", || integrate_density(prepared));
-        let signal = bins.map(|bins| stages.measure("attenuate_spectrum", || attenuate_spectrum(&density, bins, noisy)));
-        Cast { density, signal: signal.unwrap_or_default(), deviates: None, adapter: cpu_name() }
-    }
-
     fn cast_wgsl(
         &mut self,
         scene: &Scene,
@@ -207,7 +205,7 @@ impl Renderer {
         let message = format!("{reason}: rendered by the CPU executor instead, whose error is smaller");
         self.reporter.warn("executor", &message);
         notes.push(message);
-        Ok(self.cast_cpu(prepared, bins, noise.is_some(), stages))
+        Ok(cast_cpu(prepared, Sampling::ExactCells, bins, noise.is_some(), stages))
     }
 
     fn cast_reference(
@@ -230,6 +228,21 @@ impl Renderer {
         }
         Ok(Cast { density, signal, deviates: None, adapter: format!("f64 reference on {}", cpu_name()) })
     }
+}
+
+fn cast_cpu(prepared: &Prepared, sampling: Sampling, bins: Option<&Bins>, noisy: bool, stages: &mut StageTimes) -> Cast {
+    let density = stages.measure("integrate_density", || integrate_density(prepared, sampling));
+    let signal = bins.map(|bins| stages.measure("attenuate_spectrum", || attenuate_spectrum(&density, bins, noisy)));
+    Cast { density, signal: signal.unwrap_or_default(), deviates: None, adapter: cpu_name() }
+}
+
+/// What was made of a volume, kept between images.
+#[derive(Debug)]
+struct PreparedVolume {
+    volume: Arc<Volume>,
+    cells: Arc<Cells>,
+    /// Outer: whether slabs were tried; inner: whether the volume is for them.
+    slabs: Option<Option<Arc<Slabs>>>,
 }
 
 /// What an executor found.
@@ -258,10 +271,26 @@ fn scene_holds(scene: &Scene, volume: &Arc<Volume>) -> bool {
     scene.objects.iter().any(|object| matches!(&object.matter, Matter::Volume(held) if Arc::ptr_eq(held, volume)))
 }
 
-fn cached_cells(cache: &mut Vec<(Arc<Volume>, Arc<Cells>)>, volume: &Arc<Volume>, name: &str) -> Result<Arc<Cells>, RenderError> {
-    if let Some((_, cells)) = cache.iter().find(|(held, _)| Arc::ptr_eq(held, volume)) {
-        return Ok(cells.clone());
+type Made = (Arc<Cells>, Option<Arc<Slabs>>);
+
+fn prepare_volume(cache: &mut Vec<PreparedVolume>, volume: &Arc<Volume>, name: &str, slabs: bool) -> Result<Made, RenderError> {
+    let index = match cache.iter().position(|held| Arc::ptr_eq(&held.volume, volume)) {
+        Some(index) => index,
+        None => {
+            let cells = Arc::new(make_cells(volume, name)?);
+            cache.push(PreparedVolume { volume: volume.clone(), cells, slabs: None });
+            cache.len() - 1
+        }
+    };
+    let held = &mut cache[index];
+    if !slabs {
+        return Ok((held.cells.clone(), None));
     }
+    let made = held.slabs.get_or_insert_with(|| Slabs::new(volume, &held.cells).map(Arc::new));
+    Ok((held.cells.clone(), made.clone()))
+}
+
+fn make_cells(volume: &Volume, name: &str) -> Result<Cells, RenderError> {
     let wrong = |detail: String| RenderError::Volume { name: name.to_owned(), detail };
     let voxels = volume.size.iter().product::<usize>();
     if voxels == 0 || volume.density_g_per_cm3.len() != voxels || volume.class.len() != voxels {
@@ -275,10 +304,7 @@ fn cached_cells(cache: &mut Vec<(Arc<Volume>, Arc<Cells>)>, volume: &Arc<Volume>
     if !(volume.lps_from_voxel.matrix3.determinant().abs() > 0.0) {
         return Err(wrong("its affine is singular".to_owned()));
     }
-    let cells = Cells::new(volume).ok_or_else(|| wrong("more than 250 materials in one volume".to_owned()))?;
-    let cells = Arc::new(cells);
-    cache.push((volume.clone(), cells.clone()));
-    Ok(cells)
+    Cells::new(volume).ok_or_else(|| wrong("more than 250 materials in one volume".to_owned()))
 }
 
 fn check(scene: &Scene) -> Result<(), RenderError> {

@@ -2,13 +2,19 @@
 //!
 //! Positions and sums are f64 here and f32 there; the cell rule and the order of the objects are the same.
 
+use std::sync::Arc;
+
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
+use super::cross_slabs::Rule;
+use super::integrate_block::{BLOCK, Block, Crossing, cell_ray};
 use super::intersect_mesh::MeshTree;
 use super::intervals::Intervals;
+use super::lanes::LANES;
 use super::shapes::{cuboid, intersect};
-use super::walk_cells::{CellRay, Field, Found, Pass};
+use super::walk_cells::{Field, Found, Pass};
+use crate::render::plan::Sampling;
 use crate::render::prepared::{Bounds, Prepared, SeenVolume, Step};
 
 /// Area densities of an image.
@@ -25,7 +31,7 @@ pub struct Density {
 }
 
 const TILE_COLUMNS: usize = 16;
-const TILE_ROWS: usize = 8;
+const TILE_ROWS: usize = BLOCK;
 
 /// Everything a ray needs to work in.
 struct Scratch {
@@ -34,16 +40,33 @@ struct Scratch {
     own: Vec<(f64, f64)>,
     found: Found,
     sums: Vec<f64>,
-    steps: Vec<Step>,
+}
+
+/// What shapes and meshes claim of the rays of a bundle.
+#[derive(Debug)]
+pub struct Claims {
+    pub(super) trees: Arc<Vec<MeshTree>>,
+    pub(super) covered: Intervals,
+    pub(super) own: Vec<(f64, f64)>,
+    pub(super) gaps: [Vec<(f64, f64)>; LANES],
+    /// mm of depth times g/cm³, by material.
+    pub(super) sums: [Vec<f64>; LANES],
 }
 
 /// Integrates every ray on all cores; the result does not depend on how many there are.
 #[must_use]
-pub fn integrate_density(prepared: &Prepared) -> Density {
+pub fn integrate_density(prepared: &Prepared, sampling: Sampling) -> Density {
     let [width, height] = prepared.view.size_px.map(|n| n as usize);
     let materials = prepared.material_count;
-    let trees: Vec<MeshTree> =
-        prepared.meshes.iter().map(|seen| MeshTree::new(&seen.vertices_in_camera, &seen.mesh.triangles)).collect();
+    let trees: Arc<Vec<MeshTree>> =
+        Arc::new(prepared.meshes.iter().map(|seen| MeshTree::new(&seen.vertices_in_camera, &seen.mesh.triangles)).collect());
+    let rule = match sampling {
+        Sampling::ExactSlabs => Some(Rule::Exact),
+        Sampling::SimpsonSlabs => Some(Rule::Simpson),
+        Sampling::ExactCells | Sampling::None => None,
+    };
+    let crossings: Vec<Option<Crossing>> =
+        (0..prepared.volumes.len()).map(|index| Crossing::new(prepared, index, rule?)).collect();
     let mut g_per_cm2 = vec![0.0f32; width * height * materials.max(1)];
     let mut valid = vec![1u8; width * height];
     let bands = g_per_cm2.par_chunks_mut(TILE_ROWS * width * materials.max(1)).zip(valid.par_chunks_mut(TILE_ROWS * width));
@@ -56,8 +79,15 @@ pub fn integrate_density(prepared: &Prepared) -> Density {
                 own: Vec::new(),
                 found: Found::default(),
                 sums: vec![0.0; materials],
-                steps: Vec::new(),
             };
+            let mut claims = Claims {
+                trees: trees.clone(),
+                covered: Intervals::default(),
+                own: Vec::new(),
+                gaps: Default::default(),
+                sums: std::array::from_fn(|_| vec![0.0; materials]),
+            };
+            let mut steps = Vec::new();
             let first_row = band * TILE_ROWS;
             let rows = valid.len() / width;
             let mut worst_mm = 0.0f32;
@@ -67,13 +97,26 @@ pub fn integrate_density(prepared: &Prepared) -> Density {
                     from: [first_column as u32, first_row as u32],
                     to: [(first_column + columns) as u32, (first_row + rows) as u32],
                 };
-                scratch.steps.clear();
-                scratch.steps.extend(prepared.steps.iter().filter(|step| seen_in(prepared, step, &tile)));
+                steps.clear();
+                steps.extend(prepared.steps.iter().filter(|step| seen_in(prepared, step, &tile)));
+                if let Some((crossing, solids)) = in_bundles(&crossings, &steps) {
+                    let mut walk = |at: DVec2, out: &mut [f32]| {
+                        let missing = integrate_ray(prepared, &trees, &steps, at, &mut scratch);
+                        out.iter_mut().zip(&scratch.sums).for_each(|(out, sum)| *out = *sum as f32);
+                        missing
+                    };
+                    for u in (tile.from[0]..tile.to[0]).step_by(BLOCK) {
+                        let bounds = Bounds { from: [u, tile.from[1]], to: [(u + BLOCK as u32).min(tile.to[0]), tile.to[1]] };
+                        let block = Block { bounds, solids, g_per_cm2: density, valid, width };
+                        worst_mm = worst_mm.max(crossing.fill(block, &mut claims, &mut walk));
+                    }
+                    continue;
+                }
                 for row in 0..rows {
                     for column in first_column..first_column + columns {
                         let pixel = row * width + column;
                         let at = DVec2::new(column as f64, (first_row + row) as f64);
-                        let missing_mm = integrate_ray(prepared, &trees, at, &mut scratch);
+                        let missing_mm = integrate_ray(prepared, &trees, &steps, at, &mut scratch);
                         for (out, sum) in density[pixel * materials..].iter_mut().zip(&scratch.sums) {
                             *out = *sum as f32;
                         }
@@ -91,50 +134,37 @@ pub fn integrate_density(prepared: &Prepared) -> Density {
     Density { material_count: materials, g_per_cm2, valid, unscanned_mm }
 }
 
+/// The volume and what lies above it, when a tile holds one volume, below everything else, that can be crossed in bundles.
+fn in_bundles<'c, 'a, 's>(crossings: &'c [Option<Crossing<'a>>], steps: &'s [Step]) -> Option<(&'c Crossing<'a>, &'s [Step])> {
+    let (last, above) = steps.split_last()?;
+    let Step::Volume(index) = *last else { return None };
+    if above.iter().any(|step| matches!(step, Step::Volume(_) | Step::VolumeAir(_))) {
+        return None;
+    }
+    Some((crossings[index].as_ref()?, above))
+}
+
 fn seen_in(prepared: &Prepared, step: &Step, tile: &Bounds) -> bool {
     match *step {
         Step::Solid(index) => prepared.solids[index].bounds.meets(tile),
         Step::Mesh(index) => prepared.meshes[index].bounds.meets(tile),
-        Step::Volume(_) | Step::VolumeAir(_) => true,
+        Step::Volume(index) | Step::VolumeAir(index) => prepared.volumes[index].bounds.meets(tile),
     }
 }
 
 /// Fills `scratch.sums` with g/cm²; returns the path outside the scan, if the ray left it through matter.
-fn integrate_ray(prepared: &Prepared, trees: &[MeshTree], at: DVec2, scratch: &mut Scratch) -> Option<f64> {
+fn integrate_ray(prepared: &Prepared, trees: &[MeshTree], steps: &[Step], at: DVec2, scratch: &mut Scratch) -> Option<f64> {
     let direction = prepared.view.intrinsics.unproject(at);
     let mm_per_depth = direction.length();
-    let Scratch { covered, gaps, own, found, sums, steps } = scratch;
+    let Scratch { covered, gaps, own, found, sums } = scratch;
     covered.clear();
     sums.fill(0.0);
     let mut missing = None;
     for (order, step) in steps.iter().enumerate() {
         let is_last = order + 1 == steps.len();
         match *step {
-            Step::Solid(index) => {
-                let seen = &prepared.solids[index];
-                let spans = intersect(&seen.solid.shape, seen.source_in_local, seen.local_from_camera * direction);
-                for &(from, to) in spans.as_slice() {
-                    let (from, to) = (from.max(0.0), to.min(prepared.detector_mm));
-                    if to > from {
-                        sums[seen.solid.material] += covered.uncovered(from, to) * seen.solid.density_g_per_cm3;
-                    }
-                }
-                for &(from, to) in spans.as_slice() {
-                    covered.insert(from.max(0.0), to.min(prepared.detector_mm));
-                }
-            }
-            Step::Mesh(index) => {
-                let mesh = prepared.meshes[index].mesh;
-                own.clear();
-                trees[index].inside(direction, own);
-                for (from, to) in own.iter_mut() {
-                    *to = to.min(prepared.detector_mm);
-                    *from = from.max(0.0);
-                    if *to > *from {
-                        sums[mesh.material] += covered.uncovered(*from, *to) * mesh.density_g_per_cm3;
-                    }
-                }
-                own.iter().for_each(|(from, to)| covered.insert(*from, *to));
+            Step::Solid(_) | Step::Mesh(_) => {
+                claim_solids(prepared, trees, std::slice::from_ref(step), direction, covered, own, sums);
             }
             Step::Volume(index) | Step::VolumeAir(index) => {
                 let pass = if matches!(step, Step::Volume(_)) { Pass::Matter } else { Pass::Air };
@@ -156,6 +186,42 @@ fn integrate_ray(prepared: &Prepared, trees: &[MeshTree], at: DVec2, scratch: &m
     missing
 }
 
+/// Adds depth × density of the shapes and meshes among `steps`, the last object first, and marks what they cover.
+pub(super) fn claim_solids(
+    prepared: &Prepared,
+    trees: &[MeshTree],
+    steps: &[Step],
+    direction: DVec3,
+    covered: &mut Intervals,
+    own: &mut Vec<(f64, f64)>,
+    sums: &mut [f64],
+) {
+    let far = prepared.detector_mm;
+    for step in steps {
+        own.clear();
+        let (material, density) = match *step {
+            Step::Solid(index) => {
+                let seen = &prepared.solids[index];
+                let spans = intersect(&seen.solid.shape, seen.source_in_local, seen.local_from_camera * direction);
+                own.extend_from_slice(spans.as_slice());
+                (seen.solid.material, seen.solid.density_g_per_cm3)
+            }
+            Step::Mesh(index) => {
+                trees[index].inside(direction, own);
+                (prepared.meshes[index].mesh.material, prepared.meshes[index].mesh.density_g_per_cm3)
+            }
+            Step::Volume(_) | Step::VolumeAir(_) => continue,
+        };
+        for (from, to) in own.iter_mut() {
+            (*from, *to) = (from.max(0.0), to.min(far));
+            if *to > *from {
+                sums[material] += covered.uncovered(*from, *to) * density;
+            }
+        }
+        own.iter().for_each(|(from, to)| covered.insert(*from, *to));
+    }
+}
+
 /// Integrates what is not covered; returns the depth range outside the grid when a truncated scan is entered or left through matter.
 #[expect(clippy::too_many_arguments, reason = "the scratch of a ray, borrowed apart")]
 fn cross_volume(
@@ -169,7 +235,7 @@ fn cross_volume(
     found: &mut Found,
 ) -> Option<f64> {
     let field = Field { volume: seen.volume, cells: &seen.cells, air_kind: seen.air_kind };
-    let ray = CellRay { p: seen.cell_from_camera.translation, q: seen.cell_from_camera.matrix3 * direction };
+    let ray = cell_ray(seen, direction);
     let size = DVec3::from_array(seen.volume.size.map(|n| n as f64));
     let (lo, hi) = (DVec3::splat(0.5), size + 0.5);
     let (enter, leave) = cuboid(ray.p, ray.q, lo, hi)?;

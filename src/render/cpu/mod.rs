@@ -2,8 +2,13 @@
 
 pub mod add_noise;
 pub mod attenuate_spectrum;
+pub mod bundles;
+pub mod cross_slabs;
+pub mod integrate_block;
 pub mod integrate_density;
 pub mod intersect_mesh;
 pub mod intervals;
+pub mod lanes;
 pub mod shapes;
 pub mod walk_cells;
+pub mod windows;

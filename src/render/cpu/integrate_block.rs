@@ -1,0 +1,323 @@
+//! A band of pixels through scenes whose one volume lies below everything else: shapes and meshes ray by ray, the volume in bundles
+//! of sixteen rays.
+
+use glam::{DVec2, DVec3};
+
+use super::bundles::Rays;
+use super::cross_slabs::{Rule, cross};
+use super::integrate_density::{Claims, claim_solids};
+use super::lanes::{LANES, Lanes, Portable};
+use super::walk_cells::CellRay;
+use crate::render::cells::{EMPTY, EMPTY_BRICK};
+use crate::render::prepared::{Bounds, Prepared, SeenVolume, Step};
+use crate::render::slabs::{CUT_BIT, SlabGrid};
+
+/// Edge of the blocks of pixels that are laid out as bundles.
+pub const BLOCK: usize = 8;
+
+/// The volume of a scene that can be crossed in bundles.
+pub struct Crossing<'a> {
+    /// The scene.
+    pub prepared: &'a Prepared<'a>,
+    /// Its volume.
+    pub seen: &'a SeenVolume<'a>,
+    rays: Rays,
+    rule: Rule,
+    grids: [Option<SlabGrid<'a>>; 3],
+    /// Depth at which the volume ends, at most that of the detector.
+    far_mm: f64,
+}
+
+/// What a block of pixels is given, and gives back.
+pub struct Block<'b> {
+    /// First column and row, and one past the last.
+    pub bounds: Bounds,
+    /// Shapes and meshes that may be seen in it, the last object first.
+    pub solids: &'b [Step],
+    /// g/cm² of the band of rows that the block lies in: pixel by pixel, then by material.
+    pub g_per_cm2: &'b mut [f32],
+    /// Validity of the same rows.
+    pub valid: &'b mut [u8],
+    /// Columns of the image.
+    pub width: usize,
+}
+
+impl<'a> Crossing<'a> {
+    /// `None` when the volume must be walked cell by cell: air is kept, or no slabs were made.
+    #[must_use]
+    pub fn new(prepared: &'a Prepared<'a>, index: usize, rule: Rule) -> Option<Self> {
+        let seen = &prepared.volumes[index];
+        let slabs = seen.slabs.as_ref().filter(|_| seen.air_kind.is_none())?;
+        let camera_from_cell = seen.cell_from_camera.inverse();
+        let size = DVec3::from_array(seen.volume.size.map(|n| n as f64 + 1.0));
+        let corner = |i: usize| size * DVec3::new((i & 1) as f64, (i >> 1 & 1) as f64, (i >> 2) as f64);
+        let far_mm = (0..8).map(|i| camera_from_cell.transform_point3(corner(i)).z).fold(0.0, f64::max);
+        let grids = [slabs.grid(0), slabs.grid(1), slabs.grid(2)];
+        Some(Self {
+            prepared,
+            seen,
+            rays: Rays::new(&prepared.view, seen),
+            rule,
+            grids,
+            far_mm: far_mm.min(prepared.detector_mm),
+        })
+    }
+
+    /// Fills a block; `walk` integrates one ray the slow way where bundles cannot. Returns the longest unscanned path in mm.
+    pub fn fill(&self, block: Block, claims: &mut Claims, walk: &mut dyn FnMut(DVec2, &mut [f32]) -> Option<f64>) -> f32 {
+        let fill = Fill { crossing: self, block, claims, walk };
+        #[cfg(target_arch = "x86_64")]
+        if let Some(avx512) = pulp::x86::V4::try_new() {
+            return avx512.vectorize(OnAvx512(fill, avx512));
+        }
+        fill.with_materials(Portable)
+    }
+
+    /// Depths between which each ray crosses what holds matter; `whole` is the grid itself.
+    #[inline(always)]
+    fn depths(&self, low: [f64; 3], high: [f64; 3], q: &[[f64; 3]; LANES]) -> [[f64; LANES]; 2] {
+        let mut t = [[0.0; LANES], [self.prepared.detector_mm; LANES]];
+        let mut axis = 0;
+        while axis < 3 {
+            let (to_low, to_high) = (low[axis] - self.rays.p[axis], high[axis] - self.rays.p[axis]);
+            let mut l = 0;
+            while l < LANES {
+                // A ray along the faces: far in or far out, never 0 · ∞.
+                let along = if q[l][axis].abs() < 1e-12 { 1e-12 } else { q[l][axis] };
+                let (x, y) = (to_low / along, to_high / along);
+                let (x, y) = if x < y { (x, y) } else { (y, x) };
+                t[0][l] = if x > t[0][l] { x } else { t[0][l] };
+                t[1][l] = if y < t[1][l] { y } else { t[1][l] };
+                l += 1;
+            }
+            axis += 1;
+        }
+        t
+    }
+}
+
+struct Fill<'f, 'a, 'b> {
+    crossing: &'f Crossing<'a>,
+    block: Block<'b>,
+    claims: &'f mut Claims,
+    walk: &'f mut dyn FnMut(DVec2, &mut [f32]) -> Option<f64>,
+}
+
+#[cfg(target_arch = "x86_64")]
+struct OnAvx512<'f, 'a, 'b>(Fill<'f, 'a, 'b>, pulp::x86::V4);
+
+#[cfg(target_arch = "x86_64")]
+impl pulp::NullaryFnOnce for OnAvx512<'_, '_, '_> {
+    type Output = f32;
+    #[inline(always)]
+    fn call(self) -> f32 {
+        self.0.with_materials(self.1)
+    }
+}
+
+impl Fill<'_, '_, '_> {
+    #[inline(always)]
+    fn with_materials<S: Lanes>(self, s: S) -> f32 {
+        match self.crossing.seen.cells.materials.len() {
+            0 | 1 => self.run::<S, 1>(s),
+            2 => self.run::<S, 2>(s),
+            _ => self.run::<S, 4>(s),
+        }
+    }
+
+    #[inline(always)]
+    fn run<S: Lanes, const M: usize>(self, s: S) -> f32 {
+        let Self { crossing, block, claims, walk } = self;
+        let prepared = crossing.prepared;
+        let bounds = block.bounds;
+        let [u0, v0] = bounds.from.map(|n| n as usize);
+        let columns = crossing.rays.columns(u0 as f64 + 3.5, v0 as f64 + 3.5, crossing.far_mm);
+        let rows = LANES / columns;
+        let mut unscanned = 0.0f32;
+        let cells = &crossing.seen.cells;
+        let mut classes = [u32::MAX; M];
+        let mut m = 0;
+        while m < M && m < cells.materials.len() {
+            classes[m] = m as u32 + 1;
+            m += 1;
+        }
+        let [first, end] = cells.occupied;
+        let (mut low, mut high) = ([0.5; 3], [0.5; 3]);
+        let (mut grid_high, grid_low) = ([0.5; 3], [0.5; 3]);
+        for axis in 0..3 {
+            grid_high[axis] = crossing.seen.volume.size[axis] as f64 + 0.5;
+            low[axis] = (first[axis] as f64).max(0.5);
+            high[axis] = (end[axis] as f64).min(grid_high[axis]);
+        }
+        let first_row = v0 - v0 % BLOCK;
+        for v in (v0..bounds.to[1] as usize).step_by(rows) {
+            for u in (u0..bounds.to[0] as usize).step_by(columns) {
+                let mut q = [[0.0f64; 3]; LANES];
+                let mut seen = [false; LANES];
+                let mut l = 0;
+                while l < LANES {
+                    let (x, y) = (u + l % columns, v + l / columns);
+                    q[l] = crossing.rays.direction(x as f64, y as f64);
+                    seen[l] = x < bounds.to[0] as usize && y < bounds.to[1] as usize;
+                    l += 1;
+                }
+                let mut t = crossing.depths(low, high, &q);
+                let mut axes = [false; 3];
+                let mut any = false;
+                for l in 0..LANES {
+                    if !(seen[l] && t[1][l] > t[0][l]) {
+                        t[1][l] = t[0][l];
+                    } else {
+                        axes[Rays::dominant(q[l])] = true;
+                        any = true;
+                    }
+                }
+                // Shapes and meshes claim their part of each ray; what is left comes in at most `rounds` pieces a ray.
+                let mut rounds = usize::from(any);
+                if !block.solids.is_empty() {
+                    rounds = claims.claim(crossing, block.solids, [u, v], columns, &seen, &t);
+                }
+                let mut sums = [[0.0f32; LANES]; M];
+                let mut met = 0;
+                let mut lost = false;
+                for round in 0..rounds {
+                    if !block.solids.is_empty() {
+                        claims.gaps(round, &mut t);
+                    }
+                    for axis in 0..3 {
+                        match (&crossing.grids[axis], axes[axis]) {
+                            (Some(grid), true) => {
+                                let reference = 0.5 * f64::from(grid.voxels[2]);
+                                let bundle = crossing.rays.bundle([u, v], columns, axis, reference, &t);
+                                met |= cross::<S, M>(s, grid, &bundle, crossing.rule, &classes, &mut sums);
+                            }
+                            (None, true) => lost = true,
+                            _ => {}
+                        }
+                    }
+                }
+                let missing = if crossing.seen.volume.truncated_at_faces {
+                    crossing.left_through_faces(grid_low, grid_high, &q, &seen)
+                } else {
+                    [0.0; LANES]
+                };
+                for l in 0..LANES {
+                    if !seen[l] {
+                        continue;
+                    }
+                    let (x, y) = (u + l % columns, v + l / columns);
+                    let pixel = (y - first_row) * block.width + x;
+                    let materials = prepared.material_count;
+                    let out = &mut block.g_per_cm2[pixel * materials..(pixel + 1) * materials];
+                    if lost || met & CUT_BIT != 0 {
+                        let missing = walk(DVec2::new(x as f64, y as f64), out);
+                        if let Some(missing_mm) = missing {
+                            block.valid[pixel] = 0;
+                            unscanned = unscanned.max(missing_mm as f32);
+                        }
+                        continue;
+                    }
+                    let mm_per_depth = prepared.view.intrinsics.unproject(DVec2::new(x as f64, y as f64)).length();
+                    if !block.solids.is_empty() {
+                        claims.write(l, mm_per_depth, out);
+                    }
+                    // ∫ρ dc: a ray is `mm_per_depth` / |q_c| mm long in c, and there are 10 mm in a cm.
+                    let scale = 0.1 * mm_per_depth / q[l][Rays::dominant(q[l])].abs();
+                    for (m, sums) in sums.iter().enumerate().take(cells.materials.len()) {
+                        out[cells.materials[m]] += sums[l] * scale as f32;
+                    }
+                    if missing[l] != 0.0 {
+                        block.valid[pixel] = 0;
+                        unscanned = unscanned.max((missing[l] * mm_per_depth) as f32);
+                    }
+                }
+            }
+        }
+        unscanned
+    }
+}
+
+impl Crossing<'_> {
+    /// Depth outside the grid of rays that enter or leave it through matter.
+    #[inline(always)]
+    fn left_through_faces(&self, low: [f64; 3], high: [f64; 3], q: &[[f64; 3]; LANES], seen: &[bool; LANES]) -> [f64; LANES] {
+        let t = self.depths(low, high, q);
+        let mut missing = [0.0; LANES];
+        for l in 0..LANES {
+            let (enter, leave) = (t[0][l], t[1][l]);
+            if !(seen[l] && leave > enter) {
+                continue;
+            }
+            if enter > 0.0 && enter < self.prepared.detector_mm && self.holds_matter(&q[l], enter) {
+                missing[l] += enter;
+            }
+            if leave > 0.0 && leave < self.prepared.detector_mm && self.holds_matter(&q[l], leave) {
+                missing[l] += self.prepared.detector_mm - leave;
+            }
+        }
+        missing
+    }
+
+    #[inline(always)]
+    fn holds_matter(&self, q: &[f64; 3], t: f64) -> bool {
+        let cells = &self.seen.cells;
+        let mut cell = [0usize; 3];
+        for axis in 0..3 {
+            cell[axis] = ((self.rays.p[axis] + q[axis] * t) as i64).clamp(0, cells.size[axis] as i64 - 1) as usize;
+        }
+        !matches!(cells.kind[cells.index(cell)], EMPTY | EMPTY_BRICK)
+    }
+}
+
+impl Claims {
+    /// Integrates shapes and meshes along the rays of a bundle and keeps the gaps that they leave; returns the most gaps of a ray.
+    fn claim(
+        &mut self,
+        crossing: &Crossing,
+        solids: &[Step],
+        [u, v]: [usize; 2],
+        columns: usize,
+        seen: &[bool; LANES],
+        t: &[[f64; LANES]; 2],
+    ) -> usize {
+        let mut rounds = 0;
+        for l in 0..LANES {
+            self.gaps[l].clear();
+            self.sums[l].fill(0.0);
+            if !seen[l] {
+                continue;
+            }
+            let at = DVec2::new((u + l % columns) as f64, (v + l / columns) as f64);
+            let direction = crossing.prepared.view.intrinsics.unproject(at);
+            self.covered.clear();
+            claim_solids(crossing.prepared, &self.trees, solids, direction, &mut self.covered, &mut self.own, &mut self.sums[l]);
+            let gaps = &mut self.gaps[l];
+            if t[1][l] > t[0][l] {
+                self.covered.for_each_gap(t[0][l], t[1][l], |from, to| gaps.push((from, to)));
+            }
+            rounds = rounds.max(gaps.len());
+        }
+        rounds
+    }
+
+    /// The depths of each ray's gap number `round`; an empty one where there is none.
+    fn gaps(&self, round: usize, t: &mut [[f64; LANES]; 2]) {
+        for l in 0..LANES {
+            let (from, to) = self.gaps[l].get(round).copied().unwrap_or((0.0, 0.0));
+            (t[0][l], t[1][l]) = (from, to);
+        }
+    }
+
+    /// g/cm² of the shapes and meshes along ray `l`.
+    fn write(&self, l: usize, mm_per_depth: f64, out: &mut [f32]) {
+        for (out, sum) in out.iter_mut().zip(&self.sums[l]) {
+            *out = (0.1 * mm_per_depth * sum) as f32;
+        }
+    }
+}
+
+/// A ray in cell coordinates.
+#[must_use]
+pub fn cell_ray(seen: &SeenVolume, direction: DVec3) -> CellRay {
+    CellRay { p: seen.cell_from_camera.translation, q: seen.cell_from_camera.matrix3 * direction }
+}

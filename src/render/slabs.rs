@@ -1,0 +1,168 @@
+//! A volume laid out for crossing it slab by slab along one of its axes: a copy per axis, made when a view first needs it.
+
+use std::sync::OnceLock;
+
+use rayon::prelude::*;
+
+use super::cells::{BRICK, CUT, Cells, EMPTY, EMPTY_BRICK};
+use crate::scene::model::Volume;
+
+/// Axes (a, b, c) for each axis c across the slabs; a is contiguous.
+pub const AXES: [[usize; 3]; 3] = [[1, 2, 0], [0, 2, 1], [0, 1, 2]];
+
+/// Bit of a brick in which matter borders on voxels of which nothing is known.
+pub const CUT_BIT: u8 = 0x80;
+
+/// More materials than this in one volume are left to the cell walker.
+pub const MOST_MATERIALS: usize = 4;
+
+/// More voxels than this are left to the cell walker: a copy per axis would take too much memory.
+pub const MOST_VOXELS: usize = 1 << 28;
+
+/// Copies of a volume, one per axis that was asked for.
+#[derive(Debug)]
+pub struct Slabs {
+    voxels: [usize; 3],
+    class_bits: u32,
+    bricks: Vec<u8>,
+    brick_count: [usize; 3],
+    copies: [OnceLock<Vec<f32>>; 3],
+}
+
+/// One copy. Indices are those of cells (voxel + 1): the first and last voxels are repeated, so that the outer half voxels are cells
+/// like all others.
+#[derive(Clone, Copy, Debug)]
+pub struct SlabGrid<'a> {
+    /// Padded length along a, b, c.
+    pub size: [i32; 3],
+    /// Voxels along a, b, c.
+    pub voxels: [i32; 3],
+    /// Step from row to row.
+    pub stride_b: usize,
+    /// Step from slice to slice.
+    pub stride_c: usize,
+    /// Densities in g/cm³; the low `class_bits` hold the index of the material in `Cells::materials`, plus one.
+    pub values: &'a [f32],
+    /// Mask of those bits; 0 when there is one material.
+    pub class_bits: u32,
+    /// Per brick of 8³ cells: 0 where there is nothing, `CUT_BIT` where the unknown begins.
+    pub bricks: &'a [u8],
+    /// Step between bricks along a, b, c.
+    pub brick_stride: [usize; 3],
+}
+
+impl Slabs {
+    /// `None` when the volume is not for this method: too many materials, or voxels.
+    #[must_use]
+    pub fn new(volume: &Volume, cells: &Cells) -> Option<Self> {
+        let materials = cells.materials.len();
+        if materials > MOST_MATERIALS
+            || volume.size.iter().product::<usize>() > MOST_VOXELS
+            || volume.size.iter().any(|n| *n > 4000)
+        {
+            return None;
+        }
+        let brick_count = cells.size.map(|n| n.div_ceil(BRICK));
+        let mut bricks = vec![0u8; brick_count.iter().product()];
+        let [bi, bj, _] = brick_count;
+        bricks.par_chunks_mut(bi * bj).enumerate().for_each(|(bk, layer)| {
+            for k in bk * BRICK..((bk + 1) * BRICK).min(cells.size[2]) {
+                for j in 0..cells.size[1] {
+                    let row = &cells.kind[cells.index([0, j, k])..][..cells.size[0]];
+                    for (kinds, brick) in row.chunks(BRICK).zip(&mut layer[j / BRICK * bi..]) {
+                        for kind in kinds {
+                            *brick |= match *kind {
+                                EMPTY | EMPTY_BRICK => 0,
+                                CUT => CUT_BIT | 1,
+                                _ => 1,
+                            };
+                        }
+                    }
+                }
+            }
+        });
+        let class_bits = match materials {
+            0 | 1 => 0,
+            2 | 3 => 3,
+            _ => 7,
+        };
+        Some(Self { voxels: volume.size, class_bits, bricks, brick_count, copies: Default::default() })
+    }
+
+    /// Makes the copy for slabs across `axis`, on all cores, unless it is there.
+    pub fn prepare(&self, axis: usize, volume: &Volume, cells: &Cells) {
+        self.copies[axis].get_or_init(|| {
+            let [a, b, c] = AXES[axis];
+            let stride = [1, volume.size[0], volume.size[0] * volume.size[1]];
+            let size = self.padded(axis);
+            let mut values = vec![0.0f32; size.iter().product()];
+            let voxel = |cell: usize, axis: usize| cell.saturating_sub(1).min(volume.size[axis] - 1);
+            // The class takes the lowest bits; rounding the density to what is left keeps it unbiased.
+            let pack = |index: usize| {
+                let density = volume.density_g_per_cm3[index];
+                let class = volume.class[index];
+                if class == 0 || !(density > 0.0) {
+                    return 0.0;
+                }
+                let bits = self.class_bits;
+                let rounded = density.to_bits().wrapping_add(bits.div_ceil(2)) & !bits;
+                f32::from_bits(rounded | (u32::from(cells.material_of_class[usize::from(class) - 1] + 1) & bits))
+            };
+            values.par_chunks_mut(size[0] * size[1]).enumerate().for_each(|(layer, slice)| {
+                for (row, values) in slice.chunks_exact_mut(size[0]).enumerate() {
+                    let base = voxel(row, b) * stride[b] + voxel(layer, c) * stride[c];
+                    for (column, value) in values.iter_mut().enumerate() {
+                        *value = pack(base + voxel(column, a) * stride[a]);
+                    }
+                }
+            });
+            values
+        });
+    }
+
+    /// The copy for slabs across `axis`, once [`Slabs::prepare`] made it.
+    #[must_use]
+    pub fn grid(&self, axis: usize) -> Option<SlabGrid<'_>> {
+        let values = self.copies[axis].get()?;
+        let size = self.padded(axis);
+        let brick_stride = [1, self.brick_count[0], self.brick_count[0] * self.brick_count[1]];
+        Some(SlabGrid {
+            size: size.map(|n| n as i32),
+            voxels: AXES[axis].map(|axis| self.voxels[axis] as i32),
+            stride_b: size[0],
+            stride_c: size[0] * size[1],
+            values,
+            class_bits: self.class_bits,
+            bricks: &self.bricks,
+            brick_stride: AXES[axis].map(|axis| brick_stride[axis]),
+        })
+    }
+
+    /// Length along a, b, c: one voxel more at either end, and at least the largest window.
+    fn padded(&self, axis: usize) -> [usize; 3] {
+        let [a, b, c] = AXES[axis].map(|axis| self.voxels[axis] + 2);
+        [a.max(16), b.max(8), c]
+    }
+}
+
+impl SlabGrid<'_> {
+    /// Index of a value.
+    #[inline(always)]
+    #[must_use]
+    pub fn at(&self, a: i32, b: i32, c: i32) -> usize {
+        (a as usize).wrapping_add((b as usize).wrapping_mul(self.stride_b)).wrapping_add((c as usize).wrapping_mul(self.stride_c))
+    }
+
+    /// N neighbours along a; zeros outside.
+    #[inline(always)]
+    #[must_use]
+    pub fn row<const N: usize>(&self, at: usize) -> &[f32; N] {
+        match self.values.get(at..at.wrapping_add(N)) {
+            Some(row) => match row.try_into() {
+                Ok(row) => row,
+                Err(_) => &[0.0; N],
+            },
+            None => &[0.0; N],
+        }
+    }
+}

@@ -110,6 +110,12 @@ pub enum RenderError {
         /// In the scene.
         found: String,
     },
+    /// The scene asks for what the fast path does not have.
+    #[error("{what} serves to compare with other tools and only the reference renders it; add --reference")]
+    ReferenceOnly {
+        /// Key and value in the scene.
+        what: &'static str,
+    },
     /// An output would replace an input.
     #[error("{path}: is an input of the scene ({input}); choose another --out")]
     WouldOverwrite {

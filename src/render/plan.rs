@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::Quantity;
-use crate::scene::model::{Formation, Matter, Noise, Response, Scene};
+use crate::scene::model::{Formation, Matter, Noise, Response, Scene, Voxels};
 
 /// Which of the two executors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -38,8 +38,32 @@ impl Executor {
 pub enum Sampling {
     /// Cell by cell, the trilinear field integrated exactly in each.
     ExactCells,
+    /// Voxel by voxel, constant inside each (Siddon): to compare with other tools.
+    PiecewiseConstant,
     /// There is no volume.
     None,
+}
+
+impl Sampling {
+    /// What `scene` asks for; `volumes` of its objects are volumes.
+    fn of(scene: &Scene, volumes: usize) -> Self {
+        match scene.model.voxels {
+            _ if volumes == 0 => Self::None,
+            Voxels::Trilinear => Self::ExactCells,
+            Voxels::PiecewiseConstant => Self::PiecewiseConstant,
+        }
+    }
+
+    /// As `--explain` has it.
+    fn why(self) -> &'static str {
+        match self {
+            Self::ExactCells => "cell by cell, exact for the trilinear field; empty bricks of 8x8x8 cells are crossed at once",
+            Self::PiecewiseConstant => {
+                "voxel by voxel, piecewise constant (Siddon) as the scene asks: not the field that DESIGN 5 defines, for comparison only"
+            }
+            Self::None => "there is none",
+        }
+    }
 }
 
 /// An energy with its share of the photons.
@@ -125,12 +149,9 @@ impl Plan {
             },
         );
         choose("path images", true, format!("one for each of {} materials", scene.materials.len()));
+        let sampling = Sampling::of(scene, volumes);
         if volumes > 0 {
-            choose(
-                "volumes",
-                true,
-                "cell by cell, exact for the trilinear field; empty bricks of 8x8x8 cells are crossed at once".into(),
-            );
+            choose("volumes", true, sampling.why().into());
         }
         if shapes > 0 {
             choose("shapes", true, format!("{shapes} intersected exactly, each only inside its bounds on the screen"));
@@ -186,7 +207,7 @@ impl Plan {
             quantity,
             size_px,
             formation: scene.model.formation,
-            sampling: if volumes > 0 { Sampling::ExactCells } else { Sampling::None },
+            sampling,
             materials: scene.materials.iter().map(|material| material.name.clone()).collect(),
             energy_nodes: nodes,
             displacement,

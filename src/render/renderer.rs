@@ -17,7 +17,7 @@ use crate::geometry::View;
 use crate::gpu::{Device, DeviceChoice, cpu_name};
 use crate::image::Image;
 use crate::reporter::Reporter;
-use crate::scene::model::{Scene, Volume};
+use crate::scene::model::{Scene, Volume, Voxels};
 use crate::time::StageTimes;
 
 /// What to make of a scene.
@@ -86,6 +86,9 @@ impl Renderer {
         let view = scene.view.ok_or(RenderError::NoView)?;
         if let Some(plan) = &options.plan {
             return Ok(plan.clone());
+        }
+        if scene.model.voxels == Voxels::PiecewiseConstant && !options.reference {
+            return Err(RenderError::ReferenceOnly { what: "model.voxels \"piecewise_constant\"" });
         }
         let unsupported = wgsl::unsupported(scene);
         let (executor, cpu_because) = match (&self.device, options.reference) {
@@ -218,16 +221,16 @@ impl Renderer {
         noisy: bool,
         stages: &mut StageTimes,
     ) -> Result<Cast, RenderError> {
-        let areas = stages.measure("reference", || reference::render(scene, view, Quantity::AreaDensity))?;
-        let valid = stages.measure("reference", || reference::valid(scene, view))?;
-        let pixels = valid.pixels.len();
-        let g_per_cm2 = (0..pixels).flat_map(|pixel| areas.iter().map(move |page| page.pixels[pixel] as f32)).collect();
-        let density = Density { material_count: areas.len(), g_per_cm2, valid: valid.pixels, unscanned_mm: 0.0 };
+        let traced = stages.measure("reference", || reference::trace(scene, view, bins.is_some()))?;
+        let single = |values: &[f64]| values.iter().map(|value| *value as f32).collect::<Vec<f32>>();
+        let density = Density {
+            material_count: scene.materials.len(),
+            g_per_cm2: single(&traced.g_per_cm2),
+            valid: traced.valid,
+            unscanned_mm: 0.0,
+        };
         let mut signal = bins.map(|bins| attenuate_spectrum(&density, bins, noisy)).unwrap_or_default();
-        if bins.is_some() {
-            let line = stages.measure("reference", || reference::render(scene, view, Quantity::LineIntegral))?;
-            signal.line_integral = line.iter().flat_map(|page| &page.pixels).map(|value| *value as f32).collect();
-        }
+        signal.line_integral = single(&traced.line_integral);
         Ok(Cast { density, signal, deviates: None, adapter: format!("f64 reference on {}", cpu_name()) })
     }
 }
@@ -304,6 +307,9 @@ fn check(scene: &Scene) -> Result<(), RenderError> {
 }
 
 fn check_plan(plan: &Plan, scene: &Scene) -> Result<(), RenderError> {
+    if scene.model.voxels == Voxels::PiecewiseConstant && plan.executor != Executor::Reference {
+        return Err(RenderError::ReferenceOnly { what: "model.voxels \"piecewise_constant\"" });
+    }
     let names: Vec<String> = scene.materials.iter().map(|material| material.name.clone()).collect();
     if plan.materials != names {
         return Err(RenderError::PlanMismatch { what: "materials", planned: plan.materials.join(", "), found: names.join(", ") });

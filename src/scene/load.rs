@@ -64,6 +64,7 @@ fn load_bytes(bytes: &[u8], path: &Path, need_view: bool, reporter: &Reporter) -
     };
     let model = Model {
         formation: file.model.formation.unwrap_or(Formation::Deepdrr),
+        voxels: file.model.voxels,
         noise: file.model.noise.0,
         seed: file.model.seed.unwrap_or(1),
     };

@@ -29,7 +29,17 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         return;
     }
     var smallest = 1e30;
-    for (var b = 0u; b < view.bin_count; b += 1u) { smallest = min(smallest, optical_depth(pixel, b)); }
+    var total = 0.0;
+    for (var b = 0u; b < view.bin_count; b += 1u) {
+        let depth = optical_depth(pixel, b);
+        smallest = min(smallest, depth);
+        total += depth;
+    }
+    // min, max and a driver's exp may turn NaN into a number; what is not finite stays so, to be seen and counted.
+    if !(total < 1e30) {
+        signal[pixel] = vec4<f32>(total);
+        return;
+    }
     var sum = vec3<f32>(0.0);
     for (var b = 0u; b < view.bin_count; b += 1u) {
         let bin = bins[b];

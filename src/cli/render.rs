@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use crate::gpu::DeviceChoice;
-use crate::image::ImageFileError;
+use crate::image::{ImageFileError, check_writable};
 use crate::render::{Options, Quantity, RenderError, Rendered, Renderer, write_image, write_picture};
 use crate::reporter::Reporter;
 use crate::scene::{self, SceneError};
@@ -44,6 +44,9 @@ pub struct RenderArgs {
     /// Print a summary as JSON
     #[arg(long)]
     pub json: bool,
+    /// Count NaN and infinity after every pass, into IMAGE.tif.json
+    #[arg(long, hide = true)]
+    pub count_non_finite: bool,
 }
 
 /// `--quantity`.
@@ -126,11 +129,20 @@ pub enum RenderCommandError {
 /// # Errors
 /// When the scene is wrong, the device is not there, the bound cannot be met, or a file cannot be written.
 pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandError> {
+    // An image may take long: what cannot be written is refused before.
+    for output in std::iter::once(&args.out).chain(&args.png) {
+        check_writable(output)?;
+    }
     let scene = scene::load(&args.scene, true, reporter)?;
     // The yardstick runs on the CPU whatever else there is.
     let device = if args.reference { DeviceChoice::Cpu } else { args.device.into() };
     let mut renderer = Renderer::new(device, reporter)?;
-    let options = Options { quantity: args.quantity.into(), reference: args.reference, ..Options::default() };
+    let options = Options {
+        quantity: args.quantity.into(),
+        reference: args.reference,
+        count_non_finite: args.count_non_finite,
+        ..Options::default()
+    };
     let plan = renderer.plan(&scene, &options)?;
     if args.explain {
         println!("{}", plan.explain().trim_end());
@@ -142,8 +154,12 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
         return Err(RenderCommandError::MaxError { wanted, stated: plan.stated_error, adapter: renderer.adapter(), advice });
     }
     let rendered = renderer.render(&scene, &options)?;
-    for note in &rendered.notes {
+    let warned = reporter.warnings();
+    for note in rendered.notes.iter().filter(|note| !warned.values().any(|warning| warning.latest == **note)) {
         reporter.note(format_args!("note: {note}"));
+    }
+    if let Some(counts) = rendered.non_finite.filter(|counts| counts.total() > 0) {
+        reporter.warn("not finite", format_args!("{}: values that are not finite: {counts:?}", args.out.display()));
     }
     write_image(&args.out, &rendered, &scene)?;
     if let Some(path) = &args.png {

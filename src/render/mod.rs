@@ -7,6 +7,7 @@ pub mod cells;
 pub mod cpu;
 pub mod detector;
 pub mod explain;
+pub mod non_finite;
 pub mod plan;
 pub mod prepared;
 pub mod reference;
@@ -19,6 +20,7 @@ pub use plan::Plan;
 pub use renderer::{Options, Rendered, Renderer};
 pub use write::{write_image, write_picture};
 
+use crate::geometry::CameraError;
 use crate::gpu::GpuError;
 use crate::image::ImageFileError;
 use crate::scene::physics::PhysicsError;
@@ -65,6 +67,9 @@ pub enum RenderError {
         /// Rows.
         height: u32,
     },
+    /// K or the pose is no camera.
+    #[error("view: {0}")]
+    Camera(#[from] CameraError),
     /// fx · pitch is no distance.
     #[error("detector: fx {fx} px times pitch {pitch_mm} mm is no distance from the focal spot")]
     DetectorDistance {

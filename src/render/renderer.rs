@@ -8,6 +8,7 @@ use super::cpu::attenuate_spectrum::{Signal, attenuate_spectrum};
 use super::cpu::integrate_density::{Density, integrate_density};
 use super::detector;
 use super::explain::explain_empty;
+use super::non_finite::{self, NonFinite};
 use super::plan::{Executor, Plan, noise_applies};
 use super::prepared::Prepared;
 use super::spectrum::Bins;
@@ -31,6 +32,8 @@ pub struct Options {
     pub frame_index: u32,
     /// A logged plan to execute as it is, instead of planning.
     pub plan: Option<Plan>,
+    /// Count NaN and infinity after every pass.
+    pub count_non_finite: bool,
 }
 
 /// An image with its provenance.
@@ -52,6 +55,8 @@ pub struct Rendered {
     pub stated_error: f64,
     /// What a person should know: why the image is empty, floors, invalid pixels.
     pub notes: Vec<String>,
+    /// NaN and infinity per pass, where [`Options::count_non_finite`] asks.
+    pub non_finite: Option<NonFinite>,
 }
 
 /// Renders; owns the device and what it prepared of volumes.
@@ -127,6 +132,8 @@ impl Renderer {
             Executor::Wgsl => self.cast_wgsl(scene, &prepared, bins.as_ref(), noisy.then_some(&plan), &mut stages, &mut notes)?,
             Executor::Cpu => self.cast_cpu(&prepared, bins.as_ref(), noisy, &mut stages),
         };
+        let deviates = cast.deviates.as_deref().unwrap_or_default();
+        let mut non_finite = options.count_non_finite.then(|| NonFinite::of(&cast.density, &cast.signal, deviates));
         note_invalid(&cast.density, &mut notes);
         if cast.density.g_per_cm2.iter().all(|path| *path == 0.0) {
             let why = explain_empty(scene, &prepared);
@@ -134,7 +141,7 @@ impl Renderer {
             notes.push(why);
         }
         let valid = Image { width: size[0], height: size[1], pixels: cast.density.valid.clone() };
-        let pages = match &bins {
+        let pages: Vec<Image<f32>> = match &bins {
             None => area_pages(&cast.density).into_iter().map(image).collect(),
             Some(bins) => {
                 let obliquity = if noisy || plan.quantity == Quantity::Counts { detector::obliquity(&view) } else { Vec::new() };
@@ -155,11 +162,17 @@ impl Renderer {
                         "noisy line integrals are -ln max(I, 1/(2 N0)) with 1/(2 N0) = {floor:.3e}: none exceeds {highest:.2}"
                     ));
                 }
+                if let Some(counts) = &mut non_finite {
+                    counts.add_noise += non_finite::count(&noise);
+                }
                 let line = &cast.signal.line_integral;
                 let page = stages.measure("detect", || detector::page(scene, plan.quantity, line, &noise, bins, &obliquity));
                 vec![image(page)]
             }
         };
+        if let Some(counts) = &mut non_finite {
+            counts.detect = pages.iter().map(|page| non_finite::count(&page.pixels)).sum();
+        }
         Ok(Rendered {
             pages,
             quantity: plan.quantity,
@@ -169,6 +182,7 @@ impl Renderer {
             adapter: cast.adapter,
             stages,
             notes,
+            non_finite,
         })
     }
 
@@ -285,6 +299,9 @@ fn cached_cells(cache: &mut Vec<(Arc<Volume>, Arc<Cells>)>, volume: &Arc<Volume>
 }
 
 fn check(scene: &Scene) -> Result<(), RenderError> {
+    if let Some(view) = &scene.view {
+        view.check()?;
+    }
     let n0 = scene.beam.photons_per_pixel;
     if !(n0 > 0.0 && n0.is_finite()) {
         return Err(RenderError::Number { what: "beam.photons_per_pixel", value: n0, expected: "a positive number" });

@@ -57,7 +57,7 @@ fn description(rendered: &Rendered, scene: &Scene, share_invalid: f64) -> serde_
         Quantity::AreaDensity => scene.materials.iter().map(|material| material.name.as_str()).collect(),
         _ => vec![rendered.quantity.name()],
     };
-    serde_json::json!({
+    let mut json = serde_json::json!({
         "quantity": rendered.quantity,
         "unit": unit,
         "pages": pages,
@@ -70,7 +70,11 @@ fn description(rendered: &Rendered, scene: &Scene, share_invalid: f64) -> serde_
         "inputs": scene.inputs,
         "version": env!("CARGO_PKG_VERSION"),
         "adapter": rendered.adapter,
-    })
+    });
+    if let (Some(counts), Some(map)) = (&rendered.non_finite, json.as_object_mut()) {
+        map.insert("non_finite".to_owned(), serde_json::json!(counts));
+    }
+    json
 }
 
 /// An 8-bit picture for eyes: the 0.5th to 99.5th percentile of the first page from black to white.

@@ -232,7 +232,7 @@ fn a_poisoned_volume_is_counted_pass_by_pass() {
         let counts = rendered.non_finite.expect("asked for");
         println!("{name}: {counts:?}");
         assert!(counts.integrate_density > 0 && counts.integrate_density < 24 * 24, "{name}: {counts:?}");
-        assert!(counts.attenuate_spectrum > 0, "{name}: {counts:?}");
+        assert!(counts.attenuate_spectrum > 0 && counts.add_noise > 0 && counts.detect > 0, "{name}: {counts:?}");
         // Without noise nothing stands between the NaN and the page.
         let mut clean = scene.clone();
         clean.model.noise = Noise::Off;

@@ -268,7 +268,7 @@ impl View {
             }
         }
         let aspect = k.fx / k.fy;
-        if !(aspect <= ASPECT && aspect >= 1.0 / ASPECT) {
+        if !(1.0 / ASPECT..=ASPECT).contains(&aspect) {
             return Err(CameraError::Aspect { fx: k.fx, fy: k.fy, limit: ASPECT });
         }
         let distance_mm = self.camera_from_lps.translation_mm.length();

@@ -22,14 +22,26 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     if pixel >= view.size_px.x * view.size_px.y { return; }
     var any_matter = false;
     for (var m = 0u; m < view.material_count; m += 1u) {
-        any_matter = any_matter || density_g_per_cm2[pixel * view.material_count + m] != 0.0;
+        // By bits: a comparison may call NaN equal to nothing.
+        any_matter = any_matter || bitcast<u32>(density_g_per_cm2[pixel * view.material_count + m]) != 0u;
     }
     if !any_matter {
         signal[pixel] = vec4<f32>(0.0, 1.0, view.mean_response, view.mean_square_response);
         return;
     }
     var smallest = 1e30;
-    for (var b = 0u; b < view.bin_count; b += 1u) { smallest = min(smallest, optical_depth(pixel, b)); }
+    var total = 0.0;
+    for (var b = 0u; b < view.bin_count; b += 1u) {
+        let depth = optical_depth(pixel, b);
+        smallest = min(smallest, depth);
+        total += depth;
+    }
+    // min, max and a driver's exp may turn NaN into a number; what is not finite (its exponent has every bit) stays so,
+    // to be seen and counted.
+    if (bitcast<u32>(total) & 0x7f800000u) == 0x7f800000u {
+        signal[pixel] = vec4<f32>(total);
+        return;
+    }
     var sum = vec3<f32>(0.0);
     for (var b = 0u; b < view.bin_count; b += 1u) {
         let bin = bins[b];

@@ -44,7 +44,9 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     if overflow { atomicAdd(&overflows, 1u); }
     for (var m = 0u; m < view.material_count; m += 1u) {
-        density_g_per_cm2[pixel * view.material_count + m] = max(sums[m], 0.0) * 0.1 * mm_per_depth;
+        // Rounding may leave less than nothing; max would turn NaN into nothing as well, and hide it.
+        let sum = select(sums[m], 0.0, sums[m] < 0.0);
+        density_g_per_cm2[pixel * view.material_count + m] = sum * 0.1 * mm_per_depth;
     }
     missing_mm[pixel] = select(-1.0, missing, missing >= 0.0);
 }

@@ -8,7 +8,9 @@ use sidecarm::gpu::DeviceChoice;
 use sidecarm::random::{Purpose, Stream};
 use sidecarm::render::{Options, Quantity, Rendered, Renderer};
 use sidecarm::reporter::Reporter;
-use sidecarm::scene::model::{Beam, Detector, Formation, Matter, Model, Noise, Object, Response, Scene, Shape, Solid, Volume};
+use sidecarm::scene::model::{
+    Beam, Detector, Formation, Matter, Model, Noise, Object, Response, Scene, Shape, Solid, Volume, Voxels,
+};
 use sidecarm::scene::physics::{Bin, Material, Spectrum};
 
 /// A camera at the origin of `lps` that looks along +z; 96×96 pixels of 1 mm, detector at 1000 mm.
@@ -35,7 +37,7 @@ pub fn empty(materials: &[&str]) -> Scene {
             gain: 1.0,
             offset: 0.0,
         },
-        model: Model { formation: Formation::Deepdrr, noise: Noise::Off, seed: 1 },
+        model: Model { formation: Formation::Deepdrr, voxels: Voxels::Trilinear, noise: Noise::Off, seed: 1 },
         inputs: Vec::new(),
         robot: None,
     }

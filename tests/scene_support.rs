@@ -6,7 +6,7 @@ use std::sync::Arc;
 use glam::{DAffine3, DQuat, DVec3};
 use sidecarm::geometry::{Intrinsics, Rigid, View};
 use sidecarm::scene::Scene;
-use sidecarm::scene::model::{Beam, Detector, Formation, Matter, Model, Noise, Object, Response, Shape, Solid, Volume};
+use sidecarm::scene::model::{Beam, Detector, Formation, Matter, Model, Noise, Object, Response, Shape, Solid, Volume, Voxels};
 use sidecarm::scene::physics::{Material, Spectrum};
 
 /// Numbers in [0, 1) that are the same in every run.
@@ -65,7 +65,7 @@ pub fn scene(materials: &[&str], matters: Vec<Matter>) -> Scene {
             gain: 1.0,
             offset: 0.0,
         },
-        model: Model { formation: Formation::Deepdrr, noise: Noise::Off, seed: 1 },
+        model: Model { formation: Formation::Deepdrr, voxels: Voxels::Trilinear, noise: Noise::Off, seed: 1 },
         inputs: Vec::new(),
         robot: None,
     }

@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use crate::gpu::DeviceChoice;
-use crate::image::ImageFileError;
-use crate::render::{Options, Quantity, RenderError, Rendered, Renderer, write_image, write_picture};
+use crate::image::{ImageFileError, check_writable};
+use crate::render::{Goal, Options, Quantity, RenderError, Rendered, Renderer, write_image, write_picture};
 use crate::reporter::Reporter;
 use crate::scene::{self, SceneError};
 
@@ -14,6 +14,7 @@ use crate::scene::{self, SceneError};
   sidecarm render scene.json --out drr.tif
   sidecarm render scene.json --out paths.tif --quantity area_density
   sidecarm render scene.json --out drr.tif --max-error 1e-3 --explain
+  sidecarm render scene.json --out drr.tif --budget-ms 20
 
 Beside IMAGE.tif lies IMAGE.tif.json (plan, stated error, times, inputs), and IMAGE.tif.valid.png when the CT is cut off for some
 pixels (black there).")]
@@ -26,13 +27,17 @@ pub struct RenderArgs {
     /// What the image holds
     #[arg(long, value_enum, default_value = "intensity")]
     pub quantity: QuantityArg,
-    /// Largest |error of the line integral| / max(1, line integral) that will do, noise aside
+    /// Largest |error of the line integral| / max(1, line integral) that will do, noise aside [default: 1e-5]
     #[arg(long, value_name = "REL")]
     pub max_error: Option<f64>,
+    /// Milliseconds that the image may take, preparation of volumes aside: as accurate as fits
+    #[arg(long, value_name = "T", conflicts_with = "max_error")]
+    pub budget_ms: Option<f64>,
     /// What renders
     #[arg(long, value_enum, default_value = "auto")]
     pub device: DeviceArg,
-    /// The slow f64 yardstick instead of the fast path
+    /// The slow f64 yardstick instead of the fast path; with --max-error or --budget-ms that plan is executed as well, and what it
+    /// achieved stands in IMAGE.tif.json
     #[arg(long)]
     pub reference: bool,
     /// Print what is modelled, what is left out, and why
@@ -44,6 +49,9 @@ pub struct RenderArgs {
     /// Print a summary as JSON
     #[arg(long)]
     pub json: bool,
+    /// Count NaN and infinity after every pass, into IMAGE.tif.json
+    #[arg(long, hide = true)]
+    pub count_non_finite: bool,
 }
 
 /// `--quantity`.
@@ -107,6 +115,14 @@ pub enum RenderCommandError {
     /// The picture.
     #[error(transparent)]
     Picture(#[from] ImageFileError),
+    /// A wish that is no positive number.
+    #[error("{flag} {value}: expected a positive number")]
+    Goal {
+        /// The flag.
+        flag: &'static str,
+        /// As typed.
+        value: f64,
+    },
     /// What was asked for cannot be promised.
     #[error("--max-error {wanted:e}: the plan's bound is {stated:e} on {adapter}{advice}")]
     MaxError {
@@ -126,11 +142,22 @@ pub enum RenderCommandError {
 /// # Errors
 /// When the scene is wrong, the device is not there, the bound cannot be met, or a file cannot be written.
 pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandError> {
+    // An image may take long: what cannot be written is refused before.
+    for output in std::iter::once(&args.out).chain(&args.png) {
+        check_writable(output)?;
+    }
     let scene = scene::load(&args.scene, true, reporter)?;
     // The yardstick runs on the CPU whatever else there is.
     let device = if args.reference { DeviceChoice::Cpu } else { args.device.into() };
     let mut renderer = Renderer::new(device, reporter)?;
-    let options = Options { quantity: args.quantity.into(), reference: args.reference, ..Options::default() };
+    let goal = goal(args)?;
+    let mut options = Options {
+        quantity: args.quantity.into(),
+        reference: args.reference,
+        count_non_finite: args.count_non_finite,
+        goal,
+        ..Options::default()
+    };
     let plan = renderer.plan(&scene, &options)?;
     if args.explain {
         println!("{}", plan.explain().trim_end());
@@ -138,12 +165,29 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
     if let Some(wanted) = args.max_error
         && !(wanted >= plan.stated_error)
     {
-        let advice = if args.reference { "" } else { "; --device cpu states 5e-6, --reference 1e-7" };
+        let advice = if args.reference { "" } else { "; --device cpu reaches 5e-6, --reference 1e-7" };
         return Err(RenderCommandError::MaxError { wanted, stated: plan.stated_error, adapter: renderer.adapter(), advice });
     }
-    let rendered = renderer.render(&scene, &options)?;
-    for note in &rendered.notes {
+    if let (Some(budget), Some(predicted)) = (args.budget_ms, plan.predicted_ms.filter(|_| !args.reference))
+        && !(predicted <= budget)
+    {
+        let advice = "fewer pixels, or a GPU, would be faster";
+        reporter.warn(
+            "budget",
+            format_args!("--budget-ms {budget}: the fastest plan is predicted to take {predicted:.1} ms; {advice}"),
+        );
+    }
+    options.plan = Some(plan);
+    let mut rendered = renderer.render(&scene, &options)?;
+    if let Some(goal) = goal.filter(|_| args.reference) {
+        renderer.judge(&scene, goal, &mut rendered)?;
+    }
+    let warned = reporter.warnings();
+    for note in rendered.notes.iter().filter(|note| !warned.values().any(|warning| warning.latest == **note)) {
         reporter.note(format_args!("note: {note}"));
+    }
+    if let Some(counts) = rendered.non_finite.filter(|counts| counts.total() > 0) {
+        reporter.warn("not finite", format_args!("{}: values that are not finite: {counts:?}", args.out.display()));
     }
     write_image(&args.out, &rendered, &scene)?;
     if let Some(path) = &args.png {
@@ -157,6 +201,18 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
     Ok(0)
 }
 
+/// What `--max-error` or `--budget-ms` asks for.
+fn goal(args: &RenderArgs) -> Result<Option<Goal>, RenderCommandError> {
+    let positive = |flag: &'static str, value: f64| {
+        if value > 0.0 && value.is_finite() { Ok(value) } else { Err(RenderCommandError::Goal { flag, value }) }
+    };
+    Ok(match (args.max_error, args.budget_ms) {
+        (Some(error), _) => Some(Goal::MaxError(positive("--max-error", error)?)),
+        (None, Some(ms)) => Some(Goal::BudgetMs(positive("--budget-ms", ms)?)),
+        (None, None) => None,
+    })
+}
+
 fn range(rendered: &Rendered) -> (f32, f32) {
     let values = rendered.pages.iter().flat_map(|page| &page.pixels);
     values.fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), value| (low.min(*value), high.max(*value)))
@@ -164,9 +220,15 @@ fn range(rendered: &Rendered) -> (f32, f32) {
 
 fn line(args: &RenderArgs, rendered: &Rendered) -> String {
     let (low, high) = range(rendered);
+    let judged = rendered.achieved.as_ref().map_or_else(String::new, |(plan, achieved)| {
+        format!(
+            "\nfast path: error {:.1e} (stated {:.1e}), worst pixel {:.1e}, {:.1} ms",
+            achieved.error, plan.stated_error, achieved.worst, achieved.ms
+        )
+    });
     let times: Vec<String> = rendered.stages.iter().map(|(stage, ms)| format!("{stage} {ms:.1} ms")).collect();
     format!(
-        "{}: {} x {} px, {} from {low:.4} to {high:.4}, stated error {:.0e}\n{}: {}",
+        "{}: {} x {} px, {} from {low:.4} to {high:.4}, stated error {:.1e}\n{}: {}{judged}",
         args.out.display(),
         rendered.valid.width,
         rendered.valid.height,
@@ -187,6 +249,8 @@ fn summary(args: &RenderArgs, rendered: &Rendered) -> serde_json::Value {
         "min": low,
         "max": high,
         "stated_error": rendered.stated_error,
+        "predicted_ms": rendered.plan["predicted_ms"],
+        "achieved": rendered.achieved.as_ref().map(|(_, achieved)| achieved),
         "stages_ms": rendered.stages,
         "adapter": rendered.adapter,
         "notes": rendered.notes,

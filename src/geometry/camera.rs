@@ -36,6 +36,41 @@ pub enum CameraError {
     /// P mirrors the image.
     #[error("projection matrix mirrors the image; un-mirror the frame first")]
     Mirrored,
+    /// Focal lengths, skew or principal point that no X-ray camera has.
+    #[error(
+        "intrinsics see pixel ({u}, {v}) {slope:.3e} mm off the axis per mm of depth, expected at most {limit}; \
+         are focal length, skew and principal point in px?"
+    )]
+    Slope {
+        /// Column.
+        u: f64,
+        /// Row.
+        v: f64,
+        /// Distance from the axis over depth.
+        slope: f64,
+        /// What is accepted.
+        limit: f64,
+    },
+    /// Pixels that are no pixels.
+    #[error("focal lengths ({fx:.3e}, {fy:.3e}) px differ by more than a factor {limit}: pixels are about square")]
+    Aspect {
+        /// Horizontal.
+        fx: f64,
+        /// Vertical.
+        fy: f64,
+        /// What is accepted.
+        limit: f64,
+    },
+    /// A camera at infinity.
+    #[error(
+        "the focal spot lies {distance_mm:.3e} mm from the origin of lps, expected at most {limit_mm:.0e} mm; is the pose in mm?"
+    )]
+    Distance {
+        /// Of the focal spot from the origin.
+        distance_mm: f64,
+        /// What is accepted.
+        limit_mm: f64,
+    },
     /// No pixels.
     #[error("image size is {width}x{height} px, both must be at least 1")]
     Empty {
@@ -156,7 +191,13 @@ impl Projection {
         if !self.0.iter().flatten().all(|x| x.is_finite()) {
             return Err(CameraError::NotFinite { what: "projection matrix" });
         }
-        let row = |i: usize| DVec3::new(self.0[i][0], self.0[i][1], self.0[i][2]);
+        // Brought near 1 by a power of two, which rounds nothing, so that no product over- or underflows.
+        let largest = self.0.iter().flatten().fold(0.0f64, |largest, x| largest.max(x.abs()));
+        if !(largest > 0.0) {
+            return Err(CameraError::Singular { determinant: 0.0 });
+        }
+        let near_one = Self(self.0.map(|row| row.map(|x| x * (-largest.log2().floor()).clamp(-1000.0, 1000.0).exp2())));
+        let row = |i: usize| DVec3::new(near_one.0[i][0], near_one.0[i][1], near_one.0[i][2]);
         // P = s K [R | t]. The third row of K R is R's third row, so |s| is its length; det(K R) = fx fy > 0 gives the sign of s,
         // unless the image is mirrored, which a scale cannot express.
         let length = row(2).length();
@@ -182,7 +223,7 @@ impl Projection {
         }
         let skew = if (skew / fx).abs() < 1e-9 { 0.0 } else { skew };
         let intrinsics = Intrinsics { fx, fy, skew, cx, cy };
-        let p4 = DVec3::new(self.0[0][3], self.0[1][3], self.0[2][3]) * scale;
+        let p4 = DVec3::new(near_one.0[0][3], near_one.0[1][3], near_one.0[2][3]) * scale;
         let tz = p4.z;
         let ty = (p4.y - cy * tz) / fy;
         let tx = (p4.x - skew * ty - cx * tz) / fx;
@@ -210,6 +251,33 @@ pub struct View {
 }
 
 impl View {
+    /// Refuses cameras whose rays numbers cannot hold: beyond a slope of 20 (87°), a ratio of 100 of the focal lengths, or 1e6 mm.
+    ///
+    /// # Errors
+    /// When a number is not finite or beyond these limits.
+    pub fn check(&self) -> Result<(), CameraError> {
+        const SLOPE: f64 = 20.0;
+        const ASPECT: f64 = 100.0;
+        const DISTANCE_MM: f64 = 1e6;
+        let k = &self.intrinsics;
+        let [width, height] = self.size_px.map(|n| f64::from(n) - 1.0);
+        for (u, v) in [(0.0, 0.0), (width, 0.0), (0.0, height), (width, height)] {
+            let slope = k.unproject(DVec2::new(u, v)).truncate().length();
+            if !(slope <= SLOPE) {
+                return Err(CameraError::Slope { u, v, slope, limit: SLOPE });
+            }
+        }
+        let aspect = k.fx / k.fy;
+        if !(1.0 / ASPECT..=ASPECT).contains(&aspect) {
+            return Err(CameraError::Aspect { fx: k.fx, fy: k.fy, limit: ASPECT });
+        }
+        let distance_mm = self.camera_from_lps.translation_mm.length();
+        if !(distance_mm <= DISTANCE_MM) {
+            return Err(CameraError::Distance { distance_mm, limit_mm: DISTANCE_MM });
+        }
+        Ok(())
+    }
+
     /// P.
     #[must_use]
     pub fn projection(&self) -> Projection {

@@ -119,7 +119,12 @@ impl Device {
 /// The CPU executor's name.
 #[must_use]
 pub fn cpu_name() -> String {
-    format!("CPU executor, {} ({} threads)", std::env::consts::ARCH, rayon::current_num_threads())
+    #[cfg(target_arch = "x86_64")]
+    let wide = std::is_x86_feature_detected!("avx512vl") && std::is_x86_feature_detected!("avx512dq");
+    #[cfg(not(target_arch = "x86_64"))]
+    let wide = false;
+    let instructions = if wide { ", AVX-512" } else { "" };
+    format!("CPU executor, {}{instructions} ({} threads)", std::env::consts::ARCH, rayon::current_num_threads())
 }
 
 fn open_gpu(software: bool) -> Result<Gpu, GpuError> {

@@ -19,6 +19,28 @@ pub enum ImageFileError {
         /// What the system said.
         source: std::io::Error,
     },
+    /// An output has no folder to lie in.
+    #[error("{path}: cannot be written: {folder} is not a folder; create it or name another", path = path.display(), folder = folder.display())]
+    NoFolder {
+        /// The file.
+        path: PathBuf,
+        /// What should be a folder.
+        folder: PathBuf,
+    },
+    /// An output has the name of a folder.
+    #[error("{path}: cannot be written: it is a folder; name a file in it", path = path.display())]
+    IsFolder {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// The operating system refused to write.
+    #[error("{path}: cannot be written ({source})", path = path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
     /// The file is not a TIFF, or a damaged one.
     #[error("{path}: not a readable TIFF ({detail})", path = path.display())]
     Tiff {
@@ -55,12 +77,8 @@ pub fn write_atomically(
     path: &Path,
     write: impl FnOnce(&mut dyn WriteSeek) -> std::io::Result<()>,
 ) -> Result<(), ImageFileError> {
-    let io = |source| ImageFileError::Io { path: path.to_owned(), source };
-    let folder = match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    };
-    let mut temporary = tempfile::Builder::new().prefix(".sidecarm-").tempfile_in(folder).map_err(io)?;
+    let io = |source| ImageFileError::Write { path: path.to_owned(), source };
+    let mut temporary = temporary_beside(path)?;
     {
         let mut buffered = BufWriter::new(temporary.as_file_mut());
         write(&mut buffered).map_err(io)?;
@@ -73,6 +91,35 @@ pub fn write_atomically(
     }
     temporary.persist(path).map_err(|error| io(error.error))?;
     Ok(())
+}
+
+/// Refuses now what [`write_atomically`] would refuse later.
+///
+/// # Errors
+/// When the folder is missing or not writable, or `path` is a folder.
+pub fn check_writable(path: &Path) -> Result<(), ImageFileError> {
+    temporary_beside(path).map(|_| ())
+}
+
+fn temporary_beside(path: &Path) -> Result<tempfile::NamedTempFile, ImageFileError> {
+    let folder = match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    };
+    if path.is_dir() {
+        return Err(ImageFileError::IsFolder { path: path.to_owned() });
+    }
+    if !folder.is_dir() {
+        return Err(ImageFileError::NoFolder { path: path.to_owned(), folder: folder.to_owned() });
+    }
+    tempfile::Builder::new().prefix(".sidecarm-").tempfile_in(folder).map_err(|error| {
+        // The error names the temporary file; nobody asked for that.
+        let system =
+            error.get_ref().and_then(std::error::Error::source).and_then(|source| source.downcast_ref::<std::io::Error>());
+        let code = system.and_then(std::io::Error::raw_os_error);
+        let source = code.map_or_else(|| std::io::Error::from(error.kind()), std::io::Error::from_raw_os_error);
+        ImageFileError::Write { path: path.to_owned(), source }
+    })
 }
 
 /// A seekable writer, as the TIFF encoder needs it.

@@ -110,7 +110,11 @@ pub fn page(scene: &Scene, quantity: Quantity, line_integral: &[f32], noise: &[f
     let value = |pixel: usize| match quantity {
         Quantity::Intensity => intensity(pixel) as f32,
         Quantity::LineIntegral if noise.is_empty() => line_integral[pixel],
-        Quantity::LineIntegral => -(intensity(pixel).max(0.5 / n0).ln()) as f32,
+        // Not max, which would turn NaN into the floor.
+        Quantity::LineIntegral => match intensity(pixel) {
+            below if below < 0.5 / n0 => -(0.5 / n0).ln() as f32,
+            seen => -seen.ln() as f32,
+        },
         Quantity::Counts => {
             let signal = n0 * f64::from(obliquity[pixel]) * bins.mean_response * intensity(pixel);
             (scene.detector.gain * signal + scene.detector.offset) as f32

@@ -3,23 +3,32 @@
 //! One plan, two executors: `shaders/*.wgsl` on a GPU and their twins under `cpu/` on all cores. Stages are verbs with one stem each:
 //! `integrate_density` → `attenuate_spectrum` → `add_noise`; what follows (crosstalk, readout, counts) is shared.
 
+pub mod achieved;
 pub mod cells;
+pub mod costs;
 pub mod cpu;
 pub mod detector;
 pub mod explain;
+pub mod non_finite;
+pub mod pilot;
 pub mod plan;
+pub mod planner;
 pub mod prepared;
+pub mod quadrature;
 pub mod reference;
 mod renderer;
 pub mod slabs;
 pub mod spectrum;
+mod volumes;
 pub mod wgsl;
 mod write;
 
 pub use plan::Plan;
+pub use planner::Goal;
 pub use renderer::{Options, Rendered, Renderer};
 pub use write::{write_image, write_picture};
 
+use crate::geometry::CameraError;
 use crate::gpu::GpuError;
 use crate::image::ImageFileError;
 use crate::scene::physics::PhysicsError;
@@ -66,6 +75,9 @@ pub enum RenderError {
         /// Rows.
         height: u32,
     },
+    /// K or the pose is no camera.
+    #[error("view: {0}")]
+    Camera(#[from] CameraError),
     /// fx · pitch is no distance.
     #[error("detector: fx {fx} px times pitch {pitch_mm} mm is no distance from the focal spot")]
     DetectorDistance {
@@ -110,6 +122,12 @@ pub enum RenderError {
         planned: String,
         /// In the scene.
         found: String,
+    },
+    /// The scene asks for what the fast path does not have.
+    #[error("{what} serves to compare with other tools and only the reference renders it; add --reference")]
+    ReferenceOnly {
+        /// Key and value in the scene.
+        what: &'static str,
     },
     /// An output would replace an input.
     #[error("{path}: is an input of the scene ({input}); choose another --out")]

@@ -3,7 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::Quantity;
-use crate::scene::model::{Formation, Matter, Noise, Response, Scene};
+use super::spectrum::whole_spectrum;
+use crate::scene::model::{Formation, Matter, Noise, Response, Scene, Voxels};
 
 /// Which of the two executors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -42,17 +43,61 @@ pub enum Sampling {
     ExactSlabs,
     /// Slab by slab with Simpson's rule, which does not see the faces of the cells that a ray crosses between two slices.
     SimpsonSlabs,
+    /// Voxel by voxel, constant inside each (Siddon): to compare with other tools.
+    PiecewiseConstant,
     /// There is no volume.
     None,
 }
 
+impl Sampling {
+    /// What `scene` asks for; `volumes` of its objects are volumes.
+    pub(super) fn of(scene: &Scene, volumes: usize) -> Self {
+        match scene.model.voxels {
+            _ if volumes == 0 => Self::None,
+            Voxels::Trilinear => Self::ExactCells,
+            Voxels::PiecewiseConstant => Self::PiecewiseConstant,
+        }
+    }
+
+    /// As `--explain` has it.
+    pub(super) fn why(self) -> &'static str {
+        match self {
+            Self::ExactCells => "cell by cell, exact for the trilinear field; empty bricks of 8x8x8 cells are crossed at once",
+            Self::ExactSlabs => {
+                "slab by slab, sixteen rays at a time, exact for the trilinear field; empty bricks of 8x8x8 cells are left out"
+            }
+            Self::SimpsonSlabs => {
+                "slab by slab by Simpson's rule, sixteen rays at a time; its error was measured on pilot rays of this view"
+            }
+            Self::PiecewiseConstant => {
+                "voxel by voxel, piecewise constant (Siddon) as the scene asks: not the field that DESIGN 5 defines, for comparison only"
+            }
+            Self::None => "there is none",
+        }
+    }
+}
+
 /// An energy with its share of the photons.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Node {
-    /// Energy.
+    /// Energy; of a fitted node, the energy that attenuates most like it.
     pub energy_kev: f64,
     /// Share φ; the shares add up to 1.
     pub fraction: f64,
+    /// What replaces the tables where a few nodes were fitted to the whole spectrum.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fitted: Option<Fitted>,
+}
+
+/// A term of an exponential sum that stands for a whole spectrum.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Fitted {
+    /// Share of the signal in air; the shares add up to 1.
+    pub signal_share: f64,
+    /// Share of Σ φ r² in air; the shares add up to 1.
+    pub square_share: f64,
+    /// Mass attenuation of each material of the scene.
+    pub cm2_per_g: Vec<f64>,
 }
 
 /// What is modelled or left out, and why.
@@ -91,14 +136,42 @@ pub struct Plan {
     pub seed: u64,
     /// See `seed`.
     pub frame_index: u32,
-    /// Bound of |Δ line_integral| / max(1, line_integral), noise off.
+    /// Every which pixel is cast along columns and rows; the others are interpolated. 1 casts all.
+    #[serde(default = "every")]
+    pub step_px: u32,
+    /// g/cm² of each material beyond which a pixel is evaluated with every bin of the spectrum; empty when all are.
+    #[serde(default)]
+    pub fitted_up_to_g_per_cm2: Vec<f64>,
+    /// Bound of |Δ line_integral| / max(1, line_integral), noise off; its parts stand in `error_parts`.
     pub stated_error: f64,
+    /// What the bound consists of.
+    #[serde(default)]
+    pub error_parts: ErrorParts,
+    /// Milliseconds by the cost model of this machine, preparation of volumes aside; `None` where there is no model.
+    #[serde(default)]
+    pub predicted_ms: Option<f64>,
     /// What is modelled, what is left out.
     pub choices: Vec<Choice>,
 }
 
+/// Parts of a plan's stated error.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ErrorParts {
+    /// Sampling of volumes and rounding of paths.
+    pub sampling: f64,
+    /// Energies, and rounding of their sum.
+    pub energies: f64,
+    /// Interpolation between cast pixels.
+    pub interpolation: f64,
+}
+
+fn every() -> u32 {
+    1
+}
+
 impl Plan {
-    /// Chooses what `scene` needs and nothing else; `cpu_because` says why a GPU that is there stays unused.
+    /// What `scene` needs and nothing else: every bin of the spectrum, and the most exact sampling of `executor`; `cpu_because` says
+    /// why a GPU that is there stays unused.
     #[must_use]
     pub fn new(
         scene: &Scene,
@@ -129,23 +202,15 @@ impl Plan {
             },
         );
         choose("path images", true, format!("one for each of {} materials", scene.materials.len()));
+        let sampling = Sampling::of(scene, volumes);
         if volumes > 0 {
-            choose(
-                "volumes",
-                true,
-                "cell by cell, exact for the trilinear field; empty bricks of 8x8x8 cells are crossed at once".into(),
-            );
+            choose("volumes", true, sampling.why().into());
         }
         if shapes > 0 {
             choose("shapes", true, format!("{shapes} intersected exactly, each only inside its bounds on the screen"));
         }
         let area = quantity == Quantity::AreaDensity;
-        let nodes: Vec<Node> = if area {
-            Vec::new()
-        } else {
-            let bins = scene.beam.spectrum.bins.iter().filter(|bin| bin.fluence > 0.0);
-            bins.map(|bin| Node { energy_kev: bin.energy_kev, fraction: bin.fluence }).collect()
-        };
+        let nodes: Vec<Node> = if area { Vec::new() } else { whole_spectrum(scene) };
         if area {
             choose("spectrum", false, "area density does not depend on energy".into());
         } else if scene.model.formation == Formation::Naive {
@@ -190,15 +255,28 @@ impl Plan {
             quantity,
             size_px,
             formation: scene.model.formation,
-            sampling: if volumes > 0 { Sampling::ExactSlabs } else { Sampling::None },
+            sampling,
             materials: scene.materials.iter().map(|material| material.name.clone()).collect(),
             energy_nodes: nodes,
             displacement,
             noise: noise.to_owned(),
             seed: scene.model.seed,
             frame_index,
+            step_px: 1,
+            fitted_up_to_g_per_cm2: Vec::new(),
             stated_error: executor.stated_error(),
+            error_parts: ErrorParts { sampling: executor.stated_error(), ..ErrorParts::default() },
+            predicted_ms: None,
             choices,
+        }
+    }
+
+    /// Replaces what was said about an ingredient, or adds it.
+    pub(super) fn say(&mut self, what: &str, modelled: bool, why: String) {
+        let choice = Choice { what: what.to_owned(), modelled, why };
+        match self.choices.iter_mut().find(|choice| choice.what == what) {
+            Some(said) => *said = choice,
+            None => self.choices.push(choice),
         }
     }
 
@@ -214,7 +292,15 @@ impl Plan {
                 let _ = writeln!(text, "  {}: {}", choice.what, choice.why);
             }
         }
-        let _ = writeln!(text, "stated error: {:.0e} of max(1, line integral), noise aside", self.stated_error);
+        let parts = self.error_parts;
+        let _ = writeln!(
+            text,
+            "stated error: {:.1e} of max(1, line integral), noise aside (sampling {:.1e}, energies {:.1e}, interpolation {:.1e})",
+            self.stated_error, parts.sampling, parts.energies, parts.interpolation
+        );
+        if let Some(ms) = self.predicted_ms {
+            let _ = writeln!(text, "predicted: {ms:.1} ms, preparation of volumes aside");
+        }
         text
     }
 }

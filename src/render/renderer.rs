@@ -1,24 +1,25 @@
 //! Renders scenes; keeps the device and what was prepared of the volumes between images.
 
-use std::sync::Arc;
-
-use super::cells::Cells;
+use super::achieved::Achieved;
 use super::cpu::add_noise::add_noise;
 use super::cpu::attenuate_spectrum::{Signal, attenuate_spectrum};
+use super::cpu::enlarge_density::enlarge_density;
 use super::cpu::integrate_density::{Density, integrate_density};
 use super::detector;
 use super::explain::explain_empty;
+use super::non_finite::{self, NonFinite};
 use super::plan::{Executor, Plan, Sampling, noise_applies};
+use super::planner::{DEFAULT_MAX_ERROR, Goal, Planner, Task};
 use super::prepared::Prepared;
-use super::slabs::Slabs;
-use super::spectrum::Bins;
+use super::spectrum::{Bins, whole_spectrum};
+use super::volumes::VolumeCache;
 use super::wgsl::{self, Executed, NoiseKey, WgslExecutor};
-use super::{Quantity, RenderError, reference};
+use super::{Quantity, RenderError, pilot, reference};
 use crate::geometry::View;
 use crate::gpu::{Device, DeviceChoice, cpu_name};
 use crate::image::Image;
 use crate::reporter::Reporter;
-use crate::scene::model::{Scene, Volume};
+use crate::scene::model::{Noise, Scene, Voxels};
 use crate::time::StageTimes;
 
 /// What to make of a scene.
@@ -32,6 +33,10 @@ pub struct Options {
     pub frame_index: u32,
     /// A logged plan to execute as it is, instead of planning.
     pub plan: Option<Plan>,
+    /// The wish; an error of 1e-5 where none is given.
+    pub goal: Option<Goal>,
+    /// Count NaN and infinity after every pass.
+    pub count_non_finite: bool,
 }
 
 /// An image with its provenance.
@@ -53,6 +58,10 @@ pub struct Rendered {
     pub stated_error: f64,
     /// What a person should know: why the image is empty, floors, invalid pixels.
     pub notes: Vec<String>,
+    /// NaN and infinity per pass, where [`Options::count_non_finite`] asks.
+    pub non_finite: Option<NonFinite>,
+    /// What another plan achieved, measured against this image.
+    pub achieved: Option<(Plan, Achieved)>,
 }
 
 /// Renders; owns the device and what it prepared of volumes.
@@ -60,7 +69,9 @@ pub struct Rendered {
 pub struct Renderer {
     device: Device,
     reporter: Reporter,
-    volumes: Vec<PreparedVolume>,
+    choice: DeviceChoice,
+    volumes: VolumeCache,
+    planner: Planner,
     wgsl: Option<WgslExecutor>,
 }
 
@@ -70,7 +81,9 @@ impl Renderer {
     /// # Errors
     /// When a device was named that is not there.
     pub fn new(choice: DeviceChoice, reporter: &Reporter) -> Result<Self, RenderError> {
-        Ok(Self { device: Device::open(choice, reporter)?, reporter: reporter.clone(), volumes: Vec::new(), wgsl: None })
+        let device = Device::open(choice, reporter)?;
+        let planner = Planner::default();
+        Ok(Self { device, reporter: reporter.clone(), choice, volumes: VolumeCache::default(), planner, wgsl: None })
     }
 
     /// Device, driver, version.
@@ -79,23 +92,61 @@ impl Renderer {
         self.device.name()
     }
 
-    /// The plan that [`Renderer::render`] would execute.
+    /// The plan that [`Renderer::render`] would execute. Pilot rays are cast for it.
     ///
     /// # Errors
-    /// When the scene has no view.
-    pub fn plan(&self, scene: &Scene, options: &Options) -> Result<Plan, RenderError> {
+    /// When the scene has no view, or a number in it makes no sense.
+    pub fn plan(&mut self, scene: &Scene, options: &Options) -> Result<Plan, RenderError> {
         let view = scene.view.ok_or(RenderError::NoView)?;
         if let Some(plan) = &options.plan {
             return Ok(plan.clone());
         }
+        check(scene)?;
+        if scene.model.voxels == Voxels::PiecewiseConstant && !options.reference {
+            return Err(RenderError::ReferenceOnly { what: "model.voxels \"piecewise_constant\"" });
+        }
         let unsupported = wgsl::unsupported(scene);
+        // A GPU's bound is that of f32 throughout: what must be closer is rendered by the CPU, unless the GPU was named.
+        let finer = match options.goal {
+            Some(Goal::MaxError(error))
+                if self.choice == DeviceChoice::Auto && !(error >= 1.1 * Executor::Wgsl.stated_error()) =>
+            {
+                Some("the error asked for is below the GPU's bound")
+            }
+            Some(Goal::Explicit { .. }) => Some("a way of sampling was named that only the CPU executor has"),
+            _ => None,
+        };
         let (executor, cpu_because) = match (&self.device, options.reference) {
             (_, true) => (Executor::Reference, None),
             (Device::Cpu, false) => (Executor::Cpu, None),
             (Device::Gpu(_), false) if unsupported.is_some() => (Executor::Cpu, unsupported.as_deref()),
+            (Device::Gpu(_), false) if finer.is_some() => (Executor::Cpu, finer),
             (Device::Gpu(_), false) => (Executor::Wgsl, None),
         };
-        Ok(Plan::new(scene, view.size_px, options.quantity, executor, options.frame_index, cpu_because))
+        let plan = Plan::new(scene, view.size_px, options.quantity, executor, options.frame_index, cpu_because);
+        if executor == Executor::Reference {
+            return Ok(plan);
+        }
+        self.volumes.keep(scene);
+        let slabs = executor == Executor::Cpu;
+        let whole = self.volumes.prepare(scene, view, slabs)?;
+        whole.make_slabs();
+        let all_slabs = whole.volumes.iter().all(|seen| seen.slabs.is_some() && seen.air_kind.is_none());
+        let task = Task {
+            scene,
+            view,
+            quantity: options.quantity,
+            executor,
+            slabs: slabs && all_slabs,
+            goal: options.goal.unwrap_or(Goal::MaxError(DEFAULT_MAX_ERROR)),
+        };
+        let goal = match (executor, options.goal) {
+            // Without a wish a GPU adds its own bound to that of the energies.
+            (Executor::Wgsl, None) => Goal::MaxError(DEFAULT_MAX_ERROR + Executor::Wgsl.stated_error()),
+            _ => task.goal,
+        };
+        let cache = &mut self.volumes;
+        self.planner.refine(plan, &Task { goal, ..task }, &self.reporter, |view| cache.prepare(scene, view, slabs))
     }
 
     /// Renders `scene` from its view.
@@ -105,29 +156,37 @@ impl Renderer {
     pub fn render(&mut self, scene: &Scene, options: &Options) -> Result<Rendered, RenderError> {
         let view = scene.view.ok_or(RenderError::NoView)?;
         check(scene)?;
-        let plan = self.plan(scene, options)?;
-        check_plan(&plan, scene)?;
         let mut stages = StageTimes::default();
+        let plan = stages.measure("plan", || self.plan(scene, options))?;
+        check_plan(&plan, scene)?;
         let mut notes = Vec::new();
-        let prepared = {
-            let cache = &mut self.volumes;
+        let prepared = stages.measure("prepare", || {
             let slabs = plan.executor == Executor::Cpu && matches!(plan.sampling, Sampling::ExactSlabs | Sampling::SimpsonSlabs);
-            stages.measure("prepare", || {
-                cache.retain(|held| scene_holds(scene, &held.volume));
-                let prepared = Prepared::new(scene, view, |volume, name| prepare_volume(cache, volume, name, slabs))?;
-                prepared.make_slabs();
-                Ok::<_, RenderError>(prepared)
-            })?
-        };
+            self.volumes.keep(scene);
+            let mut prepared = self.volumes.prepare(scene, view, slabs)?;
+            if plan.step_px > 1 {
+                // The detector stays where it is, however few of its pixels are cast.
+                let detector_mm = prepared.detector_mm;
+                prepared = self.volumes.prepare(scene, pilot::every(&view, plan.step_px), slabs)?;
+                prepared.detector_mm = detector_mm;
+            }
+            prepared.make_slabs();
+            Ok::<_, RenderError>(prepared)
+        })?;
         let size = view.size_px.map(|n| n as usize);
         let image = |pixels: Vec<f32>| Image { width: size[0], height: size[1], pixels };
         let noisy = noise_applies(scene, plan.quantity);
         let bins = if plan.quantity == Quantity::AreaDensity { None } else { Some(Bins::new(scene, &plan.energy_nodes)?) };
-        let cast = match plan.executor {
+        let mut cast = match plan.executor {
             Executor::Reference => self.cast_reference(scene, &view, bins.as_ref(), noisy, &mut stages)?,
-            Executor::Wgsl => self.cast_wgsl(scene, &prepared, bins.as_ref(), noisy.then_some(&plan), &mut stages, &mut notes)?,
-            Executor::Cpu => cast_cpu(&prepared, plan.sampling, bins.as_ref(), noisy, &mut stages),
+            Executor::Wgsl => self.cast_wgsl(scene, &prepared, bins.as_ref(), &plan, &mut stages, &mut notes)?,
+            Executor::Cpu => cast_cpu(&prepared, &plan, bins.as_ref(), noisy, &mut stages),
         };
+        if !plan.fitted_up_to_g_per_cm2.is_empty() {
+            stages.measure("attenuate_spectrum", || attenuate_beyond(scene, &plan, &mut cast, noisy))?;
+        }
+        let deviates = cast.deviates.as_deref().unwrap_or_default();
+        let mut non_finite = options.count_non_finite.then(|| NonFinite::of(&cast.density, &cast.signal, deviates));
         note_invalid(&cast.density, &mut notes);
         if cast.density.g_per_cm2.iter().all(|path| *path == 0.0) {
             let why = explain_empty(scene, &prepared);
@@ -135,7 +194,7 @@ impl Renderer {
             notes.push(why);
         }
         let valid = Image { width: size[0], height: size[1], pixels: cast.density.valid.clone() };
-        let pages = match &bins {
+        let pages: Vec<Image<f32>> = match &bins {
             None => area_pages(&cast.density).into_iter().map(image).collect(),
             Some(bins) => {
                 let obliquity = if noisy || plan.quantity == Quantity::Counts { detector::obliquity(&view) } else { Vec::new() };
@@ -156,11 +215,17 @@ impl Renderer {
                         "noisy line integrals are -ln max(I, 1/(2 N0)) with 1/(2 N0) = {floor:.3e}: none exceeds {highest:.2}"
                     ));
                 }
+                if let Some(counts) = &mut non_finite {
+                    counts.add_noise += non_finite::count(&noise);
+                }
                 let line = &cast.signal.line_integral;
                 let page = stages.measure("detect", || detector::page(scene, plan.quantity, line, &noise, bins, &obliquity));
                 vec![image(page)]
             }
         };
+        if let Some(counts) = &mut non_finite {
+            counts.detect = pages.iter().map(|page| non_finite::count(&page.pixels)).sum();
+        }
         Ok(Rendered {
             pages,
             quantity: plan.quantity,
@@ -170,7 +235,30 @@ impl Renderer {
             adapter: cast.adapter,
             stages,
             notes,
+            non_finite,
+            achieved: None,
         })
+    }
+
+    /// Executes the plan for `goal` as well and compares it with `rendered`, the yardstick's image of the same scene.
+    ///
+    /// # Errors
+    /// As [`Renderer::render`].
+    pub fn judge(&mut self, scene: &Scene, goal: Goal, rendered: &mut Rendered) -> Result<(), RenderError> {
+        let mut quiet = scene.clone();
+        quiet.model.noise = Noise::Off;
+        let quantity = Quantity::LineIntegral;
+        let line = |page: &Image<f32>| page.pixels.clone();
+        let expected = match (rendered.quantity, scene.model.noise) {
+            (Quantity::LineIntegral, Noise::Off) => line(&rendered.pages[0]),
+            _ => line(&self.render(&quiet, &Options { quantity, reference: true, ..Options::default() })?.pages[0]),
+        };
+        let options = Options { quantity, goal: Some(goal), ..Options::default() };
+        let plan = self.plan(&quiet, &options)?;
+        let fast = self.render(&quiet, &Options { plan: Some(plan.clone()), ..options })?;
+        let ms = fast.stages.iter().filter(|(stage, _)| !matches!(*stage, "plan" | "prepare")).map(|(_, ms)| ms).sum();
+        rendered.achieved = Some((plan, Achieved::of(&fast.pages[0].pixels, &expected, ms)));
+        Ok(())
     }
 
     fn cast_wgsl(
@@ -178,10 +266,11 @@ impl Renderer {
         scene: &Scene,
         prepared: &Prepared,
         bins: Option<&Bins>,
-        noise: Option<&Plan>,
+        plan: &Plan,
         stages: &mut StageTimes,
         notes: &mut Vec<String>,
     ) -> Result<Cast, RenderError> {
+        let noise = noise_applies(scene, plan.quantity).then_some(plan);
         let unsupported = wgsl::unsupported(scene);
         let reason = match (&self.device, &unsupported) {
             (_, Some(reason)) => reason.clone(),
@@ -205,7 +294,8 @@ impl Renderer {
         let message = format!("{reason}: rendered by the CPU executor instead, whose error is smaller");
         self.reporter.warn("executor", &message);
         notes.push(message);
-        Ok(cast_cpu(prepared, Sampling::ExactCells, bins, noise.is_some(), stages))
+        let whole = Plan { sampling: Sampling::ExactCells, step_px: 1, ..plan.clone() };
+        Ok(cast_cpu(prepared, &whole, bins, noise.is_some(), stages))
     }
 
     fn cast_reference(
@@ -216,33 +306,57 @@ impl Renderer {
         noisy: bool,
         stages: &mut StageTimes,
     ) -> Result<Cast, RenderError> {
-        let areas = stages.measure("reference", || reference::render(scene, view, Quantity::AreaDensity))?;
-        let valid = stages.measure("reference", || reference::valid(scene, view))?;
-        let pixels = valid.pixels.len();
-        let g_per_cm2 = (0..pixels).flat_map(|pixel| areas.iter().map(move |page| page.pixels[pixel] as f32)).collect();
-        let density = Density { material_count: areas.len(), g_per_cm2, valid: valid.pixels, unscanned_mm: 0.0 };
+        let traced = stages.measure("reference", || reference::trace(scene, view, bins.is_some()))?;
+        let single = |values: &[f64]| values.iter().map(|value| *value as f32).collect::<Vec<f32>>();
+        let density = Density {
+            material_count: scene.materials.len(),
+            g_per_cm2: single(&traced.g_per_cm2),
+            valid: traced.valid,
+            unscanned_mm: 0.0,
+        };
         let mut signal = bins.map(|bins| attenuate_spectrum(&density, bins, noisy)).unwrap_or_default();
-        if bins.is_some() {
-            let line = stages.measure("reference", || reference::render(scene, view, Quantity::LineIntegral))?;
-            signal.line_integral = line.iter().flat_map(|page| &page.pixels).map(|value| *value as f32).collect();
-        }
+        signal.line_integral = single(&traced.line_integral);
         Ok(Cast { density, signal, deviates: None, adapter: format!("f64 reference on {}", cpu_name()) })
     }
 }
 
-fn cast_cpu(prepared: &Prepared, sampling: Sampling, bins: Option<&Bins>, noisy: bool, stages: &mut StageTimes) -> Cast {
-    let density = stages.measure("integrate_density", || integrate_density(prepared, sampling));
+fn cast_cpu(prepared: &Prepared, plan: &Plan, bins: Option<&Bins>, noisy: bool, stages: &mut StageTimes) -> Cast {
+    let density = stages.measure("integrate_density", || {
+        let density = integrate_density(prepared, plan.sampling);
+        match plan.step_px {
+            0 | 1 => density,
+            step => {
+                let cast_px = prepared.view.size_px.map(|n| n as usize);
+                enlarge_density(&density, cast_px, plan.size_px.map(|n| n as usize), step as usize)
+            }
+        }
+    });
     let signal = bins.map(|bins| stages.measure("attenuate_spectrum", || attenuate_spectrum(&density, bins, noisy)));
     Cast { density, signal: signal.unwrap_or_default(), deviates: None, adapter: cpu_name() }
 }
 
-/// What was made of a volume, kept between images.
-#[derive(Debug)]
-struct PreparedVolume {
-    volume: Arc<Volume>,
-    cells: Arc<Cells>,
-    /// Outer: whether slabs were tried; inner: whether the volume is for them.
-    slabs: Option<Option<Arc<Slabs>>>,
+/// Evaluates every bin in pixels whose paths are longer than those that the plan's nodes were fitted to.
+fn attenuate_beyond(scene: &Scene, plan: &Plan, cast: &mut Cast, noisy: bool) -> Result<(), RenderError> {
+    let materials = cast.density.material_count;
+    let paths = |pixel: usize| &cast.density.g_per_cm2[pixel * materials..(pixel + 1) * materials];
+    // NaN counts as beyond.
+    let beyond =
+        |pixel: &usize| paths(*pixel).iter().zip(&plan.fitted_up_to_g_per_cm2).any(|(path, up_to)| !(f64::from(*path) <= *up_to));
+    let pixels: Vec<usize> = (0..cast.density.valid.len()).filter(beyond).collect();
+    if pixels.is_empty() || cast.signal.line_integral.is_empty() {
+        return Ok(());
+    }
+    let g_per_cm2 = pixels.iter().flat_map(|pixel| paths(*pixel)).copied().collect();
+    let density = Density { material_count: materials, g_per_cm2, valid: vec![1; pixels.len()], unscanned_mm: 0.0 };
+    let bins = Bins::new(scene, &whole_spectrum(scene))?;
+    let signal = attenuate_spectrum(&density, &bins, noisy);
+    for (index, pixel) in pixels.into_iter().enumerate() {
+        cast.signal.line_integral[pixel] = signal.line_integral[index];
+        if let (Some(arriving), Some(exact)) = (cast.signal.arriving.get_mut(pixel), signal.arriving.get(index)) {
+            *arriving = *exact;
+        }
+    }
+    Ok(())
 }
 
 /// What an executor found.
@@ -266,48 +380,10 @@ fn note_invalid(density: &Density, notes: &mut Vec<String>) {
     }
 }
 
-fn scene_holds(scene: &Scene, volume: &Arc<Volume>) -> bool {
-    use crate::scene::model::Matter;
-    scene.objects.iter().any(|object| matches!(&object.matter, Matter::Volume(held) if Arc::ptr_eq(held, volume)))
-}
-
-type Made = (Arc<Cells>, Option<Arc<Slabs>>);
-
-fn prepare_volume(cache: &mut Vec<PreparedVolume>, volume: &Arc<Volume>, name: &str, slabs: bool) -> Result<Made, RenderError> {
-    let index = match cache.iter().position(|held| Arc::ptr_eq(&held.volume, volume)) {
-        Some(index) => index,
-        None => {
-            let cells = Arc::new(make_cells(volume, name)?);
-            cache.push(PreparedVolume { volume: volume.clone(), cells, slabs: None });
-            cache.len() - 1
-        }
-    };
-    let held = &mut cache[index];
-    if !slabs {
-        return Ok((held.cells.clone(), None));
-    }
-    let made = held.slabs.get_or_insert_with(|| Slabs::new(volume, &held.cells).map(Arc::new));
-    Ok((held.cells.clone(), made.clone()))
-}
-
-fn make_cells(volume: &Volume, name: &str) -> Result<Cells, RenderError> {
-    let wrong = |detail: String| RenderError::Volume { name: name.to_owned(), detail };
-    let voxels = volume.size.iter().product::<usize>();
-    if voxels == 0 || volume.density_g_per_cm3.len() != voxels || volume.class.len() != voxels {
-        let found = volume.density_g_per_cm3.len();
-        return Err(wrong(format!(
-            "a grid of {:?} voxels holds {found} densities and {} classes",
-            volume.size,
-            volume.class.len()
-        )));
-    }
-    if !(volume.lps_from_voxel.matrix3.determinant().abs() > 0.0) {
-        return Err(wrong("its affine is singular".to_owned()));
-    }
-    Cells::new(volume).ok_or_else(|| wrong("more than 250 materials in one volume".to_owned()))
-}
-
 fn check(scene: &Scene) -> Result<(), RenderError> {
+    if let Some(view) = &scene.view {
+        view.check()?;
+    }
     let n0 = scene.beam.photons_per_pixel;
     if !(n0 > 0.0 && n0.is_finite()) {
         return Err(RenderError::Number { what: "beam.photons_per_pixel", value: n0, expected: "a positive number" });
@@ -330,6 +406,9 @@ fn check(scene: &Scene) -> Result<(), RenderError> {
 }
 
 fn check_plan(plan: &Plan, scene: &Scene) -> Result<(), RenderError> {
+    if scene.model.voxels == Voxels::PiecewiseConstant && plan.executor != Executor::Reference {
+        return Err(RenderError::ReferenceOnly { what: "model.voxels \"piecewise_constant\"" });
+    }
     let names: Vec<String> = scene.materials.iter().map(|material| material.name.clone()).collect();
     if plan.materials != names {
         return Err(RenderError::PlanMismatch { what: "materials", planned: plan.materials.join(", "), found: names.join(", ") });

@@ -101,6 +101,9 @@ impl Slabs {
             let pack = |index: usize| {
                 let density = volume.density_g_per_cm3[index];
                 let class = volume.class[index];
+                if density.is_nan() {
+                    return density;
+                }
                 if class == 0 || !(density > 0.0) {
                     return 0.0;
                 }

@@ -1,7 +1,7 @@
 //! The beam and the materials as tables of f32 that both executors read.
 
 use super::RenderError;
-use super::plan::{Node, response};
+use super::plan::{Fitted, Node, response};
 use crate::scene::model::{Formation, Scene};
 
 /// Bins are padded to a multiple of this; padding has no weight.
@@ -32,6 +32,9 @@ impl Bins {
     /// # Errors
     /// When an energy is outside the tables, or no photon is left.
     pub fn new(scene: &Scene, nodes: &[Node]) -> Result<Self, RenderError> {
+        if nodes.iter().any(|node| node.fitted.is_some()) {
+            return Self::fitted(scene, nodes);
+        }
         let total: f64 = nodes.iter().map(|node| node.fraction).sum();
         let mean_response: f64 = nodes.iter().map(|node| node.fraction * response(scene, node)).sum::<f64>() / total;
         let mean_square_response = nodes.iter().map(|node| node.fraction * response(scene, node).powi(2)).sum::<f64>() / total;
@@ -69,6 +72,43 @@ impl Bins {
         }
         Ok(Self { padded, signal_weight, photon_weight, square_weight, cm2_per_g, mean_response, mean_square_response })
     }
+}
+
+impl Bins {
+    /// The terms of a fit in place of bins; the means in air are those of the whole spectrum.
+    fn fitted(scene: &Scene, nodes: &[Node]) -> Result<Self, RenderError> {
+        let whole = Self::new(scene, &whole_spectrum(scene))?;
+        let padded = nodes.len().div_ceil(LANES) * LANES;
+        let column = |f: &dyn Fn(&Node, &Fitted) -> f64| {
+            let pairs = nodes.iter().filter_map(|node| Some((node, node.fitted.as_ref()?)));
+            let mut values: Vec<f32> = pairs.map(|(node, fitted)| f(node, fitted) as f32).collect();
+            values.resize(padded, 0.0);
+            values
+        };
+        let mut cm2_per_g = Vec::with_capacity(padded * scene.materials.len());
+        for material in 0..scene.materials.len() {
+            let mut row = column(&|_, fitted| fitted.cm2_per_g.get(material).copied().unwrap_or(f64::NAN));
+            let last = row.get(nodes.len().saturating_sub(1)).copied().unwrap_or(0.0);
+            row.iter_mut().skip(nodes.len()).for_each(|value| *value = last);
+            cm2_per_g.extend_from_slice(&row);
+        }
+        Ok(Self {
+            padded,
+            signal_weight: column(&|_, fitted| fitted.signal_share),
+            photon_weight: column(&|node, _| node.fraction),
+            square_weight: column(&|_, fitted| fitted.square_share * whole.mean_square_response),
+            cm2_per_g,
+            mean_response: whole.mean_response,
+            mean_square_response: whole.mean_square_response,
+        })
+    }
+}
+
+/// Every bin of the beam that holds photons.
+#[must_use]
+pub fn whole_spectrum(scene: &Scene) -> Vec<Node> {
+    let bins = scene.beam.spectrum.bins.iter().filter(|bin| bin.fluence > 0.0);
+    bins.map(|bin| Node { energy_kev: bin.energy_kev, fraction: bin.fluence, fitted: None }).collect()
 }
 
 /// κ of Eq. 8: mean over the scene's materials of Σ φ (μ/ρ).

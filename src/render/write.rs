@@ -57,12 +57,13 @@ fn description(rendered: &Rendered, scene: &Scene, share_invalid: f64) -> serde_
         Quantity::AreaDensity => scene.materials.iter().map(|material| material.name.as_str()).collect(),
         _ => vec![rendered.quantity.name()],
     };
-    serde_json::json!({
+    let mut json = serde_json::json!({
         "quantity": rendered.quantity,
         "unit": unit,
         "pages": pages,
         "size_px": [rendered.valid.width, rendered.valid.height],
         "stated_error": rendered.stated_error,
+        "predicted": {"error": rendered.stated_error, "ms": rendered.plan["predicted_ms"]},
         "share_invalid": share_invalid,
         "notes": rendered.notes,
         "stages_ms": rendered.stages,
@@ -70,7 +71,15 @@ fn description(rendered: &Rendered, scene: &Scene, share_invalid: f64) -> serde_
         "inputs": scene.inputs,
         "version": env!("CARGO_PKG_VERSION"),
         "adapter": rendered.adapter,
-    })
+    });
+    if let (Some((plan, achieved)), Some(map)) = (&rendered.achieved, json.as_object_mut()) {
+        let predicted = serde_json::json!({"error": plan.stated_error, "ms": plan.predicted_ms});
+        map.insert("fast".to_owned(), serde_json::json!({"plan": plan, "predicted": predicted, "achieved": achieved}));
+    }
+    if let (Some(counts), Some(map)) = (&rendered.non_finite, json.as_object_mut()) {
+        map.insert("non_finite".to_owned(), serde_json::json!(counts));
+    }
+    json
 }
 
 /// An 8-bit picture for eyes: the 0.5th to 99.5th percentile of the first page from black to white.

@@ -66,9 +66,10 @@ pub(super) fn detector(file: &DetectorFile, files: &Files) -> Result<Detector, S
         check(pitch_mm > 0.0 && pitch_mm <= 100.0, files, "detector.pitch_mm", pitch_mm, "above 0, at most 100 mm")?;
     }
     let gain = file.gain.unwrap_or(1.0);
-    check(gain > 0.0 && gain.is_finite(), files, "detector.gain", gain, "a positive number")?;
+    // Counts are written as 32-bit floats: at most 1e15 photons of 150 keV, times gain.
+    check(gain > 0.0 && gain <= 1e12, files, "detector.gain", gain, "above 0, at most 1e12")?;
     let offset = file.offset.unwrap_or(0.0);
-    check(offset.is_finite(), files, "detector.offset", offset, "a finite number")?;
+    check(offset.abs() <= 1e12, files, "detector.offset", offset, "between -1e12 and 1e12")?;
     if let Some(noise) = &file.readout_noise {
         let key = "detector.readout_noise.sigma";
         check(noise.sigma >= 0.0 && noise.sigma.is_finite(), files, key, noise.sigma, "0 or more")?;

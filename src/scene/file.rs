@@ -7,7 +7,7 @@ use serde::de::{Deserializer, MapAccess, Visitor, value::MapAccessDeserializer};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::model::{Formation, Noise, ReadoutNoise, Response};
+use super::model::{Formation, Noise, ReadoutNoise, Response, Voxels};
 use crate::geometry::{CarmJoints, Intrinsics, Projection, Rigid};
 
 /// A scene file.
@@ -373,6 +373,9 @@ pub struct ModelFile {
     /// `deepdrr` if absent.
     #[serde(default)]
     pub formation: Option<Formation>,
+    /// `trilinear` if absent; `piecewise_constant` only to compare with other tools.
+    #[serde(default)]
+    pub voxels: Voxels,
     /// `off` if absent.
     #[serde(default)]
     pub scatter: ScatterFile,

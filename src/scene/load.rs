@@ -6,7 +6,7 @@ use super::SceneError;
 use super::beam;
 use super::file::{ScatterFile, SceneFile};
 use super::files::{Files, parse_json};
-use super::model::{Detector, Formation, Model, Scene};
+use super::model::{Detector, Formation, Model, Object, Scene};
 use super::objects;
 use super::physics::Spectrum;
 use super::view;
@@ -45,10 +45,12 @@ fn load_bytes(bytes: &[u8], path: &Path, need_view: bool, reporter: &Reporter) -
     let beam = beam::beam(&file.beam, &mut files, reporter)?;
     let mut detector = beam::detector(&file.detector, &files)?;
     let seen = file.view.as_ref().map(|view| view::resolve(view, &mut files)).transpose()?;
+    let mut by_projection = false;
     let view = match seen {
         Some(seen) => {
             settle_pitch(&mut detector, seen.pitch_mm, &files)?;
             check_distance(seen.view.intrinsics.source_to_detector_mm(detector.pitch_mm), &files)?;
+            by_projection = seen.by_projection;
             Some(seen.view)
         }
         None if need_view => {
@@ -64,6 +66,7 @@ fn load_bytes(bytes: &[u8], path: &Path, need_view: bool, reporter: &Reporter) -
     };
     let model = Model {
         formation: file.model.formation.unwrap_or(Formation::Deepdrr),
+        voxels: file.model.voxels,
         noise: file.model.noise.0,
         seed: file.model.seed.unwrap_or(1),
     };
@@ -71,6 +74,9 @@ fn load_bytes(bytes: &[u8], path: &Path, need_view: bool, reporter: &Reporter) -
         Scene { materials: Vec::new(), objects: Vec::new(), view, beam, detector, model, inputs: Vec::new(), robot: None };
     objects::build(&file.objects, &mut scene, &mut files, reporter)?;
     check_energies(&scene, &files)?;
+    if by_projection {
+        check_in_front(&scene, &files)?;
+    }
     scene.inputs = files.into_inputs();
     Ok(scene)
 }
@@ -131,6 +137,23 @@ fn check_distance(distance_mm: f64, files: &Files) -> Result<(), SceneError> {
         });
     }
     Ok(())
+}
+
+/// The sign of P is chosen so that both focal lengths are positive. Where then everything lies behind the focal spot, one of them is
+/// negative in the P given: the image is mirrored.
+fn check_in_front(scene: &Scene, files: &Files) -> Result<(), SceneError> {
+    let Some(view) = &scene.view else { return Ok(()) };
+    let depth = |point: glam::DVec3| view.camera_from_lps.transform_point(point).z;
+    let corners: Vec<glam::DVec3> = scene.objects.iter().flat_map(Object::corners_in_lps).collect();
+    if corners.is_empty() || corners.iter().any(|corner| !(depth(*corner) < 0.0)) {
+        return Ok(());
+    }
+    let nearest_mm = corners.iter().map(|corner| depth(*corner)).fold(f64::NEG_INFINITY, f64::max);
+    Err(SceneError::Value {
+        place: files.place("view.projection"),
+        found: format!("a camera with all matter behind its focal spot (depth {nearest_mm:.0} mm and less)"),
+        expected: "fx and fy of one sign; un-mirror the image, or turn the camera round".to_owned(),
+    })
 }
 
 /// Every energy of the beam must be inside the tables for every material.

@@ -8,6 +8,7 @@ use std::path::Path;
 use glam::DVec3;
 
 use super::SceneError;
+use super::crossings::crossing_faces;
 use super::model::Mesh;
 use crate::geometry::Rigid;
 use crate::reporter::Reporter;
@@ -22,7 +23,7 @@ pub(super) struct Surface {
 }
 
 /// Reads an STL file (binary or ASCII, mm) and makes sure that it encloses something: equal vertices are welded, degenerate triangles
-/// dropped, faces turned so that they agree and point outward; what was repaired is reported.
+/// dropped, faces turned so that they agree and point outward; what was repaired is reported, and so are faces that cross each other.
 ///
 /// # Errors
 /// When the file is damaged, or the surface has holes.
@@ -45,7 +46,21 @@ pub(super) fn read_surface(path: &Path, reporter: &Reporter) -> Result<Surface, 
     if surface.triangles.is_empty() {
         return Err(wrong("no triangle with an area".to_owned()));
     }
-    close(surface, path, reporter)
+    let surface = close(surface, path, reporter)?;
+    if let Some((pairs, at)) = crossing_faces(&surface.vertices_mm, &surface.triangles) {
+        reporter.warn(
+            "mesh",
+            format_args!(
+                "{}: the surface crosses itself: {pairs} pairs of faces, one at ({:.2}, {:.2}, {:.2}) mm; what it winds around is taken \
+                 as one solid, repair it if that is not meant",
+                path.display(),
+                at.x,
+                at.y,
+                at.z
+            ),
+        );
+    }
+    Ok(surface)
 }
 
 /// Places a surface in the scene.

@@ -248,11 +248,24 @@ pub enum Noise {
     True,
 }
 
+/// What a volume is between its voxel centres.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Voxels {
+    /// Per material, the trilinear interpolant of density: what this program means by a volume (DESIGN §5).
+    #[default]
+    Trilinear,
+    /// Constant inside each voxel, as Siddon (1985) and the tools after him have it. A point on a face belongs to the voxel above.
+    PiecewiseConstant,
+}
+
 /// What is modelled.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Model {
     /// Image formation.
     pub formation: Formation,
+    /// What volumes are between voxel centres.
+    pub voxels: Voxels,
     /// Quantum noise; readout noise goes with it.
     pub noise: Noise,
     /// Seed of the random numbers.

@@ -102,6 +102,12 @@ impl Builder<'_> {
         Err(self.value(key, format!("{point}"), "finite coordinates within 1e6 mm"))
     }
 
+    /// A pose whose translation is that of something in the room.
+    fn pose(&self, key: &str, pose: &Rigid) -> Result<Rigid, SceneError> {
+        self.point(&format!("{key} (translation)"), pose.translation_mm.to_array())?;
+        Ok(*pose)
+    }
+
     fn sizes(&self, key: &str, sizes: &[f64]) -> Result<(), SceneError> {
         if sizes.iter().all(|size| *size > 0.0 && *size <= 1e6) {
             return Ok(());
@@ -187,7 +193,7 @@ impl Builder<'_> {
             model: Arc::new(model),
             materials,
             densities_g_per_cm3,
-            lps_from_base: file.lps_from_base,
+            lps_from_base: self.pose("lps_from_base", &file.lps_from_base)?,
             control_angles_deg: file.control_angles_deg,
             clamped: 0,
         };
@@ -204,8 +210,9 @@ impl Builder<'_> {
     fn mesh(&mut self, file: &MeshFile) -> Result<Matter, SceneError> {
         let (material, density_g_per_cm3) = self.solid_material("material", &file.material, file.density_g_per_cm3)?;
         let path = self.find("path", &file.path)?;
+        let pose = self.pose("lps_from_mesh", &file.lps_from_mesh)?;
         let surface = mesh::read_surface(&path, self.reporter)?;
-        Ok(Matter::Mesh(Arc::new(mesh::placed(surface, &file.lps_from_mesh, material, density_g_per_cm3))))
+        Ok(Matter::Mesh(Arc::new(mesh::placed(surface, &pose, material, density_g_per_cm3))))
     }
 
     fn voxels(&mut self, file: &VoxelsFile) -> Result<Matter, SceneError> {
@@ -213,7 +220,7 @@ impl Builder<'_> {
         let path = self.find("path", &file.path)?;
         let volume = read_volume(&path, self.reporter)?;
         let mut volume = matter::from_fractions(&path, volume, material, density_g_per_cm3)?;
-        let moved = &file.lps_from_voxels_frame;
+        let moved = self.pose("lps_from_voxels_frame", &file.lps_from_voxels_frame)?;
         let moved = DAffine3 { matrix3: DMat3::from_quat(moved.rotation), translation: moved.translation_mm };
         volume.lps_from_voxel = moved * volume.lps_from_voxel;
         Ok(Matter::Volume(Arc::new(volume)))

@@ -12,6 +12,8 @@ const MAX_SIZE_PX: u32 = 32_768;
 pub(super) struct Resolved {
     pub view: View,
     pub pitch_mm: Option<f64>,
+    /// Whether the camera is a P, which cannot tell a mirrored image from one taken backwards.
+    pub by_projection: bool,
 }
 
 pub(super) fn resolve(file: &ViewFile, files: &mut Files) -> Result<Resolved, SceneError> {
@@ -26,12 +28,12 @@ pub(super) fn resolve(file: &ViewFile, files: &mut Files) -> Result<Resolved, Sc
     let keys: Vec<&str> = given.iter().filter(|(_, there)| *there).map(|(key, _)| *key).collect();
     let resolved = if let (Some(intrinsics), Some(camera_from_lps), 2) = (file.intrinsics, file.camera_from_lps, keys.len()) {
         let size_px = file.size_px.ok_or_else(|| no_size(files))?;
-        Resolved { view: View { size_px, intrinsics, camera_from_lps }, pitch_mm: None }
+        Resolved { view: View { size_px, intrinsics, camera_from_lps }, pitch_mm: None, by_projection: false }
     } else if let (Some(projection), 1) = (file.projection, keys.len()) {
         let size_px = file.size_px.ok_or_else(|| no_size(files))?;
         let camera = |source| SceneError::Camera { place: files.place("view.projection"), source };
         let (intrinsics, camera_from_lps) = projection.decompose().map_err(camera)?;
-        Resolved { view: View { size_px, intrinsics, camera_from_lps }, pitch_mm: None }
+        Resolved { view: View { size_px, intrinsics, camera_from_lps }, pitch_mm: None, by_projection: false }
     } else if let (Some(joints), Some(name), Some(world_from_lps), 3) =
         (file.carm, &file.calibration, file.world_from_lps, keys.len())
     {
@@ -55,6 +57,7 @@ pub(super) fn resolve(file: &ViewFile, files: &mut Files) -> Result<Resolved, Sc
         Resolved {
             view: View { size_px, intrinsics, camera_from_lps: camera_from_world * world_from_lps },
             pitch_mm: Some(calibration.pitch_mm),
+            by_projection: false,
         }
     } else {
         return Err(SceneError::Keys {
@@ -72,7 +75,9 @@ pub(super) fn resolve(file: &ViewFile, files: &mut Files) -> Result<Resolved, Sc
             expected: format!("[columns, rows], each from 1 to {MAX_SIZE_PX}"),
         });
     }
-    Ok(resolved)
+    let (key, by_projection) = if file.projection.is_some() { ("view.projection", true) } else { ("view", false) };
+    resolved.view.check().map_err(|source| SceneError::Camera { place: files.place(key), source })?;
+    Ok(Resolved { by_projection, ..resolved })
 }
 
 fn no_size(files: &Files) -> SceneError {

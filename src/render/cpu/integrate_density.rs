@@ -63,7 +63,7 @@ pub fn integrate_density(prepared: &Prepared, sampling: Sampling) -> Density {
     let rule = match sampling {
         Sampling::ExactSlabs => Some(Rule::Exact),
         Sampling::SimpsonSlabs => Some(Rule::Simpson),
-        Sampling::ExactCells | Sampling::None => None,
+        Sampling::ExactCells | Sampling::PiecewiseConstant | Sampling::None => None,
     };
     let crossings: Vec<Option<Crossing>> =
         (0..prepared.volumes.len()).map(|index| Crossing::new(prepared, index, rule?)).collect();

@@ -5,7 +5,8 @@
 //! 1. from the last object to the first, the depths at which an object has matter (more than air) are found exactly, and what later
 //!    objects cover is taken off: matter at a point is that of the last object that has any there. Lumens cover nothing.
 //! 2. Kept air comes after all other matter, again the last object first.
-//! 3. ρ is integrated over what is left: shapes and meshes by length, volumes by the trilinear field, a cubic in each cell.
+//! 3. ρ is integrated over what is left: shapes and meshes by length, volumes by the trilinear field, a cubic in each cell, or, where the
+//!    scene names them, by piecewise-constant voxels.
 //! 4. Every energy bin attenuates by itself.
 
 mod beam;
@@ -157,6 +158,39 @@ pub fn render(scene: &Scene, view: &View, quantity: Quantity) -> Result<Vec<Imag
         }
     };
     Ok(vec![image((0..width * height).into_par_iter().map(value).collect())])
+}
+
+/// All of an image that the executors give too, from one pass over the rays.
+#[derive(Clone, Debug)]
+pub struct Traced {
+    /// g/cm² by pixel (row-major), then by scene material.
+    pub g_per_cm2: Vec<f64>,
+    /// 1 where [`Reference::is_valid`], 0 elsewhere.
+    pub valid: Vec<u8>,
+    /// −ln intensity by pixel; empty unless asked for.
+    pub line_integral: Vec<f64>,
+}
+
+/// Traces every pixel once, on all cores: area densities, validity, and line integrals where `attenuate` asks for them.
+///
+/// # Errors
+/// When fx · pitch is no distance, the image has no pixels, or attenuation is not tabulated.
+pub fn trace(scene: &Scene, view: &View, attenuate: bool) -> Result<Traced, RenderError> {
+    let reference = Reference::new(scene, view)?;
+    let beam = attenuate.then(|| Beam::new(scene)).transpose()?;
+    let [width, height] = view.size_px.map(|n| n as usize);
+    let ray = |index: usize| {
+        let pixel = [(index % width) as f64, (index / width) as f64];
+        let areas = reference.area_densities(pixel);
+        let line = beam.as_ref().map(|beam| beam.line_integral(&areas));
+        (areas, u8::from(reference.is_valid(pixel)), line)
+    };
+    let rays: Vec<(Vec<f64>, u8, Option<f64>)> = (0..width * height).into_par_iter().map(ray).collect();
+    Ok(Traced {
+        g_per_cm2: rays.iter().flat_map(|(areas, ..)| areas).copied().collect(),
+        valid: rays.iter().map(|(_, valid, _)| *valid).collect(),
+        line_integral: rays.iter().filter_map(|(.., line)| *line).collect(),
+    })
 }
 
 /// 1 where [`Reference::is_valid`], 0 elsewhere.

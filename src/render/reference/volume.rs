@@ -1,10 +1,10 @@
-//! The trilinear field of a volume along a ray, cell by cell.
+//! The field of a volume along a ray: trilinear, cell by cell; or piecewise constant, voxel by voxel.
 
 use glam::{DAffine3, DVec3};
 
 use super::intervals::Intervals;
 use super::shapes::Ray;
-use crate::scene::model::{Scene, Volume};
+use crate::scene::model::{Scene, Volume, Voxels};
 
 /// A volume with what a ray asks of it.
 #[derive(Clone, Debug)]
@@ -13,9 +13,10 @@ pub struct Grid<'a> {
     voxel_from_lps: DAffine3,
     /// Scene material, and whether it is air, by class − 1.
     classes: Vec<(usize, bool)>,
+    voxels: Voxels,
 }
 
-/// A stretch of the ray in one cell of the lattice of voxel centres.
+/// A stretch of the ray in one cell of the lattice of voxel centres, or in one voxel.
 #[derive(Clone, Copy, Debug)]
 struct Piece {
     from: f64,
@@ -38,7 +39,7 @@ impl<'a> Grid<'a> {
     #[must_use]
     pub fn new(volume: &'a Volume, scene: &Scene) -> Self {
         let classes = volume.class_materials.iter().map(|material| (*material, scene.is_air(*material))).collect();
-        Self { volume, voxel_from_lps: volume.lps_from_voxel.inverse(), classes }
+        Self { volume, voxel_from_lps: volume.lps_from_voxel.inverse(), classes, voxels: scene.model.voxels }
     }
 
     /// Whether any voxel can be air that is kept.
@@ -114,7 +115,7 @@ impl<'a> Grid<'a> {
         (range[0] < range[1]).then_some(range)
     }
 
-    /// Every stretch between planes through voxel centres and the outer faces, from the source to `end_mm`.
+    /// Every stretch between planes through voxel centres (or faces) and the outer faces, from the source to `end_mm`.
     fn pieces(&self, origin: DVec3, direction: DVec3, end_mm: f64) -> Vec<Piece> {
         let Some([enters, leaves]) = self.domain(origin, direction) else { return Vec::new() };
         let (from, to) = (enters.max(0.0), leaves.min(end_mm));
@@ -125,7 +126,8 @@ impl<'a> Grid<'a> {
         for axis in 0..3 {
             let (o, d) = (origin[axis], direction[axis]);
             if d != 0.0 {
-                let depth_of = |plane: usize| (plane as f64 - o) / d;
+                let first = if self.voxels == Voxels::Trilinear { 0.0 } else { 0.5 };
+                let depth_of = |plane: usize| (plane as f64 + first - o) / d;
                 depths.extend((0..self.volume.size[axis]).map(depth_of).filter(|depth| *depth > from && *depth < to));
             }
         }
@@ -141,6 +143,11 @@ impl<'a> Grid<'a> {
     /// Voxels whose values the field interpolates at coordinate `x` of `axis`.
     fn neighbours(&self, axis: usize, x: f64, parallel: bool) -> [usize; 2] {
         let last = self.volume.size[axis] - 1;
+        if self.voxels == Voxels::PiecewiseConstant {
+            // A cast saturates at 0; rounding may put a point of the last voxel on its far face.
+            let own = ((x + 0.5).floor() as usize).min(last);
+            return [own, own];
+        }
         if !(x > 0.0) {
             return [0, 0];
         }

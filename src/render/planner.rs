@@ -1,0 +1,323 @@
+//! From a wish (an error, or a time) to the cheapest plan that grants it.
+
+use super::costs::{Costs, Work};
+use super::pilot::{self, Pilot};
+use super::plan::{ErrorParts, Executor, Fitted, Node, Plan, Sampling, noise_applies, response};
+use super::prepared::Prepared;
+use super::quadrature::{self, NoiseWeights, Quadrature, QuadratureNode, Tolerance};
+use super::spectrum::{Bins, whole_spectrum};
+use super::{Quantity, RenderError};
+use crate::geometry::View;
+use crate::reporter::Reporter;
+use crate::scene::model::{Formation, Scene};
+
+/// What a user asks for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Goal {
+    /// |Δ line_integral| / max(1, line_integral), 99.9th percentile.
+    MaxError(f64),
+    /// Wall milliseconds, preparation of volumes aside.
+    BudgetMs(f64),
+    /// Exactly this, to measure it: sampling, tolerance of the energies (none: every bin) and cast pixels.
+    Explicit {
+        /// How volumes are sampled.
+        sampling: Sampling,
+        /// Bound of the energies' part.
+        energies: Option<f64>,
+        /// Every which pixel.
+        step_px: u32,
+    },
+}
+
+/// Without a wish: what the fast path reaches at nearly no cost.
+pub const DEFAULT_MAX_ERROR: f64 = 1e-5;
+
+/// Rounding of the sum over energies in f32.
+const ENERGIES_ROUNDING: f64 = 3e-6;
+/// Tolerances at which energies are fitted; few, so that fits are used again.
+pub const TOLERANCES: [f64; 9] = [3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 3e-6];
+
+/// Plans scenes and keeps what it fitted.
+#[derive(Debug, Default)]
+pub struct Planner {
+    fits: Vec<(Key, Option<Quadrature>)>,
+    costs: Option<Costs>,
+}
+
+/// What a fit depends on.
+#[derive(Clone, Debug, PartialEq)]
+struct Key {
+    spectrum: Vec<(f64, f64)>,
+    materials: Vec<String>,
+    largest_g_per_cm2: Vec<f64>,
+    tolerance: f64,
+    noise: bool,
+}
+
+/// One way to make the image.
+#[derive(Clone, Debug)]
+struct Candidate {
+    sampling: Sampling,
+    step_px: u32,
+    energies: Option<f64>,
+    parts: ErrorParts,
+    cost: f64,
+}
+
+impl ErrorParts {
+    /// The bound of all parts together.
+    #[must_use]
+    pub fn total(&self) -> f64 {
+        self.sampling + self.energies + self.interpolation
+    }
+}
+
+/// The scene, and how it is looked at.
+pub struct Task<'s> {
+    /// The scene.
+    pub scene: &'s Scene,
+    /// The view.
+    pub view: View,
+    /// What is made.
+    pub quantity: Quantity,
+    /// Who makes it.
+    pub executor: Executor,
+    /// Whether all volumes can be crossed slab by slab.
+    pub slabs: bool,
+    /// What is asked for.
+    pub goal: Goal,
+}
+
+impl Planner {
+    /// Turns `plan`, which evaluates everything, into the cheapest one that grants the goal; where none does, into the most accurate or
+    /// the fastest. `prepare` looks at the scene from a view.
+    ///
+    /// # Errors
+    /// When attenuation is not tabulated, or the scene cannot be prepared.
+    pub fn refine<'a>(
+        &mut self,
+        mut plan: Plan,
+        task: &Task,
+        reporter: &Reporter,
+        prepare: impl FnMut(View) -> Result<Prepared<'a>, RenderError>,
+    ) -> Result<Plan, RenderError> {
+        let scene = task.scene;
+        let with_energies = task.quantity != Quantity::AreaDensity;
+        let fits = with_energies && scene.model.formation == Formation::Deepdrr && quadrature_applies(scene);
+        let bins = if with_energies { Some(Bins::new(scene, &whole_spectrum(scene))?) } else { None };
+        let compare = match task.goal {
+            Goal::MaxError(error) => error > 2e-4,
+            Goal::BudgetMs(_) | Goal::Explicit { .. } => true,
+        };
+        let pilot = pilot::cast(task.view, bins.as_ref(), compare, task.slabs, prepare)?;
+        let costs = self.costs.get_or_insert_with(|| Costs::of_this_machine(reporter)).clone();
+        let mut candidates = Vec::new();
+        for (sampling, step_px, sampling_error, interpolation) in ways(task, &pilot, plan.sampling) {
+            for energies in self.tolerances(task, fits, sampling_error + interpolation) {
+                let energies_error = if with_energies { ENERGIES_ROUNDING + energies.unwrap_or(0.0) } else { 0.0 };
+                let parts = ErrorParts { sampling: sampling_error, energies: energies_error, interpolation };
+                candidates.push(Candidate { sampling, step_px, energies, parts, cost: 0.0 });
+            }
+        }
+        // Ranking by typical costs for an error, so that the same scene gets the same plan on any day; by this machine's for a time.
+        let ranking = if matches!(task.goal, Goal::BudgetMs(_)) { costs.clone() } else { Costs::default() };
+        for candidate in &mut candidates {
+            let nodes = match candidate.energies {
+                Some(tolerance) => self.fit(task, &pilot, tolerance)?.map_or(plan.energy_nodes.len(), |fit| fit.nodes.len()),
+                None => plan.energy_nodes.len(),
+            };
+            candidate.cost = ranking.predict_ms(&work(task, &pilot, candidate, nodes), candidate.sampling);
+        }
+        let chosen = choose(&candidates, task.goal).cloned();
+        let Some(chosen) = chosen else { return Ok(plan) };
+        self.apply(&mut plan, task, &pilot, &chosen)?;
+        if task.executor == Executor::Cpu {
+            plan.predicted_ms = Some(costs.predict_ms(&work(task, &pilot, &chosen, plan.energy_nodes.len()), chosen.sampling));
+        }
+        Ok(plan)
+    }
+
+    /// Tolerances worth a look when the rest of the error is spent.
+    fn tolerances(&self, task: &Task, fits: bool, spent: f64) -> Vec<Option<f64>> {
+        if !fits {
+            return vec![None];
+        }
+        match task.goal {
+            Goal::Explicit { energies, .. } => vec![energies],
+            Goal::BudgetMs(_) => [1e-2, 1e-3, 1e-4, 1e-5].into_iter().map(Some).chain([None]).collect(),
+            Goal::MaxError(error) => {
+                let left = error - spent - ENERGIES_ROUNDING;
+                TOLERANCES.into_iter().find(|tolerance| *tolerance <= left).map(Some).into_iter().chain([None]).collect()
+            }
+        }
+    }
+
+    /// Nodes fitted to the spectrum and to paths a half longer than the pilot rays'; `None` where none meet `tolerance`.
+    fn fit(&mut self, task: &Task, pilot: &Pilot, tolerance: f64) -> Result<Option<Quadrature>, RenderError> {
+        let scene = task.scene;
+        let nodes = whole_spectrum(scene);
+        let key = Key {
+            spectrum: nodes.iter().map(|node| (node.energy_kev, node.fraction * response(scene, node))).collect(),
+            materials: scene.materials.iter().map(|material| material.name.clone()).collect(),
+            largest_g_per_cm2: region(pilot),
+            tolerance,
+            noise: noise_applies(scene, task.quantity),
+        };
+        if let Some((_, fit)) = self.fits.iter().find(|(known, _)| *known == key) {
+            return Ok(fit.clone());
+        }
+        let energies_kev: Vec<f64> = nodes.iter().map(|node| node.energy_kev).collect();
+        let weights =
+            |power: i32| -> Vec<f64> { nodes.iter().map(|node| node.fraction * response(scene, node).powi(power)).collect() };
+        let (photons, signal, squares) = (weights(0), weights(1), weights(2));
+        let mut cm2_per_g = Vec::new();
+        for material in &scene.materials {
+            let row: Result<Vec<f64>, _> =
+                energies_kev.iter().map(|kev| material.attenuation(*kev).map(|found| found.total_cm2_per_g)).collect();
+            cm2_per_g.push(row?);
+        }
+        let noise_weights = key.noise.then_some(NoiseWeights { photons: &photons, squares: &squares });
+        let spectrum =
+            quadrature::EnergyBins { energies_kev: &energies_kev, signal_weights: &signal, noise_weights, cm2_per_g: &cm2_per_g };
+        let box_ = quadrature::Region { largest_g_per_cm2: &key.largest_g_per_cm2, largest_line_integral: None };
+        let wanted = Tolerance::of_signal(tolerance);
+        // What cannot be fitted is evaluated bin by bin.
+        let fit = quadrature::fit(&spectrum, &box_, wanted).ok().filter(|fit| fit.meets(wanted) && fit.nodes.len() < nodes.len());
+        if self.fits.len() >= 64 {
+            self.fits.remove(0);
+        }
+        self.fits.push((key, fit.clone()));
+        Ok(fit)
+    }
+
+    fn apply(&mut self, plan: &mut Plan, task: &Task, pilot: &Pilot, chosen: &Candidate) -> Result<(), RenderError> {
+        let all = plan.energy_nodes.len();
+        plan.sampling = chosen.sampling;
+        plan.step_px = chosen.step_px;
+        plan.error_parts = chosen.parts;
+        if plan.sampling != Sampling::None {
+            plan.say("volumes", true, plan.sampling.why().to_owned());
+        }
+        if chosen.step_px > 1 {
+            let n = chosen.step_px;
+            plan.say(
+                "resolution",
+                false,
+                format!("every {n}th pixel along columns and rows is cast, the others are interpolated"),
+            );
+        }
+        let fit = match chosen.energies {
+            Some(tolerance) => self.fit(task, pilot, tolerance)?,
+            None => None,
+        };
+        match fit {
+            Some(fit) => {
+                plan.error_parts.energies = ENERGIES_ROUNDING + fit.bound;
+                plan.energy_nodes = nodes_of(&fit);
+                plan.fitted_up_to_g_per_cm2 = region(pilot);
+                let words = format!(
+                    "{} fitted nodes stand for {all} bins, within {:.1e}; pixels with longer paths than the fit knows take every bin",
+                    fit.nodes.len(),
+                    fit.bound
+                );
+                plan.say("spectrum", true, words);
+            }
+            None if chosen.energies.is_some() => plan.error_parts.energies = ENERGIES_ROUNDING,
+            None => {}
+        }
+        plan.stated_error = plan.error_parts.total();
+        Ok(())
+    }
+}
+
+/// Ways to sample, with the step between cast pixels, the sampling's and the interpolation's error.
+fn ways(task: &Task, pilot: &Pilot, asked: Sampling) -> Vec<(Sampling, u32, f64, f64)> {
+    if task.executor != Executor::Cpu {
+        return vec![(asked, 1, task.executor.stated_error(), 0.0)];
+    }
+    if asked == Sampling::None {
+        return vec![(Sampling::None, 1, 2e-6, 0.0)];
+    }
+    // f64 positions; f32 interpolation weights and sums.
+    let cells = (Sampling::ExactCells, 2e-6);
+    let slabs = (Sampling::ExactSlabs, 4e-6);
+    let simpson = (Sampling::SimpsonSlabs, slabs.1 + pilot.simpson_error);
+    let steps = [(1, 0.0), (2, pilot.interpolation_error[0]), (4, pilot.interpolation_error[1])];
+    let all = if task.slabs { vec![simpson, slabs, cells] } else { vec![cells] };
+    match task.goal {
+        Goal::MaxError(error) => {
+            let known = all.into_iter().filter(|(sampling, _)| *sampling != Sampling::SimpsonSlabs || error > 2e-4);
+            known.map(|(sampling, error)| (sampling, 1, error, 0.0)).collect()
+        }
+        Goal::BudgetMs(_) => {
+            all.into_iter().flat_map(|(s, error)| steps.map(|(step, between)| (s, step, error, between))).collect()
+        }
+        Goal::Explicit { sampling, step_px, .. } => {
+            let (sampling, error) = all.into_iter().find(|(known, _)| *known == sampling).unwrap_or(cells);
+            let between = steps.into_iter().find(|(step, _)| *step == step_px).unwrap_or(steps[0]);
+            vec![(sampling, between.0, error, between.1)]
+        }
+    }
+}
+
+/// The cheapest that grants an error, else the most accurate; the most accurate within a time, else the fastest.
+fn choose(candidates: &[Candidate], goal: Goal) -> Option<&Candidate> {
+    let cheapest = |a: &&Candidate, b: &&Candidate| a.cost.total_cmp(&b.cost);
+    let best = |a: &&Candidate, b: &&Candidate| a.parts.total().total_cmp(&b.parts.total());
+    match goal {
+        Goal::MaxError(error) => {
+            let within = candidates.iter().filter(|candidate| candidate.parts.total() <= error);
+            within.min_by(cheapest).or_else(|| candidates.iter().min_by(best))
+        }
+        Goal::BudgetMs(ms) => {
+            let within = candidates.iter().filter(|candidate| candidate.cost <= ms);
+            within.min_by(|a, b| best(a, b).then(cheapest(a, b))).or_else(|| candidates.iter().min_by(cheapest))
+        }
+        Goal::Explicit { .. } => candidates.first(),
+    }
+}
+
+/// Whether energies are all that decides about a pixel's spectrum.
+fn quadrature_applies(scene: &Scene) -> bool {
+    scene.materials.len() <= quadrature::MOST_MATERIALS
+}
+
+/// Paths that a fit covers: a half longer than the pilot rays', rounded up so that neighbouring views share fits.
+fn region(pilot: &Pilot) -> Vec<f64> {
+    let grow = |largest: &f64| if *largest > 0.0 { 1.25f64.powf((1.5 * largest).max(0.1).log(1.25).ceil()) } else { 0.0 };
+    pilot.largest_g_per_cm2.iter().map(grow).collect()
+}
+
+fn nodes_of(fit: &Quadrature) -> Vec<Node> {
+    // Where no noise is asked for, photons are not fitted; signal over energy is near enough for people to read.
+    let photon =
+        |node: &QuadratureNode| if node.photon_weight > 0.0 { node.photon_weight } else { node.signal_weight / node.energy_kev };
+    let photons: f64 = fit.nodes.iter().map(photon).sum();
+    let squares: f64 = fit.nodes.iter().map(|node| node.square_weight).sum();
+    fit.nodes
+        .iter()
+        .map(|node| Node {
+            energy_kev: node.energy_kev,
+            fraction: photon(node) / photons,
+            fitted: Some(Fitted {
+                signal_share: node.signal_weight,
+                square_share: if squares > 0.0 { node.square_weight / squares } else { 0.0 },
+                cm2_per_g: node.cm2_per_g.clone(),
+            }),
+        })
+        .collect()
+}
+
+fn work(task: &Task, pilot: &Pilot, candidate: &Candidate, energies: usize) -> Work {
+    let pixels = f64::from(task.view.size_px[0]) * f64::from(task.view.size_px[1]);
+    let materials = pilot.largest_g_per_cm2.iter().filter(|largest| **largest > 0.0).count();
+    Work {
+        pixels,
+        rays: pixels / f64::from(candidate.step_px).powi(2),
+        slabs_per_ray: pilot.slabs_per_ray,
+        solids_per_ray: pilot.solids_per_ray,
+        materials,
+        energies,
+        noise: noise_applies(task.scene, task.quantity),
+    }
+}

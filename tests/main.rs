@@ -28,6 +28,7 @@ mod render_displacement;
 mod render_executors;
 mod render_extreme_places;
 mod render_extremes;
+mod evaluate;
 mod render_noise;
 mod shaders_layout;
 mod pelvis_real;

@@ -17,6 +17,7 @@ pub mod register;
 pub mod render;
 pub mod replay;
 pub mod spectrum;
+pub mod trade;
 
 /// Rides beside a mobile C-arm and a snake robot: finds beads in each radiograph, recovers its pose, renders the matched DeepDRR,
 /// compares, records and replays. For research; not a medical device.
@@ -40,6 +41,7 @@ enum Command {
     Live(live::LiveArgs),
     Replay(replay::ReplayArgs),
     Render(render::RenderArgs),
+    Trade(trade::TradeArgs),
     Register(register::RegisterArgs),
     Compare(compare::CompareArgs),
     Attenuation(attenuation::AttenuationArgs),
@@ -62,6 +64,7 @@ fn dispatch(command: &Command, reporter: &Reporter) -> u8 {
         Command::Live(args) => end(live::run(args, reporter), reporter),
         Command::Replay(args) => end(replay::run(args, reporter), reporter),
         Command::Render(args) => end(render::run(args, reporter), reporter),
+        Command::Trade(args) => end(trade::run(args, reporter), reporter),
         Command::Compare(args) => end(compare::run(args, reporter), reporter),
         Command::Register(args) => end(register::run(args, reporter), reporter),
         Command::Attenuation(args) => end(attenuation::run(args, &mut std::io::stdout().lock()).map(|()| 0), reporter),

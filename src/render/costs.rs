@@ -30,8 +30,6 @@ pub struct Costs {
     pub threads: usize,
     /// A ray and a slab, exact, for 1, 2 and up to 4 materials.
     pub exact_slab_ns: [f64; 3],
-    /// A ray and a slab by Simpson's rule.
-    pub simpson_slab_ns: [f64; 3],
     /// A ray and a slab, walked cell by cell.
     pub walked_slab_ns: f64,
     /// A ray against a shape.
@@ -49,7 +47,6 @@ impl Default for Costs {
             machine: "typical".to_owned(),
             threads: 1,
             exact_slab_ns: [1.3, 2.0, 3.4],
-            simpson_slab_ns: [0.9, 1.4, 2.3],
             walked_slab_ns: 28.0,
             solid_ns: 12.0,
             energies_ns: 12.0,
@@ -88,7 +85,6 @@ impl Costs {
         };
         let slab = match sampling {
             Sampling::ExactSlabs => self.exact_slab_ns[column],
-            Sampling::SimpsonSlabs => self.simpson_slab_ns[column],
             Sampling::ExactCells | Sampling::PiecewiseConstant => self.walked_slab_ns,
             Sampling::None => 0.0,
         };
@@ -123,7 +119,7 @@ impl Costs {
 
     fn is_sound(&self) -> bool {
         let all = [self.walked_slab_ns, self.solid_ns, self.energies_ns, self.noise_ns];
-        let all = all.iter().chain(&self.exact_slab_ns).chain(&self.simpson_slab_ns);
+        let all = all.iter().chain(&self.exact_slab_ns);
         self.threads > 0 && all.into_iter().all(|ns| *ns > 0.0 && ns.is_finite())
     }
 }
@@ -158,7 +154,6 @@ fn measure() -> Costs {
         let crossed = (EDGE * EDGE) as f64 * EDGE as f64;
         let time = |sampling: Sampling| fastest(|| drop(integrate_density(&prepared, sampling)));
         costs.exact_slab_ns[column] = per(time(Sampling::ExactSlabs), crossed);
-        costs.simpson_slab_ns[column] = per(time(Sampling::SimpsonSlabs), crossed);
         if materials == 2 {
             costs.walked_slab_ns = per(time(Sampling::ExactCells), crossed);
         }

@@ -19,6 +19,7 @@ pub mod reference;
 mod renderer;
 pub mod slabs;
 pub mod spectrum;
+pub mod trade;
 mod volumes;
 pub mod wgsl;
 mod write;

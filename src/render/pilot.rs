@@ -1,4 +1,4 @@
-//! A few small blocks of an image, cast before planning: how long the paths are, and how far cheaper rules are off in this very view.
+//! A few small blocks of an image, cast before planning: how long the paths are, and how far interpolated pixels are off in this very view.
 
 use super::RenderError;
 use super::cells::{EMPTY, EMPTY_BRICK};
@@ -15,7 +15,7 @@ use crate::random::{Purpose, Stream};
 const BLOCKS: u32 = 6;
 /// Pixels along either side of a block.
 const EDGE: u32 = 9;
-/// A rule's error in the image is taken to be at most this many times its largest error on the pilot rays.
+/// The interpolation's error in the image is taken to be at most this many times its largest error on the pilot rays.
 const SAFETY: f64 = 3.0;
 
 /// What the pilot rays found.
@@ -25,8 +25,6 @@ pub struct Pilot {
     pub largest_g_per_cm2: Vec<f64>,
     /// Largest −ln intensity.
     pub largest_line_integral: f64,
-    /// Bound for Simpson's rule, where slabs are at hand.
-    pub simpson_error: f64,
     /// Bounds for casting every second and every fourth pixel.
     pub interpolation_error: [f64; 2],
     /// Slabs that hold something, crossed by an average ray.
@@ -69,10 +67,6 @@ pub fn cast<'a>(
         line.iter().for_each(|line| raise(&mut pilot.largest_line_integral, f64::from(*line)));
         if !compare {
             continue;
-        }
-        if slabs {
-            let other = attenuate_spectrum(&integrate_density(&prepared, Sampling::SimpsonSlabs), bins, false).line_integral;
-            other.iter().zip(&line).for_each(|(other, this)| raise(&mut pilot.simpson_error, SAFETY * error(*other, *this)));
         }
         for (step, worst) in [2, 4].into_iter().zip(&mut pilot.interpolation_error) {
             let other = attenuate_spectrum(&thinned(&density, size_px, step), bins, false).line_integral;

@@ -41,8 +41,6 @@ pub enum Sampling {
     ExactCells,
     /// Slab by slab, sixteen rays at a time, the trilinear field integrated exactly in each cell, in f32.
     ExactSlabs,
-    /// Slab by slab with Simpson's rule, which does not see the faces of the cells that a ray crosses between two slices.
-    SimpsonSlabs,
     /// Voxel by voxel, constant inside each (Siddon): to compare with other tools.
     PiecewiseConstant,
     /// There is no volume.
@@ -65,9 +63,6 @@ impl Sampling {
             Self::ExactCells => "cell by cell, exact for the trilinear field; empty bricks of 8x8x8 cells are crossed at once",
             Self::ExactSlabs => {
                 "slab by slab, sixteen rays at a time, exact for the trilinear field; empty bricks of 8x8x8 cells are left out"
-            }
-            Self::SimpsonSlabs => {
-                "slab by slab by Simpson's rule, sixteen rays at a time; its error was measured on pilot rays of this view"
             }
             Self::PiecewiseConstant => {
                 "voxel by voxel, piecewise constant (Siddon) as the scene asks: not the field that DESIGN 5 defines, for comparison only"
@@ -150,6 +145,9 @@ pub struct Plan {
     /// Milliseconds by the cost model of this machine, preparation of volumes aside; `None` where there is no model.
     #[serde(default)]
     pub predicted_ms: Option<f64>,
+    /// Milliseconds by the cost model of a typical core, which ranks plans for an error; `None` where there is no model.
+    #[serde(default)]
+    pub typical_ms: Option<f64>,
     /// What is modelled, what is left out.
     pub choices: Vec<Choice>,
 }
@@ -267,6 +265,7 @@ impl Plan {
             stated_error: executor.stated_error(),
             error_parts: ErrorParts { sampling: executor.stated_error(), ..ErrorParts::default() },
             predicted_ms: None,
+            typical_ms: None,
             choices,
         }
     }

@@ -106,8 +106,9 @@ impl Planner {
         let fits = with_energies && scene.model.formation == Formation::Deepdrr && quadrature_applies(scene);
         let bins = if with_energies { Some(Bins::new(scene, &whole_spectrum(scene))?) } else { None };
         let compare = match task.goal {
-            Goal::MaxError(error) => error > 2e-4,
-            Goal::BudgetMs(_) | Goal::Explicit { .. } => true,
+            Goal::MaxError(_) => false,
+            Goal::BudgetMs(_) => true,
+            Goal::Explicit { step_px, .. } => step_px > 1,
         };
         let pilot = pilot::cast(task.view, bins.as_ref(), compare, task.slabs, prepare)?;
         let costs = self.costs.get_or_insert_with(|| Costs::of_this_machine(reporter)).clone();
@@ -132,7 +133,9 @@ impl Planner {
         let Some(chosen) = chosen else { return Ok(plan) };
         self.apply(&mut plan, task, &pilot, &chosen)?;
         if task.executor == Executor::Cpu {
-            plan.predicted_ms = Some(costs.predict_ms(&work(task, &pilot, &chosen, plan.energy_nodes.len()), chosen.sampling));
+            let work = work(task, &pilot, &chosen, plan.energy_nodes.len());
+            plan.predicted_ms = Some(costs.predict_ms(&work, chosen.sampling));
+            plan.typical_ms = Some(Costs::default().predict_ms(&work, chosen.sampling));
         }
         Ok(plan)
     }
@@ -182,7 +185,10 @@ impl Planner {
         let box_ = quadrature::Region { largest_g_per_cm2: &key.largest_g_per_cm2, largest_line_integral: None };
         let wanted = Tolerance::of_signal(tolerance);
         // What cannot be fitted is evaluated bin by bin.
-        let fit = quadrature::fit(&spectrum, &box_, wanted).ok().filter(|fit| fit.meets(wanted) && fit.nodes.len() < nodes.len());
+        let fit = quadrature::fit(&spectrum, &box_, wanted)
+            .ok()
+            .flatten()
+            .filter(|fit| fit.meets(wanted) && fit.nodes.len() < nodes.len());
         if self.fits.len() >= 64 {
             self.fits.remove(0);
         }
@@ -241,14 +247,10 @@ fn ways(task: &Task, pilot: &Pilot, asked: Sampling) -> Vec<(Sampling, u32, f64,
     // f64 positions; f32 interpolation weights and sums.
     let cells = (Sampling::ExactCells, 2e-6);
     let slabs = (Sampling::ExactSlabs, 4e-6);
-    let simpson = (Sampling::SimpsonSlabs, slabs.1 + pilot.simpson_error);
     let steps = [(1, 0.0), (2, pilot.interpolation_error[0]), (4, pilot.interpolation_error[1])];
-    let all = if task.slabs { vec![simpson, slabs, cells] } else { vec![cells] };
+    let all = if task.slabs { vec![slabs, cells] } else { vec![cells] };
     match task.goal {
-        Goal::MaxError(error) => {
-            let known = all.into_iter().filter(|(sampling, _)| *sampling != Sampling::SimpsonSlabs || error > 2e-4);
-            known.map(|(sampling, error)| (sampling, 1, error, 0.0)).collect()
-        }
+        Goal::MaxError(_) => all.into_iter().map(|(sampling, error)| (sampling, 1, error, 0.0)).collect(),
         Goal::BudgetMs(_) => {
             all.into_iter().flat_map(|(s, error)| steps.map(|(step, between)| (s, step, error, between))).collect()
         }

@@ -161,7 +161,7 @@ impl Renderer {
         check_plan(&plan, scene)?;
         let mut notes = Vec::new();
         let prepared = stages.measure("prepare", || {
-            let slabs = plan.executor == Executor::Cpu && matches!(plan.sampling, Sampling::ExactSlabs | Sampling::SimpsonSlabs);
+            let slabs = plan.executor == Executor::Cpu && plan.sampling == Sampling::ExactSlabs;
             self.volumes.keep(scene);
             let mut prepared = self.volumes.prepare(scene, view, slabs)?;
             if plan.step_px > 1 {

@@ -2,20 +2,12 @@
 //!
 //! Between two slices of voxels a ray whose slopes are at most 1 meets at most three cells: it leaves the first through a face
 //! across a or b, and the second through the other. In each cell the trilinear field along the ray is a cubic polynomial, whose mean
-//! is f(m) + ⅓ (f_ab h_a h_b + f_bc h_b h_c + f_ac h_a h_c): the integral is exact, with three evaluations a slab.
+//! is f(m) + ⅓ (f_ab h_a h_b + f_bc h_b h_c + f_ac h_a h_c): the integral is exact, with three evaluations a slab. Rules that do not see
+//! the faces (Joseph's, Simpson's) save a fifth of the time and err a thousand times more.
 
 use super::lanes::{LANES, Lanes};
 use super::windows::{Memory, Small, Square, Wide, Window};
 use crate::render::slabs::SlabGrid;
-
-/// How the field between two slices is summed up.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Rule {
-    /// Both ends and the middle, weights 1/6, 4/6, 1/6, across cell faces as if there were none.
-    Simpson,
-    /// Cell by cell, exact.
-    Exact,
-}
 
 /// Sixteen rays as functions of c.
 #[derive(Clone, Debug)]
@@ -83,7 +75,6 @@ pub fn cross<S: Lanes, const M: usize>(
     s: S,
     grid: &SlabGrid,
     bundle: &Bundle,
-    rule: Rule,
     classes: &[u32; M],
     sums: &mut [[f32; LANES]; M],
 ) -> u8 {
@@ -119,11 +110,14 @@ pub fn cross<S: Lanes, const M: usize>(
         axis += 1;
     }
     let range = Range { low, high, full_from, full_to };
+    if !S::TABLES {
+        return cross_in::<S, Memory, M>(s, grid, bundle, &range, classes, sums);
+    }
     match fit(spread) {
-        Fit::Small => cross_in::<S, Small<S>, M>(s, grid, bundle, &range, rule, classes, sums),
-        Fit::Wide => cross_in::<S, Wide<S>, M>(s, grid, bundle, &range, rule, classes, sums),
-        Fit::Square => cross_in::<S, Square<S>, M>(s, grid, bundle, &range, rule, classes, sums),
-        Fit::Memory => cross_in::<S, Memory, M>(s, grid, bundle, &range, rule, classes, sums),
+        Fit::Small => cross_in::<S, Small<S>, M>(s, grid, bundle, &range, classes, sums),
+        Fit::Wide => cross_in::<S, Wide<S>, M>(s, grid, bundle, &range, classes, sums),
+        Fit::Square => cross_in::<S, Square<S>, M>(s, grid, bundle, &range, classes, sums),
+        Fit::Memory => cross_in::<S, Memory, M>(s, grid, bundle, &range, classes, sums),
     }
 }
 
@@ -201,7 +195,6 @@ fn cross_in<S: Lanes, W: Window<S>, const M: usize>(
     grid: &SlabGrid,
     bundle: &Bundle,
     range: &Range,
-    rule: Rule,
     classes: &[u32; M],
     sums: &mut [[f32; LANES]; M],
 ) -> u8 {
@@ -238,27 +231,19 @@ fn cross_in<S: Lanes, W: Window<S>, const M: usize>(
             let a = s.add(xa, s.splat(group.low[0] as f32 - wa as f32));
             let b = s.add(xb, s.splat(group.low[1] as f32 - wb as f32));
             let whole = f64::from(slab) >= range.full_from && f64::from(slab + 1) <= range.full_to;
-            if whole && rule == Rule::Simpson {
-                let half = s.splat(0.5);
-                let (ma, mb) = (s.fma(k.a, half, a), s.fma(k.b, half, b));
-                sample::<S, W, M>(s, grid, a, b, w0, s.splat(1.0 / 6.0), classes, &mut totals);
-                sample_two::<S, W, M>(s, grid, ma, mb, w0, w1, s.splat(1.0 / 3.0), classes, &mut totals);
-                sample::<S, W, M>(s, grid, s.add(k.a, a), s.add(k.b, b), w1, s.splat(1.0 / 6.0), classes, &mut totals);
-            } else {
-                let (mut from, mut to) = (s.splat(0.0), s.splat(1.0));
-                if !whole {
-                    let (mut f, mut t) = ([0.0f32; LANES], [0.0f32; LANES]);
-                    let mut l = 0;
-                    while l < LANES {
-                        f[l] = (bundle.from[l] - f64::from(slab)).clamp(0.0, 1.0) as f32;
-                        t[l] = (bundle.to[l] - f64::from(slab)).clamp(0.0, 1.0) as f32;
-                        t[l] = if t[l] > f[l] { t[l] } else { f[l] };
-                        l += 1;
-                    }
-                    (from, to) = (s.load(&f), s.load(&t));
+            let (mut from, mut to) = (s.splat(0.0), s.splat(1.0));
+            if !whole {
+                let (mut f, mut t) = ([0.0f32; LANES], [0.0f32; LANES]);
+                let mut l = 0;
+                while l < LANES {
+                    f[l] = (bundle.from[l] - f64::from(slab)).clamp(0.0, 1.0) as f32;
+                    t[l] = (bundle.to[l] - f64::from(slab)).clamp(0.0, 1.0) as f32;
+                    t[l] = if t[l] > f[l] { t[l] } else { f[l] };
+                    l += 1;
                 }
-                cells::<S, W, M>(s, grid, &k, a, b, w0, w1, from, to, classes, &mut totals);
+                (from, to) = (s.load(&f), s.load(&t));
             }
+            cells::<S, W, M>(s, grid, &k, a, b, w0, w1, from, to, classes, &mut totals);
             (xa, xb) = (s.add(xa, k.a), s.add(xb, k.b));
             slab += 1;
             j += 1;
@@ -373,63 +358,6 @@ fn own<S: Lanes, const M: usize>(s: S, v: [S::F; 4], bits: u32, class: u32) -> [
     [s.of_class(v[0], bits, class), s.of_class(v[1], bits, class), s.of_class(v[2], bits, class), s.of_class(v[3], bits, class)]
 }
 
-#[inline(always)]
-fn blend<S: Lanes>(s: S, v: [S::F; 4], fa: S::F, fb: S::F) -> S::F {
-    let p = s.fma(fa, s.sub(v[1], v[0]), v[0]);
-    let q = s.fma(fa, s.sub(v[3], v[2]), v[2]);
-    s.fma(fb, s.sub(q, p), p)
-}
-
-/// Adds weight × the bilinear value in one slice.
-#[inline(always)]
-#[expect(clippy::too_many_arguments, reason = "everything is in registers")]
-fn sample<S: Lanes, W: Window<S>, const M: usize>(
-    s: S,
-    grid: &SlabGrid,
-    a: S::F,
-    b: S::F,
-    w: W,
-    weight: S::F,
-    classes: &[u32; M],
-    totals: &mut [S::F; M],
-) {
-    let (ia, ib) = (s.floor(a), s.floor(b));
-    let v = fetch(s, grid, w, corners::<S, W>(s, ia, ib));
-    let mut m = 0;
-    while m < M {
-        let own = own::<S, M>(s, v, grid.class_bits, classes[m]);
-        totals[m] = s.fma(weight, blend(s, own, s.sub(a, ia), s.sub(b, ib)), totals[m]);
-        m += 1;
-    }
-}
-
-/// Adds weight × the sum of the bilinear values in two slices.
-#[inline(always)]
-#[expect(clippy::too_many_arguments, reason = "everything is in registers")]
-fn sample_two<S: Lanes, W: Window<S>, const M: usize>(
-    s: S,
-    grid: &SlabGrid,
-    a: S::F,
-    b: S::F,
-    w0: W,
-    w1: W,
-    weight: S::F,
-    classes: &[u32; M],
-    totals: &mut [S::F; M],
-) {
-    let (ia, ib) = (s.floor(a), s.floor(b));
-    let i = corners::<S, W>(s, ia, ib);
-    let (v, u) = (fetch(s, grid, w0, i), fetch(s, grid, w1, i));
-    let mut m = 0;
-    while m < M {
-        let v = own::<S, M>(s, v, grid.class_bits, classes[m]);
-        let u = own::<S, M>(s, u, grid.class_bits, classes[m]);
-        let both = [s.add(v[0], u[0]), s.add(v[1], u[1]), s.add(v[2], u[2]), s.add(v[3], u[3])];
-        totals[m] = s.fma(weight, blend(s, both, s.sub(a, ia), s.sub(b, ib)), totals[m]);
-        m += 1;
-    }
-}
-
 /// The slab's part [from, to], cell by cell.
 #[inline(always)]
 #[expect(clippy::too_many_arguments, reason = "everything is in registers")]
@@ -455,13 +383,18 @@ fn cells<S: Lanes, W: Window<S>, const M: usize>(
     let a_first = s.less(ta, tb);
     let (t1, t2) = (s.min(ta, tb), s.max(ta, tb));
     let (ja, jb) = (s.add(ia, k.step_a), s.add(ib, k.step_b));
-    piece::<S, W, M>(s, grid, k, a, b, w0, w1, [ia, ib], [from, t1], classes, totals);
-    if s.any(s.less(t1, t2)) {
-        let second = [s.select(a_first, ja, ia), s.select(a_first, ib, jb)];
-        piece::<S, W, M>(s, grid, k, a, b, w0, w1, second, [t1, t2], classes, totals);
-    }
-    if s.any(s.less(t2, to)) {
-        piece::<S, W, M>(s, grid, k, a, b, w0, w1, [ja, jb], [t2, to], classes, totals);
+    let second = [s.select(a_first, ja, ia), s.select(a_first, ib, jb)];
+    // One body for the three cells, left as soon as no ray has anything left.
+    let (mut cell, mut begin, mut end) = ([ia, ib], from, t1);
+    let mut n = 0;
+    loop {
+        piece::<S, W, M>(s, grid, k, a, b, w0, w1, cell, [begin, end], classes, totals);
+        begin = end;
+        n += 1;
+        if n == 3 || !s.any(s.less(begin, to)) {
+            break;
+        }
+        (cell, end) = if n == 1 { (second, t2) } else { ([ja, jb], to) };
     }
 }
 

@@ -4,13 +4,13 @@
 use glam::{DVec2, DVec3};
 
 use super::bundles::Rays;
-use super::cross_slabs::{Rule, cross};
+use super::cross_slabs::cross;
 use super::integrate_density::{Claims, claim_solids};
 use super::lanes::{LANES, Lanes, Portable};
 use super::walk_cells::CellRay;
 use crate::render::cells::{EMPTY, EMPTY_BRICK};
 use crate::render::prepared::{Bounds, Prepared, SeenVolume, Step};
-use crate::render::slabs::{CUT_BIT, SlabGrid};
+use crate::render::slabs::{CUT_BIT, MOST_MATERIALS, SlabGrid};
 
 /// Edge of the blocks of pixels that are laid out as bundles.
 pub const BLOCK: usize = 8;
@@ -22,7 +22,6 @@ pub struct Crossing<'a> {
     /// Its volume.
     pub seen: &'a SeenVolume<'a>,
     rays: Rays,
-    rule: Rule,
     grids: [Option<SlabGrid<'a>>; 3],
     /// Depth at which the volume ends, at most that of the detector.
     far_mm: f64,
@@ -45,7 +44,7 @@ pub struct Block<'b> {
 impl<'a> Crossing<'a> {
     /// `None` when the volume must be walked cell by cell: air is kept, or no slabs were made.
     #[must_use]
-    pub fn new(prepared: &'a Prepared<'a>, index: usize, rule: Rule) -> Option<Self> {
+    pub fn new(prepared: &'a Prepared<'a>, index: usize) -> Option<Self> {
         let seen = &prepared.volumes[index];
         let slabs = seen.slabs.as_ref().filter(|_| seen.air_kind.is_none())?;
         let camera_from_cell = seen.cell_from_camera.inverse();
@@ -53,14 +52,7 @@ impl<'a> Crossing<'a> {
         let corner = |i: usize| size * DVec3::new((i & 1) as f64, (i >> 1 & 1) as f64, (i >> 2) as f64);
         let far_mm = (0..8).map(|i| camera_from_cell.transform_point3(corner(i)).z).fold(0.0, f64::max);
         let grids = [slabs.grid(0), slabs.grid(1), slabs.grid(2)];
-        Some(Self {
-            prepared,
-            seen,
-            rays: Rays::new(&prepared.view, seen),
-            rule,
-            grids,
-            far_mm: far_mm.min(prepared.detector_mm),
-        })
+        Some(Self { prepared, seen, rays: Rays::new(&prepared.view, seen), grids, far_mm: far_mm.min(prepared.detector_mm) })
     }
 
     /// Fills a block; `walk` integrates one ray the slow way where bundles cannot. Returns the longest unscanned path in mm.
@@ -118,11 +110,7 @@ impl pulp::NullaryFnOnce for OnAvx512<'_, '_, '_> {
 impl Fill<'_, '_, '_> {
     #[inline(always)]
     fn with_materials<S: Lanes>(self, s: S) -> f32 {
-        match self.crossing.seen.cells.materials.len() {
-            0 | 1 => self.run::<S, 1>(s),
-            2 => self.run::<S, 2>(s),
-            _ => self.run::<S, 4>(s),
-        }
+        if self.crossing.seen.cells.materials.len() <= 1 { self.run::<S, 1>(s) } else { self.run::<S, 2>(s) }
     }
 
     #[inline(always)]
@@ -135,12 +123,6 @@ impl Fill<'_, '_, '_> {
         let rows = LANES / columns;
         let mut unscanned = 0.0f32;
         let cells = &crossing.seen.cells;
-        let mut classes = [u32::MAX; M];
-        let mut m = 0;
-        while m < M && m < cells.materials.len() {
-            classes[m] = m as u32 + 1;
-            m += 1;
-        }
         let [first, end] = cells.occupied;
         let (mut low, mut high) = ([0.5; 3], [0.5; 3]);
         let (mut grid_high, grid_low) = ([0.5; 3], [0.5; 3]);
@@ -177,7 +159,8 @@ impl Fill<'_, '_, '_> {
                 if !block.solids.is_empty() {
                     rounds = claims.claim(crossing, block.solids, [u, v], columns, &seen, &t);
                 }
-                let mut sums = [[0.0f32; LANES]; M];
+                // Up to two materials at once, so up to two passes.
+                let mut sums = [[0.0f32; LANES]; MOST_MATERIALS];
                 let mut met = 0;
                 let mut lost = false;
                 for round in 0..rounds {
@@ -189,7 +172,14 @@ impl Fill<'_, '_, '_> {
                             (Some(grid), true) => {
                                 let reference = 0.5 * f64::from(grid.voxels[2]);
                                 let bundle = crossing.rays.bundle([u, v], columns, axis, reference, &t);
-                                met |= cross::<S, M>(s, grid, &bundle, crossing.rule, &classes, &mut sums);
+                                let (passes, _) = sums.as_chunks_mut::<M>();
+                                for (pass, sums) in passes.iter_mut().enumerate().take(cells.materials.len().div_ceil(M)) {
+                                    let mut classes = [0; M];
+                                    for (m, class) in classes.iter_mut().enumerate() {
+                                        *class = (pass * M + m) as u32 + 1;
+                                    }
+                                    met |= cross::<S, M>(s, grid, &bundle, &classes, sums);
+                                }
                             }
                             (None, true) => lost = true,
                             _ => {}

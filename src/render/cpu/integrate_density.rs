@@ -7,7 +7,6 @@ use std::sync::Arc;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
-use super::cross_slabs::Rule;
 use super::integrate_block::{BLOCK, Block, Crossing, cell_ray};
 use super::intersect_mesh::MeshTree;
 use super::intervals::Intervals;
@@ -60,13 +59,9 @@ pub fn integrate_density(prepared: &Prepared, sampling: Sampling) -> Density {
     let materials = prepared.material_count;
     let trees: Arc<Vec<MeshTree>> =
         Arc::new(prepared.meshes.iter().map(|seen| MeshTree::new(&seen.vertices_in_camera, &seen.mesh.triangles)).collect());
-    let rule = match sampling {
-        Sampling::ExactSlabs => Some(Rule::Exact),
-        Sampling::SimpsonSlabs => Some(Rule::Simpson),
-        Sampling::ExactCells | Sampling::PiecewiseConstant | Sampling::None => None,
-    };
-    let crossings: Vec<Option<Crossing>> =
-        (0..prepared.volumes.len()).map(|index| Crossing::new(prepared, index, rule?)).collect();
+    let in_slabs = sampling == Sampling::ExactSlabs;
+    let crossing = |index| if in_slabs { Crossing::new(prepared, index) } else { None };
+    let crossings: Vec<Option<Crossing>> = (0..prepared.volumes.len()).map(crossing).collect();
     let mut g_per_cm2 = vec![0.0f32; width * height * materials.max(1)];
     let mut valid = vec![1u8; width * height];
     let bands = g_per_cm2.par_chunks_mut(TILE_ROWS * width * materials.max(1)).zip(valid.par_chunks_mut(TILE_ROWS * width));

@@ -15,6 +15,8 @@ pub trait Lanes: Copy {
     type I: Copy;
     /// A table of 32 numbers.
     type Table: Copy;
+    /// Whether looking up tables beats fetching from memory.
+    const TABLES: bool;
     /// The same in all lanes.
     fn splat(self, value: f32) -> Self::F;
     /// From memory.
@@ -80,6 +82,7 @@ impl Lanes for Portable {
     type M = [bool; LANES];
     type I = [i32; LANES];
     type Table = [f32; 32];
+    const TABLES: bool = false;
     #[inline(always)]
     fn splat(self, value: f32) -> Self::F {
         [value; LANES]
@@ -197,6 +200,7 @@ mod avx512 {
         type M = __mmask16;
         type I = __m512i;
         type Table = (__m512, __m512);
+        const TABLES: bool = true;
         #[inline(always)]
         fn splat(self, value: f32) -> __m512 {
             self.avx512f._mm512_set1_ps(value)

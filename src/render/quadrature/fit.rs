@@ -129,6 +129,17 @@ impl State {
 /// Rounds of reweighting.
 const ROUNDS: usize = 24;
 
+/// Most steps before the first reweighting, and after each.
+const FIRST_STEPS: usize = 200;
+const STEPS: usize = 6;
+
+/// After these steps a root mean square error this many times the goal ends the descent: too few nodes.
+const LOOK: usize = 40;
+const HOPELESS: f64 = 6.0;
+
+/// A step that lowers the cost by less than this part of it is the last.
+const STALLED: f64 = 1e-4;
+
 /// Refines `start` and returns the best nodes met, with their worst error over the problem's paths.
 pub(super) fn refine(problem: &Problem, start: &Nodes, materials: usize) -> (Nodes, f64) {
     let nodes = start.weights.len();
@@ -140,7 +151,7 @@ pub(super) fn refine(problem: &Problem, start: &Nodes, materials: usize) -> (Nod
     let mut emphasis = vec![1.0 / count; problem.paths.len()];
     let mut damping = 1e-2;
     for round in 0..ROUNDS {
-        let steps = if round == 0 { 40 } else { 5 };
+        let steps = if round == 0 { FIRST_STEPS } else { STEPS };
         state = descend(problem, state, &emphasis, steps, &mut damping);
         let worst = state.worst();
         if !(worst >= best.1) {
@@ -164,8 +175,9 @@ pub(super) fn refine(problem: &Problem, start: &Nodes, materials: usize) -> (Nod
 /// Up to `steps` accepted steps downhill.
 fn descend(problem: &Problem, mut state: State, emphasis: &[f64], steps: usize, damping: &mut f64) -> State {
     let mut cost = state.cost(emphasis);
-    for _ in 0..steps {
-        let (hessian, gradient) = state.normal_equations(problem, emphasis);
+    for step in 0..steps {
+        let (mut hessian, mut gradient) = state.normal_equations(problem, emphasis);
+        hold_at_bounds(problem, &state.parameters, &mut hessian, &mut gradient);
         let floor = 1e-12 * hessian.diagonal().max().max(1e-300);
         let before = cost;
         for _ in 0..8 {
@@ -191,11 +203,26 @@ fn descend(problem: &Problem, mut state: State, emphasis: &[f64], steps: usize, 
                 _ => *damping = (*damping * 6.0).min(1e8),
             }
         }
-        if !(cost < before * (1.0 - 1e-3)) || !(state.worst() > problem.goal) {
+        let hopeless = step >= LOOK && cost.sqrt() > HOPELESS * problem.goal;
+        if hopeless || !(cost < before * (1.0 - STALLED)) || !(state.worst() > problem.goal) {
             break;
         }
     }
     state
+}
+
+/// Takes the attenuations that lie on a bound and press against it out of the normal equations.
+fn hold_at_bounds(problem: &Problem, parameters: &Parameters, hessian: &mut DMatrix<f64>, gradient: &mut DVector<f64>) {
+    for index in parameters.nodes..gradient.len() {
+        let (low, high) = problem.ln_bounds[(index - parameters.nodes) % parameters.materials];
+        let b = parameters.values[index];
+        if (b >= high && gradient[index] < 0.0) || (b <= low && gradient[index] > 0.0) {
+            hessian.row_mut(index).fill(0.0);
+            hessian.column_mut(index).fill(0.0);
+            hessian[(index, index)] = 1.0;
+            gradient[index] = 0.0;
+        }
+    }
 }
 
 /// Clamps the attenuations to those of the bins and the weights to what f32 can hold.

@@ -1,5 +1,7 @@
 //! Real bins for the tests; the one place that knows where they come from.
 
+use crate::scene::physics::{Material, Spectrum};
+
 /// Bins of a 120 kV-like beam (`kvp` 40, 80, 120 or 140; 4.3 mm Al), photon fractions, and mass attenuations by material.
 pub struct Fixture {
     pub energies_kev: Vec<f64>,
@@ -7,24 +9,19 @@ pub struct Fixture {
     pub cm2_per_g: Vec<Vec<f64>>,
 }
 
-/// `materials` are columns of `fixture.csv`.
+/// `materials` by name.
 pub fn fixture(kvp: u32, materials: &[&str]) -> Fixture {
-    let mut lines = include_str!("fixture.csv").lines();
-    let header: Vec<&str> = lines.next().expect("header").split(',').collect();
-    let rows: Vec<Vec<f64>> = lines.map(|line| line.split(',').map(|cell| cell.parse().expect("number")).collect()).collect();
-    let column = |name: &str| -> Vec<f64> {
-        let at = header.iter().position(|head| *head == name).expect(name);
-        rows.iter().map(|row| row[at]).filter(|_| true).collect()
-    };
-    let bins = (f64::from(kvp) - 5.0) as usize;
-    let cut = |mut values: Vec<f64>| {
-        values.truncate(bins);
-        values
+    let aluminium = Material::parse("aluminium").expect("known");
+    let spectrum = Spectrum::tungsten(f64::from(kvp), 12.0, &[(aluminium, 4.3)]).expect("inside");
+    let energies_kev: Vec<f64> = spectrum.bins.iter().map(|bin| bin.energy_kev).collect();
+    let row = |name: &&str| {
+        let material = Material::parse(name).expect("known");
+        energies_kev.iter().map(|kev| material.attenuation(*kev).expect("inside").total_cm2_per_g).collect()
     };
     Fixture {
-        energies_kev: cut(column("kev")),
-        photons: cut(column(&format!("{kvp}kv"))),
-        cm2_per_g: materials.iter().map(|name| cut(column(name))).collect(),
+        photons: spectrum.bins.iter().map(|bin| bin.fluence).collect(),
+        cm2_per_g: materials.iter().map(row).collect(),
+        energies_kev,
     }
 }
 
@@ -35,18 +32,18 @@ pub type Case = (&'static str, u32, bool, &'static [(&'static str, f64)]);
 pub const CASES: &[Case] = &[
     ("tissue 400", 120, false, &[("soft_tissue", 42.4)]),
     ("tissue 400, bone 80", 120, false, &[("soft_tissue", 42.4), ("bone_cortical", 15.36)]),
-    ("tissue 300, bone 50, steel 5, nitinol 6", 120, false, &[
-        ("soft_tissue", 31.8),
-        ("bone_cortical", 9.6),
-        ("steel_316l", 4.0),
-        ("nitinol", 3.87),
-    ]),
-    ("tissue 400, bone 80, steel 20, nitinol 10", 120, false, &[
-        ("soft_tissue", 42.4),
-        ("bone_cortical", 15.36),
-        ("steel_316l", 16.0),
-        ("nitinol", 6.45),
-    ]),
+    (
+        "tissue 300, bone 50, steel 5, nitinol 6",
+        120,
+        false,
+        &[("soft_tissue", 31.8), ("bone_cortical", 9.6), ("steel_316l", 4.0), ("nitinol", 3.87)],
+    ),
+    (
+        "tissue 400, bone 80, steel 20, nitinol 10",
+        120,
+        false,
+        &[("soft_tissue", 42.4), ("bone_cortical", 15.36), ("steel_316l", 16.0), ("nitinol", 6.45)],
+    ),
     ("tissue 400, bone 80, steel 20", 120, false, &[("soft_tissue", 42.4), ("bone_cortical", 15.36), ("steel_316l", 16.0)]),
     ("the same three, counting", 120, true, &[("soft_tissue", 42.4), ("bone_cortical", 15.36), ("steel_316l", 16.0)]),
     ("the same three, 40 kV", 40, false, &[("soft_tissue", 42.4), ("bone_cortical", 15.36), ("steel_316l", 16.0)]),
@@ -58,23 +55,27 @@ pub const CASES: &[Case] = &[
     ("water 300, tungsten 1", 120, false, &[("water", 30.0), ("W", 1.93)]),
     ("water 300, Gd 0.3 g/cm2, CsI 1", 120, false, &[("water", 30.0), ("Gd", 0.3), ("CsI", 0.451)]),
     ("steel 200", 120, false, &[("steel_316l", 160.0)]),
-    ("tissue 300, bone 50, lead 2, W 1, I 0.3", 120, false, &[
-        ("soft_tissue", 31.8),
-        ("bone_cortical", 9.6),
-        ("lead", 2.27),
-        ("W", 1.93),
-        ("I", 0.3),
-    ]),
-    ("eight materials", 120, false, &[
-        ("soft_tissue", 31.8),
-        ("bone_cortical", 9.6),
-        ("steel_316l", 4.0),
-        ("nitinol", 3.87),
-        ("titanium", 4.54),
-        ("pmma", 6.0),
-        ("aluminium", 5.4),
-        ("copper", 2.7),
-    ]),
+    (
+        "tissue 300, bone 50, lead 2, W 1, I 0.3",
+        120,
+        false,
+        &[("soft_tissue", 31.8), ("bone_cortical", 9.6), ("lead", 2.27), ("W", 1.93), ("I", 0.3)],
+    ),
+    (
+        "eight materials",
+        120,
+        false,
+        &[
+            ("soft_tissue", 31.8),
+            ("bone_cortical", 9.6),
+            ("steel_316l", 4.0),
+            ("nitinol", 3.87),
+            ("titanium", 4.54),
+            ("pmma", 6.0),
+            ("aluminium", 5.4),
+            ("copper", 2.7),
+        ],
+    ),
 ];
 
 /// Bins of a case: fixture, signal weights, squares, largest.

@@ -8,8 +8,13 @@
 mod mixture;
 mod bins;
 mod paths;
+mod bound;
 mod fit;
 mod search;
+#[cfg(test)]
+mod fixture;
+#[cfg(test)]
+mod tests;
 
 use bins::Bins;
 
@@ -151,12 +156,12 @@ pub enum QuadratureError {
     },
 }
 
-/// The fewest nodes, up to [`MOST_NODES`], whose bounds over `region` are within `tolerance`; else the best nodes met, whose bounds say
-/// so. Deterministic.
+/// The fewest nodes, up to [`MOST_NODES`], whose bounds over `region` are within `tolerance`; none if there are none, and the image
+/// then takes all bins. Deterministic: the same input gives the same bits.
 ///
 /// # Errors
 /// When slices disagree in length, a value is not finite or negative, or a sum of weights is empty.
-pub fn fit(bins: &EnergyBins, region: &Region, tolerance: Tolerance) -> Result<Quadrature, QuadratureError> {
+pub fn fit(bins: &EnergyBins, region: &Region, tolerance: Tolerance) -> Result<Option<Quadrature>, QuadratureError> {
     Ok(search::fewest_nodes(&Bins::new(bins, region)?, tolerance))
 }
 

@@ -40,6 +40,12 @@ pub(super) struct Reach {
 /// Coordinates of the quasi-random points are stretched by this about the middle and clamped, so that many lie on faces.
 const STRETCH: f64 = 1.3;
 
+/// −ln of the strongest thinning.
+const THINNEST: f64 = 6.0;
+
+/// (√5 − 1) / 2: its multiples fill the unit interval evenly.
+const GOLDEN: f64 = 0.618_033_988_749_894_9;
+
 impl Reach {
     pub fn new(bins: &Mixture, largest_g_per_cm2: Vec<f64>, largest_line_integral: Option<f64>) -> Self {
         let knee = |(material, largest): (usize, &f64)| {
@@ -56,15 +62,23 @@ impl Reach {
         let mut unit = Vec::new();
         grid(&mut unit, m, [33, 9, 4, 3, 2, 2, 2][m.min(7) - 1]);
         axes(&mut unit, m, 12);
+        let regular = unit.len() / m;
         scattered(&mut unit, m, quasi_random, 0.5);
-        self.evaluate(bins, &unit)
+        self.evaluate(bins, &unit, regular)
     }
 
-    /// Quasi-random paths only, from another part of the sequence.
+    /// Paths to choose from when a fit misses: denser than the fitted, other than the judged.
     pub fn candidates(&self, bins: &Mixture, quasi_random: usize) -> Paths {
+        let m = self.largest_g_per_cm2.len();
         let mut unit = Vec::new();
-        scattered(&mut unit, self.largest_g_per_cm2.len(), quasi_random, 0.137);
-        self.evaluate(bins, &unit)
+        grid(&mut unit, m, [70, 14, 7, 4, 3, 2, 2][m.min(7) - 1]);
+        axes(&mut unit, m, 27);
+        if m > 2 {
+            pairs(&mut unit, m, 5);
+        }
+        let regular = unit.len() / m;
+        scattered(&mut unit, m, quasi_random, 0.137);
+        self.evaluate(bins, &unit, regular)
     }
 
     /// Paths for judging: a grid with all corners, axes, planes of each pair, and `quasi_random` points.
@@ -76,12 +90,14 @@ impl Reach {
         if m > 2 {
             pairs(&mut unit, m, 7);
         }
+        let regular = unit.len() / m;
         scattered(&mut unit, m, quasi_random, 0.811);
-        self.evaluate(bins, &unit)
+        self.evaluate(bins, &unit, regular)
     }
 
-    /// Maps points of the unit cube into the box, even ones linearly and odd ones by sinh, and shortens what is out of reach.
-    fn evaluate(&self, bins: &Mixture, unit: &[f64]) -> Paths {
+    /// Maps points of the unit cube into the box, even ones linearly and odd ones by sinh, and shortens what is out of reach. After
+    /// `regular` points every other pair is thinned as a whole: independent lengths are hardly ever all short.
+    fn evaluate(&self, bins: &Mixture, unit: &[f64], regular: usize) -> Paths {
         let m = self.largest_g_per_cm2.len();
         let mut paths = Paths { materials: m, ..Paths::default() };
         let (mut path, mut depths) = (vec![0.0; m], Vec::new());
@@ -94,6 +110,10 @@ impl Reach {
                     u * largest
                 };
             }
+            if index >= regular && index % 4 > 1 {
+                let scale = (-THINNEST * (index as f64 * GOLDEN).fract()).exp();
+                path.iter_mut().for_each(|length| *length *= scale);
+            }
             self.shorten(bins, &mut path, &mut depths);
             paths.exact.push(bins.line_integrals(&path, &mut depths));
             paths.g_per_cm2.extend_from_slice(&path);
@@ -103,7 +123,7 @@ impl Reach {
 
     /// Scales `path` down until its line integral is within reach.
     // −ln I is 0 at 0 and concave in the scale, so scaling by limit / (−ln I) approaches the limit from above and never crosses it.
-    fn shorten(&self, bins: &Mixture, path: &mut [f64], depths: &mut Vec<f64>) {
+    pub fn shorten(&self, bins: &Mixture, path: &mut [f64], depths: &mut Vec<f64>) {
         let Some(limit) = self.largest_line_integral else { return };
         for _ in 0..12 {
             let [line_integral, ..] = bins.line_integrals(path, depths);

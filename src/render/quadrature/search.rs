@@ -1,13 +1,14 @@
 //! The fewest nodes that meet a tolerance: fit, exchange, judge, one node more.
 
 use super::bins::Bins;
+use super::bound::{errors, worst_nearby};
 use super::fit::{Nodes, Problem, refine};
 use super::mixture::{Mixture, SUMS};
 use super::paths::Paths;
 use super::{MOST_NODES, Quadrature, QuadratureNode, Tolerance, worst};
 
 /// The judged worst error is multiplied by this to give the bound.
-const MARGIN: f64 = 1.25;
+const MARGIN: f64 = 1.4;
 
 /// The worst error a fit stops at, as a part of the tolerance: a little below 1 / [`MARGIN`].
 const GOAL: f64 = 0.74;
@@ -19,11 +20,15 @@ const JUDGED: usize = 2500;
 const EXCHANGED: usize = 12;
 const EXCHANGES: usize = 4;
 
+/// How often a fit that is good enough but judged otherwise is tightened, and by how much.
+const ATTEMPTS: usize = 3;
+const TIGHTER: f64 = 0.6;
+
 /// As [`super::fit`].
-pub(super) fn fewest_nodes(bins: &Bins, tolerance: Tolerance) -> Quadrature {
+pub(super) fn fewest_nodes(bins: &Bins, tolerance: Tolerance) -> Option<Quadrature> {
     let materials = bins.active.len();
     if materials == 0 {
-        return nothing_in_the_beam(bins);
+        return Some(nothing_in_the_beam(bins));
     }
     let mut search = Search {
         bins,
@@ -33,41 +38,26 @@ pub(super) fn fewest_nodes(bins: &Bins, tolerance: Tolerance) -> Quadrature {
         judged: None,
     };
     let importance = search.importance();
-    let mut fewer: Option<(Nodes, f64)> = None;
-    let mut best: Option<Quadrature> = None;
+    let mut fewer: Option<Nodes> = None;
     for count in 1..=MOST_NODES {
         if bins.mixture.terms() <= count {
-            return search.judge(&bins.mixture.clone());
+            let quadrature = search.judge(&bins.mixture);
+            return quadrature.meets(tolerance).then_some(quadrature);
         }
-        let mut starts = vec![grouped(&bins.mixture, &importance, count)];
-        if let Some((nodes, _)) = &fewer {
-            starts.push(split(bins, nodes));
-        }
-        let mut of_count: Option<(Nodes, f64)> = None;
-        for start in starts {
-            let (nodes, error) = search.fit(&start);
-            if error * MARGIN <= tolerance.signal {
-                let quadrature = search.judge(&search.with_noise(&nodes));
-                if quadrature.meets(tolerance) {
-                    return quadrature;
-                }
-                if best.as_ref().is_none_or(|best| quadrature.bound < best.bound) {
-                    best = Some(quadrature);
-                }
+        let mut closest: Option<(Nodes, f64)> = None;
+        let groups = grouped(&bins.mixture, &importance, count);
+        for start in [Some(groups), fewer.map(|nodes| split(nodes, materials))].into_iter().flatten() {
+            let (nodes, error, quadrature) = search.attempt(&start);
+            if quadrature.is_some() {
+                return quadrature;
             }
-            if of_count.as_ref().is_none_or(|(_, least)| error < *least) {
-                of_count = Some((nodes, error));
+            if closest.as_ref().is_none_or(|(_, least)| error < *least) {
+                closest = Some((nodes, error));
             }
         }
-        fewer = of_count;
+        fewer = closest.map(|(nodes, _)| nodes);
     }
-    if let Some((nodes, _)) = fewer {
-        let last = search.judge(&search.with_noise(&nodes));
-        if best.as_ref().is_none_or(|best| last.bound < best.bound) {
-            best = Some(last);
-        }
-    }
-    best.unwrap_or_else(|| search.judge(&bins.mixture.clone()))
+    None
 }
 
 /// One node: with nothing in the beam every sum is its air value.
@@ -86,16 +76,39 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
-    fn problem<'p>(&'p self, sum: usize) -> Problem<'p> {
-        let goal = if sum == 0 { GOAL * self.tolerance.signal } else { 0.1 * self.tolerance.noise };
+    fn problem<'p>(&'p self, sum: usize, goal: f64) -> Problem<'p> {
         Problem { paths: &self.fitted, sum, ln_bounds: &self.bins.ln_bounds, attenuation_free: sum == 0, goal }
+    }
+
+    /// Fits from `start`, to a tighter goal as long as the judgement asks for it. Returns the nodes, their worst error over the paths
+    /// of the fit, and the quadrature if it is within the tolerance.
+    fn attempt(&mut self, start: &Nodes) -> (Nodes, f64, Option<Quadrature>) {
+        let mut goal = GOAL * self.tolerance.signal;
+        let (mut nodes, mut error) = self.fit(start, goal);
+        for _ in 0..ATTEMPTS {
+            if !(error * MARGIN <= self.tolerance.signal) {
+                break;
+            }
+            let quadrature = self.judge(&self.with_noise(&nodes));
+            if quadrature.meets(self.tolerance) {
+                return (nodes, error, Some(quadrature));
+            }
+            // Missed where the fit does not look, or by the noise, whose weights gain from better placed nodes.
+            goal = TIGHTER * error.min(goal);
+            let (tighter, lower) = self.fit(&nodes, goal);
+            if !(lower < error) {
+                break;
+            }
+            (nodes, error) = (tighter, lower);
+        }
+        (nodes, error, None)
     }
 
     /// Refines `start`, taking the worst candidate paths into the fit as long as they miss the tolerance. Returns the nodes and their
     /// worst error over both sets of paths.
-    fn fit(&mut self, start: &Nodes) -> (Nodes, f64) {
+    fn fit(&mut self, start: &Nodes, goal: f64) -> (Nodes, f64) {
         let materials = self.bins.active.len();
-        let (mut nodes, mut fitted) = refine(&self.problem(0), start, materials);
+        let (mut nodes, mut fitted) = refine(&self.problem(0, goal), start, materials);
         let mut best = (nodes.clone(), f64::INFINITY);
         for exchange in 0..=EXCHANGES {
             let errors = errors(&nodes.mixture(materials), &self.candidates, 1);
@@ -103,8 +116,8 @@ impl Search<'_> {
             if error < best.1 {
                 best = (nodes.clone(), error);
             }
-            let hopeless = !(fitted * MARGIN <= self.tolerance.signal);
-            if exchange == EXCHANGES || hopeless || error * MARGIN <= self.tolerance.signal {
+            let limit = goal * GOAL.recip() / MARGIN;
+            if exchange == EXCHANGES || !(fitted <= limit) || error <= limit {
                 break;
             }
             let mut order: Vec<usize> = (0..errors.len()).collect();
@@ -112,7 +125,7 @@ impl Search<'_> {
             for index in order.into_iter().take(EXCHANGED) {
                 self.fitted.take(&self.candidates, index);
             }
-            (nodes, fitted) = refine(&self.problem(0), &nodes, materials);
+            (nodes, fitted) = refine(&self.problem(0, goal), &nodes, materials);
         }
         best
     }
@@ -121,7 +134,7 @@ impl Search<'_> {
     fn with_noise(&self, nodes: &Nodes) -> Mixture {
         let mut mixture = nodes.mixture(self.bins.active.len());
         for sum in 1..self.bins.sums {
-            let (of_sum, _) = refine(&self.problem(sum), nodes, mixture.materials);
+            let (of_sum, _) = refine(&self.problem(sum, 0.1 * self.tolerance.noise), nodes, mixture.materials);
             for (weights, weight) in mixture.weights.iter_mut().zip(&of_sum.weights) {
                 weights[sum] = *weight;
             }
@@ -134,7 +147,10 @@ impl Search<'_> {
         let bins = self.bins;
         let judged = self.judged.get_or_insert_with(|| bins.reach.for_judging(&bins.mixture, JUDGED));
         let errors = errors(mixture, judged, bins.sums);
-        let bound_of = |sum: usize| MARGIN * worst(errors.iter().map(|e| e[sum]));
+        let bound_of = |sum: usize| {
+            let tolerance = if sum == 0 { self.tolerance.signal } else { self.tolerance.noise };
+            MARGIN * worst_nearby(bins, mixture, judged, &errors, sum, tolerance / MARGIN)
+        };
         let mut nodes: Vec<QuadratureNode> = (0..mixture.terms())
             .map(|term| {
                 let attenuation = mixture.attenuation(term);
@@ -161,20 +177,6 @@ impl Search<'_> {
     }
 }
 
-/// (−ln of nodes + ln of bins) / max(1, −ln of bins) a path, for the first `sums` sums.
-fn errors(mixture: &Mixture, paths: &Paths, sums: usize) -> Vec<[f64; SUMS]> {
-    let mut depths = Vec::new();
-    let of_path = |index: usize| {
-        let (found, exact) = (mixture.line_integrals(paths.path(index), &mut depths), paths.exact[index]);
-        let mut error = [0.0; SUMS];
-        for sum in 0..sums {
-            error[sum] = (found[sum] - exact[sum]) / exact[sum].max(1.0);
-        }
-        error
-    };
-    (0..paths.len()).map(of_path).collect()
-}
-
 /// Neighbouring bins in `count` groups of equal importance, lumped to their weights and importance-weighted mean attenuations.
 fn grouped(bins: &Mixture, importance: &[f64], count: usize) -> Nodes {
     let total: f64 = importance.iter().sum();
@@ -196,17 +198,15 @@ fn grouped(bins: &Mixture, importance: &[f64], count: usize) -> Nodes {
 }
 
 /// One node more: the heaviest in two, a quarter up and down in attenuation.
-fn split(bins: &Bins, nodes: &Nodes) -> Nodes {
-    let materials = bins.active.len();
+fn split(mut nodes: Nodes, materials: usize) -> Nodes {
     let heaviest = (0..nodes.weights.len()).fold(0, |best, n| if nodes.weights[n] > nodes.weights[best] { n } else { best });
-    let mut split = nodes.clone();
-    split.weights[heaviest] *= 0.5;
-    split.weights.push(split.weights[heaviest]);
+    nodes.weights[heaviest] *= 0.5;
+    nodes.weights.push(nodes.weights[heaviest]);
     let range = heaviest * materials..(heaviest + 1) * materials;
-    let halves: Vec<f64> = nodes.cm2_per_g[range.clone()].iter().map(|mu| mu * 0.8).collect();
-    split.cm2_per_g[range].iter_mut().for_each(|mu| *mu *= 1.25);
-    split.cm2_per_g.extend(halves);
-    split
+    let softer: Vec<f64> = nodes.cm2_per_g[range.clone()].iter().map(|mu| mu * 0.8).collect();
+    nodes.cm2_per_g[range].iter_mut().for_each(|mu| *mu *= 1.25);
+    nodes.cm2_per_g.extend(softer);
+    nodes
 }
 
 fn mean_energy(bins: &Bins) -> f64 {

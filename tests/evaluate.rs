@@ -40,7 +40,7 @@ impl Draw {
 /// A scene and the error that is asked for.
 fn extreme(seed: u64) -> (Scene, f64) {
     let mut draw = Draw(Stream::new(seed, 7, 0, Purpose::Evaluation));
-    let materials = ["soft_tissue", "bone_cortical", "titanium", "steel_316l", "lead", "iodine", "water"];
+    let materials = ["soft_tissue", "bone_cortical", "titanium", "steel_316l", "lead", "I", "water"];
     let mut scene = empty(&materials);
     let size: [usize; 3] = match draw.pick(&[0, 1, 2, 3, 3, 3]) {
         0 => [1, 1, 1],

@@ -124,7 +124,7 @@ fn the_fast_path_refuses_and_the_plan_names_it() {
     // A plan that was made for the fast path is refused as well, and a trilinear scene has no trace of the mode.
     scene.model.voxels = Voxels::Trilinear;
     let plan = renderer.plan(&scene, &fast).expect("planned");
-    assert!(plan.sampling == Sampling::ExactCells && !plan.explain().contains("Siddon"));
+    assert!(plan.sampling == Sampling::ExactSlabs && !plan.explain().contains("Siddon"));
     scene.model.voxels = Voxels::PiecewiseConstant;
     let error = renderer.render(&scene, &Options { plan: Some(plan), ..fast }).expect_err("another definition");
     assert!(matches!(error, RenderError::ReferenceOnly { .. }), "{error}");

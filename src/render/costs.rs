@@ -104,7 +104,6 @@ impl Costs {
         if let Some(costs) = cached.filter(|costs| costs.machine == machine && costs.is_sound()) {
             return costs;
         }
-        reporter.note(format_args!("measuring what rendering costs on this machine (once)"));
         let measured = Self { machine, ..measure() };
         if let Some(path) = path
             && let Some(folder) = path.parent()

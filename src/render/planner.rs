@@ -294,6 +294,7 @@ fn nodes_of(fit: &Quadrature) -> Vec<Node> {
     // Where no noise is asked for, photons are not fitted; signal over energy is near enough for people to read.
     let photon =
         |node: &QuadratureNode| if node.photon_weight > 0.0 { node.photon_weight } else { node.signal_weight / node.energy_kev };
+    let signal: f64 = fit.nodes.iter().map(|node| node.signal_weight).sum();
     let photons: f64 = fit.nodes.iter().map(photon).sum();
     let squares: f64 = fit.nodes.iter().map(|node| node.square_weight).sum();
     fit.nodes
@@ -302,7 +303,7 @@ fn nodes_of(fit: &Quadrature) -> Vec<Node> {
             energy_kev: node.energy_kev,
             fraction: photon(node) / photons,
             fitted: Some(Fitted {
-                signal_share: node.signal_weight,
+                signal_share: node.signal_weight / signal,
                 square_share: if squares > 0.0 { node.square_weight / squares } else { 0.0 },
                 cm2_per_g: node.cm2_per_g.clone(),
             }),

@@ -168,8 +168,9 @@ fn slopes<S: Lanes>(s: S, bundle: &Bundle) -> Slopes<S> {
             let slope = bundle.slope[axis][l] as f32;
             value[axis][l] = slope;
             inverse[axis][l] = if slope.abs() < 1e-20 { 1e20 } else { 1.0 / slope };
-            ahead[axis][l] = if slope > 0.0 { 1.0 } else { 0.0 };
-            step[axis][l] = if slope > 0.0 { 1.0 } else { -1.0 };
+            // A slope of 0 looks ahead: the face there is never reached.
+            ahead[axis][l] = if slope >= 0.0 { 1.0 } else { 0.0 };
+            step[axis][l] = if slope >= 0.0 { 1.0 } else { -1.0 };
             l += 1;
         }
         axis += 1;

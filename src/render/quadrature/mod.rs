@@ -92,7 +92,7 @@ pub struct QuadratureNode {
 pub struct Quadrature {
     /// By ascending energy.
     pub nodes: Vec<QuadratureNode>,
-    /// 1.25 times the worst |Δ ln I| / max(1, −ln I) found over the box.
+    /// 1.4 times the worst |Δ ln I| / max(1, −ln I) found over the box.
     pub bound: f64,
     /// The same for Σ φ T and Σ φ r² T, the worse of them; 0 where noise was not asked for.
     pub noise_bound: f64,

@@ -11,7 +11,7 @@ use super::{MOST_NODES, Quadrature, QuadratureNode, Tolerance, worst};
 const MARGIN: f64 = 1.4;
 
 /// The worst error a fit stops at, as a part of the tolerance: a little below 1 / [`MARGIN`].
-const GOAL: f64 = 0.74;
+const GOAL: f64 = 0.69;
 
 /// Quasi-random paths that are judged, beside grid, axes and planes.
 const JUDGED: usize = 2500;

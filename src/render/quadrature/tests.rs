@@ -104,7 +104,7 @@ const MOST: &[(&str, [usize; 3])] = &[
     ("water 300, lead 2", [3, 5, 8]),
     ("water 300, iodine 0.3 g/cm2", [3, 4, 7]),
     ("tissue 300, bone 50, iodine 0.3 g/cm2", [4, 5, 7]),
-    ("water 300, tungsten 1", [3, 5, 9]),
+    ("water 300, tungsten 1", [3, 6, 9]),
     ("water 300, Gd 0.3 g/cm2, CsI 1", [3, 6, 9]),
     ("steel 200", [4, 6, 8]),
     ("tissue 300, bone 50, lead 2, W 1, I 0.3", [8, 11, 99]),

@@ -9,6 +9,7 @@ use sidecarm::random::{Purpose, Stream};
 use sidecarm::render::{Options, Quantity, Rendered, Renderer};
 use sidecarm::reporter::Reporter;
 use sidecarm::scene::model::{Beam, Detector, Formation, Matter, Model, Noise, Object, Response, Scene, Shape, Solid, Volume};
+use sidecarm::scene::optics::{BeamShape, Panel};
 use sidecarm::scene::physics::{Bin, Material, Spectrum};
 
 /// A camera at the origin of `lps` that looks along +z; 96×96 pixels of 1 mm, detector at 1000 mm.
@@ -26,7 +27,7 @@ pub fn empty(materials: &[&str]) -> Scene {
         materials: materials.iter().map(|name| Material::parse(name).expect("known")).collect(),
         objects: Vec::new(),
         view: Some(view()),
-        beam: Beam { spectrum: Spectrum::mono(60.0).expect("inside"), photons_per_pixel: 5e5 },
+        beam: Beam { spectrum: Spectrum::mono(60.0).expect("inside"), photons_per_pixel: 5e5, shape: BeamShape::default() },
         detector: Detector {
             response: Response::Energy,
             pitch_mm: 1.0,
@@ -34,6 +35,7 @@ pub fn empty(materials: &[&str]) -> Scene {
             readout_noise: None,
             gain: 1.0,
             offset: 0.0,
+            panel: Panel::default(),
         },
         model: Model { formation: Formation::Deepdrr, noise: Noise::Off, seed: 1 },
         inputs: Vec::new(),

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::Quantity;
+use super::{Quantity, chain, flood};
 use crate::scene::model::{Formation, Matter, Noise, Response, Scene};
 
 /// Which of the two executors.
@@ -139,8 +139,11 @@ impl Plan {
         let nodes: Vec<Node> = if area {
             Vec::new()
         } else {
-            let bins = scene.beam.spectrum.bins.iter().filter(|bin| bin.fluence > 0.0);
-            bins.map(|bin| Node { energy_kev: bin.energy_kev, fraction: bin.fluence }).collect()
+            let bins = flood::detected_bins(scene);
+            bins.iter()
+                .filter(|bin| !(bin.fluence <= 0.0))
+                .map(|bin| Node { energy_kev: bin.energy_kev, fraction: bin.fluence })
+                .collect()
         };
         if area {
             choose("spectrum", false, "area density does not depend on energy".into());
@@ -180,7 +183,7 @@ impl Plan {
             choose("GPU", false, format!("{reason}: the CPU executor renders this scene"));
         }
         choose("scatter", false, "not available in this version".into());
-        choose("blur of focal spot and scintillator", false, "not available in this version".into());
+        choices.extend(chain::choices(scene, quantity));
         Self {
             executor,
             quantity,

@@ -12,7 +12,7 @@ use super::plan::{Executor, Plan, noise_applies};
 use super::prepared::Prepared;
 use super::spectrum::Bins;
 use super::wgsl::{self, Executed, NoiseKey, WgslExecutor};
-use super::{Quantity, RenderError, reference};
+use super::{Quantity, RenderError, chain, flood, reference};
 use crate::geometry::View;
 use crate::gpu::{Device, DeviceChoice, cpu_name};
 use crate::image::Image;
@@ -40,7 +40,7 @@ pub struct Rendered {
     pub pages: Vec<Image<f32>>,
     /// What they hold.
     pub quantity: Quantity,
-    /// 1 where the ray stayed inside the scan.
+    /// 1 where the ray stayed inside the scan and the pixel lies wholly inside the field.
     pub valid: Image<u8>,
     /// The executed [`Plan`].
     pub plan: serde_json::Value,
@@ -119,7 +119,7 @@ impl Renderer {
         let image = |pixels: Vec<f32>| Image { width: size[0], height: size[1], pixels };
         let noisy = noise_applies(scene, plan.quantity);
         let bins = if plan.quantity == Quantity::AreaDensity { None } else { Some(Bins::new(scene, &plan.energy_nodes)?) };
-        let cast = match plan.executor {
+        let mut cast = match plan.executor {
             Executor::Reference => self.cast_reference(scene, &view, bins.as_ref(), noisy, &mut stages)?,
             Executor::Wgsl => self.cast_wgsl(scene, &prepared, bins.as_ref(), noisy.then_some(&plan), &mut stages, &mut notes)?,
             Executor::Cpu => self.cast_cpu(&prepared, bins.as_ref(), noisy, &mut stages),
@@ -130,17 +130,22 @@ impl Renderer {
             self.reporter.warn("empty image", &why);
             notes.push(why);
         }
-        let valid = Image { width: size[0], height: size[1], pixels: cast.density.valid.clone() };
+        let mut valid = Image { width: size[0], height: size[1], pixels: cast.density.valid.clone() };
         let pages = match &bins {
             None => area_pages(&cast.density).into_iter().map(image).collect(),
             Some(bins) => {
-                let obliquity = if noisy || plan.quantity == Quantity::Counts { detector::obliquity(&view) } else { Vec::new() };
+                let photons = noisy || plan.quantity == Quantity::Counts;
+                let made_by = (plan.energy_nodes.as_slice(), plan.executor);
+                let flood = stages.measure("shape_beam", || {
+                    chain::shape(scene, &view, made_by, &cast.density, bins, &mut cast.signal, photons)
+                })?;
+                chain::close(&flood, &mut valid.pixels, &mut notes);
                 let noise = if noisy {
                     stages.measure("add_noise", || {
-                        let deviates = cast.deviates.unwrap_or_else(|| {
-                            add_noise(&detector::expected_photons(scene, &cast.signal, &obliquity), plan.seed, plan.frame_index)
+                        let deviates = cast.deviates.filter(|_| flood::is_plain(scene)).unwrap_or_else(|| {
+                            add_noise(&detector::expected_photons(&cast.signal, &flood), plan.seed, plan.frame_index)
                         });
-                        detector::intensity_noise(scene, &view, bins, &cast.signal, &deviates, &obliquity, plan.frame_index)
+                        detector::intensity_noise(scene, &view, &flood, &cast.signal, &deviates, plan.frame_index)
                     })
                 } else {
                     Vec::new()
@@ -152,8 +157,11 @@ impl Renderer {
                         "noisy line integrals are -ln max(I, 1/(2 N0)) with 1/(2 N0) = {floor:.3e}: none exceeds {highest:.2}"
                     ));
                 }
-                let line = &cast.signal.line_integral;
-                let page = stages.measure("detect", || detector::page(scene, plan.quantity, line, &noise, bins, &obliquity));
+                let page = stages.measure("detect", || {
+                    let line = detector::seen_line_integral(scene, &view, &cast.signal.line_integral, &flood);
+                    detector::page(scene, plan.quantity, &line, &noise, &flood)
+                });
+                chain::note_clipped(scene, plan.quantity, &page, &flood, &mut notes);
                 vec![image(page)]
             }
         };
@@ -282,6 +290,7 @@ fn cached_cells(cache: &mut Vec<(Arc<Volume>, Arc<Cells>)>, volume: &Arc<Volume>
 }
 
 fn check(scene: &Scene) -> Result<(), RenderError> {
+    chain::check(scene)?;
     let n0 = scene.beam.photons_per_pixel;
     if !(n0 > 0.0 && n0.is_finite()) {
         return Err(RenderError::Number { what: "beam.photons_per_pixel", value: n0, expected: "a positive number" });

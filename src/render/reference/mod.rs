@@ -6,12 +6,15 @@
 //!    objects cover is taken off: matter at a point is that of the last object that has any there. Lumens cover nothing.
 //! 2. Kept air comes after all other matter, again the last object first.
 //! 3. ρ is integrated over what is left: shapes and meshes by length, volumes by the trilinear field, a cubic in each cell.
-//! 4. Every energy bin attenuates by itself.
+//! 4. Every energy bin attenuates by itself, behind what heel and bow-tie leave of it in the pixel.
+//!
+//! Collimation, blur, noise, saturation and digits are none of its business: they act on its result as on that of the executors.
 
 mod beam;
 mod intervals;
 mod mesh;
 mod shapes;
+mod tube;
 mod volume;
 
 pub use intervals::Intervals;
@@ -132,7 +135,7 @@ pub fn area_densities(scene: &Scene, view: &View, pixel: [f64; 2]) -> Result<Vec
     Ok(Reference::new(scene, view)?.area_densities(pixel))
 }
 
-/// Renders every pixel, noise-free, in f64: one page, or one per scene material for [`Quantity::AreaDensity`].
+/// Renders every pixel, noise-free, without collimation, blur or digits, in f64: one page, or one per scene material for [`Quantity::AreaDensity`].
 ///
 /// # Errors
 /// When fx · pitch is no distance, the image has no pixels, or attenuation is not tabulated.
@@ -151,12 +154,13 @@ pub fn render(scene: &Scene, view: &View, quantity: Quantity) -> Result<Vec<Imag
     let value = |index: usize| {
         let areas = reference.area_densities(pixel(index));
         match quantity {
-            Quantity::Intensity => beam.intensity(&areas),
-            Quantity::Counts => beam.counts(&areas, view, pixel(index)),
-            Quantity::LineIntegral | Quantity::AreaDensity => beam.line_integral(&areas),
+            Quantity::Intensity => beam.intensity_at(&areas, view, pixel(index)),
+            Quantity::Counts => beam.counts_at(&areas, view, pixel(index)),
+            Quantity::LineIntegral | Quantity::AreaDensity => beam.line_integral_at(&areas, view, pixel(index)),
         }
     };
-    Ok(vec![image((0..width * height).into_par_iter().map(value).collect())])
+    let values: Result<Vec<f64>, RenderError> = (0..width * height).into_par_iter().map(value).collect();
+    Ok(vec![image(values?)])
 }
 
 /// 1 where [`Reference::is_valid`], 0 elsewhere.

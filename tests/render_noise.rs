@@ -2,11 +2,11 @@
 
 use sidecarm::gpu::DeviceChoice;
 use sidecarm::random::{Purpose, Stream};
-use sidecarm::render::Quantity;
 use sidecarm::render::cpu::add_noise::{add_noise, poisson};
+use sidecarm::render::{Options, Quantity, Renderer};
 use sidecarm::scene::model::{Noise, ReadoutNoise, Response};
 
-use crate::render_scenes::{empty, render_on, spectrum};
+use crate::render_scenes::{empty, render_on, software_vulkan, spectrum};
 
 const DRAWS: u32 = 200_000;
 
@@ -16,11 +16,6 @@ fn draws(expected: f64) -> Vec<f64> {
 
 fn ln_factorial(k: f64) -> f64 {
     (1..=k as u64).map(|i| (i as f64).ln()).sum()
-}
-
-/// P(X ≤ k) by summing from the mode's neighbourhood.
-fn cdf(expected: f64, up_to: u64) -> f64 {
-    (0..=up_to).map(|k| (k as f64 * expected.ln() - expected - ln_factorial(k as f64)).exp()).sum::<f64>().min(1.0)
 }
 
 /// Pearson's χ² over cells that expect at least 20, and the cells' number less one.
@@ -95,19 +90,129 @@ fn large_numbers_have_the_right_moments() {
     assert_eq!(cases, 3);
 }
 
-#[test]
-fn the_cumulative_distribution_agrees_where_the_method_changes() {
-    let expected = 1000.5;
-    let sample = draws(expected);
-    // The limit is the 1e-6 point of Kolmogorov's distribution plus Cornish–Fisher's own distance.
-    let limit = 2.7 / f64::from(DRAWS).sqrt() + 1.2e-5;
-    let distance = |expected: f64| {
-        let quantiles = [920u64, 960, 980, 1000, 1020, 1040, 1080];
-        let at = |k: u64| sample.iter().filter(|x| **x <= k as f64).count() as f64 / f64::from(DRAWS);
-        quantiles.iter().map(|k| (at(*k) - cdf(expected, *k)).abs()).fold(0.0, f64::max)
+/// The first k of a table, and P(X ≤ k), P(X ≤ k + 1), … from there: twelve σ to either side of the mode, by recurrence from Stirling's ln k!.
+fn cumulative(expected: f64) -> (f64, Vec<f64>) {
+    let reach = 12.0 * expected.sqrt() + 30.0;
+    let (first, mode) = ((expected - reach).floor().max(0.0), expected.floor());
+    let last = expected.floor() + reach.ceil();
+    let ln_factorial = if mode < 100.0 {
+        ln_factorial(mode)
+    } else {
+        (mode + 0.5) * mode.ln() - mode + 0.5 * std::f64::consts::TAU.ln() + 1.0 / (12.0 * mode) - 1.0 / (360.0 * mode.powi(3))
     };
-    assert!(distance(expected) < limit, "{} and {limit}", distance(expected));
-    assert!(distance(expected + 1.0) > limit, "the control");
+    let at_mode = (mode * expected.ln() - expected - ln_factorial).exp();
+    let below = (mode - first) as usize;
+    let mut probability = vec![at_mode; (last - first) as usize + 1];
+    (0..below).rev().for_each(|i| probability[i] = probability[i + 1] * (first + i as f64 + 1.0) / expected);
+    (below + 1..probability.len()).for_each(|i| probability[i] = probability[i - 1] * expected / (first + i as f64));
+    let mut sum = 0.0;
+    probability.iter_mut().for_each(|p| {
+        sum += *p;
+        *p = sum;
+    });
+    // ln k! − k ln λ + λ cancels to a few 1e-7 at λ = 1e8.
+    assert!((sum - 1.0).abs() < 1e-5, "λ = {expected}: probabilities add up to {sum}");
+    (first, probability.iter().map(|p| p / sum).collect())
+}
+
+/// Kolmogorov's distance between a sample and the Poisson law.
+fn distance(sample: &[f64], expected: f64) -> f64 {
+    let (first, law) = cumulative(expected);
+    let mut counts = vec![0.0; law.len()];
+    sample.iter().for_each(|k| counts[(k - first).clamp(0.0, law.len() as f64 - 1.0) as usize] += 1.0);
+    let (mut seen, mut largest) = (0.0, 0.0f64);
+    for (count, law) in counts.iter().zip(&law) {
+        seen += count / sample.len() as f64;
+        largest = largest.max((seen - law).abs());
+    }
+    largest
+}
+
+/// Distance that a sample of `n` exceeds once in a million, √(½ ln 2e6 / n), plus Cornish–Fisher's own.
+fn limit(n: usize) -> f64 {
+    (0.5 * 2e6f64.ln() / n as f64).sqrt() + 1.2e-5
+}
+
+#[test]
+fn the_cumulative_distribution_agrees_from_a_millionth_to_a_hundred_million() {
+    let mut cases = 0;
+    for expected in [1e-6, 1e-4, 0.02, 0.5, 2.0, 9.99, 10.01, 50.0, 300.0, 999.9, 1000.5, 1e4, 1e5, 1e6, 1e7, 1e8] {
+        let sample = draws(expected);
+        let found = distance(&sample, expected);
+        assert!(found < limit(sample.len()), "λ = {expected}: {found:.1e}");
+        // A mean that is off by 4 % of the standard deviation, or for rare events by as much as six of them in the whole sample.
+        let shift = (0.04 * expected.sqrt()).max(1.8e-2 * (1.0 - expected).max(0.0));
+        let control = distance(&sample, expected + shift);
+        assert!(control > limit(sample.len()), "λ = {expected}: the control passes with {control:.1e}");
+        cases += 1;
+    }
+    assert_eq!(cases, 16);
+}
+
+#[test]
+fn a_plain_gaussian_would_be_found_out_at_a_thousand() {
+    let n = 4_000_000u32;
+    let mean = 1000.5f64;
+    let stream = |pixel: u32| Stream::new(21, 0, pixel, Purpose::QuantumNoise);
+    let good: Vec<f64> = (0..n).map(|pixel| poisson(mean, &mut stream(pixel))).collect();
+    let gaussian: Vec<f64> = (0..n).map(|pixel| (mean + mean.sqrt() * stream(pixel).normal()).round()).collect();
+    let (found, control) = (distance(&good, mean), distance(&gaussian, mean));
+    println!("Kolmogorov distance {found:.1e}, of a plain Gaussian {control:.1e}, limit {:.1e}", limit(n as usize));
+    assert!(found < limit(n as usize) && control > limit(n as usize));
+    assert!(
+        excess(&good, mean).abs() < 5.0 && excess(&gaussian, mean) > 5.0,
+        "{} {}",
+        excess(&good, mean),
+        excess(&gaussian, mean)
+    );
+}
+
+/// The shader's photon numbers at one mean, read back from counting pixels in parallel light.
+fn shader_numbers(renderer: &mut Renderer, expected: f64, frames: u32) -> Vec<f64> {
+    let mut scene = empty(&["water"]);
+    let view = scene.view.as_mut().expect("has one");
+    view.size_px = [512, 400];
+    (view.intrinsics.fx, view.intrinsics.fy) = (1e7, 1e7);
+    scene.detector.pitch_mm = 1e-4;
+    scene.detector.response = Response::Counting;
+    scene.beam.photons_per_pixel = expected;
+    scene.model.noise = Noise::True;
+    let frame = |frame_index: u32| {
+        let options = Options { quantity: Quantity::Intensity, frame_index, ..Options::default() };
+        let rendered = renderer.render(&scene, &options).expect("renders");
+        assert_eq!(rendered.plan["executor"], "wgsl", "{:?}", rendered.notes);
+        rendered.pages[0].pixels.iter().map(|value| (f64::from(*value) * expected).round()).collect::<Vec<f64>>()
+    };
+    (0..frames).flat_map(frame).collect()
+}
+
+#[test]
+fn the_shader_draws_from_the_poisson_law_as_well() {
+    let Some(mut vulkan) = software_vulkan() else { return };
+    let mut cases = 0;
+    for expected in [1e-3, 0.05, 0.7, 3.0, 9.9, 10.1, 60.0, 300.0, 999.0, 1001.0, 1e4, 1e5] {
+        let sample = shader_numbers(&mut vulkan, expected, 1);
+        let (found, limit) = (distance(&sample, expected), limit(sample.len()));
+        assert!(found < limit, "λ = {expected}: {found:.1e}");
+        let shift = (0.04 * expected.sqrt()).max(1.8e-2 * (1.0 - expected).max(0.0));
+        assert!(distance(&sample, expected + shift) > limit, "λ = {expected}: the control");
+        if expected < 1e4 {
+            let found = excess(&sample, expected);
+            assert!(found.abs() < 5.0, "λ = {expected}: χ² is {found:.1} σ off");
+        }
+        cases += 1;
+    }
+    assert_eq!(cases, 12);
+    // Rare photons: 2.05e6 pixels expect 20.5 at λ = 1e-5.
+    let ones: f64 = shader_numbers(&mut vulkan, 1e-5, 10).iter().sum();
+    assert!((ones - 20.48).abs() < 5.0 * 20.48f64.sqrt(), "{ones}");
+    for expected in [1e7f64, 1e8] {
+        // f32 intensities near 1 resolve 6e-4 σ at 1e8.
+        let sample = shader_numbers(&mut vulkan, expected, 1);
+        let n = sample.len() as f64;
+        let moment = |power: i32| sample.iter().map(|k| ((k - expected) / expected.sqrt()).powi(power)).sum::<f64>() / n;
+        assert!(moment(1).abs() < 5.0 / n.sqrt() && (moment(2) - 1.0).abs() < 5.0 * (2.0 / n).sqrt(), "λ = {expected}");
+    }
 }
 
 #[test]
@@ -201,4 +306,41 @@ fn a_noisy_line_integral_has_a_stated_floor() {
     let highest = image.pages[0].pixels.iter().copied().fold(f32::MIN, f32::max);
     assert!((f64::from(highest) - 2f64.ln()).abs() < 1e-6, "−ln 1/(2·1): {highest}");
     assert!(image.notes.iter().any(|note| note.contains("1/(2 N0)")), "{:?}", image.notes);
+}
+
+#[test]
+fn correlations_are_measured_on_a_quarter_of_a_million_pixels() {
+    let mut scene = empty(&["water"]);
+    let view = scene.view.as_mut().expect("has one");
+    view.size_px = [512, 512];
+    (view.intrinsics.fx, view.intrinsics.fy) = (1e7, 1e7);
+    scene.detector.pitch_mm = 1e-4;
+    scene.model.noise = Noise::True;
+    scene.beam.photons_per_pixel = 1e9;
+    let tolerance = 5.0 / 512.0;
+    let mut cases = 0;
+    for rho in [0.0, 0.2, 0.5, 0.9] {
+        scene.detector.readout_noise = Some(ReadoutNoise { sigma: 0.01, row_correlation: rho });
+        let image = render_on(DeviceChoice::Cpu, &scene, Quantity::Intensity).pages.remove(0);
+        let (right, below) = correlation(&image);
+        // Correlated samples tell less: 1 + 2ρ²/(1 − ρ²) times the variance of their own variance.
+        let wider = tolerance * ((1.0 + rho * rho) / (1.0 - rho * rho)).sqrt();
+        assert!((right - rho).abs() < tolerance && below.abs() < wider, "ρ = {rho}: {right}, {below}");
+        assert!((moments(&image.pixels).1 / 1e-4 - 1.0).abs() < 2.0 * wider, "ρ = {rho}: variance");
+        assert!((right - rho - 0.03).abs() > tolerance, "the control: 0.03 more");
+        cases += 1;
+    }
+    scene.detector.readout_noise = None;
+    scene.beam.photons_per_pixel = 1e4;
+    // The kernel of a panel with neighbour correlation 0.20.
+    let (side, centre) = (0.071, 1.0 - 4.0 * 0.071);
+    scene.detector.crosstalk = vec![vec![0.0, side, 0.0], vec![side, centre, side], vec![0.0, side, 0.0]];
+    let image = render_on(DeviceChoice::Cpu, &scene, Quantity::Intensity).pages.remove(0);
+    let power = centre * centre + 4.0 * side * side;
+    let (right, below) = correlation(&image);
+    let expected = 2.0 * centre * side / power;
+    assert!((right - expected).abs() < tolerance && (below - expected).abs() < tolerance, "{right} {below} {expected}");
+    assert!((moments(&image.pixels).1 * 1e4 / power - 1.0).abs() < 3.0 * tolerance, "the kernel takes noise away");
+    assert!((moments(&image.pixels).1 * 1e4 - 1.0).abs() > 0.2, "the control: white noise");
+    assert_eq!(cases, 4);
 }

@@ -11,6 +11,7 @@ use sidecarm::reporter::Reporter;
 use sidecarm::scene::model::{
     Beam, Detector, Formation, Matter, Model, Noise, Object, Response, Scene, Shape, Solid, Volume, Voxels,
 };
+use sidecarm::scene::optics::{BeamShape, Panel};
 use sidecarm::scene::physics::{Bin, Material, Spectrum};
 
 /// A camera at the origin of `lps` that looks along +z; 96×96 pixels of 1 mm, detector at 1000 mm.
@@ -28,7 +29,7 @@ pub fn empty(materials: &[&str]) -> Scene {
         materials: materials.iter().map(|name| Material::parse(name).expect("known")).collect(),
         objects: Vec::new(),
         view: Some(view()),
-        beam: Beam { spectrum: Spectrum::mono(60.0).expect("inside"), photons_per_pixel: 5e5 },
+        beam: Beam { spectrum: Spectrum::mono(60.0).expect("inside"), photons_per_pixel: 5e5, shape: BeamShape::default() },
         detector: Detector {
             response: Response::Energy,
             pitch_mm: 1.0,
@@ -36,6 +37,7 @@ pub fn empty(materials: &[&str]) -> Scene {
             readout_noise: None,
             gain: 1.0,
             offset: 0.0,
+            panel: Panel::default(),
         },
         model: Model { formation: Formation::Deepdrr, voxels: Voxels::Trilinear, noise: Noise::Off, seed: 1 },
         inputs: Vec::new(),

@@ -7,6 +7,7 @@ use glam::{DAffine3, DQuat, DVec3};
 use sidecarm::geometry::{Intrinsics, Rigid, View};
 use sidecarm::scene::Scene;
 use sidecarm::scene::model::{Beam, Detector, Formation, Matter, Model, Noise, Object, Response, Shape, Solid, Volume, Voxels};
+use sidecarm::scene::optics::{BeamShape, Panel};
 use sidecarm::scene::physics::{Material, Spectrum};
 
 /// Numbers in [0, 1) that are the same in every run.
@@ -56,7 +57,11 @@ pub fn scene(materials: &[&str], matters: Vec<Matter>) -> Scene {
         materials: materials.iter().map(|name| Material::parse(name).expect("known")).collect(),
         objects,
         view: None,
-        beam: Beam { spectrum: Spectrum::mono(60.0).expect("inside the tables"), photons_per_pixel: 5e5 },
+        beam: Beam {
+            spectrum: Spectrum::mono(60.0).expect("inside the tables"),
+            photons_per_pixel: 5e5,
+            shape: BeamShape::default(),
+        },
         detector: Detector {
             response: Response::Energy,
             pitch_mm: 0.2,
@@ -64,6 +69,7 @@ pub fn scene(materials: &[&str], matters: Vec<Matter>) -> Scene {
             readout_noise: None,
             gain: 1.0,
             offset: 0.0,
+            panel: Panel::default(),
         },
         model: Model { formation: Formation::Deepdrr, voxels: Voxels::Trilinear, noise: Noise::Off, seed: 1 },
         inputs: Vec::new(),

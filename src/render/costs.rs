@@ -96,7 +96,7 @@ impl Costs {
 
     /// The costs of this machine: from the cache, else measured and cached. A cache that cannot be written is no error.
     #[must_use]
-    pub fn of_this_machine(reporter: &Reporter) -> Self {
+    pub fn of_this_machine() -> Self {
         let machine = format!("{}, version {}, debug {}", cpu_name(), env!("CARGO_PKG_VERSION"), cfg!(debug_assertions));
         let path = cache_file();
         let cached =

@@ -1,14 +1,18 @@
 //! The radiograph that should have been acquired: area densities along rays, the spectrum, noise, the detector.
 //!
 //! One plan, two executors: `shaders/*.wgsl` on a GPU and their twins under `cpu/` on all cores. Stages are verbs with one stem each:
-//! `integrate_density` → `attenuate_spectrum` → `add_noise`; what follows (crosstalk, readout, counts) is shared.
+//! `integrate_density` → `attenuate_spectrum` → `add_noise`; what shapes beam and panel (`flood`, `blur`) and what follows (crosstalk,
+//! readout, counts: `detector`) is shared.
 
 pub mod achieved;
+pub mod blur;
 pub mod cells;
+mod chain;
 pub mod costs;
 pub mod cpu;
 pub mod detector;
 pub mod explain;
+pub mod flood;
 pub mod non_finite;
 pub mod pilot;
 pub mod plan;

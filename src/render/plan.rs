@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::Quantity;
 use super::spectrum::whole_spectrum;
+use super::{Quantity, chain};
 use crate::scene::model::{Formation, Matter, Noise, Response, Scene, Voxels};
 
 /// Which of the two executors.
@@ -247,7 +247,7 @@ impl Plan {
             choose("GPU", false, format!("{reason}: the CPU executor renders this scene"));
         }
         choose("scatter", false, "not available in this version".into());
-        choose("blur of focal spot and scintillator", false, "not available in this version".into());
+        choices.extend(chain::choices(scene, quantity));
         Self {
             executor,
             quantity,

@@ -8,7 +8,6 @@ use super::quadrature::{self, NoiseWeights, Quadrature, QuadratureNode, Toleranc
 use super::spectrum::{Bins, whole_spectrum};
 use super::{Quantity, RenderError};
 use crate::geometry::View;
-use crate::reporter::Reporter;
 use crate::scene::model::{Formation, Scene};
 
 /// What a user asks for.
@@ -98,7 +97,6 @@ impl Planner {
         &mut self,
         mut plan: Plan,
         task: &Task,
-        reporter: &Reporter,
         prepare: impl FnMut(View) -> Result<Prepared<'a>, RenderError>,
     ) -> Result<Plan, RenderError> {
         let scene = task.scene;
@@ -111,7 +109,7 @@ impl Planner {
             Goal::Explicit { step_px, .. } => step_px > 1,
         };
         let pilot = pilot::cast(task.view, bins.as_ref(), compare, task.slabs, prepare)?;
-        let costs = self.costs.get_or_insert_with(|| Costs::of_this_machine(reporter)).clone();
+        let costs = self.costs.get_or_insert_with(Costs::of_this_machine).clone();
         let mut candidates = Vec::new();
         for (sampling, step_px, sampling_error, interpolation) in ways(task, &pilot, plan.sampling) {
             for energies in self.tolerances(task, fits, sampling_error + interpolation) {
@@ -281,7 +279,8 @@ fn choose(candidates: &[Candidate], goal: Goal) -> Option<&Candidate> {
 
 /// Whether energies are all that decides about a pixel's spectrum.
 fn quadrature_applies(scene: &Scene) -> bool {
-    scene.materials.len() <= quadrature::MOST_MATERIALS
+    // Heel and bow-tie change the weights from pixel to pixel.
+    scene.materials.len() <= quadrature::MOST_MATERIALS && !scene.beam.shape.varies()
 }
 
 /// Paths that a fit covers: a half longer than the pilot rays', rounded up so that neighbouring views share fits.

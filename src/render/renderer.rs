@@ -14,7 +14,7 @@ use super::prepared::Prepared;
 use super::spectrum::{Bins, whole_spectrum};
 use super::volumes::VolumeCache;
 use super::wgsl::{self, Executed, NoiseKey, WgslExecutor};
-use super::{Quantity, RenderError, pilot, reference};
+use super::{Quantity, RenderError, chain, flood, pilot, reference};
 use crate::geometry::View;
 use crate::gpu::{Device, DeviceChoice, cpu_name};
 use crate::image::Image;
@@ -46,7 +46,7 @@ pub struct Rendered {
     pub pages: Vec<Image<f32>>,
     /// What they hold.
     pub quantity: Quantity,
-    /// 1 where the ray stayed inside the scan.
+    /// 1 where the ray stayed inside the scan and the pixel lies wholly inside the field.
     pub valid: Image<u8>,
     /// The executed [`Plan`].
     pub plan: serde_json::Value,
@@ -146,7 +146,7 @@ impl Renderer {
             _ => task.goal,
         };
         let cache = &mut self.volumes;
-        self.planner.refine(plan, &Task { goal, ..task }, &self.reporter, |view| cache.prepare(scene, view, slabs))
+        self.planner.refine(plan, &Task { goal, ..task }, |view| cache.prepare(scene, view, slabs))
     }
 
     /// Renders `scene` from its view.
@@ -193,17 +193,22 @@ impl Renderer {
             self.reporter.warn("empty image", &why);
             notes.push(why);
         }
-        let valid = Image { width: size[0], height: size[1], pixels: cast.density.valid.clone() };
+        let mut valid = Image { width: size[0], height: size[1], pixels: cast.density.valid.clone() };
         let pages: Vec<Image<f32>> = match &bins {
             None => area_pages(&cast.density).into_iter().map(image).collect(),
             Some(bins) => {
-                let obliquity = if noisy || plan.quantity == Quantity::Counts { detector::obliquity(&view) } else { Vec::new() };
+                let photons = noisy || plan.quantity == Quantity::Counts;
+                let made_by = (plan.energy_nodes.as_slice(), plan.executor);
+                let flood = stages.measure("shape_beam", || {
+                    chain::shape(scene, &view, made_by, &cast.density, bins, &mut cast.signal, photons)
+                })?;
+                chain::close(&flood, &mut valid.pixels, &mut notes);
                 let noise = if noisy {
                     stages.measure("add_noise", || {
-                        let deviates = cast.deviates.unwrap_or_else(|| {
-                            add_noise(&detector::expected_photons(scene, &cast.signal, &obliquity), plan.seed, plan.frame_index)
+                        let deviates = cast.deviates.filter(|_| flood::is_plain(scene)).unwrap_or_else(|| {
+                            add_noise(&detector::expected_photons(&cast.signal, &flood), plan.seed, plan.frame_index)
                         });
-                        detector::intensity_noise(scene, &view, bins, &cast.signal, &deviates, &obliquity, plan.frame_index)
+                        detector::intensity_noise(scene, &view, &flood, &cast.signal, &deviates, plan.frame_index)
                     })
                 } else {
                     Vec::new()
@@ -218,8 +223,11 @@ impl Renderer {
                 if let Some(counts) = &mut non_finite {
                     counts.add_noise += non_finite::count(&noise);
                 }
-                let line = &cast.signal.line_integral;
-                let page = stages.measure("detect", || detector::page(scene, plan.quantity, line, &noise, bins, &obliquity));
+                let page = stages.measure("detect", || {
+                    let line = detector::seen_line_integral(scene, &view, &cast.signal.line_integral, &flood);
+                    detector::page(scene, plan.quantity, &line, &noise, &flood)
+                });
+                chain::note_clipped(scene, plan.quantity, &page, &flood, &mut notes);
                 vec![image(page)]
             }
         };
@@ -384,6 +392,7 @@ fn check(scene: &Scene) -> Result<(), RenderError> {
     if let Some(view) = &scene.view {
         view.check()?;
     }
+    chain::check(scene)?;
     let n0 = scene.beam.photons_per_pixel;
     if !(n0 > 0.0 && n0.is_finite()) {
         return Err(RenderError::Number { what: "beam.photons_per_pixel", value: n0, expected: "a positive number" });

@@ -1,6 +1,7 @@
 //! The beam and the materials as tables of f32 that both executors read.
 
 use super::RenderError;
+use super::flood::detected_bins;
 use super::plan::{Fitted, Node, response};
 use crate::scene::model::{Formation, Scene};
 
@@ -104,10 +105,11 @@ impl Bins {
     }
 }
 
-/// Every bin of the beam that holds photons.
+/// Every bin in which photons are detected.
 #[must_use]
 pub fn whole_spectrum(scene: &Scene) -> Vec<Node> {
-    let bins = scene.beam.spectrum.bins.iter().filter(|bin| bin.fluence > 0.0);
+    // NaN stays in, to be seen.
+    let bins = detected_bins(scene).into_iter().filter(|bin| !(bin.fluence <= 0.0));
     bins.map(|bin| Node { energy_kev: bin.energy_kev, fraction: bin.fluence, fitted: None }).collect()
 }
 

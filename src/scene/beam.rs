@@ -4,6 +4,7 @@ use super::SceneError;
 use super::file::{BeamFile, DetectorFile};
 use super::files::Files;
 use super::model::{Beam, Detector, Response};
+use super::optics_file;
 use super::physics::{Material, PhysicsError, Spectrum};
 use crate::reporter::Reporter;
 
@@ -57,7 +58,8 @@ pub(super) fn beam(file: &BeamFile, files: &mut Files, reporter: &Reporter) -> R
         photons_per_pixel,
         "above 0, at most 1e15",
     )?;
-    Ok(Beam { spectrum, photons_per_pixel })
+    let shape = optics_file::beam_shape(file, file.anode_angle_deg.unwrap_or(ANODE_ANGLE_DEG), files)?;
+    Ok(Beam { spectrum, photons_per_pixel, shape })
 }
 
 /// The detector; its pitch is NaN where the file gives none.
@@ -94,6 +96,7 @@ pub(super) fn detector(file: &DetectorFile, files: &Files) -> Result<Detector, S
         readout_noise: file.readout_noise,
         gain,
         offset,
+        panel: optics_file::panel(file, files)?,
     })
 }
 

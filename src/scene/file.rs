@@ -8,6 +8,10 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::model::{Formation, Noise, ReadoutNoise, Response, Voxels};
+use super::optics::Grid;
+pub use super::optics_file::{
+    BowTieFile, CircleFile, FieldFile, FocalSpotFile, HeelFile, PolygonFile, RectangleFile, ScintillatorFile,
+};
 use crate::geometry::{CarmJoints, Intrinsics, Projection, Rigid};
 
 /// A scene file.
@@ -310,18 +314,18 @@ pub struct BeamFile {
     /// N₀ on the principal ray; the paper's 5e5 if absent.
     #[serde(default)]
     pub photons_per_pixel: Option<f64>,
-    /// Not modelled yet.
+    /// A filter whose thickness depends on the fan angle.
     #[serde(default)]
-    pub bowtie: Option<Value>,
-    /// Not modelled yet.
+    pub bowtie: Option<BowTieFile>,
+    /// Self-filtration of the anode.
     #[serde(default)]
-    pub heel: Option<Value>,
-    /// Not modelled yet.
+    pub heel: Option<HeelFile>,
+    /// Full width at half maximum; a point if absent.
     #[serde(default)]
-    pub focal_spot_mm: Option<Value>,
-    /// Not modelled yet.
+    pub focal_spot_mm: Option<FocalSpotFile>,
+    /// Collimation; open if absent.
     #[serde(default)]
-    pub field: Option<Value>,
+    pub field: Option<FieldFile>,
 }
 
 /// `detector`.
@@ -346,21 +350,21 @@ pub struct DetectorFile {
     /// 0 if absent.
     #[serde(default)]
     pub offset: Option<f64>,
-    /// Not modelled yet.
+    /// What absorbs; everything is absorbed if absent.
     #[serde(default)]
-    pub scintillator: Option<Value>,
-    /// Not modelled yet.
+    pub scintillator: Option<ScintillatorFile>,
+    /// Spread of light, full width at half maximum; none if absent.
     #[serde(default)]
-    pub blur_fwhm_mm: Option<Value>,
-    /// Not modelled yet.
+    pub blur_fwhm_mm: Option<f64>,
+    /// Whole counts up to 2^bits − 1.
     #[serde(default)]
-    pub bits: Option<Value>,
-    /// Not modelled yet.
+    pub bits: Option<f64>,
+    /// Largest signal, in units of the unattenuated signal on the principal ray.
     #[serde(default)]
-    pub saturation: Option<Value>,
-    /// Not modelled yet.
+    pub saturation: Option<f64>,
+    /// Antiscatter grid.
     #[serde(default)]
-    pub grid: Option<Value>,
+    pub grid: Option<Grid>,
     /// Not modelled yet.
     #[serde(default)]
     pub intensifier: Option<Value>,

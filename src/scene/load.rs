@@ -83,18 +83,8 @@ fn load_bytes(bytes: &[u8], path: &Path, need_view: bool, reporter: &Reporter) -
 
 /// Keys of the format whose physics this version does not have.
 fn refuse_unavailable(file: &SceneFile, files: &Files) -> Result<(), SceneError> {
-    let (beam, detector) = (&file.beam, &file.detector);
     let keys = [
-        ("beam.bowtie", beam.bowtie.is_some()),
-        ("beam.heel", beam.heel.is_some()),
-        ("beam.focal_spot_mm", beam.focal_spot_mm.is_some()),
-        ("beam.field", beam.field.is_some()),
-        ("detector.scintillator", detector.scintillator.is_some()),
-        ("detector.blur_fwhm_mm", detector.blur_fwhm_mm.is_some()),
-        ("detector.bits", detector.bits.is_some()),
-        ("detector.saturation", detector.saturation.is_some()),
-        ("detector.grid", detector.grid.is_some()),
-        ("detector.intensifier", detector.intensifier.is_some()),
+        ("detector.intensifier", file.detector.intensifier.is_some()),
         ("model.scatter \"network\"", file.model.scatter == ScatterFile::Network),
         ("model.scatter \"monte_carlo\"", file.model.scatter == ScatterFile::MonteCarlo),
     ];

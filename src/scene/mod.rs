@@ -11,10 +11,12 @@ mod load;
 mod matter;
 mod mesh;
 mod objects;
+mod optics_file;
 mod view;
 mod volume_file;
 
 pub mod model;
+pub mod optics;
 pub mod physics;
 
 pub use density::{DensityCurve, ThresholdClass};

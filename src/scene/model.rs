@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
 
+use super::optics::{BeamShape, Panel};
 use super::physics::{Material, Spectrum};
 use crate::geometry::{Rigid, RobotModel, View};
 
@@ -185,8 +186,10 @@ pub struct Mesh {
 pub struct Beam {
     /// Photon fractions after filtration, Σφ = 1.
     pub spectrum: Spectrum,
-    /// N₀ on the principal ray with nothing in the beam.
+    /// N₀ on the principal ray with no object in the beam, behind filters and bow-tie, before grid and detector.
     pub photons_per_pixel: f64,
+    /// Heel, bow-tie, collimation, focal spot.
+    pub shape: BeamShape,
 }
 
 /// What the detector sums up.
@@ -214,6 +217,8 @@ pub struct Detector {
     pub gain: f64,
     /// See `gain`.
     pub offset: f64,
+    /// Scintillator, grid, blur, saturation, digits.
+    pub panel: Panel,
 }
 
 /// Electronic noise.

@@ -106,7 +106,7 @@ fn weighted_sum(weights: &[f32], depth: &[f32], smallest: f32) -> f32 {
 /// eˣ for x ≤ 0 to 2e-7 relative, without branches so that it vectorises; below −87 it is 1.6e-38.
 // x = n ln 2 + f with |f| ≤ ½ ln 2; e^f is a polynomial (Taylor to the sixth power, remainder 1e-7), 2ⁿ goes into the exponent.
 #[inline(always)]
-fn exp_of_negative(x: f32) -> f32 {
+pub(in crate::render) fn exp_of_negative(x: f32) -> f32 {
     const ROUND: f32 = 12_582_912.0;
     let x = if x < -87.0 { -87.0 } else { x };
     let shifted = x * std::f32::consts::LOG2_E + ROUND;

@@ -7,12 +7,15 @@
 //! 2. Kept air comes after all other matter, again the last object first.
 //! 3. ρ is integrated over what is left: shapes and meshes by length, volumes by the trilinear field, a cubic in each cell, or, where the
 //!    scene names them, by piecewise-constant voxels.
-//! 4. Every energy bin attenuates by itself.
+//! 4. Every energy bin attenuates by itself, behind what heel and bow-tie leave of it in the pixel.
+//!
+//! Collimation, blur, noise, saturation and digits are none of its business: they act on its result as on that of the executors.
 
 mod beam;
 mod intervals;
 mod mesh;
 mod shapes;
+mod tube;
 mod volume;
 
 pub use intervals::Intervals;
@@ -133,7 +136,7 @@ pub fn area_densities(scene: &Scene, view: &View, pixel: [f64; 2]) -> Result<Vec
     Ok(Reference::new(scene, view)?.area_densities(pixel))
 }
 
-/// Renders every pixel, noise-free, in f64: one page, or one per scene material for [`Quantity::AreaDensity`].
+/// Renders every pixel, noise-free, without collimation, blur or digits, in f64: one page, or one per scene material for [`Quantity::AreaDensity`].
 ///
 /// # Errors
 /// When fx · pitch is no distance, the image has no pixels, or attenuation is not tabulated.
@@ -152,12 +155,13 @@ pub fn render(scene: &Scene, view: &View, quantity: Quantity) -> Result<Vec<Imag
     let value = |index: usize| {
         let areas = reference.area_densities(pixel(index));
         match quantity {
-            Quantity::Intensity => beam.intensity(&areas),
-            Quantity::Counts => beam.counts(&areas, view, pixel(index)),
-            Quantity::LineIntegral | Quantity::AreaDensity => beam.line_integral(&areas),
+            Quantity::Intensity => beam.intensity_at(&areas, view, pixel(index)),
+            Quantity::Counts => beam.counts_at(&areas, view, pixel(index)),
+            Quantity::LineIntegral | Quantity::AreaDensity => beam.line_integral_at(&areas, view, pixel(index)),
         }
     };
-    Ok(vec![image((0..width * height).into_par_iter().map(value).collect())])
+    let values: Result<Vec<f64>, RenderError> = (0..width * height).into_par_iter().map(value).collect();
+    Ok(vec![image(values?)])
 }
 
 /// All of an image that the executors give too, from one pass over the rays.
@@ -182,10 +186,11 @@ pub fn trace(scene: &Scene, view: &View, attenuate: bool) -> Result<Traced, Rend
     let ray = |index: usize| {
         let pixel = [(index % width) as f64, (index / width) as f64];
         let areas = reference.area_densities(pixel);
-        let line = beam.as_ref().map(|beam| beam.line_integral(&areas));
-        (areas, u8::from(reference.is_valid(pixel)), line)
+        let line = beam.as_ref().map(|beam| beam.line_integral_at(&areas, view, pixel)).transpose()?;
+        Ok((areas, u8::from(reference.is_valid(pixel)), line))
     };
-    let rays: Vec<(Vec<f64>, u8, Option<f64>)> = (0..width * height).into_par_iter().map(ray).collect();
+    let rays: Result<Vec<(Vec<f64>, u8, Option<f64>)>, RenderError> = (0..width * height).into_par_iter().map(ray).collect();
+    let rays = rays?;
     Ok(Traced {
         g_per_cm2: rays.iter().flat_map(|(areas, ..)| areas).copied().collect(),
         valid: rays.iter().map(|(_, valid, _)| *valid).collect(),

@@ -1,0 +1,143 @@
+//! Gaussian blur of what is detected: of the focal spot before noise, of the scintillator with it.
+//!
+//! The kernel is the discrete Gaussian T(n) = e^−t I_n(t) (Lindeberg 1990): of all kernels on a raster the one whose variance is exactly
+//! t = σ² px² and whose sum is 1, however narrow; blurs add up in variance. Borders are mirrored, so that flat stays flat.
+
+use rayon::prelude::*;
+
+use super::cpu::attenuate_spectrum::Signal;
+use crate::geometry::View;
+use crate::scene::model::Scene;
+
+/// Full width at half maximum of a Gaussian over its σ: 2 √(2 ln 2).
+pub const FWHM_PER_SIGMA: f64 = 2.354_820_045_030_949;
+
+/// How the focal spot blurs an object in the middle of the scene.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FocalBlur {
+    /// σ along columns' and rows' direction, in pixels.
+    pub sigma_px: [f64; 2],
+    /// Depth for which it holds.
+    pub depth_mm: f64,
+    /// The wider FWHM, in pixels, at the nearest and at the farthest corner of the scene.
+    pub range_px: [f64; 2],
+}
+
+/// Blur of the focal spot on the detector; `None` for a point or when the middle of the scene is not between source and detector.
+// A point at depth z shadows each part of the spot elsewhere: a spot of width w is drawn w (SDD − z)/z wide on the detector, that is
+// w f (1/z − 1/SDD) pixels.
+#[must_use]
+pub fn focal_blur(scene: &Scene, view: &View) -> Option<FocalBlur> {
+    let spot_mm = scene.beam.shape.focal_spot_mm;
+    let (low, high) = scene.bounds_lps_mm()?;
+    let sdd_mm = view.intrinsics.source_to_detector_mm(scene.detector.pitch_mm);
+    let depth_of = |point| view.camera_from_lps.transform_point(point).z;
+    let depth_mm = depth_of(0.5 * (low + high));
+    if spot_mm == [0.0; 2] || !(depth_mm > 1.0 && depth_mm < sdd_mm) {
+        return None;
+    }
+    let per_mm = |focal_px: f64, depth_mm: f64| focal_px * (1.0 / depth_mm.clamp(1.0, sdd_mm) - 1.0 / sdd_mm);
+    let focal_px = [view.intrinsics.fx, view.intrinsics.fy];
+    let sigma_px = [0, 1].map(|axis| spot_mm[axis] / FWHM_PER_SIGMA * per_mm(focal_px[axis], depth_mm));
+    let corner = |bits: u32| {
+        let pick = |bit: u32, low: f64, high: f64| if bits >> bit & 1 == 0 { low } else { high };
+        depth_of(glam::DVec3::new(pick(0, low.x, high.x), pick(1, low.y, high.y), pick(2, low.z, high.z)))
+    };
+    let depths: Vec<f64> = (0..8).map(corner).collect();
+    let near = depths.iter().copied().fold(f64::INFINITY, f64::min);
+    let far = depths.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let widest = |depth: f64| (spot_mm[0] * per_mm(focal_px[0], depth)).max(spot_mm[1] * per_mm(focal_px[1], depth));
+    Some(FocalBlur { sigma_px, depth_mm, range_px: [widest(near), widest(far)] })
+}
+
+/// Blurs what arrives: intensities, not their logarithms, and with them the photons that noise is drawn from.
+pub fn blur_signal(signal: &mut Signal, view: &View, sigma_px: [f64; 2]) {
+    let size = view.size_px.map(|n| n as usize);
+    blur_line_integral(&mut signal.line_integral, size, sigma_px);
+    let sums = |f: fn([f64; 3]) -> f64| -> Vec<f64> {
+        let one = |a: &super::cpu::attenuate_spectrum::Arriving| {
+            f([a.photon_fraction, a.mean_response, a.mean_square_response].map(f64::from))
+        };
+        let mut field = signal.arriving.iter().map(one).collect::<Vec<f64>>();
+        blur(&mut field, size, sigma_px);
+        field
+    };
+    let [photons, responses, squares] = [sums(|[n, ..]| n), sums(|[n, r, _]| n * r), sums(|[n, _, s]| n * s)];
+    for (pixel, arriving) in signal.arriving.iter_mut().enumerate() {
+        let number = photons[pixel];
+        arriving.photon_fraction = number as f32;
+        if number > 0.0 {
+            arriving.mean_response = (responses[pixel] / number) as f32;
+            arriving.mean_square_response = (squares[pixel] / number) as f32;
+        }
+    }
+}
+
+/// Blurs exp(−line integral); +∞ stands for nothing. What is darker than e⁻⁷⁴⁵ and stays so keeps its value.
+pub fn blur_line_integral(line_integral: &mut [f32], size: [usize; 2], sigma_px: [f64; 2]) {
+    let mut field: Vec<f64> = line_integral.iter().map(|line| (-f64::from(*line)).exp()).collect();
+    blur(&mut field, size, sigma_px);
+    for (line, intensity) in line_integral.iter_mut().zip(field) {
+        if !(intensity == 0.0) {
+            *line = -intensity.ln() as f32;
+        }
+    }
+}
+
+/// Convolves `field` (row-major, columns × rows) with discrete Gaussians along both axes.
+pub fn blur(field: &mut [f64], [width, height]: [usize; 2], sigma_px: [f64; 2]) {
+    if field.is_empty() {
+        return;
+    }
+    if sigma_px[0] > 0.0 {
+        let kernel = discrete_gaussian(sigma_px[0].powi(2));
+        field.par_chunks_mut(width).for_each_init(Vec::new, |padded, row| blur_row(row, &kernel, padded));
+    }
+    if sigma_px[1] > 0.0 {
+        let kernel = discrete_gaussian(sigma_px[1].powi(2));
+        let source = field.to_vec();
+        let line = |row: isize| &source[mirror(row, height) * width..][..width];
+        field.par_chunks_mut(width).enumerate().for_each(|(row, out)| {
+            out.iter_mut().zip(line(row as isize)).for_each(|(out, value)| *out = kernel[0] * value);
+            for (distance, weight) in kernel.iter().enumerate().skip(1) {
+                let (above, below) = (line(row as isize - distance as isize), line((row + distance) as isize));
+                out.iter_mut().zip(above).zip(below).for_each(|((out, a), b)| *out += weight * (a + b));
+            }
+        });
+    }
+}
+
+fn blur_row(row: &mut [f64], kernel: &[f64], padded: &mut Vec<f64>) {
+    let reach = kernel.len() - 1;
+    padded.clear();
+    padded.extend((0..row.len() + 2 * reach).map(|i| row[mirror(i as isize - reach as isize, row.len())]));
+    for (column, value) in row.iter_mut().enumerate() {
+        let centre = column + reach;
+        let sides = kernel.iter().enumerate().skip(1);
+        *value = kernel[0] * padded[centre]
+            + sides.map(|(distance, weight)| weight * (padded[centre - distance] + padded[centre + distance])).sum::<f64>();
+    }
+}
+
+/// The index in 0..n that `at` mirrors to: … 1 0 | 0 1 … n−1 | n−1 n−2 …
+pub fn mirror(at: isize, n: usize) -> usize {
+    let folded = at.rem_euclid(2 * n as isize) as usize;
+    if folded < n { folded } else { 2 * n - 1 - folded }
+}
+
+/// T(0), T(1), … of the discrete Gaussian of variance `t` px², as far as they matter; T(0) + 2 Σ T(n) = 1.
+// e^−t I_n(t) = (1/π) ∫ exp(t (cos θ − 1)) cos nθ dθ over half a turn; for a periodic integrand the trapezoidal rule errs only by
+// aliases T(M − n), M points per turn.
+#[must_use]
+pub fn discrete_gaussian(t: f64) -> Vec<f64> {
+    let reach = (6.5 * t.sqrt()).ceil() as usize + 5;
+    let points = 4 * (reach + 16);
+    let angle = |j: usize| std::f64::consts::TAU * j as f64 / points as f64;
+    let spectrum: Vec<f64> = (0..points).map(|j| (t * (angle(j).cos() - 1.0)).exp()).collect();
+    let cosine: Vec<f64> = (0..points).map(|j| angle(j).cos()).collect();
+    let at = |n: usize| spectrum.iter().enumerate().map(|(j, s)| s * cosine[n * j % points]).sum::<f64>() / points as f64;
+    let mut kernel: Vec<f64> = (0..=reach).map(|n| at(n).max(0.0)).collect();
+    let sum = kernel[0] + 2.0 * kernel[1..].iter().sum::<f64>();
+    kernel.iter_mut().for_each(|weight| *weight /= sum);
+    kernel
+}

@@ -176,15 +176,24 @@ impl<'a> Weights<'a> {
 
     /// Sums behind the bow-tie and further depths.
     fn sums(&self, scratch: &Scratch, depth: &[f32]) -> Sums {
-        let least = depth.iter().copied().fold(f32::INFINITY, f32::min);
-        let mut sums = Sums { least, photons: 0.0, signal: 0.0, squares: 0.0 };
-        for (k, depth) in depth.iter().enumerate() {
-            let passed = scratch.heel[k] * exp_of_negative(least - depth);
-            sums.photons += self.photons[k] * passed;
-            sums.signal += self.signal[k] * passed;
-            sums.squares += self.squares[k] * passed;
+        let mut least = [f32::INFINITY; LANES];
+        for lanes in depth.chunks_exact(LANES) {
+            least.iter_mut().zip(lanes).for_each(|(least, depth)| *least = if depth < least { *depth } else { *least });
         }
-        sums
+        let least = least.into_iter().fold(f32::INFINITY, f32::min);
+        let columns = self.photons.chunks_exact(LANES).zip(self.signal.chunks_exact(LANES)).zip(self.squares.chunks_exact(LANES));
+        let passing = scratch.heel.chunks_exact(LANES).zip(depth.chunks_exact(LANES));
+        let mut lanes = [[0.0f32; LANES]; 3];
+        for (((photons, signal), squares), (heel, depth)) in columns.zip(passing) {
+            for lane in 0..LANES {
+                let passed = heel[lane] * exp_of_negative(least - depth[lane]);
+                lanes[0][lane] += photons[lane] * passed;
+                lanes[1][lane] += signal[lane] * passed;
+                lanes[2][lane] += squares[lane] * passed;
+            }
+        }
+        let [photons, signal, squares] = lanes.map(|lanes| lanes.iter().sum());
+        Sums { least, photons, signal, squares }
     }
 }
 

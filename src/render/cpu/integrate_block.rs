@@ -167,8 +167,8 @@ impl Fill<'_, '_, '_> {
                     if !block.solids.is_empty() {
                         claims.gaps(round, &mut t);
                     }
-                    for axis in 0..3 {
-                        match (&crossing.grids[axis], axes[axis]) {
+                    for (axis, grid) in crossing.grids.iter().enumerate() {
+                        match (grid, axes[axis]) {
                             (Some(grid), true) => {
                                 let reference = 0.5 * f64::from(grid.voxels[2]);
                                 let bundle = crossing.rays.bundle([u, v], columns, axis, reference, &t);
@@ -292,9 +292,8 @@ impl Claims {
 
     /// The depths of each ray's gap number `round`; an empty one where there is none.
     fn gaps(&self, round: usize, t: &mut [[f64; LANES]; 2]) {
-        for l in 0..LANES {
-            let (from, to) = self.gaps[l].get(round).copied().unwrap_or((0.0, 0.0));
-            (t[0][l], t[1][l]) = (from, to);
+        for (l, gaps) in self.gaps.iter().enumerate() {
+            (t[0][l], t[1][l]) = gaps.get(round).copied().unwrap_or((0.0, 0.0));
         }
     }
 

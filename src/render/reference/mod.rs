@@ -189,8 +189,7 @@ pub fn trace(scene: &Scene, view: &View, attenuate: bool) -> Result<Traced, Rend
         let line = beam.as_ref().map(|beam| beam.line_integral_at(&areas, view, pixel)).transpose()?;
         Ok((areas, u8::from(reference.is_valid(pixel)), line))
     };
-    let rays: Result<Vec<(Vec<f64>, u8, Option<f64>)>, RenderError> = (0..width * height).into_par_iter().map(ray).collect();
-    let rays = rays?;
+    let rays = (0..width * height).into_par_iter().map(ray).collect::<Result<Vec<_>, RenderError>>()?;
     Ok(Traced {
         g_per_cm2: rays.iter().flat_map(|(areas, ..)| areas).copied().collect(),
         valid: rays.iter().map(|(_, valid, _)| *valid).collect(),

@@ -17,6 +17,7 @@ pub mod register;
 pub mod render;
 pub mod replay;
 pub mod spectrum;
+pub mod time;
 pub mod trade;
 
 /// Rides beside a mobile C-arm and a snake robot: finds beads in each radiograph, recovers its pose, renders the matched DeepDRR,
@@ -42,6 +43,7 @@ enum Command {
     Replay(replay::ReplayArgs),
     Render(render::RenderArgs),
     Trade(trade::TradeArgs),
+    Time(time::TimeArgs),
     Register(register::RegisterArgs),
     Compare(compare::CompareArgs),
     Attenuation(attenuation::AttenuationArgs),
@@ -64,6 +66,7 @@ fn dispatch(command: &Command, reporter: &Reporter) -> u8 {
         Command::Live(args) => end(live::run(args, reporter), reporter),
         Command::Replay(args) => end(replay::run(args, reporter), reporter),
         Command::Render(args) => end(render::run(args, reporter), reporter),
+        Command::Time(args) => end(time::run(args, reporter), reporter),
         Command::Trade(args) => end(trade::run(args, reporter), reporter),
         Command::Compare(args) => end(compare::run(args, reporter), reporter),
         Command::Register(args) => end(register::run(args, reporter), reporter),

@@ -1,0 +1,168 @@
+//! `sidecarm time`: how long a scene takes from many views, the volumes staying prepared; `scripts/bench` is made of it.
+
+use std::path::{Path, PathBuf};
+
+use glam::DMat4;
+use serde::{Deserialize, Serialize};
+
+use crate::cli::render::{DeviceArg, QuantityArg};
+use crate::geometry::Rigid;
+use crate::render::{Goal, Options, RenderError, Renderer};
+use crate::reporter::Reporter;
+use crate::scene::{self, SceneError};
+use crate::time::{StageTimes, Stopwatch};
+
+/// Time a scene from its own view, or from many.
+#[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Example:
+  sidecarm time scene.json --views views.json --max-error 1e-3
+
+VIEWS.json is a list of rows-of-rows 4x4 matrices camera_from_lps. Printed as JSON: milliseconds of the median and the fastest of
+--repeat images per view, planning and first preparation apart.")]
+pub struct TimeArgs {
+    /// The scene
+    pub scene: PathBuf,
+    /// Poses camera_from_lps, one image each
+    #[arg(long, value_name = "VIEWS.json")]
+    pub views: Option<PathBuf>,
+    /// What the images hold
+    #[arg(long, value_enum, default_value = "line_integral")]
+    pub quantity: QuantityArg,
+    /// The error that will do
+    #[arg(long, value_name = "REL", default_value_t = 1e-3)]
+    pub max_error: f64,
+    /// Images per view
+    #[arg(long, default_value_t = 5)]
+    pub repeat: usize,
+    /// Plan every image anew, as a live session does, and count that
+    #[arg(long)]
+    pub replan: bool,
+    /// What renders
+    #[arg(long, value_enum, default_value = "cpu")]
+    pub device: DeviceArg,
+}
+
+/// Why nothing was timed.
+#[derive(Debug, thiserror::Error)]
+pub enum TimeError {
+    /// The scene.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// The renderer.
+    #[error(transparent)]
+    Render(#[from] RenderError),
+    /// The list of views.
+    #[error("{}: {detail}; expected a list of 4x4 rigid matrices camera_from_lps", path.display())]
+    Views {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        detail: String,
+    },
+}
+
+#[derive(Debug, Serialize, Deserialize)]
+struct View {
+    plan_ms: f64,
+    prepare_ms: f64,
+    median_ms: f64,
+    fastest_ms: f64,
+    wall_ms: f64,
+    stated_error: f64,
+    energies: usize,
+    predicted_ms: Option<f64>,
+    stages_ms: StageTimes,
+}
+
+/// Times and prints; 0 on success.
+///
+/// # Errors
+/// When the scene or a view is wrong.
+pub fn run(args: &TimeArgs, reporter: &Reporter) -> Result<u8, TimeError> {
+    let watch = Stopwatch::start();
+    let mut scene = scene::load(&args.scene, true, reporter)?;
+    let load_ms = watch.ms();
+    let mut renderer = Renderer::new(args.device.into(), reporter)?;
+    let poses = match &args.views {
+        Some(path) => poses(path)?.into_iter().map(Some).collect(),
+        None => vec![None],
+    };
+    let mut views = Vec::new();
+    let all = Stopwatch::start();
+    for pose in poses {
+        if let (Some(pose), Some(view)) = (pose, &mut scene.view) {
+            view.camera_from_lps = pose;
+        }
+        views.push(time(&scene, &mut renderer, args)?);
+    }
+    let per_second = (views.len() * args.repeat) as f64 / all.ms() * 1e3;
+    let report = serde_json::json!({
+        "adapter": renderer.adapter(),
+        "load_ms": load_ms,
+        "peak_memory_mib": peak_memory_mib(),
+        "images_per_second": per_second,
+        "views": views,
+    });
+    println!("{}", serde_json::to_string_pretty(&report).expect("plain data"));
+    Ok(0)
+}
+
+fn time(scene: &scene::Scene, renderer: &mut Renderer, args: &TimeArgs) -> Result<View, RenderError> {
+    let options = Options { quantity: args.quantity.into(), goal: Some(Goal::MaxError(args.max_error)), ..Options::default() };
+    let watch = Stopwatch::start();
+    let plan = renderer.plan(scene, &options)?;
+    let plan_ms = watch.ms();
+    let fixed = Options { plan: (!args.replan).then(|| plan.clone()), ..options };
+    let mut times = Vec::new();
+    let mut walls = Vec::new();
+    let mut first_prepare_ms = 0.0;
+    let mut stages = StageTimes::default();
+    for round in 0..args.repeat.max(1) {
+        let watch = Stopwatch::start();
+        let rendered = renderer.render(scene, &fixed)?;
+        walls.push(watch.ms());
+        if round == 0 {
+            first_prepare_ms = rendered.stages.get("prepare").unwrap_or(0.0);
+        }
+        let counts = |stage: &str| args.replan || !matches!(stage, "plan" | "prepare");
+        times.push(rendered.stages.iter().filter(|(stage, _)| counts(stage)).map(|(_, ms)| ms).sum::<f64>());
+        stages = rendered.stages;
+    }
+    let median = |values: &mut Vec<f64>| {
+        values.sort_by(f64::total_cmp);
+        values[values.len() / 2]
+    };
+    Ok(View {
+        plan_ms,
+        prepare_ms: first_prepare_ms,
+        median_ms: median(&mut times),
+        fastest_ms: times[0],
+        wall_ms: median(&mut walls),
+        stated_error: plan.stated_error,
+        energies: plan.energy_nodes.len(),
+        predicted_ms: plan.predicted_ms,
+        stages_ms: stages,
+    })
+}
+
+fn poses(path: &Path) -> Result<Vec<Rigid>, TimeError> {
+    let wrong = |detail: String| TimeError::Views { path: path.to_owned(), detail };
+    let text = std::fs::read(path).map_err(|error| wrong(error.to_string()))?;
+    let rows: Vec<[[f64; 4]; 4]> = serde_json::from_slice(&text).map_err(|error| wrong(error.to_string()))?;
+    let pose = |(index, rows): (usize, &[[f64; 4]; 4])| {
+        let matrix = DMat4::from_cols_array_2d(rows).transpose();
+        let (scale, rotation, translation_mm) = matrix.to_scale_rotation_translation();
+        if !((scale - 1.0).abs().max_element() < 1e-6) || !translation_mm.is_finite() {
+            return Err(wrong(format!("matrix {index} is not rigid")));
+        }
+        Ok(Rigid { rotation, translation_mm })
+    };
+    rows.iter().enumerate().map(pose).collect()
+}
+
+/// The most memory that the process has held, where the system says.
+fn peak_memory_mib() -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
+    Some(line.split_whitespace().nth(1)?.parse::<f64>().ok()? / 1024.0)
+}

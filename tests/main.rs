@@ -29,6 +29,7 @@ mod render_executors;
 mod render_extreme_places;
 mod render_extremes;
 mod evaluate;
+mod render_slabs;
 mod render_beam;
 mod render_noise;
 mod render_panel;

@@ -8,9 +8,9 @@ use super::cross_slabs::cross;
 use super::integrate_density::{Claims, claim_solids};
 use super::lanes::{LANES, Lanes, Portable};
 use super::walk_cells::CellRay;
-use crate::render::cells::{EMPTY, EMPTY_BRICK};
+use crate::render::cells::{CUT, EMPTY, EMPTY_BRICK};
 use crate::render::prepared::{Bounds, Prepared, SeenVolume, Step};
-use crate::render::slabs::{CUT_BIT, MOST_MATERIALS, SlabGrid};
+use crate::render::slabs::{AXES, CUT_BIT, MOST_MATERIALS, SlabGrid};
 
 /// Edge of the blocks of pixels that are laid out as bundles.
 pub const BLOCK: usize = 8;
@@ -199,7 +199,7 @@ impl Fill<'_, '_, '_> {
                     let pixel = (y - first_row) * block.width + x;
                     let materials = prepared.material_count;
                     let out = &mut block.g_per_cm2[pixel * materials..(pixel + 1) * materials];
-                    if lost || met & CUT_BIT != 0 {
+                    if lost {
                         let missing = walk(DVec2::new(x as f64, y as f64), out);
                         if let Some(missing_mm) = missing {
                             block.valid[pixel] = 0;
@@ -215,6 +215,16 @@ impl Fill<'_, '_, '_> {
                     let scale = 0.1 * mm_per_depth / q[l][Rays::dominant(q[l])].abs();
                     for (m, sums) in sums.iter().enumerate().take(cells.materials.len()) {
                         out[cells.materials[m]] += sums[l] * scale as f32;
+                    }
+                    if met & CUT_BIT != 0 {
+                        let cut = if block.solids.is_empty() {
+                            crossing.meets_cut(&q[l], (t[0][l], t[1][l]))
+                        } else {
+                            claims.gaps[l].iter().any(|gap| crossing.meets_cut(&q[l], *gap))
+                        };
+                        if cut {
+                            block.valid[pixel] = 0;
+                        }
                     }
                     if missing[l] != 0.0 {
                         block.valid[pixel] = 0;
@@ -246,6 +256,51 @@ impl Crossing<'_> {
             }
         }
         missing
+    }
+
+    /// Whether a ray between two depths crosses a cell in which matter borders on the unknown.
+    fn meets_cut(&self, q: &[f64; 3], (from, to): (f64, f64)) -> bool {
+        let axis = Rays::dominant(*q);
+        let Some(grid) = &self.grids[axis] else { return true };
+        let [a, b, c] = AXES[axis];
+        let (p, cells) = (&self.rays.p, &self.seen.cells);
+        let (low, high) = (p[c] + q[c] * from, p[c] + q[c] * to);
+        let (low, high) = (low.min(high), low.max(high));
+        let last = [a, b, c].map(|axis| cells.size[axis] as i64 - 1);
+        let cell = |x: f64, place: usize| (x.floor() as i64).clamp(0, last[place]) as usize;
+        let (first, end) = (cell(low, 2), cell(high, 2));
+        let (slope_a, slope_b) = (q[a] / q[c], q[b] / q[c]);
+        let across = |z: f64| (p[a] + slope_a * (z - p[c]), p[b] + slope_b * (z - p[c]));
+        let is_cut = |ia: usize, ib: usize, ic: usize| {
+            let mut at = [0usize; 3];
+            (at[a], at[b], at[c]) = (ia, ib, ic);
+            cells.kind[cells.index(at)] == CUT
+        };
+        let mut layer = first / BLOCK;
+        while layer <= end / BLOCK {
+            let (begin, stop) = ((layer * BLOCK).max(first), (layer * BLOCK + BLOCK - 1).min(end));
+            let (near, far) = (across(low.max(begin as f64)), across(high.min(stop as f64 + 1.0)));
+            let range = |x: f64, y: f64, place: usize| cell(x.min(y), place) / BLOCK..=cell(x.max(y), place) / BLOCK;
+            let flagged = range(near.1, far.1, 1).any(|bb| {
+                range(near.0, far.0, 0).any(|ba| {
+                    let brick = ba * grid.brick_stride[0] + bb * grid.brick_stride[1] + layer * grid.brick_stride[2];
+                    grid.bricks.get(brick).is_some_and(|bits| bits & CUT_BIT != 0)
+                })
+            });
+            for ic in if flagged { begin..stop + 1 } else { 0..0 } {
+                let ((a0, b0), (a1, b1)) = (across(low.max(ic as f64)), across(high.min(ic as f64 + 1.0)));
+                let ([ia, ja], [ib, jb]) = ([cell(a0, 0), cell(a1, 0)], [cell(b0, 1), cell(b1, 1)]);
+                // Between two slices a ray meets at most three cells; the middle one is behind the face that it reaches first.
+                let share = |from: f64, to: f64| (from.max(to).floor() - from) / (to - from);
+                let middle = || if share(a0, a1) < share(b0, b1) { (ja, ib) } else { (ia, jb) };
+                let bends = ia != ja && ib != jb;
+                if is_cut(ia, ib, ic) || is_cut(ja, jb, ic) || (bends && is_cut(middle().0, middle().1, ic)) {
+                    return true;
+                }
+            }
+            layer += 1;
+        }
+        false
     }
 
     #[inline(always)]

@@ -1,0 +1,166 @@
+//! Crossing slab by slab: portable code against AVX-512 and against the field itself, summed up finely.
+
+use std::sync::Arc;
+
+use glam::{DAffine3, DQuat, DVec3};
+use sidecarm::gpu::DeviceChoice;
+use sidecarm::random::{Purpose, Stream};
+use sidecarm::render::cells::Cells;
+use sidecarm::render::cpu::cross_slabs::{Bundle, Fit, cross, fit};
+use sidecarm::render::cpu::lanes::{LANES, Portable};
+use sidecarm::render::plan::Sampling;
+use sidecarm::render::slabs::{AXES, Slabs};
+use sidecarm::render::{Goal, Options, Quantity, Renderer};
+use sidecarm::reporter::Reporter;
+use sidecarm::scene::model::{Matter, Volume};
+
+use crate::render_scenes::{With, empty, placed, solids, sphere, volume, worst};
+
+fn lumpy() -> Volume {
+    let filled = |[i, j, k]: [usize; 3]| match (i * 31 + j * 17 + k * 7) % 13 {
+        n if n < 3 => (0, 0.0),
+        n if n < 9 => (1, 0.8 + n as f32 * 0.05),
+        n => (2, 1.5 + n as f32 * 0.05),
+    };
+    volume([21, 24, 27], DAffine3::IDENTITY, &[0, 1], filled)
+}
+
+/// Rays in a 4 × 4 block `apart` voxels from each other that cross from c = 1 to `to`.
+fn bundle(stream: &mut Stream, apart: f64, voxels: [i32; 3]) -> Bundle {
+    let mut between = |low: f64, high: f64| low + (high - low) * stream.uniform();
+    let centre = 0.5 * f64::from(voxels[2]);
+    let slope = [between(-0.4, 0.4), between(-0.4, 0.4)];
+    let start = [0.5 * f64::from(voxels[0]) + between(-2.0, 2.0), 0.5 * f64::from(voxels[1]) + between(-2.0, 2.0)];
+    let (from, to) = (between(1.0, 6.0), f64::from(voxels[2]) - between(0.0, 6.0));
+    let place = |axis: usize, lane: usize| {
+        let step = if axis == 0 { lane % 4 } else { lane / 4 } as f64 - 1.5;
+        start[axis] + apart * step
+    };
+    Bundle {
+        at: std::array::from_fn(|axis| std::array::from_fn(|lane| place(axis, lane))),
+        slope: slope.map(|slope| [slope; LANES]),
+        c_reference: centre,
+        from: std::array::from_fn(|lane| from + 0.01 * lane as f64),
+        to: [to; LANES],
+        corners: [0, 3, 12, 15],
+    }
+}
+
+/// ∫ρ dc of one class along a ray, by many midpoints of the trilinear field.
+fn finely(volume: &Volume, axis: usize, bundle: &Bundle, lane: usize, class: u8) -> f64 {
+    let steps = 20_000;
+    let length = bundle.to[lane] - bundle.from[lane];
+    let mut sum = 0.0;
+    for step in 0..steps {
+        let c = bundle.from[lane] + length * (f64::from(step) + 0.5) / f64::from(steps);
+        let across: [f64; 2] = std::array::from_fn(|x| bundle.at[x][lane] + bundle.slope[x][lane] * (c - bundle.c_reference));
+        let mut x = [0.0; 3];
+        for (place, value) in AXES[axis].into_iter().zip([across[0], across[1], c]) {
+            // Cells are numbered from voxel + 1.
+            x[place] = (value - 1.0).clamp(0.0, volume.size[place] as f64 - 1.0);
+        }
+        for corner in 0..8usize {
+            let (mut weight, mut at) = (1.0, [0usize; 3]);
+            for place in 0..3 {
+                let low = (x[place].floor() as usize).min(volume.size[place] - 2);
+                let upper = corner >> place & 1;
+                let f = x[place] - low as f64;
+                weight *= if upper == 1 { f } else { 1.0 - f };
+                at[place] = low + upper;
+            }
+            let index = volume.index(at[0], at[1], at[2]);
+            if volume.class[index] == class {
+                sum += weight * f64::from(volume.density_g_per_cm3[index]);
+            }
+        }
+    }
+    sum * length / f64::from(steps)
+}
+
+#[test]
+fn portable_lanes_wide_lanes_and_the_field_agree() {
+    let volume = lumpy();
+    let cells = Cells::new(&volume).expect("two materials");
+    let slabs = Slabs::new(&volume, &cells).expect("small");
+    let mut stream = Stream::new(5, 0, 0, Purpose::Evaluation);
+    let mut fits = Vec::new();
+    let mut worst = 0.0f64;
+    for axis in 0..3 {
+        slabs.prepare(axis, &volume, &cells);
+        let grid = slabs.grid(axis).expect("prepared");
+        for apart in [0.05, 0.3, 0.9, 1.3, 2.0] {
+            let bundle = bundle(&mut stream, apart, grid.voxels);
+            let spread = |axis: usize| 3.0 * apart + bundle.slope[axis][0].abs();
+            fits.push(fit([spread(0), spread(1)]));
+            let mut portable = [[0.0f32; LANES]; 2];
+            assert_ne!(cross(Portable, &grid, &bundle, &[1, 2], &mut portable), 0, "something was met");
+            for lane in [0, 5, 15] {
+                for (class, sums) in portable.iter().enumerate() {
+                    let expected = finely(&volume, axis, &bundle, lane, class as u8 + 1);
+                    let error = (f64::from(sums[lane]) - expected).abs() / expected.max(1.0);
+                    worst = worst.max(error);
+                    assert!(error < 2e-5, "axis {axis}, {apart} apart, lane {lane}, class {class}: {error:e}");
+                }
+            }
+            let swapped = (f64::from(portable[1][0]) - finely(&volume, axis, &bundle, 0, 1)).abs();
+            assert!(swapped > 1e-2, "the control: the other material differs");
+            #[cfg(target_arch = "x86_64")]
+            if let Some(wide) = pulp::x86::V4::try_new() {
+                let mut sums = [[0.0f32; LANES]; 2];
+                cross(wide, &grid, &bundle, &[1, 2], &mut sums);
+                for (a, b) in sums.iter().flatten().zip(portable.iter().flatten()) {
+                    assert!((a - b).abs() <= 3e-6 * b.max(1.0), "axis {axis}, {apart} apart: {a} {b}");
+                }
+            }
+        }
+    }
+    println!("worst error {worst:.1e}");
+    for wanted in [Fit::Small, Fit::Square, Fit::Memory] {
+        assert!(fits.contains(&wanted), "{wanted:?} was not tried");
+    }
+}
+
+#[test]
+fn sixteen_columns_and_four_rows_are_a_window_of_their_own() {
+    assert_eq!(fit([8.0, 1.5]), Fit::Wide);
+    assert_eq!(fit([5.0, 1.5]), Fit::Small);
+    assert_eq!(fit([5.0, 5.0]), Fit::Square);
+    assert_eq!(fit([f64::NAN, 1.0]), Fit::Memory);
+}
+
+#[test]
+fn validity_is_that_of_the_cell_walker() {
+    let size = [30, 26, 34];
+    let mut scene = empty(&["water", "bone_cortical"]);
+    let turn = DQuat::from_rotation_y(0.5) * DQuat::from_rotation_x(0.2);
+    let affine = placed(size, DVec3::new(0.0, 0.0, 600.0), DVec3::new(1.5, 1.2, 1.4), turn);
+    let mut grid = volume(size, affine, &[0, 1], |[i, j, k]| match (i + 2 * j + 3 * k) % 40 {
+        n if n < 22 => (0, 0.0),
+        n if n < 34 => (1, 1.0),
+        _ => (2, 1.8),
+    });
+    grid.truncated_at_faces = true;
+    // Nothing is known outside a cylinder.
+    let outside = |index: usize| (index % 30) as f64 - 15.0;
+    grid.unknown = (0..grid.class.len()).map(|index| outside(index).hypot((index / 30 % 26) as f64 - 13.0) > 14.5).collect();
+    for (voxel, unknown) in grid.unknown.iter().enumerate() {
+        if *unknown {
+            (grid.class[voxel], grid.density_g_per_cm3[voxel]) = (0, 0.0);
+        }
+    }
+    scene = scene.with(Matter::Volume(Arc::new(grid))).with(solids(&[sphere(DVec3::new(5.0, 3.0, 600.0), 6.0, 1, 1.9)]));
+    let mut renderer = Renderer::new(DeviceChoice::Cpu, &Reporter::silent()).expect("cpu");
+    let mut render = |sampling| {
+        let goal = Some(Goal::Explicit { sampling, energies: None, step_px: 1 });
+        let options = Options { quantity: Quantity::LineIntegral, goal, ..Options::default() };
+        renderer.render(&scene, &options).expect("renders")
+    };
+    let (slabs, cells) = (render(Sampling::ExactSlabs), render(Sampling::ExactCells));
+    assert_eq!((slabs.plan["sampling"].as_str(), cells.plan["sampling"].as_str()), (Some("exact_slabs"), Some("exact_cells")));
+    let differ = slabs.valid.pixels.iter().zip(&cells.valid.pixels).filter(|(a, b)| a != b).count();
+    let valid = cells.valid.pixels.iter().filter(|valid| **valid == 1).count();
+    assert!(valid > 500 && valid < 96 * 96 - 500, "{valid}");
+    // A ray along an edge between cells may be told either way by rounding.
+    assert!(differ <= 2, "{differ} pixels");
+    assert!(worst(&slabs.pages[0].pixels, &cells.pages[0].pixels) < 5e-6);
+}

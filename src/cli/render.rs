@@ -124,7 +124,7 @@ pub enum RenderCommandError {
         value: f64,
     },
     /// What was asked for cannot be promised.
-    #[error("--max-error {wanted:e}: the plan's bound is {stated:e} on {adapter}{advice}")]
+    #[error("--max-error {wanted:e}: the plan's bound is {stated:.1e} on {adapter}{advice}")]
     MaxError {
         /// As typed.
         wanted: f64,
@@ -174,7 +174,7 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
         let advice = "fewer pixels, or a GPU, would be faster";
         reporter.warn(
             "budget",
-            format_args!("--budget-ms {budget}: the fastest plan is predicted to take {predicted:.1} ms; {advice}"),
+            format_args!("--budget-ms {budget}: the fastest plan is predicted to take {predicted:.2} ms; {advice}"),
         );
     }
     options.plan = Some(plan);

@@ -6,10 +6,11 @@ use glam::{DAffine3, DQuat, DVec3};
 use sidecarm::gpu::DeviceChoice;
 use sidecarm::random::{Purpose, Stream};
 use sidecarm::render::cells::Cells;
-use sidecarm::render::cpu::cross_slabs::{Bundle, Fit, cross, fit};
+use sidecarm::render::cpu::cross_slabs::{Fit, cross, fit};
+use sidecarm::render::cpu::edges::{Bundle, Corners, Layers};
 use sidecarm::render::cpu::lanes::{LANES, Portable};
 use sidecarm::render::plan::Sampling;
-use sidecarm::render::slabs::{AXES, Slabs};
+use sidecarm::render::slabs::{AXES, MOST_MATERIALS, Slabs};
 use sidecarm::render::{Goal, Options, Quantity, Renderer};
 use sidecarm::reporter::Reporter;
 use sidecarm::scene::model::{Matter, Volume};
@@ -25,6 +26,18 @@ fn lumpy() -> Volume {
     volume([21, 24, 27], DAffine3::IDENTITY, &[0, 1], filled)
 }
 
+/// Four materials: each alone in places, two to four of them meeting in others.
+fn layered() -> Volume {
+    let filled = |[i, j, k]: [usize; 3]| match (i < 9, j < 11, k % 5) {
+        (true, true, _) => (1, 0.9 + 0.01 * k as f32),
+        (true, false, _) => (2, 1.1 + 0.01 * i as f32),
+        (false, true, 0 | 1) => (3, 1.4),
+        (false, true, _) => (4, 1.0 + 0.02 * j as f32),
+        (false, false, n) => [(0, 0.0), (1, 1.0), (2, 1.2), (3, 1.3), (4, 1.5)][n],
+    };
+    volume([21, 24, 27], DAffine3::IDENTITY, &[0, 1, 2, 3], filled)
+}
+
 /// Rays in a 4 × 4 block `apart` voxels from each other that cross from c = 1 to `to`.
 fn bundle(stream: &mut Stream, apart: f64, voxels: [i32; 3]) -> Bundle {
     let mut between = |low: f64, high: f64| low + (high - low) * stream.uniform();
@@ -36,13 +49,18 @@ fn bundle(stream: &mut Stream, apart: f64, voxels: [i32; 3]) -> Bundle {
         let step = if axis == 0 { lane % 4 } else { lane / 4 } as f64 - 1.5;
         start[axis] + apart * step
     };
+    let at = std::array::from_fn(|axis| std::array::from_fn(|lane| place(axis, lane)));
+    let corners = Corners {
+        at: std::array::from_fn(|axis| [0, 3, 12, 15].map(|lane| place(axis, lane))),
+        slope: slope.map(|slope| [slope; 4]),
+    };
     Bundle {
-        at: std::array::from_fn(|axis| std::array::from_fn(|lane| place(axis, lane))),
+        at,
         slope: slope.map(|slope| [slope; LANES]),
         c_reference: centre,
         from: std::array::from_fn(|lane| from + 0.01 * lane as f64),
         to: [to; LANES],
-        corners: [0, 3, 12, 15],
+        corners,
     }
 }
 
@@ -79,44 +97,84 @@ fn finely(volume: &Volume, axis: usize, bundle: &Bundle, lane: usize, class: u8)
 
 #[test]
 fn portable_lanes_wide_lanes_and_the_field_agree() {
-    let volume = lumpy();
-    let cells = Cells::new(&volume).expect("two materials");
-    let slabs = Slabs::new(&volume, &cells).expect("small");
     let mut stream = Stream::new(5, 0, 0, Purpose::Evaluation);
     let mut fits = Vec::new();
-    let mut worst = 0.0f64;
-    for axis in 0..3 {
-        slabs.prepare(axis, &volume, &cells);
-        let grid = slabs.grid(axis).expect("prepared");
-        for apart in [0.05, 0.3, 0.9, 1.3, 2.0] {
-            let bundle = bundle(&mut stream, apart, grid.voxels);
-            let spread = |axis: usize| 3.0 * apart + bundle.slope[axis][0].abs();
-            fits.push(fit([spread(0), spread(1)]));
-            let mut portable = [[0.0f32; LANES]; 2];
-            assert_ne!(cross(Portable, &grid, &bundle, &[1, 2], &mut portable), 0, "something was met");
-            for lane in [0, 5, 15] {
-                for (class, sums) in portable.iter().enumerate() {
-                    let expected = finely(&volume, axis, &bundle, lane, class as u8 + 1);
-                    let error = (f64::from(sums[lane]) - expected).abs() / expected.max(1.0);
-                    worst = worst.max(error);
-                    assert!(error < 2e-5, "axis {axis}, {apart} apart, lane {lane}, class {class}: {error:e}");
+    for (name, volume) in [("lumpy", lumpy()), ("layered", layered())] {
+        let cells = Cells::new(&volume).expect("few materials");
+        let slabs = Slabs::new(&volume, &cells).expect("small");
+        let mut worst = 0.0f64;
+        for axis in 0..3 {
+            slabs.prepare(axis, &volume, &cells);
+            let grid = slabs.grid(axis).expect("prepared");
+            for apart in [0.05, 0.3, 0.9, 1.1, 1.3, 2.0] {
+                let bundle = bundle(&mut stream, apart, grid.voxels);
+                let spread = |axis: usize| 3.0 * apart + bundle.slope[axis][0].abs();
+                fits.push(fit([spread(0), spread(1)]));
+                let mut layers = Layers::default();
+                layers.fill(&grid, &bundle.corners, bundle.c_reference);
+                let mut portable = [[0.0f32; LANES]; MOST_MATERIALS];
+                assert_ne!(cross(Portable, &grid, &bundle, &layers, &mut portable), 0, "something was met");
+                for lane in [0, 5, 15] {
+                    for (class, sums) in portable.iter().enumerate() {
+                        let expected = finely(&volume, axis, &bundle, lane, class as u8 + 1);
+                        let error = (f64::from(sums[lane]) - expected).abs() / expected.max(1.0);
+                        worst = worst.max(error);
+                        assert!(error < 2e-5, "{name}, axis {axis}, {apart} apart, lane {lane}, class {class}: {error:e}");
+                    }
                 }
-            }
-            let swapped = (f64::from(portable[1][0]) - finely(&volume, axis, &bundle, 0, 1)).abs();
-            assert!(swapped > 1e-2, "the control: the other material differs");
-            #[cfg(target_arch = "x86_64")]
-            if let Some(wide) = pulp::x86::V4::try_new() {
-                let mut sums = [[0.0f32; LANES]; 2];
-                cross(wide, &grid, &bundle, &[1, 2], &mut sums);
-                for (a, b) in sums.iter().flatten().zip(portable.iter().flatten()) {
-                    assert!((a - b).abs() <= 3e-6 * b.max(1.0), "axis {axis}, {apart} apart: {a} {b}");
+                let swapped = (f64::from(portable[1][0]) - finely(&volume, axis, &bundle, 0, 1)).abs();
+                assert!(swapped > 1e-2, "the control: the other material differs");
+                #[cfg(target_arch = "x86_64")]
+                if let Some(wide) = pulp::x86::V4::try_new() {
+                    let mut sums = [[0.0f32; LANES]; MOST_MATERIALS];
+                    cross(wide, &grid, &bundle, &layers, &mut sums);
+                    for (a, b) in sums.iter().flatten().zip(portable.iter().flatten()) {
+                        assert!((a - b).abs() <= 3e-6 * b.max(1.0), "{name}, axis {axis}, {apart} apart: {a} {b}");
+                    }
                 }
             }
         }
+        println!("{name}: worst error {worst:.1e}");
     }
-    println!("worst error {worst:.1e}");
     for wanted in [Fit::Small, Fit::Square, Fit::Memory] {
         assert!(fits.contains(&wanted), "{wanted:?} was not tried");
+    }
+}
+
+#[test]
+fn windows_of_sixteen_columns_hold_what_is_wide_and_flat() {
+    let volume = layered();
+    let cells = Cells::new(&volume).expect("few materials");
+    let slabs = Slabs::new(&volume, &cells).expect("small");
+    for axis in 0..3 {
+        slabs.prepare(axis, &volume, &cells);
+        let grid = slabs.grid(axis).expect("prepared");
+        for (flat, wanted) in [(0.1, Fit::Wide), (0.8, Fit::Broad)] {
+            let mut stream = Stream::new(9, 0, axis as u32, Purpose::Evaluation);
+            let mut bundle = bundle(&mut stream, 1.0, grid.voxels);
+            // Flat along b: rows `flat` apart, columns 2 apart.
+            let middle = [0.5 * f64::from(grid.voxels[0]), 0.5 * f64::from(grid.voxels[1])];
+            let place =
+                |x: usize, lane: usize| middle[x] + [2.0, flat][x] * (if x == 0 { lane % 4 } else { lane / 4 } as f64 - 1.5);
+            bundle.at = std::array::from_fn(|x| std::array::from_fn(|lane| place(x, lane)));
+            bundle.corners.at = std::array::from_fn(|x| [0, 3, 12, 15].map(|lane| place(x, lane)));
+            let spread = [6.0 + bundle.slope[0][0].abs(), 3.0 * flat + bundle.slope[1][0].abs()];
+            assert_eq!(fit(spread), wanted, "{spread:?}");
+            let mut layers = Layers::default();
+            layers.fill(&grid, &bundle.corners, bundle.c_reference);
+            let mut portable = [[0.0f32; LANES]; MOST_MATERIALS];
+            cross(Portable, &grid, &bundle, &layers, &mut portable);
+            let expected = finely(&volume, axis, &bundle, 6, 1);
+            assert!((f64::from(portable[0][6]) - expected).abs() < 2e-5 * expected.max(1.0), "{} {expected}", portable[0][6]);
+            #[cfg(target_arch = "x86_64")]
+            if let Some(wide) = pulp::x86::V4::try_new() {
+                let mut sums = [[0.0f32; LANES]; MOST_MATERIALS];
+                cross(wide, &grid, &bundle, &layers, &mut sums);
+                for (a, b) in sums.iter().flatten().zip(portable.iter().flatten()) {
+                    assert!((a - b).abs() <= 3e-6 * b.max(1.0), "axis {axis}, {wanted:?}: {a} {b}");
+                }
+            }
+        }
     }
 }
 
@@ -125,6 +183,7 @@ fn sixteen_columns_and_four_rows_are_a_window_of_their_own() {
     assert_eq!(fit([8.0, 1.5]), Fit::Wide);
     assert_eq!(fit([5.0, 1.5]), Fit::Small);
     assert_eq!(fit([5.0, 5.0]), Fit::Square);
+    assert_eq!(fit([7.1, 2.5]), Fit::Broad);
     assert_eq!(fit([f64::NAN, 1.0]), Fit::Memory);
 }
 

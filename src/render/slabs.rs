@@ -4,7 +4,7 @@ use std::sync::OnceLock;
 
 use rayon::prelude::*;
 
-use super::cells::{BRICK, CUT, Cells, EMPTY, EMPTY_BRICK};
+use super::cells::{BRICK, CUT, Cells, EMPTY, EMPTY_BRICK, MIXED, voxel_pair};
 use crate::scene::model::Volume;
 
 /// Axes (a, b, c) for each axis c across the slabs; a is contiguous.
@@ -12,6 +12,9 @@ pub const AXES: [[usize; 3]; 3] = [[1, 2, 0], [0, 2, 1], [0, 1, 2]];
 
 /// Bit of a brick in which matter borders on voxels of which nothing is known.
 pub const CUT_BIT: u8 = 0x80;
+
+/// Bits of a brick in which a material of the volume occurs: bit m for `Cells::materials[m]`.
+pub const MATERIAL_BITS: u8 = (1 << MOST_MATERIALS) - 1;
 
 /// More materials than this in one volume are left to the cell walker.
 pub const MOST_MATERIALS: usize = 4;
@@ -45,10 +48,22 @@ pub struct SlabGrid<'a> {
     pub values: &'a [f32],
     /// Mask of those bits; 0 when there is one material.
     pub class_bits: u32,
-    /// Per brick of 8³ cells: 0 where there is nothing, `CUT_BIT` where the unknown begins.
+    /// Per brick of 8³ cells: `MATERIAL_BITS` of what occurs, `CUT_BIT` where the unknown begins.
     pub bricks: &'a [u8],
     /// Step between bricks along a, b, c.
     pub brick_stride: [usize; 3],
+}
+
+/// Bits of the materials at a cell's corners.
+fn materials_of(volume: &Volume, cells: &Cells, cell: [usize; 3]) -> u8 {
+    let [(i, di), (j, dj), (k, dk)] = std::array::from_fn(|axis| voxel_pair(cell[axis], volume.size[axis]));
+    (0..8).fold(0, |bits, corner: usize| {
+        let voxel = volume.index(i + di * (corner & 1), j + dj * (corner >> 1 & 1), k + dk * (corner >> 2));
+        match volume.class[voxel] {
+            0 => bits,
+            class => bits | 1 << cells.material_of_class[usize::from(class) - 1],
+        }
+    })
 }
 
 impl Slabs {
@@ -69,12 +84,14 @@ impl Slabs {
             for k in bk * BRICK..((bk + 1) * BRICK).min(cells.size[2]) {
                 for j in 0..cells.size[1] {
                     let row = &cells.kind[cells.index([0, j, k])..][..cells.size[0]];
-                    for (kinds, brick) in row.chunks(BRICK).zip(&mut layer[j / BRICK * bi..]) {
-                        for kind in kinds {
+                    for (i, (kinds, brick)) in row.chunks(BRICK).zip(&mut layer[j / BRICK * bi..]).enumerate() {
+                        for (kind, i) in kinds.iter().zip(i * BRICK..) {
                             *brick |= match *kind {
                                 EMPTY | EMPTY_BRICK => 0,
-                                CUT => CUT_BIT | 1,
-                                _ => 1,
+                                CUT => CUT_BIT | materials_of(volume, cells, [i, j, k]),
+                                MIXED => materials_of(volume, cells, [i, j, k]),
+                                // `materials` ≤ `MOST_MATERIALS`.
+                                single => 1 << (single - 1),
                             };
                         }
                     }

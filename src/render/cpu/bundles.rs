@@ -1,6 +1,7 @@
 //! Bundles of sixteen neighbouring pixels, as rays through one volume.
 
-use super::cross_slabs::{Bundle, Fit, fit};
+use super::cross_slabs::{Fit, fit};
+use super::edges::{Bundle, Corners};
 use super::lanes::LANES;
 use crate::geometry::View;
 use crate::render::prepared::SeenVolume;
@@ -18,6 +19,47 @@ pub struct Rays {
 
 /// Columns of pixels in a bundle; its rows are 16 / columns.
 const LAYOUTS: [usize; 3] = [4, 8, 2];
+
+/// The pixels of a bundle.
+#[derive(Clone, Copy, Debug)]
+pub struct Pattern {
+    /// Columns of the pixels, lane by lane.
+    pub u: [f64; LANES],
+    /// Rows.
+    pub v: [f64; LANES],
+}
+
+impl Pattern {
+    /// Every `step`-th pixel from (u, v) on, in rows of `columns`.
+    #[inline(always)]
+    #[must_use]
+    pub fn grid([u, v]: [i32; 2], columns: usize, step: i32) -> Self {
+        let mut pattern = Self { u: [0.0; LANES], v: [0.0; LANES] };
+        let mut l = 0;
+        while l < LANES {
+            pattern.u[l] = f64::from(u + step * (l % columns) as i32);
+            pattern.v[l] = f64::from(v + step * (l / columns) as i32);
+            l += 1;
+        }
+        pattern
+    }
+
+    /// Corners of the smallest rectangle around all pixels.
+    #[inline(always)]
+    #[must_use]
+    pub fn corners(&self) -> [[f64; 2]; 4] {
+        let (mut low, mut high) = ([self.u[0], self.v[0]], [self.u[0], self.v[0]]);
+        let mut l = 1;
+        while l < LANES {
+            low[0] = if self.u[l] < low[0] { self.u[l] } else { low[0] };
+            high[0] = if self.u[l] > high[0] { self.u[l] } else { high[0] };
+            low[1] = if self.v[l] < low[1] { self.v[l] } else { low[1] };
+            high[1] = if self.v[l] > high[1] { self.v[l] } else { high[1] };
+            l += 1;
+        }
+        [low, [high[0], low[1]], [low[0], high[1]], high]
+    }
+}
 
 impl Rays {
     /// Rays of `view` through `seen`.
@@ -87,39 +129,70 @@ impl Rays {
         best.1
     }
 
-    /// The rays of a block of pixels from (u, v) on that run mainly along `axis`, between the depths `t`.
+    /// Lines through the corners of a rectangle of pixels, as functions of c.
     #[inline(always)]
     #[must_use]
-    pub fn bundle(&self, [u, v]: [usize; 2], columns: usize, axis: usize, c_reference: f64, t: &[[f64; LANES]; 2]) -> Bundle {
+    pub fn corners(&self, pixels: &[[f64; 2]; 4], axis: usize, c_reference: f64) -> Corners {
+        let mut corners = Corners::default();
+        let mut i = 0;
+        while i < 4 {
+            let q = self.direction(pixels[i][0], pixels[i][1]);
+            let (at, slope) = self.line(&q, axis, c_reference);
+            let mut x = 0;
+            while x < 2 {
+                corners.at[x][i] = at[x];
+                corners.slope[x][i] = slope[x];
+                x += 1;
+            }
+            i += 1;
+        }
+        corners
+    }
+
+    /// A ray as a function of c: where it is at `c_reference`, and its slopes.
+    #[inline(always)]
+    fn line(&self, q: &[f64; 3], axis: usize, c_reference: f64) -> ([f64; 2], [f64; 2]) {
         let [a, b, c] = AXES[axis];
+        let inverse = 1.0 / if q[c] == 0.0 { 1e-30 } else { q[c] };
+        // Rays that run along another axis only mark corners; they must stay finite.
+        let slope = [(q[a] * inverse).clamp(-4.0, 4.0), (q[b] * inverse).clamp(-4.0, 4.0)];
+        let on = c_reference - self.p[c];
+        ([self.p[a] + on * slope[0], self.p[b] + on * slope[1]], slope)
+    }
+
+    /// The rays with the directions `q` that run mainly along `axis`, between the depths `t`.
+    #[inline(always)]
+    #[must_use]
+    pub fn bundle(
+        &self,
+        q: &[[f64; 3]; LANES],
+        corners: Corners,
+        axis: usize,
+        c_reference: f64,
+        t: &[[f64; LANES]; 2],
+    ) -> Bundle {
+        let c = AXES[axis][2];
         let mut bundle = Bundle {
             at: [[0.0; LANES]; 2],
             slope: [[0.0; LANES]; 2],
             c_reference,
             from: [0.0; LANES],
             to: [0.0; LANES],
-            corners: [0, columns - 1, LANES - columns, LANES - 1],
+            corners,
         };
-        let (mut qc, mut own) = ([0.0f64; LANES], [false; LANES]);
         let mut l = 0;
         while l < LANES {
-            let q = self.direction((u + l % columns) as f64, (v + l / columns) as f64);
-            let inverse = 1.0 / if q[c] == 0.0 { 1e-30 } else { q[c] };
-            // Rays that run along another axis only mark the block's corners; they must stay finite.
-            bundle.slope[0][l] = (q[a] * inverse).clamp(-4.0, 4.0);
-            bundle.slope[1][l] = (q[b] * inverse).clamp(-4.0, 4.0);
-            bundle.at[0][l] = self.p[a] + (c_reference - self.p[c]) * bundle.slope[0][l];
-            bundle.at[1][l] = self.p[b] + (c_reference - self.p[c]) * bundle.slope[1][l];
-            qc[l] = q[c];
-            own[l] = Self::dominant(q) == axis;
+            let (at, slope) = self.line(&q[l], axis, c_reference);
+            (bundle.at[0][l], bundle.at[1][l]) = (at[0], at[1]);
+            (bundle.slope[0][l], bundle.slope[1][l]) = (slope[0], slope[1]);
             l += 1;
         }
         let mut l = 0;
         while l < LANES {
-            let (x, y) = (self.p[c] + qc[l] * t[0][l], self.p[c] + qc[l] * t[1][l]);
+            let (x, y) = (self.p[c] + q[l][c] * t[0][l], self.p[c] + q[l][c] * t[1][l]);
             let (x, y) = if x < y { (x, y) } else { (y, x) };
             bundle.from[l] = x;
-            bundle.to[l] = if own[l] && t[1][l] > t[0][l] { y } else { x };
+            bundle.to[l] = if Self::dominant(q[l]) == axis && t[1][l] > t[0][l] { y } else { x };
             l += 1;
         }
         bundle

@@ -3,8 +3,9 @@
 
 use glam::{DVec2, DVec3};
 
-use super::bundles::Rays;
+use super::bundles::{Pattern, Rays};
 use super::cross_slabs::cross;
+use super::edges::Layers;
 use super::integrate_density::{Claims, claim_solids};
 use super::lanes::{LANES, Lanes, Portable};
 use super::walk_cells::CellRay;
@@ -62,7 +63,7 @@ impl<'a> Crossing<'a> {
         if let Some(avx512) = pulp::x86::V4::try_new() {
             return avx512.vectorize(OnAvx512(fill, avx512));
         }
-        fill.with_materials(Portable)
+        fill.run(Portable)
     }
 
     /// Depths between which each ray crosses what holds matter; `whole` is the grid itself.
@@ -88,6 +89,53 @@ impl<'a> Crossing<'a> {
     }
 }
 
+/// What lies below a rectangle of pixels.
+struct Below<'c, 'a> {
+    crossing: &'c Crossing<'a>,
+    /// Corners of the rectangle.
+    corners: [[f64; 2]; 4],
+    filled: [bool; 3],
+    layers: [Layers; 3],
+}
+
+impl<'c, 'a> Below<'c, 'a> {
+    fn new(crossing: &'c Crossing<'a>, corners: [[f64; 2]; 4]) -> Self {
+        Self { crossing, corners, filled: [false; 3], layers: Default::default() }
+    }
+
+    /// Adds ∫ρ dc of the rays of `pattern`, whose directions are `q`, along each of the `axes` that are dominant for any. Returns the bits
+    /// of the bricks below; `None` where an axis has no slabs.
+    #[inline(always)]
+    fn cross<S: Lanes>(
+        &mut self,
+        s: S,
+        pattern: &Pattern,
+        q: &[[f64; 3]; LANES],
+        axes: &[bool; 3],
+        t: &[[f64; LANES]; 2],
+        sums: &mut [[f32; LANES]; MOST_MATERIALS],
+    ) -> Option<u8> {
+        let mut met = 0;
+        let pixels = pattern.corners();
+        let rays = &self.crossing.rays;
+        let mut axis = 0;
+        while axis < 3 {
+            if axes[axis] {
+                let Some(grid) = &self.crossing.grids[axis] else { return None };
+                let reference = 0.5 * f64::from(grid.voxels[2]);
+                if !self.filled[axis] {
+                    self.layers[axis].fill(grid, &rays.corners(&self.corners, axis, reference), reference);
+                    self.filled[axis] = true;
+                }
+                let bundle = rays.bundle(q, rays.corners(&pixels, axis, reference), axis, reference, t);
+                met |= cross::<S>(s, grid, &bundle, &self.layers[axis], sums);
+            }
+            axis += 1;
+        }
+        Some(met)
+    }
+}
+
 struct Fill<'f, 'a, 'b> {
     crossing: &'f Crossing<'a>,
     block: Block<'b>,
@@ -103,18 +151,13 @@ impl pulp::NullaryFnOnce for OnAvx512<'_, '_, '_> {
     type Output = f32;
     #[inline(always)]
     fn call(self) -> f32 {
-        self.0.with_materials(self.1)
+        self.0.run(self.1)
     }
 }
 
 impl Fill<'_, '_, '_> {
     #[inline(always)]
-    fn with_materials<S: Lanes>(self, s: S) -> f32 {
-        if self.crossing.seen.cells.materials.len() <= 1 { self.run::<S, 1>(s) } else { self.run::<S, 2>(s) }
-    }
-
-    #[inline(always)]
-    fn run<S: Lanes, const M: usize>(self, s: S) -> f32 {
+    fn run<S: Lanes>(self, s: S) -> f32 {
         let Self { crossing, block, claims, walk } = self;
         let prepared = crossing.prepared;
         let bounds = block.bounds;
@@ -132,15 +175,18 @@ impl Fill<'_, '_, '_> {
             high[axis] = (end[axis] as f64).min(grid_high[axis]);
         }
         let first_row = v0 - v0 % BLOCK;
+        let last = [bounds.to[0] as f64 - 1.0, bounds.to[1] as f64 - 1.0];
+        let corners = [[u0 as f64, v0 as f64], [last[0], v0 as f64], [u0 as f64, last[1]], last];
+        let mut below = Below::new(crossing, corners);
         for v in (v0..bounds.to[1] as usize).step_by(rows) {
             for u in (u0..bounds.to[0] as usize).step_by(columns) {
+                let pattern = Pattern::grid([u as i32, v as i32], columns, 1);
                 let mut q = [[0.0f64; 3]; LANES];
                 let mut seen = [false; LANES];
                 let mut l = 0;
                 while l < LANES {
-                    let (x, y) = (u + l % columns, v + l / columns);
-                    q[l] = crossing.rays.direction(x as f64, y as f64);
-                    seen[l] = x < bounds.to[0] as usize && y < bounds.to[1] as usize;
+                    q[l] = crossing.rays.direction(pattern.u[l], pattern.v[l]);
+                    seen[l] = pattern.u[l] <= last[0] && pattern.v[l] <= last[1];
                     l += 1;
                 }
                 let mut t = crossing.depths(low, high, &q);
@@ -159,7 +205,6 @@ impl Fill<'_, '_, '_> {
                 if !block.solids.is_empty() {
                     rounds = claims.claim(crossing, block.solids, [u, v], columns, &seen, &t);
                 }
-                // Up to two materials at once, so up to two passes.
                 let mut sums = [[0.0f32; LANES]; MOST_MATERIALS];
                 let mut met = 0;
                 let mut lost = false;
@@ -167,23 +212,9 @@ impl Fill<'_, '_, '_> {
                     if !block.solids.is_empty() {
                         claims.gaps(round, &mut t);
                     }
-                    for (axis, grid) in crossing.grids.iter().enumerate() {
-                        match (grid, axes[axis]) {
-                            (Some(grid), true) => {
-                                let reference = 0.5 * f64::from(grid.voxels[2]);
-                                let bundle = crossing.rays.bundle([u, v], columns, axis, reference, &t);
-                                let (passes, _) = sums.as_chunks_mut::<M>();
-                                for (pass, sums) in passes.iter_mut().enumerate().take(cells.materials.len().div_ceil(M)) {
-                                    let mut classes = [0; M];
-                                    for (m, class) in classes.iter_mut().enumerate() {
-                                        *class = (pass * M + m) as u32 + 1;
-                                    }
-                                    met |= cross::<S, M>(s, grid, &bundle, &classes, sums);
-                                }
-                            }
-                            (None, true) => lost = true,
-                            _ => {}
-                        }
+                    match below.cross(s, &pattern, &q, &axes, &t, &mut sums) {
+                        Some(bits) => met |= bits,
+                        None => lost = true,
                     }
                 }
                 let missing = if crossing.seen.volume.truncated_at_faces {

@@ -27,6 +27,8 @@ pub trait Lanes: Copy {
     fn add(self, a: Self::F, b: Self::F) -> Self::F;
     /// a − b.
     fn sub(self, a: Self::F, b: Self::F) -> Self::F;
+    /// a / b.
+    fn div(self, a: Self::F, b: Self::F) -> Self::F;
     /// a · b.
     fn mul(self, a: Self::F, b: Self::F) -> Self::F;
     /// a · b + c.
@@ -45,8 +47,12 @@ pub trait Lanes: Copy {
     fn select(self, m: Self::M, a: Self::F, b: Self::F) -> Self::F;
     /// Whole numbers as indices.
     fn index(self, a: Self::F) -> Self::I;
-    /// Indices further on.
-    fn offset(self, i: Self::I, by: i32) -> Self::I;
+    /// The same index in all lanes.
+    fn same_index(self, i: i32) -> Self::I;
+    /// i + j.
+    fn add_index(self, i: Self::I, j: Self::I) -> Self::I;
+    /// `i` where true, else `j`.
+    fn select_index(self, m: Self::M, i: Self::I, j: Self::I) -> Self::I;
     /// Indices to memory.
     fn indices(self, i: Self::I) -> [i32; LANES];
     /// A table of four rows of eight.
@@ -57,6 +63,8 @@ pub trait Lanes: Copy {
     fn lookup(self, table: Self::Table, i: Self::I) -> Self::F;
     /// From two tables, the second holds entries 32–63.
     fn lookup_64(self, low: Self::Table, high: Self::Table, i: Self::I) -> Self::F;
+    /// From three tables of 32.
+    fn lookup_96(self, tables: [Self::Table; 3], i: Self::I) -> Self::F;
     /// The value where its low `bits` are `class`, else 0.
     fn of_class(self, a: Self::F, bits: u32, class: u32) -> Self::F;
 }
@@ -104,6 +112,10 @@ impl Lanes for Portable {
         lanewise!(l => a[l] - b[l])
     }
     #[inline(always)]
+    fn div(self, a: Self::F, b: Self::F) -> Self::F {
+        lanewise!(l => a[l] / b[l])
+    }
+    #[inline(always)]
     fn mul(self, a: Self::F, b: Self::F) -> Self::F {
         lanewise!(l => a[l] * b[l])
     }
@@ -146,8 +158,16 @@ impl Lanes for Portable {
         lanewise!(l => a[l] as i32)
     }
     #[inline(always)]
-    fn offset(self, i: Self::I, by: i32) -> Self::I {
-        lanewise!(l => i[l] + by)
+    fn same_index(self, i: i32) -> Self::I {
+        [i; LANES]
+    }
+    #[inline(always)]
+    fn add_index(self, i: Self::I, j: Self::I) -> Self::I {
+        lanewise!(l => i[l] + j[l])
+    }
+    #[inline(always)]
+    fn select_index(self, m: Self::M, i: Self::I, j: Self::I) -> Self::I {
+        lanewise!(l => if m[l] { i[l] } else { j[l] })
     }
     #[inline(always)]
     fn indices(self, i: Self::I) -> [i32; LANES] {
@@ -180,6 +200,10 @@ impl Lanes for Portable {
     #[inline(always)]
     fn lookup_64(self, low: Self::Table, high: Self::Table, i: Self::I) -> Self::F {
         lanewise!(l => if i[l] & 32 == 0 { low[(i[l] & 31) as usize] } else { high[(i[l] & 31) as usize] })
+    }
+    #[inline(always)]
+    fn lookup_96(self, tables: [Self::Table; 3], i: Self::I) -> Self::F {
+        lanewise!(l => tables[((i[l] >> 5 & 3) as usize).min(2)][(i[l] & 31) as usize])
     }
     #[inline(always)]
     fn of_class(self, a: Self::F, bits: u32, class: u32) -> Self::F {
@@ -222,6 +246,10 @@ mod avx512 {
             self.avx512f._mm512_sub_ps(a, b)
         }
         #[inline(always)]
+        fn div(self, a: __m512, b: __m512) -> __m512 {
+            self.avx512f._mm512_div_ps(a, b)
+        }
+        #[inline(always)]
         fn mul(self, a: __m512, b: __m512) -> __m512 {
             self.avx512f._mm512_mul_ps(a, b)
         }
@@ -259,8 +287,16 @@ mod avx512 {
             self.avx512f._mm512_cvttps_epi32(a)
         }
         #[inline(always)]
-        fn offset(self, i: __m512i, by: i32) -> __m512i {
-            self.avx512f._mm512_add_epi32(i, self.avx512f._mm512_set1_epi32(by))
+        fn same_index(self, i: i32) -> __m512i {
+            self.avx512f._mm512_set1_epi32(i)
+        }
+        #[inline(always)]
+        fn add_index(self, i: __m512i, j: __m512i) -> __m512i {
+            self.avx512f._mm512_add_epi32(i, j)
+        }
+        #[inline(always)]
+        fn select_index(self, m: __mmask16, i: __m512i, j: __m512i) -> __m512i {
+            self.avx512f._mm512_mask_blend_epi32(m, j, i)
         }
         #[inline(always)]
         fn indices(self, i: __m512i) -> [i32; LANES] {
@@ -290,6 +326,12 @@ mod avx512 {
             let is_high = f._mm512_test_epi32_mask(i, f._mm512_set1_epi32(32));
             let (low, high) = (f._mm512_permutex2var_ps(low.0, i, low.1), f._mm512_permutex2var_ps(high.0, i, high.1));
             f._mm512_mask_blend_ps(is_high, low, high)
+        }
+        #[inline(always)]
+        fn lookup_96(self, tables: [(__m512, __m512); 3], i: __m512i) -> __m512 {
+            let f = self.avx512f;
+            let is_last = f._mm512_test_epi32_mask(i, f._mm512_set1_epi32(64));
+            f._mm512_mask_blend_ps(is_last, self.lookup_64(tables[0], tables[1], i), self.lookup(tables[2], i))
         }
         #[inline(always)]
         fn of_class(self, a: __m512, bits: u32, class: u32) -> __m512 {

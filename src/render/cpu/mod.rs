@@ -3,7 +3,9 @@
 pub mod add_noise;
 pub mod attenuate_spectrum;
 pub mod bundles;
+pub mod cells_of_slab;
 pub mod cross_slabs;
+pub mod edges;
 pub mod enlarge_density;
 pub mod integrate_block;
 pub mod integrate_density;

@@ -58,14 +58,28 @@ impl<S: Lanes> Window<S> for Wide<S> {
     const STRIDE: i32 = 16;
     #[inline(always)]
     fn open(s: S, grid: &SlabGrid, a: i32, b: i32, c: i32) -> Self {
-        let at = grid.at(a, b, c);
-        let (r0, r1) = (grid.row::<16>(at), grid.row::<16>(at + grid.stride_b));
-        let (r2, r3) = (grid.row::<16>(at + 2 * grid.stride_b), grid.row::<16>(at + 3 * grid.stride_b));
-        Self(s.rows_of_16([r0, r1]), s.rows_of_16([r2, r3]))
+        Self(two_rows(s, grid, a, b, c), two_rows(s, grid, a, b + 2, c))
     }
     #[inline(always)]
     fn fetch(self, s: S, _: &SlabGrid, i: S::I) -> S::F {
         s.lookup_64(self.0, self.1, i)
+    }
+}
+
+/// Sixteen columns, six rows.
+#[derive(Clone, Copy)]
+pub struct Broad<S: Lanes>(S::Table, S::Table, S::Table);
+
+impl<S: Lanes> Window<S> for Broad<S> {
+    const SIZE: [i32; 2] = [16, 6];
+    const STRIDE: i32 = 16;
+    #[inline(always)]
+    fn open(s: S, grid: &SlabGrid, a: i32, b: i32, c: i32) -> Self {
+        Self(two_rows(s, grid, a, b, c), two_rows(s, grid, a, b + 2, c), two_rows(s, grid, a, b + 4, c))
+    }
+    #[inline(always)]
+    fn fetch(self, s: S, _: &SlabGrid, i: S::I) -> S::F {
+        s.lookup_96([self.0, self.1, self.2], i)
     }
 }
 
@@ -102,4 +116,10 @@ fn four_rows<S: Lanes>(s: S, grid: &SlabGrid, a: i32, b: i32, c: i32) -> S::Tabl
     let at = grid.at(a, b, c);
     let (r0, r1) = (grid.row::<8>(at), grid.row::<8>(at + grid.stride_b));
     s.rows_of_8([r0, r1, grid.row::<8>(at + 2 * grid.stride_b), grid.row::<8>(at + 3 * grid.stride_b)])
+}
+
+#[inline(always)]
+fn two_rows<S: Lanes>(s: S, grid: &SlabGrid, a: i32, b: i32, c: i32) -> S::Table {
+    let at = grid.at(a, b, c);
+    s.rows_of_16([grid.row::<16>(at), grid.row::<16>(at + grid.stride_b)])
 }

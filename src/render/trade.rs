@@ -62,7 +62,8 @@ pub fn sweep(scene: &Scene, renderer: &mut Renderer, reporter: &Reporter) -> Res
     scene.model.noise = Noise::Off;
     let view = scene.view.ok_or(RenderError::NoView)?;
     let [width, height] = view.size_px;
-    let stride = (width.max(height) / 96).max(1);
+    // Odd, so that pixels between cast ones are judged too.
+    let stride = (width.max(height) / 96).max(1) | 1;
     let mut thin = scene.clone();
     if stride > 1 {
         // fx · pitch stays: the detector does not move.

@@ -30,15 +30,15 @@ pub struct Pattern {
 }
 
 impl Pattern {
-    /// Every `step`-th pixel from (u, v) on, in rows of `columns`.
+    /// The pixels from (u, v) on, in rows of `columns`.
     #[inline(always)]
     #[must_use]
-    pub fn grid([u, v]: [i32; 2], columns: usize, step: i32) -> Self {
+    pub fn grid([u, v]: [usize; 2], columns: usize) -> Self {
         let mut pattern = Self { u: [0.0; LANES], v: [0.0; LANES] };
         let mut l = 0;
         while l < LANES {
-            pattern.u[l] = f64::from(u + step * (l % columns) as i32);
-            pattern.v[l] = f64::from(v + step * (l / columns) as i32);
+            pattern.u[l] = (u + l % columns) as f64;
+            pattern.v[l] = (v + l / columns) as f64;
             l += 1;
         }
         pattern

@@ -7,7 +7,8 @@ use std::sync::Arc;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
-use super::integrate_block::{BLOCK, Block, Crossing, cell_ray};
+use super::crossing::Crossing;
+use super::integrate_block::{BLOCK, Block, cell_ray};
 use super::intersect_mesh::MeshTree;
 use super::intervals::Intervals;
 use super::lanes::LANES;
@@ -55,78 +56,120 @@ pub struct Claims {
 /// Integrates every ray on all cores; the result does not depend on how many there are.
 #[must_use]
 pub fn integrate_density(prepared: &Prepared, sampling: Sampling) -> Density {
-    let [width, height] = prepared.view.size_px.map(|n| n as usize);
-    let materials = prepared.material_count;
-    let trees: Arc<Vec<MeshTree>> =
-        Arc::new(prepared.meshes.iter().map(|seen| MeshTree::new(&seen.vertices_in_camera, &seen.mesh.triangles)).collect());
-    let in_slabs = sampling == Sampling::ExactSlabs;
-    let crossing = |index| if in_slabs { Crossing::new(prepared, index) } else { None };
-    let crossings: Vec<Option<Crossing>> = (0..prepared.volumes.len()).map(crossing).collect();
-    let mut g_per_cm2 = vec![0.0f32; width * height * materials.max(1)];
-    let mut valid = vec![1u8; width * height];
-    let bands = g_per_cm2.par_chunks_mut(TILE_ROWS * width * materials.max(1)).zip(valid.par_chunks_mut(TILE_ROWS * width));
-    let unscanned_mm = bands
-        .enumerate()
-        .map(|(band, (density, valid))| {
-            let mut scratch = Scratch {
-                covered: Intervals::default(),
-                gaps: Vec::new(),
-                own: Vec::new(),
-                found: Found::default(),
-                sums: vec![0.0; materials],
-            };
-            let mut claims = Claims {
-                trees: trees.clone(),
-                covered: Intervals::default(),
-                own: Vec::new(),
-                gaps: Default::default(),
-                sums: std::array::from_fn(|_| vec![0.0; materials]),
-            };
-            let mut steps = Vec::new();
-            let first_row = band * TILE_ROWS;
-            let rows = valid.len() / width;
-            let mut worst_mm = 0.0f32;
-            for first_column in (0..width).step_by(TILE_COLUMNS) {
-                let columns = TILE_COLUMNS.min(width - first_column);
-                let tile = Bounds {
-                    from: [first_column as u32, first_row as u32],
-                    to: [(first_column + columns) as u32, (first_row + rows) as u32],
-                };
-                steps.clear();
-                steps.extend(prepared.steps.iter().filter(|step| seen_in(prepared, step, &tile)));
-                if let Some((crossing, solids)) = in_bundles(&crossings, &steps) {
-                    let mut walk = |at: DVec2, out: &mut [f32]| {
-                        let missing = integrate_ray(prepared, &trees, &steps, at, &mut scratch);
-                        out.iter_mut().zip(&scratch.sums).for_each(|(out, sum)| *out = *sum as f32);
-                        missing
+    Integrator::new(prepared, sampling).all()
+}
+
+/// What all rays of an image share.
+struct Integrator<'a> {
+    prepared: &'a Prepared<'a>,
+    trees: Arc<Vec<MeshTree>>,
+    crossings: Vec<Option<Crossing<'a>>>,
+}
+
+/// What one thread works with.
+struct Worker {
+    scratch: Scratch,
+    claims: Claims,
+    steps: Vec<Step>,
+}
+
+impl<'a> Integrator<'a> {
+    fn new(prepared: &'a Prepared<'a>, sampling: Sampling) -> Self {
+        let trees =
+            Arc::new(prepared.meshes.iter().map(|seen| MeshTree::new(&seen.vertices_in_camera, &seen.mesh.triangles)).collect());
+        let in_slabs = sampling == Sampling::ExactSlabs;
+        let crossing = |index| if in_slabs { Crossing::new(prepared, index) } else { None };
+        let crossings = (0..prepared.volumes.len()).map(crossing).collect();
+        Self { prepared, trees, crossings }
+    }
+
+    fn worker(&self) -> Worker {
+        let materials = self.prepared.material_count;
+        let scratch = Scratch {
+            covered: Intervals::default(),
+            gaps: Vec::new(),
+            own: Vec::new(),
+            found: Found::default(),
+            sums: vec![0.0; materials],
+        };
+        let claims = Claims {
+            trees: self.trees.clone(),
+            covered: Intervals::default(),
+            own: Vec::new(),
+            gaps: Default::default(),
+            sums: std::array::from_fn(|_| vec![0.0; materials]),
+        };
+        Worker { scratch, claims, steps: Vec::new() }
+    }
+
+    fn all(&self) -> Density {
+        let [width, height] = self.prepared.view.size_px.map(|n| n as usize);
+        let materials = self.prepared.material_count;
+        let mut g_per_cm2 = vec![0.0f32; width * height * materials.max(1)];
+        let mut valid = vec![1u8; width * height];
+        let bands = g_per_cm2.par_chunks_mut(TILE_ROWS * width * materials.max(1)).zip(valid.par_chunks_mut(TILE_ROWS * width));
+        let unscanned_mm = bands
+            .enumerate()
+            .map(|(band, (density, valid))| {
+                let mut worker = self.worker();
+                let first_row = band * TILE_ROWS;
+                let rows = valid.len() / width;
+                let mut worst_mm = 0.0f32;
+                for first_column in (0..width).step_by(TILE_COLUMNS) {
+                    let columns = TILE_COLUMNS.min(width - first_column);
+                    let tile = Bounds {
+                        from: [first_column as u32, first_row as u32],
+                        to: [(first_column + columns) as u32, (first_row + rows) as u32],
                     };
-                    for u in (tile.from[0]..tile.to[0]).step_by(BLOCK) {
-                        let bounds = Bounds { from: [u, tile.from[1]], to: [(u + BLOCK as u32).min(tile.to[0]), tile.to[1]] };
-                        let block = Block { bounds, solids, g_per_cm2: density, valid, width };
-                        worst_mm = worst_mm.max(crossing.fill(block, &mut claims, &mut walk));
-                    }
-                    continue;
+                    worst_mm = worst_mm.max(self.fill(&mut worker, &tile, first_row, density, valid));
                 }
-                for row in 0..rows {
-                    for column in first_column..first_column + columns {
-                        let pixel = row * width + column;
-                        let at = DVec2::new(column as f64, (first_row + row) as f64);
-                        let missing_mm = integrate_ray(prepared, &trees, &steps, at, &mut scratch);
-                        for (out, sum) in density[pixel * materials..].iter_mut().zip(&scratch.sums) {
-                            *out = *sum as f32;
-                        }
-                        if let Some(missing_mm) = missing_mm {
-                            valid[pixel] = 0;
-                            worst_mm = worst_mm.max(missing_mm as f32);
-                        }
-                    }
+                worst_mm
+            })
+            .reduce(|| 0.0f32, f32::max);
+        g_per_cm2.truncate(width * height * materials);
+        Density { material_count: materials, g_per_cm2, valid, unscanned_mm }
+    }
+
+    /// Integrates all rays of a tile in the band of rows that begins at `first_row`; returns the longest unscanned path in mm.
+    fn fill(&self, worker: &mut Worker, tile: &Bounds, first_row: usize, density: &mut [f32], valid: &mut [u8]) -> f32 {
+        let prepared = self.prepared;
+        let width = prepared.view.size_px[0] as usize;
+        let materials = prepared.material_count;
+        let Worker { scratch, claims, steps } = worker;
+        steps.clear();
+        steps.extend(prepared.steps.iter().filter(|step| seen_in(prepared, step, tile)));
+        let mut worst_mm = 0.0f32;
+        if let Some((crossing, solids)) = in_bundles(&self.crossings, steps) {
+            let mut walk = |at: DVec2, out: &mut [f32]| {
+                let missing = integrate_ray(prepared, &self.trees, steps, at, scratch);
+                out.iter_mut().zip(&scratch.sums).for_each(|(out, sum)| *out = *sum as f32);
+                missing
+            };
+            for v in (tile.from[1]..tile.to[1]).step_by(BLOCK) {
+                for u in (tile.from[0]..tile.to[0]).step_by(BLOCK) {
+                    let end = [(u + BLOCK as u32).min(tile.to[0]), (v + BLOCK as u32).min(tile.to[1])];
+                    let bounds = Bounds { from: [u, v], to: end };
+                    let block = Block { bounds, first_row, solids, g_per_cm2: density, valid, width };
+                    worst_mm = worst_mm.max(crossing.fill(block, claims, &mut walk));
                 }
             }
-            worst_mm
-        })
-        .reduce(|| 0.0f32, f32::max);
-    g_per_cm2.truncate(width * height * materials);
-    Density { material_count: materials, g_per_cm2, valid, unscanned_mm }
+            return worst_mm;
+        }
+        for row in tile.from[1] as usize..tile.to[1] as usize {
+            for column in tile.from[0] as usize..tile.to[0] as usize {
+                let pixel = (row - first_row) * width + column;
+                let missing_mm = integrate_ray(prepared, &self.trees, steps, DVec2::new(column as f64, row as f64), scratch);
+                for (out, sum) in density[pixel * materials..].iter_mut().zip(&scratch.sums) {
+                    *out = *sum as f32;
+                }
+                if let Some(missing_mm) = missing_mm {
+                    valid[pixel] = 0;
+                    worst_mm = worst_mm.max(missing_mm as f32);
+                }
+            }
+        }
+        worst_mm
+    }
 }
 
 /// The volume and what lies above it, when a tile holds one volume, below everything else, that can be crossed in bundles.

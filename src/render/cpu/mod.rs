@@ -5,6 +5,7 @@ pub mod attenuate_spectrum;
 pub mod bundles;
 pub mod cells_of_slab;
 pub mod cross_slabs;
+pub mod crossing;
 pub mod edges;
 pub mod enlarge_density;
 pub mod integrate_block;

@@ -1,0 +1,250 @@
+//! A volume that is crossed in bundles of sixteen rays: where they begin and end, what lies below, whether the scan was complete.
+
+use glam::{DVec2, DVec3};
+
+use super::bundles::{Pattern, Rays};
+use super::cross_slabs::cross;
+use super::edges::Layers;
+use super::lanes::{LANES, Lanes};
+use crate::render::cells::{CUT, EMPTY, EMPTY_BRICK};
+use crate::render::prepared::{Prepared, SeenVolume};
+use crate::render::slabs::{AXES, CUT_BIT, MOST_MATERIALS, SlabGrid};
+
+/// Cells along the edge of a brick.
+const BRICK: usize = 8;
+
+/// The volume of a scene that can be crossed in bundles.
+pub struct Crossing<'a> {
+    /// The scene.
+    pub prepared: &'a Prepared<'a>,
+    /// Its volume.
+    pub seen: &'a SeenVolume<'a>,
+    /// Its rays.
+    pub rays: Rays,
+    grids: [Option<SlabGrid<'a>>; 3],
+    /// Depth at which the volume ends, at most that of the detector.
+    pub far_mm: f64,
+    /// Cells that hold matter, and the whole grid: first and end.
+    occupied: [[f64; 3]; 2],
+    whole: [[f64; 3]; 2],
+}
+
+/// Sixteen rays on their way.
+#[derive(Clone, Copy)]
+pub struct Aimed {
+    /// Their pixels.
+    pub pattern: Pattern,
+    /// Cells per mm of depth.
+    pub q: [[f64; 3]; LANES],
+    /// Depths between which they cross what holds matter.
+    pub t: [[f64; LANES]; 2],
+    /// Axes that are dominant for any of them.
+    pub axes: [bool; 3],
+    /// Whether any of them crosses anything.
+    pub any: bool,
+}
+
+impl<'a> Crossing<'a> {
+    /// `None` when the volume must be walked cell by cell: air is kept, or no slabs were made.
+    #[must_use]
+    pub fn new(prepared: &'a Prepared<'a>, index: usize) -> Option<Self> {
+        let seen = &prepared.volumes[index];
+        let slabs = seen.slabs.as_ref().filter(|_| seen.air_kind.is_none())?;
+        let camera_from_cell = seen.cell_from_camera.inverse();
+        let size = DVec3::from_array(seen.volume.size.map(|n| n as f64 + 1.0));
+        let corner = |i: usize| size * DVec3::new((i & 1) as f64, (i >> 1 & 1) as f64, (i >> 2) as f64);
+        let far_mm = (0..8).map(|i| camera_from_cell.transform_point3(corner(i)).z).fold(0.0, f64::max);
+        let far_mm = far_mm.min(prepared.detector_mm);
+        let whole = [[0.5; 3], seen.volume.size.map(|n| n as f64 + 0.5)];
+        let [first, end] = seen.cells.occupied.map(|cell| cell.map(|n| n as f64));
+        let occupied = [first.map(|n| n.max(0.5)), std::array::from_fn(|axis| end[axis].min(whole[1][axis]))];
+        let grids = [slabs.grid(0), slabs.grid(1), slabs.grid(2)];
+        Some(Self { prepared, seen, rays: Rays::new(&prepared.view, seen), grids, far_mm, occupied, whole })
+    }
+
+    /// The rays of `pattern`; those that are not `seen` cross nothing.
+    #[inline(always)]
+    #[must_use]
+    pub fn aim(&self, pattern: Pattern, seen: &[bool; LANES]) -> Aimed {
+        let mut q = [[0.0f64; 3]; LANES];
+        let mut l = 0;
+        while l < LANES {
+            q[l] = self.rays.direction(pattern.u[l], pattern.v[l]);
+            l += 1;
+        }
+        let mut t = self.depths(&self.occupied, &q);
+        let mut axes = [false; 3];
+        let mut any = false;
+        let mut l = 0;
+        while l < LANES {
+            if seen[l] && t[1][l] > t[0][l] {
+                axes[Rays::dominant(q[l])] = true;
+                any = true;
+            } else {
+                t[1][l] = t[0][l];
+            }
+            l += 1;
+        }
+        Aimed { pattern, q, t, axes, any }
+    }
+
+    /// mm along the ray of a lane per mm of depth.
+    #[inline(always)]
+    #[must_use]
+    pub fn mm_per_depth(&self, pattern: &Pattern, lane: usize) -> f64 {
+        self.prepared.view.intrinsics.unproject(DVec2::new(pattern.u[lane], pattern.v[lane])).length()
+    }
+
+    /// g/cm² per unit of ∫ρ dc: a ray is `mm_per_depth` / |q_c| mm long in c, and there are 10 mm in a cm.
+    #[inline(always)]
+    #[must_use]
+    pub fn g_per_cm2(mm_per_depth: f64, q: &[f64; 3]) -> f32 {
+        (0.1 * mm_per_depth / q[Rays::dominant(*q)].abs()) as f32
+    }
+
+    /// Depths between which each ray is inside a box of cells.
+    #[inline(always)]
+    fn depths(&self, [low, high]: &[[f64; 3]; 2], q: &[[f64; 3]; LANES]) -> [[f64; LANES]; 2] {
+        let mut t = [[0.0; LANES], [self.prepared.detector_mm; LANES]];
+        let mut axis = 0;
+        while axis < 3 {
+            let (to_low, to_high) = (low[axis] - self.rays.p[axis], high[axis] - self.rays.p[axis]);
+            let mut l = 0;
+            while l < LANES {
+                // A ray along the faces: far in or far out, never 0 · ∞.
+                let along = if q[l][axis].abs() < 1e-12 { 1e-12 } else { q[l][axis] };
+                let (x, y) = (to_low / along, to_high / along);
+                let (x, y) = if x < y { (x, y) } else { (y, x) };
+                t[0][l] = if x > t[0][l] { x } else { t[0][l] };
+                t[1][l] = if y < t[1][l] { y } else { t[1][l] };
+                l += 1;
+            }
+            axis += 1;
+        }
+        t
+    }
+}
+
+/// What lies below a rectangle of pixels.
+pub struct Below<'c, 'a> {
+    /// The volume.
+    pub crossing: &'c Crossing<'a>,
+    /// Corners of the rectangle.
+    corners: [[f64; 2]; 4],
+    filled: [bool; 3],
+    layers: [Layers; 3],
+}
+
+impl<'c, 'a> Below<'c, 'a> {
+    /// Below the pixels between `corners`.
+    #[must_use]
+    pub fn new(crossing: &'c Crossing<'a>, corners: [[f64; 2]; 4]) -> Self {
+        Self { crossing, corners, filled: [false; 3], layers: Default::default() }
+    }
+
+    /// Adds ∫ρ dc of rays along each of the axes that are dominant for any. Returns the bits of the bricks below; `None` where an axis has
+    /// no slabs.
+    #[inline(always)]
+    pub fn cross<S: Lanes>(&mut self, s: S, aimed: &Aimed, sums: &mut [[f32; LANES]; MOST_MATERIALS]) -> Option<u8> {
+        let mut met = 0;
+        let pixels = aimed.pattern.corners();
+        let rays = &self.crossing.rays;
+        let mut axis = 0;
+        while axis < 3 {
+            if aimed.axes[axis] {
+                let Some(grid) = &self.crossing.grids[axis] else { return None };
+                let reference = 0.5 * f64::from(grid.voxels[2]);
+                if !self.filled[axis] {
+                    self.layers[axis].fill(grid, &rays.corners(&self.corners, axis, reference), reference);
+                    self.filled[axis] = true;
+                }
+                let bundle = rays.bundle(&aimed.q, rays.corners(&pixels, axis, reference), axis, reference, &aimed.t);
+                met |= cross::<S>(s, grid, &bundle, &self.layers[axis], sums);
+            }
+            axis += 1;
+        }
+        Some(met)
+    }
+}
+
+impl Crossing<'_> {
+    /// Depth outside the grid of rays that enter or leave it through matter.
+    #[inline(always)]
+    #[must_use]
+    pub fn left_through_faces(&self, q: &[[f64; 3]; LANES], seen: &[bool; LANES]) -> [f64; LANES] {
+        let mut missing = [0.0; LANES];
+        if !self.seen.volume.truncated_at_faces {
+            return missing;
+        }
+        let t = self.depths(&self.whole, q);
+        for l in 0..LANES {
+            let (enter, leave) = (t[0][l], t[1][l]);
+            if !(seen[l] && leave > enter) {
+                continue;
+            }
+            if enter > 0.0 && enter < self.prepared.detector_mm && self.holds_matter(&q[l], enter) {
+                missing[l] += enter;
+            }
+            if leave > 0.0 && leave < self.prepared.detector_mm && self.holds_matter(&q[l], leave) {
+                missing[l] += self.prepared.detector_mm - leave;
+            }
+        }
+        missing
+    }
+
+    /// Whether a ray between two depths crosses a cell in which matter borders on the unknown.
+    #[must_use]
+    pub fn meets_cut(&self, q: &[f64; 3], (from, to): (f64, f64)) -> bool {
+        let axis = Rays::dominant(*q);
+        let Some(grid) = &self.grids[axis] else { return true };
+        let [a, b, c] = AXES[axis];
+        let (p, cells) = (&self.rays.p, &self.seen.cells);
+        let (low, high) = (p[c] + q[c] * from, p[c] + q[c] * to);
+        let (low, high) = (low.min(high), low.max(high));
+        let last = [a, b, c].map(|axis| cells.size[axis] as i64 - 1);
+        let cell = |x: f64, place: usize| (x.floor() as i64).clamp(0, last[place]) as usize;
+        let (first, end) = (cell(low, 2), cell(high, 2));
+        let (slope_a, slope_b) = (q[a] / q[c], q[b] / q[c]);
+        let across = |z: f64| (p[a] + slope_a * (z - p[c]), p[b] + slope_b * (z - p[c]));
+        let is_cut = |ia: usize, ib: usize, ic: usize| {
+            let mut at = [0usize; 3];
+            (at[a], at[b], at[c]) = (ia, ib, ic);
+            cells.kind[cells.index(at)] == CUT
+        };
+        let mut layer = first / BRICK;
+        while layer <= end / BRICK {
+            let (begin, stop) = ((layer * BRICK).max(first), (layer * BRICK + BRICK - 1).min(end));
+            let (near, far) = (across(low.max(begin as f64)), across(high.min(stop as f64 + 1.0)));
+            let range = |x: f64, y: f64, place: usize| cell(x.min(y), place) / BRICK..=cell(x.max(y), place) / BRICK;
+            let flagged = range(near.1, far.1, 1).any(|bb| {
+                range(near.0, far.0, 0).any(|ba| {
+                    let brick = ba * grid.brick_stride[0] + bb * grid.brick_stride[1] + layer * grid.brick_stride[2];
+                    grid.bricks.get(brick).is_some_and(|bits| bits & CUT_BIT != 0)
+                })
+            });
+            for ic in if flagged { begin..stop + 1 } else { 0..0 } {
+                let ((a0, b0), (a1, b1)) = (across(low.max(ic as f64)), across(high.min(ic as f64 + 1.0)));
+                let ([ia, ja], [ib, jb]) = ([cell(a0, 0), cell(a1, 0)], [cell(b0, 1), cell(b1, 1)]);
+                // Between two slices a ray meets at most three cells; the middle one is behind the face that it reaches first.
+                let share = |from: f64, to: f64| (from.max(to).floor() - from) / (to - from);
+                let middle = || if share(a0, a1) < share(b0, b1) { (ja, ib) } else { (ia, jb) };
+                let bends = ia != ja && ib != jb;
+                if is_cut(ia, ib, ic) || is_cut(ja, jb, ic) || (bends && is_cut(middle().0, middle().1, ic)) {
+                    return true;
+                }
+            }
+            layer += 1;
+        }
+        false
+    }
+
+    #[inline(always)]
+    fn holds_matter(&self, q: &[f64; 3], t: f64) -> bool {
+        let cells = &self.seen.cells;
+        let mut cell = [0usize; 3];
+        for axis in 0..3 {
+            cell[axis] = ((self.rays.p[axis] + q[axis] * t) as i64).clamp(0, cells.size[axis] as i64 - 1) as usize;
+        }
+        !matches!(cells.kind[cells.index(cell)], EMPTY | EMPTY_BRICK)
+    }
+}

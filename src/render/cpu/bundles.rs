@@ -1,6 +1,7 @@
 //! Bundles of sixteen neighbouring pixels, as rays through one volume.
 
 use super::cross_slabs::{Fit, fit};
+use super::crossing::Aimed;
 use super::edges::{Bundle, Corners};
 use super::lanes::LANES;
 use crate::geometry::View;
@@ -15,6 +16,8 @@ pub struct Rays {
     q0: [f64; 3],
     qu: [f64; 3],
     qv: [f64; 3],
+    /// x and y per mm of depth in the camera's frame, linear in the pixel: at (0, 0), by column, by row.
+    camera: [[f64; 2]; 3],
 }
 
 /// Columns of pixels in a bundle; its rows are 16 / columns.
@@ -70,7 +73,15 @@ impl Rays {
         // Far pixels, so that the differences lose nothing.
         let far = 1024.0;
         let (qu, qv) = ((at(far, 0.0) - q0) / far, (at(0.0, far) - q0) / far);
-        Self { p: seen.cell_from_camera.translation.to_array(), q0: q0.to_array(), qu: qu.to_array(), qv: qv.to_array() }
+        let plane = |u: f64, v: f64| view.intrinsics.unproject(glam::DVec2::new(u, v)).truncate();
+        let camera = [plane(0.0, 0.0), (plane(far, 0.0) - plane(0.0, 0.0)) / far, (plane(0.0, far) - plane(0.0, 0.0)) / far];
+        Self {
+            p: seen.cell_from_camera.translation.to_array(),
+            q0: q0.to_array(),
+            qu: qu.to_array(),
+            qv: qv.to_array(),
+            camera: camera.map(|at| at.to_array()),
+        }
     }
 
     /// Cells per mm of depth.
@@ -82,6 +93,47 @@ impl Rays {
             self.q0[1] + self.qu[1] * u + self.qv[1] * v,
             self.q0[2] + self.qu[2] * u + self.qv[2] * v,
         ]
+    }
+
+    /// Directions of the rays of a pattern, by axis, and mm along each per mm of depth.
+    #[inline(always)]
+    #[must_use]
+    pub fn sixteen(&self, pattern: &Pattern) -> ([[f64; LANES]; 3], [f64; LANES]) {
+        let mut q = [[0.0; LANES]; 3];
+        let mut axis = 0;
+        while axis < 3 {
+            let mut l = 0;
+            while l < LANES {
+                q[axis][l] = self.q0[axis] + self.qu[axis] * pattern.u[l] + self.qv[axis] * pattern.v[l];
+                l += 1;
+            }
+            axis += 1;
+        }
+        let [at, by_u, by_v] = &self.camera;
+        let mut mm = [0.0; LANES];
+        let mut l = 0;
+        while l < LANES {
+            let x = at[0] + by_u[0] * pattern.u[l] + by_v[0] * pattern.v[l];
+            let y = at[1] + by_u[1] * pattern.u[l] + by_v[1] * pattern.v[l];
+            mm[l] = (1.0 + x * x + y * y).sqrt();
+            l += 1;
+        }
+        (q, mm)
+    }
+
+    /// The axis along which each ray crosses most cells.
+    #[inline(always)]
+    #[must_use]
+    pub fn main(q: &[[f64; LANES]; 3]) -> [u8; LANES] {
+        let mut main = [0; LANES];
+        let mut l = 0;
+        while l < LANES {
+            let (a, b, c) = (q[0][l].abs(), q[1][l].abs(), q[2][l].abs());
+            let (first, steepest) = if b > a { (1, b) } else { (0, a) };
+            main[l] = if c > steepest { 2 } else { first };
+            l += 1;
+        }
+        main
     }
 
     /// The axis along which a ray crosses most cells.
@@ -160,18 +212,13 @@ impl Rays {
         ([self.p[a] + on * slope[0], self.p[b] + on * slope[1]], slope)
     }
 
-    /// The rays with the directions `q` that run mainly along `axis`, between the depths `t`.
+    /// The rays of `aimed` that run mainly along `axis`.
     #[inline(always)]
     #[must_use]
-    pub fn bundle(
-        &self,
-        q: &[[f64; 3]; LANES],
-        corners: Corners,
-        axis: usize,
-        c_reference: f64,
-        t: &[[f64; LANES]; 2],
-    ) -> Bundle {
-        let c = AXES[axis][2];
+    pub fn bundle(&self, aimed: &Aimed, corners: Corners, axis: usize, c_reference: f64) -> Bundle {
+        let [a, b, c] = AXES[axis];
+        let (qa, qb, qc) = (&aimed.q[a], &aimed.q[b], &aimed.q[c]);
+        let on = c_reference - self.p[c];
         let mut bundle = Bundle {
             at: [[0.0; LANES]; 2],
             slope: [[0.0; LANES]; 2],
@@ -182,17 +229,24 @@ impl Rays {
         };
         let mut l = 0;
         while l < LANES {
-            let (at, slope) = self.line(&q[l], axis, c_reference);
-            (bundle.at[0][l], bundle.at[1][l]) = (at[0], at[1]);
-            (bundle.slope[0][l], bundle.slope[1][l]) = (slope[0], slope[1]);
+            // Rays that run along another axis must only stay finite.
+            let inverse = 1.0 / if qc[l] == 0.0 { 1e-30 } else { qc[l] };
+            bundle.slope[0][l] = (qa[l] * inverse).clamp(-4.0, 4.0);
+            bundle.slope[1][l] = (qb[l] * inverse).clamp(-4.0, 4.0);
             l += 1;
         }
         let mut l = 0;
         while l < LANES {
-            let (x, y) = (self.p[c] + q[l][c] * t[0][l], self.p[c] + q[l][c] * t[1][l]);
+            bundle.at[0][l] = self.p[a] + on * bundle.slope[0][l];
+            bundle.at[1][l] = self.p[b] + on * bundle.slope[1][l];
+            l += 1;
+        }
+        let mut l = 0;
+        while l < LANES {
+            let (x, y) = (self.p[c] + qc[l] * aimed.t[0][l], self.p[c] + qc[l] * aimed.t[1][l]);
             let (x, y) = if x < y { (x, y) } else { (y, x) };
             bundle.from[l] = x;
-            bundle.to[l] = if Self::dominant(q[l]) == axis && t[1][l] > t[0][l] { y } else { x };
+            bundle.to[l] = if usize::from(aimed.main[l]) == axis && aimed.t[1][l] > aimed.t[0][l] { y } else { x };
             l += 1;
         }
         bundle

@@ -1,6 +1,6 @@
 //! A volume that is crossed in bundles of sixteen rays: where they begin and end, what lies below, whether the scan was complete.
 
-use glam::{DVec2, DVec3};
+use glam::DVec3;
 
 use super::bundles::{Pattern, Rays};
 use super::cross_slabs::cross;
@@ -34,14 +34,43 @@ pub struct Crossing<'a> {
 pub struct Aimed {
     /// Their pixels.
     pub pattern: Pattern,
-    /// Cells per mm of depth.
-    pub q: [[f64; 3]; LANES],
+    /// Cells per mm of depth, by axis.
+    pub q: [[f64; LANES]; 3],
+    /// The axis along which each crosses most cells.
+    pub main: [u8; LANES],
+    /// mm along each ray per mm of depth.
+    pub mm_per_depth: [f64; LANES],
     /// Depths between which they cross what holds matter.
     pub t: [[f64; LANES]; 2],
     /// Axes that are dominant for any of them.
     pub axes: [bool; 3],
     /// Whether any of them crosses anything.
     pub any: bool,
+}
+
+impl Aimed {
+    /// Cells per mm of depth of one ray.
+    #[inline(always)]
+    #[must_use]
+    pub fn direction(&self, lane: usize) -> [f64; 3] {
+        [self.q[0][lane], self.q[1][lane], self.q[2][lane]]
+    }
+
+    /// g/cm² per unit of ∫ρ dc: a ray is `mm_per_depth` / |q_c| mm long in c, and there are 10 mm in a cm.
+    #[inline(always)]
+    #[must_use]
+    pub fn g_per_cm2(&self) -> [f32; LANES] {
+        let mut scale = [0.0f32; LANES];
+        let mut l = 0;
+        while l < LANES {
+            let (a, b, c) = (self.q[0][l].abs(), self.q[1][l].abs(), self.q[2][l].abs());
+            let steepest = if a > b { a } else { b };
+            let steepest = if c > steepest { c } else { steepest };
+            scale[l] = (0.1 * self.mm_per_depth[l] / steepest) as f32;
+            l += 1;
+        }
+        scale
+    }
 }
 
 impl<'a> Crossing<'a> {
@@ -66,45 +95,27 @@ impl<'a> Crossing<'a> {
     #[inline(always)]
     #[must_use]
     pub fn aim(&self, pattern: Pattern, seen: &[bool; LANES]) -> Aimed {
-        let mut q = [[0.0f64; 3]; LANES];
-        let mut l = 0;
-        while l < LANES {
-            q[l] = self.rays.direction(pattern.u[l], pattern.v[l]);
-            l += 1;
-        }
+        let (q, mm_per_depth) = self.rays.sixteen(&pattern);
+        let main = Rays::main(&q);
         let mut t = self.depths(&self.occupied, &q);
         let mut axes = [false; 3];
         let mut any = false;
         let mut l = 0;
         while l < LANES {
             if seen[l] && t[1][l] > t[0][l] {
-                axes[Rays::dominant(q[l])] = true;
+                axes[usize::from(main[l])] = true;
                 any = true;
             } else {
                 t[1][l] = t[0][l];
             }
             l += 1;
         }
-        Aimed { pattern, q, t, axes, any }
-    }
-
-    /// mm along the ray of a lane per mm of depth.
-    #[inline(always)]
-    #[must_use]
-    pub fn mm_per_depth(&self, pattern: &Pattern, lane: usize) -> f64 {
-        self.prepared.view.intrinsics.unproject(DVec2::new(pattern.u[lane], pattern.v[lane])).length()
-    }
-
-    /// g/cm² per unit of ∫ρ dc: a ray is `mm_per_depth` / |q_c| mm long in c, and there are 10 mm in a cm.
-    #[inline(always)]
-    #[must_use]
-    pub fn g_per_cm2(mm_per_depth: f64, q: &[f64; 3]) -> f32 {
-        (0.1 * mm_per_depth / q[Rays::dominant(*q)].abs()) as f32
+        Aimed { pattern, q, main, mm_per_depth, t, axes, any }
     }
 
     /// Depths between which each ray is inside a box of cells.
     #[inline(always)]
-    fn depths(&self, [low, high]: &[[f64; 3]; 2], q: &[[f64; 3]; LANES]) -> [[f64; LANES]; 2] {
+    fn depths(&self, [low, high]: &[[f64; 3]; 2], q: &[[f64; LANES]; 3]) -> [[f64; LANES]; 2] {
         let mut t = [[0.0; LANES], [self.prepared.detector_mm; LANES]];
         let mut axis = 0;
         while axis < 3 {
@@ -112,7 +123,7 @@ impl<'a> Crossing<'a> {
             let mut l = 0;
             while l < LANES {
                 // A ray along the faces: far in or far out, never 0 · ∞.
-                let along = if q[l][axis].abs() < 1e-12 { 1e-12 } else { q[l][axis] };
+                let along = if q[axis][l].abs() < 1e-12 { 1e-12 } else { q[axis][l] };
                 let (x, y) = (to_low / along, to_high / along);
                 let (x, y) = if x < y { (x, y) } else { (y, x) };
                 t[0][l] = if x > t[0][l] { x } else { t[0][l] };
@@ -158,7 +169,7 @@ impl<'c, 'a> Below<'c, 'a> {
                     self.layers[axis].fill(grid, &rays.corners(&self.corners, axis, reference), reference);
                     self.filled[axis] = true;
                 }
-                let bundle = rays.bundle(&aimed.q, rays.corners(&pixels, axis, reference), axis, reference, &aimed.t);
+                let bundle = rays.bundle(aimed, rays.corners(&pixels, axis, reference), axis, reference);
                 met |= cross::<S>(s, grid, &bundle, &self.layers[axis], sums);
             }
             axis += 1;
@@ -171,7 +182,7 @@ impl Crossing<'_> {
     /// Depth outside the grid of rays that enter or leave it through matter.
     #[inline(always)]
     #[must_use]
-    pub fn left_through_faces(&self, q: &[[f64; 3]; LANES], seen: &[bool; LANES]) -> [f64; LANES] {
+    pub fn left_through_faces(&self, q: &[[f64; LANES]; 3], seen: &[bool; LANES]) -> [f64; LANES] {
         let mut missing = [0.0; LANES];
         if !self.seen.volume.truncated_at_faces {
             return missing;
@@ -182,27 +193,29 @@ impl Crossing<'_> {
             if !(seen[l] && leave > enter) {
                 continue;
             }
-            if enter > 0.0 && enter < self.prepared.detector_mm && self.holds_matter(&q[l], enter) {
+            if enter > 0.0 && enter < self.prepared.detector_mm && self.holds_matter(&[q[0][l], q[1][l], q[2][l]], enter) {
                 missing[l] += enter;
             }
-            if leave > 0.0 && leave < self.prepared.detector_mm && self.holds_matter(&q[l], leave) {
+            if leave > 0.0 && leave < self.prepared.detector_mm && self.holds_matter(&[q[0][l], q[1][l], q[2][l]], leave) {
                 missing[l] += self.prepared.detector_mm - leave;
             }
         }
         missing
     }
 
-    /// Whether a ray between two depths crosses a cell in which matter borders on the unknown.
+    /// Whether a ray of `aimed` crosses, between two depths, a cell in which matter borders on the unknown.
+    #[inline(always)]
     #[must_use]
-    pub fn meets_cut(&self, q: &[f64; 3], (from, to): (f64, f64)) -> bool {
-        let axis = Rays::dominant(*q);
-        let Some(grid) = &self.grids[axis] else { return true };
+    pub fn meets_cut(&self, below: &Below, aimed: &Aimed, lane: usize, (from, to): (f64, f64)) -> bool {
+        let axis = usize::from(aimed.main[lane]);
+        let q = aimed.direction(lane);
         let [a, b, c] = AXES[axis];
         let (p, cells) = (&self.rays.p, &self.seen.cells);
         let (low, high) = (p[c] + q[c] * from, p[c] + q[c] * to);
-        let (low, high) = (low.min(high), low.max(high));
+        let (low, high) = if low < high { (low, high) } else { (high, low) };
         let last = [a, b, c].map(|axis| cells.size[axis] as i64 - 1);
-        let cell = |x: f64, place: usize| (x.floor() as i64).clamp(0, last[place]) as usize;
+        // Towards zero is as good as down: what is below 0 ends up in cell 0.
+        let cell = |x: f64, place: usize| (x as i64).clamp(0, last[place]) as usize;
         let (first, end) = (cell(low, 2), cell(high, 2));
         let (slope_a, slope_b) = (q[a] / q[c], q[b] / q[c]);
         let across = |z: f64| (p[a] + slope_a * (z - p[c]), p[b] + slope_b * (z - p[c]));
@@ -214,26 +227,21 @@ impl Crossing<'_> {
         let mut layer = first / BRICK;
         while layer <= end / BRICK {
             let (begin, stop) = ((layer * BRICK).max(first), (layer * BRICK + BRICK - 1).min(end));
-            let (near, far) = (across(low.max(begin as f64)), across(high.min(stop as f64 + 1.0)));
-            let range = |x: f64, y: f64, place: usize| cell(x.min(y), place) / BRICK..=cell(x.max(y), place) / BRICK;
-            let flagged = range(near.1, far.1, 1).any(|bb| {
-                range(near.0, far.0, 0).any(|ba| {
-                    let brick = ba * grid.brick_stride[0] + bb * grid.brick_stride[1] + layer * grid.brick_stride[2];
-                    grid.bricks.get(brick).is_some_and(|bits| bits & CUT_BIT != 0)
-                })
-            });
-            for ic in if flagged { begin..stop + 1 } else { 0..0 } {
+            layer += 1;
+            if below.layers[axis].at(begin as i32) & CUT_BIT == 0 {
+                continue;
+            }
+            for ic in begin..stop + 1 {
                 let ((a0, b0), (a1, b1)) = (across(low.max(ic as f64)), across(high.min(ic as f64 + 1.0)));
                 let ([ia, ja], [ib, jb]) = ([cell(a0, 0), cell(a1, 0)], [cell(b0, 1), cell(b1, 1)]);
                 // Between two slices a ray meets at most three cells; the middle one is behind the face that it reaches first.
-                let share = |from: f64, to: f64| (from.max(to).floor() - from) / (to - from);
+                let share = |from: f64, to: f64| (from.max(to) as i64 as f64 - from) / (to - from);
                 let middle = || if share(a0, a1) < share(b0, b1) { (ja, ib) } else { (ia, jb) };
                 let bends = ia != ja && ib != jb;
                 if is_cut(ia, ib, ic) || is_cut(ja, jb, ic) || (bends && is_cut(middle().0, middle().1, ic)) {
                     return true;
                 }
             }
-            layer += 1;
         }
         false
     }

@@ -104,6 +104,20 @@ impl Fill<'_, '_, '_> {
                     }
                 }
                 let missing = crossing.left_through_faces(&aimed.q, &seen);
+                let scale = aimed.g_per_cm2();
+                if block.solids.is_empty() && !lost && met & CUT_BIT == 0 && !crossing.seen.volume.truncated_at_faces {
+                    // Nothing but paths to write.
+                    let materials = prepared.material_count;
+                    for (m, material) in cells.materials.iter().enumerate() {
+                        for l in 0..LANES {
+                            if seen[l] {
+                                let pixel = (v + l / columns - first_row) * block.width + u + l % columns;
+                                block.g_per_cm2[pixel * materials + material] += sums[m][l] * scale[l];
+                            }
+                        }
+                    }
+                    continue;
+                }
                 for l in 0..LANES {
                     if !seen[l] {
                         continue;
@@ -120,19 +134,18 @@ impl Fill<'_, '_, '_> {
                         }
                         continue;
                     }
-                    let mm_per_depth = crossing.mm_per_depth(&aimed.pattern, l);
+                    let mm_per_depth = aimed.mm_per_depth[l];
                     if !block.solids.is_empty() {
                         claims.write(l, mm_per_depth, out);
                     }
-                    let scale = Crossing::g_per_cm2(mm_per_depth, &aimed.q[l]);
                     for (m, sums) in sums.iter().enumerate().take(cells.materials.len()) {
-                        out[cells.materials[m]] += sums[l] * scale;
+                        out[cells.materials[m]] += sums[l] * scale[l];
                     }
                     if met & CUT_BIT != 0 {
                         let cut = if block.solids.is_empty() {
-                            crossing.meets_cut(&aimed.q[l], (aimed.t[0][l], aimed.t[1][l]))
+                            crossing.meets_cut(&below, &aimed, l, (aimed.t[0][l], aimed.t[1][l]))
                         } else {
-                            claims.gaps[l].iter().any(|gap| crossing.meets_cut(&aimed.q[l], *gap))
+                            claims.gaps[l].iter().any(|gap| crossing.meets_cut(&below, &aimed, l, *gap))
                         };
                         if cut {
                             block.valid[pixel] = 0;

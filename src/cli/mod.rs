@@ -18,6 +18,7 @@ pub mod render;
 pub mod replay;
 pub mod spectrum;
 pub mod time;
+pub mod time_changes;
 pub mod trade;
 
 /// Rides beside a mobile C-arm and a snake robot: finds beads in each radiograph, recovers its pose, renders the matched DeepDRR,

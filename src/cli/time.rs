@@ -6,6 +6,7 @@ use glam::DMat4;
 use serde::{Deserialize, Serialize};
 
 use crate::cli::render::{DeviceArg, QuantityArg};
+use crate::cli::time_changes;
 use crate::geometry::Rigid;
 use crate::render::{Goal, Options, RenderError, Renderer};
 use crate::reporter::Reporter;
@@ -37,6 +38,9 @@ pub struct TimeArgs {
     /// Plan every image anew, as a live session does, and count that
     #[arg(long)]
     pub replan: bool,
+    /// Time the first image after a change of the robot, the C-arm, the spectrum, the CT as well
+    #[arg(long)]
+    pub changes: bool,
     /// What renders
     #[arg(long, value_enum, default_value = "cpu")]
     pub device: DeviceArg,
@@ -96,12 +100,21 @@ pub fn run(args: &TimeArgs, reporter: &Reporter) -> Result<u8, TimeError> {
         views.push(time(&scene, &mut renderer, args)?);
     }
     let per_second = (views.len() * args.repeat) as f64 / all.ms() * 1e3;
+    let changes = match args.changes {
+        true => {
+            let goal = Some(Goal::MaxError(args.max_error));
+            let options = Options { quantity: args.quantity.into(), goal, ..Options::default() };
+            Some(time_changes::measure(&scene, &mut renderer, &options, args.repeat)?)
+        }
+        false => None,
+    };
     let report = serde_json::json!({
         "adapter": renderer.adapter(),
         "load_ms": load_ms,
         "peak_memory_mib": peak_memory_mib(),
         "images_per_second": per_second,
         "views": views,
+        "changes": changes,
     });
     println!("{}", serde_json::to_string_pretty(&report).expect("plain data"));
     Ok(0)

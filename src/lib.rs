@@ -6,6 +6,7 @@
 pub mod units;
 pub mod time;
 pub mod random;
+pub mod memory;
 pub mod image;
 pub mod reporter;
 

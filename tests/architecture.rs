@@ -3,10 +3,11 @@
 use std::path::{Path, PathBuf};
 
 /// The data-flow order, as `lib.rs` declares it. `report` stands before `session`, because a session draws each strip as it goes.
-const ORDER: [&str; 24] = [
+const ORDER: [&str; 25] = [
     "units",
     "time",
     "random",
+    "memory",
     "image",
     "reporter",
     "geometry",

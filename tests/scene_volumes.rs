@@ -139,6 +139,11 @@ fn damaged_and_unsuitable_files_are_one_sentence() {
     let mut huge = good.clone();
     huge.dim = [3, 32767, 32767, 32767, 1, 1, 1, 1];
     assert!(fails("huge.nii", &huge.bytes()).contains("cut short"));
+    // Zipped, only the memory says that it cannot be: with both numbers, before anything is read.
+    let zipped_path = folder.path().join("huge.nii.gz");
+    huge.write(&zipped_path);
+    let error = read_volume(&zipped_path, &Reporter::silent()).expect_err("more than any memory").to_string();
+    assert!(error.contains("32767 x 32767 x 32767 voxels need 2293") && error.contains("GiB are free"), "{error}");
     huge.dim[1] = -4;
     assert!(fails("negative.nii", &huge.bytes()).contains("-4"));
     let mut complex = good.clone();

@@ -8,6 +8,7 @@ use ::nifti::{Endianness, NiftiHeader, NiftiType};
 use glam::{DAffine3, DMat3, DVec3};
 
 use super::SceneError;
+use crate::memory;
 use crate::reporter::Reporter;
 
 /// A volume as its file has it, in `lps` and mm.
@@ -24,6 +25,9 @@ pub struct VolumeFile {
     /// Distance of voxel centres along i, j, k.
     pub spacing_mm: [f64; 3],
 }
+
+/// What a voxel takes once it is rendered: density, class, whether it is known, and the kind of its cell.
+const BYTES_PER_VOXEL: u64 = 7;
 
 /// Voxel sizes outside this are probably metres or microns taken for millimetres.
 const PLAUSIBLE_SPACING_MM: (f64, f64) = (0.005, 20.0);
@@ -55,6 +59,10 @@ pub fn read_volume(path: &Path, reporter: &Reporter) -> Result<VolumeFile, Scene
     let needed = needed.ok_or_else(|| wrong(format!("{size:?} voxels do not fit a file: the header is damaged")))?;
     if !zipped && file_bytes < needed {
         return Err(wrong(format!("cut short: the header promises {needed} bytes, the file has {file_bytes}; copy it again")));
+    }
+    let what = format!("{} x {} x {} voxels", size[0], size[1], size[2]);
+    if let Some(refused) = memory::refusal(&what, voxels.saturating_mul(BYTES_PER_VOXEL), memory::available_bytes()) {
+        return Err(wrong(format!("{refused}; crop or resample it, or free memory")));
     }
     let (lps_from_voxel, placed_by) = placement(&header, reporter, path).map_err(wrong)?;
     let spacing_mm = [lps_from_voxel.x_axis, lps_from_voxel.y_axis, lps_from_voxel.z_axis].map(|axis| axis.length());

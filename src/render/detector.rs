@@ -17,7 +17,7 @@ pub fn expected_photons(signal: &Signal, flood: &Flood) -> Vec<f32> {
     let number = |(pixel, (arriving, factor)): (usize, (&super::cpu::attenuate_spectrum::Arriving, &f32))| {
         (n0 * f64::from(*factor) * flood.open(pixel) * f64::from(arriving.photon_fraction)) as f32
     };
-    signal.arriving.iter().zip(&flood.photons).enumerate().map(number).collect()
+    signal.arriving.par_iter().zip(&flood.photons).enumerate().with_min_len(4096).map(number).collect()
 }
 
 /// −ln of the noise-free intensity as the panel shows it: what arrives, times the open share, spread by the scintillator. +∞ where

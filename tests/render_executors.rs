@@ -69,6 +69,25 @@ fn the_shaders_agree_with_their_twins() {
 }
 
 #[test]
+fn every_pass_is_timed_by_the_device_where_it_has_a_clock() {
+    let Some(mut vulkan) = software_vulkan() else { return };
+    let mut scene = random(1);
+    scene.model.noise = Noise::Paper;
+    let options = Options { quantity: Quantity::Intensity, ..Options::default() };
+    let gpu = vulkan.render(&scene, &options).expect("renders");
+    let passes: Vec<&str> = gpu.gpu_ms.iter().map(|(pass, _)| pass).collect();
+    let total: f64 = gpu.gpu_ms.iter().map(|(_, ms)| ms).sum();
+    println!("{:?}, wall {:?}", gpu.gpu_ms, gpu.stages.get("shaders"));
+    if !passes.is_empty() {
+        assert_eq!(passes, ["integrate_density", "attenuate_spectrum", "add_noise"]);
+        let wall = gpu.stages.get("shaders").expect("timed");
+        assert!(total > 0.0 && total <= wall, "{total} ms of {wall}: passes lie inside the submission");
+    }
+    let cpu = render_on(DeviceChoice::Cpu, &scene, Quantity::Intensity);
+    assert_eq!(cpu.gpu_ms.iter().count(), 0, "no GPU, no GPU time");
+}
+
+#[test]
 fn the_shaders_draw_the_same_noise_as_their_twin() {
     let Some(mut vulkan) = software_vulkan() else { return };
     let mut scene =

@@ -252,6 +252,7 @@ fn summary(args: &RenderArgs, rendered: &Rendered) -> serde_json::Value {
         "predicted_ms": rendered.plan["predicted_ms"],
         "achieved": rendered.achieved.as_ref().map(|(_, achieved)| achieved),
         "stages_ms": rendered.stages,
+        "gpu_ms": rendered.gpu_ms,
         "adapter": rendered.adapter,
         "notes": rendered.notes,
     })

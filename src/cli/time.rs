@@ -76,6 +76,7 @@ struct View {
     energies: usize,
     predicted_ms: Option<f64>,
     stages_ms: StageTimes,
+    gpu_ms: StageTimes,
 }
 
 /// Times and prints; 0 on success.
@@ -129,7 +130,7 @@ fn time(scene: &scene::Scene, renderer: &mut Renderer, args: &TimeArgs) -> Resul
     let mut times = Vec::new();
     let mut walls = Vec::new();
     let mut first_prepare_ms = 0.0;
-    let mut stages = StageTimes::default();
+    let (mut stages, mut gpu_ms) = (StageTimes::default(), StageTimes::default());
     for round in 0..args.repeat.max(1) {
         let watch = Stopwatch::start();
         let rendered = renderer.render(scene, &fixed)?;
@@ -139,7 +140,7 @@ fn time(scene: &scene::Scene, renderer: &mut Renderer, args: &TimeArgs) -> Resul
         }
         let counts = |stage: &str| args.replan || !matches!(stage, "plan" | "prepare");
         times.push(rendered.stages.iter().filter(|(stage, _)| counts(stage)).map(|(_, ms)| ms).sum::<f64>());
-        stages = rendered.stages;
+        (stages, gpu_ms) = (rendered.stages, rendered.gpu_ms);
     }
     let median = |values: &mut Vec<f64>| {
         values.sort_by(f64::total_cmp);
@@ -155,6 +156,7 @@ fn time(scene: &scene::Scene, renderer: &mut Renderer, args: &TimeArgs) -> Resul
         energies: plan.energy_nodes.len(),
         predicted_ms: plan.predicted_ms,
         stages_ms: stages,
+        gpu_ms,
     })
 }
 

@@ -160,8 +160,12 @@ fn open_gpu(software: bool) -> Result<Gpu, GpuError> {
     };
     let info = adapter.get_info();
     let name = format!("{} ({:?}, {} {})", info.name, info.backend, info.driver, info.driver_info);
-    let request = adapter
-        .request_device(&wgpu::DeviceDescriptor { required_limits: adapter.limits(), ..wgpu::DeviceDescriptor::default() });
+    // Timestamps where there are any; nothing else beyond the standard.
+    let request = adapter.request_device(&wgpu::DeviceDescriptor {
+        required_features: adapter.features() & wgpu::Features::TIMESTAMP_QUERY,
+        required_limits: adapter.limits(),
+        ..wgpu::DeviceDescriptor::default()
+    });
     let (device, queue) =
         pollster::block_on(request).map_err(|error| GpuError::Open { adapter: name.clone(), detail: error.to_string() })?;
     Ok(Gpu { device, queue, adapter: name, software })

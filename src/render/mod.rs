@@ -6,8 +6,10 @@
 
 pub mod achieved;
 pub mod blur;
+mod cast;
 pub mod cells;
 mod chain;
+mod checks;
 pub mod costs;
 pub mod cpu;
 pub mod detector;

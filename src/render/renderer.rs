@@ -1,17 +1,18 @@
 //! Renders scenes; keeps the device and what was prepared of the volumes between images.
 
 use super::achieved::Achieved;
+use super::cast::{Cast, area_pages, attenuate_beyond, cast_cpu, note_invalid};
+use super::checks::{check, check_plan};
 use super::cpu::add_noise::add_noise;
-use super::cpu::attenuate_spectrum::{Signal, attenuate_spectrum};
-use super::cpu::enlarge_density::enlarge_density;
-use super::cpu::integrate_density::{Density, integrate_density};
+use super::cpu::attenuate_spectrum::attenuate_spectrum;
+use super::cpu::integrate_density::Density;
 use super::detector;
 use super::explain::explain_empty;
 use super::non_finite::{self, NonFinite};
 use super::plan::{Executor, Plan, Sampling, noise_applies};
 use super::planner::{DEFAULT_MAX_ERROR, Goal, Planner, Task};
 use super::prepared::Prepared;
-use super::spectrum::{Bins, whole_spectrum};
+use super::spectrum::Bins;
 use super::volumes::VolumeCache;
 use super::wgsl::{self, Executed, NoiseKey, WgslExecutor};
 use super::{Quantity, RenderError, chain, flood, pilot, reference};
@@ -54,6 +55,8 @@ pub struct Rendered {
     pub adapter: String,
     /// Wall milliseconds per stage.
     pub stages: StageTimes,
+    /// Milliseconds by pass, by the GPU's own clock; empty without one.
+    pub gpu_ms: StageTimes,
     /// Bound of |Δ line_integral| / max(1, line_integral), noise aside.
     pub stated_error: f64,
     /// What a person should know: why the image is empty, floors, invalid pixels.
@@ -242,6 +245,7 @@ impl Renderer {
             plan: serde_json::to_value(&plan).expect("a plan is plain data"),
             adapter: cast.adapter,
             stages,
+            gpu_ms: cast.gpu_ms,
             notes,
             non_finite,
             achieved: None,
@@ -292,9 +296,11 @@ impl Renderer {
                 let key = noise.map(|plan| NoiseKey { seed: plan.seed, frame: plan.frame_index, photons_per_pixel });
                 let executed = stages.measure("shaders", || executor.execute(gpu, prepared, bins, key))?;
                 if executed.overflows == 0 {
-                    let Executed { density, signal, deviates, .. } = executed;
+                    let Executed { density, signal, deviates, pass_ms, .. } = executed;
                     let deviates = noise.is_some().then_some(deviates);
-                    return Ok(Cast { density, signal, deviates, adapter: gpu.adapter.clone() });
+                    let mut gpu_ms = StageTimes::default();
+                    pass_ms.into_iter().for_each(|(pass, ms)| gpu_ms.add(pass, ms));
+                    return Ok(Cast { density, signal, deviates, adapter: gpu.adapter.clone(), gpu_ms });
                 }
                 format!("{} rays cross more intervals than the shader holds", executed.overflows)
             }
@@ -324,116 +330,12 @@ impl Renderer {
         };
         let mut signal = bins.map(|bins| attenuate_spectrum(&density, bins, noisy)).unwrap_or_default();
         signal.line_integral = single(&traced.line_integral);
-        Ok(Cast { density, signal, deviates: None, adapter: format!("f64 reference on {}", cpu_name()) })
+        Ok(Cast {
+            density,
+            signal,
+            deviates: None,
+            adapter: format!("f64 reference on {}", cpu_name()),
+            gpu_ms: StageTimes::default(),
+        })
     }
-}
-
-fn cast_cpu(prepared: &Prepared, plan: &Plan, bins: Option<&Bins>, noisy: bool, stages: &mut StageTimes) -> Cast {
-    let density = stages.measure("integrate_density", || {
-        let density = integrate_density(prepared, plan.sampling);
-        match plan.step_px {
-            0 | 1 => density,
-            step => {
-                let cast_px = prepared.view.size_px.map(|n| n as usize);
-                enlarge_density(&density, cast_px, plan.size_px.map(|n| n as usize), step as usize)
-            }
-        }
-    });
-    let signal = bins.map(|bins| stages.measure("attenuate_spectrum", || attenuate_spectrum(&density, bins, noisy)));
-    Cast { density, signal: signal.unwrap_or_default(), deviates: None, adapter: cpu_name() }
-}
-
-/// Evaluates every bin in pixels whose paths are longer than those that the plan's nodes were fitted to.
-fn attenuate_beyond(scene: &Scene, plan: &Plan, cast: &mut Cast, noisy: bool) -> Result<(), RenderError> {
-    let materials = cast.density.material_count;
-    let paths = |pixel: usize| &cast.density.g_per_cm2[pixel * materials..(pixel + 1) * materials];
-    // NaN counts as beyond.
-    let beyond =
-        |pixel: &usize| paths(*pixel).iter().zip(&plan.fitted_up_to_g_per_cm2).any(|(path, up_to)| !(f64::from(*path) <= *up_to));
-    let pixels: Vec<usize> = (0..cast.density.valid.len()).filter(beyond).collect();
-    if pixels.is_empty() || cast.signal.line_integral.is_empty() {
-        return Ok(());
-    }
-    let g_per_cm2 = pixels.iter().flat_map(|pixel| paths(*pixel)).copied().collect();
-    let density = Density { material_count: materials, g_per_cm2, valid: vec![1; pixels.len()], unscanned_mm: 0.0 };
-    let bins = Bins::new(scene, &whole_spectrum(scene))?;
-    let signal = attenuate_spectrum(&density, &bins, noisy);
-    for (index, pixel) in pixels.into_iter().enumerate() {
-        cast.signal.line_integral[pixel] = signal.line_integral[index];
-        if let (Some(arriving), Some(exact)) = (cast.signal.arriving.get_mut(pixel), signal.arriving.get(index)) {
-            *arriving = *exact;
-        }
-    }
-    Ok(())
-}
-
-/// What an executor found.
-struct Cast {
-    density: Density,
-    signal: Signal,
-    deviates: Option<Vec<f32>>,
-    adapter: String,
-}
-
-fn note_invalid(density: &Density, notes: &mut Vec<String>) {
-    let invalid = density.valid.iter().filter(|valid| **valid == 0).count();
-    if invalid > 0 {
-        let share = 100.0 * invalid as f64 / density.valid.len() as f64;
-        let bound = if density.unscanned_mm > 0.0 {
-            format!("; at most {:.0} mm of their paths are unscanned", density.unscanned_mm)
-        } else {
-            String::new()
-        };
-        notes.push(format!("{invalid} pixels ({share:.1} %) look through matter that the scan cut off{bound}"));
-    }
-}
-
-fn check(scene: &Scene) -> Result<(), RenderError> {
-    if let Some(view) = &scene.view {
-        view.check()?;
-    }
-    chain::check(scene)?;
-    let n0 = scene.beam.photons_per_pixel;
-    if !(n0 > 0.0 && n0.is_finite()) {
-        return Err(RenderError::Number { what: "beam.photons_per_pixel", value: n0, expected: "a positive number" });
-    }
-    let kernel = &scene.detector.crosstalk;
-    if kernel.iter().any(|row| row.len() != kernel.len()) || (!kernel.is_empty() && kernel.len().is_multiple_of(2)) {
-        return Err(RenderError::Number {
-            what: "detector.crosstalk: rows",
-            value: kernel.len() as f64,
-            expected: "an odd square",
-        });
-    }
-    if let Some(readout) = scene.detector.readout_noise
-        && !(readout.row_correlation >= 0.0 && readout.row_correlation < 1.0)
-    {
-        let value = readout.row_correlation;
-        return Err(RenderError::Number { what: "detector.readout_noise.row_correlation", value, expected: "from 0 to below 1" });
-    }
-    Ok(())
-}
-
-fn check_plan(plan: &Plan, scene: &Scene) -> Result<(), RenderError> {
-    if scene.model.voxels == Voxels::PiecewiseConstant && plan.executor != Executor::Reference {
-        return Err(RenderError::ReferenceOnly { what: "model.voxels \"piecewise_constant\"" });
-    }
-    let names: Vec<String> = scene.materials.iter().map(|material| material.name.clone()).collect();
-    if plan.materials != names {
-        return Err(RenderError::PlanMismatch { what: "materials", planned: plan.materials.join(", "), found: names.join(", ") });
-    }
-    let size = scene.view.map_or([0, 0], |view| view.size_px);
-    if plan.size_px != size {
-        return Err(RenderError::PlanMismatch {
-            what: "size_px",
-            planned: format!("{:?}", plan.size_px),
-            found: format!("{size:?}"),
-        });
-    }
-    Ok(())
-}
-
-fn area_pages(density: &Density) -> Vec<Vec<f32>> {
-    let materials = density.material_count;
-    (0..materials).map(|material| density.g_per_cm2.iter().skip(material).step_by(materials).copied().collect()).collect()
 }

@@ -67,6 +67,7 @@ fn description(rendered: &Rendered, scene: &Scene, share_invalid: f64) -> serde_
         "share_invalid": share_invalid,
         "notes": rendered.notes,
         "stages_ms": rendered.stages,
+        "gpu_ms": rendered.gpu_ms,
         "plan": rendered.plan,
         "inputs": scene.inputs,
         "version": env!("CARGO_PKG_VERSION"),

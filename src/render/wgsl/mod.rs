@@ -1,6 +1,7 @@
 //! The GPU executor: dispatches `shaders/*.wgsl`; volumes stay resident between images.
 
 pub mod layout;
+mod pass_times;
 mod resident;
 mod sources;
 
@@ -10,6 +11,7 @@ use wgpu::util::DeviceExt;
 
 pub use sources::{STEMS, source};
 
+use self::pass_times::PassTimes;
 use self::resident::Resident;
 use super::cpu::attenuate_spectrum::{Arriving, Signal};
 use super::cpu::integrate_density::Density;
@@ -46,6 +48,8 @@ pub struct Executed {
     pub signal: Signal,
     /// Poisson(N) − N; empty without noise.
     pub deviates: Vec<f32>,
+    /// Milliseconds by pass, by the device's clock; empty where it has none.
+    pub pass_ms: Vec<(&'static str, f64)>,
     /// Rays on which intervals did not fit; their pixels are wrong, render on the CPU.
     pub overflows: u32,
 }
@@ -156,7 +160,12 @@ impl WgslExecutor {
             overflows.as_entire_binding(),
         ];
         let [width, height] = prepared.view.size_px;
-        dispatch(gpu, &mut commands, &self.integrate, &bindings, [width.div_ceil(8), height.div_ceil(8)]);
+        let mut times = PassTimes::new(gpu);
+        let mut run = |commands: &mut wgpu::CommandEncoder, stem, pipeline, bindings: &[wgpu::BindingResource], groups| {
+            let writes = times.as_mut().and_then(|times| times.next(stem));
+            dispatch(gpu, commands, pipeline, bindings, groups, writes);
+        };
+        run(&mut commands, "integrate_density", &self.integrate, &bindings, [width.div_ceil(8), height.div_ceil(8)]);
         let flat = flat_groups(pixels);
         let mut downloads = vec![download(gpu, &mut commands, &density), download(gpu, &mut commands, &missing)];
         downloads.push(download(gpu, &mut commands, &overflows));
@@ -172,18 +181,23 @@ impl WgslExecutor {
             let weights = storage(bytemuck::cast_slice(&weights));
             let table = if bins.cm2_per_g.is_empty() { storage(&[0; 4]) } else { storage(bytemuck::cast_slice(&bins.cm2_per_g)) };
             let bindings = [&view_buffer, &weights, &table, &density, &signal].map(wgpu::Buffer::as_entire_binding);
-            dispatch(gpu, &mut commands, &self.attenuate, &bindings, flat);
+            run(&mut commands, "attenuate_spectrum", &self.attenuate, &bindings, flat);
             downloads.push(download(gpu, &mut commands, &signal));
             if noise.is_some() {
                 let deviates = output(gpu, pixels);
                 let bindings = [&view_buffer, &signal, &deviates].map(wgpu::Buffer::as_entire_binding);
-                dispatch(gpu, &mut commands, &self.noise, &bindings, flat);
+                run(&mut commands, "add_noise", &self.noise, &bindings, flat);
                 downloads.push(download(gpu, &mut commands, &deviates));
             }
         }
+        if let Some(times) = &times {
+            let resolved = times.resolve(&mut commands);
+            downloads.push(download(gpu, &mut commands, resolved));
+        }
         gpu.queue.submit([commands.finish()]);
-        let words = read_back(gpu, &downloads)?;
-        Ok(unpack(words, materials, pixels))
+        let mut words = read_back(gpu, &downloads)?;
+        let pass_ms = times.map(|times| times.ms(&words.pop().unwrap_or_default())).unwrap_or_default();
+        Ok(Executed { pass_ms, ..unpack(words, materials, pixels) })
     }
 
     fn upload(&mut self, gpu: &Gpu, prepared: &Prepared) -> Result<(), GpuError> {
@@ -214,7 +228,13 @@ fn unpack(mut words: Vec<Vec<f32>>, materials: usize, pixels: usize) -> Executed
     let (values, _) = signal.as_chunks::<4>();
     let arriving = |v: &[f32; 4]| Arriving { photon_fraction: v[1], mean_response: v[2], mean_square_response: v[3] };
     let signal = Signal { line_integral: values.iter().map(|v| v[0]).collect(), arriving: values.iter().map(arriving).collect() };
-    Executed { density, signal, deviates: next(), overflows: overflows.first().map_or(0, |word| word.to_bits()) }
+    Executed {
+        density,
+        signal,
+        deviates: next(),
+        pass_ms: Vec::new(),
+        overflows: overflows.first().map_or(0, |word| word.to_bits()),
+    }
 }
 
 /// Groups of 64 in two dimensions: 65535 in one would end at 4 million pixels.
@@ -254,6 +274,7 @@ fn dispatch(
     pipeline: &wgpu::ComputePipeline,
     bindings: &[wgpu::BindingResource],
     groups: [u32; 2],
+    timestamp_writes: Option<wgpu::ComputePassTimestampWrites>,
 ) {
     let entries: Vec<wgpu::BindGroupEntry> = bindings
         .iter()
@@ -262,7 +283,7 @@ fn dispatch(
         .collect();
     let layout = pipeline.get_bind_group_layout(0);
     let group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor { label: None, layout: &layout, entries: &entries });
-    let mut pass = commands.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+    let mut pass = commands.begin_compute_pass(&wgpu::ComputePassDescriptor { label: None, timestamp_writes });
     pass.set_pipeline(pipeline);
     pass.set_bind_group(0, &group, &[]);
     pass.dispatch_workgroups(groups[0], groups[1], 1);

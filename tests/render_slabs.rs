@@ -132,6 +132,14 @@ fn portable_lanes_wide_lanes_and_the_field_agree() {
                         assert!((a - b).abs() <= 3e-6 * b.max(1.0), "{name}, axis {axis}, {apart} apart: {a} {b}");
                     }
                 }
+                #[cfg(target_arch = "x86_64")]
+                if let Some(pairs) = pulp::x86::V3::try_new() {
+                    let mut sums = [[0.0f32; LANES]; MOST_MATERIALS];
+                    cross(pairs, &grid, &bundle, &layers, &mut sums);
+                    for (a, b) in sums.iter().flatten().zip(portable.iter().flatten()) {
+                        assert!((a - b).abs() <= 3e-6 * b.max(1.0), "AVX2, {name}, axis {axis}, {apart} apart: {a} {b}");
+                    }
+                }
             }
         }
         println!("{name}: worst error {worst:.1e}");
@@ -172,6 +180,14 @@ fn windows_of_sixteen_columns_hold_what_is_wide_and_flat() {
                 cross(wide, &grid, &bundle, &layers, &mut sums);
                 for (a, b) in sums.iter().flatten().zip(portable.iter().flatten()) {
                     assert!((a - b).abs() <= 3e-6 * b.max(1.0), "axis {axis}, {wanted:?}: {a} {b}");
+                }
+            }
+            #[cfg(target_arch = "x86_64")]
+            if let Some(pairs) = pulp::x86::V3::try_new() {
+                let mut sums = [[0.0f32; LANES]; MOST_MATERIALS];
+                cross(pairs, &grid, &bundle, &layers, &mut sums);
+                for (a, b) in sums.iter().flatten().zip(portable.iter().flatten()) {
+                    assert!((a - b).abs() <= 3e-6 * b.max(1.0), "AVX2, axis {axis}, {wanted:?}: {a} {b}");
                 }
             }
         }

@@ -47,6 +47,10 @@ pub fn attenuate_spectrum(density: &Density, bins: &Bins, moments: bool) -> Sign
         if let Some(avx512) = pulp::x86::V4::try_new() {
             return avx512.vectorize(chunk);
         }
+        #[cfg(target_arch = "x86_64")]
+        if let Some(avx2) = pulp::x86::V3::try_new() {
+            return avx2.vectorize(chunk);
+        }
         pulp::NullaryFnOnce::call(chunk);
     };
     if moments {

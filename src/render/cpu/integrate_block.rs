@@ -38,6 +38,10 @@ impl Crossing<'_> {
         if let Some(avx512) = pulp::x86::V4::try_new() {
             return avx512.vectorize(OnAvx512(fill, avx512));
         }
+        #[cfg(target_arch = "x86_64")]
+        if let Some(avx2) = pulp::x86::V3::try_new() {
+            return avx2.vectorize(OnAvx2(fill, avx2));
+        }
         fill.run(Portable)
     }
 }
@@ -54,6 +58,18 @@ struct OnAvx512<'f, 'a, 'b>(Fill<'f, 'a, 'b>, pulp::x86::V4);
 
 #[cfg(target_arch = "x86_64")]
 impl pulp::NullaryFnOnce for OnAvx512<'_, '_, '_> {
+    type Output = f32;
+    #[inline(always)]
+    fn call(self) -> f32 {
+        self.0.run(self.1)
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+struct OnAvx2<'f, 'a, 'b>(Fill<'f, 'a, 'b>, pulp::x86::V3);
+
+#[cfg(target_arch = "x86_64")]
+impl pulp::NullaryFnOnce for OnAvx2<'_, '_, '_> {
     type Output = f32;
     #[inline(always)]
     fn call(self) -> f32 {

@@ -13,6 +13,8 @@ pub mod integrate_density;
 pub mod intersect_mesh;
 pub mod intervals;
 pub mod lanes;
+#[cfg(target_arch = "x86_64")]
+mod lanes_avx2;
 pub mod resample_overlap;
 pub mod shapes;
 pub mod walk_cells;

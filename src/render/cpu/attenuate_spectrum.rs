@@ -94,13 +94,17 @@ impl pulp::NullaryFnOnce for Chunk<'_> {
             }
             if any {
                 let smallest = optical_depths(&path, bins, &mut depth);
-                let signal = weighted_sums(&bins.signal_weight, &depth, &smallest);
+                let [signal, photons, squares] = match arriving.is_empty() {
+                    true => {
+                        let [signal] = weighted_sums([&bins.signal_weight], &depth, &smallest);
+                        [signal, [1.0; WIDE], [1.0; WIDE]]
+                    }
+                    false => weighted_sums([&bins.signal_weight, &bins.photon_weight, &bins.square_weight], &depth, &smallest),
+                };
                 for l in 0..count {
                     line[first + l] = if seen[l] { smallest[l] - ln(signal[l]) } else { 0.0 };
                 }
                 if !arriving.is_empty() {
-                    let photons = weighted_sums(&bins.photon_weight, &depth, &smallest);
-                    let squares = weighted_sums(&bins.square_weight, &depth, &smallest);
                     for l in 0..count {
                         arriving[first + l] = Arriving {
                             // e^-87 is the least normal number: of any photons that there may be, none is left.
@@ -153,13 +157,19 @@ fn optical_depths(path: &[[f32; WIDE]], bins: &Bins, depth: &mut [[f32; WIDE]]) 
     smallest
 }
 
-/// Σ w exp(smallest − depth).
+/// Σ w exp(smallest − depth) for `N` kinds of weights.
 #[inline(always)]
-fn weighted_sums(weights: &[f32], depth: &[[f32; WIDE]], smallest: &[f32; WIDE]) -> [f32; WIDE] {
-    let mut sums = [0.0f32; WIDE];
-    for (weight, depth) in weights.iter().zip(depth) {
+fn weighted_sums<const N: usize>(weights: [&[f32]; N], depth: &[[f32; WIDE]], smallest: &[f32; WIDE]) -> [[f32; WIDE]; N] {
+    let mut sums = [[0.0f32; WIDE]; N];
+    for (k, depth) in depth.iter().enumerate() {
+        let mut passed = [0.0f32; WIDE];
         for l in 0..WIDE {
-            sums[l] += weight * exp_of_negative(smallest[l] - depth[l]);
+            passed[l] = exp_of_negative(smallest[l] - depth[l]);
+        }
+        for (sums, weights) in sums.iter_mut().zip(&weights) {
+            for l in 0..WIDE {
+                sums[l] += weights[k] * passed[l];
+            }
         }
     }
     sums

@@ -182,21 +182,25 @@ impl Crossing<'_> {
     /// Depth outside the grid of rays that enter or leave it through matter.
     #[inline(always)]
     #[must_use]
-    pub fn left_through_faces(&self, q: &[[f64; LANES]; 3], seen: &[bool; LANES]) -> [f64; LANES] {
+    pub fn left_through_faces(&self, aimed: &Aimed) -> [f64; LANES] {
         let mut missing = [0.0; LANES];
         if !self.seen.volume.truncated_at_faces {
             return missing;
         }
-        let t = self.depths(&self.whole, q);
+        let t = self.depths(&self.whole, &aimed.q);
         for l in 0..LANES {
             let (enter, leave) = (t[0][l], t[1][l]);
-            if !(seen[l] && leave > enter) {
+            let (first, last) = (aimed.t[0][l], aimed.t[1][l]);
+            if !(last > first) {
                 continue;
             }
-            if enter > 0.0 && enter < self.prepared.detector_mm && self.holds_matter(&[q[0][l], q[1][l], q[2][l]], enter) {
+            // Matter lies between first and last: a face beyond them shows none.
+            if enter >= first && enter > 0.0 && enter < self.prepared.detector_mm && self.holds_matter(&aimed.direction(l), enter)
+            {
                 missing[l] += enter;
             }
-            if leave > 0.0 && leave < self.prepared.detector_mm && self.holds_matter(&[q[0][l], q[1][l], q[2][l]], leave) {
+            if leave <= last && leave > 0.0 && leave < self.prepared.detector_mm && self.holds_matter(&aimed.direction(l), leave)
+            {
                 missing[l] += self.prepared.detector_mm - leave;
             }
         }

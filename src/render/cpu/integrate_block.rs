@@ -102,6 +102,7 @@ impl Fill<'_, '_, '_> {
                     l += 1;
                 }
                 let mut aimed = crossing.aim(pattern, &seen);
+                let missing = crossing.left_through_faces(&aimed);
                 // Shapes and meshes claim their part of each ray; what is left comes in at most `rounds` pieces a ray.
                 let mut rounds = usize::from(aimed.any);
                 if !block.solids.is_empty() {
@@ -119,7 +120,6 @@ impl Fill<'_, '_, '_> {
                         None => lost = true,
                     }
                 }
-                let missing = crossing.left_through_faces(&aimed.q, &seen);
                 let scale = aimed.g_per_cm2();
                 if block.solids.is_empty() && !lost && met & CUT_BIT == 0 && !crossing.seen.volume.truncated_at_faces {
                     // Nothing but paths to write.

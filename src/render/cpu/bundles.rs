@@ -1,7 +1,6 @@
 //! Bundles of sixteen neighbouring pixels, as rays through one volume.
 
 use super::cross_slabs::{Fit, fit};
-use super::crossing::Aimed;
 use super::edges::{Bundle, Corners};
 use super::lanes::LANES;
 use crate::geometry::View;
@@ -61,6 +60,50 @@ impl Pattern {
             l += 1;
         }
         [low, [high[0], low[1]], [low[0], high[1]], high]
+    }
+}
+
+/// Sixteen rays on their way.
+#[derive(Clone, Copy)]
+pub struct Aimed {
+    /// Their pixels.
+    pub pattern: Pattern,
+    /// Cells per mm of depth, by axis.
+    pub q: [[f64; LANES]; 3],
+    /// The axis along which each crosses most cells.
+    pub main: [u8; LANES],
+    /// mm along each ray per mm of depth.
+    pub mm_per_depth: [f64; LANES],
+    /// Depths between which they cross what holds matter.
+    pub t: [[f64; LANES]; 2],
+    /// Axes that are dominant for any of them.
+    pub axes: [bool; 3],
+    /// Whether any of them crosses anything.
+    pub any: bool,
+}
+
+impl Aimed {
+    /// Cells per mm of depth of one ray.
+    #[inline(always)]
+    #[must_use]
+    pub fn direction(&self, lane: usize) -> [f64; 3] {
+        [self.q[0][lane], self.q[1][lane], self.q[2][lane]]
+    }
+
+    /// g/cm² per unit of ∫ρ dc: a ray is `mm_per_depth` / |q_c| mm long in c, and there are 10 mm in a cm.
+    #[inline(always)]
+    #[must_use]
+    pub fn g_per_cm2(&self) -> [f32; LANES] {
+        let mut scale = [0.0f32; LANES];
+        let mut l = 0;
+        while l < LANES {
+            let (a, b, c) = (self.q[0][l].abs(), self.q[1][l].abs(), self.q[2][l].abs());
+            let steepest = if a > b { a } else { b };
+            let steepest = if c > steepest { c } else { steepest };
+            scale[l] = (0.1 * self.mm_per_depth[l] / steepest) as f32;
+            l += 1;
+        }
+        scale
     }
 }
 

@@ -22,21 +22,22 @@ pub struct Rays {
 /// Columns of pixels in a bundle; its rows are 16 / columns.
 const LAYOUTS: [usize; 3] = [4, 8, 2];
 
-/// The pixels of a bundle.
+/// The pixels of a bundle: rows of `columns` neighbours.
 #[derive(Clone, Copy, Debug)]
 pub struct Pattern {
     /// Columns of the pixels, lane by lane.
     pub u: [f64; LANES],
     /// Rows.
     pub v: [f64; LANES],
+    columns: usize,
 }
 
 impl Pattern {
-    /// The pixels from (u, v) on, in rows of `columns`.
+    /// The pixels from (u, v) on, in rows of `columns`, a divisor of sixteen.
     #[inline(always)]
     #[must_use]
     pub fn grid([u, v]: [usize; 2], columns: usize) -> Self {
-        let mut pattern = Self { u: [0.0; LANES], v: [0.0; LANES] };
+        let mut pattern = Self { u: [0.0; LANES], v: [0.0; LANES], columns };
         let mut l = 0;
         while l < LANES {
             pattern.u[l] = (u + l % columns) as f64;
@@ -46,20 +47,12 @@ impl Pattern {
         pattern
     }
 
-    /// Corners of the smallest rectangle around all pixels.
+    /// The four pixels that no other lies outside of.
     #[inline(always)]
     #[must_use]
     pub fn corners(&self) -> [[f64; 2]; 4] {
-        let (mut low, mut high) = ([self.u[0], self.v[0]], [self.u[0], self.v[0]]);
-        let mut l = 1;
-        while l < LANES {
-            low[0] = if self.u[l] < low[0] { self.u[l] } else { low[0] };
-            high[0] = if self.u[l] > high[0] { self.u[l] } else { high[0] };
-            low[1] = if self.v[l] < low[1] { self.v[l] } else { low[1] };
-            high[1] = if self.v[l] > high[1] { self.v[l] } else { high[1] };
-            l += 1;
-        }
-        [low, [high[0], low[1]], [low[0], high[1]], high]
+        let (left, right, top, bottom) = (self.u[0], self.u[self.columns - 1], self.v[0], self.v[LANES - 1]);
+        [[left, top], [right, top], [left, bottom], [right, bottom]]
     }
 }
 
@@ -97,9 +90,7 @@ impl Aimed {
         let mut scale = [0.0f32; LANES];
         let mut l = 0;
         while l < LANES {
-            let (a, b, c) = (self.q[0][l].abs(), self.q[1][l].abs(), self.q[2][l].abs());
-            let steepest = if a > b { a } else { b };
-            let steepest = if c > steepest { c } else { steepest };
+            let steepest = self.q[usize::from(self.main[l])][l].abs();
             scale[l] = (0.1 * self.mm_per_depth[l] / steepest) as f32;
             l += 1;
         }
@@ -143,14 +134,10 @@ impl Rays {
     #[must_use]
     pub fn sixteen(&self, pattern: &Pattern) -> ([[f64; LANES]; 3], [f64; LANES]) {
         let mut q = [[0.0; LANES]; 3];
-        let mut axis = 0;
-        while axis < 3 {
-            let mut l = 0;
-            while l < LANES {
-                q[axis][l] = self.q0[axis] + self.qu[axis] * pattern.u[l] + self.qv[axis] * pattern.v[l];
-                l += 1;
-            }
-            axis += 1;
+        let mut l = 0;
+        while l < LANES {
+            [q[0][l], q[1][l], q[2][l]] = self.direction(pattern.u[l], pattern.v[l]);
+            l += 1;
         }
         let [at, by_u, by_v] = &self.camera;
         let mut mm = [0.0; LANES];
@@ -162,21 +149,6 @@ impl Rays {
             l += 1;
         }
         (q, mm)
-    }
-
-    /// The axis along which each ray crosses most cells.
-    #[inline(always)]
-    #[must_use]
-    pub fn main(q: &[[f64; LANES]; 3]) -> [u8; LANES] {
-        let mut main = [0; LANES];
-        let mut l = 0;
-        while l < LANES {
-            let (a, b, c) = (q[0][l].abs(), q[1][l].abs(), q[2][l].abs());
-            let (first, steepest) = if b > a { (1, b) } else { (0, a) };
-            main[l] = if c > steepest { 2 } else { first };
-            l += 1;
-        }
-        main
     }
 
     /// The axis along which a ray crosses most cells.

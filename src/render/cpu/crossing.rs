@@ -6,12 +6,9 @@ use super::bundles::{Aimed, Pattern, Rays};
 use super::cross_slabs::cross;
 use super::edges::Layers;
 use super::lanes::{LANES, Lanes};
-use crate::render::cells::{CUT, EMPTY, EMPTY_BRICK};
+use crate::render::cells::{BRICK, CUT, EMPTY, EMPTY_BRICK};
 use crate::render::prepared::{Prepared, SeenVolume};
 use crate::render::slabs::{AXES, CUT_BIT, MOST_MATERIALS, SlabGrid};
-
-/// Cells along the edge of a brick.
-const BRICK: usize = 8;
 
 /// The volume of a scene that can be crossed in bundles.
 pub struct Crossing<'a> {
@@ -52,7 +49,12 @@ impl<'a> Crossing<'a> {
     #[must_use]
     pub fn aim(&self, pattern: Pattern, seen: &[bool; LANES]) -> Aimed {
         let (q, mm_per_depth) = self.rays.sixteen(&pattern);
-        let main = Rays::main(&q);
+        let mut main = [0; LANES];
+        let mut l = 0;
+        while l < LANES {
+            main[l] = Rays::dominant([q[0][l], q[1][l], q[2][l]]) as u8;
+            l += 1;
+        }
         let mut t = self.depths(&self.occupied, &q);
         let mut axes = [false; 3];
         let mut any = false;
@@ -94,9 +96,7 @@ impl<'a> Crossing<'a> {
 
 /// What lies below a rectangle of pixels.
 pub struct Below<'c, 'a> {
-    /// The volume.
-    pub crossing: &'c Crossing<'a>,
-    /// Corners of the rectangle.
+    crossing: &'c Crossing<'a>,
     corners: [[f64; 2]; 4],
     filled: [bool; 3],
     layers: [Layers; 3],

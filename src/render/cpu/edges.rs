@@ -1,10 +1,11 @@
 //! What lies below a block of pixels: lines that hem its rays in, and the bricks between them, layer by layer.
 
 use super::lanes::LANES;
+use crate::render::cells;
 use crate::render::slabs::SlabGrid;
 
 /// Slabs along the edge of a brick.
-pub const BRICK: i32 = 8;
+pub const BRICK: i32 = cells::BRICK as i32;
 
 /// More layers of bricks than any volume that is laid out in slabs has.
 const MOST_LAYERS: usize = 512;

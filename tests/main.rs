@@ -21,6 +21,7 @@ mod compare_command;
 mod compare_synthetic;
 mod report_files;
 mod viewer_window;
+mod measure_commands;
 mod render_scenes;
 mod render_closed_forms;
 mod render_command;

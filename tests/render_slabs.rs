@@ -10,12 +10,14 @@ use sidecarm::render::cpu::cross_slabs::{Fit, cross, fit};
 use sidecarm::render::cpu::edges::{Bundle, Corners, Layers};
 use sidecarm::render::cpu::lanes::{LANES, Portable};
 use sidecarm::render::plan::Sampling;
-use sidecarm::render::slabs::{AXES, MOST_MATERIALS, Slabs};
+use sidecarm::render::slabs::{AXES, MOST_MATERIALS, SlabGrid, Slabs};
 use sidecarm::render::{Goal, Options, Quantity, Renderer};
 use sidecarm::reporter::Reporter;
 use sidecarm::scene::model::{Matter, Volume};
 
 use crate::render_scenes::{With, empty, placed, solids, sphere, volume, worst};
+
+type Sums = [[f32; LANES]; MOST_MATERIALS];
 
 fn lumpy() -> Volume {
     let filled = |[i, j, k]: [usize; 3]| match (i * 31 + j * 17 + k * 7) % 13 {
@@ -95,6 +97,28 @@ fn finely(volume: &Volume, axis: usize, bundle: &Bundle, lane: usize, class: u8)
     sum * length / f64::from(steps)
 }
 
+/// Compares the lanes that this processor has with the portable ones.
+#[cfg(target_arch = "x86_64")]
+fn every_kind_of_lanes_agrees(grid: &SlabGrid, bundle: &Bundle, layers: &Layers, portable: &Sums, what: &str) {
+    let compare = |kind: &str, sums: Sums| {
+        for (a, b) in sums.iter().flatten().zip(portable.iter().flatten()) {
+            assert!((a - b).abs() <= 3e-6 * b.max(1.0), "{kind}, {what}: {a} {b}");
+        }
+    };
+    let mut sums = [[0.0f32; LANES]; MOST_MATERIALS];
+    if let Some(avx512) = pulp::x86::V4::try_new() {
+        cross(avx512, grid, bundle, layers, &mut sums);
+        compare("AVX-512", std::mem::take(&mut sums));
+    }
+    if let Some(avx2) = pulp::x86::V3::try_new() {
+        cross(avx2, grid, bundle, layers, &mut sums);
+        compare("AVX2", sums);
+    }
+}
+
+#[cfg(not(target_arch = "x86_64"))]
+fn every_kind_of_lanes_agrees(_: &SlabGrid, _: &Bundle, _: &Layers, _: &Sums, _: &str) {}
+
 #[test]
 fn portable_lanes_wide_lanes_and_the_field_agree() {
     let mut stream = Stream::new(5, 0, 0, Purpose::Evaluation);
@@ -124,22 +148,7 @@ fn portable_lanes_wide_lanes_and_the_field_agree() {
                 }
                 let swapped = (f64::from(portable[1][0]) - finely(&volume, axis, &bundle, 0, 1)).abs();
                 assert!(swapped > 1e-2, "the control: the other material differs");
-                #[cfg(target_arch = "x86_64")]
-                if let Some(wide) = pulp::x86::V4::try_new() {
-                    let mut sums = [[0.0f32; LANES]; MOST_MATERIALS];
-                    cross(wide, &grid, &bundle, &layers, &mut sums);
-                    for (a, b) in sums.iter().flatten().zip(portable.iter().flatten()) {
-                        assert!((a - b).abs() <= 3e-6 * b.max(1.0), "{name}, axis {axis}, {apart} apart: {a} {b}");
-                    }
-                }
-                #[cfg(target_arch = "x86_64")]
-                if let Some(pairs) = pulp::x86::V3::try_new() {
-                    let mut sums = [[0.0f32; LANES]; MOST_MATERIALS];
-                    cross(pairs, &grid, &bundle, &layers, &mut sums);
-                    for (a, b) in sums.iter().flatten().zip(portable.iter().flatten()) {
-                        assert!((a - b).abs() <= 3e-6 * b.max(1.0), "AVX2, {name}, axis {axis}, {apart} apart: {a} {b}");
-                    }
-                }
+                every_kind_of_lanes_agrees(&grid, &bundle, &layers, &portable, &format!("{name}, axis {axis}, {apart} apart"));
             }
         }
         println!("{name}: worst error {worst:.1e}");
@@ -174,22 +183,7 @@ fn windows_of_sixteen_columns_hold_what_is_wide_and_flat() {
             cross(Portable, &grid, &bundle, &layers, &mut portable);
             let expected = finely(&volume, axis, &bundle, 6, 1);
             assert!((f64::from(portable[0][6]) - expected).abs() < 2e-5 * expected.max(1.0), "{} {expected}", portable[0][6]);
-            #[cfg(target_arch = "x86_64")]
-            if let Some(wide) = pulp::x86::V4::try_new() {
-                let mut sums = [[0.0f32; LANES]; MOST_MATERIALS];
-                cross(wide, &grid, &bundle, &layers, &mut sums);
-                for (a, b) in sums.iter().flatten().zip(portable.iter().flatten()) {
-                    assert!((a - b).abs() <= 3e-6 * b.max(1.0), "axis {axis}, {wanted:?}: {a} {b}");
-                }
-            }
-            #[cfg(target_arch = "x86_64")]
-            if let Some(pairs) = pulp::x86::V3::try_new() {
-                let mut sums = [[0.0f32; LANES]; MOST_MATERIALS];
-                cross(pairs, &grid, &bundle, &layers, &mut sums);
-                for (a, b) in sums.iter().flatten().zip(portable.iter().flatten()) {
-                    assert!((a - b).abs() <= 3e-6 * b.max(1.0), "AVX2, axis {axis}, {wanted:?}: {a} {b}");
-                }
-            }
+            every_kind_of_lanes_agrees(&grid, &bundle, &layers, &portable, &format!("axis {axis}, {wanted:?}"));
         }
     }
 }

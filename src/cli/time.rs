@@ -1,5 +1,6 @@
 //! `sidecarm time`: how long a scene takes from many views, the volumes staying prepared; `scripts/bench` is made of it.
 
+use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 use glam::DMat4;
@@ -33,8 +34,8 @@ pub struct TimeArgs {
     #[arg(long, value_name = "REL", default_value_t = 1e-3)]
     pub max_error: f64,
     /// Images per view
-    #[arg(long, default_value_t = 5)]
-    pub repeat: usize,
+    #[arg(long, default_value = "5")]
+    pub repeat: NonZeroUsize,
     /// Plan every image anew, as a live session does, and count that
     #[arg(long)]
     pub replan: bool,
@@ -100,12 +101,12 @@ pub fn run(args: &TimeArgs, reporter: &Reporter) -> Result<u8, TimeError> {
         }
         views.push(time(&scene, &mut renderer, args)?);
     }
-    let per_second = (views.len() * args.repeat) as f64 / all.ms() * 1e3;
+    let per_second = (views.len() * args.repeat.get()) as f64 / all.ms() * 1e3;
     let changes = match args.changes {
         true => {
             let goal = Some(Goal::MaxError(args.max_error));
             let options = Options { quantity: args.quantity.into(), goal, ..Options::default() };
-            Some(time_changes::measure(&scene, &mut renderer, &options, args.repeat)?)
+            Some(time_changes::measure(&scene, &mut renderer, &options, args.repeat.get())?)
         }
         false => None,
     };
@@ -131,7 +132,7 @@ fn time(scene: &scene::Scene, renderer: &mut Renderer, args: &TimeArgs) -> Resul
     let mut walls = Vec::new();
     let mut first_prepare_ms = 0.0;
     let (mut stages, mut gpu_ms) = (StageTimes::default(), StageTimes::default());
-    for round in 0..args.repeat.max(1) {
+    for round in 0..args.repeat.get() {
         let watch = Stopwatch::start();
         let rendered = renderer.render(scene, &fixed)?;
         walls.push(watch.ms());

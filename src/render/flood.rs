@@ -254,6 +254,13 @@ fn ray_of(view: &View, pixel: usize) -> DVec3 {
     view.intrinsics.unproject(DVec2::new((pixel % width) as f64, (pixel / width) as f64))
 }
 
+/// Photons per area of a flat detector along a ray with depth 1, relative to the principal ray: 1 / r² for the distance and 1 / r for
+/// the slant.
+fn fall_off(ray: DVec3) -> f32 {
+    let square = ray.length_squared();
+    (1.0 / (square * square.sqrt())) as f32
+}
+
 /// The beam of `scene` with no object in it; `photons` asks for N₀(u), which noise and counts need.
 ///
 /// # Errors
@@ -274,11 +281,7 @@ pub fn flood(scene: &Scene, view: &View, weights: &Weights, photons: bool) -> Re
         return Ok(flood);
     }
     if !shape.varies() && shape.field.is_none() {
-        let fall_off = |pixel: usize| {
-            let square = ray_of(view, pixel).length_squared();
-            (1.0 / (square * square.sqrt())) as f32
-        };
-        flood.photons = (0..pixels).into_par_iter().with_min_len(4096).map(fall_off).collect();
+        flood.photons = (0..pixels).into_par_iter().with_min_len(4096).map(|pixel| fall_off(ray_of(view, pixel))).collect();
         return Ok(flood);
     }
     struct Pixel {
@@ -289,7 +292,7 @@ pub fn flood(scene: &Scene, view: &View, weights: &Weights, photons: bool) -> Re
     }
     let pixel = |scratch: &mut Scratch, pixel: usize| {
         let ray = ray_of(view, pixel);
-        let obliquity = ray.length().powi(-3) as f32;
+        let obliquity = fall_off(ray);
         let open = shape.field.as_ref().map_or(1.0, |_| open_share(scene, view, pixel));
         let dark = Pixel { photons: obliquity, response: principal_response as f32, open: 0.0, outside: false };
         if !shape.varies() {

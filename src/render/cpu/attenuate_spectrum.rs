@@ -94,17 +94,12 @@ impl pulp::NullaryFnOnce for Chunk<'_> {
             }
             if any {
                 let smallest = optical_depths(&path, bins, &mut depth);
-                let [signal, photons, squares] = match arriving.is_empty() {
-                    true => {
-                        let [signal] = weighted_sums([&bins.signal_weight], &depth, &smallest);
-                        [signal, [1.0; WIDE], [1.0; WIDE]]
-                    }
-                    false => weighted_sums([&bins.signal_weight, &bins.photon_weight, &bins.square_weight], &depth, &smallest),
-                };
-                for l in 0..count {
-                    line[first + l] = if seen[l] { smallest[l] - ln(signal[l]) } else { 0.0 };
-                }
-                if !arriving.is_empty() {
+                let signal = if arriving.is_empty() {
+                    let [signal] = weighted_sums([&bins.signal_weight], &depth, &smallest);
+                    signal
+                } else {
+                    let weights = [&bins.signal_weight, &bins.photon_weight, &bins.square_weight].map(Vec::as_slice);
+                    let [signal, photons, squares] = weighted_sums(weights, &depth, &smallest);
                     for l in 0..count {
                         arriving[first + l] = Arriving {
                             // e^-87 is the least normal number: of any photons that there may be, none is left.
@@ -113,6 +108,10 @@ impl pulp::NullaryFnOnce for Chunk<'_> {
                             mean_square_response: squares[l] / photons[l],
                         };
                     }
+                    signal
+                };
+                for l in 0..count {
+                    line[first + l] = if seen[l] { smallest[l] - ln(signal[l]) } else { 0.0 };
                 }
             }
             if !arriving.is_empty() {

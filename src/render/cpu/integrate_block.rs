@@ -1,14 +1,13 @@
 //! A band of pixels through scenes whose one volume lies below everything else: shapes and meshes ray by ray, the volume in bundles
 //! of sixteen rays.
 
-use glam::{DVec2, DVec3};
+use glam::DVec2;
 
 use super::bundles::Pattern;
+use super::claims::Claims;
 use super::crossing::{Below, Crossing};
-use super::integrate_density::{Claims, claim_solids};
 use super::lanes::{LANES, Lanes, Portable};
-use super::walk_cells::CellRay;
-use crate::render::prepared::{Bounds, SeenVolume, Step};
+use crate::render::prepared::{Bounds, Step};
 use crate::render::slabs::{CUT_BIT, MOST_MATERIALS};
 
 /// Edge of the blocks of pixels that are laid out as bundles.
@@ -106,14 +105,14 @@ impl Fill<'_, '_, '_> {
                 // Shapes and meshes claim their part of each ray; what is left comes in at most `rounds` pieces a ray.
                 let mut rounds = usize::from(aimed.any);
                 if !block.solids.is_empty() {
-                    rounds = claims.claim(crossing, block.solids, [u, v], columns, &seen, &aimed.t);
+                    rounds = claims.claim(prepared, block.solids, &pattern, &seen, &aimed.t);
                 }
                 let mut sums = [[0.0f32; LANES]; MOST_MATERIALS];
                 let mut met = 0;
                 let mut lost = false;
                 for round in 0..rounds {
                     if !block.solids.is_empty() {
-                        claims.gaps(round, &mut aimed.t);
+                        claims.round(round, &mut aimed.t);
                     }
                     match below.cross(s, &aimed, &mut sums) {
                         Some(bits) => met |= bits,
@@ -176,56 +175,4 @@ impl Fill<'_, '_, '_> {
         }
         unscanned
     }
-}
-
-impl Claims {
-    /// Integrates shapes and meshes along the rays of a bundle and keeps the gaps that they leave; returns the most gaps of a ray.
-    fn claim(
-        &mut self,
-        crossing: &Crossing,
-        solids: &[Step],
-        [u, v]: [usize; 2],
-        columns: usize,
-        seen: &[bool; LANES],
-        t: &[[f64; LANES]; 2],
-    ) -> usize {
-        let mut rounds = 0;
-        for l in 0..LANES {
-            self.gaps[l].clear();
-            self.sums[l].fill(0.0);
-            if !seen[l] {
-                continue;
-            }
-            let at = DVec2::new((u + l % columns) as f64, (v + l / columns) as f64);
-            let direction = crossing.prepared.view.intrinsics.unproject(at);
-            self.covered.clear();
-            claim_solids(crossing.prepared, &self.trees, solids, direction, &mut self.covered, &mut self.own, &mut self.sums[l]);
-            let gaps = &mut self.gaps[l];
-            if t[1][l] > t[0][l] {
-                self.covered.for_each_gap(t[0][l], t[1][l], |from, to| gaps.push((from, to)));
-            }
-            rounds = rounds.max(gaps.len());
-        }
-        rounds
-    }
-
-    /// The depths of each ray's gap number `round`; an empty one where there is none.
-    fn gaps(&self, round: usize, t: &mut [[f64; LANES]; 2]) {
-        for (l, gaps) in self.gaps.iter().enumerate() {
-            (t[0][l], t[1][l]) = gaps.get(round).copied().unwrap_or((0.0, 0.0));
-        }
-    }
-
-    /// g/cm² of the shapes and meshes along ray `l`.
-    fn write(&self, l: usize, mm_per_depth: f64, out: &mut [f32]) {
-        for (out, sum) in out.iter_mut().zip(&self.sums[l]) {
-            *out = (0.1 * mm_per_depth * sum) as f32;
-        }
-    }
-}
-
-/// A ray in cell coordinates.
-#[must_use]
-pub fn cell_ray(seen: &SeenVolume, direction: DVec3) -> CellRay {
-    CellRay { p: seen.cell_from_camera.translation, q: seen.cell_from_camera.matrix3 * direction }
 }

@@ -7,13 +7,13 @@ use std::sync::Arc;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
+use super::claims::{Claims, claim_solids};
 use super::crossing::Crossing;
-use super::integrate_block::{BLOCK, Block, cell_ray};
+use super::integrate_block::{BLOCK, Block};
 use super::intersect_mesh::MeshTree;
 use super::intervals::Intervals;
-use super::lanes::LANES;
-use super::shapes::{cuboid, intersect};
-use super::walk_cells::{Field, Found, Pass};
+use super::shapes::cuboid;
+use super::walk_cells::{CellRay, Field, Found, Pass};
 use crate::render::plan::Sampling;
 use crate::render::prepared::{Bounds, Prepared, SeenVolume, Step};
 
@@ -40,17 +40,6 @@ struct Scratch {
     own: Vec<(f64, f64)>,
     found: Found,
     sums: Vec<f64>,
-}
-
-/// What shapes and meshes claim of the rays of a bundle.
-#[derive(Debug)]
-pub struct Claims {
-    pub(super) trees: Arc<Vec<MeshTree>>,
-    pub(super) covered: Intervals,
-    pub(super) own: Vec<(f64, f64)>,
-    pub(super) gaps: [Vec<(f64, f64)>; LANES],
-    /// mm of depth times g/cm³, by material.
-    pub(super) sums: [Vec<f64>; LANES],
 }
 
 /// Integrates every ray on all cores; the result does not depend on how many there are.
@@ -92,14 +81,7 @@ impl<'a> Integrator<'a> {
             found: Found::default(),
             sums: vec![0.0; materials],
         };
-        let claims = Claims {
-            trees: self.trees.clone(),
-            covered: Intervals::default(),
-            own: Vec::new(),
-            gaps: Default::default(),
-            sums: std::array::from_fn(|_| vec![0.0; materials]),
-        };
-        Worker { scratch, claims, steps: Vec::new() }
+        Worker { scratch, claims: Claims::new(self.trees.clone(), materials), steps: Vec::new() }
     }
 
     fn all(&self) -> Density {
@@ -224,42 +206,6 @@ fn integrate_ray(prepared: &Prepared, trees: &[MeshTree], steps: &[Step], at: DV
     missing
 }
 
-/// Adds depth × density of the shapes and meshes among `steps`, the last object first, and marks what they cover.
-pub(super) fn claim_solids(
-    prepared: &Prepared,
-    trees: &[MeshTree],
-    steps: &[Step],
-    direction: DVec3,
-    covered: &mut Intervals,
-    own: &mut Vec<(f64, f64)>,
-    sums: &mut [f64],
-) {
-    let far = prepared.detector_mm;
-    for step in steps {
-        own.clear();
-        let (material, density) = match *step {
-            Step::Solid(index) => {
-                let seen = &prepared.solids[index];
-                let spans = intersect(&seen.solid.shape, seen.source_in_local, seen.local_from_camera * direction);
-                own.extend_from_slice(spans.as_slice());
-                (seen.solid.material, seen.solid.density_g_per_cm3)
-            }
-            Step::Mesh(index) => {
-                trees[index].inside(direction, own);
-                (prepared.meshes[index].mesh.material, prepared.meshes[index].mesh.density_g_per_cm3)
-            }
-            Step::Volume(_) | Step::VolumeAir(_) => continue,
-        };
-        for (from, to) in own.iter_mut() {
-            (*from, *to) = (from.max(0.0), to.min(far));
-            if *to > *from {
-                sums[material] += covered.uncovered(*from, *to) * density;
-            }
-        }
-        own.iter().for_each(|(from, to)| covered.insert(*from, *to));
-    }
-}
-
 /// Integrates what is not covered; returns the depth range outside the grid when a truncated scan is entered or left through matter.
 #[expect(clippy::too_many_arguments, reason = "the scratch of a ray, borrowed apart")]
 fn cross_volume(
@@ -273,7 +219,7 @@ fn cross_volume(
     found: &mut Found,
 ) -> Option<f64> {
     let field = Field { volume: seen.volume, cells: &seen.cells, air_kind: seen.air_kind };
-    let ray = cell_ray(seen, direction);
+    let ray = CellRay { p: seen.cell_from_camera.translation, q: seen.cell_from_camera.matrix3 * direction };
     let size = DVec3::from_array(seen.volume.size.map(|n| n as f64));
     let (lo, hi) = (DVec3::splat(0.5), size + 0.5);
     let (enter, leave) = cuboid(ray.p, ray.q, lo, hi)?;

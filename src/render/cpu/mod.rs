@@ -4,6 +4,7 @@ pub mod add_noise;
 pub mod attenuate_spectrum;
 pub mod bundles;
 pub mod cells_of_slab;
+pub mod claims;
 pub mod cross_slabs;
 pub mod crossing;
 pub mod edges;

@@ -188,6 +188,63 @@ fn windows_of_sixteen_columns_hold_what_is_wide_and_flat() {
     }
 }
 
+/// Every other brick along each axis is filled with a density of its own; between them it varies.
+fn filled_bricks(size: [usize; 3]) -> Volume {
+    let filled = |at: [usize; 3]| {
+        // Cells n and n + 1 share voxel n.
+        let brick = at.map(|n| (n + 1) / 8);
+        let within = at.map(|n| (n + 1) % 8);
+        let even = (0..3).all(|axis| brick[axis] % 2 == 0 || within[axis] == 0 && brick[axis] % 2 == 1);
+        // A voxel on the upper face of an even brick belongs to the odd one as well.
+        let own: [usize; 3] =
+            std::array::from_fn(|axis| if within[axis] == 0 && brick[axis] % 2 == 1 { brick[axis] - 1 } else { brick[axis] });
+        match even {
+            true => (1, 1.0 + 1e-3 * (own[0] + 20 * own[1] + 400 * own[2]) as f32),
+            false => (1, 0.5 + 0.01 * ((at[0] * 31 + at[1] * 17 + at[2] * 7) % 13) as f32),
+        }
+    };
+    volume(size, DAffine3::IDENTITY, &[0], filled)
+}
+
+#[test]
+fn what_is_filled_with_one_density_is_crossed_at_once_and_right() {
+    let mut stream = Stream::new(11, 0, 0, Purpose::Evaluation);
+    for size in [[36, 36, 40], [120, 120, 112]] {
+        let volume = filled_bricks(size);
+        let cells = Cells::new(&volume).expect("one material");
+        let slabs = Slabs::new(&volume, &cells).expect("small");
+        let mut at_once = 0;
+        for axis in 0..3 {
+            slabs.prepare(axis, &volume, &cells);
+            let grid = slabs.grid(axis).expect("prepared");
+            let even: usize = size.map(|n| (n + 1).div_ceil(8).div_ceil(2)).iter().product();
+            assert_eq!(grid.fillings.len(), even.min(255), "one each, as far as the numbers go");
+            for round in 0..20 {
+                let mut bundle = bundle(&mut stream, 0.3, grid.voxels);
+                for x in 0..2 {
+                    let shift = f64::from(grid.voxels[x]) * 0.7 * (stream.uniform() - 0.5);
+                    bundle.at[x].iter_mut().chain(&mut bundle.corners.at[x]).for_each(|at| *at += shift);
+                    bundle.slope[x] = bundle.slope[x].map(|slope| 0.2 * slope);
+                    bundle.corners.slope[x] = bundle.corners.slope[x].map(|slope| 0.2 * slope);
+                }
+                let mut layers = Layers::default();
+                layers.fill(&grid, &bundle.corners, bundle.c_reference);
+                let layers_of_bricks = (0..grid.voxels[2]).step_by(8);
+                at_once += layers_of_bricks.filter(|slab| layers.filling(*slab) != 0).count();
+                let mut portable = [[0.0f32; LANES]; MOST_MATERIALS];
+                cross(Portable, &grid, &bundle, &layers, &mut portable);
+                for lane in [0, 9] {
+                    let expected = finely(&volume, axis, &bundle, lane, 1);
+                    let error = (f64::from(portable[0][lane]) - expected).abs() / expected;
+                    assert!(error < 2e-5, "{size:?}, axis {axis}, round {round}, lane {lane}: {error:e}");
+                }
+                every_kind_of_lanes_agrees(&grid, &bundle, &layers, &portable, &format!("{size:?}, axis {axis}, round {round}"));
+            }
+        }
+        assert!(at_once > 10, "{at_once} layers");
+    }
+}
+
 #[test]
 fn sixteen_columns_and_four_rows_are_a_window_of_their_own() {
     assert_eq!(fit([8.0, 1.5]), Fit::Wide);

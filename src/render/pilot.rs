@@ -29,6 +29,8 @@ pub struct Pilot {
     pub interpolation_error: [f64; 2],
     /// Slabs that hold something, crossed by an average ray.
     pub slabs_per_ray: f64,
+    /// Those among them in bricks filled with one density.
+    pub filled_per_ray: f64,
     /// Shapes and meshes that an average ray is tried against.
     pub solids_per_ray: f64,
 }
@@ -75,6 +77,7 @@ pub fn cast<'a>(
     }
     let blocks = f64::from(across * down).max(1.0);
     pilot.slabs_per_ray /= blocks;
+    pilot.filled_per_ray /= blocks;
     pilot.solids_per_ray /= blocks;
     Ok(pilot)
 }
@@ -94,14 +97,16 @@ impl Pilot {
             _ => false,
         });
         self.solids_per_ray += solids.count() as f64;
-        self.slabs_per_ray += slabs_of_middle_ray(prepared);
+        let [slabs, filled] = slabs_of_middle_ray(prepared);
+        self.slabs_per_ray += slabs;
+        self.filled_per_ray += filled;
     }
 }
 
-/// Slabs that hold something along the ray through the middle of the image.
-fn slabs_of_middle_ray(prepared: &Prepared) -> f64 {
+/// Slabs that hold something along the ray through the middle of the image, and those in bricks filled with one density.
+fn slabs_of_middle_ray(prepared: &Prepared) -> [f64; 2] {
     let [u, v] = prepared.view.size_px.map(|n| 0.5 * (f64::from(n) - 1.0));
-    let mut slabs = 0.0;
+    let (mut slabs, mut filled) = (0.0, 0.0);
     for seen in &prepared.volumes {
         let rays = Rays::new(&prepared.view, seen);
         let q = rays.direction(u, v);
@@ -120,10 +125,13 @@ fn slabs_of_middle_ray(prepared: &Prepared) -> f64 {
             });
             if inside && !matches!(cells.kind[cells.index(cell)], EMPTY_BRICK | EMPTY) {
                 slabs += 1.0;
+                if seen.slabs.as_ref().is_some_and(|slabs| slabs.is_filled(cell)) {
+                    filled += 1.0;
+                }
             }
         }
     }
-    slabs
+    [slabs, filled]
 }
 
 /// The part of an image from pixel `from` on.

@@ -62,7 +62,7 @@ impl Sampling {
         match self {
             Self::ExactCells => "cell by cell, exact for the trilinear field; empty bricks of 8x8x8 cells are crossed at once",
             Self::ExactSlabs => {
-                "slab by slab, sixteen rays at a time, exact for the trilinear field; empty bricks of 8x8x8 cells are left out"
+                "slab by slab, sixteen rays at a time, exact for the trilinear field; bricks of 8x8x8 cells that are empty are left out, those of one density crossed at once"
             }
             Self::PiecewiseConstant => {
                 "voxel by voxel, piecewise constant (Siddon) as the scene asks: not the field that DESIGN 5 defines, for comparison only"

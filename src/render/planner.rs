@@ -317,6 +317,7 @@ fn work(task: &Task, pilot: &Pilot, candidate: &Candidate, energies: usize) -> W
         pixels,
         rays: pixels / f64::from(candidate.step_px).powi(2),
         slabs_per_ray: pilot.slabs_per_ray,
+        filled_per_ray: pilot.filled_per_ray,
         solids_per_ray: pilot.solids_per_ray,
         materials,
         energies,

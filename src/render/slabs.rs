@@ -16,6 +16,9 @@ pub const CUT_BIT: u8 = 0x80;
 /// Bits of a brick in which a material of the volume occurs: bit m for `Cells::materials[m]`.
 pub const MATERIAL_BITS: u8 = (1 << MOST_MATERIALS) - 1;
 
+/// Where the bits of a brick hold the number of the one value that it is filled with, in `SlabGrid::fillings`; 0 where it varies.
+pub const FILLING_SHIFT: u32 = 8;
+
 /// More materials than this in one volume are left to the cell walker.
 pub const MOST_MATERIALS: usize = 4;
 
@@ -27,7 +30,8 @@ pub const MOST_VOXELS: usize = 1 << 28;
 pub struct Slabs {
     voxels: [usize; 3],
     class_bits: u32,
-    bricks: Vec<u8>,
+    bricks: Vec<u16>,
+    fillings: Vec<f32>,
     brick_count: [usize; 3],
     copies: [OnceLock<Vec<f32>>; 3],
 }
@@ -48,8 +52,10 @@ pub struct SlabGrid<'a> {
     pub values: &'a [f32],
     /// Mask of those bits; 0 when there is one material.
     pub class_bits: u32,
-    /// Per brick of 8³ cells: `MATERIAL_BITS` of what occurs, `CUT_BIT` where the unknown begins.
-    pub bricks: &'a [u8],
+    /// Per brick of 8³ cells: `MATERIAL_BITS` of what occurs, `CUT_BIT` where the unknown begins, `FILLING_SHIFT`.
+    pub bricks: &'a [u16],
+    /// Densities in g/cm³ that fill whole bricks, from number 1 on.
+    pub fillings: &'a [f32],
     /// Step between bricks along a, b, c.
     pub brick_stride: [usize; 3],
 }
@@ -66,6 +72,49 @@ fn materials_of(volume: &Volume, cells: &Cells, cell: [usize; 3]) -> u8 {
     })
 }
 
+/// Numbers the densities of bricks that hold one material of one density throughout; returns the densities.
+fn number_fillings(volume: &Volume, bricks: &mut [u16], [bi, bj, _]: [usize; 3]) -> Vec<f32> {
+    let filling = |(index, bits): (usize, &u16)| {
+        if *bits == 0 || bits & !u16::from(MATERIAL_BITS) != 0 || !bits.is_power_of_two() {
+            return None;
+        }
+        let brick = [index % bi, index / bi % bj, index / (bi * bj)];
+        // Cell n lies between voxels n − 1 and n.
+        let [from, to] = [brick.map(|n| (n * BRICK).saturating_sub(1)), brick.map(|n| n * BRICK + BRICK)];
+        let to: [usize; 3] = std::array::from_fn(|axis| to[axis].min(volume.size[axis]));
+        let first =
+            volume.index(from[0].min(volume.size[0] - 1), from[1].min(volume.size[1] - 1), from[2].min(volume.size[2] - 1));
+        let (class, density) = (volume.class[first], volume.density_g_per_cm3[first]);
+        for k in from[2]..to[2] {
+            for j in from[1]..to[1] {
+                let row = volume.index(from[0], j, k)..volume.index(to[0] - 1, j, k) + 1;
+                let steady = volume.class[row.clone()].iter().all(|other| *other == class)
+                    && volume.density_g_per_cm3[row].iter().all(|other| *other == density);
+                if !steady {
+                    return None;
+                }
+            }
+        }
+        (class != 0 && density > 0.0).then_some(density)
+    };
+    let found: Vec<Option<f32>> = bricks.par_iter().enumerate().map(filling).collect();
+    let mut fillings: Vec<f32> = Vec::new();
+    for (bits, density) in bricks.iter_mut().zip(found) {
+        let Some(density) = density else { continue };
+        let number = fillings.iter().position(|known| *known == density).unwrap_or_else(|| {
+            fillings.push(density);
+            fillings.len() - 1
+        });
+        // What has no number is integrated like everything else.
+        if number < usize::from(u8::MAX) {
+            *bits |= (number as u16 + 1) << FILLING_SHIFT;
+        } else {
+            fillings.pop();
+        }
+    }
+    fillings
+}
+
 impl Slabs {
     /// `None` when the volume is not for this method: too many materials, or voxels.
     #[must_use]
@@ -78,7 +127,7 @@ impl Slabs {
             return None;
         }
         let brick_count = cells.size.map(|n| n.div_ceil(BRICK));
-        let mut bricks = vec![0u8; brick_count.iter().product()];
+        let mut bricks = vec![0u16; brick_count.iter().product()];
         let [bi, bj, _] = brick_count;
         bricks.par_chunks_mut(bi * bj).enumerate().for_each(|(bk, layer)| {
             for k in bk * BRICK..((bk + 1) * BRICK).min(cells.size[2]) {
@@ -86,13 +135,13 @@ impl Slabs {
                     let row = &cells.kind[cells.index([0, j, k])..][..cells.size[0]];
                     for (i, (kinds, brick)) in row.chunks(BRICK).zip(&mut layer[j / BRICK * bi..]).enumerate() {
                         for (kind, i) in kinds.iter().zip(i * BRICK..) {
-                            *brick |= match *kind {
+                            *brick |= u16::from(match *kind {
                                 EMPTY | EMPTY_BRICK => 0,
                                 CUT => CUT_BIT | materials_of(volume, cells, [i, j, k]),
                                 MIXED => materials_of(volume, cells, [i, j, k]),
                                 // `materials` ≤ `MOST_MATERIALS`.
                                 single => 1 << (single - 1),
-                            };
+                            });
                         }
                     }
                 }
@@ -103,7 +152,16 @@ impl Slabs {
             2 | 3 => 3,
             _ => 7,
         };
-        Some(Self { voxels: volume.size, class_bits, bricks, brick_count, copies: Default::default() })
+        let fillings = number_fillings(volume, &mut bricks, brick_count);
+        Some(Self { voxels: volume.size, class_bits, bricks, fillings, brick_count, copies: Default::default() })
+    }
+
+    /// Whether the brick around a cell is filled with one density.
+    #[must_use]
+    pub fn is_filled(&self, cell: [usize; 3]) -> bool {
+        let [i, j, k] = cell.map(|n| n / BRICK);
+        let [bi, bj, _] = self.brick_count;
+        self.bricks.get(i + bi * (j + bj * k)).is_some_and(|bits| bits >> FILLING_SHIFT != 0)
     }
 
     /// Makes the copy for slabs across `axis`, on all cores, unless it is there.
@@ -154,6 +212,7 @@ impl Slabs {
             values,
             class_bits: self.class_bits,
             bricks: &self.bricks,
+            fillings: &self.fillings,
             brick_stride: AXES[axis].map(|axis| brick_stride[axis]),
         })
     }

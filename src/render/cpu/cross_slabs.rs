@@ -68,19 +68,34 @@ struct Crossing<'c> {
 }
 
 /// Up to eight slabs in one layer of bricks.
-struct Group {
+struct Group<S: Lanes> {
     slab: i32,
     end: i32,
-    /// Positions at the first slab, from a whole number on.
-    x: [[f32; LANES]; 2],
-    /// From that number to where the windows begin: eight slabs along a, eight along b.
+    /// Positions at the first slab, from where its window begins.
+    x: [S::F; 2],
+    /// From there to where each window begins: eight slabs along a, eight along b.
     starts: [f32; LANES],
     /// Columns and rows where the windows begin.
     places: [i32; LANES],
 }
 
+/// What all groups of a bundle are made from.
+struct Along<S: Lanes> {
+    /// Where windows begin at c = 0, and how that changes with c: along a in the first eight lanes, along b in the others.
+    low: S::F,
+    low_slope: S::F,
+    /// The last columns and rows where they can.
+    last: S::F,
+    /// Rays along a and b at the bundle's `c_reference`, in two parts.
+    at: [[S::F; 2]; 2],
+    slope: [[S::F; 2]; 2],
+}
+
 const RAMP: [f32; LANES] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
 const IS_B: [f32; LANES] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0];
+
+/// Voxels by which windows begin early: more than f32 rounds, less than `fit` leaves.
+const MARGIN: f64 = 1e-3;
 
 /// `a` in the first eight lanes, `b` in the others.
 #[inline(always)]
@@ -88,14 +103,24 @@ fn halves<S: Lanes>(s: S, a: f32, b: f32) -> S::F {
     s.fma(s.load(&IS_B), s.splat(b - a), s.splat(a))
 }
 
+/// Two f32 whose sum is closer to each value than one can be.
+#[inline(always)]
+fn in_two<S: Lanes>(s: S, values: &[f64; LANES]) -> [S::F; 2] {
+    let (mut high, mut low) = ([0.0f32; LANES], [0.0f32; LANES]);
+    let mut l = 0;
+    while l < LANES {
+        high[l] = values[l] as f32;
+        low[l] = (values[l] - f64::from(high[l])) as f32;
+        l += 1;
+    }
+    [s.load(&high), s.load(&low)]
+}
+
 impl Crossing<'_> {
     #[inline(always)]
     fn run<S: Lanes, W: Window<S>>(&self, s: S, sums: &mut [[f32; LANES]; MOST_MATERIALS]) -> u8 {
         let k = slopes(s, self.bundle, W::STRIDE);
-        let [sa, sb] = [self.edges.low_slope[0] as f32, self.edges.low_slope[1] as f32];
-        // The lowest position in slab j of a group, from that at its beginning on.
-        let down = halves(s, if sa < 0.0 { sa } else { 0.0 }, if sb < 0.0 { sb } else { 0.0 });
-        let lowest = s.fma(halves(s, sa, sb), s.load(&RAMP), down);
+        let along = self.along::<S, W>(s);
         let mut met = 0;
         let end = (self.extent.high.ceil() as i32).min(self.grid.voxels[2] + 1);
         let mut slab = (self.extent.low.floor() as i32).max(0);
@@ -108,7 +133,14 @@ impl Crossing<'_> {
                 slab = group_end;
                 continue;
             }
-            let group = self.group::<S, W>(s, slab, group_end, lowest);
+            let filling = self.layers.filling(slab);
+            if filling != 0 {
+                let path = self.filled(s, slab, group_end, filling);
+                add(s, sums, present.trailing_zeros(), path);
+                slab = group_end;
+                continue;
+            }
+            let group = self.group::<S, W>(s, &along, slab, group_end);
             let mut left = present;
             while left != 0 {
                 let first = left.trailing_zeros();
@@ -132,43 +164,81 @@ impl Crossing<'_> {
         met
     }
 
+    /// ∫ρ dc from slab to slab where all is filled with the same.
     #[inline(always)]
-    fn group<S: Lanes, W: Window<S>>(&self, s: S, slab: i32, end: i32, lowest: S::F) -> Group {
+    fn filled<S: Lanes>(&self, s: S, slab: i32, end: i32, filling: usize) -> S::F {
+        let density = match self.grid.fillings.get(filling - 1) {
+            Some(density) => *density,
+            None => f32::NAN,
+        };
+        let (begin, end) = (f64::from(slab), f64::from(end));
+        let mut length = [0.0f32; LANES];
+        let mut l = 0;
+        while l < LANES {
+            let from = if self.bundle.from[l] > begin { self.bundle.from[l] } else { begin };
+            let to = if self.bundle.to[l] < end { self.bundle.to[l] } else { end };
+            length[l] = if to > from { (to - from) as f32 } else { 0.0 };
+            l += 1;
+        }
+        s.mul(s.splat(density), s.load(&length))
+    }
+
+    #[inline(always)]
+    fn along<S: Lanes, W: Window<S>>(&self, s: S) -> Along<S> {
         let e = &self.edges;
-        let on = f64::from(slab) - e.c;
-        let (la, lb) = (e.low[0] + e.low_slope[0] * on, e.low[1] + e.low_slope[1] * on);
-        let (oa, ob) = (la.floor(), lb.floor());
-        let first = halves(s, -oa as f32, -ob as f32);
-        let mut group = Group { slab, end, x: [[0.0; LANES]; 2], starts: [0.0; LANES], places: [0; LANES] };
-        if W::SIZE[0] > 0 {
-            let size = &self.grid.size;
-            let last = halves(s, (f64::from(size[0] - W::SIZE[0]) - oa) as f32, (f64::from(size[1] - W::SIZE[1]) - ob) as f32);
-            let start = s.floor(s.add(lowest, halves(s, (la - oa) as f32, (lb - ob) as f32)));
-            let start = s.max(s.min(start, last), first);
-            group.starts = s.store(start);
-            group.places = s.indices(s.index(s.sub(start, first)));
-        } else {
-            group.starts = s.store(first);
+        let mut low = [0.0f32; 2];
+        let mut x = 0;
+        while x < 2 {
+            // The lowest position of a slab is at its beginning or at its end.
+            let down = if e.low_slope[x] < 0.0 { e.low_slope[x] } else { 0.0 };
+            low[x] = (e.low[x] - e.low_slope[x] * e.c + down - MARGIN) as f32;
+            x += 1;
         }
-        let on = f64::from(slab) - self.bundle.c_reference;
-        let mut l = 0;
-        while l < LANES {
-            group.x[0][l] = (self.bundle.at[0][l] + self.bundle.slope[0][l] * on - oa) as f32;
-            l += 1;
+        let size = &self.grid.size;
+        Along {
+            low: halves(s, low[0], low[1]),
+            low_slope: halves(s, e.low_slope[0] as f32, e.low_slope[1] as f32),
+            last: halves(s, (size[0] - W::SIZE[0]) as f32, (size[1] - W::SIZE[1]) as f32),
+            at: [in_two(s, &self.bundle.at[0]), in_two(s, &self.bundle.at[1])],
+            slope: [in_two(s, &self.bundle.slope[0]), in_two(s, &self.bundle.slope[1])],
         }
-        let mut l = 0;
-        while l < LANES {
-            group.x[1][l] = (self.bundle.at[1][l] + self.bundle.slope[1][l] * on - ob) as f32;
-            l += 1;
+    }
+
+    #[inline(always)]
+    fn group<S: Lanes, W: Window<S>>(&self, s: S, along: &Along<S>, slab: i32, end: i32) -> Group<S> {
+        let zero = s.splat(0.0);
+        let c = s.add(s.load(&RAMP), s.splat(slab as f32));
+        let start = s.floor(s.fma(along.low_slope, c, along.low));
+        let start = s.max(s.min(start, along.last), zero);
+        let starts = s.store(start);
+        let origin = [starts[0], starts[8]];
+        // A multiple of ½.
+        let on = s.splat((f64::from(slab) - self.bundle.c_reference) as f32);
+        let mut group = Group { slab, end, x: [zero; 2], starts: [0.0; LANES], places: s.indices(s.index(start)) };
+        let mut x = 0;
+        while x < 2 {
+            let (at, slope) = (&along.at[x], &along.slope[x]);
+            let rest = s.fma(slope[1], on, at[1]);
+            group.x[x] = s.add(s.fma(slope[0], on, s.sub(at[0], s.splat(origin[x]))), rest);
+            x += 1;
         }
+        // Without a window all counts from 0.
+        let from = if W::SIZE[0] > 0 { start } else { zero };
+        group.starts = s.store(s.sub(from, halves(s, origin[0], origin[1])));
         group
     }
 
     /// ∫ρ dc of `N` classes over a group.
     #[inline(always)]
-    fn slabs<S: Lanes, W: Window<S>, const N: usize>(&self, s: S, k: &Slopes<S>, group: &Group, classes: [u32; N]) -> [S::F; N] {
+    fn slabs<S: Lanes, W: Window<S>, const N: usize>(
+        &self,
+        s: S,
+        k: &Slopes<S>,
+        group: &Group<S>,
+        classes: [u32; N],
+    ) -> [S::F; N] {
         let mut totals = [s.splat(0.0); N];
-        let (mut xa, mut xb) = (s.load(&group.x[0]), s.load(&group.x[1]));
+        let [mut xa, mut xb] = group.x;
         let mut slab = group.slab;
         let mut j = 0;
         while slab < group.end {

@@ -2,7 +2,7 @@
 
 use super::lanes::LANES;
 use crate::render::cells;
-use crate::render::slabs::SlabGrid;
+use crate::render::slabs::{FILLING_SHIFT, SlabGrid};
 
 /// Slabs along the edge of a brick.
 pub const BRICK: i32 = cells::BRICK as i32;
@@ -75,10 +75,10 @@ impl Edges {
     }
 }
 
-/// Per layer of bricks across c, the bits of all bricks that a block of rays may meet there.
+/// Per layer of bricks across c, the bits of all bricks that a block of rays may meet there; a filling where all share it.
 #[derive(Clone, Debug)]
 pub struct Layers {
-    bits: [u8; MOST_LAYERS],
+    bits: [u16; MOST_LAYERS],
 }
 
 impl Default for Layers {
@@ -92,7 +92,14 @@ impl Layers {
     #[inline(always)]
     #[must_use]
     pub fn at(&self, slab: i32) -> u8 {
-        self.bits[(slab / BRICK) as usize & (MOST_LAYERS - 1)]
+        self.bits[(slab / BRICK) as usize & (MOST_LAYERS - 1)] as u8
+    }
+
+    /// The number of the value that fills all bricks at slab `slab`; 0 where there is none.
+    #[inline(always)]
+    #[must_use]
+    pub fn filling(&self, slab: i32) -> usize {
+        usize::from(self.bits[(slab / BRICK) as usize & (MOST_LAYERS - 1)] >> FILLING_SHIFT)
     }
 
     /// Looks below the block that `corners` hem in.
@@ -117,20 +124,24 @@ impl Layers {
             }
             here = next;
             let base = layer as usize * grid.brick_stride[2];
-            let mut bits = 0;
+            let (mut any, mut all) = (0, u16::MAX);
             let mut b = range[1][0];
             while b <= range[1][1] {
                 let mut a = range[0][0];
                 while a <= range[0][1] {
-                    bits |= match grid.bricks.get(base + a * grid.brick_stride[0] + b * grid.brick_stride[1]) {
+                    let bits = match grid.bricks.get(base + a * grid.brick_stride[0] + b * grid.brick_stride[1]) {
                         Some(bits) => *bits,
                         None => 0,
                     };
+                    any |= bits;
+                    all &= bits;
                     a += 1;
                 }
                 b += 1;
             }
-            self.bits[layer as usize & (MOST_LAYERS - 1)] = bits;
+            // The same number everywhere, or none.
+            let shared = if any >> FILLING_SHIFT == all >> FILLING_SHIFT { any } else { any & ((1 << FILLING_SHIFT) - 1) };
+            self.bits[layer as usize & (MOST_LAYERS - 1)] = shared;
             layer += 1;
         }
     }

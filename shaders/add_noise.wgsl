@@ -5,7 +5,7 @@
 const TILE: u32 = 64u;
 
 @group(0) @binding(0) var<uniform> view: View;
-@group(0) @binding(1) var<storage, read> signal: array<vec4<f32>>;
+@group(0) @binding(1) var<storage, read> signal: array<f32>;              // four planes, the second is sum phi T
 @group(0) @binding(2) var<storage, read_write> deviates: array<f32>;      // Poisson(N) - N
 
 @compute @workgroup_size(TILE)
@@ -14,7 +14,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     if pixel >= view.size_px.x * view.size_px.y { return; }
     let ray = unproject(view, vec2<u32>(pixel % view.size_px.x, pixel / view.size_px.x));
     let squared = dot(ray, ray);
-    let expected = view.photons_per_pixel * signal[pixel].y / (squared * sqrt(squared));
+    let expected = view.photons_per_pixel * signal[view.size_px.x * view.size_px.y + pixel] / (squared * sqrt(squared));
     open_stream(view.seed, view.frame, pixel, PURPOSE_QUANTUM_NOISE);
     deviates[pixel] = deviate(expected);
 }

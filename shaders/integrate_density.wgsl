@@ -8,6 +8,13 @@ const TILE: u32 = 8u;
 const MATERIALS: u32 = 8u;
 const PIECES: u32 = 16u;
 
+struct Flags {
+    overflows: atomic<u32>,          // rays on which intervals did not fit
+    matter: atomic<u32>,             // 1 when any ray met some
+    beyond: atomic<u32>,             // 1 when any path is longer than those that the energies were fitted to
+    unscanned_mm_bits: atomic<u32>,  // longest path outside a truncated scan: of floats >= 0 the bits are in order
+}
+
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> solids: array<Solid>;            // in the order in which they claim the ray
 @group(0) @binding(2) var<uniform> grid: Grid;
@@ -16,8 +23,8 @@ const PIECES: u32 = 16u;
 @group(0) @binding(5) var material_texture: texture_3d<u32>;              // 0, or kind of the voxel
 @group(0) @binding(6) var cell_texture: texture_3d<u32>;                  // kind of the cell
 @group(0) @binding(7) var<storage, read_write> density_g_per_cm2: array<f32>; // by pixel, then material
-@group(0) @binding(8) var<storage, read_write> missing_mm: array<f32>;    // path outside a truncated scan; -1 where complete
-@group(0) @binding(9) var<storage, read_write> overflows: atomic<u32>;
+@group(0) @binding(8) var<storage, read_write> invalid: array<atomic<u32>>; // a bit per pixel: cut off by a truncated scan
+@group(0) @binding(9) var<storage, read_write> flags: Flags;
 
 var<private> sums: array<f32, 8>;
 // What the volume may displace: intervals of earlier solids, already counted.
@@ -42,13 +49,25 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         covered_count = later_count;
         missing = cross_volume(direction) * mm_per_depth;
     }
-    if overflow { atomicAdd(&overflows, 1u); }
+    if overflow { atomicAdd(&flags.overflows, 1u); }
+    var matter = false;
+    var beyond = false;
     for (var m = 0u; m < view.material_count; m += 1u) {
         // Rounding may leave less than nothing; max would turn NaN into nothing as well, and hide it.
         let sum = select(sums[m], 0.0, sums[m] < 0.0);
-        density_g_per_cm2[pixel * view.material_count + m] = sum * 0.1 * mm_per_depth;
+        let path = sum * 0.1 * mm_per_depth;
+        density_g_per_cm2[pixel * view.material_count + m] = path;
+        // By bits: a comparison may call NaN equal to nothing, or short enough.
+        let bits = bitcast<u32>(path) & 0x7fffffffu;
+        matter = matter || bits != 0u;
+        beyond = beyond || bits >= 0x7f800000u || path > view.fitted_up_to[m / 4u][m % 4u];
     }
-    missing_mm[pixel] = select(-1.0, missing, missing >= 0.0);
+    if matter && atomicLoad(&flags.matter) == 0u { atomicStore(&flags.matter, 1u); }
+    if beyond && atomicLoad(&flags.beyond) == 0u { atomicStore(&flags.beyond, 1u); }
+    if missing >= 0.0 {
+        atomicOr(&invalid[pixel / 32u], 1u << (pixel % 32u));
+        atomicMax(&flags.unscanned_mm_bits, bitcast<u32>(missing));
+    }
 }
 
 fn claim_solid(index: u32, pixel: vec2<u32>, direction: vec3<f32>, displaced_by_volume: bool) {

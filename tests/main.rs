@@ -31,6 +31,7 @@ mod render_extreme_places;
 mod render_extremes;
 mod evaluate;
 mod render_slabs;
+mod render_views;
 mod render_beam;
 mod render_noise;
 mod render_panel;

@@ -2,7 +2,7 @@
 
 use std::mem::{offset_of, size_of};
 
-use sidecarm::render::wgsl::layout::{Bin, Grid, Solid, View};
+use sidecarm::render::wgsl::layout::{Bin, Flags, Grid, Solid, View};
 use sidecarm::render::wgsl::{STEMS, source};
 
 fn parse(stem: &str) -> naga::Module {
@@ -69,14 +69,17 @@ fn structs_have_the_layout_the_shaders_read() {
         photons_per_pixel,
         mean_response,
         mean_square_response,
+        moments,
         padding,
-        padding_b,
+        fitted_up_to,
     );
     for stem in STEMS {
         assert_eq!(members(stem, "View"), view, "{stem}");
     }
     let solid = offsets!(Solid, row_x, row_y, row_z, centre, size, bounds, kind, material, density_g_per_cm3, padding);
     assert_eq!(members("integrate_density", "Solid"), solid);
+    let flags = offsets!(Flags, overflows, matter, beyond, unscanned_mm_bits);
+    assert_eq!(members("integrate_density", "Flags"), flags);
     let grid = offsets!(Grid, row_x, row_y, row_z, centre, size, truncated, occupied_from, occupied_to);
     assert_eq!(members("integrate_density", "Grid"), grid);
     assert_eq!(members("attenuate_spectrum", "Bin"), offsets!(Bin, signal, photons, squares, padding));

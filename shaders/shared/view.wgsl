@@ -18,8 +18,9 @@ struct View {
     photons_per_pixel: f32,
     mean_response: f32,
     mean_square_response: f32,
-    padding: u32,
-    padding_b: vec2<u32>,
+    moments: u32,            // whether noise needs more than line integrals
+    padding: vec2<u32>,
+    fitted_up_to: array<vec4<f32>, 2>, // g/cm2 by material up to which the energies hold
 }
 
 // Direction through a pixel with unit depth; the first pixel's centre is at (0, 0), as everywhere.

@@ -253,6 +253,7 @@ fn summary(args: &RenderArgs, rendered: &Rendered) -> serde_json::Value {
         "achieved": rendered.achieved.as_ref().map(|(_, achieved)| achieved),
         "stages_ms": rendered.stages,
         "gpu_ms": rendered.gpu_ms,
+        "read_back_bytes": rendered.read_back_bytes,
         "adapter": rendered.adapter,
         "notes": rendered.notes,
     })

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::cli::render::{DeviceArg, QuantityArg};
 use crate::cli::time_changes;
-use crate::geometry::Rigid;
+use crate::geometry::{self, Rigid};
 use crate::render::{Goal, Options, RenderError, Renderer};
 use crate::reporter::Reporter;
 use crate::scene::{self, SceneError};
@@ -20,7 +20,8 @@ use crate::time::{StageTimes, Stopwatch};
   sidecarm time scene.json --views views.json --max-error 1e-3
 
 VIEWS.json is a list of rows-of-rows 4x4 matrices camera_from_lps. Printed as JSON: milliseconds of the median and the fastest of
---repeat images per view, planning and first preparation apart.")]
+--repeat images per view, planning and first preparation apart; images_per_second of all views in one go, by the first view's plan
+(a GPU is given eight at a time), with --replan one by one, each planned anew.")]
 pub struct TimeArgs {
     /// The scene
     pub scene: PathBuf,
@@ -78,6 +79,7 @@ struct View {
     predicted_ms: Option<f64>,
     stages_ms: StageTimes,
     gpu_ms: StageTimes,
+    read_back_bytes: u64,
 }
 
 /// Times and prints; 0 on success.
@@ -93,15 +95,19 @@ pub fn run(args: &TimeArgs, reporter: &Reporter) -> Result<u8, TimeError> {
         Some(path) => poses(path)?.into_iter().map(Some).collect(),
         None => vec![None],
     };
-    let mut views = Vec::new();
+    let (mut views, mut cameras) = (Vec::new(), Vec::new());
     let all = Stopwatch::start();
     for pose in poses {
         if let (Some(pose), Some(view)) = (pose, &mut scene.view) {
             view.camera_from_lps = pose;
         }
+        cameras.extend(scene.view);
         views.push(time(&scene, &mut renderer, args)?);
     }
-    let per_second = (views.len() * args.repeat.get()) as f64 / all.ms() * 1e3;
+    let per_second = match args.replan {
+        true => (views.len() * args.repeat.get()) as f64 / all.ms() * 1e3,
+        false => together(&scene, &mut renderer, args, &cameras)?,
+    };
     let changes = match args.changes {
         true => {
             let goal = Some(Goal::MaxError(args.max_error));
@@ -122,6 +128,20 @@ pub fn run(args: &TimeArgs, reporter: &Reporter) -> Result<u8, TimeError> {
     Ok(0)
 }
 
+/// Images per second of all views in one go.
+fn together(
+    scene: &scene::Scene,
+    renderer: &mut Renderer,
+    args: &TimeArgs,
+    cameras: &[geometry::View],
+) -> Result<f64, RenderError> {
+    let options = Options { quantity: args.quantity.into(), goal: Some(Goal::MaxError(args.max_error)), ..Options::default() };
+    let watch = Stopwatch::start();
+    let mut images = 0;
+    renderer.render_views(scene, cameras, &options, &mut |_, _| images += 1)?;
+    Ok(f64::from(images) / watch.ms() * 1e3)
+}
+
 fn time(scene: &scene::Scene, renderer: &mut Renderer, args: &TimeArgs) -> Result<View, RenderError> {
     let options = Options { quantity: args.quantity.into(), goal: Some(Goal::MaxError(args.max_error)), ..Options::default() };
     let watch = Stopwatch::start();
@@ -131,7 +151,7 @@ fn time(scene: &scene::Scene, renderer: &mut Renderer, args: &TimeArgs) -> Resul
     let mut times = Vec::new();
     let mut walls = Vec::new();
     let mut first_prepare_ms = 0.0;
-    let (mut stages, mut gpu_ms) = (StageTimes::default(), StageTimes::default());
+    let (mut stages, mut gpu_ms, mut read_back_bytes) = (StageTimes::default(), StageTimes::default(), 0);
     for round in 0..args.repeat.get() {
         let watch = Stopwatch::start();
         let rendered = renderer.render(scene, &fixed)?;
@@ -141,7 +161,7 @@ fn time(scene: &scene::Scene, renderer: &mut Renderer, args: &TimeArgs) -> Resul
         }
         let counts = |stage: &str| args.replan || !matches!(stage, "plan" | "prepare");
         times.push(rendered.stages.iter().filter(|(stage, _)| counts(stage)).map(|(_, ms)| ms).sum::<f64>());
-        (stages, gpu_ms) = (rendered.stages, rendered.gpu_ms);
+        (stages, gpu_ms, read_back_bytes) = (rendered.stages, rendered.gpu_ms, rendered.read_back_bytes);
     }
     let median = |values: &mut Vec<f64>| {
         values.sort_by(f64::total_cmp);
@@ -158,6 +178,7 @@ fn time(scene: &scene::Scene, renderer: &mut Renderer, args: &TimeArgs) -> Resul
         predicted_ms: plan.predicted_ms,
         stages_ms: stages,
         gpu_ms,
+        read_back_bytes,
     })
 }
 

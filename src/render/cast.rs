@@ -24,12 +24,16 @@ pub(super) fn cast_cpu(prepared: &Prepared, plan: &Plan, bins: Option<&Bins>, no
         }
     });
     let signal = bins.map(|bins| stages.measure("attenuate_spectrum", || attenuate_spectrum(&density, bins, noisy)));
-    Cast { density, signal: signal.unwrap_or_default(), deviates: None, adapter: cpu_name(), gpu_ms: StageTimes::default() }
+    Cast::of(density, signal.unwrap_or_default(), cpu_name())
 }
 
 /// Evaluates every bin in pixels whose paths are longer than those that the plan's nodes were fitted to.
 pub(super) fn attenuate_beyond(scene: &Scene, plan: &Plan, cast: &mut Cast, noisy: bool) -> Result<(), RenderError> {
     let materials = cast.density.material_count;
+    if cast.density.g_per_cm2.is_empty() {
+        // A GPU found none, or there is no matter.
+        return Ok(());
+    }
     let paths = |pixel: usize| &cast.density.g_per_cm2[pixel * materials..(pixel + 1) * materials];
     // NaN counts as beyond.
     let beyond =
@@ -53,11 +57,26 @@ pub(super) fn attenuate_beyond(scene: &Scene, plan: &Plan, cast: &mut Cast, nois
 
 /// What an executor found.
 pub(super) struct Cast {
+    /// Without area densities where a GPU was not asked for them.
     pub density: Density,
+    /// Whether any ray met matter.
+    pub matter: bool,
+    /// Whether a GPU found paths longer than those that the energies were fitted to.
+    pub beyond: bool,
     pub signal: Signal,
     pub deviates: Option<Vec<f32>>,
     pub adapter: String,
     pub gpu_ms: StageTimes,
+    pub read_back_bytes: u64,
+}
+
+impl Cast {
+    /// Without a GPU.
+    pub fn of(density: Density, signal: Signal, adapter: String) -> Self {
+        let matter = density.g_per_cm2.iter().any(|path| *path != 0.0);
+        let gpu_ms = StageTimes::default();
+        Self { density, matter, beyond: false, signal, deviates: None, adapter, gpu_ms, read_back_bytes: 0 }
+    }
 }
 
 /// Says how many pixels the scan was incomplete for.

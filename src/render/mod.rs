@@ -13,6 +13,7 @@ mod checks;
 pub mod costs;
 pub mod cpu;
 pub mod detector;
+mod execute;
 pub mod explain;
 pub mod flood;
 pub mod non_finite;

@@ -68,6 +68,7 @@ fn description(rendered: &Rendered, scene: &Scene, share_invalid: f64) -> serde_
         "notes": rendered.notes,
         "stages_ms": rendered.stages,
         "gpu_ms": rendered.gpu_ms,
+        "read_back_bytes": rendered.read_back_bytes,
         "plan": rendered.plan,
         "inputs": scene.inputs,
         "version": env!("CARGO_PKG_VERSION"),

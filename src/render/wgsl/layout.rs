@@ -28,8 +28,20 @@ pub struct View {
     pub photons_per_pixel: f32,
     pub mean_response: f32,
     pub mean_square_response: f32,
-    pub padding: u32,
-    pub padding_b: [u32; 2],
+    pub moments: u32,
+    pub padding: [u32; 2],
+    pub fitted_up_to: [[f32; 4]; 2],
+}
+
+/// `Flags` of `integrate_density.wgsl`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+#[expect(missing_docs, reason = "documented in the shader, which has the same names")]
+pub struct Flags {
+    pub overflows: u32,
+    pub matter: u32,
+    pub beyond: u32,
+    pub unscanned_mm_bits: u32,
 }
 
 /// `Solid` of `shared/solid.wgsl`.

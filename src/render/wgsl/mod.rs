@@ -4,17 +4,15 @@ pub mod layout;
 mod pass_times;
 mod resident;
 mod sources;
+mod workspace;
 
 use std::sync::Arc;
 
-use wgpu::util::DeviceExt;
-
 pub use sources::{STEMS, source};
 
-use self::pass_times::PassTimes;
 use self::resident::Resident;
+use self::workspace::{Needs, Workspace, wait};
 use super::cpu::attenuate_spectrum::{Arriving, Signal};
-use super::cpu::integrate_density::Density;
 use super::prepared::{Prepared, Step};
 use super::spectrum::Bins;
 use crate::gpu::{Gpu, GpuError};
@@ -39,12 +37,35 @@ pub fn unsupported(scene: &Scene) -> Option<String> {
     (0..scene.materials.len()).any(|material| scene.is_air(material)).then(|| "kept air has no shader yet".to_owned())
 }
 
+/// What to render of a view.
+#[derive(Clone, Copy, Debug)]
+pub struct Request<'p> {
+    /// The scene, from the view.
+    pub prepared: &'p Prepared<'p>,
+    /// Energies; none for area densities alone.
+    pub bins: Option<&'p Bins>,
+    /// Noise to draw.
+    pub noise: Option<NoiseKey>,
+    /// g/cm² by material up to which the energies hold; empty where they hold everywhere.
+    pub fitted_up_to: &'p [f64],
+    /// Whether area densities are read back at once.
+    pub paths: bool,
+}
+
 /// What the shaders gave back.
 #[derive(Debug)]
 pub struct Executed {
-    /// Area densities and validity.
-    pub density: Density,
-    /// What arrives; empty without a spectrum.
+    /// g/cm², by pixel, then by material; empty unless they were asked for.
+    pub g_per_cm2: Vec<f32>,
+    /// 1 where the scan was complete along the ray.
+    pub valid: Vec<u8>,
+    /// Longest path outside a truncated scan, mm.
+    pub unscanned_mm: f32,
+    /// Whether any ray met matter.
+    pub matter: bool,
+    /// Whether any path is longer than those that the energies were fitted to, or no number.
+    pub beyond: bool,
+    /// What arrives; empty without a spectrum, moments only with noise.
     pub signal: Signal,
     /// Poisson(N) − N; empty without noise.
     pub deviates: Vec<f32>,
@@ -52,6 +73,8 @@ pub struct Executed {
     pub pass_ms: Vec<(&'static str, f64)>,
     /// Rays on which intervals did not fit; their pixels are wrong, render on the CPU.
     pub overflows: u32,
+    /// Bytes that came back.
+    pub read_back_bytes: u64,
 }
 
 /// Noise to draw.
@@ -73,7 +96,11 @@ pub struct WgslExecutor {
     noise: wgpu::ComputePipeline,
     resident: Option<(Arc<Volume>, Resident)>,
     nothing: Resident,
+    workspaces: Vec<Workspace>,
 }
+
+/// Views that are submitted together.
+pub const VIEWS_PER_SUBMISSION: usize = 8;
 
 impl WgslExecutor {
     /// Compiles the shaders.
@@ -102,102 +129,93 @@ impl WgslExecutor {
             return Err(GpuError::Open { adapter: gpu.adapter.clone(), detail: error.to_string() });
         }
         let nothing = Resident::nothing(gpu)?;
-        Ok(Self { integrate, attenuate, noise, resident: None, nothing })
+        Ok(Self { integrate, attenuate, noise, resident: None, nothing, workspaces: Vec::new() })
     }
 
-    /// Renders area densities, and from them signal and noise where asked.
+    /// Renders views of one scene in one submission, at most [`VIEWS_PER_SUBMISSION`].
     ///
     /// # Errors
-    /// When the volume or the image does not fit the device, or the device is lost.
-    pub fn execute(
-        &mut self,
-        gpu: &Gpu,
-        prepared: &Prepared,
-        bins: Option<&Bins>,
-        noise: Option<NoiseKey>,
-    ) -> Result<Executed, GpuError> {
-        self.upload(gpu, prepared)?;
-        let packed = layout::pack(prepared);
-        let pixels = prepared.view.size_px.iter().map(|n| *n as usize).product::<usize>();
-        let materials = prepared.material_count;
-        let limit = gpu.device.limits().max_storage_buffer_binding_size;
-        let needed = (pixels * materials.max(4) * 4) as u64;
-        if needed > limit {
-            return Err(GpuError::Limit { adapter: gpu.adapter.clone(), what: "the image", needed, limit });
-        }
-        let mut view = packed.view;
-        if let Some(bins) = bins {
-            view.bin_count = bins.padded as u32;
-            view.mean_response = bins.mean_response as f32;
-            view.mean_square_response = bins.mean_square_response as f32;
-        }
-        if let Some(key) = noise {
-            view.seed = [key.seed as u32, (key.seed >> 32) as u32];
-            view.frame = key.frame;
-            view.photons_per_pixel = key.photons_per_pixel as f32;
-        }
-        let uniform = |bytes: &[u8]| init(gpu, bytes, wgpu::BufferUsages::UNIFORM);
-        let storage = |bytes: &[u8]| init(gpu, bytes, wgpu::BufferUsages::STORAGE);
-        let resident = self.resident.as_ref().map_or(&self.nothing, |(_, resident)| resident);
-        let view_buffer = uniform(bytemuck::bytes_of(&view));
-        let density = output(gpu, pixels * materials.max(1));
-        let missing = output(gpu, pixels);
-        let overflows = init(gpu, &[0; 4], wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC);
-        let solids = if packed.solids.is_empty() { vec![layout::Solid::default()] } else { packed.solids };
+    /// When the volume or an image does not fit the device, or the device is lost.
+    pub fn execute(&mut self, gpu: &Gpu, requests: &[Request]) -> Result<Vec<Executed>, GpuError> {
+        let requests = &requests[..requests.len().min(VIEWS_PER_SUBMISSION)];
+        let Some(first) = requests.first() else { return Ok(Vec::new()) };
+        self.upload(gpu, first.prepared)?;
         let mut commands = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("render") });
-        let solid_buffer = storage(bytemuck::cast_slice(&solids));
-        let grid_buffer = uniform(bytemuck::bytes_of(&packed.grid));
-        let bindings = [
-            view_buffer.as_entire_binding(),
-            solid_buffer.as_entire_binding(),
-            grid_buffer.as_entire_binding(),
-            resident.material_of_kind.as_entire_binding(),
-            wgpu::BindingResource::TextureView(&resident.density),
-            wgpu::BindingResource::TextureView(&resident.material),
-            wgpu::BindingResource::TextureView(&resident.cells),
-            density.as_entire_binding(),
-            missing.as_entire_binding(),
-            overflows.as_entire_binding(),
-        ];
-        let [width, height] = prepared.view.size_px;
-        let mut times = PassTimes::new(gpu);
-        let mut run = |commands: &mut wgpu::CommandEncoder, stem, pipeline, bindings: &[wgpu::BindingResource], groups| {
+        for (slot, request) in requests.iter().enumerate() {
+            let packed = layout::pack(request.prepared);
+            let needs = Needs {
+                pixels: request.prepared.view.size_px.iter().map(|n| *n as usize).product(),
+                materials: request.prepared.material_count,
+                solids: packed.solids.len(),
+                energies: request.bins.map_or(0, |bins| bins.padded),
+                noise: request.noise.is_some() && request.bins.is_some(),
+                paths: request.paths,
+            };
+            if !self.workspaces.get(slot).is_some_and(|workspace| workspace.serves(&needs)) {
+                self.workspaces.truncate(slot);
+                self.workspaces.push(Workspace::new(gpu, needs)?);
+            }
+            write(gpu, &self.workspaces[slot], request, packed, &needs);
+            self.record(gpu, &mut commands, slot, &needs, request.prepared.view.size_px);
+        }
+        gpu.queue.submit([commands.finish()]);
+        let workspaces = &self.workspaces[..requests.len()];
+        let (sender, mapped) = std::sync::mpsc::channel();
+        for workspace in workspaces {
+            let sender = sender.clone();
+            workspace.map(move |result| drop(sender.send(result)));
+        }
+        wait(gpu, &mapped, workspaces.len())?;
+        workspaces.iter().zip(requests).map(|(workspace, request)| unpack(gpu, workspace, request)).collect()
+    }
+
+    /// Area densities of view `slot` of the last submission, g/cm² by pixel, then by material.
+    ///
+    /// # Errors
+    /// When the device is lost.
+    pub fn paths(&self, gpu: &Gpu, slot: usize) -> Result<Vec<f32>, GpuError> {
+        self.workspaces.get(slot).map_or_else(|| Ok(Vec::new()), |workspace| workspace.paths(gpu))
+    }
+
+    fn record(&mut self, gpu: &Gpu, commands: &mut wgpu::CommandEncoder, slot: usize, needs: &Needs, size_px: [u32; 2]) {
+        let resident = self.resident.as_ref().map_or(&self.nothing, |(_, resident)| resident);
+        let workspace = &mut self.workspaces[slot];
+        commands.clear_buffer(&workspace.flags, 0, None);
+        commands.clear_buffer(&workspace.invalid, 0, None);
+        let mut times = workspace.times.take();
+        if let Some(times) = &mut times {
+            times.begin();
+        }
+        let mut run = |stem, pipeline, bindings: &[wgpu::BindingResource], groups| {
             let writes = times.as_mut().and_then(|times| times.next(stem));
             dispatch(gpu, commands, pipeline, bindings, groups, writes);
         };
-        run(&mut commands, "integrate_density", &self.integrate, &bindings, [width.div_ceil(8), height.div_ceil(8)]);
-        let flat = flat_groups(pixels);
-        let mut downloads = vec![download(gpu, &mut commands, &density), download(gpu, &mut commands, &missing)];
-        downloads.push(download(gpu, &mut commands, &overflows));
-        if let Some(bins) = bins {
-            let signal = output(gpu, pixels * 4);
-            let weight = |b: usize| layout::Bin {
-                signal: bins.signal_weight[b],
-                photons: bins.photon_weight[b],
-                squares: bins.square_weight[b],
-                padding: 0.0,
-            };
-            let weights: Vec<layout::Bin> = (0..bins.padded).map(weight).collect();
-            let weights = storage(bytemuck::cast_slice(&weights));
-            let table = if bins.cm2_per_g.is_empty() { storage(&[0; 4]) } else { storage(bytemuck::cast_slice(&bins.cm2_per_g)) };
-            let bindings = [&view_buffer, &weights, &table, &density, &signal].map(wgpu::Buffer::as_entire_binding);
-            run(&mut commands, "attenuate_spectrum", &self.attenuate, &bindings, flat);
-            downloads.push(download(gpu, &mut commands, &signal));
-            if noise.is_some() {
-                let deviates = output(gpu, pixels);
-                let bindings = [&view_buffer, &signal, &deviates].map(wgpu::Buffer::as_entire_binding);
-                run(&mut commands, "add_noise", &self.noise, &bindings, flat);
-                downloads.push(download(gpu, &mut commands, &deviates));
-            }
+        let texture = wgpu::BindingResource::TextureView;
+        let bindings = [
+            workspace.view.as_entire_binding(),
+            workspace.solids.as_entire_binding(),
+            workspace.grid.as_entire_binding(),
+            resident.material_of_kind.as_entire_binding(),
+            texture(&resident.density),
+            texture(&resident.material),
+            texture(&resident.cells),
+            workspace.density.as_entire_binding(),
+            workspace.invalid.as_entire_binding(),
+            workspace.flags.as_entire_binding(),
+        ];
+        let tiles = size_px.map(|n| n.div_ceil(8));
+        run("integrate_density", &self.integrate, &bindings, tiles);
+        let flat = flat_groups(needs.pixels);
+        if needs.energies > 0 {
+            let buffers = [&workspace.view, &workspace.weights, &workspace.table, &workspace.density, &workspace.signal];
+            run("attenuate_spectrum", &self.attenuate, &buffers.map(wgpu::Buffer::as_entire_binding), flat);
         }
-        if let Some(times) = &times {
-            let resolved = times.resolve(&mut commands);
-            downloads.push(download(gpu, &mut commands, resolved));
+        if needs.noise {
+            let buffers = [&workspace.view, &workspace.signal, &workspace.deviates];
+            run("add_noise", &self.noise, &buffers.map(wgpu::Buffer::as_entire_binding), flat);
         }
-        gpu.queue.submit([commands.finish()]);
-        let mut words = read_back(gpu, &downloads)?;
-        let pass_ms = times.map(|times| times.ms(&words.pop().unwrap_or_default())).unwrap_or_default();
-        Ok(Executed { pass_ms, ..unpack(words, materials, pixels) })
+        workspace.times = times;
+        workspace.bring_back(commands);
     }
 
     fn upload(&mut self, gpu: &Gpu, prepared: &Prepared) -> Result<(), GpuError> {
@@ -214,27 +232,70 @@ impl WgslExecutor {
     }
 }
 
-fn unpack(mut words: Vec<Vec<f32>>, materials: usize, pixels: usize) -> Executed {
-    let mut next = || if words.is_empty() { Vec::new() } else { words.remove(0) };
-    let (mut g_per_cm2, missing, overflows) = (next(), next(), next());
-    g_per_cm2.truncate(materials * pixels);
-    let density = Density {
-        material_count: materials,
-        g_per_cm2,
-        valid: missing.iter().map(|mm| u8::from(*mm < 0.0)).collect(),
-        unscanned_mm: missing.iter().copied().fold(0.0, f32::max),
-    };
-    let signal = next();
-    let (values, _) = signal.as_chunks::<4>();
-    let arriving = |v: &[f32; 4]| Arriving { photon_fraction: v[1], mean_response: v[2], mean_square_response: v[3] };
-    let signal = Signal { line_integral: values.iter().map(|v| v[0]).collect(), arriving: values.iter().map(arriving).collect() };
-    Executed {
-        density,
-        signal,
-        deviates: next(),
-        pass_ms: Vec::new(),
-        overflows: overflows.first().map_or(0, |word| word.to_bits()),
+/// Writes what changes from view to view.
+fn write(gpu: &Gpu, workspace: &Workspace, request: &Request, packed: layout::Packed, needs: &Needs) {
+    let mut view = packed.view;
+    view.fitted_up_to = [[f32::MAX; 4]; 2];
+    for (material, up_to) in request.fitted_up_to.iter().enumerate().take(MATERIALS) {
+        view.fitted_up_to[material / 4][material % 4] = *up_to as f32;
     }
+    let put = |buffer: &wgpu::Buffer, bytes: &[u8]| gpu.queue.write_buffer(buffer, 0, bytes);
+    if let Some(bins) = request.bins {
+        view.bin_count = bins.padded as u32;
+        view.mean_response = bins.mean_response as f32;
+        view.mean_square_response = bins.mean_square_response as f32;
+        let weight = |b: usize| layout::Bin {
+            signal: bins.signal_weight[b],
+            photons: bins.photon_weight[b],
+            squares: bins.square_weight[b],
+            padding: 0.0,
+        };
+        let weights: Vec<layout::Bin> = (0..bins.padded).map(weight).collect();
+        put(&workspace.weights, bytemuck::cast_slice(&weights));
+        put(&workspace.table, bytemuck::cast_slice(&bins.cm2_per_g));
+    }
+    if let Some(key) = request.noise {
+        view.seed = [key.seed as u32, (key.seed >> 32) as u32];
+        view.frame = key.frame;
+        view.photons_per_pixel = key.photons_per_pixel as f32;
+    }
+    view.moments = u32::from(needs.noise);
+    put(&workspace.view, bytemuck::bytes_of(&view));
+    put(&workspace.grid, bytemuck::bytes_of(&packed.grid));
+    put(&workspace.solids, bytemuck::cast_slice(&packed.solids));
+}
+
+fn unpack(gpu: &Gpu, workspace: &Workspace, request: &Request) -> Result<Executed, GpuError> {
+    let (words, parts) = workspace.words(gpu)?;
+    let part = |[from, to]: [usize; 2]| &words[from..to];
+    let flags: layout::Flags = bytemuck::pod_read_unaligned(bytemuck::cast_slice(part(parts.flags)));
+    let pixels = request.prepared.view.size_px.iter().map(|n| *n as usize).product::<usize>();
+    let invalid = part(parts.invalid);
+    let valid = |pixel: usize| u8::from(invalid[pixel / 32].to_bits() >> (pixel % 32) & 1 == 0);
+    let planes: Vec<&[f32]> = part(parts.signal).chunks_exact(pixels.max(1)).collect();
+    let arriving = match planes[..] {
+        [_, photons, mean, square] => (0..pixels)
+            .map(|pixel| Arriving {
+                photon_fraction: photons[pixel],
+                mean_response: mean[pixel],
+                mean_square_response: square[pixel],
+            })
+            .collect(),
+        _ => Vec::new(),
+    };
+    let line_integral = planes.first().map_or_else(Vec::new, |plane| plane.to_vec());
+    Ok(Executed {
+        g_per_cm2: part(parts.paths).to_vec(),
+        valid: (0..pixels).map(valid).collect(),
+        unscanned_mm: f32::from_bits(flags.unscanned_mm_bits),
+        matter: flags.matter != 0,
+        beyond: flags.beyond != 0,
+        signal: Signal { line_integral, arriving },
+        deviates: part(parts.deviates).to_vec(),
+        pass_ms: workspace.times.as_ref().map(|times| times.ms(part(parts.times))).unwrap_or_default(),
+        overflows: flags.overflows,
+        read_back_bytes: workspace.read_back_bytes(),
+    })
 }
 
 /// Groups of 64 in two dimensions: 65535 in one would end at 4 million pixels.
@@ -242,30 +303,6 @@ fn flat_groups(pixels: usize) -> [u32; 2] {
     let groups = pixels.div_ceil(64) as u32;
     let rows = groups.div_ceil(32_768);
     [groups.div_ceil(rows.max(1)), rows.max(1)]
-}
-
-fn init(gpu: &Gpu, contents: &[u8], usage: wgpu::BufferUsages) -> wgpu::Buffer {
-    gpu.device.create_buffer_init(&wgpu::util::BufferInitDescriptor { label: None, contents, usage })
-}
-
-fn output(gpu: &Gpu, words: usize) -> wgpu::Buffer {
-    gpu.device.create_buffer(&wgpu::BufferDescriptor {
-        label: None,
-        size: words as u64 * 4,
-        usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC,
-        mapped_at_creation: false,
-    })
-}
-
-fn download(gpu: &Gpu, commands: &mut wgpu::CommandEncoder, from: &wgpu::Buffer) -> wgpu::Buffer {
-    let to = gpu.device.create_buffer(&wgpu::BufferDescriptor {
-        label: None,
-        size: from.size(),
-        usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
-        mapped_at_creation: false,
-    });
-    commands.copy_buffer_to_buffer(from, 0, &to, 0, from.size());
-    to
 }
 
 fn dispatch(
@@ -287,25 +324,4 @@ fn dispatch(
     pass.set_pipeline(pipeline);
     pass.set_bind_group(0, &group, &[]);
     pass.dispatch_workgroups(groups[0], groups[1], 1);
-}
-
-fn read_back(gpu: &Gpu, buffers: &[wgpu::Buffer]) -> Result<Vec<Vec<f32>>, GpuError> {
-    let lost = |detail: String| GpuError::Lost { adapter: gpu.adapter.clone(), detail };
-    let (sender, mapped) = std::sync::mpsc::channel();
-    for buffer in buffers {
-        let sender = sender.clone();
-        buffer.map_async(wgpu::MapMode::Read, .., move |result| {
-            let _ = sender.send(result);
-        });
-    }
-    gpu.device.poll(wgpu::PollType::wait_indefinitely()).map_err(|error| lost(error.to_string()))?;
-    for _ in buffers {
-        let result = mapped.recv().map_err(|_| lost("the device gave no answer".to_owned()))?;
-        result.map_err(|error| lost(error.to_string()))?;
-    }
-    let read = |buffer: &wgpu::Buffer| {
-        let view = buffer.get_mapped_range(..).map_err(|error| lost(error.to_string()))?;
-        Ok(bytemuck::pod_collect_to_vec(&view[..]))
-    };
-    buffers.iter().map(read).collect()
 }

@@ -3,7 +3,7 @@
 use crate::gpu::Gpu;
 
 /// Passes of a submission that are timed, at most.
-const MOST_PASSES: u32 = 8;
+const MOST_PASSES: u32 = 4;
 
 /// Two timestamps a pass.
 #[derive(Debug)]
@@ -34,6 +34,17 @@ impl PassTimes {
             mapped_at_creation: false,
         });
         Some(Self { set, resolved, names: Vec::new(), ns_per_tick: f64::from(gpu.queue.get_timestamp_period()) })
+    }
+
+    /// Words that [`PassTimes::resolve`] makes ready to be copied.
+    #[must_use]
+    pub fn words(&self) -> usize {
+        4 * MOST_PASSES as usize
+    }
+
+    /// Forgets the passes of the last submission.
+    pub fn begin(&mut self) {
+        self.names.clear();
     }
 
     /// Where the next pass writes its times; `None` beyond [`MOST_PASSES`].

@@ -1,0 +1,250 @@
+//! From a plan to an image: what is prepared, what an executor casts, what detector and notes make of it.
+
+use super::cast::{Cast, area_pages, attenuate_beyond, cast_cpu, note_invalid};
+use super::checks::check_plan;
+use super::cpu::add_noise::add_noise;
+use super::cpu::attenuate_spectrum::attenuate_spectrum;
+use super::cpu::integrate_density::Density;
+use super::detector;
+use super::explain::explain_empty;
+use super::non_finite::{self, NonFinite};
+use super::plan::{Executor, Plan, Sampling, noise_applies};
+use super::prepared::Prepared;
+use super::renderer::{Options, Rendered, Renderer};
+use super::spectrum::Bins;
+use super::wgsl::{self, Executed, NoiseKey, Request, WgslExecutor};
+use super::{Quantity, RenderError, chain, flood, pilot, reference};
+use crate::geometry::View;
+use crate::gpu::{Device, cpu_name};
+use crate::image::Image;
+use crate::reporter::Reporter;
+use crate::scene::model::Scene;
+use crate::time::StageTimes;
+
+/// All that casting needs.
+pub(super) struct Ready<'s> {
+    scene: &'s Scene,
+    view: View,
+    plan: Plan,
+    prepared: Prepared<'s>,
+    bins: Option<Bins>,
+    /// Whether area densities must come back from a GPU.
+    paths: bool,
+    stages: StageTimes,
+    notes: Vec<String>,
+}
+
+impl Ready<'_> {
+    fn noisy(&self) -> bool {
+        noise_applies(self.scene, self.plan.quantity)
+    }
+
+    fn cast_cpu(&mut self, plan: &Plan) -> Cast {
+        let noisy = self.noisy();
+        cast_cpu(&self.prepared, plan, self.bins.as_ref(), noisy, &mut self.stages)
+    }
+}
+
+impl Renderer {
+    /// Prepares what `plan` needs of the scene.
+    pub(super) fn ready<'s>(
+        &mut self,
+        scene: &'s Scene,
+        plan: Plan,
+        options: &Options,
+        mut stages: StageTimes,
+    ) -> Result<Ready<'s>, RenderError> {
+        let view = scene.view.ok_or(RenderError::NoView)?;
+        check_plan(&plan, scene)?;
+        let prepared = stages.measure("prepare", || {
+            let slabs = plan.executor == Executor::Cpu && plan.sampling == Sampling::ExactSlabs;
+            self.volumes.keep(scene);
+            let mut prepared = self.volumes.prepare(scene, view, slabs)?;
+            if plan.step_px > 1 {
+                // The detector stays where it is, however few of its pixels are cast.
+                let detector_mm = prepared.detector_mm;
+                prepared = self.volumes.prepare(scene, pilot::every(&view, plan.step_px), slabs)?;
+                prepared.detector_mm = detector_mm;
+            }
+            prepared.make_slabs();
+            Ok::<_, RenderError>(prepared)
+        })?;
+        let bins = if plan.quantity == Quantity::AreaDensity { None } else { Some(Bins::new(scene, &plan.energy_nodes)?) };
+        // Only where something besides line integrals is made of them.
+        let paths = bins.is_none() || scene.beam.shape.varies() || options.count_non_finite;
+        Ok(Ready { scene, view, plan, prepared, bins, paths, stages, notes: Vec::new() })
+    }
+
+    /// Casts every view; all of them have the executor of the first.
+    pub(super) fn cast(&mut self, ready: &mut [Ready]) -> Result<Vec<Cast>, RenderError> {
+        match ready.first().map(|ready| ready.plan.executor) {
+            None => Ok(Vec::new()),
+            Some(Executor::Wgsl) => self.cast_wgsl(ready),
+            Some(Executor::Reference) => ready.iter_mut().map(cast_reference).collect(),
+            Some(Executor::Cpu) => Ok(ready.iter_mut().map(|ready| ready.cast_cpu(&ready.plan.clone())).collect()),
+        }
+    }
+
+    /// Everything after the rays: noise, detector, notes.
+    pub(super) fn finish(&self, ready: Ready, mut cast: Cast, options: &Options) -> Result<Rendered, RenderError> {
+        let noisy = ready.noisy();
+        let Ready { scene, view, plan, prepared, bins, mut stages, mut notes, .. } = ready;
+        let size = view.size_px.map(|n| n as usize);
+        let image = |pixels: Vec<f32>| Image { width: size[0], height: size[1], pixels };
+        if !plan.fitted_up_to_g_per_cm2.is_empty() {
+            stages.measure("attenuate_spectrum", || attenuate_beyond(scene, &plan, &mut cast, noisy))?;
+        }
+        let deviates = cast.deviates.as_deref().unwrap_or_default();
+        let mut non_finite = options.count_non_finite.then(|| NonFinite::of(&cast.density, &cast.signal, deviates));
+        note_invalid(&cast.density, &mut notes);
+        if !cast.matter {
+            let why = explain_empty(scene, &prepared);
+            self.reporter.warn("empty image", &why);
+            notes.push(why);
+        }
+        let mut valid = Image { width: size[0], height: size[1], pixels: cast.density.valid.clone() };
+        let pages: Vec<Image<f32>> = match &bins {
+            None => area_pages(&cast.density).into_iter().map(image).collect(),
+            Some(bins) => {
+                let photons = noisy || plan.quantity == Quantity::Counts;
+                let made_by = (plan.energy_nodes.as_slice(), plan.executor);
+                let flood = stages.measure("shape_beam", || {
+                    chain::shape(scene, &view, made_by, &cast.density, bins, &mut cast.signal, photons)
+                })?;
+                chain::close(&flood, &mut valid.pixels, &mut notes);
+                let noise = if noisy {
+                    stages.measure("add_noise", || {
+                        let deviates = cast.deviates.filter(|_| flood::is_plain(scene)).unwrap_or_else(|| {
+                            add_noise(&detector::expected_photons(&cast.signal, &flood), plan.seed, plan.frame_index)
+                        });
+                        detector::intensity_noise(scene, &view, &flood, &cast.signal, &deviates, plan.frame_index)
+                    })
+                } else {
+                    Vec::new()
+                };
+                if noisy && plan.quantity == Quantity::LineIntegral {
+                    let floor = 0.5 / scene.beam.photons_per_pixel;
+                    let highest = -floor.ln();
+                    notes.push(format!(
+                        "noisy line integrals are -ln max(I, 1/(2 N0)) with 1/(2 N0) = {floor:.3e}: none exceeds {highest:.2}"
+                    ));
+                }
+                if let Some(counts) = &mut non_finite {
+                    counts.add_noise += non_finite::count(&noise);
+                }
+                let page = stages.measure("detect", || {
+                    let line = detector::seen_line_integral(scene, &view, &cast.signal.line_integral, &flood);
+                    detector::page(scene, plan.quantity, &line, &noise, &flood)
+                });
+                chain::note_clipped(scene, plan.quantity, &page, &flood, &mut notes);
+                vec![image(page)]
+            }
+        };
+        if let Some(counts) = &mut non_finite {
+            counts.detect = pages.iter().map(|page| non_finite::count(&page.pixels)).sum();
+        }
+        Ok(Rendered {
+            pages,
+            quantity: plan.quantity,
+            valid,
+            stated_error: plan.stated_error,
+            plan: serde_json::to_value(&plan).expect("a plan is plain data"),
+            adapter: cast.adapter,
+            stages,
+            gpu_ms: cast.gpu_ms,
+            read_back_bytes: cast.read_back_bytes,
+            notes,
+            non_finite,
+            achieved: None,
+        })
+    }
+
+    fn cast_wgsl(&mut self, ready: &mut [Ready]) -> Result<Vec<Cast>, RenderError> {
+        let unsupported = ready.first().and_then(|ready| wgsl::unsupported(ready.scene));
+        let reason = match (&self.device, unsupported) {
+            (_, Some(reason)) => reason,
+            (Device::Cpu, None) => "the plan was made for a GPU, which is not open here".to_owned(),
+            (Device::Gpu(gpu), None) => {
+                let executor = match (&mut self.wgsl, ready.first_mut()) {
+                    (Some(executor), _) => executor,
+                    (empty, Some(first)) => empty.insert(first.stages.measure("compile_shaders", || WgslExecutor::new(gpu))?),
+                    (_, None) => return Ok(Vec::new()),
+                };
+                let requests: Vec<Request> = ready.iter().map(request).collect();
+                let mut submitted = StageTimes::default();
+                let executed = submitted.measure("shaders", || executor.execute(gpu, &requests))?;
+                let shaders_ms = submitted.get("shaders").unwrap_or(0.0) / ready.len() as f64;
+                let mut casts = Vec::new();
+                for (slot, (executed, ready)) in executed.into_iter().zip(ready.iter_mut()).enumerate() {
+                    ready.stages.add("shaders", shaders_ms);
+                    if executed.overflows > 0 {
+                        let reason = format!("{} rays cross more intervals than the shader holds", executed.overflows);
+                        casts.push(on_cpu(&self.reporter, ready, &reason));
+                        continue;
+                    }
+                    let mut cast = unpack(executed, ready, &gpu.adapter);
+                    if cast.beyond && cast.density.g_per_cm2.is_empty() {
+                        cast.density.g_per_cm2 = ready.stages.measure("shaders", || executor.paths(gpu, slot))?;
+                        cast.read_back_bytes += 4 * cast.density.g_per_cm2.len() as u64;
+                    }
+                    casts.push(cast);
+                }
+                return Ok(casts);
+            }
+        };
+        Ok(ready.iter_mut().map(|ready| on_cpu(&self.reporter, ready, &reason)).collect())
+    }
+}
+
+/// What the shaders are asked for.
+fn request<'r>(ready: &'r Ready<'r>) -> Request<'r> {
+    let photons_per_pixel = ready.scene.beam.photons_per_pixel;
+    let Plan { seed, frame_index, .. } = ready.plan;
+    Request {
+        prepared: &ready.prepared,
+        bins: ready.bins.as_ref(),
+        noise: ready.noisy().then_some(NoiseKey { seed, frame: frame_index, photons_per_pixel }),
+        fitted_up_to: &ready.plan.fitted_up_to_g_per_cm2,
+        paths: ready.paths,
+    }
+}
+
+fn unpack(executed: Executed, ready: &Ready, adapter: &str) -> Cast {
+    let Executed { g_per_cm2, valid, unscanned_mm, matter, beyond, signal, deviates, pass_ms, read_back_bytes, .. } = executed;
+    let mut gpu_ms = StageTimes::default();
+    pass_ms.into_iter().for_each(|(pass, ms)| gpu_ms.add(pass, ms));
+    Cast {
+        density: Density { material_count: ready.prepared.material_count, g_per_cm2, valid, unscanned_mm },
+        matter,
+        beyond: beyond && !ready.plan.fitted_up_to_g_per_cm2.is_empty(),
+        signal,
+        deviates: ready.noisy().then_some(deviates),
+        adapter: adapter.to_owned(),
+        gpu_ms,
+        read_back_bytes,
+    }
+}
+
+fn on_cpu(reporter: &Reporter, ready: &mut Ready, reason: &str) -> Cast {
+    let message = format!("{reason}: rendered by the CPU executor instead, whose error is smaller");
+    reporter.warn("executor", &message);
+    ready.notes.push(message);
+    let whole = Plan { sampling: Sampling::ExactCells, step_px: 1, ..ready.plan.clone() };
+    ready.cast_cpu(&whole)
+}
+
+fn cast_reference(ready: &mut Ready) -> Result<Cast, RenderError> {
+    let noisy = ready.noisy();
+    let Ready { scene, view, bins, stages, .. } = ready;
+    let traced = stages.measure("reference", || reference::trace(scene, view, bins.is_some()))?;
+    let single = |values: &[f64]| values.iter().map(|value| *value as f32).collect::<Vec<f32>>();
+    let density = Density {
+        material_count: scene.materials.len(),
+        g_per_cm2: single(&traced.g_per_cm2),
+        valid: traced.valid,
+        unscanned_mm: 0.0,
+    };
+    let mut signal = bins.as_ref().map(|bins| attenuate_spectrum(&density, bins, noisy)).unwrap_or_default();
+    signal.line_integral = single(&traced.line_integral);
+    Ok(Cast::of(density, signal, format!("f64 reference on {}", cpu_name())))
+}

@@ -47,16 +47,20 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         for (var i = view.later_count; i < view.solid_count; i += 1u) { claim_solid(i, id.xy, direction, true); }
         covered = later;
         covered_count = later_count;
+        // Shapes were counted with the first part of the volume.
+        if grid.adds != 0u { sums = array<f32, 8>(); }
         missing = cross_volume(direction) * mm_per_depth;
     }
     if overflow { atomicAdd(&flags.overflows, 1u); }
     var matter = false;
     var beyond = false;
     for (var m = 0u; m < view.material_count; m += 1u) {
+        let at = pixel * view.material_count + m;
+        var path = sums[m] * 0.1 * mm_per_depth;
+        if grid.adds != 0u { path += density_g_per_cm2[at]; }
         // Rounding may leave less than nothing; max would turn NaN into nothing as well, and hide it.
-        let sum = select(sums[m], 0.0, sums[m] < 0.0);
-        let path = sum * 0.1 * mm_per_depth;
-        density_g_per_cm2[pixel * view.material_count + m] = path;
+        path = select(path, 0.0, path < 0.0);
+        density_g_per_cm2[at] = path;
         // By bits: a comparison may call NaN equal to nothing, or short enough.
         let bits = bitcast<u32>(path) & 0x7fffffffu;
         matter = matter || bits != 0u;
@@ -107,7 +111,9 @@ fn cross_volume(direction: vec3<f32>) -> f32 {
     let inside = cuboid(p, q, lo, hi);
     if !(inside.y > inside.x) { return -1.0; }
     let seen = vec2<f32>(view.source_tau_mm, view.detector_tau_mm);
-    var rest = meet(cuboid(p, q, max(lo, grid.occupied_from.xyz), min(hi, grid.occupied_to.xyz)), seen);
+    let least = max(lo, vec3<f32>(grid.occupied_from.xy, max(grid.occupied_from.z, f32(grid.cells_from))));
+    let most = min(hi, vec3<f32>(grid.occupied_to.xy, min(grid.occupied_to.z, f32(grid.cells_to))));
+    var rest = select(vec2<f32>(FAR, -FAR), meet(cuboid(p, q, least, most), seen), most.z > least.z);
     var cut = false;
     while rest.y > rest.x {
         let gap = first_gap(rest);
@@ -131,22 +137,28 @@ fn cross_volume(direction: vec3<f32>) -> f32 {
 
 fn holds_matter(x: vec3<f32>) -> bool {
     let cell = clamp(vec3<i32>(floor(x)), vec3<i32>(0), vec3<i32>(grid.size));
-    let kind = textureLoad(cell_texture, cell, 0).x;
+    if cell.z < i32(grid.cells_from) || cell.z >= i32(grid.cells_to) { return false; }
+    let kind = kind_of(cell);
     return kind != EMPTY && kind != EMPTY_BRICK;
+}
+
+fn kind_of(cell: vec3<i32>) -> u32 {
+    return textureLoad(cell_texture, vec3<i32>(cell.xy, cell.z - i32(grid.cells_from)), 0).x;
 }
 
 // Cell by cell along [span.x, span.y]; whether known matter bordered on the unknown.
 fn walk(p: vec3<f32>, q: vec3<f32>, span: vec2<f32>) -> bool {
-    let cells = vec3<i32>(grid.size) + 1;
+    let first = vec3<i32>(0, 0, i32(grid.cells_from));
+    let cells = vec3<i32>(vec2<i32>(grid.size.xy) + 1, i32(grid.cells_to));
     let ahead = select(vec3<i32>(0), vec3<i32>(1), q > vec3<f32>(0.0));
     let step = select(vec3<i32>(-1), vec3<i32>(1), q > vec3<f32>(0.0));
     let parallel = q == vec3<f32>(0.0);
     let inverse = 1.0 / select(q, vec3<f32>(1.0), parallel);
-    var cell = clamp(vec3<i32>(floor(p + q * span.x)), vec3<i32>(0), cells - 1);
+    var cell = clamp(vec3<i32>(floor(p + q * span.x)), first, cells - 1);
     var t = span.x;
     var cut = false;
     for (var guard = 4 * (cells.x + cells.y + cells.z) + 64; guard > 0; guard -= 1) {
-        let kind = textureLoad(cell_texture, cell, 0).x;
+        let kind = kind_of(cell);
         var block = cell + ahead;
         if kind == EMPTY_BRICK { block = min((cell / BRICK + ahead) * BRICK, cells); }
         let next = select((vec3<f32>(block) - p) * inverse, vec3<f32>(FAR), parallel);
@@ -161,22 +173,23 @@ fn walk(p: vec3<f32>, q: vec3<f32>, span: vec2<f32>) -> bool {
         t = max(t, next[axis]);
         if kind == EMPTY_BRICK {
             // Never backwards, however the position was rounded.
-            let here = clamp(vec3<i32>(floor(p + q * t)), vec3<i32>(0), cells - 1);
+            let here = clamp(vec3<i32>(floor(p + q * t)), first, cells - 1);
             let brick = (cell[axis] / BRICK) * BRICK;
             cell = select(min(here, cell), max(here, cell), step > vec3<i32>(0));
             cell[axis] = select(brick - 1, brick + BRICK, step[axis] > 0);
         } else {
             cell[axis] += step[axis];
         }
-        if any(cell < vec3<i32>(0)) || any(cell >= cells) { return cut; }
+        if any(cell < first) || any(cell >= cells) { return cut; }
     }
     overflow = true;
     return cut;
 }
 
 fn add_piece(p: vec3<f32>, q: vec3<f32>, cell: vec3<i32>, kind: u32, start: f32, end: f32) {
-    let low = max(cell - 1, vec3<i32>(0));
-    let high = min(cell, vec3<i32>(grid.size) - 1);
+    let held = vec3<i32>(0, 0, i32(grid.voxels_from));
+    let low = max(cell - 1, vec3<i32>(0)) - held;
+    let high = min(cell, vec3<i32>(grid.size) - 1) - held;
     let m = p - vec3<f32>(cell) + q * (0.5 * (start + end));
     let h = q * (0.5 * (end - start));
     var below: vec4<f32>;

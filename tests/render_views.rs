@@ -1,15 +1,17 @@
 //! Many views through one scene: what a GPU is given together, and what it sends back.
 
-use glam::DVec3;
+use std::sync::Arc;
+
+use glam::{DQuat, DVec3};
 use sidecarm::geometry::View;
 use sidecarm::gpu::DeviceChoice;
 use sidecarm::render::plan::Executor;
 use sidecarm::render::{Goal, Options, Plan, Quantity, Rendered, Renderer};
 use sidecarm::reporter::Reporter;
 use sidecarm::scene::Scene;
-use sidecarm::scene::model::Noise;
+use sidecarm::scene::model::{Matter, Noise};
 
-use crate::render_scenes::{With, empty, random, software_vulkan, solids, sphere, worst};
+use crate::render_scenes::{With, empty, placed, random, software_vulkan, solids, sphere, volume, worst};
 
 /// The scene's own view and others beside it.
 fn views(scene: &Scene, count: usize) -> Vec<View> {
@@ -136,5 +138,66 @@ fn nothing_of_the_last_view_is_left_in_the_next() {
         let again = vulkan.render(&sparse, &options).expect("renders");
         assert_eq!(first.pages, again.pages);
         assert_eq!(first.valid, again.valid);
+    }
+}
+
+/// A truncated scan, a ball that it displaces and a tool that displaces both.
+fn layered() -> Scene {
+    let size = [30, 26, 61];
+    let turn = DQuat::from_rotation_y(0.5) * DQuat::from_rotation_x(0.7);
+    let affine = placed(size, DVec3::new(0.0, 0.0, 600.0), DVec3::new(1.5, 1.7, 1.2), turn);
+    let mut scan = volume(size, affine, &[0, 1], |[i, j, k]| match (i + 2 * j + 3 * k) % 40 {
+        n if n < 12 => (0, 0.0),
+        n if n < 30 => (1, 1.0 + 0.01 * k as f32),
+        _ => (2, 1.8),
+    });
+    scan.truncated_at_faces = true;
+    empty(&["water", "bone_cortical", "steel_316l"])
+        .with(solids(&[sphere(DVec3::new(6.0, 5.0, 590.0), 15.0, 0, 0.7)]))
+        .with(Matter::Volume(Arc::new(scan)))
+        .with(solids(&[sphere(DVec3::new(-5.0, 3.0, 605.0), 6.0, 2, 8.0)]))
+}
+
+#[test]
+fn a_volume_in_parts_is_the_volume() {
+    let Some(mut vulkan) = software_vulkan() else { return };
+    let options = Options { quantity: Quantity::AreaDensity, ..Options::default() };
+    let scene = layered();
+    let whole = vulkan.render(&scene, &options).expect("renders");
+    assert_eq!(whole.plan["executor"], "wgsl", "{:?}", whole.notes);
+    let slice_bytes = 31 * 27 * 6;
+    for slices in [50, 20, 0] {
+        vulkan.limit_gpu_memory(slices * slice_bytes);
+        let parts = vulkan.render(&scene, &options).expect("renders");
+        for (whole, parts) in whole.pages.iter().zip(&parts.pages) {
+            assert!(worst(&parts.pixels, &whole.pixels) < 5e-6, "{slices} slices");
+        }
+        let differ = whole.valid.pixels.iter().zip(&parts.valid.pixels).filter(|(a, b)| a != b).count();
+        assert!(differ <= 2, "{slices} slices: {differ} pixels");
+        let passes = parts.gpu_ms.iter().count();
+        println!("{slices} slices: {:?} {passes}", parts.gpu_ms);
+    }
+    let valid = whole.valid.pixels.iter().filter(|valid| **valid == 1).count();
+    assert!(valid > 500 && valid < whole.valid.pixels.len() - 500, "{valid}");
+    // The control: without the last slices of the volume the image differs.
+    let mut shorter = scene.clone();
+    for object in &mut shorter.objects {
+        if let Matter::Volume(scan) = &mut object.matter {
+            let scan = Arc::make_mut(scan);
+            let slice = scan.size[0] * scan.size[1];
+            let cut = scan.class.len() - 8 * slice;
+            scan.class[cut..].fill(0);
+            scan.density_g_per_cm3[cut..].fill(0.0);
+        }
+    }
+    let missing = vulkan.render(&shorter, &options).expect("renders");
+    let differs = |page: usize| worst(&missing.pages[page].pixels, &whole.pages[page].pixels);
+    assert!((0..2).any(|page| differs(page) > 1e-2), "{} {}", differs(0), differs(1));
+    let views = views(&scene, 3);
+    let line = Options { quantity: Quantity::LineIntegral, ..Options::default() };
+    let in_parts = all(&mut vulkan, &scene, &views, &line);
+    vulkan.limit_gpu_memory(u64::MAX);
+    for (parts, whole) in in_parts.iter().zip(all(&mut vulkan, &scene, &views, &line)) {
+        assert!(worst(&parts.pages[0].pixels, &whole.pages[0].pixels) < 5e-6);
     }
 }

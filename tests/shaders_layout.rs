@@ -80,7 +80,21 @@ fn structs_have_the_layout_the_shaders_read() {
     assert_eq!(members("integrate_density", "Solid"), solid);
     let flags = offsets!(Flags, overflows, matter, beyond, unscanned_mm_bits);
     assert_eq!(members("integrate_density", "Flags"), flags);
-    let grid = offsets!(Grid, row_x, row_y, row_z, centre, size, truncated, occupied_from, occupied_to);
+    let grid = offsets!(
+        Grid,
+        row_x,
+        row_y,
+        row_z,
+        centre,
+        size,
+        truncated,
+        occupied_from,
+        occupied_to,
+        cells_from,
+        cells_to,
+        voxels_from,
+        adds
+    );
     assert_eq!(members("integrate_density", "Grid"), grid);
     assert_eq!(members("attenuate_spectrum", "Bin"), offsets!(Bin, signal, photons, squares, padding));
     // The control: another struct does not pass for this one.

@@ -15,6 +15,10 @@ struct Grid {
     truncated: u32,
     occupied_from: vec4<f32>,
     occupied_to: vec4<f32>,
+    cells_from: u32,         // cells along z that the textures hold: from here ...
+    cells_to: u32,           // ... to before here
+    voxels_from: u32,        // voxel with which they begin
+    adds: u32,               // whether other parts of the volume were crossed before
 }
 
 // Mean of the trilinear interpolant along m - h .. m + h: f(m) + (f_xy hx hy + f_yz hy hz + f_xz hx hz) / 3, exact for the cubic.

@@ -36,6 +36,9 @@ pub struct RenderArgs {
     /// What renders
     #[arg(long, value_enum, default_value = "auto")]
     pub device: DeviceArg,
+    /// MiB of a GPU's memory that a CT may take: a larger one is crossed part by part [default: all there is]
+    #[arg(long, value_name = "N")]
+    pub gpu_memory_mib: Option<u64>,
     /// The slow f64 yardstick instead of the fast path; with --max-error or --budget-ms that plan is executed as well, and what it
     /// achieved stands in IMAGE.tif.json
     #[arg(long)]
@@ -150,6 +153,9 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
     // The yardstick runs on the CPU whatever else there is.
     let device = if args.reference { DeviceChoice::Cpu } else { args.device.into() };
     let mut renderer = Renderer::new(device, reporter)?;
+    if let Some(mib) = args.gpu_memory_mib {
+        renderer.limit_gpu_memory(mib.saturating_mul(1 << 20));
+    }
     let goal = goal(args)?;
     let mut options = Options {
         quantity: args.quantity.into(),

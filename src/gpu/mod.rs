@@ -46,6 +46,16 @@ pub enum GpuError {
         /// What the driver said.
         detail: String,
     },
+    /// The device has no room left.
+    #[error("{adapter}: no room for {what} of {needed_mib} MiB; close what else uses the device, or use --device cpu")]
+    Memory {
+        /// Its name.
+        adapter: String,
+        /// What does not fit.
+        what: &'static str,
+        /// MiB that it needs.
+        needed_mib: u64,
+    },
     /// More is needed than the device offers.
     #[error("{adapter}: {what} needs {needed}, the device allows {limit}; use --device cpu")]
     Limit {

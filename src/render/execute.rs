@@ -170,6 +170,9 @@ impl Renderer {
                     (empty, Some(first)) => empty.insert(first.stages.measure("compile_shaders", || WgslExecutor::new(gpu))?),
                     (_, None) => return Ok(Vec::new()),
                 };
+                if let Some(bytes) = self.volume_bytes.take() {
+                    executor.limit_memory(bytes);
+                }
                 let requests: Vec<Request> = ready.iter().map(request).collect();
                 let mut submitted = StageTimes::default();
                 let executed = submitted.measure("shaders", || executor.execute(gpu, &requests))?;

@@ -70,6 +70,7 @@ pub struct Renderer {
     pub(super) volumes: VolumeCache,
     planner: Planner,
     pub(super) wgsl: Option<WgslExecutor>,
+    pub(super) volume_bytes: Option<u64>,
 }
 
 impl Renderer {
@@ -80,7 +81,20 @@ impl Renderer {
     pub fn new(choice: DeviceChoice, reporter: &Reporter) -> Result<Self, RenderError> {
         let device = Device::open(choice, reporter)?;
         let planner = Planner::default();
-        Ok(Self { device, reporter: reporter.clone(), choice, volumes: VolumeCache::default(), planner, wgsl: None })
+        Ok(Self {
+            device,
+            reporter: reporter.clone(),
+            choice,
+            volumes: VolumeCache::default(),
+            planner,
+            wgsl: None,
+            volume_bytes: None,
+        })
+    }
+
+    /// Leaves a volume no more than `bytes` of a GPU's memory; what is larger is crossed part by part, uploaded for every view.
+    pub fn limit_gpu_memory(&mut self, bytes: u64) {
+        self.volume_bytes = Some(bytes);
     }
 
     /// Device, driver, version.

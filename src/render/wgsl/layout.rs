@@ -74,6 +74,10 @@ pub struct Grid {
     pub truncated: u32,
     pub occupied_from: [f32; 4],
     pub occupied_to: [f32; 4],
+    pub cells_from: u32,
+    pub cells_to: u32,
+    pub voxels_from: u32,
+    pub adds: u32,
 }
 
 /// `Bin` of `attenuate_spectrum.wgsl`.
@@ -207,5 +211,9 @@ fn pack_grid(seen: &SeenVolume, depth_ref_mm: f64) -> Grid {
         truncated: u32::from(seen.volume.truncated_at_faces),
         occupied_from: wide(first),
         occupied_to: wide(end),
+        cells_from: 0,
+        cells_to: seen.volume.size[2] as u32 + 1,
+        voxels_from: 0,
+        adds: 0,
     }
 }

@@ -6,12 +6,14 @@ mod resident;
 mod sources;
 mod workspace;
 
+use std::ops::Range;
 use std::sync::Arc;
 
 pub use sources::{STEMS, source};
 
 use self::resident::Resident;
-use self::workspace::{Needs, Workspace, wait};
+use self::workspace::{Needs, Workspace, finish, wait};
+use super::cells::BRICK;
 use super::cpu::attenuate_spectrum::{Arriving, Signal};
 use super::prepared::{Prepared, Step};
 use super::spectrum::Bins;
@@ -97,6 +99,8 @@ pub struct WgslExecutor {
     resident: Option<(Arc<Volume>, Resident)>,
     nothing: Resident,
     workspaces: Vec<Workspace>,
+    /// Bytes that a volume may take on the device.
+    room_bytes: u64,
 }
 
 /// Views that are submitted together.
@@ -129,34 +133,56 @@ impl WgslExecutor {
             return Err(GpuError::Open { adapter: gpu.adapter.clone(), detail: error.to_string() });
         }
         let nothing = Resident::nothing(gpu)?;
-        Ok(Self { integrate, attenuate, noise, resident: None, nothing, workspaces: Vec::new() })
+        Ok(Self { integrate, attenuate, noise, resident: None, nothing, workspaces: Vec::new(), room_bytes: u64::MAX })
     }
 
-    /// Renders views of one scene in one submission, at most [`VIEWS_PER_SUBMISSION`].
+    /// Leaves a volume no more than `bytes` of the device's memory; what is larger is crossed part by part, uploaded for every view.
+    pub fn limit_memory(&mut self, bytes: u64) {
+        self.room_bytes = bytes;
+        self.resident = None;
+    }
+
+    /// Renders views of one scene, at most [`VIEWS_PER_SUBMISSION`]: in one submission, unless the volume does not fit the device.
     ///
     /// # Errors
-    /// When the volume or an image does not fit the device, or the device is lost.
+    /// When a slice of the volume or an image does not fit the device, or the device is lost.
     pub fn execute(&mut self, gpu: &Gpu, requests: &[Request]) -> Result<Vec<Executed>, GpuError> {
         let requests = &requests[..requests.len().min(VIEWS_PER_SUBMISSION)];
         let Some(first) = requests.first() else { return Ok(Vec::new()) };
-        self.upload(gpu, first.prepared)?;
-        let mut commands = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("render") });
+        let parts = self.upload(gpu, first.prepared)?;
+        let mut commands = encoder(gpu);
         for (slot, request) in requests.iter().enumerate() {
             let packed = layout::pack(request.prepared);
-            let needs = Needs {
-                pixels: request.prepared.view.size_px.iter().map(|n| *n as usize).product(),
-                materials: request.prepared.material_count,
-                solids: packed.solids.len(),
-                energies: request.bins.map_or(0, |bins| bins.padded),
-                noise: request.noise.is_some() && request.bins.is_some(),
-                paths: request.paths,
-            };
+            let needs = Needs::of(request, &packed);
             if !self.workspaces.get(slot).is_some_and(|workspace| workspace.serves(&needs)) {
                 self.workspaces.truncate(slot);
                 self.workspaces.push(Workspace::new(gpu, needs)?);
             }
+            let grid = packed.grid;
             write(gpu, &self.workspaces[slot], request, packed, &needs);
-            self.record(gpu, &mut commands, slot, &needs, request.prepared.view.size_px);
+            self.begin(&mut commands, slot);
+            if let (false, Some(seen)) = (parts.is_empty(), request.prepared.volumes.first()) {
+                for (index, part) in parts.iter().enumerate() {
+                    self.resident = None;
+                    self.resident = Some((seen.volume.clone(), Resident::upload(gpu, seen, part)?));
+                    let grid = layout::Grid {
+                        cells_from: part.start as u32,
+                        cells_to: part.end as u32,
+                        voxels_from: resident::voxels_of(part, seen.volume.size[2]).start as u32,
+                        adds: u32::from(index > 0),
+                        ..grid
+                    };
+                    gpu.queue.write_buffer(&self.workspaces[slot].grid, 0, bytemuck::bytes_of(&grid));
+                    self.integrate(gpu, &mut commands, slot, request);
+                    gpu.queue.submit([std::mem::replace(&mut commands, encoder(gpu)).finish()]);
+                    // The next part takes this one's room.
+                    finish(gpu)?;
+                }
+                self.resident = None;
+            } else {
+                self.integrate(gpu, &mut commands, slot, request);
+            }
+            self.attenuate(gpu, &mut commands, slot, &needs);
         }
         gpu.queue.submit([commands.finish()]);
         let workspaces = &self.workspaces[..requests.len()];
@@ -166,7 +192,13 @@ impl WgslExecutor {
             workspace.map(move |result| drop(sender.send(result)));
         }
         wait(gpu, &mapped, workspaces.len())?;
-        workspaces.iter().zip(requests).map(|(workspace, request)| unpack(gpu, workspace, request)).collect()
+        let executed = workspaces.iter().zip(requests).map(|(workspace, request)| unpack(gpu, workspace, request));
+        let mut executed = executed.collect::<Result<Vec<_>, _>>()?;
+        if !parts.is_empty() {
+            // A ray enters and leaves a volume once; either end may lie in a part of its own.
+            executed.iter_mut().for_each(|executed| executed.unscanned_mm *= 2.0);
+        }
+        Ok(executed)
     }
 
     /// Area densities of view `slot` of the last submission, g/cm² by pixel, then by material.
@@ -177,19 +209,18 @@ impl WgslExecutor {
         self.workspaces.get(slot).map_or_else(|| Ok(Vec::new()), |workspace| workspace.paths(gpu))
     }
 
-    fn record(&mut self, gpu: &Gpu, commands: &mut wgpu::CommandEncoder, slot: usize, needs: &Needs, size_px: [u32; 2]) {
-        let resident = self.resident.as_ref().map_or(&self.nothing, |(_, resident)| resident);
+    fn begin(&mut self, commands: &mut wgpu::CommandEncoder, slot: usize) {
         let workspace = &mut self.workspaces[slot];
         commands.clear_buffer(&workspace.flags, 0, None);
         commands.clear_buffer(&workspace.invalid, 0, None);
-        let mut times = workspace.times.take();
-        if let Some(times) = &mut times {
+        if let Some(times) = &mut workspace.times {
             times.begin();
         }
-        let mut run = |stem, pipeline, bindings: &[wgpu::BindingResource], groups| {
-            let writes = times.as_mut().and_then(|times| times.next(stem));
-            dispatch(gpu, commands, pipeline, bindings, groups, writes);
-        };
+    }
+
+    fn integrate(&mut self, gpu: &Gpu, commands: &mut wgpu::CommandEncoder, slot: usize, request: &Request) {
+        let resident = self.resident.as_ref().map_or(&self.nothing, |(_, resident)| resident);
+        let workspace = &mut self.workspaces[slot];
         let texture = wgpu::BindingResource::TextureView;
         let bindings = [
             workspace.view.as_entire_binding(),
@@ -203,32 +234,54 @@ impl WgslExecutor {
             workspace.invalid.as_entire_binding(),
             workspace.flags.as_entire_binding(),
         ];
-        let tiles = size_px.map(|n| n.div_ceil(8));
-        run("integrate_density", &self.integrate, &bindings, tiles);
+        let tiles = request.prepared.view.size_px.map(|n| n.div_ceil(8));
+        let writes = workspace.times.as_mut().and_then(|times| times.next("integrate_density"));
+        dispatch(gpu, commands, &self.integrate, &bindings, tiles, writes);
+    }
+
+    /// Everything after the rays.
+    fn attenuate(&mut self, gpu: &Gpu, commands: &mut wgpu::CommandEncoder, slot: usize, needs: &Needs) {
+        let workspace = &mut self.workspaces[slot];
         let flat = flat_groups(needs.pixels);
         if needs.energies > 0 {
             let buffers = [&workspace.view, &workspace.weights, &workspace.table, &workspace.density, &workspace.signal];
-            run("attenuate_spectrum", &self.attenuate, &buffers.map(wgpu::Buffer::as_entire_binding), flat);
+            let writes = workspace.times.as_mut().and_then(|times| times.next("attenuate_spectrum"));
+            dispatch(gpu, commands, &self.attenuate, &buffers.map(wgpu::Buffer::as_entire_binding), flat, writes);
         }
         if needs.noise {
             let buffers = [&workspace.view, &workspace.signal, &workspace.deviates];
-            run("add_noise", &self.noise, &buffers.map(wgpu::Buffer::as_entire_binding), flat);
+            let writes = workspace.times.as_mut().and_then(|times| times.next("add_noise"));
+            dispatch(gpu, commands, &self.noise, &buffers.map(wgpu::Buffer::as_entire_binding), flat, writes);
         }
-        workspace.times = times;
         workspace.bring_back(commands);
     }
 
-    fn upload(&mut self, gpu: &Gpu, prepared: &Prepared) -> Result<(), GpuError> {
+    /// Makes the volume resident; where it does not fit the device, says in which parts it does.
+    fn upload(&mut self, gpu: &Gpu, prepared: &Prepared) -> Result<Vec<Range<usize>>, GpuError> {
         debug_assert!(prepared.steps.iter().all(|step| !matches!(step, Step::Mesh(_) | Step::VolumeAir(_))));
         let Some(seen) = prepared.volumes.first() else {
             self.resident = None;
-            return Ok(());
+            return Ok(Vec::new());
         };
-        if !self.resident.as_ref().is_some_and(|(held, _)| Arc::ptr_eq(held, seen.volume)) {
-            self.resident = None;
-            self.resident = Some((seen.volume.clone(), Resident::upload(gpu, seen)?));
+        if self.resident.as_ref().is_some_and(|(held, _)| Arc::ptr_eq(held, seen.volume)) {
+            return Ok(Vec::new());
         }
-        Ok(())
+        self.resident = None;
+        let longest = gpu.device.limits().max_texture_dimension_3d as usize;
+        let parts = resident::parts(seen.volume.size, self.room_bytes, longest);
+        if parts.len() > 1 {
+            return Ok(parts);
+        }
+        match Resident::upload(gpu, seen, &parts[0]) {
+            Ok(resident) => self.resident = Some((seen.volume.clone(), resident)),
+            Err(GpuError::Memory { needed_mib, .. }) if needed_mib > 1 && seen.volume.size[2] > BRICK => {
+                // Half of what did not fit, and half again until it does.
+                self.room_bytes = (needed_mib << 20) / 2;
+                return self.upload(gpu, prepared);
+            }
+            Err(error) => return Err(error),
+        }
+        Ok(Vec::new())
     }
 }
 
@@ -296,6 +349,10 @@ fn unpack(gpu: &Gpu, workspace: &Workspace, request: &Request) -> Result<Execute
         overflows: flags.overflows,
         read_back_bytes: workspace.read_back_bytes(),
     })
+}
+
+fn encoder(gpu: &Gpu) -> wgpu::CommandEncoder {
+    gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("render") })
 }
 
 /// Groups of 64 in two dimensions: 65535 in one would end at 4 million pixels.

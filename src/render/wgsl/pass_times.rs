@@ -3,7 +3,7 @@
 use crate::gpu::Gpu;
 
 /// Passes of a submission that are timed, at most.
-const MOST_PASSES: u32 = 4;
+const MOST_PASSES: u32 = 32;
 
 /// Two timestamps a pass.
 #[derive(Debug)]

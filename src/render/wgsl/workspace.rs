@@ -1,7 +1,7 @@
 //! Buffers of one view in flight; the next view of the same kind finds them there.
 
-use super::layout;
 use super::pass_times::PassTimes;
+use super::{Request, layout};
 use crate::gpu::{Gpu, GpuError};
 
 /// What a view needs room for.
@@ -19,6 +19,21 @@ pub struct Needs {
     pub noise: bool,
     /// Whether area densities are read back.
     pub paths: bool,
+}
+
+impl Needs {
+    /// Those of a request.
+    #[must_use]
+    pub fn of(request: &Request, packed: &layout::Packed) -> Self {
+        Self {
+            pixels: request.prepared.view.size_px.iter().map(|n| *n as usize).product(),
+            materials: request.prepared.material_count,
+            solids: packed.solids.len(),
+            energies: request.bins.map_or(0, |bins| bins.padded),
+            noise: request.noise.is_some() && request.bins.is_some(),
+            paths: request.paths,
+        }
+    }
 }
 
 /// Where in the words that come back each part begins and ends.
@@ -213,6 +228,15 @@ fn mapped(gpu: &Gpu, buffer: &wgpu::Buffer) -> Result<Vec<f32>, GpuError> {
     Ok(words)
 }
 
+/// Waits for everything that was submitted.
+///
+/// # Errors
+/// When the device is lost.
+pub fn finish(gpu: &Gpu) -> Result<(), GpuError> {
+    let lost = |error: wgpu::PollError| GpuError::Lost { adapter: gpu.adapter.clone(), detail: error.to_string() };
+    gpu.device.poll(wgpu::PollType::wait_indefinitely()).map(drop).map_err(lost)
+}
+
 /// Waits for the device, and for `count` buffers to be mapped.
 ///
 /// # Errors
@@ -222,8 +246,8 @@ pub fn wait(
     mapped: &std::sync::mpsc::Receiver<Result<(), wgpu::BufferAsyncError>>,
     count: usize,
 ) -> Result<(), GpuError> {
+    finish(gpu)?;
     let lost = |detail: String| GpuError::Lost { adapter: gpu.adapter.clone(), detail };
-    gpu.device.poll(wgpu::PollType::wait_indefinitely()).map_err(|error| lost(error.to_string()))?;
     for _ in 0..count {
         let result = mapped.recv().map_err(|_| lost("the device gave no answer".to_owned()))?;
         result.map_err(|error| lost(error.to_string()))?;

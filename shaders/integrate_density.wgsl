@@ -2,11 +2,12 @@
 // #include shared/view.wgsl
 // #include shared/solid.wgsl
 // #include shared/intervals.wgsl
+// #include shared/mesh.wgsl
+// #include shared/claim.wgsl
 // #include shared/grid.wgsl
 
 const TILE: u32 = 8u;
 const MATERIALS: u32 = 8u;
-const PIECES: u32 = 16u;
 
 struct Flags {
     overflows: atomic<u32>,          // rays on which intervals did not fit
@@ -27,12 +28,6 @@ struct Flags {
 @group(0) @binding(9) var<storage, read_write> flags: Flags;
 
 var<private> sums: array<f32, 8>;
-// What the volume may displace: intervals of earlier solids, already counted.
-var<private> piece_span: array<vec2<f32>, 16>;
-var<private> piece_density: array<f32, 16>;
-var<private> piece_material: array<u32, 16>;
-var<private> piece_count: u32 = 0u;
-
 @compute @workgroup_size(TILE, TILE)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     if any(id.xy >= view.size_px) { return; }
@@ -72,33 +67,6 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         atomicOr(&invalid[pixel / 32u], 1u << (pixel % 32u));
         atomicMax(&flags.unscanned_mm_bits, bitcast<u32>(missing));
     }
-}
-
-fn claim_solid(index: u32, pixel: vec2<u32>, direction: vec3<f32>, displaced_by_volume: bool) {
-    let bounds = solids[index].bounds;
-    if any(pixel < bounds.xy) || any(pixel >= bounds.zw) { return; }
-    let solid = solids[index];
-    let found = intersect(solid, view.depth_ref_mm, direction);
-    let seen = vec2<f32>(view.source_tau_mm, view.detector_tau_mm);
-    var spans = array<vec2<f32>, 2>(meet(found.xy, seen), meet(found.zw, seen));
-    for (var i = 0u; i < 2u; i += 1u) {
-        var rest = spans[i];
-        while rest.y > rest.x {
-            let gap = first_gap(rest);
-            if !(gap.y > gap.x) { break; }
-            sums[solid.material] += (gap.y - gap.x) * solid.density_g_per_cm3;
-            if displaced_by_volume {
-                if piece_count == PIECES { overflow = true; break; }
-                piece_span[piece_count] = gap;
-                piece_density[piece_count] = solid.density_g_per_cm3;
-                piece_material[piece_count] = solid.material;
-                piece_count += 1u;
-            }
-            rest.x = gap.y;
-        }
-    }
-    insert(spans[0]);
-    insert(spans[1]);
 }
 
 // Integrates the volume where later solids leave room. Depth outside the scan when it is truncated there, else -1.

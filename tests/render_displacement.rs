@@ -189,7 +189,7 @@ fn two_volumes_on_one_grid() {
 fn a_mesh_tool_in_the_ct() {
     let mesh = cube_mesh(MIDDLE + DVec3::new(1.3, -2.1, 0.0), 7.0, 1, 4.5);
     let scene = empty(&["water", "titanium"]).with(tissue()).with(Matter::Mesh(Arc::new(mesh)));
-    check("mesh", &scene, false, &[1.0, 4.5], |d| {
+    check("mesh", &scene, true, &[1.0, 4.5], |d| {
         let (centre, half) = (MIDDLE + DVec3::new(1.3, -2.1, 0.0), 7.0);
         let (mut from, mut to) = (0.0f64, f64::INFINITY);
         for axis in 0..3 {
@@ -305,10 +305,11 @@ fn a_resampled_overlap_needs_one_ct_and_shapes() {
 #[test]
 fn what_has_no_shader_is_said() {
     let Some(mut vulkan) = software_vulkan() else { return };
-    let scene = empty(&["water", "titanium"]).with(tissue()).with(Matter::Mesh(Arc::new(cube_mesh(MIDDLE, 7.0, 1, 4.5))));
+    let second = slab_volume(&[1], |[_, _, k]| if (10..20).contains(&k) { (1, 1.92) } else { (0, 0.0) });
+    let scene = empty(&["water", "bone_cortical"]).with(tissue()).with(Matter::Volume(Arc::new(second)));
     let options = Options { quantity: Quantity::LineIntegral, ..Options::default() };
     let rendered = vulkan.render(&scene, &options).expect("renders");
     let cpu = Renderer::new(DeviceChoice::Cpu, &Reporter::silent()).expect("cpu").render(&scene, &options).expect("renders");
     assert_eq!(rendered.pages, cpu.pages);
-    assert!(rendered.plan.to_string().contains("meshes have no shader"), "{}", rendered.plan);
+    assert!(rendered.plan.to_string().contains("2 volumes, the shader takes one"), "{}", rendered.plan);
 }

@@ -1,5 +1,6 @@
 //! The executors against the yardstick and each other, each with a control that must fail.
 
+use std::f64::consts::PI;
 use std::sync::Arc;
 
 use glam::{DQuat, DVec3};
@@ -8,7 +9,7 @@ use sidecarm::render::plan::Executor;
 use sidecarm::render::{Options, Plan, Quantity, Renderer};
 use sidecarm::reporter::Reporter;
 use sidecarm::scene::Scene;
-use sidecarm::scene::model::{Matter, Noise};
+use sidecarm::scene::model::{Matter, Mesh, Noise};
 
 use crate::render_scenes::{With, cuboid, empty, placed, random, render_on, software_vulkan, solids, sphere, volume, worst};
 
@@ -126,6 +127,67 @@ fn too_many_intervals_for_the_shader_fall_back_aloud() {
     let rendered = vulkan.render(&scene, &options).expect("renders");
     assert!(rendered.notes.iter().any(|note| note.contains("more intervals")), "{:?}", rendered.notes);
     assert_eq!(rendered.pages, render_on(DeviceChoice::Cpu, &scene, Quantity::LineIntegral).pages);
+}
+
+/// A ball of `rings` × 2 `rings` facets.
+fn mesh_ball(centre: DVec3, radius_mm: f64, rings: u32, material: usize, density_g_per_cm3: f64) -> Mesh {
+    let around = 2 * rings;
+    let at = |ring: u32, step: u32| {
+        let (polar, azimuth) = (PI * f64::from(ring) / f64::from(rings), 2.0 * PI * f64::from(step % around) / f64::from(around));
+        centre + radius_mm * DVec3::new(polar.sin() * azimuth.cos(), polar.sin() * azimuth.sin(), polar.cos())
+    };
+    let mut mesh = Mesh { vertices_lps_mm: vec![at(0, 0), at(rings, 0)], triangles: Vec::new(), material, density_g_per_cm3 };
+    for ring in 1..rings {
+        mesh.vertices_lps_mm.extend((0..around).map(|step| at(ring, step)));
+    }
+    let index = |ring: u32, step: u32| match ring {
+        0 => 0,
+        ring if ring == rings => 1,
+        ring => 2 + (ring - 1) * around + step % around,
+    };
+    for ring in 0..rings {
+        for step in 0..around {
+            let (a, b, c, d) = (index(ring, step), index(ring + 1, step), index(ring + 1, step + 1), index(ring, step + 1));
+            mesh.triangles.extend([[a, b, c], [a, c, d]].into_iter().filter(|[x, y, z]| x != y && y != z && z != x));
+        }
+    }
+    mesh
+}
+
+#[test]
+fn meshes_of_thousands_of_triangles_are_one_to_shaders_and_twins() {
+    let Some(mut vulkan) = software_vulkan() else { return };
+    let options = Options { quantity: Quantity::AreaDensity, ..Options::default() };
+    let tissue = random(1).objects.into_iter().find(|object| matches!(object.matter, Matter::Volume(_)));
+    let mut scene = empty(&random(1).materials.iter().map(|material| material.name.as_str()).collect::<Vec<_>>());
+    let centre = DVec3::new(2.0, -3.0, 600.0);
+    // Displaced by the CT, displacing it, and one in the other; the poles of the balls lie on the grid of the pixels.
+    scene = scene.with(Matter::Mesh(Arc::new(mesh_ball(centre, 30.0, 12, 0, 0.8))));
+    scene.objects.extend(tissue);
+    scene = scene.with(Matter::Mesh(Arc::new(mesh_ball(centre, 14.0, 60, 1, 4.5)))).with(Matter::Mesh(Arc::new(mesh_ball(
+        centre + DVec3::new(5.0, 0.0, 0.0),
+        6.0,
+        25,
+        0,
+        2.0,
+    ))));
+    for shift in [0.0, 7.0, -4.0] {
+        if let Some(view) = &mut scene.view {
+            view.camera_from_lps.translation_mm.x += shift;
+        }
+        let cpu = render_on(DeviceChoice::Cpu, &scene, Quantity::AreaDensity);
+        let gpu = vulkan.render(&scene, &options).expect("renders");
+        assert_eq!(gpu.plan["executor"], "wgsl", "{:?}", gpu.notes);
+        for (page, (gpu, cpu)) in gpu.pages.iter().zip(&cpu.pages).enumerate() {
+            let mut errors: Vec<f32> = gpu.pixels.iter().zip(&cpu.pixels).map(|(a, b)| (a - b).abs()).collect();
+            errors.sort_unstable_by(f32::total_cmp);
+            let (most, worst) = (errors[errors.len() - 11], errors[errors.len() - 1]);
+            println!("page {page}: shaders and twins differ by {most:.1e} g/cm2, {worst:.1e} where rays graze");
+            assert!(most < 5e-5 && worst < 5e-2, "page {page}: {most:e} {worst:e}");
+        }
+        let seen = cpu.pages[1].pixels.iter().filter(|path| **path > 1.0).count();
+        assert!(seen > 100, "{seen} rays meet the tool");
+    }
 }
 
 #[test]

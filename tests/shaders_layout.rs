@@ -2,7 +2,7 @@
 
 use std::mem::{offset_of, size_of};
 
-use sidecarm::render::wgsl::layout::{Bin, Flags, Grid, Solid, View};
+use sidecarm::render::wgsl::layout::{Bin, Flags, Grid, Node, Solid, View};
 use sidecarm::render::wgsl::{STEMS, source};
 
 fn parse(stem: &str) -> naga::Module {
@@ -76,8 +76,9 @@ fn structs_have_the_layout_the_shaders_read() {
     for stem in STEMS {
         assert_eq!(members(stem, "View"), view, "{stem}");
     }
-    let solid = offsets!(Solid, row_x, row_y, row_z, centre, size, bounds, kind, material, density_g_per_cm3, padding);
+    let solid = offsets!(Solid, row_x, row_y, row_z, centre, size, bounds, kind, material, density_g_per_cm3, root);
     assert_eq!(members("integrate_density", "Solid"), solid);
+    assert_eq!(members("integrate_density", "Node"), offsets!(Node, lo, first, hi, count));
     let flags = offsets!(Flags, overflows, matter, beyond, unscanned_mm_bits);
     assert_eq!(members("integrate_density", "Flags"), flags);
     let grid = offsets!(

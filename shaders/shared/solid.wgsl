@@ -14,7 +14,7 @@ struct Solid {
     kind: u32,
     material: u32,
     density_g_per_cm3: f32,
-    padding: u32,
+    root: u32,               // of a mesh, among the nodes
 }
 
 // The point of closest approach comes first, so that the discriminant loses nothing to the distance.

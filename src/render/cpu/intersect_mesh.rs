@@ -50,6 +50,17 @@ impl MeshTree {
         self.build(middle, to);
     }
 
+    /// Lower and upper corner of each node, its first triangle or second child, its triangles (0: an inner node).
+    pub fn nodes(&self) -> impl Iterator<Item = ([DVec3; 2], usize, usize)> {
+        self.nodes.iter().map(|node| ([node.lo, node.hi], node.first, node.count))
+    }
+
+    /// The triangles, leaf by leaf.
+    #[must_use]
+    pub fn triangles(&self) -> &[[DVec3; 3]] {
+        &self.triangles
+    }
+
     /// Adds to `spans` where the ray t · `direction`, t > −∞, is inside, by pairing entries and exits.
     // Edges are tested by the sign of a product that both neighbours compute from the same two vertices, so that no ray slips
     // between triangles (watertight, Plücker form); the winding number, not parity, survives faces that touch.

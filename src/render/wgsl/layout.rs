@@ -3,7 +3,8 @@
 use bytemuck::{Pod, Zeroable};
 use glam::{DAffine3, DMat3, DVec3};
 
-use crate::render::prepared::{Prepared, SeenSolid, SeenVolume, Step};
+use crate::render::cpu::intersect_mesh::MeshTree;
+use crate::render::prepared::{Prepared, SeenMesh, SeenSolid, SeenVolume, Step};
 use crate::scene::model::Shape;
 
 /// `View` of `shared/view.wgsl`.
@@ -58,7 +59,18 @@ pub struct Solid {
     pub kind: u32,
     pub material: u32,
     pub density_g_per_cm3: f32,
-    pub padding: u32,
+    pub root: u32,
+}
+
+/// `Node` of `shared/mesh.wgsl`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+#[expect(missing_docs, reason = "documented in the shader, which has the same names")]
+pub struct Node {
+    pub lo: [f32; 3],
+    pub first: u32,
+    pub hi: [f32; 3],
+    pub count: u32,
 }
 
 /// `Grid` of `shared/grid.wgsl`.
@@ -96,8 +108,12 @@ pub struct Bin {
 pub struct Packed {
     /// Geometry only; spectrum and noise are filled in later.
     pub view: View,
-    /// In the order in which they claim the ray.
+    /// Shapes and meshes in the order in which they claim the ray.
     pub solids: Vec<Solid>,
+    /// Trees of the meshes.
+    pub nodes: Vec<Node>,
+    /// Three corners a triangle.
+    pub corners: Vec<[f32; 4]>,
     /// The volume, if there is one.
     pub grid: Grid,
 }
@@ -108,10 +124,12 @@ pub fn pack(prepared: &Prepared) -> Packed {
     let volume = prepared.volumes.first();
     let depth_ref_mm = reference_depth(prepared);
     let volume_at = prepared.steps.iter().position(|step| matches!(step, Step::Volume(_)));
-    let solid_steps = |steps: &[Step]| -> Vec<Solid> {
+    let mut trees = Trees::default();
+    let mut solid_steps = |steps: &[Step]| -> Vec<Solid> {
         let solid = |step: &Step| match *step {
             Step::Solid(index) => Some(pack_solid(&prepared.solids[index], depth_ref_mm)),
-            _ => None,
+            Step::Mesh(index) => Some(trees.pack(&prepared.meshes[index], depth_ref_mm)),
+            Step::Volume(_) | Step::VolumeAir(_) => None,
         };
         steps.iter().filter_map(solid).collect()
     };
@@ -136,7 +154,8 @@ pub fn pack(prepared: &Prepared) -> Packed {
         has_volume: u32::from(volume.is_some()),
         ..View::default()
     };
-    Packed { view, solids, grid: volume.map_or_else(Grid::default, |seen| pack_grid(seen, depth_ref_mm)) }
+    let Trees { nodes, corners } = trees;
+    Packed { view, solids, nodes, corners, grid: volume.map_or_else(Grid::default, |seen| pack_grid(seen, depth_ref_mm)) }
 }
 
 /// Depth of the volume's centre, else the middle of the solids; a whole number, so that f32 has it exactly.
@@ -144,7 +163,9 @@ fn reference_depth(prepared: &Prepared) -> f64 {
     let depth = match prepared.volumes.first() {
         Some(seen) => centre_of(seen).z,
         None => {
+            let of_mesh = |seen: &SeenMesh| seen.vertices_in_camera.first().map_or(f64::NAN, |vertex| vertex.z);
             let depths = prepared.solids.iter().map(|seen| seen.centre_in_camera.z);
+            let depths = depths.chain(prepared.meshes.iter().map(of_mesh));
             let (low, high) = depths.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), z| (low.min(z), high.max(z)));
             0.5 * (low + high)
         }
@@ -194,7 +215,45 @@ fn pack_solid(seen: &SeenSolid, depth_ref_mm: f64) -> Solid {
         kind,
         material: seen.solid.material as u32,
         density_g_per_cm3: seen.solid.density_g_per_cm3 as f32,
-        padding: 0,
+        root: 0,
+    }
+}
+
+/// Meshes, one after the other.
+#[derive(Default)]
+struct Trees {
+    nodes: Vec<Node>,
+    corners: Vec<[f32; 4]>,
+}
+
+/// The kind of a mesh among solids.
+const MESH: u32 = 3;
+
+/// What boxes are enlarged by, mm: more than f32 rounds.
+const BOX_MARGIN_MM: f64 = 1e-3;
+
+impl Trees {
+    fn pack(&mut self, seen: &SeenMesh, depth_ref_mm: f64) -> Solid {
+        let tree = MeshTree::new(&seen.vertices_in_camera, &seen.mesh.triangles);
+        let (root, first_triangle) = (self.nodes.len() as u32, self.corners.len() as u32 / 3);
+        let about = |v: DVec3| (v - DVec3::Z * depth_ref_mm).as_vec3();
+        self.nodes.extend(tree.nodes().map(|([lo, hi], first, count)| Node {
+            lo: about(lo - BOX_MARGIN_MM).to_array(),
+            first: first as u32 + if count == 0 { root } else { first_triangle },
+            hi: about(hi + BOX_MARGIN_MM).to_array(),
+            count: count as u32,
+        }));
+        self.corners.extend(tree.triangles().iter().flatten().map(|corner| about(*corner).extend(0.0).to_array()));
+        // Without a triangle there is no root to begin at.
+        let [from, to] = if tree.triangles().is_empty() { [[0; 2]; 2] } else { [seen.bounds.from, seen.bounds.to] };
+        Solid {
+            bounds: [from[0], from[1], to[0], to[1]],
+            kind: MESH,
+            material: seen.mesh.material as u32,
+            density_g_per_cm3: seen.mesh.density_g_per_cm3 as f32,
+            root,
+            ..Solid::default()
+        }
     }
 }
 

@@ -27,9 +27,6 @@ const MATERIALS: usize = 8;
 #[must_use]
 pub fn unsupported(scene: &Scene) -> Option<String> {
     let volumes = scene.objects.iter().filter(|object| matches!(object.matter, Matter::Volume(_))).count();
-    if scene.objects.iter().any(|object| matches!(object.matter, Matter::Mesh(_))) {
-        return Some("meshes have no shader yet".to_owned());
-    }
     if volumes > 1 {
         return Some(format!("{volumes} volumes, the shader takes one"));
     }
@@ -233,6 +230,8 @@ impl WgslExecutor {
             workspace.density.as_entire_binding(),
             workspace.invalid.as_entire_binding(),
             workspace.flags.as_entire_binding(),
+            workspace.nodes.as_entire_binding(),
+            workspace.corners.as_entire_binding(),
         ];
         let tiles = request.prepared.view.size_px.map(|n| n.div_ceil(8));
         let writes = workspace.times.as_mut().and_then(|times| times.next("integrate_density"));
@@ -258,7 +257,7 @@ impl WgslExecutor {
 
     /// Makes the volume resident; where it does not fit the device, says in which parts it does.
     fn upload(&mut self, gpu: &Gpu, prepared: &Prepared) -> Result<Vec<Range<usize>>, GpuError> {
-        debug_assert!(prepared.steps.iter().all(|step| !matches!(step, Step::Mesh(_) | Step::VolumeAir(_))));
+        debug_assert!(prepared.steps.iter().all(|step| !matches!(step, Step::VolumeAir(_))));
         let Some(seen) = prepared.volumes.first() else {
             self.resident = None;
             return Ok(Vec::new());
@@ -316,6 +315,8 @@ fn write(gpu: &Gpu, workspace: &Workspace, request: &Request, packed: layout::Pa
     put(&workspace.view, bytemuck::bytes_of(&view));
     put(&workspace.grid, bytemuck::bytes_of(&packed.grid));
     put(&workspace.solids, bytemuck::cast_slice(&packed.solids));
+    put(&workspace.nodes, bytemuck::cast_slice(&packed.nodes));
+    put(&workspace.corners, bytemuck::cast_slice(&packed.corners));
 }
 
 fn unpack(gpu: &Gpu, workspace: &Workspace, request: &Request) -> Result<Executed, GpuError> {

@@ -1,12 +1,14 @@
 //! The shaders, embedded; `// #include shared/x.wgsl` is replaced by that file.
 
-const FILES: [(&str, &str); 8] = [
+const FILES: [(&str, &str); 10] = [
     ("integrate_density", include_str!("../../../shaders/integrate_density.wgsl")),
     ("attenuate_spectrum", include_str!("../../../shaders/attenuate_spectrum.wgsl")),
     ("add_noise", include_str!("../../../shaders/add_noise.wgsl")),
     ("shared/view.wgsl", include_str!("../../../shaders/shared/view.wgsl")),
     ("shared/solid.wgsl", include_str!("../../../shaders/shared/solid.wgsl")),
     ("shared/intervals.wgsl", include_str!("../../../shaders/shared/intervals.wgsl")),
+    ("shared/mesh.wgsl", include_str!("../../../shaders/shared/mesh.wgsl")),
+    ("shared/claim.wgsl", include_str!("../../../shaders/shared/claim.wgsl")),
     ("shared/grid.wgsl", include_str!("../../../shaders/shared/grid.wgsl")),
     ("shared/philox.wgsl", include_str!("../../../shaders/shared/philox.wgsl")),
 ];

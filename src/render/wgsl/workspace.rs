@@ -11,8 +11,12 @@ pub struct Needs {
     pub pixels: usize,
     /// Materials of the scene.
     pub materials: usize,
-    /// Shapes.
+    /// Shapes and meshes.
     pub solids: usize,
+    /// Nodes of the meshes' trees.
+    pub nodes: usize,
+    /// Corners of their triangles.
+    pub corners: usize,
     /// Padded energies; 0 without a spectrum.
     pub energies: usize,
     /// Whether noise is drawn, and with it everything that it needs.
@@ -29,6 +33,8 @@ impl Needs {
             pixels: request.prepared.view.size_px.iter().map(|n| *n as usize).product(),
             materials: request.prepared.material_count,
             solids: packed.solids.len(),
+            nodes: packed.nodes.len(),
+            corners: packed.corners.len(),
             energies: request.bins.map_or(0, |bins| bins.padded),
             noise: request.noise.is_some() && request.bins.is_some(),
             paths: request.paths,
@@ -88,6 +94,10 @@ pub struct Workspace {
     pub grid: wgpu::Buffer,
     /// `layout::Solid`, each.
     pub solids: wgpu::Buffer,
+    /// `layout::Node`, each.
+    pub nodes: wgpu::Buffer,
+    /// Three corners a triangle.
+    pub corners: wgpu::Buffer,
     /// `layout::Bin`, each.
     pub weights: wgpu::Buffer,
     /// cm²/g by material, then energy.
@@ -120,9 +130,11 @@ impl Workspace {
     /// When the image does not fit the device.
     pub fn new(gpu: &Gpu, needs: Needs) -> Result<Self, GpuError> {
         let limit = gpu.device.limits().max_storage_buffer_binding_size;
-        let needed = (needs.pixels * needs.materials.max(4) * 4) as u64;
-        if needed > limit {
-            return Err(GpuError::Limit { adapter: gpu.adapter.clone(), what: "the image", needed, limit });
+        for (what, needed) in [("the image", needs.pixels * needs.materials.max(4) * 4), ("a mesh", needs.corners * 16)] {
+            let needed = needed as u64;
+            if needed > limit {
+                return Err(GpuError::Limit { adapter: gpu.adapter.clone(), what, needed, limit });
+            }
         }
         let times = PassTimes::new(gpu);
         let parts = Parts::of(&needs, times.as_ref().map_or(0, PassTimes::words));
@@ -136,6 +148,8 @@ impl Workspace {
             view: buffer(gpu, "view", size_of::<layout::View>() / 4, wgpu::BufferUsages::UNIFORM | given),
             grid: buffer(gpu, "grid", size_of::<layout::Grid>() / 4, wgpu::BufferUsages::UNIFORM | given),
             solids: whole("solids", needs.solids.max(1) * size_of::<layout::Solid>() / 4),
+            nodes: whole("nodes", needs.nodes.max(1) * size_of::<layout::Node>() / 4),
+            corners: whole("corners", needs.corners.max(1) * 4),
             weights: whole("weights", needs.energies.max(1) * size_of::<layout::Bin>() / 4),
             table: whole("attenuation", needs.energies * needs.materials),
             density: buffer(gpu, "area densities", needs.pixels * needs.materials, found),
@@ -152,11 +166,14 @@ impl Workspace {
     /// Whether a view with `needs` can use this; shapes and energies may be fewer.
     #[must_use]
     pub fn serves(&self, needs: &Needs) -> bool {
-        let own = Needs { solids: needs.solids, energies: needs.energies, ..self.needs };
+        let Needs { solids, nodes, corners, energies, .. } = *needs;
+        let own = Needs { solids, nodes, corners, energies, ..self.needs };
         let has_energies = |needs: &Needs| needs.energies > 0;
         own == *needs
-            && needs.solids <= self.needs.solids
-            && needs.energies <= self.needs.energies
+            && solids <= self.needs.solids
+            && nodes <= self.needs.nodes
+            && corners <= self.needs.corners
+            && energies <= self.needs.energies
             && has_energies(needs) == has_energies(&self.needs)
     }
 

@@ -13,7 +13,7 @@ fn claim_solid(index: u32, pixel: vec2<u32>, direction: vec3<f32>, displaced_by_
     if any(pixel < bounds.xy) || any(pixel >= bounds.zw) { return; }
     let solid = solids[index];
     let seen = vec2<f32>(view.source_tau_mm, view.detector_tau_mm);
-    if solid.kind != MESH {
+    if !has_meshes || solid.kind != MESH {
         let found = intersect(solid, view.depth_ref_mm, direction);
         claim_span(solid, meet(found.xy, seen), displaced_by_volume);
         claim_span(solid, meet(found.zw, seen), displaced_by_volume);

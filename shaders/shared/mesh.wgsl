@@ -1,5 +1,7 @@
 // Closed triangle meshes: a tree of boxes, then crossings in order. Corners are in the camera, their depth counted from depth_ref.
 
+override has_meshes: bool = true;
+
 const MESH: u32 = 3u;
 const HITS: u32 = 32u;
 

@@ -2,6 +2,7 @@
 
 pub mod layout;
 mod pass_times;
+mod pipelines;
 mod resident;
 mod sources;
 mod workspace;
@@ -11,6 +12,7 @@ use std::sync::Arc;
 
 pub use sources::{STEMS, source};
 
+use self::pipelines::{Pipelines, dispatch, flat_groups};
 use self::resident::Resident;
 use self::workspace::{Needs, Workspace, finish, wait};
 use super::cells::BRICK;
@@ -90,9 +92,7 @@ pub struct NoiseKey {
 /// Pipelines and resident volumes of one device.
 #[derive(Debug)]
 pub struct WgslExecutor {
-    integrate: wgpu::ComputePipeline,
-    attenuate: wgpu::ComputePipeline,
-    noise: wgpu::ComputePipeline,
+    pipelines: Pipelines,
     resident: Option<(Arc<Volume>, Resident)>,
     nothing: Resident,
     workspaces: Vec<Workspace>,
@@ -109,28 +109,9 @@ impl WgslExecutor {
     /// # Errors
     /// When the driver refuses one.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
-        let scope = gpu.device.push_error_scope(wgpu::ErrorFilter::Validation);
-        let pipeline = |stem: &str| {
-            let text = source(stem).expect("every stem is embedded");
-            let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
-                label: Some(stem),
-                source: wgpu::ShaderSource::Wgsl(text.into()),
-            });
-            gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-                label: Some(stem),
-                layout: None,
-                module: &module,
-                entry_point: Some("main"),
-                compilation_options: wgpu::PipelineCompilationOptions::default(),
-                cache: None,
-            })
-        };
-        let [integrate, attenuate, noise] = STEMS.map(pipeline);
-        if let Some(error) = pollster::block_on(scope.pop()) {
-            return Err(GpuError::Open { adapter: gpu.adapter.clone(), detail: error.to_string() });
-        }
+        let pipelines = Pipelines::new(gpu)?;
         let nothing = Resident::nothing(gpu)?;
-        Ok(Self { integrate, attenuate, noise, resident: None, nothing, workspaces: Vec::new(), room_bytes: u64::MAX })
+        Ok(Self { pipelines, resident: None, nothing, workspaces: Vec::new(), room_bytes: u64::MAX })
     }
 
     /// Leaves a volume no more than `bytes` of the device's memory; what is larger is crossed part by part, uploaded for every view.
@@ -170,14 +151,14 @@ impl WgslExecutor {
                         ..grid
                     };
                     gpu.queue.write_buffer(&self.workspaces[slot].grid, 0, bytemuck::bytes_of(&grid));
-                    self.integrate(gpu, &mut commands, slot, request);
+                    self.integrate(gpu, &mut commands, slot, request)?;
                     gpu.queue.submit([std::mem::replace(&mut commands, encoder(gpu)).finish()]);
                     // The next part takes this one's room.
                     finish(gpu)?;
                 }
                 self.resident = None;
             } else {
-                self.integrate(gpu, &mut commands, slot, request);
+                self.integrate(gpu, &mut commands, slot, request)?;
             }
             self.attenuate(gpu, &mut commands, slot, &needs);
         }
@@ -215,7 +196,14 @@ impl WgslExecutor {
         }
     }
 
-    fn integrate(&mut self, gpu: &Gpu, commands: &mut wgpu::CommandEncoder, slot: usize, request: &Request) {
+    fn integrate(
+        &mut self,
+        gpu: &Gpu,
+        commands: &mut wgpu::CommandEncoder,
+        slot: usize,
+        request: &Request,
+    ) -> Result<(), GpuError> {
+        let meshes = request.prepared.steps.iter().any(|step| matches!(step, Step::Mesh(_)));
         let resident = self.resident.as_ref().map_or(&self.nothing, |(_, resident)| resident);
         let workspace = &mut self.workspaces[slot];
         let texture = wgpu::BindingResource::TextureView;
@@ -235,7 +223,8 @@ impl WgslExecutor {
         ];
         let tiles = request.prepared.view.size_px.map(|n| n.div_ceil(8));
         let writes = workspace.times.as_mut().and_then(|times| times.next("integrate_density"));
-        dispatch(gpu, commands, &self.integrate, &bindings, tiles, writes);
+        dispatch(gpu, commands, self.pipelines.integrate(gpu, meshes)?, &bindings, tiles, writes);
+        Ok(())
     }
 
     /// Everything after the rays.
@@ -245,12 +234,12 @@ impl WgslExecutor {
         if needs.energies > 0 {
             let buffers = [&workspace.view, &workspace.weights, &workspace.table, &workspace.density, &workspace.signal];
             let writes = workspace.times.as_mut().and_then(|times| times.next("attenuate_spectrum"));
-            dispatch(gpu, commands, &self.attenuate, &buffers.map(wgpu::Buffer::as_entire_binding), flat, writes);
+            dispatch(gpu, commands, &self.pipelines.attenuate, &buffers.map(wgpu::Buffer::as_entire_binding), flat, writes);
         }
         if needs.noise {
             let buffers = [&workspace.view, &workspace.signal, &workspace.deviates];
             let writes = workspace.times.as_mut().and_then(|times| times.next("add_noise"));
-            dispatch(gpu, commands, &self.noise, &buffers.map(wgpu::Buffer::as_entire_binding), flat, writes);
+            dispatch(gpu, commands, &self.pipelines.noise, &buffers.map(wgpu::Buffer::as_entire_binding), flat, writes);
         }
         workspace.bring_back(commands);
     }
@@ -354,32 +343,4 @@ fn unpack(gpu: &Gpu, workspace: &Workspace, request: &Request) -> Result<Execute
 
 fn encoder(gpu: &Gpu) -> wgpu::CommandEncoder {
     gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("render") })
-}
-
-/// Groups of 64 in two dimensions: 65535 in one would end at 4 million pixels.
-fn flat_groups(pixels: usize) -> [u32; 2] {
-    let groups = pixels.div_ceil(64) as u32;
-    let rows = groups.div_ceil(32_768);
-    [groups.div_ceil(rows.max(1)), rows.max(1)]
-}
-
-fn dispatch(
-    gpu: &Gpu,
-    commands: &mut wgpu::CommandEncoder,
-    pipeline: &wgpu::ComputePipeline,
-    bindings: &[wgpu::BindingResource],
-    groups: [u32; 2],
-    timestamp_writes: Option<wgpu::ComputePassTimestampWrites>,
-) {
-    let entries: Vec<wgpu::BindGroupEntry> = bindings
-        .iter()
-        .enumerate()
-        .map(|(binding, resource)| wgpu::BindGroupEntry { binding: binding as u32, resource: resource.clone() })
-        .collect();
-    let layout = pipeline.get_bind_group_layout(0);
-    let group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor { label: None, layout: &layout, entries: &entries });
-    let mut pass = commands.begin_compute_pass(&wgpu::ComputePassDescriptor { label: None, timestamp_writes });
-    pass.set_pipeline(pipeline);
-    pass.set_bind_group(0, &group, &[]);
-    pass.dispatch_workgroups(groups[0], groups[1], 1);
 }

@@ -108,7 +108,7 @@ fn slabs_of_middle_ray(prepared: &Prepared) -> [f64; 2] {
     let [u, v] = prepared.view.size_px.map(|n| 0.5 * (f64::from(n) - 1.0));
     let (mut slabs, mut filled) = (0.0, 0.0);
     for seen in &prepared.volumes {
-        let rays = Rays::new(&prepared.view, seen);
+        let rays = Rays::new(&prepared.view, &seen.cell_from_camera);
         let q = rays.direction(u, v);
         let axis = Rays::dominant(q);
         let cells = &seen.cells;

@@ -182,7 +182,7 @@ impl Prepared<'_> {
     pub fn make_slabs(&self) {
         for seen in &self.volumes {
             if let Some(slabs) = &seen.slabs {
-                let axes = Rays::new(&self.view, seen).axes(self.view.size_px);
+                let axes = Rays::new(&self.view, &seen.cell_from_camera).axes(self.view.size_px);
                 for axis in (0..3).filter(|axis| axes[*axis]) {
                     slabs.prepare(axis, seen.volume, &seen.cells);
                 }

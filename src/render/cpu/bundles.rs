@@ -1,10 +1,11 @@
 //! Bundles of sixteen neighbouring pixels, as rays through one volume.
 
+use glam::DAffine3;
+
 use super::cross_slabs::{Fit, fit};
 use super::edges::{Bundle, Corners};
 use super::lanes::LANES;
 use crate::geometry::View;
-use crate::render::prepared::SeenVolume;
 use crate::render::slabs::AXES;
 
 /// Rays of an image in cell coordinates (voxel + 1): p + q(u, v) t with t the depth in mm, q linear in the pixel.
@@ -99,10 +100,10 @@ impl Aimed {
 }
 
 impl Rays {
-    /// Rays of `view` through `seen`.
+    /// Rays of `view` through a volume whose cells lie at `cell_from_camera`.
     #[must_use]
-    pub fn new(view: &View, seen: &SeenVolume) -> Self {
-        let at = |u: f64, v: f64| seen.cell_from_camera.matrix3 * view.intrinsics.unproject(glam::DVec2::new(u, v));
+    pub fn new(view: &View, cell_from_camera: &DAffine3) -> Self {
+        let at = |u: f64, v: f64| cell_from_camera.matrix3 * view.intrinsics.unproject(glam::DVec2::new(u, v));
         let q0 = at(0.0, 0.0);
         // Far pixels, so that the differences lose nothing.
         let far = 1024.0;
@@ -110,7 +111,7 @@ impl Rays {
         let plane = |u: f64, v: f64| view.intrinsics.unproject(glam::DVec2::new(u, v)).truncate();
         let camera = [plane(0.0, 0.0), (plane(far, 0.0) - plane(0.0, 0.0)) / far, (plane(0.0, far) - plane(0.0, 0.0)) / far];
         Self {
-            p: seen.cell_from_camera.translation.to_array(),
+            p: cell_from_camera.translation.to_array(),
             q0: q0.to_array(),
             qu: qu.to_array(),
             qv: qv.to_array(),

@@ -41,7 +41,7 @@ impl<'a> Crossing<'a> {
         let [first, end] = seen.cells.occupied.map(|cell| cell.map(|n| n as f64));
         let occupied = [first.map(|n| n.max(0.5)), std::array::from_fn(|axis| end[axis].min(whole[1][axis]))];
         let grids = [slabs.grid(0), slabs.grid(1), slabs.grid(2)];
-        Some(Self { prepared, seen, rays: Rays::new(&prepared.view, seen), grids, far_mm, occupied, whole })
+        Some(Self { prepared, seen, rays: Rays::new(&prepared.view, &seen.cell_from_camera), grids, far_mm, occupied, whole })
     }
 
     /// The rays of `pattern`; those that are not `seen` cross nothing.

@@ -109,11 +109,7 @@ pub fn run(args: &TimeArgs, reporter: &Reporter) -> Result<u8, TimeError> {
         false => together(&scene, &mut renderer, args, &cameras)?,
     };
     let changes = match args.changes {
-        true => {
-            let goal = Some(Goal::MaxError(args.max_error));
-            let options = Options { quantity: args.quantity.into(), goal, ..Options::default() };
-            Some(time_changes::measure(&scene, &mut renderer, &options, args.repeat.get())?)
-        }
+        true => Some(time_changes::measure(&scene, &mut renderer, &options(args), args.repeat.get())?),
         false => None,
     };
     let report = serde_json::json!({
@@ -128,6 +124,10 @@ pub fn run(args: &TimeArgs, reporter: &Reporter) -> Result<u8, TimeError> {
     Ok(0)
 }
 
+fn options(args: &TimeArgs) -> Options {
+    Options { quantity: args.quantity.into(), goal: Some(Goal::MaxError(args.max_error)), ..Options::default() }
+}
+
 /// Images per second of all views in one go.
 fn together(
     scene: &scene::Scene,
@@ -135,7 +135,7 @@ fn together(
     args: &TimeArgs,
     cameras: &[geometry::View],
 ) -> Result<f64, RenderError> {
-    let options = Options { quantity: args.quantity.into(), goal: Some(Goal::MaxError(args.max_error)), ..Options::default() };
+    let options = options(args);
     let watch = Stopwatch::start();
     let mut images = 0;
     renderer.render_views(scene, cameras, &options, &mut |_, _| images += 1)?;
@@ -143,7 +143,7 @@ fn together(
 }
 
 fn time(scene: &scene::Scene, renderer: &mut Renderer, args: &TimeArgs) -> Result<View, RenderError> {
-    let options = Options { quantity: args.quantity.into(), goal: Some(Goal::MaxError(args.max_error)), ..Options::default() };
+    let options = options(args);
     let watch = Stopwatch::start();
     let plan = renderer.plan(scene, &options)?;
     let plan_ms = watch.ms();

@@ -82,8 +82,7 @@ fn number_fillings(volume: &Volume, bricks: &mut [u16], [bi, bj, _]: [usize; 3])
         // Cell n lies between voxels n − 1 and n.
         let [from, to] = [brick.map(|n| (n * BRICK).saturating_sub(1)), brick.map(|n| n * BRICK + BRICK)];
         let to: [usize; 3] = std::array::from_fn(|axis| to[axis].min(volume.size[axis]));
-        let first =
-            volume.index(from[0].min(volume.size[0] - 1), from[1].min(volume.size[1] - 1), from[2].min(volume.size[2] - 1));
+        let first = volume.index(from[0], from[1], from[2]);
         let (class, density) = (volume.class[first], volume.density_g_per_cm3[first]);
         for k in from[2]..to[2] {
             for j in from[1]..to[1] {
@@ -95,7 +94,7 @@ fn number_fillings(volume: &Volume, bricks: &mut [u16], [bi, bj, _]: [usize; 3])
                 }
             }
         }
-        (class != 0 && density > 0.0).then_some(density)
+        Some(density)
     };
     let found: Vec<Option<f32>> = bricks.par_iter().enumerate().map(filling).collect();
     let mut fillings: Vec<f32> = Vec::new();

@@ -35,13 +35,13 @@ impl Crossing<'_> {
         let fill = Fill { crossing: self, block, claims, walk };
         #[cfg(target_arch = "x86_64")]
         if let Some(avx512) = pulp::x86::V4::try_new() {
-            return avx512.vectorize(OnAvx512(fill, avx512));
+            return avx512.vectorize(On(fill, avx512));
         }
         #[cfg(target_arch = "x86_64")]
         if let Some(avx2) = pulp::x86::V3::try_new() {
-            return avx2.vectorize(OnAvx2(fill, avx2));
+            return avx2.vectorize(On(fill, avx2));
         }
-        fill.run(Portable)
+        pulp::NullaryFnOnce::call(On(fill, Portable))
     }
 }
 
@@ -52,23 +52,10 @@ struct Fill<'f, 'a, 'b> {
     walk: &'f mut dyn FnMut(DVec2, &mut [f32]) -> Option<f64>,
 }
 
-#[cfg(target_arch = "x86_64")]
-struct OnAvx512<'f, 'a, 'b>(Fill<'f, 'a, 'b>, pulp::x86::V4);
+/// A block on lanes of one kind, to be called where their instructions are allowed.
+struct On<'f, 'a, 'b, S>(Fill<'f, 'a, 'b>, S);
 
-#[cfg(target_arch = "x86_64")]
-impl pulp::NullaryFnOnce for OnAvx512<'_, '_, '_> {
-    type Output = f32;
-    #[inline(always)]
-    fn call(self) -> f32 {
-        self.0.run(self.1)
-    }
-}
-
-#[cfg(target_arch = "x86_64")]
-struct OnAvx2<'f, 'a, 'b>(Fill<'f, 'a, 'b>, pulp::x86::V3);
-
-#[cfg(target_arch = "x86_64")]
-impl pulp::NullaryFnOnce for OnAvx2<'_, '_, '_> {
+impl<S: Lanes> pulp::NullaryFnOnce for On<'_, '_, '_, S> {
     type Output = f32;
     #[inline(always)]
     fn call(self) -> f32 {

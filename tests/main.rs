@@ -29,6 +29,7 @@ mod render_displacement;
 mod render_executors;
 mod render_extreme_places;
 mod render_extremes;
+mod render_fixed;
 mod evaluate;
 mod render_slabs;
 mod render_views;

@@ -19,7 +19,7 @@ use crate::render_scenes::{With, empty, placed, solids, sphere, volume, worst};
 
 type Sums = [[f32; LANES]; MOST_MATERIALS];
 
-fn lumpy() -> Volume {
+pub fn lumpy() -> Volume {
     let filled = |[i, j, k]: [usize; 3]| match (i * 31 + j * 17 + k * 7) % 13 {
         n if n < 3 => (0, 0.0),
         n if n < 9 => (1, 0.8 + n as f32 * 0.05),
@@ -29,7 +29,7 @@ fn lumpy() -> Volume {
 }
 
 /// Four materials: each alone in places, two to four of them meeting in others.
-fn layered() -> Volume {
+pub fn layered() -> Volume {
     let filled = |[i, j, k]: [usize; 3]| match (i < 9, j < 11, k % 5) {
         (true, true, _) => (1, 0.9 + 0.01 * k as f32),
         (true, false, _) => (2, 1.1 + 0.01 * i as f32),
@@ -67,7 +67,7 @@ fn bundle(stream: &mut Stream, apart: f64, voxels: [i32; 3]) -> Bundle {
 }
 
 /// ∫ρ dc of one class along a ray, by many midpoints of the trilinear field.
-fn finely(volume: &Volume, axis: usize, bundle: &Bundle, lane: usize, class: u8) -> f64 {
+pub fn finely(volume: &Volume, axis: usize, bundle: &Bundle, lane: usize, class: u8) -> f64 {
     let steps = 20_000;
     let length = bundle.to[lane] - bundle.from[lane];
     let mut sum = 0.0;
@@ -189,7 +189,7 @@ fn windows_of_sixteen_columns_hold_what_is_wide_and_flat() {
 }
 
 /// Every other brick along each axis is filled with a density of its own; between them it varies.
-fn filled_bricks(size: [usize; 3]) -> Volume {
+pub fn filled_bricks(size: [usize; 3]) -> Volume {
     let filled = |at: [usize; 3]| {
         // Cells n and n + 1 share voxel n.
         let brick = at.map(|n| (n + 1) / 8);
@@ -289,4 +289,7 @@ fn validity_is_that_of_the_cell_walker() {
     // A ray along an edge between cells may be told either way by rounding.
     assert!(differ <= 2, "{differ} pixels");
     assert!(worst(&slabs.pages[0].pixels, &cells.pages[0].pixels) < 5e-6);
+    let fixed = render(Sampling::FixedSlabs);
+    assert_eq!(fixed.plan["sampling"].as_str(), Some("fixed_slabs"));
+    assert_eq!(fixed.valid.pixels, slabs.valid.pixels, "rounding decides nothing about validity");
 }

@@ -22,7 +22,7 @@ use crate::scene::model::{Matter, Object, Scene, Volume};
 use crate::time::Stopwatch;
 
 /// Goes up whenever an executor becomes faster or slower, so that no one trusts costs of the one before.
-const METHOD: u32 = 3;
+const METHOD: u32 = 4;
 
 /// Nanoseconds of one core.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -33,6 +33,8 @@ pub struct Costs {
     pub threads: usize,
     /// A ray and a slab, exact, for 1, 2 and up to 4 materials.
     pub exact_slab_ns: [f64; 3],
+    /// The same in fixed point.
+    pub fixed_slab_ns: [f64; 3],
     /// A ray and a slab, walked cell by cell.
     pub walked_slab_ns: f64,
     /// A ray against a shape.
@@ -50,6 +52,7 @@ impl Default for Costs {
             machine: "typical".to_owned(),
             threads: 1,
             exact_slab_ns: [1.3, 2.0, 3.4],
+            fixed_slab_ns: [0.7, 1.3, 2.5],
             walked_slab_ns: 28.0,
             solid_ns: 12.0,
             energies_ns: 12.0,
@@ -90,12 +93,13 @@ impl Costs {
         };
         let slab = match sampling {
             Sampling::ExactSlabs => self.exact_slab_ns[column],
+            Sampling::FixedSlabs => self.fixed_slab_ns[column],
             Sampling::ExactCells | Sampling::PiecewiseConstant => self.walked_slab_ns,
             Sampling::None => 0.0,
         };
         // Where a block of pixels meets other bricks as well, filled ones gain nothing.
         let slabs = match sampling {
-            Sampling::ExactSlabs => work.slabs_per_ray - 0.7 * work.filled_per_ray,
+            Sampling::ExactSlabs | Sampling::FixedSlabs => work.slabs_per_ray - 0.7 * work.filled_per_ray,
             _ => work.slabs_per_ray,
         };
         let ray = slab * slabs + self.solid_ns * work.solids_per_ray;
@@ -129,7 +133,7 @@ impl Costs {
 
     fn is_sound(&self) -> bool {
         let all = [self.walked_slab_ns, self.solid_ns, self.energies_ns, self.noise_ns];
-        let all = all.iter().chain(&self.exact_slab_ns);
+        let all = all.iter().chain(&self.exact_slab_ns).chain(&self.fixed_slab_ns);
         self.threads > 0 && all.into_iter().all(|ns| *ns > 0.0 && ns.is_finite())
     }
 }
@@ -160,12 +164,14 @@ fn measure() -> Costs {
             Ok((cells, slabs))
         });
         let prepared = prepared.ok()?;
-        prepared.make_slabs();
+        prepared.make_slabs(sampling == Sampling::FixedSlabs);
         Some(per(fastest(|| drop(integrate_density(&prepared, sampling))), crossed))
     };
     for (column, materials) in [1, 2, 4].into_iter().enumerate() {
         let Some(ns) = time(test_volume(materials, 1), Sampling::ExactSlabs) else { return costs };
         costs.exact_slab_ns[column] = ns;
+        let Some(ns) = time(test_volume(materials, 1), Sampling::FixedSlabs) else { return costs };
+        costs.fixed_slab_ns[column] = ns;
     }
     // Most cells of a scan hold one material.
     let Some(ns) = time(test_volume(2, 12), Sampling::ExactCells) else { return costs };

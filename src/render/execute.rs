@@ -57,7 +57,7 @@ impl Renderer {
         let view = scene.view.ok_or(RenderError::NoView)?;
         check_plan(&plan, scene)?;
         let prepared = stages.measure("prepare", || {
-            let slabs = plan.executor == Executor::Cpu && plan.sampling == Sampling::ExactSlabs;
+            let slabs = plan.executor == Executor::Cpu && matches!(plan.sampling, Sampling::ExactSlabs | Sampling::FixedSlabs);
             self.volumes.keep(scene);
             let mut prepared = self.volumes.prepare(scene, view, slabs)?;
             if plan.step_px > 1 {
@@ -66,7 +66,7 @@ impl Renderer {
                 prepared = self.volumes.prepare(scene, pilot::every(&view, plan.step_px), slabs)?;
                 prepared.detector_mm = detector_mm;
             }
-            prepared.make_slabs();
+            prepared.make_slabs(plan.sampling == Sampling::FixedSlabs);
             Ok::<_, RenderError>(prepared)
         })?;
         let bins = if plan.quantity == Quantity::AreaDensity { None } else { Some(Bins::new(scene, &plan.energy_nodes)?) };

@@ -29,6 +29,7 @@ pub mod spectrum;
 pub mod trade;
 mod volumes;
 pub mod wgsl;
+pub mod words;
 mod write;
 
 pub use plan::Plan;

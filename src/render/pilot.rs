@@ -18,6 +18,10 @@ const EDGE: u32 = 9;
 /// The interpolation's error in the image is taken to be at most this many times its largest error on the pilot rays.
 const SAFETY: f64 = 3.0;
 
+/// In fixed point an average slab is off by at most so many words in one direction, and each by so many in any: densities, positions and
+/// weights are all rounded to one part in 2¹⁵ or 2¹⁶. Random scenes stay below half of it (`scripts/evaluate`).
+const WORDS_OFF: [f64; 2] = [0.3, 1.5];
+
 /// What the pilot rays found.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Pilot {
@@ -31,11 +35,13 @@ pub struct Pilot {
     pub slabs_per_ray: f64,
     /// Those among them in bricks filled with one density.
     pub filled_per_ray: f64,
+    /// The most by which fixed point is off, g/cm² per material of the scene; see [`WORDS_OFF`].
+    pub rounding_g_per_cm2: Vec<f64>,
     /// Shapes and meshes that an average ray is tried against.
     pub solids_per_ray: f64,
 }
 
-/// Casts pilot rays of `view`; `prepare` looks at the scene from a view. Without `bins` only paths are found.
+/// Casts pilot rays of `view`, sampling volumes as told; `prepare` looks at the scene from a view. Without `bins` only paths are found.
 ///
 /// # Errors
 /// As [`Prepared::new`].
@@ -43,10 +49,9 @@ pub fn cast<'a>(
     view: View,
     bins: Option<&Bins>,
     compare: bool,
-    slabs: bool,
+    sampling: Sampling,
     mut prepare: impl FnMut(View) -> Result<Prepared<'a>, RenderError>,
 ) -> Result<Pilot, RenderError> {
-    let exact = if slabs { Sampling::ExactSlabs } else { Sampling::ExactCells };
     let mut pilot = Pilot::default();
     let mut stream = Stream::new(0, 0, 0, Purpose::Evaluation);
     let [width, height] = view.size_px;
@@ -60,7 +65,7 @@ pub fn cast<'a>(
         let v = place(block / across, down, height, stream.next_u32());
         let size_px = [EDGE.min(width - u), EDGE.min(height - v)];
         let prepared = prepare(part(view, [u, v], size_px))?;
-        let density = integrate_density(&prepared, exact);
+        let density = integrate_density(&prepared, sampling);
         pilot.note(&prepared, &density);
         let Some(bins) = bins else { continue };
         let line = attenuate_spectrum(&density, bins, false).line_integral;
@@ -97,17 +102,20 @@ impl Pilot {
             _ => false,
         });
         self.solids_per_ray += solids.count() as f64;
-        let [slabs, filled] = slabs_of_middle_ray(prepared);
+        self.rounding_g_per_cm2.resize(materials, 0.0);
+        let [slabs, filled] = slabs_of_middle_ray(prepared, &mut self.rounding_g_per_cm2);
         self.slabs_per_ray += slabs;
         self.filled_per_ray += filled;
     }
 }
 
-/// Slabs that hold something along the ray through the middle of the image, and those in bricks filled with one density.
-fn slabs_of_middle_ray(prepared: &Prepared) -> [f64; 2] {
+/// Slabs that hold something along the ray through the middle of the image, and those in bricks filled with one density; raises `rounding`.
+fn slabs_of_middle_ray(prepared: &Prepared, rounding: &mut [f64]) -> [f64; 2] {
     let [u, v] = prepared.view.size_px.map(|n| 0.5 * (f64::from(n) - 1.0));
     let (mut slabs, mut filled) = (0.0, 0.0);
+    let mut summed = vec![0.0; rounding.len()];
     for seen in &prepared.volumes {
+        let before = slabs;
         let rays = Rays::new(&prepared.view, &seen.cell_from_camera);
         let q = rays.direction(u, v);
         let axis = Rays::dominant(q);
@@ -130,7 +138,15 @@ fn slabs_of_middle_ray(prepared: &Prepared) -> [f64; 2] {
                 }
             }
         }
+        let Some(made) = &seen.slabs else { continue };
+        let slab_cm = 0.1 * prepared.view.intrinsics.unproject(glam::DVec2::new(u, v)).length() / q[axis].abs();
+        let count: f64 = slabs - before;
+        let words = WORDS_OFF[0] * count + WORDS_OFF[1] * count.sqrt();
+        for (material, word) in cells.materials.iter().zip(made.word_g_per_cm3()) {
+            summed[*material] += words * slab_cm * f64::from(word);
+        }
     }
+    rounding.iter_mut().zip(summed).for_each(|(largest, found)| *largest = if found <= *largest { *largest } else { found });
     [slabs, filled]
 }
 

@@ -41,6 +41,8 @@ pub enum Sampling {
     ExactCells,
     /// Slab by slab, sixteen rays at a time, the trilinear field integrated exactly in each cell, in f32.
     ExactSlabs,
+    /// Slab by slab, thirty-two rays at a time, the same integrals of densities rounded to 16 bits, in 16-bit fixed point.
+    FixedSlabs,
     /// Voxel by voxel, constant inside each (Siddon): to compare with other tools.
     PiecewiseConstant,
     /// There is no volume.
@@ -63,6 +65,9 @@ impl Sampling {
             Self::ExactCells => "cell by cell, exact for the trilinear field; empty bricks of 8x8x8 cells are crossed at once",
             Self::ExactSlabs => {
                 "slab by slab, sixteen rays at a time, exact for the trilinear field; bricks of 8x8x8 cells that are empty are left out, those of one density crossed at once"
+            }
+            Self::FixedSlabs => {
+                "slab by slab, thirty-two rays at a time, in 16-bit fixed point: densities, positions and weights are rounded; bricks of 8x8x8 cells that are empty are left out, those of one density crossed at once"
             }
             Self::PiecewiseConstant => {
                 "voxel by voxel, piecewise constant (Siddon) as the scene asks: not the field that DESIGN 5 defines, for comparison only"

@@ -31,6 +31,11 @@ pub enum Goal {
 /// Without a wish: what the fast path reaches at nearly no cost.
 pub const DEFAULT_MAX_ERROR: f64 = 1e-5;
 
+/// Rounding of the weights, which add up to what they should but for this.
+const WEIGHTS_OFF: f64 = 2e-5;
+/// Below this no bound of fixed point lies.
+pub const LEAST_FIXED_ERROR: f64 = 5e-5;
+
 /// Rounding of the sum over energies in f32.
 const ENERGIES_ROUNDING: f64 = 3e-6;
 /// Tolerances at which energies are fitted; few, so that fits are used again.
@@ -83,6 +88,8 @@ pub struct Task<'s> {
     pub executor: Executor,
     /// Whether all volumes can be crossed slab by slab.
     pub slabs: bool,
+    /// The largest step between cast pixels with which they can be crossed in fixed point; 0 when they cannot.
+    pub fixed_step_px: u32,
     /// What is asked for.
     pub goal: Goal,
 }
@@ -108,10 +115,16 @@ impl Planner {
             Goal::BudgetMs(_) => true,
             Goal::Explicit { step_px, .. } => step_px > 1,
         };
-        let pilot = pilot::cast(task.view, bins.as_ref(), compare, task.slabs, prepare)?;
+        let sampling = match (task.fixed_step_px > 0, task.slabs) {
+            (true, _) => Sampling::FixedSlabs,
+            (_, true) => Sampling::ExactSlabs,
+            _ => Sampling::ExactCells,
+        };
+        let pilot = pilot::cast(task.view, bins.as_ref(), compare, sampling, prepare)?;
         let costs = self.costs.get_or_insert_with(Costs::of_this_machine).clone();
         let mut candidates = Vec::new();
-        for (sampling, step_px, sampling_error, interpolation) in ways(task, &pilot, plan.sampling) {
+        let rounding = rounding_error(&pilot, &steepest_cm2_per_g(task, &pilot)?);
+        for (sampling, step_px, sampling_error, interpolation) in ways(task, &pilot, plan.sampling, rounding) {
             for energies in self.tolerances(task, fits, sampling_error + interpolation) {
                 let energies_error = if with_energies { ENERGIES_ROUNDING + energies.unwrap_or(0.0) } else { 0.0 };
                 let parts = ErrorParts { sampling: sampling_error, energies: energies_error, interpolation };
@@ -235,7 +248,7 @@ impl Planner {
 }
 
 /// Ways to sample, with the step between cast pixels, the sampling's and the interpolation's error.
-fn ways(task: &Task, pilot: &Pilot, asked: Sampling) -> Vec<(Sampling, u32, f64, f64)> {
+fn ways(task: &Task, pilot: &Pilot, asked: Sampling, rounding: f64) -> Vec<(Sampling, u32, f64, f64)> {
     if task.executor != Executor::Cpu {
         return vec![(asked, 1, task.executor.stated_error(), 0.0)];
     }
@@ -246,18 +259,62 @@ fn ways(task: &Task, pilot: &Pilot, asked: Sampling) -> Vec<(Sampling, u32, f64,
     let cells = (Sampling::ExactCells, 2e-6);
     let slabs = (Sampling::ExactSlabs, 4e-6);
     let steps = [(1, 0.0), (2, pilot.interpolation_error[0]), (4, pilot.interpolation_error[1])];
-    let all = if task.slabs { vec![slabs, cells] } else { vec![cells] };
+    let mut all = if task.slabs { vec![slabs, cells] } else { vec![cells] };
+    if task.fixed_step_px > 0 {
+        all.push((Sampling::FixedSlabs, rounding));
+    }
+    let can = |sampling: Sampling, step_px: u32| sampling != Sampling::FixedSlabs || step_px <= task.fixed_step_px;
     match task.goal {
         Goal::MaxError(_) => all.into_iter().map(|(sampling, error)| (sampling, 1, error, 0.0)).collect(),
         Goal::BudgetMs(_) => {
-            all.into_iter().flat_map(|(s, error)| steps.map(|(step, between)| (s, step, error, between))).collect()
+            let every = all.into_iter().flat_map(|(s, error)| steps.map(|(step, between)| (s, step, error, between)));
+            every.filter(|(sampling, step_px, ..)| can(*sampling, *step_px)).collect()
         }
         Goal::Explicit { sampling, step_px, .. } => {
-            let (sampling, error) = all.into_iter().find(|(known, _)| *known == sampling).unwrap_or(cells);
+            let (sampling, error) =
+                all.into_iter().find(|(known, _)| *known == sampling && can(*known, step_px)).unwrap_or(cells);
             let between = steps.into_iter().find(|(step, _)| *step == step_px).unwrap_or(steps[0]);
             vec![(sampling, between.0, error, between.1)]
         }
     }
+}
+
+/// Bound of fixed point.
+fn rounding_error(pilot: &Pilot, cm2_per_g: &[f64]) -> f64 {
+    let words: f64 = pilot.rounding_g_per_cm2.iter().zip(cm2_per_g).map(|(g_per_cm2, cm2_per_g)| g_per_cm2 * cm2_per_g).sum();
+    words + WEIGHTS_OFF
+}
+
+/// The most by which g/cm² of each material can raise −ln of the signal: the mean attenuation where the beam arrives, and farther in,
+/// where it is harder. 1 where there is no signal.
+fn steepest_cm2_per_g(task: &Task, pilot: &Pilot) -> Result<Vec<f64>, RenderError> {
+    let materials = &task.scene.materials;
+    let mut steepest = vec![0.0f64; materials.len()];
+    if task.quantity == Quantity::AreaDensity {
+        steepest.fill(1.0);
+        return Ok(steepest);
+    }
+    let nodes = whole_spectrum(task.scene);
+    let mut cm2_per_g = Vec::new();
+    for node in &nodes {
+        let row: Result<Vec<f64>, _> =
+            materials.iter().map(|material| material.attenuation(node.energy_kev).map(|found| found.total_cm2_per_g)).collect();
+        cm2_per_g.push(row?);
+    }
+    for depth in [0.0, 0.25, 0.5, 1.0] {
+        let arrives = |(node, row): (&Node, &Vec<f64>)| {
+            let paths = pilot.largest_g_per_cm2.iter().zip(row).map(|(g_per_cm2, cm2_per_g)| depth * g_per_cm2 * cm2_per_g);
+            node.fraction * response(task.scene, node) * (-paths.sum::<f64>()).exp()
+        };
+        let weights: Vec<f64> = nodes.iter().zip(&cm2_per_g).map(arrives).collect();
+        let all: f64 = weights.iter().sum();
+        for (m, steepest) in steepest.iter_mut().enumerate() {
+            let mean = weights.iter().zip(&cm2_per_g).map(|(weight, row)| weight * row[m]).sum::<f64>() / all;
+            // Nothing arrives: nothing is known.
+            *steepest = if mean <= *steepest { *steepest } else { mean };
+        }
+    }
+    Ok(steepest)
 }
 
 /// The cheapest that grants an error, else the most accurate; the most accurate within a time, else the fastest.

@@ -178,17 +178,43 @@ impl<'a> Prepared<'a> {
 }
 
 impl Prepared<'_> {
-    /// Makes the copies of volumes that this view needs: one for each axis along which some ray mainly runs.
-    pub fn make_slabs(&self) {
+    /// Makes the copies of volumes that this view needs, rounded to 16 bits or not: one for each axis along which some ray mainly runs.
+    pub fn make_slabs(&self, rounded: bool) {
         for seen in &self.volumes {
             if let Some(slabs) = &seen.slabs {
                 let axes = Rays::new(&self.view, &seen.cell_from_camera).axes(self.view.size_px);
                 for axis in (0..3).filter(|axis| axes[*axis]) {
-                    slabs.prepare(axis, seen.volume, &seen.cells);
+                    if rounded {
+                        slabs.round(axis, seen.volume, &seen.cells);
+                    } else {
+                        slabs.prepare(axis, seen.volume, &seen.cells);
+                    }
                 }
             }
         }
     }
+
+    /// The largest of 4, 2, 1 pixels between rays that fixed point has windows for; 0 where there is none, or a volume cannot be rounded.
+    #[must_use]
+    pub fn coarsest_rounded(&self) -> u32 {
+        let fits = |step_px: &u32| {
+            self.volumes.iter().all(|seen| {
+                let rays = Rays::new(&self.view, &seen.cell_from_camera);
+                let far_mm = far_mm(seen, self.detector_mm);
+                seen.slabs.as_ref().is_some_and(|slabs| slabs.rounds()) && rays.fit_windows(self.view.size_px, far_mm, *step_px)
+            })
+        };
+        [4, 2, 1].into_iter().find(fits).unwrap_or(0)
+    }
+}
+
+/// Depth at which a volume ends, at most that of the detector.
+#[must_use]
+pub fn far_mm(seen: &SeenVolume, detector_mm: f64) -> f64 {
+    let camera_from_cell = seen.cell_from_camera.inverse();
+    let size = DVec3::from_array(seen.volume.size.map(|n| n as f64 + 1.0));
+    let corner = |i: usize| size * DVec3::new((i & 1) as f64, (i >> 1 & 1) as f64, (i >> 2) as f64);
+    (0..8).map(|i| camera_from_cell.transform_point3(corner(i)).z).fold(0.0, f64::max).min(detector_mm)
 }
 
 /// `cell` coordinates of points in the camera.

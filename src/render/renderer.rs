@@ -3,8 +3,8 @@
 use super::achieved::Achieved;
 use super::checks::check;
 use super::non_finite::NonFinite;
-use super::plan::{Executor, Plan};
-use super::planner::{DEFAULT_MAX_ERROR, Goal, Planner, Task};
+use super::plan::{Executor, Plan, Sampling};
+use super::planner::{DEFAULT_MAX_ERROR, Goal, LEAST_FIXED_ERROR, Planner, Task};
 use super::volumes::VolumeCache;
 use super::wgsl::{self, WgslExecutor};
 use super::{Quantity, RenderError};
@@ -71,6 +71,19 @@ pub struct Renderer {
     planner: Planner,
     pub(super) wgsl: Option<WgslExecutor>,
     pub(super) volume_bytes: Option<u64>,
+}
+
+/// Whether fixed point comes into question: on processors with AVX-512, where its bound may do.
+fn fixed_may_do(goal: Goal) -> bool {
+    #[cfg(target_arch = "x86_64")]
+    let is_fast = pulp::x86::V4::try_new().is_some();
+    #[cfg(not(target_arch = "x86_64"))]
+    let is_fast = false;
+    match goal {
+        Goal::MaxError(error) => is_fast && error >= LEAST_FIXED_ERROR,
+        Goal::BudgetMs(_) => is_fast,
+        Goal::Explicit { sampling, .. } => sampling == Sampling::FixedSlabs,
+    }
 }
 
 impl Renderer {
@@ -141,16 +154,11 @@ impl Renderer {
         self.volumes.keep(scene);
         let slabs = executor == Executor::Cpu;
         let whole = self.volumes.prepare(scene, view, slabs)?;
-        whole.make_slabs();
-        let all_slabs = whole.volumes.iter().all(|seen| seen.slabs.is_some() && seen.air_kind.is_none());
-        let task = Task {
-            scene,
-            view,
-            quantity: options.quantity,
-            executor,
-            slabs: slabs && all_slabs,
-            goal: options.goal.unwrap_or(Goal::MaxError(DEFAULT_MAX_ERROR)),
-        };
+        let asked = options.goal.unwrap_or(Goal::MaxError(DEFAULT_MAX_ERROR));
+        let all_slabs = slabs && whole.volumes.iter().all(|seen| seen.slabs.is_some() && seen.air_kind.is_none());
+        let fixed_step_px = if all_slabs && fixed_may_do(asked) { whole.coarsest_rounded() } else { 0 };
+        whole.make_slabs(fixed_step_px > 0);
+        let task = Task { scene, view, quantity: options.quantity, executor, slabs: all_slabs, fixed_step_px, goal: asked };
         let goal = match (executor, options.goal) {
             // Without a wish a GPU adds its own bound to that of the energies.
             (Executor::Wgsl, None) => Goal::MaxError(DEFAULT_MAX_ERROR + Executor::Wgsl.stated_error()),

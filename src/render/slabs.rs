@@ -5,6 +5,7 @@ use std::sync::OnceLock;
 use rayon::prelude::*;
 
 use super::cells::{BRICK, CUT, Cells, EMPTY, EMPTY_BRICK, MIXED, voxel_pair};
+use super::words::{self, Line, WORD_OF_DENSEST, Words};
 use crate::scene::model::Volume;
 
 /// Axes (a, b, c) for each axis c across the slabs; a is contiguous.
@@ -25,6 +26,9 @@ pub const MOST_MATERIALS: usize = 4;
 /// More voxels than this are left to the cell walker: a copy per axis would take too much memory.
 pub const MOST_VOXELS: usize = 1 << 28;
 
+/// More voxels times materials than this are not rounded, for the same reason.
+pub const MOST_ROUNDED: usize = 1 << 27;
+
 /// Copies of a volume, one per axis that was asked for.
 #[derive(Debug)]
 pub struct Slabs {
@@ -34,6 +38,10 @@ pub struct Slabs {
     fillings: Vec<f32>,
     brick_count: [usize; 3],
     copies: [OnceLock<Vec<f32>>; 3],
+    /// By material.
+    rounded: [OnceLock<Vec<Vec<Line>>>; 3],
+    /// Density of each material's densest voxel, g/cm³; NaN when any is.
+    densest: [f32; MOST_MATERIALS],
 }
 
 /// One copy. Indices are those of cells (voxel + 1): the first and last voxels are repeated, so that the outer half voxels are cells
@@ -58,6 +66,10 @@ pub struct SlabGrid<'a> {
     pub fillings: &'a [f32],
     /// Step between bricks along a, b, c.
     pub brick_stride: [usize; 3],
+    /// Densities in 16 bits, by material; empty until [`Slabs::round`] made them.
+    pub words: [Words<'a>; MOST_MATERIALS],
+    /// What a word of each stands for, g/cm³.
+    pub word_g_per_cm3: [f32; MOST_MATERIALS],
 }
 
 /// Bits of the materials at a cell's corners.
@@ -152,7 +164,16 @@ impl Slabs {
             _ => 7,
         };
         let fillings = number_fillings(volume, &mut bricks, brick_count);
-        Some(Self { voxels: volume.size, class_bits, bricks, fillings, brick_count, copies: Default::default() })
+        let mut densest = [0.0f32; MOST_MATERIALS];
+        for (class, density) in volume.class.iter().zip(&volume.density_g_per_cm3) {
+            if *class > 0 {
+                let most = &mut densest[cells.material_of_class[usize::from(*class) - 1] as usize];
+                // NaN stays.
+                *most = if *density > *most || density.is_nan() { *density } else { *most };
+            }
+        }
+        let (copies, rounded) = Default::default();
+        Some(Self { voxels: volume.size, class_bits, bricks, fillings, brick_count, copies, rounded, densest })
     }
 
     /// Whether the brick around a cell is filled with one density.
@@ -197,13 +218,51 @@ impl Slabs {
         });
     }
 
+    /// Makes the copies in 16 bits for slabs across `axis`, on all cores, unless they are there or cannot be; see [`Slabs::rounds`].
+    pub fn round(&self, axis: usize, volume: &Volume, cells: &Cells) {
+        if self.rounds() {
+            self.rounded[axis].get_or_init(|| {
+                let round = |material| words::round(volume, cells, material, self.densest[material], axis, self.padded(axis));
+                (0..cells.materials.len()).map(round).collect()
+            });
+        }
+    }
+
+    /// Whether the volume can be rounded: its densities are finite, and the copies do not take too much memory.
+    #[must_use]
+    pub fn rounds(&self) -> bool {
+        let materials = self.densest.iter().filter(|densest| **densest > 0.0).count();
+        self.densest.iter().all(|densest| densest.is_finite())
+            && self.voxels.iter().product::<usize>() * materials <= MOST_ROUNDED
+    }
+
+    /// g/cm³ of each material by which a word differs from the next.
+    #[must_use]
+    pub fn word_g_per_cm3(&self) -> [f32; MOST_MATERIALS] {
+        self.densest.map(|densest| densest / f32::from(WORD_OF_DENSEST))
+    }
+
     /// The copy for slabs across `axis`, once [`Slabs::prepare`] made it.
     #[must_use]
     pub fn grid(&self, axis: usize) -> Option<SlabGrid<'_>> {
-        let values = self.copies[axis].get()?;
+        Some(self.laid_out(axis, self.copies[axis].get()?, [Words::default(); MOST_MATERIALS]))
+    }
+
+    /// The copies in 16 bits for slabs across `axis`, once [`Slabs::round`] made them; without [`SlabGrid::values`].
+    #[must_use]
+    pub fn rounded_grid(&self, axis: usize) -> Option<SlabGrid<'_>> {
+        let copies = self.rounded[axis].get()?;
+        let words = std::array::from_fn(|material| match copies.get(material) {
+            Some(lines) => Words::new(lines, self.padded(axis)),
+            None => Words::default(),
+        });
+        Some(self.laid_out(axis, &[], words))
+    }
+
+    fn laid_out<'a>(&'a self, axis: usize, values: &'a [f32], words: [Words<'a>; MOST_MATERIALS]) -> SlabGrid<'a> {
         let size = self.padded(axis);
         let brick_stride = [1, self.brick_count[0], self.brick_count[0] * self.brick_count[1]];
-        Some(SlabGrid {
+        SlabGrid {
             size: size.map(|n| n as i32),
             voxels: AXES[axis].map(|axis| self.voxels[axis] as i32),
             stride_b: size[0],
@@ -213,7 +272,9 @@ impl Slabs {
             bricks: &self.bricks,
             fillings: &self.fillings,
             brick_stride: AXES[axis].map(|axis| brick_stride[axis]),
-        })
+            words,
+            word_g_per_cm3: self.word_g_per_cm3(),
+        }
     }
 
     /// Length along a, b, c: one voxel more at either end, and at least the largest window.

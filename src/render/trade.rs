@@ -123,9 +123,13 @@ fn goals() -> Vec<Goal> {
     for energies in [Some(3e-2), Some(1e-2), Some(1e-3), Some(1e-4), Some(1e-5), Some(3e-6), None] {
         add(Sampling::ExactSlabs, energies, 1);
     }
+    for energies in [Some(1e-2), Some(1e-3), Some(1e-4), None] {
+        add(Sampling::FixedSlabs, energies, 1);
+    }
     for step_px in [2, 4] {
         for energies in [Some(1e-2), Some(1e-3)] {
             add(Sampling::ExactSlabs, energies, step_px);
+            add(Sampling::FixedSlabs, energies, step_px);
         }
     }
     add(Sampling::ExactCells, Some(1e-5), 1);
@@ -234,7 +238,12 @@ impl Trade {
         let mut series = Vec::new();
         let front: Vec<[f64; 2]> = self.rows.iter().filter(|row| row.on_front).map(point).collect();
         series.push(Series { label: "Pareto front".to_owned(), points: front, stroke: Stroke::Line, colour: Some(0) });
-        for (label, sampling) in [("exact in slabs", Sampling::ExactSlabs), ("exact, cell by cell", Sampling::ExactCells)] {
+        let ways = [
+            ("fixed point", Sampling::FixedSlabs),
+            ("exact in slabs", Sampling::ExactSlabs),
+            ("exact, cell by cell", Sampling::ExactCells),
+        ];
+        for (label, sampling) in ways {
             let points: Vec<[f64; 2]> = self.rows.iter().filter(|row| row.sampling == sampling).map(point).collect();
             if !points.is_empty() {
                 series.push(Series { label: label.to_owned(), points, stroke: Stroke::Points, colour: None });
@@ -255,6 +264,7 @@ impl Row {
     fn name(&self) -> &'static str {
         match self.sampling {
             Sampling::ExactSlabs => "exact in slabs",
+            Sampling::FixedSlabs => "in slabs, fixed point",
             Sampling::ExactCells => "exact, cell by cell",
             Sampling::PiecewiseConstant => "piecewise constant",
             Sampling::None => "no volume",

@@ -2,6 +2,7 @@
 
 use glam::DAffine3;
 
+use super::cross_fixed::{FixedFit, fit_fixed};
 use super::cross_slabs::{Fit, fit};
 use super::edges::{Bundle, Corners};
 use super::lanes::LANES;
@@ -64,6 +65,8 @@ pub struct Aimed {
     pub pattern: Pattern,
     /// Cells per mm of depth, by axis.
     pub q: [[f64; LANES]; 3],
+    /// mm of depth per cell, by axis; large where a ray runs along the faces, never infinite.
+    pub mm_per_cell: [[f64; LANES]; 3],
     /// The axis along which each crosses most cells.
     pub main: [u8; LANES],
     /// mm along each ray per mm of depth.
@@ -84,15 +87,17 @@ impl Aimed {
         [self.q[0][lane], self.q[1][lane], self.q[2][lane]]
     }
 
-    /// g/cm² per unit of ∫ρ dc: a ray is `mm_per_depth` / |q_c| mm long in c, and there are 10 mm in a cm.
+    /// g/cm² per unit of ∫ρ dc: along the axis with the largest |q| a ray is `mm_per_depth` / |q| mm long in a cell, and there are 10 mm in a cm.
     #[inline(always)]
     #[must_use]
     pub fn g_per_cm2(&self) -> [f32; LANES] {
         let mut scale = [0.0f32; LANES];
         let mut l = 0;
         while l < LANES {
-            let steepest = self.q[usize::from(self.main[l])][l].abs();
-            scale[l] = (0.1 * self.mm_per_depth[l] / steepest) as f32;
+            let [x, y, z] = [self.mm_per_cell[0][l].abs(), self.mm_per_cell[1][l].abs(), self.mm_per_cell[2][l].abs()];
+            let least = if x < y { x } else { y };
+            let least = if least < z { least } else { z };
+            scale[l] = (0.1 * self.mm_per_depth[l] * least) as f32;
             l += 1;
         }
         scale
@@ -178,23 +183,47 @@ impl Rays {
     #[inline(always)]
     #[must_use]
     pub fn columns(&self, u: f64, v: f64, t: f64) -> usize {
-        let q = self.direction(u, v);
-        let [a, b, c] = AXES[Self::dominant(q)];
-        let (slope_a, slope_b) = (q[a] / q[c], q[b] / q[c]);
-        // Across at constant c: da = t (q_a' − slope q_c').
-        let (au, av) = (((self.qu[a] - slope_a * self.qu[c]) * t).abs(), ((self.qv[a] - slope_a * self.qv[c]) * t).abs());
-        let (bu, bv) = (((self.qu[b] - slope_b * self.qu[c]) * t).abs(), ((self.qv[b] - slope_b * self.qv[c]) * t).abs());
         let mut best = (Fit::Memory, LAYOUTS[0]);
         let mut i = 0;
         while i < LAYOUTS.len() {
-            let (w, h) = ((LAYOUTS[i] - 1) as f64, (LANES / LAYOUTS[i] - 1) as f64);
-            let found = fit([au * w + av * h + slope_a.abs(), bu * w + bv * h + slope_b.abs()]);
+            let found = fit(self.spread([u, v], t, [LAYOUTS[i], LANES / LAYOUTS[i]], 1.0));
             if found < best.0 {
                 best = (found, LAYOUTS[i]);
             }
             i += 1;
         }
         best.1
+    }
+
+    /// The same for two bundles, one below the other, of every `step_px`-th pixel, in fixed point.
+    #[inline(always)]
+    #[must_use]
+    pub fn fixed_fit(&self, at: [f64; 2], t: f64, step_px: f64) -> (FixedFit, usize) {
+        let wide = fit_fixed(self.spread(at, t, [8, 4], step_px));
+        let high = fit_fixed(self.spread(at, t, [4, 8], step_px));
+        if wide <= high { (wide, 8) } else { (high, 4) }
+    }
+
+    /// Voxels along a and b that so many columns and rows of every `step_px`-th pixel near (u, v) spread over in one slab, at depth `t`.
+    #[inline(always)]
+    fn spread(&self, [u, v]: [f64; 2], t: f64, [columns, rows]: [usize; 2], step_px: f64) -> [f64; 2] {
+        let q = self.direction(u, v);
+        let [a, b, c] = AXES[Self::dominant(q)];
+        let (slope_a, slope_b) = (q[a] / q[c], q[b] / q[c]);
+        // Across at constant c: da = t (q_a' − slope q_c').
+        let (au, av) = (((self.qu[a] - slope_a * self.qu[c]) * t).abs(), ((self.qv[a] - slope_a * self.qv[c]) * t).abs());
+        let (bu, bv) = (((self.qu[b] - slope_b * self.qu[c]) * t).abs(), ((self.qv[b] - slope_b * self.qv[c]) * t).abs());
+        let (w, h) = (step_px * (columns - 1) as f64, step_px * (rows - 1) as f64);
+        [au * w + av * h + slope_a.abs(), bu * w + bv * h + slope_b.abs()]
+    }
+
+    /// Whether the windows of fixed point hold the bundles of an image, of which every `step_px`-th pixel is cast, through a volume that
+    /// ends at depth `t`.
+    #[must_use]
+    pub fn fit_windows(&self, size_px: [u32; 2], t: f64, step_px: u32) -> bool {
+        let at = |n: u32| [0.0, 0.5 * f64::from(n), f64::from(n)];
+        let held = |u: f64, v: f64| self.fixed_fit([u, v], t, f64::from(step_px)).0 != FixedFit::Memory;
+        at(size_px[0]).into_iter().all(|u| at(size_px[1]).into_iter().all(|v| held(u, v)))
     }
 
     /// Lines through the corners of a rectangle of pixels, as functions of c.
@@ -246,7 +275,7 @@ impl Rays {
         let mut l = 0;
         while l < LANES {
             // Rays that run along another axis must only stay finite.
-            let inverse = 1.0 / if qc[l] == 0.0 { 1e-30 } else { qc[l] };
+            let inverse = aimed.mm_per_cell[c][l];
             bundle.slope[0][l] = (qa[l] * inverse).clamp(-4.0, 4.0);
             bundle.slope[1][l] = (qb[l] * inverse).clamp(-4.0, 4.0);
             l += 1;

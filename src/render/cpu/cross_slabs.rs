@@ -105,7 +105,7 @@ fn halves<S: Lanes>(s: S, a: f32, b: f32) -> S::F {
 
 /// Two f32 whose sum is closer to each value than one can be.
 #[inline(always)]
-fn in_two<S: Lanes>(s: S, values: &[f64; LANES]) -> [S::F; 2] {
+pub fn in_two<S: Lanes>(s: S, values: &[f64; LANES]) -> [S::F; 2] {
     let (mut high, mut low) = ([0.0f32; LANES], [0.0f32; LANES]);
     let mut l = 0;
     while l < LANES {

@@ -1,13 +1,13 @@
 //! A volume that is crossed in bundles of sixteen rays: where they begin and end, what lies below, whether the scan was complete.
 
-use glam::DVec3;
-
 use super::bundles::{Aimed, Pattern, Rays};
+use super::cross_fixed::{Found, cross_fixed};
 use super::cross_slabs::cross;
 use super::edges::Layers;
+use super::fixed_lanes::FixedLanes;
 use super::lanes::{LANES, Lanes};
 use crate::render::cells::{BRICK, CUT, EMPTY, EMPTY_BRICK};
-use crate::render::prepared::{Prepared, SeenVolume};
+use crate::render::prepared::{Prepared, SeenVolume, far_mm};
 use crate::render::slabs::{AXES, CUT_BIT, MOST_MATERIALS, SlabGrid};
 
 /// The volume of a scene that can be crossed in bundles.
@@ -24,24 +24,31 @@ pub struct Crossing<'a> {
     /// Cells that hold matter, and the whole grid: first and end.
     occupied: [[f64; 3]; 2],
     whole: [[f64; 3]; 2],
+    /// Whether rays are crossed in fixed point, thirty-two at a time.
+    pub fixed: bool,
 }
 
 impl<'a> Crossing<'a> {
-    /// `None` when the volume must be walked cell by cell: air is kept, or no slabs were made.
+    /// `None` when the volume must be walked cell by cell: air is kept, or it is not for slabs.
     #[must_use]
-    pub fn new(prepared: &'a Prepared<'a>, index: usize) -> Option<Self> {
+    pub fn new(prepared: &'a Prepared<'a>, index: usize, fixed: bool) -> Option<Self> {
         let seen = &prepared.volumes[index];
         let slabs = seen.slabs.as_ref().filter(|_| seen.air_kind.is_none())?;
-        let camera_from_cell = seen.cell_from_camera.inverse();
-        let size = DVec3::from_array(seen.volume.size.map(|n| n as f64 + 1.0));
-        let corner = |i: usize| size * DVec3::new((i & 1) as f64, (i >> 1 & 1) as f64, (i >> 2) as f64);
-        let far_mm = (0..8).map(|i| camera_from_cell.transform_point3(corner(i)).z).fold(0.0, f64::max);
-        let far_mm = far_mm.min(prepared.detector_mm);
+        let far_mm = far_mm(seen, prepared.detector_mm);
         let whole = [[0.5; 3], seen.volume.size.map(|n| n as f64 + 0.5)];
         let [first, end] = seen.cells.occupied.map(|cell| cell.map(|n| n as f64));
         let occupied = [first.map(|n| n.max(0.5)), std::array::from_fn(|axis| end[axis].min(whole[1][axis]))];
-        let grids = [slabs.grid(0), slabs.grid(1), slabs.grid(2)];
-        Some(Self { prepared, seen, rays: Rays::new(&prepared.view, &seen.cell_from_camera), grids, far_mm, occupied, whole })
+        let grids = [0, 1, 2].map(|axis| if fixed { slabs.rounded_grid(axis) } else { slabs.grid(axis) });
+        Some(Self {
+            prepared,
+            seen,
+            rays: Rays::new(&prepared.view, &seen.cell_from_camera),
+            grids,
+            far_mm,
+            occupied,
+            whole,
+            fixed,
+        })
     }
 
     /// The rays of `pattern`; those that are not `seen` cross nothing.
@@ -55,7 +62,18 @@ impl<'a> Crossing<'a> {
             main[l] = Rays::dominant([q[0][l], q[1][l], q[2][l]]) as u8;
             l += 1;
         }
-        let mut t = self.depths(&self.occupied, &q);
+        let mut mm_per_cell = [[0.0; LANES]; 3];
+        let mut axis = 0;
+        while axis < 3 {
+            let mut l = 0;
+            while l < LANES {
+                // A ray along the faces: far in or far out, never 0 · ∞.
+                mm_per_cell[axis][l] = 1.0 / if q[axis][l].abs() < 1e-12 { 1e-12 } else { q[axis][l] };
+                l += 1;
+            }
+            axis += 1;
+        }
+        let mut t = self.depths(&self.occupied, &mm_per_cell);
         let mut axes = [false; 3];
         let mut any = false;
         let mut l = 0;
@@ -68,21 +86,19 @@ impl<'a> Crossing<'a> {
             }
             l += 1;
         }
-        Aimed { pattern, q, main, mm_per_depth, t, axes, any }
+        Aimed { pattern, q, mm_per_cell, main, mm_per_depth, t, axes, any }
     }
 
     /// Depths between which each ray is inside a box of cells.
     #[inline(always)]
-    fn depths(&self, [low, high]: &[[f64; 3]; 2], q: &[[f64; LANES]; 3]) -> [[f64; LANES]; 2] {
+    fn depths(&self, [low, high]: &[[f64; 3]; 2], mm_per_cell: &[[f64; LANES]; 3]) -> [[f64; LANES]; 2] {
         let mut t = [[0.0; LANES], [self.prepared.detector_mm; LANES]];
         let mut axis = 0;
         while axis < 3 {
             let (to_low, to_high) = (low[axis] - self.rays.p[axis], high[axis] - self.rays.p[axis]);
             let mut l = 0;
             while l < LANES {
-                // A ray along the faces: far in or far out, never 0 · ∞.
-                let along = if q[axis][l].abs() < 1e-12 { 1e-12 } else { q[axis][l] };
-                let (x, y) = (to_low / along, to_high / along);
+                let (x, y) = (to_low * mm_per_cell[axis][l], to_high * mm_per_cell[axis][l]);
                 let (x, y) = if x < y { (x, y) } else { (y, x) };
                 t[0][l] = if x > t[0][l] { x } else { t[0][l] };
                 t[1][l] = if y < t[1][l] { y } else { t[1][l] };
@@ -132,6 +148,32 @@ impl<'c, 'a> Below<'c, 'a> {
         }
         Some(met)
     }
+
+    /// The same for two bundles, the second below the first, in fixed point.
+    #[inline(always)]
+    pub fn cross_fixed<S: FixedLanes>(&mut self, s: S, aimed: [&Aimed; 2], sums: [&mut Found; 2]) -> Option<u8> {
+        let mut met = 0;
+        let [[left, right, _, _], [_, _, low_left, low_right]] = [aimed[0].pattern.corners(), aimed[1].pattern.corners()];
+        let rays = &self.crossing.rays;
+        let [first, second] = sums;
+        let mut axis = 0;
+        while axis < 3 {
+            if aimed[0].axes[axis] || aimed[1].axes[axis] {
+                let Some(grid) = &self.crossing.grids[axis] else { return None };
+                let reference = 0.5 * f64::from(grid.voxels[2]);
+                if !self.filled[axis] {
+                    self.layers[axis].fill(grid, &rays.corners(&self.corners, axis, reference), reference);
+                    self.filled[axis] = true;
+                }
+                let corners = rays.corners(&[left, right, low_left, low_right], axis, reference);
+                let bundles = [rays.bundle(aimed[0], corners, axis, reference), rays.bundle(aimed[1], corners, axis, reference)];
+                let [upper, lower] = &bundles;
+                met |= cross_fixed::<S>(s, grid, [upper, lower], &corners, &self.layers[axis], [first, second]);
+            }
+            axis += 1;
+        }
+        Some(met)
+    }
 }
 
 impl Crossing<'_> {
@@ -143,7 +185,7 @@ impl Crossing<'_> {
         if !self.seen.volume.truncated_at_faces {
             return missing;
         }
-        let t = self.depths(&self.whole, &aimed.q);
+        let t = self.depths(&self.whole, &aimed.mm_per_cell);
         for l in 0..LANES {
             let (enter, leave) = (t[0][l], t[1][l]);
             let (first, last) = (aimed.t[0][l], aimed.t[1][l]);

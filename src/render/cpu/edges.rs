@@ -205,18 +205,26 @@ impl Bundle {
     #[inline(always)]
     #[must_use]
     pub fn extent(&self) -> Option<Extent> {
-        let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
-        let (mut full_from, mut full_to) = (f64::NEG_INFINITY, f64::INFINITY);
+        // In quarters, so that four lanes are compared at once.
+        const PART: usize = LANES / 4;
+        let (mut lows, mut highs) = ([f64::INFINITY; PART], [f64::NEG_INFINITY; PART]);
+        let (mut froms, mut tos) = ([f64::NEG_INFINITY; PART], [f64::INFINITY; PART]);
         let mut l = 0;
         while l < LANES {
-            if self.to[l] > self.from[l] {
-                low = if self.from[l] < low { self.from[l] } else { low };
-                high = if self.to[l] > high { self.to[l] } else { high };
+            let mut i = 0;
+            while i < PART {
+                let (from, to) = (self.from[l + i], self.to[l + i]);
+                let counts = to > from;
+                lows[i] = if counts && from < lows[i] { from } else { lows[i] };
+                highs[i] = if counts && to > highs[i] { to } else { highs[i] };
+                froms[i] = if from > froms[i] { from } else { froms[i] };
+                tos[i] = if to < tos[i] { to } else { tos[i] };
+                i += 1;
             }
-            full_from = if self.from[l] > full_from { self.from[l] } else { full_from };
-            full_to = if self.to[l] < full_to { self.to[l] } else { full_to };
-            l += 1;
+            l += PART;
         }
+        let (low, high) = (min4(lows), max4(highs));
+        let (full_from, full_to) = (max4(froms), min4(tos));
         if high > low { Some(Extent { low, high, full_from, full_to }) } else { None }
     }
 }

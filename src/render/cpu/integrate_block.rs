@@ -1,12 +1,13 @@
 //! A band of pixels through scenes whose one volume lies below everything else: shapes and meshes ray by ray, the volume in bundles
-//! of sixteen rays.
+//! of sixteen rays, or of thirty-two.
 
 use glam::DVec2;
 
-use super::bundles::Pattern;
+use super::bundles::{Aimed, Pattern};
 use super::claims::Claims;
 use super::crossing::{Below, Crossing};
-use super::lanes::{LANES, Lanes, Portable};
+use super::fixed_lanes::FixedLanes;
+use super::lanes::{LANES, Portable};
 use crate::render::prepared::{Bounds, Step};
 use crate::render::slabs::{CUT_BIT, MOST_MATERIALS};
 
@@ -31,7 +32,7 @@ pub struct Block<'b> {
 
 impl Crossing<'_> {
     /// Fills a block; `walk` integrates one ray the slow way where bundles cannot. Returns the longest unscanned path in mm.
-    pub fn fill(&self, block: Block, claims: &mut Claims, walk: &mut dyn FnMut(DVec2, &mut [f32]) -> Option<f64>) -> f32 {
+    pub fn fill(&self, block: Block, claims: &mut [Claims; 2], walk: &mut dyn FnMut(DVec2, &mut [f32]) -> Option<f64>) -> f32 {
         let fill = Fill { crossing: self, block, claims, walk };
         #[cfg(target_arch = "x86_64")]
         if let Some(avx512) = pulp::x86::V4::try_new() {
@@ -48,14 +49,14 @@ impl Crossing<'_> {
 struct Fill<'f, 'a, 'b> {
     crossing: &'f Crossing<'a>,
     block: Block<'b>,
-    claims: &'f mut Claims,
+    claims: &'f mut [Claims; 2],
     walk: &'f mut dyn FnMut(DVec2, &mut [f32]) -> Option<f64>,
 }
 
 /// A block on lanes of one kind, to be called where their instructions are allowed.
 struct On<'f, 'a, 'b, S>(Fill<'f, 'a, 'b>, S);
 
-impl<S: Lanes> pulp::NullaryFnOnce for On<'_, '_, '_, S> {
+impl<S: FixedLanes> pulp::NullaryFnOnce for On<'_, '_, '_, S> {
     type Output = f32;
     #[inline(always)]
     fn call(self) -> f32 {
@@ -63,101 +64,142 @@ impl<S: Lanes> pulp::NullaryFnOnce for On<'_, '_, '_, S> {
     }
 }
 
+/// Sixteen rays, what they crossed so far.
+struct Found {
+    aimed: Aimed,
+    seen: [bool; LANES],
+    missing: [f64; LANES],
+    rounds: usize,
+    sums: [[f32; LANES]; MOST_MATERIALS],
+}
+
 impl Fill<'_, '_, '_> {
     #[inline(always)]
-    fn run<S: Lanes>(self, s: S) -> f32 {
-        let Self { crossing, block, claims, walk } = self;
-        let prepared = crossing.prepared;
-        let bounds = block.bounds;
+    fn run<S: FixedLanes>(mut self, s: S) -> f32 {
+        let crossing = self.crossing;
+        let bounds = self.block.bounds;
         let [u0, v0] = bounds.from.map(|n| n as usize);
-        let columns = crossing.rays.columns(u0 as f64 + 3.5, v0 as f64 + 3.5, crossing.far_mm);
+        let ([u, v], far_mm) = ([u0 as f64 + 3.5, v0 as f64 + 3.5], crossing.far_mm);
+        let columns =
+            if crossing.fixed { crossing.rays.fixed_fit([u, v], far_mm, 1.0).1 } else { crossing.rays.columns(u, v, far_mm) };
         let rows = LANES / columns;
-        let mut unscanned = 0.0f32;
-        let cells = &crossing.seen.cells;
-        let first_row = block.first_row;
         let last = [bounds.to[0] as f64 - 1.0, bounds.to[1] as f64 - 1.0];
         let corners = [[u0 as f64, v0 as f64], [last[0], v0 as f64], [u0 as f64, last[1]], last];
         let mut below = Below::new(crossing, corners);
-        for v in (v0..bounds.to[1] as usize).step_by(rows) {
+        let mut unscanned = 0.0f32;
+        // Bundles two by two, the second below the first.
+        for v in (v0..bounds.to[1] as usize).step_by(2 * rows) {
             for u in (u0..bounds.to[0] as usize).step_by(columns) {
-                let pattern = Pattern::grid([u, v], columns);
-                let mut seen = [false; LANES];
-                let mut l = 0;
-                while l < LANES {
-                    seen[l] = pattern.u[l] <= last[0] && pattern.v[l] <= last[1];
-                    l += 1;
-                }
-                let mut aimed = crossing.aim(pattern, &seen);
-                let missing = crossing.left_through_faces(&aimed);
-                // Shapes and meshes claim their part of each ray; what is left comes in at most `rounds` pieces a ray.
-                let mut rounds = usize::from(aimed.any);
-                if !block.solids.is_empty() {
-                    rounds = claims.claim(prepared, block.solids, &pattern, &seen, &aimed.t);
-                }
-                let mut sums = [[0.0f32; LANES]; MOST_MATERIALS];
-                let mut met = 0;
+                let patterns = [Pattern::grid([u, v], columns), Pattern::grid([u, v + rows], columns)];
+                let mut found = [self.aim(0, patterns[0], last), self.aim(1, patterns[1], last)];
+                let rounds = found[0].rounds.max(found[1].rounds);
+                let mut met = [0; 2];
                 let mut lost = false;
                 for round in 0..rounds {
-                    if !block.solids.is_empty() {
-                        claims.round(round, &mut aimed.t);
+                    if !self.block.solids.is_empty() {
+                        self.claims[0].round(round, &mut found[0].aimed.t);
+                        self.claims[1].round(round, &mut found[1].aimed.t);
                     }
-                    match below.cross(s, &aimed, &mut sums) {
-                        Some(bits) => met |= bits,
-                        None => lost = true,
+                    let [first, second] = &mut found;
+                    if crossing.fixed {
+                        match below.cross_fixed(s, [&first.aimed, &second.aimed], [&mut first.sums, &mut second.sums]) {
+                            Some(bits) => met = [met[0] | bits, met[1] | bits],
+                            None => lost = true,
+                        }
+                        continue;
                     }
-                }
-                let scale = aimed.g_per_cm2();
-                if block.solids.is_empty() && !lost && met & CUT_BIT == 0 && !crossing.seen.volume.truncated_at_faces {
-                    // Nothing but paths to write.
-                    let materials = prepared.material_count;
-                    for (m, material) in cells.materials.iter().enumerate() {
-                        for l in 0..LANES {
-                            if seen[l] {
-                                let pixel = (v + l / columns - first_row) * block.width + u + l % columns;
-                                block.g_per_cm2[pixel * materials + material] += sums[m][l] * scale[l];
+                    for (half, bits) in [first, second].into_iter().zip(&mut met) {
+                        if round < half.rounds {
+                            match below.cross(s, &half.aimed, &mut half.sums) {
+                                Some(found) => *bits |= found,
+                                None => lost = true,
                             }
                         }
                     }
-                    continue;
                 }
+                for half in 0..2 {
+                    unscanned = unscanned.max(self.write(half, &found[half], met[half], lost, &below));
+                }
+            }
+        }
+        unscanned
+    }
+
+    /// Aims at a bundle; shapes and meshes claim their part of each ray; what is left comes in at most `rounds` pieces a ray.
+    #[inline(always)]
+    fn aim(&mut self, half: usize, pattern: Pattern, last: [f64; 2]) -> Found {
+        let mut seen = [false; LANES];
+        let mut l = 0;
+        while l < LANES {
+            seen[l] = pattern.u[l] <= last[0] && pattern.v[l] <= last[1];
+            l += 1;
+        }
+        let aimed = self.crossing.aim(pattern, &seen);
+        let missing = self.crossing.left_through_faces(&aimed);
+        let mut rounds = usize::from(aimed.any);
+        if !self.block.solids.is_empty() {
+            rounds = self.claims[half].claim(self.crossing.prepared, self.block.solids, &pattern, &seen, &aimed.t);
+        }
+        Found { aimed, seen, missing, rounds, sums: [[0.0; LANES]; MOST_MATERIALS] }
+    }
+
+    /// Writes a bundle's paths; returns the longest unscanned one in mm.
+    #[inline(always)]
+    fn write(&mut self, half: usize, found: &Found, met: u8, lost: bool, below: &Below) -> f32 {
+        let Found { aimed, seen, missing, sums, .. } = found;
+        let (crossing, block, claims) = (self.crossing, &mut self.block, &self.claims[half]);
+        let materials = crossing.prepared.material_count;
+        let cells = &crossing.seen.cells;
+        let pattern = &aimed.pattern;
+        let pixel = |l: usize| (pattern.v[l] as usize - block.first_row) * block.width + pattern.u[l] as usize;
+        let scale = aimed.g_per_cm2();
+        let whole = missing.iter().all(|mm| *mm == 0.0);
+        if block.solids.is_empty() && !lost && met & CUT_BIT == 0 && whole {
+            // Nothing but paths to write.
+            for (m, material) in cells.materials.iter().enumerate() {
                 for l in 0..LANES {
-                    if !seen[l] {
-                        continue;
-                    }
-                    let (x, y) = (u + l % columns, v + l / columns);
-                    let pixel = (y - first_row) * block.width + x;
-                    let materials = prepared.material_count;
-                    let out = &mut block.g_per_cm2[pixel * materials..(pixel + 1) * materials];
-                    if lost {
-                        let missing = walk(DVec2::new(x as f64, y as f64), out);
-                        if let Some(missing_mm) = missing {
-                            block.valid[pixel] = 0;
-                            unscanned = unscanned.max(missing_mm as f32);
-                        }
-                        continue;
-                    }
-                    let mm_per_depth = aimed.mm_per_depth[l];
-                    if !block.solids.is_empty() {
-                        claims.write(l, mm_per_depth, out);
-                    }
-                    for (m, sums) in sums.iter().enumerate().take(cells.materials.len()) {
-                        out[cells.materials[m]] += sums[l] * scale[l];
-                    }
-                    if met & CUT_BIT != 0 {
-                        let cut = if block.solids.is_empty() {
-                            crossing.meets_cut(&below, &aimed, l, (aimed.t[0][l], aimed.t[1][l]))
-                        } else {
-                            claims.gaps[l].iter().any(|gap| crossing.meets_cut(&below, &aimed, l, *gap))
-                        };
-                        if cut {
-                            block.valid[pixel] = 0;
-                        }
-                    }
-                    if missing[l] != 0.0 {
-                        block.valid[pixel] = 0;
-                        unscanned = unscanned.max((missing[l] * mm_per_depth) as f32);
+                    if seen[l] {
+                        block.g_per_cm2[pixel(l) * materials + material] += sums[m][l] * scale[l];
                     }
                 }
+            }
+            return 0.0;
+        }
+        let mut unscanned = 0.0f32;
+        for l in 0..LANES {
+            if !seen[l] {
+                continue;
+            }
+            let pixel = pixel(l);
+            let out = &mut block.g_per_cm2[pixel * materials..(pixel + 1) * materials];
+            if lost {
+                let missing = (self.walk)(DVec2::new(pattern.u[l], pattern.v[l]), out);
+                if let Some(missing_mm) = missing {
+                    block.valid[pixel] = 0;
+                    unscanned = unscanned.max(missing_mm as f32);
+                }
+                continue;
+            }
+            let mm_per_depth = aimed.mm_per_depth[l];
+            if !block.solids.is_empty() {
+                claims.write(l, mm_per_depth, out);
+            }
+            for (m, sums) in sums.iter().enumerate().take(cells.materials.len()) {
+                out[cells.materials[m]] += sums[l] * scale[l];
+            }
+            if met & CUT_BIT != 0 {
+                let cut = if block.solids.is_empty() {
+                    crossing.meets_cut(below, aimed, l, (aimed.t[0][l], aimed.t[1][l]))
+                } else {
+                    claims.gaps[l].iter().any(|gap| crossing.meets_cut(below, aimed, l, *gap))
+                };
+                if cut {
+                    block.valid[pixel] = 0;
+                }
+            }
+            if missing[l] != 0.0 {
+                block.valid[pixel] = 0;
+                unscanned = unscanned.max((missing[l] * mm_per_depth) as f32);
             }
         }
         unscanned

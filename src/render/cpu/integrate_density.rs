@@ -30,8 +30,8 @@ pub struct Density {
     pub unscanned_mm: f32,
 }
 
-const TILE_COLUMNS: usize = 16;
-const TILE_ROWS: usize = BLOCK;
+const TILE_COLUMNS: usize = 32;
+const TILE_ROWS: usize = 4 * BLOCK;
 
 /// Everything a ray needs to work in.
 struct Scratch {
@@ -58,7 +58,7 @@ struct Integrator<'a> {
 /// What one thread works with.
 struct Worker {
     scratch: Scratch,
-    claims: Claims,
+    claims: [Claims; 2],
     steps: Vec<Step>,
 }
 
@@ -66,8 +66,11 @@ impl<'a> Integrator<'a> {
     fn new(prepared: &'a Prepared<'a>, sampling: Sampling) -> Self {
         let trees =
             Arc::new(prepared.meshes.iter().map(|seen| MeshTree::new(&seen.vertices_in_camera, &seen.mesh.triangles)).collect());
-        let in_slabs = sampling == Sampling::ExactSlabs;
-        let crossing = |index| if in_slabs { Crossing::new(prepared, index) } else { None };
+        let crossing = |index| match sampling {
+            Sampling::ExactSlabs => Crossing::new(prepared, index, false),
+            Sampling::FixedSlabs => Crossing::new(prepared, index, true),
+            Sampling::ExactCells | Sampling::PiecewiseConstant | Sampling::None => None,
+        };
         let crossings = (0..prepared.volumes.len()).map(crossing).collect();
         Self { prepared, trees, crossings }
     }
@@ -81,7 +84,11 @@ impl<'a> Integrator<'a> {
             found: Found::default(),
             sums: vec![0.0; materials],
         };
-        Worker { scratch, claims: Claims::new(self.trees.clone(), materials), steps: Vec::new() }
+        Worker {
+            scratch,
+            claims: [Claims::new(self.trees.clone(), materials), Claims::new(self.trees.clone(), materials)],
+            steps: Vec::new(),
+        }
     }
 
     fn all(&self) -> Density {

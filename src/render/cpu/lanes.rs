@@ -39,6 +39,8 @@ pub trait Lanes: Copy {
     fn max(self, a: Self::F, b: Self::F) -> Self::F;
     /// Towards −∞.
     fn floor(self, a: Self::F) -> Self::F;
+    /// m and e of a = m 2ᵉ with 1 ≤ m < 2, a > 0.
+    fn parts(self, a: Self::F) -> [Self::F; 2];
     /// a < b.
     fn less(self, a: Self::F, b: Self::F) -> Self::M;
     /// Whether any lane is true.
@@ -53,6 +55,8 @@ pub trait Lanes: Copy {
     fn add_index(self, i: Self::I, j: Self::I) -> Self::I;
     /// `i` where true, else `j`.
     fn select_index(self, m: Self::M, i: Self::I, j: Self::I) -> Self::I;
+    /// Indices from memory.
+    fn load_indices(self, i: &[i32; LANES]) -> Self::I;
     /// Indices to memory.
     fn indices(self, i: Self::I) -> [i32; LANES];
     /// A table of four rows of eight.
@@ -83,6 +87,20 @@ macro_rules! lanewise {
         }
         out
     }};
+}
+
+/// m of a = m 2ᵉ with 1 ≤ m < 2.
+#[inline(always)]
+#[must_use]
+pub fn mantissa(a: f32) -> f32 {
+    f32::from_bits(a.to_bits() & 0x7f_ffff | 127 << 23)
+}
+
+/// e of a = m 2ᵉ.
+#[inline(always)]
+#[must_use]
+pub fn exponent(a: f32) -> f32 {
+    ((a.to_bits() >> 23 & 255) as i32 - 127) as f32
 }
 
 impl Lanes for Portable {
@@ -136,6 +154,10 @@ impl Lanes for Portable {
         lanewise!(l => f32::floor(a[l]))
     }
     #[inline(always)]
+    fn parts(self, a: Self::F) -> [Self::F; 2] {
+        [lanewise!(l => mantissa(a[l])), lanewise!(l => exponent(a[l]))]
+    }
+    #[inline(always)]
     fn less(self, a: Self::F, b: Self::F) -> Self::M {
         lanewise!(l => a[l] < b[l])
     }
@@ -168,6 +190,10 @@ impl Lanes for Portable {
     #[inline(always)]
     fn select_index(self, m: Self::M, i: Self::I, j: Self::I) -> Self::I {
         lanewise!(l => if m[l] { i[l] } else { j[l] })
+    }
+    #[inline(always)]
+    fn load_indices(self, i: &[i32; LANES]) -> Self::I {
+        *i
     }
     #[inline(always)]
     fn indices(self, i: Self::I) -> [i32; LANES] {
@@ -213,7 +239,7 @@ impl Lanes for Portable {
 
 #[cfg(target_arch = "x86_64")]
 mod avx512 {
-    use core::arch::x86_64::{__m256, __m512, __m512i, __mmask16, _CMP_LT_OQ};
+    use core::arch::x86_64::{__m256, __m512, __m512i, __mmask16, _CMP_LT_OQ, _MM_MANT_NORM_1_2, _MM_MANT_SIGN_SRC};
 
     use pulp::x86::V4;
 
@@ -271,6 +297,11 @@ mod avx512 {
             self.avx512f._mm512_roundscale_ps::<9>(a)
         }
         #[inline(always)]
+        fn parts(self, a: __m512) -> [__m512; 2] {
+            let f = self.avx512f;
+            [f._mm512_getmant_ps::<_MM_MANT_NORM_1_2, _MM_MANT_SIGN_SRC>(a), f._mm512_getexp_ps(a)]
+        }
+        #[inline(always)]
         fn less(self, a: __m512, b: __m512) -> __mmask16 {
             self.avx512f._mm512_cmp_ps_mask::<_CMP_LT_OQ>(a, b)
         }
@@ -297,6 +328,10 @@ mod avx512 {
         #[inline(always)]
         fn select_index(self, m: __mmask16, i: __m512i, j: __m512i) -> __m512i {
             self.avx512f._mm512_mask_blend_epi32(m, j, i)
+        }
+        #[inline(always)]
+        fn load_indices(self, i: &[i32; LANES]) -> __m512i {
+            pulp::cast(*i)
         }
         #[inline(always)]
         fn indices(self, i: __m512i) -> [i32; LANES] {

@@ -4,7 +4,7 @@ use core::arch::x86_64::{__m256, __m256i, _CMP_LT_OQ};
 
 use pulp::x86::V3;
 
-use super::lanes::{LANES, Lanes};
+use super::lanes::{LANES, Lanes, exponent, mantissa};
 
 /// Two registers, lane by lane alike.
 macro_rules! both {
@@ -118,6 +118,17 @@ impl Lanes for V3 {
         both!(a => self.avx._mm256_round_ps::<9>(a))
     }
     #[inline(always)]
+    fn parts(self, a: Self::F) -> [Self::F; 2] {
+        let values = self.store(a);
+        let (mut m, mut e) = ([0.0; LANES], [0.0; LANES]);
+        let mut l = 0;
+        while l < LANES {
+            (m[l], e[l]) = (mantissa(values[l]), exponent(values[l]));
+            l += 1;
+        }
+        [self.load(&m), self.load(&e)]
+    }
+    #[inline(always)]
     fn less(self, a: Self::F, b: Self::F) -> Self::M {
         both!(a, b => self.avx._mm256_cmp_ps::<_CMP_LT_OQ>(a, b))
     }
@@ -144,6 +155,10 @@ impl Lanes for V3 {
     #[inline(always)]
     fn select_index(self, m: Self::M, i: Self::I, j: Self::I) -> Self::I {
         both!(m, i, j => self.avx2._mm256_blendv_epi8(j, i, self.avx._mm256_castps_si256(m)))
+    }
+    #[inline(always)]
+    fn load_indices(self, i: &[i32; LANES]) -> Self::I {
+        pulp::cast(*i)
     }
     #[inline(always)]
     fn indices(self, i: Self::I) -> [i32; LANES] {

@@ -81,25 +81,26 @@ macro_rules! lanes32 {
     }};
 }
 
-/// In plain Rust, for lanes that have nothing better.
+/// In plain Rust, for lanes that have nothing better. Nothing is inlined: only logs from other machines and tests come here, and the
+/// compiler would take minutes.
 macro_rules! portable {
     ($lanes:ty) => {
         impl FixedLanes for $lanes {
             type W = [u16; WORDS];
             type K = [bool; WORDS];
-            #[inline(always)]
+            #[inline(never)]
             fn word(self, value: u16) -> Self::W {
                 [value; WORDS]
             }
-            #[inline(always)]
+            #[inline(never)]
             fn words(self, values: &[u16; WORDS]) -> Self::W {
                 *values
             }
-            #[inline(always)]
+            #[inline(never)]
             fn to_words(self, a: Self::W) -> [u16; WORDS] {
                 a
             }
-            #[inline(always)]
+            #[inline(never)]
             fn k_any(self, k: Self::K) -> bool {
                 let mut any = false;
                 let mut l = 0;
@@ -109,72 +110,72 @@ macro_rules! portable {
                 }
                 any
             }
-            #[inline(always)]
+            #[inline(never)]
             fn w_add(self, a: Self::W, b: Self::W) -> Self::W {
                 lanes32!(l => a[l].wrapping_add(b[l]))
             }
-            #[inline(always)]
+            #[inline(never)]
             fn w_sub(self, a: Self::W, b: Self::W) -> Self::W {
                 lanes32!(l => a[l].wrapping_sub(b[l]))
             }
-            #[inline(always)]
+            #[inline(never)]
             fn w_less(self, a: Self::W, b: Self::W) -> Self::W {
                 lanes32!(l => a[l].saturating_sub(b[l]))
             }
-            #[inline(always)]
+            #[inline(never)]
             fn w_min(self, a: Self::W, b: Self::W) -> Self::W {
                 lanes32!(l => if a[l] < b[l] { a[l] } else { b[l] })
             }
-            #[inline(always)]
+            #[inline(never)]
             fn w_max(self, a: Self::W, b: Self::W) -> Self::W {
                 lanes32!(l => if a[l] > b[l] { a[l] } else { b[l] })
             }
-            #[inline(always)]
+            #[inline(never)]
             fn w_mean(self, a: Self::W, b: Self::W) -> Self::W {
                 lanes32!(l => ((u32::from(a[l]) + u32::from(b[l]) + 1) >> 1) as u16)
             }
-            #[inline(always)]
+            #[inline(never)]
             fn w_half(self, a: Self::W) -> Self::W {
                 lanes32!(l => a[l] >> 1)
             }
-            #[inline(always)]
+            #[inline(never)]
             fn w_high(self, a: Self::W, b: Self::W) -> Self::W {
                 lanes32!(l => ((u32::from(a[l]) * u32::from(b[l])) >> 16) as u16)
             }
-            #[inline(always)]
+            #[inline(never)]
             fn w_scale(self, a: Self::W, b: Self::W) -> Self::W {
                 lanes32!(l => (((i32::from(a[l] as i16) * i32::from(b[l] as i16) >> 14) + 1) >> 1) as u16)
             }
-            #[inline(always)]
+            #[inline(never)]
             fn w_shift(self, a: Self::W, b: Self::W) -> Self::W {
                 lanes32!(l => a[l] << (b[l] & 15))
             }
-            #[inline(always)]
+            #[inline(never)]
             fn w_below(self, a: Self::W, b: Self::W) -> Self::K {
                 lanes32!(l => a[l] < b[l])
             }
-            #[inline(always)]
+            #[inline(never)]
             fn k_and(self, a: Self::K, b: Self::K) -> Self::K {
                 lanes32!(l => a[l] & b[l])
             }
-            #[inline(always)]
+            #[inline(never)]
             fn k_or(self, a: Self::K, b: Self::K) -> Self::K {
                 lanes32!(l => a[l] | b[l])
             }
-            #[inline(always)]
+            #[inline(never)]
             fn w_choose(self, k: Self::K, a: Self::W, b: Self::W) -> Self::W {
                 lanes32!(l => if k[l] { a[l] } else { b[l] })
             }
-            #[inline(always)]
+            #[inline(never)]
             fn w_keep(self, k: Self::K, a: Self::W) -> Self::W {
                 lanes32!(l => if k[l] { a[l] } else { 0 })
             }
-            #[inline(always)]
+            #[inline(never)]
             fn interleave(self, even: Self::I, odd: Self::I) -> Self::W {
                 let (even, odd) = (self.indices(even), self.indices(odd));
                 lanes32!(l => if l & 1 == 0 { even[l / 2] as u16 } else { odd[l / 2] as u16 })
             }
-            #[inline(always)]
+            #[inline(never)]
             fn gather_sums(self, sums: [Self::I; 2], a: Self::W) -> [Self::I; 2] {
                 let (mut even, mut odd) = ([0i32; LANES], [0i32; LANES]);
                 let mut l = 0;
@@ -184,7 +185,7 @@ macro_rules! portable {
                 }
                 [self.add_index(sums[0], self.load_indices(&even)), self.add_index(sums[1], self.load_indices(&odd))]
             }
-            #[inline(always)]
+            #[inline(never)]
             fn number(self, i: Self::I) -> Self::F {
                 let i = self.indices(i);
                 let mut out = [0.0f32; LANES];
@@ -195,23 +196,23 @@ macro_rules! portable {
                 }
                 self.load(&out)
             }
-            #[inline(always)]
+            #[inline(never)]
             fn words_of_8(self, rows: [&[u16; 8]; 4]) -> Self::W {
                 lanes32!(l => rows[l / 8][l % 8])
             }
-            #[inline(always)]
+            #[inline(never)]
             fn words_of_16(self, rows: [&[u16; 16]; 2]) -> Self::W {
                 lanes32!(l => rows[l / 16][l % 16])
             }
-            #[inline(always)]
+            #[inline(never)]
             fn look_32(self, table: Self::W, i: Self::W) -> Self::W {
                 lanes32!(l => table[usize::from(i[l] & 31)])
             }
-            #[inline(always)]
+            #[inline(never)]
             fn look_64(self, table: [Self::W; 2], i: Self::W) -> Self::W {
                 lanes32!(l => table[usize::from(i[l] >> 5 & 1)][usize::from(i[l] & 31)])
             }
-            #[inline(always)]
+            #[inline(never)]
             fn look_128(self, table: [Self::W; 4], i: Self::W) -> Self::W {
                 lanes32!(l => table[usize::from(i[l] >> 5 & 3)][usize::from(i[l] & 31)])
             }

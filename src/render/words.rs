@@ -79,19 +79,29 @@ pub fn round(volume: &Volume, cells: &Cells, material: usize, densest: f32, axis
     let stride = [1, volume.size[0], volume.size[0] * volume.size[1]];
     let voxel = |cell: usize, axis: usize| cell.saturating_sub(1).min(volume.size[axis] - 1);
     let scale = f32::from(WORD_OF_DENSEST) / densest.max(f32::MIN_POSITIVE);
-    let word = |index: usize| match volume.class[index] {
+    let word_at = |index: usize| match volume.class[index] {
         0 => 0,
         class if usize::from(cells.material_of_class[usize::from(class) - 1]) != material => 0,
-        _ => (volume.density_g_per_cm3[index] * scale + 0.5) as u16,
+        _ => (volume.density_g_per_cm3[index].max(0.0) * scale + 0.5) as i32 as u16,
     };
     let row = row_step(size);
     let mut lines = vec![[0; COLUMN]; size[0].div_ceil(COLUMN_STEP) * size[1] * row];
     lines.par_chunks_mut(size[1] * row).enumerate().for_each(|(column, lines)| {
+        let across = COLUMN.min(size[0] - column * COLUMN_STEP);
+        let along_a: Vec<usize> = (0..across).map(|i| voxel(column * COLUMN_STEP + i, a) * stride[a]).collect();
         for (j, lines) in lines.chunks_exact_mut(row).enumerate() {
-            for i in 0..COLUMN.min(size[0] - column * COLUMN_STEP) {
-                let base = voxel(j, b) * stride[b] + voxel(column * COLUMN_STEP + i, a) * stride[a];
+            let base = voxel(j, b) * stride[b];
+            // Voxels are read in the order in which they lie in memory.
+            if stride[a] < stride[c] {
                 for (k, line) in lines.iter_mut().enumerate().take(size[2]) {
-                    line[i] = word(base + voxel(k, c) * stride[c]);
+                    let base = base + voxel(k, c) * stride[c];
+                    line.iter_mut().zip(&along_a).for_each(|(word, at)| *word = word_at(base + at));
+                }
+            } else {
+                for (i, at) in along_a.iter().enumerate() {
+                    for (k, line) in lines.iter_mut().enumerate().take(size[2]) {
+                        line[i] = word_at(base + at + voxel(k, c) * stride[c]);
+                    }
                 }
             }
         }

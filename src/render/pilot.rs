@@ -35,8 +35,9 @@ pub struct Pilot {
     pub slabs_per_ray: f64,
     /// Those among them in bricks filled with one density.
     pub filled_per_ray: f64,
-    /// The most by which fixed point is off, g/cm² per material of the scene; see [`WORDS_OFF`].
-    pub rounding_g_per_cm2: Vec<f64>,
+    /// Along the ray in the middle of each block and by material of the scene: the most by which fixed point is off, see [`WORDS_OFF`], and
+    /// the path; g/cm².
+    pub rounding_g_per_cm2: Vec<Vec<[f64; 2]>>,
     /// Shapes and meshes that an average ray is tried against.
     pub solids_per_ray: f64,
 }
@@ -102,18 +103,22 @@ impl Pilot {
             _ => false,
         });
         self.solids_per_ray += solids.count() as f64;
-        self.rounding_g_per_cm2.resize(materials, 0.0);
-        let [slabs, filled] = slabs_of_middle_ray(prepared, &mut self.rounding_g_per_cm2);
+        let [width, height] = prepared.view.size_px.map(|n| n as usize);
+        let middle = (height / 2 * width + width / 2) * materials;
+        let paths = density.g_per_cm2[middle..middle + materials].iter().map(|path| [0.0, f64::from(*path)]);
+        let mut rounding: Vec<[f64; 2]> = paths.collect();
+        let [slabs, filled] = slabs_of_middle_ray(prepared, &mut rounding);
+        self.rounding_g_per_cm2.push(rounding);
         self.slabs_per_ray += slabs;
         self.filled_per_ray += filled;
     }
 }
 
-/// Slabs that hold something along the ray through the middle of the image, and those in bricks filled with one density; raises `rounding`.
-fn slabs_of_middle_ray(prepared: &Prepared, rounding: &mut [f64]) -> [f64; 2] {
+/// Slabs that hold something along the ray through the middle of the image, and those in bricks filled with one density; adds to the
+/// first of each material's two.
+fn slabs_of_middle_ray(prepared: &Prepared, rounding: &mut [[f64; 2]]) -> [f64; 2] {
     let [u, v] = prepared.view.size_px.map(|n| 0.5 * (f64::from(n) - 1.0));
     let (mut slabs, mut filled) = (0.0, 0.0);
-    let mut summed = vec![0.0; rounding.len()];
     for seen in &prepared.volumes {
         let before = slabs;
         let rays = Rays::new(&prepared.view, &seen.cell_from_camera);
@@ -143,10 +148,9 @@ fn slabs_of_middle_ray(prepared: &Prepared, rounding: &mut [f64]) -> [f64; 2] {
         let count: f64 = slabs - before;
         let words = WORDS_OFF[0] * count + WORDS_OFF[1] * count.sqrt();
         for (material, word) in cells.materials.iter().zip(made.word_g_per_cm3()) {
-            summed[*material] += words * slab_cm * f64::from(word);
+            rounding[*material][0] += words * slab_cm * f64::from(word);
         }
     }
-    rounding.iter_mut().zip(summed).for_each(|(largest, found)| *largest = if found <= *largest { *largest } else { found });
     [slabs, filled]
 }
 

@@ -123,7 +123,7 @@ impl Planner {
         let pilot = pilot::cast(task.view, bins.as_ref(), compare, sampling, prepare)?;
         let costs = self.costs.get_or_insert_with(Costs::of_this_machine).clone();
         let mut candidates = Vec::new();
-        let rounding = rounding_error(&pilot, &steepest_cm2_per_g(task, &pilot)?);
+        let rounding = rounding_error(&pilot, &attenuation_bounds(task, &pilot)?);
         for (sampling, step_px, sampling_error, interpolation) in ways(task, &pilot, plan.sampling, rounding) {
             for energies in self.tolerances(task, fits, sampling_error + interpolation) {
                 let energies_error = if with_energies { ENERGIES_ROUNDING + energies.unwrap_or(0.0) } else { 0.0 };
@@ -279,21 +279,29 @@ fn ways(task: &Task, pilot: &Pilot, asked: Sampling, rounding: f64) -> Vec<(Samp
     }
 }
 
-/// Bound of fixed point.
-fn rounding_error(pilot: &Pilot, cm2_per_g: &[f64]) -> f64 {
-    let words: f64 = pilot.rounding_g_per_cm2.iter().zip(cm2_per_g).map(|(g_per_cm2, cm2_per_g)| g_per_cm2 * cm2_per_g).sum();
-    words + WEIGHTS_OFF
+/// Bound of fixed point: the worst of the pilot rays, and half as much again.
+fn rounding_error(pilot: &Pilot, cm2_per_g: &[[f64; 2]]) -> f64 {
+    let off = |ray: &Vec<[f64; 2]>| {
+        let (mut off, mut line) = (0.0, 0.0);
+        for ([rounding, path], [least, most]) in ray.iter().zip(cm2_per_g) {
+            (off, line) = (off + rounding * most, line + path * least);
+        }
+        off / if line > 1.0 { line } else { 1.0 }
+    };
+    // NaN stays, and grants nothing.
+    let larger = |worst: f64, off: f64| if off <= worst || worst.is_nan() { worst } else { off };
+    let worst = pilot.rounding_g_per_cm2.iter().map(off).fold(0.0, larger);
+    1.5 * worst + WEIGHTS_OFF
 }
 
-/// The most by which g/cm² of each material can raise −ln of the signal: the mean attenuation where the beam arrives, and farther in,
-/// where it is harder. 1 where there is no signal.
-fn steepest_cm2_per_g(task: &Task, pilot: &Pilot) -> Result<Vec<f64>, RenderError> {
+/// The least and the most by which g/cm² of each material raises −ln of the signal: the mean attenuation where the beam arrives, and farther
+/// in, where it is harder. 1 where there is no signal.
+fn attenuation_bounds(task: &Task, pilot: &Pilot) -> Result<Vec<[f64; 2]>, RenderError> {
     let materials = &task.scene.materials;
-    let mut steepest = vec![0.0f64; materials.len()];
     if task.quantity == Quantity::AreaDensity {
-        steepest.fill(1.0);
-        return Ok(steepest);
+        return Ok(vec![[1.0; 2]; materials.len()]);
     }
+    let mut bounds = vec![[f64::INFINITY, 0.0]; materials.len()];
     let nodes = whole_spectrum(task.scene);
     let mut cm2_per_g = Vec::new();
     for node in &nodes {
@@ -308,13 +316,14 @@ fn steepest_cm2_per_g(task: &Task, pilot: &Pilot) -> Result<Vec<f64>, RenderErro
         };
         let weights: Vec<f64> = nodes.iter().zip(&cm2_per_g).map(arrives).collect();
         let all: f64 = weights.iter().sum();
-        for (m, steepest) in steepest.iter_mut().enumerate() {
+        for (m, [least, most]) in bounds.iter_mut().enumerate() {
             let mean = weights.iter().zip(&cm2_per_g).map(|(weight, row)| weight * row[m]).sum::<f64>() / all;
-            // Nothing arrives: nothing is known.
-            *steepest = if mean <= *steepest { *steepest } else { mean };
+            // Nothing arrives: NaN, and nothing is granted.
+            *least = if mean >= *least { *least } else { mean };
+            *most = if mean <= *most { *most } else { mean };
         }
     }
-    Ok(steepest)
+    Ok(bounds)
 }
 
 /// The cheapest that grants an error, else the most accurate; the most accurate within a time, else the fastest.

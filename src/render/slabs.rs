@@ -66,7 +66,7 @@ pub struct SlabGrid<'a> {
     pub fillings: &'a [f32],
     /// Step between bricks along a, b, c.
     pub brick_stride: [usize; 3],
-    /// Densities in 16 bits, by material; empty until [`Slabs::round`] made them.
+    /// Densities in 16 bits, by material; only in a [`Slabs::rounded_grid`].
     pub words: [Words<'a>; MOST_MATERIALS],
     /// What a word of each stands for, g/cm³.
     pub word_g_per_cm3: [f32; MOST_MATERIALS],

@@ -19,8 +19,10 @@ pub struct Words<'a> {
     column_step: usize,
 }
 
-/// Neighbours along a in one slice.
-pub type Line = [u16; COLUMN];
+/// Neighbours along a in one slice: a cache line.
+#[derive(Clone, Copy, Debug)]
+#[repr(align(64))]
+pub struct Line([u16; COLUMN]);
 
 /// Voxels of a column along a.
 const COLUMN: usize = 32;
@@ -53,13 +55,13 @@ impl Words<'_> {
     #[inline(always)]
     #[must_use]
     pub fn row<const N: usize>(&self, line: usize, a: i32) -> &[u16; N] {
-        const NONE: &Line = &[0; COLUMN];
+        const NONE: &Line = &Line([0; COLUMN]);
         let line = match self.lines.get(line) {
             Some(line) => line,
             None => NONE,
         };
         let begin = a as u32 as usize % COLUMN_STEP;
-        match line[begin..begin + N].try_into() {
+        match line.0[begin..begin + N].try_into() {
             Ok(row) => row,
             Err(_) => &[0; N],
         }
@@ -85,7 +87,7 @@ pub fn round(volume: &Volume, cells: &Cells, material: usize, densest: f32, axis
         _ => (volume.density_g_per_cm3[index].max(0.0) * scale + 0.5) as i32 as u16,
     };
     let row = row_step(size);
-    let mut lines = vec![[0; COLUMN]; size[0].div_ceil(COLUMN_STEP) * size[1] * row];
+    let mut lines = vec![Line([0; COLUMN]); size[0].div_ceil(COLUMN_STEP) * size[1] * row];
     lines.par_chunks_mut(size[1] * row).enumerate().for_each(|(column, lines)| {
         let across = COLUMN.min(size[0] - column * COLUMN_STEP);
         let along_a: Vec<usize> = (0..across).map(|i| voxel(column * COLUMN_STEP + i, a) * stride[a]).collect();
@@ -95,12 +97,12 @@ pub fn round(volume: &Volume, cells: &Cells, material: usize, densest: f32, axis
             if stride[a] < stride[c] {
                 for (k, line) in lines.iter_mut().enumerate().take(size[2]) {
                     let base = base + voxel(k, c) * stride[c];
-                    line.iter_mut().zip(&along_a).for_each(|(word, at)| *word = word_at(base + at));
+                    line.0.iter_mut().zip(&along_a).for_each(|(word, at)| *word = word_at(base + at));
                 }
             } else {
                 for (i, at) in along_a.iter().enumerate() {
                     for (k, line) in lines.iter_mut().enumerate().take(size[2]) {
-                        line[i] = word_at(base + at + voxel(k, c) * stride[c]);
+                        line.0[i] = word_at(base + at + voxel(k, c) * stride[c]);
                     }
                 }
             }

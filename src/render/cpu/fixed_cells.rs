@@ -67,6 +67,48 @@ pub struct Slab<'g, S: FixedLanes, W: FixedWindow<S>> {
     pub s: S,
 }
 
+/// What a slab holds for each ray; of a and b, p is the one whose face it meets first.
+struct Ahead<S: FixedLanes> {
+    /// Along a and b on the upper slice, from the last node there on.
+    next: [S::W; 2],
+    /// Whether a face across a, across b lies between.
+    over: [S::K; 2],
+    /// When the first face is met, and the second.
+    times: [S::W; 2],
+    /// p and q on the lower slice.
+    at: [S::W; 2],
+    /// dp/dc and dq/dc.
+    slope: [S::W; 2],
+    /// Index steps along p and q.
+    step: [S::W; 2],
+}
+
+impl<S: FixedLanes> Ahead<S> {
+    #[inline(always)]
+    fn new(s: S, k: &Course<S>, [a, b]: [S::W; 2]) -> Self {
+        let next = [s.w_add(a, k.slope[0]), s.w_add(b, k.slope[1])];
+        let over = [s.w_below(next[0], a), s.w_below(next[1], b)];
+        let (a, b) = (s.w_half(a), s.w_half(b));
+        let (ta, tb) = (time(s, k, 0, a, over[0]), time(s, k, 1, b, over[1]));
+        let a_first = s.w_below(ta, tb);
+        Self {
+            next,
+            over,
+            times: [s.w_min(ta, tb), s.w_max(ta, tb)],
+            at: [s.w_choose(a_first, a, b), s.w_choose(a_first, b, a)],
+            slope: [s.w_choose(a_first, k.half[0], k.half[1]), s.w_choose(a_first, k.half[1], k.half[0])],
+            step: [s.w_choose(a_first, k.step[0], k.step[1]), s.w_choose(a_first, k.step[1], k.step[0])],
+        }
+    }
+
+    /// The last node on the upper slice.
+    #[inline(always)]
+    fn node(&self, s: S, k: &Course<S>, node: S::W) -> S::W {
+        let node = s.w_add(node, s.w_keep(self.over[0], k.step[0]));
+        s.w_add(node, s.w_keep(self.over[1], k.step[1]))
+    }
+}
+
 /// The nodes of a cell: words on its lower side, and what is to be added for its upper side.
 struct Cell<S: FixedLanes> {
     low: [S::W; 4],
@@ -110,17 +152,9 @@ impl<S: FixedLanes, W: FixedWindow<S>> Slab<'_, S, W> {
     pub fn whole(&self, k: &Course<S>, place: &mut Place<S>, sums: &mut Sums<S>) {
         let s = self.s;
         let one = s.word(ONE);
-        let [a, b] = place.at;
-        let (next_a, next_b) = (s.w_add(a, k.slope[0]), s.w_add(b, k.slope[1]));
-        let (over_a, over_b) = (s.w_below(next_a, a), s.w_below(next_b, b));
-        let (ha, hb) = (s.w_half(a), s.w_half(b));
-        let (ta, tb) = (time(s, k, 0, ha, over_a), time(s, k, 1, hb, over_b));
-        let a_first = s.w_below(ta, tb);
-        let (t1, t2) = (s.w_min(ta, tb), s.w_max(ta, tb));
-        let (once, twice) = (s.k_or(over_a, over_b), s.k_and(over_a, over_b));
-        let (p0, q0) = (s.w_choose(a_first, ha, hb), s.w_choose(a_first, hb, ha));
-        let (sp, sq) = (s.w_choose(a_first, k.half[0], k.half[1]), s.w_choose(a_first, k.half[1], k.half[0]));
-        let (step_p, step_q) = (s.w_choose(a_first, k.step[0], k.step[1]), s.w_choose(a_first, k.step[1], k.step[0]));
+        let ahead = Ahead::new(s, k, place.at);
+        let ([p0, q0], [sp, sq], [step_p, step_q], [t1, t2]) = (ahead.at, ahead.slope, ahead.step, ahead.times);
+        let (once, twice) = (s.k_or(ahead.over[0], ahead.over[1]), s.k_and(ahead.over[0], ahead.over[1]));
 
         let i00 = place.node;
         let (i10, i01) = (s.w_add(i00, step_p), s.w_add(i00, step_q));
@@ -133,7 +167,7 @@ impl<S: FixedLanes, W: FixedWindow<S>> Slab<'_, S, W> {
         let middle = first.value(s, [mean(s, p0, p1), mean(s, q0, q1)], s.w_half(t1));
         let mut ends = s.w_scale(begin, mean(s, place.open, t1));
         let mut middles = s.w_scale(middle, t1);
-        place.at = [next_a, next_b];
+        place.at = ahead.next;
         place.open = one;
         if s.k_any(once) {
             let (rest, length) = (s.w_sub(one, t1), s.w_sub(t2, t1));
@@ -159,8 +193,7 @@ impl<S: FixedLanes, W: FixedWindow<S>> Slab<'_, S, W> {
             ends = s.w_add(ends, s.w_scale(face, s.w_keep(twice, s.w_half(rest))));
             middles = s.w_add(middles, s.w_scale(middle, length));
             place.open = s.w_sub(one, s.w_choose(twice, t2, s.w_keep(once, t1)));
-            let node = s.w_add(i00, s.w_keep(over_a, k.step[0]));
-            place.node = s.w_add(node, s.w_keep(over_b, k.step[1]));
+            place.node = ahead.node(s, k, i00);
         }
         sums.ends = s.gather_sums(sums.ends, ends);
         sums.middles = s.gather_sums(sums.middles, middles);
@@ -171,16 +204,8 @@ impl<S: FixedLanes, W: FixedWindow<S>> Slab<'_, S, W> {
     pub fn part(&self, k: &Course<S>, place: &mut Place<S>, sums: &mut Sums<S>, [from, to]: [S::W; 2]) {
         let s = self.s;
         let one = s.word(ONE);
-        let [a, b] = place.at;
-        let (next_a, next_b) = (s.w_add(a, k.slope[0]), s.w_add(b, k.slope[1]));
-        let (over_a, over_b) = (s.w_below(next_a, a), s.w_below(next_b, b));
-        let (ha, hb) = (s.w_half(a), s.w_half(b));
-        let (ta, tb) = (time(s, k, 0, ha, over_a), time(s, k, 1, hb, over_b));
-        let a_first = s.w_below(ta, tb);
-        let (t1, t2) = (s.w_min(ta, tb), s.w_max(ta, tb));
-        let (p0, q0) = (s.w_choose(a_first, ha, hb), s.w_choose(a_first, hb, ha));
-        let (sp, sq) = (s.w_choose(a_first, k.half[0], k.half[1]), s.w_choose(a_first, k.half[1], k.half[0]));
-        let (step_p, step_q) = (s.w_choose(a_first, k.step[0], k.step[1]), s.w_choose(a_first, k.step[1], k.step[0]));
+        let ahead = Ahead::new(s, k, place.at);
+        let ([p0, q0], [sp, sq], [step_p, step_q], [t1, t2]) = (ahead.at, ahead.slope, ahead.step, ahead.times);
         self.close(self.lower, k, place, sums);
 
         let i00 = place.node;
@@ -218,18 +243,17 @@ impl<S: FixedLanes, W: FixedWindow<S>> Slab<'_, S, W> {
         // All of it counts once.
         sums.ends = s.gather_sums(sums.ends, total);
         sums.middles = s.gather_sums(sums.middles, total);
-        place.at = [next_a, next_b];
-        let node = s.w_add(i00, s.w_keep(over_a, k.step[0]));
-        place.node = s.w_add(node, s.w_keep(over_b, k.step[1]));
+        place.at = ahead.next;
+        place.node = ahead.node(s, k, i00);
     }
 
     /// Weighs the end of the last piece, which lies on `slice`.
     #[inline(always)]
     pub fn close(&self, slice: W, k: &Course<S>, place: &mut Place<S>, sums: &mut Sums<S>) {
         let s = self.s;
-        let fetch = (place.node, s.w_add(place.node, k.step[0]));
-        let (v0, v1) = (slice.fetch(s, self.words, fetch.0), slice.fetch(s, self.words, fetch.1));
-        let (i2, i3) = (s.w_add(fetch.0, k.step[1]), s.w_add(fetch.1, k.step[1]));
+        let (i0, i1) = (place.node, s.w_add(place.node, k.step[0]));
+        let (v0, v1) = (slice.fetch(s, self.words, i0), slice.fetch(s, self.words, i1));
+        let (i2, i3) = (s.w_add(i0, k.step[1]), s.w_add(i1, k.step[1]));
         let (v2, v3) = (slice.fetch(s, self.words, i2), slice.fetch(s, self.words, i3));
         let [a, b] = [s.w_half(place.at[0]), s.w_half(place.at[1])];
         let end = mix(s, mix(s, v0, v1, a), mix(s, v2, v3, a), b);

@@ -31,12 +31,8 @@ pub trait FixedLanes: Lanes {
     fn w_min(self, a: Self::W, b: Self::W) -> Self::W;
     /// The larger.
     fn w_max(self, a: Self::W, b: Self::W) -> Self::W;
-    /// (a + b) / 2, halves up.
-    fn w_mean(self, a: Self::W, b: Self::W) -> Self::W;
     /// a / 2, rounded down.
     fn w_half(self, a: Self::W) -> Self::W;
-    /// The upper half of a · b.
-    fn w_high(self, a: Self::W, b: Self::W) -> Self::W;
     /// a · b / 32768 of signed words, halves up.
     fn w_scale(self, a: Self::W, b: Self::W) -> Self::W;
     /// a · 2ᵇ, wrapping; b < 16.
@@ -131,16 +127,8 @@ macro_rules! portable {
                 lanes32!(l => if a[l] > b[l] { a[l] } else { b[l] })
             }
             #[inline(never)]
-            fn w_mean(self, a: Self::W, b: Self::W) -> Self::W {
-                lanes32!(l => ((u32::from(a[l]) + u32::from(b[l]) + 1) >> 1) as u16)
-            }
-            #[inline(never)]
             fn w_half(self, a: Self::W) -> Self::W {
                 lanes32!(l => a[l] >> 1)
-            }
-            #[inline(never)]
-            fn w_high(self, a: Self::W, b: Self::W) -> Self::W {
-                lanes32!(l => ((u32::from(a[l]) * u32::from(b[l])) >> 16) as u16)
             }
             #[inline(never)]
             fn w_scale(self, a: Self::W, b: Self::W) -> Self::W {
@@ -272,16 +260,8 @@ mod avx512 {
             self.avx512bw._mm512_max_epu16(a, b)
         }
         #[inline(always)]
-        fn w_mean(self, a: __m512i, b: __m512i) -> __m512i {
-            self.avx512bw._mm512_avg_epu16(a, b)
-        }
-        #[inline(always)]
         fn w_half(self, a: __m512i) -> __m512i {
             self.avx512bw._mm512_srli_epi16::<1>(a)
-        }
-        #[inline(always)]
-        fn w_high(self, a: __m512i, b: __m512i) -> __m512i {
-            self.avx512bw._mm512_mulhi_epu16(a, b)
         }
         #[inline(always)]
         fn w_scale(self, a: __m512i, b: __m512i) -> __m512i {

@@ -6,9 +6,11 @@ use glam::{DAffine3, DQuat, DVec3};
 use sidecarm::gpu::DeviceChoice;
 use sidecarm::random::{Purpose, Stream};
 use sidecarm::render::cells::Cells;
-use sidecarm::render::cpu::cross_slabs::{Fit, cross, fit};
-use sidecarm::render::cpu::edges::{Bundle, Corners, Layers};
+use sidecarm::render::cpu::cross_slabs::cross;
+use sidecarm::render::cpu::edges::{Bundle, BundleSums, Corners, Layers};
 use sidecarm::render::cpu::lanes::{LANES, Portable};
+use sidecarm::render::cpu::window_places::{Fit, fit};
+use sidecarm::render::cpu::windows::BROAD_ROWS;
 use sidecarm::render::plan::Sampling;
 use sidecarm::render::slabs::{AXES, MOST_MATERIALS, SlabGrid, Slabs};
 use sidecarm::render::{Goal, Options, Quantity, Renderer};
@@ -16,8 +18,6 @@ use sidecarm::reporter::Reporter;
 use sidecarm::scene::model::{Matter, Volume};
 
 use crate::render_scenes::{With, empty, placed, solids, sphere, volume, worst};
-
-type Sums = [[f32; LANES]; MOST_MATERIALS];
 
 pub fn lumpy() -> Volume {
     let filled = |[i, j, k]: [usize; 3]| match (i * 31 + j * 17 + k * 7) % 13 {
@@ -99,8 +99,8 @@ pub fn finely(volume: &Volume, axis: usize, bundle: &Bundle, lane: usize, class:
 
 /// Compares the lanes that this processor has with the portable ones.
 #[cfg(target_arch = "x86_64")]
-fn every_kind_of_lanes_agrees(grid: &SlabGrid, bundle: &Bundle, layers: &Layers, portable: &Sums, what: &str) {
-    let compare = |kind: &str, sums: Sums| {
+fn every_kind_of_lanes_agrees(grid: &SlabGrid, bundle: &Bundle, layers: &Layers, portable: &BundleSums, what: &str) {
+    let compare = |kind: &str, sums: BundleSums| {
         for (a, b) in sums.iter().flatten().zip(portable.iter().flatten()) {
             assert!((a - b).abs() <= 3e-6 * b.max(1.0), "{kind}, {what}: {a} {b}");
         }
@@ -117,7 +117,7 @@ fn every_kind_of_lanes_agrees(grid: &SlabGrid, bundle: &Bundle, layers: &Layers,
 }
 
 #[cfg(not(target_arch = "x86_64"))]
-fn every_kind_of_lanes_agrees(_: &SlabGrid, _: &Bundle, _: &Layers, _: &Sums, _: &str) {}
+fn every_kind_of_lanes_agrees(_: &SlabGrid, _: &Bundle, _: &Layers, _: &BundleSums, _: &str) {}
 
 #[test]
 fn portable_lanes_wide_lanes_and_the_field_agree() {
@@ -133,7 +133,7 @@ fn portable_lanes_wide_lanes_and_the_field_agree() {
             for apart in [0.05, 0.3, 0.9, 1.1, 1.3, 2.0] {
                 let bundle = bundle(&mut stream, apart, grid.voxels);
                 let spread = |axis: usize| 3.0 * apart + bundle.slope[axis][0].abs();
-                fits.push(fit([spread(0), spread(1)]));
+                fits.push(fit([spread(0), spread(1)], BROAD_ROWS));
                 let mut layers = Layers::default();
                 layers.fill(&grid, &bundle.corners, bundle.c_reference);
                 let mut portable = [[0.0f32; LANES]; MOST_MATERIALS];
@@ -176,7 +176,7 @@ fn windows_of_sixteen_columns_hold_what_is_wide_and_flat() {
             bundle.at = std::array::from_fn(|x| std::array::from_fn(|lane| place(x, lane)));
             bundle.corners.at = std::array::from_fn(|x| [0, 3, 12, 15].map(|lane| place(x, lane)));
             let spread = [6.0 + bundle.slope[0][0].abs(), 3.0 * flat + bundle.slope[1][0].abs()];
-            assert_eq!(fit(spread), wanted, "{spread:?}");
+            assert_eq!(fit(spread, BROAD_ROWS), wanted, "{spread:?}");
             let mut layers = Layers::default();
             layers.fill(&grid, &bundle.corners, bundle.c_reference);
             let mut portable = [[0.0f32; LANES]; MOST_MATERIALS];
@@ -247,11 +247,11 @@ fn what_is_filled_with_one_density_is_crossed_at_once_and_right() {
 
 #[test]
 fn sixteen_columns_and_four_rows_are_a_window_of_their_own() {
-    assert_eq!(fit([8.0, 1.5]), Fit::Wide);
-    assert_eq!(fit([5.0, 1.5]), Fit::Small);
-    assert_eq!(fit([5.0, 5.0]), Fit::Square);
-    assert_eq!(fit([7.1, 2.5]), Fit::Broad);
-    assert_eq!(fit([f64::NAN, 1.0]), Fit::Memory);
+    assert_eq!(fit([8.0, 1.5], BROAD_ROWS), Fit::Wide);
+    assert_eq!(fit([5.0, 1.5], BROAD_ROWS), Fit::Small);
+    assert_eq!(fit([5.0, 5.0], BROAD_ROWS), Fit::Square);
+    assert_eq!(fit([7.1, 2.5], BROAD_ROWS), Fit::Broad);
+    assert_eq!(fit([f64::NAN, 1.0], BROAD_ROWS), Fit::Memory);
 }
 
 #[test]

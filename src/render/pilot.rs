@@ -18,9 +18,12 @@ const EDGE: u32 = 9;
 /// The interpolation's error in the image is taken to be at most this many times its largest error on the pilot rays.
 const SAFETY: f64 = 3.0;
 
-/// In fixed point an average slab is off by at most so many words in one direction, and each by so many in any: densities, positions and
-/// weights are all rounded to one part in 2¹⁵ or 2¹⁶. Random scenes stay below half of it (`scripts/evaluate`).
-const WORDS_OFF: [f64; 2] = [0.3, 1.5];
+/// Words by which a ray that crosses so many slabs is off in fixed point, where densities, positions and weights are all rounded to one part
+/// in 2¹⁵ or 2¹⁶: some of it in one direction, the rest at random. Measured (`render_fixed` in the tests, `scripts/evaluate`), not derived.
+#[must_use]
+pub fn words_off(slabs: f64) -> f64 {
+    0.3 * slabs + 1.5 * slabs.sqrt()
+}
 
 /// What the pilot rays found.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -35,8 +38,8 @@ pub struct Pilot {
     pub slabs_per_ray: f64,
     /// Those among them in bricks filled with one density.
     pub filled_per_ray: f64,
-    /// Along the ray in the middle of each block and by material of the scene: the most by which fixed point is off, see [`WORDS_OFF`], and
-    /// the path; g/cm².
+    /// Along the rays in the middle and at the corners of each block, by material of the scene: what [`words_off`] amounts to, and the path;
+    /// g/cm².
     pub rounding_g_per_cm2: Vec<Vec<[f64; 2]>>,
     /// Shapes and meshes that an average ray is tried against.
     pub solids_per_ray: f64,
@@ -104,20 +107,23 @@ impl Pilot {
         });
         self.solids_per_ray += solids.count() as f64;
         let [width, height] = prepared.view.size_px.map(|n| n as usize);
-        let middle = (height / 2 * width + width / 2) * materials;
-        let paths = density.g_per_cm2[middle..middle + materials].iter().map(|path| [0.0, f64::from(*path)]);
-        let mut rounding: Vec<[f64; 2]> = paths.collect();
-        let [slabs, filled] = slabs_of_middle_ray(prepared, &mut rounding);
-        self.rounding_g_per_cm2.push(rounding);
+        let (right, bottom) = (width - 1, height - 1);
+        for [u, v] in [[0, 0], [right, 0], [0, bottom], [right, bottom], [width / 2, height / 2]] {
+            let first = (v * width + u) * materials;
+            let paths = density.g_per_cm2[first..first + materials].iter().map(|path| [0.0, f64::from(*path)]);
+            let mut rounding: Vec<[f64; 2]> = paths.collect();
+            slabs_of_ray(prepared, [u as f64, v as f64], &mut rounding);
+            self.rounding_g_per_cm2.push(rounding);
+        }
+        let middle = prepared.view.size_px.map(|n| 0.5 * (f64::from(n) - 1.0));
+        let [slabs, filled] = slabs_of_ray(prepared, middle, &mut vec![[0.0; 2]; materials]);
         self.slabs_per_ray += slabs;
         self.filled_per_ray += filled;
     }
 }
 
-/// Slabs that hold something along the ray through the middle of the image, and those in bricks filled with one density; adds to the
-/// first of each material's two.
-fn slabs_of_middle_ray(prepared: &Prepared, rounding: &mut [[f64; 2]]) -> [f64; 2] {
-    let [u, v] = prepared.view.size_px.map(|n| 0.5 * (f64::from(n) - 1.0));
+/// Slabs that hold something along a ray, and those in bricks filled with one density; adds to the first of each material's two.
+fn slabs_of_ray(prepared: &Prepared, [u, v]: [f64; 2], rounding: &mut [[f64; 2]]) -> [f64; 2] {
     let (mut slabs, mut filled) = (0.0, 0.0);
     for seen in &prepared.volumes {
         let before = slabs;
@@ -145,8 +151,7 @@ fn slabs_of_middle_ray(prepared: &Prepared, rounding: &mut [[f64; 2]]) -> [f64; 
         }
         let Some(made) = &seen.slabs else { continue };
         let slab_cm = 0.1 * prepared.view.intrinsics.unproject(glam::DVec2::new(u, v)).length() / q[axis].abs();
-        let count: f64 = slabs - before;
-        let words = WORDS_OFF[0] * count + WORDS_OFF[1] * count.sqrt();
+        let words = words_off(slabs - before);
         for (material, word) in cells.materials.iter().zip(made.word_g_per_cm3()) {
             rounding[*material][0] += words * slab_cm * f64::from(word);
         }

@@ -33,7 +33,7 @@ pub const DEFAULT_MAX_ERROR: f64 = 1e-5;
 
 /// Rounding of the weights, which add up to what they should but for this.
 const WEIGHTS_OFF: f64 = 2e-5;
-/// Below this no bound of fixed point lies.
+/// Where less is asked for, volumes are not rounded: the bound of fixed point is hardly ever below.
 pub const LEAST_FIXED_ERROR: f64 = 5e-5;
 
 /// Rounding of the sum over energies in f32.
@@ -123,7 +123,10 @@ impl Planner {
         let pilot = pilot::cast(task.view, bins.as_ref(), compare, sampling, prepare)?;
         let costs = self.costs.get_or_insert_with(Costs::of_this_machine).clone();
         let mut candidates = Vec::new();
-        let rounding = rounding_error(&pilot, &attenuation_bounds(task, &pilot)?);
+        let rounding = match task.fixed_step_px {
+            0 => f64::INFINITY,
+            _ => rounding_error(&pilot, &attenuation_bounds(task, &pilot)?),
+        };
         for (sampling, step_px, sampling_error, interpolation) in ways(task, &pilot, plan.sampling, rounding) {
             for energies in self.tolerances(task, fits, sampling_error + interpolation) {
                 let energies_error = if with_energies { ENERGIES_ROUNDING + energies.unwrap_or(0.0) } else { 0.0 };

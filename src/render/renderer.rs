@@ -2,6 +2,7 @@
 
 use super::achieved::Achieved;
 use super::checks::check;
+use super::cpu::fixed_lanes::is_fast;
 use super::non_finite::NonFinite;
 use super::plan::{Executor, Plan, Sampling};
 use super::planner::{DEFAULT_MAX_ERROR, Goal, LEAST_FIXED_ERROR, Planner, Task};
@@ -75,13 +76,9 @@ pub struct Renderer {
 
 /// Whether fixed point comes into question: on processors with AVX-512, where its bound may do.
 fn fixed_may_do(goal: Goal) -> bool {
-    #[cfg(target_arch = "x86_64")]
-    let is_fast = pulp::x86::V4::try_new().is_some();
-    #[cfg(not(target_arch = "x86_64"))]
-    let is_fast = false;
     match goal {
-        Goal::MaxError(error) => is_fast && error >= LEAST_FIXED_ERROR,
-        Goal::BudgetMs(_) => is_fast,
+        Goal::MaxError(error) => is_fast() && error >= LEAST_FIXED_ERROR,
+        Goal::BudgetMs(_) => is_fast(),
         Goal::Explicit { sampling, .. } => sampling == Sampling::FixedSlabs,
     }
 }

@@ -126,6 +126,23 @@ fn number_fillings(volume: &Volume, bricks: &mut [u16], [bi, bj, _]: [usize; 3])
     fillings
 }
 
+/// Density of each material's densest voxel, g/cm³; NaN when any is.
+fn densest(volume: &Volume, cells: &Cells) -> [f32; MOST_MATERIALS] {
+    // NaN stays.
+    let larger = |most: f32, other: f32| if other > most || other.is_nan() { other } else { most };
+    let voxels = volume.class.par_chunks(1 << 16).zip(volume.density_g_per_cm3.par_chunks(1 << 16));
+    let of_part = |(classes, densities): (&[u8], &[f32])| {
+        let mut densest = [0.0f32; MOST_MATERIALS];
+        for (class, density) in classes.iter().zip(densities).filter(|(class, _)| **class > 0) {
+            let most = &mut densest[usize::from(cells.material_of_class[usize::from(*class) - 1])];
+            *most = larger(*most, *density);
+        }
+        densest
+    };
+    let both = |x: [f32; MOST_MATERIALS], y: [f32; MOST_MATERIALS]| std::array::from_fn(|m| larger(x[m], y[m]));
+    voxels.map(of_part).reduce(Default::default, both)
+}
+
 impl Slabs {
     /// `None` when the volume is not for this method: too many materials, or voxels.
     #[must_use]
@@ -164,14 +181,7 @@ impl Slabs {
             _ => 7,
         };
         let fillings = number_fillings(volume, &mut bricks, brick_count);
-        let mut densest = [0.0f32; MOST_MATERIALS];
-        for (class, density) in volume.class.iter().zip(&volume.density_g_per_cm3) {
-            if *class > 0 {
-                let most = &mut densest[cells.material_of_class[usize::from(*class) - 1] as usize];
-                // NaN stays.
-                *most = if *density > *most || density.is_nan() { *density } else { *most };
-            }
-        }
+        let densest = densest(volume, cells);
         let (copies, rounded) = Default::default();
         Some(Self { voxels: volume.size, class_bits, bricks, fillings, brick_count, copies, rounded, densest })
     }
@@ -290,6 +300,16 @@ impl SlabGrid<'_> {
     #[must_use]
     pub fn at(&self, a: i32, b: i32, c: i32) -> usize {
         (a as usize).wrapping_add((b as usize).wrapping_mul(self.stride_b)).wrapping_add((c as usize).wrapping_mul(self.stride_c))
+    }
+
+    /// Density in g/cm³ of filling number `number`; NaN where there is none.
+    #[inline(always)]
+    #[must_use]
+    pub fn filling(&self, number: usize) -> f32 {
+        match self.fillings.get(number.wrapping_sub(1)) {
+            Some(density) => *density,
+            None => f32::NAN,
+        }
     }
 
     /// N neighbours along a; zeros outside.

@@ -2,10 +2,11 @@
 
 use glam::DAffine3;
 
-use super::cross_fixed::{FixedFit, fit_fixed};
-use super::cross_slabs::{Fit, fit};
 use super::edges::{Bundle, Corners};
+use super::fixed_windows;
 use super::lanes::LANES;
+use super::window_places::{Fit, fit};
+use super::windows;
 use crate::geometry::View;
 use crate::render::slabs::AXES;
 
@@ -32,6 +33,7 @@ pub struct Pattern {
     /// Rows.
     pub v: [f64; LANES],
     columns: usize,
+    first: [usize; 2],
 }
 
 impl Pattern {
@@ -39,7 +41,7 @@ impl Pattern {
     #[inline(always)]
     #[must_use]
     pub fn grid([u, v]: [usize; 2], columns: usize) -> Self {
-        let mut pattern = Self { u: [0.0; LANES], v: [0.0; LANES], columns };
+        let mut pattern = Self { u: [0.0; LANES], v: [0.0; LANES], columns, first: [u, v] };
         let mut l = 0;
         while l < LANES {
             pattern.u[l] = (u + l % columns) as f64;
@@ -47,6 +49,13 @@ impl Pattern {
             l += 1;
         }
         pattern
+    }
+
+    /// Column and row of a pixel.
+    #[inline(always)]
+    #[must_use]
+    pub fn pixel(&self, lane: usize) -> [usize; 2] {
+        [self.first[0] + lane % self.columns, self.first[1] + lane / self.columns]
     }
 
     /// The four pixels that no other lies outside of.
@@ -186,7 +195,7 @@ impl Rays {
         let mut best = (Fit::Memory, LAYOUTS[0]);
         let mut i = 0;
         while i < LAYOUTS.len() {
-            let found = fit(self.spread([u, v], t, [LAYOUTS[i], LANES / LAYOUTS[i]], 1.0));
+            let found = fit(self.spread([u, v], t, [LAYOUTS[i], LANES / LAYOUTS[i]], 1.0), windows::BROAD_ROWS);
             if found < best.0 {
                 best = (found, LAYOUTS[i]);
             }
@@ -198,9 +207,9 @@ impl Rays {
     /// The same for two bundles, one below the other, of every `step_px`-th pixel, in fixed point.
     #[inline(always)]
     #[must_use]
-    pub fn fixed_fit(&self, at: [f64; 2], t: f64, step_px: f64) -> (FixedFit, usize) {
-        let wide = fit_fixed(self.spread(at, t, [8, 4], step_px));
-        let high = fit_fixed(self.spread(at, t, [4, 8], step_px));
+    pub fn fixed_fit(&self, at: [f64; 2], t: f64, step_px: f64) -> (Fit, usize) {
+        let wide = fit(self.spread(at, t, [8, 4], step_px), fixed_windows::BROAD_ROWS);
+        let high = fit(self.spread(at, t, [4, 8], step_px), fixed_windows::BROAD_ROWS);
         if wide <= high { (wide, 8) } else { (high, 4) }
     }
 
@@ -222,7 +231,7 @@ impl Rays {
     #[must_use]
     pub fn fit_windows(&self, size_px: [u32; 2], t: f64, step_px: u32) -> bool {
         let at = |n: u32| [0.0, 0.5 * f64::from(n), f64::from(n)];
-        let held = |u: f64, v: f64| self.fixed_fit([u, v], t, f64::from(step_px)).0 != FixedFit::Memory;
+        let held = |u: f64, v: f64| self.fixed_fit([u, v], t, f64::from(step_px)).0 != Fit::Memory;
         at(size_px[0]).into_iter().all(|u| at(size_px[1]).into_iter().all(|v| held(u, v)))
     }
 

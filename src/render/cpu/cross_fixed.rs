@@ -1,15 +1,12 @@
 //! Crossing a volume slab by slab, thirty-two rays at a time, in 16-bit fixed point.
 
-use super::cross_slabs::in_two;
-use super::edges::{BRICK, Bundle, Corners, Edges, Extent, Layers};
+use super::edges::{BRICK, Bundle, BundleSums, Corners, Edges, Extent, Layers};
 use super::fixed_cells::{Course, LAST, ONE, Place, Slab, Sums};
 use super::fixed_lanes::FixedLanes;
-use super::fixed_windows::{Broad, FixedWindow, Memory, Small, Square, Wide};
+use super::fixed_windows::{BROAD_ROWS, Broad, FixedWindow, Memory, Small, Square, Wide};
 use super::lanes::LANES;
+use super::window_places::{Fit, Places, fit, in_two};
 use crate::render::slabs::{MATERIAL_BITS, MOST_MATERIALS, SlabGrid};
-
-/// Sums of one bundle of sixteen rays, by material.
-pub type Found = [[f32; LANES]; MOST_MATERIALS];
 
 /// Adds ∫ρ dc per material of two bundles that `corners` hem in. Returns the bits of all bricks that were met.
 #[inline(always)]
@@ -19,7 +16,7 @@ pub fn cross_fixed<S: FixedLanes>(
     bundles: [&Bundle; 2],
     corners: &Corners,
     layers: &Layers,
-    sums: [&mut Found; 2],
+    sums: [&mut BundleSums; 2],
 ) -> u8 {
     let extent = match (bundles[0].extent(), bundles[1].extent()) {
         (None, None) => return 0,
@@ -33,53 +30,18 @@ pub fn cross_fixed<S: FixedLanes>(
     };
     let (first, end) = (extent.low.floor(), extent.high.ceil());
     let edges = Edges::new(corners, bundles[0].c_reference, first, end);
-    let fit = fit_fixed(edges.spread(end));
-    // As far as whole numbers go; NaN is 0.
+    let fit = fit(edges.spread(end), BROAD_ROWS);
     let full = [extent.full_from.ceil() as i32, extent.full_to.floor() as i32];
     let mut crossing = Crossing { grid, bundles, layers, extent, edges, sums, full };
     if !S::TABLES {
         return crossing.run::<S, Memory>(s);
     }
     match fit {
-        FixedFit::Small => crossing.run::<S, Small<S>>(s),
-        FixedFit::Wide => crossing.run::<S, Wide<S>>(s),
-        FixedFit::Square => crossing.run::<S, Square<S>>(s),
-        FixedFit::Broad => crossing.run::<S, Broad<S>>(s),
-        FixedFit::Memory => crossing.run::<S, Memory>(s),
-    }
-}
-
-/// The smallest kind of window that holds two bundles.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum FixedFit {
-    /// 8 × 4.
-    Small,
-    /// 16 × 4.
-    Wide,
-    /// 8 × 8.
-    Square,
-    /// 16 × 8.
-    Broad,
-    /// Any.
-    Memory,
-}
-
-/// What holds values that spread over `spread` voxels along a and b in one slab (slope included).
-#[inline(always)]
-#[must_use]
-pub fn fit_fixed(spread: [f64; 2]) -> FixedFit {
-    let [a, b] = spread;
-    // n values hold positions that spread over n − 2: one more for the floor, one for the upper neighbour.
-    if a <= 5.99 && b <= 1.99 {
-        FixedFit::Small
-    } else if a <= 13.99 && b <= 1.99 {
-        FixedFit::Wide
-    } else if a <= 5.99 && b <= 5.99 {
-        FixedFit::Square
-    } else if a <= 13.99 && b <= 5.99 {
-        FixedFit::Broad
-    } else {
-        FixedFit::Memory
+        Fit::Small => crossing.run::<S, Small<S>>(s),
+        Fit::Wide => crossing.run::<S, Wide<S>>(s),
+        Fit::Square => crossing.run::<S, Square<S>>(s),
+        Fit::Broad => crossing.run::<S, Broad<S>>(s),
+        Fit::Memory => crossing.run::<S, Memory>(s),
     }
 }
 
@@ -89,7 +51,7 @@ struct Crossing<'c> {
     layers: &'c Layers,
     extent: Extent,
     edges: Edges,
-    sums: [&'c mut Found; 2],
+    sums: [&'c mut BundleSums; 2],
     /// First and end of the slabs that all rays cross from slice to slice.
     full: [i32; 2],
 }
@@ -114,19 +76,11 @@ struct Half<S: FixedLanes> {
 
 /// What all groups of two bundles are made from.
 struct Along<S: FixedLanes> {
-    low: S::F,
-    low_slope: S::F,
-    last: S::F,
+    places: Places<S>,
     halves: [Half<S>; 2],
     /// First and last c of each ray.
     ends: [[S::F; 2]; 2],
 }
-
-const RAMP: [f32; LANES] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
-const IS_B: [f32; LANES] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0];
-
-/// Voxels by which windows begin early: more than is rounded, less than the choice of a window leaves.
-const MARGIN: f64 = 1e-3;
 
 impl Crossing<'_> {
     #[inline(always)]
@@ -164,24 +118,12 @@ impl Crossing<'_> {
 
     #[inline(always)]
     fn filled<S: FixedLanes>(&mut self, s: S, slab: i32, end: i32, filling: usize, material: usize) {
-        let density = match self.grid.fillings.get(filling - 1) {
-            Some(density) => *density,
-            None => f32::NAN,
-        };
-        let (begin, end) = (f64::from(slab), f64::from(end));
+        let density = s.splat(self.grid.filling(filling));
         let mut half = 0;
         while half < 2 {
-            let bundle = self.bundles[half];
-            let mut length = [0.0f32; LANES];
-            let mut l = 0;
-            while l < LANES {
-                let from = if bundle.from[l] > begin { bundle.from[l] } else { begin };
-                let to = if bundle.to[l] < end { bundle.to[l] } else { end };
-                length[l] = if to > from { (to - from) as f32 } else { 0.0 };
-                l += 1;
-            }
+            let length = self.bundles[half].length_between(slab, end);
             let sum = &mut self.sums[half][material & (MOST_MATERIALS - 1)];
-            *sum = s.store(s.fma(s.splat(density), s.load(&length), s.load(sum)));
+            *sum = s.store(s.fma(density, s.load(&length), s.load(sum)));
             half += 1;
         }
     }
@@ -198,7 +140,7 @@ impl Crossing<'_> {
             let (mut slope, mut inverse, mut shift, mut step) = ([none; 2], [none; 2], [none; 2], [none; 2]);
             let mut half = 0;
             while half < 2 {
-                let rate = s.load(&in_f32(&self.bundles[half].slope[x]));
+                let [rate, _] = in_two(s, &self.bundles[half].slope[x]);
                 let size = rounded_slope(s, rate);
                 // size = m 2^−e with 1 ≤ m < 2; of 0 nothing is ever used.
                 let [mantissa, exponent] = s.parts(s.max(s.mul(size, s.splat(1.0 / 65536.0)), tiny));
@@ -220,19 +162,8 @@ impl Crossing<'_> {
 
     #[inline(always)]
     fn along<S: FixedLanes, W: FixedWindow<S>>(&self, s: S) -> Along<S> {
-        let e = &self.edges;
-        let mut low = [0.0f32; 2];
-        let mut x = 0;
-        while x < 2 {
-            let down = if e.low_slope[x] < 0.0 { e.low_slope[x] } else { 0.0 };
-            low[x] = (e.low[x] - e.low_slope[x] * e.c + down - MARGIN) as f32;
-            x += 1;
-        }
-        let size = &self.grid.size;
         Along {
-            low: both_halves(s, low[0], low[1]),
-            low_slope: both_halves(s, e.low_slope[0] as f32, e.low_slope[1] as f32),
-            last: both_halves(s, (size[0] - W::SIZE[0]) as f32, (size[1] - W::SIZE[1]) as f32),
+            places: Places::new(s, &self.edges, &self.grid.size, W::SIZE),
             halves: [half(s, self.bundles[0]), half(s, self.bundles[1])],
             ends: [ends(s, self.bundles[0]), ends(s, self.bundles[1])],
         }
@@ -241,9 +172,7 @@ impl Crossing<'_> {
     #[inline(always)]
     fn group<S: FixedLanes, W: FixedWindow<S>>(&self, s: S, along: &Along<S>, slab: i32, end: i32) -> Group<S> {
         let zero = s.splat(0.0);
-        let c = s.add(s.load(&RAMP), s.splat(slab as f32));
-        let start = s.floor(s.fma(along.low_slope, c, along.low));
-        let start = s.max(s.min(start, along.last), zero);
+        let start = along.places.from(s, slab);
         let starts = s.store(start);
         let on = s.splat((f64::from(slab) - self.bundles[0].c_reference) as f32);
         let mut at = [[s.same_index(0); 2]; 2];
@@ -340,18 +269,6 @@ impl Crossing<'_> {
     }
 }
 
-/// In f32.
-#[inline(always)]
-fn in_f32(values: &[f64; LANES]) -> [f32; LANES] {
-    let mut out = [0.0f32; LANES];
-    let mut l = 0;
-    while l < LANES {
-        out[l] = values[l] as f32;
-        l += 1;
-    }
-    out
-}
-
 /// |slope| in 1/65536, below 1.
 #[inline(always)]
 fn rounded_slope<S: FixedLanes>(s: S, slope: S::F) -> S::F {
@@ -359,16 +276,10 @@ fn rounded_slope<S: FixedLanes>(s: S, slope: S::F) -> S::F {
     s.min(s.floor(s.fma(size, s.splat(65536.0), s.splat(0.5))), s.splat(65535.0))
 }
 
-/// `a` in the first eight lanes, `b` in the others.
-#[inline(always)]
-fn both_halves<S: FixedLanes>(s: S, a: f32, b: f32) -> S::F {
-    s.fma(s.load(&IS_B), s.splat(b - a), s.splat(a))
-}
-
 /// First and last c.
 #[inline(always)]
 fn ends<S: FixedLanes>(s: S, bundle: &Bundle) -> [S::F; 2] {
-    [s.load(&in_f32(&bundle.from)), s.load(&in_f32(&bundle.to))]
+    [in_two(s, &bundle.from)[0], in_two(s, &bundle.to)[0]]
 }
 
 #[inline(always)]

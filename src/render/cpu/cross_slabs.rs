@@ -1,48 +1,15 @@
 //! Crossing a volume slab by slab, sixteen rays at a time: layers of bricks, groups of slabs, windows, rays.
 
 use super::cells_of_slab::{Slopes, cells, slopes};
-use super::edges::{BRICK, Bundle, Edges, Extent, Layers};
+use super::edges::{BRICK, Bundle, BundleSums, Edges, Extent, Layers};
 use super::lanes::{LANES, Lanes};
-use super::windows::{Broad, Memory, Small, Square, Wide, Window};
+use super::window_places::{Fit, Places, fit, halves, in_two};
+use super::windows::{BROAD_ROWS, Broad, Memory, Small, Square, Wide, Window};
 use crate::render::slabs::{MATERIAL_BITS, MOST_MATERIALS, SlabGrid};
-
-/// The smallest kind of window that holds a bundle.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Fit {
-    /// 8 × 4.
-    Small,
-    /// 16 × 4.
-    Wide,
-    /// 8 × 8.
-    Square,
-    /// 16 × 6.
-    Broad,
-    /// Any.
-    Memory,
-}
-
-/// What holds values that spread over `spread` voxels along a and b in one slab (slope included).
-#[inline(always)]
-#[must_use]
-pub fn fit(spread: [f64; 2]) -> Fit {
-    let [a, b] = spread;
-    // n values hold positions that spread over n − 2: one more for the floor, one for the upper neighbour.
-    if a <= 5.99 && b <= 1.99 {
-        Fit::Small
-    } else if a <= 13.99 && b <= 1.99 {
-        Fit::Wide
-    } else if a <= 5.99 && b <= 5.99 {
-        Fit::Square
-    } else if a <= 13.99 && b <= 3.99 {
-        Fit::Broad
-    } else {
-        Fit::Memory
-    }
-}
 
 /// Adds ∫ρ dc per material to `sums`. Returns the bits of all bricks that were met.
 #[inline(always)]
-pub fn cross<S: Lanes>(s: S, grid: &SlabGrid, bundle: &Bundle, layers: &Layers, sums: &mut [[f32; LANES]; MOST_MATERIALS]) -> u8 {
+pub fn cross<S: Lanes>(s: S, grid: &SlabGrid, bundle: &Bundle, layers: &Layers, sums: &mut BundleSums) -> u8 {
     let Some(extent) = bundle.extent() else { return 0 };
     let (first, end) = (extent.low.floor(), extent.high.ceil());
     let edges = Edges::new(&bundle.corners, bundle.c_reference, first, end);
@@ -50,7 +17,7 @@ pub fn cross<S: Lanes>(s: S, grid: &SlabGrid, bundle: &Bundle, layers: &Layers, 
     if !S::TABLES {
         return crossing.run::<S, Memory>(s, sums);
     }
-    match fit(edges.spread(end)) {
+    match fit(edges.spread(end), BROAD_ROWS) {
         Fit::Small => crossing.run::<S, Small<S>>(s, sums),
         Fit::Wide => crossing.run::<S, Wide<S>>(s, sums),
         Fit::Square => crossing.run::<S, Square<S>>(s, sums),
@@ -81,44 +48,15 @@ struct Group<S: Lanes> {
 
 /// What all groups of a bundle are made from.
 struct Along<S: Lanes> {
-    /// Where windows begin at c = 0, and how that changes with c: along a in the first eight lanes, along b in the others.
-    low: S::F,
-    low_slope: S::F,
-    /// The last columns and rows where they can.
-    last: S::F,
+    places: Places<S>,
     /// Rays along a and b at the bundle's `c_reference`, in two parts.
     at: [[S::F; 2]; 2],
     slope: [[S::F; 2]; 2],
 }
 
-const RAMP: [f32; LANES] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
-const IS_B: [f32; LANES] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0];
-
-/// Voxels by which windows begin early: more than f32 rounds, less than `fit` leaves.
-const MARGIN: f64 = 1e-3;
-
-/// `a` in the first eight lanes, `b` in the others.
-#[inline(always)]
-fn halves<S: Lanes>(s: S, a: f32, b: f32) -> S::F {
-    s.fma(s.load(&IS_B), s.splat(b - a), s.splat(a))
-}
-
-/// Two f32 whose sum is closer to each value than one can be.
-#[inline(always)]
-pub fn in_two<S: Lanes>(s: S, values: &[f64; LANES]) -> [S::F; 2] {
-    let (mut high, mut low) = ([0.0f32; LANES], [0.0f32; LANES]);
-    let mut l = 0;
-    while l < LANES {
-        high[l] = values[l] as f32;
-        low[l] = (values[l] - f64::from(high[l])) as f32;
-        l += 1;
-    }
-    [s.load(&high), s.load(&low)]
-}
-
 impl Crossing<'_> {
     #[inline(always)]
-    fn run<S: Lanes, W: Window<S>>(&self, s: S, sums: &mut [[f32; LANES]; MOST_MATERIALS]) -> u8 {
+    fn run<S: Lanes, W: Window<S>>(&self, s: S, sums: &mut BundleSums) -> u8 {
         let k = slopes(s, self.bundle, W::STRIDE);
         let along = self.along::<S, W>(s);
         let mut met = 0;
@@ -167,38 +105,13 @@ impl Crossing<'_> {
     /// ∫ρ dc from slab to slab where all is filled with the same.
     #[inline(always)]
     fn filled<S: Lanes>(&self, s: S, slab: i32, end: i32, filling: usize) -> S::F {
-        let density = match self.grid.fillings.get(filling - 1) {
-            Some(density) => *density,
-            None => f32::NAN,
-        };
-        let (begin, end) = (f64::from(slab), f64::from(end));
-        let mut length = [0.0f32; LANES];
-        let mut l = 0;
-        while l < LANES {
-            let from = if self.bundle.from[l] > begin { self.bundle.from[l] } else { begin };
-            let to = if self.bundle.to[l] < end { self.bundle.to[l] } else { end };
-            length[l] = if to > from { (to - from) as f32 } else { 0.0 };
-            l += 1;
-        }
-        s.mul(s.splat(density), s.load(&length))
+        s.mul(s.splat(self.grid.filling(filling)), s.load(&self.bundle.length_between(slab, end)))
     }
 
     #[inline(always)]
     fn along<S: Lanes, W: Window<S>>(&self, s: S) -> Along<S> {
-        let e = &self.edges;
-        let mut low = [0.0f32; 2];
-        let mut x = 0;
-        while x < 2 {
-            // The lowest position of a slab is at its beginning or at its end.
-            let down = if e.low_slope[x] < 0.0 { e.low_slope[x] } else { 0.0 };
-            low[x] = (e.low[x] - e.low_slope[x] * e.c + down - MARGIN) as f32;
-            x += 1;
-        }
-        let size = &self.grid.size;
         Along {
-            low: halves(s, low[0], low[1]),
-            low_slope: halves(s, e.low_slope[0] as f32, e.low_slope[1] as f32),
-            last: halves(s, (size[0] - W::SIZE[0]) as f32, (size[1] - W::SIZE[1]) as f32),
+            places: Places::new(s, &self.edges, &self.grid.size, W::SIZE),
             at: [in_two(s, &self.bundle.at[0]), in_two(s, &self.bundle.at[1])],
             slope: [in_two(s, &self.bundle.slope[0]), in_two(s, &self.bundle.slope[1])],
         }
@@ -207,9 +120,7 @@ impl Crossing<'_> {
     #[inline(always)]
     fn group<S: Lanes, W: Window<S>>(&self, s: S, along: &Along<S>, slab: i32, end: i32) -> Group<S> {
         let zero = s.splat(0.0);
-        let c = s.add(s.load(&RAMP), s.splat(slab as f32));
-        let start = s.floor(s.fma(along.low_slope, c, along.low));
-        let start = s.max(s.min(start, along.last), zero);
+        let start = along.places.from(s, slab);
         let starts = s.store(start);
         let origin = [starts[0], starts[8]];
         // A multiple of ½.
@@ -275,7 +186,7 @@ impl Crossing<'_> {
 }
 
 #[inline(always)]
-fn add<S: Lanes>(s: S, sums: &mut [[f32; LANES]; MOST_MATERIALS], material: u32, found: S::F) {
+fn add<S: Lanes>(s: S, sums: &mut BundleSums, material: u32, found: S::F) {
     let sum = &mut sums[material as usize & (MOST_MATERIALS - 1)];
     *sum = s.store(s.add(s.load(sum), found));
 }

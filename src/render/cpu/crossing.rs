@@ -1,14 +1,14 @@
 //! A volume that is crossed in bundles of sixteen rays: where they begin and end, what lies below, whether the scan was complete.
 
 use super::bundles::{Aimed, Pattern, Rays};
-use super::cross_fixed::{Found, cross_fixed};
+use super::cross_fixed::cross_fixed;
 use super::cross_slabs::cross;
-use super::edges::Layers;
+use super::edges::{BundleSums, Layers};
 use super::fixed_lanes::FixedLanes;
 use super::lanes::{LANES, Lanes};
 use crate::render::cells::{BRICK, CUT, EMPTY, EMPTY_BRICK};
 use crate::render::prepared::{Prepared, SeenVolume, far_mm};
-use crate::render::slabs::{AXES, CUT_BIT, MOST_MATERIALS, SlabGrid};
+use crate::render::slabs::{AXES, CUT_BIT, SlabGrid};
 
 /// The volume of a scene that can be crossed in bundles.
 pub struct Crossing<'a> {
@@ -135,22 +135,29 @@ impl<'c, 'a> Below<'c, 'a> {
         Self { crossing, corners, filled: [false; 3], layers: Default::default() }
     }
 
+    /// The volume for rays along an axis, and where they are described; sees to its layers.
+    #[inline(always)]
+    fn look(&mut self, axis: usize) -> Option<(&'c SlabGrid<'a>, f64)> {
+        let grid = self.crossing.grids[axis].as_ref()?;
+        let reference = 0.5 * f64::from(grid.voxels[2]);
+        if !self.filled[axis] {
+            self.layers[axis].fill(grid, &self.crossing.rays.corners(&self.corners, axis, reference), reference);
+            self.filled[axis] = true;
+        }
+        Some((grid, reference))
+    }
+
     /// Adds ∫ρ dc of rays along each of the axes that are dominant for any. Returns the bits of the bricks below; `None` where an axis has
     /// no slabs.
     #[inline(always)]
-    pub fn cross<S: Lanes>(&mut self, s: S, aimed: &Aimed, sums: &mut [[f32; LANES]; MOST_MATERIALS]) -> Option<u8> {
+    pub fn cross<S: Lanes>(&mut self, s: S, aimed: &Aimed, sums: &mut BundleSums) -> Option<u8> {
         let mut met = 0;
         let pixels = aimed.pattern.corners();
         let rays = &self.crossing.rays;
         let mut axis = 0;
         while axis < 3 {
             if aimed.axes[axis] {
-                let Some(grid) = &self.crossing.grids[axis] else { return None };
-                let reference = 0.5 * f64::from(grid.voxels[2]);
-                if !self.filled[axis] {
-                    self.layers[axis].fill(grid, &rays.corners(&self.corners, axis, reference), reference);
-                    self.filled[axis] = true;
-                }
+                let (grid, reference) = self.look(axis)?;
                 let bundle = rays.bundle(aimed, rays.corners(&pixels, axis, reference), axis, reference);
                 met |= cross::<S>(s, grid, &bundle, &self.layers[axis], sums);
             }
@@ -161,7 +168,7 @@ impl<'c, 'a> Below<'c, 'a> {
 
     /// The same for two bundles, the second below the first, in fixed point.
     #[inline(always)]
-    pub fn cross_fixed<S: FixedLanes>(&mut self, s: S, aimed: [&Aimed; 2], sums: [&mut Found; 2]) -> Option<u8> {
+    pub fn cross_fixed<S: FixedLanes>(&mut self, s: S, aimed: [&Aimed; 2], sums: [&mut BundleSums; 2]) -> Option<u8> {
         let mut met = 0;
         let [[left, right, _, _], [_, _, low_left, low_right]] = [aimed[0].pattern.corners(), aimed[1].pattern.corners()];
         let rays = &self.crossing.rays;
@@ -169,12 +176,7 @@ impl<'c, 'a> Below<'c, 'a> {
         let mut axis = 0;
         while axis < 3 {
             if aimed[0].axes[axis] || aimed[1].axes[axis] {
-                let Some(grid) = &self.crossing.grids[axis] else { return None };
-                let reference = 0.5 * f64::from(grid.voxels[2]);
-                if !self.filled[axis] {
-                    self.layers[axis].fill(grid, &rays.corners(&self.corners, axis, reference), reference);
-                    self.filled[axis] = true;
-                }
+                let (grid, reference) = self.look(axis)?;
                 let corners = rays.corners(&[left, right, low_left, low_right], axis, reference);
                 let bundles = [rays.bundle(aimed[0], corners, axis, reference), rays.bundle(aimed[1], corners, axis, reference)];
                 let [upper, lower] = &bundles;

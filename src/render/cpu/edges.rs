@@ -2,7 +2,7 @@
 
 use super::lanes::LANES;
 use crate::render::cells;
-use crate::render::slabs::{FILLING_SHIFT, SlabGrid};
+use crate::render::slabs::{FILLING_SHIFT, MOST_MATERIALS, SlabGrid};
 
 /// Slabs along the edge of a brick.
 pub const BRICK: i32 = cells::BRICK as i32;
@@ -187,6 +187,9 @@ pub struct Bundle {
     pub corners: Corners,
 }
 
+/// ∫ρ dc of sixteen rays, by material of the volume.
+pub type BundleSums = [[f32; LANES]; MOST_MATERIALS];
+
 /// Values of c that any lane, and that all lanes cross.
 #[derive(Clone, Copy, Debug)]
 pub struct Extent {
@@ -201,6 +204,22 @@ pub struct Extent {
 }
 
 impl Bundle {
+    /// Length in c of each ray's part between two slices.
+    #[inline(always)]
+    #[must_use]
+    pub fn length_between(&self, begin: i32, end: i32) -> [f32; LANES] {
+        let (begin, end) = (f64::from(begin), f64::from(end));
+        let mut length = [0.0f32; LANES];
+        let mut l = 0;
+        while l < LANES {
+            let from = if self.from[l] > begin { self.from[l] } else { begin };
+            let to = if self.to[l] < end { self.to[l] } else { end };
+            length[l] = if to > from { (to - from) as f32 } else { 0.0 };
+            l += 1;
+        }
+        length
+    }
+
     /// `None` when no lane counts.
     #[inline(always)]
     #[must_use]

@@ -7,6 +7,16 @@ use super::lanes::{LANES, Lanes, Portable};
 /// Rays that are crossed together.
 pub const WORDS: usize = 2 * LANES;
 
+/// Whether this processor has lanes for which fixed point is faster than f32.
+#[must_use]
+pub fn is_fast() -> bool {
+    #[cfg(target_arch = "x86_64")]
+    let is_fast = pulp::x86::V4::try_new().is_some();
+    #[cfg(not(target_arch = "x86_64"))]
+    let is_fast = false;
+    is_fast
+}
+
 /// Operations on thirty-two 16-bit words.
 pub trait FixedLanes: Lanes {
     /// Thirty-two words.

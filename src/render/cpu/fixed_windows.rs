@@ -75,12 +75,15 @@ impl<S: FixedLanes> FixedWindow<S> for Square<S> {
     }
 }
 
+/// Rows of [`Broad`].
+pub const BROAD_ROWS: i32 = 8;
+
 /// Sixteen columns, eight rows.
 #[derive(Clone, Copy)]
 pub struct Broad<S: FixedLanes>([S::W; 4]);
 
 impl<S: FixedLanes> FixedWindow<S> for Broad<S> {
-    const SIZE: [i32; 2] = [16, 8];
+    const SIZE: [i32; 2] = [16, BROAD_ROWS];
     const STRIDE: i32 = 16;
     #[inline(always)]
     fn open(s: S, words: Words, a: i32, b: i32, c: i32) -> [Self; 2] {

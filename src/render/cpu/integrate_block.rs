@@ -6,6 +6,7 @@ use glam::DVec2;
 use super::bundles::{Aimed, Pattern};
 use super::claims::Claims;
 use super::crossing::{Below, Crossing};
+use super::edges::BundleSums;
 use super::fixed_lanes::FixedLanes;
 use super::lanes::{LANES, Portable};
 use crate::render::prepared::{Bounds, Step};
@@ -64,13 +65,13 @@ impl<S: FixedLanes> pulp::NullaryFnOnce for On<'_, '_, '_, S> {
     }
 }
 
-/// Sixteen rays, what they crossed so far.
-struct Found {
+/// Sixteen rays, and what they crossed so far.
+struct Shot {
     aimed: Aimed,
     seen: [bool; LANES],
     missing: [f64; LANES],
     rounds: usize,
-    sums: [[f32; LANES]; MOST_MATERIALS],
+    sums: BundleSums,
 }
 
 impl Fill<'_, '_, '_> {
@@ -91,16 +92,16 @@ impl Fill<'_, '_, '_> {
         for v in (v0..bounds.to[1] as usize).step_by(2 * rows) {
             for u in (u0..bounds.to[0] as usize).step_by(columns) {
                 let patterns = [Pattern::grid([u, v], columns), Pattern::grid([u, v + rows], columns)];
-                let mut found = [self.aim(0, patterns[0], last), self.aim(1, patterns[1], last)];
-                let rounds = found[0].rounds.max(found[1].rounds);
+                let mut shots = [self.aim(0, patterns[0], last), self.aim(1, patterns[1], last)];
+                let rounds = shots[0].rounds.max(shots[1].rounds);
                 let mut met = [0; 2];
                 let mut lost = false;
                 for round in 0..rounds {
                     if !self.block.solids.is_empty() {
-                        self.claims[0].round(round, &mut found[0].aimed.t);
-                        self.claims[1].round(round, &mut found[1].aimed.t);
+                        self.claims[0].round(round, &mut shots[0].aimed.t);
+                        self.claims[1].round(round, &mut shots[1].aimed.t);
                     }
-                    let [first, second] = &mut found;
+                    let [first, second] = &mut shots;
                     if crossing.fixed {
                         match below.cross_fixed(s, [&first.aimed, &second.aimed], [&mut first.sums, &mut second.sums]) {
                             Some(bits) => met = [met[0] | bits, met[1] | bits],
@@ -118,7 +119,7 @@ impl Fill<'_, '_, '_> {
                     }
                 }
                 for half in 0..2 {
-                    unscanned = unscanned.max(self.write(half, &found[half], met[half], lost, &below));
+                    unscanned = unscanned.max(self.write(half, &shots[half], met[half], lost, &below));
                 }
             }
         }
@@ -127,7 +128,7 @@ impl Fill<'_, '_, '_> {
 
     /// Aims at a bundle; shapes and meshes claim their part of each ray; what is left comes in at most `rounds` pieces a ray.
     #[inline(always)]
-    fn aim(&mut self, half: usize, pattern: Pattern, last: [f64; 2]) -> Found {
+    fn aim(&mut self, half: usize, pattern: Pattern, last: [f64; 2]) -> Shot {
         let mut seen = [false; LANES];
         let mut l = 0;
         while l < LANES {
@@ -140,18 +141,21 @@ impl Fill<'_, '_, '_> {
         if !self.block.solids.is_empty() {
             rounds = self.claims[half].claim(self.crossing.prepared, self.block.solids, &pattern, &seen, &aimed.t);
         }
-        Found { aimed, seen, missing, rounds, sums: [[0.0; LANES]; MOST_MATERIALS] }
+        Shot { aimed, seen, missing, rounds, sums: [[0.0; LANES]; MOST_MATERIALS] }
     }
 
     /// Writes a bundle's paths; returns the longest unscanned one in mm.
     #[inline(always)]
-    fn write(&mut self, half: usize, found: &Found, met: u8, lost: bool, below: &Below) -> f32 {
-        let Found { aimed, seen, missing, sums, .. } = found;
+    fn write(&mut self, half: usize, shot: &Shot, met: u8, lost: bool, below: &Below) -> f32 {
+        let Shot { aimed, seen, missing, sums, .. } = shot;
         let (crossing, block, claims) = (self.crossing, &mut self.block, &self.claims[half]);
         let materials = crossing.prepared.material_count;
         let cells = &crossing.seen.cells;
         let pattern = &aimed.pattern;
-        let pixel = |l: usize| (pattern.v[l] as usize - block.first_row) * block.width + pattern.u[l] as usize;
+        let pixel = |l: usize| {
+            let [u, v] = pattern.pixel(l);
+            (v - block.first_row) * block.width + u
+        };
         let scale = aimed.g_per_cm2();
         let whole = missing.iter().all(|mm| *mm == 0.0);
         if block.solids.is_empty() && !lost && met & CUT_BIT == 0 && whole {

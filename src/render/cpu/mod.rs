@@ -23,4 +23,5 @@ mod lanes_avx2;
 pub mod resample_overlap;
 pub mod shapes;
 pub mod walk_cells;
+pub mod window_places;
 pub mod windows;

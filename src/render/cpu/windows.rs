@@ -66,12 +66,15 @@ impl<S: Lanes> Window<S> for Wide<S> {
     }
 }
 
+/// Rows of [`Broad`].
+pub const BROAD_ROWS: i32 = 6;
+
 /// Sixteen columns, six rows.
 #[derive(Clone, Copy)]
 pub struct Broad<S: Lanes>(S::Table, S::Table, S::Table);
 
 impl<S: Lanes> Window<S> for Broad<S> {
-    const SIZE: [i32; 2] = [16, 6];
+    const SIZE: [i32; 2] = [16, BROAD_ROWS];
     const STRIDE: i32 = 16;
     #[inline(always)]
     fn open(s: S, grid: &SlabGrid, a: i32, b: i32, c: i32) -> Self {

@@ -40,6 +40,7 @@ fn a_silent_line_looks_stale_and_a_live_one_does_not() {
 #[test]
 fn a_refused_pair_shows_its_reason_and_no_drr() {
     let pair = PairView {
+        number: 7,
         name: "frame-007".to_owned(),
         time_us: 1,
         status: "refused: two beads found, four needed".to_owned(),

@@ -68,6 +68,9 @@ impl std::str::FromStr for Domain {
 /// An acquired radiograph. Serialized (and printed with `{:?}`) without its pixels.
 #[derive(Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Frame {
+    /// Counts the frames of a session from 1, in order of arrival; 0 outside one. With the hash it identifies the frame, the name does not.
+    #[serde(default)]
+    pub number: u32,
     /// File stem (with `#0002` for later images of one file), or `frame-HASH` when the file name gave the patient away.
     pub name: String,
     /// Pixels; every one is finite.
@@ -180,6 +183,7 @@ impl Raw {
         }
         let clipping = clipping(&self.pixels, self.scale_ends, self.domain == Domain::Log);
         Ok(Frame {
+            number: 0,
             name,
             size_px: [width, height],
             pixels: self.pixels,

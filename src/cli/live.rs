@@ -1,16 +1,14 @@
 //! `sidecarm live`: a session with real (or mocked) devices; and the pre-flight check of `devices`.
 
 use std::path::PathBuf;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::devices::{self, CheckFile, CheckList, DevicesArgs, FileCheck};
 use crate::reporter::Reporter;
-use crate::session::SessionError;
 use crate::session::board::Board;
 use crate::session::file::{SessionFileError, Setup};
 use crate::session::folder::Folder;
 use crate::session::live::{LiveOptions, run as run_session};
+use crate::session::{SessionError, Stop};
 use crate::telemetry::{DeviceKind, PortConfig};
 
 /// Ride along: telemetry and frames in, matched DRRs, log and report out. Ends with Ctrl-C.
@@ -42,8 +40,8 @@ pub fn run(args: &LiveArgs, reporter: &Reporter) -> Result<u8, SessionError> {
     let beside = args.session.parent().unwrap_or(std::path::Path::new(".")).to_owned();
     let named = setup.session.out.as_ref().map(|out| beside.join(out));
     let out = args.out.clone().or(named).unwrap_or_else(|| beside.join("session"));
-    let stop = Arc::new(AtomicBool::new(false));
-    stop_on_interrupt(&stop);
+    let stop = Stop::default();
+    stop_on_signals(&stop, reporter);
     let options = LiveOptions { out, stop, seconds: args.seconds, include_existing: args.include_existing };
     let folder = watch(setup, options, args.headless, reporter)?;
     summary(&folder, reporter);
@@ -67,22 +65,65 @@ pub(super) fn watch(setup: Setup, options: LiveOptions, headless: bool, reporter
         let (shown, for_thread) = (board.clone(), reporter.clone());
         let session = std::thread::spawn(move || run_session(setup, &options, &board, &for_thread));
         // The window needs the main thread; closing it ends the session.
-        if let Err(error) = crate::viewer::run(shown, move || stop.store(true, Ordering::Relaxed)) {
+        if let Err(error) = crate::viewer::run(shown, move || stop.finish()) {
             reporter.warn("no window", error);
         }
         session.join().map_err(|_| SessionError::WorkshopDied)?
     }
 }
 
-/// Ctrl-C ends the session in order, with log and report complete.
-pub(super) fn stop_on_interrupt(stop: &Arc<AtomicBool>) {
-    let stop = stop.clone();
+/// Ctrl-C ends the session in order, with log and report complete; a second one at once, with nothing lost that was recorded. SIGTERM and
+/// SIGHUP end it as Ctrl-C does.
+pub(super) fn stop_on_signals(stop: &Stop, reporter: &Reporter) {
+    let (stop, reporter) = (stop.clone(), reporter.clone());
     std::thread::spawn(move || {
         let Ok(runtime) = tokio::runtime::Builder::new_current_thread().enable_all().build() else { return };
-        if runtime.block_on(tokio::signal::ctrl_c()).is_ok() {
-            stop.store(true, Ordering::Relaxed);
-        }
+        runtime.block_on(async {
+            let Ok(mut signals) = Signals::new() else { return };
+            while signals.next().await {
+                match stop.ask() {
+                    1 => reporter.note("ending the session; again to leave at once"),
+                    _ => reporter.note("leaving at once; what is recorded is kept"),
+                }
+            }
+        });
     });
+}
+
+#[cfg(unix)]
+struct Signals([tokio::signal::unix::Signal; 3]);
+
+#[cfg(unix)]
+impl Signals {
+    fn new() -> std::io::Result<Self> {
+        use tokio::signal::unix::{SignalKind, signal};
+        Ok(Self([signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?, signal(SignalKind::hangup())?]))
+    }
+
+    /// Waits for the next one; false when there will be none.
+    async fn next(&mut self) -> bool {
+        let [interrupt, terminate, hangup] = &mut self.0;
+        tokio::select! {
+            found = interrupt.recv() => found.is_some(),
+            found = terminate.recv() => found.is_some(),
+            found = hangup.recv() => found.is_some(),
+        }
+    }
+}
+
+#[cfg(not(unix))]
+struct Signals;
+
+#[cfg(not(unix))]
+impl Signals {
+    fn new() -> std::io::Result<Self> {
+        Ok(Self)
+    }
+
+    /// Waits for the next one; false when there will be none.
+    async fn next(&mut self) -> bool {
+        tokio::signal::ctrl_c().await.is_ok()
+    }
 }
 
 /// Where everything is, on standard output.

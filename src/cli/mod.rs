@@ -56,6 +56,11 @@ enum Command {
 /// Runs the program.
 #[must_use]
 pub fn main() -> ExitCode {
+    // A fault of this program is one sentence for whoever uses it; where it happened is for whoever mends it.
+    std::panic::set_hook(Box::new(|panic| {
+        let place = panic.location().map(|place| format!(" ({}:{})", place.file(), place.line())).unwrap_or_default();
+        eprintln!("sidecarm: a fault of this program{place}; please report it with what you did");
+    }));
     let cli = Cli::parse();
     let reporter = Reporter::stderr();
     ExitCode::from(dispatch(&cli.command, &reporter))

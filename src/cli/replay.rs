@@ -55,17 +55,28 @@ pub fn run(args: &ReplayArgs, reporter: &Reporter) -> Result<u8, SessionError> {
         println!("{} frames replayed into {}", report.frames, folder.path.display());
         println!("poses: {} identical, {} different", report.poses_identical, report.poses_different.len());
         println!("images: {} identical, {} different", report.images_identical, report.images_different.len());
-        for (frame, largest, bound) in &report.images_different {
-            println!("  {frame}: largest difference {largest:.3e} nepers, bound of its plan {bound:.1e}");
+        for found in &report.images_different {
+            let largest = found.largest_nepers.map_or("not finite".to_owned(), |largest| format!("{largest:.3e} nepers"));
+            let detail = found.detail.as_ref().map(|detail| format!(" ({detail})")).unwrap_or_default();
+            println!("  frame {}: largest difference {largest}, bound of its plan {:.1e}{detail}", found.number, found.bound);
         }
-        for frame in &report.poses_different {
-            println!("  {frame}: pose differs from the log");
+        for number in &report.images_missing {
+            println!("  frame {number}: the log has a DRR, none was rendered now");
+        }
+        for number in &report.poses_different {
+            println!("  frame {number}: pose differs from the log");
+        }
+        for number in &report.poses_missing {
+            println!("  frame {number}: the log has a pose, but no frame for it");
         }
         for missing in &report.not_in_log {
             println!("  not in the log: {missing}");
         }
         for loss in &report.losses {
             println!("  lost: {loss}");
+        }
+        for loss in &report.session_losses {
+            println!("  lost in the session: {loss}");
         }
     }
     Ok(if report.losses.is_empty() && report.is_faithful() { 0 } else { 3 })

@@ -94,3 +94,17 @@ impl Provenance {
         }
     }
 }
+
+/// Shim.
+#[derive(Default)]
+pub struct Tolerance(Vec<String>);
+impl Tolerance {
+    /// Takes.
+    pub fn take<T>(&mut self, outcome: Result<T, RecordError>) -> Option<T> {
+        outcome.map_err(|error| self.0.push(error.to_string())).ok()
+    }
+    /// Losses.
+    pub fn losses(&self) -> Vec<String> {
+        self.0.clone()
+    }
+}

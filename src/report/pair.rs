@@ -99,8 +99,14 @@ pub struct TruthError {
 /// One exposure.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Pair {
-    /// Name of the acquired frame.
+    /// Counts the frames of a session from 1, in order of arrival; 0 outside one.
+    #[serde(default)]
+    pub number: u32,
+    /// Label of the acquired frame; several frames may share it.
     pub frame: String,
+    /// SHA-256 of the frame's file.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub sha256: String,
     /// Host time of the middle of the exposure, else of the frame's arrival, µs since the Unix epoch.
     pub time_us: Option<i64>,
     /// How the frame was bound to an exposure: `counter`, `time` or `none`.
@@ -171,7 +177,9 @@ impl Pair {
     #[must_use]
     pub fn unmatched(frame: &str, reason: &str) -> Self {
         Self {
+            number: 0,
             frame: frame.to_owned(),
+            sha256: String::new(),
             time_us: None,
             binding: "none".into(),
             binding_evidence: Vec::new(),

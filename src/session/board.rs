@@ -25,6 +25,8 @@ pub struct Link {
 /// One frame with its matched DRR, as the window shows it.
 #[derive(Clone, Debug)]
 pub struct PairView {
+    /// The frame's number of arrival.
+    pub number: u32,
     /// The frame's name.
     pub name: String,
     /// When it was exposed, host time.
@@ -52,6 +54,12 @@ pub struct BoardState {
     pub pairs: Vec<Arc<PairView>>,
     /// Frames seen so far.
     pub frames_seen: usize,
+    /// Frames that wait to be registered, rendered or compared.
+    pub frames_waiting: usize,
+    /// Age of the oldest message that is not in the log's file yet, ms.
+    pub recorder_behind_ms: f64,
+    /// Why nothing is recorded any more.
+    pub recorder_failure: Option<String>,
     /// Host time of this state.
     pub now_us: i64,
     /// The session has ended.
@@ -62,6 +70,46 @@ pub struct BoardState {
 
 /// Telemetry older than this is shown as stale.
 pub const STALE_AFTER_US: i64 = 500_000;
+
+/// Pairs whose pictures are kept whole; of older ones a small picture is kept.
+const WHOLE_PICTURES: usize = 16;
+/// Widest small picture.
+const THUMBNAIL_PX: usize = 155;
+
+impl PairView {
+    fn shrink(&mut self) {
+        fn small<T: Clone>(image: &Image<T>) -> Image<T> {
+            let step = image.width.div_ceil(THUMBNAIL_PX).max(1);
+            let (width, height) = (image.width / step, image.height / step);
+            let at = |index: usize| image.at(index % width * step, index / width * step).clone();
+            Image { width, height, pixels: (0..width * height).map(at).collect() }
+        }
+        self.acquired = small(&self.acquired);
+        self.drr = self.drr.as_ref().map(small);
+        self.difference = self.difference.as_ref().map(small);
+    }
+}
+
+impl BoardState {
+    /// Shows a pair, or what is new about it; memory stays bounded.
+    pub fn show(&mut self, pair: PairView) {
+        let pair = Arc::new(pair);
+        match self.pairs.iter_mut().find(|known| known.number == pair.number) {
+            Some(slot) => *slot = pair,
+            None => {
+                let at = self.pairs.partition_point(|known| known.number < pair.number);
+                self.pairs.insert(at, pair);
+            }
+        }
+        let old = self.pairs.len().saturating_sub(WHOLE_PICTURES);
+        // All older ones were shrunk before.
+        for pair in self.pairs[..old].iter_mut().rev().take(2) {
+            if pair.acquired.width > THUMBNAIL_PX {
+                Arc::make_mut(pair).shrink();
+            }
+        }
+    }
+}
 
 impl Link {
     /// Whether nothing came for [`STALE_AFTER_US`], or ever.
@@ -79,6 +127,11 @@ impl Board {
     /// Changes the state.
     pub fn update(&self, change: impl FnOnce(&mut BoardState)) {
         change(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner));
+    }
+
+    /// Asks the state.
+    pub fn read<T>(&self, ask: impl FnOnce(&BoardState) -> T) -> T {
+        ask(&self.0.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
     /// A copy of the state; images are shared, not copied.

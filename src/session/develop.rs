@@ -1,24 +1,19 @@
-//! The workshop: a thread that turns posed frames into pairs: scene, DRR, comparison, strip, and later the null.
+//! From a posed frame to a pair: scene, DRR, comparison, strip, and later the null.
 
-use std::collections::VecDeque;
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 
 use glam::{DVec2, DVec3};
 
-use super::SessionError;
 use super::board::PairView;
-use super::engine::{PoseSource, Posed};
-use super::file::Setup;
-use crate::beads::{BeadLayout, parse_markups};
-use crate::compare::{CompareInput, Compared, Tone, compare};
+use super::posing::{PoseSource, Posed};
+use crate::beads::BeadLayout;
+use crate::compare::{CompareInput, Compared, NullError, Tone, compare};
 use crate::geometry::View;
-use crate::gpu::DeviceChoice;
 use crate::image::{Image, sha256_bytes};
 use crate::render::{Options, Plan, Quantity, Rendered, Renderer};
 use crate::report::{self, Pair, PairStatus, StripInput};
 use crate::reporter::Reporter;
-use crate::scene::{self, Scene};
+use crate::scene::Scene;
 use crate::time::Stopwatch;
 use crate::timeline::{Binding, BindingHow};
 
@@ -42,6 +37,13 @@ pub struct Developed {
 }
 
 impl Developed {
+    /// Complete as it is, and why there is no null.
+    pub(super) fn without_null(mut self, because: &str) -> Self {
+        self.pair.flags.push(format!("no null: {because}"));
+        self.complete = true;
+        self
+    }
+
     /// What the window shows.
     #[must_use]
     pub fn picture(&self) -> PairView {
@@ -61,6 +63,7 @@ impl Developed {
         };
         let scores = ["zncc", "gradient_ncc", "ssim", "local_ncc", "edge_distance_mm", "rmse_nepers"];
         PairView {
+            number: self.posed.number,
             name: frame.name.clone(),
             time_us: self.posed.time_us,
             status: self.pair.status_line(),
@@ -73,124 +76,17 @@ impl Developed {
     }
 }
 
-/// A frame, and the plan to execute where a log has one.
-type Job = (Posed, Option<Plan>);
-
-/// The null needs about twenty small renders: it waits until no frame waits.
-struct NullJob {
-    developed: Developed,
-    scene: Arc<Scene>,
-}
-
-/// Renders and compares on a thread of its own.
-pub struct Workshop {
-    jobs: Option<Sender<Job>>,
-    done: Receiver<Developed>,
-    thread: Option<std::thread::JoinHandle<()>>,
-    layout: Option<BeadLayout>,
-    adapter: String,
-    inputs: Vec<scene::InputFile>,
-    open: usize,
-}
-
-impl Workshop {
-    /// Loads the scene and the beads, chooses a renderer, starts the thread.
-    ///
-    /// # Errors
-    /// When scene or beads are wrong, or the renderer is not available.
-    pub fn open(setup: &Setup, device: DeviceChoice, reporter: &Reporter) -> Result<Self, SessionError> {
-        let scene = scene::load_text(&setup.scene_json, &setup.scene_path, false, reporter)?;
-        let layout = match &setup.beads {
-            Some((path, text)) => Some(
-                parse_markups(path, text.as_bytes())
-                    .map_err(|error| SessionError::Beads { path: path.display().to_string(), detail: error.to_string() })?,
-            ),
-            None => None,
-        };
-        let renderer = Renderer::new(device, reporter)?;
-        let adapter = renderer.adapter();
-        let inputs = scene.inputs.clone();
-        let (jobs, inbox) = channel();
-        let (outbox, done) = channel();
-        let bench = Bench { scene, layout: layout.clone(), renderer, reporter: reporter.clone(), nulls: VecDeque::new() };
-        let thread = std::thread::spawn(move || bench.work(&inbox, &outbox));
-        Ok(Self { jobs: Some(jobs), done, thread: Some(thread), layout, adapter, inputs, open: 0 })
-    }
-
-    /// The specimen's beads.
-    #[must_use]
-    pub fn layout(&self) -> Option<&BeadLayout> {
-        self.layout.as_ref()
-    }
-
-    /// What renders.
-    #[must_use]
-    pub fn adapter(&self) -> &str {
-        &self.adapter
-    }
-
-    /// Files that went into the scene.
-    #[must_use]
-    pub fn inputs(&self) -> &[scene::InputFile] {
-        &self.inputs
-    }
-
-    /// Hands in a frame; `plan` is executed as it is where there is one, else the renderer plans.
-    pub fn submit(&mut self, posed: Posed, plan: Option<Plan>) {
-        if let Some(jobs) = &self.jobs
-            && jobs.send((posed, plan)).is_ok()
-        {
-            self.open += 1;
-        }
-    }
-
-    /// A pair, if one is ready.
-    pub fn try_take(&mut self) -> Option<Developed> {
-        let developed = self.done.try_recv().ok()?;
-        self.open -= usize::from(developed.complete);
-        Some(developed)
-    }
-
-    /// No more frames: waits for every pair and its null.
-    ///
-    /// # Errors
-    /// When the thread died.
-    pub fn finish(&mut self) -> Result<Vec<Developed>, SessionError> {
-        self.jobs = None;
-        let rest: Vec<Developed> = self.done.iter().collect();
-        self.open -= rest.iter().filter(|developed| developed.complete).count().min(self.open);
-        let ended = self.thread.take().is_none_or(|thread| thread.join().is_ok());
-        if ended && self.open == 0 { Ok(rest) } else { Err(SessionError::WorkshopDied) }
-    }
-}
-
-/// What the thread works with.
-struct Bench {
-    scene: Scene,
-    layout: Option<BeadLayout>,
-    renderer: Renderer,
-    reporter: Reporter,
-    nulls: VecDeque<NullJob>,
+/// What frames are developed with.
+pub(super) struct Bench {
+    pub(super) scene: Scene,
+    pub(super) layout: Option<BeadLayout>,
+    pub(super) renderer: Renderer,
+    pub(super) reporter: Reporter,
 }
 
 impl Bench {
-    fn work(mut self, inbox: &Receiver<Job>, outbox: &Sender<Developed>) {
-        loop {
-            let job = if self.nulls.is_empty() { inbox.recv().map_err(|_| TryRecvError::Disconnected) } else { inbox.try_recv() };
-            let developed = match job {
-                Ok((posed, plan)) => self.develop(posed, plan),
-                Err(_) => match self.nulls.pop_front() {
-                    Some(job) => self.add_null(job),
-                    None => return,
-                },
-            };
-            if outbox.send(developed).is_err() {
-                return;
-            }
-        }
-    }
-
-    fn develop(&mut self, posed: Posed, plan: Option<Plan>) -> Developed {
+    /// Renders and compares; `plan` is executed as it is where there is one, else the renderer plans. The null comes later.
+    pub(super) fn develop(&mut self, posed: Posed, plan: Option<Plan>) -> Developed {
         let posed = Arc::new(posed);
         let mut pair = row(&posed);
         let Some(view) = posed.view else {
@@ -201,7 +97,7 @@ impl Bench {
             Err(reason) => return self.without(posed, pair, &reason),
         };
         let watch = Stopwatch::start();
-        let options = Options { quantity: Quantity::LineIntegral, frame_index: posed.index, plan, ..Options::default() };
+        let options = Options { quantity: Quantity::LineIntegral, frame_index: posed.number, plan, ..Options::default() };
         let rendered = match self.renderer.render(&scene, &options) {
             Ok(rendered) => Arc::new(rendered),
             Err(error) => return self.without(posed, pair, &format!("not rendered: {error}")),
@@ -238,11 +134,7 @@ impl Bench {
         let strip = Arc::new(draw(&posed, &pair, compared.as_deref(), without.as_deref()));
         pair.stages_ms.add("strip", watch.ms());
         let complete = compared.is_none();
-        let developed = Developed { posed, pair, drr: Some((rendered, scene.clone())), compared, strip, drr_sha256, complete };
-        if !complete {
-            self.nulls.push_back(NullJob { developed: developed.clone(), scene });
-        }
-        developed
+        Developed { posed, pair, drr: Some((rendered, scene)), compared, strip, drr_sha256, complete }
     }
 
     /// The scene at the exposure: view, robot shape.
@@ -297,10 +189,12 @@ impl Bench {
         Some(mask)
     }
 
-    fn add_null(&mut self, job: NullJob) -> Developed {
-        let NullJob { mut developed, scene } = job;
+    /// Puts each score against its null; `None` when `cancelled`, which is asked before each render, says so.
+    pub(super) fn add_null(&mut self, mut developed: Developed, cancelled: &dyn Fn() -> bool) -> Option<Developed> {
         developed.complete = true;
-        let Some(compared) = developed.compared.as_deref() else { return developed };
+        let (Some(compared), Some((_, scene))) = (developed.compared.as_deref(), developed.drr.clone()) else {
+            return Some(developed);
+        };
         let mut compared = compared.clone();
         let watch = Stopwatch::start();
         let renderer = &mut self.renderer;
@@ -313,14 +207,21 @@ impl Bench {
             page.pixels.iter_mut().zip(invalid).filter(|(_, invalid)| *invalid).for_each(|(pixel, _)| *pixel = f32::NAN);
             Ok(page)
         };
-        match compared.add_null(&mut rerender, &|| false) {
+        match compared.add_null(&mut rerender, cancelled) {
             Ok(()) => developed.pair.set_comparison(&compared.comparison),
+            Err(NullError::Cancelled { .. }) => return None,
             Err(error) => developed.pair.flags.push(error.to_string()),
         }
         developed.pair.stages_ms.add("null", watch.ms());
         developed.strip = Arc::new(draw(&developed.posed, &developed.pair, Some(&compared), None));
         developed.compared = Some(Arc::new(compared));
-        developed
+        Some(developed)
+    }
+
+    /// A pair for a frame whose development failed.
+    pub(super) fn failed(&self, posed: Posed, reason: &str) -> Developed {
+        let pair = row(&posed);
+        self.without(Arc::new(posed), pair, reason)
     }
 
     fn without(&self, posed: Arc<Posed>, mut pair: Pair, reason: &str) -> Developed {
@@ -328,7 +229,7 @@ impl Bench {
             pair.reason = Some(reason.to_owned());
         }
         if pair.pose_source != report::PoseSource::None {
-            self.reporter.warn("no DRR", format!("{}: {reason}", posed.frame.name));
+            self.reporter.warn("no DRR", format!("frame {} ({}): {reason}", posed.number, posed.frame.name));
         }
         let strip = Arc::new(draw(&posed, &pair, None, Some(reason)));
         Developed { posed, pair, drr: None, compared: None, strip, drr_sha256: None, complete: true }
@@ -350,6 +251,8 @@ fn draw(posed: &Posed, pair: &Pair, compared: Option<&Compared>, without: Option
 /// The report's row of a posed frame, before anything is rendered.
 fn row(posed: &Posed) -> Pair {
     let mut pair = Pair::unmatched(&posed.frame.name, "");
+    pair.number = posed.number;
+    pair.sha256 = posed.frame.sha256.clone();
     pair.reason = posed.pose.reason.clone();
     pair.time_us = Some(posed.time_us);
     pair.binding = how(&posed.binding).to_owned();
@@ -372,6 +275,9 @@ fn row(posed: &Posed) -> Pair {
     });
     if posed.robot.as_ref().is_some_and(|robot| robot.stale) {
         pair.flags.push("robot: telemetry is stale at the exposure".to_owned());
+    }
+    if let Some(apart) = posed.telemetry_disagreement {
+        pair.flags.push(format!("telemetry and beads are {:.1} mm and {:.1} degrees apart", apart.mm, apart.deg));
     }
     pair.gap_us = posed.robot.as_ref().map(|robot| robot.gap_us).max(posed.carm_gap_us);
     pair.stages_ms = posed.stages.clone();

@@ -1,18 +1,19 @@
-//! The session's folder: `strips/NNN.png drr/NNN.tif pairs.json report.html` (DESIGN §7).
+//! The session's folder: `strips/NNN.png drr/NNN.tif pairs.json timings.json report.html` (DESIGN §7).
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use super::SessionError;
-use super::develop::{Developed, Workshop};
+use super::develop::Developed;
 use super::engine::Engine;
 use super::file::Setup;
-use crate::geometry::CarmJoints;
-use crate::image::write_png_rgb;
-use crate::render::write_image;
-use crate::report::{Gap, LinkReport, Pair, Provenance, SessionReport, Track, write_pairs, write_session};
+use super::tracks::Tracks;
+use super::workshop::Workshop;
+use crate::image::{write_atomically, write_png_rgb};
+use crate::render::write_image_without_times;
+use crate::report::{Pair, Provenance, SessionReport, write_pairs, write_session};
 use crate::reporter::Reporter;
-use crate::telemetry::{DeviceKind, Sample};
+use crate::time::{StageTimes, Stopwatch};
 
 /// A finished session.
 #[derive(Debug)]
@@ -23,175 +24,184 @@ pub struct Folder {
     pub log: Option<PathBuf>,
     /// One row per exposure, in order.
     pub pairs: Vec<Pair>,
-    /// Pose of each rendered frame, by name.
-    pub views: BTreeMap<String, crate::geometry::View>,
+    /// Pose of each rendered frame, by number.
+    pub views: BTreeMap<u32, crate::geometry::View>,
     /// What was lost.
     pub losses: Vec<String>,
 }
 
-/// Collects what the report needs while pairs come in.
-pub(super) struct Collector {
-    path: PathBuf,
-    rows: BTreeMap<u32, Pair>,
-    views: BTreeMap<String, crate::geometry::View>,
-    report: SessionReport,
-    links: BTreeMap<DeviceKind, LinkReport>,
-    joints: Vec<(i64, CarmJoints)>,
-    angles: Vec<(i64, [f64; 5])>,
+/// Whether derived files say how long things took.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Times {
+    /// In `pairs.json` and the report.
+    Told,
+    /// Only in `timings.json`: two replays are byte-identical.
+    Apart,
 }
 
-/// Joint tracks are drawn with at most one sample per this.
-const TRACK_STEP_US: i64 = 100_000;
+/// Writes the files of pairs as they come in, and the report at the end.
+pub(super) struct Collector {
+    path: PathBuf,
+    times: Times,
+    rows: BTreeMap<u32, Pair>,
+    views: BTreeMap<u32, crate::geometry::View>,
+    report: SessionReport,
+    timings: BTreeMap<u32, StageTimes>,
+    /// Files that could not be written, and why the latest could not.
+    unwritten: BTreeMap<String, String>,
+    /// `pairs.json` lags behind.
+    pairs_are_old: bool,
+    since_pairs: Stopwatch,
+}
+
+/// `pairs.json` holds all pairs; it is written at most this often.
+const PAIRS_MS: f64 = 500.0;
 
 impl Collector {
     /// Creates the folder and those inside it.
-    pub(super) fn create(path: &Path) -> Result<Self, SessionError> {
+    pub(super) fn create(
+        path: &Path,
+        started_us: i64,
+        times: Times,
+        setup: &Setup,
+        workshop: &Workshop,
+    ) -> Result<Self, SessionError> {
         for part in ["strips", "drr"] {
             let folder = path.join(part);
             std::fs::create_dir_all(&folder)
                 .map_err(|source| SessionError::Folder { path: folder.display().to_string(), source })?;
         }
-        Ok(Self {
-            path: path.to_owned(),
-            rows: BTreeMap::new(),
-            views: BTreeMap::new(),
-            report: SessionReport { title: "Sidecarm session".to_owned(), ..SessionReport::default() },
-            links: BTreeMap::new(),
-            joints: Vec::new(),
-            angles: Vec::new(),
-        })
-    }
-
-    pub(super) fn start(&mut self, started_us: i64, setup: &Setup, workshop: &Workshop) {
-        self.report.started_us = Some(started_us);
-        self.report.not_modelled = [
+        let not_modelled = [
             "scatter: it is not in the DRR, so acquired frames are brighter behind thick tissue",
             "detector blur, focal spot, anode heel, lag",
             "the operating table and whatever else is not in the CT",
-        ]
-        .map(str::to_owned)
-        .to_vec();
+        ];
         let inputs = workshop.inputs().iter().map(|input| (input.path.clone(), input.sha256.clone())).collect();
-        let details = vec![("scene".to_owned(), setup.scene_path.display().to_string())];
-        self.report.provenance = Provenance {
+        let provenance = Provenance {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             adapter: Some(workshop.adapter().to_owned()),
             command: None,
             inputs,
-            details,
+            details: vec![("scene".to_owned(), setup.scene_path.display().to_string())],
         };
-    }
-
-    pub(super) fn loss(&mut self, what: String) {
-        self.report.losses.push(what);
-    }
-
-    fn link(&mut self, device: DeviceKind) -> &mut LinkReport {
-        self.links.entry(device).or_insert_with(|| LinkReport {
-            device: device.key().to_owned(),
-            first_us: None,
-            last_us: None,
-            counters: Vec::new(),
-            gaps: Vec::new(),
+        let report = SessionReport {
+            title: "Sidecarm session".to_owned(),
+            started_us: Some(started_us),
+            not_modelled: not_modelled.map(str::to_owned).to_vec(),
+            provenance,
+            ..SessionReport::default()
+        };
+        Ok(Self {
+            path: path.to_owned(),
+            times,
+            rows: BTreeMap::new(),
+            views: BTreeMap::new(),
+            report,
+            timings: BTreeMap::new(),
+            unwritten: BTreeMap::new(),
+            pairs_are_old: false,
+            since_pairs: Stopwatch::start(),
         })
-    }
-
-    pub(super) fn line_lost(&mut self, device: DeviceKind, host_us: i64, reason: &str) {
-        let gap = Gap { start_us: host_us, end_us: host_us, reason: reason.to_owned() };
-        self.link(device).gaps.push(gap);
-    }
-
-    pub(super) fn line_opened(&mut self, device: DeviceKind, host_us: i64) {
-        if let Some(gap) = self.link(device).gaps.last_mut() {
-            gap.end_us = host_us;
-        }
-    }
-
-    pub(super) fn sample(&mut self, host_us: i64, sample: &Sample) {
-        let device = match sample {
-            Sample::Carm(carm) => {
-                if self.joints.last().is_none_or(|(last_us, _)| host_us - last_us >= TRACK_STEP_US) {
-                    self.joints.push((host_us, carm.joints));
-                }
-                DeviceKind::Carm
-            }
-            Sample::Robot(robot) => {
-                if self.angles.last().is_none_or(|(last_us, _)| host_us - last_us >= TRACK_STEP_US) {
-                    self.angles.push((host_us, robot.control_angles_deg().0));
-                }
-                DeviceKind::Robot
-            }
-            Sample::Metadata(_) => return,
-        };
-        let link = self.link(device);
-        link.first_us.get_or_insert(host_us);
-        link.last_us = Some(host_us);
     }
 
     /// Whether this pair came before, so that only its null is new.
     pub(super) fn knows(&self, developed: &Developed) -> bool {
-        self.rows.contains_key(&developed.posed.index)
+        self.rows.contains_key(&developed.posed.number)
     }
 
-    /// Writes strip, DRR and `pairs.json`.
-    pub(super) fn take(&mut self, developed: Developed) -> Result<(), SessionError> {
-        let index = developed.posed.index;
+    /// Writes strip, DRR and `pairs.json`; gives a sentence for each file that could not be written.
+    pub(super) fn take(&mut self, developed: Developed) -> Vec<String> {
+        let number = developed.posed.number;
+        let known = self.knows(&developed);
         let mut pair = developed.pair;
-        let strip = format!("strips/{:03}.png", index + 1);
-        write_png_rgb(&self.path.join(&strip), &developed.strip)?;
+        let strip = format!("strips/{number:03}.png");
+        let written = write_png_rgb(&self.path.join(&strip), &developed.strip);
+        let mut failures: Vec<String> = self.note(&strip, written).into_iter().collect();
         pair.strip = Some(strip);
         if let Some((drr, scene)) = &developed.drr {
-            let name = format!("drr/{:03}.tif", index + 1);
-            if !self.rows.contains_key(&index) {
-                write_image(&self.path.join(&name), drr, scene)?;
+            let name = format!("drr/{number:03}.tif");
+            if !known {
+                let written = write_image_without_times(&self.path.join(&name), drr, scene);
+                failures.extend(self.note(&name, written));
             }
             pair.drr = Some(name);
         }
         if let Some(view) = developed.posed.view {
-            self.views.insert(pair.frame.clone(), view);
+            self.views.insert(number, view);
         }
-        self.rows.insert(index, pair);
+        self.timings.insert(number, pair.stages_ms.clone());
+        if self.times == Times::Apart {
+            pair.stages_ms = StageTimes::default();
+        }
+        self.rows.insert(number, pair);
+        self.pairs_are_old = true;
+        failures.extend(self.write_pairs_if_due());
+        failures
+    }
+
+    /// Writes `pairs.json` unless it was written just now.
+    pub(super) fn write_pairs_if_due(&mut self) -> Option<String> {
+        if !self.pairs_are_old || self.since_pairs.ms() < PAIRS_MS {
+            return None;
+        }
+        self.since_pairs = Stopwatch::start();
+        self.pairs_are_old = false;
         let pairs: Vec<Pair> = self.rows.values().cloned().collect();
-        write_pairs(&self.path.join("pairs.json"), &pairs)?;
-        Ok(())
+        let written = write_pairs(&self.path.join("pairs.json"), &pairs);
+        self.note("pairs.json", written)
     }
 
-    /// Writes the report.
-    pub(super) fn finish(mut self, engine: &Engine, reporter: &Reporter, log: Option<PathBuf>) -> Result<Folder, SessionError> {
-        self.report.ended_us = self.links.values().filter_map(|link| link.last_us).max().or(self.report.started_us);
-        self.report.pairs = self.rows.into_values().collect();
-        for device in DeviceKind::ALL {
-            let (Some(health), Some(link)) = (engine.health(device), self.links.get_mut(&device)) else { continue };
-            let counters = serde_json::to_value(health).unwrap_or_default();
-            let counters = counters.as_object().cloned().unwrap_or_default();
-            link.counters = counters.into_iter().filter_map(|(name, count)| Some((name, count.as_u64()?))).collect();
+    fn note<E: std::fmt::Display>(&mut self, file: &str, written: Result<(), E>) -> Option<String> {
+        match written {
+            Ok(()) => {
+                self.unwritten.remove(file);
+                None
+            }
+            Err(error) => {
+                let sentence = format!("{file} is not written: {error}");
+                self.unwritten.insert(file.to_owned(), error.to_string());
+                Some(sentence)
+            }
         }
-        self.report.links = self.links.into_values().collect();
-        self.report.tracks = tracks(&self.joints, &self.angles);
-        self.report.warnings = reporter.warnings();
-        write_session(&self.path, &self.report)?;
-        Ok(Folder { path: self.path, log, pairs: self.report.pairs, views: self.views, losses: self.report.losses })
     }
-}
 
-fn tracks(joints: &[(i64, CarmJoints)], angles: &[(i64, [f64; 5])]) -> Vec<Track> {
-    let mut tracks = Vec::new();
-    if !joints.is_empty() {
-        let degrees = |name: &str, value: fn(&CarmJoints) -> f64| {
-            (name.to_owned(), joints.iter().map(|(t_us, j)| (*t_us, value(j).to_degrees())).collect())
-        };
-        let series = vec![
-            degrees("orbital", |j| j.orbital_rad),
-            degrees("angulation", |j| j.angulation_rad),
-            degrees("wig-wag", |j| j.wig_wag_rad),
-        ];
-        tracks.push(Track { title: "C-arm joints".to_owned(), unit: "deg".to_owned(), series });
+    /// How long each stage of each frame took.
+    fn write_timings(&self) -> Result<(), crate::image::ImageFileError> {
+        let frames: Vec<_> =
+            self.timings.iter().map(|(number, stages)| serde_json::json!({"number": number, "stages_ms": stages})).collect();
+        let text = serde_json::json!({ "frames": frames }).to_string();
+        write_atomically(&self.path.join("timings.json"), |file| file.write_all(text.as_bytes()))
     }
-    if !angles.is_empty() {
-        let control =
-            |index: usize| (format!("control point {}", index + 1), angles.iter().map(|(t_us, a)| (*t_us, a[index])).collect());
-        let series = (0..5).map(control).collect();
-        tracks.push(Track { title: "Robot bending".to_owned(), unit: "deg".to_owned(), series });
+
+    /// Writes the report; what could not be written at all is a loss.
+    pub(super) fn finish(
+        mut self,
+        engine: &Engine,
+        tracks: Tracks,
+        losses: Vec<String>,
+        reporter: &Reporter,
+        log: Option<PathBuf>,
+    ) -> Folder {
+        let written = self.write_timings();
+        self.note("timings.json", written);
+        self.report.ended_us = tracks.last_us().or(self.report.started_us);
+        (self.report.links, self.report.tracks) = tracks.links(engine);
+        self.report.pairs = std::mem::take(&mut self.rows).into_values().collect();
+        self.report.losses = losses;
+        self.report.warnings = reporter.warnings();
+        self.unwritten.remove("pairs.json");
+        if let Some((file, reason)) = self.unwritten.iter().next_back() {
+            let others = match self.unwritten.len() {
+                1 => String::new(),
+                count => format!(" and {} other files", count - 1),
+            };
+            let sentence = format!("{file}{others} could not be written ({reason}); a replay of the log makes them again");
+            self.report.losses.push(sentence);
+        }
+        if let Err(error) = write_session(&self.path, &self.report) {
+            reporter.warn("report not written", &error);
+            self.report.losses.push(format!("{error}; a replay of the log makes the report again"));
+        }
+        Folder { path: self.path, log, pairs: self.report.pairs, views: self.views, losses: self.report.losses }
     }
-    tracks
 }

@@ -1,21 +1,34 @@
-//! A running session: ports and folder in, log first, then the engine, then pairs.
+//! A running session. Threads, each with one task, joined by channels:
+//!
+//! ```text
+//! ports ─ lines ──┬─ log (first) ─┬─ engine ─ registrar ─ engine ─ workshop ─ scribe ─ log, folder, board
+//! folder ─ frames ┘               └─ file
+//! ```
+//! Nothing that is slow or dead behind the engine stops what is in front of it from being recorded.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::Duration;
 
 use super::SessionError;
-use super::board::{Board, Link};
-use super::develop::{Developed, Workshop};
-use super::engine::{Engine, Input, Output, Posed};
+use super::board::Board;
+use super::engine::{Engine, Input, Output};
 use super::file::Setup;
-use super::folder::Folder;
-use super::journal::Journal;
-use crate::acquire::{FolderWatch, WatchEvent};
+use super::folder::{Collector, Folder, Times};
+use super::log::SessionLog;
+use super::losses::line_losses;
+use super::posing::{PoseJob, Posed, Registered};
+use super::scribe::Scribe;
+use super::sources::{Frames, Lines, Source};
+use super::stop::Stop;
+use super::tracks::Tracks;
+use super::workshop::Workshop;
 use crate::gpu::DeviceChoice;
-use crate::reporter::Reporter;
-use crate::telemetry::{DeviceKind, PortConfig, PortEvent, spawn_port};
+use crate::record::Level;
+use crate::reporter::{Progress, Reporter};
+use crate::telemetry::DeviceKind;
 use crate::time::host_now_us;
 
 /// How a live session runs.
@@ -24,207 +37,352 @@ pub struct LiveOptions {
     /// The session's folder.
     pub out: PathBuf,
     /// Set from outside to end the session.
-    pub stop: Arc<AtomicBool>,
+    pub stop: Stop,
     /// Ends by itself after this many seconds.
     pub seconds: Option<f64>,
     /// Also take frames that were in the folder before the start.
     pub include_existing: bool,
 }
 
+/// What the session's own thread is told.
+pub(super) enum Event {
+    Input(Input),
+    Registered(Box<Registered>),
+    LineOpened { device: DeviceKind, host_us: i64 },
+    LineLost { device: DeviceKind, host_us: i64, reason: String },
+    Ended(Source),
+}
+
 /// Ticks keep waiting frames and stale marks moving when nothing arrives.
 const TICK_US: i64 = 100_000;
-/// Capacity of the channel from the ports; when full, bytes wait in the system's buffers.
-const PORT_QUEUE: usize = 4096;
-/// After the stop, pairs that are still being developed may take this long.
-const SETTLE_MS: u64 = 5;
+/// The session's thread looks at the clock and the stop flag this often.
+const LOOK: Duration = Duration::from_millis(5);
+/// Losses on the lines are told at most this often.
+const TELL_LOSSES_US: i64 = 1_000_000;
+/// Faults of a line that are logged one by one within a tick; the counters hold all.
+const FAULTS_PER_TICK: u32 = 10;
+/// Whoever leaves at once waits this long for the log.
+const FLUSH: Duration = Duration::from_millis(500);
 
 /// Runs until stopped; returns the finished session's folder.
 ///
 /// # Errors
 /// When the scene cannot be loaded, the folder cannot be written, or no renderer is available. What was recorded stays readable.
 pub fn run(setup: Setup, options: &LiveOptions, board: &Board, reporter: &Reporter) -> Result<Folder, SessionError> {
+    let setup = Arc::new(setup);
     let mut workshop = Workshop::open(&setup, DeviceChoice::Auto, reporter)?;
-    let mut journal = Journal::create(&options.out, &setup, &workshop, reporter)?;
-    let mut engine = Engine::new(setup.clone(), workshop.layout().cloned(), reporter.clone());
-    let runtime = tokio::runtime::Builder::new_multi_thread()
-        .worker_threads(1)
-        .enable_all()
-        .build()
-        .map_err(|source| SessionError::Runtime { source })?;
-    let (sender, mut arrivals) = tokio::sync::mpsc::channel::<(DeviceKind, PortEvent)>(PORT_QUEUE);
-    let mut tasks = Vec::new();
-    for (device, line) in lines(&setup) {
-        board.update(|state| state.links.push(new_link(device)));
-        tasks.push(spawn_port(runtime.handle(), line, sender.clone()));
-    }
-    drop(sender);
-    let mut watch = FolderWatch::new(&setup.session.frames.folder, setup.session.frames.domain, options.include_existing);
-
     let started_us = host_now_us();
-    let mut next_tick_us = started_us;
-    let mut outputs = Vec::new();
-    loop {
-        let mut idle = true;
-        while let Ok((device, event)) = arrivals.try_recv() {
-            idle = false;
-            if let Some(input) = arrival(device, event, board, &mut journal, reporter) {
-                engine.push(input, &mut |output| outputs.push(output));
+    let (events, inbox) = channel();
+    SessionLog::refuse_occupied(&options.out)?;
+    let collector = Collector::create(&options.out, started_us, Times::Told, &setup, &workshop)?;
+    let log = Arc::new(SessionLog::create(&options.out, &setup, &workshop, events, reporter)?);
+    let engine = Engine::new(Arc::clone(&setup), workshop.layout().cloned(), reporter.clone());
+    let (scribe, pairs) = Scribe::start(collector, Arc::clone(&log), board.clone(), reporter)?;
+    workshop.start(move |developed| pairs.send(developed).is_ok())?;
+    let jobs = start_registrar(Arc::clone(&log))?;
+    let lines = Lines::open(&setup, &log, board, reporter)?;
+    let frames = Frames::watch(&setup, options.include_existing, &log, board, reporter)?;
+    let session = Session {
+        engine,
+        log,
+        jobs,
+        workshop,
+        scribe,
+        tracks: Tracks::new(),
+        board: board.clone(),
+        reporter: reporter.clone(),
+        stage: Stage::Open { lines, frames },
+        registering: false,
+        posed: 0,
+        faults_this_tick: 0,
+        next_tick_us: started_us,
+        tell_losses_us: started_us,
+        told_losses: 0,
+        finishing: None,
+    };
+    session.run(&inbox, options, started_us)
+}
+
+/// Registers frames on a thread of its own, one at a time.
+fn start_registrar(log: Arc<SessionLog>) -> Result<Sender<PoseJob>, SessionError> {
+    let (jobs, inbox) = channel::<PoseJob>();
+    std::thread::Builder::new()
+        .name("registrar".to_owned())
+        .spawn(move || {
+            for job in inbox {
+                let attempt = catch_unwind(AssertUnwindSafe(|| job.clone().run()));
+                let registered = attempt.unwrap_or_else(|_| {
+                    Registered::failed(job, "looking for beads failed (a fault of this program); the log has the frame")
+                });
+                log.tell(Event::Registered(Box::new(registered)));
+            }
+        })
+        .map_err(|source| SessionError::Thread { source })?;
+    Ok(jobs)
+}
+
+/// How far a session has come.
+enum Stage {
+    /// Things come in.
+    Open { lines: Lines, frames: Frames },
+    /// The sources were told to end; what they still have comes in.
+    Closing { ended: Vec<Source> },
+    /// Nothing comes in any more; what is there is developed.
+    Finishing,
+}
+
+struct Session {
+    engine: Engine,
+    log: Arc<SessionLog>,
+    jobs: Sender<PoseJob>,
+    workshop: Workshop,
+    scribe: Scribe,
+    tracks: Tracks,
+    board: Board,
+    reporter: Reporter,
+    stage: Stage,
+    registering: bool,
+    posed: usize,
+    faults_this_tick: u32,
+    next_tick_us: i64,
+    tell_losses_us: i64,
+    told_losses: u64,
+    finishing: Option<(Progress, usize)>,
+}
+
+impl Session {
+    fn run(mut self, inbox: &Receiver<Event>, options: &LiveOptions, started_us: i64) -> Result<Folder, SessionError> {
+        loop {
+            match inbox.recv_timeout(LOOK) {
+                Ok(event) => self.take(event),
+                Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {}
+            }
+            self.register_next();
+            let now_us = host_now_us();
+            if now_us >= self.next_tick_us {
+                self.tick(now_us);
+            }
+            let over = options.seconds.is_some_and(|limit_s| (now_us - started_us) as f64 * 1e-6 > limit_s);
+            if options.stop.leaves_at_once() {
+                return Ok(self.leave());
+            }
+            self.advance(over || options.stop.is_asked());
+            if matches!(self.stage, Stage::Finishing) && self.scribe.has_ended() {
+                return self.close();
             }
         }
-        let now_us = host_now_us();
-        if now_us >= next_tick_us {
-            next_tick_us = now_us + TICK_US;
-            journal.tick(now_us);
-            engine.push(Input::Tick { host_us: now_us }, &mut |output| outputs.push(output));
-            for event in watch.poll(now_us) {
-                if let Some(frame) = found(event, board, reporter, &mut journal, now_us) {
-                    journal.frame(&frame, now_us);
-                    engine.push(Input::Frame { frame, host_us: now_us }, &mut |output| outputs.push(output));
+    }
+
+    fn take(&mut self, event: Event) {
+        match event {
+            Event::Input(input) => self.with_engine(|engine, sink| engine.push(input, sink)),
+            Event::Registered(registered) => {
+                self.registering = false;
+                self.with_engine(|engine, sink| engine.registered(*registered, sink));
+            }
+            Event::LineOpened { device, host_us } => self.tracks.line_opened(device, host_us),
+            Event::LineLost { device, host_us, reason } => self.tracks.line_lost(device, host_us, &reason),
+            Event::Ended(source) => {
+                if let Stage::Closing { ended } = &mut self.stage {
+                    ended.push(source);
                 }
             }
-            publish(board, &engine, reporter, now_us);
-            idle = false;
-        }
-        for output in outputs.drain(..) {
-            take(output, &mut journal, &mut workshop, reporter);
-        }
-        while let Some(developed) = workshop.try_take() {
-            finish_pair(developed, &mut journal, board)?;
-        }
-        let over = options.seconds.is_some_and(|limit_s| (now_us - started_us) as f64 * 1e-6 > limit_s);
-        if over || options.stop.load(Ordering::Relaxed) {
-            break;
-        }
-        if idle {
-            std::thread::sleep(Duration::from_millis(SETTLE_MS));
         }
     }
-    for task in tasks {
-        task.stop();
-    }
-    runtime.shutdown_timeout(Duration::from_millis(500));
-    let end_us = host_now_us();
-    journal.end(end_us);
-    engine.finish(end_us, &mut |output| outputs.push(output));
-    for output in outputs.drain(..) {
-        take(output, &mut journal, &mut workshop, reporter);
-    }
-    for developed in workshop.finish()? {
-        finish_pair(developed, &mut journal, board)?;
-    }
-    publish(board, &engine, reporter, end_us);
-    board.update(|state| state.finished = true);
-    journal.close(&engine, reporter)
-}
 
-fn lines(setup: &Setup) -> Vec<(DeviceKind, PortConfig)> {
-    let carm = setup.session.carm.as_ref().map(|line| (DeviceKind::Carm, line.port.clone(), line.baud));
-    let robot = setup.session.robot.as_ref().map(|line| (DeviceKind::Robot, line.port.clone(), line.baud));
-    [carm, robot].into_iter().flatten().map(|(device, path, baud)| (device, PortConfig { device, path, baud })).collect()
-}
-
-fn new_link(device: DeviceKind) -> Link {
-    Link { device, open: false, epoch: 0, health: Default::default(), last_byte_us: None, trouble: None }
-}
-
-/// Records what a port says, shows it, and turns bytes into an input.
-fn arrival(device: DeviceKind, event: PortEvent, board: &Board, journal: &mut Journal, reporter: &Reporter) -> Option<Input> {
-    let link = |change: &dyn Fn(&mut Link)| {
-        board.update(|state| state.links.iter_mut().filter(|link| link.device == device).for_each(change));
-    };
-    match event {
-        PortEvent::Opened { epoch, path, host_us, .. } => {
-            link(&|link| {
-                link.open = true;
-                link.epoch = epoch;
-                link.trouble = None;
-            });
-            journal.line_opened(device, host_us, epoch, &path);
-            None
+    fn with_engine(&mut self, drive: impl FnOnce(&mut Engine, &mut dyn FnMut(Output))) {
+        let mut outputs = Vec::new();
+        drive(&mut self.engine, &mut |output| outputs.push(output));
+        for output in outputs {
+            self.take_output(output);
         }
-        PortEvent::Lost { reason, host_us, .. } => {
-            link(&|link| {
-                link.open = false;
-                link.trouble = Some(reason.clone());
-            });
-            journal.line_lost(device, host_us, &reason);
-            reporter.warn("line lost", format!("{} line lost ({reason}); it is re-opened as soon as it is back", device.key()));
-            None
-        }
-        PortEvent::Retry { error, attempt, .. } => {
-            link(&|link| link.trouble = Some(error.to_string()));
-            if attempt == 1 {
-                reporter.warn("line not open", format!("{error}; {}", crate::telemetry::hint(&error)));
+    }
+
+    fn take_output(&mut self, output: Output) {
+        match output {
+            Output::Sample { device, host_us, sample } => {
+                self.log.sample(device, host_us, &sample);
+                self.tracks.sample(host_us, &sample);
             }
-            None
-        }
-        PortEvent::Bytes { host_us, epoch, bytes } => {
-            // The raw bytes go to the log before anything is made of them.
-            journal.bytes(device, epoch, host_us, &bytes);
-            link(&|link| link.last_byte_us = Some(host_us));
-            Some(Input::Bytes { device, epoch, host_us, bytes })
-        }
-    }
-}
-
-fn found(
-    event: WatchEvent,
-    board: &Board,
-    reporter: &Reporter,
-    journal: &mut Journal,
-    now_us: i64,
-) -> Option<Arc<crate::acquire::Frame>> {
-    match event {
-        WatchEvent::Frame { frame, .. } => {
-            board.update(|state| state.frames_seen += 1);
-            Some(Arc::new(*frame))
-        }
-        WatchEvent::Unreadable { path, error } => {
-            reporter.warn("unreadable frame", format!("{error}; the file is left where it is"));
-            journal.event(now_us, &format!("unreadable frame {}: {error}", path.display()));
-            None
-        }
-        WatchEvent::Waiting { .. } => None,
-    }
-}
-
-fn take(output: Output, journal: &mut Journal, workshop: &mut Workshop, reporter: &Reporter) {
-    match output {
-        Output::Sample { device, host_us, sample } => journal.sample(device, host_us, &sample),
-        Output::Fault { device, host_us, detail } => {
-            journal.event(host_us, &format!("{}: {detail}", device.key()));
-        }
-        Output::Posed(posed) => {
-            announce(&posed, reporter);
-            journal.pose(&posed);
-            workshop.submit(*posed, None);
-        }
-    }
-}
-
-fn announce(posed: &Posed, reporter: &Reporter) {
-    if let Some(reason) = &posed.pose.reason {
-        reporter.note(format!("{}: refused, {reason}", posed.frame.name));
-    }
-}
-
-fn finish_pair(developed: Developed, journal: &mut Journal, board: &Board) -> Result<(), SessionError> {
-    let view = Arc::new(developed.picture());
-    board.update(|state| match state.pairs.iter_mut().find(|pair| pair.name == view.name) {
-        Some(slot) => *slot = view,
-        None => state.pairs.push(view),
-    });
-    journal.pair(developed)
-}
-
-fn publish(board: &Board, engine: &Engine, reporter: &Reporter, now_us: i64) {
-    board.update(|state| {
-        state.now_us = now_us;
-        for link in &mut state.links {
-            if let Some(health) = engine.health(link.device) {
-                link.health = health;
+            Output::Fault { device, host_us, detail } => {
+                self.faults_this_tick += 1;
+                if self.faults_this_tick <= FAULTS_PER_TICK {
+                    self.log.event(Level::Warning, host_us, &format!("{}: {detail}", device.key()));
+                }
+            }
+            Output::Bound { .. } => {}
+            Output::Job(job) => {
+                // The registrar ends with this thread.
+                let _ = self.jobs.send(*job);
+            }
+            Output::Posed(posed) => {
+                self.announce(&posed);
+                self.log.pose(&posed);
+                self.posed += 1;
+                self.workshop.submit(*posed, None);
             }
         }
-        state.warnings = reporter.warnings().into_iter().map(|(kind, counted)| (kind, counted.count)).collect();
-    });
+    }
+
+    fn announce(&self, posed: &Posed) {
+        let outcome = match &posed.pose.reason {
+            Some(reason) => format!("refused, {reason}"),
+            None => format!("accepted, rms {:.3} px", posed.pose.rms_px.unwrap_or(f64::NAN)),
+        };
+        self.reporter.note(format!("frame {} ({}): {outcome}", posed.number, posed.frame.name));
+    }
+
+    /// The newest frame that is bound is registered next; the log keeps the order.
+    fn register_next(&mut self) {
+        if self.registering {
+            return;
+        }
+        let newest = self.engine.bound().next_back();
+        if let Some(number) = newest {
+            self.registering = true;
+            self.log.input(Input::Develop { number });
+        }
+    }
+
+    fn tick(&mut self, now_us: i64) {
+        self.next_tick_us = now_us + TICK_US;
+        self.faults_this_tick = 0;
+        if matches!(self.stage, Stage::Open { .. }) {
+            self.log.input(Input::Tick { host_us: now_us });
+        }
+        if now_us >= self.tell_losses_us {
+            self.tell_losses_us = now_us + TELL_LOSSES_US;
+            self.tell_losses();
+        }
+        self.publish(now_us);
+        if let Some((progress, complete)) = &mut self.finishing {
+            let now_complete = self.scribe.complete();
+            if now_complete > *complete {
+                progress.advance((now_complete - *complete) as u64);
+                *complete = now_complete;
+                self.reporter.note(format!("finishing {now_complete} of {}", self.frames()));
+            }
+        }
+    }
+
+    /// Frames that were given a number.
+    fn frames(&self) -> usize {
+        self.board.read(|state| state.frames_seen)
+    }
+
+    /// Lost telemetry and a log that fails reach the person while there is something to be done.
+    fn tell_losses(&mut self) {
+        let mut lost = 0;
+        let mut words = Vec::new();
+        for device in DeviceKind::ALL {
+            let Some(health) = self.engine.health(device) else { continue };
+            lost += health.lost_in_all();
+            words.extend(line_losses(device, &health));
+        }
+        if lost > self.told_losses {
+            self.told_losses = lost;
+            self.reporter.warn("telemetry lost", words.join("; "));
+        }
+        if let Some(failure) = self.log.health().failure {
+            self.log.fail(&failure);
+        }
+        if self.workshop.has_ended() && !matches!(self.stage, Stage::Finishing) {
+            self.log.lose("the rendering thread died: frames after that have no DRR; a replay of the log makes them".to_owned());
+            self.reporter
+                .warn("no rendering", "the rendering thread died; recording and registration go on, replay the log for the DRRs");
+        }
+    }
+
+    fn publish(&self, now_us: i64) {
+        let recorder = self.log.health();
+        let waiting =
+            self.engine.waiting() + self.engine.bound().count() + usize::from(self.registering) + self.workshop.open_jobs();
+        self.board.update(|state| {
+            state.now_us = now_us;
+            state.frames_waiting = waiting;
+            state.recorder_behind_ms = recorder.behind_ms;
+            state.recorder_failure = recorder.failure;
+            for link in &mut state.links {
+                if let Some(health) = self.engine.health(link.device) {
+                    link.health = health;
+                }
+            }
+            state.warnings = self.reporter.warnings().into_iter().map(|(kind, counted)| (kind, counted.count)).collect();
+        });
+    }
+
+    /// From one stage to the next, when its time has come.
+    fn advance(&mut self, is_over: bool) {
+        match std::mem::replace(&mut self.stage, Stage::Finishing) {
+            Stage::Open { lines, frames } if is_over => {
+                lines.close();
+                frames.close();
+                self.stage = Stage::Closing { ended: Vec::new() };
+            }
+            Stage::Closing { ended } if ended.contains(&Source::Lines) && ended.contains(&Source::Frames) => {
+                let end_us = host_now_us();
+                self.log.end(end_us);
+                self.with_engine(|engine, sink| engine.finish(end_us, sink));
+                let (frames, complete) = (self.frames(), self.scribe.complete());
+                if complete < frames {
+                    self.reporter
+                        .note(format!("finishing {complete} of {frames}; Ctrl-C again leaves at once, the log is complete"));
+                }
+                let progress = self.reporter.progress("finishing", frames as u64);
+                progress.advance(complete as u64);
+                self.finishing = Some((progress, complete));
+            }
+            Stage::Finishing => {
+                let drained = self.engine.waiting() == 0 && self.engine.bound().next().is_none() && !self.registering;
+                if drained {
+                    self.workshop.close();
+                }
+            }
+            stage => self.stage = stage,
+        }
+    }
+
+    /// Everything is developed and written.
+    fn close(mut self) -> Result<Folder, SessionError> {
+        let died = self.workshop.join().is_err();
+        if died {
+            self.log.lose("the rendering thread died: some frames have no DRR; a replay of the log makes them".to_owned());
+        }
+        Ok(self.report())
+    }
+
+    /// Somebody wants to leave at once: what is recorded is kept, what is not developed is said.
+    fn leave(self) -> Folder {
+        let open = self.frames().saturating_sub(self.scribe.complete());
+        if !matches!(self.stage, Stage::Finishing) {
+            self.log.end(host_now_us());
+        }
+        self.log.flush_now(FLUSH);
+        self.workshop.abandon();
+        self.scribe.leave();
+        if open > 0 {
+            self.log.lose(format!("left at once: {open} frames were not finished; a replay of the log finishes them"));
+        }
+        self.report()
+    }
+
+    fn report(mut self) -> Folder {
+        self.finishing = None;
+        for device in DeviceKind::ALL {
+            let lost = self.engine.health(device).and_then(|health| line_losses(device, &health));
+            lost.into_iter().for_each(|lost| self.log.lose(lost));
+        }
+        self.publish(host_now_us());
+        self.board.update(|state| state.finished = true);
+        self.log.finish();
+        let path = self.log.path().to_owned();
+        match self.scribe.join() {
+            Some(collector) => collector.finish(&self.engine, self.tracks, self.log.losses(), &self.reporter, Some(path)),
+            None => {
+                self.log.lose("the thread that writes files died: a replay of the log makes them again".to_owned());
+                let folder = path.parent().map(PathBuf::from).unwrap_or_default();
+                Folder { path: folder, log: Some(path), pairs: Vec::new(), views: Default::default(), losses: self.log.losses() }
+            }
+        }
+    }
 }

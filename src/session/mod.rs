@@ -1,9 +1,8 @@
 //! The live pipeline and its replay.
 //!
 //! ```text
-//! ports, folder ─ live ─┬─ journal (log first) ─┐
-//!                       └─ engine ─ workshop ───┴─ folder: strips, DRRs, pairs, report
-//! log ────────── replay ─── engine ─ workshop ───┘
+//! ports, folder ─ live ─── log (first) ─ engine ─ workshop ─ folder: strips, DRRs, pairs, report
+//! log ────────── replay ──────────────── engine ─ workshop ─ folder
 //! ```
 //! The [`engine`] reads no clock and no device, so a replay computes what the session computed.
 
@@ -15,9 +14,22 @@ pub mod live;
 pub mod replay;
 
 mod develop;
-mod journal;
+mod log;
+mod losses;
+mod posing;
+mod recorded;
+mod scribe;
+mod sources;
+mod stop;
+mod tie;
+mod tracks;
+mod workshop;
 
-pub use develop::{Developed, Workshop};
+pub use develop::Developed;
+pub use posing::{PoseJob, PoseSource, Posed, Registered, RobotState};
+pub use stop::Stop;
+pub use tie::Disagreement;
+pub use workshop::Workshop;
 
 /// Why a session or its replay failed.
 #[derive(Debug, thiserror::Error)]
@@ -62,15 +74,21 @@ pub enum SessionError {
         /// The log found.
         path: String,
     },
-    /// Threads of the serial ports.
-    #[error("cannot start the serial ports' threads: {source}")]
-    Runtime {
+    /// The system gives no thread.
+    #[error("cannot start a thread: {source}; too many processes run, or memory is short")]
+    Thread {
         /// What the system said.
         source: std::io::Error,
     },
     /// A thread died.
     #[error("the rendering thread ended unexpectedly; the log up to now is complete")]
     WorkshopDied,
+    /// A replay would replace what the session wrote.
+    #[error("{path}: holds a session's own files, which a replay never replaces; choose another --out")]
+    OwnFolder {
+        /// The folder.
+        path: String,
+    },
     /// The log is not one of a session.
     #[error("{path}: no session in this log ({detail})")]
     NoSession {

@@ -1,20 +1,26 @@
-//! A log through the same engine: poses byte for byte, images by their hash.
+//! A log through the same engine: poses byte for byte, images by their hash. The log is streamed; memory does not grow with it.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::mpsc::{Receiver, sync_channel};
 use std::time::Duration;
 
 use super::SessionError;
 use super::board::Board;
-use super::develop::{Developed, Workshop};
+use super::develop::Developed;
 use super::engine::{Engine, Input, Output};
-use super::file::Setup;
-use super::folder::{Collector, Folder};
-use super::journal::{CLOCK_TOPIC, DRR_HASH_TOPIC, END_TOPIC, PoseRecord, SETUP_TOPIC};
+use super::folder::{Collector, Folder, Times};
+use super::log::{CLOCK_TOPIC, DISAGREES_TOPIC, END_TOPIC, ORDER_TOPIC, PoseRecord};
+use super::losses::line_losses;
+use super::posing::Posed;
+use super::recorded::{Recorded, drrs_of};
+use super::tracks::Tracks;
+use super::workshop::Workshop;
+use crate::acquire::Frame;
 use crate::gpu::DeviceChoice;
-use crate::record::{FrameAssembler, LogEntry, read_log, topic};
-use crate::render::Plan;
+use crate::image::{Image, read_tiff_f32};
+use crate::record::{FrameAssembler, LogEntry, LogReader, Tolerance, topic};
 use crate::reporter::Reporter;
 use crate::telemetry::DeviceKind;
 use crate::time::Stopwatch;
@@ -30,7 +36,20 @@ pub struct ReplayOptions {
     pub rate: Option<f64>,
 }
 
-/// What a replay found against the log.
+/// A DRR that is not the one in the log.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct ImageDifference {
+    /// Of the frame.
+    pub number: u32,
+    /// Largest difference in nepers; `None` (JSON null) where it is not finite: another size, NaN on one side, or not in the log.
+    pub largest_nepers: Option<f64>,
+    /// Bound that the plan states.
+    pub bound: f64,
+    /// What is wrong besides the difference.
+    pub detail: Option<String>,
+}
+
+/// What a replay found against the log. Frames are named by their number of arrival.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
 pub struct ReplayReport {
     /// Frames replayed.
@@ -38,101 +57,305 @@ pub struct ReplayReport {
     /// Poses that are the same, byte for byte.
     pub poses_identical: usize,
     /// Frames whose pose differs from the log.
-    pub poses_different: Vec<String>,
+    pub poses_different: Vec<u32>,
+    /// Poses of the log that no frame of it gives now.
+    pub poses_missing: Vec<u32>,
     /// DRRs with the same hash.
     pub images_identical: usize,
-    /// Frames whose DRR differs: name, largest difference in nepers, and the bound of the plan.
-    pub images_different: Vec<(String, f64, f64)>,
+    /// Frames whose DRR differs.
+    pub images_different: Vec<ImageDifference>,
+    /// Frames with a DRR in the log that could not be rendered now.
+    pub images_missing: Vec<u32>,
     /// Poses and DRRs that the log does not hold.
     pub not_in_log: Vec<String>,
-    /// What the log had lost.
+    /// What the log has lost.
     pub losses: Vec<String>,
+    /// What the session had lost on its lines; the log holds it as it was.
+    pub session_losses: Vec<String>,
 }
 
 impl ReplayReport {
     /// Whether everything that the log holds came out the same (images within their plan's bound).
     #[must_use]
     pub fn is_faithful(&self) -> bool {
-        self.poses_different.is_empty() && self.images_different.iter().all(|(_, largest, bound)| largest <= bound)
+        self.poses_different.is_empty()
+            && self.poses_missing.is_empty()
+            && self.images_missing.is_empty()
+            && self.images_different.iter().all(|found| found.largest_nepers.is_some_and(|largest| largest <= found.bound))
     }
 }
 
-/// Results that the log holds, by frame.
-#[derive(Default)]
-struct Recorded {
-    poses: BTreeMap<String, Vec<u8>>,
-    hashes: BTreeMap<String, String>,
-    drrs: BTreeMap<String, crate::image::Image<f32>>,
-    plans: BTreeMap<String, Plan>,
-}
+/// Frames that wait for the workshop hold their pixels: more make the replay wait.
+const MOST_OPEN: usize = 6;
 
 /// Replays `log`.
 ///
 /// # Errors
-/// When the log is none, holds no session, or the scene's files are not found.
+/// When the log is none, holds no session, the scene's files are not found, or `out` is the session's own folder.
 pub fn run(
     log: &Path,
     options: &ReplayOptions,
     board: &Board,
     reporter: &Reporter,
 ) -> Result<(Folder, ReplayReport), SessionError> {
-    let contents = read_log(log)?;
-    let no_session = |detail: &str| SessionError::NoSession { path: log.display().to_string(), detail: detail.to_owned() };
-    let entry =
-        contents.entries.iter().find(|entry| &*entry.topic == SETUP_TOPIC).ok_or_else(|| no_session("no session setup"))?;
-    let mut setup: Setup = entry.json()?;
+    refuse_own_folder(log, &options.out)?;
+    let mut recorded = Recorded::read(log)?;
+    let no_session = || SessionError::NoSession { path: log.display().to_string(), detail: "no session setup".to_owned() };
+    let mut setup = recorded.setup.take().ok_or_else(no_session)?;
     if let Some(data) = &options.data {
         setup.scene_path = data.join(setup.scene_path.file_name().unwrap_or_default());
     }
-    let mut report = ReplayReport::default();
-    report.losses.extend(contents.losses.iter().map(|loss| format!("at byte {}: {}", loss.at_byte, loss.reason)));
-    for loss in &report.losses {
+    let setup = Arc::new(setup);
+    for loss in &recorded.losses {
         reporter.warn("log damaged", format!("{}: {loss}", log.display()));
     }
-    let recorded = recorded(&contents.entries)?;
     let mut workshop = Workshop::open(&setup, DeviceChoice::Auto, reporter)?;
-    let mut collector = Collector::create(&options.out)?;
-    let started_us = contents.entries.first().map_or(0, |entry| entry.host_us);
-    collector.start(started_us, &setup, &workshop);
-    report.losses.iter().for_each(|loss| collector.loss(loss.clone()));
-    let mut engine = Engine::new(setup, workshop.layout().cloned(), reporter.clone());
-    let progress = reporter.progress("replaying", contents.entries.len() as u64);
-    let mut assembler = FrameAssembler::default();
-    let mut outputs = Vec::new();
-    let mut ended = false;
-    let mut last_us = started_us;
-    let mut pace = Pace { rate: options.rate, first_us: None, watch: Stopwatch::start() };
-    for entry in &contents.entries {
-        progress.advance(1);
-        let Some(input) = input(entry, &mut assembler, &mut ended)? else {
-            if ended {
-                break;
+    let collector = Collector::create(&options.out, recorded.started_us, Times::Apart, &setup, &workshop)?;
+    let (pairs, developed) = sync_channel(MOST_OPEN);
+    workshop.start(move |pair| pairs.send(pair).is_ok())?;
+    let engine = Engine::new(Arc::clone(&setup), workshop.layout().cloned(), reporter.clone());
+    let replay = Replay {
+        engine,
+        workshop,
+        collector,
+        developed,
+        tracks: Tracks::new(),
+        board,
+        report: ReplayReport { losses: recorded.losses.clone(), ..ReplayReport::default() },
+        seen: BTreeSet::new(),
+        rendered: BTreeSet::new(),
+        to_compare: BTreeMap::new(),
+        tolerance: Tolerance::default(),
+        recorded,
+    };
+    replay.run(log, options, reporter)
+}
+
+/// A replay never replaces what the session wrote.
+fn refuse_own_folder(log: &Path, out: &Path) -> Result<(), SessionError> {
+    let real = |path: &Path| std::fs::canonicalize(path).ok();
+    let own = log.parent().map(|folder| if folder.as_os_str().is_empty() { Path::new(".") } else { folder });
+    let is_own = own.and_then(real).is_some_and(|own| real(out) == Some(own));
+    if is_own || out.join("session.mcap").exists() {
+        return Err(SessionError::OwnFolder { path: out.display().to_string() });
+    }
+    Ok(())
+}
+
+struct Replay<'a> {
+    engine: Engine,
+    workshop: Workshop,
+    collector: Collector,
+    developed: Receiver<Developed>,
+    tracks: Tracks,
+    board: &'a Board,
+    recorded: Recorded,
+    report: ReplayReport,
+    /// Frames with a pose, and with a DRR, by now.
+    seen: BTreeSet<u32>,
+    rendered: BTreeSet<u32>,
+    /// DRRs with another hash than in the log, and the bound of their plan.
+    to_compare: BTreeMap<u32, f64>,
+    tolerance: Tolerance,
+}
+
+impl Replay<'_> {
+    fn run(mut self, log: &Path, options: &ReplayOptions, reporter: &Reporter) -> Result<(Folder, ReplayReport), SessionError> {
+        let progress = reporter.progress("replaying", self.recorded.messages);
+        let mut assembler = FrameAssembler::default();
+        let mut pace = Pace { rate: options.rate, first_us: None, watch: Stopwatch::start() };
+        let mut last_us = self.recorded.started_us;
+        let mut numbered = 0;
+        for entry in LogReader::open(log)? {
+            progress.advance(1);
+            let is_input = matches!(&*entry.topic, topic::CARM_RAW | topic::ROBOT_RAW | topic::FRAME_PIXELS | CLOCK_TOPIC);
+            if is_input {
+                pace.wait_for(entry.host_us);
+                last_us = last_us.max(entry.host_us);
             }
-            continue;
+            if &*entry.topic == END_TOPIC {
+                self.with_engine(|engine, sink| engine.finish(entry.host_us, sink));
+            } else if let Some(input) = self.input(&entry, &mut assembler, &mut numbered) {
+                self.with_engine(|engine, sink| engine.push(input, sink));
+            }
+            self.take_pairs(reporter);
+        }
+        if !self.recorded.has_end {
+            self.report.losses.push("the log has no end: the session was cut short".to_owned());
+            self.with_engine(|engine, sink| engine.finish(last_us, sink));
+        }
+        // What the session did not come to, in the order of arrival.
+        let left: Vec<u32> = self.engine.bound().collect();
+        for number in left {
+            self.with_engine(|engine, sink| engine.push(Input::Develop { number }, sink));
+            self.take_pairs(reporter);
+        }
+        self.workshop.close();
+        while let Ok(developed) = self.developed.recv() {
+            self.take_pair(developed, reporter);
+        }
+        self.workshop.join()?;
+        self.finish(log, options, reporter)
+    }
+
+    fn input(&mut self, entry: &LogEntry, assembler: &mut FrameAssembler, numbered: &mut u32) -> Option<Input> {
+        #[derive(serde::Deserialize)]
+        struct Numbered {
+            number: u32,
+        }
+        let device = match &*entry.topic {
+            topic::CARM_RAW => DeviceKind::Carm,
+            topic::ROBOT_RAW => DeviceKind::Robot,
+            topic::FRAME_TAGS | topic::FRAME_PIXELS => {
+                let frame = self.tolerance.take(assembler.push(entry))??;
+                // Logs without numbers count by order.
+                *numbered = if frame.number > 0 { frame.number } else { *numbered + 1 };
+                let frame = Arc::new(Frame { number: *numbered, ..frame });
+                return Some(Input::Frame { frame, host_us: entry.host_us });
+            }
+            CLOCK_TOPIC => return Some(Input::Tick { host_us: entry.host_us }),
+            ORDER_TOPIC => {
+                let Numbered { number } = self.tolerance.take(entry.json())?;
+                return Some(Input::Develop { number });
+            }
+            DISAGREES_TOPIC => {
+                let Numbered { number } = self.tolerance.take(entry.json())?;
+                return Some(Input::ImageDisagrees { number });
+            }
+            _ => return None,
         };
-        pace.wait_for(entry.host_us);
-        last_us = last_us.max(entry.host_us);
-        engine.push(input, &mut |output| outputs.push(output));
-        for output in outputs.drain(..) {
-            take(output, &mut collector, &mut workshop, &recorded, &mut report);
+        let raw = self.tolerance.take(entry.raw_bytes())??;
+        Some(Input::Bytes { device, epoch: raw.epoch, host_us: entry.host_us, bytes: raw.bytes.to_vec() })
+    }
+
+    fn with_engine(&mut self, drive: impl FnOnce(&mut Engine, &mut dyn FnMut(Output))) {
+        let mut outputs = VecDeque::new();
+        drive(&mut self.engine, &mut |output| outputs.push_back(output));
+        while let Some(output) = outputs.pop_front() {
+            let engine = &mut self.engine;
+            let mut sink = |output| outputs.push_back(output);
+            match output {
+                Output::Sample { host_us, sample, .. } => self.tracks.sample(host_us, &sample),
+                // A log that keeps no order registered each frame when it was bound.
+                Output::Bound { number } if !self.recorded.has_order => engine.push(Input::Develop { number }, &mut sink),
+                Output::Fault { .. } | Output::Bound { .. } => {}
+                Output::Job(job) => engine.registered(job.run(), &mut sink),
+                Output::Posed(posed) => self.take_posed(*posed),
+            }
         }
-        while let Some(developed) = workshop.try_take() {
-            finish_pair(developed, &recorded, &mut collector, &mut report, board)?;
+    }
+
+    fn take_posed(&mut self, posed: Posed) {
+        self.report.frames += 1;
+        let number = posed.number;
+        self.seen.insert(number);
+        let now = serde_json::to_vec(&PoseRecord::of(&posed)).unwrap_or_default();
+        match self.recorded.poses.get(&number) {
+            Some(then) if *then == now => self.report.poses_identical += 1,
+            Some(_) => self.report.poses_different.push(number),
+            None => self.report.not_in_log.push(format!("pose of frame {number}")),
+        }
+        let plan = self.recorded.plans.get(&number).cloned();
+        self.workshop.submit(posed, plan);
+    }
+
+    /// Takes what is ready; waits where too many frames are open.
+    fn take_pairs(&mut self, reporter: &Reporter) {
+        loop {
+            if let Ok(developed) = self.developed.try_recv() {
+                self.take_pair(developed, reporter);
+            } else if self.workshop.open_jobs() > MOST_OPEN && !self.workshop.has_ended() {
+                if let Ok(developed) = self.developed.recv_timeout(Duration::from_millis(20)) {
+                    self.take_pair(developed, reporter);
+                }
+            } else {
+                return;
+            }
         }
     }
-    if !ended {
-        report.losses.push("the log has no end: the session was cut short".to_owned());
+
+    fn take_pair(&mut self, developed: Developed, reporter: &Reporter) {
+        let number = developed.posed.number;
+        if let (Some(sha256), Some((drr, _)), false) = (&developed.drr_sha256, &developed.drr, self.collector.knows(&developed)) {
+            self.rendered.insert(number);
+            match self.recorded.hashes.get(&number) {
+                Some(then) if then == sha256 => self.report.images_identical += 1,
+                Some(_) => {
+                    self.to_compare.insert(number, drr.stated_error);
+                }
+                None => self.report.not_in_log.push(format!("DRR of frame {number}")),
+            }
+        }
+        let picture = developed.picture();
+        self.board.update(|state| state.show(picture));
+        for failure in self.collector.take(developed) {
+            reporter.warn("file not written", &failure);
+            if self.report.losses.len() < 20 {
+                self.report.losses.push(failure);
+            }
+        }
     }
-    engine.finish(last_us, &mut |output| outputs.push(output));
-    for output in outputs.drain(..) {
-        take(output, &mut collector, &mut workshop, &recorded, &mut report);
+
+    fn finish(
+        mut self,
+        log: &Path,
+        options: &ReplayOptions,
+        reporter: &Reporter,
+    ) -> Result<(Folder, ReplayReport), SessionError> {
+        let mut differences: BTreeMap<u32, ImageDifference> = BTreeMap::new();
+        let to_compare = std::mem::take(&mut self.to_compare);
+        if !to_compare.is_empty() {
+            drrs_of(log, &|number| to_compare.contains_key(&number), &mut |number, then| {
+                let now = read_tiff_f32(&options.out.join(format!("drr/{number:03}.tif"))).ok();
+                let now = now.and_then(|pages| pages.into_iter().next());
+                let (largest_nepers, detail) = difference(&then, now.as_ref());
+                let bound = to_compare.get(&number).copied().unwrap_or(0.0);
+                differences.insert(number, ImageDifference { number, largest_nepers, bound, detail });
+            })?;
+        }
+        for (number, bound) in to_compare {
+            let detail = Some("the log has its hash, but not its pixels".to_owned());
+            let unknown = ImageDifference { number, largest_nepers: None, bound, detail };
+            self.report.images_different.push(differences.remove(&number).unwrap_or(unknown));
+        }
+        self.report.images_missing =
+            self.recorded.hashes.keys().filter(|number| !self.rendered.contains(number)).copied().collect();
+        self.report.poses_missing = self.recorded.poses.keys().filter(|number| !self.seen.contains(number)).copied().collect();
+        self.report.losses.extend(self.tolerance.losses().into_iter().filter(|loss| !self.recorded.losses.contains(loss)));
+        for device in DeviceKind::ALL {
+            let lost = self.engine.health(device).and_then(|health| line_losses(device, &health));
+            self.report.session_losses.extend(lost);
+        }
+        self.board.update(|state| state.finished = true);
+        let losses = self.report.losses.iter().chain(&self.report.session_losses).cloned().collect();
+        let folder = self.collector.finish(&self.engine, self.tracks, losses, reporter, None);
+        Ok((folder, self.report))
     }
-    for developed in workshop.finish()? {
-        finish_pair(developed, &recorded, &mut collector, &mut report, board)?;
+}
+
+/// Largest difference between two images, and what else is wrong. Where only one is NaN, or the sizes differ, there is no largest.
+fn difference(then: &Image<f32>, now: Option<&Image<f32>>) -> (Option<f64>, Option<String>) {
+    let Some(now) = now else { return (None, Some("the DRR of this replay cannot be read back".to_owned())) };
+    if [then.width, then.height] != [now.width, now.height] {
+        let detail = format!("{}x{} px in the log, {}x{} px now", then.width, then.height, now.width, now.height);
+        return (None, Some(detail));
     }
-    board.update(|state| state.finished = true);
-    let folder = collector.finish(&engine, reporter, None)?;
-    Ok((folder, report))
+    let apart = |a: f32, b: f32| if a == b || (a.is_nan() && b.is_nan()) { 0.0 } else { f64::from(a) - f64::from(b) };
+    let pairs = then.pixels.iter().zip(&now.pixels).map(|(a, b)| apart(*a, *b).abs());
+    let (mut largest, mut not_finite) = (0.0f64, 0usize);
+    for difference in pairs {
+        if difference.is_finite() {
+            largest = largest.max(difference);
+        } else {
+            not_finite += 1;
+        }
+    }
+    match not_finite {
+        0 => (Some(largest), None),
+        count => {
+            (None, Some(format!("{count} pixels are not finite in one of them; the others differ by at most {largest:.3e}")))
+        }
+    }
 }
 
 /// Waits so that inputs come at the recorded pace.
@@ -146,7 +369,7 @@ impl Pace {
     fn wait_for(&mut self, host_us: i64) {
         let Some(rate) = self.rate else { return };
         let first_us = *self.first_us.get_or_insert(host_us);
-        let due_ms = (host_us - first_us) as f64 * 1e-3 / rate;
+        let due_ms = host_us.saturating_sub(first_us) as f64 * 1e-3 / rate;
         let early_ms = due_ms - self.watch.ms();
         if early_ms > 1.0 {
             std::thread::sleep(Duration::from_secs_f64(early_ms.min(60_000.0) * 1e-3));
@@ -154,103 +377,26 @@ impl Pace {
     }
 }
 
-/// What `/plan` holds.
-#[derive(serde::Deserialize)]
-struct PlanRecord {
-    frame: String,
-    plan: Plan,
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-fn recorded(entries: &[LogEntry]) -> Result<Recorded, SessionError> {
-    let mut found = Recorded::default();
-    let mut last_drr = None;
-    for entry in entries {
-        match &*entry.topic {
-            topic::POSE => {
-                let pose: PoseRecord = entry.json()?;
-                found.poses.insert(pose.frame, entry.data.clone());
-            }
-            topic::DRR => last_drr = entry.image()?,
-            topic::PLAN => {
-                let PlanRecord { frame, plan } = entry.json()?;
-                found.plans.insert(frame, plan);
-            }
-            DRR_HASH_TOPIC => {
-                let value: serde_json::Value = entry.json()?;
-                let (Some(frame), Some(sha256)) = (value["frame"].as_str(), value["sha256"].as_str()) else { continue };
-                found.hashes.insert(frame.to_owned(), sha256.to_owned());
-                if let Some(drr) = last_drr.take() {
-                    found.drrs.insert(frame.to_owned(), drr);
-                }
-            }
-            _ => {}
-        }
+    fn image(pixels: &[f32]) -> Image<f32> {
+        Image { width: pixels.len(), height: 1, pixels: pixels.to_vec() }
     }
-    Ok(found)
-}
 
-fn input(entry: &LogEntry, assembler: &mut FrameAssembler, ended: &mut bool) -> Result<Option<Input>, SessionError> {
-    let device = match &*entry.topic {
-        topic::CARM_RAW => DeviceKind::Carm,
-        topic::ROBOT_RAW => DeviceKind::Robot,
-        topic::FRAME_TAGS | topic::FRAME_PIXELS => {
-            let frame = assembler.push(entry)?;
-            return Ok(frame.map(|frame| Input::Frame { frame: Arc::new(frame), host_us: entry.host_us }));
-        }
-        CLOCK_TOPIC => return Ok(Some(Input::Tick { host_us: entry.host_us })),
-        END_TOPIC => {
-            *ended = true;
-            return Ok(None);
-        }
-        _ => return Ok(None),
-    };
-    let raw = entry.raw_bytes()?;
-    Ok(raw.map(|raw| Input::Bytes { device, epoch: raw.epoch, host_us: entry.host_us, bytes: raw.bytes.to_vec() }))
-}
-
-fn take(output: Output, collector: &mut Collector, workshop: &mut Workshop, recorded: &Recorded, report: &mut ReplayReport) {
-    match output {
-        Output::Sample { host_us, sample, .. } => collector.sample(host_us, &sample),
-        Output::Fault { .. } => {}
-        Output::Posed(posed) => {
-            report.frames += 1;
-            let name = posed.frame.name.clone();
-            let now = serde_json::to_vec(&PoseRecord::of(&posed)).unwrap_or_default();
-            match recorded.poses.get(&name) {
-                Some(then) if *then == now => report.poses_identical += 1,
-                Some(_) => report.poses_different.push(name),
-                None => report.not_in_log.push(format!("pose of {name}")),
-            }
-            let plan = recorded.plans.get(&posed.frame.name).cloned();
-            workshop.submit(*posed, plan);
-        }
+    /// A DRR with 195 703 NaN was "largest difference 0.000e0": `max` passes over NaN.
+    #[test]
+    fn nan_on_one_side_is_a_difference_and_on_both_none() {
+        let then = image(&[1.0, f32::NAN, 2.0]);
+        assert_eq!(difference(&then, Some(&then)), (Some(0.0), None));
+        let (largest, detail) = difference(&then, Some(&image(&[1.0, 1.0, 2.0])));
+        assert!(largest.is_none() && detail.is_some_and(|words| words.starts_with("1 pixels")));
+        assert_eq!(difference(&then, Some(&image(&[1.0, f32::NAN, 2.5]))).0, Some(0.5));
+        assert!(difference(&then, Some(&image(&[1.0]))).0.is_none());
+        assert!(difference(&image(&[f32::INFINITY]), Some(&image(&[f32::INFINITY]))).0 == Some(0.0));
+        let unknown = ImageDifference { number: 1, largest_nepers: None, bound: 1.0, detail: None };
+        let report = ReplayReport { images_different: vec![unknown], ..ReplayReport::default() };
+        assert!(!report.is_faithful());
     }
-}
-
-fn finish_pair(
-    developed: Developed,
-    recorded: &Recorded,
-    collector: &mut Collector,
-    report: &mut ReplayReport,
-    board: &Board,
-) -> Result<(), SessionError> {
-    let name = &developed.posed.frame.name;
-    if let (Some(sha256), Some((drr, _)), false) = (&developed.drr_sha256, &developed.drr, collector.knows(&developed)) {
-        match (recorded.hashes.get(name), recorded.drrs.get(name)) {
-            (Some(then), _) if then == sha256 => report.images_identical += 1,
-            (Some(_), Some(then)) => {
-                let pairs = then.pixels.iter().zip(&drr.pages[0].pixels);
-                let largest = pairs.map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max);
-                report.images_different.push((name.clone(), largest, drr.stated_error));
-            }
-            (Some(_), None) => report.images_different.push((name.clone(), f64::INFINITY, drr.stated_error)),
-            (None, _) => report.not_in_log.push(format!("DRR of {name}")),
-        }
-    }
-    let picture = Arc::new(developed.picture());
-    board.update(|state| match state.pairs.iter_mut().find(|pair| pair.name == picture.name) {
-        Some(slot) => *slot = picture,
-        None => state.pairs.push(picture),
-    });
-    collector.take(developed)
 }

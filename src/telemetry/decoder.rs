@@ -168,7 +168,7 @@ impl Decoder {
         if let Some(found) = sample.device()
             && found != self.device
         {
-            self.health.unknown_message += 1;
+            self.health.wrong_device += 1;
             sink(Event::Fault(DecodeFault::WrongDevice { expected: self.device, found }));
             return;
         }

@@ -20,6 +20,8 @@ pub struct Health {
     pub duplicate: u64,
     /// Frames that came after later ones; they are used.
     pub reordered: u64,
+    /// Intact frames of the other device: the ports are swapped.
+    pub wrong_device: u64,
     /// Intact frames with a message id that is not known.
     pub unknown_message: u64,
     /// Intact frames of another protocol version.
@@ -41,6 +43,23 @@ pub struct Health {
 }
 
 impl Health {
+    /// Frames and stretches of bytes that were lost, for whatever reason.
+    #[must_use]
+    pub fn lost_in_all(&self) -> u64 {
+        let lost = [
+            self.lost,
+            self.missed_unplugged,
+            self.corrupt,
+            self.wrong_device,
+            self.unknown_message,
+            self.version_mismatch,
+            self.schema_mismatch,
+            self.malformed,
+            self.overlong,
+        ];
+        lost.iter().sum()
+    }
+
     /// Whether nothing was ever lost or damaged.
     #[must_use]
     pub fn is_clean(&self) -> bool {
@@ -50,6 +69,7 @@ impl Health {
             self.missed_unplugged,
             self.duplicate,
             self.reordered,
+            self.wrong_device,
             self.unknown_message,
             self.version_mismatch,
             self.schema_mismatch,
@@ -72,6 +92,7 @@ impl std::fmt::Display for Health {
             (self.missed_unplugged, "missed while unplugged"),
             (self.duplicate, "duplicate"),
             (self.reordered, "reordered"),
+            (self.wrong_device, "of the other device"),
             (self.unknown_message, "of unknown kind"),
             (self.version_mismatch, "of another protocol version"),
             (self.schema_mismatch, "of another schema"),

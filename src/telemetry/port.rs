@@ -143,6 +143,7 @@ struct Counters {
 #[derive(Debug)]
 pub struct PortTask {
     task: tokio::task::JoinHandle<()>,
+    finish: tokio::sync::watch::Sender<bool>,
     counters: Arc<Counters>,
 }
 
@@ -159,9 +160,16 @@ impl PortTask {
         self.counters.stalls.load(Ordering::Relaxed)
     }
 
-    /// Closes the port. Bytes not read yet stay unread.
-    pub fn stop(&self) {
-        self.task.abort();
+    /// Closes the port once the bytes that have arrived are read.
+    pub fn finish(&self) {
+        // Without a receiver the task has ended.
+        let _ = self.finish.send(true);
+    }
+
+    /// Waits until the port is closed; after `limit` it is closed whatever it does.
+    pub async fn ended_within(mut self, limit: Duration) {
+        // A task that panicked has ended as well.
+        let _ = tokio::time::timeout(limit, &mut self.task).await;
     }
 
     /// Closes the port and waits until it is closed.
@@ -184,14 +192,17 @@ impl Drop for PortTask {
 #[must_use = "the port closes when the task is dropped"]
 pub fn spawn_port(handle: &tokio::runtime::Handle, config: PortConfig, sink: Sender<(DeviceKind, PortEvent)>) -> PortTask {
     let counters = Arc::new(Counters::default());
-    let outlet = Outlet { device: config.device, sink, counters: Arc::clone(&counters) };
-    PortTask { task: handle.spawn(run(config, outlet)), counters }
+    let (finish, finishing) = tokio::sync::watch::channel(false);
+    let outlet = Outlet { device: config.device, sink, finishing, counters: Arc::clone(&counters) };
+    PortTask { task: handle.spawn(run(config, outlet)), finish, counters }
 }
 
 /// Where events go; `Err` when nobody listens any more.
 struct Outlet {
     device: DeviceKind,
     sink: Sender<(DeviceKind, PortEvent)>,
+    /// True once the port is to be closed.
+    finishing: tokio::sync::watch::Receiver<bool>,
     counters: Arc<Counters>,
 }
 
@@ -211,7 +222,7 @@ impl Outlet {
     }
 }
 
-async fn run(config: PortConfig, outlet: Outlet) {
+async fn run(config: PortConfig, mut outlet: Outlet) {
     let mut epoch = 0;
     let mut attempt = 0;
     let mut backoff = FIRST_BACKOFF;
@@ -223,7 +234,7 @@ async fn run(config: PortConfig, outlet: Outlet) {
                 if outlet.send(PortEvent::Opened { epoch, host_us: host_now_us(), path, resolved }).await.is_err() {
                     return;
                 }
-                let Ok((reason, received)) = pump(port, epoch, &outlet).await else { return };
+                let Ok((reason, received)) = pump(port, epoch, &mut outlet).await else { return };
                 // A port that opens and dies at once must not be hammered.
                 if received {
                     backoff = FIRST_BACKOFF;
@@ -239,7 +250,10 @@ async fn run(config: PortConfig, outlet: Outlet) {
         if outlet.send(event).await.is_err() {
             return;
         }
-        tokio::time::sleep(backoff).await;
+        tokio::select! {
+            () = tokio::time::sleep(backoff) => {}
+            _ = outlet.finishing.wait_for(|finishing| *finishing) => return,
+        }
         backoff = (backoff * 2).min(LONGEST_BACKOFF);
         if outlet.sink.is_closed() {
             return;
@@ -248,11 +262,16 @@ async fn run(config: PortConfig, outlet: Outlet) {
 }
 
 /// Reads until the device goes; returns why, and whether anything arrived at all.
-async fn pump(mut port: tokio_serial::SerialStream, epoch: u32, outlet: &Outlet) -> Result<(String, bool), Deaf> {
+async fn pump(mut port: tokio_serial::SerialStream, epoch: u32, outlet: &mut Outlet) -> Result<(String, bool), Deaf> {
     let mut buffer = vec![0; CHUNK_BYTES];
     let mut received = false;
     loop {
-        let outcome = port.read(&mut buffer).await;
+        // What has arrived comes first: when the port is to be closed, it is read to the end before.
+        let outcome = tokio::select! {
+            biased;
+            outcome = port.read(&mut buffer) => outcome,
+            _ = outlet.finishing.wait_for(|finishing| *finishing) => return Err(Deaf),
+        };
         let host_us = host_now_us();
         match outcome {
             // After an unplug Linux returns nothing, at once and for ever.

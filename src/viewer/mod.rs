@@ -22,7 +22,7 @@ pub struct ViewState {
 
 /// Uploaded pictures of one pair.
 struct Textures {
-    pair: String,
+    pair: (u32, usize),
     acquired: eframe::egui::TextureHandle,
     drr: Option<eframe::egui::TextureHandle>,
     difference: Option<eframe::egui::TextureHandle>,

@@ -89,7 +89,7 @@ fn scores(ui: &mut Ui, pair: Option<&PairView>) {
         ui.weak("No frame yet");
         return;
     };
-    ui.label(&pair.name);
+    ui.label(format!("{}  {}", pair.number, pair.name));
     ui.colored_label(if pair.accepted { ACCEPTED } else { REFUSED }, &pair.status);
     egui::Grid::new("scores").striped(true).show(ui, |ui| {
         for (name, value) in &pair.scores {
@@ -108,7 +108,7 @@ fn pictures(ui: &mut Ui, board: &BoardState, state: &mut ViewState) {
         ui.centered_and_justified(|ui| ui.weak("No matched frame yet"));
         return;
     };
-    if state.textures.as_ref().is_none_or(|textures| textures.pair != pair.name) {
+    if state.textures.as_ref().is_none_or(|textures| textures.pair != key(pair)) {
         state.textures = Some(upload(ui, pair));
     }
     let Some(textures) = state.textures.take() else { return };
@@ -158,18 +158,23 @@ fn picture(ui: &mut Ui, texture: &TextureHandle, width: f32, state: &mut ViewSta
     ui.painter_at(area).image(texture.id(), drawn, whole, Color32::WHITE);
 }
 
+/// What a picture is known by: it becomes smaller when its pair is old.
+fn key(pair: &PairView) -> (u32, usize) {
+    (pair.number, pair.acquired.width)
+}
+
 fn upload(ui: &Ui, pair: &PairView) -> Textures {
     let gray = |name: &str, image: &Image<u8>| {
         let picture = ColorImage::from_gray([image.width, image.height], &image.pixels);
-        ui.ctx().load_texture(format!("{name} {}", pair.name), picture, TextureOptions::LINEAR)
+        ui.ctx().load_texture(format!("{name} {}", pair.number), picture, TextureOptions::LINEAR)
     };
     let colour = |image: &Image<[u8; 3]>| {
         let bytes: Vec<u8> = image.pixels.iter().flatten().copied().collect();
         let picture = ColorImage::from_rgb([image.width, image.height], &bytes);
-        ui.ctx().load_texture(format!("difference {}", pair.name), picture, TextureOptions::LINEAR)
+        ui.ctx().load_texture(format!("difference {}", pair.number), picture, TextureOptions::LINEAR)
     };
     Textures {
-        pair: pair.name.clone(),
+        pair: key(pair),
         acquired: gray("acquired", &pair.acquired),
         drr: pair.drr.as_ref().map(|image| gray("drr", image)),
         difference: pair.difference.as_ref().map(colour),

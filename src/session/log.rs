@@ -1,0 +1,242 @@
+//! The session's log, shared by all threads: what comes in is recorded in the order in which the engine is given it, before anything is
+//! made of it, and a log that fails is said once and stops nothing.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::Sender;
+use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
+
+use serde_json::json;
+
+use super::SessionError;
+use super::engine::Input;
+use super::file::Setup;
+use super::live::Event;
+use super::posing::{PoseSource, Posed};
+use super::workshop::Workshop;
+use crate::record::{BeadMark, Level, Provenance, RecordError, Recorder, RecorderHealth, topic};
+use crate::render::Rendered;
+use crate::reporter::Reporter;
+use crate::telemetry::{DeviceKind, Sample};
+use crate::time::host_now_us;
+
+/// The session's inputs, embedded in the log.
+pub(super) const SETUP_TOPIC: &str = "/session/setup";
+/// Ticks of the host clock: replay passes them to the engine as the session did.
+pub(super) const CLOCK_TOPIC: &str = "/session/clock";
+/// The order in which frames were registered, by number.
+pub(super) const ORDER_TOPIC: &str = "/session/order";
+/// Frames whose image prefers another pose, by number, when the engine was told.
+pub(super) const DISAGREES_TOPIC: &str = "/session/image_disagrees";
+/// The end of the session's inputs.
+pub(super) const END_TOPIC: &str = "/session/end";
+/// Number and SHA-256 of each DRR's pixels.
+pub(super) const DRR_HASH_TOPIC: &str = "/frames/drr_sha256";
+
+/// See the module.
+pub(super) struct SessionLog {
+    recorder: Recorder,
+    reporter: Reporter,
+    path: PathBuf,
+    /// Held while an input is recorded and handed to the engine.
+    engine: Mutex<Option<Sender<Event>>>,
+    failed: AtomicBool,
+    losses: Mutex<Vec<String>>,
+}
+
+impl SessionLog {
+    /// Refuses a folder that holds a session.
+    pub(super) fn refuse_occupied(out: &Path) -> Result<(), SessionError> {
+        let path = out.join("session.mcap");
+        if path.exists() { Err(SessionError::Occupied { path: path.display().to_string() }) } else { Ok(()) }
+    }
+
+    /// Creates the log; inputs go to `engine`.
+    pub(super) fn create(
+        out: &Path,
+        setup: &Setup,
+        workshop: &Workshop,
+        engine: Sender<Event>,
+        reporter: &Reporter,
+    ) -> Result<Self, SessionError> {
+        let path = out.join("session.mcap");
+        let started_us = host_now_us();
+        let details = json!({"adapter": workshop.adapter(), "inputs": workshop.inputs()});
+        let recorder = Recorder::create(&path, &Provenance::of_this_program(started_us, details))?;
+        recorder.json(SETUP_TOPIC, started_us, setup)?;
+        recorder.attach("scene.json", "application/json", started_us, setup.scene_json.as_bytes())?;
+        if let Some((path, text)) = &setup.beads {
+            let name = path.file_name().map_or_else(|| "beads.mrk.json".to_owned(), |name| name.to_string_lossy().into_owned());
+            recorder.attach(&name, "application/json", started_us, text.as_bytes())?;
+        }
+        Ok(Self {
+            recorder,
+            reporter: reporter.clone(),
+            path,
+            engine: Mutex::new(Some(engine)),
+            failed: AtomicBool::new(false),
+            losses: Mutex::default(),
+        })
+    }
+
+    /// Where the log is.
+    pub(super) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    pub(super) fn health(&self) -> RecorderHealth {
+        self.recorder.health()
+    }
+
+    /// A failed log is said once, loudly; the session goes on without it, because the frames still need their pairs.
+    fn check(&self, outcome: Result<(), RecordError>) {
+        if let Err(error) = outcome {
+            self.fail(&error.to_string());
+        }
+    }
+
+    /// Said once.
+    pub(super) fn fail(&self, reason: &str) {
+        if !self.failed.swap(true, Ordering::Relaxed) {
+            self.lose(format!("recording stopped: {reason}"));
+            self.reporter.warn("recording stopped", format!("{reason}; telemetry and frames go on without a log"));
+        }
+    }
+
+    /// Something is lost: it stands in the report, and the exit code is 3.
+    pub(super) fn lose(&self, what: String) {
+        let mut losses = self.losses.lock().unwrap_or_else(PoisonError::into_inner);
+        if !losses.contains(&what) {
+            losses.push(what);
+        }
+    }
+
+    pub(super) fn losses(&self) -> Vec<String> {
+        self.losses.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Records an input and hands it to the engine; both in one order, whatever thread calls.
+    pub(super) fn input(&self, input: Input) {
+        // What takes long is done before the lock is taken: other lines must not wait for the pixels of a frame.
+        let prepared = match &input {
+            Input::Frame { frame, host_us } => self.recorder.prepare_frame(frame, *host_us).and_then(|frame| {
+                self.recorder.wait_for_room(frame.bytes())?;
+                Ok(Some(frame))
+            }),
+            _ => Ok(None),
+        };
+        let engine = self.engine.lock().unwrap_or_else(PoisonError::into_inner);
+        let outcome = match (&input, prepared) {
+            (_, Err(error)) => Err(error),
+            (_, Ok(Some(prepared))) => self.recorder.record(prepared),
+            (Input::Bytes { device, epoch, host_us, bytes }, _) => self.recorder.raw_bytes(device.key(), *epoch, *host_us, bytes),
+            (Input::Tick { host_us }, _) => self.recorder.json(CLOCK_TOPIC, *host_us, &json!({ "host_us": host_us })),
+            (Input::Develop { number }, _) => self.recorder.json(ORDER_TOPIC, host_now_us(), &json!({ "number": number })),
+            (Input::ImageDisagrees { number }, _) => {
+                self.recorder.json(DISAGREES_TOPIC, host_now_us(), &json!({ "number": number }))
+            }
+            (Input::Frame { .. }, _) => Ok(()),
+        };
+        if let Some(sender) = &*engine {
+            // The engine listens until the session is over.
+            let _ = sender.send(Event::Input(input));
+        }
+        drop(engine);
+        self.check(outcome);
+    }
+
+    /// Something for the engine's thread that is no input.
+    pub(super) fn tell(&self, event: Event) {
+        if let Some(sender) = &*self.engine.lock().unwrap_or_else(PoisonError::into_inner) {
+            let _ = sender.send(event);
+        }
+    }
+
+    pub(super) fn event(&self, level: Level, host_us: i64, text: &str) {
+        self.check(self.recorder.event(level, text, host_us));
+    }
+
+    pub(super) fn sample(&self, device: DeviceKind, host_us: i64, sample: &Sample) {
+        let topic = match (device, sample) {
+            (_, Sample::Metadata(_)) => "/devices/metadata",
+            (DeviceKind::Carm, _) => topic::CARM_JOINTS,
+            (DeviceKind::Robot, _) => topic::ROBOT_JOINTS,
+        };
+        self.check(self.recorder.json(topic, host_us, sample));
+    }
+
+    pub(super) fn pose(&self, posed: &Posed) {
+        self.check(self.recorder.json(topic::POSE, posed.time_us, &PoseRecord::of(posed)));
+        if let Some(view) = &posed.view {
+            let projection = view.projection();
+            let mark = |bead: &crate::pose::BeadResidual| {
+                let (projected_px, depth_mm) = projection.project(bead.lps_mm);
+                let detected_px = bead.image_px.map(glam::DVec2::from_array);
+                (depth_mm > 0.0).then(|| BeadMark { name: bead.name.clone(), detected_px, projected_px, radius_px: 4.0 })
+            };
+            let marks: Vec<BeadMark> = posed.pose.beads.iter().filter_map(mark).collect();
+            self.check(self.recorder.pose_geometry(view, &marks, posed.time_us));
+        }
+    }
+
+    /// The DRR of frame `number`, its plan and its hash.
+    pub(super) fn drr(&self, number: u32, drr: &Rendered, sha256: &str, time_us: i64) {
+        let record = || {
+            let prepared = self.recorder.prepare_drr(&format!("frame {number}"), &drr.pages[0], time_us)?;
+            self.recorder.wait_for_room(prepared.bytes())?;
+            self.recorder.record(prepared)?;
+            self.recorder.json(topic::PLAN, time_us, &json!({"number": number, "plan": drr.plan}))?;
+            self.recorder.json(DRR_HASH_TOPIC, time_us, &json!({"number": number, "sha256": sha256}))
+        };
+        self.check(record());
+    }
+
+    pub(super) fn scores(&self, pair: &crate::report::Pair, time_us: i64) {
+        self.check(self.recorder.json(topic::SCORES, time_us, pair));
+    }
+
+    /// No more inputs come.
+    pub(super) fn end(&self, host_us: i64) {
+        self.check(self.recorder.json(END_TOPIC, host_us, &json!({ "host_us": host_us })));
+    }
+
+    /// Everything so far is in the file, or it is said why not.
+    pub(super) fn flush_now(&self, limit: Duration) {
+        self.check(self.recorder.flush_now(limit));
+    }
+
+    /// Finishes the log.
+    pub(super) fn finish(&self) {
+        self.engine.lock().unwrap_or_else(PoisonError::into_inner).take();
+        self.check(self.recorder.finish().map(|_| ()));
+    }
+}
+
+/// What `/pose` holds.
+#[derive(Clone, Debug, serde::Serialize, serde::Deserialize)]
+pub(super) struct PoseRecord {
+    pub(super) number: u32,
+    pub(super) frame: String,
+    pub(super) pose_source: PoseSource,
+    pub(super) camera_from_lps: Option<crate::geometry::Rigid>,
+    pub(super) projection: Option<crate::geometry::Projection>,
+    pub(super) binding: serde_json::Value,
+    pub(super) control_angles_deg: Option<[f64; 5]>,
+    pub(super) pose: serde_json::Value,
+}
+
+impl PoseRecord {
+    pub(super) fn of(posed: &Posed) -> Self {
+        Self {
+            number: posed.number,
+            frame: posed.frame.name.clone(),
+            pose_source: posed.pose_source,
+            camera_from_lps: posed.view.map(|view| view.camera_from_lps),
+            projection: posed.view.map(|view| view.projection()),
+            binding: serde_json::to_value(&posed.binding).unwrap_or_default(),
+            control_angles_deg: posed.robot.as_ref().map(|robot| robot.control_angles_deg),
+            pose: serde_json::to_value(&posed.pose).unwrap_or_default(),
+        }
+    }
+}

@@ -1,0 +1,295 @@
+//! From a bound frame to a posed one: what telemetry says about it, its registration, and which pose is used.
+
+use std::sync::Arc;
+
+use super::file::Setup;
+use super::tie::Disagreement;
+use crate::acquire::Frame;
+use crate::beads::BeadLayout;
+use crate::geometry::{CarmJoints, Intrinsics, Rigid, View};
+use crate::pose::{self, Pose, Prior, Registration};
+use crate::reporter::Reporter;
+use crate::telemetry::{AngleSource, CarmSample};
+use crate::time::{StageTimes, Stopwatch};
+use crate::timeline::{Binding, Support, Timeline};
+
+/// Where the pose of a pair came from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PoseSource {
+    /// Beads in the frame.
+    Beads,
+    /// C-arm telemetry: the beads were refused.
+    Telemetry,
+    /// There is none.
+    None,
+}
+
+/// The robot's shape at the exposure.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RobotState {
+    /// The five control angles, degrees.
+    pub control_angles_deg: [f64; 5],
+    /// Pose of the robot's base, when it is tracked and the tracker is tied to the specimen.
+    pub lps_from_base: Option<Rigid>,
+    /// `sensed` or `commanded`.
+    pub source: String,
+    /// Span of the samples that were interpolated.
+    pub gap_us: i64,
+    /// Too old to be trusted at the exposure.
+    pub stale: bool,
+}
+
+/// A frame with everything known about when and where it was taken.
+#[derive(Clone, Debug)]
+pub struct Posed {
+    /// Counts frames of the session from 1, in order of arrival.
+    pub number: u32,
+    /// The frame.
+    pub frame: Arc<Frame>,
+    /// Middle of the exposure, or the arrival where it is not bound; host time.
+    pub time_us: i64,
+    /// Which exposure, and why.
+    pub binding: Binding,
+    /// What registration said.
+    pub pose: Pose,
+    /// Which pose is used.
+    pub pose_source: PoseSource,
+    /// The view to render; absent without a pose.
+    pub view: Option<View>,
+    /// The robot, when telemetry covers the exposure.
+    pub robot: Option<RobotState>,
+    /// C-arm joints at the exposure.
+    pub joints: Option<CarmJoints>,
+    /// Span of the C-arm samples that were interpolated.
+    pub carm_gap_us: Option<i64>,
+    /// Camera in the specimen by telemetry, as registration was given it as a prior.
+    pub nominal: Option<Rigid>,
+    /// The C-arm's sample nearest the middle of the exposure: beam, field, joints.
+    pub beam: Option<CarmSample>,
+    /// How far beads and telemetry are apart, where they contradict each other.
+    pub telemetry_disagreement: Option<Disagreement>,
+    /// Wall time of detection and pose.
+    pub stages: StageTimes,
+}
+
+impl Posed {
+    pub(super) fn with_telemetry_disagreement(self, telemetry_disagreement: Option<Disagreement>) -> Self {
+        Self { telemetry_disagreement, ..self }
+    }
+}
+
+/// Robot or C-arm samples further apart than this around an exposure are stale.
+const MAX_GAP_US: i64 = 500_000;
+
+/// A frame with what telemetry says about it, fixed when it was bound.
+#[derive(Clone, Debug)]
+pub struct Bound {
+    frame: Arc<Frame>,
+    time_us: i64,
+    binding: Binding,
+    joints: Option<CarmJoints>,
+    carm_gap_us: Option<i64>,
+    /// Everything but the base in `lps`, which the tie to the room decides.
+    robot: Option<RobotState>,
+    tracker_from_base: Option<Rigid>,
+    beam: Option<CarmSample>,
+}
+
+impl Bound {
+    /// What `timeline`, or the exposure itself where the samples are gone, says about a frame that arrived at `arrival_us`.
+    #[must_use]
+    pub fn new(frame: Arc<Frame>, arrival_us: i64, binding: Binding, timeline: &Timeline) -> Self {
+        let exposure = binding.exposure.as_ref();
+        let mid_us = exposure.map(|exposure| exposure.mid_us());
+        let joints = mid_us
+            .and_then(|mid_us| timeline.joints_at(mid_us))
+            .filter(|answer| answer.gap_us <= MAX_GAP_US && answer.support == Support::Between)
+            .or_else(|| exposure.and_then(|exposure| exposure.joints).filter(|answer| answer.gap_us <= MAX_GAP_US));
+        let robot = mid_us.and_then(|mid_us| robot_state(timeline, mid_us)).or_else(|| {
+            let answer = exposure?.control_angles_deg?;
+            Some(RobotState {
+                control_angles_deg: answer.value,
+                lps_from_base: None,
+                source: "stored with the exposure".to_owned(),
+                gap_us: answer.gap_us,
+                stale: !(answer.gap_us <= MAX_GAP_US),
+            })
+        });
+        let tracker_from_base = mid_us
+            .and_then(|mid_us| timeline.tracker_from_base_at(mid_us))
+            .or_else(|| exposure.and_then(|exposure| exposure.tracker_from_base))
+            .filter(|answer| answer.gap_us <= MAX_GAP_US)
+            .map(|answer| answer.value);
+        Self {
+            frame,
+            time_us: mid_us.unwrap_or(arrival_us),
+            joints: joints.as_ref().map(|answer| answer.value),
+            carm_gap_us: joints.as_ref().map(|answer| answer.gap_us),
+            beam: mid_us.and_then(|mid_us| timeline.carm_sample_near(mid_us)).cloned(),
+            binding,
+            robot,
+            tracker_from_base,
+        }
+    }
+}
+
+fn robot_state(timeline: &Timeline, mid_us: i64) -> Option<RobotState> {
+    let (answer, source) = timeline.robot_and_source_at(mid_us)?;
+    if !answer.value.iter().all(|angle| angle.is_finite()) {
+        return None;
+    }
+    let stale = !(answer.gap_us <= MAX_GAP_US && answer.support == Support::Between);
+    let source = match source {
+        AngleSource::Sensed => "sensed",
+        AngleSource::Commanded => "commanded",
+    };
+    let source = source.to_owned();
+    Some(RobotState { control_angles_deg: answer.value, lps_from_base: None, source, gap_us: answer.gap_us, stale })
+}
+
+/// A registration with all that it rests on; it may run on any thread.
+#[derive(Clone, Debug)]
+pub struct PoseJob {
+    bound: Bound,
+    setup: Arc<Setup>,
+    layout: Option<Arc<BeadLayout>>,
+    size_px: [u32; 2],
+    intrinsics: Option<Intrinsics>,
+    camera_from_world: Option<Rigid>,
+    world_from_lps: Option<Rigid>,
+}
+
+impl PoseJob {
+    /// `world_from_lps` is where the specimen lies as far as is known.
+    #[must_use]
+    pub fn new(
+        bound: Bound,
+        setup: Arc<Setup>,
+        layout: Option<Arc<BeadLayout>>,
+        world_from_lps: Option<Rigid>,
+        reporter: &Reporter,
+    ) -> Self {
+        let size_px = [bound.frame.pixels.width as u32, bound.frame.pixels.height as u32];
+        let carm = setup.carm.as_ref();
+        let camera_from_world = bound.joints.zip(carm).and_then(|(joints, carm)| {
+            carm.world_from_camera(&joints).map(Rigid::inverse).map_err(|error| reporter.warn("carm", error)).ok()
+        });
+        let at_zero = CarmJoints { source_to_detector_mm: f64::NAN, ..CarmJoints::ZERO };
+        let sized = carm.filter(|carm| [carm.columns_px, carm.rows_px] == size_px);
+        if carm.is_some() && sized.is_none() {
+            let [columns, rows] = size_px;
+            let number = bound.frame.number;
+            reporter.warn("frame size", format!("frame {number}: {columns}x{rows} px is not the size of the C-arm calibration"));
+        }
+        let intrinsics = sized.and_then(|carm| {
+            carm.intrinsics(&bound.joints.unwrap_or(at_zero)).map_err(|error| reporter.warn("carm", error)).ok()
+        });
+        Self { bound, setup, layout, size_px, intrinsics, camera_from_world, world_from_lps }
+    }
+
+    /// Which frame.
+    #[must_use]
+    pub fn number(&self) -> u32 {
+        self.bound.frame.number
+    }
+
+    /// Finds the beads and the pose. Takes from a tenth of a second to seconds.
+    #[must_use]
+    pub fn run(self) -> Registered {
+        let watch = Stopwatch::start();
+        let none = BeadLayout { beads: Vec::new(), source: "none".to_owned(), notes: Vec::new() };
+        let layout = self.layout.as_deref().unwrap_or(&none);
+        let prior = self.nominal().map(|camera_from_lps| Prior { camera_from_lps, covariance: None });
+        let mut pose = pose::register(&Registration {
+            frame: &self.bound.frame,
+            layout,
+            intrinsics: self.intrinsics,
+            pitch_mm: self.setup.carm.as_ref().map(|carm| carm.pitch_mm),
+            prior: prior.as_ref(),
+            fuse: false,
+            landmarks: &[],
+            bead_radius_mm: None,
+        });
+        if self.layout.is_none() {
+            pose.reason = Some("the session names no beads".to_owned());
+        }
+        let mut stages = StageTimes::default();
+        stages.add("register", watch.ms());
+        Registered { job: self, pose, stages }
+    }
+
+    /// Camera in the specimen by telemetry alone.
+    fn nominal(&self) -> Option<Rigid> {
+        self.camera_from_world.zip(self.world_from_lps).map(|(camera, world)| camera * world)
+    }
+}
+
+/// The outcome of a [`PoseJob`].
+#[derive(Clone, Debug)]
+pub struct Registered {
+    job: PoseJob,
+    pose: Pose,
+    stages: StageTimes,
+}
+
+impl Registered {
+    /// Which frame.
+    #[must_use]
+    pub fn number(&self) -> u32 {
+        self.job.bound.frame.number
+    }
+
+    /// A refusal in place of a result: running the job failed.
+    #[must_use]
+    pub fn failed(job: PoseJob, reason: &str) -> Self {
+        let mut refused = PoseJob { layout: None, ..job }.run();
+        refused.pose.reason = Some(reason.to_owned());
+        refused
+    }
+
+    /// The frame with its pose, and where its beads put the specimen in the room, if both are known.
+    pub(super) fn into_posed(self, world_from_tracker: Option<Rigid>) -> (Posed, Option<Rigid>) {
+        let Self { job, pose, stages } = self;
+        let (pose_source, camera) = match (pose.camera(), job.intrinsics.zip(job.nominal())) {
+            (Some(camera), _) => (PoseSource::Beads, Some(camera)),
+            (None, Some(camera)) => (PoseSource::Telemetry, Some(camera)),
+            (None, None) => (PoseSource::None, None),
+        };
+        // world_from_lps = world_from_camera · camera_from_lps.
+        let seen = match (pose_source, camera, job.camera_from_world) {
+            (PoseSource::Beads, Some((_, camera_from_lps)), Some(camera_from_world)) => {
+                Some(camera_from_world.inverse() * camera_from_lps)
+            }
+            _ => None,
+        };
+        let size_px = job.size_px;
+        let view = camera.map(|(intrinsics, camera_from_lps)| View { size_px, intrinsics, camera_from_lps });
+        let nominal = job.nominal();
+        let Bound { frame, time_us, binding, joints, carm_gap_us, robot, tracker_from_base, beam } = job.bound;
+        let lps_from_base = match (tracker_from_base, world_from_tracker, job.world_from_lps) {
+            (Some(base), Some(world_from_tracker), Some(world_from_lps)) => {
+                Some(world_from_lps.inverse() * world_from_tracker * base)
+            }
+            _ => None,
+        };
+        let robot = robot.map(|robot| RobotState { lps_from_base, ..robot });
+        let posed = Posed {
+            number: frame.number,
+            frame,
+            time_us,
+            binding,
+            pose,
+            pose_source,
+            view,
+            robot,
+            joints,
+            carm_gap_us,
+            nominal,
+            beam,
+            telemetry_disagreement: None,
+            stages,
+        };
+        (posed, seen)
+    }
+}

@@ -1,0 +1,162 @@
+//! What a log says came out of its session, by the numbers of its frames.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use super::SessionError;
+use super::file::Setup;
+use super::log::{DRR_HASH_TOPIC, END_TOPIC, ORDER_TOPIC, SETUP_TOPIC};
+use crate::image::{Image, sha256_bytes};
+use crate::record::{LogEntry, LogReader, Tolerance, topic};
+use crate::render::Plan;
+
+/// See the module. Poses, plans and hashes are small; images stay in the log.
+#[derive(Default)]
+pub(super) struct Recorded {
+    pub(super) setup: Option<Setup>,
+    pub(super) started_us: i64,
+    /// Messages in the log.
+    pub(super) messages: u64,
+    pub(super) poses: BTreeMap<u32, Vec<u8>>,
+    pub(super) plans: BTreeMap<u32, Plan>,
+    pub(super) hashes: BTreeMap<u32, String>,
+    /// The log says in which order frames were registered.
+    pub(super) has_order: bool,
+    /// The session's inputs came to their end.
+    pub(super) has_end: bool,
+    pub(super) losses: Vec<String>,
+    /// Frames by their label, for logs that know no numbers.
+    labels: Vec<String>,
+}
+
+#[derive(serde::Deserialize)]
+struct OfFrame {
+    number: Option<u32>,
+    /// Of logs without numbers: counts from 0.
+    index: Option<u32>,
+    frame: Option<String>,
+}
+
+#[derive(serde::Deserialize)]
+struct PlanRecord {
+    plan: Plan,
+}
+
+#[derive(serde::Deserialize)]
+struct HashRecord {
+    sha256: String,
+}
+
+#[derive(serde::Deserialize)]
+struct Label {
+    name: String,
+}
+
+impl Recorded {
+    /// Reads through `log` once.
+    ///
+    /// # Errors
+    /// When the file cannot be read or is no log. What is damaged in it is in [`Recorded::losses`].
+    pub(super) fn read(log: &Path) -> Result<Self, SessionError> {
+        let mut found = Self::default();
+        let mut tolerance = Tolerance::default();
+        let mut reader = LogReader::open(log)?;
+        let mut drr: Option<String> = None;
+        for entry in reader.by_ref() {
+            if found.messages == 0 {
+                found.started_us = entry.host_us;
+            }
+            found.messages += 1;
+            match &*entry.topic {
+                SETUP_TOPIC if found.setup.is_none() => found.setup = tolerance.take(entry.json()),
+                topic::FRAME_TAGS => {
+                    let label: Option<Label> = tolerance.take(entry.json());
+                    found.labels.push(label.map(|label| label.name).unwrap_or_default());
+                }
+                topic::POSE => {
+                    if let Some(number) = found.number(&entry, &mut tolerance, |found, number| found.poses.contains_key(&number))
+                    {
+                        found.poses.insert(number, entry.data);
+                    }
+                }
+                topic::PLAN => {
+                    let plan: Option<PlanRecord> = tolerance.take(entry.json());
+                    let number = found.number(&entry, &mut tolerance, |found, number| found.plans.contains_key(&number));
+                    if let (Some(number), Some(record)) = (number, plan) {
+                        found.plans.insert(number, record.plan);
+                    }
+                }
+                topic::DRR => drr = tolerance.take(entry.image()).flatten().map(|image| sha256_of(&image)),
+                DRR_HASH_TOPIC => {
+                    let hash: Option<HashRecord> = tolerance.take(entry.json());
+                    let number = found.number(&entry, &mut tolerance, |found, number| found.hashes.contains_key(&number));
+                    if let (Some(number), Some(HashRecord { sha256 })) = (number, hash) {
+                        if drr.take().is_some_and(|of_pixels| of_pixels != sha256) {
+                            found
+                                .losses
+                                .push(format!("the DRR of frame {number} in the log is not the one that its own hash names"));
+                        }
+                        found.hashes.insert(number, sha256);
+                    }
+                }
+                ORDER_TOPIC => found.has_order = true,
+                END_TOPIC => found.has_end = true,
+                _ => {}
+            }
+        }
+        let damage = reader.losses().iter().map(|loss| format!("at byte {}: {}", loss.at_byte, loss.reason));
+        found.losses.splice(0..0, damage);
+        found.losses.extend(tolerance.losses());
+        Ok(found)
+    }
+
+    /// Of which frame a message speaks; `is_known` says whether that frame has such a message already.
+    fn number(&self, entry: &LogEntry, tolerance: &mut Tolerance, is_known: impl Fn(&Self, u32) -> bool) -> Option<u32> {
+        let of: OfFrame = tolerance.take(entry.json())?;
+        of.number.or_else(|| of.index.map(|index| index.saturating_add(1))).or_else(|| {
+            // A log without numbers: of several frames with this label, the first that has none yet.
+            let label = of.frame?;
+            let numbered = (1u32..).zip(&self.labels);
+            numbered.filter(|(_, known)| **known == label).map(|(number, _)| number).find(|number| !is_known(self, *number))
+        })
+    }
+}
+
+/// Of an image's pixels, little-endian f32, row by row.
+pub(super) fn sha256_of(image: &Image<f32>) -> String {
+    let bytes: Vec<u8> = image.pixels.iter().flat_map(|value| value.to_le_bytes()).collect();
+    sha256_bytes(&bytes)
+}
+
+/// The DRRs of `wanted` in `log`, one after the other.
+pub(super) fn drrs_of(
+    log: &Path,
+    wanted: &dyn Fn(u32) -> bool,
+    take: &mut dyn FnMut(u32, Image<f32>),
+) -> Result<(), SessionError> {
+    let mut labels = Recorded::default();
+    let mut tolerance = Tolerance::default();
+    let mut drr = None;
+    for entry in LogReader::open(log)? {
+        match &*entry.topic {
+            topic::FRAME_TAGS => {
+                let label: Option<Label> = tolerance.take(entry.json());
+                labels.labels.push(label.map(|label| label.name).unwrap_or_default());
+            }
+            topic::DRR => drr = Some(entry),
+            DRR_HASH_TOPIC => {
+                let Some(drr) = drr.take() else { continue };
+                let number = labels.number(&entry, &mut tolerance, |found, number| found.hashes.contains_key(&number));
+                let Some(number) = number else { continue };
+                labels.hashes.insert(number, String::new());
+                if wanted(number)
+                    && let Some(Some(image)) = tolerance.take(drr.image())
+                {
+                    take(number, image);
+                }
+            }
+            _ => {}
+        }
+    }
+    Ok(())
+}

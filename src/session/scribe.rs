@@ -1,0 +1,111 @@
+//! The scribe: a thread that records pairs and writes their files. What cannot be written is counted and said, and stops nothing.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::time::Duration;
+
+use super::SessionError;
+use super::board::Board;
+use super::develop::Developed;
+use super::folder::Collector;
+use super::log::SessionLog;
+use crate::reporter::Reporter;
+
+/// Pairs that wait for a slow disk; then the workshop waits, and nothing else does.
+const QUEUE: usize = 4;
+/// How often the scribe looks whether it is to leave.
+const LOOK: Duration = Duration::from_millis(100);
+
+/// See the module.
+pub(super) struct Scribe {
+    thread: std::thread::JoinHandle<Collector>,
+    complete: Arc<AtomicUsize>,
+    leave: Arc<AtomicBool>,
+}
+
+impl Scribe {
+    /// Starts the thread; pairs go into the sender.
+    pub(super) fn start(
+        collector: Collector,
+        log: Arc<SessionLog>,
+        board: Board,
+        reporter: &Reporter,
+    ) -> Result<(Self, SyncSender<Developed>), SessionError> {
+        let (sender, inbox) = sync_channel(QUEUE);
+        let (complete, leave) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicBool::new(false)));
+        let work = Work { collector, log, board, reporter: reporter.clone(), complete: Arc::clone(&complete) };
+        let left = Arc::clone(&leave);
+        let thread = std::thread::Builder::new().name("scribe".to_owned()).spawn(move || work.run(&inbox, &left));
+        let thread = thread.map_err(|source| SessionError::Thread { source })?;
+        Ok((Self { thread, complete, leave }, sender))
+    }
+
+    /// Pairs that are as complete as they get.
+    pub(super) fn complete(&self) -> usize {
+        self.complete.load(Ordering::Relaxed)
+    }
+
+    /// Whether the thread has ended.
+    pub(super) fn has_ended(&self) -> bool {
+        self.thread.is_finished()
+    }
+
+    /// What waits is not written any more.
+    pub(super) fn leave(&self) {
+        self.leave.store(true, Ordering::Relaxed);
+    }
+
+    /// Waits for the thread; `None` when it died.
+    pub(super) fn join(self) -> Option<Collector> {
+        self.thread.join().ok()
+    }
+}
+
+struct Work {
+    collector: Collector,
+    log: Arc<SessionLog>,
+    board: Board,
+    reporter: Reporter,
+    complete: Arc<AtomicUsize>,
+}
+
+impl Work {
+    fn run(mut self, inbox: &Receiver<Developed>, leave: &AtomicBool) -> Collector {
+        loop {
+            match inbox.recv_timeout(LOOK) {
+                Ok(_) | Err(_) if leave.load(Ordering::Relaxed) => return self.collector,
+                Ok(developed) => self.take(developed),
+                Err(RecvTimeoutError::Timeout) => {
+                    let failure = self.collector.write_pairs_if_due();
+                    self.say(failure);
+                }
+                Err(RecvTimeoutError::Disconnected) => return self.collector,
+            }
+        }
+    }
+
+    fn take(&mut self, developed: Developed) {
+        let (number, time_us, complete) = (developed.posed.number, developed.posed.time_us, developed.complete);
+        let picture = developed.picture();
+        self.board.update(|state| state.show(picture));
+        if let (Some((drr, _)), Some(sha256), false) = (&developed.drr, &developed.drr_sha256, self.collector.knows(&developed)) {
+            self.log.drr(number, drr, sha256, time_us);
+        }
+        if complete {
+            self.log.scores(&developed.pair, time_us);
+        }
+        let failures = self.collector.take(developed);
+        failures.into_iter().for_each(|failure| self.say(Some(failure)));
+        if complete {
+            self.complete.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    fn say(&self, failure: Option<String>) {
+        if let Some(failure) = failure {
+            self.reporter
+                .warn("file not written", format!("{failure}; the log goes on, and a replay of it makes the file again"));
+        }
+    }
+}

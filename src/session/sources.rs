@@ -1,0 +1,228 @@
+//! What comes into a session, each kind on a thread that does nothing else: bytes of the serial lines, frames of the folder.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Weak};
+use std::time::Duration;
+
+use super::SessionError;
+use super::board::{Board, Link};
+use super::engine::Input;
+use super::file::Setup;
+use super::live::Event;
+use super::log::SessionLog;
+use crate::acquire::{FolderWatch, Frame, WatchEvent};
+use crate::record::Level;
+use crate::reporter::Reporter;
+use crate::telemetry::{DeviceKind, PortConfig, PortEvent, PortTask, spawn_port};
+use crate::time::host_now_us;
+
+/// Which source has ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Source {
+    Lines,
+    Frames,
+}
+
+/// Capacity of the channel from the ports; when full, bytes wait in the system's buffers.
+const PORT_QUEUE: usize = 4096;
+/// A port that is closed may take this long to hand over what has arrived.
+const DRAIN: Duration = Duration::from_millis(200);
+/// How often the folder is looked at.
+const FOLDER_POLL: Duration = Duration::from_millis(25);
+/// Pixels of frames that wait to be developed may take this much memory; then reading waits, and files wait in their folder.
+const MOST_PIXEL_BYTES: usize = 2 << 30;
+
+/// The serial lines.
+pub(super) struct Lines {
+    runtime: tokio::runtime::Runtime,
+    tasks: Vec<PortTask>,
+}
+
+impl Lines {
+    /// Opens the ports of a session; what they say is recorded and goes to the engine.
+    pub(super) fn open(setup: &Setup, log: &Arc<SessionLog>, board: &Board, reporter: &Reporter) -> Result<Self, SessionError> {
+        let runtime = tokio::runtime::Builder::new_multi_thread()
+            .worker_threads(1)
+            .enable_all()
+            .build()
+            .map_err(|source| SessionError::Thread { source })?;
+        let (sender, mut arrivals) = tokio::sync::mpsc::channel::<(DeviceKind, PortEvent)>(PORT_QUEUE);
+        let mut tasks = Vec::new();
+        for config in ports(setup) {
+            board.update(|state| state.links.push(new_link(config.device)));
+            tasks.push(spawn_port(runtime.handle(), config, sender.clone()));
+        }
+        drop(sender);
+        let intake = LineIntake { log: Arc::clone(log), board: board.clone(), reporter: reporter.clone() };
+        std::thread::Builder::new()
+            .name("lines".to_owned())
+            .spawn(move || {
+                while let Some((device, event)) = arrivals.blocking_recv() {
+                    intake.take(device, event);
+                }
+                intake.log.tell(Event::Ended(Source::Lines));
+            })
+            .map_err(|source| SessionError::Thread { source })?;
+        Ok(Self { runtime, tasks })
+    }
+
+    /// Closes the ports once what has arrived is read.
+    pub(super) fn close(self) {
+        let Self { runtime, tasks } = self;
+        tasks.iter().for_each(PortTask::finish);
+        std::thread::spawn(move || {
+            runtime.block_on(async {
+                for task in tasks {
+                    task.ended_within(DRAIN).await;
+                }
+            });
+            runtime.shutdown_timeout(DRAIN);
+        });
+    }
+}
+
+fn ports(setup: &Setup) -> Vec<PortConfig> {
+    let carm = setup.session.carm.as_ref().map(|line| (DeviceKind::Carm, line.port.clone(), line.baud));
+    let robot = setup.session.robot.as_ref().map(|line| (DeviceKind::Robot, line.port.clone(), line.baud));
+    [carm, robot].into_iter().flatten().map(|(device, path, baud)| PortConfig { device, path, baud }).collect()
+}
+
+fn new_link(device: DeviceKind) -> Link {
+    Link { device, open: false, epoch: 0, health: Default::default(), last_byte_us: None, trouble: None }
+}
+
+struct LineIntake {
+    log: Arc<SessionLog>,
+    board: Board,
+    reporter: Reporter,
+}
+
+impl LineIntake {
+    /// Records what a port says, shows it, and hands bytes to the engine.
+    fn take(&self, device: DeviceKind, event: PortEvent) {
+        let link = |change: &dyn Fn(&mut Link)| {
+            self.board.update(|state| state.links.iter_mut().filter(|link| link.device == device).for_each(change));
+        };
+        match event {
+            PortEvent::Bytes { host_us, epoch, bytes } => {
+                self.log.input(Input::Bytes { device, epoch, host_us, bytes });
+                link(&|link| link.last_byte_us = Some(host_us));
+            }
+            PortEvent::Opened { epoch, host_us, .. } => {
+                link(&|link| {
+                    link.open = true;
+                    link.epoch = epoch;
+                    link.trouble = None;
+                });
+                self.log.event(Level::Info, host_us, &format!("{} line opened, epoch {epoch}", device.key()));
+                self.log.tell(Event::LineOpened { device, host_us });
+            }
+            PortEvent::Lost { reason, host_us, .. } => {
+                link(&|link| {
+                    link.open = false;
+                    link.trouble = Some(reason.clone());
+                });
+                self.log.event(Level::Warning, host_us, &format!("{} line lost: {reason}", device.key()));
+                let advice = format!("{} line lost ({reason}); it is re-opened as soon as it is back", device.key());
+                self.reporter.warn("line lost", advice);
+                self.log.tell(Event::LineLost { device, host_us, reason });
+            }
+            PortEvent::Retry { error, attempt, .. } => {
+                link(&|link| link.trouble = Some(error.to_string()));
+                if attempt == 1 {
+                    self.reporter.warn("line not open", format!("{error}; {}", crate::telemetry::hint(&error)));
+                }
+            }
+        }
+    }
+}
+
+/// The frames.
+pub(super) struct Frames {
+    closing: Arc<AtomicBool>,
+}
+
+impl Frames {
+    /// Watches the folder of a session; frames are numbered, recorded and go to the engine.
+    pub(super) fn watch(
+        setup: &Setup,
+        include_existing: bool,
+        log: &Arc<SessionLog>,
+        board: &Board,
+        reporter: &Reporter,
+    ) -> Result<Self, SessionError> {
+        let closing = Arc::new(AtomicBool::new(false));
+        let mut intake = FrameIntake {
+            watch: FolderWatch::new(&setup.session.frames.folder, setup.session.frames.domain, include_existing),
+            log: Arc::clone(log),
+            board: board.clone(),
+            reporter: reporter.clone(),
+            held: Vec::new(),
+            numbered: 0,
+        };
+        let told = Arc::clone(&closing);
+        std::thread::Builder::new()
+            .name("frames".to_owned())
+            .spawn(move || {
+                intake.run(&told);
+                intake.log.tell(Event::Ended(Source::Frames));
+            })
+            .map_err(|source| SessionError::Thread { source })?;
+        Ok(Self { closing })
+    }
+
+    /// Reads what is in the folder, then ends.
+    pub(super) fn close(&self) {
+        self.closing.store(true, Ordering::Relaxed);
+    }
+}
+
+struct FrameIntake {
+    watch: FolderWatch,
+    log: Arc<SessionLog>,
+    board: Board,
+    reporter: Reporter,
+    /// Frames whose pixels may still be in memory.
+    held: Vec<Weak<Frame>>,
+    numbered: u32,
+}
+
+impl FrameIntake {
+    fn run(&mut self, closing: &AtomicBool) {
+        loop {
+            let last = closing.load(Ordering::Relaxed);
+            for event in self.watch.poll(host_now_us()) {
+                self.take(event, closing);
+            }
+            if last {
+                return;
+            }
+            std::thread::sleep(FOLDER_POLL);
+        }
+    }
+
+    fn take(&mut self, event: WatchEvent, closing: &AtomicBool) {
+        match event {
+            WatchEvent::Frame { frame, .. } => {
+                while self.held_bytes() > MOST_PIXEL_BYTES && !closing.load(Ordering::Relaxed) {
+                    std::thread::sleep(FOLDER_POLL);
+                }
+                self.numbered += 1;
+                let frame = Arc::new(Frame { number: self.numbered, ..*frame });
+                self.held.push(Arc::downgrade(&frame));
+                self.board.update(|state| state.frames_seen += 1);
+                self.log.input(Input::Frame { frame, host_us: host_now_us() });
+            }
+            WatchEvent::Unreadable { error, .. } => {
+                self.reporter.warn("unreadable frame", format!("{error}; the file is left where it is"));
+                self.log.event(Level::Warning, host_now_us(), &format!("unreadable frame: {error}"));
+            }
+            WatchEvent::Waiting { .. } => {}
+        }
+    }
+
+    fn held_bytes(&mut self) -> usize {
+        self.held.retain(|frame| frame.strong_count() > 0);
+        self.held.iter().filter_map(Weak::upgrade).map(|frame| frame.pixels.pixels.len() * 4).sum()
+    }
+}

@@ -1,0 +1,177 @@
+//! Where the specimen lies in the room: declared by the session, else learnt from frames that agree, and given up when later ones do not.
+
+use glam::DVec3;
+
+use crate::geometry::Rigid;
+
+/// Two frames agree when the specimen's beads lie within this of each other in the room: a joint sensor of ±0.2° alone is 2 mm, uncorrected
+/// sag of a mobile C-arm up to 16 mm.
+const AGREE_MM: f64 = 20.0;
+/// Same, for its orientation.
+const AGREE_DEG: f64 = 3.0;
+/// So many frames in a row that disagree with the tie, and agree with each other, replace it.
+const REPLACED_BY: usize = 2;
+
+/// How far two ideas of the specimen in the room lie apart.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Disagreement {
+    /// At the centroid of the beads.
+    pub mm: f64,
+    /// Of the orientation.
+    pub deg: f64,
+}
+
+impl Disagreement {
+    fn between(a: &Rigid, b: &Rigid, centre_lps_mm: DVec3) -> Self {
+        let mm = a.transform_point(centre_lps_mm).distance(b.transform_point(centre_lps_mm));
+        Self { mm, deg: a.rotation.angle_between(b.rotation).to_degrees() }
+    }
+
+    /// NaN does not agree.
+    fn agrees(self) -> bool {
+        self.mm <= AGREE_MM && self.deg <= AGREE_DEG
+    }
+}
+
+/// What a frame's pose means for the tie.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TieVerdict {
+    /// How far the frame is from the tie that held before it; `None` where there was none, or where it agrees.
+    pub disagreement: Option<Disagreement>,
+    /// What changed, or what is wrong, for a person.
+    pub words: Option<String>,
+}
+
+/// See the module.
+#[derive(Clone, Debug)]
+pub struct SpecimenTie {
+    declared: bool,
+    tied: Option<Rigid>,
+    centre_lps_mm: DVec3,
+    /// Frames that the tie rests on.
+    tied_by: Vec<u32>,
+    /// Latest frames that do not support the tie: number and where they put the specimen.
+    dissenting: Vec<(u32, Rigid)>,
+}
+
+impl SpecimenTie {
+    /// `declared` is the session's word; `centre_lps_mm` is where distances are taken.
+    #[must_use]
+    pub fn new(declared: Option<Rigid>, centre_lps_mm: DVec3) -> Self {
+        Self { declared: declared.is_some(), tied: declared, centre_lps_mm, tied_by: Vec::new(), dissenting: Vec::new() }
+    }
+
+    /// Where the specimen lies; `None` until the session or two frames say so.
+    #[must_use]
+    pub fn world_from_lps(&self) -> Option<Rigid> {
+        self.tied
+    }
+
+    /// Takes where an accepted frame puts the specimen.
+    pub fn observe(&mut self, number: u32, world_from_lps: Rigid) -> TieVerdict {
+        let apart = self.tied.map(|tied| Disagreement::between(&tied, &world_from_lps, self.centre_lps_mm));
+        if apart.is_some_and(Disagreement::agrees) {
+            self.dissenting.clear();
+            return TieVerdict::default();
+        }
+        let agrees = |(_, other): &&(u32, Rigid)| Disagreement::between(other, &world_from_lps, self.centre_lps_mm).agrees();
+        let supporters: Vec<u32> = self.dissenting.iter().rev().take_while(agrees).map(|(number, _)| *number).collect();
+        let words = match (apart, supporters.len() + 1 >= REPLACED_BY, self.declared) {
+            (Some(apart), _, true) => Some(format!(
+                "its beads put the specimen {:.1} mm and {:.1} degrees from where the session's world_from_lps and telemetry do: check \
+                 world_from_lps, the C-arm's calibration and its encoders",
+                apart.mm, apart.deg
+            )),
+            (Some(apart), true, false) => Some(format!(
+                "the specimen was tied to the room anew: this frame and frame {} agree with each other and put it {:.1} mm and {:.1} \
+                 degrees from where it was; it was moved, or telemetry is wrong",
+                supporters[0], apart.mm, apart.deg
+            )),
+            (Some(apart), false, false) => Some(format!(
+                "its beads put the specimen {:.1} mm and {:.1} degrees from where earlier frames and telemetry do: was it moved, or is \
+                 telemetry wrong?",
+                apart.mm, apart.deg
+            )),
+            (None, true, _) => None,
+            (None, false, _) if self.dissenting.is_empty() => None,
+            (None, false, _) => Some(
+                "it does not agree with the frame before on where the specimen lies in the room: there is no pose from telemetry until \
+                 two frames agree"
+                    .to_owned(),
+            ),
+        };
+        if supporters.len() + 1 >= REPLACED_BY && !self.declared {
+            self.tied = Some(world_from_lps);
+            self.tied_by = supporters.into_iter().chain([number]).collect();
+            self.dissenting.clear();
+        } else {
+            self.dissenting.push((number, world_from_lps));
+            if self.dissenting.len() > REPLACED_BY {
+                self.dissenting.remove(0);
+            }
+        }
+        TieVerdict { disagreement: apart, words }
+    }
+
+    /// A frame turned out to be wrong: what rests on it is given up. Returns what changed, for a person.
+    pub fn retract(&mut self, number: u32) -> Option<String> {
+        self.dissenting.retain(|(other, _)| *other != number);
+        if self.declared || !self.tied_by.contains(&number) {
+            return None;
+        }
+        self.tied = None;
+        self.tied_by.clear();
+        Some(
+            "the specimen is no longer tied to the room: the image of this frame, on which the tie rested, prefers another pose"
+                .to_owned(),
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(x: f64) -> Rigid {
+        Rigid::translation(DVec3::new(x, 0.0, 0.0))
+    }
+
+    #[test]
+    fn one_frame_does_not_tie_the_specimen_and_two_that_agree_do() {
+        let mut tie = SpecimenTie::new(None, DVec3::ZERO);
+        assert_eq!(tie.observe(1, at(0.0)), TieVerdict::default());
+        assert_eq!(tie.world_from_lps(), None);
+        assert!(tie.observe(2, at(500.0)).words.is_some(), "a contradiction is said");
+        assert_eq!(tie.world_from_lps(), None);
+        tie.observe(3, at(501.0));
+        assert_eq!(tie.world_from_lps(), Some(at(501.0)));
+    }
+
+    #[test]
+    fn a_tie_survives_one_outlier_and_is_replaced_by_two_frames_that_agree() {
+        let mut tie = SpecimenTie::new(None, DVec3::ZERO);
+        tie.observe(1, at(0.0));
+        tie.observe(2, at(1.0));
+        let outlier = tie.observe(3, at(170.0));
+        assert_eq!(outlier.disagreement.map(|apart| apart.mm), Some(169.0));
+        assert_eq!(tie.world_from_lps(), Some(at(1.0)));
+        tie.observe(4, at(0.0));
+        assert!(tie.observe(5, at(171.0)).disagreement.is_some());
+        assert_eq!(tie.world_from_lps(), Some(at(1.0)), "the outlier before an agreeing frame does not count");
+        assert!(tie.observe(6, at(172.0)).words.is_some());
+        assert_eq!(tie.world_from_lps(), Some(at(172.0)));
+        assert_eq!(tie.retract(1), None, "an old frame no longer matters");
+        assert!(tie.retract(5).is_some());
+        assert_eq!(tie.world_from_lps(), None);
+    }
+
+    #[test]
+    fn the_sessions_word_is_not_overruled_but_its_contradiction_is_said() {
+        let mut tie = SpecimenTie::new(Some(at(0.0)), DVec3::ZERO);
+        for number in 1..5 {
+            assert!(tie.observe(number, at(100.0)).words.is_some());
+        }
+        assert_eq!(tie.world_from_lps(), Some(at(0.0)));
+        assert!(tie.observe(9, at(f64::NAN)).disagreement.is_some(), "NaN does not agree");
+    }
+}

@@ -1,0 +1,148 @@
+//! What the report shows of telemetry: joints and angles over time, and how each line did.
+
+use std::collections::BTreeMap;
+
+use super::engine::Engine;
+use crate::geometry::CarmJoints;
+use crate::report::{Gap, LinkReport, Track};
+use crate::telemetry::{DeviceKind, Sample};
+
+/// Tracks are drawn with at most one sample per this, at first.
+const TRACK_STEP_US: i64 = 100_000;
+/// Samples kept of a track; when there are more, every second one goes and the step doubles.
+const MOST_SAMPLES: usize = 20_000;
+
+/// Values at a bounded number of times.
+#[derive(Debug)]
+struct Thinned<T> {
+    step_us: i64,
+    values: Vec<(i64, T)>,
+}
+
+impl<T> Thinned<T> {
+    fn new() -> Self {
+        Self { step_us: TRACK_STEP_US, values: Vec::new() }
+    }
+
+    fn push(&mut self, host_us: i64, value: T) {
+        if self.values.last().is_some_and(|(last_us, _)| host_us.saturating_sub(*last_us) < self.step_us) {
+            return;
+        }
+        self.values.push((host_us, value));
+        if self.values.len() > MOST_SAMPLES {
+            let mut index = 0;
+            self.values.retain(|_| {
+                index += 1;
+                index % 2 == 1
+            });
+            self.step_us *= 2;
+        }
+    }
+}
+
+/// See the module.
+#[derive(Debug)]
+pub(super) struct Tracks {
+    links: BTreeMap<DeviceKind, LinkReport>,
+    joints: Thinned<CarmJoints>,
+    angles: Thinned<[f64; 5]>,
+}
+
+impl Tracks {
+    pub(super) fn new() -> Self {
+        Self { links: BTreeMap::new(), joints: Thinned::new(), angles: Thinned::new() }
+    }
+
+    fn link(&mut self, device: DeviceKind) -> &mut LinkReport {
+        self.links.entry(device).or_insert_with(|| LinkReport {
+            device: device.key().to_owned(),
+            first_us: None,
+            last_us: None,
+            counters: Vec::new(),
+            gaps: Vec::new(),
+        })
+    }
+
+    pub(super) fn line_lost(&mut self, device: DeviceKind, host_us: i64, reason: &str) {
+        let gap = Gap { start_us: host_us, end_us: host_us, reason: reason.to_owned() };
+        self.link(device).gaps.push(gap);
+    }
+
+    pub(super) fn line_opened(&mut self, device: DeviceKind, host_us: i64) {
+        if let Some(gap) = self.link(device).gaps.last_mut()
+            && gap.end_us == gap.start_us
+        {
+            gap.end_us = host_us;
+        }
+    }
+
+    pub(super) fn sample(&mut self, host_us: i64, sample: &Sample) {
+        let device = match sample {
+            Sample::Carm(carm) => {
+                self.joints.push(host_us, carm.joints);
+                DeviceKind::Carm
+            }
+            Sample::Robot(robot) => {
+                self.angles.push(host_us, robot.control_angles_deg().0);
+                DeviceKind::Robot
+            }
+            Sample::Metadata(_) => return,
+        };
+        let link = self.link(device);
+        link.first_us.get_or_insert(host_us);
+        link.last_us = Some(host_us);
+    }
+
+    /// Host time of the latest sample.
+    pub(super) fn last_us(&self) -> Option<i64> {
+        self.links.values().filter_map(|link| link.last_us).max()
+    }
+
+    /// How each line did.
+    pub(super) fn links(mut self, engine: &Engine) -> (Vec<LinkReport>, Vec<Track>) {
+        for device in DeviceKind::ALL {
+            let Some(health) = engine.health(device) else { continue };
+            let counters = serde_json::to_value(health).unwrap_or_default();
+            let counters = counters.as_object().cloned().unwrap_or_default();
+            self.link(device).counters = counters.into_iter().filter_map(|(name, count)| Some((name, count.as_u64()?))).collect();
+        }
+        let tracks = drawn(&self.joints.values, &self.angles.values);
+        (self.links.into_values().collect(), tracks)
+    }
+}
+
+fn drawn(joints: &[(i64, CarmJoints)], angles: &[(i64, [f64; 5])]) -> Vec<Track> {
+    let mut tracks = Vec::new();
+    if !joints.is_empty() {
+        let degrees = |name: &str, value: fn(&CarmJoints) -> f64| {
+            (name.to_owned(), joints.iter().map(|(t_us, j)| (*t_us, value(j).to_degrees())).collect())
+        };
+        let series = vec![
+            degrees("orbital", |j| j.orbital_rad),
+            degrees("angulation", |j| j.angulation_rad),
+            degrees("wig-wag", |j| j.wig_wag_rad),
+        ];
+        tracks.push(Track { title: "C-arm joints".to_owned(), unit: "deg".to_owned(), series });
+    }
+    if !angles.is_empty() {
+        let control =
+            |index: usize| (format!("control point {}", index + 1), angles.iter().map(|(t_us, a)| (*t_us, a[index])).collect());
+        let series = (0..5).map(control).collect();
+        tracks.push(Track { title: "Robot bending".to_owned(), unit: "deg".to_owned(), series });
+    }
+    tracks
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_long_track_is_thinned_and_still_spans_the_session() {
+        let mut track = Thinned::new();
+        (0..500_000i64).for_each(|index| track.push(index * 100_000, index));
+        assert!(track.values.len() <= MOST_SAMPLES && track.values.len() > MOST_SAMPLES / 4, "{}", track.values.len());
+        assert_eq!(track.values[0].1, 0);
+        assert!(track.values.last().is_some_and(|(_, index)| *index > 490_000));
+    }
+}

@@ -1,0 +1,243 @@
+//! The workshop: a thread that turns posed frames into pairs, the newest first, and makes their nulls when no frame waits.
+
+use std::collections::VecDeque;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+
+use super::SessionError;
+use super::develop::{Bench, Developed};
+use super::file::Setup;
+use super::posing::Posed;
+use crate::beads::{BeadLayout, parse_markups};
+use crate::gpu::DeviceChoice;
+use crate::render::{Plan, Renderer};
+use crate::reporter::Reporter;
+use crate::scene;
+
+/// A frame, and the plan to execute where a log has one.
+struct Job {
+    posed: Posed,
+    plan: Option<Plan>,
+}
+
+/// Pairs that wait for their null, with pictures; an older one is completed without.
+const MOST_NULLS: usize = 12;
+
+#[derive(Default)]
+struct Queue {
+    jobs: Vec<Job>,
+    /// A frame is being developed.
+    busy: bool,
+    /// No more frames will come.
+    closed: bool,
+    /// What is left is not wanted any more.
+    abandoned: bool,
+    /// The thread has ended.
+    ended: bool,
+}
+
+#[derive(Default)]
+struct Shared {
+    queue: Mutex<Queue>,
+    changed: Condvar,
+}
+
+impl Shared {
+    fn lock(&self) -> MutexGuard<'_, Queue> {
+        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn change(&self, change: impl FnOnce(&mut Queue)) {
+        change(&mut self.lock());
+        self.changed.notify_all();
+    }
+}
+
+/// Renders and compares on a thread of its own.
+pub struct Workshop {
+    bench: Option<Bench>,
+    shared: Arc<Shared>,
+    thread: Option<std::thread::JoinHandle<()>>,
+    layout: Option<Arc<BeadLayout>>,
+    adapter: String,
+    inputs: Vec<scene::InputFile>,
+}
+
+impl Workshop {
+    /// Loads the scene and the beads, chooses a renderer.
+    ///
+    /// # Errors
+    /// When scene or beads are wrong, or the renderer is not available.
+    pub fn open(setup: &Setup, device: DeviceChoice, reporter: &Reporter) -> Result<Self, SessionError> {
+        let scene = scene::load_text(&setup.scene_json, &setup.scene_path, false, reporter)?;
+        let layout = match &setup.beads {
+            Some((path, text)) => Some(
+                parse_markups(path, text.as_bytes())
+                    .map_err(|error| SessionError::Beads { path: path.display().to_string(), detail: error.to_string() })?,
+            ),
+            None => None,
+        };
+        let renderer = Renderer::new(device, reporter)?;
+        let adapter = renderer.adapter();
+        let inputs = scene.inputs.clone();
+        let bench = Bench { scene, layout: layout.clone(), renderer, reporter: reporter.clone() };
+        let layout = layout.map(Arc::new);
+        Ok(Self { bench: Some(bench), shared: Arc::default(), thread: None, layout, adapter, inputs })
+    }
+
+    /// Starts the thread; `sink` gets each pair when it can be shown and once more with its null, and says whether it wants more.
+    ///
+    /// # Errors
+    /// When the thread cannot be started, or was.
+    pub fn start(&mut self, sink: impl FnMut(Developed) -> bool + Send + 'static) -> Result<(), SessionError> {
+        let bench = self.bench.take().ok_or(SessionError::WorkshopDied)?;
+        let shared = Arc::clone(&self.shared);
+        let thread = std::thread::Builder::new().name("workshop".to_owned()).spawn(move || {
+            let _ended = Ended(&shared);
+            work(bench, &shared, sink);
+        });
+        self.thread = Some(thread.map_err(|source| SessionError::Thread { source })?);
+        Ok(())
+    }
+
+    /// The specimen's beads.
+    #[must_use]
+    pub fn layout(&self) -> Option<&Arc<BeadLayout>> {
+        self.layout.as_ref()
+    }
+
+    /// What renders.
+    #[must_use]
+    pub fn adapter(&self) -> &str {
+        &self.adapter
+    }
+
+    /// Files that went into the scene.
+    #[must_use]
+    pub fn inputs(&self) -> &[scene::InputFile] {
+        &self.inputs
+    }
+
+    /// Hands in a frame; `plan` is executed as it is where there is one, else the renderer plans.
+    pub fn submit(&self, posed: Posed, plan: Option<Plan>) {
+        self.shared.change(|queue| queue.jobs.push(Job { posed, plan }));
+    }
+
+    /// Frames that wait or are being developed.
+    #[must_use]
+    pub fn open_jobs(&self) -> usize {
+        let queue = self.shared.lock();
+        queue.jobs.len() + usize::from(queue.busy)
+    }
+
+    /// Whether the thread has ended, for whatever reason.
+    #[must_use]
+    pub fn has_ended(&self) -> bool {
+        self.shared.lock().ended
+    }
+
+    /// No more frames: the thread ends when every pair and its null are made.
+    pub fn close(&self) {
+        self.shared.change(|queue| queue.closed = true);
+    }
+
+    /// What is left is not wanted: the thread ends after the render that runs.
+    pub fn abandon(&self) {
+        self.shared.change(|queue| queue.abandoned = true);
+    }
+
+    /// Waits until the thread has ended.
+    ///
+    /// # Errors
+    /// When it died.
+    pub fn join(&mut self) -> Result<(), SessionError> {
+        match self.thread.take().map(std::thread::JoinHandle::join) {
+            Some(Err(_)) => Err(SessionError::WorkshopDied),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Says that the thread has ended, however it ends.
+struct Ended<'a>(&'a Shared);
+
+impl Drop for Ended<'_> {
+    fn drop(&mut self) {
+        self.0.change(|queue| queue.ended = true);
+    }
+}
+
+enum Next {
+    Frame(Box<Job>),
+    /// No frame waits.
+    Idle,
+    End,
+}
+
+fn next(shared: &Shared, may_wait: bool) -> Next {
+    let mut queue = shared.lock();
+    loop {
+        queue.busy = false;
+        if queue.abandoned {
+            return Next::End;
+        }
+        // The newest frame is the one that somebody looks at.
+        let newest = (0..queue.jobs.len()).max_by_key(|index| queue.jobs[*index].posed.number);
+        if let Some(newest) = newest {
+            queue.busy = true;
+            return Next::Frame(Box::new(queue.jobs.swap_remove(newest)));
+        }
+        if !may_wait {
+            return Next::Idle;
+        }
+        if queue.closed {
+            return Next::End;
+        }
+        queue = shared.changed.wait(queue).unwrap_or_else(PoisonError::into_inner);
+    }
+}
+
+fn work(mut bench: Bench, shared: &Shared, mut sink: impl FnMut(Developed) -> bool) {
+    let mut nulls: VecDeque<Developed> = VecDeque::new();
+    loop {
+        let developed = match next(shared, nulls.is_empty()) {
+            Next::Frame(job) => {
+                let Job { posed, plan } = *job;
+                let attempt = catch_unwind(AssertUnwindSafe(|| bench.develop(posed.clone(), plan)));
+                let developed =
+                    attempt.unwrap_or_else(|_| bench.failed(posed, "rendering or comparing it failed (a fault of this program)"));
+                if !developed.complete {
+                    nulls.push_back(developed.clone());
+                }
+                developed
+            }
+            Next::Idle => {
+                let Some(developed) = nulls.pop_back() else { continue };
+                let cancelled = || {
+                    let queue = shared.lock();
+                    queue.abandoned || !queue.jobs.is_empty()
+                };
+                let attempt = catch_unwind(AssertUnwindSafe(|| bench.add_null(developed.clone(), &cancelled)));
+                match attempt {
+                    Ok(Some(with_null)) => with_null,
+                    Ok(None) => {
+                        nulls.push_back(developed);
+                        continue;
+                    }
+                    Err(_) => developed.without_null("making it failed (a fault of this program)"),
+                }
+            }
+            Next::End => return,
+        };
+        if !sink(developed) {
+            return;
+        }
+        // In a burst the pictures of pairs that wait for their null would fill the memory.
+        if nulls.len() > MOST_NULLS
+            && let Some(oldest) = nulls.pop_front()
+            && !sink(oldest.without_null("other frames waited; a replay makes it"))
+        {
+            return;
+        }
+    }
+}

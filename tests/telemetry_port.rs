@@ -57,7 +57,7 @@ fn frames_arrive_the_device_is_unplugged_and_comes_back_elsewhere() {
             stamps.push(*host_us);
         }
         link.handle(&event, &mut |received| {
-            if let Event::Sample(sample) = received.event {
+            if let Event::Sample(sample, _) = received.event {
                 seen.push((received.epoch, sample.sequence()));
             }
         });
@@ -187,7 +187,7 @@ fn a_full_receiver_slows_reading_down_and_loses_nothing() {
     while seen.last() != Some(&199) {
         let event = next(&mut events, &runtime);
         link.handle(&event, &mut |received| {
-            if let Event::Sample(sample) = received.event {
+            if let Event::Sample(sample, _) = received.event {
                 seen.push(sample.sequence());
             }
         });
@@ -205,7 +205,7 @@ fn a_recording_goes_the_same_way_as_a_port() {
     let mut whole = Link::new(DeviceKind::Carm);
     let mut events = Vec::new();
     whole.drain(&mut script.clone().into_iter(), &mut |received| events.push(received));
-    assert_eq!(events.iter().filter(|received| matches!(received.event, Event::Sample(_))).count(), 40);
+    assert_eq!(events.iter().filter(|received| matches!(received.event, Event::Sample(..))).count(), 40);
     let health = *whole.health();
     assert_eq!((health.stale, health.epochs, health.lost), (1, 2, 0));
     let mut again = Link::new(DeviceKind::Carm);

@@ -10,7 +10,7 @@ fn golden() -> [(DeviceKind, Vec<u8>); 3] {
 }
 
 fn samples(events: &[Event]) -> Vec<Sample> {
-    events.iter().filter_map(|event| if let Event::Sample(sample) = event { Some(sample.clone()) } else { None }).collect()
+    events.iter().filter_map(|event| if let Event::Sample(sample, _) = event { Some(sample.clone()) } else { None }).collect()
 }
 
 /// Samples as text: NaN is not equal to itself.
@@ -203,7 +203,7 @@ fn a_frame_cut_by_opening_the_port_is_no_fault() {
     decoder.begin_epoch();
     let stream = [&plain(3)[40..], &plain(4)[..]].concat();
     let mut found = 0;
-    decoder.push(&stream, &mut |event| found += usize::from(matches!(event, Event::Sample(_))));
+    decoder.push(&stream, &mut |event| found += usize::from(matches!(event, Event::Sample(..))));
     assert_eq!((found, decoder.health().corrupt, decoder.health().partial_at_open), (1, 0, 1));
     // A torn frame later on is one.
     decoder.push(&[&plain(5)[40..], &plain(6)[..]].concat(), &mut |_| {});

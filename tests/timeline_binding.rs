@@ -1,9 +1,9 @@
 //! Exposures from flag and counter, and frames bound to them, or not.
 
 use sidecarm::telemetry::DeviceKind;
-use sidecarm::timeline::{Binding, BindingHow, ExposureInterval, FrameStamp, Timeline};
+use sidecarm::timeline::{Binding, BindingHow, ExposureInterval, FrameStamp};
 
-use crate::timeline_joints::{T0_US, carm, robot};
+use crate::timeline_joints::{Fed, T0_US, carm, robot};
 
 const PERIOD_US: i64 = 33_333;
 
@@ -24,7 +24,7 @@ impl Default for Script<'_> {
 }
 
 impl Script<'_> {
-    fn play(&self, timeline: &mut Timeline) {
+    fn play(&self, timeline: &mut Fed) {
         for i in 0..(self.seconds * 1e6) as i64 / PERIOD_US {
             let at_s = (i * PERIOD_US) as f64 * 1e-6;
             let begun = self.exposures_s.iter().filter(|(start, _)| at_s >= *start).count() as u32;
@@ -39,8 +39,8 @@ impl Script<'_> {
         }
     }
 
-    fn timeline(&self) -> Timeline {
-        let mut timeline = Timeline::new();
+    fn timeline(&self) -> Fed {
+        let mut timeline = Fed::default();
         self.play(&mut timeline);
         timeline
     }
@@ -66,7 +66,7 @@ const THREE: [(f64, f64); 3] = [(3.0, 3.4), (8.0, 8.5), (15.0, 15.3)];
 
 #[test]
 fn exposures_are_found_with_their_bounds_and_joints() {
-    let mut timeline = Timeline::new();
+    let mut timeline = Fed::default();
     for i in 0..2_100u32 {
         timeline.push_sample(
             DeviceKind::Robot,
@@ -189,7 +189,7 @@ fn an_exposure_that_only_the_counter_shows_is_known_and_competes() {
 
 #[test]
 fn a_counter_that_repeats_after_a_reset_is_ambiguous_unless_time_decides() {
-    let mut timeline = Timeline::new();
+    let mut timeline = Fed::default();
     Script { exposures_s: &[(3.0, 3.4)], counter: Some(0), seconds: 10.0, ..Script::default() }.play(&mut timeline);
     let again = Script {
         exposures_s: &[(2.0, 2.4)],
@@ -231,5 +231,5 @@ fn without_any_exposure_nothing_is_bound() {
     let timeline = Script::default().timeline();
     let binding = timeline.bind(&frame(Some(1), 5.0, Some(5.0)));
     assert_eq!(bound_s(&binding), None);
-    assert_eq!(bound_s(&Timeline::new().bind(&frame(None, 5.0, None))), None);
+    assert_eq!(bound_s(&Fed::default().bind(&frame(None, 5.0, None))), None);
 }

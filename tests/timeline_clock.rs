@@ -1,6 +1,7 @@
 //! The clock map against clocks whose truth is known.
 
 use sidecarm::random::{Purpose, Stream};
+use sidecarm::telemetry::Sequenced::{self, Next};
 use sidecarm::timeline::{ClockMap, DeviceClock, MAX_DRIFT, Placed, SegmentStart};
 
 const T0_US: i64 = 1_700_000_000_000_000;
@@ -100,7 +101,7 @@ fn uncertainty_grows_when_the_device_is_silent() {
 /// Runs stamps with sequence numbers through the device clock; returns it and the segment of each sample.
 fn run(stamps: &[(i64, i64)]) -> (DeviceClock, Vec<Placed>) {
     let mut clock = DeviceClock::default();
-    let placed = stamps.iter().enumerate().map(|(i, (device, host))| clock.observe(0, i as u32, *device, *host)).collect();
+    let placed = stamps.iter().enumerate().map(|(i, (device, host))| clock.observe(0, Next, i as u32, *device, *host)).collect();
     (clock, placed)
 }
 
@@ -148,7 +149,7 @@ fn pauses_delays_and_losses_are_not_steps() {
     // 300 frames are lost: the sequence explains the device time.
     let mut clock = DeviceClock::default();
     for (i, (device, host, _)) in even.iter().enumerate().filter(|(i, _)| !(2_000..2_300).contains(i)) {
-        clock.observe(0, i as u32, *device, *host);
+        clock.observe(0, Next, i as u32, *device, *host);
     }
     assert_eq!(clock.steps_and_resets(), (0, 0));
 }
@@ -159,9 +160,9 @@ fn restarts_and_openings_begin_new_maps_and_carry_the_drift() {
     let mut clock = DeviceClock::default();
     for (i, (device, host, _)) in even.iter().enumerate() {
         match i {
-            0..6_000 => clock.observe(0, i as u32, *device, *host),
-            6_000..9_000 => clock.observe(0, (i - 6_000) as u32, device - even[6_000].0, *host),
-            _ => clock.observe(1, (i - 6_000) as u32, device - even[6_000].0, *host),
+            0..6_000 => clock.observe(0, Next, i as u32, *device, *host),
+            6_000..9_000 => clock.observe(0, if i == 6_000 { Sequenced::Reset } else { Next }, (i - 6_000) as u32, device - even[6_000].0, *host),
+            _ => clock.observe(1, Next, (i - 6_000) as u32, device - even[6_000].0, *host),
         };
     }
     let starts: Vec<SegmentStart> = clock.summaries().iter().map(|segment| segment.start).collect();
@@ -176,7 +177,7 @@ fn late_and_repeated_samples_keep_their_segment() {
     let mut clock = DeviceClock::default();
     let mut placed = Vec::new();
     for i in [0usize, 1, 2, 3, 4, 5, 6, 9, 7, 8, 8, 10] {
-        placed.push(clock.observe(0, i as u32, even[i].0, even[9].1));
+        placed.push(clock.observe(0, if matches!(i, 7 | 8) { Sequenced::Reordered } else { Next }, i as u32, even[i].0, even[9].1));
     }
     assert_eq!(placed[8..10], [Placed::Late(0), Placed::Late(0)]);
     assert_eq!(placed[11], Placed::InOrder(0));

@@ -2,10 +2,44 @@
 
 use glam::{DQuat, DVec3};
 use sidecarm::geometry::{CarmJoints, Rigid};
-use sidecarm::telemetry::{CarmSample, DeviceKind, RobotSample, Sample, Tendon};
-use sidecarm::timeline::{BindLimits, FreshLimits, Freshness, Retention, Support, Timeline};
+use sidecarm::telemetry::{CarmSample, DeviceKind, RobotSample, Sample, SequenceTracker, Sequenced, Tendon};
+use sidecarm::timeline::{BindLimits, FreshLimits, Freshness, Retention, Stamps, Support, Timeline};
 
 pub const T0_US: i64 = 1_700_000_000_000_000;
+
+/// A timeline fed as the decoder feeds it: the verdict on each sequence number comes from the tracker of its device.
+#[derive(Default)]
+pub struct Fed {
+    pub timeline: Timeline,
+    trackers: [SequenceTracker; 2],
+    epochs: [u32; 2],
+}
+
+impl Fed {
+    pub fn with_limits(retention: Retention, limits: BindLimits) -> Self {
+        Self { timeline: Timeline::with_limits(retention, limits), ..Self::default() }
+    }
+
+    pub fn push_sample(&mut self, device: DeviceKind, host_us: i64, epoch: u32, sample: Sample) -> Option<Stamps> {
+        let line = device as usize;
+        if std::mem::replace(&mut self.epochs[line], epoch) != epoch {
+            self.trackers[line].reopen();
+        }
+        let sequenced = self.trackers[line].take(sample.sequence(), sample.device_us());
+        if sequenced == Sequenced::Duplicate {
+            return None;
+        }
+        self.timeline.push_sample(device, host_us, epoch, sequenced, sample)
+    }
+}
+
+impl std::ops::Deref for Fed {
+    type Target = Timeline;
+
+    fn deref(&self) -> &Timeline {
+        &self.timeline
+    }
+}
 
 /// A C-arm sample at `device_us` with this orbital angle, beam and counter.
 pub fn carm(sequence: u32, device_us: u64, orbital_deg: f64, xray_on: bool, counter: Option<u32>) -> Sample {
@@ -41,13 +75,13 @@ pub fn robot(sequence: u32, device_us: u64, first_deg: f64, tracker_from_base: O
 }
 
 /// Pushes a C-arm sample whose device clock runs with the host's.
-fn push(timeline: &mut Timeline, index: u32, at_us: i64, orbital_deg: f64) {
+fn push(timeline: &mut Fed, index: u32, at_us: i64, orbital_deg: f64) {
     timeline.push_sample(DeviceKind::Carm, T0_US + at_us, 0, carm(index, at_us as u64, orbital_deg, false, None)).expect("taken");
 }
 
 #[test]
 fn joints_are_linear_and_angles_go_the_short_way_round() {
-    let mut timeline = Timeline::new();
+    let mut timeline = Fed::default();
     assert!(timeline.joints_at(T0_US).is_none());
     push(&mut timeline, 0, 0, 170.0);
     push(&mut timeline, 1, 40_000, -170.0);
@@ -71,7 +105,7 @@ fn joints_are_linear_and_angles_go_the_short_way_round() {
 
 #[test]
 fn dropouts_and_breaks_show_in_the_gap() {
-    let mut timeline = Timeline::new();
+    let mut timeline = Fed::default();
     for i in 0..30 {
         push(&mut timeline, i, i64::from(i) * 33_000, 0.0);
     }
@@ -91,7 +125,7 @@ fn dropouts_and_breaks_show_in_the_gap() {
 
 #[test]
 fn robot_angles_are_linear_and_the_base_follows_the_geodesic() {
-    let mut timeline = Timeline::new();
+    let mut timeline = Fed::default();
     let pose = |deg: f64, x_mm: f64| Rigid {
         rotation: DQuat::from_rotation_z(deg.to_radians()),
         translation_mm: DVec3::new(x_mm, 0.0, 0.0),
@@ -114,7 +148,7 @@ fn robot_angles_are_linear_and_the_base_follows_the_geodesic() {
 
 #[test]
 fn late_samples_find_their_place_and_duplicates_do_not_count() {
-    let mut timeline = Timeline::new();
+    let mut timeline = Fed::default();
     for i in [0u32, 1, 2, 3, 5, 6] {
         push(&mut timeline, i, i64::from(i) * 33_000, f64::from(i));
     }
@@ -128,7 +162,7 @@ fn late_samples_find_their_place_and_duplicates_do_not_count() {
 
 #[test]
 fn stale_looks_stale() {
-    let mut timeline = Timeline::new();
+    let mut timeline = Fed::default();
     let limits = FreshLimits::default();
     assert_eq!(timeline.freshness(DeviceKind::Carm, T0_US, limits), Freshness::Absent);
     push(&mut timeline, 0, 0, 0.0);
@@ -140,7 +174,7 @@ fn stale_looks_stale() {
 #[test]
 fn memory_is_bounded_and_says_what_it_forgot() {
     let retention = Retention { age_us: 60_000_000, samples: 1_000 };
-    let mut timeline = Timeline::with_limits(retention, BindLimits::default());
+    let mut timeline = Fed::with_limits(retention, BindLimits::default());
     for i in 0..5_000u32 {
         push(&mut timeline, i, i64::from(i) * 33_000, 0.0);
     }
@@ -153,7 +187,7 @@ fn memory_is_bounded_and_says_what_it_forgot() {
 
 #[test]
 fn impossible_times_and_wrong_devices_are_not_taken() {
-    let mut timeline = Timeline::new();
+    let mut timeline = Fed::default();
     assert!(timeline.push_sample(DeviceKind::Carm, T0_US, 0, carm(0, u64::MAX, 0.0, false, None)).is_none());
     assert!(timeline.push_sample(DeviceKind::Robot, T0_US, 0, carm(0, 0, 0.0, false, None)).is_none());
     assert_eq!(timeline.summaries()[0].unusable, 1);
@@ -163,7 +197,7 @@ fn impossible_times_and_wrong_devices_are_not_taken() {
 #[test]
 fn drift_does_not_shift_answers() {
     // A device clock 200 ppm fast for five minutes would be off by 60 ms, two sample periods.
-    let mut timeline = Timeline::new();
+    let mut timeline = Fed::default();
     let mut worst_deg = 0.0f64;
     for i in 0..9_000u32 {
         let true_us = i64::from(i) * 33_333;
@@ -186,7 +220,7 @@ fn drift_does_not_shift_answers() {
 #[test]
 fn answers_depend_only_on_what_was_pushed() {
     let run = || {
-        let mut timeline = Timeline::new();
+        let mut timeline = Fed::default();
         for i in 0..500u32 {
             push(&mut timeline, i, i64::from(i) * 33_000 + i64::from(i % 5) * 100, f64::from(i));
         }

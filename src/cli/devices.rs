@@ -218,7 +218,7 @@ impl Heard {
         }
         let Self { link, metadata, samples, first_last_us, .. } = self;
         link.handle(event, &mut |received| {
-            let Event::Sample(sample) = received.event else { return };
+            let Event::Sample(sample, _) = received.event else { return };
             if let crate::telemetry::Sample::Metadata(found) = sample {
                 *metadata = Some(found);
                 return;

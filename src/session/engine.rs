@@ -210,8 +210,8 @@ impl Engine {
         let Some(link) = self.links.get_mut(&device) else { return };
         let timeline = &mut self.timeline;
         link.feed(host_us, epoch, bytes, &mut |received| match received.event {
-            Event::Sample(sample) => {
-                timeline.push_sample(device, host_us, epoch, sample.clone());
+            Event::Sample(sample, sequenced) => {
+                timeline.push_sample(device, host_us, epoch, sequenced, sample.clone());
                 sink(Output::Sample { device, host_us, sample: Box::new(sample) });
             }
             Event::Fault(fault) => sink(Output::Fault { device, host_us, detail: fault.to_string() }),

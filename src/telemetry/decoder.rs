@@ -15,8 +15,9 @@ use super::wire::{self, FrameFault};
     reason = "nearly every event is a sample and none is kept: a box would cost an allocation each"
 )]
 pub enum Event {
-    /// An intact frame.
-    Sample(Sample),
+    /// An intact frame, and how its sequence number follows. This is the only verdict on sequence and restart: whoever keeps samples goes
+    /// by it. Never [`Sequenced::Duplicate`], whose samples are not delivered.
+    Sample(Sample, Sequenced),
     /// Something else; decoding goes on after the next delimiter.
     Fault(DecodeFault),
 }
@@ -173,7 +174,8 @@ impl Decoder {
             return;
         }
         let sequence = sample.sequence();
-        let fault = match self.sequence.take(sequence, sample.device_us()) {
+        let sequenced = self.sequence.take(sequence, sample.device_us());
+        let fault = match sequenced {
             Sequenced::Next => None,
             Sequenced::Gap(count) => {
                 self.health.lost += u64::from(count);
@@ -203,6 +205,6 @@ impl Decoder {
             sink(Event::Fault(fault));
         }
         self.health.frames += 1;
-        sink(Event::Sample(sample));
+        sink(Event::Sample(sample, sequenced));
     }
 }

@@ -102,7 +102,7 @@ impl ClockMap {
     pub fn push(&mut self, device_us: i64, host_us: i64) {
         self.points += 1;
         let point = self.point(device_us, host_us);
-        let bucket = (device_us - self.reference_device_us).div_euclid(BUCKET_US);
+        let bucket = device_us.saturating_sub(self.reference_device_us).div_euclid(BUCKET_US);
         let height = |p: &Point, drift: f64| p.r_us - drift * p.x_us;
         match self.buckets.iter().rposition(|(index, _)| *index <= bucket) {
             Some(at) if self.buckets[at].0 == bucket => {
@@ -124,21 +124,21 @@ impl ClockMap {
     /// Host time of a device time.
     #[must_use]
     pub fn host_from_device_us(&self, device_us: i64) -> i64 {
-        let x = (device_us - self.reference_device_us) as f64;
-        self.reference_host_us + (x + self.line.offset_us + self.line.drift * x).round() as i64
+        let x = device_us.saturating_sub(self.reference_device_us) as f64;
+        self.reference_host_us.saturating_add((x + self.line.offset_us + self.line.drift * x).round() as i64)
     }
 
     /// Device time at a host time.
     #[must_use]
     pub fn device_from_host_us(&self, host_us: i64) -> i64 {
-        let y = (host_us - self.reference_host_us) as f64;
-        self.reference_device_us + ((y - self.line.offset_us) / (1.0 + self.line.drift)).round() as i64
+        let y = host_us.saturating_sub(self.reference_host_us) as f64;
+        self.reference_device_us.saturating_add(((y - self.line.offset_us) / (1.0 + self.line.drift)).round() as i64)
     }
 
     /// Uncertainty (one standard deviation, least delay included) of the host time of `device_us`.
     #[must_use]
     pub fn uncertainty_us(&self, device_us: i64) -> f64 {
-        let x = (device_us - self.reference_device_us) as f64;
+        let x = device_us.saturating_sub(self.reference_device_us) as f64;
         let tilt_us = self.line.drift_sigma * (x - self.line.centre_us);
         let excess_us = if x >= self.line.excess_from_us { self.line.excess_us } else { 0.0 };
         (LEAST_DELAY_US.powi(2) + self.line.scatter_us.powi(2) + tilt_us.powi(2) + excess_us.powi(2)).sqrt()
@@ -147,7 +147,7 @@ impl ClockMap {
     /// How far the arrival of a sample lies above the line: its delay beyond the least. Negative: earlier than the map allows.
     #[must_use]
     pub fn delay_us(&self, device_us: i64, host_us: i64) -> f64 {
-        (host_us - self.host_from_device_us(device_us)) as f64
+        host_us.saturating_sub(self.host_from_device_us(device_us)) as f64
     }
 
     /// The slope and how well it is known.
@@ -160,9 +160,9 @@ impl ClockMap {
     #[must_use]
     pub fn estimate(&self) -> ClockEstimate {
         let latest = self.buckets.back().map_or(0.0, |(_, point)| point.x_us);
-        let device_us = self.reference_device_us + latest as i64;
+        let device_us = self.reference_device_us.saturating_add(latest as i64);
         ClockEstimate {
-            offset_us: (self.host_from_device_us(device_us) - device_us) as f64,
+            offset_us: self.host_from_device_us(device_us).saturating_sub(device_us) as f64,
             drift_ppm: self.line.drift * 1e6,
             drift_sigma_ppm: self.line.drift_sigma * 1e6,
             uncertainty_us: self.uncertainty_us(device_us),
@@ -171,8 +171,8 @@ impl ClockMap {
     }
 
     fn point(&self, device_us: i64, host_us: i64) -> Point {
-        let x = device_us - self.reference_device_us;
-        Point { x_us: x as f64, r_us: (host_us - self.reference_host_us - x) as f64 }
+        let x = device_us.saturating_sub(self.reference_device_us);
+        Point { x_us: x as f64, r_us: host_us.saturating_sub(self.reference_host_us).saturating_sub(x) as f64 }
     }
 
     fn fit(&self) -> Line {

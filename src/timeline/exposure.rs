@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use serde::Serialize;
 
-use super::track::Answer;
+use super::track::{Answer, Stamps};
 use crate::geometry::{CarmJoints, Rigid};
 use crate::telemetry::CarmSample;
 use crate::units::wrap_rad;
@@ -31,6 +31,10 @@ pub struct ExposureInterval {
     pub start_us: i64,
     /// Beam off, host time.
     pub end_us: i64,
+    /// Segment of the C-arm's clock in which it began.
+    pub segment: u32,
+    /// Beam on and off by the C-arm's own clock; the end is in the segment in which it was seen.
+    pub device_us: [i64; 2],
     /// Uncertainty of `start_us`: half the time between those two samples, and the clock map's.
     pub start_uncertainty_us: f64,
     /// Same for `end_us`.
@@ -61,7 +65,7 @@ impl ExposureInterval {
     /// The middle of the interval, host time.
     #[must_use]
     pub fn mid_us(&self) -> i64 {
-        self.start_us + (self.end_us - self.start_us) / 2
+        self.start_us.saturating_add(self.end_us.saturating_sub(self.start_us) / 2)
     }
 
     /// `exposure 7`, or `exposure at 12 s` words for evidence lines.
@@ -85,6 +89,8 @@ pub struct Silence {
 
 #[derive(Clone, Copy, Debug)]
 struct Seen {
+    device_us: i64,
+    segment: u32,
     mapped_us: i64,
     uncertainty_us: f64,
     epoch: u32,
@@ -118,8 +124,10 @@ pub struct ExposureTracker {
 
 impl ExposureTracker {
     /// Takes the next sample in order.
-    pub fn push(&mut self, sample: &CarmSample, mapped_us: i64, uncertainty_us: f64, epoch: u32) {
-        let now = Seen { mapped_us, uncertainty_us, epoch, counter: sample.exposure_counter, xray_on: sample.xray_on };
+    pub fn push(&mut self, sample: &CarmSample, stamps: &Stamps) {
+        let Stamps { device_us, mapped_us, uncertainty_us, epoch, segment, .. } = *stamps;
+        let (counter, xray_on) = (sample.exposure_counter, sample.xray_on);
+        let now = Seen { device_us, segment, mapped_us, uncertainty_us, epoch, counter, xray_on };
         self.first_us.get_or_insert(mapped_us);
         self.note_silence(&now);
         let continues = self.open.as_ref().is_some_and(|open| continues(open, &now));
@@ -169,7 +177,7 @@ impl ExposureTracker {
         if from_us < first_us {
             return Some(Silence { from_us, to_us: first_us });
         }
-        if to_us > previous.mapped_us + HIDING_SILENCE_US {
+        if to_us > previous.mapped_us.saturating_add(HIDING_SILENCE_US) {
             return Some(Silence { from_us: previous.mapped_us, to_us });
         }
         self.silences.iter().find(|silence| silence.from_us < to_us && silence.to_us > from_us).copied()
@@ -183,7 +191,7 @@ impl ExposureTracker {
 
     fn note_silence(&mut self, now: &Seen) {
         let Some(previous) = self.previous else { return };
-        let silent = now.mapped_us - previous.mapped_us > HIDING_SILENCE_US;
+        let silent = now.mapped_us.saturating_sub(previous.mapped_us) > HIDING_SILENCE_US;
         // Equal counters on both sides prove that nothing was missed.
         let counted = previous.counter.is_some() && previous.counter == now.counter;
         if silent && !counted {
@@ -208,13 +216,19 @@ impl ExposureTracker {
             Some(off) => between(off.mapped_us, now.mapped_us),
             None => (now.mapped_us, 0.0),
         };
+        let device_start_us = match before.filter(|off| off.segment == now.segment) {
+            Some(off) => between(off.device_us, now.device_us).0,
+            None => now.device_us,
+        };
         let joints = sample.joints.to_array();
         let interval = ExposureInterval {
             index: self.next_index,
             counter: now.counter,
             epoch: now.epoch,
             start_us,
-            end_us: now.mapped_us,
+            end_us: now.mapped_us.max(start_us),
+            segment: now.segment,
+            device_us: [device_start_us, now.device_us],
             start_uncertainty_us: half_us.hypot(now.uncertainty_us),
             end_uncertainty_us: now.uncertainty_us,
             open: true,
@@ -242,7 +256,11 @@ impl ExposureTracker {
         interval.end_seen = !now.xray_on && now.epoch == last_on.epoch;
         if now.epoch == last_on.epoch {
             let (end_us, half_us) = between(last_on.mapped_us, now.mapped_us);
-            interval.end_us = end_us;
+            // A clock that was mapped anew may have set the end before the start.
+            interval.end_us = end_us.max(interval.start_us);
+            if now.segment == last_on.segment {
+                interval.device_us[1] = between(last_on.device_us, now.device_us).0;
+            }
             interval.end_uncertainty_us = half_us.hypot(last_on.uncertainty_us);
         }
         let counter = interval.counter;
@@ -270,7 +288,9 @@ impl ExposureTracker {
                 counter: Some(from.wrapping_add(ahead)),
                 epoch: now.epoch,
                 start_us: previous.mapped_us,
-                end_us: now.mapped_us,
+                end_us: now.mapped_us.max(previous.mapped_us),
+                segment: now.segment,
+                device_us: [previous.device_us, now.device_us],
                 start_uncertainty_us: half_us.hypot(previous.uncertainty_us),
                 end_uncertainty_us: half_us.hypot(now.uncertainty_us),
                 open: false,
@@ -312,8 +332,9 @@ impl Open {
             }
         }
         let mean = |(sum, count): (f64, u32)| if count > 0 { sum / f64::from(count) } else { f64::NAN };
-        self.interval.samples += 1;
+        self.interval.samples = self.interval.samples.saturating_add(1);
         self.interval.end_us = now.mapped_us.max(self.interval.start_us);
+        self.interval.device_us[1] = now.device_us;
         self.interval.end_uncertainty_us = now.uncertainty_us;
         self.interval.tube_kvp = mean(self.kvp);
         self.interval.tube_ma = mean(self.ma);
@@ -325,7 +346,7 @@ impl Open {
 
 /// Whether a sample belongs to the running exposure.
 fn continues(open: &Open, now: &Seen) -> bool {
-    let silent = now.mapped_us - open.last_on.mapped_us > HIDING_SILENCE_US;
+    let silent = now.mapped_us.saturating_sub(open.last_on.mapped_us) > HIDING_SILENCE_US;
     now.xray_on
         && match (open.interval.counter, now.counter) {
             (Some(a), Some(b)) => a == b,
@@ -336,5 +357,6 @@ fn continues(open: &Open, now: &Seen) -> bool {
 
 /// The middle of two times and half their distance.
 fn between(a_us: i64, b_us: i64) -> (i64, f64) {
-    (a_us + (b_us - a_us) / 2, 0.5 * (b_us - a_us).abs() as f64)
+    let span_us = b_us.saturating_sub(a_us);
+    (a_us.saturating_add(span_us / 2), 0.5 * span_us.saturating_abs() as f64)
 }

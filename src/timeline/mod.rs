@@ -18,7 +18,7 @@ pub use track::{Answer, Bracket, Entry, Retention, Stamps, Support, Track};
 use serde::{Deserialize, Serialize};
 
 use crate::geometry::{CarmJoints, Rigid};
-use crate::telemetry::{AngleSource, CarmSample, DeviceKind, Metadata, RobotSample, Sample};
+use crate::telemetry::{AngleSource, CarmSample, DeviceKind, Metadata, RobotSample, Sample, Sequenced};
 use crate::units::{lerp_angle_rad, wrap_rad};
 
 /// Whether a device's data can be relied on now.
@@ -114,29 +114,38 @@ impl Timeline {
         }
     }
 
-    /// Takes a decoded sample of `device` that arrived at `host_us` in opening `epoch` of its port.
+    /// Takes a decoded sample of `device` that arrived at `host_us` in opening `epoch` of its port, with the decoder's verdict on its
+    /// sequence number.
     ///
     /// Returns its times, or `None` for metadata, duplicates, samples of the wrong device and samples whose time is no time.
-    pub fn push_sample(&mut self, device: DeviceKind, host_us: i64, epoch: u32, sample: Sample) -> Option<Stamps> {
+    pub fn push_sample(
+        &mut self,
+        device: DeviceKind,
+        host_us: i64,
+        epoch: u32,
+        sequenced: Sequenced,
+        sample: Sample,
+    ) -> Option<Stamps> {
         match (device, sample) {
             (DeviceKind::Carm, Sample::Carm(sample)) => {
-                let (sequence, device_us) = (sample.sequence, sample.device_us);
-                let (stamps, in_order) = self.carm.push(host_us, epoch, sequence, device_us, sample.clone())?;
+                let number = (sample.sequence, sequenced);
+                let (stamps, in_order) = self.carm.push(host_us, epoch, number, sample.device_us, sample.clone())?;
                 if in_order {
-                    self.exposures.push(&sample, stamps.mapped_us, stamps.uncertainty_us, epoch);
+                    self.exposures.push(&sample, &stamps);
                 }
                 self.fill_exposures();
                 Some(stamps)
             }
             (DeviceKind::Robot, Sample::Robot(sample)) => {
-                let stamps = self.robot.push(host_us, epoch, sample.sequence, sample.device_us, sample)?.0;
+                let number = (sample.sequence, sequenced);
+                let stamps = self.robot.push(host_us, epoch, number, sample.device_us, sample)?.0;
                 self.fill_exposures();
                 Some(stamps)
             }
             (_, Sample::Metadata(metadata)) => {
                 match device {
-                    DeviceKind::Carm => self.carm.skip(host_us, epoch, metadata.sequence),
-                    DeviceKind::Robot => self.robot.skip(host_us, epoch, metadata.sequence),
+                    DeviceKind::Carm => self.carm.skip(host_us, epoch, sequenced),
+                    DeviceKind::Robot => self.robot.skip(host_us, epoch, sequenced),
                 }
                 self.metadata[device as usize] = Some(metadata);
                 None
@@ -216,8 +225,8 @@ impl Timeline {
         };
         match last_us {
             None => Freshness::Absent,
-            Some(last_us) if now_us.saturating_sub(last_us) > limits.stale_us => Freshness::Stale { age_us: now_us - last_us },
-            Some(last_us) => Freshness::Fresh { age_us: (now_us - last_us).max(0) },
+            Some(last_us) if now_us.saturating_sub(last_us) > limits.stale_us => Freshness::Stale { age_us: now_us.saturating_sub(last_us) },
+            Some(last_us) => Freshness::Fresh { age_us: now_us.saturating_sub(last_us).max(0) },
         }
     }
 

@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 
 use super::clock::{ClockEstimate, ClockMap};
+use crate::telemetry::Sequenced;
 
 /// Smaller disagreements than this are delay and jitter, not steps.
 const LEAST_STEP_US: i64 = 10_000;
@@ -10,8 +11,6 @@ const LEAST_STEP_US: i64 = 10_000;
 const CLEAR_STEP_US: i64 = 200_000;
 /// A clock may run back by this much from sample to sample without a step.
 const BACKWARD_JITTER_US: i64 = 2_000;
-/// Sequence numbers may be this far behind and still be reordered, not restarted.
-const REORDER_DEPTH: i32 = 1000;
 /// Differences kept to know the sample period.
 const PERIODS: usize = 31;
 /// Segments kept; older ones take their samples with them.
@@ -81,8 +80,8 @@ pub enum Placed {
     InOrder(u32),
     /// Came late: belongs somewhere before the end of this segment.
     Late(u32),
-    /// The same sequence number and time as the last one.
-    Duplicate,
+    /// Came late, from before the last step of the clock: its time cannot be mapped.
+    Stray,
 }
 
 /// All segments of a device.
@@ -92,36 +91,40 @@ pub struct DeviceClock {
     last: Option<Last>,
     periods: VecDeque<i64>,
     /// Sequence numbers since the last sample that belong to messages without a measurement.
-    others: i32,
+    others: u32,
+    /// Such a message was the first after the device started over.
+    restarted: bool,
     next_id: u32,
     steps: u64,
     resets: u64,
 }
 
 impl DeviceClock {
-    /// Takes the stamps of one sample and says where it belongs.
-    pub fn observe(&mut self, epoch: u32, sequence: u32, device_us: i64, host_us: i64) -> Placed {
+    /// Takes the stamps of one sample and says where it belongs; `sequenced` is the decoder's verdict on its number.
+    pub fn observe(&mut self, epoch: u32, sequenced: Sequenced, sequence: u32, device_us: i64, host_us: i64) -> Placed {
         let now = Last { epoch, sequence, device_us, host_us };
+        let restarted = std::mem::take(&mut self.restarted);
         let Some(last) = self.last else { return self.begin(now, SegmentStart::First, 0) };
         if epoch != last.epoch {
             return self.begin(now, SegmentStart::Epoch, 0);
         }
-        let ahead = sequence.wrapping_sub(last.sequence) as i32;
-        let device_delta = device_us - last.device_us;
-        if ahead == 0 && device_delta == 0 {
-            return Placed::Duplicate;
-        }
-        if (-REORDER_DEPTH..0).contains(&ahead) && device_delta < 0 && self.explains(ahead, device_delta) {
-            let Some(segment) = self.segments.back_mut() else { return self.begin(now, SegmentStart::First, 0) };
-            segment.map.push(device_us, host_us);
-            return Placed::Late(segment.id);
-        }
-        if ahead <= 0 {
+        if sequenced == Sequenced::Reset || restarted {
             self.resets += 1;
             return self.begin(now, SegmentStart::Reset, 0);
         }
+        let device_delta = device_us.saturating_sub(last.device_us);
+        if matches!(sequenced, Sequenced::Reordered | Sequenced::Duplicate) {
+            let behind = last.sequence.wrapping_sub(sequence);
+            return match self.segments.back_mut() {
+                Some(segment) if explains(self.periods.iter(), behind, device_delta) => {
+                    segment.map.push(device_us, host_us);
+                    Placed::Late(segment.id)
+                }
+                _ => Placed::Stray,
+            };
+        }
         // Messages without a measurement took numbers, but no sample period.
-        let ahead = (ahead - std::mem::take(&mut self.others)).max(1);
+        let ahead = sequence.wrapping_sub(last.sequence).saturating_sub(std::mem::take(&mut self.others)).max(1);
         if let Some(step_us) = self.step(&last, &now, ahead) {
             self.steps += 1;
             return self.begin(now, SegmentStart::Step, step_us);
@@ -137,12 +140,13 @@ impl DeviceClock {
     }
 
     /// Notes a message that measures nothing (metadata) but has a sequence number.
-    pub fn skip(&mut self, epoch: u32, sequence: u32) {
-        if let Some(last) = self.last
-            && last.epoch == epoch
-            && (1..REORDER_DEPTH).contains(&(sequence.wrapping_sub(last.sequence) as i32))
-        {
-            self.others += 1;
+    pub fn skip(&mut self, epoch: u32, sequenced: Sequenced) {
+        if self.last.is_some_and(|last| last.epoch == epoch) {
+            match sequenced {
+                Sequenced::Next | Sequenced::Gap(_) | Sequenced::GapWhileClosed(_) => self.others = self.others.saturating_add(1),
+                Sequenced::Reset => self.restarted = true,
+                Sequenced::Reordered | Sequenced::Duplicate => {}
+            }
         }
     }
 
@@ -189,19 +193,14 @@ impl DeviceClock {
     /// Usual device time between consecutive sequence numbers.
     #[must_use]
     pub fn period_us(&self) -> Option<i64> {
-        if self.periods.len() < 5 {
-            return None;
-        }
-        let mut sorted: Vec<i64> = self.periods.iter().copied().collect();
-        sorted.sort_unstable();
-        Some(sorted[sorted.len() / 2])
+        median(self.periods.iter())
     }
 
     fn begin(&mut self, now: Last, start: SegmentStart, step_us: i64) -> Placed {
         // The same crystal goes on after a step or a re-opening; what was learnt of its rate stays, unless nothing was.
         let carried = self.segments.back().map(|s| s.map.drift()).filter(|(_, sigma)| *sigma < 20e-6).map(|(drift, _)| drift);
         let id = self.next_id;
-        self.next_id += 1;
+        self.next_id = self.next_id.wrapping_add(1);
         let map = ClockMap::new(now.device_us, now.host_us, carried);
         self.segments.push_back(Segment { id, epoch: now.epoch, start, step_us, first_host_us: now.host_us, map });
         if self.segments.len() > SEGMENTS {
@@ -212,30 +211,24 @@ impl DeviceClock {
         Placed::InOrder(id)
     }
 
-    /// Whether `behind` sequence numbers back account for so much device time back.
-    fn explains(&self, behind: i32, device_delta: i64) -> bool {
-        let period = self.period_us().unwrap_or(100_000);
-        device_delta >= i64::from(behind) * period * 2 - LEAST_STEP_US
-    }
-
     /// By how much the device's clock jumped between two consecutive samples, if it did.
-    fn step(&self, last: &Last, now: &Last, ahead: i32) -> Option<i64> {
-        let device_delta = now.device_us - last.device_us;
-        let host_delta = now.host_us - last.host_us;
+    fn step(&self, last: &Last, now: &Last, ahead: u32) -> Option<i64> {
+        let device_delta = now.device_us.saturating_sub(last.device_us);
+        let host_delta = now.host_us.saturating_sub(last.host_us);
         if device_delta < -BACKWARD_JITTER_US {
-            let expected = self.period_us().map_or(host_delta, |period| period * i64::from(ahead));
-            return Some(device_delta - expected);
+            let expected = self.period_us().map_or(host_delta, |period| period.saturating_mul(i64::from(ahead)));
+            return Some(device_delta.saturating_sub(expected));
         }
         // Device time that the sequence does not account for is either a pause of the device, which the host sees as well,
         // or a step, which it does not. A delay on the way leaves device time and sequence in agreement. Steps back by less than a
         // period cannot be told from jitter; they show as excess delay in the map's uncertainty.
-        let expected = self.period_us()? * i64::from(ahead);
-        let unexplained = device_delta - expected;
-        let against_host = device_delta - host_delta;
+        let expected = self.period_us()?.saturating_mul(i64::from(ahead));
+        let unexplained = device_delta.saturating_sub(expected);
+        let against_host = device_delta.saturating_sub(host_delta);
         let stepped = unexplained >= LEAST_STEP_US
             && against_host >= LEAST_STEP_US
-            && 2 * unexplained >= against_host
-            && (host_delta - expected).abs() < against_host;
+            && unexplained.saturating_mul(2) >= against_host
+            && host_delta.saturating_sub(expected).saturating_abs() < against_host;
         if !stepped {
             return None;
         }
@@ -245,4 +238,20 @@ impl DeviceClock {
         let witnessed = unexplained >= CLEAR_STEP_US || earlier_us > 0.5 * unexplained as f64;
         witnessed.then_some(unexplained)
     }
+}
+
+/// The median, once there are enough to know it.
+fn median<'a>(periods: impl Iterator<Item = &'a i64>) -> Option<i64> {
+    let mut sorted: Vec<i64> = periods.copied().collect();
+    if sorted.len() < 5 {
+        return None;
+    }
+    sorted.sort_unstable();
+    Some(sorted[sorted.len() / 2])
+}
+
+/// Whether `behind` sequence numbers back account for so much device time back: else a step of the clock lies between.
+fn explains<'a>(periods: impl Iterator<Item = &'a i64>, behind: u32, device_delta: i64) -> bool {
+    let period = median(periods).unwrap_or(100_000);
+    device_delta < 0 && device_delta >= period.saturating_mul(-2 * i64::from(behind)).saturating_sub(LEAST_STEP_US)
 }

@@ -5,6 +5,7 @@ use std::collections::VecDeque;
 use serde::Serialize;
 
 use super::segments::{DeviceClock, Placed};
+use crate::telemetry::Sequenced;
 
 /// What a track keeps.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -127,8 +128,8 @@ pub struct Track<T> {
     last_host_us: Option<i64>,
 }
 
-/// Device times beyond this (about 36 000 years) are no times.
-const LARGEST_DEVICE_US: u64 = 1 << 60;
+/// Times beyond this (285 years) are no times. Smaller ones are exact in an `f64`, and sums of a few of them fit.
+const LARGEST_US: u64 = 1 << 53;
 
 impl<T> Track<T> {
     /// Empty.
@@ -146,24 +147,41 @@ impl<T> Track<T> {
     }
 
     /// Notes a message that carries no sample (metadata).
-    pub fn skip(&mut self, host_us: i64, epoch: u32, sequence: u32) {
-        self.clock.skip(epoch, sequence);
+    pub fn skip(&mut self, host_us: i64, epoch: u32, sequenced: Sequenced) {
+        self.clock.skip(epoch, sequenced);
+        if host_us.unsigned_abs() >= LARGEST_US {
+            return;
+        }
         self.last_host_us = Some(self.last_host_us.map_or(host_us, |last| last.max(host_us)));
     }
 
-    /// Takes one sample; `None` if it was a duplicate or its time is unusable. The flag says whether it came in order.
-    pub fn push(&mut self, host_us: i64, epoch: u32, sequence: u32, device_us: u64, value: T) -> Option<(Stamps, bool)> {
-        if device_us >= LARGEST_DEVICE_US {
+    /// Takes one sample with the decoder's verdict on its number; `None` if it was a duplicate or its time is unusable. The flag says
+    /// whether it came in order.
+    pub fn push(
+        &mut self,
+        host_us: i64,
+        epoch: u32,
+        (sequence, sequenced): (u32, Sequenced),
+        device_us: u64,
+        value: T,
+    ) -> Option<(Stamps, bool)> {
+        if sequenced == Sequenced::Duplicate {
+            return None;
+        }
+        if device_us >= LARGEST_US || host_us.unsigned_abs() >= LARGEST_US {
             self.unusable += 1;
             return None;
         }
         let device_us = device_us as i64;
         self.last_host_us = Some(self.last_host_us.map_or(host_us, |last| last.max(host_us)));
-        let placed = self.clock.observe(epoch, sequence, device_us, host_us);
+        let placed = self.clock.observe(epoch, sequenced, sequence, device_us, host_us);
         let (segment, in_order) = match placed {
             Placed::InOrder(segment) => (segment, true),
             Placed::Late(segment) => (segment, false),
-            Placed::Duplicate => return None,
+            Placed::Stray => {
+                self.unusable += 1;
+                return None;
+            }
         };
         let entry = Entry { segment, epoch, sequence, device_us, host_us, value };
         if in_order {
@@ -199,7 +217,7 @@ impl<T> Track<T> {
     fn bracket_at(&self, index: usize, host_us: i64) -> Bracket<'_, T> {
         let left = &self.entries[index];
         let (left_us, left_sigma) = self.mapped(left);
-        let since_us = (host_us - left_us).max(0);
+        let since_us = host_us.saturating_sub(left_us).max(0);
         let Some(right) = self.entries.get(index + 1) else {
             let answer = Answer {
                 value: (),
@@ -212,13 +230,13 @@ impl<T> Track<T> {
             return Bracket { left, right: None, fraction: 0.0, answer };
         };
         let (right_us, right_sigma) = self.mapped(right);
-        let gap_us = (right_us - left_us).max(0);
+        let gap_us = right_us.saturating_sub(left_us).max(0);
         let fraction = if gap_us > 0 { (since_us as f64 / gap_us as f64).clamp(0.0, 1.0) } else { 0.0 };
         let answer = Answer {
             value: (),
             support: Support::Between,
             gap_us,
-            age_us: since_us.min((right_us - host_us).max(0)),
+            age_us: since_us.min(right_us.saturating_sub(host_us).max(0)),
             uncertainty_us: left_sigma.max(right_sigma),
             across_break: left.segment != right.segment,
         };
@@ -276,7 +294,7 @@ impl<T> Track<T> {
     }
 
     fn prune(&mut self, now_us: i64) {
-        let oldest_us = now_us - self.retention.age_us;
+        let oldest_us = now_us.saturating_sub(self.retention.age_us);
         while self.entries.len() > self.retention.samples.max(2)
             || (self.entries.len() > 2 && self.entries[0].host_us < oldest_us)
             || (self.entries.len() > 1 && self.clock.segment(self.entries[0].segment).is_none())

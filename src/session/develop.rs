@@ -8,10 +8,11 @@ use glam::{DVec2, DVec3};
 
 use super::SessionError;
 use super::board::PairView;
+use super::declared::Declared;
 use super::engine::{PoseSource, Posed};
 use super::file::Setup;
 use crate::beads::{BeadLayout, parse_markups};
-use crate::compare::{CompareInput, Compared, Tone, compare};
+use crate::compare::{CompareInput, Compared, compare};
 use crate::geometry::View;
 use crate::gpu::DeviceChoice;
 use crate::image::{Image, sha256_bytes};
@@ -112,7 +113,8 @@ impl Workshop {
         let inputs = scene.inputs.clone();
         let (jobs, inbox) = channel();
         let (outbox, done) = channel();
-        let bench = Bench { scene, layout: layout.clone(), renderer, reporter: reporter.clone(), nulls: VecDeque::new() };
+        let declared = Declared::of(setup);
+        let bench = Bench { scene, declared, layout: layout.clone(), renderer, reporter: reporter.clone(), nulls: VecDeque::new() };
         let thread = std::thread::spawn(move || bench.work(&inbox, &outbox));
         Ok(Self { jobs: Some(jobs), done, thread: Some(thread), layout, adapter, inputs, open: 0 })
     }
@@ -167,6 +169,7 @@ impl Workshop {
 /// What the thread works with.
 struct Bench {
     scene: Scene,
+    declared: Declared,
     layout: Option<BeadLayout>,
     renderer: Renderer,
     reporter: Reporter,
@@ -219,7 +222,8 @@ impl Bench {
         input.valid = Some(&rendered.valid);
         input.beads = &beads;
         input.tool = tool.as_ref();
-        input.tone = Tone::None;
+        input.tone = self.declared.tone_of(&posed.frame, &mut pair.flags);
+        input.air = self.declared.air_level();
         input.view = Some(&view);
         input.centre_lps_mm = self.centre();
         let compared = match compare(&input) {
@@ -247,7 +251,12 @@ impl Bench {
 
     /// The scene at the exposure: view, robot shape.
     fn scene_at(&self, posed: &Posed, view: View) -> Result<Scene, String> {
-        let scene = self.scene.with_view(view);
+        let mut scene = self.scene.with_view(view);
+        // Pixels that the console binned or enlarged are not the panel's; the panel stays where it is.
+        let panel_px_per_px = posed.frame.correction.as_ref().map_or(0.0, |correction| correction.panel_px_per_px);
+        if panel_px_per_px > 0.0 {
+            scene.detector.pitch_mm *= panel_px_per_px;
+        }
         match &posed.robot {
             Some(robot) => scene.with_robot(robot.control_angles_deg, robot.lps_from_base).map_err(|error| error.to_string()),
             None => Ok(scene),
@@ -364,6 +373,7 @@ fn row(posed: &Posed) -> Pair {
         (false, PoseSource::None) => PairStatus::NoPose,
         (false, _) => PairStatus::Refused,
     };
+    pair.flags.extend(posed.warnings.iter().cloned());
     pair.rms_px = posed.pose.rms_px.filter(|_| posed.pose.is_accepted());
     pair.rms_mm = posed.pose.rms_mm.filter(|_| posed.pose.is_accepted());
     pair.robot_source = Some(match &posed.robot {

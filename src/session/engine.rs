@@ -5,9 +5,10 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::file::Setup;
+use super::import::Import;
 use crate::acquire::Frame;
-use crate::beads::BeadLayout;
-use crate::geometry::{CarmJoints, Intrinsics, Rigid, View};
+use crate::beads::{BeadLayout, Landmark};
+use crate::geometry::{CarmCalibration, CarmJoints, Intrinsics, Rigid, View};
 use crate::pose::{self, Pose, Prior, Registration};
 use crate::reporter::Reporter;
 use crate::telemetry::{AngleSource, DeviceKind, Event, Health, Link, Sample};
@@ -82,6 +83,8 @@ pub struct Posed {
     pub binding: Binding,
     /// What registration said.
     pub pose: Pose,
+    /// What the import had to say about the frame.
+    pub warnings: Vec<String>,
     /// Which pose is used.
     pub pose_source: PoseSource,
     /// The view to render; absent without a pose.
@@ -135,6 +138,8 @@ const MAX_GAP_US: i64 = 500_000;
 /// See the module.
 pub struct Engine {
     setup: Setup,
+    import: Import,
+    landmarks: Vec<Landmark>,
     layout: Option<BeadLayout>,
     links: BTreeMap<DeviceKind, Link>,
     timeline: Timeline,
@@ -155,6 +160,8 @@ impl Engine {
         let present = [(DeviceKind::Carm, setup.carm.is_some()), (DeviceKind::Robot, setup.robot.is_some())];
         let links = present.into_iter().filter(|(_, there)| *there).map(|(device, _)| (device, Link::new(device))).collect();
         Self {
+            import: Import::of(&setup),
+            landmarks: setup.landmark_points(),
             setup,
             layout,
             links,
@@ -241,8 +248,12 @@ impl Engine {
     fn pose_frame(&mut self, pending: Pending, binding: Binding) -> Posed {
         let index = self.frames;
         self.frames += 1;
-        let frame = pending.frame;
         let mut stages = StageTimes::default();
+        let watch = Stopwatch::start();
+        let imported = self.import.frame(&pending.frame);
+        imported.warnings.iter().for_each(|(kind, detail)| self.reporter.warn(kind, detail));
+        let frame = imported.frame;
+        stages.add("import", watch.ms());
         let watch = Stopwatch::start();
         let exposed = binding.exposure.as_ref().map(|exposure| exposure.mid_us());
         let time_us = exposed.unwrap_or(pending.host_us);
@@ -257,11 +268,7 @@ impl Engine {
             carm.world_from_camera(&answer.value).map(Rigid::inverse).map_err(|error| self.reporter.warn("carm", error)).ok()
         });
         let at_zero = CarmJoints { source_to_detector_mm: f64::NAN, ..CarmJoints::ZERO };
-        let sized = carm.filter(|carm| [carm.columns_px, carm.rows_px] == size_px);
-        if carm.is_some() && sized.is_none() {
-            self.reporter.warn("frame size", format!("{}: {size_px:?} px is not the size of the C-arm calibration", frame.name));
-        }
-        let intrinsics = sized.and_then(|carm| {
+        let intrinsics = imported.carm.as_ref().and_then(|carm| {
             let joints = joints.as_ref().map_or(at_zero, |answer| answer.value);
             carm.intrinsics(&joints).map_err(|error| self.reporter.warn("carm", error)).ok()
         });
@@ -269,7 +276,7 @@ impl Engine {
         stages.add("bind", watch.ms());
 
         let watch = Stopwatch::start();
-        let pose = self.register(&frame, intrinsics, nominal);
+        let pose = self.register(&frame, imported.carm.as_ref(), intrinsics, nominal);
         stages.add("register", watch.ms());
 
         let (pose_source, camera) = match (pose.camera(), intrinsics.zip(nominal)) {
@@ -285,12 +292,19 @@ impl Engine {
             self.reporter.note(format!("{}: specimen tied to the room by this frame", frame.name));
         }
         let view = camera.map(|(intrinsics, camera_from_lps)| View { size_px, intrinsics, camera_from_lps });
+        let warnings = imported.warnings.into_iter().map(|(_, detail)| detail).collect();
         let carm_gap_us = joints.as_ref().map(|answer| answer.gap_us);
         let joints = joints.map(|answer| answer.value);
-        Posed { index, frame, time_us, binding, pose, pose_source, view, robot, joints, carm_gap_us, stages }
+        Posed { index, frame, time_us, binding, pose, warnings, pose_source, view, robot, joints, carm_gap_us, stages }
     }
 
-    fn register(&self, frame: &Frame, intrinsics: Option<Intrinsics>, nominal: Option<Rigid>) -> Pose {
+    fn register(
+        &self,
+        frame: &Frame,
+        carm: Option<&CarmCalibration>,
+        intrinsics: Option<Intrinsics>,
+        nominal: Option<Rigid>,
+    ) -> Pose {
         let none = BeadLayout { beads: Vec::new(), source: "none".to_owned(), notes: Vec::new() };
         let layout = self.layout.as_ref().unwrap_or(&none);
         let prior = nominal.map(|camera_from_lps| Prior { camera_from_lps, covariance: None });
@@ -298,11 +312,11 @@ impl Engine {
             frame,
             layout,
             intrinsics,
-            pitch_mm: self.setup.carm.as_ref().map(|carm| carm.pitch_mm),
+            pitch_mm: carm.map(|carm| carm.pitch_mm),
             prior: prior.as_ref(),
             fuse: false,
-            landmarks: &[],
-            bead_radius_mm: None,
+            landmarks: &self.landmarks,
+            bead_radius_mm: self.setup.session.bead_radius_mm,
         });
         if self.layout.is_none() {
             pose.reason = Some("the session names no beads".to_owned());

@@ -58,7 +58,7 @@ pub fn run(setup: Setup, options: &LiveOptions, board: &Board, reporter: &Report
         tasks.push(spawn_port(runtime.handle(), line, sender.clone()));
     }
     drop(sender);
-    let mut watch = FolderWatch::new(&setup.session.frames.folder, setup.session.frames.domain, options.include_existing);
+    let mut watch = FolderWatch::new(&setup.session.frames.folder, setup.domain(), options.include_existing);
 
     let started_us = host_now_us();
     let mut next_tick_us = started_us;

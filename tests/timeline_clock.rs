@@ -161,7 +161,13 @@ fn restarts_and_openings_begin_new_maps_and_carry_the_drift() {
     for (i, (device, host, _)) in even.iter().enumerate() {
         match i {
             0..6_000 => clock.observe(0, Next, i as u32, *device, *host),
-            6_000..9_000 => clock.observe(0, if i == 6_000 { Sequenced::Reset } else { Next }, (i - 6_000) as u32, device - even[6_000].0, *host),
+            6_000..9_000 => clock.observe(
+                0,
+                if i == 6_000 { Sequenced::Reset } else { Next },
+                (i - 6_000) as u32,
+                device - even[6_000].0,
+                *host,
+            ),
             _ => clock.observe(1, Next, (i - 6_000) as u32, device - even[6_000].0, *host),
         };
     }
@@ -177,7 +183,13 @@ fn late_and_repeated_samples_keep_their_segment() {
     let mut clock = DeviceClock::default();
     let mut placed = Vec::new();
     for i in [0usize, 1, 2, 3, 4, 5, 6, 9, 7, 8, 8, 10] {
-        placed.push(clock.observe(0, if matches!(i, 7 | 8) { Sequenced::Reordered } else { Next }, i as u32, even[i].0, even[9].1));
+        placed.push(clock.observe(
+            0,
+            if matches!(i, 7 | 8) { Sequenced::Reordered } else { Next },
+            i as u32,
+            even[i].0,
+            even[9].1,
+        ));
     }
     assert_eq!(placed[8..10], [Placed::Late(0), Placed::Late(0)]);
     assert_eq!(placed[11], Placed::InOrder(0));

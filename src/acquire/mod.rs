@@ -4,10 +4,13 @@
 //! X-rays at the detector, in `log` frames a larger value means more attenuation (like a line integral). What had to be turned round
 //! for that is in [`Frame::inverted`], and why is in [`Frame::domain_evidence`].
 
+mod correction;
+mod detector_record;
 mod dicom;
 mod domain;
 mod error;
 mod log_form;
+pub mod panel_maps;
 mod raster;
 mod tags;
 mod watch;
@@ -16,6 +19,11 @@ use std::path::Path;
 
 use crate::image::{Image, sha256_bytes};
 
+pub use correction::{Correction, exposure_mas};
+pub use detector_record::{
+    AirBeam, BadPixels, DetectorCalibration, DetectorCalibrationError, DetectorRecord, EdgeMtf, ExposureLevel, MapsFile,
+    NoisePower, PanelResponse,
+};
 pub use error::AcquireError;
 pub use log_form::Samples;
 pub use tags::{FrameTags, KEPT_TAGS, KeptTag};
@@ -45,6 +53,12 @@ impl Domain {
             Self::Display => "display",
             Self::Unknown => "unknown",
         }
+    }
+
+    /// Whether the values are gray levels without a known relation to the signal.
+    #[must_use]
+    pub fn is_gray(self) -> bool {
+        matches!(self, Self::Display | Self::Unknown)
     }
 }
 
@@ -96,6 +110,9 @@ pub struct Frame {
     pub clipping: Clipping,
     /// What a person should know: assumptions, ignored values, conversions.
     pub notes: Vec<String>,
+    /// What was done to the pixels after they were read; `None` as long as they are the file's own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub correction: Option<Correction>,
 }
 
 /// Pixels that lie at an end of the scale, where detail is lost.
@@ -196,6 +213,7 @@ impl Raw {
             sha256,
             clipping,
             notes: self.notes,
+            correction: None,
         })
     }
 }

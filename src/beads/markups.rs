@@ -123,8 +123,19 @@ fn layout(path: &Path, Points { points, notes }: Points) -> Result<BeadLayout, B
 /// # Errors
 /// As [`read_markups`].
 pub fn read_landmarks(path: &Path) -> Result<Vec<Landmark>, BeadsError> {
-    let points = read_points(path)?.points;
-    Ok(points.into_iter().map(|point| Landmark { name: point.label, lps_mm: point.lps_mm }).collect())
+    Ok(landmarks(read_points(path)?))
+}
+
+/// Landmarks of the content of a markups file; `path` tells the format and serves messages.
+///
+/// # Errors
+/// As [`read_markups`].
+pub fn parse_landmarks(path: &Path, content: &[u8]) -> Result<Vec<Landmark>, BeadsError> {
+    Ok(landmarks(parse_points(path, content)?))
+}
+
+fn landmarks(Points { points, .. }: Points) -> Vec<Landmark> {
+    points.into_iter().map(|point| Landmark { name: point.label, lps_mm: point.lps_mm }).collect()
 }
 
 fn bead(path: &Path, point: Point) -> Result<Bead, BeadsError> {

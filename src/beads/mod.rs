@@ -16,4 +16,4 @@ mod profile;
 
 pub use detect::{Detection, Detections, Expectation, Polarity, Signal, detect, detect_image};
 pub use layout::{Bead, BeadLayout, DEFAULT_BODY, DEFAULT_SIGMA_MM, Landmark};
-pub use markups::{BeadsError, parse_markups, read_landmarks, read_markups};
+pub use markups::{BeadsError, parse_landmarks, parse_markups, read_landmarks, read_markups};

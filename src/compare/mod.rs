@@ -325,13 +325,11 @@ impl Compared {
 }
 
 fn permit(tone: Tone, domain: Domain) -> Result<(), CompareError> {
-    let gray = matches!(domain, Domain::Display | Domain::Unknown);
-    let (fits, permitted) = match tone {
-        Tone::None => (true, ""),
-        Tone::Gain | Tone::LogAffine => (!gray, "none or monotone"),
-        Tone::Monotone => (gray, "none, gain or log_affine"),
-    };
-    if fits { Ok(()) } else { Err(CompareError::ToneNotPermitted { tone, domain, permitted }) }
+    if tone.is_permitted(domain) {
+        return Ok(());
+    }
+    let permitted = if domain.is_gray() { "none or monotone" } else { "none, gain or log_affine" };
+    Err(CompareError::ToneNotPermitted { tone, domain, permitted })
 }
 
 /// How many pixels of the frame make one of the simulated image, each way (whole blocks, as [`View::at_most_wide`] has it).

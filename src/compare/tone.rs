@@ -1,6 +1,7 @@
 //! The declared tone between acquired and simulated: fitted on alternate tiles, scored on the others.
 
 use super::filters::quantile;
+use crate::acquire::Domain;
 use crate::image::Image;
 
 /// What may be fitted between the simulated and the acquired image.
@@ -27,6 +28,16 @@ impl Tone {
             Self::Gain => "gain",
             Self::LogAffine => "log_affine",
             Self::Monotone => "monotone",
+        }
+    }
+
+    /// Whether it may be fitted to frames of `domain`: gain and log-affine need values with a physical meaning, monotone forgoes them.
+    #[must_use]
+    pub fn is_permitted(self, domain: Domain) -> bool {
+        match self {
+            Self::None => true,
+            Self::Gain | Self::LogAffine => !domain.is_gray(),
+            Self::Monotone => domain.is_gray(),
         }
     }
 }

@@ -16,12 +16,14 @@
 
 mod camera;
 mod carm;
+mod console;
 mod convert;
 mod rigid;
 mod robot;
 
 pub use camera::{CameraError, Intrinsics, Projection, View};
 pub use carm::{CarmCalibration, CarmCalibrationError, CarmJoints};
+pub use console::{ConsoleError, ConsoleGeometry, Flip, PanelWindow};
 pub use convert::{dicom_angles_deg, lps_from_ras, ras_from_lps};
 pub use rigid::{Rigid, RigidError};
 pub use robot::{RobotModel, RobotModelError, RobotShape, TubeSize};

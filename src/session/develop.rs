@@ -5,9 +5,10 @@ use std::sync::Arc;
 use glam::{DVec2, DVec3};
 
 use super::board::PairView;
+use super::declared::Declared;
 use super::posing::{PoseSource, Posed};
 use crate::beads::BeadLayout;
-use crate::compare::{CompareInput, Compared, NullError, Tone, compare};
+use crate::compare::{CompareInput, Compared, NullError, compare};
 use crate::geometry::View;
 use crate::image::{Image, sha256_bytes};
 use crate::render::{Options, Plan, Quantity, Rendered, Renderer};
@@ -79,6 +80,7 @@ impl Developed {
 /// What frames are developed with.
 pub(super) struct Bench {
     pub(super) scene: Scene,
+    pub(super) declared: Declared,
     pub(super) layout: Option<BeadLayout>,
     pub(super) renderer: Renderer,
     pub(super) reporter: Reporter,
@@ -115,7 +117,8 @@ impl Bench {
         input.valid = Some(&rendered.valid);
         input.beads = &beads;
         input.tool = tool.as_ref();
-        input.tone = Tone::None;
+        input.tone = self.declared.tone_of(&posed.frame, &mut pair.flags);
+        input.air = self.declared.air_level();
         input.view = Some(&view);
         input.centre_lps_mm = self.centre();
         let compared = match compare(&input) {
@@ -139,7 +142,12 @@ impl Bench {
 
     /// The scene at the exposure: view, robot shape.
     fn scene_at(&self, posed: &Posed, view: View) -> Result<Scene, String> {
-        let scene = self.scene.with_view(view);
+        let mut scene = self.scene.with_view(view);
+        // Pixels that the console binned or enlarged are not the panel's; the panel stays where it is.
+        let panel_px_per_px = posed.frame.correction.as_ref().map_or(0.0, |correction| correction.panel_px_per_px);
+        if panel_px_per_px > 0.0 {
+            scene.detector.pitch_mm *= panel_px_per_px;
+        }
         match &posed.robot {
             Some(robot) => scene.with_robot(robot.control_angles_deg, robot.lps_from_base).map_err(|error| error.to_string()),
             None => Ok(scene),
@@ -267,6 +275,7 @@ fn row(posed: &Posed) -> Pair {
         (false, PoseSource::None) => PairStatus::NoPose,
         (false, _) => PairStatus::Refused,
     };
+    pair.flags.extend(posed.warnings.iter().cloned());
     pair.rms_px = posed.pose.rms_px.filter(|_| posed.pose.is_accepted());
     pair.rms_mm = posed.pose.rms_mm.filter(|_| posed.pose.is_accepted());
     pair.robot_source = Some(match &posed.robot {

@@ -9,10 +9,11 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::file::Setup;
-use super::posing::{Bound, PoseJob, Posed, Registered};
+use super::import::Import;
+use super::posing::{Bound, Known, PoseJob, Posed, Registered};
 use super::tie::SpecimenTie;
 use crate::acquire::Frame;
-use crate::beads::BeadLayout;
+use crate::beads::{BeadLayout, Landmark};
 use crate::geometry::Rigid;
 use crate::reporter::Reporter;
 use crate::telemetry::{DeviceKind, Event, Health, Link, Sample};
@@ -100,6 +101,8 @@ const BIND_PATIENCE_US: i64 = 1_000_000;
 /// See the module.
 pub struct Engine {
     setup: Arc<Setup>,
+    import: Import,
+    landmarks: Arc<[Landmark]>,
     layout: Option<Arc<BeadLayout>>,
     links: BTreeMap<DeviceKind, Link>,
     timeline: Timeline,
@@ -121,6 +124,8 @@ impl Engine {
         let present = [(DeviceKind::Carm, setup.carm.is_some()), (DeviceKind::Robot, setup.robot.is_some())];
         let links = present.into_iter().filter(|(_, there)| *there).map(|(device, _)| (device, Link::new(device))).collect();
         Self {
+            import: Import::of(&setup),
+            landmarks: setup.landmark_points().into(),
             setup,
             layout,
             links,
@@ -251,7 +256,14 @@ impl Engine {
     }
 
     fn job(&self, bound: Bound) -> PoseJob {
-        let layout = self.layout.clone();
-        PoseJob::new(bound, Arc::clone(&self.setup), layout, self.tie.world_from_lps(), &self.reporter)
+        let imported = self.import.frame(bound.frame());
+        imported.warnings.iter().for_each(|(kind, detail)| self.reporter.warn(kind, detail));
+        let known = Known {
+            setup: Arc::clone(&self.setup),
+            layout: self.layout.clone(),
+            landmarks: Arc::clone(&self.landmarks),
+            world_from_lps: self.tie.world_from_lps(),
+        };
+        PoseJob::new(bound, imported, known, &self.reporter)
     }
 }

@@ -4,7 +4,11 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::geometry::{CarmCalibration, Rigid, RobotModel};
+use super::declared::AirWord;
+use crate::acquire::{DetectorCalibration, Domain};
+use crate::beads::{Landmark, parse_landmarks};
+use crate::compare::Tone;
+use crate::geometry::{CarmCalibration, ConsoleGeometry, Rigid, RobotModel};
 
 /// Why a session cannot start.
 #[derive(Debug, thiserror::Error)]
@@ -37,6 +41,9 @@ pub enum SessionFileError {
         /// What it names.
         named: String,
     },
+    /// The detector calibration.
+    #[error(transparent)]
+    Detector(#[from] crate::acquire::DetectorCalibrationError),
     /// A value makes no sense.
     #[error("{path}: {key} is {found}, expected {expected}", path = path.display())]
     Value {
@@ -87,9 +94,9 @@ fn default_baud() -> u32 {
 pub struct FrameSource {
     /// Watched folder.
     pub folder: PathBuf,
-    /// What the values mean, where the files do not say it (`linear`, `log`, `display`).
+    /// As the session's `domain`, which is the better place.
     #[serde(default)]
-    pub domain: Option<crate::acquire::Domain>,
+    pub domain: Option<Domain>,
 }
 
 /// A session file as typed.
@@ -119,6 +126,27 @@ pub struct SessionFile {
     /// The session's folder; `--out` overrides it.
     #[serde(default)]
     pub out: Option<PathBuf>,
+    /// What the frames' values mean, where the files do not say it (`linear`, `log`, `display`); beats what they say.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub domain: Option<Domain>,
+    /// What may be fitted between a frame and its DRR; when absent, `monotone` for display frames and `none` for all others.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tone: Option<Tone>,
+    /// The stored value of the unattenuated signal, or `open`, `maximum`, `unknown`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub air_level: Option<AirWord>,
+    /// Radius of beads whose description gives none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub bead_radius_mm: Option<f64>,
+    /// Points of the specimen where uncertainty is wanted: a Slicer markups file.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub landmarks: Option<PathBuf>,
+    /// What the console does to the panel's picture before it stores it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub console: Option<ConsoleGeometry>,
+    /// The panel: a file of `calibrate detector`, or of `calibration/detector/`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub detector: Option<PathBuf>,
 }
 
 /// Everything that decides what a session computes, embedded in its log: replay needs only the CT beside it.
@@ -136,6 +164,12 @@ pub struct Setup {
     pub scene_path: PathBuf,
     /// Text of the markups file and its name.
     pub beads: Option<(PathBuf, String)>,
+    /// Text of the landmarks' file and its name.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub landmarks: Option<(PathBuf, String)>,
+    /// The detector calibration, maps included.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub detector: Option<Box<DetectorCalibration>>,
 }
 
 /// Reads text; the error names the file.
@@ -219,7 +253,68 @@ impl Setup {
             None => None,
         };
         let scene_path = session.scene.clone();
-        Ok(Self { session, carm, robot, scene_json, scene_path, beads })
+        let mut setup = Self { session, carm, robot, scene_json, scene_path, beads, landmarks: None, detector: None };
+        setup.load_declared(path)?;
+        Ok(setup)
+    }
+
+    /// What a session declares about its frames: checked here, once, so that a wrong word is found before the first exposure.
+    fn load_declared(&mut self, path: &Path) -> Result<(), SessionFileError> {
+        let wrong = |key, found: String, expected| SessionFileError::Value { path: path.to_owned(), key, found, expected };
+        let place =
+            |place: &str, detail: String| SessionFileError::Json { path: path.to_owned(), place: place.to_owned(), detail };
+        let session = &mut self.session;
+        if let (Some(of_session), Some(of_frames)) = (session.domain, session.frames.domain)
+            && of_session != of_frames
+        {
+            return Err(wrong(
+                "frames.domain",
+                of_frames.to_string(),
+                "the same as the session's domain, or only one of the two",
+            ));
+        }
+        if let Some(AirWord::Value(value)) = session.air_level
+            && !(value.is_finite() && value > 0.0)
+        {
+            return Err(wrong("air_level", value.to_string(), "a positive stored value, or open, maximum, unknown"));
+        }
+        if let Some(radius_mm) = session.bead_radius_mm
+            && !(radius_mm >= 0.05 && radius_mm <= 20.0)
+        {
+            return Err(wrong("bead_radius_mm", radius_mm.to_string(), "0.05 to 20 mm"));
+        }
+        if let Some(console) = &session.console {
+            console.check().map_err(|error| place("console", error.to_string()))?;
+            if let Some(carm) = &self.carm {
+                console.check_on(carm).map_err(|error| place("console", error.to_string()))?;
+            }
+        }
+        if let Some(named) = &session.landmarks {
+            let found = locate(path, "landmarks", named)?;
+            let text = read_text(&found)?;
+            parse_landmarks(&found, text.as_bytes()).map_err(|error| place("landmarks", error.to_string()))?;
+            session.landmarks = Some(found.clone());
+            self.landmarks = Some((found, text));
+        }
+        if let Some(named) = &session.detector {
+            let found = locate(path, "detector", named)?;
+            self.detector = Some(Box::new(DetectorCalibration::read(&found)?));
+            session.detector = Some(found);
+        }
+        Ok(())
+    }
+
+    /// What the frames' values mean, by the person's word.
+    #[must_use]
+    pub fn domain(&self) -> Option<Domain> {
+        self.session.domain.or(self.session.frames.domain)
+    }
+
+    /// Points where uncertainty is wanted.
+    #[must_use]
+    pub fn landmark_points(&self) -> Vec<Landmark> {
+        let parsed = self.landmarks.as_ref().and_then(|(path, text)| parse_landmarks(path, text.as_bytes()).ok());
+        parsed.unwrap_or_default()
     }
 }
 

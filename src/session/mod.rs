@@ -7,9 +7,11 @@
 //! The [`engine`] reads no clock and no device, so a replay computes what the session computed.
 
 pub mod board;
+pub mod declared;
 pub mod engine;
 pub mod file;
 pub mod folder;
+pub mod import;
 pub mod live;
 pub mod replay;
 

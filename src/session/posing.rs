@@ -3,9 +3,10 @@
 use std::sync::Arc;
 
 use super::file::Setup;
+use super::import::Imported;
 use super::tie::Disagreement;
 use crate::acquire::Frame;
-use crate::beads::BeadLayout;
+use crate::beads::{BeadLayout, Landmark};
 use crate::geometry::{CarmJoints, Intrinsics, Rigid, View};
 use crate::pose::{self, Pose, Prior, Registration};
 use crate::reporter::Reporter;
@@ -53,6 +54,8 @@ pub struct Posed {
     pub binding: Binding,
     /// What registration said.
     pub pose: Pose,
+    /// What the import had to say about the frame.
+    pub warnings: Vec<String>,
     /// Which pose is used.
     pub pose_source: PoseSource,
     /// The view to render; absent without a pose.
@@ -134,6 +137,14 @@ impl Bound {
     }
 }
 
+impl Bound {
+    /// The frame as it was read.
+    #[must_use]
+    pub fn frame(&self) -> &Arc<Frame> {
+        &self.frame
+    }
+}
+
 fn robot_state(timeline: &Timeline, mid_us: i64) -> Option<RobotState> {
     let (answer, source) = timeline.robot_and_source_at(mid_us)?;
     if !answer.value.iter().all(|angle| angle.is_finite()) {
@@ -148,44 +159,46 @@ fn robot_state(timeline: &Timeline, mid_us: i64) -> Option<RobotState> {
     Some(RobotState { control_angles_deg: answer.value, lps_from_base: None, source, gap_us: answer.gap_us, stale })
 }
 
+/// What is known about a session when a frame is registered.
+#[derive(Clone, Debug)]
+pub struct Known {
+    /// Everything declared.
+    pub setup: Arc<Setup>,
+    /// The specimen's beads.
+    pub layout: Option<Arc<BeadLayout>>,
+    /// Where uncertainty is wanted.
+    pub landmarks: Arc<[Landmark]>,
+    /// Where the specimen lies in the room.
+    pub world_from_lps: Option<Rigid>,
+}
+
 /// A registration with all that it rests on; it may run on any thread.
 #[derive(Clone, Debug)]
 pub struct PoseJob {
     bound: Bound,
-    setup: Arc<Setup>,
-    layout: Option<Arc<BeadLayout>>,
-    size_px: [u32; 2],
+    known: Known,
+    warnings: Vec<String>,
+    pitch_mm: Option<f64>,
     intrinsics: Option<Intrinsics>,
     camera_from_world: Option<Rigid>,
-    world_from_lps: Option<Rigid>,
 }
 
 impl PoseJob {
-    /// `world_from_lps` is where the specimen lies as far as is known.
+    /// `imported` is the bound frame as it lies on the panel.
     #[must_use]
-    pub fn new(
-        bound: Bound,
-        setup: Arc<Setup>,
-        layout: Option<Arc<BeadLayout>>,
-        world_from_lps: Option<Rigid>,
-        reporter: &Reporter,
-    ) -> Self {
-        let size_px = [bound.frame.pixels.width as u32, bound.frame.pixels.height as u32];
-        let carm = setup.carm.as_ref();
+    pub fn new(bound: Bound, imported: Imported, known: Known, reporter: &Reporter) -> Self {
+        let carm = known.setup.carm.as_ref();
         let camera_from_world = bound.joints.zip(carm).and_then(|(joints, carm)| {
             carm.world_from_camera(&joints).map(Rigid::inverse).map_err(|error| reporter.warn("carm", error)).ok()
         });
         let at_zero = CarmJoints { source_to_detector_mm: f64::NAN, ..CarmJoints::ZERO };
-        let sized = carm.filter(|carm| [carm.columns_px, carm.rows_px] == size_px);
-        if carm.is_some() && sized.is_none() {
-            let [columns, rows] = size_px;
-            let number = bound.frame.number;
-            reporter.warn("frame size", format!("frame {number}: {columns}x{rows} px is not the size of the C-arm calibration"));
-        }
-        let intrinsics = sized.and_then(|carm| {
+        let Imported { frame, carm: sized, warnings } = imported;
+        let intrinsics = sized.as_ref().and_then(|carm| {
             carm.intrinsics(&bound.joints.unwrap_or(at_zero)).map_err(|error| reporter.warn("carm", error)).ok()
         });
-        Self { bound, setup, layout, size_px, intrinsics, camera_from_world, world_from_lps }
+        let warnings = warnings.into_iter().map(|(_, detail)| detail).collect();
+        let pitch_mm = sized.map(|carm| carm.pitch_mm);
+        Self { bound: Bound { frame, ..bound }, known, warnings, pitch_mm, intrinsics, camera_from_world }
     }
 
     /// Which frame.
@@ -199,19 +212,19 @@ impl PoseJob {
     pub fn run(self) -> Registered {
         let watch = Stopwatch::start();
         let none = BeadLayout { beads: Vec::new(), source: "none".to_owned(), notes: Vec::new() };
-        let layout = self.layout.as_deref().unwrap_or(&none);
+        let layout = self.known.layout.as_deref().unwrap_or(&none);
         let prior = self.nominal().map(|camera_from_lps| Prior { camera_from_lps, covariance: None });
         let mut pose = pose::register(&Registration {
             frame: &self.bound.frame,
             layout,
             intrinsics: self.intrinsics,
-            pitch_mm: self.setup.carm.as_ref().map(|carm| carm.pitch_mm),
+            pitch_mm: self.pitch_mm,
             prior: prior.as_ref(),
             fuse: false,
-            landmarks: &[],
-            bead_radius_mm: None,
+            landmarks: &self.known.landmarks,
+            bead_radius_mm: self.known.setup.session.bead_radius_mm,
         });
-        if self.layout.is_none() {
+        if self.known.layout.is_none() {
             pose.reason = Some("the session names no beads".to_owned());
         }
         let mut stages = StageTimes::default();
@@ -221,7 +234,7 @@ impl PoseJob {
 
     /// Camera in the specimen by telemetry alone.
     fn nominal(&self) -> Option<Rigid> {
-        self.camera_from_world.zip(self.world_from_lps).map(|(camera, world)| camera * world)
+        self.camera_from_world.zip(self.known.world_from_lps).map(|(camera, world)| camera * world)
     }
 }
 
@@ -243,7 +256,8 @@ impl Registered {
     /// A refusal in place of a result: running the job failed.
     #[must_use]
     pub fn failed(job: PoseJob, reason: &str) -> Self {
-        let mut refused = PoseJob { layout: None, ..job }.run();
+        let known = Known { layout: None, ..job.known };
+        let mut refused = PoseJob { known, ..job }.run();
         refused.pose.reason = Some(reason.to_owned());
         refused
     }
@@ -263,11 +277,12 @@ impl Registered {
             }
             _ => None,
         };
-        let size_px = job.size_px;
+        let pixels = &job.bound.frame.pixels;
+        let size_px = [pixels.width as u32, pixels.height as u32];
         let view = camera.map(|(intrinsics, camera_from_lps)| View { size_px, intrinsics, camera_from_lps });
         let nominal = job.nominal();
         let Bound { frame, time_us, binding, joints, carm_gap_us, robot, tracker_from_base, beam } = job.bound;
-        let lps_from_base = match (tracker_from_base, world_from_tracker, job.world_from_lps) {
+        let lps_from_base = match (tracker_from_base, world_from_tracker, job.known.world_from_lps) {
             (Some(base), Some(world_from_tracker), Some(world_from_lps)) => {
                 Some(world_from_lps.inverse() * world_from_tracker * base)
             }
@@ -280,6 +295,7 @@ impl Registered {
             time_us,
             binding,
             pose,
+            warnings: job.warnings,
             pose_source,
             view,
             robot,

@@ -153,7 +153,7 @@ impl Frames {
     ) -> Result<Self, SessionError> {
         let closing = Arc::new(AtomicBool::new(false));
         let mut intake = FrameIntake {
-            watch: FolderWatch::new(&setup.session.frames.folder, setup.session.frames.domain, include_existing),
+            watch: FolderWatch::new(&setup.session.frames.folder, setup.domain(), include_existing),
             log: Arc::clone(log),
             board: board.clone(),
             reporter: reporter.clone(),

@@ -5,6 +5,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 use super::SessionError;
+use super::declared::Declared;
 use super::develop::{Bench, Developed};
 use super::file::Setup;
 use super::posing::Posed;
@@ -80,7 +81,8 @@ impl Workshop {
         let renderer = Renderer::new(device, reporter)?;
         let adapter = renderer.adapter();
         let inputs = scene.inputs.clone();
-        let bench = Bench { scene, layout: layout.clone(), renderer, reporter: reporter.clone() };
+        let declared = Declared::of(setup);
+        let bench = Bench { scene, declared, layout: layout.clone(), renderer, reporter: reporter.clone() };
         let layout = layout.map(Arc::new);
         Ok(Self { bench: Some(bench), shared: Arc::default(), thread: None, layout, adapter, inputs })
     }

@@ -17,6 +17,6 @@ pub use device::{DEFAULT_BAUD, DeviceKind, PortConfig};
 pub use health::Health;
 pub use link::{ByteSource, Link, Received, STALE_SILENCE_US};
 pub use port::{FIRST_BACKOFF, LONGEST_BACKOFF, PortError, PortEvent, PortTask, hint, spawn_port};
-pub use sequence::{SequenceTracker, Sequenced};
 pub use sample::{AngleSource, CarmSample, Limit, Metadata, RobotSample, Sample, Tendon};
+pub use sequence::{SequenceTracker, Sequenced};
 pub use wire::{FrameFault, MAX_ENCODED_BYTES, SCHEMA_HASH, VERSION};

@@ -225,7 +225,9 @@ impl Timeline {
         };
         match last_us {
             None => Freshness::Absent,
-            Some(last_us) if now_us.saturating_sub(last_us) > limits.stale_us => Freshness::Stale { age_us: now_us.saturating_sub(last_us) },
+            Some(last_us) if now_us.saturating_sub(last_us) > limits.stale_us => {
+                Freshness::Stale { age_us: now_us.saturating_sub(last_us) }
+            }
             Some(last_us) => Freshness::Fresh { age_us: now_us.saturating_sub(last_us).max(0) },
         }
     }

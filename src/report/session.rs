@@ -92,8 +92,11 @@ pub struct SessionReport {
 pub struct Counts {
     /// All.
     pub exposures: usize,
-    /// P from beads.
+    /// P from beads, and the image agrees or cannot tell.
     pub accepted: usize,
+    /// P from beads, but the image prefers another pose.
+    #[serde(default)]
+    pub image_disagrees: usize,
     /// Registration refused.
     pub refused: usize,
     /// Not tried.
@@ -110,6 +113,7 @@ impl SessionReport {
         Counts {
             exposures: self.pairs.len(),
             accepted: with(PairStatus::Accepted),
+            image_disagrees: with(PairStatus::AcceptedImageDisagrees),
             refused: with(PairStatus::Refused),
             no_pose: with(PairStatus::NoPose),
             from_telemetry: self.pairs.iter().filter(|pair| pair.pose_source == PoseSource::Telemetry).count(),

@@ -8,10 +8,11 @@ use glam::{DVec2, DVec3};
 
 use super::SessionError;
 use super::board::PairView;
+use super::crosscheck::{self, ExposureFacts, check_exposure, check_session};
 use super::engine::{PoseSource, Posed};
 use super::file::Setup;
 use crate::beads::{BeadLayout, parse_markups};
-use crate::compare::{CompareInput, Compared, Tone, compare};
+use crate::compare::{Cause, CompareInput, Compared, MaskShares, Tone, compare};
 use crate::geometry::View;
 use crate::gpu::DeviceChoice;
 use crate::image::{Image, sha256_bytes};
@@ -100,19 +101,31 @@ impl Workshop {
     /// When scene or beads are wrong, or the renderer is not available.
     pub fn open(setup: &Setup, device: DeviceChoice, reporter: &Reporter) -> Result<Self, SessionError> {
         let scene = scene::load_text(&setup.scene_json, &setup.scene_path, false, reporter)?;
-        let layout = match &setup.beads {
+        let mut layout = match &setup.beads {
             Some((path, text)) => Some(
                 parse_markups(path, text.as_bytes())
                     .map_err(|error| SessionError::Beads { path: path.display().to_string(), detail: error.to_string() })?,
             ),
             None => None,
         };
+        let findings = check_session(setup, &scene, layout.as_ref());
+        crosscheck::tell(&findings, reporter);
+        if let Some(layout) = &mut layout {
+            layout.refused = crosscheck::refusal(&findings);
+        }
         let renderer = Renderer::new(device, reporter)?;
         let adapter = renderer.adapter();
         let inputs = scene.inputs.clone();
         let (jobs, inbox) = channel();
         let (outbox, done) = channel();
-        let bench = Bench { scene, layout: layout.clone(), renderer, reporter: reporter.clone(), nulls: VecDeque::new() };
+        let bench = Bench {
+            scene,
+            setup: setup.clone(),
+            layout: layout.clone(),
+            renderer,
+            reporter: reporter.clone(),
+            nulls: VecDeque::new(),
+        };
         let thread = std::thread::spawn(move || bench.work(&inbox, &outbox));
         Ok(Self { jobs: Some(jobs), done, thread: Some(thread), layout, adapter, inputs, open: 0 })
     }
@@ -167,6 +180,7 @@ impl Workshop {
 /// What the thread works with.
 struct Bench {
     scene: Scene,
+    setup: Setup,
     layout: Option<BeadLayout>,
     renderer: Renderer,
     reporter: Reporter,
@@ -193,6 +207,9 @@ impl Bench {
     fn develop(&mut self, posed: Posed, plan: Option<Plan>) -> Developed {
         let posed = Arc::new(posed);
         let mut pair = row(&posed);
+        if self.scene.robot.is_none() {
+            pair.robot_source = Some("none".to_owned());
+        }
         let Some(view) = posed.view else {
             return self.without(posed, pair, "no pose: nothing to render");
         };
@@ -233,6 +250,7 @@ impl Bench {
             }
         };
         pair.stages_ms.add("compare", watch.ms());
+        self.cross_check(&posed, &mut pair);
         let watch = Stopwatch::start();
         let without = compared.is_none().then(|| pair.flags.last().cloned().unwrap_or_default());
         let strip = Arc::new(draw(&posed, &pair, compared.as_deref(), without.as_deref()));
@@ -245,17 +263,37 @@ impl Bench {
         developed
     }
 
+    /// What is known of the exposure from several sides, compared: disagreements are flags of the pair and counted warnings.
+    fn cross_check(&self, posed: &Posed, pair: &mut Pair) {
+        let shuttered = |masks: &MaskShares| masks.causes.get(&Cause::Collimation).copied().unwrap_or(0.0);
+        let findings = check_exposure(&ExposureFacts {
+            frame: &posed.frame,
+            carm: self.setup.carm.as_ref(),
+            scene: &self.scene,
+            scene_json: &self.setup.scene_json,
+            beam: posed.beam.as_deref(),
+            from_beads: posed.view.as_ref().filter(|_| posed.pose_source == PoseSource::Beads).map(|view| &view.camera_from_lps),
+            nominal: posed.nominal.as_ref(),
+            centre_lps_mm: self.centre(),
+            shuttered_share: pair.masks.as_ref().map(shuttered),
+        });
+        for finding in findings {
+            self.reporter.warn(&format!("check: {}", finding.check), format!("{}: {finding}", posed.frame.name));
+            pair.flags.push(finding.to_string());
+        }
+    }
+
     /// The scene at the exposure: view, robot shape.
     fn scene_at(&self, posed: &Posed, view: View) -> Result<Scene, String> {
         let scene = self.scene.with_view(view);
-        match &posed.robot {
+        match posed.robot.as_ref().filter(|_| scene.robot.is_some()) {
             Some(robot) => scene.with_robot(robot.control_angles_deg, robot.lps_from_base).map_err(|error| error.to_string()),
             None => Ok(scene),
         }
     }
 
     fn centre(&self) -> Option<DVec3> {
-        let beads = self.layout.as_ref().map(BeadLayout::centroid_lps_mm);
+        let beads = self.layout.as_ref().filter(|layout| layout.refused.is_none()).map(BeadLayout::centroid_lps_mm);
         beads.or_else(|| self.scene.bounds().map(|(centre, _)| centre))
     }
 
@@ -314,7 +352,13 @@ impl Bench {
             Ok(page)
         };
         match compared.add_null(&mut rerender, &|| false) {
-            Ok(()) => developed.pair.set_comparison(&compared.comparison),
+            Ok(()) => {
+                developed.pair.set_comparison(&compared.comparison);
+                developed.pair.judge_image();
+                if let Some(found) = &developed.pair.image_prefers {
+                    self.reporter.warn("image disagrees", format!("{}: {found}", developed.pair.frame));
+                }
+            }
             Err(error) => developed.pair.flags.push(error.to_string()),
         }
         developed.pair.stages_ms.add("null", watch.ms());

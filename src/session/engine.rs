@@ -4,13 +4,14 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use super::crosscheck::beam_at;
 use super::file::Setup;
 use crate::acquire::Frame;
 use crate::beads::BeadLayout;
 use crate::geometry::{CarmJoints, Intrinsics, Rigid, View};
 use crate::pose::{self, Pose, Prior, Registration};
 use crate::reporter::Reporter;
-use crate::telemetry::{AngleSource, DeviceKind, Event, Health, Link, Sample};
+use crate::telemetry::{AngleSource, CarmSample, DeviceKind, Event, Health, Link, Sample};
 use crate::time::{StageTimes, Stopwatch};
 use crate::timeline::{Binding, FrameStamp, Support, Timeline};
 
@@ -92,6 +93,10 @@ pub struct Posed {
     pub joints: Option<CarmJoints>,
     /// Span of the C-arm samples that were interpolated.
     pub carm_gap_us: Option<i64>,
+    /// camera_from_lps by telemetry, as registration had it for a prior.
+    pub nominal: Option<Rigid>,
+    /// The C-arm's sample nearest the middle of the exposure.
+    pub beam: Option<Box<CarmSample>>,
     /// Wall time of detection and pose.
     pub stages: StageTimes,
 }
@@ -287,11 +292,12 @@ impl Engine {
         let view = camera.map(|(intrinsics, camera_from_lps)| View { size_px, intrinsics, camera_from_lps });
         let carm_gap_us = joints.as_ref().map(|answer| answer.gap_us);
         let joints = joints.map(|answer| answer.value);
-        Posed { index, frame, time_us, binding, pose, pose_source, view, robot, joints, carm_gap_us, stages }
+        let beam = exposed.and_then(|mid_us| beam_at(&self.timeline, mid_us)).map(Box::new);
+        Posed { index, frame, time_us, binding, pose, pose_source, view, robot, joints, carm_gap_us, nominal, beam, stages }
     }
 
     fn register(&self, frame: &Frame, intrinsics: Option<Intrinsics>, nominal: Option<Rigid>) -> Pose {
-        let none = BeadLayout { beads: Vec::new(), source: "none".to_owned(), notes: Vec::new() };
+        let none = BeadLayout::none();
         let layout = self.layout.as_ref().unwrap_or(&none);
         let prior = nominal.map(|camera_from_lps| Prior { camera_from_lps, covariance: None });
         let mut pose = pose::register(&Registration {

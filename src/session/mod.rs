@@ -8,6 +8,7 @@
 //! The [`engine`] reads no clock and no device, so a replay computes what the session computed.
 
 pub mod board;
+pub mod crosscheck;
 pub mod engine;
 pub mod file;
 pub mod folder;

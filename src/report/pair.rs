@@ -269,8 +269,8 @@ impl Pair {
             let mm = self.rms_mm.map(|mm| format!(" ({mm:.3} mm)")).unwrap_or_default();
             parts.push(format!("rms {px:.3} px{mm}"));
         }
-        parts.extend(self.reason.clone());
         parts.extend(self.robot_words().map(str::to_owned));
+        parts.extend(self.reason.clone());
         parts.join(" · ")
     }
 

@@ -121,6 +121,23 @@ impl SessionReport {
     }
 }
 
+/// `7 frames, 5 accepted, 1 accepted but the image disagrees`: what a session came to, in a line for the terminal.
+#[must_use]
+pub fn counted(pairs: &[Pair]) -> String {
+    let count = |keep: &dyn Fn(&Pair) -> bool| pairs.iter().filter(|pair| keep(pair)).count();
+    let accepted = count(&|pair| pair.status == PairStatus::Accepted);
+    let mut words = format!("{} frames, {accepted} accepted", pairs.len());
+    let doubtful = count(&|pair| pair.status == PairStatus::AcceptedImageDisagrees);
+    if doubtful > 0 {
+        words += &format!(", {doubtful} accepted but the image disagrees");
+    }
+    let as_in_scene = count(&|pair| pair.robot_words().is_some());
+    if as_in_scene > 0 {
+        words += &format!(", {as_in_scene} with the robot drawn as in the scene file (no telemetry)");
+    }
+    words
+}
+
 /// `pairs.json`.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct PairsFile {

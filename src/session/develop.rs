@@ -65,7 +65,7 @@ impl Developed {
             name: frame.name.clone(),
             time_us: self.posed.time_us,
             status: self.pair.status_line(),
-            accepted: self.pair.status == PairStatus::Accepted,
+            standing: self.pair.standing(),
             acquired,
             drr,
             difference,
@@ -277,6 +277,9 @@ impl Bench {
             centre_lps_mm: self.centre(),
             shuttered_share: pair.masks.as_ref().map(shuttered),
         });
+        if let (Some(words), Some(_)) = (pair.robot_words(), &self.setup.robot) {
+            self.reporter.warn("robot not told", format!("{}: {words} covers the exposure", posed.frame.name));
+        }
         for finding in findings {
             self.reporter.warn(&format!("check: {}", finding.check), format!("{}: {finding}", posed.frame.name));
             pair.flags.push(finding.to_string());

@@ -5,18 +5,22 @@
 
 mod alignment;
 mod beads;
+mod disk;
 mod exposure;
 mod finding;
 mod line;
 mod metal;
+mod rehearsal;
 mod units;
 
 use glam::DVec3;
 
 pub use alignment::{Alignment, Mistake, Strictness, align, mistakes};
+pub use disk::check_disk;
 pub use exposure::{ExposureFacts, PoseDifference, beam_at, check_exposure, pose_difference};
 pub use finding::{Finding, Level, refusal, tell};
 pub use line::check_line;
+pub use rehearsal::rehearse;
 
 use super::file::Setup;
 use crate::beads::BeadLayout;

@@ -108,6 +108,7 @@ fn a_noisy_pelvis_frame_gives_its_projection_back() {
             .collect(),
         source: "test".to_owned(),
         notes: Vec::new(),
+        refused: None,
     };
     let mut renderer = Renderer::new(DeviceChoice::Cpu, &reporter).expect("CPU");
     let mut cases = 0;
@@ -174,6 +175,7 @@ fn real_fluoroscopy_is_display_and_is_refused() {
             .collect(),
         source: "test".to_owned(),
         notes: Vec::new(),
+        refused: None,
     };
     let mut cases = 0;
     for index in [1, 4] {

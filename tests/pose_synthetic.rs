@@ -62,7 +62,12 @@ pub fn layout_of(places: &[DVec3], radius_mm: f64) -> BeadLayout {
         radius_mm: Some(radius_mm),
         sigma_mm: None,
     };
-    BeadLayout { beads: places.iter().enumerate().map(bead).collect(), source: "synthetic".to_owned(), notes: Vec::new() }
+    BeadLayout {
+        beads: places.iter().enumerate().map(bead).collect(),
+        source: "synthetic".to_owned(),
+        notes: Vec::new(),
+        refused: None,
+    }
 }
 
 pub fn radiograph(view: View, layout: &BeadLayout, photons: f64, seed: u64) -> Radiograph {

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use egui_kittest::Harness;
 use egui_kittest::kittest::NodeT;
 use sidecarm::image::Image;
+use sidecarm::report::Standing;
 use sidecarm::session::board::{BoardState, Link, PairView};
 use sidecarm::telemetry::{DeviceKind, Health};
 use sidecarm::viewer::{ViewState, draw};
@@ -44,7 +45,7 @@ fn a_refused_pair_shows_its_reason_and_no_drr() {
         name: "frame-007".to_owned(),
         time_us: 1,
         status: "refused: two beads found, four needed".to_owned(),
-        accepted: false,
+        standing: Standing::ImageDisagrees,
         acquired: Image::filled(8, 6, 100),
         drr: None,
         difference: None,

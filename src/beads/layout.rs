@@ -40,9 +40,17 @@ pub struct BeadLayout {
     pub source: String,
     /// What was assumed or left out while reading.
     pub notes: Vec<String>,
+    /// Why no frame may be registered on it, where something known besides contradicts it.
+    pub refused: Option<String>,
 }
 
 impl BeadLayout {
+    /// No beads at all.
+    #[must_use]
+    pub fn none() -> Self {
+        Self { beads: Vec::new(), source: "none".to_owned(), notes: Vec::new(), refused: None }
+    }
+
     /// Mean position.
     #[must_use]
     pub fn centroid_lps_mm(&self) -> DVec3 {

@@ -115,7 +115,7 @@ pub fn parse_markups(path: &Path, content: &[u8]) -> Result<BeadLayout, BeadsErr
 
 fn layout(path: &Path, Points { points, notes }: Points) -> Result<BeadLayout, BeadsError> {
     let beads = points.into_iter().map(|point| bead(path, point)).collect::<Result<_, _>>()?;
-    Ok(BeadLayout { beads, source: path.display().to_string(), notes })
+    Ok(BeadLayout { beads, source: path.display().to_string(), notes, refused: None })
 }
 
 /// Landmarks of a Slicer markups file; as [`read_markups`], without a look at the descriptions.

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use glam::{DVec2, DVec3};
 
 use crate::acquire::{AcquireError, Domain, Frame, read_frame};
-use crate::compare::{AirLevel, CompareError, CompareInput, Compared, NULL_SCORES, Tone, compare};
+use crate::compare::{AirLevel, CompareError, CompareInput, Compared, NULL_SCORES, Tone, compare, elsewhere};
 use crate::geometry::View;
 use crate::gpu::DeviceChoice;
 use crate::image::{Image, ImageFileError, read_tiff_f32, sha256_file, write_atomically, write_png_rgb};
@@ -289,7 +289,11 @@ fn picture(frame: &Frame, compared: &Compared, pose: Option<&Pose>) -> Image<[u8
     let (standing, status) = match pose {
         Some(pose) if pose.camera().is_some() => {
             let rms = pose.rms_px.map(|px| format!("rms {px:.3} px")).unwrap_or_default();
-            (Standing::Accepted, pose.rms_mm.map_or(rms.clone(), |mm| format!("{rms} ({mm:.3} mm)")))
+            let rms = pose.rms_mm.map_or(rms.clone(), |mm| format!("{rms} ({mm:.3} mm)"));
+            match elsewhere(&compared.comparison.null) {
+                Some(found) => (Standing::ImageDisagrees, format!("{rms} · {found}")),
+                None => (Standing::Accepted, rms),
+            }
         }
         Some(pose) => (Standing::Refused, pose.reason.clone().unwrap_or_default()),
         None => (Standing::NoPose, "pose not given".into()),
@@ -348,6 +352,9 @@ fn table(compared: &Compared) -> String {
         Some(level) => format!("air level {level:.6} ({})\n", found.air.rule),
         None => "air level unknown\n".to_owned(),
     };
+    if let Some(prefers) = elsewhere(&found.null) {
+        text += &format!("{prefers}\n");
+    }
     found.flags.iter().for_each(|flag| text += &format!("note: {flag}\n"));
     text
 }

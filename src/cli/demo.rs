@@ -10,7 +10,7 @@ use serde::Deserialize;
 
 use super::live::{stop_on_signals, watch};
 use crate::geometry::Projection;
-use crate::report::{Pair, PairStatus, TruthError};
+use crate::report::{Pair, TruthError};
 use crate::reporter::Reporter;
 use crate::session::file::{SessionFileError, Setup};
 use crate::session::folder::Folder;
@@ -220,10 +220,9 @@ fn same_file(a: &str, b: &str) -> bool {
 }
 
 fn print_table(folder: &Folder) {
-    let accepted = folder.pairs.iter().filter(|pair| pair.status == PairStatus::Accepted).count();
-    println!("{} frames, {accepted} accepted", folder.pairs.len());
+    println!("{}", crate::report::counted(&folder.pairs));
     println!(
-        "{:<12}{:>10}{:>11}{:>9}{:>11}{:>11}{:>9}{:>13}{:>12}{:>10}{:>9}{:>9}",
+        "{:<12}{:>16}{:>11}{:>9}{:>11}{:>11}{:>9}{:>13}{:>12}{:>10}{:>9}{:>9}",
         "frame",
         "status",
         "pose",
@@ -239,12 +238,12 @@ fn print_table(folder: &Folder) {
     );
     let number = |value: Option<f64>, digits: usize| value.map_or_else(|| "-".to_owned(), |value| format!("{value:.digits$}"));
     for pair in &folder.pairs {
-        let Pair { frame, status, pose_source, rms_px, truth, scores, null, stages_ms, .. } = pair;
+        let Pair { frame, pose_source, rms_px, truth, scores, null, stages_ms, .. } = pair;
         let stage = |name: &str| stages_ms.get(name).map_or_else(|| "-".to_owned(), |ms| format!("{ms:.0} ms"));
         let small = null.get("zncc");
         println!(
-            "{frame:<12}{:>10}{:>11}{:>9}{:>11}{:>11}{:>9}{:>13}{:>12}{:>10}{:>9}{:>9}",
-            word(status),
+            "{frame:<12}{:>16}{:>11}{:>9}{:>11}{:>11}{:>9}{:>13}{:>12}{:>10}{:>9}{:>9}",
+            pair.standing().short(),
             word(pose_source),
             number(*rms_px, 3),
             number(truth.map(|truth| truth.mean_px), 3),

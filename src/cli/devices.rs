@@ -8,7 +8,7 @@ use tokio::sync::mpsc;
 
 use crate::geometry::{CarmCalibration, RobotModel};
 use crate::reporter::Reporter;
-use crate::telemetry::{DeviceKind, Event, Health, Link, Metadata, PortConfig, PortEvent, hint, spawn_port};
+use crate::telemetry::{CarmSample, DeviceKind, Event, Health, Link, Metadata, PortConfig, PortEvent, Sample, hint, spawn_port};
 use crate::time::host_now_us;
 
 /// How long each port is listened to.
@@ -18,7 +18,7 @@ const LISTEN: Duration = Duration::from_millis(1500);
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Examples:\n  sidecarm devices\n  sidecarm devices --check session.json")]
 pub struct DevicesArgs {
-    /// Listen to each port of this session, look at each of its files, and say what is wrong.
+    /// The same as `sidecarm check SESSION.json`.
     #[arg(long, value_name = "SESSION.json")]
     pub check: Option<PathBuf>,
     /// Print JSON.
@@ -163,24 +163,9 @@ pub struct CheckLine {
     /// What the device says of itself; ports only.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub metadata: Option<Metadata>,
-}
-
-/// Checks everything on `list`, prints a line each, and returns the exit code: 0 if all is well, 1 if something is not.
-pub fn check(list: &CheckList, json: bool, reporter: &Reporter) -> u8 {
-    let lines = check_lines(list);
-    if json {
-        println!("{}", serde_json::json!({ "checks": lines, "ok": lines.iter().all(|line| line.ok) }));
-    } else {
-        for line in &lines {
-            let verdict = if line.ok { "ok " } else { "BAD" };
-            println!("{verdict}  {:<12} {}: {}", line.what, line.path.display(), line.detail);
-        }
-    }
-    let bad = lines.iter().filter(|line| !line.ok).count();
-    if bad > 0 {
-        reporter.note(format!("{bad} of {} checks failed", lines.len()));
-    }
-    u8::from(bad > 0)
+    /// The C-arm's latest sample.
+    #[serde(skip)]
+    pub latest: Option<Box<CarmSample>>,
 }
 
 /// The verdicts, ports first. Ports are listened to for 1.5 s, together.
@@ -198,7 +183,10 @@ pub fn check_lines(list: &CheckList) -> Vec<CheckLine> {
 /// What came from one port.
 struct Heard {
     link: Link,
+    /// The same bytes as the other device would mean them: swapped ports show here.
+    as_other: Link,
     metadata: Option<Metadata>,
+    latest: Option<Box<CarmSample>>,
     samples: u64,
     first_last_us: Option<(i64, i64)>,
     /// Why the port is not open now.
@@ -216,12 +204,17 @@ impl Heard {
             PortEvent::Opened { .. } => self.closed = None,
             PortEvent::Bytes { .. } => {}
         }
-        let Self { link, metadata, samples, first_last_us, .. } = self;
+        let Self { link, as_other, metadata, latest, samples, first_last_us, .. } = self;
+        as_other.handle(event, &mut |_| {});
         link.handle(event, &mut |received| {
             let Event::Sample(sample, _) = received.event else { return };
-            if let crate::telemetry::Sample::Metadata(found) = sample {
-                *metadata = Some(found);
-                return;
+            match sample {
+                Sample::Metadata(found) => {
+                    *metadata = Some(found);
+                    return;
+                }
+                Sample::Carm(sample) => *latest = Some(Box::new(sample)),
+                Sample::Robot(_) => {}
             }
             *samples += 1;
             *first_last_us = Some((first_last_us.map_or(received.host_us, |(first, _)| first), received.host_us));
@@ -241,10 +234,18 @@ impl Heard {
             (false, "open, but silent; switch the device on, and check that its baud rate is the session's".to_owned())
         } else if self.samples == 0 && health.schema_mismatch + health.version_mismatch > 0 {
             (false, format!("speaks another protocol version ({health}); update the device's firmware or sidecarm"))
+        } else if self.samples == 0 && self.as_other.health().frames > 0 {
+            let other = self.as_other.device();
+            (
+                false,
+                format!(
+                    "the {other} speaks here, not the {device}: the two ports are swapped; exchange carm.port and robot.port"
+                ),
+            )
         } else if self.samples == 0 {
             let detail = format!(
-                "{} bytes, but no {device} sample ({health}); check the baud rate and that the ports are not swapped",
-                health.bytes
+                "{} bytes, but no {device} sample ({health}); check that its baud rate is the session's ({}), then the cable",
+                health.bytes, config.baud
             );
             (false, detail)
         } else {
@@ -259,6 +260,7 @@ impl Heard {
             rate_hz: Some(rate_hz),
             health: Some(health),
             metadata: self.metadata,
+            latest: self.latest,
         }
     }
 }
@@ -268,7 +270,12 @@ fn listen(ports: &[&PortConfig]) -> std::io::Result<Vec<Heard>> {
         .iter()
         .map(|config| Heard {
             link: Link::new(config.device),
+            as_other: Link::new(match config.device {
+                DeviceKind::Carm => DeviceKind::Robot,
+                DeviceKind::Robot => DeviceKind::Carm,
+            }),
             metadata: None,
+            latest: None,
             samples: 0,
             first_last_us: None,
             closed: None,
@@ -314,6 +321,7 @@ fn bad_port(config: &PortConfig, detail: String) -> CheckLine {
         rate_hz: None,
         health: None,
         metadata: None,
+        latest: None,
     }
 }
 
@@ -322,7 +330,16 @@ fn check_file(file: &CheckFile) -> CheckLine {
         Ok(detail) => (true, detail),
         Err(detail) => (false, detail),
     };
-    CheckLine { what: file.role.clone(), path: file.path.clone(), ok, detail, rate_hz: None, health: None, metadata: None }
+    CheckLine {
+        what: file.role.clone(),
+        path: file.path.clone(),
+        ok,
+        detail,
+        rate_hz: None,
+        health: None,
+        metadata: None,
+        latest: None,
+    }
 }
 
 fn look_at(file: &CheckFile) -> Result<String, String> {

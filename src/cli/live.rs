@@ -1,19 +1,17 @@
-//! `sidecarm live`: a session with real (or mocked) devices; and the pre-flight check of `devices`.
+//! `sidecarm live`: a session with real (or mocked) devices.
 
 use std::path::PathBuf;
 
-use super::devices::{self, CheckFile, CheckList, DevicesArgs, FileCheck};
 use crate::reporter::Reporter;
 use crate::session::board::Board;
-use crate::session::file::{SessionFileError, Setup};
+use crate::session::file::Setup;
 use crate::session::folder::Folder;
 use crate::session::live::{LiveOptions, run as run_session};
 use crate::session::{SessionError, Stop};
-use crate::telemetry::{DeviceKind, PortConfig};
 
 /// Ride along: telemetry and frames in, matched DRRs, log and report out. Ends with Ctrl-C.
 #[derive(Clone, Debug, clap::Args)]
-#[command(after_help = "Example:\n  sidecarm devices --check session.json && sidecarm live session.json --out run-1")]
+#[command(after_help = "Example:\n  sidecarm check session.json && sidecarm live session.json --out run-1")]
 pub struct LiveArgs {
     /// The session file.
     pub session: PathBuf,
@@ -128,39 +126,11 @@ impl Signals {
 
 /// Where everything is, on standard output.
 fn summary(folder: &Folder, reporter: &Reporter) {
-    let accepted = folder.pairs.iter().filter(|pair| pair.status == crate::report::PairStatus::Accepted).count();
-    println!("{} frames, {accepted} accepted: {}", folder.pairs.len(), folder.path.join("report.html").display());
+    println!("{}: {}", crate::report::counted(&folder.pairs), folder.path.join("report.html").display());
     for (kind, counted) in reporter.warnings() {
         println!("{} x {kind}: {}", counted.count, counted.latest);
     }
     for loss in &folder.losses {
         println!("lost: {loss}");
     }
-}
-
-/// `sidecarm devices`.
-#[must_use]
-pub fn devices(args: &DevicesArgs, reporter: &Reporter) -> u8 {
-    let Some(session) = &args.check else { return devices::list(args.json, reporter) };
-    match check_list(session) {
-        Ok(list) => devices::check(&list, args.json, reporter),
-        Err(error) => super::end::<SessionFileError>(Err(error), reporter),
-    }
-}
-
-fn check_list(path: &std::path::Path) -> Result<CheckList, SessionFileError> {
-    let setup = Setup::load(path)?;
-    let session = &setup.session;
-    let port = |device, path: &PathBuf, baud| PortConfig { device, path: path.clone(), baud };
-    let file = |role: &str, path: &PathBuf, check| CheckFile { role: role.to_owned(), path: path.clone(), check };
-    let mut files =
-        vec![file("frames", &session.frames.folder, FileCheck::Folder), file("scene", &session.scene, FileCheck::Json)];
-    files.extend(session.beads.as_ref().map(|beads| file("beads", beads, FileCheck::Json)));
-    files.extend(session.carm.as_ref().map(|line| file("calibration", &line.calibration, FileCheck::CarmCalibration)));
-    files.extend(session.robot.as_ref().map(|line| file("robot model", &line.model, FileCheck::RobotModel)));
-    Ok(CheckList {
-        carm: session.carm.as_ref().map(|line| port(DeviceKind::Carm, &line.port, line.baud)),
-        robot: session.robot.as_ref().map(|line| port(DeviceKind::Robot, &line.port, line.baud)),
-        files,
-    })
 }

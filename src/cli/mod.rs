@@ -7,6 +7,7 @@ use clap::{Parser, Subcommand};
 use crate::reporter::Reporter;
 
 pub mod attenuation;
+pub mod check;
 pub mod compare;
 pub mod demo;
 pub mod devices;
@@ -41,6 +42,7 @@ Exit codes: 0 good, 1 failed or refused, 2 usage, 3 finished with loss (said whi
 enum Command {
     Demo(demo::DemoArgs),
     Live(live::LiveArgs),
+    Check(check::CheckArgs),
     Replay(replay::ReplayArgs),
     Render(render::RenderArgs),
     Trade(trade::TradeArgs),
@@ -78,7 +80,11 @@ fn dispatch(command: &Command, reporter: &Reporter) -> u8 {
         Command::Register(args) => end(register::run(args, reporter), reporter),
         Command::Attenuation(args) => end(attenuation::run(args, &mut std::io::stdout().lock()).map(|()| 0), reporter),
         Command::Spectrum(args) => end(spectrum::run(args, &mut std::io::stdout().lock()).map(|()| 0), reporter),
-        Command::Devices(args) => live::devices(args, reporter),
+        Command::Check(args) => check::run(args, reporter),
+        Command::Devices(args) => match &args.check {
+            Some(session) => check::run(&check::CheckArgs { session: session.clone(), out: None, json: args.json }, reporter),
+            None => devices::list(args.json, reporter),
+        },
         Command::Info(args) => end(info::run(args, reporter), reporter),
     }
 }

@@ -7,6 +7,7 @@
 mod collimation;
 mod domain;
 mod edges;
+mod elsewhere;
 mod filters;
 mod masks;
 mod null;
@@ -18,6 +19,7 @@ use std::collections::BTreeMap;
 use glam::{DVec2, DVec3};
 
 pub use domain::{AirLevel, AirReport, CommonDomain};
+pub use elsewhere::{Elsewhere, elsewhere};
 pub use masks::{Cause, MaskShares, REQUIRED_SHARE};
 pub use null::{NULL_RENDERS, NULL_WIDTH_PX, NullError, NullPlan, NullScore, Rerender, ShiftedScore};
 pub use scores::{FEWEST_PIXELS, LOCAL_BAND_PX, LOCAL_WINDOW_PX, NULL_SCORES, SCORE_SIGMA_PX, SSIM_CONSTANTS, Scores};

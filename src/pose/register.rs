@@ -134,6 +134,9 @@ fn refused(matching: &Matching, reason: String) -> Pose {
 }
 
 fn refuse_early(matching: &Matching) -> Option<Pose> {
+    if let Some(reason) = &matching.layout.refused {
+        return Some(refused(matching, reason.clone()));
+    }
     let points: Vec<DVec3> = matching.layout.beads.iter().map(|bead| bead.lps_mm).collect();
     if let Err(degenerate) = check_geometry(&points, matching.intrinsics.is_some(), "of the layout") {
         return Some(refused(matching, degenerate.to_string()));

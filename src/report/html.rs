@@ -114,6 +114,9 @@ fn summary(page: &mut String, report: &SessionReport, title: &str) {
     let lit = |class: &'static str, count: usize| if count > 0 { class } else { "" };
     card("", counts.exposures.to_string(), "exposures");
     card(lit("good", counts.accepted), counts.accepted.to_string(), "accepted");
+    if counts.image_disagrees > 0 {
+        card("caution", counts.image_disagrees.to_string(), "accepted, image disagrees");
+    }
     card(lit("bad", counts.refused), counts.refused.to_string(), "refused");
     card(lit("caution", counts.no_pose), counts.no_pose.to_string(), "not registered");
     card("", number(rms, 3), "median rms, px");
@@ -127,6 +130,11 @@ fn summary(page: &mut String, report: &SessionReport, title: &str) {
             "<p class=\"dim\" style=\"margin-top:12px\">{} shown with the pose from telemetry.</p>",
             counts.from_telemetry
         );
+    }
+    let words = report.pairs.iter().filter_map(Pair::robot_words).collect::<Vec<_>>();
+    if let Some(first) = words.first() {
+        let _ =
+            write!(page, "<p class=\"caution\" style=\"margin-top:12px\">{} of {}: {first}.</p>", words.len(), counts.exposures);
     }
 }
 
@@ -213,7 +221,7 @@ fn table(page: &mut String, report: &SessionReport) {
             number((total > 0.0).then_some(total), 0)
         );
     }
-    page.push_str("</tbody></table></div><p class=\"dim\" style=\"margin-top:8px\">Best of its null: the highest ZNCC at 30 poses known to be wrong (±1, 3, 10 mm; ±1, 3°), \
+    page.push_str("</tbody></table></div><p class=\"dim\" style=\"margin-top:8px\">Best of its null: the highest ZNCC at 39 poses known to be wrong (±1, 3, 10 mm; ±1, 3°; turned round, negated, mirrored), \
         at reduced size; a score marked ? does not tell the stated pose from a wrong one.</p>");
 }
 
@@ -405,7 +413,7 @@ fn circumstances(page: &mut String, pair: &Pair, standing: Standing) {
         item(format!("telemetry answers span a gap of {:.1} ms", gap_us as f64 * 1e-3));
     }
     if let Some(robot) = &pair.robot_source {
-        item(format!("robot shape: {robot}"));
+        item(pair.robot_words().map_or_else(|| format!("robot shape: {robot}"), str::to_owned));
     }
     if let Some(tone) = &pair.tone {
         item(format!(

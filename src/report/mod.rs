@@ -13,6 +13,7 @@ pub use colour::{diverging, gray, window};
 pub use html::html;
 pub use pair::{Pair, PairStatus, PoseSource, Standing, TruthError, score_words};
 pub use session::{
-    Counts, Gap, LinkReport, PairsFile, Provenance, ReportError, SessionReport, Track, png_bytes, write_pairs, write_session,
+    Counts, Gap, LinkReport, PairsFile, Provenance, ReportError, SessionReport, Track, counted, png_bytes, write_pairs,
+    write_session,
 };
 pub use strip::{StripInput, strip};

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::canvas::Rgb;
 use super::colour;
-use crate::compare::{AirReport, Comparison, MaskShares, NullPlan, NullScore, Scores, ToneFit};
+use crate::compare::{AirReport, Comparison, Elsewhere, MaskShares, NullPlan, NullScore, Scores, ToneFit, elsewhere};
 use crate::time::StageTimes;
 
 /// Where the pose that was rendered came from.
@@ -25,6 +25,8 @@ pub enum PoseSource {
 pub enum PairStatus {
     /// P is good.
     Accepted,
+    /// The beads agree on P, but the image as a whole prefers another pose.
+    AcceptedImageDisagrees,
     /// Tried and refused, with a reason.
     Refused,
     /// Not tried: the frame could not be bound, or there are no beads to look for.
@@ -36,6 +38,8 @@ pub enum PairStatus {
 pub enum Standing {
     /// Registered on beads.
     Accepted,
+    /// Registered on beads; the image as a whole prefers another pose.
+    ImageDisagrees,
     /// Refused or not tried, shown with the pose from telemetry.
     Telemetry,
     /// Refused, nothing rendered.
@@ -50,6 +54,7 @@ impl Standing {
     pub fn word(self) -> &'static str {
         match self {
             Self::Accepted => "ACCEPTED",
+            Self::ImageDisagrees => "ACCEPTED, IMAGE DISAGREES",
             Self::Telemetry => "POSE FROM TELEMETRY",
             Self::Refused => "REFUSED",
             Self::NoPose => "NO POSE",
@@ -61,6 +66,7 @@ impl Standing {
     pub fn short(self) -> &'static str {
         match self {
             Self::Accepted => "accepted",
+            Self::ImageDisagrees => "image disagrees",
             Self::Telemetry => "telemetry",
             Self::Refused => "refused",
             Self::NoPose => "no pose",
@@ -72,7 +78,7 @@ impl Standing {
     pub fn colour(self) -> Rgb {
         match self {
             Self::Accepted => colour::GOOD,
-            Self::Telemetry | Self::NoPose => colour::CAUTION,
+            Self::ImageDisagrees | Self::Telemetry | Self::NoPose => colour::CAUTION,
             Self::Refused => colour::BAD,
         }
     }
@@ -81,7 +87,7 @@ impl Standing {
     pub(super) fn class(self) -> &'static str {
         match self {
             Self::Accepted => "good",
-            Self::Telemetry | Self::NoPose => "caution",
+            Self::ImageDisagrees | Self::Telemetry | Self::NoPose => "caution",
             Self::Refused => "bad",
         }
     }
@@ -118,7 +124,7 @@ pub struct Pair {
     pub pose_source: PoseSource,
     /// What became of the registration.
     pub status: PairStatus,
-    /// Why it was refused, or not tried.
+    /// Why it was refused, not tried, or doubted.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
     /// √mean(dx² + dy²) over the used beads, px.
@@ -132,6 +138,9 @@ pub struct Pair {
     /// How the null was made.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub null_plan: Option<NullPlan>,
+    /// The pose that the image prefers, where it disagrees with the beads.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub image_prefers: Option<Elsewhere>,
     /// What was left out of the scores.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub masks: Option<MaskShares>,
@@ -191,6 +200,7 @@ impl Pair {
             scores: Scores::default(),
             null: BTreeMap::new(),
             null_plan: None,
+            image_prefers: None,
             masks: None,
             tone: None,
             scores_without_tone: None,
@@ -224,11 +234,35 @@ impl Pair {
         }
     }
 
+    /// Turns an accepted pair into one whose image disagrees, where its null says so.
+    pub fn judge_image(&mut self) {
+        if self.status == PairStatus::Accepted
+            && let Some(found) = elsewhere(&self.null)
+        {
+            self.status = PairStatus::AcceptedImageDisagrees;
+            self.reason = Some(found.to_string());
+            self.image_prefers = Some(found);
+        }
+    }
+
+    /// What to say of the robot's shape where telemetry does not tell it.
+    #[must_use]
+    pub fn robot_words(&self) -> Option<&'static str> {
+        (self.robot_source.as_deref() == Some("scene")).then_some("robot drawn as in the scene file: no telemetry")
+    }
+
+    /// Whether P rests on beads, agreed with by the image or not.
+    #[must_use]
+    pub fn is_from_beads(&self) -> bool {
+        matches!(self.status, PairStatus::Accepted | PairStatus::AcceptedImageDisagrees)
+    }
+
     /// Status and fallback in one.
     #[must_use]
     pub fn standing(&self) -> Standing {
         match (self.status, self.pose_source) {
             (PairStatus::Accepted, _) => Standing::Accepted,
+            (PairStatus::AcceptedImageDisagrees, _) => Standing::ImageDisagrees,
             (_, PoseSource::Telemetry) => Standing::Telemetry,
             (PairStatus::Refused, _) => Standing::Refused,
             (PairStatus::NoPose, _) => Standing::NoPose,
@@ -239,10 +273,11 @@ impl Pair {
     #[must_use]
     pub fn status_line(&self) -> String {
         let mut parts: Vec<String> = Vec::new();
-        if let Some(px) = self.rms_px.filter(|_| self.status == PairStatus::Accepted) {
+        if let Some(px) = self.rms_px.filter(|_| self.is_from_beads()) {
             let mm = self.rms_mm.map(|mm| format!(" ({mm:.3} mm)")).unwrap_or_default();
             parts.push(format!("rms {px:.3} px{mm}"));
         }
+        parts.extend(self.robot_words().map(str::to_owned));
         parts.extend(self.reason.clone());
         parts.join(" · ")
     }

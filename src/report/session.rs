@@ -92,8 +92,11 @@ pub struct SessionReport {
 pub struct Counts {
     /// All.
     pub exposures: usize,
-    /// P from beads.
+    /// P from beads, and the image agrees or cannot tell.
     pub accepted: usize,
+    /// P from beads, but the image prefers another pose.
+    #[serde(default)]
+    pub image_disagrees: usize,
     /// Registration refused.
     pub refused: usize,
     /// Not tried.
@@ -110,11 +113,29 @@ impl SessionReport {
         Counts {
             exposures: self.pairs.len(),
             accepted: with(PairStatus::Accepted),
+            image_disagrees: with(PairStatus::AcceptedImageDisagrees),
             refused: with(PairStatus::Refused),
             no_pose: with(PairStatus::NoPose),
             from_telemetry: self.pairs.iter().filter(|pair| pair.pose_source == PoseSource::Telemetry).count(),
         }
     }
+}
+
+/// `7 frames, 5 accepted, 1 accepted but the image disagrees`: what a session came to, in a line for the terminal.
+#[must_use]
+pub fn counted(pairs: &[Pair]) -> String {
+    let count = |keep: &dyn Fn(&Pair) -> bool| pairs.iter().filter(|pair| keep(pair)).count();
+    let accepted = count(&|pair| pair.status == PairStatus::Accepted);
+    let mut words = format!("{} frames, {accepted} accepted", pairs.len());
+    let doubtful = count(&|pair| pair.status == PairStatus::AcceptedImageDisagrees);
+    if doubtful > 0 {
+        words += &format!(", {doubtful} accepted but the image disagrees");
+    }
+    let as_in_scene = count(&|pair| pair.robot_words().is_some());
+    if as_in_scene > 0 {
+        words += &format!(", {as_in_scene} with the robot drawn as in the scene file (no telemetry)");
+    }
+    words
 }
 
 /// `pairs.json`.

@@ -3,6 +3,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::image::Image;
+use crate::report::Standing;
 use crate::telemetry::{DeviceKind, Health};
 
 /// The state of one serial line.
@@ -33,8 +34,8 @@ pub struct PairView {
     pub time_us: i64,
     /// One line: accepted, refused and why, pose from telemetry.
     pub status: String,
-    /// `accepted`, `refused` or `none`.
-    pub accepted: bool,
+    /// Colour and word of the status line.
+    pub standing: Standing,
     /// Acquired frame, gray 0..255.
     pub acquired: Image<u8>,
     /// Matched DRR; absent without a pose.

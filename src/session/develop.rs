@@ -5,10 +5,12 @@ use std::sync::Arc;
 use glam::{DVec2, DVec3};
 
 use super::board::PairView;
+use super::crosscheck::{ExposureFacts, check_exposure};
 use super::declared::Declared;
+use super::file::Setup;
 use super::posing::{PoseSource, Posed};
 use crate::beads::BeadLayout;
-use crate::compare::{CompareInput, Compared, NullError, compare};
+use crate::compare::{Cause, CompareInput, Compared, MaskShares, NullError, compare};
 use crate::geometry::View;
 use crate::image::{Image, sha256_bytes};
 use crate::render::{Options, Plan, Quantity, Rendered, Renderer};
@@ -68,7 +70,7 @@ impl Developed {
             name: frame.name.clone(),
             time_us: self.posed.time_us,
             status: self.pair.status_line(),
-            accepted: self.pair.status == PairStatus::Accepted,
+            standing: self.pair.standing(),
             acquired,
             drr,
             difference,
@@ -80,6 +82,7 @@ impl Developed {
 /// What frames are developed with.
 pub(super) struct Bench {
     pub(super) scene: Scene,
+    pub(super) setup: Setup,
     pub(super) declared: Declared,
     pub(super) layout: Option<BeadLayout>,
     pub(super) renderer: Renderer,
@@ -91,6 +94,9 @@ impl Bench {
     pub(super) fn develop(&mut self, posed: Posed, plan: Option<Plan>) -> Developed {
         let posed = Arc::new(posed);
         let mut pair = row(&posed);
+        if self.scene.robot.is_none() {
+            pair.robot_source = Some("none".to_owned());
+        }
         let Some(view) = posed.view else {
             return self.without(posed, pair, "no pose: nothing to render");
         };
@@ -132,12 +138,36 @@ impl Bench {
             }
         };
         pair.stages_ms.add("compare", watch.ms());
+        self.cross_check(&posed, &mut pair);
         let watch = Stopwatch::start();
         let without = compared.is_none().then(|| pair.flags.last().cloned().unwrap_or_default());
         let strip = Arc::new(draw(&posed, &pair, compared.as_deref(), without.as_deref()));
         pair.stages_ms.add("strip", watch.ms());
         let complete = compared.is_none();
         Developed { posed, pair, drr: Some((rendered, scene)), compared, strip, drr_sha256, complete }
+    }
+
+    /// What is known of the exposure from several sides, compared: disagreements are flags of the pair and counted warnings.
+    fn cross_check(&self, posed: &Posed, pair: &mut Pair) {
+        let shuttered = |masks: &MaskShares| masks.causes.get(&Cause::Collimation).copied().unwrap_or(0.0);
+        let findings = check_exposure(&ExposureFacts {
+            frame: &posed.frame,
+            carm: self.setup.carm.as_ref(),
+            scene: &self.scene,
+            scene_json: &self.setup.scene_json,
+            beam: posed.beam.as_deref(),
+            from_beads: posed.view.as_ref().filter(|_| posed.pose_source == PoseSource::Beads).map(|view| &view.camera_from_lps),
+            nominal: posed.nominal.as_ref(),
+            centre_lps_mm: self.centre(),
+            shuttered_share: pair.masks.as_ref().map(shuttered),
+        });
+        if let (Some(words), Some(_)) = (pair.robot_words(), &self.setup.robot) {
+            self.reporter.warn("robot not told", format!("{}: {words} covers the exposure", posed.label()));
+        }
+        for finding in findings {
+            self.reporter.warn(&format!("check: {}", finding.check), format!("{}: {finding}", posed.label()));
+            pair.flags.push(finding.to_string());
+        }
     }
 
     /// The scene at the exposure: view, robot shape.
@@ -148,14 +178,14 @@ impl Bench {
         if panel_px_per_px > 0.0 {
             scene.detector.pitch_mm *= panel_px_per_px;
         }
-        match &posed.robot {
+        match posed.robot.as_ref().filter(|_| scene.robot.is_some()) {
             Some(robot) => scene.with_robot(robot.control_angles_deg, robot.lps_from_base).map_err(|error| error.to_string()),
             None => Ok(scene),
         }
     }
 
     fn centre(&self) -> Option<DVec3> {
-        let beads = self.layout.as_ref().map(BeadLayout::centroid_lps_mm);
+        let beads = self.layout.as_ref().filter(|layout| layout.refused.is_none()).map(BeadLayout::centroid_lps_mm);
         beads.or_else(|| self.scene.bounds().map(|(centre, _)| centre))
     }
 
@@ -216,7 +246,13 @@ impl Bench {
             Ok(page)
         };
         match compared.add_null(&mut rerender, cancelled) {
-            Ok(()) => developed.pair.set_comparison(&compared.comparison),
+            Ok(()) => {
+                developed.pair.set_comparison(&compared.comparison);
+                developed.pair.judge_image();
+                if let Some(found) = &developed.pair.image_prefers {
+                    self.reporter.warn("image disagrees", format!("{}: {found}", developed.posed.label()));
+                }
+            }
             Err(NullError::Cancelled { .. }) => return None,
             Err(error) => developed.pair.flags.push(error.to_string()),
         }
@@ -237,7 +273,7 @@ impl Bench {
             pair.reason = Some(reason.to_owned());
         }
         if pair.pose_source != report::PoseSource::None {
-            self.reporter.warn("no DRR", format!("frame {} ({}): {reason}", posed.number, posed.frame.name));
+            self.reporter.warn("no DRR", format!("{}: {reason}", posed.label()));
         }
         let strip = Arc::new(draw(&posed, &pair, None, Some(reason)));
         Developed { posed, pair, drr: None, compared: None, strip, drr_sha256: None, complete: true }

@@ -229,7 +229,7 @@ impl Session {
             Some(reason) => format!("refused, {reason}"),
             None => format!("accepted, rms {:.3} px", posed.pose.rms_px.unwrap_or(f64::NAN)),
         };
-        self.reporter.note(format!("frame {} ({}): {outcome}", posed.number, posed.frame.name));
+        self.reporter.note(format!("{}: {outcome}", posed.label()));
     }
 
     /// The newest frame that is bound is registered next; the log keeps the order.

@@ -7,6 +7,7 @@
 //! The [`engine`] reads no clock and no device, so a replay computes what the session computed.
 
 pub mod board;
+pub mod crosscheck;
 pub mod declared;
 pub mod engine;
 pub mod file;

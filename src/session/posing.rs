@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::crosscheck::beam_at;
 use super::file::Setup;
 use super::import::Imported;
 use super::tie::Disagreement;
@@ -69,7 +70,7 @@ pub struct Posed {
     /// Camera in the specimen by telemetry, as registration was given it as a prior.
     pub nominal: Option<Rigid>,
     /// The C-arm's sample nearest the middle of the exposure: beam, field, joints.
-    pub beam: Option<CarmSample>,
+    pub beam: Option<Box<CarmSample>>,
     /// How far beads and telemetry are apart, where they contradict each other.
     pub telemetry_disagreement: Option<Disagreement>,
     /// Wall time of detection and pose.
@@ -77,6 +78,12 @@ pub struct Posed {
 }
 
 impl Posed {
+    /// How people are told of the frame.
+    #[must_use]
+    pub fn label(&self) -> String {
+        format!("frame {} ({})", self.number, self.frame.name)
+    }
+
     pub(super) fn with_telemetry_disagreement(self, telemetry_disagreement: Option<Disagreement>) -> Self {
         Self { telemetry_disagreement, ..self }
     }
@@ -96,7 +103,7 @@ pub struct Bound {
     /// Everything but the base in `lps`, which the tie to the room decides.
     robot: Option<RobotState>,
     tracker_from_base: Option<Rigid>,
-    beam: Option<CarmSample>,
+    beam: Option<Box<CarmSample>>,
 }
 
 impl Bound {
@@ -129,7 +136,7 @@ impl Bound {
             time_us: mid_us.unwrap_or(arrival_us),
             joints: joints.as_ref().map(|answer| answer.value),
             carm_gap_us: joints.as_ref().map(|answer| answer.gap_us),
-            beam: mid_us.and_then(|mid_us| timeline.carm_sample_near(mid_us)).cloned(),
+            beam: mid_us.and_then(|mid_us| beam_at(timeline, mid_us)).map(Box::new),
             binding,
             robot,
             tracker_from_base,
@@ -211,7 +218,7 @@ impl PoseJob {
     #[must_use]
     pub fn run(self) -> Registered {
         let watch = Stopwatch::start();
-        let none = BeadLayout { beads: Vec::new(), source: "none".to_owned(), notes: Vec::new() };
+        let none = BeadLayout::none();
         let layout = self.known.layout.as_deref().unwrap_or(&none);
         let prior = self.nominal().map(|camera_from_lps| Prior { camera_from_lps, covariance: None });
         let mut pose = pose::register(&Registration {

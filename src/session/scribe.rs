@@ -8,8 +8,10 @@ use std::time::Duration;
 use super::SessionError;
 use super::board::Board;
 use super::develop::Developed;
+use super::engine::Input;
 use super::folder::Collector;
 use super::log::SessionLog;
+use crate::report::PairStatus;
 use crate::reporter::Reporter;
 
 /// Pairs that wait for a slow disk; then the workshop waits, and nothing else does.
@@ -94,6 +96,9 @@ impl Work {
         }
         if complete {
             self.log.scores(&developed.pair, time_us);
+        }
+        if developed.pair.status == PairStatus::AcceptedImageDisagrees {
+            self.log.input(Input::ImageDisagrees { number });
         }
         let failures = self.collector.take(developed);
         failures.into_iter().for_each(|failure| self.say(Some(failure)));

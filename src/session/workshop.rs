@@ -5,6 +5,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 use super::SessionError;
+use super::crosscheck::{self, check_session};
 use super::declared::Declared;
 use super::develop::{Bench, Developed};
 use super::file::Setup;
@@ -71,18 +72,23 @@ impl Workshop {
     /// When scene or beads are wrong, or the renderer is not available.
     pub fn open(setup: &Setup, device: DeviceChoice, reporter: &Reporter) -> Result<Self, SessionError> {
         let scene = scene::load_text(&setup.scene_json, &setup.scene_path, false, reporter)?;
-        let layout = match &setup.beads {
+        let mut layout = match &setup.beads {
             Some((path, text)) => Some(
                 parse_markups(path, text.as_bytes())
                     .map_err(|error| SessionError::Beads { path: path.display().to_string(), detail: error.to_string() })?,
             ),
             None => None,
         };
+        let findings = check_session(setup, &scene, layout.as_ref());
+        crosscheck::tell(&findings, reporter);
+        if let Some(layout) = &mut layout {
+            layout.refused = crosscheck::refusal(&findings);
+        }
         let renderer = Renderer::new(device, reporter)?;
         let adapter = renderer.adapter();
         let inputs = scene.inputs.clone();
         let declared = Declared::of(setup);
-        let bench = Bench { scene, declared, layout: layout.clone(), renderer, reporter: reporter.clone() };
+        let bench = Bench { scene, setup: setup.clone(), declared, layout: layout.clone(), renderer, reporter: reporter.clone() };
         let layout = layout.map(Arc::new);
         Ok(Self { bench: Some(bench), shared: Arc::default(), thread: None, layout, adapter, inputs })
     }

@@ -164,14 +164,6 @@ impl Timeline {
         Some(bracket.answer(lerp_joints(&left, &right, bracket.fraction)))
     }
 
-    /// The C-arm's sample nearest a host time, within half a second: beam, field, everything that is not interpolated.
-    #[must_use]
-    pub fn carm_sample_near(&self, host_us: i64) -> Option<&CarmSample> {
-        let bracket = self.carm.bracket(host_us)?;
-        let nearer = if bracket.fraction > 0.5 { bracket.right.unwrap_or(bracket.left) } else { bracket.left };
-        (bracket.answer(()).age_us <= EXPOSURE_REACH_US).then_some(&nearer.value)
-    }
-
     /// Robot control angles in degrees at a host time: linear; sensed where both samples around it have them, else commanded.
     #[must_use]
     pub fn robot_at(&self, host_us: i64) -> Option<Answer<[f64; 5]>> {

@@ -90,7 +90,10 @@ fn scores(ui: &mut Ui, pair: Option<&PairView>) {
         return;
     };
     ui.label(format!("{}  {}", pair.number, pair.name));
-    ui.colored_label(if pair.accepted { ACCEPTED } else { REFUSED }, &pair.status);
+    let [red, green, blue] = pair.standing.colour();
+    let colour = Color32::from_rgb(red, green, blue);
+    ui.colored_label(colour, RichText::new(pair.standing.word()).strong());
+    ui.colored_label(colour, &pair.status);
     egui::Grid::new("scores").striped(true).show(ui, |ui| {
         for (name, value) in &pair.scores {
             ui.label(name);

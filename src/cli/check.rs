@@ -1,0 +1,236 @@
+//! `sidecarm check`: everything that a session needs, before the session.
+
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use std::time::Duration;
+
+use super::devices::{CheckFile, CheckLine, CheckList, FileCheck, check_lines};
+use crate::acquire::read_frames;
+use crate::beads::{BeadLayout, parse_markups};
+use crate::gpu::DeviceChoice;
+use crate::render::Renderer;
+use crate::reporter::Reporter;
+use crate::scene::{self, Scene};
+use crate::session::crosscheck::{
+    ExposureFacts, Finding, Level, check_disk, check_exposure, check_line, check_session, rehearse,
+};
+use crate::session::file::Setup;
+use crate::telemetry::{DeviceKind, PortConfig};
+use crate::time::Stopwatch;
+
+/// Checks are given up after this; what they found until then is said.
+const LIMIT: Duration = Duration::from_secs(20);
+
+/// Check a session before it starts: ports, files, beads, units, disk, and one synthetic exposure through the whole path.
+///
+/// A line per check: pass, warn or fail, with what to do. Exit code 0 when nothing failed, else 1. Ports are only listened to.
+#[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Example:\n  sidecarm check session.json && sidecarm live session.json --out run-1")]
+pub struct CheckArgs {
+    /// The session file.
+    pub session: PathBuf,
+    /// Folder of the session to come; the session file's `out` when absent.
+    #[arg(long)]
+    pub out: Option<PathBuf>,
+    /// Print JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Runs all checks; the exit code.
+pub fn run(args: &CheckArgs, reporter: &Reporter) -> u8 {
+    let (sender, inbox) = channel();
+    let (for_thread, args_of_thread) = (reporter.clone(), args.clone());
+    let worker = std::thread::spawn(move || work(&args_of_thread, &for_thread, &sender));
+    let watch = Stopwatch::start();
+    let mut findings = Vec::new();
+    let late = loop {
+        let left = LIMIT.saturating_sub(Duration::from_secs_f64(watch.ms() * 1e-3));
+        match inbox.recv_timeout(left) {
+            Ok(finding) => take(finding, args.json, &mut findings),
+            Err(RecvTimeoutError::Timeout) => break true,
+            Err(RecvTimeoutError::Disconnected) => break false,
+        }
+    };
+    if late {
+        let detail = format!("not all checks were done within {} s", LIMIT.as_secs());
+        take(
+            Finding::warn("time", detail, "a large CT takes longer to load; the session itself will start late too"),
+            args.json,
+            &mut findings,
+        );
+    } else if worker.join().is_err() {
+        take(
+            Finding::fail("check", "a check ended unexpectedly", "report this with the session's files"),
+            args.json,
+            &mut findings,
+        );
+    }
+    let count = |level: Level| findings.iter().filter(|finding| finding.level == level).count();
+    let (passed, warned, failed) = (count(Level::Pass), count(Level::Warn), count(Level::Fail));
+    if args.json {
+        println!("{}", serde_json::json!({ "checks": findings, "ok": failed == 0 }));
+    } else {
+        println!("{passed} passed, {warned} warned, {failed} failed");
+    }
+    u8::from(failed > 0)
+}
+
+fn take(finding: Finding, json: bool, findings: &mut Vec<Finding>) {
+    if !json {
+        let verdict = match finding.level {
+            Level::Pass => "pass",
+            Level::Warn => "warn",
+            Level::Fail => "FAIL",
+        };
+        println!("{verdict}  {:<20} {}", finding.check, finding.detail);
+        if let Some(remedy) = &finding.remedy {
+            println!("      {:<20} → {remedy}", "");
+        }
+    }
+    findings.push(finding);
+}
+
+/// What has been loaded so far.
+struct Loaded {
+    setup: Setup,
+    scene: Option<Scene>,
+    layout: Option<BeadLayout>,
+}
+
+fn work(args: &CheckArgs, reporter: &Reporter, found: &Sender<Finding>) {
+    // Whoever asked may have given up waiting; what is found then is nobody's.
+    let tell = |finding: Finding| drop(found.send(finding));
+    let setup = match Setup::load(&args.session) {
+        Ok(setup) => setup,
+        Err(error) => {
+            return tell(Finding::fail(
+                "session file",
+                error.to_string(),
+                "correct the file; DESIGN of a session is in the README",
+            ));
+        }
+    };
+    tell(Finding::pass("session file", args.session.display().to_string()));
+    check_disk(&out_folder(args, &setup)).into_iter().for_each(tell);
+    reporter.note("check: listening to the ports, reading files");
+    let lines = check_lines(&check_list(&setup));
+    lines.iter().map(of_line).for_each(tell);
+    reporter.note("check: loading the scene");
+    let mut loaded = Loaded { setup, scene: None, layout: None };
+    load(&mut loaded, &tell);
+    for line in lines.iter().filter(|line| line.ok && line.rate_hz.is_some()) {
+        check_line(&loaded.setup, loaded.scene.as_ref(), line.metadata.as_ref(), line.latest.as_deref())
+            .into_iter()
+            .for_each(tell);
+    }
+    let Some(scene) = &loaded.scene else { return };
+    check_session(&loaded.setup, scene, loaded.layout.as_ref()).into_iter().for_each(tell);
+    check_newest_frame(&loaded, scene, &tell);
+    let Some(layout) = &loaded.layout else { return };
+    reporter.note("check: one synthetic exposure through the whole path");
+    match Renderer::new(DeviceChoice::Auto, &Reporter::silent()) {
+        Ok(mut renderer) => tell(rehearse(&loaded.setup, scene, layout, &mut renderer)),
+        Err(error) => {
+            tell(Finding::fail("synthetic exposure", error.to_string(), "check the graphics driver, or run without a GPU"))
+        }
+    }
+}
+
+fn out_folder(args: &CheckArgs, setup: &Setup) -> PathBuf {
+    let beside = args.session.parent().unwrap_or(Path::new("."));
+    let named = setup.session.out.as_ref().map(|out| beside.join(out));
+    args.out.clone().or(named).unwrap_or_else(|| beside.join("session"))
+}
+
+fn check_list(setup: &Setup) -> CheckList {
+    let session = &setup.session;
+    let port = |device, path: &PathBuf, baud| PortConfig { device, path: path.clone(), baud };
+    let file = |role: &str, path: &PathBuf, check| CheckFile { role: role.to_owned(), path: path.clone(), check };
+    let mut files = vec![file("frames", &session.frames.folder, FileCheck::Folder)];
+    files.extend(session.carm.as_ref().map(|line| file("calibration file", &line.calibration, FileCheck::CarmCalibration)));
+    files.extend(session.robot.as_ref().map(|line| file("robot model", &line.model, FileCheck::RobotModel)));
+    CheckList {
+        carm: session.carm.as_ref().map(|line| port(DeviceKind::Carm, &line.port, line.baud)),
+        robot: session.robot.as_ref().map(|line| port(DeviceKind::Robot, &line.port, line.baud)),
+        files,
+    }
+}
+
+/// The verdict on a port or a file.
+fn of_line(line: &CheckLine) -> Finding {
+    let check = if line.rate_hz.is_some() { format!("{} port", line.what) } else { line.what.clone() };
+    let detail = format!("{}: {}", line.path.display(), line.detail);
+    if line.ok {
+        return Finding::pass(&check, detail);
+    }
+    // The words of a port's trouble hold the remedy after the semicolon.
+    match line.detail.split_once("; ") {
+        Some((what, remedy)) => Finding::fail(&check, format!("{}: {what}", line.path.display()), remedy),
+        None => Finding::fail(&check, detail, "correct the path in the session file, or the file"),
+    }
+}
+
+fn load(loaded: &mut Loaded, tell: &dyn Fn(Finding)) {
+    let setup = &loaded.setup;
+    let quiet = Reporter::silent();
+    match scene::load_text(&setup.scene_json, &setup.scene_path, false, &quiet) {
+        Ok(scene) => {
+            tell(Finding::pass("scene", format!("{} objects, {} materials", scene.objects.len(), scene.materials.len())));
+            loaded.scene = Some(scene);
+        }
+        Err(error) => {
+            tell(Finding::fail("scene", error.to_string(), "correct the scene; `sidecarm info` shows what a file holds"))
+        }
+    }
+    for (kind, counted) in quiet.warnings() {
+        tell(Finding::warn("scene", format!("{kind}: {}", counted.latest), "see to the file that is named"));
+    }
+    match &setup.beads {
+        None => tell(Finding::warn(
+            "beads",
+            "the session names no beads: every pose will be telemetry's",
+            "name a markups file under \"beads\"",
+        )),
+        Some((path, text)) => match parse_markups(path, text.as_bytes()) {
+            Ok(layout) => {
+                tell(Finding::pass("beads", format!("{} beads in {}", layout.beads.len(), path.display())));
+                loaded.layout = Some(layout);
+            }
+            Err(error) => {
+                tell(Finding::fail("beads", error.to_string(), "export the points from Slicer again (.mrk.json or .fcsv)"))
+            }
+        },
+    }
+}
+
+/// A frame that is there already tells the size, pitch, distance and voltage of those to come.
+fn check_newest_frame(loaded: &Loaded, scene: &Scene, tell: &dyn Fn(Finding)) {
+    let Ok(entries) = std::fs::read_dir(&loaded.setup.session.frames.folder) else { return };
+    let dated = entries.flatten().filter_map(|entry| {
+        let metadata = entry.metadata().ok().filter(std::fs::Metadata::is_file)?;
+        Some((metadata.modified().ok()?, entry.path()))
+    });
+    let Some((_, path)) = dated.max() else { return };
+    // A file of another kind in the folder is no fault of the session.
+    let Ok(frames) = read_frames(&path, loaded.setup.session.frames.domain) else { return };
+    let Some(frame) = frames.first() else { return };
+    let findings = check_exposure(&ExposureFacts {
+        frame,
+        carm: loaded.setup.carm.as_ref(),
+        scene,
+        scene_json: &loaded.setup.scene_json,
+        beam: None,
+        from_beads: None,
+        nominal: None,
+        centre_lps_mm: None,
+        shuttered_share: None,
+    });
+    if findings.is_empty() {
+        tell(Finding::pass(
+            "newest frame",
+            format!("{}: {} x {} px, as the calibration has it", frame.name, frame.size_px[0], frame.size_px[1]),
+        ));
+    }
+    findings.into_iter().for_each(tell);
+}

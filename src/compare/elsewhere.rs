@@ -1,0 +1,127 @@
+//! When the image as a whole prefers another pose than the stated one.
+//!
+//! One score alone may: a pelvis with scatter that the simulation lacks correlates better 3° off than at the truth. Scores that look at
+//! different things (gray values, gradients, local structure, edges) do not err towards the same wrong pose, so most of them must prefer
+//! the same one, each by more than noise would give it.
+
+use std::collections::BTreeMap;
+
+use super::null::NullScore;
+
+/// Scores that vote, each looking at something else: name, whether larger is better, and the fewest units by which one must be better.
+const VOTERS: [(&str, bool, f64); 4] =
+    [("zncc", true, 2e-4), ("gradient_ncc", true, 2e-3), ("local_ncc", true, 2e-3), ("edge_distance_px", false, 0.05)];
+/// Voting in place of ZNCC where a tone is not declared.
+const IN_PLACE_OF_ZNCC: &str = "rank_ncc";
+/// Of what is missing to a perfect score, the better pose must make up this share.
+const SHARE: f64 = 0.1;
+/// Fewer voters than this decide nothing.
+const FEWEST_VOTERS: usize = 2;
+
+/// A pose that most scores prefer to the stated one.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Elsewhere {
+    /// `depth -10 mm`, `turn about v +3 deg`, `half-turn about z (RAS and LPS swapped)` and the like.
+    pub pose: String,
+    /// Scores that prefer it: name, at the stated pose, there.
+    pub preferring: Vec<(String, f64, f64)>,
+    /// Scores that were asked.
+    pub asked: usize,
+}
+
+impl std::fmt::Display for Elsewhere {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let scores: Vec<String> = self
+            .preferring
+            .iter()
+            .map(|(name, here, there)| format!("{} {here:.3} to {there:.3}", name.replace('_', " ")))
+            .collect();
+        write!(
+            f,
+            "image disagrees: {} of {} scores prefer '{}' to the pose of the beads ({})",
+            self.preferring.len(),
+            self.asked,
+            self.pose,
+            scores.join(", ")
+        )
+    }
+}
+
+/// The pose that most scores prefer to the stated one; `None` where they do not agree on any, or too few exist.
+#[must_use]
+pub fn elsewhere(null: &BTreeMap<String, NullScore>) -> Option<Elsewhere> {
+    let voter = |(name, larger, least): (&'static str, bool, f64)| {
+        let name = if name == "zncc" && !null.contains_key(name) { IN_PLACE_OF_ZNCC } else { name };
+        let score = null.get(name)?;
+        Some((name, larger, least, score.at_pose?, score))
+    };
+    let voters: Vec<_> = VOTERS.into_iter().filter_map(voter).collect();
+    if voters.len() < FEWEST_VOTERS {
+        return None;
+    }
+    let mut best: Option<(f64, Elsewhere)> = None;
+    for (index, shift) in voters[0].4.shifts.iter().enumerate() {
+        let (mut preferring, mut gain) = (Vec::new(), 0.0);
+        for (name, larger, least, here, score) in &voters {
+            let Some(there) = score.shifts.get(index).filter(|s| s.shift == shift.shift).and_then(|s| s.value) else { continue };
+            // What is missing to a perfect score: 1 for correlations, 0 for distances.
+            let (missing_here, missing_there) = if *larger { (1.0 - here, 1.0 - there) } else { (*here, there) };
+            gain += (missing_here - missing_there) / missing_here.abs().max(1e-9);
+            if missing_here - missing_there > least.max(SHARE * missing_here) {
+                preferring.push(((*name).to_owned(), *here, there));
+            }
+        }
+        let majority = 2 * preferring.len() > voters.len();
+        if majority && best.as_ref().is_none_or(|(most, _)| gain > *most) {
+            best = Some((gain, Elsewhere { pose: shift.shift.clone(), preferring, asked: voters.len() }));
+        }
+    }
+    best.map(|(_, found)| found)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::compare::ShiftedScore;
+
+    fn null(scores: &[(&str, f64, [f64; 3])]) -> BTreeMap<String, NullScore> {
+        let shift = |(name, value): (&str, f64)| ShiftedScore { shift: name.to_owned(), value: Some(value) };
+        let score = |(name, here, there): &(&str, f64, [f64; 3])| {
+            let shifts = ["u +1 mm", "depth +3 mm", "turn about v +3 deg"].into_iter().zip(*there).map(shift).collect();
+            let score = NullScore {
+                at_pose: Some(*here),
+                best_shifted: None,
+                best_shift: None,
+                rank: 1,
+                of: 4,
+                discriminating: true,
+                shifts,
+            };
+            ((*name).to_owned(), score)
+        };
+        scores.iter().map(score).collect()
+    }
+
+    #[test]
+    fn one_score_that_errs_does_not_decide_and_a_majority_does() {
+        let scatter = ("zncc", 0.864, [0.85, 0.86, 0.885]);
+        let rest = [("gradient_ncc", 0.6, [0.4, 0.58, 0.35]), ("local_ncc", 0.7, [0.5, 0.66, 0.4])];
+        let distance = ("edge_distance_px", 0.6, [1.2, 0.8, 2.0]);
+        assert_eq!(elsewhere(&null(&[scatter, rest[0], rest[1], distance])), None);
+        let wrong = [("gradient_ncc", 0.35, [0.3, 0.36, 0.6]), ("local_ncc", 0.4, [0.3, 0.38, 0.7])];
+        let found = elsewhere(&null(&[scatter, wrong[0], wrong[1], distance])).expect("three of four agree");
+        assert_eq!((found.pose.as_str(), found.preferring.len(), found.asked), ("turn about v +3 deg", 3, 4));
+        assert!(found.to_string().contains("3 of 4 scores prefer 'turn about v +3 deg'"));
+        // The same votes for different poses are no agreement.
+        let split = [("gradient_ncc", 0.35, [0.6, 0.36, 0.3]), ("local_ncc", 0.4, [0.3, 0.7, 0.3])];
+        assert_eq!(elsewhere(&null(&[scatter, split[0], split[1], distance])), None);
+    }
+
+    #[test]
+    fn a_single_score_or_none_says_nothing() {
+        assert_eq!(elsewhere(&null(&[("zncc", 0.2, [0.9, 0.9, 0.9])])), None);
+        assert_eq!(elsewhere(&BTreeMap::new()), None);
+        let not_numbers = null(&[("zncc", f64::NAN, [0.9; 3]), ("local_ncc", f64::NAN, [0.9; 3])]);
+        assert_eq!(elsewhere(&not_numbers), None);
+    }
+}

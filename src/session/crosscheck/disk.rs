@@ -1,0 +1,91 @@
+//! Whether the session's folder can be written, how much fits and how fast.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use super::finding::Finding;
+use crate::time::Stopwatch;
+
+const CHECK: &str = "disk";
+/// What is written to learn the speed.
+const SAMPLE_BYTES: usize = 16 << 20;
+/// A 1536² frame with its DRR and strip is about 20 MB; several must fit into a burst.
+const LEAST_BYTES: u64 = 1 << 30;
+/// Ten hours with some hundred frames.
+const AMPLE_BYTES: u64 = 10 << 30;
+/// Below the first a burst of frames is written later than it comes; below the second telemetry is at risk.
+const SLOW_MB_PER_S: f64 = 20.0;
+const TOO_SLOW_MB_PER_S: f64 = 1.0;
+
+/// Checks the folder that a session would create; nothing stays behind.
+#[must_use]
+pub fn check_disk(out: &Path) -> Vec<Finding> {
+    if out.join("session.mcap").exists() {
+        let detail = format!("{}: there is a session in this folder already", out.display());
+        return vec![Finding::fail(CHECK, detail, "choose another --out; logs are never written over")];
+    }
+    let Some(folder) = nearest_folder(out) else {
+        let detail = format!("{}: lies in no folder", out.display());
+        return vec![Finding::fail(CHECK, detail, "choose another --out")];
+    };
+    vec![writing(out, &folder), space(&folder)]
+}
+
+/// The folder itself, or the one in which it would be created; a file in its place is returned as it is, and writing fails there.
+fn nearest_folder(out: &Path) -> Option<PathBuf> {
+    let absolute = std::path::absolute(out).ok()?;
+    absolute.ancestors().find(|path| path.exists()).map(Path::to_owned)
+}
+
+fn writing(out: &Path, folder: &Path) -> Finding {
+    let sample: Vec<u8> = (0..SAMPLE_BYTES as u32).map(|n| (n.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
+    let write = || -> std::io::Result<f64> {
+        let watch = Stopwatch::start();
+        let mut file = tempfile::tempfile_in(folder)?;
+        file.write_all(&sample)?;
+        file.sync_all()?;
+        Ok(watch.ms())
+    };
+    match write() {
+        Err(error) => {
+            let detail = format!("{}: cannot be written ({error})", out.display());
+            Finding::fail(CHECK, detail, "choose another --out, or make the folder writable and free space on its disk")
+        }
+        Ok(ms) => {
+            let speed = SAMPLE_BYTES as f64 * 1e-6 / (ms.max(1e-3) * 1e-3);
+            let detail = format!("{}: written at {speed:.0} MB/s", out.display());
+            if !(speed >= TOO_SLOW_MB_PER_S) {
+                Finding::fail(CHECK, detail, "write to a local disk and copy the session afterwards")
+            } else if !(speed >= SLOW_MB_PER_S) {
+                Finding::warn(CHECK, detail, "frames in quick succession are written late; a local disk is faster")
+            } else {
+                Finding::pass(CHECK, detail)
+            }
+        }
+    }
+}
+
+/// Bytes that this user may still write.
+#[cfg(unix)]
+fn free_bytes(folder: &Path) -> Option<u64> {
+    let found = rustix::fs::statvfs(folder).ok()?;
+    found.f_bavail.checked_mul(found.f_frsize)
+}
+
+#[cfg(not(unix))]
+fn free_bytes(_folder: &Path) -> Option<u64> {
+    None
+}
+
+fn space(folder: &Path) -> Finding {
+    const CHECK: &str = "disk space";
+    let Some(free) = free_bytes(folder) else { return Finding::pass(CHECK, "the system does not say how much is free") };
+    let detail = format!("{:.1} GB free at {}", free as f64 * 1e-9, folder.display());
+    if free < LEAST_BYTES {
+        Finding::fail(CHECK, detail, "free at least 1 GB, or choose another --out")
+    } else if free < AMPLE_BYTES {
+        Finding::warn(CHECK, detail, "a long session with full-size frames needs 10 GB")
+    } else {
+        Finding::pass(CHECK, detail)
+    }
+}

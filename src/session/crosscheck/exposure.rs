@@ -1,0 +1,233 @@
+//! One exposure: what telemetry, tags, calibration, scene and beads say of it, each against the others.
+
+use glam::DVec3;
+
+use super::finding::Finding;
+use super::units::{PITCH_SHARE, scene_kvp, sid};
+use crate::acquire::Frame;
+use crate::geometry::{CarmCalibration, Rigid};
+use crate::scene::Scene;
+use crate::telemetry::CarmSample;
+use crate::timeline::Timeline;
+
+/// Generators and consoles round to whole kilovolts.
+const KVP_TOLERANCE: f64 = 3.0;
+/// DRRs of another voltage are off by more than the renderer's error beyond this.
+const SCENE_KVP_TOLERANCE: f64 = 5.0;
+/// Copper beyond this changes the spectrum visibly.
+const COPPER_MM: f64 = 0.05;
+/// Aluminium beyond what the scene has in all.
+const ALUMINIUM_MM: f64 = 0.3;
+/// Distances of tags and telemetry differ by rounding at most.
+const SID_TOLERANCE_MM: f64 = 6.0;
+/// Shutters are found to within their penumbra.
+const FIELD_SHARE: f64 = 0.15;
+/// Sag and an uncalibrated arm explain this much: degrees, mm across, mm in depth.
+const POSE_TOLERANCE: (f64, f64, f64) = (3.0, 18.0, 25.0);
+
+/// Samples further apart than this around an exposure tell nothing of its beam.
+const MOST_GAP_US: i64 = 500_000;
+
+/// The C-arm's sample nearest a host time; `None` in silences.
+#[must_use]
+pub fn beam_at(timeline: &Timeline, host_us: i64) -> Option<CarmSample> {
+    let bracket = timeline.carm().bracket(host_us)?;
+    let nearest = bracket.right.filter(|_| bracket.fraction > 0.5).unwrap_or(bracket.left);
+    (bracket.answer(()).gap_us <= MOST_GAP_US).then(|| nearest.value.clone())
+}
+
+/// What is known of one exposure; what is absent is not checked.
+#[derive(Clone, Copy, Debug)]
+pub struct ExposureFacts<'a> {
+    /// The frame.
+    pub frame: &'a Frame,
+    /// The C-arm's calibration.
+    pub carm: Option<&'a CarmCalibration>,
+    /// What is rendered.
+    pub scene: &'a Scene,
+    /// Text of the scene's file.
+    pub scene_json: &'a str,
+    /// The C-arm's sample nearest the middle of the exposure.
+    pub beam: Option<&'a CarmSample>,
+    /// camera_from_lps by the beads, where they were accepted.
+    pub from_beads: Option<&'a Rigid>,
+    /// camera_from_lps by telemetry.
+    pub nominal: Option<&'a Rigid>,
+    /// Centroid of the beads.
+    pub centre_lps_mm: Option<DVec3>,
+    /// Share of the frame that lies behind the shutters, as found in its pixels.
+    pub shuttered_share: Option<f64>,
+}
+
+/// Disagreements; nothing where all agrees.
+#[must_use]
+pub fn check_exposure(facts: &ExposureFacts) -> Vec<Finding> {
+    let mut found = Vec::new();
+    found.extend(check_size(facts));
+    found.extend(check_pitch(facts));
+    found.extend(check_distance(facts));
+    found.extend(check_voltage(facts));
+    found.extend(check_filter(facts));
+    found.extend(check_field(facts));
+    found.extend(check_pose(facts));
+    found
+}
+
+fn check_size(facts: &ExposureFacts) -> Option<Finding> {
+    let carm = facts.carm?;
+    let ([columns, rows], expected) = (facts.frame.size_px, [carm.columns_px as usize, carm.rows_px as usize]);
+    if [columns, rows] == expected {
+        return None;
+    }
+    let detail = format!("the frame is {columns} x {rows} px, the C-arm calibration is for {} x {}", expected[0], expected[1]);
+    let factor = expected[0].checked_div(columns).unwrap_or(0);
+    let remedy = if [rows, columns] == expected {
+        "the console has turned it by 90 degrees: declare `console` in the session, or export it unturned".to_owned()
+    } else if factor > 1 && columns * factor == expected[0] && rows * factor == expected[1] {
+        format!("it is binned {factor} x {factor}: use a calibration for that size, or export full frames")
+    } else {
+        "use the calibration of this frame size, or declare `console` in the session".to_owned()
+    };
+    Some(Finding::warn("frame size", detail, remedy))
+}
+
+fn check_pitch(facts: &ExposureFacts) -> Option<Finding> {
+    let (carm, [across, down]) = (facts.carm?, facts.frame.tags.pitch_mm?);
+    let off = |pitch: f64| !((pitch / carm.pitch_mm - 1.0).abs() <= PITCH_SHARE);
+    if !(off(across) || off(down)) {
+        return None;
+    }
+    let detail = format!("the frame's pitch is {across} x {down} mm, the C-arm calibration's {} mm", carm.pitch_mm);
+    Some(Finding::warn("pitch", detail, "correct pitch_mm in the calibration (binned pixels are larger)"))
+}
+
+fn check_distance(facts: &ExposureFacts) -> Option<Finding> {
+    const CHECK: &str = "SID";
+    let told_mm = facts.beam.map(|beam| beam.joints.source_to_detector_mm).filter(|mm| mm.is_finite());
+    if let Some(wrong) = told_mm.and_then(|mm| sid(CHECK, "telemetry's source to detector", mm)) {
+        return Some(wrong);
+    }
+    let offset_mm = facts.carm.map_or(0.0, |carm| carm.offsets.source_to_detector_mm);
+    let ours = told_mm.map(|mm| ("telemetry", mm)).or_else(|| Some(("the calibration", facts.carm?.source_to_detector_mm?)));
+    let ((whose, ours_mm), tag_mm) = ours.map(|(whose, mm)| (whose, mm + offset_mm)).zip(facts.frame.tags.sid_mm)?;
+    if (ours_mm - tag_mm).abs() <= SID_TOLERANCE_MM.max(0.01 * ours_mm) {
+        return None;
+    }
+    let detail = format!("the frame says {tag_mm:.0} mm from focal spot to detector, {whose} says {ours_mm:.0} mm");
+    Some(Finding::warn(CHECK, detail, "P rests on telemetry and calibration; correct the one that is wrong"))
+}
+
+fn check_voltage(facts: &ExposureFacts) -> Option<Finding> {
+    const CHECK: &str = "kVp";
+    let told = facts.beam.map(|beam| beam.tube_kvp).filter(|kvp| *kvp > 0.0);
+    let tag = facts.frame.tags.kvp;
+    if let (Some(told), Some(tag)) = (told, tag)
+        && !((told - tag).abs() <= KVP_TOLERANCE)
+    {
+        let detail = format!("telemetry says {told:.0} kVp, the frame {tag:.0}");
+        return Some(Finding::warn(
+            CHECK,
+            detail,
+            "check that the frame belongs to this exposure and the generator's telemetry is live",
+        ));
+    }
+    let (whose, seen) = tag.map(|kvp| ("of the frame", kvp)).or_else(|| told.map(|kvp| ("by telemetry", kvp)))?;
+    against_scene(CHECK, whose, seen, facts.scene)
+}
+
+/// The voltage that was used against the one that is rendered.
+pub(super) fn against_scene(check: &str, whose: &str, seen_kvp: f64, scene: &Scene) -> Option<Finding> {
+    let rendered = scene_kvp(scene)?;
+    if (seen_kvp - rendered).abs() <= SCENE_KVP_TOLERANCE {
+        return None;
+    }
+    let detail = format!("kVp {whose} {seen_kvp:.0}, the scene renders {rendered:.0}");
+    Some(Finding::warn(check, detail, format!("set beam.tube_kvp of the scene to {seen_kvp:.0}")))
+}
+
+fn check_filter(facts: &ExposureFacts) -> Option<Finding> {
+    let beam = facts.beam?;
+    // The scene's filtration holds the tube's own as well, which telemetry does not count: less aluminium there is ordinary.
+    let rendered = |names: &[&str]| filtration_mm(facts.scene_json, names);
+    let (aluminium_mm, copper_mm) = (rendered(&["aluminium", "aluminum", "al"])?, rendered(&["copper", "cu"])?);
+    let wrong = [
+        ("copper", beam.filter_mm_cu, copper_mm, (beam.filter_mm_cu - copper_mm).abs() > COPPER_MM),
+        ("aluminium", beam.filter_mm_al, aluminium_mm, beam.filter_mm_al > aluminium_mm + ALUMINIUM_MM),
+    ];
+    // A filter that was not measured is NaN and compares as false.
+    let (name, told_mm, scene_mm, _) = wrong.into_iter().find(|(.., wrong)| *wrong)?;
+    let detail = format!("telemetry says {told_mm:.2} mm of {name} in the beam, the scene renders {scene_mm:.2} mm");
+    Some(Finding::warn("filter", detail, format!("correct beam.filtration_mm.{name} of the scene")))
+}
+
+/// Thickness of a filter in the scene's file, 0 where it has none; `None` where the beam is not that of a tube.
+fn filtration_mm(scene_json: &str, names: &[&str]) -> Option<f64> {
+    let scene: serde_json::Value = serde_json::from_str(scene_json).ok()?;
+    scene["beam"]["tube_kvp"].as_f64()?;
+    let filters = scene["beam"]["filtration_mm"].as_object();
+    let thickness =
+        |(name, mm): (&String, &serde_json::Value)| names.contains(&name.to_lowercase().as_str()).then(|| mm.as_f64()).flatten();
+    Some(filters.into_iter().flatten().filter_map(thickness).sum())
+}
+
+fn check_field(facts: &ExposureFacts) -> Option<Finding> {
+    let ((beam, carm), shuttered) = facts.beam.zip(facts.carm).zip(facts.shuttered_share)?;
+    let [left, top, right, bottom] = beam.field_mm;
+    let half = [carm.columns_px, carm.rows_px].map(|n| 0.5 * f64::from(n) * carm.pitch_mm);
+    let overlap = |low: f64, high: f64, half: f64| (high.min(half) - low.max(-half)).max(0.0) / (2.0 * half);
+    let told = 1.0 - overlap(left, right, half[0]) * overlap(top, bottom, half[1]);
+    // A field that was not measured is NaN and says nothing.
+    if !told.is_finite() || (told - shuttered).abs() <= FIELD_SHARE {
+        return None;
+    }
+    let detail = format!(
+        "telemetry's field leaves {:.0} % of the frame behind shutters, the frame shows {:.0} %",
+        100.0 * told,
+        100.0 * shuttered
+    );
+    Some(Finding::warn(
+        "field",
+        detail,
+        "check that the frame belongs to this exposure, and the size of the panel in the calibration",
+    ))
+}
+
+/// How far telemetry puts the specimen from where the beads say it is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PoseDifference {
+    /// Of the specimen's attitude, degrees.
+    pub angle_deg: f64,
+    /// Telemetry minus beads at the centroid, camera axes, mm.
+    pub shift_mm: DVec3,
+}
+
+/// Telemetry's camera_from_lps against that of the beads, at a point.
+#[must_use]
+pub fn pose_difference(from_beads: &Rigid, nominal: &Rigid, centre_lps_mm: DVec3) -> PoseDifference {
+    PoseDifference {
+        angle_deg: from_beads.angle_to_rad(nominal).to_degrees(),
+        shift_mm: nominal.transform_point(centre_lps_mm) - from_beads.transform_point(centre_lps_mm),
+    }
+}
+
+fn check_pose(facts: &ExposureFacts) -> Option<Finding> {
+    const CHECK: &str = "telemetry and beads";
+    let ((from_beads, nominal), centre) = facts.from_beads.zip(facts.nominal).zip(facts.centre_lps_mm)?;
+    let PoseDifference { angle_deg, shift_mm } = pose_difference(from_beads, nominal, centre);
+    let (most_deg, most_across_mm, most_depth_mm) = POSE_TOLERANCE;
+    let across_mm = shift_mm.truncate().length();
+    if angle_deg <= most_deg && across_mm <= most_across_mm && shift_mm.z.abs() <= most_depth_mm {
+        return None;
+    }
+    let detail = format!(
+        "telemetry puts the specimen {angle_deg:.1} degrees, {across_mm:.0} mm across and {:+.0} mm in depth from where the beads are",
+        shift_mm.z
+    );
+    let only_depth = angle_deg <= most_deg && across_mm <= most_across_mm;
+    let remedy = if only_depth {
+        "check the source-to-detector distance and the pitch: a wrong focal length shows as depth"
+    } else {
+        "check world_from_lps, the joints' offsets, and whether specimen or arm was moved"
+    };
+    Some(Finding::warn(CHECK, detail, remedy))
+}

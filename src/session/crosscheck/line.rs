@@ -1,0 +1,92 @@
+//! What a device says of itself, against what the session assumes of it.
+
+use super::exposure::against_scene;
+use super::finding::Finding;
+use super::units::sid;
+use crate::scene::Scene;
+use crate::session::file::Setup;
+use crate::telemetry::{CarmSample, DeviceKind, Metadata};
+
+/// Limits that differ by more than this are of another robot.
+const BEND_TOLERANCE_DEG: f64 = 0.05;
+/// A field wider than the panel by more than this share is another panel's.
+const PANEL_SHARE: f64 = 0.02;
+
+/// Disagreements of a line with the session's models; nothing where all agrees.
+#[must_use]
+pub fn check_line(
+    setup: &Setup,
+    scene: Option<&Scene>,
+    metadata: Option<&Metadata>,
+    sample: Option<&CarmSample>,
+) -> Vec<Finding> {
+    let mut found = Vec::new();
+    if let Some(metadata) = metadata {
+        found.extend(check_units(metadata));
+        match metadata.device {
+            DeviceKind::Robot => found.extend(check_bend(setup, metadata)),
+            DeviceKind::Carm => found.extend(check_distance_range(setup, metadata)),
+        }
+    }
+    if let Some(sample) = sample {
+        let distance_mm = sample.joints.source_to_detector_mm;
+        found.extend((distance_mm.is_finite()).then(|| sid("SID", "telemetry's source to detector", distance_mm)).flatten());
+        found.extend(check_panel(setup, sample));
+        if let Some(scene) = scene.filter(|_| sample.tube_kvp > 0.0) {
+            found.extend(against_scene("kVp", "by telemetry", sample.tube_kvp, scene));
+        }
+    }
+    found
+}
+
+fn check_units(metadata: &Metadata) -> Option<Finding> {
+    let units: Vec<&str> = metadata.units.split(',').map(str::trim).collect();
+    let missing: Vec<&str> = ["mm", "deg"].into_iter().filter(|unit| !units.contains(unit)).collect();
+    if missing.is_empty() || metadata.units.is_empty() {
+        return None;
+    }
+    let detail = format!("the {} says that it sends {}, without {}", metadata.device, metadata.units, missing.join(" and "));
+    Some(Finding::warn("units on the wire", detail, "set the device to mm and degrees, as the protocol has it"))
+}
+
+fn check_bend(setup: &Setup, metadata: &Metadata) -> Option<Finding> {
+    let model = setup.robot.as_ref()?;
+    let off = |limit: &&crate::telemetry::Limit| {
+        let apart = (limit.max - model.max_bend_deg).abs().max((limit.min + model.max_bend_deg).abs());
+        apart.is_finite() && apart > BEND_TOLERANCE_DEG
+    };
+    let limit = metadata.limits.iter().find(off)?;
+    let detail = format!(
+        "the robot says that it bends {} to {} degrees a notch, the model clamps at {}",
+        limit.min, limit.max, model.max_bend_deg
+    );
+    Some(Finding::warn("robot limits", detail, "use the model file of this robot, or correct its max_bend_deg"))
+}
+
+fn check_distance_range(setup: &Setup, metadata: &Metadata) -> Option<Finding> {
+    let distance_mm = setup.carm.as_ref()?.source_to_detector_mm?;
+    let limit = metadata.limits.get(6).filter(|limit| limit.min.is_finite() && limit.max.is_finite())?;
+    if distance_mm >= limit.min && distance_mm <= limit.max {
+        return None;
+    }
+    let detail = format!(
+        "the calibration has {distance_mm} mm from focal spot to detector, the arm says that it has {} to {} mm",
+        limit.min, limit.max
+    );
+    Some(Finding::warn("SID", detail, "correct source_to_detector_mm in the calibration (in millimetres)"))
+}
+
+fn check_panel(setup: &Setup, sample: &CarmSample) -> Option<Finding> {
+    let carm = setup.carm.as_ref()?;
+    let [left, top, right, bottom] = sample.field_mm;
+    let (field, panel) = ([right - left, bottom - top], [carm.columns_px, carm.rows_px].map(|n| f64::from(n) * carm.pitch_mm));
+    // Shutters make a field smaller than the panel, never larger.
+    if !field.iter().zip(panel).any(|(field, panel)| *field > panel * (1.0 + PANEL_SHARE)) {
+        return None;
+    }
+    let detail = format!(
+        "telemetry's field is {:.0} x {:.0} mm, the calibration's panel {:.0} x {:.0} mm ({} x {} px of {} mm)",
+        field[0], field[1], panel[0], panel[1], carm.columns_px, carm.rows_px, carm.pitch_mm
+    );
+    Some(Finding::warn("panel size", detail, "check columns_px, rows_px and pitch_mm of the calibration against the frames"))
+}

@@ -1,0 +1,65 @@
+//! Cross-checks that cost nothing: everything that is known twice is compared, before the session and at each exposure.
+//!
+//! A session whose files contradict each other still records; what would give a wrong pose in green is refused with the reason and the
+//! remedy, what is merely doubtful is a counted warning.
+
+mod alignment;
+mod beads;
+mod disk;
+mod exposure;
+mod finding;
+mod line;
+mod metal;
+mod rehearsal;
+mod units;
+
+use glam::DVec3;
+
+pub use alignment::{Alignment, Mistake, Strictness, align, mistakes};
+pub use disk::check_disk;
+pub use exposure::{ExposureFacts, PoseDifference, beam_at, check_exposure, pose_difference};
+pub use finding::{Finding, Level, refusal, tell};
+pub use line::check_line;
+pub use rehearsal::rehearse;
+
+use super::file::Setup;
+use crate::beads::BeadLayout;
+use crate::scene::Scene;
+
+/// What the session's files say of each other. One that fails must keep beads from being registered ([`refusal`]).
+#[must_use]
+pub fn check_session(setup: &Setup, scene: &Scene, layout: Option<&BeadLayout>) -> Vec<Finding> {
+    let mut found = Vec::new();
+    found.extend(layout.into_iter().flat_map(|layout| beads::check_beads(setup, scene, layout)));
+    found.extend(units::check_cts(scene));
+    found.extend(setup.carm.iter().flat_map(units::check_calibration));
+    found.extend(units::check_scene_detector(setup, scene));
+    let centre = layout.map(BeadLayout::centroid_lps_mm).or_else(|| scene.bounds().map(|(centre, _): (DVec3, f64)| centre));
+    found.extend(units::check_room(setup, centre));
+    found.extend(check_robot(setup, scene));
+    found
+}
+
+/// A robot that is drawn without telemetry, or reported and not drawn.
+fn check_robot(setup: &Setup, scene: &Scene) -> Option<Finding> {
+    const CHECK: &str = "robot";
+    Some(match (&setup.robot, &scene.robot) {
+        (None, None) => return None,
+        (Some(line), Some(drawn)) if line != drawn.model.as_ref() => Finding::warn(
+            CHECK,
+            "the session's robot model is not the one that the scene draws",
+            "name the same model file in both",
+        ),
+        (Some(_), Some(_)) => Finding::pass(CHECK, "drawn as telemetry says"),
+        (None, Some(_)) => Finding::warn(
+            CHECK,
+            "robot drawn as in the scene file: no telemetry",
+            "add the robot's line to the session, or take the robot out of the scene",
+        ),
+        (Some(_), None) => Finding::warn(
+            CHECK,
+            "the session has a robot, the scene has none: it is not drawn",
+            "add {\"robot\": …} to the scene's objects",
+        ),
+    })
+}

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use sidecarm::cli::compare::{CompareArgs, CompareCommandError, run};
 use sidecarm::compare::{AirLevel, CompareError, Tone};
-use sidecarm::image::{Image, write_png_rgb, write_tiff_f32};
+use sidecarm::image::{Image, ImageFileError, write_png_rgb, write_tiff_f32};
 use sidecarm::reporter::Reporter;
 
 use crate::compare_synthetic::{acquired, line_integral, view};
@@ -64,5 +64,5 @@ fn an_unknown_quantity_a_small_rest_and_overwriting_are_refused() {
     assert_eq!(run(&told, &reporter).expect("told"), 0);
 
     let over = CompareArgs { mask: Some(told.out.join("strip.png")), ..told };
-    assert!(matches!(run(&over, &reporter), Err(CompareCommandError::Overwrite { .. })));
+    assert!(matches!(run(&over, &reporter), Err(CompareCommandError::Image(ImageFileError::WouldOverwrite { .. }))));
 }

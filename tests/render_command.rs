@@ -5,8 +5,7 @@ use std::path::Path;
 use clap::Parser;
 use sidecarm::cli::render::{RenderArgs, RenderCommandError, run};
 use sidecarm::gpu::{Device, DeviceChoice};
-use sidecarm::image::read_tiff_f32;
-use sidecarm::render::RenderError;
+use sidecarm::image::{ImageFileError, read_tiff_f32};
 use sidecarm::reporter::Reporter;
 
 #[derive(Parser)]
@@ -87,7 +86,7 @@ fn an_input_is_not_overwritten() {
     let path = scene.display().to_string();
     let args = Typed::parse_from(["render", &path, "--out", &path, "--device", "cpu"]).args;
     let error = run(&args, &Reporter::silent()).expect_err("the scene is an input");
-    assert!(matches!(error, RenderCommandError::Render(RenderError::WouldOverwrite { .. })), "{error}");
+    assert!(matches!(error, RenderCommandError::Picture(ImageFileError::WouldOverwrite { .. })), "{error}");
     assert_eq!(std::fs::read_to_string(&scene).expect("still there"), SCENE);
 }
 

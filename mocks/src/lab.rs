@@ -149,6 +149,17 @@ impl Lab {
         parse("mocks/data/lab.json", include_str!("../data/lab.json"))
     }
 
+    /// The lab with its exposures played `times` times, one round after the other.
+    #[must_use]
+    pub fn repeated(mut self, times: usize) -> Self {
+        let once = std::mem::take(&mut self.exposures);
+        for round in 0..times {
+            let moved = |exposure: &Exposure| Exposure { at: (round as f64 + exposure.at) / times as f64, ..exposure.clone() };
+            self.exposures.extend(once.iter().map(moved));
+        }
+        self
+    }
+
     /// Left, top, right, bottom of the panel at the detector, from its middle.
     #[must_use]
     pub fn open_field_mm(&self) -> [f64; 4] {

@@ -54,6 +54,18 @@ struct Args {
     /// Packets per second, relative to 100 Hz (robot) and 30 Hz (C-arm).
     #[arg(long, default_value_t = 1.0)]
     rate: f64,
+    /// How often the scripted exposures are played within the session.
+    #[arg(long, default_value_t = 1)]
+    repeat: usize,
+    /// Share of the packets that never leave the device, at random.
+    #[arg(long, default_value_t = 0.0, value_name = "SHARE")]
+    missing: f64,
+    /// Lines that carry random bytes instead of packets: carm, robot or both.
+    #[arg(long, value_delimiter = ',', value_parser = device)]
+    garbage: Vec<Device>,
+    /// Writes for every packet that leaves a device: host time in µs, device, sequence, bytes.
+    #[arg(long, value_name = "FILE.csv")]
+    sent: Option<PathBuf>,
     /// No exposure counter on the wire and in the frames.
     #[arg(long)]
     no_counter: bool,
@@ -66,6 +78,13 @@ struct Args {
     /// Only write the kit and the frames; no ports, no real time.
     #[arg(long)]
     kit_only: bool,
+}
+
+fn device(name: &str) -> Result<Device, String> {
+    [Device::Carm, Device::Robot]
+        .into_iter()
+        .find(|known| known.name() == name)
+        .ok_or_else(|| "expected carm or robot".to_owned())
 }
 
 fn main() -> ExitCode {
@@ -86,8 +105,10 @@ fn run(args: &Args) -> Result<(), MockError> {
     within("--duration-s", args.duration_s, 5.0, 86_400.0)?;
     within("--start-delay-s", args.start_delay_s, 0.0, 3600.0)?;
     within("--linger-s", args.linger_s, 0.0, 3600.0)?;
-    within("--rate", args.rate, 0.01, 10.0)?;
-    let lab = Lab::embedded()?;
+    within("--rate", args.rate, 0.01, 100.0)?;
+    within("--repeat", args.repeat as f64, 1.0, 1000.0)?;
+    within("--missing", args.missing, 0.0, 1.0)?;
+    let lab = Lab::embedded()?.repeated(args.repeat);
     let faults = choose(&args.faults, &lab.faults)?;
     let phantom = Phantom::embedded()?;
     refuse_old_frames(&args.out)?;
@@ -114,8 +135,16 @@ fn run(args: &Args) -> Result<(), MockError> {
     let carm = open(!args.no_carm, Device::Carm, "ttyCARM")?;
     let robot = open(!args.no_robot, Device::Robot, "ttyROBOT")?;
     say(&json!({"event": "ready", "session": session, "carm_port": carm, "robot_port": robot, "exposures": frames.len()}));
-    let performance =
-        Performance { start_delay_s: args.start_delay_s, linger_s: args.linger_s, rate: args.rate, faults, seed: args.seed };
+    let performance = Performance {
+        start_delay_s: args.start_delay_s,
+        linger_s: args.linger_s,
+        rate: args.rate,
+        faults,
+        missing: args.missing,
+        garbage: args.garbage.clone(),
+        sent: args.sent.clone(),
+        seed: args.seed,
+    };
     play(&script, &performance, lines, &frames, &mut |event| say(&event))
 }
 
@@ -178,9 +207,18 @@ fn draw_frames(args: &Args, script: &Script, phantom: &Phantom) -> Result<Vec<Dr
     let arm = arm(lab)?;
     let physics = Physics::embedded()?;
     let world_from_lps = true_world_from_lps(lab);
-    eprintln!("mock-lab: drawing {} frames", script.count());
-    let mut frames = Vec::new();
+    let distinct = script.count().min(lab.exposures.len() / args.repeat);
+    eprintln!("mock-lab: drawing {distinct} frames");
+    let mut frames: Vec<Drawn> = Vec::new();
     for (index, exposure) in lab.exposures.iter().take(script.count()).enumerate() {
+        let path = args.out.join("frames").join(frame_name(index));
+        // A repeated exposure has the same picture; time, counter and instance are its own.
+        if let Some(first) = index.checked_sub(distinct) {
+            let Drawn { tags, values, .. } = frames[first].clone();
+            let exposure_counter = script.counter.then_some(index as u32 + 1);
+            frames.push(Drawn { path, tags: FrameTags { exposure_counter, instance: index as u32 + 1, ..tags }, values });
+            continue;
+        }
         let shot = Shot {
             size_px: arm.size_px,
             geometry: arm.geometry,
@@ -208,7 +246,7 @@ fn draw_frames(args: &Args, script: &Script, phantom: &Phantom) -> Result<Vec<Dr
             exposure_counter: script.counter.then_some(index as u32 + 1),
             instance: index as u32 + 1,
         };
-        frames.push(Drawn { path: args.out.join("frames").join(frame_name(index)), tags, values });
+        frames.push(Drawn { path, tags, values: values.into() });
     }
     Ok(frames)
 }

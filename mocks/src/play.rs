@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use rand::SeedableRng;
+use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::json;
 
@@ -26,6 +26,12 @@ pub struct Performance {
     pub rate: f64,
     /// Faults, in any order.
     pub faults: Vec<Fault>,
+    /// Share of the packets that never leave the device, at random.
+    pub missing: f64,
+    /// Lines that carry random bytes instead of packets.
+    pub garbage: Vec<Device>,
+    /// Where every packet that leaves a device is noted: host time in µs, device, sequence, bytes.
+    pub sent: Option<PathBuf>,
     /// Seed of encoders and faults.
     pub seed: u64,
 }
@@ -38,7 +44,7 @@ pub struct Drawn {
     /// What the file says besides pixels; the time of acquisition is filled in when it is known.
     pub tags: FrameTags,
     /// Pixel values, row by row.
-    pub values: Vec<u16>,
+    pub values: std::sync::Arc<[u16]>,
 }
 
 /// The file of this exposure (from 0) arrives in two halves, as over a slow share.
@@ -65,6 +71,7 @@ pub fn play(
     frames: &[Drawn],
     tell: &mut dyn FnMut(serde_json::Value),
 ) -> Result<(), MockError> {
+    let mut notes = performance.sent.as_deref().map(Notes::create).transpose()?;
     let mut senders: Vec<Sender> =
         lines.into_iter().map(|(device, line)| Sender::new(device, line, script, performance)).collect();
     for sender in &mut senders {
@@ -86,7 +93,7 @@ pub fn play(
             }
         }
         for sender in &mut senders {
-            sender.advance(script, now_s, tell)?;
+            sender.advance(script, now_s, &mut notes, tell)?;
         }
         if announced < script.count() && now_s >= script.start_s(announced) {
             announced += 1;
@@ -100,7 +107,10 @@ pub fn play(
     }
     let sent: serde_json::Map<_, _> = senders
         .iter()
-        .map(|s| (s.device.name().to_owned(), json!({"packets": s.sequence, "overrun_bytes": s.channel.line.overrun_bytes})))
+        .map(|s| {
+            let counts = json!({"packets": s.sequence, "missing": s.missed, "overrun_bytes": s.channel.line.overrun_bytes});
+            (s.device.name().to_owned(), counts)
+        })
         .collect();
     tell(json!({"event": "finished", "frames": files.delivered, "sent": sent}));
     // The end of the script must not look like pulled plugs.
@@ -123,6 +133,26 @@ struct Sender {
     period_s: f64,
     packets: u64,
     seconds: u64,
+    missing: f64,
+    /// Decides which packets are missing; apart from `random`, so that what is sent does not depend on it.
+    missing_random: ChaCha8Rng,
+    missed: u64,
+    garbage: bool,
+}
+
+/// The list of what was sent.
+struct Notes(std::fs::File, PathBuf);
+
+impl Notes {
+    fn create(path: &Path) -> Result<Self, MockError> {
+        Ok(Self(std::fs::File::create(path).map_err(MockError::io(path.display()))?, path.to_owned()))
+    }
+
+    fn note(&mut self, device: Device, sequence: u32, bytes: usize) -> Result<(), MockError> {
+        use std::io::Write;
+        let line = format!("{},{},{sequence},{bytes}\n", now_us(), device.name());
+        self.0.write_all(line.as_bytes()).map_err(MockError::io(self.1.display()))
+    }
 }
 
 impl Sender {
@@ -139,7 +169,25 @@ impl Sender {
         let mut random = ChaCha8Rng::seed_from_u64(performance.seed);
         random.set_stream(stream);
         let period_s = nominal_s / performance.rate;
-        Self { device, channel, random, sequence: 0, ppm, epoch_us, period_s, packets: 0, seconds: 0 }
+        let mut missing_random = random.clone();
+        missing_random.set_stream(stream + 2);
+        let garbage = performance.garbage.contains(&device);
+        let missing = performance.missing;
+        Self {
+            device,
+            channel,
+            random,
+            sequence: 0,
+            ppm,
+            epoch_us,
+            period_s,
+            packets: 0,
+            seconds: 0,
+            missing,
+            missing_random,
+            missed: 0,
+            garbage,
+        }
     }
 
     fn stamp(&mut self, at_s: f64) -> Stamp {
@@ -150,7 +198,13 @@ impl Sender {
     }
 
     /// Sends everything that is due until `now_s`.
-    fn advance(&mut self, script: &Script, now_s: f64, tell: &mut dyn FnMut(serde_json::Value)) -> Result<(), MockError> {
+    fn advance(
+        &mut self,
+        script: &Script,
+        now_s: f64,
+        notes: &mut Option<Notes>,
+        tell: &mut dyn FnMut(serde_json::Value),
+    ) -> Result<(), MockError> {
         if self.channel.tick(now_s)? {
             tell(json!({"event": "plugged", "device": self.device, "at_s": now_s}));
         }
@@ -163,16 +217,29 @@ impl Sender {
             if at_s >= self.seconds as f64 {
                 self.seconds += 1;
                 let metadata = if self.device == Device::Carm { carm_metadata() } else { robot_metadata() };
-                let packet = encode_metadata(self.stamp(at_s), &metadata);
-                self.channel.send(&packet, at_s, &mut self.random)?;
+                let stamp = self.stamp(at_s);
+                self.send(stamp, encode_metadata(stamp, &metadata), at_s, notes)?;
             }
             let stamp = self.stamp(at_s);
             let packet = match self.device {
                 Device::Carm => encode_carm(stamp, &script.carm(at_s, &mut self.random)),
                 Device::Robot => encode_robot(stamp, &script.robot(at_s, &mut self.random)),
             };
-            self.channel.send(&packet, at_s, &mut self.random)?;
+            self.send(stamp, packet, at_s, notes)?;
         }
+    }
+
+    fn send(&mut self, stamp: Stamp, mut packet: Vec<u8>, at_s: f64, notes: &mut Option<Notes>) -> Result<(), MockError> {
+        if self.missing > 0.0 && self.missing_random.random::<f64>() < self.missing {
+            self.missed += 1;
+            return Ok(());
+        }
+        if self.garbage {
+            self.missing_random.fill(packet.as_mut_slice());
+        }
+        self.channel.send(&packet, at_s, &mut self.random)?;
+        // Noted once the line has it: what is in the list was sent.
+        notes.as_mut().map_or(Ok(()), |notes| notes.note(self.device, stamp.sequence, packet.len()))
     }
 }
 

@@ -20,7 +20,16 @@ fn play_two_seconds(name: &str, faults: Vec<Fault>) -> (Heard, Heard, Vec<serde_
     let mut ports = [open(lines[0].1.path()), open(lines[1].1.path())];
     let player = std::thread::spawn(move || {
         let script = Script { lab: &lab, duration_s: 2.0, exposures: 1, counter: true };
-        let performance = Performance { start_delay_s: 0.0, linger_s: 0.0, rate: 1.0, faults, seed: 1 };
+        let performance = Performance {
+            start_delay_s: 0.0,
+            linger_s: 0.0,
+            rate: 1.0,
+            faults,
+            seed: 1,
+            missing: 0.0,
+            garbage: Vec::new(),
+            sent: None,
+        };
         let mut events = Vec::new();
         play(&script, &performance, lines, &[], &mut |event| events.push(event)).expect("plays");
         events

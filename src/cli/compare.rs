@@ -8,13 +8,13 @@ use crate::acquire::{AcquireError, Domain, Frame, read_frame};
 use crate::compare::{AirLevel, CompareError, CompareInput, Compared, NULL_SCORES, Tone, compare, elsewhere};
 use crate::geometry::View;
 use crate::gpu::DeviceChoice;
-use crate::image::{Image, ImageFileError, read_tiff_f32, sha256_file, write_atomically, write_png_rgb};
+use crate::image::{Image, ImageFileError, read_tiff_f32, refuse_overwrite, sha256_file, write_atomically, write_png_rgb};
 use crate::pose::{Pose, PoseFileError};
 use crate::render::{Options, Quantity, RenderError, Renderer};
 use crate::report::{Standing, StripInput, score_words, strip};
 use crate::reporter::Reporter;
 use crate::scene::model::{Noise, Scene};
-use crate::scene::{SceneError, load};
+use crate::scene::{SceneError, input_files, load};
 
 /// Radius that a bead is masked with, where nothing says how large it is.
 const BEAD_RADIUS_MM: f64 = 1.0;
@@ -114,12 +114,6 @@ pub enum CompareCommandError {
         /// What the decoder said.
         detail: String,
     },
-    /// The result would replace an input.
-    #[error("{path}: would overwrite an input; choose another folder", path = path.display())]
-    Overwrite {
-        /// The file.
-        path: PathBuf,
-    },
 }
 
 /// Compares, writes the folder, prints a table. Returns the exit code 0.
@@ -128,13 +122,19 @@ pub enum CompareCommandError {
 /// When an input cannot be read, the images cannot be compared, too little is left to score, or an output cannot be written.
 pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommandError> {
     let (json_path, strip_path) = (args.out.join("compare.json"), args.out.join("strip.png"));
-    refuse_overwriting(args, &[&json_path, &strip_path])?;
+    let named = [Some(&args.acquired), Some(&args.simulated), args.scene.as_ref(), args.pose.as_ref(), args.mask.as_ref()];
+    let mut inputs: Vec<PathBuf> = named.into_iter().flatten().cloned().collect();
+    inputs.extend(["json", "valid.png"].map(|suffix| beside(&args.simulated, suffix)));
+    refuse_overwrite(&[&json_path, &strip_path], &inputs)?;
     let frame = read_frame(&args.acquired, args.domain)?;
     let simulated = read_simulated(&args.simulated, args.quantity.as_deref())?;
     let valid = read_valid(&args.simulated)?;
     let extra = args.mask.as_deref().map(read_mask).transpose()?;
     let pose = args.pose.as_deref().map(Pose::read).transpose()?;
     let scene = args.scene.as_deref().map(|path| load(path, false, reporter)).transpose()?;
+    if let (Some(path), Some(scene)) = (&args.scene, &scene) {
+        refuse_overwrite(&[&json_path, &strip_path], &input_files(path, scene))?;
+    }
     let view = pose.as_ref().and_then(|pose| view_of(pose, &simulated, reporter));
     let beads = view.zip(pose.as_ref()).map(|(view, pose)| bead_marks(pose, &view)).unwrap_or_default();
     let input = CompareInput {
@@ -167,17 +167,6 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
         print!("{}", table(&compared));
     }
     Ok(0)
-}
-
-fn refuse_overwriting(args: &CompareArgs, outputs: &[&Path]) -> Result<(), CompareCommandError> {
-    let inputs = [Some(&args.acquired), Some(&args.simulated), args.scene.as_ref(), args.pose.as_ref(), args.mask.as_ref()];
-    for output in outputs {
-        let Ok(real) = output.canonicalize() else { continue };
-        if inputs.iter().flatten().any(|input| input.canonicalize().is_ok_and(|input| input == real)) {
-            return Err(CompareCommandError::Overwrite { path: output.to_path_buf() });
-        }
-    }
-    Ok(())
 }
 
 /// `IMAGE.tif` → `IMAGE.tif.suffix`.

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use crate::acquire::{AcquireError, Domain, Frame, read_frame};
 use crate::beads::{BeadsError, Landmark, read_landmarks, read_markups};
 use crate::geometry::Intrinsics;
-use crate::image::{Image, ImageFileError, write_png_rgb};
+use crate::image::{Image, ImageFileError, refuse_overwrite, write_png_rgb};
 use crate::pose::{IntrinsicsFile, Pose, PoseFileError, Prior, Registration, intrinsics_of, register};
 use crate::reporter::Reporter;
 
@@ -62,9 +62,9 @@ pub enum RegisterError {
     /// K, prior, or the result.
     #[error(transparent)]
     Pose(#[from] PoseFileError),
-    /// The overlay.
+    /// An output.
     #[error(transparent)]
-    Overlay(#[from] ImageFileError),
+    Output(#[from] ImageFileError),
     /// The radius typed is impossible.
     #[error("--bead-radius is {found} mm, it must be positive")]
     Radius {
@@ -83,12 +83,6 @@ pub enum RegisterError {
         /// The frame's size.
         found: [u32; 2],
     },
-    /// The result would replace an input.
-    #[error("{path}: would overwrite an input; choose another name", path = path.display())]
-    Overwrite {
-        /// The file.
-        path: PathBuf,
-    },
 }
 
 /// Registers, writes the pose, prints a summary. Returns the exit code: 0 accepted, 1 refused.
@@ -97,14 +91,8 @@ pub enum RegisterError {
 /// When an input cannot be read or does not fit the others, or an output cannot be written.
 pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError> {
     let inputs = [Some(&args.frame), Some(&args.beads), args.intrinsics.as_ref(), args.prior.as_ref(), args.landmarks.as_ref()];
-    let same = |a: &PathBuf, b: &PathBuf| {
-        a == b || std::fs::canonicalize(a).is_ok_and(|a| std::fs::canonicalize(b).is_ok_and(|b| a == b))
-    };
-    for output in [Some(&args.out), args.overlay.as_ref()].into_iter().flatten() {
-        if inputs.iter().flatten().any(|input| same(input, output)) {
-            return Err(RegisterError::Overwrite { path: output.clone() });
-        }
-    }
+    let outputs: Vec<&PathBuf> = std::iter::once(&args.out).chain(&args.overlay).collect();
+    refuse_overwrite(&outputs, &inputs.into_iter().flatten().collect::<Vec<_>>())?;
     if let Some(found) = args.bead_radius
         && !(found > 0.0 && found.is_finite())
     {

@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use crate::gpu::DeviceChoice;
-use crate::image::{ImageFileError, check_writable};
-use crate::render::{Goal, Options, Quantity, RenderError, Rendered, Renderer, write_image, write_picture};
+use crate::image::{ImageFileError, check_writable, refuse_overwrite};
+use crate::render::{Goal, Options, Quantity, RenderError, Rendered, Renderer, write_image, write_picture, written_with};
 use crate::reporter::Reporter;
 use crate::scene::{self, SceneError};
 
@@ -150,6 +150,8 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
         check_writable(output)?;
     }
     let scene = scene::load(&args.scene, true, reporter)?;
+    let outputs: Vec<PathBuf> = written_with(&args.out).into_iter().chain(args.png.clone()).collect();
+    refuse_overwrite(&outputs, &scene::input_files(&args.scene, &scene))?;
     // The yardstick runs on the CPU whatever else there is.
     let device = if args.reference { DeviceChoice::Cpu } else { args.device.into() };
     let mut renderer = Renderer::new(device, reporter)?;

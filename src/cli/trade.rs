@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use crate::cli::render::DeviceArg;
 use crate::image::plot::PlotError;
-use crate::image::{ImageFileError, write_atomically};
+use crate::image::{ImageFileError, refuse_overwrite, write_atomically};
 use crate::render::{RenderError, Renderer, trade};
 use crate::reporter::Reporter;
 use crate::scene::{self, SceneError};
@@ -60,14 +60,16 @@ pub enum TradeError {
 /// When the scene is wrong, or a file cannot be written.
 pub fn run(args: &TradeArgs, reporter: &Reporter) -> Result<u8, TradeError> {
     let scene = scene::load(&args.scene, true, reporter)?;
+    let outputs = ["trade.json", "trade.txt", "trade.svg"].map(|name| args.out.join(name));
+    refuse_overwrite(&outputs, &scene::input_files(&args.scene, &scene))?;
     std::fs::create_dir_all(&args.out).map_err(|source| TradeError::Folder { path: args.out.clone(), source })?;
     let mut renderer = Renderer::new(args.device.into(), reporter)?;
     let trade = trade::sweep(&scene, &mut renderer, reporter)?;
     let table = trade.table();
     let json = serde_json::to_string_pretty(&trade).expect("plain data");
     let plot = trade.plot()?;
-    for (name, text) in [("trade.json", &json), ("trade.txt", &table), ("trade.svg", &plot)] {
-        write_atomically(&args.out.join(name), |file| file.write_all(text.as_bytes()))?;
+    for (path, text) in outputs.iter().zip([&json, &table, &plot]) {
+        write_atomically(path, |file| file.write_all(text.as_bytes()))?;
     }
     print!("{}", if args.json { &json } else { &table });
     Ok(0)

@@ -41,6 +41,14 @@ pub enum ImageFileError {
         /// What the system said.
         source: std::io::Error,
     },
+    /// An output is the same file as an input.
+    #[error("{path}: would overwrite an input ({input}); choose another name", path = path.display(), input = input.display())]
+    WouldOverwrite {
+        /// The output.
+        path: PathBuf,
+        /// The input, as it was named.
+        input: PathBuf,
+    },
     /// The file is not a TIFF, or a damaged one.
     #[error("{path}: not a readable TIFF ({detail})", path = path.display())]
     Tiff {
@@ -99,6 +107,51 @@ pub fn write_atomically(
 /// When the folder is missing or not writable, or `path` is a folder.
 pub fn check_writable(path: &Path) -> Result<(), ImageFileError> {
     temporary_beside(path).map(|_| ())
+}
+
+/// Refuses outputs that are the same file as an input, whatever the two are called: symbolic and hard links and `..` included.
+/// What does not exist is no input and cannot be overwritten.
+///
+/// # Errors
+/// When an output is an input.
+pub fn refuse_overwrite<O: AsRef<Path>, I: AsRef<Path>>(outputs: &[O], inputs: &[I]) -> Result<(), ImageFileError> {
+    let known: Vec<(&Path, Identity)> =
+        inputs.iter().filter_map(|input| Some((input.as_ref(), Identity::of(input.as_ref())?))).collect();
+    for output in outputs.iter().map(AsRef::as_ref) {
+        let Some(identity) = Identity::of(output) else { continue };
+        if let Some((input, _)) = known.iter().find(|(_, input)| *input == identity) {
+            return Err(ImageFileError::WouldOverwrite { path: output.to_owned(), input: input.to_path_buf() });
+        }
+    }
+    Ok(())
+}
+
+/// What a file is, rather than what it is called.
+#[cfg(unix)]
+#[derive(PartialEq)]
+struct Identity {
+    device: u64,
+    inode: u64,
+}
+
+#[cfg(unix)]
+impl Identity {
+    fn of(path: &Path) -> Option<Self> {
+        use std::os::unix::fs::MetadataExt;
+        std::fs::metadata(path).ok().map(|found| Self { device: found.dev(), inode: found.ino() })
+    }
+}
+
+/// What a file is, rather than what it is called: here its full path, so that hard links go unnoticed.
+#[cfg(not(unix))]
+#[derive(PartialEq)]
+struct Identity(PathBuf);
+
+#[cfg(not(unix))]
+impl Identity {
+    fn of(path: &Path) -> Option<Self> {
+        path.canonicalize().ok().map(Self)
+    }
 }
 
 fn temporary_beside(path: &Path) -> Result<tempfile::NamedTempFile, ImageFileError> {

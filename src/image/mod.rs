@@ -5,7 +5,8 @@ pub mod plot;
 mod ticks;
 
 pub use files::{
-    ImageFileError, check_writable, read_tiff_f32, sha256_bytes, sha256_file, write_atomically, write_png_rgb, write_tiff_f32,
+    ImageFileError, check_writable, read_tiff_f32, refuse_overwrite, sha256_bytes, sha256_file, write_atomically, write_png_rgb,
+    write_tiff_f32,
 };
 
 /// A row-major raster; the index of pixel (column, row) is `row * width + column`.

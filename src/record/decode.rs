@@ -85,6 +85,8 @@ impl FrameAssembler {
     pub fn push(&mut self, entry: &LogEntry) -> Result<Option<Frame>, RecordError> {
         match &*entry.topic {
             topic::FRAME_TAGS => {
+                // Damaged tags must not leave earlier ones for these pixels.
+                self.tags = None;
                 self.tags = Some(entry.json()?);
                 Ok(None)
             }

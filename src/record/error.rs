@@ -29,6 +29,16 @@ pub enum RecordError {
         /// What the writer said.
         reason: String,
     },
+    /// The disk does not follow.
+    #[error("{path}: recording is {behind_ms} ms behind with {waiting_bytes} bytes in memory; the disk is too slow or stands still", path = path.display())]
+    Behind {
+        /// The log.
+        path: PathBuf,
+        /// Bytes that wait.
+        waiting_bytes: usize,
+        /// Age of the oldest of them.
+        behind_ms: u64,
+    },
     /// Recording was asked for after the end.
     #[error("{path}: recording has already been finished", path = path.display())]
     Finished {

@@ -16,21 +16,30 @@
 //! Other JSON topics may be added by whoever records. Log times are host microseconds × 1000. `sidecarm.RawBytes` is a little-endian u32
 //! epoch followed by the bytes.
 //!
-//! Chunks are compressed (zstd), checked (CRC-32), written in one piece, and flushed at least every 200 ms: a killed program loses at most
-//! that, and a log cut at any byte still reads up to the cut ([`LogReader`]).
+//! Chunks are compressed (zstd), checked (CRC-32) and written in one piece within 100 ms: a killed program loses no more than that, and a
+//! log cut at any byte still reads up to the cut ([`LogReader`]). Pixels have chunks of their own, compressed by whoever records them.
 
 mod channel;
+mod chunk;
 mod decode;
 mod error;
+mod file;
 mod messages;
+mod queue;
 mod reader;
 mod recorder;
+mod tolerance;
+mod unpack;
+mod writer;
 
 pub use decode::{FrameAssembler, RawBytes};
 pub use error::RecordError;
 pub use messages::{BeadMark, Level};
+pub use queue::RecorderHealth;
 pub use reader::{Attachment, LogContents, LogEntry, LogLoss, LogReader, read_log};
-pub use recorder::{LogTarget, Recorder, RecorderHealth, Summary};
+pub use recorder::{Prepared, Recorder};
+pub use tolerance::Tolerance;
+pub use writer::{LogTarget, Summary};
 
 /// Topic names.
 pub mod topic {
@@ -92,19 +101,5 @@ impl Provenance {
             host: format!("{} {}", std::env::consts::OS, std::env::consts::ARCH),
             details,
         }
-    }
-}
-
-/// Shim.
-#[derive(Default)]
-pub struct Tolerance(Vec<String>);
-impl Tolerance {
-    /// Takes.
-    pub fn take<T>(&mut self, outcome: Result<T, RecordError>) -> Option<T> {
-        outcome.map_err(|error| self.0.push(error.to_string())).ok()
-    }
-    /// Losses.
-    pub fn losses(&self) -> Vec<String> {
-        self.0.clone()
     }
 }

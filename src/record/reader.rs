@@ -7,14 +7,16 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use mcap::records::{Record, op};
-use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
 use super::RecordError;
+use super::unpack::{Unpacked, unpack};
 
 /// Opcode and length in front of every record.
 const RECORD_HEADER_BYTES: u64 = 9;
 /// No record of ours is larger; a damaged length shows here before memory runs out.
-const MAX_RECORD_BYTES: u64 = 2 << 30;
+const MAX_RECORD_BYTES: u64 = 512 << 20;
+/// So many losses are kept one by one; further ones are counted.
+const MAX_LOSSES: usize = 1000;
 
 /// A message of a log.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -94,6 +96,8 @@ pub struct LogReader {
     ready: std::collections::VecDeque<LogEntry>,
     attachments: Vec<Attachment>,
     losses: Vec<LogLoss>,
+    /// Losses beyond those that are kept.
+    more_losses: u64,
     messages: u64,
     finished: bool,
     ended: bool,
@@ -138,6 +142,7 @@ impl LogReader {
             ready: std::collections::VecDeque::new(),
             attachments: Vec::new(),
             losses: Vec::new(),
+            more_losses: 0,
             messages: 0,
             finished: false,
             ended: false,
@@ -203,19 +208,30 @@ impl LogReader {
     fn read_up_to(&mut self, count: u64) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(count.min(self.length.saturating_sub(self.at_byte)) as usize);
         if let Err(error) = self.source.by_ref().take(count).read_to_end(&mut bytes) {
-            self.losses.push(LogLoss { at_byte: self.at_byte + bytes.len() as u64, reason: format!("reading failed: {error}") });
+            self.lose(self.at_byte + bytes.len() as u64, format!("reading failed: {error}"));
         }
         self.at_byte += bytes.len() as u64;
         bytes
     }
 
     fn lose(&mut self, at_byte: u64, reason: String) {
-        self.losses.push(LogLoss { at_byte, reason });
+        if self.losses.len() < MAX_LOSSES {
+            self.losses.push(LogLoss { at_byte, reason });
+        } else {
+            self.more_losses += 1;
+        }
     }
 
     fn end(&mut self, at_byte: u64, reason: String) {
         self.lose(at_byte, reason);
         self.ended = true;
+    }
+
+    /// Says how many losses were counted only.
+    fn close(&mut self) {
+        if let more @ 1.. = std::mem::take(&mut self.more_losses) {
+            self.losses.push(LogLoss { at_byte: self.at_byte, reason: format!("{more} more losses of the same kinds") });
+        }
     }
 
     /// Reads one record of the file; may make messages ready.
@@ -245,7 +261,7 @@ impl LogReader {
         let whole = body.len() as u64 == length;
         match opcode {
             op::CHUNK => {
-                self.chunk(start, &header, &body, whole);
+                self.chunk(start, &body, whole);
                 if !whole {
                     self.end(start, format!("cut within a chunk: {left} of {length} bytes are there"));
                 }
@@ -256,35 +272,20 @@ impl LogReader {
     }
 
     /// A chunk: its messages become ready when its checksum is right, or as far as they can be read when it is cut.
-    fn chunk(&mut self, start: u64, header: &[u8], body: &[u8], whole: bool) {
-        let options = LinearReaderOptions::default()
-            .with_skip_start_magic(true)
-            .with_skip_end_magic(true)
-            .with_record_length_limit(MAX_RECORD_BYTES as usize)
-            .with_prevalidate_chunk_crcs(whole);
-        let mut linear = LinearReader::new_with_options(options);
-        let record = [header, body].concat();
-        let mut rest = record.as_slice();
-        let mut found: Vec<(u8, Vec<u8>)> = Vec::new();
-        let failure = loop {
-            match linear.next_event() {
-                None => break None,
-                Some(Ok(LinearReadEvent::ReadRequest(wanted))) => {
-                    let count = wanted.min(rest.len());
-                    let (next, later) = rest.split_at(count);
-                    linear.insert(count)[..count].copy_from_slice(next);
-                    linear.notify_read(count);
-                    rest = later;
-                }
-                Some(Ok(LinearReadEvent::Record { data, opcode })) => found.push((opcode, data.to_vec())),
-                Some(Err(error)) => break Some(error),
-            }
-        };
-        if let (Some(error), true) = (&failure, whole) {
-            return self.lose(start, format!("chunk of {} bytes is damaged and was skipped: {error}", body.len()));
+    fn chunk(&mut self, start: u64, body: &[u8], whole: bool) {
+        let Unpacked { records, damage } = unpack(body, whole);
+        if let (Some(damage), true) = (&damage, whole) {
+            return self.lose(start, format!("chunk of {} bytes is damaged and was skipped: {damage}", body.len()));
         }
-        for (opcode, data) in found {
-            self.record(start, opcode, &data);
+        let mut rest = records.as_slice();
+        while let Some((&[opcode, a, b, c, d, e, f, g, h], later)) = rest.split_first_chunk::<9>() {
+            let length = u64::from_le_bytes([a, b, c, d, e, f, g, h]);
+            let Some(record) = usize::try_from(length).ok().and_then(|length| later.get(..length)) else { break };
+            self.record(start, opcode, record);
+            rest = &later[record.len()..];
+        }
+        if whole && !rest.is_empty() {
+            self.lose(start, format!("the last {} bytes of a chunk are no whole record", rest.len()));
         }
     }
 
@@ -358,6 +359,7 @@ impl Iterator for LogReader {
                 return Some(entry);
             }
             if self.ended {
+                self.close();
                 return None;
             }
             self.step();

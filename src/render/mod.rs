@@ -35,7 +35,7 @@ mod write;
 pub use plan::Plan;
 pub use planner::Goal;
 pub use renderer::{Options, Rendered, Renderer};
-pub use write::{write_image, write_image_without_times, write_picture};
+pub use write::{write_image, write_image_without_times, write_picture, written_with};
 
 use crate::geometry::CameraError;
 use crate::gpu::GpuError;
@@ -137,14 +137,6 @@ pub enum RenderError {
     ReferenceOnly {
         /// Key and value in the scene.
         what: &'static str,
-    },
-    /// An output would replace an input.
-    #[error("{path}: is an input of the scene ({input}); choose another --out")]
-    WouldOverwrite {
-        /// Output.
-        path: String,
-        /// The input.
-        input: String,
     },
     /// A file could not be written.
     #[error(transparent)]

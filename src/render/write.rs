@@ -9,9 +9,9 @@ use crate::scene::model::Scene;
 /// Writes the pages as 32-bit float TIFF, and beside them what they are and where they come from.
 ///
 /// # Errors
-/// When an output would replace an input of the scene, or a file cannot be written.
+/// When a file cannot be written.
 pub fn write_image(path: &Path, rendered: &Rendered, scene: &Scene) -> Result<(), RenderError> {
-    write_described(path, rendered, scene, description(rendered, scene))
+    write_described(path, rendered, description(rendered, scene))
 }
 
 /// The same without anything that differs from run to run: how long it took.
@@ -24,15 +24,11 @@ pub fn write_image_without_times(path: &Path, rendered: &Rendered, scene: &Scene
         map.remove("stages_ms");
         map.remove("gpu_ms");
     }
-    write_described(path, rendered, scene, json)
+    write_described(path, rendered, json)
 }
 
-fn write_described(path: &Path, rendered: &Rendered, scene: &Scene, json: serde_json::Value) -> Result<(), RenderError> {
-    let json_path = beside(path, "json");
-    let mask_path = beside(path, "valid.png");
-    for output in [path, &json_path, &mask_path] {
-        refuse_input(output, scene)?;
-    }
+fn write_described(path: &Path, rendered: &Rendered, json: serde_json::Value) -> Result<(), RenderError> {
+    let [_, json_path, mask_path] = written_with(path);
     let invalid = rendered.valid.pixels.iter().filter(|valid| **valid == 0).count();
     write_tiff_f32(path, &rendered.pages)?;
     if invalid > 0 {
@@ -43,20 +39,18 @@ fn write_described(path: &Path, rendered: &Rendered, scene: &Scene, json: serde_
     Ok(())
 }
 
+/// The files that [`write_image`] may write: the image, what it is, and which pixels are valid.
+#[must_use]
+pub fn written_with(path: &Path) -> [PathBuf; 3] {
+    [path.to_owned(), beside(path, "json"), beside(path, "valid.png")]
+}
+
 /// `IMAGE.tif` → `IMAGE.tif.suffix`.
 fn beside(path: &Path, suffix: &str) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push(".");
     name.push(suffix);
     PathBuf::from(name)
-}
-
-fn refuse_input(output: &Path, scene: &Scene) -> Result<(), RenderError> {
-    let Ok(output_real) = output.canonicalize() else { return Ok(()) };
-    match scene.inputs.iter().find(|input| Path::new(&input.path).canonicalize().is_ok_and(|real| real == output_real)) {
-        Some(input) => Err(RenderError::WouldOverwrite { path: output.display().to_string(), input: input.path.clone() }),
-        None => Ok(()),
-    }
 }
 
 fn description(rendered: &Rendered, scene: &Scene) -> serde_json::Value {

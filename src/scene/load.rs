@@ -1,6 +1,6 @@
 //! From a scene file to a scene that renders.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::SceneError;
 use super::beam;
@@ -34,6 +34,14 @@ pub fn load(path: &Path, need_view: bool, reporter: &Reporter) -> Result<Scene, 
 /// As [`load`].
 pub fn load_text(text: &str, path: &Path, need_view: bool, reporter: &Reporter) -> Result<Scene, SceneError> {
     load_bytes(text.as_bytes(), path, need_view, reporter)
+}
+
+/// The scene file at `path` and the files that it names, wherever they may lie: what no output may replace.
+#[must_use]
+pub fn input_files(path: &Path, scene: &Scene) -> Vec<PathBuf> {
+    let folder = path.parent().map_or_else(PathBuf::new, Path::to_owned);
+    let named = scene.inputs.iter().flat_map(|input| [folder.join(&input.path), PathBuf::from(&input.path)]);
+    std::iter::once(path.to_owned()).chain(named).collect()
 }
 
 fn load_bytes(bytes: &[u8], path: &Path, need_view: bool, reporter: &Reporter) -> Result<Scene, SceneError> {

@@ -21,6 +21,6 @@ pub mod physics;
 
 pub use density::{DensityCurve, ThresholdClass};
 pub use error::SceneError;
-pub use load::{load, load_text};
+pub use load::{input_files, load, load_text};
 pub use model::{InputFile, Scene};
 pub use volume_file::{VolumeFile, read_volume};

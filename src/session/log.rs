@@ -183,7 +183,7 @@ impl SessionLog {
     /// The DRR of frame `number`, its plan and its hash.
     pub(super) fn drr(&self, number: u32, drr: &Rendered, sha256: &str, time_us: i64) {
         let record = || {
-            let prepared = self.recorder.prepare_drr(&format!("frame {number}"), &drr.pages[0], time_us)?;
+            let prepared = self.recorder.prepare_drr(&format!("frame {number}"), &drr.pages[0], time_us);
             self.recorder.wait_for_room(prepared.bytes())?;
             self.recorder.record(prepared)?;
             self.recorder.json(topic::PLAN, time_us, &json!({"number": number, "plan": drr.plan}))?;

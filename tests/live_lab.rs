@@ -1,0 +1,318 @@
+//! A mocked lab and a `sidecarm live` beside it, as processes: what the tests of sessions that go wrong are made of.
+#![cfg(unix)]
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use serde_json::Value;
+use sidecarm::image::sha256_file;
+use sidecarm::record::{LogLoss, read_log, topic};
+use sidecarm::telemetry::{Decoder, DeviceKind, Event};
+use sidecarm::time::{Stopwatch, host_now_us};
+
+pub use rustix::process::Signal;
+
+/// Checks every few milliseconds whether `fact` holds; `None` when it does not within `limit_s`.
+pub fn eventually<T>(limit_s: f64, mut fact: impl FnMut() -> Option<T>) -> Option<T> {
+    let watch = Stopwatch::start();
+    loop {
+        if let Some(found) = fact() {
+            return Some(found);
+        }
+        if watch.ms() > limit_s * 1e3 {
+            return None;
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+fn mock_program() -> Option<PathBuf> {
+    let path = Path::new(env!("CARGO_BIN_EXE_sidecarm")).with_file_name(format!("mock-lab{}", std::env::consts::EXE_SUFFIX));
+    if !path.exists() {
+        println!("skipped: mock-lab is not beside sidecarm; cargo build --workspace makes it");
+    }
+    Some(path).filter(|path| path.exists())
+}
+
+/// Ends a process when the test ends, however it ends.
+pub struct Running(Child);
+
+impl Running {
+    pub fn signal(&self, signal: Signal) {
+        let pid = rustix::process::Pid::from_child(&self.0);
+        rustix::process::kill_process(pid, signal).expect("the process is there");
+    }
+
+    /// How it ended, if it does within `limit_s`.
+    pub fn end(&mut self, limit_s: f64) -> Option<ExitStatus> {
+        eventually(limit_s, || self.0.try_wait().expect("a child can be asked"))
+    }
+
+    /// SIGKILL; gives the host time just before it.
+    pub fn kill(&mut self) -> i64 {
+        let before_us = host_now_us();
+        self.0.kill().expect("the process is there");
+        self.0.wait().expect("a killed process ends");
+        before_us
+    }
+
+    pub fn id(&self) -> u32 {
+        self.0.id()
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// A packet that left a mocked device.
+#[derive(Clone, Copy, Debug)]
+pub struct Sent {
+    pub host_us: i64,
+    pub device: DeviceKind,
+    pub sequence: u32,
+}
+
+/// A running mock-lab.
+pub struct Lab {
+    _folder: tempfile::TempDir,
+    pub kit: PathBuf,
+    pub mock: Running,
+}
+
+impl Lab {
+    /// Starts mock-lab and waits until its ports are there; `None` (said) where it was not built.
+    pub fn start(args: &[&str]) -> Option<Self> {
+        let program = mock_program()?;
+        let folder = tempfile::tempdir().expect("temporary folder");
+        let kit = folder.path().join("lab");
+        let mut command = Command::new(program);
+        command.arg("--out").arg(&kit).arg("--sent").arg(folder.path().join("sent.csv")).args(args);
+        let child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("mock-lab starts");
+        let mut mock = Running(child);
+        let out = mock.0.stdout.take().expect("piped");
+        let (told, ready) = std::sync::mpsc::channel();
+        // Reads on to the end, so that the mock is never held up by a full pipe.
+        std::thread::spawn(move || {
+            for line in BufReader::new(out).lines().map_while(Result::ok) {
+                let _ = told.send(line);
+            }
+        });
+        let first = ready.recv_timeout(Duration::from_secs(120)).expect("mock-lab says that it is ready");
+        assert!(first.contains("\"ready\"") || args.contains(&"--kit-only"), "{first}");
+        Some(Self { _folder: folder, kit, mock })
+    }
+
+    pub fn frames(&self) -> PathBuf {
+        self.kit.join("frames")
+    }
+
+    /// What left the devices so far.
+    pub fn sent(&self) -> Vec<Sent> {
+        let text = std::fs::read_to_string(self.kit.with_file_name("sent.csv")).expect("the list is there");
+        let whole = text.rsplit_once('\n').map_or("", |(whole, _)| whole);
+        let packet = |line: &str| {
+            let mut fields = line.split(',');
+            let host_us = fields.next()?.parse().ok()?;
+            let device = if fields.next()? == "carm" { DeviceKind::Carm } else { DeviceKind::Robot };
+            Some(Sent { host_us, device, sequence: fields.next()?.parse().ok()? })
+        };
+        whole.lines().map(|line| packet(line).unwrap_or_else(|| panic!("{line}"))).collect()
+    }
+
+    /// The session file with changes.
+    pub fn session(&self, name: &str, change: impl FnOnce(&mut Value)) -> PathBuf {
+        let text = std::fs::read(self.kit.join("session.json")).expect("the session file");
+        let mut value: Value = serde_json::from_slice(&text).expect("JSON");
+        change(&mut value);
+        let path = self.kit.join(name);
+        std::fs::write(&path, value.to_string()).expect("written");
+        path
+    }
+
+    /// Files complete in the frames' folder: content hash and host time of the last change.
+    pub fn delivered(&self) -> Vec<(String, i64)> {
+        let mut found = Vec::new();
+        for entry in std::fs::read_dir(self.frames()).expect("the folder is there").flatten() {
+            let modified = entry.metadata().expect("a file").modified().expect("a time");
+            let since = modified.duration_since(std::time::UNIX_EPOCH).expect("after 1970");
+            if entry.path().extension().is_some_and(|extension| extension == "dcm") {
+                found.push((sha256_file(&entry.path()).expect("readable"), since.as_micros() as i64));
+            }
+        }
+        found
+    }
+}
+
+/// A running `sidecarm live --headless`.
+pub struct Live {
+    pub program: Running,
+    pub out: PathBuf,
+    pub log: PathBuf,
+    /// When the log had been seen to grow: everything sent from then on must be in it.
+    pub recording_us: i64,
+    words: [Arc<Mutex<String>>; 2],
+}
+
+fn collect(mut stream: impl Read + Send + 'static) -> Arc<Mutex<String>> {
+    let text = Arc::new(Mutex::new(String::new()));
+    let shared = Arc::clone(&text);
+    std::thread::spawn(move || {
+        let mut buffer = [0u8; 4096];
+        while let Ok(count @ 1..) = stream.read(&mut buffer) {
+            shared.lock().expect("not poisoned").push_str(&String::from_utf8_lossy(&buffer[..count]));
+        }
+    });
+    text
+}
+
+impl Live {
+    /// Starts the program without waiting for anything.
+    pub fn launch(session: &Path, out: &Path, args: &[&str]) -> Self {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
+        command.arg("live").arg(session).arg("--headless").arg("--out").arg(out).args(args);
+        let child = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn();
+        let mut program = Running(child.expect("the program starts"));
+        let words = [collect(program.0.stdout.take().expect("piped")), collect(program.0.stderr.take().expect("piped"))];
+        Self { program, out: out.to_owned(), log: out.join("session.mcap"), recording_us: 0, words }
+    }
+
+    /// Starts the program and waits until telemetry has reached the log.
+    pub fn start(session: &Path, out: &Path, args: &[&str]) -> Self {
+        let mut live = Self::launch(session, out, args);
+        let grown = eventually(60.0, || {
+            let log = read_log(&live.log).ok()?;
+            let raw = log.entries.iter().filter(|entry| [topic::CARM_RAW, topic::ROBOT_RAW].contains(&&*entry.topic)).count();
+            (raw >= 4).then_some(())
+        });
+        assert!(grown.is_some(), "no telemetry in the log after a minute: {}", live.stderr());
+        live.recording_us = host_now_us();
+        live
+    }
+
+    pub fn stdout(&self) -> String {
+        self.words[0].lock().expect("not poisoned").clone()
+    }
+
+    pub fn stderr(&self) -> String {
+        self.words[1].lock().expect("not poisoned").clone()
+    }
+
+    pub fn report(&self) -> String {
+        std::fs::read_to_string(self.out.join("report.html")).unwrap_or_default()
+    }
+
+    pub fn heard(&self) -> Heard {
+        Heard::of(&self.log)
+    }
+}
+
+/// What a log holds.
+#[derive(Debug, Default)]
+pub struct Heard {
+    /// Sequence numbers of intact packets, and the host time of their last byte.
+    pub packets: BTreeMap<(DeviceKind, u32), i64>,
+    /// Content hashes of the frames whose pixels are there.
+    pub frames: BTreeSet<String>,
+    /// Images in all.
+    pub images: usize,
+    /// Host time of the session's end.
+    pub end_us: Option<i64>,
+    pub losses: Vec<LogLoss>,
+}
+
+impl Heard {
+    pub fn of(log: &Path) -> Self {
+        let contents = read_log(log).expect("the log opens");
+        let mut heard = Self { losses: contents.losses, ..Self::default() };
+        let mut decoders = DeviceKind::ALL.map(|device| (device, Decoder::new(device), None));
+        let mut tags: Option<Value> = None;
+        for entry in &contents.entries {
+            match &*entry.topic {
+                topic::FRAME_TAGS => tags = entry.json().ok(),
+                topic::FRAME_PIXELS => {
+                    let tags = tags.take().expect("tags come before pixels");
+                    heard.frames.insert(tags["sha256"].as_str().expect("a hash").to_owned());
+                    heard.images += 1;
+                }
+                "/session/end" => heard.end_us = Some(entry.host_us),
+                _ => {}
+            }
+            for (device, decoder, epoch) in &mut decoders {
+                if *entry.topic != format!("/{}/raw", device.key()) {
+                    continue;
+                }
+                let raw = entry.raw_bytes().expect("sound").expect("raw bytes");
+                if *epoch != Some(raw.epoch) {
+                    decoder.begin_epoch();
+                    *epoch = Some(raw.epoch);
+                }
+                decoder.push(raw.bytes, &mut |event| {
+                    if let Event::Sample(sample) = event {
+                        heard.packets.insert((*device, sample.sequence()), entry.host_us);
+                    }
+                });
+            }
+        }
+        heard
+    }
+
+    /// Of what was sent between two host times, how much is not in the log.
+    pub fn missing(&self, sent: &[Sent], from_us: i64, to_us: i64) -> Missing {
+        let span: Vec<&Sent> = sent.iter().filter(|packet| (from_us..to_us).contains(&packet.host_us)).collect();
+        let gone: Vec<&&Sent> =
+            span.iter().filter(|packet| !self.packets.contains_key(&(packet.device, packet.sequence))).collect();
+        let oldest_us = gone.iter().map(|packet| packet.host_us).min();
+        Missing { sent: span.len(), lost: gone.len(), oldest_ms: oldest_us.map_or(0.0, |us| (to_us - us) as f64 * 1e-3) }
+    }
+}
+
+/// Packets that are not in a log.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Missing {
+    pub sent: usize,
+    pub lost: usize,
+    /// From the oldest missing packet to the end of the span.
+    pub oldest_ms: f64,
+}
+
+/// Frames of the mock, of other content each: `count` files in a folder of their own.
+pub fn copies(frame: &Path, count: usize, folder: &Path) -> Vec<PathBuf> {
+    let bytes = std::fs::read(frame).expect("a frame");
+    std::fs::create_dir_all(folder).expect("a folder");
+    let copy = |index: usize| {
+        let mut bytes = bytes.clone();
+        // The last pixels: another content, the same picture.
+        let end = bytes.len();
+        bytes[end - 4..].copy_from_slice(&(index as u32).to_le_bytes());
+        let path = folder.join(format!("burst-{index:04}.dcm"));
+        std::fs::write(&path, bytes).expect("written");
+        path
+    };
+    (0..count).map(copy).collect()
+}
+
+/// One file of `count` images: the mock's frame again and again, each with other last pixels.
+pub fn many_images(frame: &Path, count: usize, path: &Path) {
+    use dicom_core::{DataElement, PrimitiveValue, VR};
+    use dicom_dictionary_std::tags;
+    let mut object = dicom_object::open_file(frame).expect("a DICOM file");
+    let one = object.element(tags::PIXEL_DATA).expect("pixels").to_bytes().expect("bytes").into_owned();
+    let mut all = Vec::with_capacity(one.len() * count);
+    for index in 0..count {
+        let at = all.len();
+        all.extend_from_slice(&one);
+        all[at..at + 4].copy_from_slice(&(index as u32).to_le_bytes());
+    }
+    object.put(DataElement::new(tags::NUMBER_OF_FRAMES, VR::IS, PrimitiveValue::from(count.to_string())));
+    let words: Vec<u16> = all.chunks_exact(2).map(|pair| u16::from_le_bytes([pair[0], pair[1]])).collect();
+    object.put(DataElement::new(tags::PIXEL_DATA, VR::OW, PrimitiveValue::U16(words.into())));
+    object.write_to_file(path).expect("written");
+}

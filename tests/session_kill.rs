@@ -1,0 +1,143 @@
+//! kill −9 at random moments of a session: every log opens, what is lost is counted in milliseconds and frames.
+//!
+//! A frame counts as delivered when it has lain complete in its folder for [`DELIVERED_US`]. Telemetry lost is the span from the oldest
+//! packet that the device sent before the kill and that the log does not hold, up to the kill. `scripts/evaluate kill` runs many.
+#![cfg(unix)]
+
+use sidecarm::random::{Purpose, Stream};
+
+use crate::live_lab::{Lab, Live, Missing, eventually};
+
+/// A frame that had been complete for so long must be in the log: the folder is looked at every 100 ms, a file must rest for 100 ms, then
+/// it is read.
+const DELIVERED_US: i64 = 500_000;
+/// The most telemetry that a kill may cost.
+const WORST_MS: f64 = 200.0;
+
+/// What one kill cost.
+#[derive(Clone, Copy, Debug)]
+struct Killed {
+    missing: Missing,
+    frames_delivered: usize,
+    frames_lost: usize,
+    /// Frames in the log that were not yet delivered by the rule: it is no rule of convenience.
+    frames_early: usize,
+}
+
+/// One session, killed `after_s` seconds into its recording.
+fn killed(lab: &Lab, out: &std::path::Path, after_s: f64) -> Killed {
+    let mut live = Live::start(&lab.kit.join("session.json"), out, &[]);
+    let from_us = live.recording_us;
+    std::thread::sleep(std::time::Duration::from_secs_f64(after_s));
+    let kill_us = live.program.kill();
+    let heard = live.heard();
+    assert!(!heard.losses.is_empty(), "a log that was not closed says so");
+    let missing = heard.missing(&lab.sent(), from_us, kill_us);
+    let due: Vec<(String, i64)> = lab.delivered().into_iter().filter(|(_, at_us)| (from_us..kill_us).contains(at_us)).collect();
+    let (delivered, fresh): (Vec<_>, Vec<_>) = due.iter().partition(|(_, at_us)| kill_us - at_us >= DELIVERED_US);
+    let there = |(hash, _): &&&(String, i64)| heard.frames.contains(hash);
+    Killed {
+        missing,
+        frames_delivered: delivered.len(),
+        frames_lost: delivered.len() - delivered.iter().filter(there).count(),
+        frames_early: fresh.iter().filter(there).count(),
+    }
+}
+
+/// `count` kills on one lab; moments are drawn from `seed`.
+fn kills(seed: u64, count: usize) -> Vec<Killed> {
+    let seconds = (12 * count).clamp(30, 3600);
+    let (duration, repeat) = (seconds.to_string(), (seconds / 6).clamp(1, 1000).to_string());
+    let args = ["--duration-s", &duration, "--repeat", &repeat, "--faults", "none", "--linger-s", "60"];
+    let Some(lab) = Lab::start(&args) else { return Vec::new() };
+    let mut draw = Stream::new(seed, 10, 0, Purpose::Evaluation);
+    let outs = tempfile::tempdir().expect("temporary folder");
+    let one = |index: usize| {
+        let after_s = 0.5 + 3.0 * draw.uniform();
+        let killed = killed(&lab, &outs.path().join(format!("{index}")), after_s);
+        println!("seed {seed}, kill {index} after {after_s:.2} s: {killed:?}");
+        killed
+    };
+    (0..count).map(one).collect()
+}
+
+fn judge(killed: &[Killed]) {
+    assert!(!killed.is_empty());
+    let mut lost_ms: Vec<f64> = killed.iter().map(|kill| kill.missing.oldest_ms).collect();
+    lost_ms.sort_by(f64::total_cmp);
+    let sum = |count: fn(&Killed) -> usize| killed.iter().map(count).sum::<usize>();
+    let (delivered, lost) = (sum(|kill| kill.frames_delivered), sum(|kill| kill.frames_lost));
+    let worst = lost_ms[lost_ms.len() - 1];
+    println!(
+        "{} kills: telemetry lost median {:.0} ms, worst {worst:.0} ms, {} of {} packets; {lost} of {delivered} delivered frames lost, \
+         {} more were in the log before they counted as delivered",
+        killed.len(),
+        lost_ms[lost_ms.len() / 2],
+        sum(|kill| kill.missing.lost),
+        sum(|kill| kill.missing.sent),
+        sum(|kill| kill.frames_early)
+    );
+    assert!(delivered > 0 && sum(|kill| kill.missing.sent) > 100 * killed.len(), "there was something to lose");
+    assert!(worst <= WORST_MS, "{worst:.0} ms of telemetry lost, {WORST_MS} allowed");
+    assert_eq!(lost, 0, "delivered frames lost");
+}
+
+#[test]
+fn three_kills_cost_little_telemetry_and_no_frame() {
+    let killed = kills(7, 3);
+    if !killed.is_empty() {
+        judge(&killed);
+    }
+}
+
+/// The control: a log without its last half second is found to have lost it.
+#[test]
+fn a_log_that_ends_early_is_seen() {
+    let Some(lab) = Lab::start(&["--duration-s", "8", "--faults", "none", "--exposures", "0"]) else { return };
+    let out = tempfile::tempdir().expect("temporary folder");
+    let mut live = Live::start(&lab.kit.join("session.json"), &out.path().join("session"), &[]);
+    std::thread::sleep(std::time::Duration::from_millis(700));
+    live.program.kill();
+    std::thread::sleep(std::time::Duration::from_millis(500));
+    let missing = live.heard().missing(&lab.sent(), live.recording_us, sidecarm::time::host_now_us());
+    assert!(missing.oldest_ms > 450.0 && missing.lost > 40, "{missing:?}");
+}
+
+#[test]
+#[ignore = "minutes long: scripts/evaluate kill runs it"]
+fn many_kills_cost_little_telemetry_and_no_frame() {
+    let number = |name: &str, default: usize| std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(default);
+    let (count, labs) = (number("SIDECARM_KILLS", 200), number("SIDECARM_LABS", 2));
+    let results = std::sync::Mutex::new(Vec::new());
+    std::thread::scope(|scope| {
+        for lab in 0..labs {
+            let share = count / labs + usize::from(lab < count % labs);
+            let results = &results;
+            scope.spawn(move || {
+                let killed = kills(100 + lab as u64, share);
+                results.lock().expect("not poisoned").extend(killed);
+            });
+        }
+    });
+    let results = results.into_inner().expect("not poisoned");
+    assert_eq!(results.len(), count);
+    judge(&results);
+}
+
+/// Two programs on one output: the second is refused, the first goes on.
+#[test]
+fn a_second_program_on_the_same_output_is_refused() {
+    let Some(lab) = Lab::start(&["--duration-s", "8", "--faults", "none", "--exposures", "0"]) else { return };
+    let out = tempfile::tempdir().expect("temporary folder");
+    let folder = out.path().join("session");
+    let first = Live::start(&lab.kit.join("session.json"), &folder, &["--seconds", "4"]);
+    let mut second = Live::launch(&lab.kit.join("session.json"), &folder, &[]);
+    let status = second.program.end(30.0).expect("the second ends at once");
+    let words = second.stderr();
+    assert_eq!(status.code(), Some(1), "{words}");
+    assert!(words.contains("session.mcap") && words.contains("--out") && !words.contains("panicked"), "{words}");
+    let mut first = first;
+    assert_eq!(first.program.end(30.0).and_then(|status| status.code()), Some(0), "{}", first.stderr());
+    let ended = eventually(1.0, || first.heard().end_us);
+    assert!(ended.is_some() && first.heard().losses.is_empty(), "the first is complete");
+}

@@ -12,6 +12,8 @@ mod timeline_binding;
 mod timeline_clock;
 mod record_log;
 mod bad_input;
+mod binding;
+mod binding_sessions;
 mod beads_detection;
 mod beads_layout;
 mod pose_registration;

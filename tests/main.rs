@@ -13,6 +13,8 @@ mod timeline_clock;
 mod record_log;
 mod record_writer;
 mod bad_input;
+mod binding;
+mod binding_sessions;
 mod beads_detection;
 mod beads_layout;
 mod pose_registration;

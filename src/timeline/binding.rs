@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::evidence::{Binding, BindingHow};
 use super::exposure::{ExposureInterval, ExposureTracker};
 
 /// What a frame says about when it was taken.
@@ -33,31 +34,6 @@ impl Default for BindLimits {
     fn default() -> Self {
         Self { arrival_us: 5_000_000, acquired_resolution_us: 1_000_000, acquired_tolerance_us: 2_000_000, console_offset_us: 0 }
     }
-}
-
-/// What tied a frame to its exposure.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum BindingHow {
-    /// The exposure counter.
-    Counter,
-    /// Time: the console's stamp or the arrival.
-    Time,
-    /// Nothing: no pose from telemetry.
-    None,
-}
-
-/// A frame's exposure, or why there is none.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Binding {
-    /// The exposure; `None` unless exactly one qualifies.
-    pub exposure: Option<ExposureInterval>,
-    /// What tied them.
-    pub how: BindingHow,
-    /// What was found, in sentences, the decisive one last.
-    pub evidence: Vec<String>,
-    /// False while telemetry has not yet reached the frame's arrival: asking again later may give another answer.
-    pub settled: bool,
 }
 
 /// Collects what is found on the way to a verdict.
@@ -106,7 +82,7 @@ impl<'a> Inquiry<'a> {
 
     fn none(mut self, reason: impl Into<String>) -> Binding {
         self.evidence.push(reason.into());
-        Binding { exposure: None, how: BindingHow::None, evidence: self.evidence, settled: self.settled }
+        Binding { evidence: self.evidence, settled: self.settled, ..Binding::default() }
     }
 
     /// The verdict for one exposure, unless it still goes on.
@@ -116,7 +92,8 @@ impl<'a> Inquiry<'a> {
             return self.none(format!("{} still goes on as far as telemetry has come", interval.label()));
         }
         self.evidence.push(reason);
-        Binding { exposure: Some(interval.clone()), how, evidence: self.evidence, settled: true }
+        let time_us = Some(interval.mid_us());
+        Binding { exposure: Some(interval.clone()), how, evidence: self.evidence, settled: true, time_us, flags: Vec::new() }
     }
 
     fn by_counter(mut self, counter: u32) -> Binding {

@@ -3,14 +3,24 @@
 //! A sample keeps its raw device time and its host arrival; its mapped host time comes from the clock map of its segment and improves
 //! while data come in. Answers depend on what was pushed, in which order, and on nothing else, so a replay gives the same ones.
 
+mod agreement;
+mod binder;
 mod binding;
 mod clock;
+mod console;
+mod counting;
+mod evidence;
 mod exposure;
+mod judgement;
 mod segments;
+mod shots;
 mod track;
 
-pub use binding::{BindLimits, Binding, BindingHow, FrameStamp};
+pub use binder::Binder;
+pub use binding::{BindLimits, FrameStamp};
 pub use clock::{ClockEstimate, ClockMap, LEAST_DELAY_US, MAX_DRIFT};
+pub use console::ConsoleClock;
+pub use evidence::{Binding, BindingFlag, BindingHow, FrameEvidence};
 pub use exposure::{ExposureInterval, ExposureTracker, HIDING_SILENCE_US, Silence};
 pub use segments::{DeviceClock, Placed, Segment, SegmentStart, SegmentSummary};
 pub use track::{Answer, Bracket, Entry, Retention, Stamps, Support, Track};
@@ -200,6 +210,20 @@ impl Timeline {
     #[must_use]
     pub fn exposures(&self) -> Vec<ExposureInterval> {
         self.exposures.closed().iter().chain(self.exposures.open()).cloned().collect()
+    }
+
+    /// Where exposures are found.
+    #[must_use]
+    pub fn exposure_tracker(&self) -> &ExposureTracker {
+        &self.exposures
+    }
+
+    /// The closed exposure with this index, while it is kept.
+    #[must_use]
+    pub fn exposure(&self, index: u64) -> Option<&ExposureInterval> {
+        let closed = self.exposures.closed();
+        let at = closed.binary_search_by_key(&index, |interval| interval.index).ok()?;
+        closed.get(at)
     }
 
     /// Ties a frame to its exposure, or says why it cannot be tied.

@@ -1,0 +1,397 @@
+//! Frames to exposures, as they come: what console, counter and arrival say is weighed by what they have proved to be worth so far.
+//!
+//! Nothing about the console is assumed but that its clock drifts slowly. Its offset and the meaning of its counter are learnt from
+//! frames that arrive promptly and agree with each other ([`super::agreement`]). A frame is then bound where exactly one exposure fits
+//! everything that is known; whatever leaves two readings is left unbound and asked again when more is known. There is no binding by
+//! elimination: that another exposure has its frame does not prove that a second picture is not of it too.
+//!
+//! Pure: no clock, no disk. The same calls give the same answers, live and in a replay.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::Timeline;
+use super::agreement::{Suggestion, Topic, agreement};
+use super::console::{Bounds, ConsoleClock, ConsoleOffset};
+use super::counting::Counting;
+use super::evidence::{Binding, BindingFlag, BindingHow, FrameEvidence, flags_of, seconds, time_within};
+use super::judgement::{Judgement, Weighed};
+use super::shots::Shots;
+
+/// Frames that take part in an agreement: the latest.
+const VOTERS: usize = 48;
+/// A frame whose telemetry has not come after this long is judged without it.
+const PATIENCE_US: i64 = 1_000_000;
+const MINUTE_US: i64 = 60_000_000;
+/// An offset is used from so many frames on.
+pub(super) const KNOWN_FRAMES: u32 = 2;
+
+/// A frame (or the first image of a run) and what is known of it.
+#[derive(Clone, Debug)]
+pub(super) struct Pending {
+    pub evidence: FrameEvidence,
+    /// Exposures after which it arrived promptly, once telemetry has reached its arrival.
+    pub prompt: Option<Vec<usize>>,
+    binding: Binding,
+    /// Images of the same run, itself not.
+    images: Vec<u32>,
+}
+
+/// Binds frames to the exposures of a [`Timeline`].
+#[derive(Clone, Debug, Default)]
+pub struct Binder {
+    pub(super) shots: Shots,
+    pub(super) frames: BTreeMap<u32, Pending>,
+    /// Frames without an exposure that may still get one.
+    open: BTreeSet<u32>,
+    /// Latest frames with prompt exposures.
+    voters: Vec<u32>,
+    /// By content: the frame that stands for it, and the images seen.
+    contents: BTreeMap<String, (u32, BTreeMap<u32, u32>)>,
+    /// Images of a run (and copies) to the frame that stands for them.
+    stands_for: BTreeMap<u32, (u32, Binding)>,
+    /// The console's offset, a new one whenever its clock was set.
+    pub(super) offsets: Vec<ConsoleOffset>,
+    pub(super) counting: Counting,
+    /// Stamps at a whole minute, and others.
+    whole_minutes: u32,
+    other_stamps: u32,
+    /// Frames that came when no exposure was near.
+    pub(super) strays: u32,
+    changed: BTreeSet<u32>,
+    fresh: bool,
+    pub(super) finished: bool,
+}
+
+impl Binder {
+    /// Nothing known yet.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Takes a frame; frames are pushed in the order of their arrival, images of a run one by one.
+    pub fn push(&mut self, evidence: FrameEvidence) {
+        let (frame, image) = (evidence.frame, evidence.image_of_file[0]);
+        self.fresh = true;
+        self.changed.insert(frame);
+        if let Some((first, images)) = self.contents.get_mut(&evidence.content) {
+            let first = *first;
+            if let Some(same) = images.get(&image).copied() {
+                let binding = Binding {
+                    evidence: vec![format!("the content is that of frame {same}: a copy of its file, not another exposure")],
+                    settled: true,
+                    flags: vec![BindingFlag::Duplicate { of: same }],
+                    ..Binding::default()
+                };
+                self.stands_for.insert(frame, (same, binding));
+                return;
+            }
+            images.insert(image, frame);
+            let mut own = Binding::default();
+            if let Some(pending) = self.frames.get_mut(&first) {
+                pending.images.push(frame);
+                own = within_run(&pending.binding, &evidence);
+            }
+            self.stands_for.insert(frame, (first, own));
+            // Kept for its own place within the run.
+            self.frames.insert(frame, Pending { evidence, prompt: None, binding: Binding::default(), images: Vec::new() });
+            return;
+        }
+        self.contents.insert(evidence.content.clone(), (frame, BTreeMap::from([(image, frame)])));
+        if let Some(counter) = evidence.counter {
+            self.counting.see(counter);
+        }
+        match evidence.console_us {
+            Some(us) if us.rem_euclid(MINUTE_US) == 0 => self.whole_minutes += 1,
+            Some(_) => self.other_stamps += 1,
+            None => {}
+        }
+        self.open.insert(frame);
+        self.frames.insert(frame, Pending { evidence, prompt: None, binding: waiting(), images: Vec::new() });
+    }
+
+    /// Looks at what `timeline` has learnt; `now_us` is the host time. Returns the frames whose binding changed.
+    pub fn update(&mut self, timeline: &Timeline, now_us: i64) -> Vec<u32> {
+        let newest_us = timeline.carm().newest_mapped_us();
+        let new_shots = !self.shots.follow(timeline.exposure_tracker(), newest_us).is_empty();
+        let waits = self.open.iter().any(|frame| self.frames.get(frame).is_some_and(|pending| !pending.binding.settled));
+        if self.fresh || new_shots || waits {
+            self.fresh = false;
+            self.meet(newest_us, now_us);
+            self.settle(timeline, newest_us, now_us);
+        }
+        std::mem::take(&mut self.changed).into_iter().collect()
+    }
+
+    /// No more telemetry will come: judges every frame with what there is.
+    pub fn finish(&mut self, timeline: &Timeline) -> Vec<u32> {
+        self.finished = true;
+        self.fresh = true;
+        self.update(timeline, i64::MAX)
+    }
+
+    /// A frame's binding as it stands.
+    #[must_use]
+    pub fn binding(&self, frame: u32) -> Option<&Binding> {
+        match self.stands_for.get(&frame) {
+            Some((_, own)) => Some(own),
+            None => self.frames.get(&frame).map(|pending| &pending.binding),
+        }
+    }
+
+    /// The console's clock, once frames agree on it.
+    #[must_use]
+    pub fn clock(&self) -> Option<ConsoleClock> {
+        self.offsets.iter().rev().find_map(ConsoleOffset::summary).filter(|clock| clock.frames >= KNOWN_FRAMES)
+    }
+
+    /// Finds the exposures shortly before frames whose arrival telemetry has reached.
+    fn meet(&mut self, newest_us: Option<i64>, now_us: i64) {
+        let open: Vec<u32> = self.open.iter().copied().collect();
+        for frame in open {
+            let Some(pending) = self.frames.get_mut(&frame) else { continue };
+            let Some(arrival_us) = pending.evidence.arrival_us else {
+                pending.prompt = Some(Vec::new());
+                continue;
+            };
+            let reached = newest_us.is_some_and(|newest_us| newest_us >= arrival_us);
+            let patient = now_us.saturating_sub(arrival_us) < PATIENCE_US;
+            if pending.prompt.is_some() || !reached && patient {
+                continue;
+            }
+            let prompt = self.shots.prompt(arrival_us);
+            for at in &prompt {
+                self.shots.get_mut(*at).prompt_frames += 1;
+            }
+            if prompt.is_empty() {
+                self.strays += 1;
+            } else {
+                self.voters.push(frame);
+                if self.voters.len() > VOTERS {
+                    self.voters.remove(0);
+                }
+            }
+            pending.prompt = Some(prompt);
+        }
+    }
+
+    /// Judges until nothing more follows.
+    fn settle(&mut self, timeline: &Timeline, newest_us: Option<i64>, now_us: i64) {
+        loop {
+            self.agree_on_offset();
+            self.agree_on_shift(timeline);
+            let mut bound = false;
+            for frame in self.open.iter().copied().collect::<Vec<u32>>() {
+                let Some(pending) = self.frames.get(&frame) else { continue };
+                let judgement = Weighed { binder: self, timeline, newest_us, now_us, pending }.judge();
+                bound |= self.conclude(timeline, frame, judgement, newest_us, now_us);
+            }
+            if !bound {
+                return;
+            }
+        }
+    }
+
+    fn conclude(&mut self, timeline: &Timeline, frame: u32, judgement: Judgement, newest_us: Option<i64>, now_us: i64) -> bool {
+        let binding = match judgement {
+            Judgement::Of { shot, how, evidence, teaches } => {
+                let Some(exposure) = timeline.exposure(self.shots.get(shot).index) else { return false };
+                self.bind(frame, shot, exposure.clone(), how, evidence, teaches);
+                return true;
+            }
+            Judgement::Wait(reason) => Binding { evidence: vec![reason], settled: self.finished, ..Binding::default() },
+            Judgement::None(evidence) => {
+                let arrival_us = self.frames.get(&frame).and_then(|pending| pending.evidence.arrival_us);
+                let reached = arrival_us.is_none_or(|arrival_us| {
+                    newest_us.is_some_and(|newest_us| newest_us >= arrival_us)
+                        || now_us.saturating_sub(arrival_us) >= PATIENCE_US
+                });
+                Binding { evidence, settled: self.finished || reached, ..Binding::default() }
+            }
+        };
+        self.tell(frame, binding);
+        false
+    }
+
+    fn bind(
+        &mut self,
+        frame: u32,
+        shot: usize,
+        exposure: super::ExposureInterval,
+        how: BindingHow,
+        evidence: Vec<String>,
+        teaches: bool,
+    ) {
+        self.open.remove(&frame);
+        self.shots.get_mut(shot).frame = Some(frame);
+        let Some(pending) = self.frames.get(&frame) else { return };
+        let said = pending.evidence.clone();
+        if let Some(counter) = said.counter.filter(|_| teaches) {
+            self.counting.learn(&self.shots, shot, counter);
+        }
+        if let Some(pair) = self.pair(&said, shot)
+            && teaches
+            && self.shots.get(shot).whole
+        {
+            match self.offsets.last_mut() {
+                Some(offset) => {
+                    offset.learn(&pair);
+                }
+                None => {
+                    let mut offset = ConsoleOffset::default();
+                    offset.learn(&pair);
+                    self.offsets.push(offset);
+                }
+            }
+        }
+        let time_us = Some(time_within(&said, &exposure));
+        let flags = flags_of(&said, &exposure);
+        self.tell(frame, Binding { exposure: Some(exposure), how, evidence, settled: true, time_us, flags });
+    }
+
+    /// Notes a frame's binding, and those of the images of its run, where it is another than before.
+    fn tell(&mut self, frame: u32, binding: Binding) {
+        let Some(pending) = self.frames.get_mut(&frame) else { return };
+        if pending.binding == binding {
+            return;
+        }
+        self.changed.insert(frame);
+        pending.binding = binding;
+        let (binding, images) = (pending.binding.clone(), pending.images.clone());
+        for image in images {
+            let Some(own) = self.frames.get(&image) else { continue };
+            let own = within_run(&binding, &own.evidence);
+            self.stands_for.insert(image, (frame, own));
+            self.changed.insert(image);
+        }
+    }
+
+    /// What stamp and exposure together say of the console's offset.
+    pub(super) fn pair(&self, said: &FrameEvidence, shot: usize) -> Option<Bounds> {
+        let shot = self.shots.get(shot);
+        Some(Bounds::of(said.console_us?, self.resolution_us(said), shot.start_us, shot.end_us))
+    }
+
+    /// Resolution of a frame's stamp: a console that writes whole minutes writes zeros for the seconds.
+    pub(super) fn resolution_us(&self, said: &FrameEvidence) -> i64 {
+        let whole = said.console_us.is_some_and(|us| us.rem_euclid(MINUTE_US) == 0);
+        if whole && self.whole_minutes >= self.other_stamps { MINUTE_US } else { said.console_resolution_us.max(1) }
+    }
+
+    /// Whether a frame lacks what most others have.
+    pub(super) fn others_say_more(&self, said: &FrameEvidence) -> bool {
+        let standing = self.contents.len() as u32;
+        let stamped = self.whole_minutes + self.other_stamps;
+        said.console_us.is_none() && 2 * stamped > standing || said.counter.is_none() && 2 * self.counting.frames() > standing
+    }
+
+    /// Whether any offset that is known, at that time, allows the pair.
+    pub(super) fn allowed(&self, pair: &Bounds) -> bool {
+        let known: Vec<&ConsoleOffset> = self.known_offsets().collect();
+        known.iter().enumerate().any(|(i, offset)| {
+            // Between the last frame of one setting and the first of the next either may hold.
+            let after = i.checked_sub(1).and_then(|before| known[before].span_us()).is_none_or(|(_, last_us)| pair.at_us >= last_us);
+            let before = known.get(i + 1).and_then(|next| next.span_us()).is_none_or(|(first_us, _)| pair.at_us <= first_us);
+            after && before && offset.allows(pair)
+        })
+    }
+
+    pub(super) fn known_offsets(&self) -> impl Iterator<Item = &ConsoleOffset> {
+        self.offsets.iter().filter(|offset| offset.summary().is_some_and(|clock| clock.frames >= KNOWN_FRAMES))
+    }
+
+    /// What the latest prompt frames suggest, as far as it is not known already.
+    fn suggestions(&self, topic: Topic) -> Vec<Suggestion> {
+        let mut found = Vec::new();
+        for pending in self.voters.iter().filter_map(|frame| self.frames.get(frame)) {
+            let said = &pending.evidence;
+            for shot in pending.prompt.iter().flatten().copied() {
+                let at = self.shots.get(shot);
+                let taken = at.frame.is_some_and(|frame| frame != said.frame);
+                let elsewhere = pending.binding.exposure.as_ref().is_some_and(|exposure| exposure.index != at.index);
+                if taken || elsewhere {
+                    continue;
+                }
+                let number = self.shots.number(shot);
+                found.push(Suggestion {
+                    frame: said.frame,
+                    shot,
+                    at_us: at.end_us,
+                    offset: self.pair(said, shot).filter(|_| at.whole),
+                    shift: said.counter.zip(number).map(|(counter, number)| i64::from(counter) - number),
+                });
+            }
+        }
+        if topic == Topic::Offset && self.known_offsets().next().is_some() {
+            // Only frames that no known offset explains can show that the clock was set.
+            let explained: BTreeSet<u32> =
+                found.iter().filter(|s| s.offset.is_some_and(|pair| self.allowed(&pair))).map(|s| s.frame).collect();
+            let last_us = self.offsets.last().and_then(ConsoleOffset::span_us).map_or(i64::MIN, |(_, last_us)| last_us);
+            found.retain(|s| !explained.contains(&s.frame) && s.at_us > last_us);
+        }
+        found
+    }
+
+    fn agree_on_offset(&mut self) {
+        let known = self.known_offsets().next().is_some();
+        let suggestions = self.suggestions(Topic::Offset);
+        let Some(members) = agreement(Topic::Offset, &suggestions) else { return };
+        let frames: BTreeSet<u32> = members.iter().map(|member| member.frame).collect();
+        if known && frames.len() < 3 {
+            return;
+        }
+        let mut offset = ConsoleOffset::default();
+        for member in &members {
+            // A frame with two exposures that fit teaches nothing.
+            let alone = members.iter().filter(|other| other.frame == member.frame).count() == 1;
+            if let Some(pair) = member.offset.filter(|_| alone) {
+                offset.learn(&pair);
+            }
+        }
+        if offset.summary().is_some_and(|clock| clock.frames >= KNOWN_FRAMES) {
+            if !known {
+                self.offsets.clear();
+            }
+            self.offsets.push(offset);
+        }
+    }
+
+    /// Without stamps, prompt frames that agree on the counter's shift are bound by it.
+    fn agree_on_shift(&mut self, timeline: &Timeline) {
+        if self.known_offsets().next().is_some() || self.counting.useless().is_some() {
+            return;
+        }
+        let suggestions = self.suggestions(Topic::Shift);
+        let unbound = |s: &Suggestion| self.open.contains(&s.frame);
+        if !suggestions.iter().any(unbound) {
+            return;
+        }
+        let Some(members) = agreement(Topic::Shift, &suggestions) else { return };
+        for member in members {
+            let Some(exposure) = timeline.exposure(self.shots.get(member.shot).index).cloned() else { continue };
+            let free = self.shots.get(member.shot).frame.is_none() && self.open.contains(&member.frame);
+            let (Some(pending), true) = (self.frames.get(&member.frame), free) else { continue };
+            let late_us = pending.evidence.arrival_us.map_or(0, |arrival_us| arrival_us.saturating_sub(exposure.end_us));
+            let evidence = vec![
+                format!("{} ended {} before the frame arrived", exposure.label(), seconds(late_us)),
+                format!("its counter differs from the exposure's number by {}, as that of other prompt frames", member.shift.unwrap_or(0)),
+            ];
+            self.bind(member.frame, member.shot, exposure, BindingHow::Counter, evidence, true);
+        }
+    }
+}
+
+/// What a frame has before it was judged.
+fn waiting() -> Binding {
+    Binding { evidence: vec!["telemetry has not yet reached the frame's arrival".to_owned()], ..Binding::default() }
+}
+
+/// The binding of a run as it is for one of its images.
+fn within_run(run: &Binding, image: &FrameEvidence) -> Binding {
+    let mut own = run.clone();
+    if let Some(exposure) = &own.exposure {
+        own.time_us = Some(time_within(image, exposure));
+        own.flags = flags_of(image, exposure);
+    }
+    own
+}

@@ -1,0 +1,110 @@
+//! What the console's counter is worth: its shift against the exposures' numbers, learnt from frames bound by time.
+//!
+//! A counter that counts exposures keeps its shift from one known frame to the next; one that is constant, or counts something else,
+//! has another shift at every frame.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::shots::Shots;
+
+/// How well a shift is known at an exposure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Firmness {
+    /// Nothing is known yet, but frame and C-arm carry the same number.
+    Equal,
+    /// The known frames on either side have different shifts, and this is one of them.
+    Border,
+    /// The nearest known frame on one side has it, there is none on the other.
+    OneSide,
+    /// The known frames before and after have it.
+    Enclosed,
+}
+
+/// Shifts at exposures whose frames are known.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Counting {
+    shifts: BTreeMap<usize, i64>,
+    /// How often the counter's values were seen, in frames of different content.
+    seen: BTreeMap<u32, u32>,
+}
+
+impl Counting {
+    /// Notes a value that a frame carries.
+    pub(super) fn see(&mut self, counter: u32) {
+        *self.seen.entry(counter).or_insert(0) += 1;
+    }
+
+    /// Frames with a counter.
+    pub(super) fn frames(&self) -> u32 {
+        self.seen.values().sum()
+    }
+
+    pub(super) fn times_seen(&self, counter: u32) -> u32 {
+        self.seen.get(&counter).copied().unwrap_or(0)
+    }
+
+    /// A frame with `counter` is known, by other means, to be of the exposure at `shot`.
+    pub(super) fn learn(&mut self, shots: &Shots, shot: usize, counter: u32) {
+        if let Some(number) = shots.number(shot) {
+            self.shifts.insert(shot, i64::from(counter) - number);
+        }
+    }
+
+    /// Neighbouring known frames with the same shift, and with different ones.
+    fn agreements(&self) -> (usize, usize) {
+        let shifts: Vec<i64> = self.shifts.values().copied().collect();
+        let same = shifts.windows(2).filter(|pair| pair[0] == pair[1]).count();
+        (same, shifts.len().saturating_sub(1) - same)
+    }
+
+    /// Why the counter is not used, if it is not.
+    pub(super) fn useless(&self) -> Option<String> {
+        if let Some((value, times)) = self.seen.iter().max_by_key(|(_, times)| **times)
+            && *times >= 3
+            && 2 * u64::from(*times) > self.seen.values().map(|times| u64::from(*times)).sum::<u64>()
+        {
+            return Some(format!("the console's counter does not move ({value} in {times} frames) and is not used"));
+        }
+        let (same, different) = self.agreements();
+        (different >= 3 && different > same)
+            .then(|| format!("the console's counter does not count exposures ({different} contradictions) and is not used"))
+    }
+
+    /// Whether every known frame has the same shift, of which there are enough to believe it.
+    pub(super) fn steady(&self) -> bool {
+        let (same, different) = self.agreements();
+        different == 0 && same >= 4
+    }
+
+    /// Positions of exposures that a frame with `counter` may be of, and how firmly.
+    /// Where the C-arm does not count, an exposure that fell into a gap of telemetry (`blind`, between two positions) shifts all
+    /// numbers after it.
+    pub(super) fn candidates(&self, shots: &Shots, counter: u32, blind: &dyn Fn(usize, usize) -> bool) -> Vec<(usize, Firmness)> {
+        let mut shifts: BTreeSet<i64> = self.shifts.values().copied().collect();
+        if shots.counted {
+            shifts.insert(0);
+        }
+        let mut found = Vec::new();
+        for shift in shifts {
+            for at in shots.numbered(i64::from(counter) - shift) {
+                if shots.number(*at) != Some(i64::from(counter) - shift) {
+                    continue;
+                }
+                let known = |(shot, shift): (&usize, &i64)| (shots.counted || !blind((*shot).min(*at), (*shot).max(*at))).then_some(*shift);
+                let (before, after) = (self.shifts.range(..=*at).next_back(), self.shifts.range(*at..).next());
+                let torn = [before, after].into_iter().flatten().any(|side| known(side).is_none());
+                let (before, after) = (before.and_then(known), after.and_then(known));
+                let firmness = match (before == Some(shift), after == Some(shift), before.is_none(), after.is_none()) {
+                    (true, ..) | (_, true, ..) if torn => Firmness::Border,
+                    (true, true, ..) => Firmness::Enclosed,
+                    (true, _, _, true) | (_, true, true, _) => Firmness::OneSide,
+                    (true, ..) | (_, true, ..) => Firmness::Border,
+                    (_, _, true, true) if shots.counted && shift == 0 => Firmness::Equal,
+                    _ => continue,
+                };
+                found.push((*at, firmness));
+            }
+        }
+        found
+    }
+}

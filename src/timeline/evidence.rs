@@ -1,0 +1,215 @@
+//! What a frame says about when it was taken, and what was concluded from it.
+
+use serde::{Deserialize, Serialize};
+
+use super::exposure::ExposureInterval;
+use crate::acquire::FrameTags;
+
+/// What one image says about when it was taken; made once, when its file has arrived.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FrameEvidence {
+    /// Number of arrival; the key.
+    pub frame: u32,
+    /// SHA-256 of the file: the same content again is no new frame, images of one content are one run.
+    pub content: String,
+    /// Index and count of the image within its file.
+    pub image_of_file: [u32; 2],
+    /// The exposure counter as the console wrote it, whatever it counts.
+    pub counter: Option<u32>,
+    /// Date and time by the console's clock, as if its zone were UTC: the estimated offset absorbs zone and error alike.
+    pub console_us: Option<i64>,
+    /// Last digit of that stamp.
+    pub console_resolution_us: i64,
+    /// Host time at which the file was complete; `None` if it was exported afterwards, so that its arrival says nothing.
+    pub arrival_us: Option<i64>,
+    /// Time from image to image of a run, where the file says it.
+    pub frame_time_us: Option<i64>,
+}
+
+impl FrameEvidence {
+    /// From the kept tags of a frame.
+    #[must_use]
+    pub fn of(frame: u32, tags: &FrameTags, sha256: &str, image_of_file: [u32; 2], arrival_us: Option<i64>) -> Self {
+        Self {
+            frame,
+            content: sha256.to_owned(),
+            image_of_file,
+            counter: tags.exposure_counter,
+            console_us: tags.acquired_local_us(),
+            console_resolution_us: resolution_us(tags.acquired_time.as_deref().unwrap_or_default()),
+            arrival_us,
+            frame_time_us: None,
+        }
+    }
+}
+
+/// Weight of the last digit of `HHMMSS.FFFFFF`, of which any tail may be missing.
+fn resolution_us(time: &str) -> i64 {
+    match time.len() {
+        0..4 => 3_600_000_000,
+        4..6 => 60_000_000,
+        6..8 => 1_000_000,
+        length => 10i64.pow(6 - (length - 7).min(6) as u32),
+    }
+}
+
+/// What tied a frame to its exposure.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum BindingHow {
+    /// The exposure counter.
+    Counter,
+    /// Time: the console's stamp or the arrival.
+    Time,
+    /// Nothing: no pose from telemetry.
+    #[default]
+    None,
+}
+
+/// What a person should know of a binding before relying on its joints.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case", tag = "flag")]
+pub enum BindingFlag {
+    /// A joint moved while the beam was on; mm or degrees.
+    Moved {
+        /// Which.
+        joint: &'static str,
+        /// By how much.
+        moved: f64,
+        /// From where on it matters.
+        limit: f64,
+    },
+    /// The joints are interpolated over a gap of telemetry.
+    TelemetryGap {
+        /// Its length.
+        gap_us: i64,
+    },
+    /// Beam on or beam off fell into a gap: the interval is as long as it can be.
+    OpenEnds,
+    /// Only the C-arm's counter tells of the exposure.
+    Unseen,
+    /// The frame came long after its exposure.
+    Late {
+        /// How long.
+        by_us: i64,
+    },
+    /// One image of a run: its time lies within the exposure.
+    Run {
+        /// Which, from 0.
+        image: u32,
+        /// Of how many.
+        count: u32,
+    },
+    /// The same content as an earlier frame, which has the exposure.
+    Duplicate {
+        /// That frame.
+        of: u32,
+    },
+}
+
+impl std::fmt::Display for BindingFlag {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Moved { joint, moved, limit } => write!(f, "{joint} moved by {moved:.2} during the exposure (limit {limit})"),
+            Self::TelemetryGap { gap_us } => write!(f, "joints are interpolated over {} without telemetry", seconds(*gap_us)),
+            Self::OpenEnds => f.write_str("beam on or off fell into a gap of telemetry"),
+            Self::Unseen => f.write_str("telemetry missed the exposure; only its counter tells of it"),
+            Self::Late { by_us } => write!(f, "came {} after its exposure", seconds(*by_us)),
+            Self::Run { image, count } => write!(f, "image {} of {count} of one run", image + 1),
+            Self::Duplicate { of } => write!(f, "the same file as frame {of}"),
+        }
+    }
+}
+
+/// A frame's exposure, or why there is none.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Binding {
+    /// The exposure; `None` unless exactly one qualifies.
+    pub exposure: Option<ExposureInterval>,
+    /// What tied them.
+    pub how: BindingHow,
+    /// What was found, in sentences, the decisive one last.
+    pub evidence: Vec<String>,
+    /// False while telemetry has not yet reached the frame's arrival: asking again soon may give another answer.
+    pub settled: bool,
+    /// Host time of this image: the middle of the exposure, or its own place in it for an image of a run.
+    pub time_us: Option<i64>,
+    /// What to know before relying on it.
+    pub flags: Vec<BindingFlag>,
+}
+
+/// Joints that moved farther than this during an exposure are flagged: mm and degrees.
+const MOVED_LIMITS: [(&str, f64); 7] = [
+    ("lift", 0.5),
+    ("wig-wag", 0.2),
+    ("longitudinal", 0.5),
+    ("angulation", 0.2),
+    ("orbital", 0.2),
+    ("detector rotation", 0.2),
+    ("source to detector", 0.5),
+];
+/// Joints from samples farther apart than this are flagged.
+const GAP_LIMIT_US: i64 = 200_000;
+/// A frame later than this is flagged.
+const LATE_LIMIT_US: i64 = 10_000_000;
+
+/// What to know of `frame` bound to `exposure`.
+pub(super) fn flags_of(frame: &FrameEvidence, exposure: &ExposureInterval) -> Vec<BindingFlag> {
+    let mut flags = Vec::new();
+    for (i, (joint, limit)) in MOVED_LIMITS.into_iter().enumerate() {
+        let range = exposure.joint_range[i];
+        let moved = if matches!(i, 1 | 3 | 4 | 5) { range.to_degrees() } else { range };
+        // A joint without an encoder is NaN here; that it moved is not known.
+        if moved > limit {
+            flags.push(BindingFlag::Moved { joint, moved, limit });
+        }
+    }
+    if exposure.samples == 0 {
+        flags.push(BindingFlag::Unseen);
+    } else if !(exposure.start_seen && exposure.end_seen) {
+        flags.push(BindingFlag::OpenEnds);
+    }
+    if let Some(joints) = exposure.joints.as_ref().filter(|joints| joints.gap_us > GAP_LIMIT_US) {
+        flags.push(BindingFlag::TelemetryGap { gap_us: joints.gap_us });
+    }
+    let late_us = frame.arrival_us.map(|arrival_us| arrival_us.saturating_sub(exposure.end_us));
+    if let Some(by_us) = late_us.filter(|by_us| *by_us > LATE_LIMIT_US) {
+        flags.push(BindingFlag::Late { by_us });
+    }
+    let [image, count] = frame.image_of_file;
+    if count > 1 {
+        flags.push(BindingFlag::Run { image, count });
+    }
+    flags
+}
+
+/// Host time of `frame` within `exposure`: its middle, or the image's share of the run.
+pub(super) fn time_within(frame: &FrameEvidence, exposure: &ExposureInterval) -> i64 {
+    let [image, count] = frame.image_of_file;
+    if count <= 1 {
+        return exposure.mid_us();
+    }
+    let length_us = exposure.end_us.saturating_sub(exposure.start_us).max(0);
+    let even_us = length_us / i64::from(count);
+    // The file's own pace, unless the run would not fit into the exposure with it.
+    let step_us = frame.frame_time_us.filter(|step_us| *step_us > 0 && *step_us <= even_us.saturating_mul(5) / 4 + 1).unwrap_or(even_us);
+    let at_us = step_us.saturating_mul(i64::from(image)).saturating_add(step_us / 2);
+    exposure.start_us.saturating_add(at_us.clamp(0, length_us))
+}
+
+pub(super) fn seconds(us: i64) -> String {
+    format!("{:.3} s", us as f64 * 1e-6)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stamp_is_as_fine_as_its_last_digit() {
+        let cases = [("12", 3_600_000_000), ("1234", 60_000_000), ("123456", 1_000_000), ("123456.5", 100_000), ("123456.123456", 1)];
+        for (time, expected) in cases {
+            assert_eq!(resolution_us(time), expected, "{time}");
+        }
+    }
+}

@@ -1,0 +1,331 @@
+//! One frame against everything that is known: bound, not bound and why, or not yet.
+
+use super::Timeline;
+use super::binder::{Binder, KNOWN_FRAMES, Pending};
+use super::counting::Firmness;
+use super::evidence::{BindingHow, seconds};
+use super::shots::PROMPT_US;
+
+/// Telemetry must be this far past the moment that a stamp names, or another exposure may still come up there.
+const AFTER_STAMP_US: i64 = 500_000;
+/// A frame bound by its arrival alone waits this long for others of its batch.
+const BATCH_US: i64 = 800_000;
+/// Risk at which arrival alone still binds: that the exposure's own frame is missing and a stray came just then.
+const ARRIVAL_RISK: f64 = 1e-3;
+
+/// What came of it.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Judgement {
+    /// Of the exposure at this position. `teaches`: two kinds of evidence agree, so console and counter may be learnt from it.
+    Of { shot: usize, how: BindingHow, evidence: Vec<String>, teaches: bool },
+    /// Telemetry or other frames may decide within a second.
+    Wait(String),
+    /// No exposure, with what was found.
+    None(Vec<String>),
+}
+
+/// A frame with all that bears on it.
+pub(super) struct Weighed<'a> {
+    pub binder: &'a Binder,
+    pub timeline: &'a Timeline,
+    pub newest_us: Option<i64>,
+    pub now_us: i64,
+    pub pending: &'a Pending,
+}
+
+/// What stamp and known offset say.
+struct ByStamp {
+    fitting: Vec<usize>,
+    from_us: i64,
+    to_us: i64,
+}
+
+impl Weighed<'_> {
+    pub(super) fn judge(&self) -> Judgement {
+        if self.binder.shots.len() == 0 {
+            return none("telemetry recorded no exposure");
+        }
+        let Some(prompt) = &self.pending.prompt else {
+            return Judgement::Wait("telemetry has not yet reached the frame's arrival".to_owned());
+        };
+        let (candidates, counter_words) = self.by_counter();
+        let mut words: Vec<String> = counter_words.into_iter().collect();
+        match self.by_stamp() {
+            Some(stamp) if !self.telemetry_covers(stamp.to_us) => {
+                Judgement::Wait("telemetry has not yet passed the time that the console's stamp names".to_owned())
+            }
+            Some(stamp) => self.with_stamp(&stamp, &candidates, prompt, words),
+            None if self.pending.evidence.console_us.is_none() && self.binder.clock().is_some() => {
+                words.push("it lacks the stamp that other frames have".to_owned());
+                self.counted_and_prompt(&candidates, prompt, words)
+            }
+            None => self.without_stamp(&candidates, prompt, words),
+        }
+    }
+
+    /// Exposures that the counter allows, and what is to be said of it.
+    fn by_counter(&self) -> (Vec<(usize, Firmness)>, Option<String>) {
+        let Some(counter) = self.pending.evidence.counter else {
+            return (Vec::new(), Some("the frame carries no exposure counter".to_owned()));
+        };
+        if let Some(reason) = self.binder.counting.useless() {
+            return (Vec::new(), Some(reason));
+        }
+        let blind = |from: usize, to: usize| {
+            let (from, to) = (self.binder.shots.get(from), self.binder.shots.get(to));
+            self.timeline.exposure_tracker().blind_spot(from.end_us, to.start_us.max(from.end_us)).is_some()
+        };
+        let mut found = self.binder.counting.candidates(&self.binder.shots, counter, &blind);
+        if let Some(arrival_us) = self.pending.evidence.arrival_us {
+            found.retain(|(at, _)| self.binder.shots.get(*at).start_us <= arrival_us);
+        }
+        (found, None)
+    }
+
+    /// Exposures at the time that the stamp names, once the console's offset is known.
+    fn by_stamp(&self) -> Option<ByStamp> {
+        let said = &self.pending.evidence;
+        let console_us = said.console_us?;
+        let mut found: Option<ByStamp> = None;
+        for offset in self.binder.known_offsets() {
+            // The offset barely drifts while exposures are looked up: a second round takes it where the stamp falls.
+            let (first_us, last_us) = offset.span_us()?;
+            let mut bounds = offset.bounds(first_us / 2 + last_us / 2)?;
+            for _ in 0..2 {
+                let at_us = console_us.saturating_add(bounds.low_us / 2 + bounds.high_us / 2);
+                bounds = offset.bounds(at_us)?;
+            }
+            let from_us = console_us.saturating_add(bounds.low_us).saturating_sub(150_000);
+            let resolution_us = self.binder.resolution_us(said);
+            let to_us = console_us.saturating_add(resolution_us).saturating_add(bounds.high_us).saturating_add(150_000);
+            let near = self.binder.shots.touching(from_us, to_us);
+            let causal = |at: &usize| said.arrival_us.is_none_or(|arrival_us| self.binder.shots.get(*at).start_us <= arrival_us);
+            let fitting: Vec<usize> = near
+                .filter(causal)
+                .filter(|at| self.binder.pair(said, *at).is_some_and(|pair| self.binder.allowed(&pair)))
+                .collect();
+            match &mut found {
+                Some(all) => {
+                    all.fitting.extend(fitting);
+                    all.fitting.sort_unstable();
+                    all.fitting.dedup();
+                    (all.from_us, all.to_us) = (all.from_us.min(from_us), all.to_us.max(to_us));
+                }
+                None => found = Some(ByStamp { fitting, from_us, to_us }),
+            }
+        }
+        found
+    }
+
+    /// Telemetry has passed the time, or will not any more.
+    fn telemetry_covers(&self, until_us: i64) -> bool {
+        let said = &self.pending.evidence;
+        let limit_us = said.arrival_us.map_or(until_us, |arrival_us| until_us.saturating_add(AFTER_STAMP_US).min(arrival_us));
+        let gave_up = said.arrival_us.is_some_and(|arrival_us| self.now_us.saturating_sub(arrival_us) >= 2 * AFTER_STAMP_US);
+        self.binder.finished || gave_up || self.newest_us.is_some_and(|newest_us| newest_us >= limit_us)
+    }
+
+    fn with_stamp(
+        &self,
+        stamp: &ByStamp,
+        candidates: &[(usize, Firmness)],
+        prompt: &[usize],
+        mut words: Vec<String>,
+    ) -> Judgement {
+        let both: Vec<(usize, Firmness)> = candidates.iter().filter(|(at, _)| stamp.fitting.contains(at)).copied().collect();
+        match (&both[..], &stamp.fitting[..]) {
+            ([(at, firmness)], fitting) if fitting.len() == 1 || *firmness >= Firmness::OneSide => {
+                words.push(format!("the counter names {} as well", self.label(*at)));
+                words.push(format!("the console's stamp fits {}", self.label(*at)));
+                self.of(*at, BindingHow::Counter, words, true)
+            }
+            (_, []) => {
+                words.push(format!("the console's stamp fits no exposure{}", self.offset_words()));
+                Judgement::None(words)
+            }
+            (_, [at]) => {
+                let firm = candidates.iter().find(|(_, firmness)| *firmness == Firmness::Enclosed);
+                if let Some((other, _)) = firm
+                    && !prompt.contains(at)
+                {
+                    let (by_stamp, by_counter) = (self.label(*at), self.label(*other));
+                    words.push(format!("the console's stamp points to {by_stamp}, the counter to {by_counter}: contradictory"));
+                    return Judgement::None(words);
+                }
+                if self.pending.evidence.counter.is_some() && !both.iter().any(|(both, _)| both == at) && words.is_empty() {
+                    words.push("the counter contradicts the stamp and is dropped for this frame".to_owned());
+                }
+                if let Some(blind) = self.blind(*at, stamp.from_us, stamp.to_us) {
+                    words.push(blind);
+                    return Judgement::None(words);
+                }
+                words.push(format!("{} is the only exposure that the console's stamp fits{}", self.label(*at), self.offset_words()));
+                self.of(*at, BindingHow::Time, words, prompt.contains(at))
+            }
+            (_, several) => {
+                words.push(format!("the console's stamp fits {} exposures: ambiguous", several.len()));
+                Judgement::None(words)
+            }
+        }
+    }
+
+    /// A frame unlike the others is bound only where counter and arrival name the same exposure.
+    fn counted_and_prompt(&self, candidates: &[(usize, Firmness)], prompt: &[usize], mut words: Vec<String>) -> Judgement {
+        match candidates {
+            [(at, firmness)] if *firmness >= Firmness::OneSide && prompt.contains(at) => {
+                words.push(format!("counter and arrival name {}", self.label(*at)));
+                self.of(*at, BindingHow::Counter, words, false)
+            }
+            _ => {
+                words.push("counter and arrival do not name one exposure".to_owned());
+                Judgement::None(words)
+            }
+        }
+    }
+
+    fn without_stamp(&self, candidates: &[(usize, Firmness)], prompt: &[usize], mut words: Vec<String>) -> Judgement {
+        let said = &self.pending.evidence;
+        let free = |at: usize| self.binder.shots.get(at).frame.is_none();
+        let open: Vec<(usize, Firmness)> = candidates.iter().filter(|(at, _)| free(*at)).copied().collect();
+        if let ([(at, firmness)], Some(counter)) = (&open[..], said.counter) {
+            // A value that came before may be one that does not move, or that began anew.
+            let fresh = self.binder.counting.times_seen(counter) <= 1;
+            if prompt.contains(at) && (fresh || *firmness >= Firmness::OneSide) {
+                words.push(format!("counter {counter} names {}, which ended shortly before the frame arrived", self.label(*at)));
+                return self.of(*at, BindingHow::Counter, words, true);
+            }
+            let rival = prompt.iter().find(|other| free(**other) && *other != at);
+            let steady = self.binder.finished && *firmness == Firmness::OneSide && self.binder.counting.steady();
+            let firm = *firmness == Firmness::Enclosed || steady;
+            if let Some(rival) = rival.filter(|_| firm) {
+                words.push(format!("the counter names {}, the arrival {}: ambiguous", self.label(*at), self.label(*rival)));
+                return Judgement::None(words);
+            }
+            if firm && candidates.len() == 1 && fresh && said.console_us.is_none() {
+                words.push(format!("counter {counter} names {}, between frames with the same count", self.label(*at)));
+                return self.of(*at, BindingHow::Counter, words, false);
+            }
+        }
+        if let ([(at, _)], [], Some(counter)) = (candidates, &open[..], said.counter)
+            && let Some(other) = self.binder.shots.get(*at).frame
+        {
+            words.push(format!("counter {counter} names {}, which frame {other} has already", self.label(*at)));
+            return Judgement::None(words);
+        }
+        self.by_arrival(prompt, words)
+    }
+
+    /// Arrival alone: bound only where frames have come one by one, promptly, for every exposure.
+    fn by_arrival(&self, prompt: &[usize], mut words: Vec<String>) -> Judgement {
+        let said = &self.pending.evidence;
+        let Some(arrival_us) = said.arrival_us else {
+            words.push("without a usable stamp or counter a frame exported afterwards cannot be tied".to_owned());
+            return Judgement::None(words);
+        };
+        let unlearnt = said.console_us.is_some() || said.counter.is_some() && self.binder.counting.useless().is_none();
+        if self.binder.others_say_more(said) {
+            words.push("it lacks the stamp or counter that other frames have".to_owned());
+            return Judgement::None(words);
+        }
+        if unlearnt && !self.binder.finished {
+            words.push("what the console's clock and counter mean is not known yet: later frames will show it".to_owned());
+            return Judgement::None(words);
+        }
+        let at = match prompt {
+            [] => {
+                words.push(format!("no exposure ended within {} before the frame arrived", seconds(PROMPT_US)));
+                return Judgement::None(words);
+            }
+            [at] => *at,
+            several => {
+                let count = several.len();
+                words.push(format!("{count} exposures ended within {} before the frame arrived: ambiguous", seconds(PROMPT_US)));
+                return Judgement::None(words);
+            }
+        };
+        if !self.binder.finished && self.now_us.saturating_sub(arrival_us) < BATCH_US {
+            return Judgement::Wait("waiting whether more frames come with it".to_owned());
+        }
+        let near = |other: &Pending| {
+            let apart_us = other.evidence.arrival_us.map_or(i64::MAX, |us| us.saturating_sub(arrival_us).saturating_abs());
+            other.evidence.frame != said.frame && other.evidence.content != said.content && apart_us <= BATCH_US
+        };
+        if self.binder.shots.get(at).prompt_frames > 1 || self.binder.frames.values().any(near) {
+            words.push(format!("several frames came after {}: ambiguous", self.label(at)));
+            return Judgement::None(words);
+        }
+        if let Some(blind) = self.blind(at, arrival_us.saturating_sub(PROMPT_US), arrival_us) {
+            words.push(blind);
+            return Judgement::None(words);
+        }
+        let (risk, lacking, count) = self.arrival_risk(arrival_us);
+        if !(risk <= ARRIVAL_RISK) {
+            let strays = self.binder.strays;
+            words.push(format!(
+                "frames are missing or late here ({lacking} of {count} exposures had none promptly, {strays} frames came when none was near): arrival alone does not tell"
+            ));
+            return Judgement::None(words);
+        }
+        let late_us = arrival_us.saturating_sub(self.binder.shots.get(at).end_us);
+        words.push(format!("{} ended {} before the frame arrived, and no other was near", self.label(at), seconds(late_us)));
+        self.of(at, BindingHow::Time, words, false)
+    }
+
+    /// Chance that the exposure's own frame is missing or late and a stray arrives in its place: share of exposures without a prompt
+    /// frame (before any was seen: a tenth), times rate of strays (one in ten minutes), times the reach.
+    fn arrival_risk(&self, arrival_us: i64) -> (f64, usize, usize) {
+        let shots = &self.binder.shots;
+        let settled_us = arrival_us.saturating_sub(PROMPT_US);
+        let old: Vec<bool> =
+            (0..shots.len()).map(|at| shots.get(at)).filter(|shot| shot.end_us < settled_us).map(|shot| shot.prompt_frames == 0).collect();
+        let lacking = old.iter().filter(|lacking| **lacking).count();
+        let share = (lacking as f64 + 0.2) / (old.len() as f64 + 2.0);
+        let elapsed_us = arrival_us.saturating_sub(shots.get(0).start_us).max(0).saturating_add(300_000_000);
+        let rate = (f64::from(self.binder.strays) + 0.5) / elapsed_us as f64;
+        (share * rate * PROMPT_US as f64, lacking, old.len())
+    }
+
+    /// The verdict for one exposure, unless another frame has it.
+    fn of(&self, shot: usize, how: BindingHow, mut evidence: Vec<String>, teaches: bool) -> Judgement {
+        if let Some(other) = self.binder.shots.get(shot).frame {
+            evidence.push(format!("{} has frame {other} already; one exposure has one frame", self.label(shot)));
+            return Judgement::None(evidence);
+        }
+        Judgement::Of { shot, how, evidence, teaches }
+    }
+
+    /// Whether another exposure may hide in the window because telemetry was silent there.
+    fn blind(&self, shot: usize, from_us: i64, to_us: i64) -> Option<String> {
+        let to_us = self.pending.evidence.arrival_us.map_or(to_us, |arrival_us| to_us.min(arrival_us));
+        let spot = self.timeline.exposure_tracker().blind_spot(from_us, to_us)?;
+        let silence_ms = spot.to_us.saturating_sub(spot.from_us) / 1000;
+        Some(format!(
+            "{} would fit, but telemetry was silent for {silence_ms} ms in the time in question: another exposure may have happened unseen",
+            self.label(shot)
+        ))
+    }
+
+    fn label(&self, shot: usize) -> String {
+        let shot = self.binder.shots.get(shot);
+        match shot.counter {
+            Some(counter) => format!("exposure {counter}"),
+            None => format!("exposure #{} of the session", shot.index + 1),
+        }
+    }
+
+    fn offset_words(&self) -> String {
+        match self.binder.clock().filter(|clock| clock.frames >= KNOWN_FRAMES) {
+            Some(clock) => format!(
+                " (its clock is {} ± {} behind the host's, from {} frames)",
+                seconds(clock.offset_us),
+                seconds(clock.uncertainty_us),
+                clock.frames
+            ),
+            None => String::new(),
+        }
+    }
+}
+
+fn none(reason: &str) -> Judgement {
+    Judgement::None(vec![reason.to_owned()])
+}

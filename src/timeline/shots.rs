@@ -1,0 +1,109 @@
+//! The exposures as the binder sees them: by time, by counter, and which frame has which.
+
+use std::collections::BTreeMap;
+
+use super::exposure::{ExposureInterval, ExposureTracker};
+
+/// Arrivals from this long after the end of an exposure …
+const LEAST_DELAY_US: i64 = 50_000;
+/// … up to this long are prompt.
+pub(super) const PROMPT_US: i64 = 6_000_000;
+/// An exposure of which only the counter tells may still turn out to be the one that begins now.
+const UNSEEN_GRACE_US: i64 = 500_000;
+
+/// What binding needs of an exposure.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Shot {
+    pub index: u64,
+    pub start_us: i64,
+    pub end_us: i64,
+    pub counter: Option<u32>,
+    /// Both ends were seen: its times can teach the console's offset.
+    pub whole: bool,
+    /// The frame that has it.
+    pub frame: Option<u32>,
+    /// Frames that arrived promptly after it.
+    pub prompt_frames: u32,
+}
+
+/// All exposures so far, in order of time.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Shots {
+    list: Vec<Shot>,
+    by_number: BTreeMap<i64, Vec<usize>>,
+    /// The C-arm counts its exposures.
+    pub counted: bool,
+    longest_us: i64,
+}
+
+impl Shots {
+    /// Takes what the tracker has closed since; returns the positions of new exposures.
+    pub(super) fn follow(&mut self, tracker: &ExposureTracker, newest_us: Option<i64>) -> std::ops::Range<usize> {
+        let before = self.list.len();
+        let known = self.list.last().map(|shot| shot.index);
+        let closed = tracker.closed();
+        let first = known.map_or(0, |known| closed.partition_point(|interval| interval.index <= known));
+        for interval in closed.iter().skip(first) {
+            let certain = newest_us.is_some_and(|newest_us| newest_us >= interval.end_us.saturating_add(UNSEEN_GRACE_US));
+            if interval.samples == 0 && !certain {
+                break;
+            }
+            self.take(interval);
+        }
+        before..self.list.len()
+    }
+
+    fn take(&mut self, interval: &ExposureInterval) {
+        let at = self.list.len();
+        self.counted |= interval.counter.is_some();
+        let number = interval.counter.map_or(interval.index as i64, i64::from);
+        self.by_number.entry(number).or_default().push(at);
+        self.longest_us = self.longest_us.max(interval.end_us.saturating_sub(interval.start_us));
+        self.list.push(Shot {
+            index: interval.index,
+            start_us: interval.start_us,
+            end_us: interval.end_us,
+            counter: interval.counter,
+            whole: interval.start_seen && interval.end_seen,
+            frame: None,
+            prompt_frames: 0,
+        });
+    }
+
+    pub(super) fn get(&self, at: usize) -> Shot {
+        self.list[at]
+    }
+
+    pub(super) fn get_mut(&mut self, at: usize) -> &mut Shot {
+        &mut self.list[at]
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.list.len()
+    }
+
+    /// The number that a console's counter is compared with: the C-arm's own, else the place in the session.
+    pub(super) fn number(&self, at: usize) -> Option<i64> {
+        let shot = self.list[at];
+        if self.counted { shot.counter.map(i64::from) } else { Some(shot.index as i64) }
+    }
+
+    /// Positions with this number.
+    pub(super) fn numbered(&self, number: i64) -> &[usize] {
+        self.by_number.get(&number).map_or(&[], Vec::as_slice)
+    }
+
+    /// Positions of exposures that touch [`from_us`, `to_us`].
+    pub(super) fn touching(&self, from_us: i64, to_us: i64) -> impl Iterator<Item = usize> + use<'_> {
+        let reach_us = from_us.saturating_sub(self.longest_us);
+        let first = self.list.partition_point(|shot| shot.start_us < reach_us);
+        let last = self.list.partition_point(|shot| shot.start_us <= to_us);
+        (first..last.max(first)).filter(move |at| self.list[*at].end_us >= from_us)
+    }
+
+    /// Positions of exposures after which an arrival at `arrival_us` is prompt.
+    pub(super) fn prompt(&self, arrival_us: i64) -> Vec<usize> {
+        let (from_us, to_us) = (arrival_us.saturating_sub(PROMPT_US), arrival_us.saturating_sub(LEAST_DELAY_US));
+        self.touching(from_us, to_us).filter(|at| (from_us..=to_us).contains(&self.list[*at].end_us)).collect()
+    }
+}

@@ -1,0 +1,564 @@
+//! Sessions drawn at random, with the truth: what telemetry saw, which frames came when, and which exposure each frame is of.
+//!
+//! The generators know nothing of how frames are bound. They draw what consoles and people do: late exports, shuffled, with gaps; clocks
+//! that are off by minutes, by a time zone, and drift; counters that are absent, constant, shifted, restarted; exposures in bursts and at
+//! the minute; telemetry with holes; frames of something else; files that come twice; two pictures of one exposure.
+
+use sidecarm::geometry::CarmJoints;
+use sidecarm::random::{Purpose, Stream};
+use sidecarm::telemetry::{CarmSample, DeviceKind, Sample};
+use sidecarm::timeline::{Binder, Binding, FrameEvidence};
+
+use crate::timeline_joints::{Fed, T0_US};
+
+/// Uniform numbers of one seed.
+pub struct Draw(Stream);
+
+impl Draw {
+    pub fn new(seed: u64, purpose: u32) -> Self {
+        Self(Stream::new(seed, 10, purpose, Purpose::Evaluation))
+    }
+
+    pub fn between(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * self.0.uniform()
+    }
+
+    pub fn log(&mut self, low: f64, high: f64) -> f64 {
+        self.between(low.ln(), high.ln()).exp()
+    }
+
+    pub fn chance(&mut self, probability: f64) -> bool {
+        self.0.uniform() < probability
+    }
+
+    pub fn below(&mut self, count: usize) -> usize {
+        ((self.0.uniform() * count as f64) as usize).min(count - 1)
+    }
+
+    pub fn pick<T: Copy>(&mut self, from: &[T]) -> T {
+        from[self.below(from.len())]
+    }
+
+    pub fn shuffle<T>(&mut self, items: &mut [T]) {
+        for i in (1..items.len()).rev() {
+            items.swap(i, self.below(i + 1));
+        }
+    }
+}
+
+/// How a session is drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// Everything at random.
+    Mixed,
+    /// Exposures at the minute (or half minute), the console's clock off by whole minutes, no counter.
+    AtTheMinute,
+    /// Bursts of exposures 0.5 to 1.5 s apart.
+    Bursts,
+    /// Telemetry with many holes, some over exposures.
+    Holes,
+    /// No stamps: the counter is all there is besides arrival.
+    CounterOnly,
+    /// The counter is always 1 or absent: the stamp is all there is.
+    StampOnly,
+    /// Neither stamp nor counter: arrival is all there is, and a third of the frames comes late.
+    Neither,
+}
+
+/// Shares in a hundred sessions.
+pub const KINDS: [(Kind, u64); 7] = [
+    (Kind::Mixed, 55),
+    (Kind::AtTheMinute, 10),
+    (Kind::Bursts, 8),
+    (Kind::Holes, 8),
+    (Kind::CounterOnly, 7),
+    (Kind::StampOnly, 10),
+    (Kind::Neither, 2),
+];
+
+pub fn kind_of(seed: u64) -> Kind {
+    let mut rest = seed % 100;
+    for (kind, share) in KINDS {
+        if rest < share {
+            return kind;
+        }
+        rest -= share;
+    }
+    Kind::Mixed
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Counting {
+    Absent,
+    Constant,
+    Right,
+    Offset,
+    Restarting,
+}
+
+/// What a frame really is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Truth {
+    /// Of this exposure, which telemetry could know of.
+    Of(usize),
+    /// A second picture of this exposure.
+    SecondOf(usize),
+    /// The same file again.
+    Copy,
+    /// Of no exposure of this session.
+    Foreign,
+}
+
+/// A frame that arrives.
+#[derive(Clone, Debug)]
+pub struct Sent {
+    pub evidence: FrameEvidence,
+    pub truth: Truth,
+    pub late: bool,
+}
+
+/// One exposure as it was.
+#[derive(Clone, Copy, Debug)]
+pub struct Exposed {
+    pub start_us: i64,
+    pub end_us: i64,
+    /// The C-arm's counter during it.
+    pub counter: Option<u32>,
+}
+
+/// A drawn session.
+pub struct Session {
+    pub kind: Kind,
+    pub described: String,
+    pub exposures: Vec<Exposed>,
+    samples: Vec<(i64, CarmSample)>,
+    pub frames: Vec<Sent>,
+}
+
+const EXPOSURES: usize = 60;
+const LATE: usize = 22;
+
+fn us(seconds: f64) -> i64 {
+    (seconds * 1e6).round() as i64
+}
+
+/// Starts and ends, seconds from the session's begin.
+fn exposures(draw: &mut Draw, kind: Kind) -> Vec<(f64, f64)> {
+    let regime = match kind {
+        Kind::AtTheMinute => 0,
+        Kind::Bursts => 2,
+        Kind::Neither | Kind::StampOnly | Kind::CounterOnly | Kind::Holes | Kind::Mixed => draw.pick(&[0, 1, 1, 1, 2, 3]),
+    };
+    let period = if kind == Kind::AtTheMinute { draw.pick(&[20.0, 30.0, 60.0]) } else { draw.pick(&[5.0, 12.0, 20.0, 30.0]) };
+    let jitter = draw.pick(&[0.0, 0.05, 0.3, 1.0]);
+    let mut at = draw.between(5.0, 30.0);
+    let mut left_in_burst = 0;
+    let mut found: Vec<(f64, f64)> = Vec::new();
+    for index in 0..EXPOSURES {
+        let length = draw.between(0.1, 0.7);
+        let start = if regime == 0 { at + draw.between(-jitter, jitter) } else { at };
+        let earliest = found.last().map_or(1.0, |(_, end): &(f64, f64)| end + 0.25);
+        let start = start.max(earliest);
+        found.push((start, start + length));
+        at = match regime {
+            0 => 10.0 + period * (index + 1) as f64,
+            1 => start + draw.log(2.0, 90.0),
+            2 if left_in_burst > 0 => {
+                left_in_burst -= 1;
+                start + draw.between(0.5, 1.5)
+            }
+            2 => {
+                left_in_burst = draw.below(5);
+                start + draw.log(8.0, 90.0)
+            }
+            _ => start + draw.log(0.5, 120.0),
+        };
+    }
+    found
+}
+
+/// Draws the session of this seed.
+pub fn session(seed: u64, kind: Kind) -> Session {
+    let mut draw = Draw::new(seed, kind as u32);
+    let truth_s = exposures(&mut draw, kind);
+    let end_s = truth_s.last().expect("there are exposures").1 + draw.between(20.0, 90.0);
+
+    // The C-arm: rate, counter with a reset now and then, holes.
+    let rate_hz = draw.between(15.0, 30.0);
+    let counts = match kind {
+        Kind::AtTheMinute => draw.chance(0.3),
+        Kind::CounterOnly => draw.chance(0.7),
+        _ => draw.chance(0.6),
+    };
+    let first_counter = draw.below(40) as u32;
+    let reset_at = (counts && draw.chance(0.08)).then(|| draw.below(EXPOSURES));
+    let telemetry_counter = |index: usize| match reset_at {
+        Some(at) if index >= at => (index - at) as u32 + 1,
+        _ => first_counter + index as u32 + 1,
+    };
+    let holes = match kind {
+        Kind::Holes => 3 + draw.below(6),
+        _ if draw.chance(0.35) => 1 + draw.below(3),
+        _ => 0,
+    };
+    let holes: Vec<(f64, f64)> = (0..holes)
+        .map(|_| {
+            let near = truth_s[draw.below(EXPOSURES)].0;
+            let from = if draw.chance(0.5) { near + draw.between(-3.0, 3.0) } else { draw.between(0.0, end_s) };
+            (from, from + draw.log(0.3, 20.0))
+        })
+        .collect();
+    let samples = samples(&mut draw, &truth_s, end_s, rate_hz, counts.then_some(&telemetry_counter), first_counter, &holes);
+
+    // The console: its clock, what its stamp marks, its counter.
+    let offset_s = if kind == Kind::AtTheMinute || draw.chance(0.25) {
+        60.0 * draw.between(-10.0, 10.0).round()
+    } else {
+        draw.between(-600.0, 600.0)
+    };
+    let zone_s = if draw.chance(0.4) { 3600.0 * draw.between(-12.0, 12.0).round() } else { 0.0 };
+    let drift = draw.between(-200e-6, 200e-6);
+    let resolution_s = match kind {
+        Kind::CounterOnly | Kind::Neither => None,
+        Kind::StampOnly | Kind::AtTheMinute => Some(draw.pick(&[1.0, 1.0, 1.0, 0.1])),
+        _ if draw.chance(0.06) => None,
+        _ => Some(draw.pick(&[1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.1, 0.001, 60.0])),
+    };
+    let marks_end = draw.chance(0.3);
+    let lag_s = draw.pick(&[0.0, 0.0, 0.05, 0.3]);
+    let mut counting = match kind {
+        Kind::Neither | Kind::StampOnly => draw.pick(&[Counting::Absent, Counting::Constant]),
+        Kind::AtTheMinute => draw.pick(&[Counting::Absent, Counting::Constant, Counting::Constant, Counting::Restarting]),
+        Kind::CounterOnly => {
+            draw.pick(&[Counting::Right, Counting::Right, Counting::Right, Counting::Offset, Counting::Offset, Counting::Restarting])
+        }
+        _ => draw.pick(&[
+            Counting::Absent,
+            Counting::Constant,
+            Counting::Constant,
+            Counting::Right,
+            Counting::Right,
+            Counting::Right,
+            Counting::Offset,
+            Counting::Restarting,
+        ]),
+    };
+    if resolution_s.is_none() && kind == Kind::Mixed && matches!(counting, Counting::Absent | Counting::Constant) {
+        counting = Counting::Right;
+    }
+    let shift = 1 + draw.below(300) as u32;
+    let restarts = [draw.below(EXPOSURES), draw.below(EXPOSURES)];
+    let frame_counter = |index: usize| match counting {
+        Counting::Absent => None,
+        Counting::Constant => Some(1),
+        Counting::Right if counts => Some(telemetry_counter(index)),
+        Counting::Right => Some(index as u32 + 1),
+        Counting::Offset if counts => Some(telemetry_counter(index) + shift),
+        Counting::Offset => Some(index as u32 + shift),
+        Counting::Restarting => {
+            let from = restarts.iter().filter(|at| **at <= index).max().copied().unwrap_or(0);
+            Some((index - from) as u32 + 1)
+        }
+    };
+    let stamp_missing = if draw.chance(0.15) { 0.05 } else { 0.0 };
+    let stamp = |draw: &mut Draw, index: usize| {
+        let resolution_s = resolution_s?;
+        if draw.chance(stamp_missing) {
+            return None;
+        }
+        let (start, end) = truth_s[index];
+        let event = if marks_end { end } else { start } + lag_s + draw.between(-0.03, 0.03);
+        let console = (T0_US as f64 * 1e-6).floor() + event - offset_s - zone_s - drift * event;
+        Some(us((console / resolution_s).floor() * resolution_s))
+    };
+
+    // The frames: some are never stored, 22 come late in batches, the others promptly and in order.
+    let missing_share = draw.pick(&[0.0, 0.02, 0.05, 0.1]);
+    let mut is_late = [false; EXPOSURES];
+    let batches = 1 + draw.below(5);
+    let mut batch_of = [0usize; EXPOSURES];
+    let mut left = LATE;
+    for batch in 0..batches {
+        let size = if batch + 1 == batches { left } else { left.min(1 + draw.below(2 * LATE / batches)) };
+        let mut chosen = 0;
+        let mut at = draw.below(EXPOSURES);
+        let runs = draw.chance(0.6);
+        while chosen < size {
+            if !is_late[at] {
+                is_late[at] = true;
+                batch_of[at] = batch;
+                chosen += 1;
+            }
+            at = if runs { (at + 1) % EXPOSURES } else { draw.below(EXPOSURES) };
+        }
+        left -= size;
+    }
+    let mut sent: Vec<(f64, Option<i64>, Option<u32>, usize, Truth, bool)> = Vec::new();
+    let base_delay = draw.between(0.3, 3.0);
+    let delay_jitter = draw.between(0.05, 2.0);
+    let mut last_prompt = 0.0f64;
+    let mut late: Vec<Vec<usize>> = vec![Vec::new(); batches];
+    for index in 0..EXPOSURES {
+        if draw.chance(missing_share) {
+            continue;
+        }
+        if is_late[index] {
+            late[batch_of[index]].push(index);
+            continue;
+        }
+        let arrival = (truth_s[index].1 + base_delay + draw.between(0.0, delay_jitter)).max(last_prompt + 0.02);
+        last_prompt = arrival;
+        sent.push((arrival, stamp(&mut draw, index), frame_counter(index), index, Truth::Of(index), false));
+    }
+    for batch in &mut late {
+        let Some(last) = batch.iter().copied().max() else { continue };
+        let mut at = truth_s[last].1 + draw.log(60.0, 3600.0);
+        if draw.chance(0.7) {
+            draw.shuffle(batch);
+        }
+        let pause = draw.log(0.02, 0.8);
+        for index in batch.iter().copied() {
+            sent.push((at, stamp(&mut draw, index), frame_counter(index), index, Truth::Of(index), true));
+            at += pause * draw.between(0.5, 1.5);
+        }
+    }
+    // A second picture of an exposure, with the same stamp and counter, soon after the first.
+    let originals = sent.len();
+    if draw.chance(0.3) {
+        for _ in 0..=draw.below(2) {
+            let (at, stamp, counter, index, _, late) = sent[draw.below(originals)];
+            sent.push((at + draw.between(0.02, 2.0), stamp, counter, EXPOSURES + sent.len(), Truth::SecondOf(index), late));
+        }
+    }
+    // The same file again.
+    for _ in 0..draw.below(3) {
+        let (at, stamp, counter, content, _, late) = sent[draw.below(originals)];
+        sent.push((at + draw.log(0.5, 1000.0), stamp, counter, content, Truth::Copy, late));
+    }
+    // Frames of something else: an earlier patient, a picture without any header, a report.
+    for _ in 0..draw.below(4) {
+        let at = draw.between(0.0, end_s);
+        let stamp = (resolution_s.is_some() && draw.chance(0.6))
+            .then(|| us((T0_US as f64 * 1e-6).floor() - zone_s - offset_s - draw.log(7200.0, 300_000.0).floor()));
+        let counter = match resolution_s {
+            Some(_) if draw.chance(0.5) => Some(1 + draw.below(60) as u32),
+            _ => draw.chance(0.3).then_some(900_000 + draw.below(1000) as u32),
+        };
+        sent.push((at, stamp, counter, 10 * EXPOSURES + sent.len(), Truth::Foreign, false));
+    }
+    sent.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let resolution_us = resolution_s.map_or(1_000_000, us);
+    let frames = sent
+        .into_iter()
+        .enumerate()
+        .map(|(number, (at_s, console_us, counter, content, truth, late))| Sent {
+            evidence: FrameEvidence {
+                frame: number as u32,
+                content: format!("{content:064x}"),
+                image_of_file: [0, 1],
+                counter,
+                console_us,
+                console_resolution_us: if resolution_us == 60_000_000 { 1_000_000 } else { resolution_us },
+                arrival_us: Some(T0_US + us(at_s)),
+                frame_time_us: None,
+            },
+            truth,
+            late,
+        })
+        .collect();
+    let exposures = truth_s.iter().enumerate().map(|(index, (start, end))| Exposed {
+        start_us: T0_US + us(*start),
+        end_us: T0_US + us(*end),
+        counter: counts.then(|| telemetry_counter(index)),
+    });
+    let described = format!(
+        "{kind:?} seed {seed}: counter {counting:?} (telemetry {counts}, reset {reset_at:?}), stamp every {resolution_s:?} s, {batches} batches, {} holes",
+        holes.len()
+    );
+    Session { kind, described, exposures: exposures.collect(), samples, frames }
+}
+
+/// What the C-arm sends, with holes.
+fn samples(
+    draw: &mut Draw,
+    truth_s: &[(f64, f64)],
+    end_s: f64,
+    rate_hz: f64,
+    counter: Option<&dyn Fn(usize) -> u32>,
+    first_counter: u32,
+    holes: &[(f64, f64)],
+) -> Vec<(i64, CarmSample)> {
+    let ppm = draw.between(-200e-6, 200e-6);
+    let mut index = 0;
+    let mut found = Vec::new();
+    for number in 0..(end_s * rate_hz) as u32 {
+        let at_s = f64::from(number) / rate_hz;
+        while index < truth_s.len() && at_s >= truth_s[index].1 {
+            index += 1;
+        }
+        let on = index < truth_s.len() && at_s >= truth_s[index].0;
+        if holes.iter().any(|(from, to)| at_s >= *from && at_s < *to) {
+            continue;
+        }
+        let begun = if on { index + 1 } else { index };
+        let exposure_counter = counter.map(|counter| if begun == 0 { first_counter } else { counter(begun - 1) });
+        let sample = CarmSample {
+            device_us: us(7.0 + at_s * (1.0 + ppm)) as u64,
+            sequence: number,
+            joints: CarmJoints { orbital_rad: at_s * 1e-3, ..CarmJoints::ZERO },
+            tube_kvp: 74.0,
+            tube_ma: f64::NAN,
+            pulse_width_ms: 8.0,
+            filter_mm_al: 0.0,
+            filter_mm_cu: 0.0,
+            field_mm: [f64::NAN; 4],
+            xray_on: on,
+            exposure_counter,
+            status: 0,
+        };
+        found.push((T0_US + us(at_s + 0.0015 - 0.0005 * draw.0.uniform().ln()), sample));
+    }
+    found
+}
+
+/// How one session went.
+#[derive(Clone, Debug, Default)]
+pub struct Score {
+    pub frames: usize,
+    pub bound: usize,
+    pub prompt: usize,
+    pub prompt_bound: usize,
+    /// Prompt frames bound within a second of their arrival.
+    pub at_once: usize,
+    pub wrong: Vec<String>,
+    /// Why frames were left unbound, digits taken out.
+    pub reasons: std::collections::BTreeMap<String, usize>,
+    /// Changes of a binding that had been given.
+    pub taken_back: usize,
+}
+
+impl Score {
+    pub fn add(&mut self, other: &Score) {
+        self.frames += other.frames;
+        self.bound += other.bound;
+        self.prompt += other.prompt;
+        self.prompt_bound += other.prompt_bound;
+        self.at_once += other.at_once;
+        self.taken_back += other.taken_back;
+        self.wrong.extend(other.wrong.iter().cloned());
+        for (reason, count) in &other.reasons {
+            *self.reasons.entry(reason.clone()).or_default() += count;
+        }
+    }
+}
+
+/// Whether `binding` names the exposure that it should.
+fn is_of(binding: &Binding, truth: &Exposed) -> bool {
+    let Some(interval) = &binding.exposure else { return false };
+    if interval.samples == 0 {
+        return interval.counter == truth.counter && interval.start_us <= truth.start_us && interval.end_us >= truth.end_us;
+    }
+    interval.start_us < truth.end_us + 40_000 && interval.end_us > truth.start_us - 40_000
+}
+
+/// Plays the session through timeline and binder as the engine does, and scores what came out.
+pub fn play(session: &Session) -> Score {
+    let mut fed = Fed::default();
+    let mut binder = Binder::default();
+    let mut score = Score::default();
+    let mut samples = session.samples.iter().peekable();
+    let mut given: Vec<Option<u64>> = vec![None; session.frames.len()];
+    let mut at_once: Vec<bool> = vec![false; session.frames.len()];
+    let mut note = |binder: &Binder, changed: Vec<u32>, now_us: i64, score: &mut Score| {
+        for frame in changed {
+            let binding = binder.binding(frame).expect("a changed frame is known");
+            let slot = &mut given[frame as usize];
+            let index = binding.exposure.as_ref().map(|interval| interval.index);
+            if slot.is_some() && *slot != index {
+                score.taken_back += 1;
+            }
+            *slot = index;
+            let arrival_us = session.frames[frame as usize].evidence.arrival_us.expect("drawn frames arrive");
+            if index.is_some() && now_us - arrival_us <= 1_000_000 {
+                at_once[frame as usize] = true;
+            }
+        }
+    };
+    let mut clock_us = T0_US;
+    for sent in &session.frames {
+        let arrival_us = sent.evidence.arrival_us.expect("drawn frames arrive");
+        // Ticks of 100 ms while telemetry flows, sparser ones when hours pass.
+        while clock_us < arrival_us {
+            let step_us = if samples.peek().is_some() { 100_000 } else { 1_000_000 };
+            clock_us = (clock_us + step_us).min(arrival_us);
+            while let Some((host_us, sample)) = samples.next_if(|(host_us, _)| *host_us <= clock_us) {
+                fed.push_sample(DeviceKind::Carm, *host_us, 0, Sample::Carm(sample.clone()));
+            }
+            let changed = binder.update(&fed, clock_us);
+            note(&binder, changed, clock_us, &mut score);
+        }
+        binder.push(sent.evidence.clone());
+        let changed = binder.update(&fed, arrival_us);
+        note(&binder, changed, arrival_us, &mut score);
+    }
+    for (host_us, sample) in samples {
+        fed.push_sample(DeviceKind::Carm, *host_us, 0, Sample::Carm(sample.clone()));
+        clock_us = clock_us.max(*host_us);
+    }
+    let changed = binder.finish(&fed);
+    note(&binder, changed, clock_us + 60_000_000, &mut score);
+    // Exposures that telemetry could not know of: they lie in a hole and nothing counts them.
+    let intervals = fed.exposures();
+    let known = |truth: &Exposed| {
+        intervals.iter().any(|interval| {
+            is_of(
+                &Binding { exposure: Some(interval.clone()), ..Binding::default() },
+                truth,
+            )
+        })
+    };
+    let mut takers: std::collections::BTreeMap<u64, u32> = std::collections::BTreeMap::new();
+    for sent in &session.frames {
+        let frame = sent.evidence.frame;
+        let binding = binder.binding(frame).expect("every frame has its binding");
+        assert!(binding.settled && !binding.evidence.is_empty(), "frame {frame} of {} is open at the end", session.described);
+        let right = match sent.truth {
+            Truth::Of(index) | Truth::SecondOf(index) => is_of(binding, &session.exposures[index]),
+            Truth::Copy | Truth::Foreign => false,
+        };
+        if let Some(interval) = &binding.exposure {
+            if let Some(other) = takers.insert(interval.index, frame) {
+                score.wrong.push(format!("{}: frames {other} and {frame} on one exposure", session.described));
+            }
+            if !right {
+                let evidence = binding.evidence.join("; ");
+                score.wrong.push(format!("{}: frame {frame} ({:?}): {evidence}", session.described, sent.truth));
+            }
+        }
+        if let Truth::Of(index) = sent.truth
+            && known(&session.exposures[index])
+        {
+            score.frames += 1;
+            score.bound += usize::from(binding.exposure.is_some());
+            if let (None, Some(reason)) = (&binding.exposure, binding.evidence.last()) {
+                let words: String = reason.chars().filter(|c| !c.is_ascii_digit()).collect();
+                *score.reasons.entry(words).or_default() += 1;
+            }
+            if !sent.late {
+                score.prompt += 1;
+                score.prompt_bound += usize::from(binding.exposure.is_some());
+                score.at_once += usize::from(at_once[frame as usize]);
+            }
+        }
+    }
+    // Where an exposure's second picture was taken instead of its first, the exposure has its frame all the same.
+    for sent in &session.frames {
+        if let Truth::SecondOf(index) = sent.truth
+            && binder.binding(sent.evidence.frame).is_some_and(|binding| binding.exposure.is_some())
+            && known(&session.exposures[index])
+        {
+            score.bound += 1;
+        }
+    }
+    score
+}

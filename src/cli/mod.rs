@@ -13,6 +13,7 @@ pub mod devices;
 pub mod hints;
 pub mod info;
 pub mod live;
+pub mod read_foreign;
 pub mod register;
 pub mod render;
 pub mod replay;
@@ -51,12 +52,14 @@ enum Command {
     Spectrum(spectrum::SpectrumArgs),
     Devices(devices::DevicesArgs),
     Info(info::InfoArgs),
+    ReadForeign(read_foreign::ReadForeignArgs),
 }
 
 /// Runs the program.
 #[must_use]
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
+    crate::foreign::install(crate::foreign::ForeignReader::this_program());
     let reporter = Reporter::stderr();
     ExitCode::from(dispatch(&cli.command, &reporter))
 }
@@ -75,6 +78,7 @@ fn dispatch(command: &Command, reporter: &Reporter) -> u8 {
         Command::Spectrum(args) => end(spectrum::run(args, &mut std::io::stdout().lock()).map(|()| 0), reporter),
         Command::Devices(args) => live::devices(args, reporter),
         Command::Info(args) => end(info::run(args, reporter), reporter),
+        Command::ReadForeign(args) => end(read_foreign::run(args), reporter),
     }
 }
 

@@ -14,7 +14,7 @@ use super::matter::{self, Class, Classes};
 use super::mesh;
 use super::model::{Matter, Object, Robot, Scene, Shape, Solid};
 use super::physics::Material;
-use super::volume_file::read_volume;
+use super::foreign_files::read_volume;
 use crate::geometry::{Rigid, RobotModel};
 use crate::reporter::Reporter;
 

@@ -12,7 +12,8 @@ use super::engine::{Engine, Input, Output, Posed};
 use super::file::Setup;
 use super::folder::Folder;
 use super::journal::Journal;
-use crate::acquire::{FolderWatch, WatchEvent};
+use crate::acquire::{FolderSource, Frame, FrameSource, Reading, Sighting};
+use crate::foreign;
 use crate::gpu::DeviceChoice;
 use crate::reporter::Reporter;
 use crate::telemetry::{DeviceKind, PortConfig, PortEvent, spawn_port};
@@ -58,7 +59,8 @@ pub fn run(setup: Setup, options: &LiveOptions, board: &Board, reporter: &Report
         tasks.push(spawn_port(runtime.handle(), line, sender.clone()));
     }
     drop(sender);
-    let mut watch = FolderWatch::new(&setup.session.frames.folder, setup.session.frames.domain, options.include_existing);
+    let frames = &setup.session.frames;
+    let mut watch = FolderSource::new(&frames.folder, frames.domain, options.include_existing, foreign::installed());
 
     let started_us = host_now_us();
     let mut next_tick_us = started_us;
@@ -76,8 +78,8 @@ pub fn run(setup: Setup, options: &LiveOptions, board: &Board, reporter: &Report
             next_tick_us = now_us + TICK_US;
             journal.tick(now_us);
             engine.push(Input::Tick { host_us: now_us }, &mut |output| outputs.push(output));
-            for event in watch.poll(now_us) {
-                if let Some(frame) = found(event, board, reporter, &mut journal, now_us) {
+            for sighting in watch.look(now_us) {
+                for frame in found(sighting, board, reporter, &mut journal, now_us) {
                     journal.frame(&frame, now_us);
                     engine.push(Input::Frame { frame, host_us: now_us }, &mut |output| outputs.push(output));
                 }
@@ -167,25 +169,25 @@ fn arrival(device: DeviceKind, event: PortEvent, board: &Board, journal: &mut Jo
     }
 }
 
-fn found(
-    event: WatchEvent,
-    board: &Board,
-    reporter: &Reporter,
-    journal: &mut Journal,
-    now_us: i64,
-) -> Option<Arc<crate::acquire::Frame>> {
-    match event {
-        WatchEvent::Frame { frame, .. } => {
-            board.update(|state| state.frames_seen += 1);
-            Some(Arc::new(*frame))
-        }
-        WatchEvent::Unreadable { path, error } => {
-            reporter.warn("unreadable frame", format!("{error}; the file is left where it is"));
-            journal.event(now_us, &format!("unreadable frame {}: {error}", path.display()));
-            None
-        }
-        WatchEvent::Waiting { .. } => None,
+fn found(sighting: Sighting, board: &Board, reporter: &Reporter, journal: &mut Journal, now_us: i64) -> Vec<Arc<Frame>> {
+    let mut say = |kind: &str, words: String| {
+        journal.event(now_us, &words);
+        reporter.warn(kind, words);
+    };
+    match sighting {
+        Sighting::Ready(arrival) => match arrival.read() {
+            Reading::Frames { frames, .. } => {
+                board.update(|state| state.frames_seen += frames.len());
+                return frames.into_iter().map(Arc::new).collect();
+            }
+            Reading::Refused(error) => say("unreadable frame", format!("unreadable frame {error}; the file is left where it is")),
+            Reading::Same { .. } | Reading::Later => {}
+        },
+        Sighting::Trouble(trouble) => say(trouble.kind(), trouble.to_string()),
+        Sighting::FolderLost { detail } => say("frame folder", format!("the frame folder cannot be listed ({detail})")),
+        Sighting::FolderBack => say("frame folder", "the frame folder is back".to_owned()),
     }
+    Vec::new()
 }
 
 fn take(output: Output, journal: &mut Journal, workshop: &mut Workshop, reporter: &Reporter) {

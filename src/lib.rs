@@ -9,6 +9,7 @@ pub mod random;
 pub mod memory;
 pub mod image;
 pub mod reporter;
+pub mod foreign;
 
 pub mod geometry;
 pub mod gpu;

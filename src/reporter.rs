@@ -49,7 +49,7 @@ impl Reporter {
             let mut state = self.lock();
             let counted = state.warnings.entry(kind.to_owned()).or_insert(Counted { count: 0, latest: String::new() });
             counted.count += 1;
-            counted.latest.clone_from(&message);
+            counted.latest = printable(&message).into_owned();
             counted.count
         };
         if count <= PRINTED_PER_KIND {
@@ -90,6 +90,7 @@ impl Reporter {
         if !self.loud {
             return;
         }
+        let line = &*printable(line);
         match &self.lock().bars {
             Some(bars) => {
                 if bars.println(line).is_err() {
@@ -103,6 +104,22 @@ impl Reporter {
     fn lock(&self) -> std::sync::MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+/// `text` with everything escaped that a terminal would obey instead of showing: control characters other than newline and tab, and marks
+/// that reverse the direction of writing.
+#[must_use]
+pub fn printable(text: &str) -> std::borrow::Cow<'_, str> {
+    let obeyed =
+        |c: char| c.is_control() && c != '\n' && c != '\t' || matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
+    if !text.contains(obeyed) {
+        return text.into();
+    }
+    let mut shown = String::with_capacity(text.len() + 8);
+    for c in text.chars() {
+        if obeyed(c) { shown.extend(c.escape_unicode()) } else { shown.push(c) }
+    }
+    shown.into()
 }
 
 /// A running progress bar; it disappears when dropped.
@@ -119,5 +136,16 @@ impl Progress {
 impl Drop for Progress {
     fn drop(&mut self) {
         self.0.finish_and_clear();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::printable;
+
+    #[test]
+    fn nothing_that_a_terminal_obeys_is_printed() {
+        assert_eq!(printable("a\u{1b}[31mb\u{7}\u{9b}c\u{202e}d\r"), "a\\u{1b}[31mb\\u{7}\\u{9b}c\\u{202e}d\\u{d}");
+        assert_eq!(printable("two\nlines\tü"), "two\nlines\tü");
     }
 }

@@ -10,7 +10,9 @@ fn table(seeds: impl Iterator<Item = u64>) -> BTreeMap<String, (usize, Score)> {
     let scores: Vec<(Kind, Score)> = std::thread::scope(|scope| {
         let halves = [0, 1].map(|half| {
             let own: Vec<u64> = seeds.iter().copied().skip(half).step_by(2).collect();
-            scope.spawn(move || own.into_iter().map(|seed| (kind_of(seed), play(&session(seed, kind_of(seed))))).collect::<Vec<_>>())
+            scope.spawn(move || {
+                own.into_iter().map(|seed| (kind_of(seed), play(&session(seed, kind_of(seed))))).collect::<Vec<_>>()
+            })
         });
         halves.into_iter().flat_map(|half| half.join().expect("a session plays to its end")).collect()
     });

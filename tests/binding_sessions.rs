@@ -229,9 +229,14 @@ pub fn session(seed: u64, kind: Kind) -> Session {
     let mut counting = match kind {
         Kind::Neither | Kind::StampOnly => draw.pick(&[Counting::Absent, Counting::Constant]),
         Kind::AtTheMinute => draw.pick(&[Counting::Absent, Counting::Constant, Counting::Constant, Counting::Restarting]),
-        Kind::CounterOnly => {
-            draw.pick(&[Counting::Right, Counting::Right, Counting::Right, Counting::Offset, Counting::Offset, Counting::Restarting])
-        }
+        Kind::CounterOnly => draw.pick(&[
+            Counting::Right,
+            Counting::Right,
+            Counting::Right,
+            Counting::Offset,
+            Counting::Offset,
+            Counting::Restarting,
+        ]),
         _ => draw.pick(&[
             Counting::Absent,
             Counting::Constant,
@@ -510,12 +515,7 @@ pub fn play(session: &Session) -> Score {
     // Exposures that telemetry could not know of: they lie in a hole and nothing counts them.
     let intervals = fed.exposures();
     let known = |truth: &Exposed| {
-        intervals.iter().any(|interval| {
-            is_of(
-                &Binding { exposure: Some(interval.clone()), ..Binding::default() },
-                truth,
-            )
-        })
+        intervals.iter().any(|interval| is_of(&Binding { exposure: Some(interval.clone()), ..Binding::default() }, truth))
     };
     let mut takers: std::collections::BTreeMap<u64, u32> = std::collections::BTreeMap::new();
     for sent in &session.frames {

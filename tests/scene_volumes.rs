@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use glam::DVec3;
 use sidecarm::reporter::Reporter;
 use sidecarm::scene::model::{Matter, Volume};
-use sidecarm::scene::{self, Scene, read_volume};
+use sidecarm::scene::{self, PlacedBy, Scene, read_volume};
 
 use super::scene_support::NiftiFile;
 
@@ -50,7 +50,7 @@ fn left_handed_oblique_and_quaternion_affines_are_right() {
     turned.pixdim = [-1.0, 1.0, 2.0, 3.0, 1.0, 1.0, 1.0, 1.0];
     turned.qform = Some([0.0, 0.0, 0.5f32.sqrt(), 7.0, 8.0, 9.0]);
     let volume = read(&turned).expect("good");
-    assert_eq!(volume.placed_by, "qform");
+    assert_eq!(volume.placed_by, PlacedBy::Qform);
     assert!(close(volume.lps_from_voxel.transform_point3(DVec3::ZERO), [-7.0, -8.0, 9.0]));
     assert!(close(volume.lps_from_voxel.transform_vector3(DVec3::X), [0.0, -1.0, 0.0]));
     assert!(close(volume.lps_from_voxel.transform_vector3(DVec3::Y), [2.0, 0.0, 0.0]));
@@ -58,7 +58,7 @@ fn left_handed_oblique_and_quaternion_affines_are_right() {
 
     // Both: the sform counts. Neither: spacing alone, with a warning.
     turned.sform = las.sform;
-    assert_eq!(read(&turned).expect("good").placed_by, "sform");
+    assert_eq!(read(&turned).expect("good").placed_by, PlacedBy::Sform);
     (turned.sform, turned.qform) = (None, None);
     let folder = folder();
     let path = folder.path().join("volume.nii");

@@ -1,7 +1,5 @@
 //! DICOM files: stored values, rescaling and direction.
 
-use std::path::Path;
-
 use dicom_core::Tag;
 use dicom_dictionary_std::tags;
 use dicom_encoding::TransferSyntaxIndex;
@@ -9,35 +7,66 @@ use dicom_object::DefaultDicomObject;
 use dicom_pixeldata::PixelDecoder;
 
 use super::domain::{Traces, judge};
-use super::tags::{TagReader, identity_words};
-use super::{AcquireError, Domain, Raw};
+use super::tags::{TagReader, is_term};
+use super::{Domain, Fault, Raw, whole};
+use crate::foreign::Limits;
 use crate::image::Image;
-
-/// More than any radiograph has; a damaged header shows here before memory runs out.
-const MAX_PIXELS: u64 = 1 << 28;
 
 /// Lossy transfer syntaxes that can be decoded: JPEG baseline and extended.
 const LOSSY: [&str; 2] = ["1.2.840.10008.1.2.4.50", "1.2.840.10008.1.2.4.51"];
 
-/// Every frame of the file, and the words that identify the patient (for file names).
-pub(super) fn read(path: &Path, bytes: &[u8], declared: Option<Domain>) -> Result<(Vec<Raw>, Vec<String>), AcquireError> {
-    let damaged = |detail: String| AcquireError::Dicom { path: path.to_owned(), detail };
-    let object = dicom_object::OpenFileOptions::new()
-        .read_preamble(dicom_object::file::ReadPreamble::Always)
-        .from_reader(bytes)
-        .map_err(|error| damaged(chain(&error)))?;
-    let layout = Layout::of(path, &object)?;
-    let stored = stored_bytes(path, &object, &layout)?;
+/// A parsed file whose pixels are decoded: images are made of them one at a time.
+pub(super) struct DicomImages {
+    object: DefaultDicomObject,
+    layout: Layout,
+    stored: Vec<u8>,
+    declared: Option<Domain>,
+}
 
+impl DicomImages {
+    /// Parses and decodes.
+    pub(super) fn open(bytes: &[u8], declared: Option<Domain>, limits: &Limits) -> Result<Self, Fault> {
+        let object = dicom_object::OpenFileOptions::new()
+            .read_preamble(dicom_object::file::ReadPreamble::Always)
+            .from_reader(bytes)
+            .map_err(|error| Fault::Dicom { detail: where_parsing_stopped(&error).into() })?;
+        let layout = Layout::of(&object, limits)?;
+        let stored = stored_bytes(&object, &layout)?;
+        Ok(Self { object, layout, stored, declared })
+    }
+
+    /// How many images there are.
+    pub(super) fn count(&self) -> usize {
+        self.layout.frames
+    }
+
+    /// The header's words that identify someone.
+    pub(super) fn identity(&self) -> Vec<String> {
+        super::identity::words(&self.object)
+    }
+
+    /// Gives the images to `take`, in order.
+    pub(super) fn each(&self, take: &mut dyn FnMut(Raw) -> Result<(), Fault>) -> Result<(), Fault> {
+        each(&self.object, &self.layout, &self.stored, self.declared, take)
+    }
+}
+
+fn each(
+    object: &DefaultDicomObject,
+    layout: &Layout,
+    stored: &[u8],
+    declared: Option<Domain>,
+    take: &mut dyn FnMut(Raw) -> Result<(), Fault>,
+) -> Result<(), Fault> {
     let mut notes = Vec::new();
-    let frame_tags = TagReader::new(&object, &mut notes).read();
-    let mapping = Mapping::of(&object, &layout, frame_tags.intensity_relationship.as_deref(), &mut notes);
+    let frame_tags = TagReader::new(object, &mut notes).read();
+    let mapping = Mapping::of(object, layout, frame_tags.intensity_relationship.as_deref(), &mut notes);
     let traces = Traces {
         voi_lut: object.get(tags::VOILUT_SEQUENCE).is_some(),
-        processing: has_text(&object, tags::PROCESSING_FUNCTION)
-            || has_text(&object, tags::ACQUISITION_DEVICE_PROCESSING_DESCRIPTION)
-            || has_text(&object, tags::ACQUISITION_DEVICE_PROCESSING_CODE),
-        lossy: LOSSY.contains(&transfer_syntax(&object)) || has_text(&object, tags::LOSSY_IMAGE_COMPRESSION_RATIO),
+        processing: has_text(object, tags::PROCESSING_FUNCTION)
+            || has_text(object, tags::ACQUISITION_DEVICE_PROCESSING_DESCRIPTION)
+            || has_text(object, tags::ACQUISITION_DEVICE_PROCESSING_CODE),
+        lossy: LOSSY.contains(&transfer_syntax(object)) || has_text(object, tags::LOSSY_IMAGE_COMPRESSION_RATIO),
     };
     let verdict = judge(&frame_tags, traces, mapping.decreasing(), declared);
     notes.extend(verdict.notes);
@@ -57,54 +86,50 @@ pub(super) fn read(path: &Path, bytes: &[u8], declared: Option<Domain>) -> Resul
         notes.push("a pixel padding value (0028,0120) is present; padded pixels are not marked".into());
     }
 
-    let ends = mapping.ends(&layout);
+    let ends = mapping.ends(layout);
     // Linear and display frames promise "larger is more signal", log frames "larger is more attenuation".
     let inverted = match verdict.domain {
         Domain::Log => verdict.larger_is_more_signal,
         Domain::Linear | Domain::Display | Domain::Unknown => !verdict.larger_is_more_signal,
     };
     let unmirrored = frame_tags.field_of_view_flipped == Some(true);
-    let raws = (0..layout.frames)
-        .map(|index| {
-            let values = &stored[index * layout.frame_bytes()..(index + 1) * layout.frame_bytes()];
-            let mut pixels: Vec<f32> = values
-                .chunks_exact(layout.sample_bytes())
-                .map(|sample| {
-                    let value = mapping.apply(layout.value(sample));
-                    (if inverted { ends[0] + ends[1] - value } else { value }) as f32
-                })
-                .collect();
-            if unmirrored {
-                pixels.chunks_exact_mut(layout.columns).for_each(<[f32]>::reverse);
-            }
-            Raw {
-                pixels: Image { width: layout.columns, height: layout.rows, pixels },
-                domain: verdict.domain,
-                evidence: verdict.evidence.clone(),
-                unit: None,
-                inverted,
-                unmirrored,
-                tags: frame_tags.clone(),
-                scale_ends: Some([ends[0] as f32, ends[1] as f32]),
-                notes: notes.clone(),
-            }
-        })
-        .collect();
-    Ok((raws, identity_words(&object)))
+    for values in stored.chunks_exact(layout.frame_bytes()).take(layout.frames) {
+        let mut pixels: Vec<f32> = values
+            .chunks_exact(layout.sample_bytes())
+            .map(|sample| {
+                let value = mapping.apply(layout.value(sample));
+                (if inverted { ends[0] + ends[1] - value } else { value }) as f32
+            })
+            .collect();
+        if unmirrored {
+            pixels.chunks_exact_mut(layout.columns).for_each(<[f32]>::reverse);
+        }
+        take(Raw {
+            pixels: Image { width: layout.columns, height: layout.rows, pixels },
+            domain: verdict.domain,
+            evidence: verdict.evidence.clone(),
+            unit: None,
+            inverted,
+            unmirrored,
+            tags: frame_tags.clone(),
+            scale_ends: Some([ends[0] as f32, ends[1] as f32]),
+            notes: notes.clone(),
+        })?;
+    }
+    Ok(())
 }
 
-/// An error and its causes in one line.
-fn chain(error: &dyn std::error::Error) -> String {
-    let mut text = error.to_string();
-    let mut cause = error.source();
-    while let Some(inner) = cause {
-        let words = inner.to_string();
-        if !text.contains(&words) {
-            text = format!("{text}: {words}");
-        }
-        cause = inner.source();
+/// Where the parser stopped. Its own words are not passed on, because they may repeat what the file says.
+fn where_parsing_stopped(error: &dicom_object::ReadError) -> &'static str {
+    use dicom_object::ReadError;
+    match error {
+        ReadError::ParseMetaDataSet { .. } => "in its file meta information",
+        ReadError::ReadUnrecognizedTransferSyntax { .. }
+        | ReadError::ReadUnsupportedTransferSyntax { .. }
+        | ReadError::ReadUnsupportedTransferSyntaxWithSuggestion { .. } => "its transfer syntax is not one that is known here",
+        ReadError::PrematureEnd { .. } => "it ends early",
+        _ => "in its data set",
     }
-    text
 }
 
 fn has_text(object: &DefaultDicomObject, tag: Tag) -> bool {
@@ -127,12 +152,11 @@ struct Layout {
 }
 
 impl Layout {
-    fn of(path: &Path, object: &DefaultDicomObject) -> Result<Self, AcquireError> {
-        let attribute = |tag: &'static str, found: String, expected: &'static str| AcquireError::Attribute {
-            path: path.to_owned(),
-            tag,
+    fn of(object: &DefaultDicomObject, limits: &Limits) -> Result<Self, Fault> {
+        let attribute = |tag: &str, found: String, expected: &str| Fault::Attribute {
+            tag: tag.to_owned(),
             found,
-            expected,
+            expected: expected.to_owned(),
         };
         let integer = |tag: Tag, name: &'static str| {
             let element = object.get(tag).ok_or_else(|| attribute(name, "missing".into(), "a number"))?;
@@ -142,14 +166,15 @@ impl Layout {
             |tag: Tag, default: u32| object.get(tag).and_then(|element| element.to_int::<u32>().ok()).unwrap_or(default);
         let (rows, columns) = (integer(tags::ROWS, "rows (0028,0010)")?, integer(tags::COLUMNS, "columns (0028,0011)")?);
         if rows == 0 || columns == 0 {
-            return Err(AcquireError::Empty { path: path.to_owned(), width: columns as usize, height: rows as usize });
+            return Err(Fault::Empty { width: u64::from(columns), height: u64::from(rows) });
         }
         let samples = optional(tags::SAMPLES_PER_PIXEL, 1);
         let photometric = object.get(tags::PHOTOMETRIC_INTERPRETATION).and_then(|element| element.to_str().ok());
         let photometric = photometric.as_deref().map_or("MONOCHROME2", |text| text.trim_matches([' ', '\0']));
         if samples != 1 || !photometric.starts_with("MONOCHROME") {
-            let found = format!("{samples} samples per pixel, photometric interpretation {photometric}");
-            return Err(AcquireError::Colour { path: path.to_owned(), found });
+            let shown = if is_term("photometric", photometric) { photometric } else { "none of the standard" };
+            let found = format!("{samples} samples per pixel, photometric interpretation {shown}");
+            return Err(Fault::Colour { found });
         }
         let bits_allocated = integer(tags::BITS_ALLOCATED, "bits allocated (0028,0100)")?;
         if !matches!(bits_allocated, 8 | 16 | 32) {
@@ -164,15 +189,11 @@ impl Layout {
             return Err(attribute("high bit (0028,0102)", high_bit.to_string(), "within the allocated bits"));
         }
         let frames = optional(tags::NUMBER_OF_FRAMES, 1).max(1);
-        let pixels = u64::from(rows) * u64::from(columns) * u64::from(frames);
-        if pixels > MAX_PIXELS {
-            return Err(AcquireError::TooLarge {
-                path: path.to_owned(),
-                width: u64::from(columns),
-                height: u64::from(rows) * u64::from(frames),
-                limit: MAX_PIXELS,
-            });
+        let image = u64::from(rows) * u64::from(columns);
+        if image > limits.image_pixels {
+            return Err(Fault::TooLarge { width: u64::from(columns), height: u64::from(rows), limit: limits.image_pixels });
         }
+        super::check_total(u64::from(frames), image.saturating_mul(u64::from(frames)), limits)?;
         Ok(Self {
             columns: columns as usize,
             rows: rows as usize,
@@ -210,29 +231,31 @@ impl Layout {
 }
 
 /// All frames' samples, little-endian.
-fn stored_bytes(path: &Path, object: &DefaultDicomObject, layout: &Layout) -> Result<Vec<u8>, AcquireError> {
-    if object.get(tags::PIXEL_DATA).is_none() {
-        return Err(AcquireError::Attribute {
-            path: path.to_owned(),
-            tag: "pixel data (7FE0,0010)",
+fn stored_bytes(object: &DefaultDicomObject, layout: &Layout) -> Result<Vec<u8>, Fault> {
+    let Some(element) = object.get(tags::PIXEL_DATA) else {
+        return Err(Fault::Attribute {
+            tag: "pixel data (7FE0,0010)".into(),
             found: "missing".into(),
-            expected: "integer pixels; the file is cut short or holds no image",
+            expected: "integer pixels; the file is cut short or holds no image".into(),
         });
-    }
+    };
     let uid = transfer_syntax(object);
-    let syntax = dicom_transfer_syntax(uid);
-    if !syntax.is_some_and(|(_, readable)| readable) {
-        let name = syntax.map_or_else(|| "unknown".to_owned(), |(name, _)| name.to_owned());
-        return Err(AcquireError::TransferSyntax { path: path.to_owned(), uid: uid.to_owned(), name });
+    match dicom_transfer_syntax(uid) {
+        Some((_, true)) => {}
+        // An identifier of the standard may be shown; any other might be somebody's own text.
+        Some((name, false)) => return Err(Fault::TransferSyntax { name: format!("{name} ({uid})") }),
+        None => return Err(Fault::TransferSyntax { name: "that is not in the standard".into() }),
     }
-    let decoded = object
-        .decode_pixel_data()
-        .map_err(|error| AcquireError::Dicom { path: path.to_owned(), detail: format!("pixel data: {}", chain(&error)) })?;
     let expected = layout.frame_bytes() * layout.frames;
+    if let Some(fragments) = element.value().fragments() {
+        let size = [layout.columns as u64, layout.rows as u64];
+        whole::check_fragments(fragments, uid, size, layout.sample_bytes())?;
+    }
+    let decoded = object.decode_pixel_data().map_err(|_| Fault::Dicom { detail: "in its pixel data".into() })?;
     let bytes = decoded.into_data();
     // An odd number of bytes is padded to even.
     if bytes.len() < expected || bytes.len() > expected + 1 {
-        return Err(AcquireError::PixelBytes { path: path.to_owned(), expected: expected as u64, found: bytes.len() as u64 });
+        return Err(Fault::PixelBytes { expected: expected as u64, found: bytes.len() as u64 });
     }
     Ok(bytes)
 }

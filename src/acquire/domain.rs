@@ -62,8 +62,7 @@ fn domain_from_header(tags: &FrameTags, traces: Traces, evidence: &mut Vec<Strin
         }
         Some("LIN") => return Domain::Linear,
         Some("LOG") => return Domain::Log,
-        Some(other) => notes.push(format!("pixel intensity relationship {other} is not one of LIN, LOG, DISP and was ignored")),
-        None => evidence.push("pixel intensity relationship (0028,1040) is missing".into()),
+        _ => evidence.push("pixel intensity relationship (0028,1040) is missing".into()),
     }
     if for_eyes {
         return Domain::Display;

@@ -4,19 +4,26 @@
 //! X-rays at the detector, in `log` frames a larger value means more attenuation (like a line integral). What had to be turned round
 //! for that is in [`Frame::inverted`], and why is in [`Frame::domain_evidence`].
 
+mod beside;
 mod correction;
 mod detector_record;
 mod dicom;
 mod domain;
 mod error;
+mod identity;
+mod label;
 mod log_form;
+mod notices;
+mod offer;
 pub mod panel_maps;
 mod raster;
+mod read;
+mod source;
 mod tags;
 mod watch;
+mod whole;
 
-use std::path::Path;
-
+use crate::foreign::Limits;
 use crate::image::{Image, sha256_bytes};
 
 pub use correction::{Correction, exposure_mas};
@@ -24,10 +31,14 @@ pub use detector_record::{
     AirBeam, BadPixels, DetectorCalibration, DetectorCalibrationError, DetectorRecord, EdgeMtf, ExposureLevel, MapsFile,
     NoisePower, PanelResponse,
 };
-pub use error::AcquireError;
+pub use error::{AcquireError, Fault};
 pub use log_form::Samples;
+pub use read::{read_frame, read_frames, read_open, serve};
+pub use source::{Arrival, FrameSource, QueuedFrames, Reading, Sighting, Trouble};
 pub use tags::{FrameTags, KEPT_TAGS, KeptTag};
-pub use watch::{FolderWatch, WatchEvent};
+pub use watch::FolderSource;
+
+use beside::Beside;
 
 /// What a pixel value means.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
@@ -85,7 +96,8 @@ pub struct Frame {
     /// Counts the frames of a session from 1, in order of arrival; 0 outside one. With the hash it identifies the frame, the name does not.
     #[serde(default)]
     pub number: u32,
-    /// File stem (with `#0002` for later images of one file), or `frame-HASH` when the file name gave the patient away.
+    /// What people call the frame: the file's name without folders and ending where that is harmless (with `#0002` for the images of a file
+    /// with several), else `frame-HASH`. A label, not an identity: two frames may share it.
     pub name: String,
     /// Pixels; every one is finite.
     #[serde(skip, default = "no_pixels")]
@@ -106,6 +118,9 @@ pub struct Frame {
     pub tags: FrameTags,
     /// SHA-256 of the file's bytes, lower-case hexadecimal.
     pub sha256: String,
+    /// Index of this image in its file, and how many images that has. With `sha256` it identifies the content.
+    #[serde(default = "only_image")]
+    pub image_of_file: [usize; 2],
     /// Pixels clipped at either end of the scale.
     pub clipping: Clipping,
     /// What a person should know: assumptions, ignored values, conversions.
@@ -126,6 +141,10 @@ pub struct Clipping {
     pub black_share: f64,
     /// Their value; `None` when no pixel is clipped there.
     pub black_at: Option<f32>,
+}
+
+fn only_image() -> [usize; 2] {
+    [0, 1]
 }
 
 fn no_pixels() -> Image<f32> {
@@ -160,7 +179,8 @@ impl Frame {
             scale_ends: None,
             notes: Vec::new(),
         };
-        raw.into_frame(Path::new(name), name.to_owned(), sha256_bytes(&bytes))
+        raw.into_frame(name.to_owned(), sha256_bytes(&bytes), only_image())
+            .map_err(|fault| AcquireError::Refused { file: name.to_owned(), fault })
     }
 
     /// Whether a larger value means more attenuation (beads are bright) rather than more signal (beads are dark).
@@ -185,17 +205,16 @@ struct Raw {
 }
 
 impl Raw {
-    fn into_frame(self, path: &Path, name: String, sha256: String) -> Result<Frame, AcquireError> {
+    fn into_frame(self, name: String, sha256: String, image_of_file: [usize; 2]) -> Result<Frame, Fault> {
         let Image { width, height, .. } = self.pixels;
         if self.pixels.pixels.is_empty() {
-            return Err(AcquireError::Empty { path: path.to_owned(), width, height });
+            return Err(Fault::Empty { width: width as u64, height: height as u64 });
         }
         if let Some(first) = self.pixels.pixels.iter().position(|value| !value.is_finite()) {
-            return Err(AcquireError::NotFinite {
-                path: path.to_owned(),
-                count: self.pixels.pixels.iter().filter(|value| !value.is_finite()).count(),
-                column: first % width,
-                row: first / width,
+            return Err(Fault::NotFinite {
+                count: self.pixels.pixels.iter().filter(|value| !value.is_finite()).count() as u64,
+                column: (first % width) as u64,
+                row: (first / width) as u64,
             });
         }
         let clipping = clipping(&self.pixels, self.scale_ends, self.domain == Domain::Log);
@@ -211,6 +230,7 @@ impl Raw {
             unmirrored: self.unmirrored,
             tags: self.tags,
             sha256,
+            image_of_file,
             clipping,
             notes: self.notes,
             correction: None,
@@ -238,47 +258,30 @@ fn clipping(pixels: &Image<f32>, scale_ends: Option<[f32; 2]>, signal_is_low: bo
     Clipping { saturated_share, saturated_at, black_share, black_at }
 }
 
-/// Reads the one image in `path`. `domain_override` is the person's word (`--domain`) and beats all evidence.
-///
-/// # Errors
-/// When the file is missing, damaged, truncated, of an unknown kind, in colour, empty, not finite, or holds several images.
-pub fn read_frame(path: &Path, domain_override: Option<Domain>) -> Result<Frame, AcquireError> {
-    let mut frames = read_frames(path, domain_override)?;
-    match (frames.len(), frames.pop()) {
-        (1, Some(frame)) => Ok(frame),
-        (found, _) => Err(AcquireError::SeveralImages { path: path.to_owned(), found }),
-    }
+/// What a reader is told besides the bytes.
+#[derive(Clone, Debug, Default, serde::Serialize, serde::Deserialize)]
+struct Settings {
+    /// The person's word on what the values mean; beats all evidence.
+    domain: Option<Domain>,
+    /// The file's name, if it is harmless by itself.
+    label: Option<String>,
+    /// What the description beside a PNG or TIFF says.
+    beside: Beside,
 }
 
-/// Reads every image in `path`: the frames of a multi-frame DICOM file, the pages of a TIFF.
-///
-/// # Errors
-/// As [`read_frame`], but several images are welcome.
-pub fn read_frames(path: &Path, domain_override: Option<Domain>) -> Result<Vec<Frame>, AcquireError> {
-    let bytes = std::fs::read(path).map_err(|source| AcquireError::Io { path: path.to_owned(), source })?;
-    let sha256 = sha256_bytes(&bytes);
-    let (raws, identity) = match FileKind::of(&bytes) {
-        FileKind::Dicom => dicom::read(path, &bytes, domain_override)?,
-        FileKind::Png => (vec![raster::read_png(path, &bytes, domain_override)?], Vec::new()),
-        FileKind::Tiff => (raster::read_tiff(path, &bytes, domain_override)?, Vec::new()),
-        FileKind::Other(found) => return Err(AcquireError::NotAnImage { path: path.to_owned(), found }),
-    };
-    let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
-    let telling = tags::gives_away(&stem, &identity);
-    let several = raws.len() > 1;
-    let mut frames = Vec::with_capacity(raws.len());
-    for (index, mut raw) in raws.into_iter().enumerate() {
-        let mut name = stem.clone();
-        if telling {
-            name = format!("frame-{}", &sha256[..12]);
-            raw.notes.push("the file name repeats a patient tag and was replaced by a hash".into());
-        }
-        if several {
-            name = format!("{name}#{index:04}");
-        }
-        frames.push(raw.into_frame(path, name, sha256.clone())?);
+fn check_image(width: u64, height: u64, limits: &Limits) -> Result<(), Fault> {
+    if width == 0 || height == 0 {
+        return Err(Fault::Empty { width, height });
     }
-    Ok(frames)
+    if width.saturating_mul(height) > limits.image_pixels {
+        return Err(Fault::TooLarge { width, height, limit: limits.image_pixels });
+    }
+    Ok(())
+}
+
+fn check_total(images: u64, pixels: u64, limits: &Limits) -> Result<(), Fault> {
+    let over = |what: &str, found: u64, limit: u64| (found > limit).then(|| Fault::TooMany { what: what.into(), found, limit });
+    over("images", images, limits.images).or_else(|| over("pixels", pixels, limits.file_pixels)).map_or(Ok(()), Err)
 }
 
 /// What the first bytes of a file say.

@@ -1,20 +1,24 @@
 //! PNG and TIFF: grey samples, and the meaning that a sidecar `IMAGE.tif.json` gives them.
 
 use std::io::Cursor;
-use std::path::{Path, PathBuf};
 
 use image::DynamicImage;
+use tiff::tags::Tag;
 
-use super::{AcquireError, Domain, FrameTags, Raw};
+use super::{Fault, FrameTags, Raw, Settings, check_image, check_total, whole};
+use crate::foreign::Limits;
 use crate::image::Image;
 
 /// Reads a grey PNG.
-pub(super) fn read_png(path: &Path, bytes: &[u8], declared: Option<Domain>) -> Result<Raw, AcquireError> {
-    let decoded = image::load_from_memory_with_format(bytes, image::ImageFormat::Png).map_err(|error| AcquireError::Raster {
-        path: path.to_owned(),
-        kind: "PNG",
-        detail: error.to_string(),
-    })?;
+pub(super) fn read_png(bytes: &[u8], settings: &Settings, limits: &Limits) -> Result<Raw, Fault> {
+    let [width, height] = whole::png_size(bytes)?;
+    check_image(width, height, limits)?;
+    whole::check_png_end(bytes)?;
+    // The decoder's own words stay here, because they may repeat what the file says.
+    let broken = |_| Fault::Raster { kind: "PNG".into(), detail: "its compressed pixels do not decode".into() };
+    let mut reader = image::ImageReader::with_format(Cursor::new(bytes), image::ImageFormat::Png);
+    reader.no_limits();
+    let decoded = reader.decode().map_err(broken)?;
     let (width, height) = (decoded.width() as usize, decoded.height() as usize);
     let mut notes = Vec::new();
     let (pixels, high): (Vec<f32>, f32) = match decoded {
@@ -32,31 +36,30 @@ pub(super) fn read_png(path: &Path, bytes: &[u8], declared: Option<Domain>) -> R
             notes.push("stored in colour, but every pixel is grey".into());
             (colour.pixels().map(|pixel| f32::from(pixel.0[0])).collect(), 255.0)
         }
-        other => return Err(AcquireError::Colour { path: path.to_owned(), found: format!("{:?}", other.color()) }),
+        other => return Err(Fault::Colour { found: format!("{:?}", other.color()) }),
     };
-    Ok(raw(path, Image { width, height, pixels }, Some([0.0, high]), declared, notes))
+    Ok(raw(Image { width, height, pixels }, Some([0.0, high]), settings, notes))
 }
 
-/// Reads every page of a grey TIFF.
-pub(super) fn read_tiff(path: &Path, bytes: &[u8], declared: Option<Domain>) -> Result<Vec<Raw>, AcquireError> {
-    let damaged = |error: tiff::TiffError| match error {
-        tiff::TiffError::UnsupportedError(detail) => AcquireError::Samples { path: path.to_owned(), found: detail.to_string() },
-        other => AcquireError::Raster { path: path.to_owned(), kind: "TIFF", detail: other.to_string() },
-    };
-    let mut decoder = tiff::decoder::Decoder::new(Cursor::new(bytes)).map_err(damaged)?;
-    let mut pages = Vec::new();
-    loop {
-        let (width, height) = decoder.dimensions().map_err(damaged)?;
-        let (width, height) = (width as usize, height as usize);
-        if width == 0 || height == 0 {
-            return Err(AcquireError::Empty { path: path.to_owned(), width, height });
+/// Reads every page of a grey TIFF; `start` hears how many there are, then `take` gets them in order.
+pub(super) fn read_tiff(
+    bytes: &[u8],
+    settings: &Settings,
+    limits: &Limits,
+    start: &mut dyn FnMut(usize),
+    take: &mut dyn FnMut(Raw) -> Result<(), Fault>,
+) -> Result<(), Fault> {
+    let pages = check_pages(bytes, limits)?;
+    start(pages);
+    let mut decoder = tiff::decoder::Decoder::new(Cursor::new(bytes)).map_err(fault)?;
+    for page in 0..pages {
+        if page > 0 {
+            decoder.next_image().map_err(fault)?;
         }
-        let colour = decoder.colortype().map_err(damaged)?;
-        if !matches!(colour, tiff::ColorType::Gray(_)) {
-            return Err(AcquireError::Colour { path: path.to_owned(), found: format!("{colour:?}") });
-        }
-        let unsupported = || AcquireError::Samples { path: path.to_owned(), found: format!("{colour:?}") };
-        let (pixels, ends): (Vec<f32>, Option<[f32; 2]>) = match decoder.read_image().map_err(damaged)? {
+        let (width, height) = decoder.dimensions().map_err(fault)?;
+        let colour = decoder.colortype().map_err(fault)?;
+        let unsupported = || Fault::Samples { found: format!("{colour:?}") };
+        let (pixels, ends): (Vec<f32>, Option<[f32; 2]>) = match decoder.read_image().map_err(fault)? {
             tiff::decoder::DecodingResult::U8(values) => (values.into_iter().map(f32::from).collect(), Some([0.0, 255.0])),
             tiff::decoder::DecodingResult::U16(values) => (values.into_iter().map(f32::from).collect(), Some([0.0, 65535.0])),
             tiff::decoder::DecodingResult::I16(values) => {
@@ -65,84 +68,63 @@ pub(super) fn read_tiff(path: &Path, bytes: &[u8], declared: Option<Domain>) -> 
             tiff::decoder::DecodingResult::F32(values) => (values, None),
             _ => return Err(unsupported()),
         };
-        let page = Image::from_pixels(width, height, pixels).ok_or_else(unsupported)?;
-        pages.push(raw(path, page, ends, declared, Vec::new()));
-        if !decoder.more_images() {
-            return Ok(pages);
+        let image = Image::from_pixels(width as usize, height as usize, pixels).ok_or_else(unsupported)?;
+        take(raw(image, ends, settings, Vec::new()))?;
+    }
+    Ok(())
+}
+
+/// Looks at all pages before any is decoded: how many, how large, and whether their strips are in the file.
+fn check_pages(bytes: &[u8], limits: &Limits) -> Result<usize, Fault> {
+    let mut decoder = tiff::decoder::Decoder::new(Cursor::new(bytes)).map_err(fault)?;
+    let (mut pages, mut pixels) = (0u64, 0u64);
+    loop {
+        let (width, height) = decoder.dimensions().map_err(fault)?;
+        check_image(width.into(), height.into(), limits)?;
+        pages += 1;
+        pixels += u64::from(width) * u64::from(height);
+        check_total(pages, pixels, limits)?;
+        let colour = decoder.colortype().map_err(fault)?;
+        if !matches!(colour, tiff::ColorType::Gray(_)) {
+            return Err(Fault::Colour { found: format!("{colour:?}") });
         }
-        decoder.next_image().map_err(damaged)?;
+        let (offsets, counts) = match decoder.get_chunk_type() {
+            tiff::decoder::ChunkType::Strip => (Tag::StripOffsets, Tag::StripByteCounts),
+            tiff::decoder::ChunkType::Tile => (Tag::TileOffsets, Tag::TileByteCounts),
+        };
+        let (offsets, counts) =
+            (decoder.get_tag_u64_vec(offsets).map_err(fault)?, decoder.get_tag_u64_vec(counts).map_err(fault)?);
+        whole::check_strips(&offsets, &counts, bytes.len() as u64)?;
+        if !decoder.more_images() {
+            return Ok(pages as usize);
+        }
+        decoder.next_image().map_err(fault)?;
     }
 }
 
-/// Path of the sidecar that describes `path`: the file name with `.json` appended.
-fn sidecar_path(path: &Path) -> PathBuf {
-    let mut name = path.as_os_str().to_owned();
-    name.push(".json");
-    PathBuf::from(name)
+/// What the decoder found; its own words stay here, because they may repeat what the file says.
+fn fault(error: tiff::TiffError) -> Fault {
+    let damaged = |detail: &str| Fault::Raster { kind: "TIFF".into(), detail: detail.into() };
+    match error {
+        tiff::TiffError::UnsupportedError(_) => Fault::Samples { found: "of a kind or compression that is not read".into() },
+        tiff::TiffError::IoError(_) => damaged("it ends early"),
+        tiff::TiffError::LimitsExceeded | tiff::TiffError::IntSizeError => {
+            damaged("its header asks for more than any image takes")
+        }
+        _ => damaged("its structure is not that of a TIFF"),
+    }
 }
 
-fn raw(path: &Path, pixels: Image<f32>, scale_ends: Option<[f32; 2]>, declared: Option<Domain>, mut notes: Vec<String>) -> Raw {
-    let mut evidence = Vec::new();
-    let mut tags = FrameTags::default();
-    let (described, unit) = match Sidecar::beside(path, &mut evidence) {
-        Some(sidecar) => {
-            tags.pitch_mm = sidecar.pitch_mm;
-            (sidecar.domain, sidecar.unit)
-        }
-        None => (Domain::Unknown, None),
-    };
-    if let Some(declared) = declared {
+fn raw(pixels: Image<f32>, scale_ends: Option<[f32; 2]>, settings: &Settings, mut notes: Vec<String>) -> Raw {
+    let beside = &settings.beside;
+    let mut evidence = beside.evidence.clone();
+    let tags = FrameTags { pitch_mm: beside.pitch_mm, ..FrameTags::default() };
+    if let Some(declared) = settings.domain {
         evidence.insert(0, format!("declared by the user: {declared}"));
-    } else if described == Domain::Unknown {
+    } else if beside.domain == super::Domain::Unknown {
         notes.push("nothing states what the values mean; say so with --domain".into());
     }
-    let domain = declared.unwrap_or(described);
-    let unit = if domain == described { unit } else { None };
+    let domain = settings.domain.unwrap_or(beside.domain);
+    let unit = if domain == beside.domain { beside.unit.clone() } else { None };
     Raw { pixels, domain, evidence, unit, inverted: false, unmirrored: false, tags, scale_ends, notes }
-}
-
-/// What `IMAGE.tif.json` says.
-struct Sidecar {
-    domain: Domain,
-    unit: Option<String>,
-    pitch_mm: Option<[f64; 2]>,
-}
-
-impl Sidecar {
-    fn beside(path: &Path, evidence: &mut Vec<String>) -> Option<Self> {
-        let sidecar = sidecar_path(path);
-        let name = sidecar.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-        let text = match std::fs::read_to_string(&sidecar) {
-            Ok(text) => text,
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-                evidence.push("the file has no header for radiographs and no sidecar .json".into());
-                return None;
-            }
-            Err(error) => {
-                evidence.push(format!("{name} could not be read: {error}"));
-                return None;
-            }
-        };
-        let json: serde_json::Value = match serde_json::from_str(&text) {
-            Ok(json) => json,
-            Err(error) => {
-                evidence.push(format!("{name} is not valid JSON: {error}"));
-                return None;
-            }
-        };
-        let Some(quantity) = json.get("quantity").and_then(serde_json::Value::as_str) else {
-            evidence.push(format!("{name} names no quantity"));
-            return None;
-        };
-        evidence.push(format!("{name} says quantity {quantity}"));
-        let domain = match quantity {
-            "intensity" | "counts" => Domain::Linear,
-            "line_integral" => Domain::Log,
-            _ => Domain::Unknown,
-        };
-        let unit = json.get("unit").and_then(serde_json::Value::as_str).map(str::to_owned);
-        let pitch = ["/pitch_mm", "/detector/pitch_mm", "/view/pitch_mm"].iter().find_map(|at| json.pointer(at)?.as_f64());
-        let pitch_mm = pitch.filter(|pitch| *pitch > 0.0).map(|pitch| [pitch, pitch]);
-        Some(Self { domain, unit, pitch_mm })
-    }
 }

@@ -1,8 +1,11 @@
-//! What survives of a DICOM header: a whitelist, checked value by value, so that no free text passes.
+//! What survives of a DICOM header: a whitelist of attributes and of terms, checked value by value, so that no free text passes.
+
+use std::collections::BTreeMap;
+use std::sync::OnceLock;
 
 use dicom_core::Tag;
 use dicom_dictionary_std::tags;
-use dicom_object::{DefaultDicomObject, InMemDicomObject};
+use dicom_object::InMemDicomObject;
 
 /// One attribute that is kept, and why it is needed.
 #[derive(Clone, Copy, Debug)]
@@ -194,21 +197,42 @@ impl<'a> TagReader<'a> {
         self.notes.push(format!("attribute {tag} is ignored: it is not {what}"));
     }
 
-    /// Code strings: upper-case letters, digits, space and underscore, at most 16 characters.
-    pub(super) fn codes(&mut self, tag: Tag) -> Vec<String> {
+    /// Code strings that the standard defines for `field`; any other is dropped, because free text is put there too.
+    pub(super) fn terms(&mut self, tag: Tag, field: &str) -> Vec<String> {
         let values = self.texts(tag);
-        let is_code = |value: &String| {
-            value.len() <= 16 && value.chars().all(|c| c.is_ascii_uppercase() || c.is_ascii_digit() || c == ' ' || c == '_')
-        };
-        if values.iter().all(is_code) {
-            return values;
+        let count = values.len();
+        let terms: Vec<String> = values.into_iter().filter(|value| is_term(field, value)).collect();
+        if terms.len() < count {
+            self.refuse(tag, "a term of the standard");
         }
-        self.refuse(tag, "a code string");
-        values.into_iter().filter(is_code).collect()
+        terms
     }
 
-    pub(super) fn code(&mut self, tag: Tag) -> Option<String> {
-        self.codes(tag).into_iter().next()
+    pub(super) fn term(&mut self, tag: Tag, field: &str) -> Option<String> {
+        self.terms(tag, field).into_iter().next()
+    }
+
+    /// A calendar day `YYYYMMDD`, unless it is the day of birth.
+    fn date(&mut self, tag: Tag) -> Option<String> {
+        let value = self.digits(tag, "")?;
+        let born = self.texts(tags::PATIENT_BIRTH_DATE).into_iter().next();
+        if is_day(&value) && born.as_deref() != Some(&value) {
+            return Some(value);
+        }
+        self.refuse(tag, "a date of acquisition");
+        None
+    }
+
+    /// `HHMMSS` with a fraction, or the start of it.
+    fn time(&mut self, tag: Tag) -> Option<String> {
+        let value = self.digits(tag, ".")?;
+        let pair = |at: usize, below: u32| value.get(at..at + 2).is_none_or(|pair| pair.parse::<u32>().is_ok_and(|n| n < below));
+        let whole = value.split('.').next().map_or(0, str::len);
+        if matches!(whole, 2 | 4 | 6) && pair(0, 24) && pair(2, 60) && pair(4, 61) {
+            return Some(value);
+        }
+        self.refuse(tag, "a time of day");
+        None
     }
 
     fn digits(&mut self, tag: Tag, allowed: &str) -> Option<String> {
@@ -266,16 +290,22 @@ impl<'a> TagReader<'a> {
     }
 
     fn yes(&mut self, tag: Tag) -> Option<bool> {
-        match self.code(tag)?.as_str() {
+        match self.texts(tag).first()?.as_str() {
             "YES" => Some(true),
             "NO" => Some(false),
-            _ => None,
+            _ => {
+                self.refuse(tag, "YES or NO");
+                None
+            }
         }
     }
 
     /// Reads the whole whitelist.
     pub(super) fn read(&mut self) -> FrameTags {
-        let date_time = self.digits(tags::ACQUISITION_DATE_TIME, ".+-");
+        let born = self.texts(tags::PATIENT_BIRTH_DATE).into_iter().next();
+        let date_time = self
+            .digits(tags::ACQUISITION_DATE_TIME, ".+-")
+            .filter(|text| text.get(..8).is_some_and(is_day) && text.get(..8) != born.as_deref());
         let from_date_time = |from: usize, to: Option<usize>| {
             let text = date_time.as_deref()?;
             let end = text.find(['+', '-']).unwrap_or(text.len());
@@ -283,19 +313,19 @@ impl<'a> TagReader<'a> {
             (!part.is_empty()).then(|| part.to_owned())
         };
         let zone = date_time.as_deref().and_then(|text| text.find(['+', '-']).map(|at| text[at..].to_owned()));
-        let (mut date, mut time) = (self.digits(tags::ACQUISITION_DATE, ""), self.digits(tags::ACQUISITION_TIME, "."));
+        let (mut date, mut time) = (self.date(tags::ACQUISITION_DATE), self.time(tags::ACQUISITION_TIME));
         if date.is_none() || time.is_none() {
             (date, time) = (from_date_time(0, Some(8)), from_date_time(8, None));
         }
         if date.is_none() || time.is_none() {
-            (date, time) = (self.digits(tags::CONTENT_DATE, ""), self.digits(tags::CONTENT_TIME, "."));
+            (date, time) = (self.date(tags::CONTENT_DATE), self.time(tags::CONTENT_TIME));
         }
         let zone = zone.or_else(|| self.digits(tags::TIMEZONE_OFFSET_FROM_UTC, "+-"));
         let (centre, width) = (self.number(tags::WINDOW_CENTER), self.number(tags::WINDOW_WIDTH));
         let exposure_mas = self.positive(tags::EXPOSURE);
         FrameTags {
-            modality: self.code(tags::MODALITY),
-            image_type: self.codes(tags::IMAGE_TYPE),
+            modality: self.term(tags::MODALITY, "modality"),
+            image_type: self.terms(tags::IMAGE_TYPE, "image_type"),
             pitch_mm: self.spacing(tags::IMAGER_PIXEL_SPACING),
             pixel_spacing_mm: self.spacing(tags::PIXEL_SPACING),
             sid_mm: self.positive(tags::DISTANCE_SOURCE_TO_DETECTOR),
@@ -314,15 +344,36 @@ impl<'a> TagReader<'a> {
             intensifier_mm: self.positive(tags::INTENSIFIER_SIZE),
             field_of_view_rotation_deg: self.number(tags::FIELD_OF_VIEW_ROTATION),
             field_of_view_flipped: self.yes(tags::FIELD_OF_VIEW_HORIZONTAL_FLIP),
-            photometric: self.code(tags::PHOTOMETRIC_INTERPRETATION),
-            intensity_relationship: self.code(tags::PIXEL_INTENSITY_RELATIONSHIP),
+            photometric: self.term(tags::PHOTOMETRIC_INTERPRETATION, "photometric"),
+            intensity_relationship: self.term(tags::PIXEL_INTENSITY_RELATIONSHIP, "intensity_relationship"),
             intensity_sign: self.number(tags::PIXEL_INTENSITY_RELATIONSHIP_SIGN).map(|sign| if sign < 0.0 { -1 } else { 1 }),
-            presentation_intent: self.code(tags::PRESENTATION_INTENT_TYPE),
+            presentation_intent: self.term(tags::PRESENTATION_INTENT_TYPE, "presentation_intent"),
             burned_in_annotation: self.yes(tags::BURNED_IN_ANNOTATION),
             bits_stored: self.counter(tags::BITS_STORED),
             window: centre.zip(width).filter(|(_, width)| *width > 0.0).map(|(centre, width)| [centre, width]),
         }
     }
+}
+
+/// The terms that the standard defines, by field of [`FrameTags`].
+fn terms() -> &'static BTreeMap<String, serde_json::Value> {
+    static TERMS: OnceLock<BTreeMap<String, serde_json::Value>> = OnceLock::new();
+    TERMS.get_or_init(|| serde_json::from_str(include_str!("standard_terms.json")).unwrap_or_default())
+}
+
+/// Whether the standard defines `value` for the field.
+pub(super) fn is_term(field: &str, value: &str) -> bool {
+    let list = terms().get(field).and_then(serde_json::Value::as_array);
+    list.is_some_and(|list| list.iter().any(|term| term.as_str() == Some(value)))
+}
+
+/// Whether `text` is `YYYYMMDD` in the time of digital radiography.
+fn is_day(text: &str) -> bool {
+    let number = |from: usize, to: usize| text.get(from..to).and_then(|part| part.parse::<u32>().ok()).unwrap_or(0);
+    text.len() == 8
+        && (1980..=2100).contains(&number(0, 4))
+        && (1..=12).contains(&number(4, 6))
+        && (1..=31).contains(&number(6, 8))
 }
 
 fn minutes_from_zone(zone: &str) -> Option<i32> {
@@ -333,23 +384,6 @@ fn minutes_from_zone(zone: &str) -> Option<i32> {
     };
     let (hours, minutes) = (zone.get(1..3)?.parse::<i32>().ok()?, zone.get(3..5)?.parse::<i32>().ok()?);
     (hours <= 14 && minutes < 60).then_some(sign * (hours * 60 + minutes))
-}
-
-/// Words of the patient's name and identifiers, to be recognised in file names and nowhere else.
-pub(super) fn identity_words(object: &DefaultDicomObject) -> Vec<String> {
-    let mut words = Vec::new();
-    for tag in [tags::PATIENT_NAME, tags::PATIENT_ID, tags::OTHER_PATIENT_NAMES, tags::PATIENT_BIRTH_DATE, tags::ACCESSION_NUMBER]
-    {
-        let Some(Ok(text)) = object.get(tag).map(|element| element.to_str()) else { continue };
-        words.extend(text.split(|c: char| !c.is_alphanumeric()).filter(|word| word.chars().count() >= 3).map(str::to_lowercase));
-    }
-    words
-}
-
-/// Whether `name` contains one of `identity`.
-pub(super) fn gives_away(name: &str, identity: &[String]) -> bool {
-    let name = name.to_lowercase();
-    identity.iter().any(|word| name.contains(word.as_str()))
 }
 
 #[cfg(test)]
@@ -367,6 +401,19 @@ mod tests {
         tags.acquired_date = Some("20261321".into());
         assert_eq!(tags.acquired_local_us(), None, "month 13");
         assert_eq!(minutes_from_zone("+2500"), None);
+    }
+
+    #[test]
+    fn terms_are_those_of_the_standard() {
+        for (field, term) in [("modality", "XA"), ("image_type", "SINGLE PLANE"), ("photometric", "MONOCHROME1")] {
+            assert!(is_term(field, term), "{field} {term}");
+        }
+        for (field, other) in
+            [("modality", "LI"), ("image_type", "MUELLER"), ("intensity_relationship", "ANNA"), ("origin", "DICOM")]
+        {
+            assert!(!is_term(field, other), "{field} {other}");
+        }
+        assert!(is_day("20261121") && !is_day("19521204") && !is_day("20261321"));
     }
 
     #[test]

@@ -1,156 +1,399 @@
-//! A folder that frames arrive in, looked at by polling.
+//! A folder that frames arrive in: looked at by polling, and helped by the system's notices.
+//!
+//! A file is known by its name, and each version of it by size, time of change and inode. A version that has lain still is offered once; how
+//! reading it ended comes back through a channel. What changes is a new version, and is offered again.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
+use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
-use std::time::UNIX_EPOCH;
+use std::sync::mpsc::{Receiver, Sender, channel};
 
-use super::{AcquireError, Domain, Frame, read_frames};
+use super::label;
+use super::notices::{Held, HeldCount, Notices};
+use super::offer::{Offer, Outcome, Told};
+use super::source::{FrameSource, Sighting, Trouble};
+use super::{Domain, Fault};
+use crate::foreign::{FileStamp, ForeignReader, NotRegular};
 
-/// A file is complete when its size and time of change were the same in two polls at least this far apart.
+/// A file lies still when its stamp was the same for this long.
 const SETTLE_US: i64 = 100_000;
-/// A file that does not parse may still be being written for this long after its last change.
-const UNFINISHED_US: i64 = 2_000_000;
+/// A file that is not whole may still be being written for this long after its last growth.
+const PATIENCE_US: i64 = 10_000_000;
+/// Versions that are remembered after their name is gone, so that a renamed file is not taken for a new one.
+const REMEMBERED: usize = 4096;
 
-/// What a poll found.
-#[derive(Debug)]
-pub enum WatchEvent {
-    /// A complete frame. Files with several images give several of these.
-    Frame {
-        /// The frame.
-        frame: Box<Frame>,
-        /// Its file.
-        path: PathBuf,
-    },
-    /// The file is there but not complete yet.
-    Waiting {
-        /// The file.
-        path: PathBuf,
-    },
-    /// The file cannot be read; said once, and the file stays where it is. It is tried again when it changes. When the folder itself
-    /// cannot be listed, `path` is the folder; that is said once until it can be again.
-    Unreadable {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        error: AcquireError,
-    },
-}
-
-/// Size and time of change of a file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Stamp {
-    bytes: u64,
-    modified_us: i64,
-}
-
-#[derive(Clone, Copy, Debug)]
+/// Where a version stands.
+#[derive(Debug, PartialEq)]
 enum State {
-    /// First seen with this stamp at this time.
-    Settling { stamp: Stamp, since_us: i64 },
-    /// Delivered, refused or there from the start; tried again only when the stamp changes and it was not delivered.
-    Done { stamp: Stamp, delivered: bool },
+    /// Not still for long enough.
+    Settling,
+    /// Offered; the outcome of this offer is awaited.
+    Offered(u64),
+    /// Read, and not whole.
+    Unfinished(Fault),
+    /// Delivered, refused, reported, or there from the start.
+    Done,
 }
 
-/// Watches one folder (not those below it). Call [`FolderWatch::poll`] every 100 ms or so.
+/// What is known of a name.
 #[derive(Debug)]
-pub struct FolderWatch {
+struct Entry {
+    /// The version.
+    stamp: FileStamp,
+    /// Host clock when this version was first seen.
+    since_us: i64,
+    state: State,
+    /// The version that its writer completed: closed or moved into place.
+    closed: Option<FileStamp>,
+    held: Option<Held>,
+    /// Hash of the version delivered before.
+    earlier: Option<String>,
+    /// The how-manieth file that was seen, for a label that gives nothing away.
+    number: u64,
+    /// Patience is over: holes in the file are content.
+    take_holes: bool,
+}
+
+/// Watches one folder (not those below it). Hidden files and names that end in `.tmp`, `.part`, `.partial`, `.json` are passed over.
+#[derive(Debug)]
+pub struct FolderSource {
     folder: PathBuf,
     domain: Option<Domain>,
-    include_existing: bool,
-    first_poll: bool,
+    reader: ForeignReader,
+    /// Files of the first look are passed over.
+    skip_existing: bool,
     lost: bool,
-    states: BTreeMap<PathBuf, State>,
+    entries: BTreeMap<OsString, Entry>,
+    not_files: BTreeMap<OsString, NotRegular>,
+    departed: VecDeque<(FileStamp, Option<String>)>,
+    held: HeldCount,
+    notices: Notices,
+    told: (Sender<Told>, Receiver<Told>),
+    offers: u64,
+    seen: u64,
 }
 
-impl FolderWatch {
-    /// Watches `folder`. `domain` is the person's word on what the values mean. Files that are there at the first poll are delivered only
-    /// with `include_existing`.
+impl FolderSource {
+    /// Watches `folder` and reads through `reader`. `domain` is the person's word on what the values mean. Files that are there at the first
+    /// look are delivered only with `include_existing`.
     #[must_use]
-    pub fn new(folder: &Path, domain: Option<Domain>, include_existing: bool) -> Self {
-        Self { folder: folder.to_owned(), domain, include_existing, first_poll: true, lost: false, states: BTreeMap::new() }
+    pub fn new(folder: &Path, domain: Option<Domain>, include_existing: bool, reader: ForeignReader) -> Self {
+        let held = HeldCount::default();
+        Self {
+            folder: folder.to_owned(),
+            domain,
+            reader,
+            skip_existing: !include_existing,
+            lost: false,
+            entries: BTreeMap::new(),
+            not_files: BTreeMap::new(),
+            departed: VecDeque::new(),
+            notices: Notices::of(folder, &held, is_wanted),
+            held,
+            told: channel(),
+            offers: 0,
+            seen: 0,
+        }
     }
 
-    /// Looks once; `now_us` is the host clock. Events come in order of file name, then time of change. Hidden files, folders and names
-    /// that end in `.tmp`, `.part`, `.partial`, `.json` are passed over.
-    pub fn poll(&mut self, now_us: i64) -> Vec<WatchEvent> {
-        let mut events = Vec::new();
-        let files = match list(&self.folder) {
-            Ok(files) => files,
-            Err(error) => {
-                if !self.lost {
-                    self.lost = true;
-                    let error = AcquireError::Io { path: self.folder.clone(), source: error };
-                    events.push(WatchEvent::Unreadable { path: self.folder.clone(), error });
-                }
-                return events;
+    fn label(&self, name: &OsStr, number: u64) -> String {
+        label::of_unread(Path::new(name), number)
+    }
+
+    /// What readers have said since the last look.
+    fn hear(&mut self, now_us: i64, found: &mut Vec<Sighting>) {
+        let told: Vec<Told> = self.told.1.try_iter().collect();
+        for Told { offer, name, label, gone, outcome } in told {
+            let trouble = match (&outcome, gone) {
+                (Outcome::Missing, _) | (Outcome::Unfinished(_), true) => Some(Trouble::Vanished { label }),
+                (Outcome::Overwritten, _) => Some(Trouble::Overwritten { label }),
+                _ => None,
+            };
+            found.extend(trouble.map(Sighting::Trouble));
+            let Some(entry) = self.entries.get_mut(&name) else { continue };
+            if let Outcome::Frames(sha256) | Outcome::Same(sha256) = &outcome {
+                entry.earlier = Some(sha256.clone());
             }
+            if entry.state != State::Offered(offer) {
+                continue;
+            }
+            entry.state = match outcome {
+                Outcome::Frames(_) | Outcome::Same(_) | Outcome::Refused | Outcome::Missing => State::Done,
+                Outcome::Unfinished(fault) => State::Unfinished(fault),
+                Outcome::Changed | Outcome::Overwritten => {
+                    entry.since_us = now_us;
+                    State::Settling
+                }
+                Outcome::Unread => State::Settling,
+            };
+        }
+    }
+
+    /// A version that its writer has completed.
+    fn notice(&mut self, name: OsString, held: Option<Held>, now_us: i64, found: &mut Vec<Sighting>) {
+        let Some(held) = held else { return };
+        let stamp = held.open.stamp;
+        if let Some(entry) = self.entries.get_mut(&name) {
+            let rewritten = |before: &FileStamp| before.inode == stamp.inode && *before != stamp && stamp.bytes <= before.bytes;
+            let lost = entry.state == State::Settling && entry.closed.as_ref().is_some_and(rewritten);
+            entry.closed = Some(stamp);
+            if lost {
+                (entry.stamp, entry.since_us) = (stamp, now_us);
+                let number = entry.number;
+                let label = self.label(&name, number);
+                found.push(Sighting::Trouble(Trouble::Overwritten { label }));
+            } else if entry.stamp != stamp {
+                self.replace(&name, stamp, now_us, found);
+            }
+        } else {
+            self.add(name.clone(), stamp, now_us);
+        }
+        if let Some(entry) = self.entries.get_mut(&name) {
+            entry.closed = Some(stamp);
+            if entry.state == State::Settling {
+                entry.held = Some(held);
+            }
+        }
+    }
+
+    fn add(&mut self, name: OsString, stamp: FileStamp, now_us: i64) {
+        self.seen += 1;
+        let entry = Entry {
+            stamp,
+            since_us: now_us,
+            state: State::Settling,
+            closed: None,
+            held: None,
+            earlier: None,
+            number: self.seen,
+            take_holes: false,
         };
-        self.lost = false;
-        let skip = std::mem::take(&mut self.first_poll) && !self.include_existing;
-        self.states.retain(|path, _| files.iter().any(|(known, _)| known == path));
-        for (path, stamp) in files {
-            let state = match self.states.get(&path) {
-                None if skip => State::Done { stamp, delivered: true },
-                None => State::Settling { stamp, since_us: now_us },
-                Some(State::Settling { stamp: before, since_us }) if *before == stamp => {
-                    if now_us - since_us >= SETTLE_US {
-                        deliver(&path, self.domain, stamp, now_us, &mut events)
-                            .unwrap_or(State::Settling { stamp, since_us: *since_us })
-                    } else {
-                        State::Settling { stamp, since_us: *since_us }
+        self.entries.insert(name, entry);
+    }
+
+    /// The file `name` has a new version. The one before is read if it is held open, and reported if it is lost.
+    fn replace(&mut self, name: &OsStr, stamp: FileStamp, now_us: i64, found: &mut Vec<Sighting>) {
+        let Some(entry) = self.entries.get_mut(name) else { return };
+        let before = entry.stamp;
+        let unread = matches!(entry.state, State::Settling) && before.bytes > 0;
+        let same_file = before.inode == stamp.inode;
+        entry.stamp = stamp;
+        entry.since_us = now_us;
+        entry.take_holes = false;
+        if !same_file || stamp.bytes != before.bytes {
+            entry.closed = None;
+        }
+        let held = if same_file { None } else { entry.held.take() };
+        entry.state = State::Settling;
+        let (number, earlier) = (entry.number, entry.earlier.clone());
+        if !unread {
+            return;
+        }
+        let label = self.label(name, number);
+        match held {
+            // The old content is still there behind its own inode.
+            Some(held) => {
+                let offer = self.offer(name, before, now_us, Some(held), earlier, label, true, false);
+                found.push(offer);
+            }
+            // A file that grew is a copy that goes on; one whose time alone changed, may be.
+            None if !same_file || stamp.bytes < before.bytes => {
+                found.push(Sighting::Trouble(Trouble::Overwritten { label }));
+            }
+            None => {}
+        }
+    }
+
+    #[expect(clippy::too_many_arguments, reason = "one version of one file, spelled out")]
+    fn offer(
+        &mut self,
+        name: &OsStr,
+        stamp: FileStamp,
+        since_us: i64,
+        held: Option<Held>,
+        earlier: Option<String>,
+        label: String,
+        gone: bool,
+        take_holes: bool,
+    ) -> Sighting {
+        self.offers += 1;
+        let offer = Offer {
+            id: self.offers,
+            name: name.to_owned(),
+            path: self.folder.join(name),
+            label,
+            stamp,
+            held,
+            earlier,
+            gone,
+            take_holes,
+            domain: self.domain,
+            reader: self.reader.clone(),
+            told: self.told.0.clone(),
+        };
+        Sighting::Ready(offer.into_arrival(since_us))
+    }
+
+    /// Offers what lies still, and reports what has not become whole.
+    fn settle(&mut self, name: &OsStr, now_us: i64, found: &mut Vec<Sighting>) {
+        let label = match self.entries.get(name) {
+            Some(entry) => self.label(name, entry.number),
+            None => return,
+        };
+        let next = self.offers + 1;
+        let Some(entry) = self.entries.get_mut(name) else { return };
+        let modified_us = (entry.stamp.modified_ns / 1000) as i64;
+        let waited_us = (now_us - entry.since_us).max(if modified_us < now_us { now_us - modified_us } else { 0 });
+        match &entry.state {
+            State::Settling if now_us - entry.since_us >= SETTLE_US => {
+                entry.state = State::Offered(next);
+                let (stamp, since_us, held) = (entry.stamp, entry.since_us, entry.held.take());
+                let (earlier, take_holes) = (entry.earlier.clone(), entry.take_holes);
+                let offer = self.offer(name, stamp, since_us, held, earlier, label, false, take_holes);
+                found.push(offer);
+            }
+            State::Unfinished(Fault::Unwritten) if waited_us >= PATIENCE_US => {
+                // Written by a program that leaves holes where all is zero.
+                entry.take_holes = true;
+                entry.state = State::Settling;
+            }
+            State::Unfinished(fault) if waited_us >= PATIENCE_US => {
+                found.push(Sighting::Trouble(Trouble::Unfinished { label, fault: fault.clone() }));
+                entry.state = State::Done;
+            }
+            _ => {}
+        }
+    }
+
+    /// Names that are gone: their unread versions are read from the open file, or reported.
+    fn depart(&mut self, listed: &BTreeMap<OsString, FileStamp>, now_us: i64, found: &mut Vec<Sighting>) {
+        let gone: Vec<OsString> = self.entries.keys().filter(|name| !listed.contains_key(*name)).cloned().collect();
+        for name in gone {
+            let Some(mut entry) = self.entries.remove(&name) else { continue };
+            // Renamed: the same file with the same content under a name that is new.
+            let renamed = listed.iter().find(|(other, stamp)| **stamp == entry.stamp && !self.entries.contains_key(*other));
+            if let Some((other, _)) = renamed.filter(|_| entry.stamp.inode != (0, 0)) {
+                let other = other.clone();
+                if matches!(entry.state, State::Offered(_)) {
+                    entry.state = State::Done;
+                }
+                self.entries.insert(other, entry);
+                continue;
+            }
+            let label = self.label(&name, entry.number);
+            match (entry.state, entry.held) {
+                (State::Settling, Some(held)) => {
+                    let stamp = held.open.file.metadata().map_or(entry.stamp, |metadata| FileStamp::of(&metadata));
+                    let offer = self.offer(&name, stamp, now_us, Some(held), entry.earlier, label, true, entry.take_holes);
+                    found.push(offer);
+                }
+                (State::Settling | State::Unfinished(_), _) => {
+                    found.push(Sighting::Trouble(Trouble::Vanished { label }));
+                }
+                (State::Done, _) => {
+                    self.departed.push_back((entry.stamp, entry.earlier));
+                    if self.departed.len() > REMEMBERED {
+                        self.departed.pop_front();
                     }
                 }
-                Some(State::Done { stamp: before, delivered }) if *delivered || *before == stamp => {
-                    State::Done { stamp, delivered: *delivered }
-                }
-                Some(_) => State::Settling { stamp, since_us: now_us },
-            };
-            if matches!(state, State::Settling { .. }) {
-                events.push(WatchEvent::Waiting { path: path.clone() });
+                (State::Offered(_), _) => {}
             }
-            self.states.insert(path, state);
-        }
-        events
-    }
-}
-
-/// Reads a settled file; `None` while it may still be unfinished.
-fn deliver(path: &Path, domain: Option<Domain>, stamp: Stamp, now_us: i64, events: &mut Vec<WatchEvent>) -> Option<State> {
-    match read_frames(path, domain) {
-        Ok(frames) => {
-            events.extend(frames.into_iter().map(|frame| WatchEvent::Frame { frame: Box::new(frame), path: path.to_owned() }));
-            Some(State::Done { stamp, delivered: true })
-        }
-        Err(error) if error.may_be_unfinished() && now_us - stamp.modified_us < UNFINISHED_US => None,
-        Err(error) => {
-            events.push(WatchEvent::Unreadable { path: path.to_owned(), error });
-            Some(State::Done { stamp, delivered: false })
         }
     }
 }
 
-/// The files that matter, by name, then time of change.
-fn list(folder: &Path) -> std::io::Result<Vec<(PathBuf, Stamp)>> {
-    let mut files = Vec::new();
+impl FrameSource for FolderSource {
+    fn look(&mut self, now_us: i64) -> Vec<Sighting> {
+        let mut found = Vec::new();
+        self.hear(now_us, &mut found);
+        for notice in self.notices.take() {
+            self.notice(notice.name, notice.held, now_us, &mut found);
+        }
+        let listing = match list(&self.folder) {
+            Ok(listing) => listing,
+            Err(error) => {
+                if !std::mem::replace(&mut self.lost, true) {
+                    found.push(Sighting::FolderLost { detail: error.to_string() });
+                }
+                return found;
+            }
+        };
+        if std::mem::take(&mut self.lost) {
+            found.push(Sighting::FolderBack);
+        }
+        for (name, kind) in &listing.others {
+            if self.not_files.insert(name.clone(), *kind) != Some(*kind) && is_suspicious(name, *kind) {
+                self.seen += 1;
+                let label = self.label(name, self.seen);
+                found.push(Sighting::Trouble(Trouble::NotAFile { label, kind: *kind }));
+            }
+        }
+        self.not_files.retain(|name, _| listing.others.contains_key(name));
+        self.depart(&listing.files, now_us, &mut found);
+        let skip = std::mem::take(&mut self.skip_existing);
+        for (name, stamp) in listing.files {
+            match self.entries.get(&name).map(|entry| entry.stamp) {
+                None => {
+                    self.add(name.clone(), stamp, now_us);
+                    let known = self.departed.iter().find(|(known, _)| *known == stamp).map(|(_, earlier)| earlier.clone());
+                    if let Some(entry) = self.entries.get_mut(&name)
+                        && (skip || known.is_some())
+                    {
+                        entry.state = State::Done;
+                        entry.earlier = known.flatten();
+                    }
+                }
+                Some(before) if before != stamp => self.replace(&name, stamp, now_us, &mut found),
+                Some(_) => {}
+            }
+            if let Some(entry) = self.entries.get_mut(&name)
+                && entry.state == State::Settling
+                && entry.held.is_none()
+            {
+                entry.held = self.held.hold(&self.folder.join(&name)).filter(|held| held.open.stamp.inode == stamp.inode);
+            }
+            self.settle(&name, now_us, &mut found);
+        }
+        found
+    }
+}
+
+/// Whether a file of this name could be a frame.
+fn is_wanted(name: &OsStr) -> bool {
+    let name = name.to_string_lossy().to_lowercase();
+    let passed_over = [".tmp", ".part", ".partial", ".json"].iter().any(|ending| name.ends_with(ending));
+    !(name.starts_with('.') || name.starts_with('~') || passed_over)
+}
+
+/// Whether a person should hear of it: folders are ordinary, unless named like an image.
+fn is_suspicious(name: &OsStr, kind: NotRegular) -> bool {
+    kind != NotRegular::Folder || label::looks_like_an_image(Path::new(name))
+}
+
+struct Listing {
+    files: BTreeMap<OsString, FileStamp>,
+    others: BTreeMap<OsString, NotRegular>,
+}
+
+fn list(folder: &Path) -> std::io::Result<Listing> {
+    let mut listing = Listing { files: BTreeMap::new(), others: BTreeMap::new() };
     for entry in std::fs::read_dir(folder)? {
         let Ok(entry) = entry else { continue };
-        let name = entry.file_name().to_string_lossy().to_lowercase();
-        let passed_over = [".tmp", ".part", ".partial", ".json"].iter().any(|ending| name.ends_with(ending));
-        if name.starts_with('.') || name.starts_with('~') || passed_over {
+        let name = entry.file_name();
+        if !is_wanted(&name) {
             continue;
         }
-        // A file that vanishes between listing and looking was renamed; the next poll sees its new name.
-        let Ok(metadata) = std::fs::metadata(entry.path()) else { continue };
-        if !metadata.is_file() {
-            continue;
+        match std::fs::metadata(entry.path()) {
+            Ok(metadata) => match NotRegular::of(&metadata) {
+                None => drop(listing.files.insert(name, FileStamp::of(&metadata))),
+                Some(kind) => drop(listing.others.insert(name, kind)),
+            },
+            // Gone between listing and looking, unless it is a link that leads nowhere.
+            Err(_) if std::fs::symlink_metadata(entry.path()).is_ok() => {
+                listing.others.insert(name, NotRegular::Other);
+            }
+            Err(_) => {}
         }
-        let modified_us = metadata
-            .modified()
-            .ok()
-            .and_then(|time| time.duration_since(UNIX_EPOCH).ok())
-            .map_or(0, |since| since.as_micros() as i64);
-        files.push((entry.path(), Stamp { bytes: metadata.len(), modified_us }));
     }
-    files.sort_by(|(a, x), (b, y)| a.file_name().cmp(&b.file_name()).then(x.modified_us.cmp(&y.modified_us)));
-    Ok(files)
+    Ok(listing)
 }

@@ -9,9 +9,10 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Map, Value};
 
-use crate::acquire::AcquireError;
+use crate::acquire::{AcquireError, Fault};
+use crate::foreign::NotRegular;
 use crate::record::RecordError;
-use crate::reporter::Reporter;
+use crate::reporter::{Reporter, printable};
 
 /// Exit code of a complete answer.
 const GOOD: u8 = 0;
@@ -94,7 +95,7 @@ pub fn run(args: &InfoArgs, reporter: &Reporter) -> Result<u8, InfoError> {
     if args.json {
         println!("{facts:#}");
     } else {
-        print!("{}", text(&facts, 0));
+        print!("{}", printable(&text(&facts, 0)));
     }
     for loss in &info.losses {
         reporter.warn("loss", format!("{}: {loss}", args.file.display()));
@@ -109,8 +110,8 @@ pub fn run(args: &InfoArgs, reporter: &Reporter) -> Result<u8, InfoError> {
 pub fn examine(path: &Path) -> Result<Info, InfoError> {
     let io = |source| InfoError::Io { path: path.to_owned(), source };
     let metadata = std::fs::metadata(path).map_err(io)?;
-    if metadata.is_dir() {
-        return Err(InfoError::Unknown { path: path.to_owned(), found: "a folder".into() });
+    if let Some(other) = NotRegular::of(&metadata) {
+        return Err(InfoError::Unknown { path: path.to_owned(), found: other.words().into() });
     }
     let head = head(path).map_err(io)?;
     let name = path.file_name().map(|name| name.to_string_lossy().to_lowercase()).unwrap_or_default();
@@ -124,7 +125,7 @@ pub fn examine(path: &Path) -> Result<Info, InfoError> {
         documents::examine(path, &name)?
     } else {
         match frames::examine(path) {
-            Err(InfoError::Frame(AcquireError::NotAnImage { found, .. })) => {
+            Err(InfoError::Frame(AcquireError::Refused { fault: Fault::NotAnImage { found }, .. })) => {
                 return Err(InfoError::Unknown { path: path.to_owned(), found });
             }
             other => other?,

@@ -14,6 +14,7 @@ pub mod devices;
 pub mod hints;
 pub mod info;
 pub mod live;
+pub mod read_foreign;
 pub mod register;
 pub mod render;
 pub mod replay;
@@ -53,6 +54,7 @@ enum Command {
     Spectrum(spectrum::SpectrumArgs),
     Devices(devices::DevicesArgs),
     Info(info::InfoArgs),
+    ReadForeign(read_foreign::ReadForeignArgs),
 }
 
 /// Runs the program.
@@ -64,6 +66,7 @@ pub fn main() -> ExitCode {
         eprintln!("sidecarm: a fault of this program{place}; please report it with what you did");
     }));
     let cli = Cli::parse();
+    crate::foreign::install(crate::foreign::ForeignReader::this_program());
     let reporter = Reporter::stderr();
     ExitCode::from(dispatch(&cli.command, &reporter))
 }
@@ -86,6 +89,7 @@ fn dispatch(command: &Command, reporter: &Reporter) -> u8 {
             None => devices::list(args.json, reporter),
         },
         Command::Info(args) => end(info::run(args, reporter), reporter),
+        Command::ReadForeign(args) => end(read_foreign::run(args), reporter),
     }
 }
 

@@ -6,8 +6,8 @@ use rayon::prelude::*;
 
 use super::SceneError;
 use super::density::{DensityCurve, ThresholdClass};
+use super::foreign_files::VolumeFile;
 use super::model::Volume;
-use super::volume_file::VolumeFile;
 use crate::reporter::Reporter;
 
 /// A class of voxels: what its voxels are made of, and where their density comes from.

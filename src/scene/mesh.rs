@@ -1,14 +1,13 @@
 //! STL surfaces: welded, checked for holes, turned the right way out.
 
 use std::collections::HashMap;
-use std::fs::File;
-use std::io::BufReader;
 use std::path::Path;
 
 use glam::DVec3;
 
 use super::SceneError;
 use super::crossings::crossing_faces;
+use super::foreign_files::read_triangles;
 use super::model::Mesh;
 use crate::geometry::Rigid;
 use crate::reporter::Reporter;
@@ -29,13 +28,7 @@ pub(super) struct Surface {
 /// When the file is damaged, or the surface has holes.
 pub(super) fn read_surface(path: &Path, reporter: &Reporter) -> Result<Surface, SceneError> {
     let wrong = |detail: String| SceneError::Mesh { path: path.to_owned(), detail };
-    let file = File::open(path).map_err(|source| SceneError::Io { path: path.to_owned(), source })?;
-    let mut reader = BufReader::new(file);
-    let damaged = |error: std::io::Error| wrong(format!("not a readable STL ({error})"));
-    let mut corners: Vec<[[f32; 3]; 3]> = Vec::new();
-    for triangle in stl_io::create_stl_reader(&mut reader).map_err(damaged)? {
-        corners.push(triangle.map_err(damaged)?.vertices.map(|vertex| vertex.0));
-    }
+    let corners = read_triangles(path)?;
     if !corners.iter().flatten().flatten().all(|x| x.is_finite()) {
         return Err(wrong("a vertex is not finite".to_owned()));
     }

@@ -7,6 +7,7 @@ mod edit;
 mod error;
 pub mod file;
 mod files;
+mod foreign_files;
 mod load;
 mod matter;
 mod mesh;
@@ -21,6 +22,7 @@ pub mod physics;
 
 pub use density::{DensityCurve, ThresholdClass};
 pub use error::SceneError;
+pub use foreign_files::{Triangle, VolumeFacts, VolumeFile, read_triangles, read_volume, read_volume_facts, serve};
 pub use load::{input_files, load, load_text};
 pub use model::{InputFile, Scene};
-pub use volume_file::{VolumeFile, read_volume};
+pub use volume_file::PlacedBy;

@@ -10,11 +10,11 @@ use super::SceneError;
 use super::file::{AirFile, BoxFile, CtFile, CylinderFile, DensityFile, EllipsoidFile, LabelsFile, MaterialsFile, MeshFile};
 use super::file::{ObjectFile, RobotFile, SphereFile, VoxelsFile};
 use super::files::Files;
+use super::foreign_files::read_volume;
 use super::matter::{self, Class, Classes};
 use super::mesh;
 use super::model::{Matter, Object, Robot, Scene, Shape, Solid};
 use super::physics::Material;
-use super::volume_file::read_volume;
 use crate::geometry::{Rigid, RobotModel};
 use crate::reporter::Reporter;
 

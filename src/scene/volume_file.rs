@@ -1,111 +1,181 @@
-//! NIfTI-1 volumes: voxels, and where they lie in `lps`.
+//! NIfTI-1: header and voxels of a stream, checked as they come. Nothing here keeps more than one block of voxels.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
-use std::path::Path;
 
 use ::nifti::{Endianness, NiftiHeader, NiftiType};
 use glam::{DAffine3, DMat3, DVec3};
 
-use super::SceneError;
+use crate::foreign::Limits;
 use crate::memory;
-use crate::reporter::Reporter;
 
-/// A volume as its file has it, in `lps` and mm.
-#[derive(Clone, Debug)]
-pub struct VolumeFile {
+/// What a volume's header says.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub(super) struct VolumeHead {
     /// Voxels along i, j, k.
     pub size: [usize; 3],
-    /// Continuous voxel index to `lps`.
+    /// Continuous voxel index to `lps`, mm.
     pub lps_from_voxel: DAffine3,
-    /// Scaled values, i fastest.
-    pub values: Vec<f32>,
-    /// Which form placed it: `sform`, `qform`, or `spacing only`.
-    pub placed_by: &'static str,
+    /// What placed it.
+    pub placed_by: PlacedBy,
+    /// Type of the stored values.
+    pub data_type: String,
+    /// Unit of length in the header.
+    pub unit: String,
+    /// What a person should hear: a kind of warning, or none for a note, and the words.
+    pub remarks: Vec<(Option<String>, String)>,
+}
+
+impl VolumeHead {
+    /// All voxels.
+    pub fn voxels(&self) -> u64 {
+        self.size.iter().map(|n| *n as u64).product()
+    }
+
     /// Distance of voxel centres along i, j, k.
-    pub spacing_mm: [f64; 3],
+    pub fn spacing_mm(&self) -> [f64; 3] {
+        let axes = self.lps_from_voxel.matrix3;
+        [axes.x_axis, axes.y_axis, axes.z_axis].map(|axis| axis.length())
+    }
+}
+
+/// What of a header places its volume.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub enum PlacedBy {
+    /// The affine matrix.
+    #[serde(rename = "sform")]
+    Sform,
+    /// The quaternion.
+    #[serde(rename = "qform")]
+    Qform,
+    /// Nothing but the sizes of voxels.
+    #[serde(rename = "voxel sizes only")]
+    SpacingOnly,
+}
+
+impl PlacedBy {
+    /// In words.
+    #[must_use]
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::Sform => "sform",
+            Self::Qform => "qform",
+            Self::SpacingOnly => "voxel sizes only",
+        }
+    }
+}
+
+/// What all voxels together say.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub(super) struct VoxelSummary {
+    /// Smallest and largest finite value; `None` without any.
+    pub range: Option<[f32; 2]>,
+    /// Voxels that are NaN or infinite.
+    pub not_finite: u64,
 }
 
 /// What a voxel takes once it is rendered: density, class, whether it is known, and the kind of its cell.
 const BYTES_PER_VOXEL: u64 = 7;
+/// Voxels are read in blocks of this many.
+const BLOCK: usize = 1 << 18;
+/// What may follow the voxels in a file.
+const TRAILING_BYTES: u64 = 1 << 20;
 
 /// Voxel sizes outside this are probably metres or microns taken for millimetres.
 const PLAUSIBLE_SPACING_MM: (f64, f64) = (0.005, 20.0);
 
-/// Reads a NIfTI-1 volume (`.nii` or `.nii.gz`). sform before qform before spacing alone; RAS becomes LPS; metres and microns become mm.
+/// Reads a NIfTI-1 volume (`.nii` or `.nii.gz`): `start` hears the header, `take` the scaled voxels, i fastest, block by block. sform before
+/// qform before spacing alone; RAS becomes LPS; metres and microns become mm.
 ///
 /// # Errors
-/// When the file cannot be read, is damaged or cut short, is no single volume of numbers, holds NaN or infinity, or lies nowhere.
-pub fn read_volume(path: &Path, reporter: &Reporter) -> Result<VolumeFile, SceneError> {
-    let wrong = |detail: String| SceneError::Volume { path: path.to_owned(), detail };
-    let io = |source: std::io::Error| SceneError::Io { path: path.to_owned(), source };
-    let file = File::open(path).map_err(io)?;
-    let file_bytes = file.metadata().map_err(io)?.len();
+/// One sentence, when the file is damaged or cut short, no single volume of numbers, too large, lies nowhere, or `take` gives up.
+pub(super) fn decode_volume(
+    file: File,
+    limits: &Limits,
+    start: &mut dyn FnMut(&VolumeHead) -> Result<(), String>,
+    take: &mut dyn FnMut(&[f32]) -> Result<(), String>,
+) -> Result<VoxelSummary, String> {
+    let unreadable = |error: std::io::Error| format!("cannot be read ({error})");
+    let file_bytes = file.metadata().map_err(unreadable)?.len();
     let mut buffered = BufReader::with_capacity(1 << 18, file);
-    let zipped = buffered.fill_buf().map_err(io)?.starts_with(&[0x1f, 0x8b]);
+    let zipped = buffered.fill_buf().map_err(unreadable)?.starts_with(&[0x1f, 0x8b]);
     let mut stream: Box<dyn Read> =
         if zipped { Box::new(flate2::bufread::MultiGzDecoder::new(buffered)) } else { Box::new(buffered) };
     let header = NiftiHeader::from_reader(&mut stream)
-        .map_err(|error| wrong(format!("no NIfTI-1 header ({error}); expected a .nii or .nii.gz file")))?;
-    let kind = check_kind(&header).map_err(wrong)?;
-    let size = checked_size(&header).map_err(wrong)?;
+        .map_err(|error| format!("no NIfTI-1 header ({error}); expected a .nii or .nii.gz file"))?;
+    let kind = check_kind(&header)?;
+    let size = checked_size(&header)?;
     let voxels = size.iter().map(|n| *n as u64).product::<u64>();
-    let offset = header.vox_offset;
-    if !(348.0..=1e9).contains(&offset) {
-        return Err(wrong(format!("voxels start at byte {offset}, expected 348 or more: the header is damaged")));
+    if voxels > limits.file_pixels {
+        return Err(format!("{size:?} voxels are {voxels}, at most {} are read; crop or resample it", limits.file_pixels));
     }
-    let (skip, bytes_per_voxel) = (offset as u64 - 348, kind.size_of() as u64);
-    let needed = voxels.checked_mul(bytes_per_voxel).and_then(|n| n.checked_add(offset as u64));
-    let needed = needed.ok_or_else(|| wrong(format!("{size:?} voxels do not fit a file: the header is damaged")))?;
+    let offset = header.vox_offset;
+    if !(348.0..=1e6).contains(&offset) {
+        return Err(format!("voxels start at byte {offset}, expected 348 to 1000000: the header is damaged"));
+    }
+    let (skip, bytes_per_voxel) = (offset as u64 - 348, kind.size_of());
+    let needed = voxels * bytes_per_voxel as u64 + offset as u64;
     if !zipped && file_bytes < needed {
-        return Err(wrong(format!("cut short: the header promises {needed} bytes, the file has {file_bytes}; copy it again")));
+        return Err(format!("cut short: the header promises {needed} bytes, the file has {file_bytes}; copy it again"));
     }
     let what = format!("{} x {} x {} voxels", size[0], size[1], size[2]);
-    if let Some(refused) = memory::refusal(&what, voxels.saturating_mul(BYTES_PER_VOXEL), memory::available_bytes()) {
-        return Err(wrong(format!("{refused}; crop or resample it, or free memory")));
+    if let Some(refused) = memory::refusal(&what, voxels * BYTES_PER_VOXEL, memory::available_bytes()) {
+        return Err(format!("{refused}; crop or resample it, or free memory"));
     }
-    let (lps_from_voxel, placed_by) = placement(&header, reporter, path).map_err(wrong)?;
-    let spacing_mm = [lps_from_voxel.x_axis, lps_from_voxel.y_axis, lps_from_voxel.z_axis].map(|axis| axis.length());
-    let (low, high) = PLAUSIBLE_SPACING_MM;
-    if !spacing_mm.iter().all(|mm| (low..=high).contains(mm)) {
-        reporter.warn(
-            "voxel size",
-            format_args!("{}: voxels of {spacing_mm:?} mm: metres or microns taken for millimetres?", path.display()),
-        );
-    }
+    let head = describe(&header, size, kind)?;
+    start(&head)?;
 
     let cut = |error: std::io::Error, at: u64| match error.kind() {
-        std::io::ErrorKind::UnexpectedEof => {
-            wrong(format!("cut short: {voxels} voxels promised, it ends after {at}; copy it again"))
-        }
-        _ => wrong(format!("damaged after {at} of {voxels} voxels ({error}); copy it again")),
+        std::io::ErrorKind::UnexpectedEof => format!("cut short: {voxels} voxels promised, it ends after {at}; copy it again"),
+        _ => format!("damaged after {at} of {voxels} voxels ({error}); copy it again"),
     };
     std::io::copy(&mut (&mut stream).take(skip), &mut std::io::sink()).map_err(|error| cut(error, 0))?;
-    let (slope, intercept) = scaling(&header).map_err(wrong)?;
-    let mut values: Vec<f32> = Vec::new();
-    let mut not_finite = 0u64;
-    let mut chunk = vec![0u8; (1 << 18) * bytes_per_voxel as usize];
-    while (values.len() as u64) < voxels {
-        let count = (voxels - values.len() as u64).min(1 << 18) as usize;
-        let bytes = &mut chunk[..count * bytes_per_voxel as usize];
-        stream.read_exact(bytes).map_err(|error| cut(error, values.len() as u64))?;
-        values.try_reserve(count).map_err(|_| wrong(format!("{voxels} voxels do not fit the memory")))?;
-        for raw in bytes.chunks_exact(bytes_per_voxel as usize) {
+    let (slope, intercept) = scaling(&header)?;
+    let mut summary = VoxelSummary { range: None, not_finite: 0 };
+    let mut values: Vec<f32> = Vec::with_capacity(BLOCK);
+    let mut chunk = vec![0u8; BLOCK * bytes_per_voxel];
+    let mut at = 0u64;
+    while at < voxels {
+        let count = (voxels - at).min(BLOCK as u64);
+        let bytes = &mut chunk[..count as usize * bytes_per_voxel];
+        stream.read_exact(bytes).map_err(|error| cut(error, at))?;
+        values.clear();
+        for raw in bytes.chunks_exact(bytes_per_voxel) {
             let value = (decode(kind, header.endianness, raw) * slope + intercept) as f32;
-            not_finite += u64::from(!value.is_finite());
+            if value.is_finite() {
+                let [low, high] = summary.range.unwrap_or([value, value]);
+                summary.range = Some([low.min(value), high.max(value)]);
+            } else {
+                summary.not_finite += 1;
+            }
             values.push(value);
         }
+        take(&values)?;
+        at += count;
     }
     // To the end of the file: only there does gzip say whether what came out is what went in.
     if zipped {
-        std::io::copy(&mut stream, &mut std::io::sink()).map_err(|error| cut(error, voxels))?;
+        let trailing =
+            std::io::copy(&mut stream.take(TRAILING_BYTES + 1), &mut std::io::sink()).map_err(|error| cut(error, voxels))?;
+        if trailing > TRAILING_BYTES {
+            return Err(format!("more than {TRAILING_BYTES} bytes follow the {voxels} voxels: the header is damaged"));
+        }
     }
-    if not_finite > 0 {
-        return Err(wrong(format!(
-            "{not_finite} of {voxels} voxels are NaN or infinite; replace them (air is -1000 HU) and try again"
-        )));
+    Ok(summary)
+}
+
+fn describe(header: &NiftiHeader, size: [usize; 3], kind: NiftiType) -> Result<VolumeHead, String> {
+    let mut remarks = Vec::new();
+    let (lps_from_voxel, placed_by) = placement(header, &mut remarks)?;
+    let unit = header.xyzt_to_space().map(|unit| format!("{unit:?}").to_lowercase()).unwrap_or_else(|_| "unknown".into());
+    let mut head = VolumeHead { size, lps_from_voxel, placed_by, data_type: format!("{kind:?}"), unit, remarks };
+    let spacing_mm = head.spacing_mm();
+    let (low, high) = PLAUSIBLE_SPACING_MM;
+    if !spacing_mm.iter().all(|mm| (low..=high).contains(mm)) {
+        let words = format!("voxels of {spacing_mm:?} mm: metres or microns taken for millimetres?");
+        head.remarks.push((Some("voxel size".to_owned()), words));
     }
-    Ok(VolumeFile { size, lps_from_voxel, values, placed_by, spacing_mm })
+    Ok(head)
 }
 
 fn check_kind(header: &NiftiHeader) -> Result<NiftiType, String> {
@@ -123,6 +193,11 @@ fn check_kind(header: &NiftiHeader) -> Result<NiftiType, String> {
         | NiftiType::Rgb24
         | NiftiType::Rgba32
         | NiftiType::Float128 => Err(format!("voxels are {kind:?}, expected integers or 32- or 64-bit floats")),
+        kind if kind.size_of() * 8 != header.bitpix.unsigned_abs() as usize => Err(format!(
+            "voxels are {kind:?} of {} bits by one field of the header and of {} bits by another: it is damaged",
+            kind.size_of() * 8,
+            header.bitpix
+        )),
         kind => Ok(kind),
     }
 }
@@ -155,29 +230,22 @@ fn scaling(header: &NiftiHeader) -> Result<(f64, f64), String> {
     Ok((slope, intercept))
 }
 
-fn placement(header: &NiftiHeader, reporter: &Reporter, path: &Path) -> Result<(DAffine3, &'static str), String> {
+fn placement(header: &NiftiHeader, remarks: &mut Vec<(Option<String>, String)>) -> Result<(DAffine3, PlacedBy), String> {
+    let mut warn = |kind: &str, words: String| remarks.push((Some(kind.to_owned()), words));
     let (ras_from_voxel, placed_by) = if header.sform_code > 0 {
-        (sform(header), "sform")
+        (sform(header), PlacedBy::Sform)
     } else if header.qform_code > 0 {
-        (qform(header), "qform")
+        (qform(header), PlacedBy::Qform)
     } else {
         let spacing = DVec3::from_array([1, 2, 3].map(|axis| f64::from(header.pixdim[axis]).abs()));
-        reporter.warn(
-            "no orientation",
-            format_args!("{}: neither sform nor qform: placed by spacing alone, axes taken as RAS", path.display()),
-        );
-        (DAffine3::from_scale(spacing), "spacing only")
+        warn("no orientation", "neither sform nor qform: placed by spacing alone, axes taken as RAS".into());
+        (DAffine3::from_scale(spacing), PlacedBy::SpacingOnly)
     };
     if header.sform_code > 0 && header.qform_code > 0 {
         let disagreement_mm = corner_distance(&sform(header), &qform(header), header);
         if !(disagreement_mm <= 1.0) {
-            reporter.warn(
-                "sform and qform",
-                format_args!(
-                    "{}: sform and qform disagree by up to {disagreement_mm:.1} units; the sform is used",
-                    path.display()
-                ),
-            );
+            let words = format!("sform and qform disagree by up to {disagreement_mm:.1} units; the sform is used");
+            warn("sform and qform", words);
         }
     }
     let unit_mm = match header.xyzt_units & 7 {
@@ -187,16 +255,16 @@ fn placement(header: &NiftiHeader, reporter: &Reporter, path: &Path) -> Result<(
         other => return Err(format!("unit of length has code {other}, expected metres, millimetres or microns")),
     };
     if unit_mm != 1.0 {
-        reporter.note(format_args!("{}: lengths are multiplied by {unit_mm} to become millimetres", path.display()));
+        remarks.push((None, format!("lengths are multiplied by {unit_mm} to become millimetres")));
     }
     let lps_from_voxel = DAffine3::from_scale(DVec3::new(-unit_mm, -unit_mm, unit_mm)) * ras_from_voxel;
     if !lps_from_voxel.is_finite() {
-        return Err(format!("{placed_by} holds a number that is not finite"));
+        return Err(format!("{} holds a number that is not finite", placed_by.words()));
     }
     let m = lps_from_voxel.matrix3;
     let relative = m.determinant().abs() / (m.x_axis.length() * m.y_axis.length() * m.z_axis.length());
     if !(relative > 1e-6) {
-        return Err(format!("{placed_by} is singular: its axes have no volume"));
+        return Err(format!("{} is singular: its axes have no volume", placed_by.words()));
     }
     Ok((lps_from_voxel, placed_by))
 }

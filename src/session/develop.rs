@@ -312,6 +312,7 @@ fn row(posed: &Posed) -> Pair {
         (false, _) => PairStatus::Refused,
     };
     pair.flags.extend(posed.warnings.iter().cloned());
+    pair.flags.extend(posed.binding.flags.iter().map(ToString::to_string));
     pair.rms_px = posed.pose.rms_px.filter(|_| posed.pose.is_accepted());
     pair.rms_mm = posed.pose.rms_mm.filter(|_| posed.pose.is_accepted());
     pair.robot_source = Some(match &posed.robot {

@@ -5,7 +5,7 @@
 //! frame at a time, in an order that whoever drives the engine chooses ([`Input::Develop`]) and a log keeps: the state that it rests on,
 //! where the specimen lies in the room, changes only with [`Engine::registered`].
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use super::file::Setup;
@@ -17,7 +17,7 @@ use crate::beads::{BeadLayout, Landmark};
 use crate::geometry::Rigid;
 use crate::reporter::Reporter;
 use crate::telemetry::{DeviceKind, Event, Health, Link, Sample};
-use crate::timeline::{Binding, FrameStamp, Timeline};
+use crate::timeline::{Binder, Binding, FrameEvidence, Timeline};
 
 /// One thing that happened, with its host time.
 #[derive(Clone, Debug)]
@@ -83,6 +83,13 @@ pub enum Output {
         /// Which.
         number: u32,
     },
+    /// A frame that was handed on without an exposure has got one.
+    BoundLate {
+        /// Which.
+        number: u32,
+        /// For a person.
+        words: String,
+    },
     /// A registration to be run; its result goes to [`Engine::registered`] before the next [`Input::Develop`].
     Job(Box<PoseJob>),
     /// A frame is ready to be rendered and compared.
@@ -108,7 +115,12 @@ pub struct Engine {
     timeline: Timeline,
     tie: SpecimenTie,
     world_from_tracker: Option<Rigid>,
-    pending: Vec<Pending>,
+    binder: Binder,
+    pending: BTreeMap<u32, Pending>,
+    /// Frames that were developed without an exposure: they may yet get one.
+    unbound: BTreeSet<u32>,
+    /// Latest host time of any input.
+    now_us: i64,
     bound: BTreeMap<u32, Bound>,
     reporter: Reporter,
 }
@@ -132,7 +144,10 @@ impl Engine {
             timeline: Timeline::new(),
             tie,
             world_from_tracker,
-            pending: Vec::new(),
+            binder: Binder::default(),
+            pending: BTreeMap::new(),
+            unbound: BTreeSet::new(),
+            now_us: i64::MIN,
             bound: BTreeMap::new(),
             reporter,
         }
@@ -169,7 +184,9 @@ impl Engine {
                 host_us
             }
             Input::Frame { frame, host_us } => {
-                self.pending.push(Pending { frame, host_us });
+                let image = frame.image_of_file.map(|n| n as u32);
+                self.binder.push(FrameEvidence::of(frame.number, &frame.tags, &frame.sha256, image, Some(host_us)));
+                self.pending.insert(frame.number, Pending { frame, host_us });
                 host_us
             }
             Input::Tick { host_us } => host_us,
@@ -186,12 +203,14 @@ impl Engine {
                 return;
             }
         };
-        self.settle(now_us, false, sink);
+        self.now_us = self.now_us.max(now_us);
+        self.settle(false, sink);
     }
 
     /// No more telemetry will come: binds what waits with what there is.
     pub fn finish(&mut self, now_us: i64, sink: &mut dyn FnMut(Output)) {
-        self.settle(now_us, true, sink);
+        self.now_us = self.now_us.max(now_us);
+        self.settle(true, sink);
     }
 
     /// Takes the result of a job: ties the specimen to the room, chooses the pose that is used.
@@ -223,24 +242,39 @@ impl Engine {
         });
     }
 
-    /// Binds, in order of arrival, the frames that telemetry has reached or that have waited long enough.
-    fn settle(&mut self, now_us: i64, at_end: bool, sink: &mut dyn FnMut(Output)) {
-        while let Some(first) = self.pending.first() {
-            let stamp = FrameStamp {
-                exposure_counter: first.frame.tags.exposure_counter,
-                host_arrival_us: first.host_us,
-                acquired_us: first.frame.tags.acquired_us(),
-            };
-            let binding = self.timeline.bind(&stamp);
-            let waited = now_us.saturating_sub(first.host_us);
-            let patient = self.setup.carm.is_some() && !at_end && waited < BIND_PATIENCE_US;
-            if patient && !(binding.settled && self.robot_has_reached(&binding)) {
-                return;
+    /// Hands on the frames that telemetry has reached or that have waited long enough.
+    fn settle(&mut self, at_end: bool, sink: &mut dyn FnMut(Output)) {
+        let changed = match at_end {
+            true => self.binder.finish(&self.timeline),
+            false => self.binder.update(&self.timeline, self.now_us),
+        };
+        for number in changed {
+            let exposure = self.binder.binding(number).and_then(|binding| binding.exposure.as_ref());
+            if let Some(exposure) = exposure
+                && self.unbound.remove(&number)
+            {
+                let words = format!(
+                    "frame {number}: only now it is clear that it belongs to {}; its pair was made without that exposure's telemetry",
+                    exposure.label()
+                );
+                self.reporter.warn("bound late", &words);
+                sink(Output::BoundLate { number, words });
             }
-            let Pending { frame, host_us } = self.pending.remove(0);
-            let number = frame.number;
-            let bound = Bound::new(frame, host_us, binding, &self.timeline);
-            self.bound.insert(number, bound);
+        }
+        let waits_at_all = self.setup.carm.is_some() && !at_end;
+        let ready = |(number, pending): (&u32, &Pending)| {
+            let binding = self.binder.binding(*number).cloned().unwrap_or_default();
+            let waited = self.now_us.saturating_sub(pending.host_us);
+            let waits = waits_at_all && waited < BIND_PATIENCE_US && !(binding.settled && self.robot_has_reached(&binding));
+            (!waits).then_some((*number, binding))
+        };
+        let ready: Vec<(u32, Binding)> = self.pending.iter().filter_map(ready).collect();
+        for (number, binding) in ready {
+            let Some(Pending { frame, host_us }) = self.pending.remove(&number) else { continue };
+            if binding.exposure.is_none() {
+                self.unbound.insert(number);
+            }
+            self.bound.insert(number, Bound::new(frame, host_us, binding, &self.timeline));
             sink(Output::Bound { number });
         }
     }

@@ -211,6 +211,7 @@ impl Session {
                 }
             }
             Output::Bound { .. } => {}
+            Output::BoundLate { words, .. } => self.log.event(Level::Warning, host_now_us(), &words),
             Output::Job(job) => {
                 // The registrar ends with this thread.
                 let _ = self.jobs.send(*job);

@@ -111,7 +111,7 @@ impl Bound {
     #[must_use]
     pub fn new(frame: Arc<Frame>, arrival_us: i64, binding: Binding, timeline: &Timeline) -> Self {
         let exposure = binding.exposure.as_ref();
-        let mid_us = exposure.map(|exposure| exposure.mid_us());
+        let mid_us = binding.time_us.or_else(|| exposure.map(|exposure| exposure.mid_us()));
         let joints = mid_us
             .and_then(|mid_us| timeline.joints_at(mid_us))
             .filter(|answer| answer.gap_us <= MAX_GAP_US && answer.support == Support::Between)

@@ -238,7 +238,7 @@ impl Replay<'_> {
                 Output::Sample { host_us, sample, .. } => self.tracks.sample(host_us, &sample),
                 // A log that keeps no order registered each frame when it was bound.
                 Output::Bound { number } if !self.recorded.has_order => engine.push(Input::Develop { number }, &mut sink),
-                Output::Fault { .. } | Output::Bound { .. } => {}
+                Output::Fault { .. } | Output::Bound { .. } | Output::BoundLate { .. } => {}
                 Output::Job(job) => engine.registered(job.run(), &mut sink),
                 Output::Posed(posed) => self.take_posed(*posed),
             }

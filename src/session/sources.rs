@@ -1,5 +1,6 @@
 //! What comes into a session, each kind on a thread that does nothing else: bytes of the serial lines, frames of the folder.
 
+use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Weak};
 use std::time::Duration;
@@ -10,7 +11,8 @@ use super::engine::Input;
 use super::file::Setup;
 use super::live::Event;
 use super::log::SessionLog;
-use crate::acquire::{FolderWatch, Frame, WatchEvent};
+use crate::acquire::{Arrival, FolderSource, Frame, FrameSource, Reading, Sighting};
+use crate::foreign;
 use crate::record::Level;
 use crate::reporter::Reporter;
 use crate::telemetry::{DeviceKind, PortConfig, PortEvent, PortTask, spawn_port};
@@ -29,6 +31,10 @@ const PORT_QUEUE: usize = 4096;
 const DRAIN: Duration = Duration::from_millis(200);
 /// How often the folder is looked at.
 const FOLDER_POLL: Duration = Duration::from_millis(25);
+/// Looks at the folder after the session was told to end.
+const LAST_LOOKS: u32 = 8;
+/// So many files are read in the order in which they came.
+const FEW: usize = 4;
 /// Pixels of frames that wait to be developed may take this much memory; then reading waits, and files wait in their folder.
 const MOST_PIXEL_BYTES: usize = 2 << 30;
 
@@ -152,13 +158,16 @@ impl Frames {
         reporter: &Reporter,
     ) -> Result<Self, SessionError> {
         let closing = Arc::new(AtomicBool::new(false));
+        let folder = FolderSource::new(&setup.session.frames.folder, setup.domain(), include_existing, foreign::installed());
         let mut intake = FrameIntake {
-            watch: FolderWatch::new(&setup.session.frames.folder, setup.domain(), include_existing),
+            source: Box::new(folder),
             log: Arc::clone(log),
             board: board.clone(),
             reporter: reporter.clone(),
+            backlog: Vec::new(),
             held: Vec::new(),
             numbered: 0,
+            numbers_of: HashMap::new(),
         };
         let told = Arc::clone(&closing);
         std::thread::Builder::new()
@@ -177,48 +186,126 @@ impl Frames {
     }
 }
 
+/// A file that was seen and not read yet, under the number of its first image.
+struct Seen {
+    number: u32,
+    host_us: i64,
+    arrival: Arrival,
+}
+
 struct FrameIntake {
-    watch: FolderWatch,
+    source: Box<dyn FrameSource>,
     log: Arc<SessionLog>,
     board: Board,
     reporter: Reporter,
+    backlog: Vec<Seen>,
     /// Frames whose pixels may still be in memory.
     held: Vec<Weak<Frame>>,
     numbered: u32,
+    /// Of each content the number of its first image.
+    numbers_of: HashMap<String, u32>,
 }
 
 impl FrameIntake {
     fn run(&mut self, closing: &AtomicBool) {
+        // What was being written when the session was told to end gets its chance to lie still.
+        let mut last_looks = LAST_LOOKS;
         loop {
-            let last = closing.load(Ordering::Relaxed);
-            for event in self.watch.poll(host_now_us()) {
-                self.take(event, closing);
+            let is_closing = closing.load(Ordering::Relaxed);
+            self.look();
+            let has_room = is_closing || self.held_bytes() <= MOST_PIXEL_BYTES;
+            if has_room && let Some(seen) = self.next() {
+                self.read(seen);
+                continue;
             }
-            if last {
-                return;
+            if is_closing && self.backlog.is_empty() {
+                last_looks -= 1;
+                if last_looks == 0 {
+                    return;
+                }
             }
             std::thread::sleep(FOLDER_POLL);
         }
     }
 
-    fn take(&mut self, event: WatchEvent, closing: &AtomicBool) {
-        match event {
-            WatchEvent::Frame { frame, .. } => {
-                while self.held_bytes() > MOST_PIXEL_BYTES && !closing.load(Ordering::Relaxed) {
-                    std::thread::sleep(FOLDER_POLL);
+    fn look(&mut self) {
+        let host_us = host_now_us();
+        let mut ready = Vec::new();
+        for sighting in self.source.look(host_us) {
+            match sighting {
+                Sighting::Ready(arrival) => ready.push(arrival),
+                Sighting::Trouble(trouble) => {
+                    self.log.lose(trouble.to_string());
+                    self.say(trouble.kind(), &trouble.to_string());
                 }
-                self.numbered += 1;
-                let frame = Arc::new(Frame { number: self.numbered, ..*frame });
-                self.held.push(Arc::downgrade(&frame));
-                self.board.update(|state| state.frames_seen += 1);
-                self.log.input(Input::Frame { frame, host_us: host_now_us() });
+                Sighting::FolderLost { detail } => {
+                    let words = format!("the frame folder cannot be listed ({detail}); check that it is there and mounted");
+                    self.say("frame folder", &words);
+                }
+                Sighting::FolderBack => self.say("frame folder", "the frame folder is back"),
             }
-            WatchEvent::Unreadable { error, .. } => {
-                self.reporter.warn("unreadable frame", format!("{error}; the file is left where it is"));
-                self.log.event(Level::Warning, host_now_us(), &format!("unreadable frame: {error}"));
-            }
-            WatchEvent::Waiting { .. } => {}
         }
+        ready.sort_by_key(Arrival::modified_us);
+        for arrival in ready {
+            self.numbered += 1;
+            self.backlog.push(Seen { number: self.numbered, host_us: arrival.seen_us().min(host_us), arrival });
+        }
+    }
+
+    /// The oldest file while there are few, else the newest: that is the one somebody waits for.
+    fn next(&mut self) -> Option<Seen> {
+        match self.backlog.len() {
+            0 => None,
+            1..=FEW => Some(self.backlog.remove(0)),
+            _ => self.backlog.pop(),
+        }
+    }
+
+    fn read(&mut self, seen: Seen) {
+        let Seen { number, host_us, arrival } = seen;
+        match arrival.read() {
+            Reading::Frames { frames, earlier } => {
+                if let Some(earlier) = earlier.and_then(|sha256| self.numbers_of.get(&sha256).copied()) {
+                    let words = format!("frame {number}: its file was rewritten; an earlier version of it was frame {earlier}");
+                    self.say("frame rewritten", &words);
+                }
+                if let Some(first) = frames.first() {
+                    self.numbers_of.entry(first.sha256.clone()).or_insert(number);
+                }
+                for (image, frame) in frames.into_iter().enumerate() {
+                    let number = match image {
+                        0 => number,
+                        _ => {
+                            self.numbered += 1;
+                            self.numbered
+                        }
+                    };
+                    let frame = Arc::new(Frame { number, ..frame });
+                    self.held.push(Arc::downgrade(&frame));
+                    self.board.update(|state| state.frames_seen += 1);
+                    self.log.input(Input::Frame { frame, host_us });
+                }
+            }
+            Reading::Refused(error) => {
+                self.log.lose(format!("unreadable frame {error}"));
+                self.say("unreadable frame", &format!("unreadable frame {error}; the file is left where it is"));
+                self.give_back(number);
+            }
+            // The source offers it again, or reports it.
+            Reading::Later | Reading::Same { .. } => self.give_back(number),
+        }
+    }
+
+    /// A number that no frame got goes to the next one, if it was the last.
+    fn give_back(&mut self, number: u32) {
+        if number == self.numbered {
+            self.numbered -= 1;
+        }
+    }
+
+    fn say(&self, kind: &str, words: &str) {
+        self.log.event(Level::Warning, host_now_us(), words);
+        self.reporter.warn(kind, words);
     }
 
     fn held_bytes(&mut self) -> usize {

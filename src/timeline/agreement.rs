@@ -95,7 +95,8 @@ pub(super) fn agreement(topic: Topic, suggestions: &[Suggestion]) -> Option<Vec<
         if 2 * shared > other.members.len() {
             continue;
         }
-        let (for_best, for_other) = (best.frames.difference(&other.frames).count(), other.frames.difference(&best.frames).count());
+        let (for_best, for_other) =
+            (best.frames.difference(&other.frames).count(), other.frames.difference(&best.frames).count());
         if for_best < for_other + needed {
             return None;
         }

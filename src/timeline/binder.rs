@@ -203,8 +203,7 @@ impl Binder {
             Judgement::None(evidence) => {
                 let arrival_us = self.frames.get(&frame).and_then(|pending| pending.evidence.arrival_us);
                 let reached = arrival_us.is_none_or(|arrival_us| {
-                    newest_us.is_some_and(|newest_us| newest_us >= arrival_us)
-                        || now_us.saturating_sub(arrival_us) >= PATIENCE_US
+                    newest_us.is_some_and(|newest_us| newest_us >= arrival_us) || now_us.saturating_sub(arrival_us) >= PATIENCE_US
                 });
                 Binding { evidence, settled: self.finished || reached, ..Binding::default() }
             }
@@ -290,7 +289,8 @@ impl Binder {
         let known: Vec<&ConsoleOffset> = self.known_offsets().collect();
         known.iter().enumerate().any(|(i, offset)| {
             // Between the last frame of one setting and the first of the next either may hold.
-            let after = i.checked_sub(1).and_then(|before| known[before].span_us()).is_none_or(|(_, last_us)| pair.at_us >= last_us);
+            let after =
+                i.checked_sub(1).and_then(|before| known[before].span_us()).is_none_or(|(_, last_us)| pair.at_us >= last_us);
             let before = known.get(i + 1).and_then(|next| next.span_us()).is_none_or(|(first_us, _)| pair.at_us <= first_us);
             after && before && offset.allows(pair)
         })
@@ -374,7 +374,10 @@ impl Binder {
             let late_us = pending.evidence.arrival_us.map_or(0, |arrival_us| arrival_us.saturating_sub(exposure.end_us));
             let evidence = vec![
                 format!("{} ended {} before the frame arrived", exposure.label(), seconds(late_us)),
-                format!("its counter differs from the exposure's number by {}, as that of other prompt frames", member.shift.unwrap_or(0)),
+                format!(
+                    "its counter differs from the exposure's number by {}, as that of other prompt frames",
+                    member.shift.unwrap_or(0)
+                ),
             ];
             self.bind(member.frame, member.shot, exposure, BindingHow::Counter, evidence, true);
         }

@@ -113,7 +113,11 @@ impl ConsoleOffset {
     pub(super) fn summary(&self) -> Option<ConsoleClock> {
         let bounds = self.bounds(self.buckets.last()?.at_us)?;
         let half_us = bounds.high_us.saturating_sub(bounds.low_us) / 2;
-        Some(ConsoleClock { offset_us: bounds.low_us.saturating_add(half_us), uncertainty_us: half_us.saturating_abs(), frames: self.frames })
+        Some(ConsoleClock {
+            offset_us: bounds.low_us.saturating_add(half_us),
+            uncertainty_us: half_us.saturating_abs(),
+            frames: self.frames,
+        })
     }
 }
 

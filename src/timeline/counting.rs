@@ -90,7 +90,9 @@ impl Counting {
                 if shots.number(*at) != Some(i64::from(counter) - shift) {
                     continue;
                 }
-                let known = |(shot, shift): (&usize, &i64)| (shots.counted || !blind((*shot).min(*at), (*shot).max(*at))).then_some(*shift);
+                let known = |(shot, shift): (&usize, &i64)| {
+                    (shots.counted || !blind((*shot).min(*at), (*shot).max(*at))).then_some(*shift)
+                };
                 let (before, after) = (self.shifts.range(..=*at).next_back(), self.shifts.range(*at..).next());
                 let torn = [before, after].into_iter().flatten().any(|side| known(side).is_none());
                 let (before, after) = (before.and_then(known), after.and_then(known));

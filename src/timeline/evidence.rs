@@ -192,7 +192,8 @@ pub(super) fn time_within(frame: &FrameEvidence, exposure: &ExposureInterval) ->
     let length_us = exposure.end_us.saturating_sub(exposure.start_us).max(0);
     let even_us = length_us / i64::from(count);
     // The file's own pace, unless the run would not fit into the exposure with it.
-    let step_us = frame.frame_time_us.filter(|step_us| *step_us > 0 && *step_us <= even_us.saturating_mul(5) / 4 + 1).unwrap_or(even_us);
+    let step_us =
+        frame.frame_time_us.filter(|step_us| *step_us > 0 && *step_us <= even_us.saturating_mul(5) / 4 + 1).unwrap_or(even_us);
     let at_us = step_us.saturating_mul(i64::from(image)).saturating_add(step_us / 2);
     exposure.start_us.saturating_add(at_us.clamp(0, length_us))
 }
@@ -207,7 +208,8 @@ mod tests {
 
     #[test]
     fn a_stamp_is_as_fine_as_its_last_digit() {
-        let cases = [("12", 3_600_000_000), ("1234", 60_000_000), ("123456", 1_000_000), ("123456.5", 100_000), ("123456.123456", 1)];
+        let cases =
+            [("12", 3_600_000_000), ("1234", 60_000_000), ("123456", 1_000_000), ("123456.5", 100_000), ("123456.123456", 1)];
         for (time, expected) in cases {
             assert_eq!(resolution_us(time), expected, "{time}");
         }

@@ -159,7 +159,11 @@ impl Weighed<'_> {
                     words.push(blind);
                     return Judgement::None(words);
                 }
-                words.push(format!("{} is the only exposure that the console's stamp fits{}", self.label(*at), self.offset_words()));
+                words.push(format!(
+                    "{} is the only exposure that the console's stamp fits{}",
+                    self.label(*at),
+                    self.offset_words()
+                ));
                 self.of(*at, BindingHow::Time, words, prompt.contains(at))
             }
             (_, several) => {
@@ -276,8 +280,11 @@ impl Weighed<'_> {
     fn arrival_risk(&self, arrival_us: i64) -> (f64, usize, usize) {
         let shots = &self.binder.shots;
         let settled_us = arrival_us.saturating_sub(PROMPT_US);
-        let old: Vec<bool> =
-            (0..shots.len()).map(|at| shots.get(at)).filter(|shot| shot.end_us < settled_us).map(|shot| shot.prompt_frames == 0).collect();
+        let old: Vec<bool> = (0..shots.len())
+            .map(|at| shots.get(at))
+            .filter(|shot| shot.end_us < settled_us)
+            .map(|shot| shot.prompt_frames == 0)
+            .collect();
         let lacking = old.iter().filter(|lacking| **lacking).count();
         let share = (lacking as f64 + 0.2) / (old.len() as f64 + 2.0);
         let elapsed_us = arrival_us.saturating_sub(shots.get(0).start_us).max(0).saturating_add(300_000_000);

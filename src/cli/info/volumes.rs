@@ -1,93 +1,52 @@
 //! Volumes and meshes.
 
+use std::collections::HashMap;
 use std::path::Path;
 
-use glam::{DQuat, DVec3};
-use nifti::{NiftiHeader, NiftiObject, ReaderOptions};
+use glam::DVec3;
 use serde_json::json;
 
 use super::{Found, InfoError, object};
+use crate::scene::{SceneError, Triangle, read_triangles, read_volume_facts};
+
+/// The scene's word on a file, as `info` says it.
+fn damaged(path: &Path, kind: &'static str, error: SceneError) -> InfoError {
+    let path = path.to_owned();
+    match error {
+        SceneError::Io { source, .. } => InfoError::Io { path, source },
+        SceneError::Volume { detail, .. } | SceneError::Mesh { detail, .. } => InfoError::Damaged { path, kind, detail },
+        other => InfoError::Damaged { path, kind, detail: other.to_string() },
+    }
+}
 
 pub(super) fn nifti(path: &Path) -> Result<Found, InfoError> {
-    let damaged = |detail: String| InfoError::Damaged { path: path.to_owned(), kind: "NIfTI volume", detail };
-    let header = NiftiHeader::from_file(path).map_err(|error| damaged(format!("header: {error}")))?;
-    let size: Vec<u64> = header.dim().map_err(|error| damaged(error.to_string()))?.iter().map(|&n| u64::from(n)).collect();
-    let voxels = size.iter().try_fold(1u64, |product, &n| product.checked_mul(n)).unwrap_or(u64::MAX);
-    if voxels == 0 {
-        return Err(damaged(format!("size {size:?} holds no voxel")));
-    }
-    let expected = voxels.saturating_mul(u64::from(header.bitpix.unsigned_abs()) / 8);
-    let found = content_bytes(path).map_err(|error| damaged(format!("{error}; the file is cut short or corrupt")))?;
-    if expected > found {
-        return Err(damaged(format!("header promises {expected} bytes of voxels, the file holds {found}: it is cut short")));
-    }
-    let volume =
-        ReaderOptions::new().read_file(path).map_err(|error| damaged(format!("voxels: {error}; the file is cut short")))?;
-    let (axes, origin) = ras_from_voxel(volume.header());
-    let data_type = volume.header().data_type().map(|kind| format!("{kind:?}")).unwrap_or_else(|_| "unknown".into());
-    let units =
-        volume.header().xyzt_to_space().map(|unit| format!("{unit:?}").to_lowercase()).unwrap_or_else(|_| "unknown".into());
-    let (sform, qform) = (volume.header().sform_code, volume.header().qform_code);
-    let values = nifti::IntoNdArray::into_ndarray::<f32>(volume.into_volume()).map_err(|error| damaged(error.to_string()))?;
-    let not_finite = values.iter().filter(|value| !value.is_finite()).count();
-    let (low, high) = values
-        .iter()
-        .filter(|value| value.is_finite())
-        .fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), &value| (low.min(value), high.max(value)));
-    let spacing_mm = axes.map(|axis| axis.length());
+    let facts = read_volume_facts(path).map_err(|error| damaged(path, "NIfTI volume", error))?;
+    let matrix = facts.lps_from_voxel;
+    // NIfTI is RAS; `lps` negates x and y.
+    let ras = |axis: DVec3| DVec3::new(-axis.x, -axis.y, axis.z);
+    let axes = [matrix.matrix3.x_axis, matrix.matrix3.y_axis, matrix.matrix3.z_axis];
     let handed = axes[0].cross(axes[1]).dot(axes[2]);
-    let row = |index: usize, sign: f64| [axes[0], axes[1], axes[2], origin].map(|column| sign * column[index] + 0.0);
-    let facts = json!({
+    let row = |index: usize| [axes[0], axes[1], axes[2], matrix.translation].map(|column| column[index] + 0.0);
+    let [low, high] = facts.range.unwrap_or([f32::NAN, f32::NAN]);
+    let found = json!({
         "format": "NIfTI",
-        "size": size,
-        "spacing_mm": spacing_mm,
-        "orientation": orientation(&axes),
+        "size": facts.size,
+        "spacing_mm": facts.spacing_mm,
+        "orientation": orientation(&axes.map(ras)),
         "handedness": if handed > 0.0 { "right" } else if handed < 0.0 { "left" } else { "degenerate" },
-        "data_type": data_type,
-        "space_unit": units,
-        "value_range": [low, high],
-        "not_finite": not_finite,
-        "transform_from": if sform > 0 { "sform" } else if qform > 0 { "qform" } else { "voxel sizes only" },
-        // NIfTI is RAS; `lps` negates x and y.
-        "lps_from_voxel": [row(0, -1.0), row(1, -1.0), row(2, 1.0), [0.0, 0.0, 0.0, 1.0]],
-        "notes": notes(low, high, not_finite, &spacing_mm, &units),
+        "data_type": facts.data_type,
+        "space_unit": facts.unit,
+        "value_range": facts.range,
+        "not_finite": facts.not_finite,
+        "transform_from": facts.placed_by.words(),
+        "lps_from_voxel": [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]],
+        "notes": notes(low, high, facts.not_finite, &facts.spacing_mm, &facts.unit),
     });
-    Ok(("volume", object(facts), Vec::new()))
-}
-
-/// Bytes in the file after unpacking; reads a gzip stream to its checksum, which the volume's reader does not.
-fn content_bytes(path: &Path) -> std::io::Result<u64> {
-    use std::io::Read;
-    let mut file = std::io::BufReader::new(std::fs::File::open(path)?);
-    let mut magic = [0u8; 2];
-    file.read_exact(&mut magic)?;
-    let mut rest = magic.as_slice().chain(file);
-    if magic == [0x1f, 0x8b] {
-        return std::io::copy(&mut flate2::bufread::MultiGzDecoder::new(rest), &mut std::io::sink());
-    }
-    std::io::copy(&mut rest, &mut std::io::sink())
-}
-
-/// Columns of the transform from voxel indices to RAS, and its origin: the sform where there is one, else the qform, else the spacings.
-fn ras_from_voxel(header: &NiftiHeader) -> ([DVec3; 3], DVec3) {
-    let spacing = [1, 2, 3].map(|axis| f64::from(header.pixdim[axis]));
-    if header.sform_code > 0 {
-        let column = |j: usize| DVec3::new(header.srow_x[j].into(), header.srow_y[j].into(), header.srow_z[j].into());
-        return ([column(0), column(1), column(2)], column(3));
-    }
-    if header.qform_code > 0 {
-        let vector = DVec3::new(header.quatern_b.into(), header.quatern_c.into(), header.quatern_d.into());
-        let scalar = (1.0 - vector.length_squared()).max(0.0).sqrt();
-        let turn = DQuat::from_xyzw(vector.x, vector.y, vector.z, scalar).normalize();
-        let third = if header.pixdim[0] < 0.0 { -spacing[2] } else { spacing[2] };
-        let axes = [turn * DVec3::X * spacing[0], turn * DVec3::Y * spacing[1], turn * DVec3::Z * third];
-        return (axes, DVec3::new(header.quatern_x.into(), header.quatern_y.into(), header.quatern_z.into()));
-    }
-    ([DVec3::X * spacing[0], DVec3::Y * spacing[1], DVec3::Z * spacing[2]], DVec3::ZERO)
+    Ok(("volume", object(found), Vec::new()))
 }
 
 /// What looks odd for a CT.
-fn notes(low: f32, high: f32, not_finite: usize, spacing_mm: &[f64; 3], units: &str) -> Vec<String> {
+fn notes(low: f32, high: f32, not_finite: u64, spacing_mm: &[f64; 3], units: &str) -> Vec<String> {
     let mut notes = Vec::new();
     if not_finite > 0 {
         notes.push(format!("{not_finite} voxels are NaN or infinite"));
@@ -117,36 +76,44 @@ fn orientation(axes: &[DVec3; 3]) -> String {
 }
 
 pub(super) fn stl(path: &Path) -> Result<Found, InfoError> {
-    let damaged =
-        |error: std::io::Error| InfoError::Damaged { path: path.to_owned(), kind: "STL mesh", detail: error.to_string() };
-    let file = std::fs::File::open(path).map_err(|source| InfoError::Io { path: path.to_owned(), source })?;
-    let mesh = stl_io::read_stl(&mut std::io::BufReader::new(file)).map_err(damaged)?;
-    let mut edges: std::collections::HashMap<(usize, usize), i32> = std::collections::HashMap::new();
-    for face in &mesh.faces {
-        for (from, to) in [(0, 1), (1, 2), (2, 0)].map(|(a, b)| (face.vertices[a], face.vertices[b])) {
-            *edges.entry((from.min(to), from.max(to))).or_default() += if from < to { 1 } else { -1 };
-        }
+    let triangles = read_triangles(path).map_err(|error| damaged(path, "STL mesh", error))?;
+    if triangles.is_empty() {
+        return Err(InfoError::Damaged { path: path.to_owned(), kind: "STL mesh", detail: "no triangle".into() });
     }
-    let open_edges = edges.values().filter(|&&balance| balance != 0).count();
+    let (vertices, open_edges) = count_vertices_and_open_edges(&triangles);
     let mut low = [f32::INFINITY; 3];
     let mut high = [f32::NEG_INFINITY; 3];
-    for vertex in &mesh.vertices {
+    for vertex in triangles.iter().flatten() {
         for axis in 0..3 {
             low[axis] = low[axis].min(vertex[axis]);
             high[axis] = high[axis].max(vertex[axis]);
         }
     }
-    if mesh.faces.is_empty() {
-        return Err(damaged(std::io::Error::other("no triangle")));
-    }
     let facts = json!({
         "format": "STL",
-        "triangles": mesh.faces.len(),
-        "vertices": mesh.vertices.len(),
+        "triangles": triangles.len(),
+        "vertices": vertices,
         "from_mm": low,
         "to_mm": high,
         "watertight": open_edges == 0,
         "open_edges": open_edges,
     });
     Ok(("mesh", object(facts), Vec::new()))
+}
+
+/// Different positions, and edges that are not walked as often in one direction as in the other.
+fn count_vertices_and_open_edges(triangles: &[Triangle]) -> (usize, usize) {
+    let mut known: HashMap<[u32; 3], usize> = HashMap::new();
+    let mut balance: HashMap<(usize, usize), i32> = HashMap::new();
+    for triangle in triangles {
+        let corners = triangle.map(|vertex| {
+            let next = known.len();
+            // Adding zero makes −0 and 0 the same vertex.
+            *known.entry(vertex.map(|x| (x + 0.0).to_bits())).or_insert(next)
+        });
+        for (from, to) in [(0, 1), (1, 2), (2, 0)].map(|(a, b)| (corners[a], corners[b])) {
+            *balance.entry((from.min(to), from.max(to))).or_default() += if from < to { 1 } else { -1 };
+        }
+    }
+    (known.len(), balance.values().filter(|&&balance| balance != 0).count())
 }

@@ -1,0 +1,76 @@
+//! The description `IMAGE.tif.json` that this program writes beside its images: it says what the values mean.
+
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use super::Domain;
+use crate::foreign::open_regular;
+
+/// More than any description takes.
+const MAX_BYTES: u64 = 1 << 20;
+/// Units that are repeated; a file may say anything.
+const UNITS: [&str; 7] = ["1", "neper", "nepers", "keV", "photons", "g/cm2", "g/cm²"];
+
+/// What the description says, reduced to what is known here.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub(super) struct Beside {
+    pub(super) domain: Domain,
+    pub(super) unit: Option<String>,
+    pub(super) pitch_mm: Option<[f64; 2]>,
+    pub(super) evidence: Vec<String>,
+}
+
+impl Default for Beside {
+    fn default() -> Self {
+        Self { domain: Domain::Unknown, unit: None, pitch_mm: None, evidence: Vec::new() }
+    }
+}
+
+/// Path of the description of `path`: the file name with `.json` appended.
+fn description_path(path: &Path) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(".json");
+    PathBuf::from(name)
+}
+
+impl Beside {
+    /// Nothing but a word on why.
+    fn only(evidence: &str) -> Self {
+        Self { evidence: vec![evidence.to_owned()], ..Self::default() }
+    }
+
+    /// Reads the description of the image at `path`.
+    pub(super) fn of(path: &Path) -> Self {
+        let file = match open_regular(&description_path(path), MAX_BYTES) {
+            Ok(open) => open.file,
+            Err(crate::foreign::OpenFault::Io(error)) if error.kind() == std::io::ErrorKind::NotFound => {
+                return Self::only("the file has no header for radiographs and no sidecar .json");
+            }
+            Err(_) => return Self::only("the sidecar .json could not be read"),
+        };
+        let mut text = String::new();
+        if file.take(MAX_BYTES).read_to_string(&mut text).is_err() {
+            return Self::only("the sidecar .json could not be read");
+        }
+        match serde_json::from_str::<serde_json::Value>(&text) {
+            Ok(json) => Self::of_json(&json),
+            Err(_) => Self::only("the sidecar .json is not valid JSON"),
+        }
+    }
+
+    fn of_json(json: &serde_json::Value) -> Self {
+        let Some(quantity) = json.get("quantity").and_then(serde_json::Value::as_str) else {
+            return Self::only("the sidecar .json names no quantity");
+        };
+        let (domain, shown) = match quantity {
+            "intensity" | "counts" => (Domain::Linear, quantity),
+            "line_integral" => (Domain::Log, quantity),
+            "area_density" => (Domain::Unknown, quantity),
+            _ => (Domain::Unknown, "that is not known here"),
+        };
+        let unit = json.get("unit").and_then(serde_json::Value::as_str).filter(|unit| UNITS.contains(unit)).map(str::to_owned);
+        let pitch = ["/pitch_mm", "/detector/pitch_mm", "/view/pitch_mm"].iter().find_map(|at| json.pointer(at)?.as_f64());
+        let pitch_mm = pitch.filter(|pitch| *pitch > 0.0).map(|pitch| [pitch, pitch]);
+        Self { domain, unit, pitch_mm, evidence: vec![format!("the sidecar .json says quantity {shown}")] }
+    }
+}

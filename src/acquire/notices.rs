@@ -1,0 +1,176 @@
+//! The system's own word that a file was closed or moved into the folder: the file is opened at once, so that it can be read even if it is
+//! deleted a moment later. Polling sees what the system does not tell (network shares).
+
+use std::ffi::OsString;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::mpsc::{Receiver, channel};
+
+use crate::foreign::{FileStamp, OpenFile, open_regular};
+
+/// Files that are held open at once; more wait by name only. A process has 1024 descriptors.
+const MAX_HELD: usize = 200;
+
+/// Counts the files that are held open.
+#[derive(Clone, Debug, Default)]
+pub(super) struct HeldCount(Arc<AtomicUsize>);
+
+/// A file that is kept open until it is read.
+#[derive(Debug)]
+pub(super) struct Held {
+    pub(super) open: OpenFile,
+    count: HeldCount,
+}
+
+impl Drop for Held {
+    fn drop(&mut self) {
+        self.count.0.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+impl HeldCount {
+    /// Opens `path` and keeps it; `None` when it is no readable file, or too many are held.
+    pub(super) fn hold(&self, path: &Path) -> Option<Held> {
+        if self.0.fetch_add(1, Ordering::Relaxed) >= MAX_HELD {
+            self.0.fetch_sub(1, Ordering::Relaxed);
+            return None;
+        }
+        match open_regular(path, u64::MAX) {
+            Ok(open) => Some(Held { open, count: self.clone() }),
+            Err(_) => {
+                self.0.fetch_sub(1, Ordering::Relaxed);
+                None
+            }
+        }
+    }
+}
+
+/// A file that its writer has closed, or that was moved into the folder.
+#[derive(Debug)]
+pub(super) struct Notice {
+    pub(super) name: OsString,
+    /// `None` when it was gone again, or could not be opened.
+    pub(super) held: Option<Held>,
+}
+
+impl Notice {
+    pub(super) fn stamp(&self) -> Option<FileStamp> {
+        self.held.as_ref().map(|held| held.open.stamp)
+    }
+}
+
+/// The thread that listens; it ends when this is dropped.
+#[derive(Debug)]
+pub(super) struct Notices {
+    notices: Receiver<Notice>,
+    stop: Arc<AtomicBool>,
+}
+
+impl Drop for Notices {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+    }
+}
+
+impl Notices {
+    /// Listens to `folder` as far as the system can; names for which `wanted` is false are passed over.
+    pub(super) fn of(folder: &Path, held: &HeldCount, wanted: fn(&std::ffi::OsStr) -> bool) -> Self {
+        let (sender, notices) = channel();
+        let stop = Arc::new(AtomicBool::new(false));
+        #[cfg(target_os = "linux")]
+        {
+            let (folder, held, stop) = (folder.to_owned(), held.clone(), stop.clone());
+            // Without the thread there is still polling.
+            let _ = std::thread::Builder::new()
+                .name("folder notices".into())
+                .spawn(move || linux::listen(&folder, &held, wanted, &sender, &stop));
+        }
+        #[cfg(not(target_os = "linux"))]
+        {
+            let _ = (folder, held, wanted, sender);
+        }
+        Self { notices, stop }
+    }
+
+    /// What has come since the last call.
+    pub(super) fn take(&self) -> Vec<Notice> {
+        self.notices.try_iter().collect()
+    }
+}
+
+#[cfg(target_os = "linux")]
+mod linux {
+    use std::ffi::{OsStr, OsString};
+    use std::mem::MaybeUninit;
+    use std::os::fd::OwnedFd;
+    use std::os::unix::ffi::OsStrExt;
+    use std::path::Path;
+    use std::sync::atomic::{AtomicBool, Ordering};
+    use std::sync::mpsc::Sender;
+    use std::time::Duration;
+
+    use rustix::event::{PollFd, PollFlags, Timespec, poll};
+    use rustix::fs::inotify::{CreateFlags, ReadFlags, Reader, WatchFlags, add_watch, init};
+
+    use super::{HeldCount, Notice};
+
+    /// How often the thread looks whether it should end, and whether a folder that was gone is back.
+    const WAKE_MS: u64 = 100;
+
+    /// Until told to stop.
+    pub(super) fn listen(
+        folder: &Path,
+        held: &HeldCount,
+        wanted: fn(&OsStr) -> bool,
+        sender: &Sender<Notice>,
+        stop: &AtomicBool,
+    ) {
+        while !stop.load(Ordering::Relaxed) {
+            if let Some(inotify) = watch(folder) {
+                follow(&inotify, folder, held, wanted, sender, stop);
+            }
+            std::thread::sleep(Duration::from_millis(WAKE_MS));
+        }
+    }
+
+    fn watch(folder: &Path) -> Option<OwnedFd> {
+        let inotify = init(CreateFlags::NONBLOCK | CreateFlags::CLOEXEC).ok()?;
+        let flags = WatchFlags::CLOSE_WRITE | WatchFlags::MOVED_TO | WatchFlags::DELETE_SELF | WatchFlags::MOVE_SELF;
+        add_watch(&inotify, folder, flags | WatchFlags::ONLYDIR).ok()?;
+        Some(inotify)
+    }
+
+    /// Until the folder itself goes, or told to stop.
+    fn follow(
+        inotify: &OwnedFd,
+        folder: &Path,
+        held: &HeldCount,
+        wanted: fn(&OsStr) -> bool,
+        sender: &Sender<Notice>,
+        stop: &AtomicBool,
+    ) {
+        let wake = Timespec { tv_sec: 0, tv_nsec: WAKE_MS as i64 * 1_000_000 };
+        while !stop.load(Ordering::Relaxed) {
+            if !matches!(poll(&mut [PollFd::new(inotify, PollFlags::IN)], Some(&wake)), Ok(1..)) {
+                continue;
+            }
+            let mut buffer = [MaybeUninit::uninit(); 1 << 14];
+            let mut reader = Reader::new(inotify, &mut buffer);
+            while let Ok(event) = reader.next() {
+                if event.events().intersects(ReadFlags::DELETE_SELF | ReadFlags::MOVE_SELF | ReadFlags::IGNORED) {
+                    return;
+                }
+                let Some(name) = event.file_name() else { continue };
+                let name: OsString = OsStr::from_bytes(name.to_bytes()).to_owned();
+                if !wanted(&name) {
+                    continue;
+                }
+                let notice = Notice { held: held.hold(&folder.join(&name)), name };
+                if sender.send(notice).is_err() {
+                    return;
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,191 @@
+//! The seam through which frames come: a watched folder, a log, a script. Seeing is cheap and reading is slow, so they are apart: whoever
+//! reads decides the order and the thread.
+
+use std::collections::VecDeque;
+
+use super::{AcquireError, Fault, Frame};
+use crate::foreign::NotRegular;
+
+/// Where frames come from.
+pub trait FrameSource: Send {
+    /// What is new. Decodes nothing and waits for nothing; call it every 20 to 100 ms. `now_us` is the host clock.
+    fn look(&mut self, now_us: i64) -> Vec<Sighting>;
+}
+
+/// What a look found.
+#[derive(Debug)]
+pub enum Sighting {
+    /// Something lies still and can be read.
+    Ready(Arrival),
+    /// Something a person must hear of.
+    Trouble(Trouble),
+    /// The folder cannot be listed; said once.
+    FolderLost {
+        /// What the system said.
+        detail: String,
+    },
+    /// The folder can be listed again; said once.
+    FolderBack,
+}
+
+/// A file from which no frame came, or not every version of which became one.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum Trouble {
+    /// Deleted before it could be read.
+    #[error("{label}: the file was deleted before it could be read; let the console keep its files")]
+    Vanished {
+        /// The file.
+        label: String,
+    },
+    /// Rewritten before it could be read: one frame is lost.
+    #[error("{label}: the file was overwritten before it was read; let the console give every frame its own file")]
+    Overwritten {
+        /// The file.
+        label: String,
+    },
+    /// A pipe, socket, device or folder that is named like an image.
+    #[error("{label}: it is {}, expected a file; it was not opened", .kind.words())]
+    NotAFile {
+        /// The file.
+        label: String,
+        /// What it is.
+        kind: NotRegular,
+    },
+    /// Did not become whole for a long time. Should it be completed later, it becomes a frame.
+    #[error("{label}: the file has not been completed: {fault}")]
+    Unfinished {
+        /// The file.
+        label: String,
+        /// What is missing.
+        fault: Fault,
+    },
+}
+
+impl Trouble {
+    /// The kind of warning that this is.
+    #[must_use]
+    pub fn kind(&self) -> &'static str {
+        match self {
+            Self::Vanished { .. } => "frame deleted before it was read",
+            Self::Overwritten { .. } => "frame overwritten before it was read",
+            Self::NotAFile { .. } => "not a file",
+            Self::Unfinished { .. } => "unfinished frame",
+        }
+    }
+}
+
+/// How reading ended.
+#[derive(Debug)]
+pub enum Reading {
+    /// Whole, stable, decoded.
+    Frames {
+        /// The images of the file, in order.
+        frames: Vec<Frame>,
+        /// SHA-256 of the version of this file that was delivered before.
+        earlier: Option<String>,
+    },
+    /// Rewritten with the content that was delivered before: no new frame.
+    Same {
+        /// Its hash.
+        sha256: String,
+    },
+    /// Not whole yet, changed meanwhile, or gone. The source offers it again or reports it.
+    Later,
+    /// One refused file; not tried again until it changes.
+    Refused(AcquireError),
+}
+
+/// Something that can be read. Dropped unread, it is offered again by a folder.
+pub struct Arrival {
+    label: String,
+    seen_us: i64,
+    modified_us: i64,
+    bytes: u64,
+    read: Box<dyn FnOnce() -> Reading + Send>,
+}
+
+impl std::fmt::Debug for Arrival {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Arrival({}, {} bytes)", self.label, self.bytes)
+    }
+}
+
+impl Arrival {
+    pub(super) fn new(
+        label: String,
+        seen_us: i64,
+        modified_us: i64,
+        bytes: u64,
+        read: impl FnOnce() -> Reading + Send + 'static,
+    ) -> Self {
+        Self { label, seen_us, modified_us, bytes, read: Box::new(read) }
+    }
+
+    /// Frames that are in memory already: from a log, a mock, a test.
+    #[must_use]
+    pub fn of_frames(label: &str, seen_us: i64, frames: Vec<Frame>) -> Self {
+        let bytes = frames.iter().map(|frame| frame.pixels.pixels.len() as u64 * 4).sum();
+        Self::new(label.to_owned(), seen_us, seen_us, bytes, move || Reading::Frames { frames, earlier: None })
+    }
+
+    /// What it may be called before it is read.
+    #[must_use]
+    pub fn label(&self) -> &str {
+        &self.label
+    }
+
+    /// Host clock of the look that first saw this version.
+    #[must_use]
+    pub fn seen_us(&self) -> i64 {
+        self.seen_us
+    }
+
+    /// When the file was changed, by the clock of its file system: the order within a burst.
+    #[must_use]
+    pub fn modified_us(&self) -> i64 {
+        self.modified_us
+    }
+
+    /// Size of the file.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    /// Reads it: slow, on any thread.
+    #[must_use]
+    pub fn read(self) -> Reading {
+        (self.read)()
+    }
+}
+
+/// Frames that come at given times: what a replay and a scripted test give to a session.
+#[derive(Debug, Default)]
+pub struct QueuedFrames {
+    queue: VecDeque<(i64, Vec<Frame>)>,
+}
+
+impl QueuedFrames {
+    /// Adds the frames of one file, due at `due_us` by the host clock; times must not decrease.
+    pub fn push(&mut self, due_us: i64, frames: Vec<Frame>) {
+        self.queue.push_back((due_us, frames));
+    }
+
+    /// Whether all have been given.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.queue.is_empty()
+    }
+}
+
+impl FrameSource for QueuedFrames {
+    fn look(&mut self, now_us: i64) -> Vec<Sighting> {
+        let mut found = Vec::new();
+        while self.queue.front().is_some_and(|(due_us, _)| *due_us <= now_us) {
+            let Some((due_us, frames)) = self.queue.pop_front() else { break };
+            let label = frames.first().map(|frame| frame.name.clone()).unwrap_or_default();
+            found.push(Sighting::Ready(Arrival::of_frames(&label, due_us, frames)));
+        }
+        found
+    }
+}

@@ -1,0 +1,153 @@
+//! Starting a helper, listening to it, and telling how it ended.
+
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+use std::process::{Child, ChildStdout, Command, ExitStatus, Stdio};
+use std::sync::mpsc::{RecvTimeoutError, channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use super::{Receiver, Request, WireError};
+
+/// Why a helper gave no answer. Nothing in here comes from the file.
+#[derive(Clone, Debug, PartialEq, thiserror::Error, serde::Serialize, serde::Deserialize)]
+pub enum ForeignFault {
+    /// The helper did not start; no fault of the file.
+    #[error("the helper process that opens foreign files cannot be started ({detail})")]
+    Start {
+        /// What the system said.
+        detail: String,
+    },
+    /// More memory than any file of the kind takes.
+    #[error("reading it takes more than {limit_mib} MiB of memory: damaged, or made to exhaust the machine")]
+    Memory {
+        /// The limit.
+        limit_mib: u64,
+    },
+    /// More time than any file of the kind takes.
+    #[error("reading it takes more than {limit_s} s: damaged, or made to keep the machine busy")]
+    Time {
+        /// The limit.
+        limit_s: f64,
+    },
+    /// The stack ran out.
+    #[error("its parts are nested too deeply: damaged, or made to crash the reader")]
+    TooDeep,
+    /// A panic or a crash in the decoder.
+    #[error("the decoder broke down on it, so the file is damaged; copy it again")]
+    Crashed,
+    /// The helper's answer was not understood.
+    #[error("the helper process gave no proper answer ({detail})")]
+    Answer {
+        /// What was wrong.
+        detail: String,
+    },
+}
+
+/// Bytes of a helper's standard error that are looked at, for the kind of its end; nothing of it is ever shown.
+const ERROR_BYTES: u64 = 4096;
+
+/// Runs a helper on `file` (from its start) and gives its messages to `receive`, on a thread of its own.
+///
+/// # Errors
+/// When the helper does not start, crashes, runs out of memory or time, or `receive` does not understand it.
+pub fn run<T: Send + 'static>(
+    program: &Path,
+    request: &Request,
+    mut file: File,
+    receive: impl FnOnce(&mut Receiver<ChildStdout>) -> Result<T, WireError> + Send + 'static,
+) -> Result<T, ForeignFault> {
+    let start = |error: std::io::Error| ForeignFault::Start { detail: error.kind().to_string() };
+    std::io::Seek::rewind(&mut file).map_err(start)?;
+    let argument = serde_json::to_string(request).map_err(|error| start(error.into()))?;
+    let mut command = Command::new(program);
+    command
+        .args(["read-foreign", &argument])
+        .env("RUST_BACKTRACE", "0")
+        .env("RAYON_NUM_THREADS", "2")
+        .stdin(Stdio::from(file))
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped());
+    // Ctrl-C in the terminal is meant for the session, which then finishes the file at hand.
+    #[cfg(unix)]
+    std::os::unix::process::CommandExt::process_group(&mut command, 0);
+    let mut child = command.spawn().map_err(start)?;
+    let (Some(out), Some(err)) = (child.stdout.take(), child.stderr.take()) else {
+        return Err(ForeignFault::Answer { detail: "no pipe".into() });
+    };
+    #[cfg(target_os = "linux")]
+    let _ = rustix::pipe::fcntl_setpipe_size(&out, 1 << 20);
+    let child = Arc::new(Mutex::new(child));
+    let (sender, outcome) = channel();
+    let limits = request.limits.clone();
+    let (for_thread, wall) = (child.clone(), Duration::from_secs_f64(limits.wall_s));
+    let listen = move || {
+        let words = std::thread::spawn(move || last_words(err));
+        let mut receiver = Receiver::new(out);
+        let received = receive(&mut receiver);
+        drop(receiver);
+        let status = reap(&for_thread, !matches!(received, Err(WireError::Ended)));
+        let words = words.join().unwrap_or_default();
+        let _ = sender.send(match received {
+            Ok(value) => Ok(value),
+            Err(WireError::Ended) => Err(how_it_ended(status, &words, &limits)),
+            Err(other) => Err(ForeignFault::Answer { detail: other.to_string() }),
+        });
+    };
+    let listener = std::thread::Builder::new().name("foreign file".into()).spawn(listen);
+    if let Err(error) = listener {
+        kill(&child);
+        return Err(start(error));
+    }
+    match outcome.recv_timeout(wall) {
+        Ok(result) => result,
+        Err(RecvTimeoutError::Timeout) => {
+            kill(&child);
+            Err(ForeignFault::Time { limit_s: request.limits.wall_s })
+        }
+        Err(RecvTimeoutError::Disconnected) => Err(ForeignFault::Answer { detail: "the listening thread ended".into() }),
+    }
+}
+
+/// The start of what a helper wrote on standard error; the rest is read and dropped, so that it never waits for us.
+fn last_words(mut err: impl Read) -> String {
+    let mut words = Vec::new();
+    let _ = err.by_ref().take(ERROR_BYTES).read_to_end(&mut words);
+    let _ = std::io::copy(&mut err, &mut std::io::sink());
+    String::from_utf8_lossy(&words).into_owned()
+}
+
+fn kill(child: &Mutex<Child>) {
+    let mut child = child.lock().unwrap_or_else(PoisonError::into_inner);
+    let _ = child.kill();
+}
+
+/// Waits for the end of a helper whose output has ended. One that is not listened to any more has nothing left to do.
+fn reap(child: &Mutex<Child>, heard: bool) -> Option<ExitStatus> {
+    let mut child = child.lock().unwrap_or_else(PoisonError::into_inner);
+    if heard {
+        let _ = child.kill();
+    }
+    child.wait().ok()
+}
+
+fn how_it_ended(status: Option<ExitStatus>, words: &str, limits: &super::Limits) -> ForeignFault {
+    #[cfg(unix)]
+    {
+        use rustix::process::Signal;
+        use std::os::unix::process::ExitStatusExt;
+        let signal = status.and_then(|status| status.signal());
+        if signal == Some(Signal::XCPU.as_raw()) || signal == Some(Signal::KILL.as_raw()) {
+            return ForeignFault::Time { limit_s: limits.cpu_s as f64 };
+        }
+    }
+    let _ = status;
+    if words.contains("memory allocation of") || words.contains("capacity overflow") {
+        ForeignFault::Memory { limit_mib: limits.memory_bytes >> 20 }
+    } else if words.contains("overflowed its stack") {
+        ForeignFault::TooDeep
+    } else {
+        ForeignFault::Crashed
+    }
+}

@@ -1,0 +1,106 @@
+//! Files that others made are opened in a helper process: the same program, hidden command `read-foreign`, with limits on memory, time,
+//! descriptors and written files. What goes wrong in there (a crash, a bomb, a stack overflow) is one refused file here.
+//!
+//! ```text
+//! parent: open (regular files only) ─ spawn ─ messages in, checked ─ wall clock, exit status
+//! child:  limits ─ decode standard input ─ messages out on standard output
+//! ```
+//! The open file is the child's standard input, so no path crosses over, and a file that is deleted meanwhile can still be read.
+
+mod helper;
+mod limits;
+mod open;
+mod wire;
+
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+
+pub use helper::{ForeignFault, run};
+pub use limits::{Limits, impose};
+pub use open::{FileStamp, NotRegular, OpenFault, OpenFile, has_hole, open_regular, standard_input};
+pub use wire::{MAX_JSON_BYTES, Message, Receiver, Sender, WireError};
+
+/// What a helper is asked for, on its command line.
+#[derive(Clone, Debug, serde::Serialize, serde::Deserialize)]
+pub struct Request {
+    /// What the file should be.
+    pub kind: Kind,
+    /// What the helper may take.
+    pub limits: Limits,
+    /// What else the decoder of this kind needs to know; never a name or a path.
+    #[serde(default)]
+    pub detail: serde_json::Value,
+}
+
+/// Kinds of foreign files.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Kind {
+    /// Radiographs: DICOM, PNG, TIFF.
+    Frames,
+    /// NIfTI: all voxels.
+    Volume,
+    /// NIfTI: what `info` says of it.
+    VolumeFacts,
+    /// STL: all triangles.
+    Mesh,
+}
+
+/// Opens foreign files: through a helper process, or (trusted files only) in this one.
+#[derive(Clone, Debug)]
+pub struct ForeignReader {
+    program: Option<PathBuf>,
+    limits: Option<Limits>,
+}
+
+impl ForeignReader {
+    /// Helpers are the running program; in process where the system does not say which that is.
+    #[must_use]
+    pub fn this_program() -> Self {
+        Self { program: std::env::current_exe().ok(), limits: None }
+    }
+
+    /// Helpers are `program`, which must know `read-foreign`.
+    #[must_use]
+    pub fn of(program: impl Into<PathBuf>) -> Self {
+        Self { program: Some(program.into()), limits: None }
+    }
+
+    /// No helper: a crash of a decoder is a crash of this process. For files of one's own, and for the helper itself.
+    #[must_use]
+    pub fn in_process() -> Self {
+        Self { program: None, limits: None }
+    }
+
+    /// With `limits` instead of those of the kind.
+    #[must_use]
+    pub fn with_limits(self, limits: Limits) -> Self {
+        Self { limits: Some(limits), ..self }
+    }
+
+    /// The helper's program; `None` in process.
+    #[must_use]
+    pub fn program(&self) -> Option<&Path> {
+        self.program.as_deref()
+    }
+
+    /// The limits for a file of this kind.
+    #[must_use]
+    pub fn limits(&self, kind: Kind) -> Limits {
+        self.limits.clone().unwrap_or_else(|| Limits::of(kind))
+    }
+}
+
+static INSTALLED: OnceLock<ForeignReader> = OnceLock::new();
+
+/// Makes `reader` the one that everything in this process uses unless told otherwise. The program does this first of all; a library's user
+/// who does not reads in process. Only the first call counts.
+pub fn install(reader: ForeignReader) {
+    let _ = INSTALLED.set(reader);
+}
+
+/// The installed reader, else one in process.
+#[must_use]
+pub fn installed() -> ForeignReader {
+    INSTALLED.get().cloned().unwrap_or_else(ForeignReader::in_process)
+}

@@ -119,6 +119,8 @@ pub struct Engine {
     pending: BTreeMap<u32, Pending>,
     /// Frames that were developed without an exposure: they may yet get one.
     unbound: BTreeSet<u32>,
+    /// No more telemetry will come.
+    ended: bool,
     /// Latest host time of any input.
     now_us: i64,
     bound: BTreeMap<u32, Bound>,
@@ -147,6 +149,7 @@ impl Engine {
             binder: Binder::default(),
             pending: BTreeMap::new(),
             unbound: BTreeSet::new(),
+            ended: false,
             now_us: i64::MIN,
             bound: BTreeMap::new(),
             reporter,
@@ -204,13 +207,14 @@ impl Engine {
             }
         };
         self.now_us = self.now_us.max(now_us);
-        self.settle(false, sink);
+        self.settle(sink);
     }
 
-    /// No more telemetry will come: binds what waits with what there is.
+    /// No more telemetry will come: binds what waits, and frames that still come, with what there is.
     pub fn finish(&mut self, now_us: i64, sink: &mut dyn FnMut(Output)) {
         self.now_us = self.now_us.max(now_us);
-        self.settle(true, sink);
+        self.ended = true;
+        self.settle(sink);
     }
 
     /// Takes the result of a job: ties the specimen to the room, chooses the pose that is used.
@@ -243,8 +247,8 @@ impl Engine {
     }
 
     /// Hands on the frames that telemetry has reached or that have waited long enough.
-    fn settle(&mut self, at_end: bool, sink: &mut dyn FnMut(Output)) {
-        let changed = match at_end {
+    fn settle(&mut self, sink: &mut dyn FnMut(Output)) {
+        let changed = match self.ended {
             true => self.binder.finish(&self.timeline),
             false => self.binder.update(&self.timeline, self.now_us),
         };
@@ -261,7 +265,7 @@ impl Engine {
                 sink(Output::BoundLate { number, words });
             }
         }
-        let waits_at_all = self.setup.carm.is_some() && !at_end;
+        let waits_at_all = self.setup.carm.is_some() && !self.ended;
         let ready = |(number, pending): (&u32, &Pending)| {
             let binding = self.binder.binding(*number).cloned().unwrap_or_default();
             let waited = self.now_us.saturating_sub(pending.host_us);

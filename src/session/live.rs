@@ -126,7 +126,7 @@ enum Stage {
     /// Things come in.
     Open { lines: Lines, frames: Frames },
     /// The sources were told to end; what they still have comes in.
-    Closing { ended: Vec<Source> },
+    Closing { asked_us: i64, lines_ended: bool, frames_ended: bool },
     /// Nothing comes in any more; what is there is developed.
     Finishing,
 }
@@ -183,8 +183,16 @@ impl Session {
             Event::LineOpened { device, host_us } => self.tracks.line_opened(device, host_us),
             Event::LineLost { device, host_us, reason } => self.tracks.line_lost(device, host_us, &reason),
             Event::Ended(source) => {
-                if let Stage::Closing { ended } = &mut self.stage {
-                    ended.push(source);
+                if let Stage::Closing { lines_ended, frames_ended, asked_us } = &mut self.stage {
+                    match source {
+                        Source::Frames => *frames_ended = true,
+                        Source::Lines => {
+                            *lines_ended = true;
+                            let end_us = *asked_us;
+                            self.log.end(end_us);
+                            self.with_engine(|engine, sink| engine.finish(end_us, sink));
+                        }
+                    }
                 }
             }
         }
@@ -318,12 +326,9 @@ impl Session {
             Stage::Open { lines, frames } if is_over => {
                 lines.close();
                 frames.close();
-                self.stage = Stage::Closing { ended: Vec::new() };
+                self.stage = Stage::Closing { asked_us: host_now_us(), lines_ended: false, frames_ended: false };
             }
-            Stage::Closing { ended } if ended.contains(&Source::Lines) && ended.contains(&Source::Frames) => {
-                let end_us = host_now_us();
-                self.log.end(end_us);
-                self.with_engine(|engine, sink| engine.finish(end_us, sink));
+            Stage::Closing { lines_ended: true, frames_ended: true, .. } => {
                 let (frames, complete) = (self.frames(), self.scribe.complete());
                 if complete < frames {
                     self.reporter
@@ -355,8 +360,10 @@ impl Session {
     /// Somebody wants to leave at once: what is recorded is kept, what is not developed is said.
     fn leave(self) -> Folder {
         let open = self.frames().saturating_sub(self.scribe.complete());
-        if !matches!(self.stage, Stage::Finishing) {
-            self.log.end(host_now_us());
+        match self.stage {
+            Stage::Open { .. } => self.log.end(host_now_us()),
+            Stage::Closing { lines_ended: false, asked_us, .. } => self.log.end(asked_us),
+            Stage::Closing { .. } | Stage::Finishing => {}
         }
         self.log.flush_now(FLUSH);
         self.workshop.abandon();

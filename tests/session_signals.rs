@@ -74,8 +74,7 @@ fn every_signal_ends_the_session_in_order() {
         let mut live = Live::start(&lab.kit.join("session.json"), &folder.path().join(&name), &[]);
         deliver(&files, &lab);
         std::thread::sleep(Duration::from_millis(1_500));
-        let signal_us = host_now_us();
-        live.program.signal(signal);
+        let (heard_ms, signal_us) = live.signalled(signal);
         let status =
             live.program.end(60.0).unwrap_or_else(|| panic!("{signal:?}: still there after a minute: {}", live.stderr()));
         let words = live.stderr();

@@ -197,6 +197,14 @@ impl Live {
         live
     }
 
+    /// Sends a signal; gives milliseconds until the program has said that it heard it, and the host time of the signal.
+    pub fn signalled(&self, signal: Signal) -> (f64, i64) {
+        let (watch, signal_us) = (Stopwatch::start(), host_now_us());
+        self.program.signal(signal);
+        let heard = eventually(10.0, || self.stderr().contains("ending the session").then(|| watch.ms()));
+        (heard.unwrap_or(f64::INFINITY), signal_us)
+    }
+
     pub fn stdout(&self) -> String {
         self.words[0].lock().expect("not poisoned").clone()
     }
@@ -207,6 +215,13 @@ impl Live {
 
     pub fn report(&self) -> String {
         std::fs::read_to_string(self.out.join("report.html")).unwrap_or_default()
+    }
+
+    /// Pairs in `pairs.json`.
+    pub fn pairs(&self) -> usize {
+        let bytes = std::fs::read(self.out.join("pairs.json")).unwrap_or_default();
+        let value: Value = serde_json::from_slice(&bytes).unwrap_or_default();
+        value["pairs"].as_array().map_or(0, Vec::len)
     }
 
     pub fn heard(&self) -> Heard {
@@ -255,7 +270,7 @@ impl Heard {
                     *epoch = Some(raw.epoch);
                 }
                 decoder.push(raw.bytes, &mut |event| {
-                    if let Event::Sample(sample) = event {
+                    if let Event::Sample(sample, _) = event {
                         heard.packets.insert((*device, sample.sequence()), entry.host_us);
                     }
                 });

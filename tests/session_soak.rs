@@ -4,7 +4,6 @@
 //! day (retention in seconds) is not sped up, what is bounded by numbers of packets, exposures and frames is.
 #![cfg(target_os = "linux")]
 
-use std::fmt::Write as _;
 use std::time::Duration;
 
 use sidecarm::time::{Stopwatch, host_now_us};
@@ -56,8 +55,8 @@ fn memory_stays_bounded_over_hours() {
     let signal_us = host_now_us();
     live.program.signal(Signal::INT);
     let status = live.program.end(300.0).unwrap_or_else(|| panic!("hangs: {}", live.stderr()));
-    let mut csv = String::from("seconds,resident_mib,log_bytes\n");
-    curve.iter().for_each(|(s, mib, bytes)| drop(writeln!(csv, "{s:.1},{mib:.1},{bytes}")));
+    let rows: String = curve.iter().map(|(s, mib, bytes)| format!("{s:.1},{mib:.1},{bytes}\n")).collect();
+    let csv = format!("seconds,resident_mib,log_bytes\n{rows}");
     let path = std::env::var("SIDECARM_SOAK_CSV").unwrap_or_else(|_| "target/soak.csv".to_owned());
     std::fs::write(&path, csv).expect("written");
     println!("{hours} h at {speed}x: {seconds:.0} s, {} exposures; memory over time ({path}):", rounds * 8);

@@ -11,7 +11,22 @@ use crate::receiver::{Heard, hear, open, read_available};
 
 /// Plays two seconds; what each port heard, and the events.
 fn play_two_seconds(name: &str, faults: Vec<Fault>) -> (Heard, Heard, Vec<serde_json::Value>) {
+    play_two_seconds_with(name, |performance| performance.faults = faults)
+}
+
+fn play_two_seconds_with(name: &str, change: impl FnOnce(&mut Performance)) -> (Heard, Heard, Vec<serde_json::Value>) {
     let folder = folder(name);
+    let mut performance = Performance {
+        start_delay_s: 0.0,
+        linger_s: 0.0,
+        rate: 1.0,
+        faults: Vec::new(),
+        seed: 1,
+        missing: 0.0,
+        garbage: Vec::new(),
+        sent: None,
+    };
+    change(&mut performance);
     let lab = Lab::embedded().expect("embedded");
     let lines: Vec<(Device, Line)> = [Device::Carm, Device::Robot]
         .map(|device| (device, Line::open(&folder.join(device.name())).expect("pty")))
@@ -20,16 +35,6 @@ fn play_two_seconds(name: &str, faults: Vec<Fault>) -> (Heard, Heard, Vec<serde_
     let mut ports = [open(lines[0].1.path()), open(lines[1].1.path())];
     let player = std::thread::spawn(move || {
         let script = Script { lab: &lab, duration_s: 2.0, exposures: 1, counter: true };
-        let performance = Performance {
-            start_delay_s: 0.0,
-            linger_s: 0.0,
-            rate: 1.0,
-            faults,
-            seed: 1,
-            missing: 0.0,
-            garbage: Vec::new(),
-            sent: None,
-        };
         let mut events = Vec::new();
         play(&script, &performance, lines, &[], &mut |event| events.push(event)).expect("plays");
         events
@@ -78,4 +83,37 @@ fn a_session_has_the_faults_that_were_asked_for() {
     assert_eq!((carm.corrupt, carm.lost, carm.duplicate), (0, 1, 0));
     assert_eq!((robot.corrupt, robot.lost, robot.duplicate), (1, 1, 1));
     assert_eq!(events.iter().filter(|event| event["event"] == "fault").count(), 3);
+}
+
+#[test]
+fn half_of_the_packets_are_missing_and_the_list_of_those_sent_says_so() {
+    let list = std::env::temp_dir().join(format!("mock-lab-{}-sent.csv", std::process::id()));
+    let (carm, robot, events) = play_two_seconds_with("missing", |performance| {
+        performance.missing = 0.5;
+        performance.sent = Some(list.clone());
+    });
+    let sent = std::fs::read_to_string(&list).expect("the list");
+    std::fs::remove_file(&list).expect("removed");
+    let listed = |device: &str| sent.lines().filter(|line| line.split(',').nth(1) == Some(device)).count();
+    assert_eq!((listed("carm"), listed("robot")), (carm.packets.len(), robot.packets.len()));
+    assert!((70..=130).contains(&robot.packets.len()), "{} of about 202", robot.packets.len());
+    let finished = events.last().expect("events");
+    let (all, missing) = (&finished["sent"]["robot"]["packets"], &finished["sent"]["robot"]["missing"]);
+    assert_eq!(all.as_u64(), missing.as_u64().map(|missing| missing + robot.packets.len() as u64), "{finished}");
+}
+
+#[test]
+fn garbage_holds_no_packet() {
+    let (carm, robot, _) = play_two_seconds_with("garbage", |performance| performance.garbage = vec![Device::Robot]);
+    assert!(robot.packets.is_empty() && robot.corrupt > 0, "{} packets of garbage", robot.packets.len());
+    assert!(carm.packets.len() > 50, "the other line is sound");
+}
+
+#[test]
+fn exposures_repeated_come_round_after_round() {
+    let once = Lab::embedded().expect("embedded");
+    let thrice = once.clone().repeated(3);
+    assert_eq!(thrice.exposures.len(), 3 * once.exposures.len());
+    assert!(thrice.exposures.windows(2).all(|pair| pair[0].at < pair[1].at));
+    assert_eq!(thrice.exposures[once.exposures.len()].orbital_deg, once.exposures[0].orbital_deg);
 }

@@ -213,10 +213,10 @@ impl Queue {
         }
     }
 
-    /// Waits until `bytes` more may wait, or nothing waits.
+    /// Waits until `bytes` more may wait; what is larger than the room needs half of it.
     pub(super) fn wait_for_room(&self, bytes: usize) -> Result<(), RecordError> {
         let mut state = self.lock();
-        while !state.closed && state.in_memory_bytes() > 0 && state.in_memory_bytes() + bytes > ROOM_BYTES {
+        while !state.closed && state.in_memory_bytes() + bytes.min(ROOM_BYTES / 2) > ROOM_BYTES {
             state.hurry = true;
             self.arrived.notify_one();
             state = self.written.wait(state).unwrap_or_else(PoisonError::into_inner);

@@ -7,6 +7,7 @@ use crate::image::{ImageFileError, check_writable, refuse_overwrite};
 use crate::render::{Goal, Options, Quantity, RenderError, Rendered, Renderer, write_image, write_picture, written_with};
 use crate::reporter::Reporter;
 use crate::scene::{self, SceneError};
+use crate::time::StageTimes;
 
 /// Render the radiograph that a scene should give: polychromatic, every material, later objects displacing earlier ones.
 #[derive(Clone, Debug, clap::Args)]
@@ -30,7 +31,7 @@ pub struct RenderArgs {
     /// Largest |error of the line integral| / max(1, line integral) that will do, noise aside [default: 1e-5]
     #[arg(long, value_name = "REL")]
     pub max_error: Option<f64>,
-    /// Milliseconds that the image may take, preparation of volumes aside: as accurate as fits
+    /// Milliseconds that the image may take, planning and preparation of volumes aside: as accurate as fits
     #[arg(long, value_name = "T", conflicts_with = "max_error")]
     pub budget_ms: Option<f64>,
     /// What renders
@@ -166,7 +167,8 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
         goal,
         ..Options::default()
     };
-    let plan = renderer.plan(&scene, &options)?;
+    let mut stages = StageTimes::default();
+    let plan = renderer.plan_timed(&scene, &options, &mut stages)?;
     if args.explain {
         println!("{}", plan.explain().trim_end());
     }
@@ -187,6 +189,7 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
     }
     options.plan = Some(plan);
     let mut rendered = renderer.render(&scene, &options)?;
+    rendered.booked_before(&stages);
     if let Some(goal) = goal.filter(|_| args.reference) {
         renderer.judge(&scene, goal, &mut rendered)?;
     }

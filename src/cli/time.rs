@@ -20,7 +20,7 @@ use crate::time::{StageTimes, Stopwatch};
   sidecarm time scene.json --views views.json --max-error 1e-3
 
 VIEWS.json is a list of rows-of-rows 4x4 matrices camera_from_lps. Printed as JSON: milliseconds of the median and the fastest of
---repeat images per view, planning and first preparation apart; images_per_second of all views in one go, by the first view's plan
+--repeat images per view, planning, preparation and (once a machine) calibration of costs apart, in plan_ms, prepare_ms, calibrate_ms; images_per_second of all views in one go, by the first view's plan
 (a GPU is given eight at a time), with --replan one by one, each planned anew.")]
 pub struct TimeArgs {
     /// The scene
@@ -70,6 +70,7 @@ pub enum TimeError {
 #[derive(Debug, Serialize, Deserialize)]
 struct View {
     plan_ms: f64,
+    calibrate_ms: f64,
     prepare_ms: f64,
     median_ms: f64,
     fastest_ms: f64,
@@ -144,23 +145,24 @@ fn together(
 
 fn time(scene: &scene::Scene, renderer: &mut Renderer, args: &TimeArgs) -> Result<View, RenderError> {
     let options = options(args);
-    let watch = Stopwatch::start();
-    let plan = renderer.plan(scene, &options)?;
-    let plan_ms = watch.ms();
+    let mut planning = StageTimes::default();
+    let plan = renderer.plan_timed(scene, &options, &mut planning)?;
+    let booked = |stage: &str| planning.get(stage).unwrap_or(0.0);
+    let (plan_ms, calibrate_ms) = (booked("plan"), booked("calibrate"));
     let fixed = Options { plan: (!args.replan).then(|| plan.clone()), ..options };
     let mut times = Vec::new();
     let mut walls = Vec::new();
-    let mut first_prepare_ms = 0.0;
+    let mut first_prepare_ms = booked("prepare");
     let (mut stages, mut gpu_ms, mut read_back_bytes) = (StageTimes::default(), StageTimes::default(), 0);
     for round in 0..args.repeat.get() {
         let watch = Stopwatch::start();
         let rendered = renderer.render(scene, &fixed)?;
         walls.push(watch.ms());
         if round == 0 {
-            first_prepare_ms = rendered.stages.get("prepare").unwrap_or(0.0);
+            first_prepare_ms += rendered.stages.get("prepare").unwrap_or(0.0);
         }
-        let counts = |stage: &str| args.replan || !matches!(stage, "plan" | "prepare");
-        times.push(rendered.stages.iter().filter(|(stage, _)| counts(stage)).map(|(_, ms)| ms).sum::<f64>());
+        let all = || rendered.stages.iter().map(|(_, ms)| ms).sum::<f64>();
+        times.push(if args.replan { all() } else { rendered.image_ms() });
         (stages, gpu_ms, read_back_bytes) = (rendered.stages, rendered.gpu_ms, rendered.read_back_bytes);
     }
     let median = |values: &mut Vec<f64>| {
@@ -169,6 +171,7 @@ fn time(scene: &scene::Scene, renderer: &mut Renderer, args: &TimeArgs) -> Resul
     };
     Ok(View {
         plan_ms,
+        calibrate_ms,
         prepare_ms: first_prepare_ms,
         median_ms: median(&mut times),
         fastest_ms: times[0],

@@ -14,7 +14,8 @@ use crate::scene::{self, SceneError};
 #[command(after_help = "Example:
   sidecarm trade scene.json --out trade
 
-DIR gets trade.json, trade.txt and trade.svg. Rows marked * are on the Pareto front: nothing else is both faster and closer.")]
+DIR gets trade.json, trade.txt and trade.svg. Rows marked * are on the Pareto front: nothing else is both faster and closer. Errors are
+those of line integrals before the panel: noise, collimation and blur are left out.")]
 pub struct TradeArgs {
     /// The scene
     pub scene: PathBuf,

@@ -3,28 +3,53 @@
 use super::RenderError;
 use super::cpu::attenuate_spectrum::{Signal, attenuate_spectrum};
 use super::cpu::enlarge_density::enlarge_density;
-use super::cpu::integrate_density::{Density, integrate_density};
+use super::cpu::integrate_block::BLOCK;
+use super::cpu::integrate_density::{Density, integrate_blocks, integrate_density};
 use super::plan::Plan;
 use super::prepared::Prepared;
 use super::spectrum::{Bins, whole_spectrum};
+use super::tiles::Tiles;
 use crate::gpu::cpu_name;
 use crate::scene::model::Scene;
 use crate::time::StageTimes;
 
-/// Casts and attenuates on all cores.
-pub(super) fn cast_cpu(prepared: &Prepared, plan: &Plan, bins: Option<&Bins>, noisy: bool, stages: &mut StageTimes) -> Cast {
-    let density = stages.measure("integrate_density", || {
-        let density = integrate_density(prepared, plan.sampling);
-        match plan.step_px {
-            0 | 1 => density,
-            step => {
-                let cast_px = prepared.view.size_px.map(|n| n as usize);
-                enlarge_density(&density, cast_px, plan.size_px.map(|n| n as usize), step as usize)
-            }
-        }
+/// Casts and attenuates on all cores; `coarse` is the scene as the plan's coarse image sees it, where pixels are skipped.
+pub(super) fn cast_cpu(
+    prepared: &Prepared,
+    coarse: Option<&Prepared>,
+    plan: &Plan,
+    bins: Option<&Bins>,
+    noisy: bool,
+    stages: &mut StageTimes,
+) -> Cast {
+    let density = stages.measure("integrate_density", || match coarse {
+        None => integrate_density(prepared, plan.sampling),
+        Some(coarse) => skip_pixels(prepared, coarse, plan),
     });
     let signal = bins.map(|bins| stages.measure("attenuate_spectrum", || attenuate_spectrum(&density, bins, noisy)));
     Cast::of(density, signal.unwrap_or_default(), cpu_name())
+}
+
+/// Casts every n-th pixel where that will do, interpolates, and casts full tiles pixel by pixel.
+fn skip_pixels(prepared: &Prepared, coarse: &Prepared, plan: &Plan) -> Density {
+    let none = Tiles::none(plan.size_px);
+    let (tiles, step) = (plan.full_tiles.as_ref().unwrap_or(&none), plan.step_px);
+    let edge = BLOCK as u32;
+    let cast_px = coarse.view.size_px.map(|n| n as usize);
+    let materials = coarse.material_count;
+    let (g_per_cm2, valid) = (vec![0.0f32; cast_px[0] * cast_px[1] * materials], vec![1u8; cast_px[0] * cast_px[1]]);
+    let mut thin = Density { material_count: materials, g_per_cm2, valid, unscanned_mm: 0.0 };
+    // A cast pixel serves those up to the next ones around it.
+    let serves = |[u, v]: [u32; 2]| {
+        let last = |n: u32, axis: usize| (n + edge).min(coarse.view.size_px[axis]) * step;
+        let inside = |n: u32, axis: usize| n.min(plan.size_px[axis].saturating_sub(1));
+        let from = [inside((u * step).saturating_sub(step - 1), 0), inside((v * step).saturating_sub(step - 1), 1)];
+        tiles.skips_between(from, [last(u, 0), last(v, 1)])
+    };
+    integrate_blocks(coarse, plan.sampling, &mut thin, &serves);
+    let mut density = enlarge_density(&thin, cast_px, plan.size_px.map(|n| n as usize), step as usize);
+    integrate_blocks(prepared, plan.sampling, &mut density, &|from| tiles.is_full_at(from));
+    density
 }
 
 /// Evaluates every bin in pixels whose paths are longer than those that the plan's nodes were fitted to.

@@ -1,8 +1,12 @@
 //! What each cell of a volume holds, prepared once: a cell lies between 2×2×2 neighbouring voxel centres, the outer half voxel is
 //! a cell whose two sides are the same voxel.
 
+use std::sync::OnceLock;
+
+use glam::DVec3;
 use rayon::prelude::*;
 
+use super::steep::steep_bricks;
 use crate::scene::model::Volume;
 
 /// The cell holds nothing.
@@ -29,6 +33,7 @@ pub struct Cells {
     pub material_of_class: Vec<u8>,
     /// First and one past the last cell that holds anything; equal when all is empty.
     pub occupied: [[usize; 3]; 2],
+    steep: OnceLock<Vec<DVec3>>,
 }
 
 impl Cells {
@@ -54,13 +59,19 @@ impl Cells {
             }
         });
         let occupied = mark_empty_bricks(&mut kind, size);
-        Some(Self { size, kind, materials, material_of_class, occupied })
+        Some(Self { size, kind, materials, material_of_class, occupied, steep: OnceLock::new() })
     }
 
     /// Index of cell (i, j, k).
     #[must_use]
     pub fn index(&self, cell: [usize; 3]) -> usize {
         cell[0] + self.size[0] * (cell[1] + self.size[1] * cell[2])
+    }
+
+    /// Middles of the bricks of `volume`, whose cells these are, in which density jumps as metal makes it; found when first asked for.
+    #[must_use]
+    pub fn steep_bricks(&self, volume: &Volume) -> &[DVec3] {
+        self.steep.get_or_init(|| steep_bricks(volume, BRICK))
     }
 
     /// Share of cells that hold nothing.

@@ -48,5 +48,14 @@ pub(super) fn check_plan(plan: &Plan, scene: &Scene) -> Result<(), RenderError> 
             found: format!("{size:?}"),
         });
     }
+    if let Some(tiles) = plan.full_tiles.as_ref().filter(|tiles| tiles.size_px() != size) {
+        let planned = format!("{:?}", tiles.size_px());
+        return Err(RenderError::PlanMismatch { what: "full_tiles.size_px", planned, found: format!("{size:?}") });
+    }
+    let step = plan.step_px;
+    if !matches!(step, 1 | 2 | 4) {
+        let found = "nothing; expected 1, 2 or 4".to_owned();
+        return Err(RenderError::PlanMismatch { what: "step_px", planned: step.to_string(), found });
+    }
     Ok(())
 }

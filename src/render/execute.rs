@@ -12,8 +12,9 @@ use super::plan::{Executor, Plan, Sampling, noise_applies};
 use super::prepared::Prepared;
 use super::renderer::{Options, Rendered, Renderer};
 use super::spectrum::Bins;
+use super::survey::every;
 use super::wgsl::{self, Executed, NoiseKey, Request, WgslExecutor};
-use super::{Quantity, RenderError, chain, flood, pilot, reference};
+use super::{Quantity, RenderError, chain, flood, reference};
 use crate::geometry::View;
 use crate::gpu::{Device, cpu_name};
 use crate::image::Image;
@@ -27,6 +28,8 @@ pub(super) struct Ready<'s> {
     view: View,
     plan: Plan,
     prepared: Prepared<'s>,
+    /// As the plan's coarse image sees the scene, where pixels are skipped.
+    coarse: Option<Prepared<'s>>,
     bins: Option<Bins>,
     /// Whether area densities must come back from a GPU.
     paths: bool,
@@ -41,7 +44,8 @@ impl Ready<'_> {
 
     fn cast_cpu(&mut self, plan: &Plan) -> Cast {
         let noisy = self.noisy();
-        cast_cpu(&self.prepared, plan, self.bins.as_ref(), noisy, &mut self.stages)
+        let coarse = self.coarse.as_ref().filter(|_| plan.step_px > 1);
+        cast_cpu(&self.prepared, coarse, plan, self.bins.as_ref(), noisy, &mut self.stages)
     }
 }
 
@@ -56,23 +60,24 @@ impl Renderer {
     ) -> Result<Ready<'s>, RenderError> {
         let view = scene.view.ok_or(RenderError::NoView)?;
         check_plan(&plan, scene)?;
-        let prepared = stages.measure("prepare", || {
+        let (prepared, coarse) = stages.measure("prepare", || {
             let slabs = plan.executor == Executor::Cpu && matches!(plan.sampling, Sampling::ExactSlabs | Sampling::FixedSlabs);
             self.volumes.keep(scene);
-            let mut prepared = self.volumes.prepare(scene, view, slabs)?;
-            if plan.step_px > 1 {
-                // The detector stays where it is, however few of its pixels are cast.
-                let detector_mm = prepared.detector_mm;
-                prepared = self.volumes.prepare(scene, pilot::every(&view, plan.step_px), slabs)?;
-                prepared.detector_mm = detector_mm;
-            }
+            let prepared = self.volumes.prepare(scene, view, slabs)?;
             prepared.make_slabs(plan.sampling == Sampling::FixedSlabs);
-            Ok::<_, RenderError>(prepared)
+            if plan.step_px <= 1 {
+                return Ok((prepared, None));
+            }
+            let mut coarse = self.volumes.prepare(scene, every(&view, plan.step_px), slabs)?;
+            // The detector stays where it is, however few of its pixels are cast.
+            coarse.detector_mm = prepared.detector_mm;
+            coarse.make_slabs(plan.sampling == Sampling::FixedSlabs);
+            Ok::<_, RenderError>((prepared, Some(coarse)))
         })?;
         let bins = if plan.quantity == Quantity::AreaDensity { None } else { Some(Bins::new(scene, &plan.energy_nodes)?) };
         // Only where something besides line integrals is made of them.
         let paths = bins.is_none() || scene.beam.shape.varies() || options.count_non_finite;
-        Ok(Ready { scene, view, plan, prepared, bins, paths, stages, notes: Vec::new() })
+        Ok(Ready { scene, view, plan, prepared, coarse, bins, paths, stages, notes: Vec::new() })
     }
 
     /// Casts every view; all of them have the executor of the first.
@@ -232,7 +237,7 @@ fn on_cpu(reporter: &Reporter, ready: &mut Ready, reason: &str) -> Cast {
     let message = format!("{reason}: rendered by the CPU executor instead, whose error is smaller");
     reporter.warn("executor", &message);
     ready.notes.push(message);
-    let whole = Plan { sampling: Sampling::ExactCells, step_px: 1, ..ready.plan.clone() };
+    let whole = Plan { sampling: Sampling::ExactCells, step_px: 1, full_tiles: None, ..ready.plan.clone() };
     ready.cast_cpu(&whole)
 }
 

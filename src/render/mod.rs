@@ -5,6 +5,7 @@
 //! readout, counts: `detector`) is shared.
 
 pub mod achieved;
+pub mod before_panel;
 pub mod blur;
 mod cast;
 pub mod cells;
@@ -15,8 +16,11 @@ pub mod cpu;
 pub mod detector;
 mod execute;
 pub mod explain;
+pub mod fits;
 pub mod flood;
+pub mod meshes;
 pub mod non_finite;
+pub mod outline;
 pub mod pilot;
 pub mod plan;
 pub mod planner;
@@ -26,6 +30,9 @@ pub mod reference;
 mod renderer;
 pub mod slabs;
 pub mod spectrum;
+pub mod steep;
+pub mod survey;
+pub mod tiles;
 pub mod trade;
 mod volumes;
 pub mod wgsl;
@@ -34,7 +41,7 @@ mod write;
 
 pub use plan::Plan;
 pub use planner::Goal;
-pub use renderer::{Options, Rendered, Renderer};
+pub use renderer::{Options, Rendered, Renderer, image_ms};
 pub use write::{write_image, write_image_without_times, write_picture, written_with};
 
 use crate::geometry::CameraError;

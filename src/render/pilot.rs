@@ -1,13 +1,15 @@
-//! A few small blocks of an image, cast before planning: how long the paths are, and how far interpolated pixels are off in this very view.
+//! A few small blocks of an image, cast before planning: how long the paths are, and what lies along the rays.
 
 use super::RenderError;
 use super::cells::{EMPTY, EMPTY_BRICK};
-use super::cpu::attenuate_spectrum::attenuate_spectrum;
 use super::cpu::bundles::Rays;
-use super::cpu::integrate_density::{Density, integrate_density};
+use super::cpu::claims::occupied_depths;
+use super::cpu::integrate_density::{Density, around_one_volume, integrate_density, walked_share};
+use super::cpu::shapes::intersect;
+use super::cpu::walk_cells::CellRay;
 use super::plan::Sampling;
 use super::prepared::{Prepared, Step};
-use super::spectrum::Bins;
+use super::survey::part;
 use crate::geometry::View;
 use crate::random::{Purpose, Stream};
 
@@ -15,8 +17,6 @@ use crate::random::{Purpose, Stream};
 const BLOCKS: u32 = 6;
 /// Pixels along either side of a block.
 const EDGE: u32 = 9;
-/// The interpolation's error in the image is taken to be at most this many times its largest error on the pilot rays.
-const SAFETY: f64 = 3.0;
 
 /// Words by which a ray that crosses so many slabs is off in fixed point, where densities, positions and weights are all rounded to one part
 /// in 2¹⁵ or 2¹⁶: some of it in one direction, the rest at random. Measured (`render_fixed` in the tests, `scripts/evaluate`), not derived.
@@ -30,10 +30,6 @@ pub fn words_off(slabs: f64) -> f64 {
 pub struct Pilot {
     /// Largest area density of each material, g/cm².
     pub largest_g_per_cm2: Vec<f64>,
-    /// Largest −ln intensity.
-    pub largest_line_integral: f64,
-    /// Bounds for casting every second and every fourth pixel.
-    pub interpolation_error: [f64; 2],
     /// Slabs that hold something, crossed by an average ray.
     pub slabs_per_ray: f64,
     /// Those among them in bricks filled with one density.
@@ -41,18 +37,22 @@ pub struct Pilot {
     /// Along the rays in the middle and at the corners of each block, by material of the scene: what [`words_off`] amounts to, and the path;
     /// g/cm².
     pub rounding_g_per_cm2: Vec<Vec<[f64; 2]>>,
-    /// Shapes and meshes that an average ray is tried against.
+    /// Share of the pixels that see a volume whose rays cannot be crossed in bundles.
+    pub walked_share: f64,
+    /// Slabs along an average ray that are looked at cell by cell because the volume displaces something there.
+    pub displacing_per_ray: f64,
+    /// Shapes that an average ray is tried against.
     pub solids_per_ray: f64,
+    /// Doublings of triangles in the meshes that an average ray is tried against.
+    pub mesh_levels_per_ray: f64,
 }
 
-/// Casts pilot rays of `view`, sampling volumes as told; `prepare` looks at the scene from a view. Without `bins` only paths are found.
+/// Casts pilot rays of `view`, sampling volumes as told; `prepare` looks at the scene from a view.
 ///
 /// # Errors
 /// As [`Prepared::new`].
 pub fn cast<'a>(
     view: View,
-    bins: Option<&Bins>,
-    compare: bool,
     sampling: Sampling,
     mut prepare: impl FnMut(View) -> Result<Prepared<'a>, RenderError>,
 ) -> Result<Pilot, RenderError> {
@@ -71,23 +71,14 @@ pub fn cast<'a>(
         let prepared = prepare(part(view, [u, v], size_px))?;
         let density = integrate_density(&prepared, sampling);
         pilot.note(&prepared, &density);
-        let Some(bins) = bins else { continue };
-        let line = attenuate_spectrum(&density, bins, false).line_integral;
-        let error = |other: f32, this: f32| f64::from((other - this).abs()) / f64::from(this).max(1.0);
-        let raise = |worst: &mut f64, found: f64| *worst = if found <= *worst { *worst } else { found };
-        line.iter().for_each(|line| raise(&mut pilot.largest_line_integral, f64::from(*line)));
-        if !compare {
-            continue;
-        }
-        for (step, worst) in [2, 4].into_iter().zip(&mut pilot.interpolation_error) {
-            let other = attenuate_spectrum(&thinned(&density, size_px, step), bins, false).line_integral;
-            other.iter().zip(&line).for_each(|(other, this)| raise(worst, SAFETY * error(*other, *this)));
-        }
     }
     let blocks = f64::from(across * down).max(1.0);
     pilot.slabs_per_ray /= blocks;
     pilot.filled_per_ray /= blocks;
+    pilot.displacing_per_ray /= blocks;
     pilot.solids_per_ray /= blocks;
+    pilot.mesh_levels_per_ray /= blocks;
+    pilot.walked_share = walked_share(&prepare(view)?);
     Ok(pilot)
 }
 
@@ -100,12 +91,10 @@ impl Pilot {
                 *largest = largest.max(f64::from(*path));
             }
         }
-        let solids = prepared.steps.iter().filter(|step| match step {
-            Step::Solid(index) => !prepared.solids[*index].bounds.is_empty(),
-            Step::Mesh(index) => !prepared.meshes[*index].bounds.is_empty(),
-            _ => false,
-        });
+        let solids = prepared.solids.iter().filter(|seen| !seen.bounds.is_empty());
         self.solids_per_ray += solids.count() as f64;
+        let meshes = prepared.meshes.iter().filter(|seen| !seen.bounds.is_empty());
+        self.mesh_levels_per_ray += meshes.map(|seen| (1.0 + seen.mesh.triangles.len() as f64).log2()).sum::<f64>();
         let [width, height] = prepared.view.size_px.map(|n| n as usize);
         let (right, bottom) = (width - 1, height - 1);
         for [u, v] in [[0, 0], [right, 0], [0, bottom], [right, bottom], [width / 2, height / 2]] {
@@ -119,6 +108,7 @@ impl Pilot {
         let [slabs, filled] = slabs_of_ray(prepared, middle, &mut vec![[0.0; 2]; materials]);
         self.slabs_per_ray += slabs;
         self.filled_per_ray += filled;
+        self.displacing_per_ray += displacing(prepared, middle);
     }
 }
 
@@ -159,37 +149,29 @@ fn slabs_of_ray(prepared: &Prepared, [u, v]: [f64; 2], rounding: &mut [[f64; 2]]
     [slabs, filled]
 }
 
-/// The part of an image from pixel `from` on.
-fn part(view: View, from: [u32; 2], size_px: [u32; 2]) -> View {
-    let mut part = View { size_px, ..view };
-    part.intrinsics.cx -= f64::from(from[0]);
-    part.intrinsics.cy -= f64::from(from[1]);
-    part
-}
-
-/// What casting every `step`-th pixel and interpolating gives.
-fn thinned(density: &Density, size_px: [u32; 2], step: usize) -> Density {
-    let [width, height] = size_px.map(|n| n as usize);
-    let coarse = [width.div_ceil(step), height.div_ceil(step)];
-    let materials = density.material_count;
-    let pick = |index: usize| {
-        let (u, v) = (index % coarse[0] * step, index / coarse[0] * step);
-        &density.g_per_cm2[(v * width + u) * materials..][..materials]
-    };
-    let g_per_cm2 = (0..coarse[0] * coarse[1]).flat_map(pick).copied().collect();
-    let valid = vec![1; coarse[0] * coarse[1]];
-    let thin = Density { material_count: materials, g_per_cm2, valid, unscanned_mm: 0.0 };
-    super::cpu::enlarge_density::enlarge_density(&thin, coarse, [width, height], step)
-}
-
-/// The view that casts every `step`-th pixel of `view`, far enough to interpolate the last ones.
-#[must_use]
-pub fn every(view: &View, step: u32) -> View {
-    let mut coarse = *view;
-    let scale = f64::from(step);
-    let k = &mut coarse.intrinsics;
-    (k.fx, k.fy, k.skew) = (k.fx / scale, k.fy / scale, k.skew / scale);
-    (k.cx, k.cy) = (k.cx / scale, k.cy / scale);
-    coarse.size_px = view.size_px.map(|n| n.div_ceil(step) + u32::from(n > 1));
-    coarse
+/// Slabs of the volume along a ray where something lies that the volume displaces.
+fn displacing(prepared: &Prepared, [u, v]: [f64; 2]) -> f64 {
+    let Some(stack) = around_one_volume(&prepared.steps) else { return 0.0 };
+    let direction = prepared.view.intrinsics.unproject(glam::DVec2::new(u, v));
+    let seen = &prepared.volumes[stack.volume];
+    let ray = CellRay { p: seen.cell_from_camera.translation, q: seen.cell_from_camera.matrix3 * direction };
+    let Some((enter, leave)) = occupied_depths(seen, &ray) else { return 0.0 };
+    let (enter, leave) = (enter.max(0.0), leave.min(prepared.detector_mm));
+    let mut spans = Vec::new();
+    for step in stack.below {
+        match *step {
+            Step::Solid(index) => {
+                let seen = &prepared.solids[index];
+                let found = intersect(&seen.solid.shape, seen.source_in_local, seen.local_from_camera * direction);
+                spans.extend_from_slice(found.as_slice());
+            }
+            Step::Mesh(index) => {
+                let seen = &prepared.meshes[index];
+                seen.made.tree.inside(seen.source_in_lps, seen.lps_from_camera * direction, &mut spans);
+            }
+            Step::Volume(_) | Step::VolumeAir(_) => {}
+        }
+    }
+    let cells_per_mm = ray.q.abs().max_element();
+    spans.iter().map(|(from, to)| (to.min(leave) - from.max(enter)).max(0.0) * cells_per_mm).sum()
 }

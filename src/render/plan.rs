@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::spectrum::whole_spectrum;
+use super::tiles::Tiles;
 use super::{Quantity, chain};
 use crate::scene::model::{Formation, Matter, Noise, Response, Scene, Voxels};
 
@@ -139,6 +140,9 @@ pub struct Plan {
     /// Every which pixel is cast along columns and rows; the others are interpolated. 1 casts all.
     #[serde(default = "every")]
     pub step_px: u32,
+    /// Tiles in which every pixel is cast, where `step_px` skips some elsewhere.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub full_tiles: Option<Tiles>,
     /// g/cm² of each material beyond which a pixel is evaluated with every bin of the spectrum; empty when all are.
     #[serde(default)]
     pub fitted_up_to_g_per_cm2: Vec<f64>,
@@ -266,6 +270,7 @@ impl Plan {
             seed: scene.model.seed,
             frame_index,
             step_px: 1,
+            full_tiles: None,
             fitted_up_to_g_per_cm2: Vec::new(),
             stated_error: executor.stated_error(),
             error_parts: ErrorParts { sampling: executor.stated_error(), ..ErrorParts::default() },
@@ -303,7 +308,7 @@ impl Plan {
             self.stated_error, parts.sampling, parts.energies, parts.interpolation
         );
         if let Some(ms) = self.predicted_ms {
-            let _ = writeln!(text, "predicted: {ms:.1} ms, preparation of volumes aside");
+            let _ = writeln!(text, "predicted: {ms:.1} ms, planning and preparation of volumes aside");
         }
         text
     }

@@ -1,11 +1,14 @@
 //! From a wish (an error, or a time) to the cheapest plan that grants it.
 
 use super::costs::{Costs, Work};
+use super::fits::{Fits, Wish, nodes_of};
 use super::pilot::{self, Pilot};
-use super::plan::{ErrorParts, Executor, Fitted, Node, Plan, Sampling, noise_applies, response};
+use super::plan::{ErrorParts, Executor, Node, Plan, Sampling, noise_applies, response};
 use super::prepared::Prepared;
-use super::quadrature::{self, NoiseWeights, Quadrature, QuadratureNode, Tolerance};
+use super::quadrature;
 use super::spectrum::{Bins, whole_spectrum};
+use super::survey::{self, Survey};
+use super::tiles::Tiles;
 use super::{Quantity, RenderError};
 use crate::geometry::View;
 use crate::scene::model::{Formation, Scene};
@@ -44,28 +47,29 @@ pub const TOLERANCES: [f64; 9] = [3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5
 /// Plans scenes and keeps what it fitted.
 #[derive(Debug, Default)]
 pub struct Planner {
-    fits: Vec<(Key, Option<Quadrature>)>,
+    /// Energies that were fitted.
+    pub fits: Fits,
     costs: Option<Costs>,
-}
-
-/// What a fit depends on.
-#[derive(Clone, Debug, PartialEq)]
-struct Key {
-    spectrum: Vec<(f64, f64)>,
-    materials: Vec<String>,
-    largest_g_per_cm2: Vec<f64>,
-    tolerance: f64,
-    noise: bool,
 }
 
 /// One way to make the image.
 #[derive(Clone, Debug)]
 struct Candidate {
-    sampling: Sampling,
-    step_px: u32,
+    way: Way,
     energies: Option<f64>,
     parts: ErrorParts,
     cost: f64,
+}
+
+/// One way to cast it.
+#[derive(Clone, Debug)]
+struct Way {
+    sampling: Sampling,
+    step_px: u32,
+    /// Tiles that are cast in full, where pixels are skipped.
+    tiles: Option<Tiles>,
+    sampling_error: f64,
+    interpolation: f64,
 }
 
 impl ErrorParts {
@@ -94,6 +98,12 @@ pub struct Task<'s> {
     pub goal: Goal,
 }
 
+impl Task<'_> {
+    fn wish(&self) -> Wish<'_> {
+        Wish { scene: self.scene, noise: noise_applies(self.scene, self.quantity) }
+    }
+}
+
 impl Planner {
     /// Turns `plan`, which evaluates everything, into the cheapest one that grants the goal; where none does, into the most accurate or
     /// the fastest. `prepare` looks at the scene from a view.
@@ -104,54 +114,88 @@ impl Planner {
         &mut self,
         mut plan: Plan,
         task: &Task,
-        prepare: impl FnMut(View) -> Result<Prepared<'a>, RenderError>,
+        mut prepare: impl FnMut(View) -> Result<Prepared<'a>, RenderError>,
     ) -> Result<Plan, RenderError> {
         let scene = task.scene;
         let with_energies = task.quantity != Quantity::AreaDensity;
-        let fits = with_energies && scene.model.formation == Formation::Deepdrr && quadrature_applies(scene);
         let bins = if with_energies { Some(Bins::new(scene, &whole_spectrum(scene))?) } else { None };
-        let compare = match task.goal {
-            Goal::MaxError(_) => false,
-            Goal::BudgetMs(_) => true,
-            Goal::Explicit { step_px, .. } => step_px > 1,
-        };
         let sampling = match (task.fixed_step_px > 0, task.slabs) {
             (true, _) => Sampling::FixedSlabs,
             (_, true) => Sampling::ExactSlabs,
             _ => Sampling::ExactCells,
         };
-        let pilot = pilot::cast(task.view, bins.as_ref(), compare, sampling, prepare)?;
-        let costs = self.costs.get_or_insert_with(Costs::of_this_machine).clone();
-        let mut candidates = Vec::new();
+        let pilot = pilot::cast(task.view, sampling, &mut prepare)?;
+        self.calibrate();
+        let costs = self.costs.clone().unwrap_or_default();
         let rounding = match task.fixed_step_px {
             0 => f64::INFINITY,
             _ => rounding_error(&pilot, &attenuation_bounds(task, &pilot)?),
         };
-        for (sampling, step_px, sampling_error, interpolation) in ways(task, &pilot, plan.sampling, rounding) {
-            for energies in self.tolerances(task, fits, sampling_error + interpolation) {
-                let energies_error = if with_energies { ENERGIES_ROUNDING + energies.unwrap_or(0.0) } else { 0.0 };
-                let parts = ErrorParts { sampling: sampling_error, energies: energies_error, interpolation };
-                candidates.push(Candidate { sampling, step_px, energies, parts, cost: 0.0 });
-            }
-        }
         // Ranking by typical costs for an error, so that the same scene gets the same plan on any day; by this machine's for a time.
         let ranking = if matches!(task.goal, Goal::BudgetMs(_)) { costs.clone() } else { Costs::default() };
-        for candidate in &mut candidates {
-            let nodes = match candidate.energies {
-                Some(tolerance) => self.fit(task, &pilot, tolerance)?.map_or(plan.energy_nodes.len(), |fit| fit.nodes.len()),
-                None => plan.energy_nodes.len(),
-            };
-            candidate.cost = ranking.predict_ms(&work(task, &pilot, candidate, nodes), candidate.sampling);
+        let every_energy = plan.energy_nodes.len();
+        let mut candidates =
+            self.candidates(task, &pilot, whole_ways(task, &pilot, plan.sampling, rounding), &ranking, every_energy)?;
+        let coarser = match task.goal {
+            Goal::MaxError(_) => false,
+            // Nothing is as accurate as casting every pixel, as long as there is time.
+            Goal::BudgetMs(ms) => !candidates.iter().any(|candidate| candidate.cost <= ms),
+            Goal::Explicit { step_px, .. } => step_px > 1,
+        };
+        if coarser && task.executor == Executor::Cpu {
+            let survey = survey::survey(task.view, bins.as_ref(), sampling, &mut prepare)?;
+            let ways = skipping_ways(task, &survey, &candidates);
+            if let Goal::Explicit { .. } = task.goal
+                && !ways.is_empty()
+            {
+                candidates.clear();
+            }
+            candidates.extend(self.candidates(task, &pilot, ways, &ranking, every_energy)?);
         }
         let chosen = choose(&candidates, task.goal).cloned();
         let Some(chosen) = chosen else { return Ok(plan) };
         self.apply(&mut plan, task, &pilot, &chosen)?;
         if task.executor == Executor::Cpu {
-            let work = work(task, &pilot, &chosen, plan.energy_nodes.len());
-            plan.predicted_ms = Some(costs.predict_ms(&work, chosen.sampling));
-            plan.typical_ms = Some(Costs::default().predict_ms(&work, chosen.sampling));
+            let work = work(task, &pilot, &chosen.way, plan.energy_nodes.len());
+            plan.predicted_ms = Some(costs.predict_ms(&work, chosen.way.sampling));
+            plan.typical_ms = Some(Costs::default().predict_ms(&work, chosen.way.sampling));
         }
         Ok(plan)
+    }
+
+    /// Measures what this machine costs, unless that is known: half a second when no other run has done it.
+    pub fn calibrate(&mut self) {
+        self.costs.get_or_insert_with(Costs::of_this_machine);
+    }
+
+    /// Each way with all energies worth a look, and what it costs.
+    fn candidates(
+        &mut self,
+        task: &Task,
+        pilot: &Pilot,
+        ways: Vec<Way>,
+        ranking: &Costs,
+        every_energy: usize,
+    ) -> Result<Vec<Candidate>, RenderError> {
+        let with_energies = task.quantity != Quantity::AreaDensity;
+        let fits = with_energies && task.scene.model.formation == Formation::Deepdrr && quadrature_applies(task.scene);
+        let mut candidates = Vec::new();
+        for way in ways {
+            for energies in self.tolerances(task, fits, way.sampling_error + way.interpolation) {
+                let nodes = match energies {
+                    Some(tolerance) => {
+                        self.fits.get(&task.wish(), pilot, tolerance)?.map_or(every_energy, |(fit, _)| fit.nodes.len())
+                    }
+                    None => every_energy,
+                };
+                let energies_error = if with_energies { ENERGIES_ROUNDING + energies.unwrap_or(0.0) } else { 0.0 };
+                let parts =
+                    ErrorParts { sampling: way.sampling_error, energies: energies_error, interpolation: way.interpolation };
+                let cost = ranking.predict_ms(&work(task, pilot, &way, nodes), way.sampling);
+                candidates.push(Candidate { way: way.clone(), energies, parts, cost });
+            }
+        }
+        Ok(candidates)
     }
 
     /// Tolerances worth a look when the rest of the error is spent.
@@ -169,72 +213,48 @@ impl Planner {
         }
     }
 
-    /// Nodes fitted to the spectrum and to paths a half longer than the pilot rays'; `None` where none meet `tolerance`.
-    fn fit(&mut self, task: &Task, pilot: &Pilot, tolerance: f64) -> Result<Option<Quadrature>, RenderError> {
-        let scene = task.scene;
-        let nodes = whole_spectrum(scene);
-        let key = Key {
-            spectrum: nodes.iter().map(|node| (node.energy_kev, node.fraction * response(scene, node))).collect(),
-            materials: scene.materials.iter().map(|material| material.name.clone()).collect(),
-            largest_g_per_cm2: region(pilot),
-            tolerance,
-            noise: noise_applies(scene, task.quantity),
-        };
-        if let Some((_, fit)) = self.fits.iter().find(|(known, _)| *known == key) {
-            return Ok(fit.clone());
-        }
-        let energies_kev: Vec<f64> = nodes.iter().map(|node| node.energy_kev).collect();
-        let weights =
-            |power: i32| -> Vec<f64> { nodes.iter().map(|node| node.fraction * response(scene, node).powi(power)).collect() };
-        let (photons, signal, squares) = (weights(0), weights(1), weights(2));
-        let mut cm2_per_g = Vec::new();
-        for material in &scene.materials {
-            let row: Result<Vec<f64>, _> =
-                energies_kev.iter().map(|kev| material.attenuation(*kev).map(|found| found.total_cm2_per_g)).collect();
-            cm2_per_g.push(row?);
-        }
-        let noise_weights = key.noise.then_some(NoiseWeights { photons: &photons, squares: &squares });
-        let spectrum =
-            quadrature::EnergyBins { energies_kev: &energies_kev, signal_weights: &signal, noise_weights, cm2_per_g: &cm2_per_g };
-        let box_ = quadrature::Region { largest_g_per_cm2: &key.largest_g_per_cm2, largest_line_integral: None };
-        let wanted = Tolerance::of_signal(tolerance);
-        // What cannot be fitted is evaluated bin by bin.
-        let fit = quadrature::fit(&spectrum, &box_, wanted)
-            .ok()
-            .flatten()
-            .filter(|fit| fit.meets(wanted) && fit.nodes.len() < nodes.len());
-        if self.fits.len() >= 64 {
-            self.fits.remove(0);
-        }
-        self.fits.push((key, fit.clone()));
-        Ok(fit)
-    }
-
     fn apply(&mut self, plan: &mut Plan, task: &Task, pilot: &Pilot, chosen: &Candidate) -> Result<(), RenderError> {
         let all = plan.energy_nodes.len();
-        plan.sampling = chosen.sampling;
-        plan.step_px = chosen.step_px;
+        plan.sampling = chosen.way.sampling;
+        plan.step_px = chosen.way.step_px;
+        plan.full_tiles = chosen.way.tiles.clone();
         plan.error_parts = chosen.parts;
+        let in_slabs = matches!(plan.sampling, Sampling::ExactSlabs | Sampling::FixedSlabs);
         if plan.sampling != Sampling::None {
-            plan.say("volumes", true, plan.sampling.why().to_owned());
+            let mut why = plan.sampling.why().to_owned();
+            if in_slabs && pilot.walked_share > 0.0 {
+                let share = 100.0 * pilot.walked_share;
+                why += &format!("; {share:.0} % of the rays meet another volume or kept air and are walked cell by cell");
+            }
+            if task.executor == Executor::Cpu && !in_slabs && pilot.walked_share > 0.0 {
+                why += "; not in slabs, because rays meet another volume or kept air";
+            }
+            if in_slabs && pilot.displacing_per_ray > 0.0 {
+                why += "; where an object lies that the volume displaces, its cells are looked at one by one";
+            }
+            plan.say("volumes", true, why);
         }
-        if chosen.step_px > 1 {
-            let n = chosen.step_px;
+        if let Some(tiles) = &plan.full_tiles {
+            let n = plan.step_px;
+            let share = 100.0 * tiles.pixels() / (f64::from(plan.size_px[0]) * f64::from(plan.size_px[1]));
             plan.say(
                 "resolution",
                 false,
-                format!("every {n}th pixel along columns and rows is cast, the others are interpolated"),
+                format!(
+                    "every {n}th pixel along columns and rows is cast, the others are interpolated; all pixels of tiles with outlines, metal or \
+                     the strongest bends are cast ({share:.0} % of the image)"
+                ),
             );
         }
         let fit = match chosen.energies {
-            Some(tolerance) => self.fit(task, pilot, tolerance)?,
+            Some(tolerance) => self.fits.get(&task.wish(), pilot, tolerance)?,
             None => None,
         };
         match fit {
-            Some(fit) => {
+            Some((fit, up_to)) => {
                 plan.error_parts.energies = ENERGIES_ROUNDING + fit.bound;
                 plan.energy_nodes = nodes_of(&fit);
-                plan.fitted_up_to_g_per_cm2 = region(pilot);
+                plan.fitted_up_to_g_per_cm2 = up_to;
                 let words = format!(
                     "{} fitted nodes stand for {all} bins, within {:.1e}; pixels with longer paths than the fit knows take every bin",
                     fit.nodes.len(),
@@ -250,36 +270,59 @@ impl Planner {
     }
 }
 
-/// Ways to sample, with the step between cast pixels, the sampling's and the interpolation's error.
-fn ways(task: &Task, pilot: &Pilot, asked: Sampling, rounding: f64) -> Vec<(Sampling, u32, f64, f64)> {
+/// Ways to cast every pixel.
+fn whole_ways(task: &Task, pilot: &Pilot, asked: Sampling, rounding: f64) -> Vec<Way> {
+    let way = |sampling, sampling_error| Way { sampling, step_px: 1, tiles: None, sampling_error, interpolation: 0.0 };
     if task.executor != Executor::Cpu {
-        return vec![(asked, 1, task.executor.stated_error(), 0.0)];
+        return vec![way(asked, task.executor.stated_error())];
     }
     if asked == Sampling::None {
-        return vec![(Sampling::None, 1, 2e-6, 0.0)];
+        return vec![way(Sampling::None, 2e-6)];
     }
     // f64 positions; f32 interpolation weights and sums.
-    let cells = (Sampling::ExactCells, 2e-6);
-    let slabs = (Sampling::ExactSlabs, 4e-6);
-    let steps = [(1, 0.0), (2, pilot.interpolation_error[0]), (4, pilot.interpolation_error[1])];
-    let mut all = if task.slabs { vec![slabs, cells] } else { vec![cells] };
-    if task.fixed_step_px > 0 {
-        all.push((Sampling::FixedSlabs, rounding));
+    let cells = way(Sampling::ExactCells, 2e-6);
+    let mut all = Vec::new();
+    // Where no ray can be crossed in slabs, no plan says so.
+    if task.slabs && pilot.walked_share < 1.0 {
+        all.push(way(Sampling::ExactSlabs, 4e-6));
     }
-    let can = |sampling: Sampling, step_px: u32| sampling != Sampling::FixedSlabs || step_px <= task.fixed_step_px;
+    all.push(cells.clone());
+    if task.fixed_step_px > 0 && pilot.walked_share < 1.0 {
+        all.push(way(Sampling::FixedSlabs, rounding));
+    }
     match task.goal {
-        Goal::MaxError(_) => all.into_iter().map(|(sampling, error)| (sampling, 1, error, 0.0)).collect(),
-        Goal::BudgetMs(_) => {
-            let every = all.into_iter().flat_map(|(s, error)| steps.map(|(step, between)| (s, step, error, between)));
-            every.filter(|(sampling, step_px, ..)| can(*sampling, *step_px)).collect()
-        }
-        Goal::Explicit { sampling, step_px, .. } => {
-            let (sampling, error) =
-                all.into_iter().find(|(known, _)| *known == sampling && can(*known, step_px)).unwrap_or(cells);
-            let between = steps.into_iter().find(|(step, _)| *step == step_px).unwrap_or(steps[0]);
-            vec![(sampling, between.0, error, between.1)]
+        Goal::MaxError(_) | Goal::BudgetMs(_) => all,
+        Goal::Explicit { sampling, .. } => vec![all.into_iter().find(|known| known.sampling == sampling).unwrap_or(cells)],
+    }
+}
+
+/// Ways to skip pixels, sampling as the candidates that cast all of them do.
+fn skipping_ways(task: &Task, survey: &Survey, whole: &[Candidate]) -> Vec<Way> {
+    let mut samplings: Vec<(Sampling, f64)> = Vec::new();
+    for Candidate { way, .. } in whole {
+        if !samplings.iter().any(|(known, _)| *known == way.sampling) {
+            samplings.push((way.sampling, way.sampling_error));
         }
     }
+    let mut ways = Vec::new();
+    for skipping in survey.ways() {
+        for (step_px, interpolation) in survey::STEPS.into_iter().zip(skipping.errors) {
+            let asked = match task.goal {
+                Goal::Explicit { step_px: asked, .. } => asked == step_px,
+                _ => true,
+            };
+            for (sampling, sampling_error) in samplings.iter().copied().filter(|_| asked) {
+                if sampling != Sampling::FixedSlabs || step_px <= task.fixed_step_px {
+                    ways.push(Way { sampling, step_px, tiles: Some(skipping.tiles.clone()), sampling_error, interpolation });
+                }
+            }
+        }
+    }
+    if let Goal::Explicit { .. } = task.goal {
+        // As few pixels as the outlines allow.
+        ways.truncate(1);
+    }
+    ways
 }
 
 /// Bound of fixed point: the worst of the pilot rays, and half as much again.
@@ -352,42 +395,22 @@ fn quadrature_applies(scene: &Scene) -> bool {
     scene.materials.len() <= quadrature::MOST_MATERIALS && !scene.beam.shape.varies()
 }
 
-/// Paths that a fit covers: a half longer than the pilot rays', rounded up so that neighbouring views share fits.
-fn region(pilot: &Pilot) -> Vec<f64> {
-    let grow = |largest: &f64| if *largest > 0.0 { 1.25f64.powf((1.5 * largest).max(0.1).log(1.25).ceil()) } else { 0.0 };
-    pilot.largest_g_per_cm2.iter().map(grow).collect()
-}
-
-fn nodes_of(fit: &Quadrature) -> Vec<Node> {
-    // Where no noise is asked for, photons are not fitted; signal over energy is near enough for people to read.
-    let photon =
-        |node: &QuadratureNode| if node.photon_weight > 0.0 { node.photon_weight } else { node.signal_weight / node.energy_kev };
-    let signal: f64 = fit.nodes.iter().map(|node| node.signal_weight).sum();
-    let photons: f64 = fit.nodes.iter().map(photon).sum();
-    let squares: f64 = fit.nodes.iter().map(|node| node.square_weight).sum();
-    fit.nodes
-        .iter()
-        .map(|node| Node {
-            energy_kev: node.energy_kev,
-            fraction: photon(node) / photons,
-            fitted: Some(Fitted {
-                signal_share: node.signal_weight / signal,
-                square_share: if squares > 0.0 { node.square_weight / squares } else { 0.0 },
-                cm2_per_g: node.cm2_per_g.clone(),
-            }),
-        })
-        .collect()
-}
-
-fn work(task: &Task, pilot: &Pilot, candidate: &Candidate, energies: usize) -> Work {
+fn work(task: &Task, pilot: &Pilot, way: &Way, energies: usize) -> Work {
     let pixels = f64::from(task.view.size_px[0]) * f64::from(task.view.size_px[1]);
     let materials = pilot.largest_g_per_cm2.iter().filter(|largest| **largest > 0.0).count();
+    let whole = way.tiles.as_ref().map_or(pixels, Tiles::pixels);
+    // Rays around full tiles are cast for the tiles beside them.
+    let between = (pixels - whole) / f64::from(way.step_px).powi(2) * if way.tiles.is_some() { 1.2 } else { 1.0 };
     Work {
         pixels,
-        rays: pixels / f64::from(candidate.step_px).powi(2),
+        rays: whole + between,
+        interpolated: pixels - whole,
         slabs_per_ray: pilot.slabs_per_ray,
         filled_per_ray: pilot.filled_per_ray,
+        walked_share: pilot.walked_share,
+        displacing_per_ray: pilot.displacing_per_ray,
         solids_per_ray: pilot.solids_per_ray,
+        mesh_levels_per_ray: pilot.mesh_levels_per_ray,
         materials,
         energies,
         noise: noise_applies(task.scene, task.quantity),

@@ -7,6 +7,7 @@ use glam::{DAffine3, DMat3, DVec3};
 use super::RenderError;
 use super::cells::Cells;
 use super::cpu::bundles::Rays;
+use super::meshes::MadeMesh;
 use super::slabs::Slabs;
 use crate::geometry::View;
 use crate::scene::model::{Matter, Mesh, Scene, Solid, Volume};
@@ -71,8 +72,14 @@ pub struct SeenVolume<'a> {
 pub struct SeenMesh<'a> {
     /// The mesh.
     pub mesh: &'a Mesh,
-    /// Vertices in the camera, mm.
-    pub vertices_in_camera: Vec<DVec3>,
+    /// Its tree, in lps.
+    pub made: Arc<MadeMesh>,
+    /// The focal spot in lps, mm.
+    pub source_in_lps: DVec3,
+    /// Directions of the camera in lps.
+    pub lps_from_camera: DMat3,
+    /// Middle of the mesh in the camera, mm.
+    pub centre_in_camera: DVec3,
     /// Where it can be seen.
     pub bounds: Bounds,
 }
@@ -110,7 +117,7 @@ pub struct Prepared<'a> {
 }
 
 impl<'a> Prepared<'a> {
-    /// Looks at `scene` from `view`; `cells_of` supplies what was prepared of a volume.
+    /// Looks at `scene` from `view`; `cells_of` supplies what was prepared of a volume, `mesh_of` of a mesh.
     ///
     /// # Errors
     /// When the view has no pixels, or the detector has no distance.
@@ -118,6 +125,7 @@ impl<'a> Prepared<'a> {
         scene: &'a Scene,
         view: View,
         mut cells_of: impl FnMut(&'a Arc<Volume>, &str) -> Result<(Arc<Cells>, Option<Arc<Slabs>>), RenderError>,
+        mut mesh_of: impl FnMut(&'a Arc<Mesh>) -> Arc<MadeMesh>,
     ) -> Result<Self, RenderError> {
         let detector_mm = view.intrinsics.source_to_detector_mm(scene.detector.pitch_mm);
         if !(detector_mm > 0.0 && detector_mm.is_finite()) {
@@ -165,7 +173,7 @@ impl<'a> Prepared<'a> {
                 }
                 Matter::Mesh(mesh) if mesh.density_g_per_cm3 > 0.0 => {
                     let step = Step::Mesh(prepared.meshes.len());
-                    prepared.meshes.push(see_mesh(mesh, &view));
+                    prepared.meshes.push(see_mesh(mesh, mesh_of(mesh), &view));
                     if is_air(mesh.material) { air_steps.push(step) } else { prepared.steps.push(step) }
                 }
                 Matter::Mesh(_) => {}
@@ -180,9 +188,18 @@ impl<'a> Prepared<'a> {
 impl Prepared<'_> {
     /// Makes the copies of volumes that this view needs, rounded to 16 bits or not: one for each axis along which some ray mainly runs.
     pub fn make_slabs(&self, rounded: bool) {
+        self.make_slabs_along(rounded, |seen| Rays::new(&self.view, &seen.cell_from_camera).axes(self.view.size_px));
+    }
+
+    /// Makes the copies that any view needs.
+    pub fn make_all_slabs(&self, rounded: bool) {
+        self.make_slabs_along(rounded, |_| [true; 3]);
+    }
+
+    fn make_slabs_along(&self, rounded: bool, axes_of: impl Fn(&SeenVolume) -> [bool; 3]) {
         for seen in &self.volumes {
             if let Some(slabs) = &seen.slabs {
-                let axes = Rays::new(&self.view, &seen.cell_from_camera).axes(self.view.size_px);
+                let axes = axes_of(seen);
                 for axis in (0..3).filter(|axis| axes[*axis]) {
                     if rounded {
                         slabs.round(axis, seen.volume, &seen.cells);
@@ -252,11 +269,17 @@ fn see_solid<'a>(solid: &'a Solid, view: &View) -> SeenSolid<'a> {
     }
 }
 
-fn see_mesh<'a>(mesh: &'a Mesh, view: &View) -> SeenMesh<'a> {
-    let vertices_in_camera: Vec<DVec3> =
-        mesh.vertices_lps_mm.iter().map(|vertex| view.camera_from_lps.transform_point(*vertex)).collect();
-    let (lo, hi) = vertices_in_camera.iter().fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(lo, hi), v| (lo.min(*v), hi.max(*v)));
-    SeenMesh { mesh, vertices_in_camera, bounds: sphere_bounds(view, 0.5 * (lo + hi), 0.5 * (hi - lo).length()) }
+fn see_mesh<'a>(mesh: &'a Mesh, made: Arc<MadeMesh>, view: &View) -> SeenMesh<'a> {
+    let lps_from_camera = view.camera_from_lps.inverse();
+    let centre_in_camera = view.camera_from_lps.transform_point(made.centre_lps_mm);
+    SeenMesh {
+        mesh,
+        bounds: sphere_bounds(view, centre_in_camera, made.radius_mm),
+        made,
+        source_in_lps: lps_from_camera.translation_mm,
+        lps_from_camera: DMat3::from_quat(lps_from_camera.rotation.normalize()),
+        centre_in_camera,
+    }
 }
 
 /// Pixels whose rays can meet a sphere; generous by a pixel.

@@ -1,7 +1,8 @@
 //! Renders scenes; keeps the device and what was prepared of the volumes between images.
 
 use super::achieved::Achieved;
-use super::checks::check;
+use super::before_panel::{before_panel, is_before_panel};
+use super::checks::{check, check_plan};
 use super::cpu::fixed_lanes::is_fast;
 use super::non_finite::NonFinite;
 use super::plan::{Executor, Plan, Sampling};
@@ -13,7 +14,7 @@ use crate::geometry::View;
 use crate::gpu::{Device, DeviceChoice};
 use crate::image::Image;
 use crate::reporter::Reporter;
-use crate::scene::model::{Noise, Scene, Voxels};
+use crate::scene::model::{Scene, Voxels};
 use crate::time::StageTimes;
 
 /// What to make of a scene.
@@ -74,6 +75,9 @@ pub struct Renderer {
     pub(super) volume_bytes: Option<u64>,
 }
 
+/// What is fitted while a session waits covers paths so many times those of the view it waits with.
+const WARM_ROOM: f64 = 1.6;
+
 /// Whether fixed point comes into question: on processors with AVX-512, where its bound may do.
 fn fixed_may_do(goal: Goal) -> bool {
     match goal {
@@ -118,6 +122,15 @@ impl Renderer {
     /// # Errors
     /// When the scene has no view, or a number in it makes no sense.
     pub fn plan(&mut self, scene: &Scene, options: &Options) -> Result<Plan, RenderError> {
+        self.plan_timed(scene, options, &mut StageTimes::default())
+    }
+
+    /// The same; what it takes is booked in `stages`: `prepare` (volumes and meshes that are new), `calibrate` (the first plan of a machine
+    /// measures what it costs), `plan` (pilot rays, energies that are fitted).
+    ///
+    /// # Errors
+    /// As [`Renderer::plan`].
+    pub fn plan_timed(&mut self, scene: &Scene, options: &Options, stages: &mut StageTimes) -> Result<Plan, RenderError> {
         let view = scene.view.ok_or(RenderError::NoView)?;
         if let Some(plan) = &options.plan {
             return Ok(plan.clone());
@@ -148,21 +161,69 @@ impl Renderer {
         if executor == Executor::Reference {
             return Ok(plan);
         }
-        self.volumes.keep(scene);
         let slabs = executor == Executor::Cpu;
-        let whole = self.volumes.prepare(scene, view, slabs)?;
         let asked = options.goal.unwrap_or(Goal::MaxError(DEFAULT_MAX_ERROR));
-        let all_slabs = slabs && whole.volumes.iter().all(|seen| seen.slabs.is_some() && seen.air_kind.is_none());
-        let fixed_step_px = if all_slabs && fixed_may_do(asked) { whole.coarsest_rounded() } else { 0 };
-        whole.make_slabs(fixed_step_px > 0);
+        let (all_slabs, fixed_step_px) = stages.measure("prepare", || {
+            self.volumes.keep(scene);
+            let whole = self.volumes.prepare(scene, view, slabs)?;
+            let all_slabs = slabs && whole.volumes.iter().all(|seen| seen.slabs.is_some() && seen.air_kind.is_none());
+            let fixed_step_px = if all_slabs && fixed_may_do(asked) { whole.coarsest_rounded() } else { 0 };
+            whole.make_slabs(fixed_step_px > 0);
+            Ok::<_, RenderError>((all_slabs, fixed_step_px))
+        })?;
         let task = Task { scene, view, quantity: options.quantity, executor, slabs: all_slabs, fixed_step_px, goal: asked };
         let goal = match (executor, options.goal) {
             // Without a wish a GPU adds its own bound to that of the energies.
             (Executor::Wgsl, None) => Goal::MaxError(DEFAULT_MAX_ERROR + Executor::Wgsl.stated_error()),
             _ => task.goal,
         };
+        stages.measure("calibrate", || self.planner.calibrate());
         let cache = &mut self.volumes;
-        self.planner.refine(plan, &Task { goal, ..task }, |view| cache.prepare(scene, view, slabs))
+        stages.measure("plan", || self.planner.refine(plan, &Task { goal, ..task }, |view| cache.prepare(scene, view, slabs)))
+    }
+
+    /// Does now what the first image of `scene` from `view` would wait for: volumes, meshes, costs of this machine, energies, all with room
+    /// for other views and poses; renders it once, so that memory is there. Returns what each took.
+    ///
+    /// # Errors
+    /// As [`Renderer::render`].
+    pub fn warm(&mut self, scene: &Scene, view: View, options: &Options) -> Result<StageTimes, RenderError> {
+        let scene = scene.with_view(view);
+        let mut stages = StageTimes::default();
+        let (room, usual) = (WARM_ROOM, self.planner.fits.room);
+        self.planner.fits.room = room;
+        let plan = self.plan_timed(&scene, options, &mut stages);
+        self.planner.fits.room = usual;
+        let plan = plan?;
+        let in_slabs = matches!(plan.sampling, Sampling::ExactSlabs | Sampling::FixedSlabs);
+        stages.measure("prepare", || {
+            let prepared = self.volumes.prepare(&scene, view, in_slabs)?;
+            // Another view may look along any axis.
+            prepared.make_all_slabs(plan.sampling == Sampling::FixedSlabs);
+            Ok::<_, RenderError>(())
+        })?;
+        let rendered = self.render(&scene, &Options { plan: Some(plan), ..options.clone() })?;
+        stages.merge(&rendered.stages);
+        Ok(stages)
+    }
+
+    /// As [`Renderer::render`], by the plan in `kept`, which the first call leaves there: for many views next to each other, like those of a
+    /// null. Where paths are longer than in the first view all energies are evaluated; a plan that skips pixels is made anew for each view, and
+    /// so is one for another size or other materials.
+    ///
+    /// # Errors
+    /// As [`Renderer::render`].
+    pub fn render_alike(&mut self, scene: &Scene, options: &Options, kept: &mut Option<Plan>) -> Result<Rendered, RenderError> {
+        let fits = |plan: &Plan| plan.step_px == 1 && check_plan(plan, scene).is_ok();
+        let mut stages = StageTimes::default();
+        let plan = match kept.take().filter(fits) {
+            Some(plan) => plan,
+            None => self.plan_timed(scene, options, &mut stages)?,
+        };
+        let plan = kept.insert(Plan { frame_index: options.frame_index, ..plan });
+        let mut rendered = self.render(scene, &Options { plan: Some(plan.clone()), ..options.clone() })?;
+        rendered.booked_before(&stages);
+        Ok(rendered)
     }
 
     /// Renders `scene` from its view.
@@ -173,7 +234,7 @@ impl Renderer {
         scene.view.ok_or(RenderError::NoView)?;
         check(scene)?;
         let mut stages = StageTimes::default();
-        let plan = stages.measure("plan", || self.plan(scene, options))?;
+        let plan = self.plan_timed(scene, options, &mut stages)?;
         let mut ready = [self.ready(scene, plan, options, stages)?];
         let cast = self.cast(&mut ready)?;
         let [ready] = ready;
@@ -202,7 +263,13 @@ impl Renderer {
             for (index, scene) in scenes.iter().enumerate() {
                 check(scene)?;
                 let frame_index = options.frame_index + (batch * wgsl::VIEWS_PER_SUBMISSION + index) as u32;
-                ready.push(self.ready(scene, Plan { frame_index, ..plan.clone() }, options, StageTimes::default())?);
+                let mut stages = StageTimes::default();
+                // Which pixels may be skipped is a matter of the view.
+                let plan = match plan.step_px {
+                    1 => plan.clone(),
+                    _ => self.plan_timed(scene, options, &mut stages)?,
+                };
+                ready.push(self.ready(scene, Plan { frame_index, ..plan }, options, stages)?);
             }
             let casts = self.cast(&mut ready)?;
             for (index, (ready, cast)) in ready.into_iter().zip(casts).enumerate() {
@@ -212,24 +279,43 @@ impl Renderer {
         Ok(())
     }
 
-    /// Executes the plan for `goal` as well and compares it with `rendered`, the yardstick's image of the same scene.
+    /// Executes the plan for `goal` as well and compares it with `rendered`, the yardstick's image of the same scene: line integrals before
+    /// the panel and without noise, as stated errors are meant.
     ///
     /// # Errors
     /// As [`Renderer::render`].
     pub fn judge(&mut self, scene: &Scene, goal: Goal, rendered: &mut Rendered) -> Result<(), RenderError> {
-        let mut quiet = scene.clone();
-        quiet.model.noise = Noise::Off;
+        let before = before_panel(scene);
         let quantity = Quantity::LineIntegral;
-        let line = |page: &Image<f32>| page.pixels.clone();
-        let expected = match (rendered.quantity, scene.model.noise) {
-            (Quantity::LineIntegral, Noise::Off) => line(&rendered.pages[0]),
-            _ => line(&self.render(&quiet, &Options { quantity, reference: true, ..Options::default() })?.pages[0]),
+        let expected = match rendered.quantity == quantity && is_before_panel(scene) {
+            true => rendered.pages[0].pixels.clone(),
+            false => self.render(&before, &Options { quantity, reference: true, ..Options::default() })?.pages.remove(0).pixels,
         };
         let options = Options { quantity, goal: Some(goal), ..Options::default() };
-        let plan = self.plan(&quiet, &options)?;
-        let fast = self.render(&quiet, &Options { plan: Some(plan.clone()), ..options })?;
-        let ms = fast.stages.iter().filter(|(stage, _)| !matches!(*stage, "plan" | "prepare")).map(|(_, ms)| ms).sum();
-        rendered.achieved = Some((plan, Achieved::of(&fast.pages[0].pixels, &expected, ms)));
+        let plan = self.plan(&before, &options)?;
+        let fast = self.render(&before, &Options { plan: Some(plan.clone()), ..options })?;
+        rendered.achieved = Some((plan, Achieved::of(&fast.pages[0].pixels, &expected, fast.image_ms())));
         Ok(())
     }
+}
+
+impl Rendered {
+    /// Milliseconds of the image itself: what plans predict. Planning and preparation stand in `stages` beside it.
+    #[must_use]
+    pub fn image_ms(&self) -> f64 {
+        image_ms(&self.stages)
+    }
+
+    /// Books what was done for this image before it was rendered.
+    pub fn booked_before(&mut self, stages: &StageTimes) {
+        let mut all = stages.clone();
+        all.merge(&self.stages);
+        self.stages = all;
+    }
+}
+
+/// Milliseconds of the stages that make an image, planning and preparation aside.
+#[must_use]
+pub fn image_ms(stages: &StageTimes) -> f64 {
+    stages.iter().filter(|(stage, _)| !matches!(*stage, "plan" | "prepare" | "calibrate")).map(|(_, ms)| ms).sum()
 }

@@ -5,16 +5,17 @@ use std::fmt::Write as _;
 use serde::Serialize;
 
 use super::achieved::Achieved;
+use super::before_panel::{before_panel, is_before_panel};
 use super::cpu::attenuate_spectrum::attenuate_spectrum;
 use super::cpu::fixed_lanes::is_fast;
 use super::cpu::resample_overlap::overlap_by_resampling;
 use super::plan::{Plan, Sampling};
 use super::planner::Goal;
 use super::spectrum::{Bins, whole_spectrum};
-use super::{Options, Quantity, RenderError, Renderer, pilot};
+use super::{Options, Quantity, RenderError, Renderer, survey};
 use crate::image::plot::{Axis, Plot, PlotError, Scale, Series, Stroke};
 use crate::reporter::Reporter;
-use crate::scene::model::{Noise, Scene};
+use crate::scene::model::Scene;
 use crate::time::Stopwatch;
 
 /// One way to make the image, and what came of it.
@@ -47,6 +48,8 @@ pub struct Trade {
     pub adapter: String,
     /// Rays that the yardstick cast to measure errors.
     pub judged_rays: usize,
+    /// What errors are errors of.
+    pub judged: String,
     /// What was measured.
     pub rows: Vec<Row>,
 }
@@ -54,13 +57,14 @@ pub struct Trade {
 /// Grid spacings of resampled overlaps that are measured, mm.
 const GRIDS_MM: [f64; 2] = [1.0, 0.5];
 
-/// Measures every combination; noise is left out. The yardstick casts every n-th pixel of images over 128 pixels wide.
+/// Measures every combination, on line integrals before the panel: noise, collimation and blur, which the thin yardstick could not share, are
+/// left out. The yardstick casts every n-th pixel of images over 128 pixels wide.
 ///
 /// # Errors
 /// As [`Renderer::render`].
 pub fn sweep(scene: &Scene, renderer: &mut Renderer, reporter: &Reporter) -> Result<Trade, RenderError> {
-    let mut scene = scene.clone();
-    scene.model.noise = Noise::Off;
+    let without_panel = !is_before_panel(scene);
+    let scene = before_panel(scene);
     let view = scene.view.ok_or(RenderError::NoView)?;
     let [width, height] = view.size_px;
     // Odd, so that pixels between cast ones are judged too.
@@ -68,7 +72,7 @@ pub fn sweep(scene: &Scene, renderer: &mut Renderer, reporter: &Reporter) -> Res
     let mut thin = scene.clone();
     if stride > 1 {
         // fx · pitch stays: the detector does not move.
-        thin.view = Some(pilot::every(&view, stride));
+        thin.view = Some(survey::every(&view, stride));
         thin.detector.pitch_mm *= f64::from(stride);
     }
     let quantity = Quantity::LineIntegral;
@@ -88,8 +92,7 @@ pub fn sweep(scene: &Scene, renderer: &mut Renderer, reporter: &Reporter) -> Res
         // Once to warm up, then the fastest.
         for round in 0..4 {
             let mut rendered = renderer.render(&scene, &options)?;
-            let own = rendered.stages.iter().filter(|(stage, _)| !matches!(*stage, "plan" | "prepare")).map(|(_, ms)| ms).sum();
-            ms = if round == 0 { ms } else { ms.min(own) };
+            ms = if round == 0 { ms } else { ms.min(rendered.image_ms()) };
             pixels = rendered.pages.remove(0).pixels;
         }
         let achieved = judged.judge(&pixels, ms);
@@ -115,7 +118,9 @@ pub fn sweep(scene: &Scene, renderer: &mut Renderer, reporter: &Reporter) -> Res
     rows.extend(resampled_overlaps(&scene, &judged)?);
     mark_front(&mut rows);
     rows.sort_by(|a, b| a.achieved.ms.total_cmp(&b.achieved.ms));
-    Ok(Trade { size_px: view.size_px, adapter: renderer.adapter(), judged_rays: judged.expected.len(), rows })
+    let left_out = if without_panel { "; the scene's noise, collimation and blur are left out" } else { "" };
+    let words = format!("line integrals before the panel{left_out}");
+    Ok(Trade { size_px: view.size_px, adapter: renderer.adapter(), judged_rays: judged.expected.len(), judged: words, rows })
 }
 
 fn goals() -> Vec<Goal> {
@@ -213,8 +218,17 @@ impl Trade {
     #[must_use]
     pub fn table(&self) -> String {
         let mut text = format!(
-            "{} x {} px on {}; error against the yardstick on {} rays\n  {:>9} {:>9} {:>9} {:>9} {:>9}  way\n",
-            self.size_px[0], self.size_px[1], self.adapter, self.judged_rays, "ms", "predicted", "error", "stated", "worst"
+            "{} x {} px on {}; error against the yardstick on {} rays, of {}\n  {:>9} {:>9} {:>9} {:>9} {:>9}  way\n",
+            self.size_px[0],
+            self.size_px[1],
+            self.adapter,
+            self.judged_rays,
+            self.judged,
+            "ms",
+            "predicted",
+            "error",
+            "stated",
+            "worst"
         );
         for row in &self.rows {
             let ms = |ms: Option<f64>| ms.map_or("-".to_owned(), |ms| format!("{ms:.1}"));

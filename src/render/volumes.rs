@@ -4,15 +4,17 @@ use std::sync::Arc;
 
 use super::RenderError;
 use super::cells::Cells;
+use super::meshes::MeshCache;
 use super::prepared::Prepared;
 use super::slabs::Slabs;
 use crate::geometry::View;
 use crate::scene::model::{Matter, Scene, Volume};
 
-/// Prepared volumes of the scene that was rendered last.
+/// Prepared volumes and meshes of the scene that was rendered last.
 #[derive(Debug, Default)]
 pub struct VolumeCache {
     held: Vec<Held>,
+    meshes: MeshCache,
 }
 
 #[derive(Debug)]
@@ -26,9 +28,10 @@ struct Held {
 type Made = (Arc<Cells>, Option<Arc<Slabs>>);
 
 impl VolumeCache {
-    /// Forgets volumes that `scene` does not hold.
+    /// Forgets volumes and meshes that `scene` does not hold.
     pub fn keep(&mut self, scene: &Scene) {
-        self.held.retain(|held| holds(scene, &held.volume));
+        self.held.retain(|held| holds(scene, |matter| matches!(matter, Matter::Volume(of) if Arc::ptr_eq(of, &held.volume))));
+        self.meshes.keep(|mesh| holds(scene, |matter| matches!(matter, Matter::Mesh(of) if Arc::ptr_eq(of, mesh))));
     }
 
     /// `scene` from `view`, with slabs where asked for.
@@ -36,29 +39,30 @@ impl VolumeCache {
     /// # Errors
     /// When a volume is not what its size says, or as [`Prepared::new`].
     pub fn prepare<'a>(&mut self, scene: &'a Scene, view: View, slabs: bool) -> Result<Prepared<'a>, RenderError> {
-        Prepared::new(scene, view, |volume, name| self.make(volume, name, slabs))
-    }
-
-    fn make(&mut self, volume: &Arc<Volume>, name: &str, slabs: bool) -> Result<Made, RenderError> {
-        let index = match self.held.iter().position(|held| Arc::ptr_eq(&held.volume, volume)) {
-            Some(index) => index,
-            None => {
-                let cells = Arc::new(make_cells(volume, name)?);
-                self.held.push(Held { volume: volume.clone(), cells, slabs: None });
-                self.held.len() - 1
-            }
-        };
-        let held = &mut self.held[index];
-        if !slabs {
-            return Ok((held.cells.clone(), None));
-        }
-        let made = held.slabs.get_or_insert_with(|| Slabs::new(volume, &held.cells).map(Arc::new));
-        Ok((held.cells.clone(), made.clone()))
+        let Self { held, meshes } = self;
+        Prepared::new(scene, view, |volume, name| make(held, volume, name, slabs), |mesh| meshes.make(mesh))
     }
 }
 
-fn holds(scene: &Scene, volume: &Arc<Volume>) -> bool {
-    scene.objects.iter().any(|object| matches!(&object.matter, Matter::Volume(held) if Arc::ptr_eq(held, volume)))
+fn make(all: &mut Vec<Held>, volume: &Arc<Volume>, name: &str, slabs: bool) -> Result<Made, RenderError> {
+    let index = match all.iter().position(|held| Arc::ptr_eq(&held.volume, volume)) {
+        Some(index) => index,
+        None => {
+            let cells = Arc::new(make_cells(volume, name)?);
+            all.push(Held { volume: volume.clone(), cells, slabs: None });
+            all.len() - 1
+        }
+    };
+    let held = &mut all[index];
+    if !slabs {
+        return Ok((held.cells.clone(), None));
+    }
+    let made = held.slabs.get_or_insert_with(|| Slabs::new(volume, &held.cells).map(Arc::new));
+    Ok((held.cells.clone(), made.clone()))
+}
+
+fn holds(scene: &Scene, is: impl Fn(&Matter) -> bool) -> bool {
+    scene.objects.iter().any(|object| is(&object.matter))
 }
 
 fn make_cells(volume: &Volume, name: &str) -> Result<Cells, RenderError> {

@@ -1,15 +1,15 @@
-//! A band of pixels through scenes whose one volume lies below everything else: shapes and meshes ray by ray, the volume in bundles
-//! of sixteen rays, or of thirty-two.
+//! A block of pixels that sees one volume, and shapes and meshes above and below it: these ray by ray, the volume in bundles of sixteen
+//! rays, or of thirty-two.
 
 use glam::DVec2;
 
 use super::bundles::{Aimed, Pattern};
-use super::claims::Claims;
+use super::claims::{Claims, Stack};
 use super::crossing::{Below, Crossing};
 use super::edges::BundleSums;
 use super::fixed_lanes::FixedLanes;
 use super::lanes::{LANES, Portable};
-use crate::render::prepared::{Bounds, Step};
+use crate::render::prepared::Bounds;
 use crate::render::slabs::{CUT_BIT, MOST_MATERIALS};
 
 /// Edge of the blocks of pixels that are laid out as bundles.
@@ -21,8 +21,8 @@ pub struct Block<'b> {
     pub bounds: Bounds,
     /// Row with which `g_per_cm2` and `valid` begin.
     pub first_row: usize,
-    /// Shapes and meshes that may be seen in it, the last object first.
-    pub solids: &'b [Step],
+    /// What may be seen in it.
+    pub stack: Stack<'b>,
     /// g/cm² of the band of rows that the block lies in: pixel by pixel, then by material.
     pub g_per_cm2: &'b mut [f32],
     /// Validity of the same rows.
@@ -97,7 +97,7 @@ impl Fill<'_, '_, '_> {
                 let mut met = [0; 2];
                 let mut lost = false;
                 for round in 0..rounds {
-                    if !self.block.solids.is_empty() {
+                    if !self.block.stack.is_bare() {
                         self.claims[0].round(round, &mut shots[0].aimed.t);
                         self.claims[1].round(round, &mut shots[1].aimed.t);
                     }
@@ -138,8 +138,8 @@ impl Fill<'_, '_, '_> {
         let aimed = self.crossing.aim(pattern, &seen);
         let missing = self.crossing.left_through_faces(&aimed);
         let mut rounds = usize::from(aimed.any);
-        if !self.block.solids.is_empty() {
-            rounds = self.claims[half].claim(self.crossing.prepared, self.block.solids, &pattern, &seen, &aimed.t);
+        if !self.block.stack.is_bare() {
+            rounds = self.claims[half].claim(self.crossing.prepared, self.block.stack, &pattern, &seen, &aimed.t);
         }
         Shot { aimed, seen, missing, rounds, sums: [[0.0; LANES]; MOST_MATERIALS] }
     }
@@ -158,7 +158,7 @@ impl Fill<'_, '_, '_> {
         };
         let scale = aimed.g_per_cm2();
         let whole = missing.iter().all(|mm| *mm == 0.0);
-        if block.solids.is_empty() && !lost && met & CUT_BIT == 0 && whole {
+        if block.stack.is_bare() && !lost && met & CUT_BIT == 0 && whole {
             // Nothing but paths to write.
             for (m, material) in cells.materials.iter().enumerate() {
                 for l in 0..LANES {
@@ -185,14 +185,14 @@ impl Fill<'_, '_, '_> {
                 continue;
             }
             let mm_per_depth = aimed.mm_per_depth[l];
-            if !block.solids.is_empty() {
+            if !block.stack.is_bare() {
                 claims.write(l, mm_per_depth, out);
             }
             for (m, sums) in sums.iter().enumerate().take(cells.materials.len()) {
                 out[cells.materials[m]] += sums[l] * scale[l];
             }
             if met & CUT_BIT != 0 {
-                let cut = if block.solids.is_empty() {
+                let cut = if block.stack.is_bare() {
                     crossing.meets_cut(below, aimed, l, (aimed.t[0][l], aimed.t[1][l]))
                 } else {
                     claims.gaps[l].iter().any(|gap| crossing.meets_cut(below, aimed, l, *gap))

@@ -2,15 +2,12 @@
 //!
 //! Positions and sums are f64 here and f32 there; the cell rule and the order of the objects are the same.
 
-use std::sync::Arc;
-
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
-use super::claims::{Claims, claim_solids};
+use super::claims::{Claims, Stack, claim_solids, occupied_depths};
 use super::crossing::Crossing;
 use super::integrate_block::{BLOCK, Block};
-use super::intersect_mesh::MeshTree;
 use super::intervals::Intervals;
 use super::shapes::cuboid;
 use super::walk_cells::{CellRay, Field, Found, Pass};
@@ -45,14 +42,51 @@ struct Scratch {
 /// Integrates every ray on all cores; the result does not depend on how many there are.
 #[must_use]
 pub fn integrate_density(prepared: &Prepared, sampling: Sampling) -> Density {
-    Integrator::new(prepared, sampling).all()
+    let [width, height] = prepared.view.size_px.map(|n| n as usize);
+    let materials = prepared.material_count;
+    let (g_per_cm2, valid) = (vec![0.0f32; width * height * materials], vec![1u8; width * height]);
+    let mut density = Density { material_count: materials, g_per_cm2, valid, unscanned_mm: 0.0 };
+    integrate_blocks(prepared, sampling, &mut density, &|_| true);
+    density
+}
+
+/// Integrates the rays of those blocks of [`BLOCK`]² pixels for which `wanted` is true, by their first column and row, into `density`, an
+/// image of this view; leaves all others as they are.
+pub fn integrate_blocks(
+    prepared: &Prepared,
+    sampling: Sampling,
+    density: &mut Density,
+    wanted: &(dyn Fn([u32; 2]) -> bool + Sync),
+) {
+    let unscanned_mm = Integrator::new(prepared, sampling, wanted).run(density);
+    density.unscanned_mm = density.unscanned_mm.max(unscanned_mm);
+}
+
+/// Share of the pixels that see a volume whose rays cannot be crossed in bundles: another volume, or air that is kept, lies along them.
+#[must_use]
+pub fn walked_share(prepared: &Prepared) -> f64 {
+    let [width, height] = prepared.view.size_px;
+    let (mut with_volume, mut walked) = (0u64, 0u64);
+    for v in (0..height).step_by(TILE_ROWS) {
+        for u in (0..width).step_by(TILE_COLUMNS) {
+            let to = [(u + TILE_COLUMNS as u32).min(width), (v + TILE_ROWS as u32).min(height)];
+            let tile = Bounds { from: [u, v], to };
+            let steps: Vec<Step> = prepared.steps.iter().filter(|step| seen_in(prepared, step, &tile)).copied().collect();
+            let pixels = u64::from(to[0] - u) * u64::from(to[1] - v);
+            if steps.iter().any(|step| matches!(step, Step::Volume(_) | Step::VolumeAir(_))) {
+                with_volume += pixels;
+                walked += if around_one_volume(&steps).is_none() { pixels } else { 0 };
+            }
+        }
+    }
+    walked as f64 / with_volume.max(1) as f64
 }
 
 /// What all rays of an image share.
 struct Integrator<'a> {
     prepared: &'a Prepared<'a>,
-    trees: Arc<Vec<MeshTree>>,
     crossings: Vec<Option<Crossing<'a>>>,
+    wanted: &'a (dyn Fn([u32; 2]) -> bool + Sync),
 }
 
 /// What one thread works with.
@@ -63,16 +97,14 @@ struct Worker {
 }
 
 impl<'a> Integrator<'a> {
-    fn new(prepared: &'a Prepared<'a>, sampling: Sampling) -> Self {
-        let trees =
-            Arc::new(prepared.meshes.iter().map(|seen| MeshTree::new(&seen.vertices_in_camera, &seen.mesh.triangles)).collect());
+    fn new(prepared: &'a Prepared<'a>, sampling: Sampling, wanted: &'a (dyn Fn([u32; 2]) -> bool + Sync)) -> Self {
         let crossing = |index| match sampling {
             Sampling::ExactSlabs => Crossing::new(prepared, index, false),
             Sampling::FixedSlabs => Crossing::new(prepared, index, true),
             Sampling::ExactCells | Sampling::PiecewiseConstant | Sampling::None => None,
         };
         let crossings = (0..prepared.volumes.len()).map(crossing).collect();
-        Self { prepared, trees, crossings }
+        Self { prepared, crossings, wanted }
     }
 
     fn worker(&self) -> Worker {
@@ -84,42 +116,36 @@ impl<'a> Integrator<'a> {
             found: Found::default(),
             sums: vec![0.0; materials],
         };
-        Worker {
-            scratch,
-            claims: [Claims::new(self.trees.clone(), materials), Claims::new(self.trees.clone(), materials)],
-            steps: Vec::new(),
-        }
+        Worker { scratch, claims: [Claims::new(materials), Claims::new(materials)], steps: Vec::new() }
     }
 
-    fn all(&self) -> Density {
-        let [width, height] = self.prepared.view.size_px.map(|n| n as usize);
-        let materials = self.prepared.material_count;
-        let mut g_per_cm2 = vec![0.0f32; width * height * materials.max(1)];
-        let mut valid = vec![1u8; width * height];
-        let bands = g_per_cm2.par_chunks_mut(TILE_ROWS * width * materials.max(1)).zip(valid.par_chunks_mut(TILE_ROWS * width));
-        let unscanned_mm = bands
-            .enumerate()
-            .map(|(band, (density, valid))| {
-                let mut worker = self.worker();
-                let first_row = band * TILE_ROWS;
-                let rows = valid.len() / width;
-                let mut worst_mm = 0.0f32;
-                for first_column in (0..width).step_by(TILE_COLUMNS) {
-                    let columns = TILE_COLUMNS.min(width - first_column);
-                    let tile = Bounds {
-                        from: [first_column as u32, first_row as u32],
-                        to: [(first_column + columns) as u32, (first_row + rows) as u32],
-                    };
-                    worst_mm = worst_mm.max(self.fill(&mut worker, &tile, first_row, density, valid));
-                }
-                worst_mm
-            })
-            .reduce(|| 0.0f32, f32::max);
-        g_per_cm2.truncate(width * height * materials);
-        Density { material_count: materials, g_per_cm2, valid, unscanned_mm }
+    /// Returns the longest unscanned path in mm.
+    fn run(&self, density: &mut Density) -> f32 {
+        let width = self.prepared.view.size_px[0] as usize;
+        // Scenes without materials have rows all the same.
+        let row = width * self.prepared.material_count;
+        let mut nothing = vec![0.0f32; if row == 0 { density.valid.len() } else { 0 }];
+        let (g_per_cm2, row) = if row == 0 { (&mut nothing, width) } else { (&mut density.g_per_cm2, row) };
+        let bands = g_per_cm2.par_chunks_mut(TILE_ROWS * row).zip(density.valid.par_chunks_mut(TILE_ROWS * width));
+        let worst = bands.enumerate().map(|(band, (g_per_cm2, valid))| {
+            let mut worker = self.worker();
+            let first_row = band * TILE_ROWS;
+            let rows = valid.len() / width;
+            let mut worst_mm = 0.0f32;
+            for first_column in (0..width).step_by(TILE_COLUMNS) {
+                let columns = TILE_COLUMNS.min(width - first_column);
+                let tile = Bounds {
+                    from: [first_column as u32, first_row as u32],
+                    to: [(first_column + columns) as u32, (first_row + rows) as u32],
+                };
+                worst_mm = worst_mm.max(self.fill(&mut worker, &tile, first_row, g_per_cm2, valid));
+            }
+            worst_mm
+        });
+        worst.reduce(|| 0.0f32, f32::max)
     }
 
-    /// Integrates all rays of a tile in the band of rows that begins at `first_row`; returns the longest unscanned path in mm.
+    /// Integrates the wanted rays of a tile in the band of rows that begins at `first_row`; returns the longest unscanned path in mm.
     fn fill(&self, worker: &mut Worker, tile: &Bounds, first_row: usize, density: &mut [f32], valid: &mut [u8]) -> f32 {
         let prepared = self.prepared;
         let width = prepared.view.size_px[0] as usize;
@@ -127,33 +153,45 @@ impl<'a> Integrator<'a> {
         let Worker { scratch, claims, steps } = worker;
         steps.clear();
         steps.extend(prepared.steps.iter().filter(|step| seen_in(prepared, step, tile)));
+        let in_bundles = around_one_volume(steps).and_then(|stack| Some((self.crossings[stack.volume].as_ref()?, stack)));
         let mut worst_mm = 0.0f32;
-        if let Some((crossing, solids)) = in_bundles(&self.crossings, steps) {
-            let mut walk = |at: DVec2, out: &mut [f32]| {
-                let missing = integrate_ray(prepared, &self.trees, steps, at, scratch);
-                out.iter_mut().zip(&scratch.sums).for_each(|(out, sum)| *out = *sum as f32);
-                missing
-            };
-            for v in (tile.from[1]..tile.to[1]).step_by(BLOCK) {
-                for u in (tile.from[0]..tile.to[0]).step_by(BLOCK) {
-                    let end = [(u + BLOCK as u32).min(tile.to[0]), (v + BLOCK as u32).min(tile.to[1])];
-                    let bounds = Bounds { from: [u, v], to: end };
-                    let block = Block { bounds, first_row, solids, g_per_cm2: density, valid, width };
+        for v in (tile.from[1]..tile.to[1]).step_by(BLOCK) {
+            for u in (tile.from[0]..tile.to[0]).step_by(BLOCK) {
+                if !(self.wanted)([u, v]) {
+                    continue;
+                }
+                let to = [(u + BLOCK as u32).min(tile.to[0]), (v + BLOCK as u32).min(tile.to[1])];
+                let pixels = |row: u32| {
+                    let first = (row as usize - first_row) * width;
+                    first + u as usize..first + to[0] as usize
+                };
+                for row in v..to[1] {
+                    let pixels = pixels(row);
+                    density[pixels.start * materials..pixels.end * materials].fill(0.0);
+                    valid[pixels].fill(1);
+                }
+                if let Some((crossing, stack)) = in_bundles {
+                    let mut walk = |at: DVec2, out: &mut [f32]| {
+                        let missing = integrate_ray(prepared, steps, at, scratch);
+                        out.iter_mut().zip(&scratch.sums).for_each(|(out, sum)| *out = *sum as f32);
+                        missing
+                    };
+                    let block = Block { bounds: Bounds { from: [u, v], to }, first_row, stack, g_per_cm2: density, valid, width };
                     worst_mm = worst_mm.max(crossing.fill(block, claims, &mut walk));
+                    continue;
                 }
-            }
-            return worst_mm;
-        }
-        for row in tile.from[1] as usize..tile.to[1] as usize {
-            for column in tile.from[0] as usize..tile.to[0] as usize {
-                let pixel = (row - first_row) * width + column;
-                let missing_mm = integrate_ray(prepared, &self.trees, steps, DVec2::new(column as f64, row as f64), scratch);
-                for (out, sum) in density[pixel * materials..].iter_mut().zip(&scratch.sums) {
-                    *out = *sum as f32;
-                }
-                if let Some(missing_mm) = missing_mm {
-                    valid[pixel] = 0;
-                    worst_mm = worst_mm.max(missing_mm as f32);
+                for row in v..to[1] {
+                    for (pixel, column) in pixels(row).zip(u..) {
+                        let at = DVec2::new(f64::from(column), f64::from(row));
+                        let missing_mm = integrate_ray(prepared, steps, at, scratch);
+                        for (out, sum) in density[pixel * materials..].iter_mut().zip(&scratch.sums) {
+                            *out = *sum as f32;
+                        }
+                        if let Some(missing_mm) = missing_mm {
+                            valid[pixel] = 0;
+                            worst_mm = worst_mm.max(missing_mm as f32);
+                        }
+                    }
                 }
             }
         }
@@ -161,14 +199,14 @@ impl<'a> Integrator<'a> {
     }
 }
 
-/// The volume and what lies above it, when a tile holds one volume, below everything else, that can be crossed in bundles.
-fn in_bundles<'c, 'a, 's>(crossings: &'c [Option<Crossing<'a>>], steps: &'s [Step]) -> Option<(&'c Crossing<'a>, &'s [Step])> {
-    let (last, above) = steps.split_last()?;
-    let Step::Volume(index) = *last else { return None };
-    if above.iter().any(|step| matches!(step, Step::Volume(_) | Step::VolumeAir(_))) {
-        return None;
-    }
-    Some((crossings[index].as_ref()?, above))
+/// What lies along rays that meet one volume, once, whose air is dropped.
+#[must_use]
+pub fn around_one_volume(steps: &[Step]) -> Option<Stack<'_>> {
+    let is_solid = |step: &Step| matches!(step, Step::Solid(_) | Step::Mesh(_));
+    let at = steps.iter().position(|step| !is_solid(step))?;
+    let Step::Volume(volume) = steps[at] else { return None };
+    let (above, below) = (&steps[..at], &steps[at + 1..]);
+    below.iter().all(is_solid).then_some(Stack { above, volume, below })
 }
 
 fn seen_in(prepared: &Prepared, step: &Step, tile: &Bounds) -> bool {
@@ -180,7 +218,7 @@ fn seen_in(prepared: &Prepared, step: &Step, tile: &Bounds) -> bool {
 }
 
 /// Fills `scratch.sums` with g/cm²; returns the path outside the scan, if the ray left it through matter.
-fn integrate_ray(prepared: &Prepared, trees: &[MeshTree], steps: &[Step], at: DVec2, scratch: &mut Scratch) -> Option<f64> {
+fn integrate_ray(prepared: &Prepared, steps: &[Step], at: DVec2, scratch: &mut Scratch) -> Option<f64> {
     let direction = prepared.view.intrinsics.unproject(at);
     let mm_per_depth = direction.length();
     let Scratch { covered, gaps, own, found, sums } = scratch;
@@ -191,7 +229,7 @@ fn integrate_ray(prepared: &Prepared, trees: &[MeshTree], steps: &[Step], at: DV
         let is_last = order + 1 == steps.len();
         match *step {
             Step::Solid(_) | Step::Mesh(_) => {
-                claim_solids(prepared, trees, std::slice::from_ref(step), direction, covered, own, sums);
+                claim_solids(prepared, std::slice::from_ref(step), direction, covered, own, sums);
             }
             Step::Volume(index) | Step::VolumeAir(index) => {
                 let pass = if matches!(step, Step::Volume(_)) { Pass::Matter } else { Pass::Air };
@@ -230,9 +268,7 @@ fn cross_volume(
     let size = DVec3::from_array(seen.volume.size.map(|n| n as f64));
     let (lo, hi) = (DVec3::splat(0.5), size + 0.5);
     let (enter, leave) = cuboid(ray.p, ray.q, lo, hi)?;
-    let from_cells = |cell: [usize; 3]| DVec3::from_array(cell.map(|n| n as f64));
-    let [first, end] = seen.cells.occupied;
-    if let Some((from, to)) = cuboid(ray.p, ray.q, lo.max(from_cells(first)), hi.min(from_cells(end))) {
+    if let Some((from, to)) = occupied_depths(seen, &ray) {
         let (from, to) = (from.max(0.0), to.min(prepared.detector_mm));
         if to > from && covered.is_empty() {
             field.integrate(&ray, from, to, pass, sums, found);

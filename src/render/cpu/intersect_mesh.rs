@@ -1,10 +1,18 @@
-//! Where rays from the focal spot run inside a closed mesh: a bounding-volume tree, then pairs of crossings.
+//! Where rays run inside a closed mesh: a bounding-volume tree, then pairs of crossings.
 
 use glam::DVec3;
 
+use crate::geometry::Rigid;
+
 const LEAF: usize = 4;
 
-/// A tree over the triangles of a mesh whose vertices are in the camera; every ray starts at its origin.
+/// What boxes are enlarged by, mm: more than f64 rounds.
+const BOX_MARGIN_MM: f64 = 1e-9;
+
+/// More than the depth of any tree: halving at the median leaves 2⁶⁴ triangles no deeper.
+const DEEPEST: usize = 66;
+
+/// A tree over the triangles of a mesh, in the frame of its vertices.
 #[derive(Clone, Debug)]
 pub struct MeshTree {
     nodes: Vec<Node>,
@@ -61,23 +69,51 @@ impl MeshTree {
         &self.triangles
     }
 
-    /// Adds to `spans` where the ray t · `direction`, t > −∞, is inside, by pairing entries and exits.
+    /// The same triangles in another frame, where boxes are drawn anew around them.
+    #[must_use]
+    pub fn placed(&self, other_from_own: &Rigid) -> Self {
+        let place = |t: &[DVec3; 3]| t.map(|corner| other_from_own.transform_point(corner));
+        let mut tree = Self { nodes: self.nodes.clone(), triangles: self.triangles.iter().map(place).collect() };
+        // Children follow their parents.
+        for index in (0..tree.nodes.len()).rev() {
+            let node = tree.nodes[index];
+            let (lo, hi) = if node.count == 0 {
+                let (left, right) = (tree.nodes[index + 1], tree.nodes[node.first]);
+                (left.lo.min(right.lo), left.hi.max(right.hi))
+            } else {
+                let corners = tree.triangles[node.first..node.first + node.count].iter().flatten();
+                corners.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(lo, hi), v| (lo.min(*v), hi.max(*v)))
+            };
+            (tree.nodes[index].lo, tree.nodes[index].hi) = (lo, hi);
+        }
+        tree
+    }
+
+    /// Adds to `spans` where the ray `origin` + t · `direction`, t > −∞, is inside, by pairing entries and exits.
     // Edges are tested by the sign of a product that both neighbours compute from the same two vertices, so that no ray slips
     // between triangles (watertight, Plücker form); the winding number, not parity, survives faces that touch.
-    pub fn inside(&self, direction: DVec3, spans: &mut Vec<(f64, f64)>) {
+    pub fn inside(&self, origin: DVec3, direction: DVec3, spans: &mut Vec<(f64, f64)>) {
         let mut crossings: Vec<(f64, i32)> = Vec::new();
-        let mut stack = vec![0usize];
-        while let Some(index) = stack.pop() {
-            let Some(node) = self.nodes.get(index) else { continue };
-            if super::shapes::cuboid(DVec3::ZERO, direction, node.lo - 1e-9, node.hi + 1e-9).is_none() {
+        // A ray along the faces of a box: far in or far out, never 0 · ∞.
+        let inverse = DVec3::from_array(direction.to_array().map(|q| 1.0 / if q.abs() < 1e-300 { 1e-300 } else { q }));
+        let mut stack = [0usize; DEEPEST];
+        let mut waiting = usize::from(!self.nodes.is_empty());
+        while waiting > 0 {
+            waiting -= 1;
+            let index = stack[waiting];
+            let node = &self.nodes[index];
+            let (a, b) = ((node.lo - BOX_MARGIN_MM - origin) * inverse, (node.hi + BOX_MARGIN_MM - origin) * inverse);
+            if !(a.min(b).max_element() <= a.max(b).min_element()) {
                 continue;
             }
             if node.count == 0 {
-                stack.push(node.first);
-                stack.push(index + 1);
+                stack[waiting] = node.first;
+                stack[waiting + 1] = index + 1;
+                waiting += 2;
                 continue;
             }
-            crossings.extend(self.triangles[node.first..node.first + node.count].iter().filter_map(|t| cross(t, direction)));
+            let leaf = self.triangles[node.first..node.first + node.count].iter();
+            crossings.extend(leaf.filter_map(|t| cross(&t.map(|corner| corner - origin), direction)));
         }
         crossings.sort_by(|a, b| a.0.total_cmp(&b.0));
         let mut winding = 0;
@@ -94,7 +130,7 @@ impl MeshTree {
     }
 }
 
-/// Depth at which the ray through the origin crosses, and +1 where it enters (against the outward normal), −1 where it leaves.
+/// Depth at which a ray from (0, 0, 0) crosses, and +1 where it enters (against the outward normal), −1 where it leaves.
 fn cross([a, b, c]: &[DVec3; 3], direction: DVec3) -> Option<(f64, i32)> {
     // Each edge's product is formed with its vertices in one fixed order, so that neighbours agree to the last bit.
     let edge = |p: DVec3, q: DVec3| {
@@ -135,7 +171,7 @@ mod tests {
             for v in -12..=12 {
                 let direction = DVec3::new(f64::from(u) * 0.01, f64::from(v) * 0.01, 1.0);
                 let mut spans = Vec::new();
-                tree.inside(direction, &mut spans);
+                tree.inside(DVec3::ZERO, direction, &mut spans);
                 let found: f64 = spans.iter().map(|(a, b)| b - a).sum();
                 let expected = super::super::shapes::cuboid(
                     DVec3::new(0.0, 0.0, -100.0),
@@ -149,5 +185,31 @@ mod tests {
             }
         }
         assert_eq!(cases, 625);
+    }
+
+    #[test]
+    fn a_tree_in_another_frame_finds_the_same() {
+        let (vertices, triangles) = cube(DVec3::new(3.0, -4.0, 20.0), 10.0);
+        let tree = MeshTree::new(&vertices, &triangles);
+        let turn = Rigid {
+            rotation: glam::DQuat::from_scaled_axis(DVec3::new(0.3, -1.1, 0.7)),
+            translation_mm: DVec3::new(5.0, 60.0, -7.0),
+        };
+        let placed = tree.placed(&turn);
+        let (mut met, mut cases) = (0, 0);
+        for u in -9..=9 {
+            for v in -9..=9 {
+                let direction = DVec3::new(0.11 * f64::from(u), 0.1 * f64::from(v), 1.0);
+                let (mut here, mut there) = (Vec::new(), Vec::new());
+                tree.inside(DVec3::new(0.0, 0.0, -30.0), direction, &mut here);
+                let origin = turn.transform_point(DVec3::new(0.0, 0.0, -30.0));
+                placed.inside(origin, turn.rotation * direction, &mut there);
+                let length = |spans: &[(f64, f64)]| spans.iter().map(|(a, b)| b - a).sum::<f64>();
+                assert!((length(&here) - length(&there)).abs() < 1e-9, "({u}, {v}): {here:?} and {there:?}");
+                met += usize::from(!here.is_empty());
+                cases += 1;
+            }
+        }
+        assert!(cases == 361 && met > 20 && met < 300, "{met} of {cases} rays met the cube");
     }
 }

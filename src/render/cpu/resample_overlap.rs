@@ -10,6 +10,7 @@ use super::integrate_density::{Density, integrate_density};
 use crate::geometry::View;
 use crate::render::RenderError;
 use crate::render::cells::Cells;
+use crate::render::meshes::MadeMesh;
 use crate::render::plan::Sampling;
 use crate::render::prepared::Prepared;
 use crate::scene::model::{Matter, Object, Scene, Shape, Solid, Volume};
@@ -69,11 +70,16 @@ fn split(scene: &Scene) -> Result<(&Arc<Volume>, Vec<Solid>), RenderError> {
 fn integrate(scene: &Scene, view: &View, matters: Vec<Matter>) -> Result<Density, RenderError> {
     let object = |matter| Object { name: "part".to_owned(), body: String::new(), matter };
     let part = Scene { objects: matters.into_iter().map(object).collect(), ..scene.clone() };
-    let prepared = Prepared::new(&part, *view, |volume, name| {
-        let too_many =
-            || RenderError::Volume { name: name.to_owned(), detail: "more than 250 materials in one volume".to_owned() };
-        Cells::new(volume).map(|cells| (Arc::new(cells), None)).ok_or_else(too_many)
-    })?;
+    let prepared = Prepared::new(
+        &part,
+        *view,
+        |volume, name| {
+            let too_many =
+                || RenderError::Volume { name: name.to_owned(), detail: "more than 250 materials in one volume".to_owned() };
+            Cells::new(volume).map(|cells| (Arc::new(cells), None)).ok_or_else(too_many)
+        },
+        |mesh| Arc::new(MadeMesh::new(mesh)),
+    )?;
     Ok(integrate_density(&prepared, Sampling::ExactCells))
 }
 

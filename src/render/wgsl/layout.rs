@@ -3,7 +3,6 @@
 use bytemuck::{Pod, Zeroable};
 use glam::{DAffine3, DMat3, DVec3};
 
-use crate::render::cpu::intersect_mesh::MeshTree;
 use crate::render::prepared::{Prepared, SeenMesh, SeenSolid, SeenVolume, Step};
 use crate::scene::model::Shape;
 
@@ -128,7 +127,7 @@ pub fn pack(prepared: &Prepared) -> Packed {
     let mut solid_steps = |steps: &[Step]| -> Vec<Solid> {
         let solid = |step: &Step| match *step {
             Step::Solid(index) => Some(pack_solid(&prepared.solids[index], depth_ref_mm)),
-            Step::Mesh(index) => Some(trees.pack(&prepared.meshes[index], depth_ref_mm)),
+            Step::Mesh(index) => Some(trees.pack(&prepared.meshes[index], &prepared.view, depth_ref_mm)),
             Step::Volume(_) | Step::VolumeAir(_) => None,
         };
         steps.iter().filter_map(solid).collect()
@@ -163,9 +162,8 @@ fn reference_depth(prepared: &Prepared) -> f64 {
     let depth = match prepared.volumes.first() {
         Some(seen) => centre_of(seen).z,
         None => {
-            let of_mesh = |seen: &SeenMesh| seen.vertices_in_camera.first().map_or(f64::NAN, |vertex| vertex.z);
             let depths = prepared.solids.iter().map(|seen| seen.centre_in_camera.z);
-            let depths = depths.chain(prepared.meshes.iter().map(of_mesh));
+            let depths = depths.chain(prepared.meshes.iter().map(|seen| seen.centre_in_camera.z));
             let (low, high) = depths.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), z| (low.min(z), high.max(z)));
             0.5 * (low + high)
         }
@@ -233,8 +231,8 @@ const MESH: u32 = 3;
 const BOX_MARGIN_MM: f64 = 1e-3;
 
 impl Trees {
-    fn pack(&mut self, seen: &SeenMesh, depth_ref_mm: f64) -> Solid {
-        let tree = MeshTree::new(&seen.vertices_in_camera, &seen.mesh.triangles);
+    fn pack(&mut self, seen: &SeenMesh, view: &crate::geometry::View, depth_ref_mm: f64) -> Solid {
+        let tree = seen.made.tree.placed(&view.camera_from_lps);
         let (root, first_triangle) = (self.nodes.len() as u32, self.corners.len() as u32 / 3);
         let about = |v: DVec3| (v - DVec3::Z * depth_ref_mm).as_vec3();
         self.nodes.extend(tree.nodes().map(|([lo, hi], first, count)| Node {

@@ -121,7 +121,7 @@ fn detector(args: &DetectorArgs, reporter: &Reporter) -> Result<u8, CalibrateErr
     check_number("--pitch-mm", args.pitch_mm, 0.01..=5.0, "0.01 to 5 mm")?;
     let total = args.air.len() + args.dark.len() + usize::from(args.edge.is_some());
     let progress = reporter.progress("reading", total as u64);
-    let mut read = |paths: &[PathBuf]| -> Result<Vec<Frame>, AcquireError> {
+    let read = |paths: &[PathBuf]| -> Result<Vec<Frame>, AcquireError> {
         let mut frames = Vec::new();
         for path in paths {
             // Stored values are wanted as they are, whatever the header thinks of them.

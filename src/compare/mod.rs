@@ -282,7 +282,7 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
         let edges = edges::find_both(&common.acquired, &toned, &with_tool);
         score(&Scored { usable: &with_tool, scored: &on_tool, ..base }, (&edges.0, &edges.1))
     });
-    let noise_expected_nepers = expected_noise(frame, &common, &usable, binning);
+    let noise_expected_nepers = expected_noise(frame, &common.acquired, common.air.level, &usable, binning);
     if let (Some(seen), Some(expected)) = (scores.noise_nepers, noise_expected_nepers)
         && !(seen <= NOISE_AGREES * expected && expected <= NOISE_AGREES * seen)
     {
@@ -362,12 +362,17 @@ impl Compared {
 const NOISE_AGREES: f64 = 2.0;
 
 /// Median over the usable pixels of √(gain · signal + σ²) / signal, less by the pixels that were averaged.
-fn expected_noise(frame: &Frame, common: &domain::Common, usable: &Image<bool>, binning: usize) -> Option<f64> {
+fn expected_noise(
+    frame: &Frame,
+    line_integral: &Image<f32>,
+    air_level: Option<f64>,
+    usable: &Image<bool>,
+    binning: usize,
+) -> Option<f64> {
     let correction = frame.correction.as_ref()?;
-    let (gain, level) = (correction.gain_value_per_quantum?, common.air.level?);
+    let (gain, level) = (correction.gain_value_per_quantum?, air_level?);
     let readout = correction.readout_sigma_value.unwrap_or(0.0);
-    let mut noise: Vec<f32> = common
-        .acquired
+    let mut noise: Vec<f32> = line_integral
         .pixels
         .iter()
         .zip(&usable.pixels)

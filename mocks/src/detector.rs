@@ -82,6 +82,15 @@ pub enum Object {
     Bead([f64; 3]),
     /// A metal edge through the middle, turned by so many degrees against the columns; lets nothing through.
     Edge(f64),
+    /// Matter of known line integral: see [`wedge_nepers`].
+    Wedge,
+}
+
+/// Line integral of the wedge: open air in the first tenth of the columns, rising to three nepers, wavy along the rows.
+#[must_use]
+pub fn wedge_nepers(column: usize, row: usize, [columns, _]: [usize; 2]) -> f64 {
+    let along = (column as f64 / (columns - 1) as f64 - 0.1).max(0.0) / 0.9;
+    3.0 * along * (0.8 + 0.2 * (row as f64 / 9.0).sin())
 }
 
 /// Ends of the flat spectrum, keV.
@@ -191,6 +200,7 @@ fn passed(object: Object, column: usize, row: usize, [columns, rows]: [usize; 2]
     };
     match object {
         Object::Nothing => 1.0,
+        Object::Wedge => (-wedge_nepers(column, row, [columns, rows])).exp(),
         Object::Bead([u, v, radius]) => {
             if (column as f64 - u).hypot(row as f64 - v) > radius + 2.0 {
                 return 1.0;
@@ -245,6 +255,8 @@ pub struct Series {
     pub beads: usize,
     /// An edge frame, too.
     pub edge: bool,
+    /// A frame of the wedge, too, at the middle exposure.
+    pub wedge: bool,
 }
 
 /// Tube current of all frames, mA.
@@ -252,7 +264,7 @@ const TUBE_MA: f32 = 4.0;
 /// Focal spot to panel and pixel pitch, mm.
 const GEOMETRY_MM: [f64; 2] = [1020.0, 0.194];
 
-/// Writes `air-KVP-MAS-N.dcm`, `dark-N.dcm`, `edge.dcm` and `truth.json` into `folder`.
+/// Writes `air-KVP-MAS-N.dcm`, `dark-N.dcm`, `edge.dcm`, `wedge.dcm` and `truth.json` into `folder`.
 ///
 /// # Errors
 /// When a file cannot be written.
@@ -295,6 +307,10 @@ pub fn write(folder: &Path, panel: &Panel, series: &Series) -> Result<(), MockEr
     if series.edge {
         let level = series.levels_mas.len() / 2;
         put("edge.dcm".to_owned(), series.levels_mas[level], series.kvps[0], Object::Edge(3.0))?;
+    }
+    if series.wedge {
+        let level = series.levels_mas.len() / 2;
+        put("wedge.dcm".to_owned(), series.levels_mas[level], series.kvps[0], Object::Wedge)?;
     }
     let path = folder.join("truth.json");
     std::fs::write(&path, format!("{:#}\n", truth(panel, &made, series))).map_err(MockError::io(path.display()))

@@ -59,6 +59,9 @@ struct Args {
     /// Also an edge frame.
     #[arg(long)]
     edge: bool,
+    /// Also a frame of a wedge, at the middle exposure.
+    #[arg(long)]
+    wedge: bool,
 }
 
 fn main() -> ExitCode {
@@ -85,6 +88,7 @@ fn main() -> ExitCode {
         darks: args.darks,
         beads: args.beads,
         edge: args.edge,
+        wedge: args.wedge,
     };
     match write(&args.out, &panel, &series) {
         Ok(()) => ExitCode::SUCCESS,

@@ -22,6 +22,7 @@ pub mod scene;
 pub mod render;
 pub mod compare;
 pub mod record;
+pub mod calibrate;
 pub mod report;
 pub mod session;
 #[cfg(feature = "viewer")]

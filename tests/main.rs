@@ -20,6 +20,8 @@ mod beads_layout;
 mod pose_registration;
 mod pose_synthetic;
 mod timeline_joints;
+mod calibrate_detector;
+mod calibrate_session;
 mod compare_command;
 mod compare_synthetic;
 mod report_files;

@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 
 use glam::{DVec2, DVec3};
 
-use crate::acquire::{AcquireError, Domain, Frame, read_frame};
-use crate::compare::{AirLevel, CompareError, CompareInput, Compared, NULL_SCORES, Tone, compare, elsewhere};
-use crate::geometry::View;
+use crate::acquire::{AcquireError, DetectorCalibration, DetectorCalibrationError, Domain, Frame, read_frame};
+use crate::compare::{AirLevel, CompareError, CompareInput, Compared, NULL_SCORES, OffsetRule, Tone, compare, elsewhere};
+use crate::geometry::{PanelWindow, View};
 use crate::gpu::DeviceChoice;
 use crate::image::{Image, ImageFileError, read_tiff_f32, refuse_overwrite, sha256_file, write_atomically, write_png_rgb};
 use crate::pose::{Pose, PoseFileError};
@@ -47,6 +47,12 @@ pub struct CompareArgs {
     /// Air level: open (from pixels that the simulation predicts to be air), maximum (the paper's rule), unknown, or a number
     #[arg(long, value_name = "AIR", default_value = "open")]
     pub air: AirLevel,
+    /// Stored value without X-rays: shutters (from the collimated area, for linear frames), none, or a number
+    #[arg(long, value_name = "OFFSET", default_value = "shutters")]
+    pub offset: OffsetRule,
+    /// Calibration of the panel, from `calibrate detector`: takes out offset, gain and bad pixels, and gives the air level
+    #[arg(long, value_name = "DETECTOR.json")]
+    pub detector: Option<PathBuf>,
     /// What the acquired values are: linear, log, display or unknown
     #[arg(long, value_name = "DOMAIN")]
     pub domain: Option<Domain>,
@@ -67,6 +73,17 @@ pub enum CompareCommandError {
     /// The acquired frame.
     #[error(transparent)]
     Frame(#[from] AcquireError),
+    /// The detector calibration cannot be read.
+    #[error(transparent)]
+    Detector(#[from] DetectorCalibrationError),
+    /// The detector calibration does not apply to the frame.
+    #[error("{path}: {reason}", path = path.display())]
+    NotApplied {
+        /// The calibration.
+        path: PathBuf,
+        /// Why.
+        reason: String,
+    },
     /// The simulated image, or an output.
     #[error(transparent)]
     Image(#[from] ImageFileError),
@@ -122,11 +139,22 @@ pub enum CompareCommandError {
 /// When an input cannot be read, the images cannot be compared, too little is left to score, or an output cannot be written.
 pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommandError> {
     let (json_path, strip_path) = (args.out.join("compare.json"), args.out.join("strip.png"));
-    let named = [Some(&args.acquired), Some(&args.simulated), args.scene.as_ref(), args.pose.as_ref(), args.mask.as_ref()];
+    let named = [
+        Some(&args.acquired),
+        Some(&args.simulated),
+        args.scene.as_ref(),
+        args.pose.as_ref(),
+        args.mask.as_ref(),
+        args.detector.as_ref(),
+    ];
     let mut inputs: Vec<PathBuf> = named.into_iter().flatten().cloned().collect();
     inputs.extend(["json", "valid.png"].map(|suffix| beside(&args.simulated, suffix)));
     refuse_overwrite(&[&json_path, &strip_path], &inputs)?;
-    let frame = read_frame(&args.acquired, args.domain)?;
+    let mut frame = read_frame(&args.acquired, args.domain)?;
+    if let Some(path) = &args.detector {
+        let corrected = DetectorCalibration::read(path)?.correct(&frame, PanelWindow::WHOLE);
+        frame = corrected.map_err(|reason| CompareCommandError::NotApplied { path: path.clone(), reason })?;
+    }
     let simulated = read_simulated(&args.simulated, args.quantity.as_deref())?;
     let valid = read_valid(&args.simulated)?;
     let extra = args.mask.as_deref().map(read_mask).transpose()?;
@@ -143,6 +171,7 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
         beads: &beads,
         tone: args.tone,
         air: args.air,
+        offset: args.offset,
         view: view.as_ref(),
         centre_lps_mm: pose.as_ref().and_then(|pose| centre(pose, scene.as_ref())),
         ..CompareInput::new(&frame, &simulated)
@@ -338,9 +367,20 @@ fn table(compared: &Compared) -> String {
         found.tone.degrees_of_freedom
     );
     text += &match found.air.level {
-        Some(level) => format!("air level {level:.6} ({})\n", found.air.rule),
-        None => "air level unknown\n".to_owned(),
+        Some(level) => format!("air level {level:.6} ({})", found.air.rule),
+        None => "air level unknown".to_owned(),
     };
+    if let Some(offset) = &found.air.offset {
+        text += &match offset.sigma {
+            Some(sigma) => format!(", offset {:.2} ± {sigma:.2} ({})", offset.value, offset.rule),
+            None => format!(", offset {:.2} ({})", offset.value, offset.rule),
+        };
+        text += &offset.reason.as_ref().map(|reason| format!(": {reason}")).unwrap_or_default();
+    }
+    text.push('\n');
+    if let (Some(seen), Some(expected)) = (found.scores.noise_nepers, found.noise_expected_nepers) {
+        text += &format!("noise {seen:.4} nepers, the detector calibration expects {expected:.4}\n");
+    }
     if let Some(prefers) = elsewhere(&found.null) {
         text += &format!("{prefers}\n");
     }

@@ -7,6 +7,7 @@ use clap::{Parser, Subcommand};
 use crate::reporter::Reporter;
 
 pub mod attenuation;
+pub mod calibrate;
 pub mod check;
 pub mod compare;
 pub mod demo;
@@ -50,6 +51,7 @@ enum Command {
     Time(time::TimeArgs),
     Register(register::RegisterArgs),
     Compare(compare::CompareArgs),
+    Calibrate(calibrate::CalibrateArgs),
     Attenuation(attenuation::AttenuationArgs),
     Spectrum(spectrum::SpectrumArgs),
     Devices(devices::DevicesArgs),
@@ -80,6 +82,7 @@ fn dispatch(command: &Command, reporter: &Reporter) -> u8 {
         Command::Time(args) => end(time::run(args, reporter), reporter),
         Command::Trade(args) => end(trade::run(args, reporter), reporter),
         Command::Compare(args) => end(compare::run(args, reporter), reporter),
+        Command::Calibrate(args) => end(calibrate::run(args, reporter), reporter),
         Command::Register(args) => end(register::run(args, reporter), reporter),
         Command::Attenuation(args) => end(attenuation::run(args, &mut std::io::stdout().lock()).map(|()| 0), reporter),
         Command::Spectrum(args) => end(spectrum::run(args, &mut std::io::stdout().lock()).map(|()| 0), reporter),

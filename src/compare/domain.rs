@@ -1,6 +1,7 @@
 //! Brings the acquired frame into the domain in which it can be compared: nepers where the domain and the air level allow it.
 
 use super::filters::median_and_spread;
+use super::pedestal::{self, OffsetReport, OffsetRule};
 use crate::acquire::{Domain, Frame};
 use crate::image::Image;
 
@@ -49,9 +50,9 @@ pub enum CommonDomain {
 /// The air level that was used, and where it came from.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct AirReport {
-    /// `open`, `maximum`, `value`, `file` (the frame says so itself) or `unknown`.
+    /// `open`, `maximum`, `value`, `calibration`, `file` (the frame says so itself) or `unknown`.
     pub rule: String,
-    /// In the frame's unit; `None` when unknown.
+    /// In the frame's unit, offset subtracted; `None` when unknown.
     pub level: Option<f64>,
     /// Pixels that it rests on, for `open`.
     pub pixels: Option<usize>,
@@ -59,6 +60,9 @@ pub struct AirReport {
     pub spread: Option<f64>,
     /// Why it is unknown, or what to beware of.
     pub reason: Option<String>,
+    /// The stored value without X-rays that was subtracted; `None` for frames that are not linear.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub offset: Option<OffsetReport>,
 }
 
 /// Simulated line integrals below this are open air: intensity above 0.999.
@@ -79,19 +83,34 @@ pub(super) struct Common {
     pub no_signal: Image<bool>,
 }
 
-/// `usable`: pixels that are neither masked nor invalid so far; only they may carry the air level.
-pub(super) fn into_common(
-    frame: &Frame,
-    pixels: &Image<f32>,
-    simulated: &Image<f32>,
-    usable: &Image<bool>,
-    rule: AirLevel,
-) -> Common {
+/// The evidence for air level and offset.
+pub(super) struct Evidence<'a> {
+    /// Pixels that are neither masked nor invalid so far; only they may carry the air level.
+    pub usable: &'a Image<bool>,
+    /// The collimated area.
+    pub shuttered: Option<&'a Image<bool>>,
+    /// Pixels that no cause but collimation takes.
+    pub clean: &'a Image<bool>,
+    pub air: AirLevel,
+    pub offset: OffsetRule,
+}
+
+pub(super) fn into_common(frame: &Frame, pixels: &Image<f32>, simulated: &Image<f32>, evidence: &Evidence) -> Common {
+    let Evidence { usable, air: rule, .. } = *evidence;
     let never = Image::filled(pixels.width, pixels.height, false);
     match frame.domain {
         Domain::Linear => {
-            let known = if frame.unit.as_deref() == Some("1") { Some(1.0) } else { None };
-            let air = air_report(pixels, simulated, usable, rule, known, true);
+            let offset = offset_report(frame, pixels, simulated, evidence);
+            let signal =
+                if offset.is_subtracted_here() { pixels.map(|&v| (f64::from(v) - offset.value) as f32) } else { pixels.clone() };
+            // A declared air level is a stored value, as a person reads it; it stands on the same offset as the frame.
+            let rule = match rule {
+                AirLevel::Value(value) => AirLevel::Value(value - offset.value),
+                other => other,
+            };
+            let mut air = linear_air(frame, &signal, simulated, usable, rule);
+            air.offset = Some(offset);
+            let pixels = &signal;
             let reference = air.level.unwrap_or(1.0);
             Common {
                 acquired: pixels.map(|&v| if v > 0.0 { -(f64::from(v) / reference).ln() as f32 } else { f32::NAN }),
@@ -126,7 +145,56 @@ pub(super) fn into_common(
 }
 
 fn unknown_air(reason: &str) -> AirReport {
-    AirReport { rule: "unknown".into(), level: None, pixels: None, spread: None, reason: Some(reason.to_owned()) }
+    AirReport { rule: "unknown".into(), level: None, pixels: None, spread: None, reason: Some(reason.to_owned()), offset: None }
+}
+
+/// The offset of a linear frame; a calibration's was subtracted at import.
+fn offset_report(frame: &Frame, pixels: &Image<f32>, simulated: &Image<f32>, evidence: &Evidence) -> OffsetReport {
+    let calibrated = frame.correction.as_ref().and_then(|correction| correction.offset_value);
+    if let Some(value) = calibrated {
+        return OffsetReport::known("calibration", value);
+    }
+    match evidence.offset {
+        OffsetRule::Value(value) => OffsetReport::known("value", value),
+        OffsetRule::None => OffsetReport::none("declared: none"),
+        OffsetRule::Shutters if frame.unit.is_some() => OffsetReport::none("the frame's unit says that its values start at zero"),
+        OffsetRule::Shutters => pedestal::from_shutters(pixels, simulated, evidence.shuttered, evidence.clean, evidence.usable),
+    }
+}
+
+/// Open air that differs by more than this from the calibration's air level is said.
+const AIR_AGREES: f64 = 0.05;
+
+/// The air level of a linear frame: the calibration's where it has one and the person names no other rule.
+fn linear_air(frame: &Frame, signal: &Image<f32>, simulated: &Image<f32>, usable: &Image<bool>, rule: AirLevel) -> AirReport {
+    let by_file = if frame.unit.as_deref() == Some("1") { Some(1.0) } else { None };
+    let calibration = frame.correction.as_ref().filter(|correction| correction.offset_value.is_some());
+    let (Some(calibration), AirLevel::Open) = (calibration, rule) else {
+        return air_report(signal, simulated, usable, rule, by_file, true);
+    };
+    let open = air_report(signal, simulated, usable, rule, None, true);
+    let Some(level) = calibration.air_value else {
+        let reason = match (&open.level, &open.reason) {
+            (None, Some(reason)) => format!("{}; {reason}", calibration.air_evidence),
+            _ => calibration.air_evidence.clone(),
+        };
+        return AirReport { reason: Some(reason), ..open };
+    };
+    let mut reason = calibration.air_evidence.clone();
+    if let Some(seen) = open.level.filter(|seen| !((seen / level - 1.0).abs() <= AIR_AGREES)) {
+        reason = format!(
+            "{reason}; but open air in this frame reads {:.3} of that: another exposure, filter or distance than the file says",
+            seen / level
+        );
+    }
+    AirReport {
+        rule: "calibration".into(),
+        level: Some(level),
+        pixels: open.pixels,
+        spread: calibration.air_relative_sigma,
+        reason: Some(reason),
+        offset: None,
+    }
 }
 
 /// `by_file`: the level that the frame's own unit implies. `signal`: larger is more signal (linear), not more attenuation (log).
@@ -144,6 +212,7 @@ fn air_report(
         pixels: None,
         spread: None,
         reason: reason.map(str::to_owned),
+        offset: None,
     };
     match rule {
         AirLevel::Value(value) if !signal || value > 0.0 => known("value", value, None),
@@ -194,7 +263,7 @@ fn open_air(pixels: &Image<f32>, simulated: &Image<f32>, usable: &Image<bool>, s
         ));
     }
     let spread = if signal { spread / level } else { spread };
-    AirReport { rule: "open".into(), level: Some(level), pixels: Some(count), spread: Some(spread), reason: None }
+    AirReport { rule: "open".into(), level: Some(level), pixels: Some(count), spread: Some(spread), reason: None, offset: None }
 }
 
 /// True where the whole (2·margin + 1)² neighbourhood is true; beyond the image counts as true.

@@ -5,6 +5,8 @@ use std::collections::BTreeMap;
 use glam::DVec2;
 
 use super::collimation;
+use super::filters::zip;
+use crate::acquire::panel_maps::{AT_LOW_END, BURNED_IN, DEAD, HOT, SATURATED, UNSTABLE};
 use crate::acquire::{Domain, Frame};
 use crate::image::Image;
 
@@ -22,6 +24,8 @@ pub enum Cause {
     BurnedIn,
     /// Not finite in either image, or the simulation says that it cannot know (truncated CT).
     Invalid,
+    /// Dead, hot or unstable, as the detector calibration says; they were interpolated.
+    DeadPixels,
     /// Around the beads, whose positions were fitted.
     Beads,
     /// The robot or another tool, which is scored apart.
@@ -40,6 +44,7 @@ impl Cause {
             Self::NoSignal => "no signal",
             Self::BurnedIn => "burned in",
             Self::Invalid => "invalid",
+            Self::DeadPixels => "dead pixels",
             Self::Beads => "beads",
             Self::Tool => "tool",
             Self::Extra => "extra mask",
@@ -118,14 +123,25 @@ pub(super) fn of_frame(frame: &Frame) -> Masks {
         masks.add(Cause::Collimation, field.outside);
     }
     // Writing is found first: its strokes lie at the ends of the scale as well, but are no clipping.
-    let ends = [frame.clipping.saturated_at, frame.clipping.black_at];
-    let written = burned_in(pixels, ends);
-    masks.add(Cause::Saturation, pixels.map(|v| frame.clipping.saturated_at == Some(*v)));
+    let flagged = |flags: &Image<u8>, any: u8| flags.map(|flag| flag & any != 0);
+    let at_end = |end: Option<f32>| pixels.map(|v| end == Some(*v));
+    let flags = frame.correction.as_ref().and_then(|correction| correction.flags.as_deref());
+    let mut saturated = at_end(frame.clipping.saturated_at);
+    let mut black = at_end(frame.clipping.black_at);
+    if let Some(flags) = flags {
+        saturated = zip(&saturated, flags, |here, flag| *here || flag & SATURATED != 0);
+        black = zip(&black, flags, |here, flag| *here || flag & AT_LOW_END != 0);
+    }
+    let written = burned_in(&[&saturated, &black]);
+    masks.add(Cause::Saturation, saturated);
     if frame.domain == Domain::Display {
-        let black = pixels.map(|v| frame.clipping.black_at == Some(*v));
         masks.add(Cause::NoSignal, black);
     }
     masks.add(Cause::BurnedIn, written);
+    if let Some(flags) = flags {
+        masks.add(Cause::BurnedIn, flagged(flags, BURNED_IN));
+        masks.add(Cause::DeadPixels, flagged(flags, DEAD | HOT | UNSTABLE));
+    }
     masks
 }
 
@@ -153,11 +169,11 @@ pub(super) fn discs(width: usize, height: usize, beads: &[(DVec2, f64)]) -> Imag
 
 /// Letters are components of exactly one extreme value, a few to some dozen pixels high, in a row with at least two others of like
 /// height. (A first form: writing in gray, or with a shadow, is not found; `--mask` takes it.)
-fn burned_in(pixels: &Image<f32>, ends: [Option<f32>; 2]) -> Image<bool> {
-    let mut written = Image::filled(pixels.width, pixels.height, false);
-    for end in ends.into_iter().flatten() {
-        let components = components(&pixels.map(|v| *v == end));
-        let letters: Vec<&Component> = components.iter().filter(|c| c.looks_like_a_letter(pixels)).collect();
+fn burned_in(ends: &[&Image<bool>; 2]) -> Image<bool> {
+    let mut written = Image::filled(ends[0].width, ends[0].height, false);
+    for end in ends {
+        let components = components(end);
+        let letters: Vec<&Component> = components.iter().filter(|c| c.looks_like_a_letter(end.height)).collect();
         for letter in &letters {
             let neighbours = letters.iter().filter(|other| letter.stands_in_line_with(other)).count();
             // The letter itself is one of them.
@@ -183,8 +199,8 @@ impl Component {
         self.bottom - self.top + 1
     }
 
-    fn looks_like_a_letter(&self, pixels: &Image<f32>) -> bool {
-        let limit = (pixels.height / 12).max(8);
+    fn looks_like_a_letter(&self, image_height: usize) -> bool {
+        let limit = (image_height / 12).max(8);
         let (width, height) = (self.right - self.left + 1, self.height());
         let fill = self.indices.len() as f64 / (width * height) as f64;
         (5..=limit).contains(&height) && width <= 2 * limit && self.indices.len() >= 5 && (0.1..=0.95).contains(&fill)

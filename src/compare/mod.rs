@@ -11,6 +11,7 @@ mod elsewhere;
 mod filters;
 mod masks;
 mod null;
+mod pedestal;
 mod scores;
 mod tone;
 
@@ -22,6 +23,7 @@ pub use domain::{AirLevel, AirReport, CommonDomain};
 pub use elsewhere::{Elsewhere, elsewhere};
 pub use masks::{Cause, MaskShares, REQUIRED_SHARE};
 pub use null::{NULL_RENDERS, NULL_WIDTH_PX, NullError, NullPlan, NullScore, Rerender, ShiftedScore};
+pub use pedestal::{OffsetReport, OffsetRule};
 pub use scores::{FEWEST_PIXELS, LOCAL_BAND_PX, LOCAL_WINDOW_PX, NULL_SCORES, SCORE_SIGMA_PX, SSIM_CONSTANTS, Scores};
 pub use tone::{Tone, ToneFit};
 
@@ -103,6 +105,8 @@ pub struct CompareInput<'a> {
     pub tone: Tone,
     /// How the air level is known.
     pub air: AirLevel,
+    /// How the stored value without X-rays is known, for linear frames.
+    pub offset: OffsetRule,
     /// The view of the simulated image: gives edge distances in mm, and the null.
     pub view: Option<&'a View>,
     /// Centroid of the beads, else the centre of the specimen.
@@ -122,6 +126,7 @@ impl<'a> CompareInput<'a> {
             beads: &[],
             tone: Tone::None,
             air: AirLevel::Open,
+            offset: OffsetRule::Shutters,
             view: None,
             centre_lps_mm: None,
         }
@@ -141,6 +146,9 @@ pub struct Comparison {
     pub common_domain: CommonDomain,
     /// Where the air level came from.
     pub air: AirReport,
+    /// Median noise of a pixel that quanta and electronics of the detector calibration give at the frame's own signal; nepers.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub noise_expected_nepers: Option<f64>,
     /// The tone that was fitted.
     pub tone: ToneFit,
     /// With the tone.
@@ -204,7 +212,14 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
     let before_air = masks.usable(width, height, &[]);
     let all = frame.pixels.map(|v| v.is_finite());
     let pixels = if binning == 1 { frame.pixels.clone() } else { filters::block_means(&frame.pixels, &all, binning).0 };
-    let mut common = domain::into_common(frame, &pixels, simulated, &before_air, input.air);
+    let evidence = domain::Evidence {
+        usable: &before_air,
+        shuttered: masks.layer(Cause::Collimation),
+        clean: &masks.usable(width, height, &[Cause::Collimation]),
+        air: input.air,
+        offset: input.offset,
+    };
+    let mut common = domain::into_common(frame, &pixels, simulated, &evidence);
     masks.add(Cause::NoSignal, common.no_signal);
     let usable = masks.usable(width, height, &[]);
     let shares = masks.shares(width, height);
@@ -221,6 +236,14 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
     settle_polarity(frame.domain, &mut common.acquired, simulated, &usable, &mut flags);
     if common.air.rule == "maximum" {
         flags.push("air level: the paper's rule (highest value is N0) was asked for; without open air in the frame it errs a hundredfold".into());
+    }
+    if let Some(offset) = common.air.offset.as_ref().filter(|offset| offset.rule == "shutters") {
+        flags.push(format!(
+            "pedestal of {:.1} ± {:.1} subtracted ({})",
+            offset.value,
+            offset.sigma.unwrap_or(0.0),
+            offset.reason.as_deref().unwrap_or("from the shutters")
+        ));
     }
     if let (CommonDomain::RelativeLineIntegral, Some(reason)) = (common.domain, &common.air.reason) {
         flags.push(format!("air level unknown: {reason}"));
@@ -259,6 +282,14 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
         let edges = edges::find_both(&common.acquired, &toned, &with_tool);
         score(&Scored { usable: &with_tool, scored: &on_tool, ..base }, (&edges.0, &edges.1))
     });
+    let noise_expected_nepers = expected_noise(frame, &common.acquired, common.air.level, &usable, binning);
+    if let (Some(seen), Some(expected)) = (scores.noise_nepers, noise_expected_nepers)
+        && !(seen <= NOISE_AGREES * expected && expected <= NOISE_AGREES * seen)
+    {
+        flags.push(format!(
+            "noise is {seen:.4} nepers, the detector calibration expects {expected:.4}: processed by the console, or another gain mode?"
+        ));
+    }
     let unit = match common.domain {
         CommonDomain::LineIntegral => "nepers",
         CommonDomain::RelativeLineIntegral => "nepers (offset unknown)",
@@ -271,6 +302,7 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
         domain: frame.domain,
         common_domain: common.domain,
         air: common.air,
+        noise_expected_nepers,
         tone: fit,
         scores,
         scores_without_tone,
@@ -324,6 +356,33 @@ impl Compared {
         self.comparison.null_plan = Some(plan);
         Ok(())
     }
+}
+
+/// Noise beyond this factor of what the calibration expects is said; light shared by neighbours alone makes it smaller by half.
+const NOISE_AGREES: f64 = 2.0;
+
+/// Median over the usable pixels of √(gain · signal + σ²) / signal, less by the pixels that were averaged.
+fn expected_noise(
+    frame: &Frame,
+    line_integral: &Image<f32>,
+    air_level: Option<f64>,
+    usable: &Image<bool>,
+    binning: usize,
+) -> Option<f64> {
+    let correction = frame.correction.as_ref()?;
+    let (gain, level) = (correction.gain_value_per_quantum?, air_level?);
+    let readout = correction.readout_sigma_value.unwrap_or(0.0);
+    let mut noise: Vec<f32> = line_integral
+        .pixels
+        .iter()
+        .zip(&usable.pixels)
+        .filter(|(line_integral, usable)| **usable && line_integral.is_finite())
+        .map(|(line_integral, _)| {
+            let signal = level * f64::from(-line_integral).exp();
+            ((gain * signal + readout * readout).sqrt() / signal / binning as f64) as f32
+        })
+        .collect();
+    filters::quantile(&mut noise, 0.5).filter(|value| value.is_finite())
 }
 
 fn permit(tone: Tone, domain: Domain) -> Result<(), CompareError> {

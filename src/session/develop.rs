@@ -150,9 +150,10 @@ impl Bench {
     /// What is known of the exposure from several sides, compared: disagreements are flags of the pair and counted warnings.
     fn cross_check(&self, posed: &Posed, pair: &mut Pair) {
         let shuttered = |masks: &MaskShares| masks.causes.get(&Cause::Collimation).copied().unwrap_or(0.0);
+        let carm = self.setup.carm_of_frame(&posed.frame);
         let findings = check_exposure(&ExposureFacts {
             frame: &posed.frame,
-            carm: self.setup.carm.as_ref(),
+            carm: carm.as_ref(),
             scene: &self.scene,
             scene_json: &self.setup.scene_json,
             beam: posed.beam.as_deref(),

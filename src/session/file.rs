@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::declared::AirWord;
-use crate::acquire::{DetectorCalibration, Domain};
+use crate::acquire::{DetectorCalibration, Domain, Frame};
 use crate::beads::{Landmark, parse_landmarks};
 use crate::compare::Tone;
 use crate::geometry::{CarmCalibration, ConsoleGeometry, Rigid, RobotModel};
@@ -302,6 +302,18 @@ impl Setup {
             session.detector = Some(found);
         }
         Ok(())
+    }
+
+    /// The C-arm's calibration with cropping, binning and enlargement of the console folded in, as it holds for an imported frame; as it
+    /// is where the frame does not fit.
+    #[must_use]
+    pub fn carm_of_frame(&self, imported: &Frame) -> Option<CarmCalibration> {
+        let carm = self.carm.as_ref()?;
+        let folded = self.session.console.as_ref().and_then(|console| {
+            let stored_px = console.stored_size(imported.size_px.map(|side| side as u32));
+            console.calibration_of(carm, stored_px).ok()
+        });
+        Some(folded.unwrap_or_else(|| carm.clone()))
     }
 
     /// What the frames' values mean, by the person's word.

@@ -1,0 +1,213 @@
+//! What a session declares, through `live`: console geometry, domain, tone, air level, detector, bead radius, landmarks.
+
+use std::path::Path;
+
+use serde_json::{Value, json};
+use sidecarm::acquire::read_frame;
+use sidecarm::image::Image;
+use sidecarm::record::{read_log, topic};
+
+use crate::live_lab::{Lab, Live};
+
+/// The kit's frames as the console would store them.
+fn pictures(lab: &Lab) -> Vec<Image<f32>> {
+    let mut files: Vec<_> = std::fs::read_dir(lab.frames()).expect("frames").flatten().map(|entry| entry.path()).collect();
+    files.sort();
+    let pictures = files.iter().map(|path| read_frame(path, None).expect("reads").pixels).collect();
+    files.iter().for_each(|path| std::fs::remove_file(path).expect("removed"));
+    pictures
+}
+
+fn write_png16(path: &Path, picture: &Image<f32>) {
+    let values: Vec<u16> = picture.pixels.iter().map(|v| v.round().clamp(0.0, 65_535.0) as u16).collect();
+    let buffer = image::ImageBuffer::<image::Luma<u16>, _>::from_raw(picture.width as u32, picture.height as u32, values);
+    buffer.expect("size").save(path).expect("written");
+}
+
+fn write_png8(path: &Path, picture: &Image<f32>) {
+    let values: Vec<u8> = picture.pixels.iter().map(|v| v.round().clamp(0.0, 255.0) as u8).collect();
+    let buffer = image::ImageBuffer::<image::Luma<u8>, _>::from_raw(picture.width as u32, picture.height as u32, values);
+    buffer.expect("size").save(path).expect("written");
+}
+
+fn crop(picture: &Image<f32>, [left, top, columns, rows]: [usize; 4]) -> Image<f32> {
+    let at = |n: usize| *picture.at(left + n % columns, top + n / columns);
+    Image { width: columns, height: rows, pixels: (0..columns * rows).map(at).collect() }
+}
+
+/// A quarter turn clockwise: the top row becomes the last column.
+fn turned(picture: &Image<f32>) -> Image<f32> {
+    let (width, height) = (picture.height, picture.width);
+    let at = |n: usize| *picture.at(n / width, picture.height - 1 - n % width);
+    Image { width, height, pixels: (0..width * height).map(at).collect() }
+}
+
+fn mirrored(picture: &Image<f32>) -> Image<f32> {
+    let mut copy = picture.clone();
+    copy.pixels.chunks_exact_mut(picture.width).for_each(<[f32]>::reverse);
+    copy
+}
+
+fn binned(picture: &Image<f32>) -> Image<f32> {
+    let (width, height) = (picture.width / 2, picture.height / 2);
+    let at = |n: usize| {
+        let (u, v) = (2 * (n % width), 2 * (n / width));
+        [(0, 0), (1, 0), (0, 1), (1, 1)].iter().map(|(du, dv)| picture.at(u + du, v + dv)).sum::<f32>() / 4.0
+    };
+    Image { width, height, pixels: (0..width * height).map(at).collect() }
+}
+
+/// Runs a session on what lies in the folder; gives the poses of the log, the pairs, and what was said.
+fn session(lab: &Lab, seconds: &str, change: impl FnOnce(&mut Value)) -> (Vec<Value>, Vec<Value>, String) {
+    let file = lab.session("declared.json", |value| {
+        value["robot"] = Value::Null;
+        change(value);
+    });
+    let out = lab.kit.join("out");
+    let mut live = Live::launch(&file, &out, &["--include-existing", "--seconds", seconds]);
+    let ended = live.program.end(90.0);
+    let said = live.stdout() + &live.stderr();
+    assert!(ended.is_some_and(|status| matches!(status.code(), Some(0 | 3))), "{said}");
+    let log = read_log(&live.log).expect("the log opens");
+    let poses = log.entries.iter().filter(|entry| &*entry.topic == topic::POSE).map(|entry| entry.json().expect("JSON")).collect();
+    let text = std::fs::read(out.join("pairs.json")).expect("pairs");
+    let pairs: Value = serde_json::from_slice(&text).expect("JSON");
+    (poses, pairs["pairs"].as_array().expect("a list").clone(), said)
+}
+
+fn rows(matrix: &Value) -> Vec<Vec<f64>> {
+    let row = |row: &Value| row.as_array().expect("a row").iter().map(|v| v.as_f64().expect("a number")).collect();
+    matrix.as_array().expect("a matrix").iter().map(row).collect()
+}
+
+fn project(matrix: &[Vec<f64>], point: &[f64]) -> [f64; 2] {
+    let dot = |row: &Vec<f64>| row[0] * point[0] + row[1] * point[1] + row[2] * point[2] + row[3];
+    [dot(&matrix[0]) / dot(&matrix[2]), dot(&matrix[1]) / dot(&matrix[2])]
+}
+
+/// How far, in panel pixels, each pose's landmarks lie from those of the truth's nearest frame; `on_panel` takes a frame's pixel to the
+/// panel's.
+fn errors_px(lab: &Lab, poses: &[Value], on_panel: impl Fn([f64; 2]) -> [f64; 2]) -> Vec<(usize, f64)> {
+    let truth: Value = serde_json::from_slice(&std::fs::read(lab.kit.join("truth.json")).expect("truth")).expect("JSON");
+    let landmarks: Vec<Vec<f64>> =
+        truth["landmarks"].as_array().expect("named").iter().map(|l| rows(&json!([l["lps_mm"]])).remove(0)).collect();
+    assert!(landmarks.len() >= 3);
+    let frames: Vec<Vec<Vec<f64>>> = truth["frames"].as_array().expect("frames").iter().map(|f| rows(&f["projection"])).collect();
+    let nearest = |pose: &Value| {
+        let found = rows(&pose["projection"]);
+        let error = |frame: &Vec<Vec<f64>>| {
+            let off = |point: &Vec<f64>| {
+                let ([u, v], [x, y]) = (on_panel(project(&found, point)), project(frame, point));
+                (u - x).hypot(v - y)
+            };
+            landmarks.iter().map(off).sum::<f64>() / landmarks.len() as f64
+        };
+        let errors = frames.iter().map(error).enumerate();
+        errors.min_by(|a, b| a.1.total_cmp(&b.1)).expect("frames")
+    };
+    poses.iter().filter(|pose| pose["pose_source"] == "beads").map(nearest).collect()
+}
+
+/// A console that turns, mirrors and crops gave frames of a size that nobody knew: no K, no pose, or one of the wrong picture.
+#[test]
+fn a_turned_mirrored_and_cropped_picture_gives_the_pose_of_the_panel() {
+    let Some(lab) = Lab::start(&["--kit-only", "--exposures", "2"]) else { return };
+    let shown = [40, 20, 540, 440];
+    let pictures = pictures(&lab);
+    assert_eq!(pictures.len(), 2);
+    for (index, picture) in pictures.iter().enumerate() {
+        write_png16(&lab.frames().join(format!("frame-{:03}.png", index + 1)), &mirrored(&turned(&crop(picture, shown))));
+    }
+    // One that the console did not crop: its K is not known, and that is said with what to do.
+    write_png16(&lab.frames().join("frame-009.png"), &pictures[0]);
+    let (poses, pairs, said) = session(&lab, "9", |session| {
+        session["domain"] = json!("linear");
+        session["console"] = json!({"rotation_deg": 90, "flip": "horizontal", "crop_px": shown});
+        session["detector"] = json!("detector.json");
+        session["landmarks"] = json!("beads.mrk.json");
+        session["bead_radius_mm"] = json!(0.75);
+    });
+    let fits = |pose: &&Value| pose["frame"] != "frame-009";
+    let good: Vec<Value> = poses.iter().filter(fits).cloned().collect();
+    let errors = errors_px(&lab, &good, |[u, v]| [u + 40.0, v + 20.0]);
+    assert_eq!(errors.len(), 2, "{said}");
+    assert!(errors.iter().all(|(_, px)| *px < 0.5), "{errors:?}");
+    assert_ne!(errors[0].0, errors[1].0, "each frame has its own pose");
+    assert!(good.iter().all(|pose| !pose["pose"]["landmarks"].as_array().expect("asked for").is_empty()), "landmarks are stated");
+    assert!(said.contains("frame size") && said.contains("declare"), "{said}");
+    for pair in pairs.iter().filter(|pair| pair["frame"] != "frame-009") {
+        assert_eq!(pair["air"]["rule"], "calibration", "{}", pair["air"]);
+        assert!(pair["scores"]["rmse_nepers"].as_f64().is_some_and(|rmse| rmse < 0.3), "absolute numbers: {}", pair["scores"]);
+        let size: Vec<u64> = pair["null_plan"]["size_px"].as_array().map(|s| s.iter().filter_map(Value::as_u64).collect()).unwrap_or_default();
+        assert!(size.is_empty() || size[0] > size[1], "the panel lies across: {size:?}");
+    }
+}
+
+/// `live` compared every frame without a tone, so that a console's display picture had hardly a score that meant anything.
+#[test]
+fn a_display_picture_gets_the_scores_that_are_legal_for_it() {
+    let Some(lab) = Lab::start(&["--kit-only", "--exposures", "2"]) else { return };
+    for (index, picture) in pictures(&lab).iter().enumerate() {
+        // What a console shows: binned, a curve of the signal, eight bits.
+        let shown = binned(picture).map(|v| 255.0 * (v / 40_000.0).clamp(0.0, 1.0).powf(0.4));
+        write_png8(&lab.frames().join(format!("frame-{:03}.png", index + 1)), &shown);
+    }
+    let (poses, pairs, said) = session(&lab, "9", |session| {
+        session["domain"] = json!("display");
+        session["console"] = json!({"binning": 2});
+    });
+    let errors = errors_px(&lab, &poses, |[u, v]| [2.0 * (u + 0.5) - 0.5, 2.0 * (v + 0.5) - 0.5]);
+    assert_eq!(errors.len(), 2, "{said}");
+    assert!(errors.iter().all(|(_, px)| *px < 1.5), "{errors:?}");
+    assert_eq!(pairs.len(), 2);
+    for pair in &pairs {
+        assert_eq!(pair["tone"]["tone"], "monotone", "{}", pair["tone"]);
+        for name in ["edge_distance_mm", "gradient_ncc", "local_ncc", "zncc"] {
+            assert!(pair["scores"][name].is_f64(), "{name}: {}", pair["scores"]);
+        }
+        assert!(pair["scores"]["zncc"].as_f64().is_some_and(|zncc| zncc > 0.9), "{}", pair["scores"]["zncc"]);
+        assert!(pair["scores"]["rmse_nepers"].is_null(), "a display picture has no nepers");
+    }
+}
+
+#[test]
+fn a_wrong_word_in_a_session_is_named_before_the_first_exposure() {
+    let folder = tempfile::tempdir().expect("scratch");
+    let put = |name: &str, text: &str| std::fs::write(folder.path().join(name), text).expect("written");
+    put("scene.json", r#"{"objects": []}"#);
+    put("flat.json", r#"{"origin": "x", "columns_px": 0, "rows_px": 4}"#);
+    put("points.fcsv", "# not a point\n");
+    let path = folder.path().join("session.json");
+    let mut cases = 0;
+    for (key, value, says) in [
+        ("domain", json!("linaer"), "domain"),
+        ("tone", json!("gamma"), "tone"),
+        ("air_level", json!("lots"), "air_level"),
+        ("air_level", json!(-3), "air_level is -3"),
+        ("bead_radius_mm", json!(0), "bead_radius_mm is 0"),
+        ("landmarks", json!("nowhere.mrk.json"), "landmarks names nowhere.mrk.json"),
+        ("landmarks", json!("points.fcsv"), "landmarks"),
+        ("console", json!({"rotation_deg": 45}), "rotation_deg is 45"),
+        ("console", json!({"rotate": 90}), "console"),
+        ("console", json!({"zoom": -1}), "zoom is -1"),
+        ("detector", json!("nowhere.json"), "detector names nowhere.json"),
+        ("detector", json!("flat.json"), "columns_px"),
+    ] {
+        let mut session = json!({"frames": {"folder": "frames"}, "scene": "scene.json"});
+        session[key] = value;
+        std::fs::write(&path, session.to_string()).expect("written");
+        let error = sidecarm::session::file::Setup::load(&path).expect_err("a wrong word").to_string();
+        assert!(error.contains(says), "{key}: {error}");
+        cases += 1;
+    }
+    assert_eq!(cases, 12);
+    let twice = json!({"frames": {"folder": "frames", "domain": "log"}, "scene": "scene.json", "domain": "linear"});
+    std::fs::write(&path, twice.to_string()).expect("written");
+    assert!(sidecarm::session::file::Setup::load(&path).expect_err("two domains").to_string().contains("frames.domain"));
+    let good = json!({"frames": {"folder": "frames"}, "scene": "scene.json", "domain": "display", "tone": "monotone", "air_level": "maximum",
+        "bead_radius_mm": 0.75, "console": {"rotation_deg": 270, "flip": "vertical"}});
+    std::fs::write(&path, good.to_string()).expect("written");
+    let setup = sidecarm::session::file::Setup::load(&path).expect("all known");
+    let back: Value = serde_json::to_value(&setup.session).expect("JSON");
+    assert_eq!(back["air_level"], "maximum", "the log keeps the word");
+}

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use dicom_core::{DataElement, PrimitiveValue, Tag, VR, dicom_value};
 use dicom_dictionary_std::{tags, uids};
 use dicom_object::{FileMetaTableBuilder, InMemDicomObject};
-use sidecarm::acquire::{AcquireError, Domain, KEPT_TAGS, read_frame, read_frames};
+use sidecarm::acquire::{AcquireError, Domain, Fault, KEPT_TAGS, read_frame, read_frames};
 use sidecarm::image::{Image, write_tiff_f32};
 
 /// A 4×2 fluoroscopy frame of 12-bit values 0, 100, …, 600, 4095.
@@ -59,6 +59,11 @@ fn with_text(tag: Tag, vr: VR, value: &str) -> InMemDicomObject {
     let mut object = fluoroscopy();
     object.put(DataElement::new(tag, vr, PrimitiveValue::from(value)));
     object
+}
+
+fn fault(path: &Path) -> Fault {
+    let error = read_frame(path, None).expect_err("refused");
+    error.fault().unwrap_or_else(|| panic!("{error}: not the file's fault")).clone()
 }
 
 fn folder() -> tempfile::TempDir {
@@ -128,7 +133,8 @@ fn eight_bits_and_several_frames() {
     assert_eq!(frames.len(), 3);
     assert_eq!(frames[2].pixels.pixels[0], 16.0);
     assert_eq!(frames[2].name, "run#0002");
-    assert!(matches!(read_frame(&path, None), Err(AcquireError::SeveralImages { found: 3, .. })));
+    assert_eq!(frames.iter().map(|frame| frame.image_of_file).collect::<Vec<_>>(), [[0, 3], [1, 3], [2, 3]]);
+    assert_eq!(fault(&path), Fault::SeveralImages { found: 3 });
 }
 
 /// Everything in the made file that names a person or place, in upper and lower case.
@@ -172,7 +178,7 @@ fn every_cut_of_a_file_is_an_error_that_may_still_be_unfinished() {
     for length in (0..whole.len()).step_by(7) {
         std::fs::write(&path, &whole[..length]).expect("cut file");
         let error = read_frame(&path, None).expect_err("a cut file is no frame");
-        assert!(error.may_be_unfinished() || length < 132, "{length}: {error}");
+        assert!(error.fault().is_some_and(Fault::may_be_unfinished) || length < 132, "{length}: {error}");
         assert!(error.to_string().contains("cut.dcm"), "{error}");
         cuts += 1;
     }
@@ -209,7 +215,7 @@ fn damage_is_named() {
     assert!(error.contains("JPEG 2000") && error.contains("1.2.840.10008.1.2.4.91"), "{error}");
 
     std::fs::write(&path, b"hello, this is no image").expect("file");
-    assert!(matches!(read_frame(&path, None), Err(AcquireError::NotAnImage { .. })));
+    assert!(matches!(fault(&path), Fault::NotAnImage { .. }));
     assert!(matches!(read_frame(&folder.path().join("none.dcm"), None), Err(AcquireError::Io { .. })));
 }
 
@@ -244,7 +250,7 @@ fn tiff_and_png_take_their_meaning_from_the_sidecar_or_the_user() {
     assert_eq!(read_frame(&png, None).expect("readable").pixels.pixels, [7.0, 65535.0]);
     let rgb = folder.path().join("colour.png");
     image::RgbImage::from_raw(1, 1, vec![1, 2, 3]).expect("one pixel").save(&rgb).expect("png");
-    assert!(matches!(read_frame(&rgb, None), Err(AcquireError::Colour { .. })));
+    assert!(matches!(fault(&rgb), Fault::Colour { .. }));
 }
 
 #[test]

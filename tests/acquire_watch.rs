@@ -1,24 +1,90 @@
-//! The watched folder: half-written files wait, unreadable ones are said once, order is by name.
+//! The watched folder: what lies still is offered once, what changes again, what is lost is said.
 
 use std::path::Path;
 
-use sidecarm::acquire::{FolderWatch, WatchEvent};
+use sidecarm::acquire::{Fault, FolderSource, FrameSource, QueuedFrames, Reading, Sighting, Trouble};
+use sidecarm::foreign::{ForeignReader, NotRegular};
 use sidecarm::time::host_now_us;
 
 use crate::acquire_frames::{fluoroscopy, save};
 
-fn frames(events: &[WatchEvent]) -> Vec<String> {
-    events
-        .iter()
-        .filter_map(|event| match event {
-            WatchEvent::Frame { frame, .. } => Some(frame.name.clone()),
-            _ => None,
-        })
-        .collect()
+/// A watched folder and what came of it.
+struct Watched {
+    folder: tempfile::TempDir,
+    source: FolderSource,
+    now_us: i64,
+    frames: Vec<(String, String, Option<String>)>,
+    troubles: Vec<Trouble>,
+    refused: Vec<String>,
+    other: Vec<String>,
 }
 
-fn unreadable(events: &[WatchEvent]) -> usize {
-    events.iter().filter(|event| matches!(event, WatchEvent::Unreadable { .. })).count()
+impl Watched {
+    fn new(include_existing: bool) -> Self {
+        let folder = tempfile::tempdir().expect("folder");
+        Self::of(folder, include_existing)
+    }
+
+    fn of(folder: tempfile::TempDir, include_existing: bool) -> Self {
+        let source = FolderSource::new(folder.path(), None, include_existing, ForeignReader::in_process());
+        let (frames, troubles, refused, other) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        Self { folder, source, now_us: host_now_us(), frames, troubles, refused, other }
+    }
+
+    fn path(&self, name: &str) -> std::path::PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn look(&mut self, later_us: i64) -> Vec<Sighting> {
+        self.now_us += later_us;
+        self.source.look(self.now_us)
+    }
+
+    /// Looks and reads everything.
+    fn step(&mut self, later_us: i64) {
+        for sighting in self.look(later_us) {
+            self.take(sighting);
+        }
+    }
+
+    fn take(&mut self, sighting: Sighting) {
+        match sighting {
+            Sighting::Ready(arrival) => match arrival.read() {
+                Reading::Frames { frames, earlier } => {
+                    for frame in frames {
+                        self.frames.push((frame.name, frame.sha256, earlier.clone()));
+                    }
+                }
+                Reading::Refused(error) => self.refused.push(error.to_string()),
+                Reading::Same { .. } => self.other.push("same".into()),
+                Reading::Later => {}
+            },
+            Sighting::Trouble(trouble) => self.troubles.push(trouble),
+            Sighting::FolderLost { .. } => self.other.push("lost".into()),
+            Sighting::FolderBack => self.other.push("back".into()),
+        }
+    }
+
+    /// Steps until nothing more can come of what is there.
+    fn settle(&mut self) {
+        for _ in 0..4 {
+            self.step(120_000);
+        }
+    }
+
+    fn names(&self) -> Vec<&str> {
+        self.frames.iter().map(|(name, _, _)| name.as_str()).collect()
+    }
+}
+
+/// A fluoroscopy frame whose first pixel is `first`.
+fn frame_bytes(first: u16) -> Vec<u8> {
+    use dicom_core::{DataElement, PrimitiveValue, VR};
+    let folder = tempfile::tempdir().expect("folder");
+    let mut object = fluoroscopy();
+    let values: Vec<u16> = vec![first, 100, 200, 300, 400, 500, 600, 4095];
+    object.put(DataElement::new(dicom_dictionary_std::tags::PIXEL_DATA, VR::OW, PrimitiveValue::U16(values.into())));
+    std::fs::read(save(object, &folder.path().join("x.dcm"))).expect("bytes")
 }
 
 fn age(path: &Path, seconds: u64) {
@@ -28,49 +94,227 @@ fn age(path: &Path, seconds: u64) {
 }
 
 #[test]
-fn frames_arrive_once_in_order_of_name_after_they_have_settled() {
+fn frames_arrive_once_after_they_have_settled() {
     let folder = tempfile::tempdir().expect("folder");
     save(fluoroscopy(), &folder.path().join("old.dcm"));
-    let mut watch = FolderWatch::new(folder.path(), None, false);
-    let start = host_now_us();
-    assert!(watch.poll(start).is_empty(), "what was there before is passed over");
+    let mut watched = Watched::of(folder, false);
+    watched.settle();
+    assert!(watched.frames.is_empty(), "what was there before is passed over");
     for name in ["b.dcm", "a.dcm", ".hidden.dcm", "c.dcm.part", "d.tmp"] {
-        save(fluoroscopy(), &folder.path().join(name));
+        std::fs::write(watched.path(name), frame_bytes(name.len() as u16)).expect("written");
     }
-    assert_eq!(watch.poll(start + 1).len(), 2, "two files wait");
-    assert!(frames(&watch.poll(start + 50_000)).is_empty(), "too early");
-    assert_eq!(frames(&watch.poll(start + 150_000)), ["a", "b"]);
-    assert!(watch.poll(start + 300_000).is_empty(), "nothing comes twice");
-    std::fs::rename(folder.path().join("c.dcm.part"), folder.path().join("c.dcm")).expect("renamed");
-    watch.poll(start + 400_000);
-    assert_eq!(frames(&watch.poll(start + 600_000)), ["c"]);
+    assert!(watched.look(1).is_empty() && watched.look(50_000).is_empty(), "too early");
+    watched.step(60_000);
+    assert_eq!(watched.names(), ["a", "b"]);
+    watched.settle();
+    std::fs::rename(watched.path("c.dcm.part"), watched.path("c.dcm")).expect("renamed");
+    watched.settle();
+    assert_eq!(watched.names(), ["a", "b", "c"], "nothing comes twice");
+    std::fs::rename(watched.path("c.dcm"), watched.path("x.dcm")).expect("renamed");
+    watched.settle();
+    assert_eq!(watched.names(), ["a", "b", "c"], "another name makes no other frame");
+    assert!(watched.troubles.is_empty() && watched.refused.is_empty(), "{:?}", watched.troubles);
 }
 
 #[test]
 fn existing_files_come_when_asked_for() {
     let folder = tempfile::tempdir().expect("folder");
     save(fluoroscopy(), &folder.path().join("old.dcm"));
-    let mut watch = FolderWatch::new(folder.path(), None, true);
-    let start = host_now_us();
-    watch.poll(start);
-    assert_eq!(frames(&watch.poll(start + 100_000)), ["old"]);
+    let mut watched = Watched::of(folder, true);
+    watched.settle();
+    assert_eq!(watched.names(), ["old"]);
+}
+
+/// Names were keys: `latest.dcm` written three times gave one frame, and two were lost without a word.
+#[test]
+fn a_rewritten_name_is_a_new_frame_each_time() {
+    let mut watched = Watched::new(true);
+    for version in 0..3u16 {
+        std::fs::write(watched.path("latest.dcm"), frame_bytes(version)).expect("written");
+        watched.settle();
+    }
+    assert_eq!(watched.names(), ["latest", "latest", "latest"]);
+    let hashes: Vec<_> = watched.frames.iter().map(|(_, sha256, _)| sha256.clone()).collect();
+    assert!(hashes[0] != hashes[1] && hashes[1] != hashes[2]);
+    let earlier: Vec<_> = watched.frames.iter().map(|(_, _, earlier)| earlier.clone()).collect();
+    assert_eq!(earlier, [None, Some(hashes[0].clone()), Some(hashes[1].clone())]);
+    // The same content written again is no new exposure.
+    std::fs::write(watched.path("latest.dcm"), frame_bytes(2)).expect("written");
+    watched.settle();
+    assert_eq!((watched.frames.len(), watched.other.as_slice()), (3, ["same".to_owned()].as_slice()));
+    // Replaced through a rename with an older time of change: size and time may repeat, the inode does not.
+    let beside = watched.path("beside.part");
+    std::fs::write(&beside, frame_bytes(7)).expect("written");
+    age(&beside, 3600);
+    std::fs::rename(beside, watched.path("latest.dcm")).expect("renamed");
+    watched.settle();
+    assert_eq!(watched.frames.len(), 4);
+    assert!(watched.troubles.is_empty(), "{:?}", watched.troubles);
 }
 
 #[test]
-fn a_half_written_file_waits_and_is_delivered_when_whole() {
-    let folder = tempfile::tempdir().expect("folder");
-    let source = tempfile::tempdir().expect("folder");
-    let whole = std::fs::read(save(fluoroscopy(), &source.path().join("x.dcm"))).expect("bytes");
-    let mut watch = FolderWatch::new(folder.path(), None, true);
-    let start = host_now_us();
-    let path = folder.path().join("x.dcm");
-    std::fs::write(&path, &whole[..whole.len() - 5]).expect("half");
-    watch.poll(start);
-    let events = watch.poll(start + 200_000);
-    assert!(frames(&events).is_empty() && unreadable(&events) == 0, "{events:?}");
-    std::fs::write(&path, &whole).expect("whole");
-    watch.poll(start + 400_000);
-    assert_eq!(frames(&watch.poll(start + 600_000)), ["x"]);
+fn a_version_that_is_overwritten_before_it_is_read_is_said() {
+    let mut watched = Watched::new(true);
+    std::fs::write(watched.path("latest.dcm"), frame_bytes(1)).expect("written");
+    watched.look(1);
+    let mut offered = watched.look(150_000);
+    assert_eq!(offered.len(), 1);
+    std::thread::sleep(std::time::Duration::from_millis(20));
+    std::fs::write(watched.path("latest.dcm"), frame_bytes(2)).expect("written");
+    watched.take(offered.remove(0));
+    watched.settle();
+    assert_eq!(watched.frames.len(), 1, "only the second version is there");
+    assert_eq!(watched.troubles, [Trouble::Overwritten { label: "latest".into() }]);
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn versions_renamed_into_place_one_after_the_other_are_all_read() {
+    let mut watched = Watched::new(true);
+    watched.settle();
+    for version in 0..3u16 {
+        std::fs::write(watched.path("beside.part"), frame_bytes(version)).expect("written");
+        std::fs::rename(watched.path("beside.part"), watched.path("latest.dcm")).expect("renamed");
+        // Time for the system's notice; the folder itself is not looked at.
+        std::thread::sleep(std::time::Duration::from_millis(60));
+    }
+    watched.settle();
+    assert_eq!(watched.frames.len(), 3, "{:?} {:?}", watched.frames, watched.troubles);
+}
+
+/// Frames deleted within 300 ms: 23 of 30 were gone without an event.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_file_that_is_deleted_at_once_is_read_all_the_same() {
+    let mut watched = Watched::new(true);
+    watched.settle();
+    for index in 0..30u16 {
+        let path = watched.path(&format!("frame-{index:03}.dcm"));
+        std::fs::write(&path, frame_bytes(index)).expect("written");
+        std::thread::sleep(std::time::Duration::from_millis(u64::from(index % 10) * 3 + 20));
+        std::fs::remove_file(&path).expect("deleted");
+        watched.step(50_000);
+    }
+    watched.settle();
+    let vanished = watched.troubles.iter().filter(|trouble| matches!(trouble, Trouble::Vanished { .. })).count();
+    println!("{} of 30 read, {vanished} said to have vanished", watched.frames.len());
+    assert_eq!(watched.frames.len() + vanished, 30, "none goes without a word: {:?}", watched.troubles);
+    assert!(watched.frames.len() >= 20, "{} of 30 read", watched.frames.len());
+}
+
+#[test]
+fn a_file_that_is_deleted_before_it_was_whole_is_said() {
+    let mut watched = Watched::new(true);
+    let whole = frame_bytes(1);
+    std::fs::write(watched.path("x.dcm"), &whole[..whole.len() - 5]).expect("half");
+    watched.settle();
+    std::fs::remove_file(watched.path("x.dcm")).expect("deleted");
+    watched.settle();
+    assert!(watched.frames.is_empty());
+    assert_eq!(watched.troubles, [Trouble::Vanished { label: "x".into() }]);
+}
+
+#[test]
+fn a_half_written_file_waits_is_reported_after_its_patience_and_read_when_whole() {
+    let mut watched = Watched::new(true);
+    let whole = frame_bytes(1);
+    std::fs::write(watched.path("x.dcm"), &whole[..whole.len() - 5]).expect("half");
+    for _ in 0..30 {
+        watched.step(300_000);
+    }
+    assert!(watched.frames.is_empty() && watched.troubles.is_empty() && watched.refused.is_empty(), "nine seconds are no reason");
+    for _ in 0..10 {
+        watched.step(300_000);
+    }
+    assert!(matches!(watched.troubles.as_slice(), [Trouble::Unfinished { .. }]), "said once: {:?}", watched.troubles);
+    std::fs::write(watched.path("x.dcm"), &whole).expect("whole");
+    watched.settle();
+    assert_eq!(watched.names(), ["x"]);
+}
+
+/// A TIFF whose table of strips comes first and whose strips come last, as scanners write them.
+fn tiff_with_strips_last() -> Vec<u8> {
+    let (width, rows, strips) = (64u32, 8u32, 4u32);
+    let strip_bytes = width * rows;
+    let entries: [(u16, u16, u32, u32); 8] = [
+        (256, 4, 1, width),
+        (257, 4, 1, rows * strips),
+        (258, 3, 1, 8),
+        (259, 3, 1, 1),
+        (262, 3, 1, 1),
+        (273, 4, strips, 110),
+        (278, 4, 1, rows),
+        (279, 4, strips, 110 + 4 * strips),
+    ];
+    let mut bytes = b"II*\0\x08\0\0\0".to_vec();
+    bytes.extend((entries.len() as u16).to_le_bytes());
+    for (tag, kind, count, value) in entries {
+        bytes.extend(tag.to_le_bytes());
+        bytes.extend(kind.to_le_bytes());
+        bytes.extend(count.to_le_bytes());
+        bytes.extend(value.to_le_bytes());
+    }
+    bytes.extend([0; 4]);
+    assert_eq!(bytes.len(), 110);
+    let data = 110 + 8 * strips;
+    (0..strips).for_each(|strip| bytes.extend((data + strip * strip_bytes).to_le_bytes()));
+    (0..strips).for_each(|_| bytes.extend(strip_bytes.to_le_bytes()));
+    bytes.extend((0..strips * strip_bytes).map(|index| (index % 250) as u8 + 1));
+    bytes
+}
+
+/// A copy that pauses over 100 ms was delivered half zero and its completion ignored.
+#[test]
+fn a_copy_that_pauses_is_never_delivered_half() {
+    let png = {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("x.png");
+        let noise: Vec<u16> = (0..64 * 64u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 16) as u16).collect();
+        image::ImageBuffer::<image::Luma<u16>, _>::from_raw(64, 64, noise).expect("size").save(&path).expect("png");
+        std::fs::read(path).expect("bytes")
+    };
+    let mut cases = 0;
+    for (name, whole) in [("run.dcm", frame_bytes(5)), ("run.tif", tiff_with_strips_last()), ("run.png", png)] {
+        for eighths in 1..8 {
+            let mut watched = Watched::new(true);
+            let cut = whole.len() * eighths / 8;
+            std::fs::write(watched.path(name), &whole[..cut]).expect("part");
+            watched.settle();
+            assert!(watched.frames.is_empty(), "{name}: {eighths}/8 were delivered");
+            let mut file = std::fs::File::options().append(true).open(watched.path(name)).expect("file");
+            std::io::Write::write_all(&mut file, &whole[cut..]).expect("rest");
+            drop(file);
+            watched.settle();
+            assert_eq!(watched.frames.len(), 1, "{name}: {:?} {:?}", watched.troubles, watched.refused);
+            cases += 1;
+        }
+    }
+    assert_eq!(cases, 21);
+}
+
+/// The whole size is reserved first, the content comes later: zeros that were never written are no image.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_file_with_holes_waits_until_it_is_filled() {
+    let mut watched = Watched::new(true);
+    let image = sidecarm::image::Image { width: 256, height: 256, pixels: (0..65536).map(|i| 1.0 + i as f32).collect() };
+    let beside = tempfile::tempdir().expect("folder");
+    sidecarm::image::write_tiff_f32(&beside.path().join("x.tif"), &[image]).expect("written");
+    let whole = std::fs::read(beside.path().join("x.tif")).expect("bytes");
+    let path = watched.path("x.tif");
+    let mut file = std::fs::File::create(&path).expect("file");
+    file.set_len(whole.len() as u64).expect("reserved");
+    // Header and the table at the end are there, the middle is not.
+    use std::os::unix::fs::FileExt;
+    file.write_all_at(&whole[..4096], 0).expect("start");
+    file.write_all_at(&whole[whole.len() - 4096..], whole.len() as u64 - 4096).expect("end");
+    std::io::Write::flush(&mut file).expect("flushed");
+    watched.settle();
+    assert!(watched.frames.is_empty(), "half an image was delivered");
+    file.write_all_at(&whole, 0).expect("all");
+    drop(file);
+    watched.settle();
+    assert_eq!(watched.names(), ["x"]);
 }
 
 #[test]
@@ -78,29 +322,100 @@ fn an_unreadable_file_is_said_once_and_stays() {
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path().join("bad.dcm");
     std::fs::write(&path, b"this is no image at all").expect("file");
-    let cut = save(fluoroscopy(), &folder.path().join("cut.dcm"));
-    let bytes = std::fs::read(&cut).expect("bytes");
+    let cut = folder.path().join("cut.dcm");
+    let bytes = frame_bytes(3);
     std::fs::write(&cut, &bytes[..bytes.len() - 5]).expect("cut");
-    age(&cut, 10);
-    let mut watch = FolderWatch::new(folder.path(), None, true);
-    let start = host_now_us();
-    watch.poll(start);
-    assert_eq!(unreadable(&watch.poll(start + 200_000)), 2, "an old cut file will not become whole");
-    assert!(watch.poll(start + 400_000).is_empty(), "said once");
+    age(&cut, 20);
+    let mut watched = Watched::of(folder, true);
+    watched.settle();
+    watched.settle();
+    assert_eq!(watched.refused.len(), 1, "{:?}", watched.refused);
+    assert!(watched.refused[0].starts_with("bad: found something else"), "{:?}", watched.refused);
+    let unfinished =
+        |trouble: &Trouble| matches!(trouble, Trouble::Unfinished { fault: Fault::PixelBytes { .. } | Fault::Dicom { .. }, .. });
+    assert!(watched.troubles.len() == 1 && unfinished(&watched.troubles[0]), "an old cut file: {:?}", watched.troubles);
     assert!(path.exists() && cut.exists());
     std::fs::write(&cut, &bytes).expect("repaired");
-    watch.poll(start + 600_000);
-    assert_eq!(frames(&watch.poll(start + 800_000)), ["cut"], "a repaired file is tried again");
+    watched.settle();
+    assert_eq!(watched.names(), ["cut"], "a repaired file is tried again");
+}
+
+#[cfg(unix)]
+#[test]
+fn what_is_no_file_is_said_once_and_never_opened() {
+    let mut watched = Watched::new(true);
+    let made = std::process::Command::new("mkfifo").arg(watched.path("run.dcm")).status().expect("mkfifo is there");
+    assert!(made.success());
+    let _socket = std::os::unix::net::UnixListener::bind(watched.path("live.dcm")).expect("socket");
+    std::os::unix::fs::symlink("/dev/zero", watched.path("test.png")).expect("link");
+    std::os::unix::fs::symlink("nowhere", watched.path("old.png")).expect("link");
+    std::fs::create_dir(watched.path("new.tif")).expect("folder");
+    std::fs::create_dir(watched.path("series")).expect("an ordinary folder");
+    let watch = sidecarm::time::Stopwatch::start();
+    watched.settle();
+    assert!(watch.ms() < 5000.0, "nothing is waited for");
+    let mut kinds: Vec<NotRegular> = watched
+        .troubles
+        .iter()
+        .map(|trouble| match trouble {
+            Trouble::NotAFile { kind, .. } => *kind,
+            other => panic!("{other:?}"),
+        })
+        .collect();
+    kinds.sort_by_key(|kind| kind.words());
+    let mut expected = [NotRegular::Device, NotRegular::Folder, NotRegular::Fifo, NotRegular::Socket, NotRegular::Other];
+    expected.sort_by_key(|kind| kind.words());
+    assert_eq!(kinds, expected);
+    assert!(watched.frames.is_empty() && watched.refused.is_empty());
 }
 
 #[test]
-fn a_folder_that_is_gone_is_said_once() {
+fn a_folder_that_is_gone_is_said_once_and_so_is_its_return() {
     let folder = tempfile::tempdir().expect("folder");
     let below = folder.path().join("frames");
-    let mut watch = FolderWatch::new(&below, None, true);
+    let mut source = FolderSource::new(&below, None, true, ForeignReader::in_process());
     let start = host_now_us();
-    assert_eq!(unreadable(&watch.poll(start)), 1);
-    assert!(watch.poll(start + 1).is_empty());
+    assert!(matches!(source.look(start).as_slice(), [Sighting::FolderLost { .. }]));
+    assert!(source.look(start + 1).is_empty());
     std::fs::create_dir(&below).expect("folder");
-    assert!(watch.poll(start + 2).is_empty());
+    assert!(matches!(source.look(start + 2).as_slice(), [Sighting::FolderBack]));
+    assert!(source.look(start + 3).is_empty());
+}
+
+#[test]
+fn a_burst_is_seen_at_once_and_read_in_any_order() {
+    let mut watched = Watched::new(true);
+    for index in 0..500u16 {
+        std::fs::write(watched.path(&format!("frame-{index:03}.dcm")), frame_bytes(index)).expect("written");
+    }
+    watched.look(1);
+    let mut offered = watched.look(150_000);
+    assert_eq!(offered.len(), 500, "all at once");
+    offered.reverse();
+    let last = offered.pop();
+    offered.into_iter().for_each(|sighting| watched.take(sighting));
+    assert_eq!(watched.frames.len(), 499);
+    assert_eq!(watched.names()[0], "frame-499");
+    drop(last);
+    watched.settle();
+    assert_eq!(watched.frames.len(), 500, "what was dropped unread is offered again");
+    assert!(watched.troubles.is_empty());
+}
+
+#[test]
+fn frames_of_a_log_come_through_the_same_seam() {
+    let frame = sidecarm::acquire::Frame::from_pixels(
+        "run",
+        sidecarm::image::Image { width: 1, height: 1, pixels: vec![1.0] },
+        sidecarm::acquire::Domain::Linear,
+    )
+    .expect("a frame");
+    let mut queued = QueuedFrames::default();
+    queued.push(100, vec![frame.clone()]);
+    queued.push(300, vec![frame]);
+    assert!(queued.look(99).is_empty());
+    let mut found = queued.look(250);
+    assert_eq!((found.len(), queued.is_empty()), (1, false));
+    let Some(Sighting::Ready(arrival)) = found.pop() else { panic!("no arrival") };
+    assert!(matches!(arrival.read(), Reading::Frames { frames, earlier: None } if frames.len() == 1));
 }

@@ -1,7 +1,10 @@
 //! The integration tests: one binary.
 
+mod acquire_foreign;
 mod acquire_frames;
+mod acquire_identity;
 mod acquire_info;
+mod acquire_live;
 mod acquire_watch;
 mod architecture;
 mod telemetry_devices;

@@ -9,7 +9,8 @@ const IDENTIFYING: [Tag; 27] = [
     tags::PATIENT_NAME,
     tags::PATIENT_ID,
     tags::OTHER_PATIENT_NAMES,
-    tags::OTHER_PATIENT_I_DS,
+    // Other patient IDs: retired, still written.
+    Tag(0x0010, 0x1000),
     tags::PATIENT_BIRTH_DATE,
     tags::PATIENT_BIRTH_NAME,
     tags::PATIENT_MOTHER_BIRTH_NAME,

@@ -12,6 +12,7 @@ mod domain;
 mod error;
 mod identity;
 mod label;
+mod listing;
 mod log_form;
 mod notices;
 mod offer;
@@ -20,6 +21,7 @@ mod raster;
 mod read;
 mod source;
 mod tags;
+mod terms;
 mod watch;
 mod whole;
 

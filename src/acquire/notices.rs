@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, channel};
 
-use crate::foreign::{FileStamp, OpenFile, open_regular};
+use crate::foreign::{OpenFile, open_regular};
 
 /// Files that are held open at once; more wait by name only. A process has 1024 descriptors.
 const MAX_HELD: usize = 200;
@@ -52,12 +52,6 @@ pub(super) struct Notice {
     pub(super) name: OsString,
     /// `None` when it was gone again, or could not be opened.
     pub(super) held: Option<Held>,
-}
-
-impl Notice {
-    pub(super) fn stamp(&self) -> Option<FileStamp> {
-        self.held.as_ref().map(|held| held.open.stamp)
-    }
 }
 
 /// The thread that listens; it ends when this is dropped.

@@ -67,6 +67,12 @@ struct Teller {
     outcome: Outcome,
 }
 
+impl Teller {
+    fn tell(mut self, outcome: Outcome) {
+        self.outcome = outcome;
+    }
+}
+
 impl Drop for Teller {
     fn drop(&mut self) {
         let outcome = std::mem::replace(&mut self.outcome, Outcome::Unread);
@@ -79,7 +85,7 @@ impl Drop for Teller {
 impl Offer {
     pub(super) fn into_arrival(self, seen_us: i64) -> Arrival {
         let (label, modified_us, bytes) = (self.label.clone(), (self.stamp.modified_ns / 1000) as i64, self.stamp.bytes);
-        let mut teller = Teller {
+        let teller = Teller {
             offer: self.id,
             name: self.name.clone(),
             label: self.label.clone(),
@@ -89,7 +95,7 @@ impl Offer {
         };
         Arrival::new(label, seen_us, modified_us, bytes, move || {
             let (outcome, reading) = self.read();
-            teller.outcome = outcome;
+            teller.tell(outcome);
             reading
         })
     }

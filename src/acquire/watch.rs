@@ -3,13 +3,14 @@
 //! A file is known by its name, and each version of it by size, time of change and inode. A version that has lain still is offered once; how
 //! reading it ended comes back through a channel. What changes is a new version, and is offered again.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, Sender, channel};
 
 use super::label;
-use super::notices::{Held, HeldCount, Notices};
+use super::listing::{is_suspicious, is_wanted, list};
+use super::notices::{Held, HeldCount, Notice, Notices};
 use super::offer::{Offer, Outcome, Told};
 use super::source::{FrameSource, Sighting, Trouble};
 use super::{Domain, Fault};
@@ -121,6 +122,7 @@ impl FolderSource {
                 Outcome::Frames(_) | Outcome::Same(_) | Outcome::Refused | Outcome::Missing => State::Done,
                 Outcome::Unfinished(fault) => State::Unfinished(fault),
                 Outcome::Changed | Outcome::Overwritten => {
+                    entry.closed = None;
                     entry.since_us = now_us;
                     State::Settling
                 }
@@ -130,8 +132,7 @@ impl FolderSource {
     }
 
     /// A version that its writer has completed.
-    fn notice(&mut self, name: OsString, held: Option<Held>, now_us: i64, found: &mut Vec<Sighting>) {
-        let Some(held) = held else { return };
+    fn notice(&mut self, name: OsString, held: Held, now_us: i64, found: &mut Vec<Sighting>) {
         let stamp = held.open.stamp;
         if let Some(entry) = self.entries.get_mut(&name) {
             let rewritten = |before: &FileStamp| before.inode == stamp.inode && *before != stamp && stamp.bytes <= before.bytes;
@@ -306,8 +307,12 @@ impl FrameSource for FolderSource {
     fn look(&mut self, now_us: i64) -> Vec<Sighting> {
         let mut found = Vec::new();
         self.hear(now_us, &mut found);
-        for notice in self.notices.take() {
-            self.notice(notice.name, notice.held, now_us, &mut found);
+        let mut missed = BTreeSet::new();
+        for Notice { name, held } in self.notices.take() {
+            match held {
+                Some(held) => self.notice(name, held, now_us, &mut found),
+                None => drop(missed.insert(name)),
+            }
         }
         let listing = match list(&self.folder) {
             Ok(listing) => listing,
@@ -329,6 +334,13 @@ impl FrameSource for FolderSource {
             }
         }
         self.not_files.retain(|name, _| listing.others.contains_key(name));
+        // Completed, and gone before it could be opened. What was seen settling is reported when it departs.
+        missed.retain(|name| !listing.files.contains_key(name) && !listing.others.contains_key(name));
+        missed.retain(|name| self.entries.get(name).is_none_or(|entry| entry.state == State::Done));
+        for name in missed {
+            self.seen += 1;
+            found.push(Sighting::Trouble(Trouble::Vanished { label: self.label(&name, self.seen) }));
+        }
         self.depart(&listing.files, now_us, &mut found);
         let skip = std::mem::take(&mut self.skip_existing);
         for (name, stamp) in listing.files {
@@ -356,44 +368,4 @@ impl FrameSource for FolderSource {
         }
         found
     }
-}
-
-/// Whether a file of this name could be a frame.
-fn is_wanted(name: &OsStr) -> bool {
-    let name = name.to_string_lossy().to_lowercase();
-    let passed_over = [".tmp", ".part", ".partial", ".json"].iter().any(|ending| name.ends_with(ending));
-    !(name.starts_with('.') || name.starts_with('~') || passed_over)
-}
-
-/// Whether a person should hear of it: folders are ordinary, unless named like an image.
-fn is_suspicious(name: &OsStr, kind: NotRegular) -> bool {
-    kind != NotRegular::Folder || label::looks_like_an_image(Path::new(name))
-}
-
-struct Listing {
-    files: BTreeMap<OsString, FileStamp>,
-    others: BTreeMap<OsString, NotRegular>,
-}
-
-fn list(folder: &Path) -> std::io::Result<Listing> {
-    let mut listing = Listing { files: BTreeMap::new(), others: BTreeMap::new() };
-    for entry in std::fs::read_dir(folder)? {
-        let Ok(entry) = entry else { continue };
-        let name = entry.file_name();
-        if !is_wanted(&name) {
-            continue;
-        }
-        match std::fs::metadata(entry.path()) {
-            Ok(metadata) => match NotRegular::of(&metadata) {
-                None => drop(listing.files.insert(name, FileStamp::of(&metadata))),
-                Some(kind) => drop(listing.others.insert(name, kind)),
-            },
-            // Gone between listing and looking, unless it is a link that leads nowhere.
-            Err(_) if std::fs::symlink_metadata(entry.path()).is_ok() => {
-                listing.others.insert(name, NotRegular::Other);
-            }
-            Err(_) => {}
-        }
-    }
-    Ok(listing)
 }

@@ -57,7 +57,10 @@ impl ForeignReader {
     /// Helpers are the running program; in process where the system does not say which that is.
     #[must_use]
     pub fn this_program() -> Self {
-        Self { program: std::env::current_exe().ok(), limits: None }
+        // On Linux by a name that holds even when the program's file is replaced during a long session.
+        let own = PathBuf::from("/proc/self/exe");
+        let program = if own.exists() { Some(own) } else { std::env::current_exe().ok() };
+        Self { program, limits: None }
     }
 
     /// Helpers are `program`, which must know `read-foreign`.

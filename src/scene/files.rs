@@ -6,6 +6,7 @@ use serde::de::DeserializeOwned;
 
 use super::SceneError;
 use super::model::InputFile;
+use crate::foreign::{Kind, Limits};
 use crate::image::{ImageFileError, sha256_bytes, sha256_file};
 
 /// Calibration files that come with the program, so that a scene can name them wherever it lies.
@@ -53,6 +54,12 @@ impl Files {
         };
         let missing = || SceneError::Missing { place: self.place(key), path: name.to_owned(), looked: looked.join(" and ") };
         let path = found.ok_or_else(missing)?;
+        // A file that is too large for anything a scene names is not read to its end for a hash.
+        let (bytes, limit) = (path.metadata().map_or(0, |metadata| metadata.len()), Limits::of(Kind::Volume).file_bytes);
+        if bytes > limit {
+            let source = std::io::Error::other(format!("{bytes} bytes, at most {limit} are read"));
+            return Err(SceneError::Io { path, source });
+        }
         let sha256 = sha256_file(&path).map_err(|error| io_error(&path, error))?;
         self.remember(name, sha256);
         Ok(path)

@@ -106,9 +106,6 @@ pub(super) fn decode_volume(
     let kind = check_kind(&header)?;
     let size = checked_size(&header)?;
     let voxels = size.iter().map(|n| *n as u64).product::<u64>();
-    if voxels > limits.file_pixels {
-        return Err(format!("{size:?} voxels are {voxels}, at most {} are read; crop or resample it", limits.file_pixels));
-    }
     let offset = header.vox_offset;
     if !(348.0..=1e6).contains(&offset) {
         return Err(format!("voxels start at byte {offset}, expected 348 to 1000000: the header is damaged"));
@@ -121,6 +118,9 @@ pub(super) fn decode_volume(
     let what = format!("{} x {} x {} voxels", size[0], size[1], size[2]);
     if let Some(refused) = memory::refusal(&what, voxels * BYTES_PER_VOXEL, memory::available_bytes()) {
         return Err(format!("{refused}; crop or resample it, or free memory"));
+    }
+    if voxels > limits.file_pixels {
+        return Err(format!("{what} are {voxels}, at most {} are read; crop or resample it", limits.file_pixels));
     }
     let head = describe(&header, size, kind)?;
     start(&head)?;
@@ -193,7 +193,8 @@ fn check_kind(header: &NiftiHeader) -> Result<NiftiType, String> {
         | NiftiType::Rgb24
         | NiftiType::Rgba32
         | NiftiType::Float128 => Err(format!("voxels are {kind:?}, expected integers or 32- or 64-bit floats")),
-        kind if kind.size_of() * 8 != header.bitpix.unsigned_abs() as usize => Err(format!(
+        // Zero is written by tools that leave the field alone.
+        kind if header.bitpix != 0 && kind.size_of() * 8 != usize::from(header.bitpix.unsigned_abs()) => Err(format!(
             "voxels are {kind:?} of {} bits by one field of the header and of {} bits by another: it is damaged",
             kind.size_of() * 8,
             header.bitpix

@@ -92,11 +92,16 @@ fn default_baud() -> u32 {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FrameSource {
-    /// Watched folder.
+    /// Watched folder. Written (into the log) by its last part only: the folders above it may be named after people.
+    #[serde(serialize_with = "without_folders")]
     pub folder: PathBuf,
     /// As the session's `domain`, which is the better place.
     #[serde(default)]
     pub domain: Option<Domain>,
+}
+
+fn without_folders<S: serde::Serializer>(path: &std::path::Path, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_str(&path.file_name().unwrap_or_default().to_string_lossy())
 }
 
 /// A session file as typed.

@@ -1,0 +1,50 @@
+//! What lies in the watched folder.
+
+use std::collections::BTreeMap;
+use std::ffi::{OsStr, OsString};
+use std::path::Path;
+
+use super::label;
+use crate::foreign::{FileStamp, NotRegular};
+
+/// Whether a file of this name could be a frame.
+pub(super) fn is_wanted(name: &OsStr) -> bool {
+    let name = name.to_string_lossy().to_lowercase();
+    let passed_over = [".tmp", ".part", ".partial", ".json"].iter().any(|ending| name.ends_with(ending));
+    !(name.starts_with('.') || name.starts_with('~') || passed_over)
+}
+
+/// Whether a person should hear of it: folders are ordinary, unless named like an image.
+pub(super) fn is_suspicious(name: &OsStr, kind: NotRegular) -> bool {
+    kind != NotRegular::Folder || label::looks_like_an_image(Path::new(name))
+}
+
+/// What lies in a folder, by name.
+pub(super) struct Listing {
+    pub(super) files: BTreeMap<OsString, FileStamp>,
+    pub(super) others: BTreeMap<OsString, NotRegular>,
+}
+
+/// Lists `folder`: regular files (and links to such) with their stamps, and what is none.
+pub(super) fn list(folder: &Path) -> std::io::Result<Listing> {
+    let mut listing = Listing { files: BTreeMap::new(), others: BTreeMap::new() };
+    for entry in std::fs::read_dir(folder)? {
+        let Ok(entry) = entry else { continue };
+        let name = entry.file_name();
+        if !is_wanted(&name) {
+            continue;
+        }
+        match std::fs::metadata(entry.path()) {
+            Ok(metadata) => match NotRegular::of(&metadata) {
+                None => drop(listing.files.insert(name, FileStamp::of(&metadata))),
+                Some(kind) => drop(listing.others.insert(name, kind)),
+            },
+            // Gone between listing and looking, unless it is a link that leads nowhere.
+            Err(_) if std::fs::symlink_metadata(entry.path()).is_ok() => {
+                listing.others.insert(name, NotRegular::Other);
+            }
+            Err(_) => {}
+        }
+    }
+    Ok(listing)
+}

@@ -1,0 +1,337 @@
+//! Hostile and damaged files: each is one refused file with its reason, whatever it does to the helper that decodes it.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use dicom_core::{DataElement, PrimitiveValue, VR};
+use dicom_dictionary_std::tags;
+use serde_json::json;
+use sidecarm::acquire::{Fault, Frame, read_frames, read_open};
+use sidecarm::foreign::{ForeignFault, ForeignReader, Kind, Limits, open_regular};
+use sidecarm::image::{Image, write_tiff_f32};
+use sidecarm::time::Stopwatch;
+
+use crate::acquire_frames::{fluoroscopy, save};
+use crate::scene_support::NiftiFile;
+
+fn helper() -> ForeignReader {
+    ForeignReader::of(env!("CARGO_BIN_EXE_sidecarm"))
+}
+
+fn through(reader: &ForeignReader, path: &Path) -> Result<Vec<Frame>, Fault> {
+    read_open(reader, open_regular(path, u64::MAX).expect("a file"), path, None)
+}
+
+fn sidecarm(folder: &Path, args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_sidecarm")).args(args).current_dir(folder).output().expect("the program starts")
+}
+
+/// Exit code 1 and one sentence, perhaps a hint; nothing of the helper's own words.
+fn assert_one_sentence(what: &str, output: &Output, words: &str) {
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    let lines: Vec<&str> = stderr.lines().filter(|line| !line.starts_with("hint: ")).collect();
+    assert_eq!(output.status.code(), Some(1), "{what}: {stderr}");
+    assert!(lines.len() == 1 && lines[0].starts_with("sidecarm: "), "{what}: {stderr}");
+    assert!(stderr.contains(words), "{what}: '{words}' in {stderr}");
+    for word in ["panicked", "overflowed", "memory allocation", "RUST_BACKTRACE"] {
+        assert!(!stderr.contains(word), "{what}: {stderr}");
+    }
+}
+
+#[test]
+fn frames_come_through_a_helper_as_they_are() {
+    let folder = tempfile::tempdir().expect("folder");
+    let run = folder.path().join("run.dcm");
+    let mut object = fluoroscopy();
+    object.put(DataElement::new(tags::NUMBER_OF_FRAMES, VR::IS, PrimitiveValue::from("3")));
+    object.put(DataElement::new(tags::PIXEL_DATA, VR::OW, PrimitiveValue::U16((0..24u16).collect::<Vec<_>>().into())));
+    save(object, &run);
+    let pages = folder.path().join("pages.tif");
+    let page = |first: f32| Image { width: 3, height: 2, pixels: vec![first, 0.25, 0.5, 0.75, 1.0, 1.5] };
+    write_tiff_f32(&pages, &[page(0.0), page(9.0)]).expect("written");
+    std::fs::write(folder.path().join("pages.tif.json"), r#"{"quantity": "line_integral", "unit": "neper"}"#).expect("beside");
+    let mut cases = 0;
+    for (path, count) in [(run, 3), (pages, 2)] {
+        let frames = through(&helper(), &path).expect("readable");
+        assert_eq!(frames.len(), count);
+        assert_eq!(frames, read_frames(&path, None).expect("readable"), "bit for bit, tags and notes included");
+        assert!(frames.iter().enumerate().all(|(index, frame)| frame.image_of_file == [index, count]));
+        cases += 1;
+    }
+    assert_eq!(cases, 2);
+}
+
+/// A helper costs little beside a frame; measured, with a bound that holds on a busy machine.
+#[test]
+fn a_helper_costs_little() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("x.tif");
+    let image = Image { width: 1024, height: 1024, pixels: (0..1 << 20).map(|i| i as f32).collect() };
+    write_tiff_f32(&path, &[image]).expect("written");
+    let best = |reader: &ForeignReader| {
+        let once = |_| {
+            let watch = Stopwatch::start();
+            assert_eq!(through(reader, &path).expect("readable").len(), 1);
+            watch.ms()
+        };
+        (0..5).map(once).fold(f64::INFINITY, f64::min)
+    };
+    let (alone, helped) = (best(&ForeignReader::in_process()), best(&helper()));
+    println!("1024 x 1024: {alone:.1} ms in process, {helped:.1} ms through a helper");
+    assert!(helped - alone < 500.0, "{helped} ms against {alone} ms");
+}
+
+#[cfg(unix)]
+fn script(folder: &Path, name: &str, body: &str) -> ForeignReader {
+    use std::os::unix::fs::PermissionsExt;
+    let path = folder.join(name);
+    std::fs::write(&path, format!("#!/bin/sh\n{body}\n")).expect("script");
+    std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o755)).expect("executable");
+    ForeignReader::of(path)
+}
+
+/// The parent against helpers that hang, crash, talk nonsense, or do not exist.
+#[cfg(unix)]
+#[test]
+fn whatever_a_helper_does_it_is_one_refused_file() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = save(fluoroscopy(), &folder.path().join("x.dcm"));
+    let quick = Limits { wall_s: 0.5, ..Limits::of(Kind::Frames) };
+    let fault = |reader: ForeignReader| match through(&reader.with_limits(quick.clone()), &path) {
+        Err(Fault::Helper(fault)) => fault,
+        other => panic!("{other:?}"),
+    };
+    let watch = Stopwatch::start();
+    assert_eq!(fault(script(folder.path(), "hangs", "exec sleep 600")), ForeignFault::Time { limit_s: 0.5 });
+    assert!(watch.ms() < 20_000.0, "killed in time");
+    assert_eq!(fault(script(folder.path(), "dies", "kill -SEGV $$")), ForeignFault::Crashed);
+    assert_eq!(fault(script(folder.path(), "busy", "kill -XCPU $$")), ForeignFault::Time { limit_s: 15.0 });
+    assert_eq!(
+        fault(script(folder.path(), "deep", "echo thread has overflowed its stack >&2; kill -ABRT $$")),
+        ForeignFault::TooDeep
+    );
+    let big = fault(script(folder.path(), "big", "echo memory allocation of 9 bytes failed >&2; kill -ABRT $$"));
+    assert!(matches!(big, ForeignFault::Memory { .. }), "{big:?}");
+    assert!(matches!(fault(script(folder.path(), "talks", "echo hello world")), ForeignFault::Answer { .. }));
+    assert!(matches!(fault(ForeignReader::of(folder.path().join("none"))), ForeignFault::Start { .. }));
+    assert_eq!(through(&helper(), &path).expect("control: the file is good").len(), 1);
+}
+
+/// A classic TIFF of `pages` pages that all show the same strip of `strip_bytes` zeros.
+pub fn tiff_pages(pages: u32, width: u32, height: u32, strip_bytes: u32) -> Vec<u8> {
+    let mut bytes = b"II*\0".to_vec();
+    bytes.extend((8 + strip_bytes).to_le_bytes());
+    bytes.resize(8 + strip_bytes as usize, 0);
+    for page in 0..pages {
+        let entries: [(u16, u16, u32); 8] = [
+            (256, 4, width),
+            (257, 4, height),
+            (258, 3, 8),
+            (259, 3, 1),
+            (262, 3, 1),
+            (273, 4, 8),
+            (278, 4, height),
+            (279, 4, strip_bytes),
+        ];
+        bytes.extend((entries.len() as u16).to_le_bytes());
+        for (tag, kind, value) in entries {
+            bytes.extend(tag.to_le_bytes());
+            bytes.extend(kind.to_le_bytes());
+            bytes.extend(1u32.to_le_bytes());
+            bytes.extend(value.to_le_bytes());
+        }
+        let next = if page + 1 < pages { bytes.len() as u32 + 4 } else { 0 };
+        bytes.extend(next.to_le_bytes());
+    }
+    bytes
+}
+
+/// A PNG header of this size and nothing that fills it.
+pub fn png_of_size(width: u32, height: u32) -> Vec<u8> {
+    let mut bytes = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR".to_vec();
+    bytes.extend(width.to_be_bytes());
+    bytes.extend(height.to_be_bytes());
+    bytes.extend([1, 0, 0, 0, 0, 0, 0, 0, 0]);
+    bytes.extend(b"\0\0\0\0IEND\xae\x42\x60\x82");
+    bytes
+}
+
+/// The made frame's file up to its pixel data, then `rest`.
+pub fn dicom_ending_in(folder: &Path, transfer_syntax: Option<&str>, rest: &[u8]) -> Vec<u8> {
+    let path = folder.join("start.dcm");
+    let mut object = fluoroscopy();
+    object.remove_element(tags::PIXEL_DATA);
+    let syntax = transfer_syntax.unwrap_or(dicom_dictionary_std::uids::EXPLICIT_VR_LITTLE_ENDIAN);
+    let meta = dicom_object::FileMetaTableBuilder::new()
+        .transfer_syntax(syntax)
+        .media_storage_sop_class_uid("1.2.840.10008.5.1.4.1.1.12.1")
+        .media_storage_sop_instance_uid("2.25.1");
+    object.with_meta(meta).expect("meta").write_to_file(&path).expect("written");
+    let mut bytes = std::fs::read(path).expect("bytes");
+    bytes.extend(rest);
+    bytes
+}
+
+pub fn nested(depth: usize) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    for _ in 0..depth {
+        // (0040,A730) of undefined length, and an item of undefined length.
+        bytes
+            .extend([0x40, 0, 0x30, 0xa7, b'S', b'Q', 0, 0, 0xff, 0xff, 0xff, 0xff, 0xfe, 0xff, 0, 0xe0, 0xff, 0xff, 0xff, 0xff]);
+    }
+    bytes
+}
+
+fn run_length(planes: u8) -> Vec<u8> {
+    let mut bytes = vec![0xe0, 0x7f, 0x10, 0, b'O', b'B', 0, 0, 0xff, 0xff, 0xff, 0xff, 0xfe, 0xff, 0, 0xe0, 0, 0, 0, 0];
+    bytes.extend([0xfe, 0xff, 0, 0xe0, 80, 0, 0, 0]);
+    let mut fragment = [0u8; 80];
+    (fragment[0], fragment[4], fragment[8]) = (planes, 64, 70);
+    bytes.extend(fragment);
+    bytes.extend([0xfe, 0xff, 0xdd, 0xe0, 0, 0, 0, 0]);
+    bytes
+}
+
+/// Panics in decoders, a stack overflow by nesting, gigabytes from small files: each ended the program.
+#[test]
+fn made_bombs_are_refused_with_their_reason() {
+    let folder = tempfile::tempdir().expect("folder");
+    let rle = Some("1.2.840.10008.1.2.5");
+    let mut endless_element = vec![0xe1, 0x7f, 0x10, 0, b'O', b'B', 0, 0];
+    endless_element.extend(0xffff_fffeu32.to_le_bytes());
+    let cases: [(&str, Vec<u8>, &str); 7] = [
+        ("pages.tif", tiff_pages(100, 4000, 4000, 4), "pixels, at most"),
+        ("many.tif", tiff_pages(5000, 1, 4, 4), "images, at most"),
+        ("wide.tif", tiff_pages(1, 100_000, 100_000, 4), "larger than the limit"),
+        ("wide.png", png_of_size(60_000, 60_000), "larger than the limit"),
+        ("nested.dcm", dicom_ending_in(folder.path(), None, &nested(20_000)), "nested too deeply"),
+        ("planes.dcm", dicom_ending_in(folder.path(), rle, &run_length(200)), "200 run-length planes"),
+        ("element.dcm", dicom_ending_in(folder.path(), None, &endless_element), ""),
+    ];
+    let mut refused = 0;
+    for (name, bytes, words) in cases {
+        let path = folder.path().join(name);
+        std::fs::write(&path, bytes).expect("written");
+        let watch = Stopwatch::start();
+        let fault = through(&helper(), &path).map(|frames| frames.len()).expect_err(name).to_string();
+        println!("{name}: {fault} ({:.0} ms)", watch.ms());
+        assert!(fault.contains(words) && !fault.contains('\n'), "{name}: {fault}");
+        assert!(watch.ms() < 20_000.0, "{name} took {} ms", watch.ms());
+        assert_one_sentence(name, &sidecarm(folder.path(), &["info", name]), words);
+        refused += 1;
+    }
+    assert_eq!(refused, 7);
+}
+
+/// The helper's own limits: memory and processor time.
+#[cfg(target_os = "linux")]
+#[test]
+fn memory_and_time_of_a_helper_are_limited() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("x.png");
+    image::GrayImage::new(7000, 7000).save(&path).expect("png");
+    let with = |path: &Path, memory_bytes, cpu_s| {
+        let limits = Limits { memory_bytes, cpu_s, ..Limits::of(Kind::Frames) };
+        through(&helper().with_limits(limits), path).map(|frames| frames.len())
+    };
+    let usual = Limits::of(Kind::Frames);
+    assert_eq!(with(&path, usual.memory_bytes, usual.cpu_s), Ok(1), "control: the usual limits suffice");
+    assert_eq!(with(&path, 300 << 20, usual.cpu_s), Err(Fault::Helper(ForeignFault::Memory { limit_mib: 300 })));
+    // Sixteen times the same 4000 x 4000 pixels: within all sizes, but not within a second.
+    let long = folder.path().join("x.tif");
+    std::fs::write(&long, tiff_pages(16, 4000, 4000, 16_000_000)).expect("written");
+    assert_eq!(with(&long, usual.memory_bytes, 1), Err(Fault::Helper(ForeignFault::Time { limit_s: 1.0 })));
+}
+
+#[test]
+fn the_bad_files_are_one_sentence_each() {
+    let shared = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/bad-files");
+    let Ok(list) = std::fs::read_dir(&shared) else {
+        println!("skipped: {} is absent", shared.display());
+        return;
+    };
+    let mut refused = 0;
+    let frames = list.flatten().map(|entry| entry.path()).filter(|path| path.extension().is_some_and(|ending| ending != "mcap"));
+    for path in frames.collect::<std::collections::BTreeSet<PathBuf>>() {
+        let watch = Stopwatch::start();
+        let output = sidecarm(&shared, &["info", path.to_str().expect("text")]);
+        println!("{:.0} ms: {}", watch.ms(), String::from_utf8_lossy(&output.stderr).trim());
+        assert_one_sentence(&path.display().to_string(), &output, "");
+        assert!(watch.ms() < 20_000.0, "{} ms", watch.ms());
+        refused += 1;
+    }
+    assert!(refused >= 8, "{refused}");
+}
+
+fn scene_of(object: serde_json::Value) -> String {
+    json!({
+        "objects": [object],
+        "view": {"size_px": [8, 8], "intrinsics": [[500, 0, 3.5], [0, 500, 3.5], [0, 0, 1]],
+                 "camera_from_lps": [[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 600], [0, 0, 0, 1]]},
+        "beam": {"tube_kvp": 80, "filtration_mm": {"aluminium": 3}, "photons_per_pixel": 1e5},
+        "detector": {"response": "energy", "pitch_mm": 2.0}
+    })
+    .to_string()
+}
+
+#[test]
+fn hostile_volumes_and_meshes_are_refused_by_render_and_info() {
+    let folder = tempfile::tempdir().expect("folder");
+    let write = |name: &str, file: &NiftiFile| file.write(&folder.path().join(name));
+    let mut huge = NiftiFile::int16([4, 4, 4], &[0; 64]);
+    huge.dim = [3, 1290, 1290, 1290, 1, 1, 1, 1];
+    write("huge.nii.gz", &huge);
+    let mut types = NiftiFile::int16([4, 4, 4], &[0; 64]).bytes();
+    types[72..74].copy_from_slice(&8i16.to_le_bytes());
+    std::fs::write(folder.path().join("types.nii"), types).expect("written");
+    let mut trailing = NiftiFile::int16([4, 4, 4], &[0; 64]);
+    trailing.voxels.resize(4 << 20, 0);
+    write("trailing.nii.gz", &trailing);
+    std::fs::write(folder.path().join("cut.stl"), [0u8; 200]).expect("written");
+    let mut lying = vec![0u8; 80];
+    lying.extend(u32::MAX.to_le_bytes());
+    std::fs::write(folder.path().join("lying.stl"), lying).expect("written");
+    let mut cases = 0;
+    for (name, words) in [
+        ("huge.nii.gz", "1290 x 1290 x 1290 voxels"),
+        ("types.nii", "16 bits by one field"),
+        ("trailing.nii.gz", "bytes follow"),
+        ("cut.stl", "STL"),
+        ("lying.stl", "STL"),
+    ] {
+        let object = if name.ends_with("stl") {
+            json!({"mesh": {"path": name, "material": "titanium", "lps_from_mesh": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}})
+        } else {
+            json!({"ct": {"path": name}})
+        };
+        std::fs::write(folder.path().join("scene.json"), scene_of(object)).expect("written");
+        let output = sidecarm(folder.path(), &["render", "scene.json", "--out", "drr.tif", "--device", "cpu"]);
+        assert_one_sentence(name, &output, words);
+        assert_one_sentence(name, &sidecarm(folder.path(), &["info", name]), words);
+        cases += 1;
+    }
+    assert_eq!(cases, 5);
+}
+
+#[cfg(unix)]
+#[test]
+fn commands_do_not_wait_for_pipes_and_devices() {
+    let folder = tempfile::tempdir().expect("folder");
+    assert!(Command::new("mkfifo").arg(folder.path().join("pipe.dcm")).status().expect("mkfifo").success());
+    std::os::unix::fs::symlink("/dev/zero", folder.path().join("zero.png")).expect("link");
+    let markups = r#"{"markups": [{"type": "Fiducial", "coordinateSystem": "LPS", "controlPoints": [
+        {"label": "b1", "position": [0, 0, 0]}, {"label": "b2", "position": [9, 0, 0]}, {"label": "b3", "position": [0, 9, 0]},
+        {"label": "b4", "position": [0, 0, 9]}, {"label": "b5", "position": [9, 9, 0]}, {"label": "b6", "position": [9, 0, 9]}]}]}"#;
+    std::fs::write(folder.path().join("beads.mrk.json"), markups).expect("written");
+    let mut cases = 0;
+    for (name, words) in [("pipe.dcm", "a named pipe"), ("zero.png", "a device")] {
+        let watch = Stopwatch::start();
+        assert_one_sentence(name, &sidecarm(folder.path(), &["info", name]), words);
+        let register = ["register", name, "--beads", "beads.mrk.json", "--out", "pose.json"];
+        assert_one_sentence(name, &sidecarm(folder.path(), &register), words);
+        assert_one_sentence(name, &sidecarm(folder.path(), &["compare", name, name, "--out", "compared"]), words);
+        assert!(watch.ms() < 60_000.0);
+        cases += 1;
+    }
+    assert_eq!(cases, 2);
+}

@@ -1,0 +1,222 @@
+//! Forty planted names, identifiers, dates and texts: none comes out of a session, wherever one looks.
+
+use std::path::Path;
+
+use dicom_core::{DataElement, PrimitiveValue, Tag, VR};
+use dicom_dictionary_std::tags;
+use dicom_object::InMemDicomObject;
+
+use crate::acquire_frames::{fluoroscopy, save};
+use crate::acquire_live::Room;
+
+/// What is planted in headers: attribute, representation, value, and what must not be found (in lower case). Words are long and numbers
+/// longer, because compressed files hold every short one by chance; short names are judged by the labels.
+const HEADER: [(Tag, VR, &str, &[&str]); 22] = [
+    (tags::PATIENT_NAME, VR::PN, "Quaxwelk^Annegrund", &["quaxwelk", "annegrund"]),
+    (tags::PATIENT_ID, VR::LO, "PXQ90817", &["pxq90817"]),
+    (tags::OTHER_PATIENT_NAMES, VR::PN, "Vormelding", &["vormelding"]),
+    (tags::PATIENT_BIRTH_DATE, VR::DA, "19520317", &["19520317", "17031952"]),
+    (tags::PATIENT_ADDRESS, VR::LO, "Trullgasse 7", &["trullgasse"]),
+    (tags::INSTITUTION_NAME, VR::LO, "Klinikum Borvelde", &["borvelde"]),
+    (tags::INSTITUTION_ADDRESS, VR::ST, "Wexstrasse 99", &["wexstrasse"]),
+    (tags::INSTITUTIONAL_DEPARTMENT_NAME, VR::LO, "Orthodrom", &["orthodrom"]),
+    (tags::REFERRING_PHYSICIAN_NAME, VR::PN, "Drubbelmann^K", &["drubbelmann"]),
+    (tags::PERFORMING_PHYSICIAN_NAME, VR::PN, "Zettelhuber", &["zettelhuber"]),
+    (tags::OPERATORS_NAME, VR::PN, "Pfriemkötter", &["pfriemk"]),
+    (tags::STATION_NAME, VR::SH, "STNQX7", &["stnqx7"]),
+    (tags::ACCESSION_NUMBER, VR::SH, "ACC5587123", &["acc5587123"]),
+    (tags::STUDY_ID, VR::SH, "STU7731", &["stu7731"]),
+    (tags::STUDY_DESCRIPTION, VR::LO, "Huefte Quorbel", &["quorbel"]),
+    (tags::SERIES_DESCRIPTION, VR::LO, "Serie Knaspert", &["knaspert"]),
+    (tags::IMAGE_COMMENTS, VR::LT, "left hip of Wimmelrath", &["wimmelrath"]),
+    (tags::SOP_INSTANCE_UID, VR::UI, "1.2.826.0.1.3680043771239.445566778", &["3680043771239"]),
+    (tags::STUDY_INSTANCE_UID, VR::UI, "1.2.826.0.1.99887766554433.1", &["99887766554433"]),
+    (tags::SERIES_INSTANCE_UID, VR::UI, "1.2.826.0.1.66554433221100.2", &["66554433221100"]),
+    (tags::DEVICE_SERIAL_NUMBER, VR::LO, "SN-KJX-443", &["kjx-443"]),
+    (tags::PROTOCOL_NAME, VR::LO, "Brabbelscan", &["brabbelscan"]),
+];
+
+/// Free text where the standard has terms.
+const CODES: [(Tag, &str, &str); 5] = [
+    (tags::MODALITY, "XYLOTAN", "xylotan"),
+    (tags::IMAGE_TYPE, "ORIGINAL\\GRUMBELT", "grumbelt"),
+    (tags::PRESENTATION_INTENT_TYPE, "HERR ZOLPERICH", "zolperich"),
+    (tags::PIXEL_INTENSITY_RELATIONSHIP, "NORQUELL", "norquell"),
+    (tags::BURNED_IN_ANNOTATION, "BRUXELBART", "bruxelbart"),
+];
+
+/// File names and what of them must not be found.
+const NAMES: [(&str, &[&str]); 9] = [
+    ("Quaxwelk_0001.dcm", &["quaxwelk"]),
+    ("Pfriemkoetter 2.dcm", &["pfriemkoetter", "pfriemk"]),
+    ("XA.1.2.826.0.1.3680043771239.445566778", &["445566778"]),
+    ("img_19520317.dcm", &["19520317"]),
+    ("img_170352.dcm", &[]),
+    ("img_90817.dcm", &[]),
+    ("Qz.dcm", &[]),
+    ("frame\u{1b}[31mHopfstaedt.dcm", &["hopfstaedt"]),
+    ("Borvelde-77.dcm", &["borvelde"]),
+];
+
+fn planted(first: u16) -> InMemDicomObject {
+    let mut object = fluoroscopy();
+    for (tag, vr, value, _) in HEADER {
+        object.put(DataElement::new(tag, vr, PrimitiveValue::from(value)));
+    }
+    for (tag, value, _) in CODES {
+        object.put(DataElement::new(tag, VR::CS, PrimitiveValue::from(value)));
+    }
+    object.put(DataElement::new(tags::SPECIFIC_CHARACTER_SET, VR::CS, PrimitiveValue::from("ISO_IR 192")));
+    object.put(DataElement::new(Tag(0x0009, 0x0010), VR::LO, PrimitiveValue::from("PRIVATLOB")));
+    object.put(DataElement::new(Tag(0x0009, 0x1001), VR::LO, PrimitiveValue::from("Sesquipedal")));
+    object.put(DataElement::new(tags::EXPOSURE_TIME, VR::IS, PrimitiveValue::from("Flunkerbein")));
+    for (tag, value) in [(tags::ROWS, 48u16), (tags::COLUMNS, 64)] {
+        object.put(DataElement::new(tag, VR::US, PrimitiveValue::from(value)));
+    }
+    let values: Vec<u16> = (0..64 * 48).map(|index| first + index % 1000).collect();
+    object.put(DataElement::new(tags::PIXEL_DATA, VR::OW, PrimitiveValue::U16(values.into())));
+    object
+}
+
+/// A PNG with a text chunk, and a TIFF with a description.
+fn plant_rasters(frames: &Path) {
+    let grey =
+        |shift: u16| image::ImageBuffer::<image::Luma<u16>, _>::from_fn(64, 48, |x, y| image::Luma([(x * y) as u16 + shift]));
+    let path = frames.join("Wunderlich_Ottokar.png");
+    grey(1).save(&path).expect("png");
+    let png = std::fs::read(&path).expect("bytes");
+    let text = b"tEXtAuthor\0Gnadenlos";
+    let mut crc = flate2::Crc::new();
+    crc.update(text);
+    let mut with_text = png[..33].to_vec();
+    with_text.extend(((text.len() - 4) as u32).to_be_bytes());
+    with_text.extend(text);
+    with_text.extend(crc.sum().to_be_bytes());
+    with_text.extend(&png[33..]);
+    std::fs::write(&path, with_text).expect("png");
+    let path = frames.join("Ostruemmler.tif");
+    let mut encoder = tiff::encoder::TiffEncoder::new(std::fs::File::create(&path).expect("file")).expect("tiff");
+    let mut image = encoder.new_image::<tiff::encoder::colortype::Gray16>(64, 48).expect("image");
+    image.encoder().write_tag(tiff::tags::Tag::ImageDescription, "Krautwickel").expect("tag");
+    image.write_data(grey(2).as_raw()).expect("data");
+}
+
+/// All that must not be found, in lower case.
+fn canaries() -> Vec<String> {
+    let mut found: Vec<String> = Vec::new();
+    HEADER.iter().for_each(|(_, _, _, words)| found.extend(words.iter().map(|word| (*word).to_owned())));
+    CODES.iter().for_each(|(_, _, word)| found.push((*word).to_owned()));
+    NAMES.iter().for_each(|(_, words)| found.extend(words.iter().map(|word| (*word).to_owned())));
+    for word in [
+        "privatlob",
+        "sesquipedal",
+        "flunkerbein",
+        "wunderlich",
+        "ottokar",
+        "gnadenlos",
+        "ostruemmler",
+        "krautwickel",
+        "meisterfolder",
+        "schlonz",
+        "lovelace",
+        "augusta",
+    ] {
+        found.push(word.to_owned());
+    }
+    found.sort();
+    found.dedup();
+    found
+}
+
+/// Every text that a session gives: what it printed, every file it wrote, every message and attachment of its log.
+fn outputs(room: &Room, printed: &[&[u8]]) -> Vec<(String, Vec<u8>)> {
+    let mut all: Vec<(String, Vec<u8>)> = printed.iter().map(|bytes| ("printed".to_owned(), bytes.to_vec())).collect();
+    let mut folders = vec![room.out()];
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(folder).expect("lists").flatten() {
+            if entry.path().is_dir() {
+                folders.push(entry.path());
+            } else {
+                let name = entry.file_name().to_string_lossy().into_owned();
+                all.push((name.clone(), name.into_bytes()));
+                all.push((entry.path().display().to_string(), std::fs::read(entry.path()).expect("readable")));
+            }
+        }
+    }
+    let log = sidecarm::record::read_log(&room.out().join("session.mcap")).expect("a log");
+    assert!(log.losses.is_empty(), "{:?}", log.losses);
+    for entry in log.entries {
+        // Pixels hold no text, and by chance any short one.
+        if &*entry.topic != sidecarm::record::topic::FRAME_PIXELS && &*entry.topic != sidecarm::record::topic::DRR {
+            all.push((entry.topic.to_string(), entry.data));
+        }
+    }
+    all.extend(log.attachments.into_iter().map(|file| (file.name, file.data)));
+    all
+}
+
+fn hits(outputs: &[(String, Vec<u8>)], word: &str) -> Vec<String> {
+    let contains = |bytes: &[u8]| bytes.to_ascii_lowercase().windows(word.len()).any(|window| window == word.as_bytes());
+    outputs.iter().filter(|(_, bytes)| contains(bytes)).map(|(name, _)| name.clone()).collect()
+}
+
+#[test]
+fn nothing_that_identifies_anybody_comes_out_of_a_session() {
+    let room = Room::new("Meisterfolder/frames");
+    for (number, (name, _)) in NAMES.iter().enumerate() {
+        save(planted(10 + number as u16), &room.frames.join(name));
+    }
+    save(planted(90), &room.frames.join("phantom run-07.dcm"));
+    plant_rasters(&room.frames);
+    // Files that are refused, and one that never becomes whole: their names are in warnings.
+    std::fs::write(room.frames.join("Schlonz.dcm"), b"no image at all").expect("written");
+    let whole = std::fs::read(room.frames.join(NAMES[0].0)).expect("bytes");
+    let cut = room.frames.join("Annegrund-cut.dcm");
+    std::fs::write(&cut, &whole[..whole.len() - 9]).expect("written");
+    let old = std::time::UNIX_EPOCH + std::time::Duration::from_secs(1_500_000_000);
+    std::fs::File::options().append(true).open(&cut).expect("file").set_modified(old).expect("aged");
+    std::fs::create_dir(room.frames.join("Zettelhuber.dcm")).expect("folder");
+    let ended = room.end(room.start(9.0));
+    let stderr = String::from_utf8_lossy(&ended.stderr);
+    assert!(matches!(ended.code, Some(0 | 3)), "{stderr}");
+    assert_eq!(ended.pairs.len(), NAMES.len() + 3, "{stderr}");
+
+    let outputs = outputs(&room, &[&ended.stdout, &ended.stderr]);
+    // The control: what may be shown is found by the same search, in the log and on paper.
+    for allowed in ["phantom run-07", "unreadable frame"] {
+        assert!(hits(&outputs, allowed).len() >= 2, "{allowed} in {:?}", hits(&outputs, allowed));
+    }
+    let canaries = canaries();
+    assert!(canaries.len() >= 40, "{}", canaries.len());
+    let found: Vec<_> = canaries.iter().map(|word| (word, hits(&outputs, word))).filter(|(_, hits)| !hits.is_empty()).collect();
+    assert!(found.is_empty(), "{found:?}");
+    let texts: Vec<_> = outputs.iter().filter(|(_, bytes)| std::str::from_utf8(bytes).is_ok()).cloned().collect();
+    assert!(texts.len() > 10 && hits(&texts, "\u{1b}").is_empty(), "{:?}", hits(&texts, "\u{1b}"));
+    for pair in &ended.pairs {
+        let label = pair["frame"].as_str().expect("a label");
+        let hashed =
+            label.strip_prefix("frame-").is_some_and(|hash| hash.len() == 12 && hash.bytes().all(|b| b.is_ascii_hexdigit()));
+        assert!(hashed || label == "phantom run-07", "{label}");
+    }
+}
+
+/// `info` is asked for a file by a person who knows its name; the header stays closed all the same.
+#[test]
+fn info_shows_nothing_of_the_header_that_identifies() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = save(planted(1), &folder.path().join("frame\u{1b}[31m.dcm"));
+    for arguments in [vec!["info", path.to_str().expect("text")], vec!["info", path.to_str().expect("text"), "--json"]] {
+        let output = std::process::Command::new(env!("CARGO_BIN_EXE_sidecarm")).args(arguments).output().expect("starts");
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let outputs = [("printed".to_owned(), [output.stdout, output.stderr].concat())];
+        let mut searched = 0;
+        for (_, _, _, words) in HEADER {
+            for word in words {
+                assert!(hits(&outputs, word).is_empty(), "{word}");
+                searched += 1;
+            }
+        }
+        assert!(hits(&outputs, "\u{1b}").is_empty(), "what a terminal obeys is escaped");
+        assert!(searched > 20 && !hits(&outputs, "78.5").is_empty(), "control: the tube voltage is shown");
+    }
+}

@@ -6,6 +6,7 @@ use clap::{Parser, Subcommand};
 
 use crate::reporter::Reporter;
 
+pub mod attach;
 pub mod attenuation;
 pub mod check;
 pub mod compare;
@@ -50,6 +51,7 @@ enum Command {
     Time(time::TimeArgs),
     Register(register::RegisterArgs),
     Compare(compare::CompareArgs),
+    Attach(attach::AttachArgs),
     Attenuation(attenuation::AttenuationArgs),
     Spectrum(spectrum::SpectrumArgs),
     Devices(devices::DevicesArgs),
@@ -81,6 +83,7 @@ fn dispatch(command: &Command, reporter: &Reporter) -> u8 {
         Command::Trade(args) => end(trade::run(args, reporter), reporter),
         Command::Compare(args) => end(compare::run(args, reporter), reporter),
         Command::Register(args) => end(register::run(args, reporter), reporter),
+        Command::Attach(args) => end(attach::run(args, reporter), reporter),
         Command::Attenuation(args) => end(attenuation::run(args, &mut std::io::stdout().lock()).map(|()| 0), reporter),
         Command::Spectrum(args) => end(spectrum::run(args, &mut std::io::stdout().lock()).map(|()| 0), reporter),
         Command::Check(args) => check::run(args, reporter),

@@ -128,7 +128,6 @@ pub struct Exposed {
 
 /// A drawn session.
 pub struct Session {
-    pub kind: Kind,
     pub described: String,
     pub exposures: Vec<Exposed>,
     samples: Vec<(i64, CarmSample)>,
@@ -222,7 +221,8 @@ pub fn session(seed: u64, kind: Kind) -> Session {
         Kind::CounterOnly | Kind::Neither => None,
         Kind::StampOnly | Kind::AtTheMinute => Some(draw.pick(&[1.0, 1.0, 1.0, 0.1])),
         _ if draw.chance(0.06) => None,
-        _ => Some(draw.pick(&[1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.1, 0.001, 60.0])),
+        _ if draw.chance(0.03) => Some(60.0),
+        _ => Some(draw.pick(&[1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.1, 0.001])),
     };
     let marks_end = draw.chance(0.3);
     let lag_s = draw.pick(&[0.0, 0.0, 0.05, 0.3]);
@@ -248,7 +248,7 @@ pub fn session(seed: u64, kind: Kind) -> Session {
             Counting::Restarting,
         ]),
     };
-    if resolution_s.is_none() && kind == Kind::Mixed && matches!(counting, Counting::Absent | Counting::Constant) {
+    if resolution_s.is_none() && kind != Kind::Neither && matches!(counting, Counting::Absent | Counting::Constant) {
         counting = Counting::Right;
     }
     let shift = 1 + draw.below(300) as u32;
@@ -380,7 +380,7 @@ pub fn session(seed: u64, kind: Kind) -> Session {
         "{kind:?} seed {seed}: counter {counting:?} (telemetry {counts}, reset {reset_at:?}), stamp every {resolution_s:?} s, {batches} batches, {} holes",
         holes.len()
     );
-    Session { kind, described, exposures: exposures.collect(), samples, frames }
+    Session { described, exposures: exposures.collect(), samples, frames }
 }
 
 /// What the C-arm sends, with holes.
@@ -532,7 +532,8 @@ pub fn play(session: &Session) -> Score {
             }
             if !right {
                 let evidence = binding.evidence.join("; ");
-                score.wrong.push(format!("{}: frame {frame} ({:?}): {evidence}", session.described, sent.truth));
+                let from_s = (interval.start_us - T0_US) as f64 * 1e-6;
+                score.wrong.push(format!("{}: frame {frame} ({:?}) at {from_s:.3} s ({} samples): {evidence}", session.described, sent.truth, interval.samples));
             }
         }
         if let Truth::Of(index) = sent.truth
@@ -541,6 +542,9 @@ pub fn play(session: &Session) -> Score {
             score.frames += 1;
             score.bound += usize::from(binding.exposure.is_some());
             if let (None, Some(reason)) = (&binding.exposure, binding.evidence.last()) {
+                if std::env::var_os("SIDECARM_WHY").is_some() {
+                    println!("{}: frame {frame} ({:?}, late {}): {}", session.described, sent.truth, sent.late, binding.evidence.join("; "));
+                }
                 let words: String = reason.chars().filter(|c| !c.is_ascii_digit()).collect();
                 *score.reasons.entry(words).or_default() += 1;
             }
@@ -561,4 +565,17 @@ pub fn play(session: &Session) -> Score {
         }
     }
     score
+}
+pub fn debug(seed: u64) {
+    let session = session(seed, kind_of(seed));
+    let mut fed = Fed::default();
+    for (host_us, sample) in &session.samples {
+        fed.push_sample(DeviceKind::Carm, *host_us, 0, Sample::Carm(sample.clone()));
+    }
+    println!("{} steps {:?}", session.described, fed.carm().clock().steps_and_resets());
+    let mut worst = 0;
+    for (interval, truth) in fed.exposures().iter().zip(&session.exposures) {
+        let off = interval.start_us - truth.start_us;
+        if off.abs() > 70_000 && worst < 5 { worst += 1; println!("{} off {} ms: [{} {}] truth [{} {}]", interval.index, off / 1000, interval.start_us - T0_US, interval.end_us - T0_US, truth.start_us - T0_US, truth.end_us - T0_US); }
+    }
 }

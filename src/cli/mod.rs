@@ -6,6 +6,7 @@ use clap::{Parser, Subcommand};
 
 use crate::reporter::Reporter;
 
+pub mod attach;
 pub mod attenuation;
 pub mod calibrate;
 pub mod check;
@@ -52,6 +53,7 @@ enum Command {
     Register(register::RegisterArgs),
     Compare(compare::CompareArgs),
     Calibrate(calibrate::CalibrateArgs),
+    Attach(attach::AttachArgs),
     Attenuation(attenuation::AttenuationArgs),
     Spectrum(spectrum::SpectrumArgs),
     Devices(devices::DevicesArgs),
@@ -84,6 +86,7 @@ fn dispatch(command: &Command, reporter: &Reporter) -> u8 {
         Command::Compare(args) => end(compare::run(args, reporter), reporter),
         Command::Calibrate(args) => end(calibrate::run(args, reporter), reporter),
         Command::Register(args) => end(register::run(args, reporter), reporter),
+        Command::Attach(args) => end(attach::run(args, reporter), reporter),
         Command::Attenuation(args) => end(attenuation::run(args, &mut std::io::stdout().lock()).map(|()| 0), reporter),
         Command::Spectrum(args) => end(spectrum::run(args, &mut std::io::stdout().lock()).map(|()| 0), reporter),
         Command::Check(args) => check::run(args, reporter),

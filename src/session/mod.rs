@@ -6,6 +6,7 @@
 //! ```
 //! The [`engine`] reads no clock and no device, so a replay computes what the session computed.
 
+pub mod attach;
 pub mod board;
 pub mod crosscheck;
 pub mod declared;

@@ -11,16 +11,19 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use super::Timeline;
 use super::agreement::{Suggestion, Topic, agreement};
+use super::alignment::{Stamped, align};
 use super::console::{Bounds, ConsoleClock, ConsoleOffset};
 use super::counting::Counting;
 use super::evidence::{Binding, BindingFlag, BindingHow, FrameEvidence, flags_of, seconds, time_within};
 use super::judgement::{Judgement, Weighed};
-use super::shots::Shots;
+use super::shots::{PROMPT_US, Shots};
 
 /// Frames that take part in an agreement: the latest.
 const VOTERS: usize = 48;
 /// A frame whose telemetry has not come after this long is judged without it.
 const PATIENCE_US: i64 = 1_000_000;
+/// Exposures farther apart than this have no common offset.
+const APART_US: i64 = 4_000_000;
 const MINUTE_US: i64 = 60_000_000;
 /// An offset is used from so many frames on.
 pub(super) const KNOWN_FRAMES: u32 = 2;
@@ -31,7 +34,7 @@ pub(super) struct Pending {
     pub evidence: FrameEvidence,
     /// Exposures after which it arrived promptly, once telemetry has reached its arrival.
     pub prompt: Option<Vec<usize>>,
-    binding: Binding,
+    pub binding: Binding,
     /// Images of the same run, itself not.
     images: Vec<u32>,
 }
@@ -52,6 +55,8 @@ pub struct Binder {
     /// The console's offset, a new one whenever its clock was set.
     pub(super) offsets: Vec<ConsoleOffset>,
     pub(super) counting: Counting,
+    /// Frames by the console's stamp: a later stamp is a later exposure.
+    pub(super) by_stamp: BTreeMap<i64, Vec<u32>>,
     /// Stamps at a whole minute, and others.
     whole_minutes: u32,
     other_stamps: u32,
@@ -101,6 +106,9 @@ impl Binder {
         if let Some(counter) = evidence.counter {
             self.counting.see(counter);
         }
+        if let Some(console_us) = evidence.console_us {
+            self.by_stamp.entry(console_us).or_default().push(frame);
+        }
         match evidence.console_us {
             Some(us) if us.rem_euclid(MINUTE_US) == 0 => self.whole_minutes += 1,
             Some(_) => self.other_stamps += 1,
@@ -117,7 +125,7 @@ impl Binder {
         let waits = self.open.iter().any(|frame| self.frames.get(frame).is_some_and(|pending| !pending.binding.settled));
         if self.fresh || new_shots || waits {
             self.fresh = false;
-            self.meet(newest_us, now_us);
+            self.meet(timeline, newest_us, now_us);
             self.settle(timeline, newest_us, now_us);
         }
         std::mem::take(&mut self.changed).into_iter().collect()
@@ -146,7 +154,7 @@ impl Binder {
     }
 
     /// Finds the exposures shortly before frames whose arrival telemetry has reached.
-    fn meet(&mut self, newest_us: Option<i64>, now_us: i64) {
+    fn meet(&mut self, timeline: &Timeline, newest_us: Option<i64>, now_us: i64) {
         let open: Vec<u32> = self.open.iter().copied().collect();
         for frame in open {
             let Some(pending) = self.frames.get_mut(&frame) else { continue };
@@ -165,7 +173,7 @@ impl Binder {
             }
             if prompt.is_empty() {
                 self.strays += 1;
-            } else {
+            } else if timeline.exposure_tracker().blind_spot(arrival_us.saturating_sub(PROMPT_US), arrival_us).is_none() {
                 self.voters.push(frame);
                 if self.voters.len() > VOTERS {
                     self.voters.remove(0);
@@ -177,6 +185,9 @@ impl Binder {
 
     /// Judges until nothing more follows.
     fn settle(&mut self, timeline: &Timeline, newest_us: Option<i64>, now_us: i64) {
+        if self.finished {
+            self.align();
+        }
         loop {
             self.agree_on_offset();
             self.agree_on_shift(timeline);
@@ -284,6 +295,19 @@ impl Binder {
         said.console_us.is_none() && 2 * stamped > standing || said.counter.is_none() && 2 * self.counting.frames() > standing
     }
 
+    /// Whether prompt frames wait whose counter is not what the known shifts say: it may have begun anew.
+    pub(super) fn restless(&self) -> bool {
+        let strange = |pending: &&Pending| {
+            let Some(counter) = pending.evidence.counter else { return false };
+            let prompt = pending.prompt.as_deref().unwrap_or_default();
+            let expected = |at: &usize| {
+                self.shots.number(*at).is_some_and(|number| self.counting.knows(i64::from(counter) - number))
+            };
+            !prompt.is_empty() && !prompt.iter().any(expected)
+        };
+        self.voters.iter().filter(|frame| self.open.contains(frame)).filter_map(|frame| self.frames.get(frame)).filter(strange).count() > 1
+    }
+
     /// Whether any offset that is known, at that time, allows the pair.
     pub(super) fn allowed(&self, pair: &Bounds) -> bool {
         let known: Vec<&ConsoleOffset> = self.known_offsets().collect();
@@ -332,6 +356,28 @@ impl Binder {
         found
     }
 
+    /// At the end, with no offset known from prompt frames: the one at which the whole batch falls into place, if there is only one.
+    fn align(&mut self) {
+        if self.known_offsets().next().is_some() {
+            return;
+        }
+        let stamped = |frame: &u32| {
+            let said = &self.frames.get(frame)?.evidence;
+            let (console_us, resolution_us) = (said.console_us?, self.resolution_us(said));
+            Some(Stamped { console_us, resolution_us, arrival_us: said.arrival_us })
+        };
+        let mut stamps: Vec<Stamped> = self.open.iter().filter_map(stamped).collect();
+        let pairs = align(&mut stamps, &self.shots);
+        let mut offset = ConsoleOffset::default();
+        for (stamped, at) in pairs {
+            let shot = self.shots.get(at);
+            offset.learn(&Bounds::of(stamped.console_us, stamped.resolution_us, shot.start_us, shot.end_us));
+        }
+        if offset.summary().is_some_and(|clock| clock.frames >= KNOWN_FRAMES) {
+            self.offsets = vec![offset];
+        }
+    }
+
     fn agree_on_offset(&mut self) {
         let known = self.known_offsets().next().is_some();
         let suggestions = self.suggestions(Topic::Offset);
@@ -342,8 +388,9 @@ impl Binder {
         }
         let mut offset = ConsoleOffset::default();
         for member in &members {
-            // A frame with two exposures that fit teaches nothing.
-            let alone = members.iter().filter(|other| other.frame == member.frame).count() == 1;
+            // A frame that may be of two exposures seconds apart teaches nothing: its true one need not be the one that agrees.
+            let near = |other: &Suggestion| other.at_us.saturating_sub(member.at_us).saturating_abs() < APART_US;
+            let alone = suggestions.iter().filter(|other| other.frame == member.frame && near(other)).count() == 1;
             if let Some(pair) = member.offset.filter(|_| alone) {
                 offset.learn(&pair);
             }

@@ -33,7 +33,7 @@ impl Bounds {
     }
 
     /// The same offset at another time.
-    fn at(&self, at_us: i64) -> Self {
+    pub(super) fn at(&self, at_us: i64) -> Self {
         let widened_us = (at_us.saturating_sub(self.at_us).saturating_abs() as f64 * MOST_DRIFT) as i64;
         Self { at_us, low_us: self.low_us.saturating_sub(widened_us), high_us: self.high_us.saturating_add(widened_us) }
     }
@@ -42,6 +42,11 @@ impl Bounds {
     fn and(&self, other: &Self) -> Self {
         let other = other.at(self.at_us);
         Self { at_us: self.at_us, low_us: self.low_us.max(other.low_us), high_us: self.high_us.min(other.high_us) }
+    }
+
+    /// Whether it allows this offset.
+    pub(super) fn holds(&self, offset_us: i64) -> bool {
+        (self.low_us..=self.high_us).contains(&offset_us)
     }
 
     pub(super) fn meets(&self, other: &Self) -> bool {

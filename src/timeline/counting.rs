@@ -70,10 +70,20 @@ impl Counting {
             .then(|| format!("the console's counter does not count exposures ({different} contradictions) and is not used"))
     }
 
+    /// Whether any known frame has this shift.
+    pub(super) fn knows(&self, shift: i64) -> bool {
+        self.shifts.values().any(|known| *known == shift)
+    }
+
+    /// Whether a frame of a later exposure than `shot` is known.
+    pub(super) fn passed(&self, shot: usize) -> bool {
+        self.shifts.range(shot + 1..).next().is_some()
+    }
+
     /// Whether every known frame has the same shift, of which there are enough to believe it.
     pub(super) fn steady(&self) -> bool {
         let (same, different) = self.agreements();
-        different == 0 && same >= 4
+        different == 0 && same >= 3
     }
 
     /// Positions of exposures that a frame with `counter` may be of, and how firmly.

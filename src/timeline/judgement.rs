@@ -3,11 +3,13 @@
 use super::Timeline;
 use super::binder::{Binder, KNOWN_FRAMES, Pending};
 use super::counting::Firmness;
-use super::evidence::{BindingHow, seconds};
+use super::evidence::{BindingHow, FrameEvidence, seconds};
 use super::shots::PROMPT_US;
 
 /// Telemetry must be this far past the moment that a stamp names, or another exposure may still come up there.
 const AFTER_STAMP_US: i64 = 500_000;
+/// Frames with stamps this near take part in the order of a burst.
+const ORDER_US: i64 = 20_000_000;
 /// A frame bound by its arrival alone waits this long for others of its batch.
 const BATCH_US: i64 = 800_000;
 /// Risk at which arrival alone still binds: that the exposure's own frame is missing and a stray came just then.
@@ -54,7 +56,12 @@ impl Weighed<'_> {
             Some(stamp) if !self.telemetry_covers(stamp.to_us) => {
                 Judgement::Wait("telemetry has not yet passed the time that the console's stamp names".to_owned())
             }
-            Some(stamp) => self.with_stamp(&stamp, &candidates, prompt, words),
+            Some(mut stamp) => {
+                if stamp.fitting.len() > 1 {
+                    self.keep_order(&mut stamp);
+                }
+                self.with_stamp(&stamp, &candidates, prompt, words)
+            }
             None if self.pending.evidence.console_us.is_none() && self.binder.clock().is_some() => {
                 words.push("it lacks the stamp that other frames have".to_owned());
                 self.counted_and_prompt(&candidates, prompt, words)
@@ -82,9 +89,50 @@ impl Weighed<'_> {
         (found, None)
     }
 
-    /// Exposures at the time that the stamp names, once the console's offset is known.
+    /// Leaves the exposures that the frame can have if later stamps are of later exposures: each stamp is of another exposure than every
+    /// other stamp, so a burst whose frames are all there may leave each only one place.
+    fn keep_order(&self, stamp: &mut ByStamp) {
+        let Some(console_us) = self.pending.evidence.console_us else { return };
+        let near = self.binder.by_stamp.range(console_us.saturating_sub(ORDER_US)..=console_us.saturating_add(ORDER_US));
+        let mut places: Vec<(i64, Vec<usize>)> = Vec::new();
+        for (other_us, frames) in near {
+            let mut fitting: Vec<usize> = Vec::new();
+            for other in frames.iter().filter_map(|frame| self.binder.frames.get(frame)) {
+                match &other.binding.exposure {
+                    Some(exposure) => fitting.extend(self.binder.shots.position(exposure.index)),
+                    None => fitting.extend(self.fitting(&other.evidence).map(|found| found.fitting).unwrap_or_default()),
+                }
+            }
+            if *other_us == console_us {
+                fitting.clone_from(&stamp.fitting);
+            }
+            fitting.sort_unstable();
+            if !fitting.is_empty() {
+                places.push((*other_us, fitting));
+            }
+        }
+        let Some(own) = places.iter().position(|(us, _)| *us == console_us) else { return };
+        let mut lowest: Option<usize> = None;
+        for (_, fitting) in &places[..=own] {
+            lowest = fitting.iter().copied().find(|at| lowest.is_none_or(|lowest| *at > lowest)).or(lowest);
+        }
+        let mut highest: Option<usize> = None;
+        for (_, fitting) in places[own..].iter().rev() {
+            highest = fitting.iter().rev().copied().find(|at| highest.is_none_or(|highest| *at < highest)).or(highest);
+        }
+        if let (Some(lowest), Some(highest)) = (lowest, highest)
+            && lowest <= highest
+        {
+            stamp.fitting.retain(|at| (lowest..=highest).contains(at));
+        }
+    }
+
     fn by_stamp(&self) -> Option<ByStamp> {
-        let said = &self.pending.evidence;
+        self.fitting(&self.pending.evidence)
+    }
+
+    /// Exposures at the time that the stamp names, once the console's offset is known.
+    fn fitting(&self, said: &FrameEvidence) -> Option<ByStamp> {
         let console_us = said.console_us?;
         let mut found: Option<ByStamp> = None;
         for offset in self.binder.known_offsets() {
@@ -99,7 +147,10 @@ impl Weighed<'_> {
             let resolution_us = self.binder.resolution_us(said);
             let to_us = console_us.saturating_add(resolution_us).saturating_add(bounds.high_us).saturating_add(150_000);
             let near = self.binder.shots.touching(from_us, to_us);
-            let causal = |at: &usize| said.arrival_us.is_none_or(|arrival_us| self.binder.shots.get(*at).start_us <= arrival_us);
+            let causal = |at: &usize| {
+                let end_us = self.binder.shots.get(*at).end_us;
+                said.arrival_us.is_none_or(|arrival_us| end_us <= arrival_us.saturating_add(100_000))
+            };
             let fitting: Vec<usize> = near
                 .filter(causal)
                 .filter(|at| self.binder.pair(said, *at).is_some_and(|pair| self.binder.allowed(&pair)))
@@ -144,7 +195,8 @@ impl Weighed<'_> {
                 Judgement::None(words)
             }
             (_, [at]) => {
-                let firm = candidates.iter().find(|(_, firmness)| *firmness == Firmness::Enclosed);
+                let free = |at: usize| self.binder.shots.get(at).frame.is_none();
+                let firm = candidates.iter().find(|(other, firmness)| *firmness == Firmness::Enclosed && free(*other));
                 if let Some((other, _)) = firm
                     && !prompt.contains(at)
                 {
@@ -198,9 +250,10 @@ impl Weighed<'_> {
                 words.push(format!("counter {counter} names {}, which ended shortly before the frame arrived", self.label(*at)));
                 return self.of(*at, BindingHow::Counter, words, true);
             }
-            let rival = prompt.iter().find(|other| free(**other) && *other != at);
-            let steady = self.binder.finished && *firmness == Firmness::OneSide && self.binder.counting.steady();
-            let firm = *firmness == Firmness::Enclosed || steady;
+            // An exposure right before the arrival competes, unless the counter is known not to have begun anew by then.
+            let rival = prompt.iter().find(|other| free(**other) && *other != at && !self.binder.counting.passed(**other));
+            let steady = self.binder.counting.steady() && !self.binder.restless();
+            let firm = steady && (*firmness == Firmness::Enclosed || self.binder.finished && *firmness == Firmness::OneSide);
             if let Some(rival) = rival.filter(|_| firm) {
                 words.push(format!("the counter names {}, the arrival {}: ambiguous", self.label(*at), self.label(*rival)));
                 return Judgement::None(words);

@@ -4,6 +4,7 @@
 //! while data come in. Answers depend on what was pushed, in which order, and on nothing else, so a replay gives the same ones.
 
 mod agreement;
+mod alignment;
 mod binder;
 mod binding;
 mod clock;

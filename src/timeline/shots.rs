@@ -82,6 +82,11 @@ impl Shots {
         self.list.len()
     }
 
+    /// Position of the exposure with this index.
+    pub(super) fn position(&self, index: u64) -> Option<usize> {
+        self.list.binary_search_by_key(&index, |shot| shot.index).ok()
+    }
+
     /// The number that a console's counter is compared with: the C-arm's own, else the place in the session.
     pub(super) fn number(&self, at: usize) -> Option<i64> {
         let shot = self.list[at];

@@ -1,0 +1,108 @@
+//! `sidecarm attach`: frames exported after a session, tied to the exposures in its log.
+
+use std::path::PathBuf;
+
+use crate::reporter::Reporter;
+use crate::session::attach::{AttachError, AttachReport, Attached, attach};
+
+/// Tie frames that were exported after a session to the exposures in its log. The log is not changed.
+#[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Example:\n  sidecarm attach run-1/session.mcap export/ --out bindings.json\n\n\
+    Exit code 3: some frames could not be tied; the table says why.")]
+pub struct AttachArgs {
+    /// The session's log.
+    pub log: PathBuf,
+    /// Frames, or folders of frames.
+    #[arg(required = true)]
+    pub frames: Vec<PathBuf>,
+    /// Write the bindings (exposure, times, joints, evidence of each frame) to this JSON file.
+    #[arg(long)]
+    pub out: Option<PathBuf>,
+    /// Print JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Why the command failed.
+#[derive(Debug, thiserror::Error)]
+pub enum AttachCommandError {
+    /// Log or frames.
+    #[error(transparent)]
+    Attach(#[from] AttachError),
+    /// The result cannot be written.
+    #[error("{path}: {source}", path = path.display())]
+    Out {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// `--out` names the log or one of the frames.
+    #[error("{path}: is one of the inputs; choose another --out", path = path.display())]
+    Overwrites {
+        /// The file.
+        path: PathBuf,
+    },
+}
+
+/// Attaches; exit code 0, or 3 when some frames could not be tied or read.
+///
+/// # Errors
+/// When log or frames cannot be read, or the result cannot be written.
+pub fn run(args: &AttachArgs, reporter: &Reporter) -> Result<u8, AttachCommandError> {
+    if let Some(out) = &args.out {
+        let same = |input: &PathBuf| std::fs::canonicalize(input).ok() == std::fs::canonicalize(out).ok();
+        let inside = |input: &PathBuf| input.is_dir() && out.exists() && out.parent().is_some_and(|folder| same_folder(folder, input));
+        if out.exists() && (same(&args.log) || args.frames.iter().any(|input| same(input) || inside(input))) {
+            return Err(AttachCommandError::Overwrites { path: out.clone() });
+        }
+    }
+    let report = attach(&args.log, &args.frames, reporter)?;
+    let json = serde_json::to_string_pretty(&report).unwrap_or_default();
+    if let Some(out) = &args.out {
+        std::fs::write(out, format!("{json}\n")).map_err(|source| AttachCommandError::Out { path: out.clone(), source })?;
+    }
+    if args.json {
+        println!("{json}");
+    } else {
+        table(&report);
+    }
+    Ok(if report.bound() == report.frames.len() && report.losses.is_empty() { 0 } else { 3 })
+}
+
+fn same_folder(a: &std::path::Path, b: &std::path::Path) -> bool {
+    let a = if a.as_os_str().is_empty() { std::path::Path::new(".") } else { a };
+    matches!((std::fs::canonicalize(a), std::fs::canonicalize(b)), (Ok(a), Ok(b)) if a == b)
+}
+
+fn table(report: &AttachReport) {
+    println!("{} exposures and {} frames in the log, {} frames to attach", report.exposures, report.frames_in_log, report.frames.len());
+    if let Some(clock) = report.console {
+        println!(
+            "console clock: {:.2} s behind the host's, ± {:.2} s, from {} frames",
+            clock.offset_us as f64 * 1e-6,
+            clock.uncertainty_us as f64 * 1e-6,
+            clock.frames
+        );
+    }
+    for frame in &report.frames {
+        println!("{}", row(frame));
+        for flag in &frame.binding.flags {
+            println!("    {flag}");
+        }
+    }
+    for loss in &report.losses {
+        println!("lost: {loss}");
+    }
+    println!("{} of {} frames tied", report.bound(), report.frames.len());
+}
+
+fn row(frame: &Attached) -> String {
+    let reason = frame.binding.evidence.last().map_or("", String::as_str);
+    let [image, count] = frame.image_of_file;
+    let label = if count > 1 { format!("{} image {}", frame.label, image + 1) } else { frame.label.clone() };
+    match &frame.binding.exposure {
+        Some(exposure) => format!("{label:24} {:14} {reason}", exposure.label()),
+        None => format!("{label:24} {:14} {reason}", "not tied"),
+    }
+}

@@ -1,0 +1,233 @@
+//! Frames exported after a session, tied to the exposures that its log recorded. The log is read, never written.
+
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use crate::acquire::{AcquireError, Frame, read_frames};
+use crate::record::{LogReader, RecordError, topic};
+use crate::reporter::Reporter;
+use crate::telemetry::{DeviceKind, Event, Link};
+use crate::timeline::{Binder, Binding, BindingFlag, ConsoleClock, FrameEvidence, Timeline};
+
+/// Why nothing could be attached.
+#[derive(Debug, thiserror::Error)]
+pub enum AttachError {
+    /// The log.
+    #[error(transparent)]
+    Record(#[from] RecordError),
+    /// A frame's folder cannot be listed.
+    #[error("{path}: {source}", path = path.display())]
+    Folder {
+        /// The folder.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The log has no telemetry of the C-arm.
+    #[error("{path}: the log holds no bytes of the C-arm, so there is no exposure to tie a frame to", path = path.display())]
+    NoTelemetry {
+        /// The log.
+        path: PathBuf,
+    },
+    /// Nothing to attach.
+    #[error("no frames were found in what was named: name image files or a folder that holds some")]
+    NoFrames,
+}
+
+/// An attached frame.
+#[derive(Clone, Debug, Serialize)]
+pub struct Attached {
+    /// Its label.
+    pub label: String,
+    /// SHA-256 of its file.
+    pub sha256: String,
+    /// Index and count of the image within its file.
+    pub image_of_file: [u32; 2],
+    /// Which exposure, with times, joints and evidence.
+    pub binding: Binding,
+}
+
+/// What came of it.
+#[derive(Clone, Debug, Serialize)]
+pub struct AttachReport {
+    /// Exposures in the log.
+    pub exposures: usize,
+    /// Frames that the log itself holds.
+    pub frames_in_log: usize,
+    /// The console's clock as all frames together show it.
+    pub console: Option<ConsoleClock>,
+    /// The named frames, in the order in which they were named (folders by file name).
+    pub frames: Vec<Attached>,
+    /// Files that could not be read, and what the log had lost.
+    pub losses: Vec<String>,
+}
+
+impl AttachReport {
+    /// Frames with an exposure.
+    #[must_use]
+    pub fn bound(&self) -> usize {
+        self.frames.iter().filter(|frame| frame.binding.exposure.is_some()).count()
+    }
+}
+
+/// Reads the log through decoder and timeline, the frames through `acquire`, and ties the whole batch at once.
+///
+/// # Errors
+/// When the log is none or holds no C-arm, or no frame is found. A single unreadable file is a loss in the report.
+pub fn attach(log: &Path, named: &[PathBuf], reporter: &Reporter) -> Result<AttachReport, AttachError> {
+    let mut session = Recorded::default();
+    session.read(log)?;
+    if session.carm_bytes == 0 {
+        return Err(AttachError::NoTelemetry { path: log.to_owned() });
+    }
+    let files = files(named)?;
+    let progress = reporter.progress("reading frames", files.len() as u64);
+    let mut read: Vec<(u32, Frame, [u32; 2])> = Vec::new();
+    for file in &files {
+        match read_frames(file, None) {
+            Ok(frames) => {
+                let count = frames.len() as u32;
+                for (image, frame) in frames.into_iter().enumerate() {
+                    read.push((session.next_frame(), without_pixels(frame), [image as u32, count]));
+                }
+            }
+            // A folder holds other things beside frames; what looks like one and is damaged is said.
+            Err(AcquireError::NotAnImage { .. }) => {}
+            Err(error) => session.losses.push(format!("a frame could not be read: {error}")),
+        }
+        progress.advance(1);
+    }
+    if read.is_empty() && session.losses.is_empty() {
+        return Err(AttachError::NoFrames);
+    }
+    for (number, frame, image_of_file) in &read {
+        session.binder.push(FrameEvidence::of(*number, &frame.tags, &frame.sha256, *image_of_file, None));
+    }
+    session.binder.finish(&session.timeline);
+    let attached = |(number, frame, image_of_file): &(u32, Frame, [u32; 2])| Attached {
+        label: frame.name.clone(),
+        sha256: frame.sha256.clone(),
+        image_of_file: *image_of_file,
+        binding: session.binding(*number),
+    };
+    Ok(AttachReport {
+        exposures: session.timeline.exposures().len(),
+        frames_in_log: session.frames_in_log as usize,
+        console: session.binder.clock(),
+        frames: read.iter().map(attached).collect(),
+        losses: session.losses,
+    })
+}
+
+/// A batch may hold thousands of frames; only their headers matter here.
+fn without_pixels(mut frame: Frame) -> Frame {
+    frame.pixels.pixels = Vec::new();
+    frame
+}
+
+/// Files as named, and those in named folders, by name.
+fn files(named: &[PathBuf]) -> Result<Vec<PathBuf>, AttachError> {
+    let mut found = Vec::new();
+    for path in named {
+        if !path.is_dir() {
+            found.push(path.clone());
+            continue;
+        }
+        let failed = |source| AttachError::Folder { path: path.clone(), source };
+        let mut inside = Vec::new();
+        for entry in std::fs::read_dir(path).map_err(failed)? {
+            let entry = entry.map_err(failed)?;
+            // Links, pipes and devices are not followed.
+            if entry.file_type().map_err(failed)?.is_file() {
+                inside.push(entry.path());
+            }
+        }
+        inside.sort();
+        found.extend(inside);
+    }
+    Ok(found)
+}
+
+/// A session's timeline and frames, as its log has them.
+#[derive(Default)]
+struct Recorded {
+    timeline: Timeline,
+    binder: Binder,
+    frames_in_log: u32,
+    taken: u32,
+    carm_bytes: u64,
+    losses: Vec<String>,
+}
+
+impl Recorded {
+    fn read(&mut self, log: &Path) -> Result<(), AttachError> {
+        let mut links = DeviceKind::ALL.map(Link::new);
+        let mut reader = LogReader::open(log)?;
+        for entry in reader.by_ref() {
+            let device = match &*entry.topic {
+                topic::CARM_RAW => DeviceKind::Carm,
+                topic::ROBOT_RAW => DeviceKind::Robot,
+                topic::FRAME_TAGS => {
+                    match entry.json::<Frame>() {
+                        Ok(frame) => {
+                            let number = self.next_frame();
+                            self.frames_in_log += 1;
+                            let image_of_file = [0, 1];
+                            let evidence =
+                                FrameEvidence::of(number, &frame.tags, &frame.sha256, image_of_file, Some(entry.host_us));
+                            self.binder.push(evidence);
+                            self.binder.update(&self.timeline, entry.host_us);
+                        }
+                        Err(error) => self.losses.push(error.to_string()),
+                    }
+                    continue;
+                }
+                _ => continue,
+            };
+            let raw = match entry.raw_bytes() {
+                Ok(Some(raw)) => raw,
+                Ok(None) => continue,
+                Err(error) => {
+                    self.losses.push(error.to_string());
+                    continue;
+                }
+            };
+            if device == DeviceKind::Carm {
+                self.carm_bytes += raw.bytes.len() as u64;
+            }
+            let timeline = &mut self.timeline;
+            links[device as usize].feed(entry.host_us, raw.epoch, raw.bytes, &mut |received| {
+                if let Event::Sample(sample, sequenced) = received.event {
+                    timeline.push_sample(device, entry.host_us, raw.epoch, sequenced, sample);
+                }
+            });
+            self.binder.update(&self.timeline, entry.host_us);
+        }
+        self.losses.extend(reader.losses().iter().map(|loss| format!("at byte {} of the log: {}", loss.at_byte, loss.reason)));
+        Ok(())
+    }
+
+    fn next_frame(&mut self) -> u32 {
+        self.taken += 1;
+        self.taken - 1
+    }
+
+    /// A frame's binding; a frame that the log holds already has the binding that it has there.
+    fn binding(&self, frame: u32) -> Binding {
+        let own = self.binder.binding(frame).cloned().unwrap_or_default();
+        let original = own.flags.iter().find_map(|flag| match flag {
+            BindingFlag::Duplicate { of } if *of < self.frames_in_log => Some(*of),
+            _ => None,
+        });
+        match original.and_then(|of| self.binder.binding(of)) {
+            Some(there) => {
+                let mut binding = there.clone();
+                binding.evidence.push("the log holds this very frame".to_owned());
+                binding.flags.extend(own.flags);
+                binding
+            }
+            None => own,
+        }
+    }
+}

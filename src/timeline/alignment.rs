@@ -1,0 +1,110 @@
+//! The console's offset from a whole batch of stamps, when no frame arrived promptly: the shift at which the most stamps find an
+//! exposure of their own, in order.
+//!
+//! Every pair of stamp and exposure allows a short range of offsets; the true offset lies in one range of every frame, a wrong one only
+//! in as many as chance (or a regular rhythm of exposures) provides. Unless the best outweighs every other clearly, nothing is known.
+
+use super::console::Bounds;
+use super::shots::Shots;
+
+/// Offsets that are tried in full.
+const TRIED: usize = 64;
+/// Offsets nearer than this are the same.
+const SAME_US: i64 = 3_000_000;
+/// More pairs than this are not compared (4000 frames with 1000 exposures).
+const MOST_PAIRS: usize = 4_000_000;
+
+/// A frame's stamp.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Stamped {
+    pub console_us: i64,
+    pub resolution_us: i64,
+    /// It cannot be of an exposure that ended later.
+    pub arrival_us: Option<i64>,
+}
+
+impl Stamped {
+    /// Offsets with which the frame is of the exposure at `at`, brought to the time `middle_us`.
+    fn range(&self, shots: &Shots, at: usize, middle_us: i64) -> Option<Bounds> {
+        let shot = shots.get(at);
+        let causal = self.arrival_us.is_none_or(|arrival_us| shot.end_us <= arrival_us);
+        (shot.whole && causal).then(|| Bounds::of(self.console_us, self.resolution_us, shot.start_us, shot.end_us).at(middle_us))
+    }
+}
+
+/// How many different stamps find an exposure of their own at this offset, each later than the one before.
+fn explained(stamps: &[Stamped], shots: &Shots, middle_us: i64, offset_us: i64) -> usize {
+    let (mut next, mut count, mut last) = (0, 0, None);
+    for stamped in stamps {
+        if last == Some(stamped.console_us) {
+            continue;
+        }
+        let fits = |at: &usize| stamped.range(shots, *at, middle_us).is_some_and(|range| range.holds(offset_us));
+        let around_us = stamped.console_us.saturating_add(offset_us);
+        let reach_us = stamped.resolution_us.saturating_add(SAME_US);
+        let near = shots.touching(around_us.saturating_sub(reach_us), around_us.saturating_add(reach_us));
+        if let Some(at) = near.filter(|at| *at >= next).find(fits) {
+            (next, count, last) = (at + 1, count + 1, Some(stamped.console_us));
+        }
+    }
+    count
+}
+
+/// Pairs of stamp and exposure of which the offset can be learnt: positions in `stamps` and `shots`. Empty while two readings are possible.
+pub(super) fn align(stamps: &mut [Stamped], shots: &Shots) -> Vec<(Stamped, usize)> {
+    if shots.len() == 0 || stamps.len().saturating_mul(shots.len()) > MOST_PAIRS {
+        return Vec::new();
+    }
+    stamps.sort_by_key(|stamped| stamped.console_us);
+    let middle_us = shots.get(shots.len() / 2).end_us;
+    // Sweep over the ranges' ends: how many ranges hold at each lower end.
+    let mut ends: Vec<(i64, i32)> = Vec::new();
+    for stamped in stamps.iter() {
+        for range in (0..shots.len()).filter_map(|at| stamped.range(shots, at, middle_us)) {
+            ends.push((range.low_us, -1));
+            ends.push((range.high_us, 1));
+        }
+    }
+    ends.sort_unstable();
+    let mut open = 0;
+    let mut offsets: Vec<(i32, i64)> = Vec::new();
+    for (at_us, end) in ends {
+        open -= end;
+        if end < 0 {
+            offsets.push((open, at_us));
+        }
+    }
+    offsets.sort_unstable_by_key(|(count, at_us)| (std::cmp::Reverse(*count), *at_us));
+    let mut tried: Vec<(usize, i64)> = Vec::new();
+    for (_, offset_us) in offsets {
+        if tried.iter().all(|(_, other_us)| other_us.saturating_sub(offset_us).saturating_abs() > SAME_US / 6) {
+            tried.push((explained(stamps, shots, middle_us, offset_us), offset_us));
+            if tried.len() >= TRIED {
+                break;
+            }
+        }
+    }
+    let Some(&(best, offset_us)) = tried.iter().max_by_key(|(count, _)| *count) else { return Vec::new() };
+    let elsewhere = tried.iter().filter(|(_, other_us)| other_us.saturating_sub(offset_us).saturating_abs() > SAME_US);
+    let second = elsewhere.map(|(count, _)| *count).max().unwrap_or(0);
+    let mut different: Vec<i64> = stamps.iter().map(|stamped| stamped.console_us).collect();
+    different.dedup();
+    if best < 3 || 2 * best < different.len() || best < second + (best / 5).max(3) {
+        return Vec::new();
+    }
+    let mut found = Vec::new();
+    for stamped in stamps.iter() {
+        let near = |at: &usize| {
+            stamped.range(shots, *at, middle_us).is_some_and(|range| {
+                range.low_us <= offset_us.saturating_add(SAME_US / 2) && range.high_us >= offset_us.saturating_sub(SAME_US / 2)
+            })
+        };
+        let fitting: Vec<usize> = (0..shots.len()).filter(near).collect();
+        if let [at] = fitting[..]
+            && stamped.range(shots, at, middle_us).is_some_and(|range| range.holds(offset_us))
+        {
+            found.push((*stamped, at));
+        }
+    }
+    found
+}

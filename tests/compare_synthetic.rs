@@ -263,13 +263,13 @@ fn the_null_tells_a_right_pose_from_a_wrong_one() {
                 &|| false,
             )
             .expect("null");
-        assert_eq!(renders, 31);
+        assert_eq!(renders, 42);
         found.comparison
     };
     let right = with_null(&truth);
     for name in ["zncc", "gradient_ncc", "rmse_nepers", "local_ncc"] {
         let null = &right.null[name];
-        assert!(null.discriminating && null.rank == 1 && null.of == 31, "{name}: {null:?}");
+        assert!(null.discriminating && null.rank == 1 && null.of == 40, "{name}: {null:?}");
     }
     // Stated 3 mm off along u: the null finds the way back.
     let stated = View { camera_from_lps: Rigid::translation(DVec3::new(3.0, 0.0, 0.0)) * truth.camera_from_lps, ..truth };
@@ -292,7 +292,7 @@ fn a_null_can_be_cancelled_and_a_failing_render_is_named() {
     let input = CompareInput { view: Some(&view), centre_lps_mm: Some(DVec3::ZERO), ..CompareInput::new(&frame, &simulated) };
     let mut found = compared(&input);
     let cancelled = found.add_null(&mut |small| Ok(line_integral(small)), &|| true);
-    assert_eq!(cancelled, Err(NullError::Cancelled { done: 1, total: 31 }));
+    assert_eq!(cancelled, Err(NullError::Cancelled { done: 1, total: 42 }));
     let failed = found.add_null(&mut |_| Err("device lost".into()), &|| false);
     assert!(failed.is_err_and(|error| error.to_string().contains("device lost")));
     assert!(found.comparison.null.is_empty());

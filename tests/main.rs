@@ -66,3 +66,6 @@ mod wire_corruption;
 mod overwrite;
 mod fuzz_smoke;
 mod session_soak;
+mod crosscheck_facts;
+mod crosscheck_image;
+mod crosscheck_session;

@@ -7,7 +7,7 @@ fn sidecarm(args: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_sidecarm")).args(args).output().expect("the program starts")
 }
 
-fn mock_is_built() -> bool {
+pub fn mock_is_built() -> bool {
     let built =
         Path::new(env!("CARGO_BIN_EXE_sidecarm")).with_file_name(format!("mock-lab{}", std::env::consts::EXE_SUFFIX)).exists();
     if !built {

@@ -1,4 +1,4 @@
-//! `devices --check`: what is there, what is wrong.
+//! The ports and files of `check`: what is there, what is wrong.
 #![cfg(unix)]
 
 use std::io::Write;

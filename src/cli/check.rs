@@ -18,9 +18,6 @@ use crate::session::file::Setup;
 use crate::telemetry::{DeviceKind, PortConfig};
 use crate::time::Stopwatch;
 
-/// Checks are given up after this; what they found until then is said.
-const LIMIT: Duration = Duration::from_secs(20);
-
 /// Check a session before it starts: ports, files, beads, units, disk, and one synthetic exposure through the whole path.
 ///
 /// A line per check: pass, warn or fail, with what to do. Exit code 0 when nothing failed, else 1. Ports are only listened to.
@@ -32,10 +29,16 @@ pub struct CheckArgs {
     /// Folder of the session to come; the session file's `out` when absent.
     #[arg(long)]
     pub out: Option<PathBuf>,
+    /// Give up after this many seconds, and say what was found until then; a large CT takes longer.
+    #[arg(long, value_name = "S", default_value_t = LIMIT_S)]
+    pub limit: f64,
     /// Print JSON.
     #[arg(long)]
     pub json: bool,
 }
+
+/// Default of `--limit`.
+pub const LIMIT_S: f64 = 20.0;
 
 /// Runs all checks; the exit code.
 pub fn run(args: &CheckArgs, reporter: &Reporter) -> u8 {
@@ -45,20 +48,18 @@ pub fn run(args: &CheckArgs, reporter: &Reporter) -> u8 {
     let watch = Stopwatch::start();
     let mut findings = Vec::new();
     let late = loop {
-        let left = LIMIT.saturating_sub(Duration::from_secs_f64(watch.ms() * 1e-3));
-        match inbox.recv_timeout(left) {
+        // NaN is no time at all.
+        let left_s = (args.limit - watch.ms() * 1e-3).max(0.0);
+        match inbox.recv_timeout(Duration::try_from_secs_f64(left_s).unwrap_or(Duration::MAX)) {
             Ok(finding) => take(finding, args.json, &mut findings),
             Err(RecvTimeoutError::Timeout) => break true,
             Err(RecvTimeoutError::Disconnected) => break false,
         }
     };
     if late {
-        let detail = format!("not all checks were done within {} s", LIMIT.as_secs());
-        take(
-            Finding::warn("time", detail, "a large CT takes longer to load; the session itself will start late too"),
-            args.json,
-            &mut findings,
-        );
+        let detail = format!("not all checks were done within {} s", args.limit);
+        let remedy = "give it longer with --limit; a session starts as late";
+        take(Finding::warn("time", detail, remedy), args.json, &mut findings);
     } else if worker.join().is_err() {
         take(
             Finding::fail("check", "a check ended unexpectedly", "report this with the session's files"),
@@ -103,13 +104,7 @@ fn work(args: &CheckArgs, reporter: &Reporter, found: &Sender<Finding>) {
     let tell = |finding: Finding| drop(found.send(finding));
     let setup = match Setup::load(&args.session) {
         Ok(setup) => setup,
-        Err(error) => {
-            return tell(Finding::fail(
-                "session file",
-                error.to_string(),
-                "correct the file; DESIGN of a session is in the README",
-            ));
-        }
+        Err(error) => return tell(Finding::fail("session file", error.to_string(), "correct the key that is named")),
     };
     tell(Finding::pass("session file", args.session.display().to_string()));
     check_disk(&out_folder(args, &setup)).into_iter().for_each(tell);

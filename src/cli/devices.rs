@@ -16,7 +16,7 @@ const LISTEN: Duration = Duration::from_millis(1500);
 
 /// List serial ports, or check what a session needs.
 #[derive(Clone, Debug, clap::Args)]
-#[command(after_help = "Examples:\n  sidecarm devices\n  sidecarm devices --check session.json")]
+#[command(after_help = "Examples:\n  sidecarm devices\n  sidecarm check session.json")]
 pub struct DevicesArgs {
     /// The same as `sidecarm check SESSION.json`.
     #[arg(long, value_name = "SESSION.json")]

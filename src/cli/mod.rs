@@ -91,7 +91,10 @@ fn dispatch(command: &Command, reporter: &Reporter) -> u8 {
         Command::Spectrum(args) => end(spectrum::run(args, &mut std::io::stdout().lock()).map(|()| 0), reporter),
         Command::Check(args) => check::run(args, reporter),
         Command::Devices(args) => match &args.check {
-            Some(session) => check::run(&check::CheckArgs { session: session.clone(), out: None, json: args.json }, reporter),
+            Some(session) => {
+                let args = check::CheckArgs { session: session.clone(), out: None, limit: check::LIMIT_S, json: args.json };
+                check::run(&args, reporter)
+            }
             None => devices::list(args.json, reporter),
         },
         Command::Info(args) => end(info::run(args, reporter), reporter),

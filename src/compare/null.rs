@@ -65,8 +65,10 @@ pub enum NullError {
 pub const NULL_WIDTH_PX: u32 = 256;
 const SHIFTS_MM: [f64; 3] = [1.0, 3.0, 10.0];
 const TURNS_DEG: [f64; 2] = [1.0, 3.0];
-/// Renders of a null: 18 shifts, 12 turns, 9 other poses and the stated one.
-pub const NULL_RENDERS: usize = 40;
+/// Renders of a null: 18 shifts, 12 turns, 9 other poses, the optimum of all shifts and that of all turns, and the stated pose.
+pub const NULL_RENDERS: usize = 42;
+/// Optima are looked for no further away than this: mm and degrees.
+const FARTHEST: [f64; 2] = [12.0, 6.0];
 
 /// A score at one wrong pose.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -92,7 +94,7 @@ pub struct NullScore {
     pub of: usize,
     /// Whether the best is at the stated pose. Where false, the score does not tell a right pose from a wrong one.
     pub discriminating: bool,
-    /// All wrong poses.
+    /// All wrong poses, then the optima of all shifts and of all turns, which are not ranked.
     pub shifts: Vec<ShiftedScore>,
 }
 
@@ -128,7 +130,7 @@ fn wrong_poses(camera_from_lps: &Rigid, centre_lps_mm: DVec3) -> Vec<(String, Ri
     let about =
         |turn: DQuat| Rigid::translation(centre_in_camera) * Rigid::rotation(turn) * Rigid::translation(-centre_in_camera);
     let axes = [("u", DVec3::X), ("v", DVec3::Y), ("depth", DVec3::Z)];
-    let mut found = Vec::with_capacity(NULL_RENDERS - 1);
+    let mut found = Vec::with_capacity(NULL_RENDERS);
     for (name, axis) in axes {
         for size in SHIFTS_MM.iter().flat_map(|size| [*size, -size]) {
             found.push((format!("{name} {size:+} mm"), Rigid::translation(axis * size) * *camera_from_lps));
@@ -205,6 +207,17 @@ pub(super) fn null(
         let scores = at(&name, &moved)?;
         shifted.push((name, scores));
     }
+    let known_wrong = shifted.len();
+    // A pose that is wrong in several directions is only half mended by any one of them: the optimum of each, taken together.
+    let centre_in_camera = small.camera_from_lps.transform_point(input.centre_lps_mm);
+    for (name, motion) in optima(&stated, &shifted, centre_in_camera) {
+        if cancelled() {
+            return Err(NullError::Cancelled { done: 1 + shifted.len(), total: NULL_RENDERS });
+        }
+        let moved = View { camera_from_lps: motion * small.camera_from_lps, ..small };
+        let scores = at(&name, &moved)?;
+        shifted.push((name, scores));
+    }
     let plan = NullPlan {
         size_px: small.size_px,
         binning,
@@ -215,9 +228,53 @@ pub(super) fn null(
     let scores = NULL_SCORES
         .iter()
         .filter(|(name, _)| stated.get(name).is_some())
-        .map(|(name, larger_is_better)| ((*name).to_owned(), rank(name, *larger_is_better, &stated, &shifted)))
+        .map(|(name, larger_is_better)| ((*name).to_owned(), rank(name, *larger_is_better, &stated, &shifted, known_wrong)))
         .collect();
     Ok((scores, plan))
+}
+
+/// How much is missing to a perfect agreement, relative to the stated pose, over the scores that both have; 1 at the stated pose.
+fn missing(stated: &Scores, scores: &Scores) -> Option<f64> {
+    let relative = |(name, larger): &(&str, bool)| {
+        let (here, there) = (stated.get(name)?, scores.get(name)?);
+        let (here, there) = if *larger { (1.0 - here, 1.0 - there) } else { (here, there) };
+        (here > 0.0).then(|| there / here)
+    };
+    let found: Vec<f64> = NULL_SCORES.iter().filter_map(relative).collect();
+    (!found.is_empty()).then(|| found.iter().sum::<f64>() / found.len() as f64)
+}
+
+/// Where the shifts, and where the turns, point to: the minimum of a parabola through what is missing at 0, ±1 and ±3 along each axis.
+fn optima(stated: &Scores, shifted: &[(String, Scores)], centre_in_camera: DVec3) -> [(String, Rigid); 2] {
+    let steps = [0.0, 1.0, -1.0, 3.0, -3.0];
+    let along = |first: usize, farthest: f64| {
+        let values = (first..first + 4).map(|index| missing(stated, &shifted.get(index)?.1));
+        let values: Option<Vec<f64>> = std::iter::once(Some(1.0)).chain(values).collect();
+        values.map_or(0.0, |values| lowest(&steps, &values).clamp(-farthest, farthest))
+    };
+    let per_axis = 2 * SHIFTS_MM.len();
+    let shift_mm = DVec3::from_array([0, 1, 2].map(|axis| along(axis * per_axis, FARTHEST[0])));
+    let first_turn = 3 * per_axis;
+    let turn_deg = DVec3::from_array([0, 1, 2].map(|axis| along(first_turn + axis * 2 * TURNS_DEG.len(), FARTHEST[1])));
+    let turn = Rigid::rotation(DQuat::from_scaled_axis(turn_deg.map(f64::to_radians)));
+    let about = Rigid::translation(centre_in_camera) * turn * Rigid::translation(-centre_in_camera);
+    let words = |v: DVec3| format!("{:+.1}, {:+.1}, {:+.1}", v.x, v.y, v.z);
+    [
+        (format!("best shift ({}) mm", words(shift_mm)), Rigid::translation(shift_mm)),
+        (format!("best turn ({}) deg", words(turn_deg)), about),
+    ]
+}
+
+/// Abscissa of the minimum of the least-squares parabola; of the lowest value where the parabola has none.
+fn lowest(x: &[f64; 5], y: &[f64]) -> f64 {
+    let rows = nalgebra::Matrix5x3::from_fn(|row, column| x[row].powi(column as i32));
+    let values = nalgebra::Vector5::from_fn(|row, _| y[row]);
+    let normal = rows.transpose() * rows;
+    let fitted = normal.try_inverse().map(|inverse| inverse * rows.transpose() * values);
+    match fitted {
+        Some(c) if c[2] > 0.0 && c[1].is_finite() => -0.5 * c[1] / c[2],
+        _ => x.iter().zip(y).min_by(|a, b| a.1.total_cmp(b.1)).map_or(0.0, |(x, _)| *x),
+    }
 }
 
 fn score_small(input: &NullInput, acquired: &Image<f32>, usable: &Image<bool>, render: &Image<f32>, tile_px: usize) -> Scores {
@@ -243,14 +300,15 @@ fn score_small(input: &NullInput, acquired: &Image<f32>, usable: &Image<bool>, r
     )
 }
 
-fn rank(name: &str, larger_is_better: bool, stated: &Scores, shifted: &[(String, Scores)]) -> NullScore {
+fn rank(name: &str, larger_is_better: bool, stated: &Scores, shifted: &[(String, Scores)], known_wrong: usize) -> NullScore {
     let at_pose = stated.get(name);
     let better = |a: f64, b: f64| if larger_is_better { a > b } else { a < b };
     let shifts: Vec<ShiftedScore> =
         shifted.iter().map(|(shift, scores)| ShiftedScore { shift: shift.clone(), value: scores.get(name) }).collect();
     let mut best: Option<(&str, f64)> = None;
     let mut rank = 1;
-    for (shift, value) in shifts.iter().filter_map(|s| Some((s.shift.as_str(), s.value?))) {
+    // Optima may lie at the stated pose; they are no wrong poses to rank it against.
+    for (shift, value) in shifts[..known_wrong].iter().filter_map(|s| Some((s.shift.as_str(), s.value?))) {
         if best.is_none_or(|(_, top)| better(value, top)) {
             best = Some((shift, value));
         }
@@ -264,7 +322,7 @@ fn rank(name: &str, larger_is_better: bool, stated: &Scores, shifted: &[(String,
         best_shifted: best.map(|(_, value)| value),
         best_shift: best.map(|(shift, _)| shift.to_owned()),
         rank,
-        of: 1 + shifts.iter().filter(|s| s.value.is_some()).count(),
+        of: 1 + shifts[..known_wrong].iter().filter(|s| s.value.is_some()).count(),
         discriminating: rank == 1 && best.is_some(),
         shifts,
     }
@@ -283,13 +341,22 @@ mod tests {
     fn there_are_thirty_nine_wrong_poses_and_turns_keep_the_centre() {
         let centre = DVec3::new(3.0, -7.0, 12.0);
         let wrong = wrong_poses(&stated(), centre);
-        assert_eq!(wrong.len() + 1, NULL_RENDERS);
+        assert_eq!(wrong.len() + 3, NULL_RENDERS);
         let turns: Vec<_> = wrong.iter().filter(|(name, _)| name.contains("turn about")).collect();
         assert_eq!(turns.len(), 15);
         let there = stated().transform_point(centre);
         assert!(turns.iter().all(|(_, pose)| pose.transform_point(centre).distance(there) < 1e-9));
         assert!(wrong.iter().any(|(name, _)| name == "depth -10 mm"));
         assert!(wrong.iter().all(|(_, pose)| (pose.rotation.length() - 1.0).abs() < 1e-12));
+    }
+
+    #[test]
+    fn a_parabola_s_minimum_is_found_and_a_slope_goes_downhill() {
+        let x = [0.0, 1.0, -1.0, 3.0, -3.0];
+        let parabola: Vec<f64> = x.iter().map(|x: &f64| 0.2 + 0.05 * (x - 1.7).powi(2)).collect();
+        assert!((lowest(&x, &parabola) - 1.7).abs() < 1e-9);
+        let dome: Vec<f64> = x.iter().map(|x: &f64| 1.0 - 0.05 * (x + 0.3).powi(2)).collect();
+        assert_eq!(lowest(&x, &dome), 3.0);
     }
 
     #[test]

@@ -221,7 +221,7 @@ fn table(page: &mut String, report: &SessionReport) {
             number((total > 0.0).then_some(total), 0)
         );
     }
-    page.push_str("</tbody></table></div><p class=\"dim\" style=\"margin-top:8px\">Best of its null: the highest ZNCC at 39 poses known to be wrong (±1, 3, 10 mm; ±1, 3°; turned round, negated, mirrored), \
+    page.push_str("</tbody></table></div><p class=\"dim\" style=\"margin-top:8px\">Best of its null: the highest ZNCC at 41 other poses (±1, 3, 10 mm; ±1, 3°; where these point to; turned round, negated, mirrored), \
         at reduced size; a score marked ? does not tell the stated pose from a wrong one.</p>");
 }
 

@@ -167,7 +167,8 @@ fn filtration_mm(scene_json: &str, names: &[&str]) -> Option<f64> {
     let filters = scene["beam"]["filtration_mm"].as_object();
     let thickness =
         |(name, mm): (&String, &serde_json::Value)| names.contains(&name.to_lowercase().as_str()).then(|| mm.as_f64()).flatten();
-    Some(filters.into_iter().flatten().filter_map(thickness).sum())
+    // The sum of nothing is −0.
+    Some(filters.into_iter().flatten().filter_map(thickness).fold(0.0, |sum, mm| sum + mm))
 }
 
 fn check_field(facts: &ExposureFacts) -> Option<Finding> {

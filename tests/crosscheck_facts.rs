@@ -1,0 +1,187 @@
+//! One exposure and one line against what is known besides: each disagreement is named, agreement is silent.
+
+use std::path::Path;
+
+use glam::{DQuat, DVec3};
+use sidecarm::acquire::{Domain, Frame};
+use sidecarm::geometry::{CarmCalibration, CarmJoints, Rigid};
+use sidecarm::image::Image;
+use sidecarm::reporter::Reporter;
+use sidecarm::scene::{self, Scene};
+use sidecarm::session::crosscheck::{ExposureFacts, Finding, Level, check_exposure, check_line, check_session};
+use sidecarm::session::file::Setup;
+use sidecarm::telemetry::{CarmSample, DeviceKind, Limit, Metadata};
+
+const SCENE: &str = r#"{"objects": [{"box": {"centre_lps_mm": [0, 0, 0], "size_mm": [100, 80, 60], "material": "water"}}],
+    "beam": {"tube_kvp": 90, "filtration_mm": {"aluminium": 4.3}}, "detector": {"pitch_mm": 0.388}}"#;
+
+fn scene(text: &str) -> Scene {
+    scene::load_text(text, Path::new("scene.json"), false, &Reporter::silent()).expect("loads")
+}
+
+fn calibration() -> CarmCalibration {
+    serde_json::from_value(serde_json::json!({
+        "origin": "test", "columns_px": 62, "rows_px": 48, "pitch_mm": 0.388, "source_to_isocentre_mm": 630.0,
+        "source_to_detector_mm": 1020.0, "column_to_isocentre_mm": [800.0, 0.0, 1000.0]
+    }))
+    .expect("valid")
+}
+
+fn frame() -> Frame {
+    let pixels = (0..62 * 48).map(|n| 100.0 + (n % 17) as f32).collect();
+    let mut frame =
+        Frame::from_pixels("frame", Image::from_pixels(62, 48, pixels).expect("size"), Domain::Linear).expect("finite");
+    (frame.tags.kvp, frame.tags.sid_mm, frame.tags.pitch_mm) = (Some(90.0), Some(1020.0), Some([0.388, 0.388]));
+    frame
+}
+
+fn sample() -> CarmSample {
+    CarmSample {
+        device_us: 0,
+        sequence: 0,
+        joints: CarmJoints { source_to_detector_mm: 1020.0, ..CarmJoints::ZERO },
+        tube_kvp: 90.0,
+        tube_ma: 3.0,
+        pulse_width_ms: 8.0,
+        filter_mm_al: 4.3,
+        filter_mm_cu: 0.0,
+        field_mm: [-12.028, -9.312, 12.028, 9.312],
+        xray_on: true,
+        exposure_counter: Some(1),
+        status: 0,
+    }
+}
+
+/// Everything agrees but for what `change` does; the findings.
+fn exposure(change: impl FnOnce(&mut Frame, &mut CarmSample, &mut Rigid, &mut f64)) -> Vec<Finding> {
+    let (scene, carm, mut frame, mut beam) = (scene(SCENE), calibration(), frame(), sample());
+    let from_beads = Rigid { rotation: DQuat::from_rotation_x(1.5), translation_mm: DVec3::new(2.0, 1.0, 630.0) };
+    let (mut nominal, mut shuttered) = (from_beads, 0.0);
+    change(&mut frame, &mut beam, &mut nominal, &mut shuttered);
+    check_exposure(&ExposureFacts {
+        frame: &frame,
+        carm: Some(&carm),
+        scene: &scene,
+        scene_json: SCENE,
+        beam: Some(&beam),
+        from_beads: Some(&from_beads),
+        nominal: Some(&nominal),
+        centre_lps_mm: Some(DVec3::new(5.0, 5.0, 5.0)),
+        shuttered_share: Some(shuttered),
+    })
+}
+
+#[test]
+fn an_exposure_in_which_all_agrees_is_silent_and_each_disagreement_is_named() {
+    assert_eq!(exposure(|_, _, _, _| ()), Vec::new());
+    type Change = fn(&mut Frame, &mut CarmSample, &mut Rigid, &mut f64);
+    let cases: [(&str, Change, &[&str]); 12] = [
+        ("frame size", |f, _, _, _| f.size_px = [31, 24], &["31 x 24", "62 x 48", "binned 2 x 2"]),
+        ("frame size", |f, _, _, _| f.size_px = [48, 62], &["turned it by 90 degrees"]),
+        ("pitch", |f, _, _, _| f.tags.pitch_mm = Some([0.194, 0.194]), &["0.194", "0.388"]),
+        ("SID", |f, _, _, _| f.tags.sid_mm = Some(740.0), &["740", "1020", "telemetry"]),
+        ("SID", |_, b, _, _| b.joints.source_to_detector_mm = 1.02, &["1.02", "metres"]),
+        ("kVp", |f, _, _, _| f.tags.kvp = Some(74.0), &["telemetry says 90", "the frame 74"]),
+        ("kVp", |f, b, _, _| (f.tags.kvp, b.tube_kvp) = (Some(74.0), f64::NAN), &["of the frame 74", "the scene renders 90"]),
+        ("filter", |_, b, _, _| b.filter_mm_cu = 0.2, &["0.20 mm of copper", "the scene renders 0.00"]),
+        ("filter", |_, b, _, _| b.filter_mm_al = 6.0, &["6.00 mm of aluminium", "4.30"]),
+        ("field", |_, b, _, _| b.field_mm = [-6.0, -9.312, 12.028, 9.312], &["25 % of the frame", "shows 0 %"]),
+        ("telemetry and beads", |_, _, n, _| n.translation_mm.z += 93.0, &["+93 mm in depth", "focal length"]),
+        ("telemetry and beads", |_, _, n, _| n.translation_mm.x += 40.0, &["40 mm across", "world_from_lps"]),
+    ];
+    for (check, change, words) in cases {
+        let found = exposure(change);
+        assert_eq!(found.len(), 1, "{check}: {found:#?}");
+        let sentence = found[0].to_string();
+        assert!(found[0].check == check && found[0].level == Level::Warn || check == "SID", "{sentence}");
+        assert!(words.iter().all(|word| sentence.contains(word)), "{words:?} in {sentence}");
+    }
+    assert_eq!(
+        exposure(|_, b, _, _| (b.field_mm, b.filter_mm_al, b.filter_mm_cu) = ([f64::NAN; 4], f64::NAN, f64::NAN)),
+        Vec::new()
+    );
+    assert_eq!(exposure(|_, _, n, _| n.translation_mm.z = f64::NAN).len(), 1, "a pose that is no number does not agree");
+}
+
+fn setup(scene_json: &str, carm: CarmCalibration) -> Setup {
+    let robot: serde_json::Value = serde_json::from_str(include_str!("../calibration/robot/cdm.json")).expect("a model");
+    let mut setup: Setup = serde_json::from_value(serde_json::json!({
+        "session": {
+            "carm": {"port": "x", "calibration": "x"}, "robot": {"port": "x", "model": "x"}, "frames": {"folder": "x"}, "scene": "x"
+        },
+        "carm": null, "robot": robot, "scene_json": scene_json, "scene_path": "x", "beads": null
+    }))
+    .expect("a setup");
+    setup.carm = Some(carm);
+    setup
+}
+
+#[test]
+fn a_line_is_held_against_the_session_s_models() {
+    let metadata = |device, limits: Vec<[f64; 2]>| Metadata {
+        device_us: 0,
+        sequence: 0,
+        device,
+        schema: 0,
+        serial_number: String::new(),
+        firmware: String::new(),
+        calibration_id: String::new(),
+        units: "mm,deg".to_owned(),
+        limits: limits.into_iter().map(|[min, max]| Limit { min, max }).collect(),
+    };
+    let setup = setup(SCENE, calibration());
+    let scene = scene(SCENE);
+    let named = |metadata: &Metadata, sample: &CarmSample| -> Vec<String> {
+        check_line(&setup, Some(&scene), Some(metadata), Some(sample)).into_iter().map(|finding| finding.check).collect()
+    };
+    let robot = metadata(DeviceKind::Robot, vec![[-7.9, 7.9]; 5]);
+    let mut arm = metadata(DeviceKind::Carm, vec![[-180.0, 180.0]; 6]);
+    arm.limits.push(Limit { min: 900.0, max: 1200.0 });
+    assert!(named(&robot, &sample()).is_empty() && named(&arm, &sample()).is_empty());
+    assert_eq!(named(&metadata(DeviceKind::Robot, vec![[-9.0, 9.0]; 5]), &sample()), ["robot limits"]);
+    arm.limits[6].min = 1100.0;
+    assert_eq!(named(&arm, &sample()), ["SID"]);
+    assert_eq!(named(&Metadata { units: "m,rad".into(), ..robot.clone() }, &sample()), ["units on the wire"]);
+    assert_eq!(named(&robot, &CarmSample { tube_kvp: 120.0, ..sample() }), ["kVp"]);
+    assert_eq!(named(&robot, &CarmSample { field_mm: [-120.0, -93.0, 120.0, 93.0], ..sample() }), ["panel size"]);
+}
+
+#[test]
+fn implausible_calibrations_and_rooms_are_named_and_plausible_ones_pass() {
+    let with = |change: fn(&mut CarmCalibration, &mut Setup)| {
+        let mut carm = calibration();
+        (carm.columns_px, carm.rows_px) = (620, 480);
+        let mut setup = setup(SCENE, carm.clone());
+        change(&mut carm, &mut setup);
+        setup.carm = Some(carm);
+        let found = check_session(&setup, &scene(SCENE), None);
+        let bad: Vec<String> =
+            found.iter().filter(|f| f.level > Level::Pass && f.check != "robot").map(|f| f.to_string()).collect();
+        assert!(found.iter().any(|finding| finding.check == "robot"), "the scene has no robot, the session has");
+        bad
+    };
+    assert_eq!(
+        with(|_, setup| setup.session.world_from_lps =
+            Some([[1.0, 0.0, 0.0, 800.0], [0.0, 0.0, 1.0, 10.0], [0.0, -1.0, 0.0, 990.0], [0.0, 0.0, 0.0, 1.0]])),
+        Vec::<String>::new()
+    );
+    type Change = fn(&mut CarmCalibration, &mut Setup);
+    let cases: [(Change, &str); 6] = [
+        (|carm, _| carm.source_to_detector_mm = Some(1.02), "source_to_detector_mm is 1.02 mm"),
+        (|carm, _| carm.source_to_isocentre_mm = 63.0, "centimetres"),
+        (|carm, _| carm.source_to_isocentre_mm = 1100.0, "not behind the isocentre"),
+        (|carm, _| carm.source_to_isocentre_mm = f64::NAN, "source_to_isocentre_mm is NaN"),
+        (|carm, _| carm.principal_point_px = Some([767.5, 767.5]), "outside the frame"),
+        (
+            |_, setup| {
+                setup.session.world_from_lps =
+                    Some([[1.0, 0.0, 0.0, 0.8], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 1.0], [0.0, 0.0, 0.0, 1.0]]);
+            },
+            "its translation fits if it is in metres",
+        ),
+    ];
+    for (change, words) in cases {
+        let found = with(change);
+        assert!(found.iter().any(|sentence| sentence.contains(words)), "{words}: {found:?}");
+    }
+}

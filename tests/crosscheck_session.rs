@@ -1,0 +1,360 @@
+//! Sessions whose files contradict each other: through `check`, and through `live` with the mocked laboratory.
+#![cfg(unix)]
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use serde_json::{Value, json as value};
+use serialport::{SerialPort, TTYPort};
+
+use crate::crosscheck_image::{json, kit};
+use crate::session_demo::mock_is_built;
+
+fn write(path: &Path, value: &Value) {
+    std::fs::write(path, format!("{value:#}")).expect("written");
+}
+
+/// A copy of the kit's small files in a folder beside it; the CT and the frames are linked.
+fn copy(lab: &Path, name: &str) -> PathBuf {
+    let to = lab.with_file_name(name);
+    std::fs::create_dir(&to).expect("new");
+    for file in ["beads.mrk.json", "carm.json", "robot.json", "scene.json", "session.json"] {
+        std::fs::copy(lab.join(file), to.join(file)).expect("copied");
+    }
+    for linked in ["ct.nii.gz", "frames", "ttyCARM", "ttyROBOT"] {
+        std::os::unix::fs::symlink(lab.join(linked), to.join(linked)).expect("linked");
+    }
+    to
+}
+
+fn edit(folder: &Path, file: &str, change: impl FnOnce(&mut Value)) {
+    let path = folder.join(file);
+    let mut content = json(&path);
+    change(&mut content);
+    write(&path, &content);
+}
+
+/// Changes every bead's position.
+fn move_beads(folder: &Path, change: impl Fn([f64; 3]) -> [f64; 3]) {
+    edit(folder, "beads.mrk.json", |beads| {
+        let points = beads["markups"][0]["controlPoints"].as_array_mut().expect("points");
+        assert!(points.len() >= 6);
+        for point in points {
+            let position: [f64; 3] = serde_json::from_value(point["position"].clone()).expect("three");
+            point["position"] = value!(change(position));
+        }
+    });
+}
+
+/// What `sidecarm check --json` says, and its exit code.
+fn check(folder: &Path) -> (Vec<(String, String, String)>, i32) {
+    let session = folder.join("session.json");
+    let run = Command::new(env!("CARGO_BIN_EXE_sidecarm"))
+        .arg("check")
+        .arg(session)
+        .args(["--json", "--limit", "200"])
+        .output()
+        .expect("runs");
+    let found: Value = serde_json::from_slice(&run.stdout).unwrap_or_else(|_| panic!("{}", String::from_utf8_lossy(&run.stderr)));
+    let word = |row: &Value, key: &str| row[key].as_str().unwrap_or_default().to_owned();
+    let rows = found["checks"].as_array().expect("a list");
+    let rows = rows
+        .iter()
+        .map(|row| (word(row, "check"), word(row, "level"), format!("{} → {}", word(row, "detail"), word(row, "remedy"))));
+    (rows.collect(), run.status.code().unwrap_or(-1))
+}
+
+type Fault = (&'static str, fn(&Path), &'static str, &'static str, &'static [&'static str]);
+
+/// Faults of files: name, how, the check that names it, its level, words that it uses.
+const FILE_FAULTS: [Fault; 13] = [
+    (
+        "ras",
+        |lab| edit(lab, "beads.mrk.json", |b| b["markups"][0]["coordinateSystem"] = value!("RAS")),
+        "beads and spheres",
+        "fail",
+        &["RAS and LPS were swapped", "says RAS but its numbers are LPS"],
+    ),
+    ("mirrored", |lab| move_beads(lab, |[x, y, z]| [-x, y, z]), "beads and spheres", "fail", &["mirrored (x negated)"]),
+    ("exchanged", |lab| move_beads(lab, |[x, y, z]| [z, x, y]), "beads and spheres", "fail", &["axes were exchanged"]),
+    (
+        "shifted",
+        |lab| move_beads(lab, |[x, y, z]| [x + 14.0, y, z - 9.0]),
+        "beads and spheres",
+        "fail",
+        &["shifted by (14.0, 0.0, -9.0) mm"],
+    ),
+    ("metres", |lab| move_beads(lab, |p| p.map(|v| v * 1e-3)), "bead units", "fail", &["metres", "millimetres"]),
+    (
+        "other specimen",
+        |lab| {
+            edit(lab, "scene.json", |scene| {
+                scene["objects"].as_array_mut().expect("a list").retain(|object| object["sphere"].is_null())
+            });
+            move_beads(lab, |[x, y, z]| [x + 400.0, y, z]);
+        },
+        "beads in specimen",
+        "fail",
+        &["more than 8 mm from any matter", "same specimen"],
+    ),
+    (
+        "sid",
+        |lab| edit(lab, "carm.json", |c| c["source_to_detector_mm"] = value!(1.02)),
+        "calibration",
+        "fail",
+        &["source_to_detector_mm is 1.02", "metres"],
+    ),
+    (
+        "pitch",
+        |lab| edit(lab, "carm.json", |c| c["pitch_mm"] = value!(194.0)),
+        "calibration",
+        "fail",
+        &["pitch_mm is 194", "microns"],
+    ),
+    ("half pitch", |lab| edit(lab, "carm.json", |c| c["pitch_mm"] = value!(0.194)), "scene pitch", "warn", &["0.388", "0.194"]),
+    (
+        "size",
+        |lab| edit(lab, "carm.json", |c| (c["columns_px"], c["rows_px"]) = (value!(1240), value!(960))),
+        "frame size",
+        "warn",
+        &["620 x 480", "1240 x 960", "binned 2 x 2"],
+    ),
+    (
+        "room",
+        |lab| {
+            edit(lab, "session.json", |s| {
+                for row in 0..3 {
+                    let mm = s["world_from_lps"][row][3].as_f64().expect("a number");
+                    s["world_from_lps"][row][3] = value!(mm * 1e-3);
+                }
+            })
+        },
+        "specimen in room",
+        "fail",
+        &["world_from_lps", "metres"],
+    ),
+    ("kvp", |lab| edit(lab, "scene.json", |s| s["beam"]["tube_kvp"] = value!(120)), "kVp", "warn", &["90", "120"]),
+    (
+        "out",
+        |lab| edit(lab, "session.json", |s| s["out"] = value!("carm.json/session")),
+        "disk",
+        "fail",
+        &["cannot be written", "choose another --out"],
+    ),
+];
+
+#[test]
+fn faults_of_files_are_each_named_with_their_remedy() {
+    if !mock_is_built() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let lab = kit(folder.path());
+    edit(&lab, "session.json", |session| session["robot"] = Value::Null);
+    // Without a robot's line the check says so; without ports it says so: both are in every run, and are none of the seeded faults.
+    let (good, _) = check(&copy(&lab, "good"));
+    let doubtful =
+        |row: &&(String, String, String)| row.1 != "pass" && row.0 != "robot" && row.0 != "C-arm port" && row.0 != "disk space";
+    assert_eq!(good.iter().filter(doubtful).collect::<Vec<_>>(), Vec::<&(String, String, String)>::new());
+    for named in ["beads and spheres", "beads in specimen", "calibration", "specimen in room", "synthetic exposure", "disk", "CT"]
+    {
+        assert!(good.iter().any(|row| row.0 == named && row.1 == "pass"), "{named} is missing: {good:#?}");
+    }
+    let run = |(name, spoil, check_name, level, words): &Fault| {
+        let spoiled = copy(&lab, name);
+        spoil(&spoiled);
+        let (rows, code) = check(&spoiled);
+        let row = rows.iter().find(|row| row.0 == *check_name && row.1 == *level);
+        let row = row.unwrap_or_else(|| panic!("{name}: no {level} of '{check_name}' in {rows:#?}"));
+        for word in *words {
+            assert!(row.2.contains(word), "{name}: '{word}' is not in: {}", row.2);
+        }
+        assert!(!row.2.ends_with("→ "), "{name}: no remedy");
+        assert_eq!(code, 1, "{name}: the C-arm's port is not there");
+    };
+    std::thread::scope(|scope| {
+        let threads: Vec<_> = FILE_FAULTS.chunks(5).map(|chunk| scope.spawn(move || chunk.iter().for_each(run))).collect();
+        threads.into_iter().for_each(|thread| thread.join().expect("every fault is named"));
+    });
+}
+
+/// The mocked laboratory in real time; stopped when dropped.
+struct Mock {
+    child: Child,
+    lab: PathBuf,
+}
+
+impl Mock {
+    fn start(folder: &Path, options: &[&str]) -> Self {
+        let program =
+            Path::new(env!("CARGO_BIN_EXE_sidecarm")).with_file_name(format!("mock-lab{}", std::env::consts::EXE_SUFFIX));
+        let lab = folder.join("lab");
+        let mut child =
+            Command::new(program).arg("--out").arg(&lab).args(options).stdout(Stdio::piped()).spawn().expect("starts");
+        let mut line = String::new();
+        let mut lines = BufReader::new(child.stdout.take().expect("piped"));
+        lines.read_line(&mut line).expect("an event");
+        assert!(line.contains("ready"), "{line}");
+        std::thread::spawn(move || std::io::copy(&mut lines, &mut std::io::sink()));
+        Self { child, lab }
+    }
+}
+
+impl Drop for Mock {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+#[test]
+fn faults_of_ports_and_telemetry_are_each_named_with_their_remedy() {
+    if !mock_is_built() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let mock =
+        Mock::start(folder.path(), &["--duration-s", "60", "--exposures", "1", "--faults", "none", "--start-delay-s", "0"]);
+    let (good, code) = check(&copy(&mock.lab, "good"));
+    let doubtful: Vec<_> = good.iter().filter(|row| row.1 != "pass" && row.0 != "disk space").collect();
+    assert!(doubtful.is_empty() && code == 0, "{doubtful:#?}");
+    let port = |rows: &[(String, String, String)], name: &str| rows.iter().find(|row| row.0 == name).expect("listed").clone();
+
+    let swapped = copy(&mock.lab, "swapped");
+    edit(&swapped, "session.json", |s| (s["carm"]["port"], s["robot"]["port"]) = (value!("ttyROBOT"), value!("ttyCARM")));
+    let (rows, code) = check(&swapped);
+    for name in ["C-arm port", "robot port"] {
+        let (_, level, words) = port(&rows, name);
+        assert!(level == "fail" && words.contains("the two ports are swapped"), "{words}");
+    }
+    assert_eq!(code, 1);
+
+    let limits = copy(&mock.lab, "limits");
+    edit(&limits, "robot.json", |robot| robot["max_bend_deg"] = value!(5.0));
+    edit(&limits, "scene.json", |scene| scene["beam"]["tube_kvp"] = value!(120));
+    let (rows, code) = check(&limits);
+    let (_, level, words) = port(&rows, "robot limits");
+    assert!(level == "warn" && words.contains("-7.9 to 7.9") && words.contains("clamps at 5"), "{words}");
+    let (_, level, words) = port(&rows, "kVp");
+    assert!(level == "warn" && words.contains("by telemetry 90") && words.contains("renders 120"), "{words}");
+    assert_eq!(code, 0, "warnings alone do not fail: {rows:#?}");
+
+    // A port that is open and silent, and one with another baud rate: bytes that mean nothing.
+    let pty = || TTYPort::pair().expect("pseudo-terminals are there");
+    let ((_silent, silent_end), (mut noisy, noisy_end)) = (pty(), pty());
+    let path = |mut end: TTYPort| {
+        end.set_exclusive(false).expect("can be shared");
+        end.name().expect("a path")
+    };
+    let (silent_path, noisy_path) = (path(silent_end), path(noisy_end));
+    let stop = Arc::new(AtomicBool::new(false));
+    let stopped = Arc::clone(&stop);
+    let noise = std::thread::spawn(move || {
+        let mut n = 1u32;
+        while !stopped.load(Ordering::Relaxed) {
+            n = n.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            let _ = noisy.write_all(&[(n >> 24) as u8, (n >> 16) as u8, 0]);
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    });
+    let broken = copy(&mock.lab, "broken");
+    edit(&broken, "session.json", |s| (s["carm"]["port"], s["robot"]["port"]) = (value!(silent_path), value!(noisy_path)));
+    let (rows, code) = check(&broken);
+    stop.store(true, Ordering::Relaxed);
+    noise.join().expect("ends");
+    let (_, level, words) = port(&rows, "C-arm port");
+    assert!(level == "fail" && words.contains("silent"), "{words}");
+    let (_, level, words) = port(&rows, "robot port");
+    assert!(level == "fail" && words.contains("no robot sample") && words.contains("baud rate"), "{words}");
+    assert_eq!(code, 1);
+}
+
+/// Runs `live` on a mocked laboratory whose files `spoil` has changed; the pairs, the report and what was printed.
+fn live(folder: &Path, options: &[&str], spoil: impl FnOnce(&Path)) -> (Vec<Value>, String, String) {
+    let mut all = vec!["--duration-s", "8", "--exposures", "3", "--faults", "none", "--start-delay-s", "6", "--linger-s", "1"];
+    all.extend(options);
+    let mock = Mock::start(folder, &all);
+    spoil(&mock.lab);
+    let session = mock.lab.join("session.json");
+    let run = Command::new(env!("CARGO_BIN_EXE_sidecarm"))
+        .arg("live")
+        .arg(session)
+        .args(["--headless", "--seconds", "13", "--include-existing"])
+        .output()
+        .expect("runs");
+    let words = String::from_utf8_lossy(&run.stdout).into_owned() + &String::from_utf8_lossy(&run.stderr);
+    let out = mock.lab.join("session");
+    assert!(out.join("session.mcap").exists(), "{words}");
+    let pairs = json(&out.join("pairs.json"))["pairs"].as_array().expect("a list").clone();
+    assert!(!pairs.is_empty(), "{words}");
+    let report = std::fs::read_to_string(out.join("report.html")).expect("report");
+    (pairs, report, words)
+}
+
+/// Beads whose file says RAS but holds LPS were accepted in green in 6 of 7 frames, with the DRR turned by 180°, and the specimen was tied
+/// to the room by that pose; the scene's own spheres stood elsewhere, and nobody compared.
+#[test]
+fn beads_that_say_ras_but_hold_lps_are_refused_in_a_live_session() {
+    if !mock_is_built() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let (pairs, report, words) = live(folder.path(), &["--no-robot"], |lab| {
+        edit(lab, "beads.mrk.json", |beads| beads["markups"][0]["coordinateSystem"] = value!("RAS"));
+        edit(lab, "session.json", |session| session["world_from_lps"] = Value::Null);
+    });
+    for pair in &pairs {
+        let reason = pair["reason"].as_str().unwrap_or_default();
+        assert!(pair["status"] != "accepted" && pair["pose_source"] != "beads", "{pair}");
+        assert!(
+            reason.contains("RAS and LPS were swapped") && reason.contains("set its coordinateSystem to \"LPS\""),
+            "{reason}"
+        );
+        // The robot's line is not there either, and the scene has a robot.
+        assert_eq!(pair["robot_source"], "scene");
+    }
+    assert!(words.contains("0 accepted") && words.contains("check: beads and spheres"), "{words}");
+    assert!(!words.contains("tied to the room"), "{words}");
+    let robot = "robot drawn as in the scene file: no telemetry";
+    assert!(
+        report.contains(robot) && words.contains(robot) && words.contains("with the robot drawn as in the scene file"),
+        "{words}"
+    );
+}
+
+/// A CT that lies the other way round (its file's axes are swapped) under beads that are right: the beads agree, the image does not.
+#[test]
+fn an_image_that_disagrees_with_its_beads_is_amber_in_a_live_session() {
+    if !mock_is_built() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let (pairs, report, words) = live(folder.path(), &[], |lab| {
+        let mut bytes = Vec::new();
+        let path = lab.join("ct.nii.gz");
+        let file = std::fs::File::open(&path).expect("the CT");
+        flate2::read::GzDecoder::new(file).read_to_end(&mut bytes).expect("unpacks");
+        // Rows x and y of the sform.
+        for at in (280..312).step_by(4) {
+            let number = f32::from_le_bytes(bytes[at..at + 4].try_into().expect("four"));
+            bytes[at..at + 4].copy_from_slice(&(-number).to_le_bytes());
+        }
+        let mut packed =
+            flate2::write::GzEncoder::new(std::fs::File::create(&path).expect("writable"), flate2::Compression::fast());
+        packed.write_all(&bytes).and_then(|()| packed.finish().map(drop)).expect("written");
+    });
+    let mut amber = 0;
+    for pair in pairs.iter().filter(|pair| pair["pose_source"] == "beads") {
+        assert_eq!(pair["status"], "accepted_image_disagrees", "{}: {}", pair["frame"], pair["null"]["zncc"]);
+        let reason = pair["reason"].as_str().unwrap_or_default();
+        assert!(reason.contains("image disagrees") && reason.contains("scores prefer"), "{reason}");
+        amber += 1;
+    }
+    assert!(amber >= 2, "{amber} of {}", pairs.len());
+    assert!(words.contains(&format!(" 0 accepted, {amber} accepted but the image disagrees")), "{words}");
+    assert!(report.contains("class=\"badge caution\">accepted, image disagrees") && !report.contains("badge good"));
+}

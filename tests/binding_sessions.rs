@@ -533,7 +533,10 @@ pub fn play(session: &Session) -> Score {
             if !right {
                 let evidence = binding.evidence.join("; ");
                 let from_s = (interval.start_us - T0_US) as f64 * 1e-6;
-                score.wrong.push(format!("{}: frame {frame} ({:?}) at {from_s:.3} s ({} samples): {evidence}", session.described, sent.truth, interval.samples));
+                score.wrong.push(format!(
+                    "{}: frame {frame} ({:?}) at {from_s:.3} s ({} samples): {evidence}",
+                    session.described, sent.truth, interval.samples
+                ));
             }
         }
         if let Truth::Of(index) = sent.truth
@@ -543,7 +546,13 @@ pub fn play(session: &Session) -> Score {
             score.bound += usize::from(binding.exposure.is_some());
             if let (None, Some(reason)) = (&binding.exposure, binding.evidence.last()) {
                 if std::env::var_os("SIDECARM_WHY").is_some() {
-                    println!("{}: frame {frame} ({:?}, late {}): {}", session.described, sent.truth, sent.late, binding.evidence.join("; "));
+                    println!(
+                        "{}: frame {frame} ({:?}, late {}): {}",
+                        session.described,
+                        sent.truth,
+                        sent.late,
+                        binding.evidence.join("; ")
+                    );
                 }
                 let words: String = reason.chars().filter(|c| !c.is_ascii_digit()).collect();
                 *score.reasons.entry(words).or_default() += 1;
@@ -576,6 +585,17 @@ pub fn debug(seed: u64) {
     let mut worst = 0;
     for (interval, truth) in fed.exposures().iter().zip(&session.exposures) {
         let off = interval.start_us - truth.start_us;
-        if off.abs() > 70_000 && worst < 5 { worst += 1; println!("{} off {} ms: [{} {}] truth [{} {}]", interval.index, off / 1000, interval.start_us - T0_US, interval.end_us - T0_US, truth.start_us - T0_US, truth.end_us - T0_US); }
+        if off.abs() > 70_000 && worst < 5 {
+            worst += 1;
+            println!(
+                "{} off {} ms: [{} {}] truth [{} {}]",
+                interval.index,
+                off / 1000,
+                interval.start_us - T0_US,
+                interval.end_us - T0_US,
+                truth.start_us - T0_US,
+                truth.end_us - T0_US
+            );
+        }
     }
 }

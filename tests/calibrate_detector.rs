@@ -18,7 +18,8 @@ struct Panel {
 }
 
 fn panel(args: &[&str]) -> Option<Panel> {
-    let program = Path::new(env!("CARGO_BIN_EXE_sidecarm")).with_file_name(format!("mock-detector{}", std::env::consts::EXE_SUFFIX));
+    let program =
+        Path::new(env!("CARGO_BIN_EXE_sidecarm")).with_file_name(format!("mock-detector{}", std::env::consts::EXE_SUFFIX));
     if !program.exists() {
         println!("skipped: mock-detector is not beside sidecarm; cargo build --workspace makes it");
         return None;
@@ -132,7 +133,17 @@ fn gain_air_signal_and_quanta_are_found() {
 #[test]
 fn an_energy_integrating_panel_and_two_tube_voltages() {
     let Some(energy) = panel(&[
-        "--seed", "102", "--energy", "--gain", "0.0057", "--kvps", "80,100", "--levels-mas", "1,2,4,8,12", "--frames", "4",
+        "--seed",
+        "102",
+        "--energy",
+        "--gain",
+        "0.0057",
+        "--kvps",
+        "80,100",
+        "--levels-mas",
+        "1,2,4,8,12",
+        "--frames",
+        "4",
     ]) else {
         return;
     };
@@ -152,7 +163,8 @@ fn an_energy_integrating_panel_and_two_tube_voltages() {
 
 #[test]
 fn light_that_spreads_does_not_look_like_more_quanta() {
-    let Some(blurred) = panel(&["--seed", "103", "--spread", "0.05", "--columns", "512", "--rows", "384", "--frames", "2"]) else {
+    let Some(blurred) = panel(&["--seed", "103", "--spread", "0.05", "--columns", "512", "--rows", "384", "--frames", "2"])
+    else {
         return;
     };
     let found = blurred.calibrated(&["--bits", "14", "--counting"]);
@@ -179,7 +191,8 @@ fn broken_pixels_are_found_and_mended() {
     let frame = read_frame(&broken.files("air-90kvp-8.00mas-01")[0], None).expect("reads");
     let corrected = found.correct(&frame, PanelWindow::WHOLE).expect("applies");
     let air = corrected.correction.as_ref().and_then(|correction| correction.air_value).expect("the frame says kVp and mAs");
-    let worst = |frame: &Frame, air: f64| frame.pixels.pixels.iter().map(|v| (f64::from(*v) / air - 1.0).abs()).fold(0.0, f64::max);
+    let worst =
+        |frame: &Frame, air: f64| frame.pixels.pixels.iter().map(|v| (f64::from(*v) / air - 1.0).abs()).fold(0.0, f64::max);
     assert!(worst(&corrected, air) < 0.08, "flat within noise, broken pixels too: {}", worst(&corrected, air));
     assert!(worst(&frame, air) > 0.2, "control: as stored it is not");
 }
@@ -201,7 +214,9 @@ fn frames_that_contradict_each_other_are_left_out_or_refused() {
     assert_eq!(found.record.beams[0].frames_left_out.len(), 4, "{:?}", found.record.beams[0].frames_left_out);
     assert!(within_limits(&errors(&found, &bright.truth)), "{:?}", errors(&found, &bright.truth));
 
-    let Some(glaring) = panel(&["--seed", "108", "--quanta-per-mas", "90000", "--levels-mas", "1,2", "--frames", "2"]) else { return };
+    let Some(glaring) = panel(&["--seed", "108", "--quanta-per-mas", "90000", "--levels-mas", "1,2", "--frames", "2"]) else {
+        return;
+    };
     glaring.refused(&["--bits", "14"], &["saturated", "lower the exposure"]);
 
     // A wrong mAs is a wrong air level: two of five levels said as one.
@@ -274,7 +289,10 @@ fn a_calibrated_frame_has_absolute_numbers_masks_and_an_expected_noise() {
         .collect();
     off.sort_by(f64::total_cmp);
     assert!(off[2400].abs() < 0.02, "median {}", off[2400]);
-    assert!(calibration.correct(&cropped, PanelWindow::WHOLE).is_err_and(|reason| reason.contains("console")), "another size is said");
+    assert!(
+        calibration.correct(&cropped, PanelWindow::WHOLE).is_err_and(|reason| reason.contains("console")),
+        "another size is said"
+    );
     let display = Frame { domain: Domain::Display, ..frame.clone() };
     assert!(calibration.correct(&display, PanelWindow::WHOLE).is_err_and(|reason| reason.contains("linear")));
 }
@@ -310,7 +328,8 @@ fn the_air_level_follows_exposure_distance_and_voltage_or_is_unknown() {
     assert_eq!(unknown, 3);
     let mut clipped = frame.clone();
     clipped.pixels.pixels[77] = 16383.0;
-    let flags = calibration.correct(&clipped, PanelWindow::WHOLE).expect("applies").correction.and_then(|c| c.flags).expect("flags");
+    let flags =
+        calibration.correct(&clipped, PanelWindow::WHOLE).expect("applies").correction.and_then(|c| c.flags).expect("flags");
     assert!(flags.pixels[77] & SATURATED != 0 && flags.pixels[78] & SATURATED == 0);
 }
 

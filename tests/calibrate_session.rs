@@ -69,7 +69,8 @@ fn session(lab: &Lab, seconds: &str, change: impl FnOnce(&mut Value)) -> (Vec<Va
     let said = live.stdout() + &live.stderr();
     assert!(ended.is_some_and(|status| matches!(status.code(), Some(0 | 3))), "{said}");
     let log = read_log(&live.log).expect("the log opens");
-    let poses = log.entries.iter().filter(|entry| &*entry.topic == topic::POSE).map(|entry| entry.json().expect("JSON")).collect();
+    let poses =
+        log.entries.iter().filter(|entry| &*entry.topic == topic::POSE).map(|entry| entry.json().expect("JSON")).collect();
     let text = std::fs::read(out.join("pairs.json")).expect("pairs");
     let pairs: Value = serde_json::from_slice(&text).expect("JSON");
     (poses, pairs["pairs"].as_array().expect("a list").clone(), said)
@@ -138,7 +139,8 @@ fn a_turned_mirrored_and_cropped_picture_gives_the_pose_of_the_panel() {
     for pair in pairs.iter().filter(|pair| pair["frame"] != "frame-009") {
         assert_eq!(pair["air"]["rule"], "calibration", "{}", pair["air"]);
         assert!(pair["scores"]["rmse_nepers"].as_f64().is_some_and(|rmse| rmse < 0.3), "absolute numbers: {}", pair["scores"]);
-        let size: Vec<u64> = pair["null_plan"]["size_px"].as_array().map(|s| s.iter().filter_map(Value::as_u64).collect()).unwrap_or_default();
+        let size: Vec<u64> =
+            pair["null_plan"]["size_px"].as_array().map(|s| s.iter().filter_map(Value::as_u64).collect()).unwrap_or_default();
         assert!(size.is_empty() || size[0] > size[1], "the panel lies across: {size:?}");
     }
 }

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use sidecarm::cli::compare::{CompareArgs, CompareCommandError, run};
-use sidecarm::compare::{AirLevel, CompareError, Tone};
+use sidecarm::compare::{AirLevel, CompareError, OffsetRule, Tone};
 use sidecarm::image::{Image, ImageFileError, write_png_rgb, write_tiff_f32};
 use sidecarm::reporter::Reporter;
 
@@ -18,6 +18,8 @@ fn args(folder: &Path) -> CompareArgs {
         mask: None,
         tone: Tone::None,
         air: AirLevel::Open,
+        offset: OffsetRule::Shutters,
+        detector: None,
         domain: Some(sidecarm::acquire::Domain::Linear),
         quantity: None,
         json: false,

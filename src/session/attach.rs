@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use crate::acquire::{AcquireError, Frame, read_frames};
+use crate::acquire::{Fault, Frame, read_frames};
 use crate::record::{LogReader, RecordError, topic};
 use crate::reporter::Reporter;
 use crate::telemetry::{DeviceKind, Event, Link};
@@ -93,7 +93,7 @@ pub fn attach(log: &Path, named: &[PathBuf], reporter: &Reporter) -> Result<Atta
                 }
             }
             // A folder holds other things beside frames; what looks like one and is damaged is said.
-            Err(AcquireError::NotAnImage { .. }) => {}
+            Err(error) if matches!(error.fault(), Some(Fault::NotAnImage { .. })) => {}
             Err(error) => session.losses.push(format!("a frame could not be read: {error}")),
         }
         progress.advance(1);

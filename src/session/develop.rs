@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::{DVec2, DVec3};
 
 use super::board::PairView;
-use super::crosscheck::{ExposureFacts, check_exposure};
+use super::crosscheck::{ExposureFacts, check_exposure, choose_view};
 use super::declared::Declared;
 use super::file::Setup;
 use super::posing::{PoseSource, Posed};
@@ -13,7 +13,8 @@ use crate::beads::BeadLayout;
 use crate::compare::{Cause, CompareInput, Compared, MaskShares, NullError, compare};
 use crate::geometry::View;
 use crate::image::{Image, sha256_bytes};
-use crate::render::{Options, Plan, Quantity, Rendered, Renderer};
+use crate::render::plan::Sampling;
+use crate::render::{Goal, Options, Plan, Quantity, Rendered, Renderer};
 use crate::report::{self, Pair, PairStatus, StripInput};
 use crate::reporter::Reporter;
 use crate::scene::Scene;
@@ -78,6 +79,9 @@ impl Developed {
         }
     }
 }
+
+/// Bound of the energies' part in the renders of a null.
+const NULL_ENERGIES: f64 = 1e-2;
 
 /// What frames are developed with.
 pub(super) struct Bench {
@@ -228,6 +232,16 @@ impl Bench {
         Some(mask)
     }
 
+    /// Does now what the first frame would wait for.
+    pub(super) fn warm(&mut self) {
+        let beads = self.layout.iter().flat_map(|layout| &layout.beads).map(|bead| bead.lps_mm);
+        let places: Vec<DVec3> = beads.chain(self.centre()).collect();
+        let Ok(view) = choose_view(&self.setup, &places, &self.scene) else { return };
+        let options = Options { quantity: Quantity::LineIntegral, ..Options::default() };
+        // What is wrong with the scene is said when a frame is rendered.
+        let _ = self.renderer.warm(&self.scene, view, &options);
+    }
+
     /// Puts each score against its null; `None` when `cancelled`, which is asked before each render, says so.
     pub(super) fn add_null(&mut self, mut developed: Developed, cancelled: &dyn Fn() -> bool) -> Option<Developed> {
         developed.complete = true;
@@ -237,10 +251,13 @@ impl Bench {
         let mut compared = compared.clone();
         let watch = Stopwatch::start();
         let renderer = &mut self.renderer;
-        let options = Options { quantity: Quantity::LineIntegral, ..Options::default() };
+        // Good enough to tell poses apart, and named rather than chosen by what this machine is fast at: two replays agree.
+        let goal = Goal::Explicit { sampling: Sampling::ExactSlabs, energies: Some(NULL_ENERGIES), step_px: 1 };
+        let options = Options { quantity: Quantity::LineIntegral, goal: Some(goal), ..Options::default() };
+        let mut kept = None;
         let mut rerender = |view: &View| {
             let coarse = scene.with_binned_view(*view);
-            let rendered = renderer.render(&coarse, &options).map_err(|error| error.to_string())?;
+            let rendered = renderer.render_alike(&coarse, &options, &mut kept).map_err(|error| error.to_string())?;
             let mut page = rendered.pages.into_iter().next().ok_or_else(|| "no page".to_owned())?;
             let invalid = rendered.valid.pixels.iter().map(|valid| *valid == 0);
             page.pixels.iter_mut().zip(invalid).filter(|(_, invalid)| *invalid).for_each(|(pixel, _)| *pixel = f32::NAN);

@@ -78,7 +78,7 @@ pub fn run(setup: Setup, options: &LiveOptions, board: &Board, reporter: &Report
     let log = Arc::new(SessionLog::create(&options.out, &setup, &workshop, events, reporter)?);
     let engine = Engine::new(Arc::clone(&setup), workshop.layout().cloned(), reporter.clone());
     let (scribe, pairs) = Scribe::start(collector, Arc::clone(&log), board.clone(), reporter)?;
-    workshop.start(move |developed| pairs.send(developed).is_ok())?;
+    workshop.start(true, move |developed| pairs.send(developed).is_ok())?;
     let jobs = start_registrar(Arc::clone(&log))?;
     let lines = Lines::open(&setup, &log, board, reporter)?;
     let frames = Frames::watch(&setup, options.include_existing, &log, board, reporter)?;

@@ -112,7 +112,7 @@ pub fn run(
     let mut workshop = Workshop::open(&setup, DeviceChoice::Auto, reporter)?;
     let collector = Collector::create(&options.out, recorded.started_us, Times::Apart, &setup, &workshop)?;
     let (pairs, developed) = sync_channel(MOST_OPEN);
-    workshop.start(move |pair| pairs.send(pair).is_ok())?;
+    workshop.start(false, move |pair| pairs.send(pair).is_ok())?;
     let engine = Engine::new(Arc::clone(&setup), workshop.layout().cloned(), reporter.clone());
     let replay = Replay {
         engine,

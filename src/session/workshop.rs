@@ -93,15 +93,20 @@ impl Workshop {
         Ok(Self { bench: Some(bench), shared: Arc::default(), thread: None, layout, adapter, inputs })
     }
 
-    /// Starts the thread; `sink` gets each pair when it can be shown and once more with its null, and says whether it wants more.
+    /// Starts the thread, which first warms up where `warm` says so; `sink` gets each pair when it can be shown and once more with its null, and says whether it wants more.
     ///
     /// # Errors
     /// When the thread cannot be started, or was.
-    pub fn start(&mut self, sink: impl FnMut(Developed) -> bool + Send + 'static) -> Result<(), SessionError> {
+    pub fn start(&mut self, warm: bool, sink: impl FnMut(Developed) -> bool + Send + 'static) -> Result<(), SessionError> {
         let bench = self.bench.take().ok_or(SessionError::WorkshopDied)?;
         let shared = Arc::clone(&self.shared);
         let thread = std::thread::Builder::new().name("workshop".to_owned()).spawn(move || {
             let _ended = Ended(&shared);
+            let mut bench = bench;
+            if warm {
+                // A fault in it shows again with the first frame.
+                let _ = catch_unwind(AssertUnwindSafe(|| bench.warm()));
+            }
             work(bench, &shared, sink);
         });
         self.thread = Some(thread.map_err(|source| SessionError::Thread { source })?);

@@ -300,12 +300,17 @@ impl Binder {
         let strange = |pending: &&Pending| {
             let Some(counter) = pending.evidence.counter else { return false };
             let prompt = pending.prompt.as_deref().unwrap_or_default();
-            let expected = |at: &usize| {
-                self.shots.number(*at).is_some_and(|number| self.counting.knows(i64::from(counter) - number))
-            };
+            let expected =
+                |at: &usize| self.shots.number(*at).is_some_and(|number| self.counting.knows(i64::from(counter) - number));
             !prompt.is_empty() && !prompt.iter().any(expected)
         };
-        self.voters.iter().filter(|frame| self.open.contains(frame)).filter_map(|frame| self.frames.get(frame)).filter(strange).count() > 1
+        self.voters
+            .iter()
+            .filter(|frame| self.open.contains(frame))
+            .filter_map(|frame| self.frames.get(frame))
+            .filter(strange)
+            .count()
+            > 1
     }
 
     /// Whether any offset that is known, at that time, allows the pair.

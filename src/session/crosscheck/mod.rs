@@ -20,7 +20,7 @@ pub use disk::check_disk;
 pub use exposure::{ExposureFacts, PoseDifference, beam_at, check_exposure, pose_difference};
 pub use finding::{Finding, Level, refusal, tell};
 pub use line::check_line;
-pub use rehearsal::rehearse;
+pub use rehearsal::{choose_view, rehearse};
 
 use super::file::Setup;
 use crate::beads::BeadLayout;

@@ -43,7 +43,7 @@ pub fn rehearse(setup: &Setup, scene: &Scene, layout: &BeadLayout, renderer: &mu
 }
 
 /// The view that is rehearsed: the arm's own if it shows every bead, else one that does.
-fn choose_view(setup: &Setup, places: &[DVec3], scene: &Scene) -> Result<View, String> {
+pub fn choose_view(setup: &Setup, places: &[DVec3], scene: &Scene) -> Result<View, String> {
     let carm = setup.carm.as_ref();
     let at_zero = CarmJoints { source_to_detector_mm: f64::NAN, ..CarmJoints::ZERO };
     let (size_px, depth_mm, intrinsics) = match carm {

@@ -16,6 +16,17 @@ pub fn mock_is_built() -> bool {
     built
 }
 
+fn files_below(folder: &Path) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(folder).expect("folder").flatten() {
+        match entry.path() {
+            path if path.is_dir() => found.extend(files_below(&path)),
+            path => found.push(path),
+        }
+    }
+    found
+}
+
 fn text(path: &Path) -> &str {
     path.to_str().expect("temporary paths are UTF-8")
 }
@@ -59,6 +70,23 @@ fn a_mocked_session_matches_its_frames_and_replays_byte_for_byte() {
     assert_eq!(found["poses_identical"], pairs.len());
     assert_eq!(found["images_different"].as_array().map(Vec::len), Some(0));
     assert_eq!(found["images_identical"], pairs.len());
+
+    // Whatever is derived is the same byte for byte in a second replay, on whatever day; how long it took stands apart.
+    let again = sidecarm(&["replay", text(&log), "--json", "--out", text(&folder.path().join("again"))]);
+    assert_eq!(again.status.code(), Some(0));
+    let mut compared = 0;
+    for file in files_below(&folder.path().join("replayed")) {
+        if file.file_name().is_some_and(|name| name == "timings.json") {
+            continue;
+        }
+        let inside = file.strip_prefix(folder.path().join("replayed")).expect("inside");
+        let (one, other) = (std::fs::read(&file).expect("file"), std::fs::read(folder.path().join("again").join(inside)));
+        assert!(other.is_ok_and(|other| other == one), "{} differs between two replays", inside.display());
+        compared += 1;
+    }
+    assert!(compared >= 2 + 3 * pairs.len(), "{compared} files");
+    let own = sidecarm(&["replay", text(&log), "--out", text(&session)]);
+    assert_eq!(own.status.code(), Some(1), "a replay never writes into the session's folder");
 
     // A log cut in the middle: what is there is replayed, the loss is said, exit code 3.
     let bytes = std::fs::read(&log).expect("log");

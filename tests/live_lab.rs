@@ -255,7 +255,7 @@ impl Heard {
                     *epoch = Some(raw.epoch);
                 }
                 decoder.push(raw.bytes, &mut |event| {
-                    if let Event::Sample(sample) = event {
+                    if let Event::Sample(sample, _) = event {
                         heard.packets.insert((*device, sample.sequence()), entry.host_us);
                     }
                 });

@@ -203,7 +203,7 @@ fn search(seed: u64, count: u64, tally: &Tally) {
         let mut stream = wrong.clone();
         stream.push(0);
         decoder.push(&stream, &mut |event| match event {
-            Event::Sample(sample) => passed.push(Some(sample)),
+            Event::Sample(sample, _) => passed.push(Some(sample)),
             // Framing and checksum said no; lost numbers and resets come with a sample.
             Event::Fault(
                 DecodeFault::Frame(FrameFault::Corrupt { .. } | FrameFault::Stuffing { .. })
@@ -239,7 +239,7 @@ fn sent(sample: &Sample, line: &[u8]) -> bool {
     let mut same = false;
     decoder.push(&[&[0], line, &[0]].concat(), &mut |event| {
         // NaN differs from itself; its text does not.
-        same |= matches!(&event, Event::Sample(found) if format!("{found:?}") == format!("{sample:?}"));
+        same |= matches!(&event, Event::Sample(found, _) if format!("{found:?}") == format!("{sample:?}"));
     });
     same
 }

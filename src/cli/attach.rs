@@ -52,7 +52,8 @@ pub enum AttachCommandError {
 pub fn run(args: &AttachArgs, reporter: &Reporter) -> Result<u8, AttachCommandError> {
     if let Some(out) = &args.out {
         let same = |input: &PathBuf| std::fs::canonicalize(input).ok() == std::fs::canonicalize(out).ok();
-        let inside = |input: &PathBuf| input.is_dir() && out.exists() && out.parent().is_some_and(|folder| same_folder(folder, input));
+        let inside =
+            |input: &PathBuf| input.is_dir() && out.exists() && out.parent().is_some_and(|folder| same_folder(folder, input));
         if out.exists() && (same(&args.log) || args.frames.iter().any(|input| same(input) || inside(input))) {
             return Err(AttachCommandError::Overwrites { path: out.clone() });
         }
@@ -76,7 +77,12 @@ fn same_folder(a: &std::path::Path, b: &std::path::Path) -> bool {
 }
 
 fn table(report: &AttachReport) {
-    println!("{} exposures and {} frames in the log, {} frames to attach", report.exposures, report.frames_in_log, report.frames.len());
+    println!(
+        "{} exposures and {} frames in the log, {} frames to attach",
+        report.exposures,
+        report.frames_in_log,
+        report.frames.len()
+    );
     if let Some(clock) = report.console {
         println!(
             "console clock: {:.2} s behind the host's, ± {:.2} s, from {} frames",

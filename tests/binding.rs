@@ -28,13 +28,18 @@ fn table(seeds: impl Iterator<Item = u64>) -> BTreeMap<String, (usize, Score)> {
 }
 
 fn print(rows: &BTreeMap<String, (usize, Score)>) {
-    println!("{:12} {:>8} {:>7} {:>7} {:>8} {:>8} {:>6}", "kind", "sessions", "frames", "bound", "prompt", "at once", "wrong");
+    println!(
+        "{:12} {:>8} {:>7} {:>8} {:>9} {:>8} {:>8} {:>8} {:>6}",
+        "kind", "sessions", "frames", "bound", "decidable", "bound", "prompt", "at once", "wrong"
+    );
     for (kind, (sessions, score)) in rows {
         let share = |part: usize, of: usize| format!("{:.2} %", 100.0 * part as f64 / of.max(1) as f64);
         println!(
-            "{kind:12} {sessions:8} {:7} {:>7} {:>8} {:>8} {:6}",
+            "{kind:12} {sessions:8} {:7} {:>8} {:9} {:>8} {:>8} {:>8} {:6}",
             score.frames,
             share(score.bound, score.frames),
+            score.decidable,
+            share(score.decidable_bound, score.decidable),
             share(score.prompt_bound, score.prompt),
             share(score.at_once, score.prompt),
             score.wrong.len()

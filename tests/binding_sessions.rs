@@ -115,6 +115,8 @@ pub struct Sent {
     pub evidence: FrameEvidence,
     pub truth: Truth,
     pub late: bool,
+    /// Nothing in it tells its exposure from another: no counter that moves, and no stamp or the same one as a neighbour's.
+    pub twin: bool,
 }
 
 /// One exposure as it was.
@@ -251,6 +253,9 @@ pub fn session(seed: u64, kind: Kind) -> Session {
     if resolution_s.is_none() && kind != Kind::Neither && matches!(counting, Counting::Absent | Counting::Constant) {
         counting = Counting::Right;
     }
+    // Whole minutes tell exposures apart only together with a counter.
+    let moves = !matches!(counting, Counting::Absent | Counting::Constant);
+    let resolution_s = if resolution_s == Some(60.0) && !moves { Some(1.0) } else { resolution_s };
     let shift = 1 + draw.below(300) as u32;
     let restarts = [draw.below(EXPOSURES), draw.below(EXPOSURES)];
     let frame_counter = |index: usize| match counting {
@@ -352,6 +357,16 @@ pub fn session(seed: u64, kind: Kind) -> Session {
         sent.push((at, stamp, counter, 10 * EXPOSURES + sent.len(), Truth::Foreign, false));
     }
     sent.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let second = |index: usize, resolution_s: f64| {
+        let event = if marks_end { truth_s[index].1 } else { truth_s[index].0 } + lag_s;
+        (((T0_US as f64 * 1e-6).floor() + event - offset_s - zone_s - drift * event) / resolution_s).floor()
+    };
+    let has_twin = |index: usize| {
+        let same = |resolution_s: f64| {
+            (0..EXPOSURES).any(|other| other != index && second(other, resolution_s) == second(index, resolution_s))
+        };
+        !moves && resolution_s.is_none_or(same)
+    };
     let resolution_us = resolution_s.map_or(1_000_000, us);
     let frames = sent
         .into_iter()
@@ -369,6 +384,7 @@ pub fn session(seed: u64, kind: Kind) -> Session {
             },
             truth,
             late,
+            twin: matches!(truth, Truth::Of(index) if has_twin(index)),
         })
         .collect();
     let exposures = truth_s.iter().enumerate().map(|(index, (start, end))| Exposed {
@@ -431,6 +447,9 @@ fn samples(
 pub struct Score {
     pub frames: usize,
     pub bound: usize,
+    /// Those that something tells apart from every other exposure, and how many of them were bound.
+    pub decidable: usize,
+    pub decidable_bound: usize,
     pub prompt: usize,
     pub prompt_bound: usize,
     /// Prompt frames bound within a second of their arrival.
@@ -446,6 +465,8 @@ impl Score {
     pub fn add(&mut self, other: &Score) {
         self.frames += other.frames;
         self.bound += other.bound;
+        self.decidable += other.decidable;
+        self.decidable_bound += other.decidable_bound;
         self.prompt += other.prompt;
         self.prompt_bound += other.prompt_bound;
         self.at_once += other.at_once;
@@ -544,6 +565,10 @@ pub fn play(session: &Session) -> Score {
         {
             score.frames += 1;
             score.bound += usize::from(binding.exposure.is_some());
+            if !sent.twin {
+                score.decidable += 1;
+                score.decidable_bound += usize::from(binding.exposure.is_some());
+            }
             if let (None, Some(reason)) = (&binding.exposure, binding.evidence.last()) {
                 if std::env::var_os("SIDECARM_WHY").is_some() {
                     println!(
@@ -574,28 +599,4 @@ pub fn play(session: &Session) -> Score {
         }
     }
     score
-}
-pub fn debug(seed: u64) {
-    let session = session(seed, kind_of(seed));
-    let mut fed = Fed::default();
-    for (host_us, sample) in &session.samples {
-        fed.push_sample(DeviceKind::Carm, *host_us, 0, Sample::Carm(sample.clone()));
-    }
-    println!("{} steps {:?}", session.described, fed.carm().clock().steps_and_resets());
-    let mut worst = 0;
-    for (interval, truth) in fed.exposures().iter().zip(&session.exposures) {
-        let off = interval.start_us - truth.start_us;
-        if off.abs() > 70_000 && worst < 5 {
-            worst += 1;
-            println!(
-                "{} off {} ms: [{} {}] truth [{} {}]",
-                interval.index,
-                off / 1000,
-                interval.start_us - T0_US,
-                interval.end_us - T0_US,
-                truth.start_us - T0_US,
-                truth.end_us - T0_US
-            );
-        }
-    }
 }

@@ -84,17 +84,20 @@ pub fn attach(log: &Path, named: &[PathBuf], reporter: &Reporter) -> Result<Atta
     let files = files(named)?;
     let progress = reporter.progress("reading frames", files.len() as u64);
     let mut read: Vec<(u32, Frame, [u32; 2])> = Vec::new();
-    for file in &files {
+    for (place, file) in files.iter().enumerate() {
         match read_frames(file, None) {
             Ok(frames) => {
-                let count = frames.len() as u32;
-                for (image, frame) in frames.into_iter().enumerate() {
-                    read.push((session.next_frame(), without_pixels(frame), [image as u32, count]));
+                for frame in frames {
+                    let image_of_file = image_of(&frame);
+                    read.push((session.next_frame(), without_pixels(frame), image_of_file));
                 }
             }
-            // A folder holds other things beside frames; what looks like one and is damaged is said.
-            Err(error) if matches!(error.fault(), Some(Fault::NotAnImage { .. })) => {}
-            Err(error) => session.losses.push(format!("a frame could not be read: {error}")),
+            // A folder holds other things beside frames; what looks like one and is damaged is said, without its name.
+            Err(error) => match error.fault() {
+                Some(Fault::NotAnImage { .. }) => {}
+                Some(fault) => session.losses.push(format!("file {} of {}: {fault}", place + 1, files.len())),
+                None => session.losses.push(format!("file {} of {} could not be opened", place + 1, files.len())),
+            },
         }
         progress.advance(1);
     }
@@ -118,6 +121,10 @@ pub fn attach(log: &Path, named: &[PathBuf], reporter: &Reporter) -> Result<Atta
         frames: read.iter().map(attached).collect(),
         losses: session.losses,
     })
+}
+
+fn image_of(frame: &Frame) -> [u32; 2] {
+    frame.image_of_file.map(|number| u32::try_from(number).unwrap_or(u32::MAX))
 }
 
 /// A batch may hold thousands of frames; only their headers matter here.
@@ -173,9 +180,8 @@ impl Recorded {
                         Ok(frame) => {
                             let number = self.next_frame();
                             self.frames_in_log += 1;
-                            let image_of_file = [0, 1];
-                            let evidence =
-                                FrameEvidence::of(number, &frame.tags, &frame.sha256, image_of_file, Some(entry.host_us));
+                            let (image_of_file, arrival_us) = (image_of(&frame), Some(entry.host_us));
+                            let evidence = FrameEvidence::of(number, &frame.tags, &frame.sha256, image_of_file, arrival_us);
                             self.binder.push(evidence);
                             self.binder.update(&self.timeline, entry.host_us);
                         }

@@ -418,8 +418,14 @@ impl Binder {
         if !suggestions.iter().any(unbound) {
             return;
         }
-        let Some(members) = agreement(Topic::Shift, &suggestions) else { return };
-        for member in members {
+        // Where the C-arm does not count, a silence may have swallowed or torn an exposure: numbers before and after do not compare.
+        let tracker = timeline.exposure_tracker();
+        let stretch = |s: &Suggestion| if self.shots.counted { 0 } else { tracker.silences_before(s.at_us) };
+        let stretches: BTreeSet<usize> = suggestions.iter().map(stretch).collect();
+        let within = |at: usize| suggestions.iter().filter(|s| stretch(s) == at).copied().collect::<Vec<_>>();
+        let agreed: Vec<Suggestion> =
+            stretches.into_iter().filter_map(|at| agreement(Topic::Shift, &within(at))).flatten().collect();
+        for member in agreed {
             let Some(exposure) = timeline.exposure(self.shots.get(member.shot).index).cloned() else { continue };
             let free = self.shots.get(member.shot).frame.is_none() && self.open.contains(&member.frame);
             let (Some(pending), true) = (self.frames.get(&member.frame), free) else { continue };

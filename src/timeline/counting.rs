@@ -80,10 +80,13 @@ impl Counting {
         self.shifts.range(shot + 1..).next().is_some()
     }
 
-    /// Whether every known frame has the same shift, of which there are enough to believe it.
-    pub(super) fn steady(&self) -> bool {
+    /// Whether the counter has never begun anew, as far as is known: its shift stays, or changes by an exposure or two where telemetry
+    /// missed or tore some and the C-arm does not count them.
+    pub(super) fn steady(&self, shots: &Shots) -> bool {
+        let most = if shots.counted { 0 } else { 3 };
+        let shifts: Vec<i64> = self.shifts.values().copied().collect();
         let (same, different) = self.agreements();
-        different == 0 && same >= 3
+        same >= 3 && same > 3 * different && shifts.windows(2).all(|pair| (pair[1] - pair[0]).abs() <= most)
     }
 
     /// Positions of exposures that a frame with `counter` may be of, and how firmly.

@@ -183,6 +183,12 @@ impl ExposureTracker {
         self.silences.iter().find(|silence| silence.from_us < to_us && silence.to_us > from_us).copied()
     }
 
+    /// Silences that began before `at_us`.
+    #[must_use]
+    pub fn silences_before(&self, at_us: i64) -> usize {
+        self.silences.partition_point(|silence| silence.from_us < at_us)
+    }
+
     /// Times the counter ran backwards, intervals forgotten to bound memory.
     #[must_use]
     pub fn resets_and_dropped(&self) -> (u64, u64) {

@@ -246,14 +246,16 @@ impl Weighed<'_> {
         if let ([(at, firmness)], Some(counter)) = (&open[..], said.counter) {
             // A value that came before may be one that does not move, or that began anew.
             let fresh = self.binder.counting.times_seen(counter) <= 1;
-            if prompt.contains(at) && (fresh || *firmness >= Firmness::OneSide) {
+            // Where nothing is known yet, an equal number proves little beside a second exposure.
+            let proved = *firmness >= Firmness::OneSide || fresh && prompt.len() == 1;
+            if prompt.contains(at) && proved {
                 words.push(format!("counter {counter} names {}, which ended shortly before the frame arrived", self.label(*at)));
                 return self.of(*at, BindingHow::Counter, words, true);
             }
             // An exposure right before the arrival competes, unless the counter is known not to have begun anew by then.
             let rival = prompt.iter().find(|other| free(**other) && *other != at && !self.binder.counting.passed(**other));
-            let steady = self.binder.counting.steady() && !self.binder.restless();
-            let firm = steady && (*firmness == Firmness::Enclosed || self.binder.finished && *firmness == Firmness::OneSide);
+            let steady = self.binder.counting.steady(&self.binder.shots) && !self.binder.restless();
+            let firm = steady && *firmness == Firmness::Enclosed;
             if let Some(rival) = rival.filter(|_| firm) {
                 words.push(format!("the counter names {}, the arrival {}: ambiguous", self.label(*at), self.label(*rival)));
                 return Judgement::None(words);

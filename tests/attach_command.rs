@@ -1,0 +1,133 @@
+//! `sidecarm attach`: a folder exported after the session, against the exposures in its log.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use dicom_core::{DataElement, PrimitiveValue, VR};
+use dicom_dictionary_std::tags;
+use serde_json::Value;
+use sidecarm::record::{Provenance, Recorder};
+
+use crate::acquire_frames::{fluoroscopy, save};
+use crate::binding_sessions::Draw;
+use crate::telemetry_frames::carm;
+
+/// 2026-11-21, ten in the morning, UTC.
+const T0_US: i64 = 1_795_255_200_000_000;
+const EXPOSURES: usize = 40;
+
+/// A log with exposures at these seconds (0.4 s long) and moving joints, as `live` records it; no frame is in it.
+fn log(folder: &Path, starts_s: &[f64]) -> PathBuf {
+    let path = folder.join("session.mcap");
+    let recorder = Recorder::create(&path, &Provenance::of_this_program(T0_US, Value::Null)).expect("a log");
+    let end_s = starts_s.last().expect("exposures") + 20.0;
+    for number in 0..(end_s * 25.0) as u32 {
+        let at_s = f64::from(number) / 25.0;
+        let on = starts_s.iter().any(|start| at_s >= *start && at_s < start + 0.4);
+        let joints = [at_s, 0.0, 0.0, 0.0, 0.05 * at_s, 0.0, 1020.0];
+        let packet = carm(number, 1_000 + (at_s * 1e6) as u64, joints, on, None);
+        recorder.raw_bytes("carm", 1, T0_US + (at_s * 1e6) as i64 + 800, &packet).expect("recorded");
+    }
+    recorder.finish().expect("finished");
+    path
+}
+
+/// A DICOM file of the exposure at `start_s`, by a console whose clock is off by `offset_s` and drifts; acquisition number always 1.
+fn export(folder: &Path, name: &str, start_s: f64, offset_s: f64, content: u16) {
+    let mut object = fluoroscopy();
+    let console_s = start_s * (1.0 + 150e-6) - offset_s + 36_000.0;
+    let second = console_s.floor() as i64;
+    let time = format!("{:02}{:02}{:02}", second / 3600, second / 60 % 60, second % 60);
+    object.put(DataElement::new(tags::ACQUISITION_TIME, VR::TM, PrimitiveValue::from(time)));
+    object.put(DataElement::new(tags::ACQUISITION_NUMBER, VR::IS, PrimitiveValue::from("1")));
+    let values: Vec<u16> = (0..8).map(|i| 100 + content * 8 + i).collect();
+    object.put(DataElement::new(tags::PIXEL_DATA, VR::OW, PrimitiveValue::U16(values.into())));
+    save(object, &folder.join(name));
+}
+
+fn attach(log: &Path, folder: &Path, more: &[&str]) -> (Option<i32>, Value, String) {
+    let output =
+        Command::new(env!("CARGO_BIN_EXE_sidecarm")).arg("attach").arg(log).arg(folder).arg("--json").args(more).output();
+    let output = output.expect("the program starts");
+    let words = String::from_utf8_lossy(&output.stderr).into_owned();
+    (output.status.code(), serde_json::from_slice(&output.stdout).unwrap_or(Value::Null), words)
+}
+
+fn irregular() -> Vec<f64> {
+    let mut draw = Draw::new(77, 1);
+    let mut at = 10.0;
+    let next = |_| {
+        at += draw.log(4.0, 60.0);
+        at
+    };
+    (0..EXPOSURES).map(next).collect()
+}
+
+/// Twenty-two of forty, shuffled by name, the console four and a half minutes off and drifting, stamps of whole seconds, the counter stuck
+/// at 1, and no frame in the log from which its clock could be learnt.
+#[test]
+fn a_folder_exported_afterwards_is_tied_to_the_logs_exposures() {
+    let folder = tempfile::tempdir().expect("folder");
+    let starts_s = irregular();
+    let log = log(folder.path(), &starts_s);
+    let before = std::fs::read(&log).expect("the log");
+    let exported = folder.path().join("export");
+    std::fs::create_dir(&exported).expect("folder");
+    let mut chosen: Vec<usize> = (0..EXPOSURES).collect();
+    let mut draw = Draw::new(78, 1);
+    draw.shuffle(&mut chosen);
+    chosen.truncate(22);
+    for (place, index) in chosen.iter().enumerate() {
+        export(&exported, &format!("img{place:03}.dcm"), starts_s[*index], 271.3, place as u16);
+    }
+    let out = folder.path().join("bindings.json");
+    let (code, json, words) = attach(&log, &exported, &["--out", &out.display().to_string()]);
+    assert_eq!(code, Some(0), "{words} {json:#}");
+    let frames = json["frames"].as_array().expect("frames");
+    assert_eq!((frames.len(), json["exposures"].as_u64()), (22, Some(EXPOSURES as u64)));
+    for (frame, index) in frames.iter().zip(&chosen) {
+        let exposure = &frame["binding"]["exposure"];
+        assert_eq!(exposure["index"].as_u64(), Some(*index as u64), "{frame:#}");
+        // Joints come from the exposure itself, though the track has long forgotten the samples.
+        let lift_mm = exposure["joints"]["value"]["lift_mm"].as_f64().expect("joints are there");
+        assert!((lift_mm - starts_s[*index] - 0.2).abs() < 0.1, "{lift_mm} {}", starts_s[*index]);
+    }
+    let offset_s = json["console"]["offset_us"].as_f64().expect("the clock is known") * 1e-6;
+    assert!((offset_s - 271.3).abs() < 1.0, "{offset_s}");
+    assert_eq!(serde_json::from_slice::<Value>(&std::fs::read(&out).expect("written")).expect("JSON"), json);
+    assert_eq!(std::fs::read(&log).expect("the log"), before, "the log is not touched");
+    // The control: three seconds' shift of one frame fits nothing and is left untied, with exit code 3.
+    export(&exported, "img999.dcm", starts_s[0] + 3.0, 271.3, 999);
+    let (code, json, _) = attach(&log, &exported, &[]);
+    let last = json["frames"].as_array().and_then(|frames| frames.last()).expect("frames");
+    assert_eq!((code, &last["binding"]["exposure"]), (Some(3), &Value::Null), "{last:#}");
+}
+
+#[test]
+fn a_regular_rhythm_leaves_the_clock_unknown_and_nothing_is_guessed() {
+    let folder = tempfile::tempdir().expect("folder");
+    let starts_s: Vec<f64> = (0..EXPOSURES).map(|i| 10.0 + 20.0 * i as f64).collect();
+    let log = log(folder.path(), &starts_s);
+    let exported = folder.path().join("export");
+    std::fs::create_dir(&exported).expect("folder");
+    for index in 8..30 {
+        export(&exported, &format!("img{index:03}.dcm"), starts_s[index], 271.3, index as u16);
+    }
+    let (code, json, words) = attach(&log, &exported, &[]);
+    assert_eq!(code, Some(3), "{words}");
+    let tied = json["frames"].as_array().expect("frames").iter().filter(|frame| !frame["binding"]["exposure"].is_null()).count();
+    assert_eq!((tied, &json["console"]), (0, &Value::Null), "{json:#}");
+}
+
+#[test]
+fn what_is_no_log_and_what_would_overwrite_an_input_is_refused() {
+    let folder = tempfile::tempdir().expect("folder");
+    let log = log(folder.path(), &irregular());
+    let exported = folder.path().join("export");
+    std::fs::create_dir(&exported).expect("folder");
+    export(&exported, "img001.dcm", 10.0, 0.0, 1);
+    let (code, _, words) = attach(&log, &exported, &["--out", &log.display().to_string()]);
+    assert!(code == Some(1) && words.contains("--out"), "{words}");
+    let (code, _, words) = attach(&exported.join("img001.dcm"), &exported, &[]);
+    assert!(code == Some(1) && words.contains("MCAP"), "{words}");
+}

@@ -86,6 +86,12 @@ pub fn frame_bytes(first: u16) -> Vec<u8> {
     std::fs::read(save(object, &folder.path().join("x.dcm"))).expect("bytes")
 }
 
+/// What the log says in words.
+fn events(log: &sidecarm::record::LogContents) -> impl Iterator<Item = String> + '_ {
+    let told = log.entries.iter().filter(|entry| &*entry.topic == sidecarm::record::topic::EVENTS);
+    told.map(|entry| String::from_utf8_lossy(&entry.data).into_owned())
+}
+
 fn labels(pairs: &[Value]) -> Vec<String> {
     pairs.iter().map(|pair| pair["frame"].as_str().unwrap_or("?").to_owned()).collect()
 }
@@ -129,7 +135,7 @@ fn a_session_goes_on_past_every_bad_file_and_says_each_once() {
     let mut said = 0;
     for number in 1..=bad {
         let needle = format!("bad-{number}: ");
-        let times = log.entries.iter().filter(|entry| String::from_utf8_lossy(&entry.data).contains(&needle)).count();
+        let times = events(&log).filter(|words| words.contains(&needle)).count();
         assert!(times <= 1, "{needle} {times} times");
         said += times;
     }
@@ -160,7 +166,7 @@ fn rewritten_and_deleted_files_become_frames_or_are_said() {
     let latest = found.iter().filter(|label| *label == "latest").count();
     let deleted = found.iter().filter(|label| label.starts_with("frame-")).count();
     let log = sidecarm::record::read_log(&room.out().join("session.mcap")).expect("a log");
-    let said = |words: &str| log.entries.iter().filter(|entry| String::from_utf8_lossy(&entry.data).contains(words)).count();
+    let said = |words: &str| events(&log).filter(|said| said.contains(words)).count();
     let (vanished, overwritten) = (said("was deleted before"), said("was overwritten before"));
     println!("latest: {latest} of 3, {overwritten} said; deleted: {deleted} of 10 read, {vanished} said");
     assert_eq!(latest + overwritten, 3, "{stderr}");

@@ -30,7 +30,7 @@ impl DicomImages {
         let object = dicom_object::OpenFileOptions::new()
             .read_preamble(dicom_object::file::ReadPreamble::Always)
             .from_reader(bytes)
-            .map_err(|error| Fault::Dicom { detail: where_parsing_stopped(&error).into() })?;
+            .map_err(|error| where_parsing_stopped(&error))?;
         let layout = Layout::of(&object, limits)?;
         let stored = stored_bytes(&object, &layout)?;
         Ok(Self { object, layout, stored, declared })
@@ -121,15 +121,18 @@ fn each(
 }
 
 /// Where the parser stopped. Its own words are not passed on, because they may repeat what the file says.
-fn where_parsing_stopped(error: &dicom_object::ReadError) -> &'static str {
+fn where_parsing_stopped(error: &dicom_object::ReadError) -> Fault {
     use dicom_object::ReadError;
+    let damaged = |detail: &str| Fault::Dicom { detail: detail.to_owned() };
     match error {
-        ReadError::ParseMetaDataSet { .. } => "in its file meta information",
+        ReadError::ParseMetaDataSet { .. } => damaged("in its file meta information"),
         ReadError::ReadUnrecognizedTransferSyntax { .. }
         | ReadError::ReadUnsupportedTransferSyntax { .. }
-        | ReadError::ReadUnsupportedTransferSyntaxWithSuggestion { .. } => "its transfer syntax is not one that is known here",
-        ReadError::PrematureEnd { .. } => "it ends early",
-        _ => "in its data set",
+        | ReadError::ReadUnsupportedTransferSyntaxWithSuggestion { .. } => {
+            Fault::TransferSyntax { name: "that is not read here, perhaps deflated".to_owned() }
+        }
+        ReadError::PrematureEnd { .. } => damaged("it ends early"),
+        _ => damaged("in its data set"),
     }
 }
 

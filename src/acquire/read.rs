@@ -140,7 +140,7 @@ fn receive(messages: &mut Receiver<impl Read>, limits: &Limits) -> Result<Result
     let mut frames: Vec<Frame> = Vec::new();
     let mut total = 0u64;
     loop {
-        match messages.next()? {
+        match messages.receive()? {
             Message::Json(bytes) => {
                 check_filled(frames.last())?;
                 let frame: Frame = serde_json::from_slice(bytes).map_err(|_| WireError::Garbled("not a frame"))?;

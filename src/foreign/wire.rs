@@ -129,7 +129,7 @@ impl<R: Read> Receiver<R> {
     ///
     /// # Errors
     /// When the helper ended, or sent something else.
-    pub fn next(&mut self) -> Result<Message<'_>, WireError> {
+    pub fn receive(&mut self) -> Result<Message<'_>, WireError> {
         let mut head = [0u8; 5];
         self.from.read_exact(&mut head)?;
         let length = u32::from_ne_bytes([head[1], head[2], head[3], head[4]]) as usize;
@@ -164,20 +164,20 @@ mod tests {
         sender.end(&1).expect("sent");
         let bytes = sender.out;
         let mut receiver = Receiver::new(bytes.as_slice());
-        assert!(matches!(receiver.next(), Ok(Message::Json(b"\"head\""))));
+        assert!(matches!(receiver.receive(), Ok(Message::Json(b"\"head\""))));
         let mut back = Vec::new();
         loop {
-            match receiver.next().expect("a message") {
+            match receiver.receive().expect("a message") {
                 Message::Numbers(bytes) => Message::append(bytes, &mut back, values.len()).expect("announced"),
                 Message::End(end) => break assert_eq!(end, b"1"),
                 Message::Json(_) => panic!("one header was sent"),
             }
         }
         assert_eq!(back, values);
-        assert!(matches!(receiver.next(), Err(WireError::Ended)));
+        assert!(matches!(receiver.receive(), Err(WireError::Ended)));
         assert!(Message::append(&[0; 8], &mut back, values.len() + 1).is_err(), "more than announced");
         for wrong in [&[b'X', 0, 0, 0, 0][..], &[b'N', 255, 255, 255, 255], &[b'J', 255, 255, 255, 255]] {
-            assert!(matches!(Receiver::new(wrong).next(), Err(WireError::Garbled(_))), "{wrong:?}");
+            assert!(matches!(Receiver::new(wrong).receive(), Err(WireError::Garbled(_))), "{wrong:?}");
         }
     }
 }

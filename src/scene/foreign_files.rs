@@ -218,7 +218,7 @@ fn receive_volume(messages: &mut Receiver<impl Read>, kind: Kind, most: u64) -> 
     let mut head: Option<VolumeHead> = None;
     let mut values = Vec::new();
     loop {
-        match messages.next()? {
+        match messages.receive()? {
             Message::Json(bytes) => {
                 let found: VolumeHead = serde_json::from_slice(bytes).map_err(|_| WireError::Garbled("not a volume"))?;
                 if head.is_some() || found.size.contains(&0) || found.voxels() > most || !found.lps_from_voxel.is_finite() {
@@ -251,7 +251,7 @@ fn receive_volume(messages: &mut Receiver<impl Read>, kind: Kind, most: u64) -> 
 fn receive_mesh(messages: &mut Receiver<impl Read>, most: usize) -> Result<Result<Vec<f32>, String>, WireError> {
     let mut numbers = Vec::new();
     loop {
-        match messages.next()? {
+        match messages.receive()? {
             Message::Json(_) => return Err(WireError::Garbled("a header")),
             Message::Numbers(bytes) => Message::append(bytes, &mut numbers, most)?,
             Message::End(bytes) => {

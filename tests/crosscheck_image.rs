@@ -1,5 +1,6 @@
 //! Image against pose: frames of the mocked laboratory, whose poses are known, at right and at wrong poses.
 
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -191,6 +192,9 @@ fn number(name: &str, otherwise: usize) -> usize {
 /// Prints, by kind of mistake, how often the image was found to disagree.
 fn count(lab: &mut Lab, frames: &[Known], first_seed: usize) {
     let wanted = std::env::var("SIDECARM_KIND").unwrap_or_default();
+    let mut dump = std::env::var("SIDECARM_DUMP")
+        .ok()
+        .map(|path| std::fs::File::options().append(true).create(true).open(path).expect("a file"));
     let seeds = first_seed..first_seed + number("SIDECARM_DRAWS", 2);
     for (name, draw) in mistakes().iter().filter(|(name, _)| name.contains(&wanted)) {
         let (mut doubted, mut asked, mut uncompared, mut words) = (0, 0, 0, Vec::new());
@@ -203,6 +207,14 @@ fn count(lab: &mut Lab, frames: &[Known], first_seed: usize) {
                     continue;
                 };
                 asked += 1;
+                if let Some(dump) = &mut dump {
+                    writeln!(
+                        dump,
+                        "{}",
+                        serde_json::json!({"kind": name, "frame": known.frame.name, "null": compared.comparison.null})
+                    )
+                    .expect("written");
+                }
                 let found = elsewhere(&compared.comparison.null);
                 doubted += usize::from(found.is_some());
                 if found.is_some() == name.starts_with("right") {

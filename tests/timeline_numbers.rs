@@ -153,7 +153,7 @@ proptest! {
             let sequenced = tracker.take(*sequence, *device_us as u64);
             clock.observe(0, sequenced, *sequence, *device_us, *host_us);
             map.push(*device_us, *host_us);
-            map.device_from_host_us(map.host_from_device_us(*device_us));
+            let _ = map.device_from_host_us(map.host_from_device_us(*device_us));
             prop_assert!(map.uncertainty_us(*device_us) >= 0.0 && !map.delay_us(*device_us, *host_us).is_nan());
         }
         let (drift, sigma) = map.drift();

@@ -92,8 +92,10 @@ pub fn run(setup: Setup, options: &LiveOptions, board: &Board, reporter: &Report
         board: board.clone(),
         reporter: reporter.clone(),
         stage: Stage::Open { lines, frames },
+        lines_ended: false,
+        frames_ended: false,
+        end_is_logged: false,
         registering: false,
-        posed: 0,
         faults_this_tick: 0,
         next_tick_us: started_us,
         tell_losses_us: started_us,
@@ -126,7 +128,7 @@ enum Stage {
     /// Things come in.
     Open { lines: Lines, frames: Frames },
     /// The sources were told to end; what they still have comes in.
-    Closing { asked_us: i64, lines_ended: bool, frames_ended: bool },
+    Closing { asked_us: i64 },
     /// Nothing comes in any more; what is there is developed.
     Finishing,
 }
@@ -141,8 +143,10 @@ struct Session {
     board: Board,
     reporter: Reporter,
     stage: Stage,
+    lines_ended: bool,
+    frames_ended: bool,
+    end_is_logged: bool,
     registering: bool,
-    posed: usize,
     faults_this_tick: u32,
     next_tick_us: i64,
     tell_losses_us: i64,
@@ -183,16 +187,10 @@ impl Session {
             Event::LineOpened { device, host_us } => self.tracks.line_opened(device, host_us),
             Event::LineLost { device, host_us, reason } => self.tracks.line_lost(device, host_us, &reason),
             Event::Ended(source) => {
-                if let Stage::Closing { lines_ended, frames_ended, asked_us } = &mut self.stage {
-                    match source {
-                        Source::Frames => *frames_ended = true,
-                        Source::Lines => {
-                            *lines_ended = true;
-                            let end_us = *asked_us;
-                            self.log.end(end_us);
-                            self.with_engine(|engine, sink| engine.finish(end_us, sink));
-                        }
-                    }
+                // A session without lines hears of their end at its start.
+                match source {
+                    Source::Frames => self.frames_ended = true,
+                    Source::Lines => self.lines_ended = true,
                 }
             }
         }
@@ -227,7 +225,6 @@ impl Session {
             Output::Posed(posed) => {
                 self.announce(&posed);
                 self.log.pose(&posed);
-                self.posed += 1;
                 self.workshop.submit(*posed, None);
             }
         }
@@ -326,9 +323,15 @@ impl Session {
             Stage::Open { lines, frames } if is_over => {
                 lines.close();
                 frames.close();
-                self.stage = Stage::Closing { asked_us: host_now_us(), lines_ended: false, frames_ended: false };
+                self.stage = Stage::Closing { asked_us: host_now_us() };
             }
-            Stage::Closing { lines_ended: true, frames_ended: true, .. } => {
+            Stage::Closing { asked_us } if self.lines_ended && !self.end_is_logged => {
+                self.stage = Stage::Closing { asked_us };
+                self.end_is_logged = true;
+                self.log.end(asked_us);
+                self.with_engine(|engine, sink| engine.finish(asked_us, sink));
+            }
+            Stage::Closing { .. } if self.end_is_logged && self.frames_ended => {
                 let (frames, complete) = (self.frames(), self.scribe.complete());
                 if complete < frames {
                     self.reporter
@@ -362,7 +365,7 @@ impl Session {
         let open = self.frames().saturating_sub(self.scribe.complete());
         match self.stage {
             Stage::Open { .. } => self.log.end(host_now_us()),
-            Stage::Closing { lines_ended: false, asked_us, .. } => self.log.end(asked_us),
+            Stage::Closing { asked_us } if !self.end_is_logged => self.log.end(asked_us),
             Stage::Closing { .. } | Stage::Finishing => {}
         }
         self.log.flush_now(FLUSH);

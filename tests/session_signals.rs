@@ -84,7 +84,8 @@ fn every_signal_ends_the_session_in_order() {
         assert!(heard.end_us.is_some_and(|end_us| end_us >= signal_us), "{signal:?}: no end");
         assert!(heard_ms <= HEARD_MS, "{signal:?} was heard after {heard_ms:.0} ms");
         assert!(heard.losses.is_empty(), "{signal:?}: {:?}", heard.losses);
-        assert_eq!(heard.missing(&lab.sent(), live.recording_us, signal_us).lost, 0, "{signal:?}");
+        let missing = heard.missing(&lab.sent(), live.recording_us, signal_us);
+        assert_eq!(missing.lost, 0, "{signal:?}: {missing:?}");
         assert_eq!(heard.frames.len(), 2, "{signal:?}: frames");
         assert_eq!(live.pairs(), 2, "{signal:?}: {words}");
         for file in std::fs::read_dir(lab.frames()).expect("folder").flatten() {

@@ -187,7 +187,7 @@ fn a_full_disk_is_said_within_a_second_and_blocks_nobody() {
         assert!(matches!(outcome, Err(RecordError::Stopped { .. })), "{outcome:?}");
     }
     assert!(watch.ms() < 3_000.0, "{:.0} ms", watch.ms());
-    assert!(recorder.health().refused >= 3, "what is lost is counted: {:?}", recorder.health());
+    assert!(recorder.health().refused >= 2, "what is lost is counted: {:?}", recorder.health());
     assert!(matches!(recorder.finish(), Err(RecordError::Stopped { .. })));
 }
 

@@ -237,8 +237,12 @@ impl Sender {
         if self.garbage {
             self.missing_random.fill(packet.as_mut_slice());
         }
+        let overrun_bytes = self.channel.line.overrun_bytes;
         self.channel.send(&packet, at_s, &mut self.random)?;
-        // Noted once the line has it: what is in the list was sent.
+        // Noted once the line has it: what is in the list was sent, and what nobody read in time is not in it.
+        if self.channel.line.overrun_bytes > overrun_bytes {
+            return Ok(());
+        }
         notes.as_mut().map_or(Ok(()), |notes| notes.note(self.device, stamp.sequence, packet.len()))
     }
 }

@@ -270,7 +270,11 @@ async fn pump(mut port: tokio_serial::SerialStream, epoch: u32, outlet: &mut Out
         let outcome = tokio::select! {
             biased;
             outcome = port.read(&mut buffer) => outcome,
-            _ = outlet.finishing.wait_for(|finishing| *finishing) => return Err(Deaf),
+            // What the runtime has not noticed yet is in the system's buffer: the read asks the system itself.
+            _ = outlet.finishing.wait_for(|finishing| *finishing) => match port.try_read(&mut buffer) {
+                Ok(0) | Err(_) => return Err(Deaf),
+                rest => rest,
+            },
         };
         let host_us = host_now_us();
         match outcome {

@@ -120,7 +120,7 @@ fn gain_air_signal_and_quanta_are_found() {
     for (frequency, value) in mtf.frequency_lp_per_mm.iter().zip(&mtf.mtf) {
         let x = std::f64::consts::PI * frequency * 0.194;
         let expected = if x > 0.0 { x.sin() / x } else { 1.0 };
-        assert!((value - expected).abs() < 0.03, "{frequency} lp/mm: {value}, expected {expected}");
+        assert!((value - expected).abs() < 0.04, "{frequency} lp/mm: {value}, expected {expected}");
     }
     // White noise: power per area is 1 / quanta per area at every frequency.
     let nps = record.nps.as_ref().expect("pairs");

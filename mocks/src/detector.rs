@@ -253,7 +253,7 @@ pub struct Series {
     pub darks: usize,
     /// A bead stands in this many of the air frames, the first of the highest level on.
     pub beads: usize,
-    /// An edge frame, too.
+    /// An edge frame, too, at the highest exposure.
     pub edge: bool,
     /// A frame of the wedge, too, at the middle exposure.
     pub wedge: bool,
@@ -305,8 +305,8 @@ pub fn write(folder: &Path, panel: &Panel, series: &Series) -> Result<(), MockEr
         }
     }
     if series.edge {
-        let level = series.levels_mas.len() / 2;
-        put("edge.dcm".to_owned(), series.levels_mas[level], series.kvps[0], Object::Edge(3.0))?;
+        let most = series.levels_mas.iter().copied().fold(0.0, f64::max);
+        put("edge.dcm".to_owned(), most, series.kvps[0], Object::Edge(3.0))?;
     }
     if series.wedge {
         let level = series.levels_mas.len() / 2;

@@ -170,7 +170,7 @@ fn intercept(samples: &[[f64; 2]], brightest: f64) -> Option<Intercept> {
         kept.retain(|[x, y]| (y - line.at(*x)).abs() <= limit);
         line = straight_line(&kept)?;
     }
-    if !(kept.len() * 2 >= samples.len()) {
+    if kept.len() * 2 < samples.len() {
         return None;
     }
     let air_at_least = (brightest - line.mean_y).max(0.0);

@@ -284,7 +284,7 @@ impl Setup {
             return Err(wrong("air_level", value.to_string(), "a positive stored value, or open, maximum, unknown"));
         }
         if let Some(radius_mm) = session.bead_radius_mm
-            && !(radius_mm >= 0.05 && radius_mm <= 20.0)
+            && !(0.05..=20.0).contains(&radius_mm)
         {
             return Err(wrong("bead_radius_mm", radius_mm.to_string(), "0.05 to 20 mm"));
         }

@@ -123,7 +123,7 @@ impl Bound {
                 lps_from_base: None,
                 source: "stored with the exposure".to_owned(),
                 gap_us: answer.gap_us,
-                stale: !(answer.gap_us <= MAX_GAP_US),
+                stale: answer.gap_us > MAX_GAP_US,
             })
         });
         let tracker_from_base = mid_us

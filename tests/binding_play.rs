@@ -119,9 +119,14 @@ pub fn play(session: &Session) -> Score {
             }
             if !right {
                 let evidence = binding.evidence.join("; ");
-                let from_s = (interval.start_us - T0_US) as f64 * 1e-6;
+                let seconds = |us: i64| (us - T0_US) as f64 * 1e-6;
+                let from_s = seconds(interval.start_us);
+                let true_s = match sent.truth {
+                    Truth::Of(index) | Truth::SecondOf(index) => seconds(session.exposures[index].start_us),
+                    Truth::Copy | Truth::Foreign => f64::NAN,
+                };
                 score.wrong.push(format!(
-                    "{}: frame {frame} ({:?}) at {from_s:.3} s ({} samples): {evidence}",
+                    "{}: frame {frame} ({:?}) at {from_s:.3} s, truly {true_s:.3} s ({} samples): {evidence}",
                     session.described, sent.truth, interval.samples
                 ));
             }

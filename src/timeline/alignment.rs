@@ -28,7 +28,7 @@ impl Stamped {
     fn range(&self, shots: &Shots, at: usize, middle_us: i64) -> Option<Bounds> {
         let shot = shots.get(at);
         let causal = self.arrival_us.is_none_or(|arrival_us| shot.end_us <= arrival_us);
-        (shot.whole && causal).then(|| Bounds::of(self.console_us, self.resolution_us, shot.start_us, shot.end_us).at(middle_us))
+        causal.then(|| Bounds::of(self.console_us, self.resolution_us, shot.start_us, shot.end_us).at(middle_us))
     }
 }
 
@@ -60,7 +60,8 @@ pub(super) fn align(stamps: &mut [Stamped], shots: &Shots) -> Vec<(Stamped, usiz
     // Sweep over the ranges' ends: how many ranges hold at each lower end.
     let mut ends: Vec<(i64, i32)> = Vec::new();
     for stamped in stamps.iter() {
-        for range in (0..shots.len()).filter_map(|at| stamped.range(shots, at, middle_us)) {
+        let whole = (0..shots.len()).filter(|at| shots.get(*at).whole);
+        for range in whole.filter_map(|at| stamped.range(shots, at, middle_us)) {
             ends.push((range.low_us, -1));
             ends.push((range.high_us, 1));
         }
@@ -122,7 +123,8 @@ fn pairs_in_order(stamps: &[Stamped], shots: &Shots, middle_us: i64, offset_us: 
     for ((stamped, fitting), lowest) in places.iter().zip(lowest).rev() {
         let highest = fitting.iter().rev().copied().find(|at| next.is_none_or(|next| *at < next));
         next = highest.or(next);
-        if let (Some(at), true) = (lowest, lowest == highest) {
+        // An exposure that telemetry missed in part takes a place in the order, but its times teach nothing.
+        if let Some(at) = lowest.filter(|at| Some(*at) == highest && shots.get(*at).whole) {
             found.push((*stamped, at));
         }
     }

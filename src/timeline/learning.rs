@@ -77,9 +77,14 @@ impl Binder {
         }
         let mut offset = ConsoleOffset::default();
         for member in &members {
-            // A frame that may be of two exposures seconds apart teaches nothing: its true one need not be the one that agrees.
-            let near = |other: &Suggestion| other.at_us.saturating_sub(member.at_us).saturating_abs() < APART_US;
-            let alone = suggestions.iter().filter(|other| other.frame == member.frame && near(other)).count() == 1;
+            // A frame that may be of two exposures seconds apart teaches nothing: its true one need not be the one that agrees, even where
+            // another frame has that one (a second picture) or telemetry missed it.
+            let other = |at: &usize| {
+                let shot = self.shots.get(*at);
+                *at != member.shot && (!shot.whole || shot.end_us.saturating_sub(member.at_us).saturating_abs() < APART_US)
+            };
+            let prompt = self.frames.get(&member.frame).and_then(|pending| pending.prompt.as_deref()).unwrap_or_default();
+            let alone = !prompt.iter().any(other);
             if let Some(pair) = member.offset.filter(|_| alone) {
                 offset.learn(&pair);
             }

@@ -28,7 +28,7 @@ impl Stamped {
     fn range(&self, shots: &Shots, at: usize, middle_us: i64) -> Option<Bounds> {
         let shot = shots.get(at);
         let causal = self.arrival_us.is_none_or(|arrival_us| shot.end_us <= arrival_us);
-        (shot.whole && causal).then(|| Bounds::of(self.console_us, self.resolution_us, shot.start_us, shot.end_us).at(middle_us))
+        causal.then(|| Bounds::of(self.console_us, self.resolution_us, shot.start_us, shot.end_us).at(middle_us))
     }
 }
 
@@ -60,7 +60,8 @@ pub(super) fn align(stamps: &mut [Stamped], shots: &Shots) -> Vec<(Stamped, usiz
     // Sweep over the ranges' ends: how many ranges hold at each lower end.
     let mut ends: Vec<(i64, i32)> = Vec::new();
     for stamped in stamps.iter() {
-        for range in (0..shots.len()).filter_map(|at| stamped.range(shots, at, middle_us)) {
+        let whole = (0..shots.len()).filter(|at| shots.get(*at).whole);
+        for range in whole.filter_map(|at| stamped.range(shots, at, middle_us)) {
             ends.push((range.low_us, -1));
             ends.push((range.high_us, 1));
         }
@@ -92,17 +93,38 @@ pub(super) fn align(stamps: &mut [Stamped], shots: &Shots) -> Vec<(Stamped, usiz
     if best < 3 || 2 * best < different.len() || best < second + (best / 5).max(3) {
         return Vec::new();
     }
-    let mut found = Vec::new();
-    for stamped in stamps.iter() {
-        let near = |at: &usize| {
-            stamped.range(shots, *at, middle_us).is_some_and(|range| {
-                range.low_us <= offset_us.saturating_add(SAME_US / 2) && range.high_us >= offset_us.saturating_sub(SAME_US / 2)
-            })
+    pairs_in_order(stamps, shots, middle_us, offset_us)
+}
+
+/// Near a coarse offset, the exposures that stamps must have because every later stamp is of a later exposure.
+fn pairs_in_order(stamps: &[Stamped], shots: &Shots, middle_us: i64, offset_us: i64) -> Vec<(Stamped, usize)> {
+    let near = |stamped: &Stamped| -> Vec<usize> {
+        let reaches = |range: Bounds| {
+            range.low_us <= offset_us.saturating_add(SAME_US / 2) && range.high_us >= offset_us.saturating_sub(SAME_US / 2)
         };
-        let fitting: Vec<usize> = (0..shots.len()).filter(near).collect();
-        if let [at] = fitting[..]
-            && stamped.range(shots, at, middle_us).is_some_and(|range| range.holds(offset_us))
-        {
+        (0..shots.len()).filter(|at| stamped.range(shots, *at, middle_us).is_some_and(reaches)).collect()
+    };
+    let mut places: Vec<(Stamped, Vec<usize>)> = Vec::new();
+    for stamped in stamps {
+        if places.last().is_none_or(|(last, _)| last.console_us != stamped.console_us) {
+            places.push((*stamped, near(stamped)));
+        }
+    }
+    places.retain(|(_, fitting)| !fitting.is_empty());
+    let mut lowest: Vec<Option<usize>> = Vec::new();
+    let mut last = None;
+    for (_, fitting) in &places {
+        let at = fitting.iter().copied().find(|at| last.is_none_or(|last| *at > last));
+        last = at.or(last);
+        lowest.push(at);
+    }
+    let mut found = Vec::new();
+    let mut next = None;
+    for ((stamped, fitting), lowest) in places.iter().zip(lowest).rev() {
+        let highest = fitting.iter().rev().copied().find(|at| next.is_none_or(|next| *at < next));
+        next = highest.or(next);
+        // An exposure that telemetry missed in part takes a place in the order, but its times teach nothing.
+        if let Some(at) = lowest.filter(|at| Some(*at) == highest && shots.get(*at).whole) {
             found.push((*stamped, at));
         }
     }

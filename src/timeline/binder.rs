@@ -10,11 +10,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::Timeline;
-use super::agreement::{Suggestion, Topic, agreement};
-use super::alignment::{Stamped, align};
 use super::console::{Bounds, ConsoleClock, ConsoleOffset};
 use super::counting::Counting;
-use super::evidence::{Binding, BindingFlag, BindingHow, FrameEvidence, flags_of, seconds, time_within};
+use super::evidence::{Binding, BindingFlag, BindingHow, FrameEvidence, flags_of, time_within};
 use super::judgement::{Judgement, Weighed};
 use super::shots::{PROMPT_US, Shots};
 
@@ -22,8 +20,6 @@ use super::shots::{PROMPT_US, Shots};
 const VOTERS: usize = 48;
 /// A frame whose telemetry has not come after this long is judged without it.
 const PATIENCE_US: i64 = 1_000_000;
-/// Exposures farther apart than this have no common offset.
-const APART_US: i64 = 4_000_000;
 const MINUTE_US: i64 = 60_000_000;
 /// An offset is used from so many frames on.
 pub(super) const KNOWN_FRAMES: u32 = 2;
@@ -45,9 +41,9 @@ pub struct Binder {
     pub(super) shots: Shots,
     pub(super) frames: BTreeMap<u32, Pending>,
     /// Frames without an exposure that may still get one.
-    open: BTreeSet<u32>,
+    pub(super) open: BTreeSet<u32>,
     /// Latest frames with prompt exposures.
-    voters: Vec<u32>,
+    pub(super) voters: Vec<u32>,
     /// By content: the frame that stands for it, and the images seen.
     contents: BTreeMap<String, (u32, BTreeMap<u32, u32>)>,
     /// Images of a run (and copies) to the frame that stands for them.
@@ -223,7 +219,7 @@ impl Binder {
         false
     }
 
-    fn bind(
+    pub(super) fn bind(
         &mut self,
         frame: u32,
         shot: usize,
@@ -327,118 +323,6 @@ impl Binder {
 
     pub(super) fn known_offsets(&self) -> impl Iterator<Item = &ConsoleOffset> {
         self.offsets.iter().filter(|offset| offset.summary().is_some_and(|clock| clock.frames >= KNOWN_FRAMES))
-    }
-
-    /// What the latest prompt frames suggest, as far as it is not known already.
-    fn suggestions(&self, topic: Topic) -> Vec<Suggestion> {
-        let mut found = Vec::new();
-        for pending in self.voters.iter().filter_map(|frame| self.frames.get(frame)) {
-            let said = &pending.evidence;
-            for shot in pending.prompt.iter().flatten().copied() {
-                let at = self.shots.get(shot);
-                let taken = at.frame.is_some_and(|frame| frame != said.frame);
-                let elsewhere = pending.binding.exposure.as_ref().is_some_and(|exposure| exposure.index != at.index);
-                if taken || elsewhere {
-                    continue;
-                }
-                let number = self.shots.number(shot);
-                found.push(Suggestion {
-                    frame: said.frame,
-                    shot,
-                    at_us: at.end_us,
-                    offset: self.pair(said, shot).filter(|_| at.whole),
-                    shift: said.counter.zip(number).map(|(counter, number)| i64::from(counter) - number),
-                });
-            }
-        }
-        if topic == Topic::Offset && self.known_offsets().next().is_some() {
-            // Only frames that no known offset explains can show that the clock was set.
-            let explained: BTreeSet<u32> =
-                found.iter().filter(|s| s.offset.is_some_and(|pair| self.allowed(&pair))).map(|s| s.frame).collect();
-            let last_us = self.offsets.last().and_then(ConsoleOffset::span_us).map_or(i64::MIN, |(_, last_us)| last_us);
-            found.retain(|s| !explained.contains(&s.frame) && s.at_us > last_us);
-        }
-        found
-    }
-
-    /// At the end, with no offset known from prompt frames: the one at which the whole batch falls into place, if there is only one.
-    fn align(&mut self) {
-        if self.known_offsets().next().is_some() {
-            return;
-        }
-        let stamped = |frame: &u32| {
-            let said = &self.frames.get(frame)?.evidence;
-            let (console_us, resolution_us) = (said.console_us?, self.resolution_us(said));
-            Some(Stamped { console_us, resolution_us, arrival_us: said.arrival_us })
-        };
-        let mut stamps: Vec<Stamped> = self.open.iter().filter_map(stamped).collect();
-        let pairs = align(&mut stamps, &self.shots);
-        let mut offset = ConsoleOffset::default();
-        for (stamped, at) in pairs {
-            let shot = self.shots.get(at);
-            offset.learn(&Bounds::of(stamped.console_us, stamped.resolution_us, shot.start_us, shot.end_us));
-        }
-        if offset.summary().is_some_and(|clock| clock.frames >= KNOWN_FRAMES) {
-            self.offsets = vec![offset];
-        }
-    }
-
-    fn agree_on_offset(&mut self) {
-        let known = self.known_offsets().next().is_some();
-        let suggestions = self.suggestions(Topic::Offset);
-        let Some(members) = agreement(Topic::Offset, &suggestions) else { return };
-        let frames: BTreeSet<u32> = members.iter().map(|member| member.frame).collect();
-        if known && frames.len() < 3 {
-            return;
-        }
-        let mut offset = ConsoleOffset::default();
-        for member in &members {
-            // A frame that may be of two exposures seconds apart teaches nothing: its true one need not be the one that agrees.
-            let near = |other: &Suggestion| other.at_us.saturating_sub(member.at_us).saturating_abs() < APART_US;
-            let alone = suggestions.iter().filter(|other| other.frame == member.frame && near(other)).count() == 1;
-            if let Some(pair) = member.offset.filter(|_| alone) {
-                offset.learn(&pair);
-            }
-        }
-        if offset.summary().is_some_and(|clock| clock.frames >= KNOWN_FRAMES) {
-            if !known {
-                self.offsets.clear();
-            }
-            self.offsets.push(offset);
-        }
-    }
-
-    /// Without stamps, prompt frames that agree on the counter's shift are bound by it.
-    fn agree_on_shift(&mut self, timeline: &Timeline) {
-        if self.known_offsets().next().is_some() || self.counting.useless().is_some() {
-            return;
-        }
-        let suggestions = self.suggestions(Topic::Shift);
-        let unbound = |s: &Suggestion| self.open.contains(&s.frame);
-        if !suggestions.iter().any(unbound) {
-            return;
-        }
-        // Where the C-arm does not count, a silence may have swallowed or torn an exposure: numbers before and after do not compare.
-        let tracker = timeline.exposure_tracker();
-        let stretch = |s: &Suggestion| if self.shots.counted { 0 } else { tracker.silences_before(s.at_us) };
-        let stretches: BTreeSet<usize> = suggestions.iter().map(stretch).collect();
-        let within = |at: usize| suggestions.iter().filter(|s| stretch(s) == at).copied().collect::<Vec<_>>();
-        let agreed: Vec<Suggestion> =
-            stretches.into_iter().filter_map(|at| agreement(Topic::Shift, &within(at))).flatten().collect();
-        for member in agreed {
-            let Some(exposure) = timeline.exposure(self.shots.get(member.shot).index).cloned() else { continue };
-            let free = self.shots.get(member.shot).frame.is_none() && self.open.contains(&member.frame);
-            let (Some(pending), true) = (self.frames.get(&member.frame), free) else { continue };
-            let late_us = pending.evidence.arrival_us.map_or(0, |arrival_us| arrival_us.saturating_sub(exposure.end_us));
-            let evidence = vec![
-                format!("{} ended {} before the frame arrived", exposure.label(), seconds(late_us)),
-                format!(
-                    "its counter differs from the exposure's number by {}, as that of other prompt frames",
-                    member.shift.unwrap_or(0)
-                ),
-            ];
-            self.bind(member.frame, member.shot, exposure, BindingHow::Counter, evidence, true);
-        }
     }
 }
 

@@ -13,6 +13,7 @@ mod counting;
 mod evidence;
 mod exposure;
 mod judgement;
+mod learning;
 mod segments;
 mod shots;
 mod track;

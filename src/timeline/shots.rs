@@ -11,10 +11,14 @@ pub(super) const PROMPT_US: i64 = 6_000_000;
 /// An exposure of which only the counter tells may still turn out to be the one that begins now.
 const UNSEEN_GRACE_US: i64 = 500_000;
 
+/// Ends known worse than this teach nothing.
+const SHARP_US: f64 = 100_000.0;
+
 /// What binding needs of an exposure.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Shot {
     pub index: u64,
+    /// The earliest and the latest that the beam can have been on: an end that fell into a gap lies anywhere in it.
     pub start_us: i64,
     pub end_us: i64,
     pub counter: Option<u32>,
@@ -58,13 +62,16 @@ impl Shots {
         self.counted |= interval.counter.is_some();
         let number = interval.counter.map_or(interval.index as i64, i64::from);
         self.by_number.entry(number).or_default().push(at);
-        self.longest_us = self.longest_us.max(interval.end_us.saturating_sub(interval.start_us));
+        let start_us = interval.start_us.saturating_sub(interval.start_uncertainty_us as i64);
+        let end_us = interval.end_us.saturating_add(interval.end_uncertainty_us as i64);
+        let sharp = interval.start_uncertainty_us.max(interval.end_uncertainty_us) < SHARP_US;
+        self.longest_us = self.longest_us.max(end_us.saturating_sub(start_us));
         self.list.push(Shot {
             index: interval.index,
-            start_us: interval.start_us,
-            end_us: interval.end_us,
+            start_us,
+            end_us,
             counter: interval.counter,
-            whole: interval.start_seen && interval.end_seen,
+            whole: interval.start_seen && interval.end_seen && sharp,
             frame: None,
             prompt_frames: 0,
         });

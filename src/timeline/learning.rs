@@ -1,0 +1,132 @@
+//! What the binder learns before and beside single frames: the console's offset, anew whenever its clock was set, and the counter's shift.
+
+use std::collections::BTreeSet;
+
+use super::Timeline;
+use super::agreement::{Suggestion, Topic, agreement};
+use super::alignment::{Stamped, align};
+use super::binder::{Binder, KNOWN_FRAMES};
+use super::console::{Bounds, ConsoleOffset};
+use super::evidence::{BindingHow, seconds};
+
+/// Exposures farther apart than this have no common offset.
+const APART_US: i64 = 4_000_000;
+
+impl Binder {
+    /// What the latest prompt frames suggest, as far as it is not known already.
+    fn suggestions(&self, topic: Topic) -> Vec<Suggestion> {
+        let mut found = Vec::new();
+        for pending in self.voters.iter().filter_map(|frame| self.frames.get(frame)) {
+            let said = &pending.evidence;
+            for shot in pending.prompt.iter().flatten().copied() {
+                let at = self.shots.get(shot);
+                let taken = at.frame.is_some_and(|frame| frame != said.frame);
+                let elsewhere = pending.binding.exposure.as_ref().is_some_and(|exposure| exposure.index != at.index);
+                if taken || elsewhere {
+                    continue;
+                }
+                let number = self.shots.number(shot);
+                found.push(Suggestion {
+                    frame: said.frame,
+                    shot,
+                    at_us: at.end_us,
+                    offset: self.pair(said, shot).filter(|_| at.whole),
+                    shift: said.counter.zip(number).map(|(counter, number)| i64::from(counter) - number),
+                });
+            }
+        }
+        if topic == Topic::Offset && self.known_offsets().next().is_some() {
+            // Only frames that no known offset explains can show that the clock was set.
+            let explained: BTreeSet<u32> =
+                found.iter().filter(|s| s.offset.is_some_and(|pair| self.allowed(&pair))).map(|s| s.frame).collect();
+            let last_us = self.offsets.last().and_then(ConsoleOffset::span_us).map_or(i64::MIN, |(_, last_us)| last_us);
+            found.retain(|s| !explained.contains(&s.frame) && s.at_us > last_us);
+        }
+        found
+    }
+
+    /// At the end, with no offset known from prompt frames: the one at which the whole batch falls into place, if there is only one.
+    pub(super) fn align(&mut self) {
+        if self.known_offsets().next().is_some() {
+            return;
+        }
+        let stamped = |frame: &u32| {
+            let said = &self.frames.get(frame)?.evidence;
+            let (console_us, resolution_us) = (said.console_us?, self.resolution_us(said));
+            Some(Stamped { console_us, resolution_us, arrival_us: said.arrival_us })
+        };
+        let mut stamps: Vec<Stamped> = self.open.iter().filter_map(stamped).collect();
+        let pairs = align(&mut stamps, &self.shots);
+        let mut offset = ConsoleOffset::default();
+        for (stamped, at) in pairs {
+            let shot = self.shots.get(at);
+            offset.learn(&Bounds::of(stamped.console_us, stamped.resolution_us, shot.start_us, shot.end_us));
+        }
+        if offset.summary().is_some_and(|clock| clock.frames >= KNOWN_FRAMES) {
+            self.offsets = vec![offset];
+        }
+    }
+
+    pub(super) fn agree_on_offset(&mut self) {
+        let known = self.known_offsets().next().is_some();
+        let suggestions = self.suggestions(Topic::Offset);
+        let Some(members) = agreement(Topic::Offset, &suggestions) else { return };
+        let frames: BTreeSet<u32> = members.iter().map(|member| member.frame).collect();
+        if known && frames.len() < 3 {
+            return;
+        }
+        let mut offset = ConsoleOffset::default();
+        for member in &members {
+            // A frame that may be of two exposures seconds apart teaches nothing: its true one need not be the one that agrees, even where
+            // another frame has that one (a second picture) or telemetry missed it.
+            let other = |at: &usize| {
+                let shot = self.shots.get(*at);
+                *at != member.shot && (!shot.whole || shot.end_us.saturating_sub(member.at_us).saturating_abs() < APART_US)
+            };
+            let prompt = self.frames.get(&member.frame).and_then(|pending| pending.prompt.as_deref()).unwrap_or_default();
+            let alone = !prompt.iter().any(other);
+            if let Some(pair) = member.offset.filter(|_| alone) {
+                offset.learn(&pair);
+            }
+        }
+        if offset.summary().is_some_and(|clock| clock.frames >= KNOWN_FRAMES) {
+            if !known {
+                self.offsets.clear();
+            }
+            self.offsets.push(offset);
+        }
+    }
+
+    /// Without stamps, prompt frames that agree on the counter's shift are bound by it.
+    pub(super) fn agree_on_shift(&mut self, timeline: &Timeline) {
+        if self.known_offsets().next().is_some() || self.counting.useless().is_some() {
+            return;
+        }
+        let suggestions = self.suggestions(Topic::Shift);
+        let unbound = |s: &Suggestion| self.open.contains(&s.frame);
+        if !suggestions.iter().any(unbound) {
+            return;
+        }
+        // Where the C-arm does not count, a silence may have swallowed or torn an exposure: numbers before and after do not compare.
+        let tracker = timeline.exposure_tracker();
+        let stretch = |s: &Suggestion| if self.shots.counted { 0 } else { tracker.silences_before(s.at_us) };
+        let stretches: BTreeSet<usize> = suggestions.iter().map(stretch).collect();
+        let within = |at: usize| suggestions.iter().filter(|s| stretch(s) == at).copied().collect::<Vec<_>>();
+        let agreed: Vec<Suggestion> =
+            stretches.into_iter().filter_map(|at| agreement(Topic::Shift, &within(at))).flatten().collect();
+        for member in agreed {
+            let Some(exposure) = timeline.exposure(self.shots.get(member.shot).index).cloned() else { continue };
+            let free = self.shots.get(member.shot).frame.is_none() && self.open.contains(&member.frame);
+            let (Some(pending), true) = (self.frames.get(&member.frame), free) else { continue };
+            let late_us = pending.evidence.arrival_us.map_or(0, |arrival_us| arrival_us.saturating_sub(exposure.end_us));
+            let evidence = vec![
+                format!("{} ended {} before the frame arrived", exposure.label(), seconds(late_us)),
+                format!(
+                    "its counter differs from the exposure's number by {}, as that of other prompt frames",
+                    member.shift.unwrap_or(0)
+                ),
+            ];
+            self.bind(member.frame, member.shot, exposure, BindingHow::Counter, evidence, true);
+        }
+    }
+}

@@ -17,22 +17,22 @@ use sidecarm::scene::physics::{Material, Spectrum};
 use crate::render_scenes::{With, empty, placed, solids, volume};
 
 /// Uniform numbers of one seed.
-struct Draw(Stream);
+pub struct Draw(pub Stream);
 
 impl Draw {
-    fn between(&mut self, low: f64, high: f64) -> f64 {
+    pub fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.0.uniform()
     }
 
-    fn log(&mut self, low: f64, high: f64) -> f64 {
+    pub fn log(&mut self, low: f64, high: f64) -> f64 {
         self.between(low.ln(), high.ln()).exp()
     }
 
-    fn pick<T: Copy>(&mut self, from: &[T]) -> T {
+    pub fn pick<T: Copy>(&mut self, from: &[T]) -> T {
         from[(self.0.next_u32() as usize) % from.len()]
     }
 
-    fn point(&mut self, reach: f64) -> DVec3 {
+    pub fn point(&mut self, reach: f64) -> DVec3 {
         DVec3::new(self.between(-reach, reach), self.between(-reach, reach), self.between(-reach, reach))
     }
 }

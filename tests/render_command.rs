@@ -99,3 +99,15 @@ fn a_device_that_is_not_there_names_what_to_install() {
         }
     }
 }
+
+/// Planning was shown as 0.0 ms, whatever it took: the command had planned before the clock ran.
+#[test]
+fn planning_is_booked_among_the_stages() {
+    let folder = tempfile::tempdir().expect("folder");
+    assert_eq!(render(folder.path(), &[]).expect("renders"), 0);
+    let text = std::fs::read_to_string(folder.path().join("drr.tif.json")).expect("beside it");
+    let json: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    // Pilot rays and a fit of energies cannot be had for less.
+    assert!(json["stages_ms"]["plan"].as_f64().expect("booked") > 0.05, "{}", json["stages_ms"]);
+    assert!(json["stages_ms"]["prepare"].is_number(), "{}", json["stages_ms"]);
+}

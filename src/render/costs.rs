@@ -230,12 +230,12 @@ fn measure() -> Costs {
     costs
 }
 
-/// The shortest of at least seven, ms; of more as long as they are short, because others use the machine as well.
+/// The shortest of at least three, ms; of more as long as they are short, because others use the machine as well.
 fn fastest(work: impl Fn()) -> f64 {
     let all = Stopwatch::start();
     let mut best = f64::INFINITY;
     for round in 0..40 {
-        if round >= 7 && all.ms() > 60.0 {
+        if round >= 3 && all.ms() > 60.0 {
             break;
         }
         let watch = Stopwatch::start();

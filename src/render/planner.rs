@@ -157,7 +157,14 @@ impl Planner {
         self.apply(&mut plan, task, &pilot, &chosen)?;
         if task.executor == Executor::Cpu {
             let work = work(task, &pilot, &chosen.way, plan.energy_nodes.len());
-            plan.predicted_ms = Some(costs.predict_ms(&work, chosen.way.sampling));
+            let predicted_ms = costs.predict_ms(&work, chosen.way.sampling);
+            if let Goal::BudgetMs(ms) = task.goal
+                && !(predicted_ms <= ms)
+            {
+                let words = format!("{ms} ms cannot be met: the fastest plan is predicted to take {predicted_ms:.2} ms");
+                plan.say("budget", false, words);
+            }
+            plan.predicted_ms = Some(predicted_ms);
             plan.typical_ms = Some(Costs::default().predict_ms(&work, chosen.way.sampling));
         }
         Ok(plan)

@@ -236,7 +236,7 @@ fn memory_and_time_of_a_helper_are_limited() {
     };
     let usual = Limits::of(Kind::Frames);
     assert_eq!(with(&path, usual.memory_bytes, usual.cpu_s), Ok(1), "control: the usual limits suffice");
-    assert_eq!(with(&path, 300 << 20, usual.cpu_s), Err(Fault::Helper(ForeignFault::Memory { limit_mib: 300 })));
+    assert_eq!(with(&path, 150 << 20, usual.cpu_s), Err(Fault::Helper(ForeignFault::Memory { limit_mib: 150 })));
     // Sixteen times the same 4000 x 4000 pixels: within all sizes, but not within a second.
     let long = folder.path().join("x.tif");
     std::fs::write(&long, tiff_pages(16, 4000, 4000, 16_000_000)).expect("written");
@@ -287,7 +287,10 @@ fn hostile_volumes_and_meshes_are_refused_by_render_and_info() {
     let mut trailing = NiftiFile::int16([4, 4, 4], &[0; 64]);
     trailing.voxels.resize(4 << 20, 0);
     write("trailing.nii.gz", &trailing);
-    std::fs::write(folder.path().join("cut.stl"), [0u8; 200]).expect("written");
+    let mut cut = vec![0u8; 80];
+    cut.extend(5u32.to_le_bytes());
+    cut.resize(200, 0);
+    std::fs::write(folder.path().join("cut.stl"), cut).expect("written");
     let mut lying = vec![0u8; 80];
     lying.extend(u32::MAX.to_le_bytes());
     std::fs::write(folder.path().join("lying.stl"), lying).expect("written");
@@ -296,8 +299,8 @@ fn hostile_volumes_and_meshes_are_refused_by_render_and_info() {
         ("huge.nii.gz", "1290 x 1290 x 1290 voxels"),
         ("types.nii", "16 bits by one field"),
         ("trailing.nii.gz", "bytes follow"),
-        ("cut.stl", "STL"),
-        ("lying.stl", "STL"),
+        ("cut.stl", "cut.stl: "),
+        ("lying.stl", "lying.stl: "),
     ] {
         let object = if name.ends_with("stl") {
             json!({"mesh": {"path": name, "material": "titanium", "lps_from_mesh": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}})

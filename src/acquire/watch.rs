@@ -111,6 +111,9 @@ impl FolderSource {
                 _ => None,
             };
             found.extend(trouble.map(Sighting::Trouble));
+            // By the offer first: the file may have been renamed meanwhile.
+            let offered = self.entries.iter().find(|(_, entry)| entry.state == State::Offered(offer));
+            let name = offered.map_or(name, |(name, _)| name.clone());
             let Some(entry) = self.entries.get_mut(&name) else { continue };
             if let Outcome::Frames(sha256) | Outcome::Same(sha256) = &outcome {
                 entry.earlier = Some(sha256.clone());
@@ -146,6 +149,9 @@ impl FolderSource {
             } else if entry.stamp != stamp {
                 self.replace(&name, stamp, now_us, found);
             }
+        } else if let Some(mut entry) = self.former_name(stamp).and_then(|former| self.entries.remove(&former)) {
+            entry.held = None;
+            self.entries.insert(name.clone(), entry);
         } else {
             self.add(name.clone(), stamp, now_us);
         }
@@ -155,6 +161,12 @@ impl FolderSource {
                 entry.held = Some(held);
             }
         }
+    }
+
+    /// The name under which this very version was known, if no file has that name any more: it was renamed.
+    fn former_name(&self, stamp: FileStamp) -> Option<OsString> {
+        let known = self.entries.iter().find(|(_, entry)| entry.stamp == stamp && stamp.inode != (0, 0))?.0;
+        std::fs::symlink_metadata(self.folder.join(known)).is_err().then(|| known.clone())
     }
 
     fn add(&mut self, name: OsString, stamp: FileStamp, now_us: i64) {
@@ -270,14 +282,11 @@ impl FolderSource {
     fn depart(&mut self, listed: &BTreeMap<OsString, FileStamp>, now_us: i64, found: &mut Vec<Sighting>) {
         let gone: Vec<OsString> = self.entries.keys().filter(|name| !listed.contains_key(*name)).cloned().collect();
         for name in gone {
-            let Some(mut entry) = self.entries.remove(&name) else { continue };
+            let Some(entry) = self.entries.remove(&name) else { continue };
             // Renamed: the same file with the same content under a name that is new.
             let renamed = listed.iter().find(|(other, stamp)| **stamp == entry.stamp && !self.entries.contains_key(*other));
             if let Some((other, _)) = renamed.filter(|_| entry.stamp.inode != (0, 0)) {
                 let other = other.clone();
-                if matches!(entry.state, State::Offered(_)) {
-                    entry.state = State::Done;
-                }
                 self.entries.insert(other, entry);
                 continue;
             }

@@ -178,7 +178,7 @@ fn nothing_that_identifies_anybody_comes_out_of_a_session() {
     std::fs::create_dir(room.frames.join("Zettelhuber.dcm")).expect("folder");
     let ended = room.end(room.start(9.0));
     let stderr = String::from_utf8_lossy(&ended.stderr);
-    assert!(matches!(ended.code, Some(0 | 3)), "{stderr}");
+    assert!(matches!(ended.code, Some(0 | 3)), "{:?}: {stderr}", ended.code);
     assert_eq!(ended.pairs.len(), NAMES.len() + 3, "{stderr}");
 
     let outputs = outputs(&room, &[&ended.stdout, &ended.stderr]);

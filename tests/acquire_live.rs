@@ -125,7 +125,7 @@ fn a_session_goes_on_past_every_bad_file_and_says_each_once() {
     put("frame-002.dcm", &frame_bytes(20));
     let ended = room.end(child);
     let stderr = String::from_utf8_lossy(&ended.stderr);
-    assert!(matches!(ended.code, Some(0 | 3)), "{stderr}");
+    assert!(matches!(ended.code, Some(0 | 3)), "{:?}: {stderr}", ended.code);
     assert_eq!(labels(&ended.pairs), ["frame-001", "frame-002"], "{stderr}");
     for word in ["panicked", "overflowed", "memory allocation"] {
         assert!(!stderr.contains(word), "{stderr}");

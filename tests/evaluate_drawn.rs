@@ -361,7 +361,8 @@ fn evaluate(seed: u64) -> Verdict {
         answered,
         finite,
         predicted_ms,
-        taken_ms: wall_ms.min(cpu_ms.max(0.05)),
+        // The system's books are some milliseconds behind: of short images only the wall clock knows.
+        taken_ms: if cpu_ms > 10.0 { wall_ms.min(cpu_ms) } else { wall_ms },
         parts,
     }
 }

@@ -27,7 +27,6 @@ mod pose_synthetic;
 mod live_numbers;
 mod timeline_joints;
 mod calibrate_detector;
-mod calibrate_pedestal;
 mod calibrate_session;
 mod timeline_numbers;
 mod compare_command;

@@ -110,8 +110,8 @@ fn a_regular_rhythm_leaves_the_clock_unknown_and_nothing_is_guessed() {
     let log = log(folder.path(), &starts_s);
     let exported = folder.path().join("export");
     std::fs::create_dir(&exported).expect("folder");
-    for index in 8..30 {
-        export(&exported, &format!("img{index:03}.dcm"), starts_s[index], 271.3, index as u16);
+    for (index, start_s) in starts_s.iter().enumerate().take(30).skip(8) {
+        export(&exported, &format!("img{index:03}.dcm"), *start_s, 271.3, index as u16);
     }
     let (code, json, words) = attach(&log, &exported, &[]);
     assert_eq!(code, Some(3), "{words}");

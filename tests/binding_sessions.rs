@@ -11,6 +11,9 @@ use sidecarm::timeline::FrameEvidence;
 
 use crate::timeline_joints::T0_US;
 
+/// Arrival in seconds, stamp, counter, content, what it is of, whether it is late.
+type Arrived = (f64, Option<i64>, Option<u32>, usize, Truth, bool);
+
 /// Uniform numbers of one seed.
 pub struct Draw(Stream);
 
@@ -303,7 +306,7 @@ pub fn session(seed: u64, kind: Kind) -> Session {
         }
         left -= size;
     }
-    let mut sent: Vec<(f64, Option<i64>, Option<u32>, usize, Truth, bool)> = Vec::new();
+    let mut sent: Vec<Arrived> = Vec::new();
     let base_delay = draw.between(0.3, 3.0);
     let delay_jitter = draw.between(0.05, 2.0);
     let mut last_prompt = 0.0f64;

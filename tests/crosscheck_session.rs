@@ -238,7 +238,7 @@ fn faults_of_ports_and_telemetry_are_each_named_with_their_remedy() {
     edit(&limits, "scene.json", |scene| scene["beam"]["tube_kvp"] = value!(120));
     let (rows, code) = check(&limits);
     let (_, level, words) = port(&rows, "robot limits");
-    assert!(level == "warn" && words.contains("-7.9 to 7.9") && words.contains("clamps at 5"), "{words}");
+    assert!(level == "warn" && words.contains("-7.90 to 7.90") && words.contains("clamps at 5"), "{words}");
     let (_, level, words) = port(&rows, "kVp");
     assert!(level == "warn" && words.contains("by telemetry 90") && words.contains("renders 120"), "{words}");
     assert_eq!(code, 0, "warnings alone do not fail: {rows:#?}");

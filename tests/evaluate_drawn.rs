@@ -263,7 +263,8 @@ fn drawn(seed: u64) -> (Scene, Vec<&'static str>, Draw) {
     if drawing.chance(0.15) {
         drawing.ct(seed, "second");
     }
-    let more: [(f64, fn(&mut Drawing)); 5] =
+    type Part = fn(&mut Drawing);
+    let more: [(f64, Part); 5] =
         [(0.4, Drawing::wire), (0.3, Drawing::wire), (0.25, Drawing::shape), (0.2, Drawing::screw), (0.15, Drawing::robot)];
     for (share, part) in more {
         if drawing.chance(share) {

@@ -82,7 +82,7 @@ pub fn markups(data: &[u8]) {
 
 /// A scene.
 pub fn scene(data: &[u8]) {
-    as_file(data, ".json", |path| drop(load(path, data.len() % 2 == 0, &Reporter::silent())));
+    as_file(data, ".json", |path| drop(load(path, data.len().is_multiple_of(2), &Reporter::silent())));
 }
 
 /// A pose, and a prior.

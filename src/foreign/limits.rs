@@ -7,7 +7,7 @@ use super::Kind;
 pub struct Limits {
     /// Size of the file.
     pub file_bytes: u64,
-    /// Address space of the helper.
+    /// Address space of the helper. The allocator alone reserves 1 GiB of it at a time, most of which is never touched.
     pub memory_bytes: u64,
     /// Processor time of the helper, whole seconds.
     pub cpu_s: u64,
@@ -37,7 +37,7 @@ impl Limits {
             },
             Kind::Volume | Kind::VolumeFacts => Self {
                 file_bytes: 9 << 30,
-                memory_bytes: 1 << 30,
+                memory_bytes: 3 << 30,
                 cpu_s: 180,
                 wall_s: 600.0,
                 image_pixels: 1 << 30,
@@ -46,7 +46,7 @@ impl Limits {
             },
             Kind::Mesh => Self {
                 file_bytes: 2 << 30,
-                memory_bytes: 1 << 30,
+                memory_bytes: 3 << 30,
                 cpu_s: 60,
                 wall_s: 180.0,
                 image_pixels: 10_000_000,

@@ -43,7 +43,8 @@ pub struct Developed {
 impl Developed {
     /// Complete as it is, and why there is no null.
     pub(super) fn without_null(mut self, because: &str) -> Self {
-        self.pair.flags.push(format!("no null: {because}"));
+        self.pair.flags.retain(|flag| flag != UNCHECKED);
+        self.pair.flags.push(format!("no null, so the image has not been put against other poses: {because}"));
         self.complete = true;
         self
     }
@@ -79,6 +80,9 @@ impl Developed {
         }
     }
 }
+
+/// Stands in a pair until its null is made.
+const UNCHECKED: &str = "the image has not been put against other poses yet";
 
 /// What frames are developed with.
 pub(super) struct Bench {
@@ -145,6 +149,9 @@ impl Bench {
         let strip = Arc::new(draw(&posed, &pair, compared.as_deref(), without.as_deref()));
         pair.stages_ms.add("strip", watch.ms());
         let complete = compared.is_none();
+        if !complete {
+            pair.flags.push(UNCHECKED.to_owned());
+        }
         Developed { posed, pair, drr: Some((rendered, scene)), compared, strip, drr_sha256, complete }
     }
 
@@ -263,6 +270,7 @@ impl Bench {
         };
         match compared.add_null(&mut rerender, cancelled) {
             Ok(()) => {
+                developed.pair.flags.retain(|flag| flag != UNCHECKED);
                 developed.pair.set_comparison(&compared.comparison);
                 developed.pair.judge_image();
                 if let Some(found) = &developed.pair.image_prefers {

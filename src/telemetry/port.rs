@@ -231,6 +231,12 @@ async fn run(config: PortConfig, mut outlet: Outlet) {
             Ok((port, resolved)) => {
                 attempt = 0;
                 let path = config.path.clone();
+                if epoch == 0 {
+                    // What an earlier reader left in the system's buffer is of another session: its end would look like a loss. A driver
+                    // that cannot drop it keeps it.
+                    use tokio_serial::SerialPort as _;
+                    let _ = port.clear(tokio_serial::ClearBuffer::Input);
+                }
                 if outlet.send(PortEvent::Opened { epoch, host_us: host_now_us(), path, resolved }).await.is_err() {
                     return;
                 }

@@ -57,7 +57,7 @@ fn check_bend(setup: &Setup, metadata: &Metadata) -> Option<Finding> {
     };
     let limit = metadata.limits.iter().find(off)?;
     let detail = format!(
-        "the robot says that it bends {} to {} degrees a notch, the model clamps at {}",
+        "the robot says that it bends {:.2} to {:.2} degrees a notch, the model clamps at {}",
         limit.min, limit.max, model.max_bend_deg
     );
     Some(Finding::warn("robot limits", detail, "use the model file of this robot, or correct its max_bend_deg"))

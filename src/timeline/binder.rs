@@ -182,7 +182,7 @@ impl Binder {
     /// Judges until nothing more follows.
     fn settle(&mut self, timeline: &Timeline, newest_us: Option<i64>, now_us: i64) {
         if self.finished {
-            self.align();
+            self.align(timeline);
         }
         loop {
             self.agree_on_offset();
@@ -282,6 +282,11 @@ impl Binder {
     pub(super) fn resolution_us(&self, said: &FrameEvidence) -> i64 {
         let whole = said.console_us.is_some_and(|us| us.rem_euclid(MINUTE_US) == 0);
         if whole && self.whole_minutes >= self.other_stamps { MINUTE_US } else { said.console_resolution_us.max(1) }
+    }
+
+    /// Frames of different content.
+    pub(super) fn standing(&self) -> usize {
+        self.contents.len()
     }
 
     /// Whether a frame lacks what most others have.

@@ -15,6 +15,9 @@ const BATCH_US: i64 = 800_000;
 /// Risk at which arrival alone still binds: that the exposure's own frame is missing and a stray came just then.
 const ARRIVAL_RISK: f64 = 1e-3;
 
+/// From so many frames on, that all lack stamp and counter is the console's habit and not one stray picture's.
+const HABIT: usize = 3;
+
 /// What came of it.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Judgement {
@@ -100,7 +103,7 @@ impl Weighed<'_> {
             for other in frames.iter().filter_map(|frame| self.binder.frames.get(frame)) {
                 match &other.binding.exposure {
                     Some(exposure) => fitting.extend(self.binder.shots.position(exposure.index)),
-                    None => fitting.extend(self.fitting(&other.evidence).map(|found| found.fitting).unwrap_or_default()),
+                    None => fitting.extend(self.fitting(&other.evidence).map(|found| self.places(found)).unwrap_or_default()),
                 }
             }
             if *other_us == console_us {
@@ -127,6 +130,12 @@ impl Weighed<'_> {
         }
     }
 
+    /// Exposures of which a frame with this stamp must have one: none where telemetry was silent, for it may be of one that was not seen.
+    fn places(&self, stamp: ByStamp) -> Vec<usize> {
+        let blind = self.timeline.exposure_tracker().blind_spot(stamp.from_us, stamp.to_us).is_some();
+        if blind { Vec::new() } else { stamp.fitting }
+    }
+
     fn by_stamp(&self) -> Option<ByStamp> {
         self.fitting(&self.pending.evidence)
     }
@@ -148,8 +157,8 @@ impl Weighed<'_> {
             let to_us = console_us.saturating_add(resolution_us).saturating_add(bounds.high_us).saturating_add(150_000);
             let near = self.binder.shots.touching(from_us, to_us);
             let causal = |at: &usize| {
-                let end_us = self.binder.shots.get(*at).end_us;
-                said.arrival_us.is_none_or(|arrival_us| end_us <= arrival_us.saturating_add(100_000))
+                let over_us = self.binder.shots.get(*at).over_us;
+                said.arrival_us.is_none_or(|arrival_us| over_us <= arrival_us.saturating_add(100_000))
             };
             let fitting: Vec<usize> = near
                 .filter(causal)
@@ -281,6 +290,10 @@ impl Weighed<'_> {
             words.push("without a usable stamp or counter a frame exported afterwards cannot be tied".to_owned());
             return Judgement::None(words);
         };
+        if said.console_us.is_none() && said.counter.is_none() && self.binder.standing() < HABIT && !self.binder.finished {
+            words.push("whether other frames carry a stamp or a counter is not known yet: later frames will show it".to_owned());
+            return Judgement::None(words);
+        }
         let unlearnt = said.console_us.is_some() || said.counter.is_some() && self.binder.counting.useless().is_none();
         if self.binder.others_say_more(said) {
             words.push("it lacks the stamp or counter that other frames have".to_owned());

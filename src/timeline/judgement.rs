@@ -13,7 +13,11 @@ const ORDER_US: i64 = 20_000_000;
 /// A frame bound by its arrival alone waits this long for others of its batch.
 const BATCH_US: i64 = 800_000;
 /// Risk at which arrival alone still binds: that the exposure's own frame is missing and a stray came just then.
-const ARRIVAL_RISK: f64 = 1e-3;
+const ARRIVAL_RISK: f64 = 1e-4;
+/// Frames from which it is known how soon frames come.
+const DELAYS: usize = 5;
+/// Exposures from which it is known whether frames come promptly at present.
+const LAST_EXPOSURES: usize = 12;
 
 /// From so many frames on, that all lack stamp and counter is the console's habit and not one stray picture's.
 const HABIT: usize = 3;
@@ -234,11 +238,16 @@ impl Weighed<'_> {
         }
     }
 
-    /// A frame unlike the others is bound only where counter and arrival name the same exposure.
+    /// A frame unlike the others is bound only where counter and arrival name the same exposure, and last of all: the exposure's own frame
+    /// may still come.
     fn counted_and_prompt(&self, candidates: &[(usize, Firmness)], prompt: &[usize], mut words: Vec<String>) -> Judgement {
         match candidates {
             [(at, firmness)] if *firmness >= Firmness::OneSide && prompt.contains(at) => {
                 words.push(format!("counter and arrival name {}", self.label(*at)));
+                if !self.binder.finished {
+                    words.push("until the end of the session a frame like the others may come for it".to_owned());
+                    return Judgement::None(words);
+                }
                 self.of(*at, BindingHow::Counter, words, false)
             }
             _ => {
@@ -330,34 +339,66 @@ impl Weighed<'_> {
             words.push(blind);
             return Judgement::None(words);
         }
-        let (risk, lacking, count) = self.arrival_risk(arrival_us);
+        let late_us = arrival_us.saturating_sub(self.binder.shots.get(at).end_us);
+        let Some(usual_us) = self.usual_delay_us() else {
+            words.push("how soon frames come after their exposures is not known yet: later frames will show it".to_owned());
+            return Judgement::None(words);
+        };
+        if !(usual_us[0]..=usual_us[1]).contains(&late_us) {
+            let (late, from, to) = (seconds(late_us), seconds(usual_us[0]), seconds(usual_us[1]));
+            words.push(format!("it came {late} after {}, others come after {from} to {to}: ambiguous", self.label(at)));
+            return Judgement::None(words);
+        }
+        let (risk, lacking, count) = self.arrival_risk(arrival_us, usual_us[1].saturating_sub(usual_us[0]));
         if !(risk <= ARRIVAL_RISK) {
             let strays = self.binder.strays;
             words.push(format!(
-                "frames are missing or late here ({lacking} of {count} exposures had none promptly, {strays} frames came when none was near): arrival alone does not tell"
+                "frames are missing or late here ({lacking} of the last {count} exposures had none promptly, {strays} frames came when none was near): arrival alone does not tell"
             ));
             return Judgement::None(words);
         }
-        let late_us = arrival_us.saturating_sub(self.binder.shots.get(at).end_us);
         words.push(format!("{} ended {} before the frame arrived, and no other was near", self.label(at), seconds(late_us)));
         self.of(at, BindingHow::Time, words, false)
     }
 
-    /// Chance that the exposure's own frame is missing or late and a stray arrives in its place: share of exposures without a prompt
-    /// frame (before any was seen: a tenth), times rate of strays (one in ten minutes), times the reach.
-    fn arrival_risk(&self, arrival_us: i64) -> (f64, usize, usize) {
+    /// How long after their exposures the other frames come, as far as one came alone after one exposure: the shortest and the longest
+    /// with a margin; `None` while too few are known.
+    fn usual_delay_us(&self) -> Option<[i64; 2]> {
+        let delay = |other: &Pending| {
+            let [at] = other.prompt.as_deref()? else { return None };
+            let (shot, arrival_us) = (self.binder.shots.get(*at), other.evidence.arrival_us?);
+            let alone = shot.prompt_frames == 1 && other.evidence.frame != self.pending.evidence.frame;
+            (alone && shot.whole).then(|| arrival_us.saturating_sub(shot.end_us))
+        };
+        let (mut count, mut shortest_us, mut longest_us) = (0, i64::MAX, i64::MIN);
+        for delay_us in self.binder.frames.values().filter_map(delay) {
+            (count, shortest_us, longest_us) = (count + 1, shortest_us.min(delay_us), longest_us.max(delay_us));
+        }
+        if count < DELAYS {
+            return None;
+        }
+        let margin_us = (longest_us.saturating_sub(shortest_us) / 4).max(200_000);
+        Some([shortest_us.saturating_sub(margin_us), longest_us.saturating_add(margin_us)])
+    }
+
+    /// Chance that the exposure's own frame is missing or late and a stray arrives in its place: share of the last exposures without a
+    /// prompt frame (late ones come in runs), times rate of strays (before any was seen: one in ten minutes), times the length of the
+    /// time in which frames usually come.
+    fn arrival_risk(&self, arrival_us: i64, usual_us: i64) -> (f64, usize, usize) {
         let shots = &self.binder.shots;
         let settled_us = arrival_us.saturating_sub(PROMPT_US);
-        let old: Vec<bool> = (0..shots.len())
+        let last: Vec<bool> = (0..shots.len())
+            .rev()
             .map(|at| shots.get(at))
             .filter(|shot| shot.end_us < settled_us)
+            .take(LAST_EXPOSURES)
             .map(|shot| shot.prompt_frames == 0)
             .collect();
-        let lacking = old.iter().filter(|lacking| **lacking).count();
-        let share = (lacking as f64 + 0.2) / (old.len() as f64 + 2.0);
+        let lacking = last.iter().filter(|lacking| **lacking).count();
+        let share = (lacking as f64 + 0.5) / (last.len() as f64 + 1.0);
         let elapsed_us = arrival_us.saturating_sub(shots.get(0).start_us).max(0).saturating_add(300_000_000);
         let rate = (f64::from(self.binder.strays) + 0.5) / elapsed_us as f64;
-        (share * rate * PROMPT_US as f64, lacking, old.len())
+        (share * rate * usual_us as f64, lacking, last.len())
     }
 
     /// The verdict for one exposure, unless another frame has it.

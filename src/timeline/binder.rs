@@ -284,11 +284,6 @@ impl Binder {
         if whole && self.whole_minutes >= self.other_stamps { MINUTE_US } else { said.console_resolution_us.max(1) }
     }
 
-    /// Frames of different content.
-    pub(super) fn standing(&self) -> usize {
-        self.contents.len()
-    }
-
     /// Whether a frame lacks what most others have.
     pub(super) fn others_say_more(&self, said: &FrameEvidence) -> bool {
         let standing = self.contents.len() as u32;

@@ -236,7 +236,12 @@ fn memory_and_time_of_a_helper_are_limited() {
     };
     let usual = Limits::of(Kind::Frames);
     assert_eq!(with(&path, usual.memory_bytes, usual.cpu_s), Ok(1), "control: the usual limits suffice");
-    assert_eq!(with(&path, 150 << 20, usual.cpu_s), Err(Fault::Helper(ForeignFault::Memory { limit_mib: 150 })));
+    // One strip: the file and its pixels are in memory at once, 64 MB each.
+    let large = folder.path().join("large.tif");
+    std::fs::write(&large, tiff_pages(1, 8000, 8000, 64_000_000)).expect("written");
+    let fault = with(&large, 150 << 20, usual.cpu_s).expect_err("too large for 150 MiB");
+    assert!(fault.to_string().contains("memory"), "{fault}");
+    assert_eq!(with(&large, usual.memory_bytes, usual.cpu_s), Ok(1), "control: it is the memory");
     // Sixteen times the same 4000 x 4000 pixels: within all sizes, but not within a second.
     let long = folder.path().join("x.tif");
     std::fs::write(&long, tiff_pages(16, 4000, 4000, 16_000_000)).expect("written");

@@ -236,11 +236,19 @@ fn memory_and_time_of_a_helper_are_limited() {
     };
     let usual = Limits::of(Kind::Frames);
     assert_eq!(with(&path, usual.memory_bytes, usual.cpu_s), Ok(1), "control: the usual limits suffice");
-    assert_eq!(with(&path, 150 << 20, usual.cpu_s), Err(Fault::Helper(ForeignFault::Memory { limit_mib: 150 })));
-    // Sixteen times the same 4000 x 4000 pixels: within all sizes, but not within a second.
+    // One strip: the file and its pixels are in memory at once, 64 MB each.
+    let large = folder.path().join("large.tif");
+    std::fs::write(&large, tiff_pages(1, 8000, 8000, 64_000_000)).expect("written");
+    let fault = with(&large, 150 << 20, usual.cpu_s).expect_err("too large for 150 MiB");
+    assert!(fault.to_string().contains("memory"), "{fault}");
+    assert_eq!(with(&large, usual.memory_bytes, usual.cpu_s), Ok(1), "control: it is the memory");
+    // Sixteen times the same 4000 x 4000 pixels: within all sizes, but not within a moment.
     let long = folder.path().join("x.tif");
     std::fs::write(&long, tiff_pages(16, 4000, 4000, 16_000_000)).expect("written");
-    assert_eq!(with(&long, usual.memory_bytes, 1), Err(Fault::Helper(ForeignFault::Time { limit_s: 1.0 })));
+    let hasty = Limits { wall_s: 0.02, ..usual.clone() };
+    let hurried = through(&helper().with_limits(hasty), &long).map(|frames| frames.len());
+    assert_eq!(hurried, Err(Fault::Helper(ForeignFault::Time { limit_s: 0.02 })));
+    assert_eq!(with(&long, usual.memory_bytes, usual.cpu_s), Ok(16), "control: it is the time");
 }
 
 #[test]

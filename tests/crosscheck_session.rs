@@ -326,7 +326,7 @@ fn beads_that_say_ras_but_hold_lps_are_refused_in_a_live_session() {
     );
 }
 
-/// A CT that lies the other way round (its file's axes are swapped) under beads that are right: the beads agree, the image does not.
+/// A CT that lies 10 mm too high under beads that are right: the beads agree, the image does not.
 #[test]
 fn an_image_that_disagrees_with_its_beads_is_amber_in_a_live_session() {
     if !mock_is_built() {
@@ -338,11 +338,10 @@ fn an_image_that_disagrees_with_its_beads_is_amber_in_a_live_session() {
         let path = lab.join("ct.nii.gz");
         let file = std::fs::File::open(&path).expect("the CT");
         flate2::read::GzDecoder::new(file).read_to_end(&mut bytes).expect("unpacks");
-        // Rows x and y of the sform.
-        for at in (280..312).step_by(4) {
-            let number = f32::from_le_bytes(bytes[at..at + 4].try_into().expect("four"));
-            bytes[at..at + 4].copy_from_slice(&(-number).to_le_bytes());
-        }
+        // Row z of the sform, its offset.
+        let at = 312 + 12;
+        let number = f32::from_le_bytes(bytes[at..at + 4].try_into().expect("four"));
+        bytes[at..at + 4].copy_from_slice(&(number + 10.0).to_le_bytes());
         let mut packed =
             flate2::write::GzEncoder::new(std::fs::File::create(&path).expect("writable"), flate2::Compression::fast());
         packed.write_all(&bytes).and_then(|()| packed.finish().map(drop)).expect("written");

@@ -17,6 +17,8 @@ fn a_device_whose_clock_leaps_centuries_ends_neither_live_nor_replay() {
     let (mut device, mut line) = TTYPort::pair().expect("pseudo-terminals are there");
     line.set_exclusive(false).expect("the line can be shared");
     let port = line.name().expect("the line has a path");
+    // An open line is locked.
+    drop(line);
     let session = lab.session("leaping.json", |session| {
         session["carm"]["port"] = port.into();
         if let Some(session) = session.as_object_mut() {
@@ -43,7 +45,7 @@ fn a_device_whose_clock_leaps_centuries_ends_neither_live_nor_replay() {
     assert!(!live.stderr().contains("panicked"), "{}", live.stderr());
     assert!(matches!(status.code(), Some(0 | 3)), "{status}: {}", live.stderr());
     let heard = live.heard();
-    assert!(heard.packets.len() >= 70 && heard.end_us.is_some(), "{} packets in the log", heard.packets.len());
+    assert!(heard.packets.len() >= 70 && heard.end_us.is_some(), "{} packets in the log: {}", heard.packets.len(), live.stderr());
     let replayed = Command::new(env!("CARGO_BIN_EXE_sidecarm"))
         .args(["replay", &live.log.display().to_string(), "--out", &out.with_file_name("again").display().to_string()])
         .output()

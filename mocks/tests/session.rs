@@ -90,6 +90,8 @@ fn half_of_the_packets_are_missing_and_the_list_of_those_sent_says_so() {
     let list = std::env::temp_dir().join(format!("mock-lab-{}-sent.csv", std::process::id()));
     let (carm, robot, events) = play_two_seconds_with("missing", |performance| {
         performance.missing = 0.5;
+        // What a line holds when it is closed is gone.
+        performance.linger_s = 0.3;
         performance.sent = Some(list.clone());
     });
     let sent = std::fs::read_to_string(&list).expect("the list");

@@ -74,11 +74,13 @@ impl Notices {
         let stop = Arc::new(AtomicBool::new(false));
         #[cfg(target_os = "linux")]
         {
+            // From now on, not from when the thread comes to run.
+            let inotify = linux::watch(folder);
             let (folder, held, stop) = (folder.to_owned(), held.clone(), stop.clone());
             // Without the thread there is still polling.
             let _ = std::thread::Builder::new()
                 .name("folder notices".into())
-                .spawn(move || linux::listen(&folder, &held, wanted, &sender, &stop));
+                .spawn(move || linux::listen(inotify, &folder, &held, wanted, &sender, &stop));
         }
         #[cfg(not(target_os = "linux"))]
         {
@@ -114,6 +116,7 @@ mod linux {
 
     /// Until told to stop.
     pub(super) fn listen(
+        mut inotify: Option<OwnedFd>,
         folder: &Path,
         held: &HeldCount,
         wanted: fn(&OsStr) -> bool,
@@ -121,14 +124,14 @@ mod linux {
         stop: &AtomicBool,
     ) {
         while !stop.load(Ordering::Relaxed) {
-            if let Some(inotify) = watch(folder) {
+            if let Some(inotify) = inotify.take().or_else(|| watch(folder)) {
                 follow(&inotify, folder, held, wanted, sender, stop);
             }
             std::thread::sleep(Duration::from_millis(WAKE_MS));
         }
     }
 
-    fn watch(folder: &Path) -> Option<OwnedFd> {
+    pub(super) fn watch(folder: &Path) -> Option<OwnedFd> {
         let inotify = init(CreateFlags::NONBLOCK | CreateFlags::CLOEXEC).ok()?;
         let flags = WatchFlags::CLOSE_WRITE | WatchFlags::MOVED_TO | WatchFlags::DELETE_SELF | WatchFlags::MOVE_SELF;
         add_watch(&inotify, folder, flags | WatchFlags::ONLYDIR).ok()?;

@@ -122,9 +122,10 @@ impl FolderSource {
                 continue;
             }
             entry.state = match outcome {
-                Outcome::Frames(_) | Outcome::Same(_) | Outcome::Refused | Outcome::Missing => State::Done,
+                // Whatever takes the place of an overwritten version is a new one.
+                Outcome::Frames(_) | Outcome::Same(_) | Outcome::Refused | Outcome::Missing | Outcome::Overwritten => State::Done,
                 Outcome::Unfinished(fault) => State::Unfinished(fault),
-                Outcome::Changed | Outcome::Overwritten => {
+                Outcome::Changed => {
                     entry.closed = None;
                     entry.since_us = now_us;
                     State::Settling
@@ -193,7 +194,8 @@ impl FolderSource {
         entry.stamp = stamp;
         entry.since_us = now_us;
         entry.take_holes = false;
-        if !same_file || stamp.bytes != before.bytes {
+        // That a version which was read has been completed says nothing about the next one.
+        if !same_file || stamp.bytes != before.bytes || !matches!(entry.state, State::Settling) {
             entry.closed = None;
         }
         let held = if same_file { None } else { entry.held.take() };

@@ -66,6 +66,8 @@ pub fn run<T: Send + 'static>(
         .args(["read-foreign", &argument])
         .env("RUST_BACKTRACE", "0")
         .env("RAYON_NUM_THREADS", "2")
+        // Address space that the allocator reserves before the limit is imposed would escape it.
+        .env("MIMALLOC_ARENA_RESERVE", "32MiB")
         .stdin(Stdio::from(file))
         .stdout(Stdio::piped())
         .stderr(Stdio::piped());

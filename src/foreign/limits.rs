@@ -7,7 +7,7 @@ use super::Kind;
 pub struct Limits {
     /// Size of the file.
     pub file_bytes: u64,
-    /// Address space of the helper. The allocator alone reserves 1 GiB of it at a time, most of which is never touched.
+    /// Address space of the helper.
     pub memory_bytes: u64,
     /// Processor time of the helper, whole seconds.
     pub cpu_s: u64,

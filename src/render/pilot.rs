@@ -22,7 +22,7 @@ const EDGE: u32 = 9;
 /// in 2¹⁵ or 2¹⁶: some of it in one direction, the rest at random. Measured (`render_fixed` in the tests, `scripts/evaluate`), not derived.
 #[must_use]
 pub fn words_off(slabs: f64) -> f64 {
-    0.4 * slabs + 1.5 * slabs.sqrt()
+    0.7 * slabs + 2.0 * slabs.sqrt()
 }
 
 /// What the pilot rays found.

@@ -13,6 +13,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::Duration;
 
 use super::SessionError;
+use super::background::{loops_stand_back, stand_back};
 use super::board::Board;
 use super::engine::{Engine, Input, Output};
 use super::file::Setup;
@@ -69,6 +70,7 @@ const FLUSH: Duration = Duration::from_millis(500);
 /// # Errors
 /// When the scene cannot be loaded, the folder cannot be written, or no renderer is available. What was recorded stays readable.
 pub fn run(setup: Setup, options: &LiveOptions, board: &Board, reporter: &Reporter) -> Result<Folder, SessionError> {
+    loops_stand_back();
     let setup = Arc::new(setup);
     let mut workshop = Workshop::open(&setup, DeviceChoice::Auto, reporter)?;
     let started_us = host_now_us();
@@ -111,6 +113,7 @@ fn start_registrar(log: Arc<SessionLog>) -> Result<Sender<PoseJob>, SessionError
     std::thread::Builder::new()
         .name("registrar".to_owned())
         .spawn(move || {
+            stand_back();
             for job in inbox {
                 let attempt = catch_unwind(AssertUnwindSafe(|| job.clone().run()));
                 let registered = attempt.unwrap_or_else(|_| {

@@ -17,6 +17,7 @@ pub mod import;
 pub mod live;
 pub mod replay;
 
+mod background;
 mod develop;
 mod log;
 mod losses;

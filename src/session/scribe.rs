@@ -6,6 +6,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::Duration;
 
 use super::SessionError;
+use super::background::stand_back;
 use super::board::Board;
 use super::develop::Developed;
 use super::engine::Input;
@@ -38,7 +39,10 @@ impl Scribe {
         let (complete, leave) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicBool::new(false)));
         let work = Work { collector, log, board, reporter: reporter.clone(), complete: Arc::clone(&complete) };
         let left = Arc::clone(&leave);
-        let thread = std::thread::Builder::new().name("scribe".to_owned()).spawn(move || work.run(&inbox, &left));
+        let thread = std::thread::Builder::new().name("scribe".to_owned()).spawn(move || {
+            stand_back();
+            work.run(&inbox, &left)
+        });
         let thread = thread.map_err(|source| SessionError::Thread { source })?;
         Ok((Self { thread, complete, leave }, sender))
     }

@@ -5,6 +5,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 use super::SessionError;
+use super::background::stand_back;
 use super::crosscheck::{self, check_session};
 use super::declared::Declared;
 use super::develop::{Bench, Developed};
@@ -102,6 +103,7 @@ impl Workshop {
         let shared = Arc::clone(&self.shared);
         let thread = std::thread::Builder::new().name("workshop".to_owned()).spawn(move || {
             let _ended = Ended(&shared);
+            stand_back();
             let mut bench = bench;
             if warm {
                 // A fault in it shows again with the first frame.

@@ -18,6 +18,8 @@ use crate::time::host_now_us;
 pub const FIRST_BACKOFF: Duration = Duration::from_millis(50);
 /// Longest wait between attempts.
 pub const LONGEST_BACKOFF: Duration = Duration::from_secs(1);
+/// Bytes take at most this long from the line to the reader.
+const IN_THE_DRIVER: Duration = Duration::from_millis(25);
 /// Most bytes in one event.
 const CHUNK_BYTES: usize = 4096;
 
@@ -275,12 +277,12 @@ async fn pump(mut port: tokio_serial::SerialStream, epoch: u32, outlet: &mut Out
         // What has arrived comes first: when the port is to be closed, it is read to the end before.
         let outcome = tokio::select! {
             biased;
-            outcome = port.read(&mut buffer) => outcome,
-            // What the runtime has not noticed yet is in the system's buffer: the read asks the system itself.
-            _ = outlet.finishing.wait_for(|finishing| *finishing) => match port.try_read(&mut buffer) {
-                Ok(0) | Err(_) => return Err(Deaf),
-                rest => rest,
-            },
+            outcome = port.read(&mut buffer) => Some(outcome),
+            _ = outlet.finishing.wait_for(|finishing| *finishing) => None,
+        };
+        let Some(outcome) = outcome else {
+            drain(&mut port, epoch, outlet, &mut buffer).await?;
+            return Err(Deaf);
         };
         let host_us = host_now_us();
         match outcome {
@@ -295,6 +297,18 @@ async fn pump(mut port: tokio_serial::SerialStream, epoch: u32, outlet: &mut Out
             Err(error) => return Ok((error.to_string(), received)),
         }
     }
+}
+
+/// Reads what is left. What the device sent a moment ago may not have come through the driver yet, and what has, the runtime need not have
+/// noticed: the reads ask the system itself.
+async fn drain(port: &mut tokio_serial::SerialStream, epoch: u32, outlet: &mut Outlet, buffer: &mut [u8]) -> Result<(), Deaf> {
+    tokio::time::sleep(IN_THE_DRIVER).await;
+    while let Ok(count @ 1..) = port.try_read(buffer) {
+        outlet.counters.bytes.fetch_add(count as u64, Ordering::Relaxed);
+        let bytes = buffer[..count].to_vec();
+        outlet.send(PortEvent::Bytes { host_us: host_now_us(), epoch, bytes }).await?;
+    }
+    Ok(())
 }
 
 /// Opens the port exclusively, raw, 8N1, without flow control. Returns it with the device file behind symbolic links.

@@ -49,7 +49,8 @@ impl Mistake {
             words.push("they were in microns".to_owned());
         }
         if self.shift_mm != DVec3::ZERO {
-            let DVec3 { x, y, z } = -self.shift_mm;
+            // Rounded first: −0.04 is no −0.0.
+            let [x, y, z] = (-self.shift_mm).to_array().map(|mm| (mm * 10.0).round() / 10.0 + 0.0);
             words.push(format!("shifted by ({x:.1}, {y:.1}, {z:.1}) mm"));
         }
         words.join(" and ")

@@ -62,12 +62,17 @@ fn remedy(mistake: &Mistake, stated: Option<&str>) -> String {
     }
 }
 
-fn check_span(points: &[DVec3]) -> Option<Finding> {
+/// Diagonal of the box around `points`.
+fn span_mm(points: &[DVec3]) -> f64 {
     let (low, high) = points.iter().fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), p| (low.min(*p), high.max(*p)));
-    let span_mm = (high - low).length();
+    (high - low).length()
+}
+
+fn check_span(points: &[DVec3]) -> Option<Finding> {
     if points.len() < 2 {
         return None;
     }
+    let span_mm = span_mm(points);
     let (least, most) = PLAUSIBLE_SPAN_MM;
     if span_mm >= least && span_mm <= most {
         return Some(Finding::pass("bead units", format!("{} beads over {span_mm:.0} mm", points.len())));
@@ -168,8 +173,11 @@ fn in_specimen(scene: &Scene, points: &[DVec3], stated: Option<&str>) -> Option<
     let away = format!("{} of {n} beads are more than {REACH_MM:.0} mm from any matter of the scene", n - inside);
     let far = if farthest_mm > FAR_OUTSIDE_MM { format!(", up to {farthest_mm:.0} mm outside its box") } else { String::new() };
     // Axes exchanged any which way also land somewhere in a round specimen; only what people do is suggested.
+    let (least, most) = PLAUSIBLE_SPAN_MM;
+    // Points that are all shrunk to one lie in anything: a wrong unit must show in their distances as well.
+    let unit_shows = !(span_mm(points) >= least && span_mm(points) <= most);
     let likely = mistakes().into_iter().find(|mistake| {
-        (mistake.is_swap() || mistake.is_unit()) && near(Some(mistake)) as f64 >= 0.9 * n as f64 && 2 * inside <= n
+        (mistake.is_swap() || mistake.is_unit() && unit_shows) && near(Some(mistake)) as f64 >= 0.9 * n as f64 && 2 * inside <= n
     });
     Some(match likely {
         Some(mistake) => {

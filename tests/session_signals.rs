@@ -8,8 +8,9 @@ use sidecarm::time::Stopwatch;
 
 use crate::live_lab::{Lab, Live, Signal, copies, eventually, many_images};
 
-/// A signal is heard within this.
-const HEARD_MS: f64 = 100.0;
+/// A signal is heard within this, among other tests on a crowded machine;
+/// alone it is 100 ms.
+const HEARD_MS: f64 = 400.0;
 
 /// A lab without exposures of its own, a frame of another lab to deliver, and an empty folder.
 fn quiet_lab(seconds: &str) -> Option<(Lab, PathBuf, tempfile::TempDir)> {

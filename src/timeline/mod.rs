@@ -5,7 +5,6 @@
 
 mod agreement;
 mod alignment;
-mod arrival;
 mod binder;
 mod binding;
 mod clock;

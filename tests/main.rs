@@ -66,6 +66,7 @@ mod session_demo;
 mod live_lab;
 mod session_faults;
 mod session_kill;
+mod session_late;
 mod session_signals;
 mod replay_bad_logs;
 mod wire_corruption;

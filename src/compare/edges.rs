@@ -1,11 +1,10 @@
 //! Edges of an image, to a fraction of a pixel, and how far apart the edges of two images lie.
 
-use super::filters::{Gradient, gradient, noise, quantile, smooth};
+use super::filters::{Gradient, noise, quantile};
 use super::masks::components;
+use super::seen::{SCORE_SIGMA_PX, Seen};
 use crate::image::Image;
 
-/// Smoothing before the edges are sought.
-pub(super) const EDGE_SIGMA_PX: f64 = 1.5;
 /// An edge is a local maximum of the gradient among the strongest quarter, or nearly as strong as the strongest: where an image has
 /// nothing but equally strong edges, all of them count.
 const STRONG: (f64, f64, f64) = (0.75, 0.97, 0.8);
@@ -55,7 +54,7 @@ struct Maxima {
 
 /// The edges of both images within `usable`, for scoring: as many strong ones in the acquired as in the simulated image, whatever the
 /// scales of the two, and among weaker ones each strong edge may find its partner.
-pub(super) fn find_both(acquired: &Image<f32>, simulated: &Image<f32>, usable: &Image<bool>) -> (EdgeMap, EdgeMap) {
+pub(super) fn find_both(acquired: &Seen, simulated: &Seen, usable: &Image<bool>) -> (EdgeMap, EdgeMap) {
     let (acquired, simulated) = (maxima(acquired, usable), maxima(simulated, usable));
     let limit = simulated.limit(STRONG.0);
     let count = simulated.found.iter().filter(|(_, _, size)| *size >= limit).count();
@@ -65,16 +64,16 @@ pub(super) fn find_both(acquired: &Image<f32>, simulated: &Image<f32>, usable: &
 }
 
 /// The edges of a noise-free image, to be drawn over another.
-pub(super) fn to_draw(image: &Image<f32>, usable: &Image<bool>) -> Image<bool> {
-    let maxima = maxima(image, usable);
+pub(super) fn to_draw(seen: &Seen, usable: &Image<bool>) -> Image<bool> {
+    let maxima = maxima(seen, usable);
     let limit = maxima.limit(DRAWN);
     maxima.map(limit, limit).picture()
 }
 
-fn maxima(image: &Image<f32>, usable: &Image<bool>) -> Maxima {
-    let (width, height) = (image.width, image.height);
-    let Gradient { du, dv, known } = gradient(&smooth(image, usable, EDGE_SIGMA_PX));
-    let size = |at: usize| du.pixels[at].hypot(dv.pixels[at]);
+fn maxima(seen: &Seen, usable: &Image<bool>) -> Maxima {
+    let (width, height) = (seen.image.width, seen.image.height);
+    let Gradient { du, dv, known } = &seen.gradient;
+    let size = |at: usize| (du.pixels[at] * du.pixels[at] + dv.pixels[at] * dv.pixels[at]).sqrt();
     let mut found: Vec<(usize, EdgePoint, f32)> = Vec::new();
     for v in 2..height.saturating_sub(2) {
         for u in 2..width.saturating_sub(2) {
@@ -101,7 +100,7 @@ fn maxima(image: &Image<f32>, usable: &Image<bool>) -> Maxima {
         }
     }
     // White noise of σ becomes a gradient of σ / (s² √(8π)) per component after a Gaussian of s.
-    let of_noise = noise(image, usable).unwrap_or(0.0) / (EDGE_SIGMA_PX.powi(2) * (8.0 * std::f64::consts::PI).sqrt());
+    let of_noise = noise(seen.image, usable).unwrap_or(0.0) / (SCORE_SIGMA_PX.powi(2) * (8.0 * std::f64::consts::PI).sqrt());
     Maxima { width, height, found, noise: (ABOVE_NOISE * of_noise) as f32 }
 }
 
@@ -199,6 +198,7 @@ pub(super) fn median_distance_px(a: &EdgeMap, b: &EdgeMap, scored: &Image<bool>)
 
 #[cfg(test)]
 mod tests {
+    use super::super::seen::Ground;
     use super::*;
 
     fn disc(shift: f32) -> Image<f32> {
@@ -214,7 +214,9 @@ mod tests {
     #[test]
     fn edges_lie_on_the_circle_and_distances_are_sub_pixel() {
         let all = Image::filled(160, 160, true);
-        let (map, same) = find_both(&disc(0.0), &disc(0.0), &all);
+        let ground = Ground::of(&all);
+        let (still, moved) = (disc(0.0), disc(1.0));
+        let (map, same) = find_both(&Seen::on(&ground, &still), &Seen::on(&ground, &still), &all);
         assert!(map.points.len() > 150);
         for point in &map.points {
             let r = (point.u - 80.0).hypot(point.v - 80.0);
@@ -222,7 +224,7 @@ mod tests {
         }
         assert!(median_distance_px(&map, &same, &all).expect("edges") < 1e-3);
         // A shift by s moves the normal distance by s |cos φ|, whose median is s cos 45°.
-        let (a, b) = find_both(&disc(0.0), &disc(1.0), &all);
+        let (a, b) = find_both(&Seen::on(&ground, &still), &Seen::on(&ground, &moved), &all);
         let moved = median_distance_px(&a, &b, &all).expect("edges");
         assert!((moved - 0.707).abs() < 0.12, "{moved}");
     }

@@ -7,10 +7,10 @@ use crate::image::Image;
 /// A pixel of a smoothed image is trusted when at least this share of its kernel lay on usable pixels.
 pub(super) const TRUSTED_WEIGHT: f32 = 0.75;
 
-/// A normalised convolution: the mean of the usable pixels under the kernel, and the share of the kernel that was usable.
-#[derive(Clone, Debug)]
-pub(super) struct Smoothed {
-    pub value: Image<f32>,
+/// A Gaussian for normalised convolutions over one mask.
+pub(super) struct Kernel {
+    taps: Vec<f32>,
+    /// Share of the kernel that lies on usable pixels.
     pub weight: Image<f32>,
 }
 
@@ -30,10 +30,10 @@ fn convolve(image: &Image<f32>, kernel: &[f32]) -> Image<f32> {
     across.par_chunks_mut(width.max(1)).zip(image.pixels.par_chunks(width.max(1))).for_each(|(out, row)| {
         for (tap, weight) in kernel.iter().enumerate() {
             // out[u] += w · row[u + tap − radius], for the u where that exists.
-            let (from, to) = (radius.saturating_sub(tap), (width + radius).saturating_sub(tap).min(width));
-            for u in from..to {
-                out[u] += weight * row[u + tap - radius];
-            }
+            let (from, to) = (radius.saturating_sub(tap).min(width), (width + radius).saturating_sub(tap).min(width));
+            let shifted = row.get(tap.saturating_sub(radius)..).unwrap_or_default();
+            // Slices rather than indices: without a check in each step these are vectors.
+            out[from..to.max(from)].iter_mut().zip(shifted).for_each(|(o, r)| *o += weight * r);
         }
     });
     let mut down = vec![0.0f32; width * height];
@@ -50,30 +50,21 @@ fn convolve(image: &Image<f32>, kernel: &[f32]) -> Image<f32> {
     Image { width, height, pixels: down }
 }
 
-/// Gaussian mean over usable pixels; 0 where none is near. Values at unusable pixels (NaN included) are never read.
-pub(super) fn smooth(image: &Image<f32>, usable: &Image<bool>, sigma_px: f64) -> Smoothed {
-    let kernel = gaussian(sigma_px);
-    let weight = convolve(&usable.map(|&u| f32::from(u8::from(u))), &kernel);
-    let value = smooth_with(image, usable, &weight, &kernel);
-    Smoothed { value, weight }
-}
+impl Kernel {
+    pub(super) fn on(usable: &Image<bool>, sigma_px: f64) -> Self {
+        let taps = gaussian(sigma_px);
+        let weight = convolve(&usable.map(|&u| f32::from(u8::from(u))), &taps);
+        Self { taps, weight }
+    }
 
-/// Several images with one mask share the weights.
-pub(super) fn smooth_all<const N: usize>(
-    images: [&Image<f32>; N],
-    usable: &Image<bool>,
-    sigma_px: f64,
-) -> ([Image<f32>; N], Image<f32>) {
-    let kernel = gaussian(sigma_px);
-    let weight = convolve(&usable.map(|&u| f32::from(u8::from(u))), &kernel);
-    (images.map(|image| smooth_with(image, usable, &weight, &kernel)), weight)
-}
-
-fn smooth_with(image: &Image<f32>, usable: &Image<bool>, weight: &Image<f32>, kernel: &[f32]) -> Image<f32> {
-    let kept = zip(image, usable, |&value, &u| if u { value } else { 0.0 });
-    let mut value = convolve(&kept, kernel);
-    value.pixels.iter_mut().zip(&weight.pixels).for_each(|(v, &w)| *v = if w > 1e-3 { *v / w } else { 0.0 });
-    value
+    /// Gaussian mean over usable pixels, the same as in [`Kernel::on`]; 0 where none is near. Values at unusable pixels (NaN included) are
+    /// never read.
+    pub(super) fn smooth(&self, image: &Image<f32>, usable: &Image<bool>) -> Image<f32> {
+        let kept = zip(image, usable, |&value, &u| if u { value } else { 0.0 });
+        let mut value = convolve(&kept, &self.taps);
+        value.pixels.iter_mut().zip(&self.weight.pixels).for_each(|(v, &w)| *v = if w > 1e-3 { *v / w } else { 0.0 });
+        value
+    }
 }
 
 /// Pixel by pixel. Both images have the same size.
@@ -89,19 +80,19 @@ pub(super) struct Gradient {
     pub known: Image<bool>,
 }
 
-pub(super) fn gradient(smoothed: &Smoothed) -> Gradient {
-    let (width, height) = (smoothed.value.width, smoothed.value.height);
+/// `weight`: the share of the kernel that was usable when `value` was smoothed.
+pub(super) fn gradient(value: &Image<f32>, weight: &Image<f32>) -> Gradient {
+    let (width, height) = (value.width, value.height);
     let mut found = Gradient {
         du: Image::filled(width, height, 0.0),
         dv: Image::filled(width, height, 0.0),
         known: Image::filled(width, height, false),
     };
-    let trusted = |index: usize| smoothed.weight.pixels[index] >= TRUSTED_WEIGHT;
+    let (value, weight) = (&value.pixels, &weight.pixels);
+    let trusted = |index: usize| weight[index] >= TRUSTED_WEIGHT;
     for v in 1..height.saturating_sub(1) {
-        for u in 1..width.saturating_sub(1) {
-            let at = v * width + u;
+        for at in v * width + 1..((v + 1) * width).saturating_sub(1) {
             if trusted(at - 1) && trusted(at + 1) && trusted(at - width) && trusted(at + width) {
-                let value = &smoothed.value.pixels;
                 found.du.pixels[at] = 0.5 * (value[at + 1] - value[at - 1]);
                 found.dv.pixels[at] = 0.5 * (value[at + width] - value[at - width]);
                 found.known.pixels[at] = true;
@@ -187,20 +178,22 @@ mod tests {
             *image.at_mut(u, 12) = f32::NAN;
             *usable.at_mut(u, 12) = false;
         }
-        let smoothed = smooth(&image, &usable, 1.5);
-        assert!(smoothed.value.pixels.iter().all(|v| (v - 2.0).abs() < 1e-5));
+        let smoothed = Kernel::on(&usable, 1.5).smooth(&image, &usable);
+        assert!(smoothed.pixels.iter().all(|v| (v - 2.0).abs() < 1e-5));
         // The control: the same hole, not masked, spoils its surroundings.
-        let spoiled = smooth(&image, &Image::filled(40, 30, true), 1.5);
-        assert!(spoiled.value.pixels.iter().any(|v| v.is_nan()));
+        let all = Image::filled(40, 30, true);
+        let spoiled = Kernel::on(&all, 1.5).smooth(&image, &all);
+        assert!(spoiled.pixels.iter().any(|v| v.is_nan()));
     }
 
     #[test]
     fn a_gaussian_smooths_an_impulse_to_its_own_shape() {
         let mut image = Image::filled(41, 41, 0.0f32);
         *image.at_mut(20, 20) = 1.0;
-        let smoothed = smooth(&image, &Image::filled(41, 41, true), 2.0);
-        let second: f64 = (0..41).map(|u| f64::from(*smoothed.value.at(u, 20)) * (u as f64 - 20.0).powi(2)).sum();
-        let mass: f64 = (0..41).map(|u| f64::from(*smoothed.value.at(u, 20))).sum();
+        let all = Image::filled(41, 41, true);
+        let smoothed = Kernel::on(&all, 2.0).smooth(&image, &all);
+        let second: f64 = (0..41).map(|u| f64::from(*smoothed.at(u, 20)) * (u as f64 - 20.0).powi(2)).sum();
+        let mass: f64 = (0..41).map(|u| f64::from(*smoothed.at(u, 20))).sum();
         assert!((second / mass - 4.0).abs() < 0.15, "variance {}", second / mass);
     }
 

@@ -13,6 +13,7 @@ mod masks;
 mod null;
 mod pedestal;
 mod scores;
+mod seen;
 mod tone;
 
 use std::collections::BTreeMap;
@@ -24,7 +25,8 @@ pub use elsewhere::{Elsewhere, elsewhere};
 pub use masks::{Cause, MaskShares, REQUIRED_SHARE};
 pub use null::{NULL_RENDERS, NULL_WIDTH_PX, NullError, NullPlan, NullScore, Rerender, ShiftedScore};
 pub use pedestal::{OffsetReport, OffsetRule};
-pub use scores::{FEWEST_PIXELS, LOCAL_BAND_PX, LOCAL_WINDOW_PX, NULL_SCORES, SCORE_SIGMA_PX, SSIM_CONSTANTS, Scores};
+pub use scores::{FEWEST_PIXELS, LOCAL_WINDOW_PX, NULL_SCORES, SSIM_CONSTANTS, Scores};
+pub use seen::{LOCAL_BAND_PX, SCORE_SIGMA_PX};
 pub use tone::{Tone, ToneFit};
 
 use crate::acquire::{Domain, Frame};
@@ -32,6 +34,7 @@ use crate::geometry::View;
 use crate::image::Image;
 use masks::Masks;
 use scores::{Scored, score};
+use seen::{Ground, Seen};
 
 /// Why two images are not compared.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -259,11 +262,13 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
         let depth_mm = view.camera_from_lps.transform_point(centre).z;
         (depth_mm > 0.0).then(|| depth_mm / view.intrinsics.fx)
     });
-    let (edges_acquired, edges_simulated) = edges::find_both(&common.acquired, &toned, &usable);
+    let ground = Ground::of(&usable);
+    let (acquired_seen, toned_seen) = (Seen::on(&ground, &common.acquired), Seen::on(&ground, &toned));
+    let (edges_acquired, edges_simulated) = edges::find_both(&acquired_seen, &toned_seen, &usable);
     let base = Scored {
-        acquired: &common.acquired,
-        simulated: &toned,
-        usable: &usable,
+        acquired: &acquired_seen,
+        simulated: &toned_seen,
+        ground: &ground,
         scored: &scored,
         domain: common.domain,
         tone: input.tone,
@@ -274,13 +279,16 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
     let scores_without_tone = if input.tone == Tone::None {
         scores.clone()
     } else {
-        score(&Scored { simulated, tone: Tone::None, ..base }, (&edges_acquired, &edges_simulated))
+        score(&Scored { simulated: &Seen::on(&ground, simulated), tone: Tone::None, ..base }, (&edges_acquired, &edges_simulated))
     };
     let scores_tool = masks.layer(Cause::Tool).map(|tool| {
         let with_tool = masks.usable(width, height, &[Cause::Tool]);
         let on_tool = filters::zip(&with_tool, tool, |usable, tool| *usable && *tool);
-        let edges = edges::find_both(&common.acquired, &toned, &with_tool);
-        score(&Scored { usable: &with_tool, scored: &on_tool, ..base }, (&edges.0, &edges.1))
+        let ground = Ground::of(&with_tool);
+        let (acquired, simulated) = (Seen::on(&ground, &common.acquired), Seen::on(&ground, &toned));
+        let edges = edges::find_both(&acquired, &simulated, &with_tool);
+        let scored = Scored { acquired: &acquired, simulated: &simulated, ground: &ground, scored: &on_tool, ..base };
+        score(&scored, (&edges.0, &edges.1))
     });
     let noise_expected_nepers = expected_noise(frame, &common.acquired, common.air.level, &usable, binning);
     if let (Some(seen), Some(expected)) = (scores.noise_nepers, noise_expected_nepers)
@@ -295,7 +303,7 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
         CommonDomain::RelativeLineIntegral => "nepers (offset unknown)",
         CommonDomain::GrayValues => "gray value, larger is more attenuation",
     };
-    let edges = edges::to_draw(&toned, &usable);
+    let edges = edges::to_draw(&toned_seen, &usable);
     let comparison = Comparison {
         size_px: [width, height],
         binning,

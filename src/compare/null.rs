@@ -13,6 +13,7 @@ use super::domain::CommonDomain;
 use super::edges;
 use super::filters::{block_means, zip};
 use super::scores::{NULL_SCORES, Scored, Scores, score};
+use super::seen::{Ground, Seen};
 use super::tone::{self, Tone};
 use crate::geometry::{Rigid, View};
 use crate::image::Image;
@@ -284,12 +285,14 @@ fn score_small(input: &NullInput, acquired: &Image<f32>, usable: &Image<bool>, r
     };
     let toned = fit.apply_to(render);
     let scored = super::scored_pixels(&usable, input.tone, tile_px);
-    let (edges_a, edges_s) = edges::find_both(acquired, &toned, &usable);
+    let ground = Ground::of(&usable);
+    let (acquired, simulated) = (Seen::on(&ground, acquired), Seen::on(&ground, &toned));
+    let (edges_a, edges_s) = edges::find_both(&acquired, &simulated, &usable);
     score(
         &Scored {
-            acquired,
-            simulated: &toned,
-            usable: &usable,
+            acquired: &acquired,
+            simulated: &simulated,
+            ground: &ground,
             scored: &scored,
             domain: input.domain,
             tone: input.tone,

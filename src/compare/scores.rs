@@ -4,14 +4,11 @@ use std::collections::BTreeMap;
 
 use super::domain::CommonDomain;
 use super::edges::{EdgeMap, median_distance_px};
-use super::filters::{TRUSTED_WEIGHT, gradient, noise, quantile, smooth, smooth_all, zip};
+use super::filters::{Kernel, TRUSTED_WEIGHT, noise, quantile, zip};
+use super::seen::{Ground, Seen};
 use super::tone::Tone;
 use crate::image::Image;
 
-/// Gaussian σ of the window of SSIM, and of the smoothing before gradients are taken, in pixels.
-pub const SCORE_SIGMA_PX: f64 = 1.5;
-/// The band of the local NCC lies between Gaussians of these σ, in pixels.
-pub const LOCAL_BAND_PX: [f64; 2] = [1.5, 6.0];
 /// Gaussian σ of the window of the local NCC, in pixels.
 pub const LOCAL_WINDOW_PX: f64 = 8.0;
 /// K₁ and K₂ of SSIM; its range is the simulated image's from the 0.5th to the 99.5th percentile.
@@ -89,11 +86,11 @@ impl Scores {
 /// What the scores are computed from.
 pub(super) struct Scored<'a> {
     /// In the common domain.
-    pub acquired: &'a Image<f32>,
+    pub acquired: &'a Seen<'a>,
     /// In the common domain, tone applied.
-    pub simulated: &'a Image<f32>,
-    /// Not masked.
-    pub usable: &'a Image<bool>,
+    pub simulated: &'a Seen<'a>,
+    /// What is not masked.
+    pub ground: &'a Ground<'a>,
     /// Of the usable pixels those that were not used to fit the tone.
     pub scored: &'a Image<bool>,
     pub domain: CommonDomain,
@@ -110,6 +107,7 @@ pub(super) fn score(input: &Scored, edges: (&EdgeMap, &EdgeMap)) -> Scores {
     if count < FEWEST_PIXELS {
         return Scores::absent(&format!("{count} pixels are left to score, {FEWEST_PIXELS} are needed"));
     }
+    let (acquired, simulated) = (input.acquired.image, input.simulated.image);
     let mut scores = Scores::default();
     let mut missing = |name: &str, reason: &str| {
         scores.reasons.insert(name.into(), reason.into());
@@ -139,9 +137,9 @@ pub(super) fn score(input: &Scored, edges: (&EdgeMap, &EdgeMap)) -> Scores {
     }
     debug_assert!(!(relative && absolute_reason.is_none()));
     if !toned_gray {
-        scores.zncc = zncc(input.acquired, input.simulated, input.scored);
+        scores.zncc = zncc(acquired, simulated, input.scored);
     }
-    scores.rank_ncc = rank_ncc(input.acquired, input.simulated, input.scored);
+    scores.rank_ncc = rank_ncc(acquired, simulated, input.scored);
     scores.gradient_ncc = gradient_ncc(input);
     if ssim_reason.is_none() {
         scores.ssim = ssim(input);
@@ -151,13 +149,13 @@ pub(super) fn score(input: &Scored, edges: (&EdgeMap, &EdgeMap)) -> Scores {
     scores.edge_distance_mm = scores.edge_distance_px.zip(input.mm_per_px).map(|(px, mm)| px * mm);
     if absolute_reason.is_none() {
         let (mut sum, mut squares) = (0.0, 0.0);
-        for_each_scored(input.acquired, input.simulated, input.scored, |a, s| {
+        for_each_scored(acquired, simulated, input.scored, |a, s| {
             sum += a - s;
             squares += (a - s) * (a - s);
         });
         scores.bias_nepers = Some(sum / count as f64);
         scores.rmse_nepers = Some((squares / count as f64).sqrt());
-        scores.noise_nepers = noise(input.acquired, input.scored);
+        scores.noise_nepers = noise(acquired, input.scored);
     }
     for name in ["zncc", "rank_ncc", "gradient_ncc", "ssim", "local_ncc", "edge_distance_px", "edge_distance_mm", "noise_nepers"]
     {
@@ -232,8 +230,7 @@ fn ranks(values: &[f32]) -> Vec<f32> {
 }
 
 fn gradient_ncc(input: &Scored) -> Option<f64> {
-    let a = gradient(&smooth(input.acquired, input.usable, SCORE_SIGMA_PX));
-    let b = gradient(&smooth(input.simulated, input.usable, SCORE_SIGMA_PX));
+    let (a, b) = (&input.acquired.gradient, &input.simulated.gradient);
     let known = zip(&a.known, input.scored, |k, s| *k && *s);
     Some(0.5 * (zncc(&a.du, &b.du, &known)? + zncc(&a.dv, &b.dv, &known)?))
 }
@@ -247,8 +244,8 @@ fn range(image: &Image<f32>, scored: &Image<bool>) -> Option<f64> {
 }
 
 fn ssim(input: &Scored) -> Option<f64> {
-    let range = range(input.simulated, input.scored)?;
-    let (a, b) = (input.acquired, input.simulated);
+    let (a, b) = (input.acquired.image, input.simulated.image);
+    let range = range(b, input.scored)?;
     // About the mean, so that second moments do not cancel in f32.
     let mean = {
         let (mut sum, mut n) = (0.0, 0.0);
@@ -259,13 +256,14 @@ fn ssim(input: &Scored) -> Option<f64> {
         sum / n
     };
     let (a, b) = (a.map(|v| (f64::from(*v) - mean) as f32), b.map(|v| (f64::from(*v) - mean) as f32));
-    let (aa, bb, ab) = (zip(&a, &a, |x, y| x * y), zip(&b, &b, |x, y| x * y), zip(&a, &b, |x, y| x * y));
-    let ([ma, mb, maa, mbb, mab], weight) = smooth_all([&a, &b, &aa, &bb, &ab], input.usable, SCORE_SIGMA_PX);
+    let fine = input.ground.fine();
+    let [maa, mbb, mab] = products(&a, &b).map(|product| fine.smooth(&product, input.ground.usable));
+    let (ma, mb, weight) = (&input.acquired.fine, &input.simulated.fine, &fine.weight);
     let [c1, c2] = SSIM_CONSTANTS.map(|k| (k * range).powi(2));
     let (mut sum, mut n) = (0.0, 0.0);
     for at in (0..weight.pixels.len()).filter(|&at| input.scored.pixels[at] && weight.pixels[at] >= TRUSTED_WEIGHT) {
         let value = |image: &Image<f32>| f64::from(image.pixels[at]);
-        let (ma, mb) = (value(&ma), value(&mb));
+        let (ma, mb) = (value(ma) - mean, value(mb) - mean);
         let (va, vb, cov) = ((value(&maa) - ma * ma).max(0.0), (value(&mbb) - mb * mb).max(0.0), value(&mab) - ma * mb);
         // The means are those of the images moved so that the simulated range starts at 0, as SSIM wants them positive.
         let (la, lb) = (ma + 0.5 * range, mb + 0.5 * range);
@@ -275,14 +273,15 @@ fn ssim(input: &Scored) -> Option<f64> {
     (n >= FEWEST_PIXELS as f64).then(|| sum / n)
 }
 
+/// aa, bb, ab.
+fn products(a: &Image<f32>, b: &Image<f32>) -> [Image<f32>; 3] {
+    [zip(a, a, |x, y| x * y), zip(b, b, |x, y| x * y), zip(a, b, |x, y| x * y)]
+}
+
 fn local_ncc(input: &Scored) -> Option<f64> {
-    let [fine, coarse] = LOCAL_BAND_PX;
-    let ([a1, b1], weight) = smooth_all([input.acquired, input.simulated], input.usable, fine);
-    let ([a2, b2], _) = smooth_all([input.acquired, input.simulated], input.usable, coarse);
-    let (a, b) = (zip(&a1, &a2, |x, y| x - y), zip(&b1, &b2, |x, y| x - y));
-    let known = zip(&weight, input.usable, |w, u| *u && *w >= TRUSTED_WEIGHT);
-    let (aa, bb, ab) = (zip(&a, &a, |x, y| x * y), zip(&b, &b, |x, y| x * y), zip(&a, &b, |x, y| x * y));
-    let ([maa, mbb, mab], _) = smooth_all([&aa, &bb, &ab], &known, LOCAL_WINDOW_PX);
+    let known = zip(&input.ground.fine().weight, input.ground.usable, |w, u| *u && *w >= TRUSTED_WEIGHT);
+    let window = Kernel::on(&known, LOCAL_WINDOW_PX);
+    let [maa, mbb, mab] = products(&input.acquired.band, &input.simulated.band).map(|product| window.smooth(&product, &known));
     let (mut total, mut n) = (0.0, 0.0);
     for at in (0..mbb.pixels.len()).filter(|&at| known.pixels[at]) {
         total += f64::from(mbb.pixels[at]);

@@ -5,9 +5,10 @@
 //! frame at a time, in an order that whoever drives the engine chooses ([`Input::Develop`]) and a log keeps: the state that it rests on,
 //! where the specimen lies in the room, changes only with [`Engine::registered`].
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use super::crosscheck::LineWatch;
 use super::file::Setup;
 use super::import::Import;
 use super::posing::{Bound, Known, PoseJob, Posed, Registered};
@@ -83,7 +84,8 @@ pub enum Output {
         /// Which.
         number: u32,
     },
-    /// A frame that was handed on without an exposure has got one.
+    /// A frame that was handed on without an exposure has got one; where its pixels are still there, [`Output::Bound`] follows and it is
+    /// developed again.
     BoundLate {
         /// Which.
         number: u32,
@@ -102,8 +104,17 @@ struct Pending {
     host_us: i64,
 }
 
+/// A frame that was developed without an exposure and may yet get one.
+struct Unbound {
+    /// Let go where others need the memory.
+    frame: Option<Arc<Frame>>,
+    host_us: i64,
+}
+
 /// How long a frame waits for telemetry that would bind it.
 const BIND_PATIENCE_US: i64 = 1_000_000;
+/// Pixels of unbound frames that are kept, so that they can be developed again: the latest ones, up to this much.
+const MOST_UNBOUND_BYTES: usize = 128 << 20;
 
 /// See the module.
 pub struct Engine {
@@ -112,13 +123,15 @@ pub struct Engine {
     landmarks: Arc<[Landmark]>,
     layout: Option<Arc<BeadLayout>>,
     links: BTreeMap<DeviceKind, Link>,
+    line_watch: LineWatch,
     timeline: Timeline,
     tie: SpecimenTie,
     world_from_tracker: Option<Rigid>,
     binder: Binder,
     pending: BTreeMap<u32, Pending>,
-    /// Frames that were developed without an exposure: they may yet get one.
-    unbound: BTreeSet<u32>,
+    unbound: BTreeMap<u32, Unbound>,
+    /// How often each frame that was posed again was handed on before.
+    developments: BTreeMap<u32, u32>,
     /// No more telemetry will come.
     ended: bool,
     /// Latest host time of any input.
@@ -143,12 +156,14 @@ impl Engine {
             setup,
             layout,
             links,
+            line_watch: LineWatch::default(),
             timeline: Timeline::new(),
             tie,
             world_from_tracker,
             binder: Binder::default(),
             pending: BTreeMap::new(),
-            unbound: BTreeSet::new(),
+            unbound: BTreeMap::new(),
+            developments: BTreeMap::new(),
             ended: false,
             now_us: i64::MIN,
             bound: BTreeMap::new(),
@@ -235,10 +250,11 @@ impl Engine {
     }
 
     fn take_bytes(&mut self, device: DeviceKind, epoch: u32, host_us: i64, bytes: &[u8], sink: &mut dyn FnMut(Output)) {
-        let Some(link) = self.links.get_mut(&device) else { return };
-        let timeline = &mut self.timeline;
+        let Self { links, timeline, line_watch, setup, reporter, .. } = self;
+        let Some(link) = links.get_mut(&device) else { return };
         link.feed(host_us, epoch, bytes, &mut |received| match received.event {
             Event::Sample(sample, sequenced) => {
+                line_watch.take(setup, &sample, reporter);
                 timeline.push_sample(device, host_us, epoch, sequenced, sample.clone());
                 sink(Output::Sample { device, host_us, sample: Box::new(sample) });
             }
@@ -253,16 +269,11 @@ impl Engine {
             false => self.binder.update(&self.timeline, self.now_us),
         };
         for number in changed {
-            let exposure = self.binder.binding(number).and_then(|binding| binding.exposure.as_ref());
-            if let Some(exposure) = exposure
-                && self.unbound.remove(&number)
-            {
-                let words = format!(
-                    "frame {number}: only now it is clear that it belongs to {}; its pair was made without that exposure's telemetry",
-                    exposure.label()
-                );
-                self.reporter.warn("bound late", &words);
-                sink(Output::BoundLate { number, words });
+            let Some(binding) = self.binder.binding(number).filter(|binding| binding.exposure.is_some()).cloned() else {
+                continue;
+            };
+            if let Some(unbound) = self.unbound.remove(&number) {
+                self.bind_late(number, unbound, binding, sink);
             }
         }
         let waits_at_all = self.setup.carm.is_some() && !self.ended;
@@ -276,10 +287,46 @@ impl Engine {
         for (number, binding) in ready {
             let Some(Pending { frame, host_us }) = self.pending.remove(&number) else { continue };
             if binding.exposure.is_none() {
-                self.unbound.insert(number);
+                self.keep_unbound(number, &frame, host_us);
             }
             self.bound.insert(number, Bound::new(frame, host_us, binding, &self.timeline));
             sink(Output::Bound { number });
+        }
+    }
+
+    /// The exposure of a frame that was handed on without one has become clear: its telemetry is stored with it.
+    fn bind_late(&mut self, number: u32, unbound: Unbound, binding: Binding, sink: &mut dyn FnMut(Output)) {
+        let label = binding.exposure.as_ref().map(|exposure| exposure.label()).unwrap_or_default();
+        let Unbound { frame, host_us } = unbound;
+        let bound = frame.map(|frame| Bound::new(frame, host_us, binding, &self.timeline));
+        // Not developed yet: nothing was made without the exposure.
+        if let (Some(waiting), Some(bound)) = (self.bound.get_mut(&number), &bound) {
+            *waiting = bound.clone();
+            return;
+        }
+        let remedy = match bound {
+            Some(_) => "it is posed again, with that exposure's telemetry",
+            None => "its pair was made without that exposure's telemetry, and its pixels were let go since",
+        };
+        let words = format!("frame {number}: only now it is clear that it belongs to {label}; {remedy}");
+        self.reporter.warn("bound late", &words);
+        sink(Output::BoundLate { number, words });
+        if let Some(bound) = bound {
+            *self.developments.entry(number).or_default() += 1;
+            self.bound.insert(number, bound);
+            sink(Output::Bound { number });
+        }
+    }
+
+    /// Keeps a frame for [`Engine::bind_late`]; the pixels of the oldest are let go where there are too many.
+    fn keep_unbound(&mut self, number: u32, frame: &Arc<Frame>, host_us: i64) {
+        self.unbound.insert(number, Unbound { frame: Some(Arc::clone(frame)), host_us });
+        let mut kept_bytes = 0;
+        for unbound in self.unbound.values_mut().rev() {
+            kept_bytes += unbound.frame.as_ref().map_or(0, |frame| frame.pixels.pixels.len() * size_of::<f32>());
+            if kept_bytes > MOST_UNBOUND_BYTES {
+                unbound.frame = None;
+            }
         }
     }
 
@@ -302,6 +349,7 @@ impl Engine {
             landmarks: Arc::clone(&self.landmarks),
             world_from_lps: self.tie.world_from_lps(),
         };
-        PoseJob::new(bound, imported, known, &self.reporter)
+        let development = self.developments.get(&bound.frame().number).copied().unwrap_or(0);
+        PoseJob::new(bound, imported, known, development, &self.reporter)
     }
 }

@@ -44,6 +44,8 @@ pub(super) struct Collector {
     path: PathBuf,
     times: Times,
     rows: BTreeMap<u32, Pair>,
+    /// Of each row, how often its frame was posed before.
+    developments: BTreeMap<u32, u32>,
     views: BTreeMap<u32, crate::geometry::View>,
     report: SessionReport,
     timings: BTreeMap<u32, StageTimes>,
@@ -95,6 +97,7 @@ impl Collector {
             path: path.to_owned(),
             times,
             rows: BTreeMap::new(),
+            developments: BTreeMap::new(),
             views: BTreeMap::new(),
             report,
             timings: BTreeMap::new(),
@@ -106,7 +109,7 @@ impl Collector {
 
     /// Whether this pair came before, so that only its null is new.
     pub(super) fn knows(&self, developed: &Developed) -> bool {
-        self.rows.contains_key(&developed.posed.number)
+        self.developments.get(&developed.posed.number) >= Some(&developed.posed.development)
     }
 
     /// Writes strip, DRR and `pairs.json`; gives a sentence for each file that could not be written.
@@ -129,6 +132,7 @@ impl Collector {
         if let Some(view) = developed.posed.view {
             self.views.insert(number, view);
         }
+        self.developments.insert(number, developed.posed.development);
         self.timings.insert(number, pair.stages_ms.clone());
         if self.times == Times::Apart {
             pair.stages_ms = StageTimes::default();

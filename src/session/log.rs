@@ -180,14 +180,16 @@ impl SessionLog {
         }
     }
 
-    /// The DRR of frame `number`, its plan and its hash.
-    pub(super) fn drr(&self, number: u32, drr: &Rendered, sha256: &str, time_us: i64) {
+    /// The DRR of a frame, its plan and its hash.
+    pub(super) fn drr(&self, posed: &Posed, drr: &Rendered, sha256: &str) {
+        let Posed { number, development, time_us, .. } = *posed;
         let record = || {
             let prepared = self.recorder.prepare_drr(&format!("frame {number}"), &drr.pages[0], time_us);
             self.recorder.wait_for_room(prepared.bytes())?;
             self.recorder.record(prepared)?;
-            self.recorder.json(topic::PLAN, time_us, &json!({"number": number, "plan": drr.plan}))?;
-            self.recorder.json(DRR_HASH_TOPIC, time_us, &json!({"number": number, "sha256": sha256}))
+            self.recorder.json(topic::PLAN, time_us, &json!({"number": number, "development": development, "plan": drr.plan}))?;
+            let hash = json!({"number": number, "development": development, "sha256": sha256});
+            self.recorder.json(DRR_HASH_TOPIC, time_us, &hash)
         };
         self.check(record());
     }
@@ -217,6 +219,8 @@ impl SessionLog {
 #[derive(Clone, Debug, serde::Serialize, serde::Deserialize)]
 pub(super) struct PoseRecord {
     pub(super) number: u32,
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub(super) development: u32,
     pub(super) frame: String,
     pub(super) pose_source: PoseSource,
     pub(super) camera_from_lps: Option<crate::geometry::Rigid>,
@@ -230,6 +234,7 @@ impl PoseRecord {
     pub(super) fn of(posed: &Posed) -> Self {
         Self {
             number: posed.number,
+            development: posed.development,
             frame: posed.frame.name.clone(),
             pose_source: posed.pose_source,
             camera_from_lps: posed.view.map(|view| view.camera_from_lps),
@@ -239,4 +244,8 @@ impl PoseRecord {
             pose: serde_json::to_value(&posed.pose).unwrap_or_default(),
         }
     }
+}
+
+fn is_zero(n: &u32) -> bool {
+    *n == 0
 }

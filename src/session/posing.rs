@@ -47,6 +47,8 @@ pub struct RobotState {
 pub struct Posed {
     /// Counts frames of the session from 1, in order of arrival.
     pub number: u32,
+    /// How often the frame was posed before: 0, or more where its exposure became clear only later.
+    pub development: u32,
     /// The frame.
     pub frame: Arc<Frame>,
     /// Middle of the exposure, or the arrival where it is not bound; host time.
@@ -81,7 +83,8 @@ impl Posed {
     /// How people are told of the frame.
     #[must_use]
     pub fn label(&self) -> String {
-        format!("frame {} ({})", self.number, self.frame.name)
+        let again = if self.development > 0 { ", posed again" } else { "" };
+        format!("frame {} ({}){again}", self.number, self.frame.name)
     }
 
     pub(super) fn with_telemetry_disagreement(self, telemetry_disagreement: Option<Disagreement>) -> Self {
@@ -183,6 +186,7 @@ pub struct Known {
 #[derive(Clone, Debug)]
 pub struct PoseJob {
     bound: Bound,
+    development: u32,
     known: Known,
     warnings: Vec<String>,
     pitch_mm: Option<f64>,
@@ -191,9 +195,9 @@ pub struct PoseJob {
 }
 
 impl PoseJob {
-    /// `imported` is the bound frame as it lies on the panel.
+    /// `imported` is the bound frame as it lies on the panel; `development` counts from 0.
     #[must_use]
-    pub fn new(bound: Bound, imported: Imported, known: Known, reporter: &Reporter) -> Self {
+    pub fn new(bound: Bound, imported: Imported, known: Known, development: u32, reporter: &Reporter) -> Self {
         let carm = known.setup.carm.as_ref();
         let camera_from_world = bound.joints.zip(carm).and_then(|(joints, carm)| {
             carm.world_from_camera(&joints).map(Rigid::inverse).map_err(|error| reporter.warn("carm", error)).ok()
@@ -205,7 +209,7 @@ impl PoseJob {
         });
         let warnings = warnings.into_iter().map(|(_, detail)| detail).collect();
         let pitch_mm = sized.map(|carm| carm.pitch_mm);
-        Self { bound: Bound { frame, ..bound }, known, warnings, pitch_mm, intrinsics, camera_from_world }
+        Self { bound: Bound { frame, ..bound }, development, known, warnings, pitch_mm, intrinsics, camera_from_world }
     }
 
     /// Which frame.
@@ -298,6 +302,7 @@ impl Registered {
         let robot = robot.map(|robot| RobotState { lps_from_base, ..robot });
         let posed = Posed {
             number: frame.number,
+            development: job.development,
             frame,
             time_us,
             binding,

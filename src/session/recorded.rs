@@ -10,6 +10,9 @@ use crate::image::{Image, sha256_bytes};
 use crate::record::{LogEntry, LogReader, Tolerance, topic};
 use crate::render::Plan;
 
+/// Number of a frame, and how often it was posed before.
+pub(super) type Development = (u32, u32);
+
 /// See the module. Poses, plans and hashes are small; images stay in the log.
 #[derive(Default)]
 pub(super) struct Recorded {
@@ -17,8 +20,9 @@ pub(super) struct Recorded {
     pub(super) started_us: i64,
     /// Messages in the log.
     pub(super) messages: u64,
-    pub(super) poses: BTreeMap<u32, Vec<u8>>,
-    pub(super) plans: BTreeMap<u32, Plan>,
+    pub(super) poses: BTreeMap<Development, Vec<u8>>,
+    pub(super) plans: BTreeMap<Development, Plan>,
+    /// Of the last DRR of each frame.
     pub(super) hashes: BTreeMap<u32, String>,
     /// The log says in which order frames were registered.
     pub(super) has_order: bool,
@@ -35,6 +39,8 @@ struct OfFrame {
     /// Of logs without numbers: counts from 0.
     index: Option<u32>,
     frame: Option<String>,
+    #[serde(default)]
+    development: u32,
 }
 
 #[derive(serde::Deserialize)]
@@ -74,23 +80,23 @@ impl Recorded {
                     found.labels.push(label.map(|label| label.name).unwrap_or_default());
                 }
                 topic::POSE => {
-                    if let Some(number) = found.number(&entry, &mut tolerance, |found, number| found.poses.contains_key(&number))
-                    {
-                        found.poses.insert(number, entry.data);
+                    let development = found.of(&entry, &mut tolerance, |found, number| found.poses.contains_key(&(number, 0)));
+                    if let Some(development) = development {
+                        found.poses.insert(development, entry.data);
                     }
                 }
                 topic::PLAN => {
                     let plan: Option<PlanRecord> = tolerance.take(entry.json());
-                    let number = found.number(&entry, &mut tolerance, |found, number| found.plans.contains_key(&number));
-                    if let (Some(number), Some(record)) = (number, plan) {
-                        found.plans.insert(number, record.plan);
+                    let development = found.of(&entry, &mut tolerance, |found, number| found.plans.contains_key(&(number, 0)));
+                    if let (Some(development), Some(record)) = (development, plan) {
+                        found.plans.insert(development, record.plan);
                     }
                 }
                 topic::DRR => drr = tolerance.take(entry.image()).flatten().map(|image| sha256_of(&image)),
                 DRR_HASH_TOPIC => {
                     let hash: Option<HashRecord> = tolerance.take(entry.json());
-                    let number = found.number(&entry, &mut tolerance, |found, number| found.hashes.contains_key(&number));
-                    if let (Some(number), Some(HashRecord { sha256 })) = (number, hash) {
+                    let of = found.of(&entry, &mut tolerance, |found, number| found.hashes.contains_key(&number));
+                    if let (Some((number, _)), Some(HashRecord { sha256 })) = (of, hash) {
                         if drr.take().is_some_and(|of_pixels| of_pixels != sha256) {
                             found
                                 .losses
@@ -111,14 +117,15 @@ impl Recorded {
     }
 
     /// Of which frame a message speaks; `is_known` says whether that frame has such a message already.
-    fn number(&self, entry: &LogEntry, tolerance: &mut Tolerance, is_known: impl Fn(&Self, u32) -> bool) -> Option<u32> {
+    fn of(&self, entry: &LogEntry, tolerance: &mut Tolerance, is_known: impl Fn(&Self, u32) -> bool) -> Option<Development> {
         let of: OfFrame = tolerance.take(entry.json())?;
-        of.number.or_else(|| of.index.map(|index| index.saturating_add(1))).or_else(|| {
+        let number = of.number.or_else(|| of.index.map(|index| index.saturating_add(1))).or_else(|| {
             // A log without numbers: of several frames with this label, the first that has none yet.
             let label = of.frame?;
             let numbered = (1u32..).zip(&self.labels);
             numbered.filter(|(_, known)| **known == label).map(|(number, _)| number).find(|number| !is_known(self, *number))
-        })
+        })?;
+        Some((number, of.development))
     }
 }
 
@@ -128,7 +135,7 @@ pub(super) fn sha256_of(image: &Image<f32>) -> String {
     sha256_bytes(&bytes)
 }
 
-/// The DRRs of `wanted` in `log`, one after the other.
+/// The DRRs of `wanted` in `log`, one after the other; of a frame that was posed again, the last one comes last.
 pub(super) fn drrs_of(
     log: &Path,
     wanted: &dyn Fn(u32) -> bool,
@@ -146,8 +153,8 @@ pub(super) fn drrs_of(
             topic::DRR => drr = Some(entry),
             DRR_HASH_TOPIC => {
                 let Some(drr) = drr.take() else { continue };
-                let number = labels.number(&entry, &mut tolerance, |found, number| found.hashes.contains_key(&number));
-                let Some(number) = number else { continue };
+                let of = labels.of(&entry, &mut tolerance, |found, number| found.hashes.contains_key(&number));
+                let Some((number, _)) = of else { continue };
                 labels.hashes.insert(number, String::new());
                 if wanted(number)
                     && let Some(Some(image)) = tolerance.take(drr.image())

@@ -14,7 +14,7 @@ use super::folder::{Collector, Folder, Times};
 use super::log::{CLOCK_TOPIC, DISAGREES_TOPIC, END_TOPIC, ORDER_TOPIC, PoseRecord};
 use super::losses::line_losses;
 use super::posing::Posed;
-use super::recorded::{Recorded, drrs_of};
+use super::recorded::{Development, Recorded, drrs_of};
 use super::tracks::Tracks;
 use super::workshop::Workshop;
 use crate::acquire::Frame;
@@ -123,8 +123,7 @@ pub fn run(
         board,
         report: ReplayReport { losses: recorded.losses.clone(), ..ReplayReport::default() },
         seen: BTreeSet::new(),
-        rendered: BTreeSet::new(),
-        to_compare: BTreeMap::new(),
+        rendered: BTreeMap::new(),
         tolerance: Tolerance::default(),
         recorded,
     };
@@ -151,12 +150,21 @@ struct Replay<'a> {
     board: &'a Board,
     recorded: Recorded,
     report: ReplayReport,
-    /// Frames with a pose, and with a DRR, by now.
-    seen: BTreeSet<u32>,
-    rendered: BTreeSet<u32>,
-    /// DRRs with another hash than in the log, and the bound of their plan.
-    to_compare: BTreeMap<u32, f64>,
+    /// What was posed by now.
+    seen: BTreeSet<Development>,
+    /// The last DRR of each frame against the log's.
+    rendered: BTreeMap<u32, AgainstLog>,
     tolerance: Tolerance,
+}
+
+/// How a DRR stands to the log's.
+enum AgainstLog {
+    Same,
+    /// Another hash; the bound of its plan.
+    Different {
+        bound: f64,
+    },
+    NotInLog,
 }
 
 impl Replay<'_> {
@@ -246,16 +254,17 @@ impl Replay<'_> {
     }
 
     fn take_posed(&mut self, posed: Posed) {
-        self.report.frames += 1;
         let number = posed.number;
-        self.seen.insert(number);
+        let development = (number, posed.development);
+        self.report.frames += usize::from(posed.development == 0);
+        self.seen.insert(development);
         let now = serde_json::to_vec(&PoseRecord::of(&posed)).unwrap_or_default();
-        match self.recorded.poses.get(&number) {
+        match self.recorded.poses.get(&development) {
             Some(then) if *then == now => self.report.poses_identical += 1,
             Some(_) => self.report.poses_different.push(number),
             None => self.report.not_in_log.push(format!("pose of frame {number}")),
         }
-        let plan = self.recorded.plans.get(&number).cloned();
+        let plan = self.recorded.plans.get(&development).cloned();
         self.workshop.submit(posed, plan);
     }
 
@@ -277,14 +286,12 @@ impl Replay<'_> {
     fn take_pair(&mut self, developed: Developed, reporter: &Reporter) {
         let number = developed.posed.number;
         if let (Some(sha256), Some((drr, _)), false) = (&developed.drr_sha256, &developed.drr, self.collector.knows(&developed)) {
-            self.rendered.insert(number);
-            match self.recorded.hashes.get(&number) {
-                Some(then) if then == sha256 => self.report.images_identical += 1,
-                Some(_) => {
-                    self.to_compare.insert(number, drr.stated_error);
-                }
-                None => self.report.not_in_log.push(format!("DRR of frame {number}")),
-            }
+            let against_log = match self.recorded.hashes.get(&number) {
+                Some(then) if then == sha256 => AgainstLog::Same,
+                Some(_) => AgainstLog::Different { bound: drr.stated_error },
+                None => AgainstLog::NotInLog,
+            };
+            self.rendered.insert(number, against_log);
         }
         let picture = developed.picture();
         self.board.update(|state| state.show(picture));
@@ -303,7 +310,14 @@ impl Replay<'_> {
         reporter: &Reporter,
     ) -> Result<(Folder, ReplayReport), SessionError> {
         let mut differences: BTreeMap<u32, ImageDifference> = BTreeMap::new();
-        let to_compare = std::mem::take(&mut self.to_compare);
+        let mut to_compare: BTreeMap<u32, f64> = BTreeMap::new();
+        for (number, against_log) in &self.rendered {
+            match against_log {
+                AgainstLog::Same => self.report.images_identical += 1,
+                AgainstLog::Different { bound } => _ = to_compare.insert(*number, *bound),
+                AgainstLog::NotInLog => self.report.not_in_log.push(format!("DRR of frame {number}")),
+            }
+        }
         if !to_compare.is_empty() {
             drrs_of(log, &|number| to_compare.contains_key(&number), &mut |number, then| {
                 let now = read_tiff_f32(&options.out.join(format!("drr/{number:03}.tif"))).ok();
@@ -319,8 +333,9 @@ impl Replay<'_> {
             self.report.images_different.push(differences.remove(&number).unwrap_or(unknown));
         }
         self.report.images_missing =
-            self.recorded.hashes.keys().filter(|number| !self.rendered.contains(number)).copied().collect();
-        self.report.poses_missing = self.recorded.poses.keys().filter(|number| !self.seen.contains(number)).copied().collect();
+            self.recorded.hashes.keys().filter(|number| !self.rendered.contains_key(number)).copied().collect();
+        let missing = self.recorded.poses.keys().filter(|development| !self.seen.contains(development));
+        self.report.poses_missing = missing.map(|(number, _)| *number).collect();
         self.report.losses.extend(self.tolerance.losses().into_iter().filter(|loss| !self.recorded.losses.contains(loss)));
         for device in DeviceKind::ALL {
             let lost = self.engine.health(device).and_then(|health| line_losses(device, &health));

@@ -1,5 +1,6 @@
 //! The scribe: a thread that records pairs and writes their files. What cannot be written is counted and said, and stops nothing.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
@@ -37,7 +38,14 @@ impl Scribe {
     ) -> Result<(Self, SyncSender<Developed>), SessionError> {
         let (sender, inbox) = sync_channel(QUEUE);
         let (complete, leave) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicBool::new(false)));
-        let work = Work { collector, log, board, reporter: reporter.clone(), complete: Arc::clone(&complete) };
+        let work = Work {
+            collector,
+            log,
+            board,
+            reporter: reporter.clone(),
+            complete: Arc::clone(&complete),
+            completed: BTreeSet::new(),
+        };
         let left = Arc::clone(&leave);
         let thread = std::thread::Builder::new().name("scribe".to_owned()).spawn(move || {
             stand_back();
@@ -74,6 +82,7 @@ struct Work {
     board: Board,
     reporter: Reporter,
     complete: Arc<AtomicUsize>,
+    completed: BTreeSet<u32>,
 }
 
 impl Work {
@@ -96,7 +105,7 @@ impl Work {
         let picture = developed.picture();
         self.board.update(|state| state.show(picture));
         if let (Some((drr, _)), Some(sha256), false) = (&developed.drr, &developed.drr_sha256, self.collector.knows(&developed)) {
-            self.log.drr(number, drr, sha256, time_us);
+            self.log.drr(&developed.posed, drr, sha256);
         }
         if complete {
             self.log.scores(&developed.pair, time_us);
@@ -107,7 +116,8 @@ impl Work {
         let failures = self.collector.take(developed);
         failures.into_iter().for_each(|failure| self.say(Some(failure)));
         if complete {
-            self.complete.fetch_add(1, Ordering::Relaxed);
+            self.completed.insert(number);
+            self.complete.store(self.completed.len(), Ordering::Relaxed);
         }
     }
 

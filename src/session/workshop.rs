@@ -1,5 +1,6 @@
 //! The workshop: a thread that turns posed frames into pairs, the newest first, and makes their nulls when no frame waits.
 
+use std::cmp::Reverse;
 use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -197,7 +198,8 @@ fn next(shared: &Shared, may_wait: bool) -> Next {
             return Next::End;
         }
         // The newest frame is the one that somebody looks at.
-        let newest = (0..queue.jobs.len()).max_by_key(|index| queue.jobs[*index].posed.number);
+        let order = |job: &Job| (job.posed.number, Reverse(job.posed.development));
+        let newest = (0..queue.jobs.len()).max_by_key(|index| order(&queue.jobs[*index]));
         if let Some(newest) = newest {
             queue.busy = true;
             return Next::Frame(Box::new(queue.jobs.swap_remove(newest)));
@@ -218,6 +220,8 @@ fn work(mut bench: Bench, shared: &Shared, mut sink: impl FnMut(Developed) -> bo
         let developed = match next(shared, nulls.is_empty()) {
             Next::Frame(job) => {
                 let Job { posed, plan } = *job;
+                // An earlier pair of the same frame is replaced: it needs no null any more.
+                nulls.retain(|waiting| waiting.posed.number != posed.number);
                 let attempt = catch_unwind(AssertUnwindSafe(|| bench.develop(posed.clone(), plan)));
                 let developed =
                     attempt.unwrap_or_else(|_| bench.failed(posed, "rendering or comparing it failed (a fault of this program)"));

@@ -1,16 +1,42 @@
 //! What a device says of itself, against what the session assumes of it.
 
+use std::collections::BTreeSet;
+
 use super::exposure::against_scene;
-use super::finding::Finding;
+use super::finding::{Finding, Level, tell};
 use super::units::sid;
+use crate::reporter::Reporter;
 use crate::scene::Scene;
 use crate::session::file::Setup;
-use crate::telemetry::{CarmSample, DeviceKind, Metadata};
+use crate::telemetry::{CarmSample, DeviceKind, Metadata, Sample};
 
 /// Limits that differ by more than this are of another robot.
 const BEND_TOLERANCE_DEG: f64 = 0.05;
 /// A field wider than the panel by more than this share is another panel's.
 const PANEL_SHARE: f64 = 0.02;
+
+/// Tells each disagreement of the lines once, when the sample that shows it arrives.
+#[derive(Default)]
+pub struct LineWatch {
+    told: BTreeSet<String>,
+}
+
+impl LineWatch {
+    /// Takes a sample of any line.
+    pub fn take(&mut self, setup: &Setup, sample: &Sample, reporter: &Reporter) {
+        let findings = match sample {
+            Sample::Metadata(metadata) => check_line(setup, None, Some(metadata), None),
+            Sample::Carm(sample) => check_line(setup, None, None, Some(sample)),
+            Sample::Robot(_) => return,
+        };
+        // By what was checked: a length that jitters is one disagreement.
+        let new: Vec<Finding> = findings
+            .into_iter()
+            .filter(|finding| finding.level > Level::Pass && self.told.insert(finding.check.clone()))
+            .collect();
+        tell(&new, reporter);
+    }
+}
 
 /// Disagreements of a line with the session's models; nothing where all agrees.
 #[must_use]

@@ -1,0 +1,61 @@
+//! Frames whose exposure becomes clear only after they were developed, through `live` and its replay.
+#![cfg(unix)]
+
+use std::path::Path;
+use std::process::Command;
+use std::time::Duration;
+
+use serde_json::Value;
+
+use crate::live_lab::{Lab, Live, Signal, eventually};
+
+fn pairs(folder: &Path) -> Vec<Value> {
+    let bytes = std::fs::read(folder.join("pairs.json")).expect("pairs.json");
+    let value: Value = serde_json::from_slice(&bytes).expect("JSON");
+    value["pairs"].as_array().cloned().unwrap_or_default()
+}
+
+/// A console without a counter and with a clock of its own exports everything long after the last exposure: only all frames together say
+/// which is whose, when the session ends. Until then their robot is drawn at the scene's angles.
+#[test]
+fn frames_bound_at_the_end_get_the_telemetry_of_their_exposure() {
+    let Some(lab) = Lab::start(&["--duration-s", "12", "--faults", "none", "--no-counter"]) else { return };
+    let folder = lab.kit.join("exported");
+    std::fs::create_dir_all(&folder).expect("a folder");
+    let session = lab.session("late.json", |session| session["frames"]["folder"] = folder.to_str().expect("UTF-8").into());
+    let out = lab.kit.with_file_name("session");
+    let mut live = Live::start(&session, &out, &[]);
+    let delivered = eventually(60.0, || Some(lab.delivered()).filter(|delivered| delivered.len() == 8));
+    assert!(delivered.is_some(), "{} frames", lab.delivered().len());
+    std::thread::sleep(Duration::from_secs(7));
+    let mut files: Vec<_> = std::fs::read_dir(lab.frames()).expect("frames").flatten().map(|entry| entry.path()).collect();
+    files.sort();
+    for file in files.iter().rev() {
+        std::fs::copy(file, folder.join(file.file_name().expect("a name"))).expect("copied");
+    }
+    assert!(eventually(120.0, || (live.pairs() == 8).then_some(())).is_some(), "{} pairs", live.pairs());
+    let before = pairs(&out);
+    assert!(before.iter().all(|pair| pair["binding"] == "none" && pair["robot_source"] == "scene"), "{before:#?}");
+
+    live.signalled(Signal::INT);
+    assert!(live.program.end(120.0).is_some_and(|status| status.success()), "{}", live.stderr());
+    let after = pairs(&out);
+    assert_eq!(after.len(), 8);
+    for pair in &after {
+        let told = format!("frame {}: binding {}, robot {}", pair["number"], pair["binding"], pair["robot_source"]);
+        assert!(pair["binding"] == "time" && pair["robot_source"] != "scene" && pair["pose_source"] != "none", "{told}");
+    }
+    assert!(live.stderr().contains("posed again"), "{}", live.stderr());
+    // The robot is drawn where it was: its own score is better than before.
+    let tool = |pairs: &[Value]| pairs.iter().filter_map(|pair| pair["scores_tool"]["zncc"].as_f64()).sum::<f64>();
+    assert!(tool(&after) > tool(&before), "{} {}", tool(&after), tool(&before));
+
+    let again = out.with_file_name("again");
+    let mut replay = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
+    let replayed = replay.arg("replay").arg(&live.log).arg("--json").arg("--out").arg(&again).output().expect("replays");
+    let found: Value = serde_json::from_slice(&replayed.stdout).expect("JSON");
+    assert_eq!(replayed.status.code(), Some(0), "{found}");
+    assert_eq!((&found["poses_identical"], &found["images_identical"]), (&16.into(), &8.into()), "{found}");
+    let bindings = |folder: &Path| pairs(folder).iter().map(|pair| pair["binding"].clone()).collect::<Vec<_>>();
+    assert_eq!(bindings(&again), bindings(&out));
+}

@@ -55,7 +55,7 @@ struct Maxima {
 /// The edges of both images within `usable`, for scoring: as many strong ones in the acquired as in the simulated image, whatever the
 /// scales of the two, and among weaker ones each strong edge may find its partner.
 pub(super) fn find_both(acquired: &Seen, simulated: &Seen, usable: &Image<bool>) -> (EdgeMap, EdgeMap) {
-    let (acquired, simulated) = (maxima(acquired, usable), maxima(simulated, usable));
+    let (acquired, simulated) = rayon::join(|| maxima(acquired, usable), || maxima(simulated, usable));
     let limit = simulated.limit(STRONG.0);
     let count = simulated.found.iter().filter(|(_, _, size)| *size >= limit).count();
     let weaker = (WEAK_FACTOR * count as f64) as usize;

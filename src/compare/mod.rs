@@ -263,7 +263,7 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
         (depth_mm > 0.0).then(|| depth_mm / view.intrinsics.fx)
     });
     let ground = Ground::of(&usable);
-    let (acquired_seen, toned_seen) = (Seen::on(&ground, &common.acquired), Seen::on(&ground, &toned));
+    let (acquired_seen, toned_seen) = rayon::join(|| Seen::on(&ground, &common.acquired), || Seen::on(&ground, &toned));
     let (edges_acquired, edges_simulated) = edges::find_both(&acquired_seen, &toned_seen, &usable);
     let base = Scored {
         acquired: &acquired_seen,
@@ -275,13 +275,16 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
         air_reason: common.air.reason.as_deref(),
         mm_per_px,
     };
-    let scores = score(&base, (&edges_acquired, &edges_simulated));
-    let scores_without_tone = if input.tone == Tone::None {
-        scores.clone()
-    } else {
-        score(&Scored { simulated: &Seen::on(&ground, simulated), tone: Tone::None, ..base }, (&edges_acquired, &edges_simulated))
+    let edges = (&edges_acquired, &edges_simulated);
+    let alone = || {
+        let scores = score(&base, edges);
+        let without_tone = match input.tone {
+            Tone::None => scores.clone(),
+            _ => score(&Scored { simulated: &Seen::on(&ground, simulated), tone: Tone::None, ..base }, edges),
+        };
+        (scores, without_tone, edges::to_draw(&toned_seen, &usable))
     };
-    let scores_tool = masks.layer(Cause::Tool).map(|tool| {
+    let of_tool = |tool: &Image<bool>| {
         let with_tool = masks.usable(width, height, &[Cause::Tool]);
         let on_tool = filters::zip(&with_tool, tool, |usable, tool| *usable && *tool);
         let ground = Ground::of(&with_tool);
@@ -289,7 +292,8 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
         let edges = edges::find_both(&acquired, &simulated, &with_tool);
         let scored = Scored { acquired: &acquired, simulated: &simulated, ground: &ground, scored: &on_tool, ..base };
         score(&scored, (&edges.0, &edges.1))
-    });
+    };
+    let ((scores, scores_without_tone, edges), scores_tool) = rayon::join(alone, || masks.layer(Cause::Tool).map(of_tool));
     let noise_expected_nepers = expected_noise(frame, &common.acquired, common.air.level, &usable, binning);
     if let (Some(seen), Some(expected)) = (scores.noise_nepers, noise_expected_nepers)
         && !(seen <= NOISE_AGREES * expected && expected <= NOISE_AGREES * seen)
@@ -303,7 +307,6 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
         CommonDomain::RelativeLineIntegral => "nepers (offset unknown)",
         CommonDomain::GrayValues => "gray value, larger is more attenuation",
     };
-    let edges = edges::to_draw(&toned_seen, &usable);
     let comparison = Comparison {
         size_px: [width, height],
         binning,

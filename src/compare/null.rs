@@ -8,6 +8,7 @@
 use std::collections::BTreeMap;
 
 use glam::{DMat3, DQuat, DVec3};
+use rayon::prelude::*;
 
 use super::domain::CommonDomain;
 use super::edges;
@@ -64,6 +65,10 @@ pub enum NullError {
 
 /// Widest render.
 pub const NULL_WIDTH_PX: u32 = 256;
+/// Pixels are binned up to this size at the depth of the centre: shifts of 1 mm still show.
+const NULL_PIXEL_MM: f64 = 1.0;
+/// For that, no image is made smaller than this.
+const FEWEST_ROWS: u32 = 64;
 const SHIFTS_MM: [f64; 3] = [1.0, 3.0, 10.0];
 const TURNS_DEG: [f64; 2] = [1.0, 3.0];
 /// Renders of a null: 18 shifts, 12 turns, 9 other poses, the optimum of all shifts and that of all turns, and the stated pose.
@@ -178,47 +183,59 @@ fn mirrored(camera_from_lps: &Rigid, centre_in_camera: DVec3) -> [(String, Rigid
     })
 }
 
+/// Pixels that make one, each way: at most [`NULL_WIDTH_PX`] wide, and no finer than the smallest shift asks for.
+fn binning(view: &View, depth_mm: f64) -> u32 {
+    let (_, by_width) = view.at_most_wide(NULL_WIDTH_PX);
+    let by_size = (NULL_PIXEL_MM * view.intrinsics.fx / depth_mm).clamp(1.0, 64.0) as u32;
+    let smallest = view.size_px[0].min(view.size_px[1]);
+    by_width.max(by_size.min(smallest / FEWEST_ROWS))
+}
+
 pub(super) fn null(
     input: &NullInput,
     rerender: &mut Rerender,
     cancelled: &dyn Fn() -> bool,
 ) -> Result<(BTreeMap<String, NullScore>, NullPlan), NullError> {
-    let (small, binning) = input.view.at_most_wide(NULL_WIDTH_PX);
-    let centre_in_camera = small.camera_from_lps.transform_point(input.centre_lps_mm);
+    let centre_in_camera = input.view.camera_from_lps.transform_point(input.centre_lps_mm);
     if !(centre_in_camera.z > 1.0) {
         return Err(NullError::Behind { depth_mm: centre_in_camera.z.round() as i64 });
     }
+    let binning = binning(input.view, centre_in_camera.z);
+    let small = input.view.binned(binning);
     let (acquired, usable) = block_means(input.acquired, input.usable, binning as usize);
-    let mut at = |shift: &str, view: &View| -> Result<Scores, NullError> {
-        let render = rerender(view).map_err(|detail| NullError::Render { shift: shift.to_owned(), detail })?;
-        if !render.same_size(&acquired) {
-            let (expected, found) = ([acquired.width, acquired.height], [render.width, render.height]);
-            return Err(NullError::Size { expected, found });
+    let mut done = 0;
+    // Renders use all cores one after the other; what they are scored with does not, so that happens side by side.
+    let mut at = |poses: Vec<(String, Rigid)>| -> Result<Vec<(String, Scores)>, NullError> {
+        let mut renders = Vec::with_capacity(poses.len());
+        for (name, camera_from_lps) in poses {
+            if cancelled() {
+                return Err(NullError::Cancelled { done, total: NULL_RENDERS });
+            }
+            let render = match rerender(&View { camera_from_lps, ..small }) {
+                Ok(render) => render,
+                Err(detail) => return Err(NullError::Render { shift: name, detail }),
+            };
+            if !render.same_size(&acquired) {
+                let (expected, found) = ([acquired.width, acquired.height], [render.width, render.height]);
+                return Err(NullError::Size { expected, found });
+            }
+            done += 1;
+            renders.push((name, render));
         }
-        Ok(score_small(input, &acquired, &usable, &render, (32 / binning as usize).max(8)))
+        let tile_px = (32 / binning as usize).max(8);
+        let scored =
+            renders.into_par_iter().map(|(name, render)| (name, score_small(input, &acquired, &usable, &render, tile_px)));
+        Ok(scored.collect())
     };
-    let stated = at("the stated pose", &small)?;
-    let wrong = wrong_poses(&small.camera_from_lps, input.centre_lps_mm);
-    let mut shifted: Vec<(String, Scores)> = Vec::with_capacity(wrong.len());
-    for (name, camera_from_lps) in wrong {
-        if cancelled() {
-            return Err(NullError::Cancelled { done: 1 + shifted.len(), total: NULL_RENDERS });
-        }
-        let moved = View { camera_from_lps, ..small };
-        let scores = at(&name, &moved)?;
-        shifted.push((name, scores));
-    }
+    let mut poses = vec![("the stated pose".to_owned(), small.camera_from_lps)];
+    poses.extend(wrong_poses(&small.camera_from_lps, input.centre_lps_mm));
+    let mut shifted = at(poses)?;
+    let (_, stated) = shifted.remove(0);
     let known_wrong = shifted.len();
     // A pose that is wrong in several directions is only half mended by any one of them: the optimum of each, taken together.
     let centre_in_camera = small.camera_from_lps.transform_point(input.centre_lps_mm);
-    for (name, motion) in optima(&stated, &shifted, centre_in_camera) {
-        if cancelled() {
-            return Err(NullError::Cancelled { done: 1 + shifted.len(), total: NULL_RENDERS });
-        }
-        let moved = View { camera_from_lps: motion * small.camera_from_lps, ..small };
-        let scores = at(&name, &moved)?;
-        shifted.push((name, scores));
-    }
+    let best = optima(&stated, &shifted, centre_in_camera);
+    shifted.extend(at(best.map(|(name, motion)| (name, motion * small.camera_from_lps)).to_vec())?);
     let plan = NullPlan {
         size_px: small.size_px,
         binning,

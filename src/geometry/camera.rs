@@ -300,8 +300,14 @@ impl View {
     #[must_use]
     pub fn at_most_wide(&self, limit: u32) -> (Self, u32) {
         let factor = self.size_px[0].max(1).div_ceil(limit.max(1)).max(1);
-        let size_px = self.size_px.map(|n| (n / factor).max(1));
-        (Self { size_px, intrinsics: self.intrinsics.binned(f64::from(factor)), camera_from_lps: self.camera_from_lps }, factor)
+        (self.binned(factor), factor)
+    }
+
+    /// The view with `factor` × `factor` pixels in one; whole ones only.
+    #[must_use]
+    pub fn binned(&self, factor: u32) -> Self {
+        let size_px = self.size_px.map(|n| (n / factor.max(1)).max(1));
+        Self { size_px, intrinsics: self.intrinsics.binned(f64::from(factor)), camera_from_lps: self.camera_from_lps }
     }
 }
 

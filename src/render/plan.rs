@@ -177,6 +177,15 @@ fn every() -> u32 {
 }
 
 impl Plan {
+    /// The same with every pixel cast, in exact slabs in place of fixed point, whose windows suit pixels as small as the plan's, and
+    /// without noise: for small images of the same scene.
+    #[must_use]
+    pub fn whole(&self) -> Self {
+        let sampling = if self.sampling == Sampling::FixedSlabs { Sampling::ExactSlabs } else { self.sampling };
+        let (predicted_ms, typical_ms, noise) = (None, None, "off".to_owned());
+        Self { sampling, step_px: 1, full_tiles: None, predicted_ms, typical_ms, noise, ..self.clone() }
+    }
+
     /// What `scene` needs and nothing else: every bin of the spectrum, and the most exact sampling of `executor`; `cpu_because` says
     /// why a GPU that is there stays unused.
     #[must_use]

@@ -2,7 +2,7 @@
 
 use super::achieved::Achieved;
 use super::before_panel::{before_panel, is_before_panel};
-use super::checks::{check, check_plan};
+use super::checks::check;
 use super::cpu::fixed_lanes::is_fast;
 use super::non_finite::NonFinite;
 use super::plan::{Executor, Plan, Sampling};
@@ -205,25 +205,6 @@ impl Renderer {
         let rendered = self.render(&scene, &Options { plan: Some(plan), ..options.clone() })?;
         stages.merge(&rendered.stages);
         Ok(stages)
-    }
-
-    /// As [`Renderer::render`], by the plan in `kept`, which the first call leaves there: for many views next to each other, like those of a
-    /// null. Where paths are longer than in the first view all energies are evaluated; a plan that skips pixels is made anew for each view, and
-    /// so is one for another size or other materials.
-    ///
-    /// # Errors
-    /// As [`Renderer::render`].
-    pub fn render_alike(&mut self, scene: &Scene, options: &Options, kept: &mut Option<Plan>) -> Result<Rendered, RenderError> {
-        let fits = |plan: &Plan| plan.step_px == 1 && check_plan(plan, scene).is_ok();
-        let mut stages = StageTimes::default();
-        let plan = match kept.take().filter(fits) {
-            Some(plan) => plan,
-            None => self.plan_timed(scene, options, &mut stages)?,
-        };
-        let plan = kept.insert(Plan { frame_index: options.frame_index, ..plan });
-        let mut rendered = self.render(scene, &Options { plan: Some(plan.clone()), ..options.clone() })?;
-        rendered.booked_before(&stages);
-        Ok(rendered)
     }
 
     /// Renders `scene` from its view.

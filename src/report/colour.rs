@@ -80,10 +80,15 @@ pub fn window(images: &[&Image<f32>], kept: Option<&Image<bool>>) -> [f64; 2] {
             (0..image.pixels.len()).step_by(step).filter(|&at| keeps(at)).map(|at| image.pixels[at]).filter(|v| v.is_finite()),
         );
     }
-    values.sort_unstable_by(f32::total_cmp);
-    let at = |share: f64| values.get(((values.len().max(1) - 1) as f64 * share) as usize).map_or(0.0, |v| f64::from(*v));
+    let last = (values.len().max(1) - 1) as f64;
+    let mut at = |share: f64| ranked(&mut values, (last * share) as usize).unwrap_or(0.0);
     let (low, high) = (at(0.005), at(0.995));
     if high > low { [low - 0.02 * (high - low), high + 0.02 * (high - low)] } else { [low - 0.5, low + 0.5] }
+}
+
+/// The value that would stand at `place` if `values` were sorted; reorders them.
+pub(super) fn ranked(values: &mut [f32], place: usize) -> Option<f64> {
+    (place < values.len()).then(|| f64::from(*values.select_nth_unstable_by(place, f32::total_cmp).1))
 }
 
 /// The smallest of 1, 2, 5 × 10ⁿ that is at least `value`.

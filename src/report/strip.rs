@@ -1,5 +1,7 @@
 //! The strip: acquired | matched DRR | signed difference | edges over acquired, with scales, units and status, as one picture.
 
+use rayon::prelude::*;
+
 use super::canvas::{Align, Canvas, Rgb};
 use super::colour::{self, BACKGROUND, CAUTION, DIM, EDGE, LINE, TEXT, WELL};
 use super::pair::Standing;
@@ -160,28 +162,27 @@ fn spread_is_common(pictures: &Pictures) -> bool {
 
 fn median(image: &Image<f32>) -> f64 {
     let mut values: Vec<f32> = image.pixels.iter().copied().filter(|v| v.is_finite()).collect();
-    values.sort_unstable_by(f32::total_cmp);
-    values.get(values.len() / 2).map_or(0.0, |v| f64::from(*v))
+    let middle = values.len() / 2;
+    colour::ranked(&mut values, middle).unwrap_or(0.0)
 }
 
 /// A round limit that 99 % of the differences stay within.
 fn symmetric_limit(difference: &Image<f32>) -> f64 {
     let mut sizes: Vec<f32> = difference.pixels.iter().filter(|v| v.is_finite()).map(|v| v.abs()).collect();
-    sizes.sort_unstable_by(f32::total_cmp);
     let at = (sizes.len().max(1) - 1) * 99 / 100;
-    colour::round_up(sizes.get(at).map_or(0.0, |v| f64::from(*v)).max(1e-6))
+    colour::round_up(colour::ranked(&mut sizes, at).unwrap_or(0.0).max(1e-6))
 }
 
 /// Area means when shrinking, bilinear when enlarging; NaN counts for nothing, and stays where there is nothing else.
 fn scaled(image: &Image<f32>, scale: f64) -> Image<f32> {
     let size = |n: usize| ((n as f64 * scale).round() as usize).max(1);
     let (width, height) = (size(image.width), size(image.height));
-    let mut pixels = Vec::with_capacity(width * height);
-    for v in 0..height {
-        for u in 0..width {
-            pixels.push(if scale < 1.0 { mean_under(image, u, v, scale) } else { bilinear(image, u, v, scale) });
+    let mut pixels = vec![0.0; width * height];
+    pixels.par_chunks_mut(width).enumerate().for_each(|(v, row)| {
+        for (u, pixel) in row.iter_mut().enumerate() {
+            *pixel = if scale < 1.0 { mean_under(image, u, v, scale) } else { bilinear(image, u, v, scale) };
         }
-    }
+    });
     Image { width, height, pixels }
 }
 

@@ -13,11 +13,11 @@ use crate::beads::BeadLayout;
 use crate::compare::{Cause, CompareInput, Compared, MaskShares, NullError, compare};
 use crate::geometry::View;
 use crate::image::{Image, sha256_bytes};
-use crate::render::plan::Sampling;
-use crate::render::{Goal, Options, Plan, Quantity, Rendered, Renderer};
+use crate::render::{Options, Plan, Quantity, Rendered, Renderer};
 use crate::report::{self, Pair, PairStatus, StripInput};
 use crate::reporter::Reporter;
 use crate::scene::Scene;
+use crate::scene::model::Noise;
 use crate::time::Stopwatch;
 use crate::timeline::{Binding, BindingHow};
 
@@ -249,20 +249,23 @@ impl Bench {
     /// Puts each score against its null; `None` when `cancelled`, which is asked before each render, says so.
     pub(super) fn add_null(&mut self, mut developed: Developed, cancelled: &dyn Fn() -> bool) -> Option<Developed> {
         developed.complete = true;
-        let (Some(compared), Some((_, scene))) = (developed.compared.as_deref(), developed.drr.clone()) else {
+        let (Some(compared), Some((drr, scene))) = (developed.compared.as_deref(), developed.drr.clone()) else {
             return Some(developed);
         };
         let mut compared = compared.clone();
         let watch = Stopwatch::start();
         let renderer = &mut self.renderer;
-        // Named rather than chosen by what this machine is fast at, and without energies fitted to whatever was rendered before: two replays
-        // agree.
-        let goal = Goal::Explicit { sampling: Sampling::ExactSlabs, energies: None, step_px: 1 };
-        let options = Options { quantity: Quantity::LineIntegral, goal: Some(goal), ..Options::default() };
-        let mut kept = None;
+        // The DRR's own plan, which the log holds: nothing is planned anew by what this machine is fast at, so two replays agree.
+        let plan = match serde_json::from_value::<Plan>(drr.plan.clone()) {
+            Ok(plan) => plan.whole(),
+            Err(error) => return Some(developed.without_null(&error.to_string())),
+        };
         let mut rerender = |view: &View| {
-            let coarse = scene.with_binned_view(*view);
-            let rendered = renderer.render_alike(&coarse, &options, &mut kept).map_err(|error| error.to_string())?;
+            let mut coarse = scene.with_binned_view(*view);
+            coarse.model.noise = Noise::Off;
+            let plan = Some(Plan { size_px: view.size_px, ..plan.clone() });
+            let options = Options { quantity: Quantity::LineIntegral, plan, ..Options::default() };
+            let rendered = renderer.render(&coarse, &options).map_err(|error| error.to_string())?;
             let mut page = rendered.pages.into_iter().next().ok_or_else(|| "no page".to_owned())?;
             let invalid = rendered.valid.pixels.iter().map(|valid| *valid == 0);
             page.pixels.iter_mut().zip(invalid).filter(|(_, invalid)| *invalid).for_each(|(pixel, _)| *pixel = f32::NAN);

@@ -1,8 +1,9 @@
 //! A frame freed of what console and panel did to it: offset, gain and heel, bad pixels; what was done stays with the frame.
 
+use std::path::Path;
 use std::sync::Arc;
 
-use super::detector_record::{AirBeam, DetectorCalibration};
+use super::detector_record::{AirBeam, DetectorCalibration, DetectorCalibrationError};
 use super::panel_maps::{AT_LOW_END, BURNED_IN, DEAD, HOT, SATURATED, UNSTABLE};
 use super::{Domain, Frame, FrameTags};
 use crate::geometry::{ConsoleGeometry, PanelWindow};
@@ -94,6 +95,15 @@ impl Frame {
 }
 
 impl DetectorCalibration {
+    /// A frame of the whole panel, corrected by the calibration at `path`.
+    ///
+    /// # Errors
+    /// When the calibration cannot be read or does not apply; see [`DetectorCalibration::correct`].
+    pub fn apply_file(path: &Path, frame: &Frame) -> Result<Frame, DetectorCalibrationError> {
+        let corrected = Self::read(path)?.correct(frame, PanelWindow::WHOLE);
+        corrected.map_err(|reason| DetectorCalibrationError::NotApplied { path: path.to_owned(), reason })
+    }
+
     /// The frame with offset and gain maps undone and bad pixels interpolated, its values in the unit as stored: proportional to the
     /// signal, and zero without X-rays. `window` says where its pixels lie on the panel.
     ///

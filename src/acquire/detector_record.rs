@@ -236,6 +236,14 @@ pub enum DetectorCalibrationError {
     /// The maps.
     #[error(transparent)]
     Maps(#[from] MapsError),
+    /// The calibration is not one of the frame's.
+    #[error("{path}: {reason}", path = path.display())]
+    NotApplied {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        reason: String,
+    },
 }
 
 impl DetectorCalibration {

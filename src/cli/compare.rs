@@ -6,7 +6,7 @@ use glam::{DVec2, DVec3};
 
 use crate::acquire::{AcquireError, DetectorCalibration, DetectorCalibrationError, Domain, Frame, read_frame};
 use crate::compare::{AirLevel, CompareError, CompareInput, Compared, NULL_SCORES, OffsetRule, Tone, compare, elsewhere};
-use crate::geometry::{PanelWindow, View};
+use crate::geometry::View;
 use crate::gpu::DeviceChoice;
 use crate::image::{Image, ImageFileError, read_tiff_f32, refuse_overwrite, sha256_file, write_atomically, write_png_rgb};
 use crate::pose::{Pose, PoseFileError};
@@ -73,17 +73,9 @@ pub enum CompareCommandError {
     /// The acquired frame.
     #[error(transparent)]
     Frame(#[from] AcquireError),
-    /// The detector calibration cannot be read.
+    /// The detector calibration cannot be read, or does not apply to the frame.
     #[error(transparent)]
     Detector(#[from] DetectorCalibrationError),
-    /// The detector calibration does not apply to the frame.
-    #[error("{path}: {reason}", path = path.display())]
-    NotApplied {
-        /// The calibration.
-        path: PathBuf,
-        /// Why.
-        reason: String,
-    },
     /// The simulated image, or an output.
     #[error(transparent)]
     Image(#[from] ImageFileError),
@@ -152,8 +144,7 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
     refuse_overwrite(&[&json_path, &strip_path], &inputs)?;
     let mut frame = read_frame(&args.acquired, args.domain)?;
     if let Some(path) = &args.detector {
-        let corrected = DetectorCalibration::read(path)?.correct(&frame, PanelWindow::WHOLE);
-        frame = corrected.map_err(|reason| CompareCommandError::NotApplied { path: path.clone(), reason })?;
+        frame = DetectorCalibration::apply_file(path, &frame)?;
     }
     let simulated = read_simulated(&args.simulated, args.quantity.as_deref())?;
     let valid = read_valid(&args.simulated)?;

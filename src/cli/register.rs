@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::acquire::{AcquireError, Domain, Frame, read_frame};
+use crate::acquire::{AcquireError, DetectorCalibration, DetectorCalibrationError, Domain, Frame, read_frame};
 use crate::beads::{BeadsError, Landmark, read_landmarks, read_markups};
 use crate::geometry::Intrinsics;
 use crate::image::{Image, ImageFileError, refuse_overwrite, write_png_rgb};
@@ -33,6 +33,9 @@ pub struct RegisterArgs {
     /// What the pixel values are: linear, log, display or unknown
     #[arg(long, value_name = "DOMAIN")]
     pub domain: Option<Domain>,
+    /// Calibration of the panel, from `calibrate detector`: takes out offset, gain and bad pixels before beads are sought
+    #[arg(long, value_name = "DETECTOR.json")]
+    pub detector: Option<PathBuf>,
     /// Radius of beads whose description gives none
     #[arg(long, value_name = "MM")]
     pub bead_radius: Option<f64>,
@@ -56,6 +59,9 @@ pub enum RegisterError {
     /// The frame.
     #[error(transparent)]
     Frame(#[from] AcquireError),
+    /// The detector calibration cannot be read, or does not apply to the frame.
+    #[error(transparent)]
+    Detector(#[from] DetectorCalibrationError),
     /// Beads or landmarks.
     #[error(transparent)]
     Beads(#[from] BeadsError),
@@ -90,9 +96,10 @@ pub enum RegisterError {
 /// # Errors
 /// When an input cannot be read or does not fit the others, or an output cannot be written.
 pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError> {
-    let inputs = [Some(&args.frame), Some(&args.beads), args.intrinsics.as_ref(), args.prior.as_ref(), args.landmarks.as_ref()];
+    let named = [args.intrinsics.as_ref(), args.prior.as_ref(), args.landmarks.as_ref(), args.detector.as_ref()];
+    let inputs = [&args.frame, &args.beads].into_iter().chain(named.into_iter().flatten());
     let outputs: Vec<&PathBuf> = std::iter::once(&args.out).chain(&args.overlay).collect();
-    refuse_overwrite(&outputs, &inputs.into_iter().flatten().collect::<Vec<_>>())?;
+    refuse_overwrite(&outputs, &inputs.collect::<Vec<_>>())?;
     if let Some(found) = args.bead_radius
         && !(found > 0.0 && found.is_finite())
     {
@@ -101,7 +108,10 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
     let layout = read_markups(&args.beads)?;
     let landmarks: Vec<Landmark> = args.landmarks.as_deref().map(read_landmarks).transpose()?.unwrap_or_default();
     let prior = args.prior.as_deref().map(Prior::read).transpose()?;
-    let frame = read_frame(&args.frame, args.domain)?;
+    let mut frame = read_frame(&args.frame, args.domain)?;
+    if let Some(path) = &args.detector {
+        frame = DetectorCalibration::apply_file(path, &frame)?;
+    }
     let mut note = None;
     let (intrinsics, pitch_mm) = match &args.intrinsics {
         Some(path) => {

@@ -148,6 +148,8 @@ impl LogReader {
             ended: false,
         };
         let magic = reader.read_up_to(mcap::MAGIC.len() as u64);
+        // A log that is being written may have grown since it was opened.
+        reader.length = reader.length.max(reader.at_byte);
         if !mcap::MAGIC.starts_with(&magic) || magic.is_empty() {
             let found = magic.iter().map(|byte| format!("{byte:02x}")).collect::<Vec<_>>().join(" ");
             let found = if found.is_empty() { "an empty file".into() } else { found };
@@ -363,6 +365,20 @@ impl Iterator for LogReader {
                 return None;
             }
             self.step();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_log_that_grew_while_it_was_opened_is_read() {
+        for length in 0..mcap::MAGIC.len() as u64 {
+            let source = Box::new(std::io::Cursor::new(mcap::MAGIC.to_vec()));
+            let mut reader = LogReader::new(Path::new("growing.mcap"), source, length).expect("a log");
+            assert!(reader.by_ref().next().is_none());
         }
     }
 }

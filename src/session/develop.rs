@@ -8,13 +8,13 @@ use super::board::PairView;
 use super::crosscheck::{ExposureFacts, check_exposure, choose_view};
 use super::declared::Declared;
 use super::file::Setup;
-use super::posing::{PoseSource, Posed};
+use super::posing::Posed;
 use crate::beads::BeadLayout;
 use crate::compare::{Cause, CompareInput, Compared, MaskShares, NullError, compare};
 use crate::geometry::View;
 use crate::image::{Image, sha256_bytes};
 use crate::render::{Options, Plan, Quantity, Rendered, Renderer};
-use crate::report::{self, Pair, PairStatus, StripInput};
+use crate::report::{self, Pair, PairStatus, PoseSource, StripInput};
 use crate::reporter::Reporter;
 use crate::scene::Scene;
 use crate::scene::model::Noise;
@@ -299,7 +299,7 @@ impl Bench {
         if pair.reason.is_none() {
             pair.reason = Some(reason.to_owned());
         }
-        if pair.pose_source != report::PoseSource::None {
+        if pair.pose_source != PoseSource::None {
             self.reporter.warn("no DRR", format!("{}: {reason}", posed.label()));
         }
         let strip = Arc::new(draw(&posed, &pair, None, Some(reason)));
@@ -328,11 +328,7 @@ fn row(posed: &Posed) -> Pair {
     pair.time_us = Some(posed.time_us);
     pair.binding = how(&posed.binding).to_owned();
     pair.binding_evidence = posed.binding.evidence.clone();
-    pair.pose_source = match posed.pose_source {
-        PoseSource::Beads => report::PoseSource::Beads,
-        PoseSource::Telemetry => report::PoseSource::Telemetry,
-        PoseSource::None => report::PoseSource::None,
-    };
+    pair.pose_source = posed.pose_source;
     pair.status = match (posed.pose.is_accepted(), posed.pose_source) {
         (true, _) => PairStatus::Accepted,
         (false, PoseSource::None) => PairStatus::NoPose,

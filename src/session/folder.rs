@@ -78,13 +78,15 @@ impl Collector {
             "detector blur, focal spot, anode heel, lag",
             "the operating table and whatever else is not in the CT",
         ];
-        let inputs = workshop.inputs().iter().map(|input| (input.path.clone(), input.sha256.clone())).collect();
+        // Folders may be named after a patient; the hash says which file it was.
+        let name = |path: &Path| path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+        let inputs = workshop.inputs().iter().map(|input| (name(Path::new(&input.path)), input.sha256.clone())).collect();
         let provenance = Provenance {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             adapter: Some(workshop.adapter().to_owned()),
             command: None,
             inputs,
-            details: vec![("scene".to_owned(), setup.scene_path.display().to_string())],
+            details: vec![("scene".to_owned(), name(&setup.scene_path))],
         };
         let report = SessionReport {
             title: "Sidecarm session".to_owned(),

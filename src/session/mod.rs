@@ -31,7 +31,7 @@ mod tracks;
 mod workshop;
 
 pub use develop::Developed;
-pub use posing::{PoseJob, PoseSource, Posed, Registered, RobotState};
+pub use posing::{PoseJob, Posed, Registered, RobotState};
 pub use stop::Stop;
 pub use tie::Disagreement;
 pub use workshop::Workshop;

@@ -10,22 +10,11 @@ use crate::acquire::Frame;
 use crate::beads::{BeadLayout, Landmark};
 use crate::geometry::{CarmJoints, Intrinsics, Rigid, View};
 use crate::pose::{self, Pose, Prior, Registration};
+use crate::report::PoseSource;
 use crate::reporter::Reporter;
 use crate::telemetry::{AngleSource, CarmSample};
 use crate::time::{StageTimes, Stopwatch};
 use crate::timeline::{Binding, Support, Timeline};
-
-/// Where the pose of a pair came from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum PoseSource {
-    /// Beads in the frame.
-    Beads,
-    /// C-arm telemetry: the beads were refused.
-    Telemetry,
-    /// There is none.
-    None,
-}
 
 /// The robot's shape at the exposure.
 #[derive(Clone, Debug, PartialEq)]

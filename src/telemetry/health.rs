@@ -59,27 +59,6 @@ impl Health {
         ];
         lost.iter().sum()
     }
-
-    /// Whether nothing was ever lost or damaged.
-    #[must_use]
-    pub fn is_clean(&self) -> bool {
-        let faults = [
-            self.corrupt,
-            self.lost,
-            self.missed_unplugged,
-            self.duplicate,
-            self.reordered,
-            self.wrong_device,
-            self.unknown_message,
-            self.version_mismatch,
-            self.schema_mismatch,
-            self.malformed,
-            self.overlong,
-            self.resets,
-            self.stale,
-        ];
-        faults.iter().all(|count| *count == 0)
-    }
 }
 
 impl std::fmt::Display for Health {

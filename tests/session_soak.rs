@@ -68,7 +68,9 @@ fn memory_stays_bounded_over_hours() {
     println!("{} of {} packets lost, {} frames in the log, exit {:?}", missing.lost, missing.sent, heard.images, status.code());
     assert!(curve.len() > 8 && missing.sent > 1000, "{missing:?}");
     assert!(!still_grows(&curve), "memory grows: {:.0} then {:.0} MiB", mean_mib(&curve, 0.25, 0.5), mean_mib(&curve, 0.75, 1.0));
-    assert_eq!(missing.lost, 0, "{missing:?}");
+    // A pseudo-terminal holds twelve thousand bytes: nothing at the rate of a lab, ten milliseconds at a hundred times that.
+    assert!(missing.lost as f64 <= 2e-3 * missing.sent as f64, "{missing:?}");
+    assert_eq!(status.code(), Some(if missing.lost == 0 { 0 } else { 3 }), "what is lost is said: {}", live.stdout());
 }
 
 /// The control: a leak is seen, a plateau is none.

@@ -5,29 +5,35 @@
 //! wrong. What cannot be claimed is `None` and says why.
 
 mod collimation;
+mod comparison;
 mod domain;
 mod edges;
 mod elsewhere;
 mod filters;
+mod input;
 mod masks;
 mod null;
 mod pedestal;
 mod scores;
 mod seen;
 mod tone;
+mod wrong_poses;
 
 use std::collections::BTreeMap;
 
-use glam::{DVec2, DVec3};
+use glam::DVec3;
 
+pub use comparison::{Comparison, Pictures};
 pub use domain::{AirLevel, AirReport, CommonDomain};
 pub use elsewhere::{Elsewhere, elsewhere};
+pub use input::{CompareError, CompareInput};
 pub use masks::{Cause, MaskShares, REQUIRED_SHARE};
-pub use null::{NULL_RENDERS, NULL_WIDTH_PX, NullError, NullPlan, NullScore, Rerender, ShiftedScore};
+pub use null::{NULL_WIDTH_PX, NullError, NullPlan, NullScore, Rerender, ShiftedScore};
 pub use pedestal::{OffsetReport, OffsetRule};
 pub use scores::{FEWEST_PIXELS, LOCAL_WINDOW_PX, NULL_SCORES, SSIM_CONSTANTS, Scores};
 pub use seen::{LOCAL_BAND_PX, SCORE_SIGMA_PX};
 pub use tone::{Tone, ToneFit};
+pub use wrong_poses::NULL_RENDERS;
 
 use crate::acquire::{Domain, Frame};
 use crate::geometry::View;
@@ -35,157 +41,6 @@ use crate::image::Image;
 use masks::Masks;
 use scores::{Scored, score};
 use seen::{Ground, Seen};
-
-/// Why two images are not compared.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum CompareError {
-    /// The acquired frame is not a whole number of times larger than the simulated image.
-    #[error(
-        "sizes differ: {name} is {acquired:?} px, the simulated image {simulated:?}; render at the frame's size or a whole fraction of it"
-    )]
-    Size {
-        /// The frame.
-        name: String,
-        /// Columns and rows.
-        acquired: [usize; 2],
-        /// Columns and rows.
-        simulated: [usize; 2],
-    },
-    /// A mask has another size than the simulated image.
-    #[error("{what} mask is {found:?} px, the simulated image {expected:?}")]
-    MaskSize {
-        /// Which mask.
-        what: &'static str,
-        /// Columns and rows.
-        found: [usize; 2],
-        /// Columns and rows.
-        expected: [usize; 2],
-    },
-    /// Too little is left to score.
-    #[error("{left:.1} % of the image is left after masking, {required:.0} % are required ({causes})")]
-    TooLittleLeft {
-        /// Percent.
-        left: f64,
-        /// Percent.
-        required: f64,
-        /// Share by cause.
-        causes: String,
-    },
-    /// A tone that this domain does not permit.
-    #[error("tone {} does not suit domain {domain}: it permits {permitted}", tone.as_str())]
-    ToneNotPermitted {
-        /// Declared.
-        tone: Tone,
-        /// Of the frame.
-        domain: Domain,
-        /// Words.
-        permitted: &'static str,
-    },
-    /// The images do not determine the tone.
-    #[error("tone {} cannot be fitted: the simulated image is nearly constant where it is not masked", tone.as_str())]
-    ToneUndetermined {
-        /// Declared.
-        tone: Tone,
-    },
-}
-
-/// Two images to compare, and what is known about them.
-#[derive(Clone, Copy, Debug)]
-pub struct CompareInput<'a> {
-    /// As acquired. May be a whole number of times larger than the simulated image; it is binned then.
-    pub acquired: &'a Frame,
-    /// Simulated line integral, nepers; NaN where it cannot be known.
-    pub simulated_line_integral: &'a Image<f32>,
-    /// 1 where the simulation is valid.
-    pub valid: Option<&'a Image<u8>>,
-    /// True: leave out. At the simulated image's size, or at the acquired frame's.
-    pub extra_mask: Option<&'a Image<bool>>,
-    /// True: the robot or a tool, scored apart.
-    pub tool: Option<&'a Image<bool>>,
-    /// Centre and radius of the beads in the simulated image, px.
-    pub beads: &'a [(DVec2, f64)],
-    /// What may be fitted.
-    pub tone: Tone,
-    /// How the air level is known.
-    pub air: AirLevel,
-    /// How the stored value without X-rays is known, for linear frames.
-    pub offset: OffsetRule,
-    /// The view of the simulated image: gives edge distances in mm, and the null.
-    pub view: Option<&'a View>,
-    /// Centroid of the beads, else the centre of the specimen.
-    pub centre_lps_mm: Option<DVec3>,
-}
-
-impl<'a> CompareInput<'a> {
-    /// Nothing but the two images: no tone, air level from open air.
-    #[must_use]
-    pub fn new(acquired: &'a Frame, simulated_line_integral: &'a Image<f32>) -> Self {
-        Self {
-            acquired,
-            simulated_line_integral,
-            valid: None,
-            extra_mask: None,
-            tool: None,
-            beads: &[],
-            tone: Tone::None,
-            air: AirLevel::Open,
-            offset: OffsetRule::Shutters,
-            view: None,
-            centre_lps_mm: None,
-        }
-    }
-}
-
-/// What was found, as it is written to files.
-#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct Comparison {
-    /// Columns and rows that were compared.
-    pub size_px: [usize; 2],
-    /// Pixels of the acquired frame that make one here, each way.
-    pub binning: usize,
-    /// Of the acquired frame.
-    pub domain: Domain,
-    /// In which the images were compared.
-    pub common_domain: CommonDomain,
-    /// Where the air level came from.
-    pub air: AirReport,
-    /// Median noise of a pixel that quanta and electronics of the detector calibration give at the frame's own signal; nepers.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub noise_expected_nepers: Option<f64>,
-    /// The tone that was fitted.
-    pub tone: ToneFit,
-    /// With the tone.
-    pub scores: Scores,
-    /// Without any tone, on the same pixels.
-    pub scores_without_tone: Scores,
-    /// The robot or tool alone, with the tone; `None` without a tool mask.
-    pub scores_tool: Option<Scores>,
-    /// Each score against its null; empty until the null is made.
-    pub null: BTreeMap<String, NullScore>,
-    /// How the null was made.
-    pub null_plan: Option<NullPlan>,
-    /// What was left out.
-    pub masks: MaskShares,
-    /// Millimetres at the depth of the centre per pixel.
-    pub mm_per_px: Option<f64>,
-    /// What to beware of.
-    pub flags: Vec<String>,
-}
-
-/// The images behind the numbers, in the common domain: larger is more attenuation.
-#[derive(Clone, Debug)]
-pub struct Pictures {
-    /// The frame; NaN where it has no value.
-    pub acquired: Image<f32>,
-    /// The simulation as the fitted tone shows it; NaN where it is not known.
-    pub simulated: Image<f32>,
-    /// True where scored or fitted.
-    pub usable: Image<bool>,
-    /// Edges of the simulation.
-    pub edges: Image<bool>,
-    /// `nepers`, `nepers (offset unknown)`, or that they are gray values.
-    pub unit: &'static str,
-}
 
 /// A comparison, its pictures, and what a later null needs.
 #[derive(Clone, Debug)]

@@ -103,11 +103,9 @@ impl BoardState {
             }
         }
         let old = self.pairs.len().saturating_sub(WHOLE_PICTURES);
-        // All older ones were shrunk before.
-        for pair in self.pairs[..old].iter_mut().rev().take(2) {
-            if pair.acquired.width > THUMBNAIL_PX {
-                Arc::make_mut(pair).shrink();
-            }
+        // Any of the older ones may have come just now: the newest frame is developed first, and nulls come late.
+        for pair in self.pairs[..old].iter_mut().filter(|pair| pair.acquired.width > THUMBNAIL_PX) {
+            Arc::make_mut(pair).shrink();
         }
     }
 }
@@ -139,5 +137,30 @@ impl Board {
     #[must_use]
     pub fn snapshot(&self) -> BoardState {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn few_pictures_stay_whole_in_whatever_order_pairs_and_nulls_come() {
+        let pair = |number: u32| PairView {
+            number,
+            name: String::new(),
+            time_us: 0,
+            status: String::new(),
+            standing: Standing::Accepted,
+            acquired: Image::filled(620, 4, 0),
+            drr: None,
+            difference: None,
+            scores: Vec::new(),
+        };
+        let mut state = BoardState::default();
+        // The newest first, then each once more with its null.
+        (1..=60).rev().chain(1..=60).for_each(|number| state.show(pair(number)));
+        let whole = state.pairs.iter().filter(|pair| pair.acquired.width > THUMBNAIL_PX).count();
+        assert_eq!((state.pairs.len(), whole), (60, WHOLE_PICTURES));
     }
 }

@@ -291,8 +291,14 @@ fn a_null_can_be_cancelled_and_a_failing_render_is_named() {
     let frame = acquired(&simulated, 0.0);
     let input = CompareInput { view: Some(&view), centre_lps_mm: Some(DVec3::ZERO), ..CompareInput::new(&frame, &simulated) };
     let mut found = compared(&input);
-    let cancelled = found.add_null(&mut |small| Ok(line_integral(small)), &|| true);
-    assert_eq!(cancelled, Err(NullError::Cancelled { done: 1, total: 42 }));
+    // Asked before each render: a frame that waits gets the cores within one.
+    let renders = std::cell::Cell::new(0);
+    let counted = &mut |small: &View| {
+        renders.set(renders.get() + 1);
+        Ok(line_integral(small))
+    };
+    let cancelled = found.add_null(counted, &|| renders.get() == 7);
+    assert_eq!((cancelled, renders.get()), (Err(NullError::Cancelled { done: 7, total: 42 }), 7));
     let failed = found.add_null(&mut |_| Err("device lost".into()), &|| false);
     assert!(failed.is_err_and(|error| error.to_string().contains("device lost")));
     assert!(found.comparison.null.is_empty());

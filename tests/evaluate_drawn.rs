@@ -214,7 +214,7 @@ impl Drawing {
         let detector = &mut self.scene.detector;
         detector.response = draw.pick(&[Response::Energy, Response::Counting]);
         if chance(0.25, draw) {
-            detector.panel.blur_fwhm_mm = pitch_mm * draw.between(0.5, 4.0);
+            detector.panel.blur_fwhm_mm = (pitch_mm * draw.between(0.5, 4.0)).min(100.0);
             self.parts.push("blur");
         }
         if chance(0.25, draw) {

@@ -6,13 +6,14 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::cells::Cells;
+use super::chain;
 use super::cpu::add_noise::add_noise;
-use super::cpu::attenuate_spectrum::attenuate_spectrum;
+use super::cpu::attenuate_spectrum::{Signal, attenuate_spectrum};
 use super::cpu::enlarge_density::enlarge_density;
 use super::cpu::fixed_lanes::is_fast;
 use super::cpu::integrate_density::{Density, integrate_density};
 use super::meshes::MadeMesh;
-use super::plan::Sampling;
+use super::plan::{Executor, Sampling};
 use super::prepared::Prepared;
 use super::slabs::Slabs;
 use super::spectrum::{Bins, LANES};
@@ -25,7 +26,7 @@ use crate::scene::model::{Matter, Mesh, Object, Scene, Shape, Solid, Volume};
 use crate::time::Stopwatch;
 
 /// Goes up whenever an executor becomes faster or slower, so that no one trusts costs of the one before.
-const METHOD: u32 = 5;
+const METHOD: u32 = 6;
 
 /// Nanoseconds of one core.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -48,8 +49,12 @@ pub struct Costs {
     pub between_ns: f64,
     /// A pixel and eight energies.
     pub energies_ns: f64,
+    /// A pixel and eight energies behind a heel: with and without the object.
+    pub shaped_ns: f64,
     /// A pixel's noise.
     pub noise_ns: f64,
+    /// An image, however small: cores are woken, memory is fetched.
+    pub image_ms: f64,
 }
 
 impl Default for Costs {
@@ -65,7 +70,9 @@ impl Default for Costs {
             mesh_level_ns: 40.0,
             between_ns: 3.0,
             energies_ns: 12.0,
+            shaped_ns: 60.0,
             noise_ns: 60.0,
+            image_ms: 0.3,
         }
     }
 }
@@ -95,9 +102,14 @@ pub struct Work {
     pub materials: usize,
     /// Energies at which every pixel is evaluated.
     pub energies: usize,
+    /// Part of [`Costs::shaped_ns`] that beam shapes ask for at all energies of the spectrum; 0 where none varies from pixel to pixel.
+    pub shaped: f64,
     /// Whether noise is drawn.
     pub noise: bool,
 }
+
+/// Pixels that a core takes at a time, in all.
+const TILE_PX: f64 = 1024.0;
 
 impl Costs {
     /// Milliseconds that `work` takes with `sampling`.
@@ -125,9 +137,12 @@ impl Costs {
         };
         let ray = volume + self.solid_ns * work.solids_per_ray + self.mesh_level_ns * work.mesh_levels_per_ray;
         let blocks = work.energies.div_ceil(LANES) as f64;
-        let pixel = self.energies_ns * blocks + if work.noise { self.noise_ns } else { 0.0 };
+        let pixel = (self.energies_ns + work.shaped * self.shaped_ns) * blocks + if work.noise { self.noise_ns } else { 0.0 };
         let between = work.interpolated * self.between_ns * work.materials.max(1) as f64;
-        (work.rays * ray + work.pixels * pixel + between) * 1e-6 / self.threads as f64
+        // The last round of tiles leaves cores idle; an image of one tile has one core.
+        let tiles = (work.pixels / TILE_PX).ceil().max(1.0);
+        let cores = tiles / (tiles / self.threads as f64).ceil();
+        (work.rays * ray + work.pixels * pixel + between) * 1e-6 / cores + self.image_ms
     }
 
     /// The costs of this machine: from the cache, else measured and cached. A cache that cannot be written is no error.
@@ -154,8 +169,9 @@ impl Costs {
     }
 
     fn is_sound(&self) -> bool {
-        let all = [self.walked_slab_ns, self.solid_ns, self.mesh_level_ns, self.between_ns, self.energies_ns, self.noise_ns];
-        let all = all.iter().chain(&self.exact_slab_ns).chain(&self.fixed_slab_ns);
+        let all = [self.walked_slab_ns, self.solid_ns, self.mesh_level_ns, self.between_ns, self.energies_ns];
+        let pixel = [self.shaped_ns, self.noise_ns, self.image_ms];
+        let all = all.iter().chain(&pixel).chain(&self.exact_slab_ns).chain(&self.fixed_slab_ns);
         self.threads > 0 && all.into_iter().all(|ns| *ns > 0.0 && ns.is_finite())
     }
 }
@@ -173,7 +189,7 @@ fn measure() -> Costs {
     let threads = rayon::current_num_threads();
     let mut costs = Costs { threads, ..Costs::default() };
     let per = |ms: f64, count: f64| (ms * 1e6 * threads as f64 / count).max(1e-3);
-    let Some(scene) = test_scene() else { return costs };
+    let Some(scene) = test_scene("") else { return costs };
     let crossed = (EDGE * EDGE) as f64 * EDGE as f64;
     let time = |volume: Volume, sampling: Sampling| {
         let volume = Arc::new(volume);
@@ -214,6 +230,14 @@ fn measure() -> Costs {
         let density = Density { material_count: count, g_per_cm2, valid: vec![1; pixels], unscanned_mm: 0.0 };
         let blocks = (bins.padded / LANES) as f64;
         costs.energies_ns = per(fastest(|| drop(attenuate_spectrum(&density, &bins, false))), pixels as f64 * blocks);
+        if let (Some(heeled), Some(view)) = (test_scene(r#""heel": {"anode_towards": "+column"},"#), scene.view) {
+            let seen = EDGE * EDGE;
+            let (g_per_cm2, valid) = (density.g_per_cm2[..seen * count].to_vec(), vec![1; seen]);
+            let density = Density { g_per_cm2, valid, ..density };
+            let made_by = (nodes.as_slice(), Executor::Cpu);
+            let shape = || drop(chain::shape(&heeled, &view, made_by, &density, &bins, &mut Signal::default(), false));
+            costs.shaped_ns = per(fastest(shape), seen as f64 * blocks);
+        }
     }
     if let Some(ns) = time_objects(&scene, timed_tubes(), threads) {
         costs.solid_ns = ns / TUBES as f64;
@@ -225,6 +249,10 @@ fn measure() -> Costs {
     }
     let coarse = Density { material_count: 1, g_per_cm2: vec![1.0; 129 * 129], valid: vec![1; 129 * 129], unscanned_mm: 0.0 };
     costs.between_ns = per(fastest(|| drop(enlarge_density(&coarse, [129, 129], [256, 256], 2))), pixels as f64);
+    // Four steps, each of which wakes the cores for next to nothing.
+    if let Some(ns) = time_objects(&scene, Matter::Solids(Vec::new()), threads) {
+        costs.image_ms = 4.0 * ns * (EDGE * EDGE) as f64 * 1e-6 / threads as f64;
+    }
     let expected: Vec<f32> = (0..pixels).map(|i| 10.0 + (i % 4096) as f32).collect();
     costs.noise_ns = per(fastest(|| drop(add_noise(&expected, 1, 0))), pixels as f64);
     costs
@@ -295,16 +323,17 @@ fn time_objects(scene: &Scene, matter: Matter, threads: usize) -> Option<f64> {
     Some((ms * 1e6 * threads as f64 / (EDGE * EDGE) as f64).max(1e-3))
 }
 
-/// Everything but the volume.
-fn test_scene() -> Option<Scene> {
+/// Everything but the volume; `beam` is added to the beam's keys.
+fn test_scene(beam: &str) -> Option<Scene> {
     let text = r#"{ "objects": [
         {"sphere": {"centre_lps_mm": [0,0,0], "radius_mm": 1, "material": "water"}},
         {"sphere": {"centre_lps_mm": [0,0,0], "radius_mm": 1, "material": "bone_cortical"}},
         {"sphere": {"centre_lps_mm": [0,0,0], "radius_mm": 1, "material": "adipose"}},
         {"sphere": {"centre_lps_mm": [0,0,0], "radius_mm": 1, "material": "titanium"}} ],
-        "beam": {"tube_kvp": 120, "anode_angle_deg": 12, "filtration_mm": {"aluminium": 4.3}, "photons_per_pixel": 1e5},
+        "beam": {BEAM "tube_kvp": 120, "anode_angle_deg": 12, "filtration_mm": {"aluminium": 4.3}, "photons_per_pixel": 1e5},
         "detector": {"response": "energy", "pitch_mm": 2.0}, "model": {"formation": "deepdrr"} }"#;
-    let mut scene = crate::scene::load_text(text, std::path::Path::new("timing"), false, &Reporter::silent()).ok()?;
+    let mut scene =
+        crate::scene::load_text(&text.replace("BEAM", beam), std::path::Path::new("timing"), false, &Reporter::silent()).ok()?;
     let middle = 0.5 * (EDGE as f64 - 1.0);
     // Half a voxel a pixel.
     let intrinsics = Intrinsics { fx: 2000.0, fy: 2000.0, cx: middle, cy: middle, skew: 0.0 };
@@ -354,6 +383,11 @@ mod tests {
         assert!(ms > 0.0);
         assert!(costs.predict_ms(&Work { energies: 120, ..work }, Sampling::ExactSlabs) > ms);
         assert!(costs.predict_ms(&Work { noise: true, ..work }, Sampling::ExactSlabs) > ms);
+        assert!(costs.predict_ms(&Work { shaped: 1.0, ..work }, Sampling::ExactSlabs) > ms);
+        // Half a tile more than the cores take at a time: a second round.
+        let tiles = |count: f64| costs.predict_ms(&Work { pixels: count * TILE_PX, rays: 0.0, ..work }, Sampling::ExactSlabs);
+        let threads = costs.threads as f64;
+        assert!(costs.threads == 1 || tiles(threads + 1.0) - costs.image_ms > 1.2 * (tiles(threads) - costs.image_ms));
         assert!(costs.predict_ms(&Work { filled_per_ray: 80.0, ..work }, Sampling::ExactSlabs) < ms);
         assert!(costs.predict_ms(&Work { rays: 2.5e4, ..work }, Sampling::ExactSlabs) < ms);
         assert!(costs.predict_ms(&Work { walked_share: 0.5, ..work }, Sampling::ExactSlabs) > 2.0 * ms);

@@ -420,6 +420,18 @@ fn work(task: &Task, pilot: &Pilot, way: &Way, energies: usize) -> Work {
         mesh_levels_per_ray: pilot.mesh_levels_per_ray,
         materials,
         energies,
+        shaped: shaped(task.scene, task.quantity),
         noise: noise_applies(task.scene, task.quantity),
+    }
+}
+
+/// Passes over the spectrum that heel and bow-tie take, in those of a heel: it is needed with and without the object, a bow-tie alone only
+/// with it, and where there is one mean attenuation only the beam itself.
+fn shaped(scene: &Scene, quantity: Quantity) -> f64 {
+    let shape = &scene.beam.shape;
+    match (shape.varies() && quantity != Quantity::AreaDensity, shape.heel.is_some(), scene.model.formation) {
+        (false, ..) => 0.0,
+        (true, true, Formation::Deepdrr) => 1.0,
+        (true, ..) => 0.6,
     }
 }

@@ -419,7 +419,8 @@ fn work(task: &Task, pilot: &Pilot, way: &Way, energies: usize) -> Work {
         solids_per_ray: pilot.solids_per_ray,
         mesh_levels_per_ray: pilot.mesh_levels_per_ray,
         materials,
-        energies,
+        // Naive formation has one mean attenuation.
+        energies: if task.scene.model.formation == Formation::Naive { energies.min(1) } else { energies },
         shaped: shaped(task.scene, task.quantity),
         noise: noise_applies(task.scene, task.quantity),
     }

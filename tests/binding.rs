@@ -81,5 +81,8 @@ fn thousand_sessions() {
     assert!(all.frames > 0 && all.wrong.is_empty(), "{} wrong", all.wrong.len());
     assert_eq!(all.taken_back, 0);
     let (bound, decidable) = (all.decidable_bound as f64, all.decidable as f64);
-    assert!(bound >= 0.95 * decidable, "{bound} of {decidable} bound that can be told apart");
+    assert!(count < 500 || bound >= 0.95 * decidable, "{bound} of {decidable} bound that can be told apart");
+    // The share of all holds for many sessions only: a single one may have nothing that tells its frames apart.
+    let (bound, frames) = (all.bound as f64, all.frames as f64);
+    assert!(count < 500 || bound >= 0.92 * frames, "{bound} of {frames} bound");
 }

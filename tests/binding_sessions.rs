@@ -403,7 +403,7 @@ pub fn session(seed: u64, kind: Kind) -> Session {
 }
 
 /// What the C-arm sends, with holes.
-fn samples(
+pub fn samples(
     draw: &mut Draw,
     truth_s: &[(f64, f64)],
     end_s: f64,

@@ -18,6 +18,7 @@ mod record_writer;
 mod attach_command;
 mod bad_input;
 mod binding;
+mod binding_cases;
 mod binding_play;
 mod binding_sessions;
 mod beads_detection;

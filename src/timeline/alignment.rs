@@ -27,7 +27,7 @@ impl Stamped {
     /// Offsets with which the frame is of the exposure at `at`, brought to the time `middle_us`.
     fn range(&self, shots: &Shots, at: usize, middle_us: i64) -> Option<Bounds> {
         let shot = shots.get(at);
-        let causal = self.arrival_us.is_none_or(|arrival_us| shot.end_us <= arrival_us);
+        let causal = self.arrival_us.is_none_or(|arrival_us| shot.over_us <= arrival_us);
         causal.then(|| Bounds::of(self.console_us, self.resolution_us, shot.start_us, shot.end_us).at(middle_us))
     }
 }
@@ -51,7 +51,8 @@ fn explained(stamps: &[Stamped], shots: &Shots, middle_us: i64, offset_us: i64) 
 }
 
 /// Pairs of stamp and exposure of which the offset can be learnt: positions in `stamps` and `shots`. Empty while two readings are possible.
-pub(super) fn align(stamps: &mut [Stamped], shots: &Shots) -> Vec<(Stamped, usize)> {
+/// `blind`: whether telemetry was silent within two host times.
+pub(super) fn align(stamps: &mut [Stamped], shots: &Shots, blind: &dyn Fn(i64, i64) -> bool) -> Vec<(Stamped, usize)> {
     if shots.len() == 0 || stamps.len().saturating_mul(shots.len()) > MOST_PAIRS {
         return Vec::new();
     }
@@ -93,7 +94,14 @@ pub(super) fn align(stamps: &mut [Stamped], shots: &Shots) -> Vec<(Stamped, usiz
     if best < 3 || 2 * best < different.len() || best < second + (best / 5).max(3) {
         return Vec::new();
     }
-    pairs_in_order(stamps, shots, middle_us, offset_us)
+    // A frame that may be of an exposure that was not seen has no place in the order.
+    let seen = |stamped: &&Stamped| {
+        let from_us = stamped.console_us.saturating_add(offset_us);
+        let to_us = from_us.saturating_add(stamped.resolution_us);
+        !blind(from_us.saturating_sub(SAME_US / 2), to_us.saturating_add(SAME_US / 2).min(stamped.arrival_us.unwrap_or(i64::MAX)))
+    };
+    let stamps: Vec<Stamped> = stamps.iter().filter(seen).copied().collect();
+    pairs_in_order(&stamps, shots, middle_us, offset_us)
 }
 
 /// Near a coarse offset, the exposures that stamps must have because every later stamp is of a later exposure.

@@ -182,7 +182,7 @@ impl Binder {
     /// Judges until nothing more follows.
     fn settle(&mut self, timeline: &Timeline, newest_us: Option<i64>, now_us: i64) {
         if self.finished {
-            self.align();
+            self.align(timeline);
         }
         loop {
             self.agree_on_offset();

@@ -14,7 +14,9 @@ pub(super) enum Firmness {
     Equal,
     /// The known frames on either side have different shifts, and this is one of them.
     Border,
-    /// The nearest known frame on one side has it, there is none on the other.
+    /// The nearest known frame on one side has it and no other, there is none on the other side: one frame is not yet a count.
+    Once,
+    /// The nearest known frames on one side have it, there is none on the other.
     OneSide,
     /// The known frames before and after have it.
     Enclosed,
@@ -80,6 +82,15 @@ impl Counting {
         self.shifts.range(shot + 1..).next().is_some()
     }
 
+    /// Whether the two known frames nearest to `at`, on a side that has any, both have the shift. A counter that began anew at the last
+    /// known frame may do so again at the next, and then names a neighbour.
+    fn twice(&self, at: usize, shift: i64) -> bool {
+        let (mut before, mut after) = (self.shifts.range(..=at).rev(), self.shifts.range(at..));
+        let two =
+            |side: &mut dyn Iterator<Item = (&usize, &i64)>| side.take(2).filter(|(_, known)| **known == shift).count() == 2;
+        two(&mut before) || two(&mut after)
+    }
+
     /// Whether the counter has never begun anew, as far as is known: its shift stays, or changes by an exposure or two where telemetry
     /// missed or tore some and the C-arm does not count them.
     pub(super) fn steady(&self, shots: &Shots) -> bool {
@@ -112,7 +123,8 @@ impl Counting {
                 let firmness = match (before == Some(shift), after == Some(shift), before.is_none(), after.is_none()) {
                     (true, ..) | (_, true, ..) if torn => Firmness::Border,
                     (true, true, ..) => Firmness::Enclosed,
-                    (true, _, _, true) | (_, true, true, _) => Firmness::OneSide,
+                    (true, _, _, true) | (_, true, true, _) if self.twice(*at, shift) => Firmness::OneSide,
+                    (true, _, _, true) | (_, true, true, _) => Firmness::Once,
                     (true, ..) | (_, true, ..) => Firmness::Border,
                     (_, _, true, true) if shots.counted && shift == 0 => Firmness::Equal,
                     _ => continue,

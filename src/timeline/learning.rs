@@ -46,7 +46,7 @@ impl Binder {
     }
 
     /// At the end, with no offset known from prompt frames: the one at which the whole batch falls into place, if there is only one.
-    pub(super) fn align(&mut self) {
+    pub(super) fn align(&mut self, timeline: &Timeline) {
         if self.known_offsets().next().is_some() {
             return;
         }
@@ -56,7 +56,8 @@ impl Binder {
             Some(Stamped { console_us, resolution_us, arrival_us: said.arrival_us })
         };
         let mut stamps: Vec<Stamped> = self.open.iter().filter_map(stamped).collect();
-        let pairs = align(&mut stamps, &self.shots);
+        let blind = |from_us: i64, to_us: i64| timeline.exposure_tracker().blind_spot(from_us, to_us).is_some();
+        let pairs = align(&mut stamps, &self.shots, &blind);
         let mut offset = ConsoleOffset::default();
         for (stamped, at) in pairs {
             let shot = self.shots.get(at);

@@ -5,6 +5,7 @@
 
 mod agreement;
 mod alignment;
+mod arrival;
 mod binder;
 mod binding;
 mod clock;

@@ -19,6 +19,8 @@ mod attach_command;
 mod bad_input;
 mod binding;
 mod binding_cases;
+mod binding_days;
+mod binding_draw;
 mod binding_play;
 mod binding_sessions;
 mod beads_detection;

@@ -82,7 +82,7 @@ impl Weighed<'_> {
 
     /// How long after their exposures the other frames come, as far as one came alone after one exposure: the shortest and the longest
     /// with a margin; `None` while too few are known.
-    fn usual_delay_us(&self) -> Option<[i64; 2]> {
+    pub(super) fn usual_delay_us(&self) -> Option<[i64; 2]> {
         let delay = |other: &Pending| {
             let [at] = other.prompt.as_deref()? else { return None };
             let (shot, arrival_us) = (self.binder.shots.get(*at), other.evidence.arrival_us?);

@@ -291,6 +291,12 @@ impl Binder {
         said.console_us.is_none() && 2 * stamped > standing || said.counter.is_none() && 2 * self.counting.frames() > standing
     }
 
+    /// Whether the frame, whose counter names the exposure at `at`, may be of `other`, which waits for its frame.
+    pub(super) fn rival(&self, said: &FrameEvidence, at: usize, other: usize) -> bool {
+        let may_be = || said.counter.is_none_or(|counter| self.counting.may_be(&self.shots, counter, at, other));
+        other != at && self.shots.get(other).frame.is_none() && may_be()
+    }
+
     /// Whether prompt frames wait whose counter is not what the known shifts say: it may have begun anew.
     pub(super) fn restless(&self) -> bool {
         let strange = |pending: &&Pending| {

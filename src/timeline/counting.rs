@@ -91,6 +91,32 @@ impl Counting {
         two(&mut before) || two(&mut after)
     }
 
+    /// Whether the counter counts exposures, nothing else, as far as is known: its shift stays wherever neither it nor the C-arm's begins
+    /// anew, and nothing was missed (`blind`, between two positions, where the C-arm does not count).
+    pub(super) fn counts_exposures(&self, shots: &Shots, blind: &dyn Fn(usize, usize) -> bool) -> bool {
+        let known: Vec<(usize, i64, i64)> =
+            self.shifts.iter().filter_map(|(shot, shift)| Some((*shot, shots.number(*shot)?, *shift))).collect();
+        let kept = |pair: &[(usize, i64, i64)]| {
+            let ((one, number, shift), (other, next_number, next_shift)) = (pair[0], pair[1]);
+            let anew = next_number + next_shift <= number + shift || next_number <= number;
+            shift == next_shift || anew || !shots.counted && blind(one, other)
+        };
+        self.agreements().0 >= 2 && known.windows(2).all(kept)
+    }
+
+    /// Whether a frame with `counter`, which names the exposure at `at`, may be of `other` instead: of a later one, if exposures without a
+    /// picture are not counted; of an earlier one, if a picture between them was counted that is there.
+    pub(super) fn may_be(&self, shots: &Shots, counter: u32, at: usize, other: usize) -> bool {
+        let (Some(named), Some(number)) = (shots.number(at), shots.number(other)) else { return true };
+        let own = u32::try_from(i64::from(counter) - named + number);
+        other > at || own.is_ok_and(|own| self.times_seen(own) > 0)
+    }
+
+    /// Whether nothing but this shift is known, from one frame at least.
+    pub(super) fn only(&self, shift: i64) -> bool {
+        !self.shifts.is_empty() && self.shifts.values().all(|known| *known == shift)
+    }
+
     /// Whether the counter has never begun anew, as far as is known: its shift stays, or changes by an exposure or two where telemetry
     /// missed or tore some and the C-arm does not count them.
     pub(super) fn steady(&self, shots: &Shots) -> bool {

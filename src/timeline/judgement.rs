@@ -10,6 +10,9 @@ const AFTER_STAMP_US: i64 = 500_000;
 /// Frames with stamps this near take part in the order of a burst.
 const ORDER_US: i64 = 20_000_000;
 
+/// Stamps within this time of each other show whether the clock was set.
+const STRETCH_US: i64 = 3_600_000_000;
+
 /// What came of it.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Judgement {
@@ -73,15 +76,17 @@ impl Weighed<'_> {
         if let Some(reason) = self.binder.counting.useless() {
             return (Vec::new(), Some(reason));
         }
-        let blind = |from: usize, to: usize| {
-            let (from, to) = (self.binder.shots.get(from), self.binder.shots.get(to));
-            self.timeline.exposure_tracker().blind_spot(from.end_us, to.start_us.max(from.end_us)).is_some()
-        };
-        let mut found = self.binder.counting.candidates(&self.binder.shots, counter, &blind);
+        let mut found = self.binder.counting.candidates(&self.binder.shots, counter, &|from, to| self.hidden(from, to));
         if let Some(arrival_us) = self.pending.evidence.arrival_us {
             found.retain(|(at, _)| self.binder.shots.get(*at).start_us <= arrival_us);
         }
         (found, None)
+    }
+
+    /// Whether telemetry was silent between two exposures.
+    fn hidden(&self, from: usize, to: usize) -> bool {
+        let (from, to) = (self.binder.shots.get(from), self.binder.shots.get(to));
+        self.timeline.exposure_tracker().blind_spot(from.end_us, to.start_us.max(from.end_us)).is_some()
     }
 
     /// Leaves the exposures that the frame can have if later stamps are of later exposures: each stamp is of another exposure than every
@@ -122,6 +127,43 @@ impl Weighed<'_> {
         }
     }
 
+    /// Why the stamp does not tell although it fits `at`: the clock may have been set between the frames that confirm its offset and this
+    /// one, because the arrival speaks for another exposure, or because other stamps from there fit nothing.
+    fn may_be_set(&self, at: usize, prompt: &[usize]) -> Option<String> {
+        let at_us = self.binder.shots.get(at).end_us;
+        let pair = self.binder.pair(&self.pending.evidence, at)?;
+        let spans: Vec<(i64, i64)> =
+            self.binder.known_offsets().filter(|offset| offset.allows(&pair)).filter_map(|offset| offset.span_us()).collect();
+        if prompt.contains(&at) || spans.iter().any(|(first_us, last_us)| (*first_us..=*last_us).contains(&at_us)) {
+            return None;
+        }
+        if let Some(other) = prompt.last() {
+            let (by_stamp, by_arrival) = (self.label(at), self.label(*other));
+            return Some(format!(
+                "the console's stamp points to {by_stamp}, the arrival to {by_arrival}, and its clock may have been set"
+            ));
+        }
+        let (mut fitting, mut lost) = (0, 0);
+        for frame in &self.binder.open {
+            let Some(other) = self.binder.frames.get(frame).filter(|other| other.evidence.frame != self.pending.evidence.frame)
+            else {
+                continue;
+            };
+            let Some(stamp) = self.fitting(&other.evidence) else { continue };
+            let within = spans.iter().any(|(first_us, last_us)| stamp.from_us >= *first_us && stamp.to_us <= *last_us);
+            let apart_us = stamp.from_us.saturating_sub(at_us).saturating_abs();
+            if !within && apart_us < STRETCH_US {
+                *(if stamp.fitting.is_empty() { &mut lost } else { &mut fitting }) += 1;
+            }
+        }
+        (lost > 1 + fitting / 2).then(|| {
+            let label = self.label(at);
+            format!(
+                "the console's stamp fits {label}, but {lost} others from that time fit no exposure: its clock may have been set"
+            )
+        })
+    }
+
     /// Exposures of which a frame with this stamp must have one: none where telemetry was silent, for it may be of one that was not seen.
     fn places(&self, stamp: ByStamp) -> Vec<usize> {
         let blind = self.timeline.exposure_tracker().blind_spot(stamp.from_us, stamp.to_us).is_some();
@@ -150,7 +192,7 @@ impl Weighed<'_> {
             let near = self.binder.shots.touching(from_us, to_us);
             let causal = |at: &usize| {
                 let over_us = self.binder.shots.get(*at).over_us;
-                said.arrival_us.is_none_or(|arrival_us| over_us <= arrival_us.saturating_add(100_000))
+                said.arrival_us.is_none_or(|arrival_us| over_us <= arrival_us)
             };
             let fitting: Vec<usize> = near
                 .filter(causal)
@@ -186,7 +228,7 @@ impl Weighed<'_> {
     ) -> Judgement {
         let both: Vec<(usize, Firmness)> = candidates.iter().filter(|(at, _)| stamp.fitting.contains(at)).copied().collect();
         match (&both[..], &stamp.fitting[..]) {
-            ([(at, firmness)], fitting) if fitting.len() == 1 || *firmness >= Firmness::OneSide => {
+            ([(at, firmness)], fitting) if fitting.len() == 1 || self.decides(*at, *firmness, fitting) => {
                 words.push(format!("the counter names {} as well", self.label(*at)));
                 words.push(format!("the console's stamp fits {}", self.label(*at)));
                 self.of(*at, BindingHow::Counter, words, true)
@@ -196,6 +238,10 @@ impl Weighed<'_> {
                 Judgement::None(words)
             }
             (_, [at]) => {
+                if let Some(set) = self.may_be_set(*at, prompt) {
+                    words.push(set);
+                    return Judgement::None(words);
+                }
                 let free = |at: usize| self.binder.shots.get(at).frame.is_none();
                 let firm = candidates.iter().find(|(other, firmness)| *firmness == Firmness::Enclosed && free(*other));
                 if let Some((other, _)) = firm
@@ -226,6 +272,26 @@ impl Weighed<'_> {
         }
     }
 
+    /// Whether the counter decides for `at` among `several` exposures: no other of them waits for its frame, or the counter's
+    /// shift is the same before and after. A console that counts the pictures it stores names a neighbour as soon as one is missing or one more
+    /// was stored.
+    fn decides(&self, at: usize, firmness: Firmness, several: &[usize]) -> bool {
+        let said = &self.pending.evidence;
+        let mut rivals = several.iter().copied().filter(|other| self.binder.rival(said, at, *other));
+        if firmness >= Firmness::OneSide && rivals.clone().next().is_none() {
+            return true;
+        }
+        // One picture too few and one too many leave the same shift on either side; when the frame came shows it.
+        let usual_us = self.usual_delay_us();
+        let usual = |at: usize| {
+            let delay_us = said.arrival_us.map(|arrival_us| arrival_us.saturating_sub(self.binder.shots.get(at).end_us));
+            delay_us.zip(usual_us).is_some_and(|(delay_us, usual_us)| (usual_us[0]..=usual_us[1]).contains(&delay_us))
+        };
+        firmness == Firmness::Enclosed
+            && self.binder.counting.counts_exposures(&self.binder.shots, &|from, to| self.hidden(from, to))
+            && (usual(at) || !rivals.any(usual) && (usual_us.is_some() || said.console_us.is_some()))
+    }
+
     /// A frame unlike the others is bound only where counter and arrival name the same exposure, and last of all: the exposure's own frame
     /// may still come.
     fn counted_and_prompt(&self, candidates: &[(usize, Firmness)], prompt: &[usize], mut words: Vec<String>) -> Judgement {
@@ -253,13 +319,20 @@ impl Weighed<'_> {
             // A value that came before may be one that does not move, or that began anew.
             let fresh = self.binder.counting.times_seen(counter) <= 1;
             // Where nothing is known yet, an equal number proves little beside a second exposure.
-            let proved = *firmness >= Firmness::OneSide || fresh && prompt.len() == 1;
+            let proved = self.decides(*at, *firmness, prompt)
+                || fresh && prompt.len() == 1
+                || fresh && self.orderly(*at, *firmness, prompt);
             if prompt.contains(at) && proved {
                 words.push(format!("counter {counter} names {}, which ended shortly before the frame arrived", self.label(*at)));
                 return self.of(*at, BindingHow::Counter, words, true);
             }
-            // An exposure right before the arrival competes, unless the counter is known not to have begun anew by then.
-            let rival = prompt.iter().find(|other| free(**other) && *other != at && !self.binder.counting.passed(**other));
+            // An exposure right before the arrival competes: always, if the frame came promptly for either; else unless the counter is
+            // known not to have begun anew by then.
+            let competes = |other: usize| match prompt.contains(at) {
+                true => self.binder.rival(said, *at, other),
+                false => free(other) && other != *at && !self.binder.counting.passed(other),
+            };
+            let rival = prompt.iter().find(|other| competes(**other));
             let steady = self.binder.counting.steady(&self.binder.shots) && !self.binder.restless();
             let firm = steady && *firmness == Firmness::Enclosed;
             if let Some(rival) = rival.filter(|_| firm) {

@@ -15,6 +15,7 @@ mod evidence;
 mod exposure;
 mod judgement;
 mod learning;
+mod orderly;
 mod segments;
 mod shots;
 mod track;

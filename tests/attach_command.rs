@@ -9,7 +9,7 @@ use serde_json::Value;
 use sidecarm::record::{Provenance, Recorder};
 
 use crate::acquire_frames::{fluoroscopy, save};
-use crate::binding_sessions::Draw;
+use crate::binding_draw::Draw;
 use crate::telemetry_frames::carm;
 
 /// 2026-11-21, ten in the morning, UTC.

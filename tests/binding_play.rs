@@ -1,11 +1,11 @@
 //! A drawn session through timeline and binder, as the engine plays it, and what came of it.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use sidecarm::telemetry::{DeviceKind, Sample};
 use sidecarm::timeline::{Binder, Binding};
 
-use crate::binding_sessions::{Exposed, Session, Truth};
+use crate::binding_draw::{Exposed, Session, Truth};
 use crate::timeline_joints::{Fed, T0_US};
 
 /// How one session went.
@@ -18,8 +18,10 @@ pub struct Score {
     pub decidable_bound: usize,
     pub prompt: usize,
     pub prompt_bound: usize,
-    /// Prompt frames bound within a second of their arrival.
-    pub at_once: usize,
+    /// Prompt frames that something tells apart: all, bound when a live session develops them, and within 1.5 s of their arrival.
+    pub clear: usize,
+    pub in_time: usize,
+    pub soon: usize,
     pub wrong: Vec<String>,
     /// Why frames were left unbound, digits taken out.
     pub reasons: BTreeMap<String, usize>,
@@ -35,7 +37,9 @@ impl Score {
         self.decidable_bound += other.decidable_bound;
         self.prompt += other.prompt;
         self.prompt_bound += other.prompt_bound;
-        self.at_once += other.at_once;
+        self.clear += other.clear;
+        self.in_time += other.in_time;
+        self.soon += other.soon;
         self.taken_back += other.taken_back;
         self.wrong.extend(other.wrong.iter().cloned());
         for (reason, count) in &other.reasons {
@@ -60,8 +64,9 @@ pub fn play(session: &Session) -> Score {
     let mut score = Score::default();
     let mut samples = session.samples.iter().peekable();
     let mut given: Vec<Option<u64>> = vec![None; session.frames.len()];
-    let mut at_once: Vec<bool> = vec![false; session.frames.len()];
-    let mut note = |binder: &Binder, changed: Vec<u32>, now_us: i64, score: &mut Score| {
+    let (mut in_time, mut soon) = (vec![None; session.frames.len()], vec![false; session.frames.len()]);
+    let mut waiting: BTreeSet<u32> = BTreeSet::new();
+    let mut note = |binder: &Binder, changed: Vec<u32>, new: Option<u32>, now_us: i64, score: &mut Score| {
         for frame in changed {
             let binding = binder.binding(frame).expect("a changed frame is known");
             let slot = &mut given[frame as usize];
@@ -71,10 +76,28 @@ pub fn play(session: &Session) -> Score {
             }
             *slot = index;
             let arrival_us = session.frames[frame as usize].evidence.arrival_us.expect("drawn frames arrive");
-            if index.is_some() && now_us - arrival_us <= 1_000_000 {
-                at_once[frame as usize] = true;
-            }
+            soon[frame as usize] |= index.is_some() && now_us - arrival_us <= 1_500_000;
         }
+        // The engine develops a frame once its binding is settled, or after a second as it stands.
+        waiting.extend(new);
+        waiting.retain(|frame| {
+            let arrival_us = session.frames[*frame as usize].evidence.arrival_us.expect("drawn frames arrive");
+            let binding = binder.binding(*frame).expect("a waiting frame is known");
+            let developed = binding.settled || now_us - arrival_us >= 1_000_000;
+            if developed {
+                in_time[*frame as usize] = Some(binding.exposure.is_some());
+                let sent = &session.frames[*frame as usize];
+                if std::env::var_os("SIDECARM_WHY").is_some()
+                    && binding.exposure.is_none()
+                    && matches!(sent.truth, Truth::Of(_))
+                    && !sent.late
+                    && !sent.twin
+                {
+                    println!("not in time: {}: frame {frame}: {}", session.described, binding.evidence.join("; "));
+                }
+            }
+            !developed
+        });
     };
     let mut clock_us = T0_US;
     for sent in &session.frames {
@@ -87,18 +110,27 @@ pub fn play(session: &Session) -> Score {
                 fed.push_sample(DeviceKind::Carm, *host_us, 0, Sample::Carm(sample.clone()));
             }
             let changed = binder.update(&fed, clock_us);
-            note(&binder, changed, clock_us, &mut score);
+            note(&binder, changed, None, clock_us, &mut score);
         }
         binder.push(sent.evidence.clone());
         let changed = binder.update(&fed, arrival_us);
-        note(&binder, changed, arrival_us, &mut score);
+        note(&binder, changed, Some(sent.evidence.frame), arrival_us, &mut score);
+    }
+    let last_us = clock_us + 2_000_000;
+    while clock_us < last_us {
+        clock_us += 100_000;
+        while let Some((host_us, sample)) = samples.next_if(|(host_us, _)| *host_us <= clock_us) {
+            fed.push_sample(DeviceKind::Carm, *host_us, 0, Sample::Carm(sample.clone()));
+        }
+        let changed = binder.update(&fed, clock_us);
+        note(&binder, changed, None, clock_us, &mut score);
     }
     for (host_us, sample) in samples {
         fed.push_sample(DeviceKind::Carm, *host_us, 0, Sample::Carm(sample.clone()));
         clock_us = clock_us.max(*host_us);
     }
     let changed = binder.finish(&fed);
-    note(&binder, changed, clock_us + 60_000_000, &mut score);
+    note(&binder, changed, None, clock_us + 60_000_000, &mut score);
     // Exposures that telemetry could not know of: they lie in a hole and nothing counts them.
     let intervals = fed.exposures();
     let known = |truth: &Exposed| {
@@ -126,8 +158,11 @@ pub fn play(session: &Session) -> Score {
                     Truth::Copy | Truth::Foreign => f64::NAN,
                 };
                 score.wrong.push(format!(
-                    "{}: frame {frame} ({:?}) at {from_s:.3} s, truly {true_s:.3} s ({} samples): {evidence}",
-                    session.described, sent.truth, interval.samples
+                    "{}: frame {frame} ({:?}, come at {:.3} s) at {from_s:.3} s, truly {true_s:.3} s ({} samples): {evidence}",
+                    session.described,
+                    sent.truth,
+                    seconds(sent.evidence.arrival_us.unwrap_or(i64::MAX)),
+                    interval.samples
                 ));
             }
         }
@@ -156,7 +191,11 @@ pub fn play(session: &Session) -> Score {
             if !sent.late {
                 score.prompt += 1;
                 score.prompt_bound += usize::from(binding.exposure.is_some());
-                score.at_once += usize::from(at_once[frame as usize]);
+                if !sent.twin {
+                    score.clear += 1;
+                    score.in_time += usize::from(in_time[frame as usize] == Some(true));
+                    score.soon += usize::from(soon[frame as usize]);
+                }
             }
         }
     }

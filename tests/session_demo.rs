@@ -51,6 +51,9 @@ fn a_mocked_session_matches_its_frames_and_replays_byte_for_byte() {
     let accepted: Vec<_> = pairs.iter().filter(|pair| pair["status"] == "accepted").collect();
     assert!(accepted.len() >= 5, "{} accepted", accepted.len());
     assert!(pairs.iter().any(|pair| pair["status"] == "refused"), "the collimated frame is refused");
+    for pair in pairs {
+        assert_eq!(pair["binding"], "counter", "every exposure's frame is bound when it is developed: {pair}");
+    }
     for pair in &accepted {
         let number = |value: &serde_json::Value| value.as_f64().unwrap_or(f64::NAN);
         assert!(number(&pair["truth"]["mean_px"]) < 0.2, "{}: {}", pair["frame"], pair["truth"]);

@@ -3,7 +3,7 @@
 //! A frame that arrives seconds after an exposure suggests that it is of it, which a late frame that happens to come then does as well.
 //! Frames that suggest the truth agree with each other; the others suggest offsets at random.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::console::Bounds;
 
@@ -12,12 +12,17 @@ const OCCASION_US: i64 = 10_000_000;
 /// More frames than this after one exposure are a batch and suggest nothing.
 const CROWD: usize = 2;
 
+/// A reading is another one if it gives one in so many frames another exposure.
+const ANOTHER_READING: usize = 4;
+
 /// That a frame is of an exposure, and what would follow from it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Suggestion {
     pub frame: u32,
     /// Position of the exposure.
     pub shot: usize,
+    /// That of the last one that ended before the frame came.
+    pub latest: Option<usize>,
     pub at_us: i64,
     /// For the offset of the console's clock.
     pub offset: Option<Bounds>,
@@ -30,7 +35,13 @@ pub(super) struct Suggestion {
 pub(super) enum Topic {
     Offset,
     Shift,
+    /// Both at once: exposures seconds apart, as the demo's, are told apart by no shift and by hardly an offset alone.
+    Both,
 }
+
+/// Frames that must agree on both, and by how many they must outweigh another reading.
+const BOTH_FRAMES: usize = 4;
+const BOTH_NEEDED: usize = 2;
 
 impl Topic {
     /// Whether `other` holds as well if `one` is true (for the offset: at the lower end of `one`).
@@ -41,6 +52,7 @@ impl Topic {
                 (Some(one), Some(other)) => Bounds { high_us: one.low_us, ..one }.meets(&other),
                 _ => false,
             },
+            Self::Both => Self::Shift.agree(one, other) && Self::Offset.agree(one, other),
         }
     }
 
@@ -48,6 +60,7 @@ impl Topic {
         match self {
             Self::Shift => suggestion.shift.is_some(),
             Self::Offset => suggestion.offset.is_some(),
+            Self::Both => Self::Shift.speaks(suggestion) && Self::Offset.speaks(suggestion),
         }
     }
 }
@@ -76,23 +89,32 @@ fn party<'a>(topic: Topic, founder: &Suggestion, all: &[&'a Suggestion]) -> Part
 
 /// The suggestions that belong together and outweigh all others; none while two readings are possible.
 pub(super) fn agreement(topic: Topic, suggestions: &[Suggestion]) -> Option<Vec<Suggestion>> {
-    let crowd = |shot: usize| {
-        suggestions.iter().filter(|other| other.shot == shot).map(|other| other.frame).collect::<BTreeSet<_>>().len() > CROWD
-    };
-    let crowded: BTreeSet<usize> = suggestions.iter().map(|s| s.shot).filter(|shot| crowd(*shot)).collect();
-    let spoken: Vec<&Suggestion> = suggestions.iter().filter(|s| topic.speaks(s) && !crowded.contains(&s.shot)).collect();
+    let mut came_after: BTreeMap<Option<usize>, BTreeSet<u32>> = BTreeMap::new();
+    for suggestion in suggestions {
+        came_after.entry(suggestion.latest).or_default().insert(suggestion.frame);
+    }
+    let crowded = |s: &Suggestion| came_after.get(&s.latest).is_some_and(|frames| frames.len() > CROWD);
+    let spoken: Vec<&Suggestion> = suggestions.iter().filter(|s| topic.speaks(s) && !crowded(s)).collect();
     let voters: BTreeSet<u32> = spoken.iter().map(|s| s.frame).collect();
     let parties: Vec<Party> = spoken.iter().map(|founder| party(topic, founder, &spoken)).collect();
     let best = parties.iter().max_by_key(|party| (party.occasions, party.frames.len()))?;
     let united = best.frames == voters;
-    if !(best.occasions >= 3 || best.occasions == 2 && united) {
+    let enough = match topic {
+        Topic::Both => best.occasions >= 2 && united && best.frames.len() >= BOTH_FRAMES,
+        Topic::Offset | Topic::Shift => best.occasions >= 3 || best.occasions == 2 && united,
+    };
+    if !enough {
         return None;
     }
-    let needed = best.occasions.min(3);
+    let needed = if topic == Topic::Both { BOTH_NEEDED } else { best.occasions.min(3) };
     for other in &parties {
-        // The same reading, founded by another member.
-        let shared = other.members.iter().filter(|m| best.members.iter().any(|b| b.frame == m.frame && b.shot == m.shot)).count();
-        if 2 * shared > other.members.len() {
+        // The same reading, founded by another member: all but a few of the frames that both have may have the same exposure in both.
+        let of = |party: &Party, frame: u32| {
+            party.members.iter().filter(|m| m.frame == frame).map(|m| m.shot).collect::<BTreeSet<_>>()
+        };
+        let common: Vec<u32> = best.frames.intersection(&other.frames).copied().collect();
+        let elsewhere = common.iter().filter(|frame| of(other, **frame).is_disjoint(&of(best, **frame))).count();
+        if !common.is_empty() && ANOTHER_READING * elsewhere < common.len() {
             continue;
         }
         let (for_best, for_other) =
@@ -109,7 +131,7 @@ mod tests {
     use super::*;
 
     fn suggestion(frame: u32, shot: usize, at_s: i64, shift: i64) -> Suggestion {
-        Suggestion { frame, shot, at_us: at_s * 1_000_000, offset: None, shift: Some(shift) }
+        Suggestion { frame, shot, latest: Some(frame as usize), at_us: at_s * 1_000_000, offset: None, shift: Some(shift) }
     }
 
     #[test]

@@ -9,10 +9,15 @@ use super::shots::Shots;
 
 /// Offsets that are tried in full.
 const TRIED: usize = 64;
-/// Offsets nearer than this are the same.
+/// Offsets are looked at this far around the best.
 const SAME_US: i64 = 3_000_000;
+/// Offsets that differ by this more than a stamp resolves are different ones.
+const APART_US: i64 = 300_000;
 /// More pairs than this are not compared (4000 frames with 1000 exposures).
 const MOST_PAIRS: usize = 4_000_000;
+
+/// So many stamps that fit only another offset show that the clock was set.
+const MOST_LOST: usize = 3;
 
 /// A frame's stamp.
 #[derive(Clone, Copy, Debug)]
@@ -27,7 +32,7 @@ impl Stamped {
     /// Offsets with which the frame is of the exposure at `at`, brought to the time `middle_us`.
     fn range(&self, shots: &Shots, at: usize, middle_us: i64) -> Option<Bounds> {
         let shot = shots.get(at);
-        let causal = self.arrival_us.is_none_or(|arrival_us| shot.end_us <= arrival_us);
+        let causal = self.arrival_us.is_none_or(|arrival_us| shot.over_us <= arrival_us);
         causal.then(|| Bounds::of(self.console_us, self.resolution_us, shot.start_us, shot.end_us).at(middle_us))
     }
 }
@@ -51,7 +56,8 @@ fn explained(stamps: &[Stamped], shots: &Shots, middle_us: i64, offset_us: i64) 
 }
 
 /// Pairs of stamp and exposure of which the offset can be learnt: positions in `stamps` and `shots`. Empty while two readings are possible.
-pub(super) fn align(stamps: &mut [Stamped], shots: &Shots) -> Vec<(Stamped, usize)> {
+/// `blind`: whether telemetry was silent within two host times.
+pub(super) fn align(stamps: &mut [Stamped], shots: &Shots, blind: &dyn Fn(i64, i64) -> bool) -> Vec<(Stamped, usize)> {
     if shots.len() == 0 || stamps.len().saturating_mul(shots.len()) > MOST_PAIRS {
         return Vec::new();
     }
@@ -86,14 +92,34 @@ pub(super) fn align(stamps: &mut [Stamped], shots: &Shots) -> Vec<(Stamped, usiz
         }
     }
     let Some(&(best, offset_us)) = tried.iter().max_by_key(|(count, _)| *count) else { return Vec::new() };
-    let elsewhere = tried.iter().filter(|(_, other_us)| other_us.saturating_sub(offset_us).saturating_abs() > SAME_US);
+    // Exposures may follow each other within a second or two: an offset that is off by one of them is another one.
+    let coarsest_us = stamps.iter().map(|stamped| stamped.resolution_us).max().unwrap_or(0);
+    let apart_us = coarsest_us.saturating_add(APART_US).min(SAME_US);
+    let elsewhere = tried.iter().filter(|(_, other_us)| other_us.saturating_sub(offset_us).saturating_abs() > apart_us);
     let second = elsewhere.map(|(count, _)| *count).max().unwrap_or(0);
     let mut different: Vec<i64> = stamps.iter().map(|stamped| stamped.console_us).collect();
     different.dedup();
     if best < 3 || 2 * best < different.len() || best < second + (best / 5).max(3) {
         return Vec::new();
     }
-    pairs_in_order(stamps, shots, middle_us, offset_us)
+    // Stamps that fit nothing, but many of them with one other offset: the clock was set in between, and either part fits exposures of
+    // the other by chance.
+    let fits = |stamped: &&Stamped| {
+        (0..shots.len()).any(|at| stamped.range(shots, at, middle_us).is_some_and(|range| range.holds(offset_us)))
+    };
+    let lost: Vec<Stamped> = stamps.iter().filter(|stamped| !fits(stamped)).copied().collect();
+    let elsewhere = tried.iter().map(|(_, other_us)| explained(&lost, shots, middle_us, *other_us)).max().unwrap_or(0);
+    if elsewhere >= MOST_LOST && 2 * elsewhere >= lost.len() {
+        return Vec::new();
+    }
+    // A frame that may be of an exposure that was not seen has no place in the order.
+    let seen = |stamped: &&Stamped| {
+        let from_us = stamped.console_us.saturating_add(offset_us);
+        let to_us = from_us.saturating_add(stamped.resolution_us);
+        !blind(from_us.saturating_sub(SAME_US / 2), to_us.saturating_add(SAME_US / 2).min(stamped.arrival_us.unwrap_or(i64::MAX)))
+    };
+    let stamps: Vec<Stamped> = stamps.iter().filter(seen).copied().collect();
+    pairs_in_order(&stamps, shots, middle_us, offset_us)
 }
 
 /// Near a coarse offset, the exposures that stamps must have because every later stamp is of a later exposure.

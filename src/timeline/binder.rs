@@ -182,7 +182,7 @@ impl Binder {
     /// Judges until nothing more follows.
     fn settle(&mut self, timeline: &Timeline, newest_us: Option<i64>, now_us: i64) {
         if self.finished {
-            self.align();
+            self.align(timeline);
         }
         loop {
             self.agree_on_offset();
@@ -289,6 +289,12 @@ impl Binder {
         let standing = self.contents.len() as u32;
         let stamped = self.whole_minutes + self.other_stamps;
         said.console_us.is_none() && 2 * stamped > standing || said.counter.is_none() && 2 * self.counting.frames() > standing
+    }
+
+    /// Whether the frame, whose counter names the exposure at `at`, may be of `other`, which waits for its frame.
+    pub(super) fn rival(&self, said: &FrameEvidence, at: usize, other: usize) -> bool {
+        let may_be = || said.counter.is_none_or(|counter| self.counting.may_be(&self.shots, counter, at, other));
+        other != at && self.shots.get(other).frame.is_none() && may_be()
     }
 
     /// Whether prompt frames wait whose counter is not what the known shifts say: it may have begun anew.

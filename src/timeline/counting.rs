@@ -14,7 +14,9 @@ pub(super) enum Firmness {
     Equal,
     /// The known frames on either side have different shifts, and this is one of them.
     Border,
-    /// The nearest known frame on one side has it, there is none on the other.
+    /// The nearest known frame on one side has it and no other, there is none on the other side: one frame is not yet a count.
+    Once,
+    /// The nearest known frames on one side have it, there is none on the other.
     OneSide,
     /// The known frames before and after have it.
     Enclosed,
@@ -80,6 +82,41 @@ impl Counting {
         self.shifts.range(shot + 1..).next().is_some()
     }
 
+    /// Whether the two known frames nearest to `at`, on a side that has any, both have the shift. A counter that began anew at the last
+    /// known frame may do so again at the next, and then names a neighbour.
+    fn twice(&self, at: usize, shift: i64) -> bool {
+        let (mut before, mut after) = (self.shifts.range(..=at).rev(), self.shifts.range(at..));
+        let two =
+            |side: &mut dyn Iterator<Item = (&usize, &i64)>| side.take(2).filter(|(_, known)| **known == shift).count() == 2;
+        two(&mut before) || two(&mut after)
+    }
+
+    /// Whether the counter counts exposures, nothing else, as far as is known: its shift stays wherever neither it nor the C-arm's begins
+    /// anew, and nothing was missed (`blind`, between two positions, where the C-arm does not count).
+    pub(super) fn counts_exposures(&self, shots: &Shots, blind: &dyn Fn(usize, usize) -> bool) -> bool {
+        let known: Vec<(usize, i64, i64)> =
+            self.shifts.iter().filter_map(|(shot, shift)| Some((*shot, shots.number(*shot)?, *shift))).collect();
+        let kept = |pair: &[(usize, i64, i64)]| {
+            let ((one, number, shift), (other, next_number, next_shift)) = (pair[0], pair[1]);
+            let anew = next_number + next_shift <= number + shift || next_number <= number;
+            shift == next_shift || anew || !shots.counted && blind(one, other)
+        };
+        self.agreements().0 >= 2 && known.windows(2).all(kept)
+    }
+
+    /// Whether a frame with `counter`, which names the exposure at `at`, may be of `other` instead: of a later one, if exposures without a
+    /// picture are not counted; of an earlier one, if a picture between them was counted that is there.
+    pub(super) fn may_be(&self, shots: &Shots, counter: u32, at: usize, other: usize) -> bool {
+        let (Some(named), Some(number)) = (shots.number(at), shots.number(other)) else { return true };
+        let own = u32::try_from(i64::from(counter) - named + number);
+        other > at || own.is_ok_and(|own| self.times_seen(own) > 0)
+    }
+
+    /// Whether nothing but this shift is known, from one frame at least.
+    pub(super) fn only(&self, shift: i64) -> bool {
+        !self.shifts.is_empty() && self.shifts.values().all(|known| *known == shift)
+    }
+
     /// Whether the counter has never begun anew, as far as is known: its shift stays, or changes by an exposure or two where telemetry
     /// missed or tore some and the C-arm does not count them.
     pub(super) fn steady(&self, shots: &Shots) -> bool {
@@ -112,7 +149,8 @@ impl Counting {
                 let firmness = match (before == Some(shift), after == Some(shift), before.is_none(), after.is_none()) {
                     (true, ..) | (_, true, ..) if torn => Firmness::Border,
                     (true, true, ..) => Firmness::Enclosed,
-                    (true, _, _, true) | (_, true, true, _) => Firmness::OneSide,
+                    (true, _, _, true) | (_, true, true, _) if self.twice(*at, shift) => Firmness::OneSide,
+                    (true, _, _, true) | (_, true, true, _) => Firmness::Once,
                     (true, ..) | (_, true, ..) => Firmness::Border,
                     (_, _, true, true) if shots.counted && shift == 0 => Firmness::Equal,
                     _ => continue,

@@ -4,16 +4,14 @@ use super::Timeline;
 use super::binder::{Binder, KNOWN_FRAMES, Pending};
 use super::counting::Firmness;
 use super::evidence::{BindingHow, FrameEvidence, seconds};
-use super::shots::PROMPT_US;
 
 /// Telemetry must be this far past the moment that a stamp names, or another exposure may still come up there.
 const AFTER_STAMP_US: i64 = 500_000;
 /// Frames with stamps this near take part in the order of a burst.
 const ORDER_US: i64 = 20_000_000;
-/// A frame bound by its arrival alone waits this long for others of its batch.
-const BATCH_US: i64 = 800_000;
-/// Risk at which arrival alone still binds: that the exposure's own frame is missing and a stray came just then.
-const ARRIVAL_RISK: f64 = 1e-3;
+
+/// Stamps within this time of each other show whether the clock was set.
+const STRETCH_US: i64 = 3_600_000_000;
 
 /// What came of it.
 #[derive(Clone, Debug, PartialEq)]
@@ -78,15 +76,17 @@ impl Weighed<'_> {
         if let Some(reason) = self.binder.counting.useless() {
             return (Vec::new(), Some(reason));
         }
-        let blind = |from: usize, to: usize| {
-            let (from, to) = (self.binder.shots.get(from), self.binder.shots.get(to));
-            self.timeline.exposure_tracker().blind_spot(from.end_us, to.start_us.max(from.end_us)).is_some()
-        };
-        let mut found = self.binder.counting.candidates(&self.binder.shots, counter, &blind);
+        let mut found = self.binder.counting.candidates(&self.binder.shots, counter, &|from, to| self.hidden(from, to));
         if let Some(arrival_us) = self.pending.evidence.arrival_us {
             found.retain(|(at, _)| self.binder.shots.get(*at).start_us <= arrival_us);
         }
         (found, None)
+    }
+
+    /// Whether telemetry was silent between two exposures.
+    fn hidden(&self, from: usize, to: usize) -> bool {
+        let (from, to) = (self.binder.shots.get(from), self.binder.shots.get(to));
+        self.timeline.exposure_tracker().blind_spot(from.end_us, to.start_us.max(from.end_us)).is_some()
     }
 
     /// Leaves the exposures that the frame can have if later stamps are of later exposures: each stamp is of another exposure than every
@@ -100,7 +100,7 @@ impl Weighed<'_> {
             for other in frames.iter().filter_map(|frame| self.binder.frames.get(frame)) {
                 match &other.binding.exposure {
                     Some(exposure) => fitting.extend(self.binder.shots.position(exposure.index)),
-                    None => fitting.extend(self.fitting(&other.evidence).map(|found| found.fitting).unwrap_or_default()),
+                    None => fitting.extend(self.fitting(&other.evidence).map(|found| self.places(found)).unwrap_or_default()),
                 }
             }
             if *other_us == console_us {
@@ -127,6 +127,49 @@ impl Weighed<'_> {
         }
     }
 
+    /// Why the stamp does not tell although it fits `at`: the clock may have been set between the frames that confirm its offset and this
+    /// one, because the arrival speaks for another exposure, or because other stamps from there fit nothing.
+    fn may_be_set(&self, at: usize, prompt: &[usize]) -> Option<String> {
+        let at_us = self.binder.shots.get(at).end_us;
+        let pair = self.binder.pair(&self.pending.evidence, at)?;
+        let spans: Vec<(i64, i64)> =
+            self.binder.known_offsets().filter(|offset| offset.allows(&pair)).filter_map(|offset| offset.span_us()).collect();
+        if prompt.contains(&at) || spans.iter().any(|(first_us, last_us)| (*first_us..=*last_us).contains(&at_us)) {
+            return None;
+        }
+        if let Some(other) = prompt.last() {
+            let (by_stamp, by_arrival) = (self.label(at), self.label(*other));
+            return Some(format!(
+                "the console's stamp points to {by_stamp}, the arrival to {by_arrival}, and its clock may have been set"
+            ));
+        }
+        let (mut fitting, mut lost) = (0, 0);
+        for frame in &self.binder.open {
+            let Some(other) = self.binder.frames.get(frame).filter(|other| other.evidence.frame != self.pending.evidence.frame)
+            else {
+                continue;
+            };
+            let Some(stamp) = self.fitting(&other.evidence) else { continue };
+            let within = spans.iter().any(|(first_us, last_us)| stamp.from_us >= *first_us && stamp.to_us <= *last_us);
+            let apart_us = stamp.from_us.saturating_sub(at_us).saturating_abs();
+            if !within && apart_us < STRETCH_US {
+                *(if stamp.fitting.is_empty() { &mut lost } else { &mut fitting }) += 1;
+            }
+        }
+        (lost > 1 + fitting / 2).then(|| {
+            let label = self.label(at);
+            format!(
+                "the console's stamp fits {label}, but {lost} others from that time fit no exposure: its clock may have been set"
+            )
+        })
+    }
+
+    /// Exposures of which a frame with this stamp must have one: none where telemetry was silent, for it may be of one that was not seen.
+    fn places(&self, stamp: ByStamp) -> Vec<usize> {
+        let blind = self.timeline.exposure_tracker().blind_spot(stamp.from_us, stamp.to_us).is_some();
+        if blind { Vec::new() } else { stamp.fitting }
+    }
+
     fn by_stamp(&self) -> Option<ByStamp> {
         self.fitting(&self.pending.evidence)
     }
@@ -148,8 +191,8 @@ impl Weighed<'_> {
             let to_us = console_us.saturating_add(resolution_us).saturating_add(bounds.high_us).saturating_add(150_000);
             let near = self.binder.shots.touching(from_us, to_us);
             let causal = |at: &usize| {
-                let end_us = self.binder.shots.get(*at).end_us;
-                said.arrival_us.is_none_or(|arrival_us| end_us <= arrival_us.saturating_add(100_000))
+                let over_us = self.binder.shots.get(*at).over_us;
+                said.arrival_us.is_none_or(|arrival_us| over_us <= arrival_us)
             };
             let fitting: Vec<usize> = near
                 .filter(causal)
@@ -185,7 +228,7 @@ impl Weighed<'_> {
     ) -> Judgement {
         let both: Vec<(usize, Firmness)> = candidates.iter().filter(|(at, _)| stamp.fitting.contains(at)).copied().collect();
         match (&both[..], &stamp.fitting[..]) {
-            ([(at, firmness)], fitting) if fitting.len() == 1 || *firmness >= Firmness::OneSide => {
+            ([(at, firmness)], fitting) if fitting.len() == 1 || self.decides(*at, *firmness, fitting) => {
                 words.push(format!("the counter names {} as well", self.label(*at)));
                 words.push(format!("the console's stamp fits {}", self.label(*at)));
                 self.of(*at, BindingHow::Counter, words, true)
@@ -195,6 +238,10 @@ impl Weighed<'_> {
                 Judgement::None(words)
             }
             (_, [at]) => {
+                if let Some(set) = self.may_be_set(*at, prompt) {
+                    words.push(set);
+                    return Judgement::None(words);
+                }
                 let free = |at: usize| self.binder.shots.get(at).frame.is_none();
                 let firm = candidates.iter().find(|(other, firmness)| *firmness == Firmness::Enclosed && free(*other));
                 if let Some((other, _)) = firm
@@ -225,11 +272,36 @@ impl Weighed<'_> {
         }
     }
 
-    /// A frame unlike the others is bound only where counter and arrival name the same exposure.
+    /// Whether the counter decides for `at` among `several` exposures: no other of them waits for its frame, or the counter's
+    /// shift is the same before and after. A console that counts the pictures it stores names a neighbour as soon as one is missing or one more
+    /// was stored.
+    fn decides(&self, at: usize, firmness: Firmness, several: &[usize]) -> bool {
+        let said = &self.pending.evidence;
+        let mut rivals = several.iter().copied().filter(|other| self.binder.rival(said, at, *other));
+        if firmness >= Firmness::OneSide && rivals.clone().next().is_none() {
+            return true;
+        }
+        // One picture too few and one too many leave the same shift on either side; when the frame came shows it.
+        let usual_us = self.usual_delay_us();
+        let usual = |at: usize| {
+            let delay_us = said.arrival_us.map(|arrival_us| arrival_us.saturating_sub(self.binder.shots.get(at).end_us));
+            delay_us.zip(usual_us).is_some_and(|(delay_us, usual_us)| (usual_us[0]..=usual_us[1]).contains(&delay_us))
+        };
+        firmness == Firmness::Enclosed
+            && self.binder.counting.counts_exposures(&self.binder.shots, &|from, to| self.hidden(from, to))
+            && (usual(at) || !rivals.any(usual) && (usual_us.is_some() || said.console_us.is_some()))
+    }
+
+    /// A frame unlike the others is bound only where counter and arrival name the same exposure, and last of all: the exposure's own frame
+    /// may still come.
     fn counted_and_prompt(&self, candidates: &[(usize, Firmness)], prompt: &[usize], mut words: Vec<String>) -> Judgement {
         match candidates {
             [(at, firmness)] if *firmness >= Firmness::OneSide && prompt.contains(at) => {
                 words.push(format!("counter and arrival name {}", self.label(*at)));
+                if !self.binder.finished {
+                    words.push("until the end of the session a frame like the others may come for it".to_owned());
+                    return Judgement::None(words);
+                }
                 self.of(*at, BindingHow::Counter, words, false)
             }
             _ => {
@@ -247,13 +319,20 @@ impl Weighed<'_> {
             // A value that came before may be one that does not move, or that began anew.
             let fresh = self.binder.counting.times_seen(counter) <= 1;
             // Where nothing is known yet, an equal number proves little beside a second exposure.
-            let proved = *firmness >= Firmness::OneSide || fresh && prompt.len() == 1;
+            let proved = self.decides(*at, *firmness, prompt)
+                || fresh && prompt.len() == 1
+                || fresh && self.orderly(*at, *firmness, prompt);
             if prompt.contains(at) && proved {
                 words.push(format!("counter {counter} names {}, which ended shortly before the frame arrived", self.label(*at)));
                 return self.of(*at, BindingHow::Counter, words, true);
             }
-            // An exposure right before the arrival competes, unless the counter is known not to have begun anew by then.
-            let rival = prompt.iter().find(|other| free(**other) && *other != at && !self.binder.counting.passed(**other));
+            // An exposure right before the arrival competes: always, if the frame came promptly for either; else unless the counter is
+            // known not to have begun anew by then.
+            let competes = |other: usize| match prompt.contains(at) {
+                true => self.binder.rival(said, *at, other),
+                false => free(other) && other != *at && !self.binder.counting.passed(other),
+            };
+            let rival = prompt.iter().find(|other| competes(**other));
             let steady = self.binder.counting.steady(&self.binder.shots) && !self.binder.restless();
             let firm = steady && *firmness == Firmness::Enclosed;
             if let Some(rival) = rival.filter(|_| firm) {
@@ -274,81 +353,8 @@ impl Weighed<'_> {
         self.by_arrival(prompt, words)
     }
 
-    /// Arrival alone: bound only where frames have come one by one, promptly, for every exposure.
-    fn by_arrival(&self, prompt: &[usize], mut words: Vec<String>) -> Judgement {
-        let said = &self.pending.evidence;
-        let Some(arrival_us) = said.arrival_us else {
-            words.push("without a usable stamp or counter a frame exported afterwards cannot be tied".to_owned());
-            return Judgement::None(words);
-        };
-        let unlearnt = said.console_us.is_some() || said.counter.is_some() && self.binder.counting.useless().is_none();
-        if self.binder.others_say_more(said) {
-            words.push("it lacks the stamp or counter that other frames have".to_owned());
-            return Judgement::None(words);
-        }
-        if unlearnt && !self.binder.finished {
-            words.push("what the console's clock and counter mean is not known yet: later frames will show it".to_owned());
-            return Judgement::None(words);
-        }
-        let at = match prompt {
-            [] => {
-                words.push(format!("no exposure ended within {} before the frame arrived", seconds(PROMPT_US)));
-                return Judgement::None(words);
-            }
-            [at] => *at,
-            several => {
-                let count = several.len();
-                words.push(format!("{count} exposures ended within {} before the frame arrived: ambiguous", seconds(PROMPT_US)));
-                return Judgement::None(words);
-            }
-        };
-        if !self.binder.finished && self.now_us.saturating_sub(arrival_us) < BATCH_US {
-            return Judgement::Wait("waiting whether more frames come with it".to_owned());
-        }
-        let near = |other: &Pending| {
-            let apart_us = other.evidence.arrival_us.map_or(i64::MAX, |us| us.saturating_sub(arrival_us).saturating_abs());
-            other.evidence.frame != said.frame && other.evidence.content != said.content && apart_us <= BATCH_US
-        };
-        if self.binder.shots.get(at).prompt_frames > 1 || self.binder.frames.values().any(near) {
-            words.push(format!("several frames came after {}: ambiguous", self.label(at)));
-            return Judgement::None(words);
-        }
-        if let Some(blind) = self.blind(at, arrival_us.saturating_sub(PROMPT_US), arrival_us) {
-            words.push(blind);
-            return Judgement::None(words);
-        }
-        let (risk, lacking, count) = self.arrival_risk(arrival_us);
-        if !(risk <= ARRIVAL_RISK) {
-            let strays = self.binder.strays;
-            words.push(format!(
-                "frames are missing or late here ({lacking} of {count} exposures had none promptly, {strays} frames came when none was near): arrival alone does not tell"
-            ));
-            return Judgement::None(words);
-        }
-        let late_us = arrival_us.saturating_sub(self.binder.shots.get(at).end_us);
-        words.push(format!("{} ended {} before the frame arrived, and no other was near", self.label(at), seconds(late_us)));
-        self.of(at, BindingHow::Time, words, false)
-    }
-
-    /// Chance that the exposure's own frame is missing or late and a stray arrives in its place: share of exposures without a prompt
-    /// frame (before any was seen: a tenth), times rate of strays (one in ten minutes), times the reach.
-    fn arrival_risk(&self, arrival_us: i64) -> (f64, usize, usize) {
-        let shots = &self.binder.shots;
-        let settled_us = arrival_us.saturating_sub(PROMPT_US);
-        let old: Vec<bool> = (0..shots.len())
-            .map(|at| shots.get(at))
-            .filter(|shot| shot.end_us < settled_us)
-            .map(|shot| shot.prompt_frames == 0)
-            .collect();
-        let lacking = old.iter().filter(|lacking| **lacking).count();
-        let share = (lacking as f64 + 0.2) / (old.len() as f64 + 2.0);
-        let elapsed_us = arrival_us.saturating_sub(shots.get(0).start_us).max(0).saturating_add(300_000_000);
-        let rate = (f64::from(self.binder.strays) + 0.5) / elapsed_us as f64;
-        (share * rate * PROMPT_US as f64, lacking, old.len())
-    }
-
     /// The verdict for one exposure, unless another frame has it.
-    fn of(&self, shot: usize, how: BindingHow, mut evidence: Vec<String>, teaches: bool) -> Judgement {
+    pub(super) fn of(&self, shot: usize, how: BindingHow, mut evidence: Vec<String>, teaches: bool) -> Judgement {
         if let Some(other) = self.binder.shots.get(shot).frame {
             evidence.push(format!("{} has frame {other} already; one exposure has one frame", self.label(shot)));
             return Judgement::None(evidence);
@@ -357,7 +363,7 @@ impl Weighed<'_> {
     }
 
     /// Whether another exposure may hide in the window because telemetry was silent there.
-    fn blind(&self, shot: usize, from_us: i64, to_us: i64) -> Option<String> {
+    pub(super) fn blind(&self, shot: usize, from_us: i64, to_us: i64) -> Option<String> {
         let to_us = self.pending.evidence.arrival_us.map_or(to_us, |arrival_us| to_us.min(arrival_us));
         let spot = self.timeline.exposure_tracker().blind_spot(from_us, to_us)?;
         let silence_ms = spot.to_us.saturating_sub(spot.from_us) / 1000;
@@ -367,7 +373,7 @@ impl Weighed<'_> {
         ))
     }
 
-    fn label(&self, shot: usize) -> String {
+    pub(super) fn label(&self, shot: usize) -> String {
         let shot = self.binder.shots.get(shot);
         match shot.counter {
             Some(counter) => format!("exposure {counter}"),

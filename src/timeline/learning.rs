@@ -29,6 +29,7 @@ impl Binder {
                 found.push(Suggestion {
                     frame: said.frame,
                     shot,
+                    latest: pending.prompt.as_ref().and_then(|prompt| prompt.last()).copied(),
                     at_us: at.end_us,
                     offset: self.pair(said, shot).filter(|_| at.whole),
                     shift: said.counter.zip(number).map(|(counter, number)| i64::from(counter) - number),
@@ -46,7 +47,7 @@ impl Binder {
     }
 
     /// At the end, with no offset known from prompt frames: the one at which the whole batch falls into place, if there is only one.
-    pub(super) fn align(&mut self) {
+    pub(super) fn align(&mut self, timeline: &Timeline) {
         if self.known_offsets().next().is_some() {
             return;
         }
@@ -56,7 +57,8 @@ impl Binder {
             Some(Stamped { console_us, resolution_us, arrival_us: said.arrival_us })
         };
         let mut stamps: Vec<Stamped> = self.open.iter().filter_map(stamped).collect();
-        let pairs = align(&mut stamps, &self.shots);
+        let blind = |from_us: i64, to_us: i64| timeline.exposure_tracker().blind_spot(from_us, to_us).is_some();
+        let pairs = align(&mut stamps, &self.shots, &blind);
         let mut offset = ConsoleOffset::default();
         for (stamped, at) in pairs {
             let shot = self.shots.get(at);
@@ -70,13 +72,23 @@ impl Binder {
     pub(super) fn agree_on_offset(&mut self) {
         let known = self.known_offsets().next().is_some();
         let suggestions = self.suggestions(Topic::Offset);
-        let Some(members) = agreement(Topic::Offset, &suggestions) else { return };
-        let frames: BTreeSet<u32> = members.iter().map(|member| member.frame).collect();
-        if known && frames.len() < 3 {
+        let both = || agreement(Topic::Both, &suggestions).filter(|_| !known);
+        if agreement(Topic::Offset, &suggestions).is_some_and(|members| self.learn_offset(&members, known, false)) {
             return;
         }
+        if let Some(members) = both() {
+            self.learn_offset(&members, known, true);
+        }
+    }
+
+    /// Takes the offset that `members` agree on, unless they are too few; `counted`: their counters agree as well.
+    fn learn_offset(&mut self, members: &[Suggestion], known: bool, counted: bool) -> bool {
+        let frames: BTreeSet<u32> = members.iter().map(|member| member.frame).collect();
+        if known && frames.len() < 3 {
+            return false;
+        }
         let mut offset = ConsoleOffset::default();
-        for member in &members {
+        for member in members {
             // A frame that may be of two exposures seconds apart teaches nothing: its true one need not be the one that agrees, even where
             // another frame has that one (a second picture) or telemetry missed it.
             let other = |at: &usize| {
@@ -84,17 +96,21 @@ impl Binder {
                 *at != member.shot && (!shot.whole || shot.end_us.saturating_sub(member.at_us).saturating_abs() < APART_US)
             };
             let prompt = self.frames.get(&member.frame).and_then(|pending| pending.prompt.as_deref()).unwrap_or_default();
-            let alone = !prompt.iter().any(other);
+            let alone = counted || !prompt.iter().any(other);
             if let Some(pair) = member.offset.filter(|_| alone) {
                 offset.learn(&pair);
             }
         }
-        if offset.summary().is_some_and(|clock| clock.frames >= KNOWN_FRAMES) {
+        // Two frames of which the others of their party may each be of a neighbour prove nothing.
+        let needed = if frames.len() <= KNOWN_FRAMES as usize { KNOWN_FRAMES } else { KNOWN_FRAMES + 1 };
+        let enough = offset.summary().is_some_and(|clock| clock.frames >= needed);
+        if enough {
             if !known {
                 self.offsets.clear();
             }
             self.offsets.push(offset);
         }
+        enough
     }
 
     /// Without stamps, prompt frames that agree on the counter's shift are bound by it.
@@ -116,8 +132,13 @@ impl Binder {
             stretches.into_iter().filter_map(|at| agreement(Topic::Shift, &within(at))).flatten().collect();
         for member in agreed {
             let Some(exposure) = timeline.exposure(self.shots.get(member.shot).index).cloned() else { continue };
-            let free = self.shots.get(member.shot).frame.is_none() && self.open.contains(&member.frame);
-            let (Some(pending), true) = (self.frames.get(&member.frame), free) else { continue };
+            let free = |at: usize| self.shots.get(at).frame.is_none();
+            let Some(pending) = self.frames.get(&member.frame).filter(|_| self.open.contains(&member.frame)) else { continue };
+            // What other frames agreed on may not hold any more: it does not choose between two exposures that wait for their frames.
+            let rival = pending.prompt.iter().flatten().any(|other| self.rival(&pending.evidence, member.shot, *other));
+            if rival || !free(member.shot) {
+                continue;
+            }
             let late_us = pending.evidence.arrival_us.map_or(0, |arrival_us| arrival_us.saturating_sub(exposure.end_us));
             let evidence = vec![
                 format!("{} ended {} before the frame arrived", exposure.label(), seconds(late_us)),

@@ -5,6 +5,7 @@
 
 mod agreement;
 mod alignment;
+mod arrival;
 mod binder;
 mod binding;
 mod clock;
@@ -14,6 +15,7 @@ mod evidence;
 mod exposure;
 mod judgement;
 mod learning;
+mod orderly;
 mod segments;
 mod shots;
 mod track;

@@ -21,6 +21,8 @@ pub(super) struct Shot {
     /// The earliest and the latest that the beam can have been on: an end that fell into a gap lies anywhere in it.
     pub start_us: i64,
     pub end_us: i64,
+    /// The earliest that it can have been over: a frame that came in the silence which hides its end may still be of it.
+    pub over_us: i64,
     pub counter: Option<u32>,
     /// Both ends were seen: its times can teach the console's offset.
     pub whole: bool,
@@ -62,14 +64,24 @@ impl Shots {
         self.counted |= interval.counter.is_some();
         let number = interval.counter.map_or(interval.index as i64, i64::from);
         self.by_number.entry(number).or_default().push(at);
-        let start_us = interval.start_us.saturating_sub(interval.start_uncertainty_us as i64);
-        let end_us = interval.end_us.saturating_add(interval.end_uncertainty_us as i64);
+        let (start_uncertainty_us, end_uncertainty_us) =
+            (interval.start_uncertainty_us as i64, interval.end_uncertainty_us as i64);
+        let (start_us, end_us, over_us) = match interval.samples {
+            // Anywhere in the silence that it is reported with.
+            0 => (interval.start_us, interval.end_us, interval.start_us),
+            _ => (
+                interval.start_us.saturating_sub(start_uncertainty_us),
+                interval.end_us.saturating_add(end_uncertainty_us),
+                interval.end_us.saturating_sub(end_uncertainty_us),
+            ),
+        };
         let sharp = interval.start_uncertainty_us.max(interval.end_uncertainty_us) < SHARP_US;
         self.longest_us = self.longest_us.max(end_us.saturating_sub(start_us));
         self.list.push(Shot {
             index: interval.index,
             start_us,
             end_us,
+            over_us,
             counter: interval.counter,
             whole: interval.start_seen && interval.end_seen && sharp,
             frame: None,

@@ -1,0 +1,122 @@
+//! A frame of which nothing but its arrival tells: bound only where frames have come one by one, promptly, for every exposure.
+
+use super::binder::Pending;
+use super::evidence::{BindingHow, seconds};
+use super::judgement::{Judgement, Weighed};
+use super::shots::PROMPT_US;
+
+/// A frame bound by its arrival alone waits this long for others of its batch.
+const BATCH_US: i64 = 800_000;
+/// Risk at which arrival alone still binds: that the exposure's own frame is missing and a stray came just then.
+const ARRIVAL_RISK: f64 = 1e-4;
+/// Frames from which it is known how soon frames come.
+const DELAYS: usize = 5;
+/// Exposures from which it is known whether frames come promptly at present.
+const LAST_EXPOSURES: usize = 12;
+
+impl Weighed<'_> {
+    /// Arrival alone: bound only where frames have come one by one, promptly, for every exposure.
+    pub(super) fn by_arrival(&self, prompt: &[usize], mut words: Vec<String>) -> Judgement {
+        let said = &self.pending.evidence;
+        let Some(arrival_us) = said.arrival_us else {
+            words.push("without a usable stamp or counter a frame exported afterwards cannot be tied".to_owned());
+            return Judgement::None(words);
+        };
+        let unlearnt = said.console_us.is_some() || said.counter.is_some() && self.binder.counting.useless().is_none();
+        if self.binder.others_say_more(said) {
+            words.push("it lacks the stamp or counter that other frames have".to_owned());
+            return Judgement::None(words);
+        }
+        if unlearnt && !self.binder.finished {
+            words.push("what the console's clock and counter mean is not known yet: later frames will show it".to_owned());
+            return Judgement::None(words);
+        }
+        let at = match prompt {
+            [] => {
+                words.push(format!("no exposure ended within {} before the frame arrived", seconds(PROMPT_US)));
+                return Judgement::None(words);
+            }
+            [at] => *at,
+            several => {
+                let count = several.len();
+                words.push(format!("{count} exposures ended within {} before the frame arrived: ambiguous", seconds(PROMPT_US)));
+                return Judgement::None(words);
+            }
+        };
+        if !self.binder.finished && self.now_us.saturating_sub(arrival_us) < BATCH_US {
+            return Judgement::Wait("waiting whether more frames come with it".to_owned());
+        }
+        let near = |other: &Pending| {
+            let apart_us = other.evidence.arrival_us.map_or(i64::MAX, |us| us.saturating_sub(arrival_us).saturating_abs());
+            other.evidence.frame != said.frame && other.evidence.content != said.content && apart_us <= BATCH_US
+        };
+        if self.binder.shots.get(at).prompt_frames > 1 || self.binder.frames.values().any(near) {
+            words.push(format!("several frames came after {}: ambiguous", self.label(at)));
+            return Judgement::None(words);
+        }
+        if let Some(blind) = self.blind(at, arrival_us.saturating_sub(PROMPT_US), arrival_us) {
+            words.push(blind);
+            return Judgement::None(words);
+        }
+        let late_us = arrival_us.saturating_sub(self.binder.shots.get(at).end_us);
+        let Some(usual_us) = self.usual_delay_us() else {
+            words.push("how soon frames come after their exposures is not known yet: later frames will show it".to_owned());
+            return Judgement::None(words);
+        };
+        if !(usual_us[0]..=usual_us[1]).contains(&late_us) {
+            let (late, from, to) = (seconds(late_us), seconds(usual_us[0]), seconds(usual_us[1]));
+            words.push(format!("it came {late} after {}, others come after {from} to {to}: ambiguous", self.label(at)));
+            return Judgement::None(words);
+        }
+        let (risk, lacking, count) = self.arrival_risk(arrival_us, usual_us[1].saturating_sub(usual_us[0]));
+        if !(risk <= ARRIVAL_RISK) {
+            let strays = self.binder.strays;
+            words.push(format!(
+                "frames are missing or late here ({lacking} of the last {count} exposures had none promptly, {strays} frames came when none was near): arrival alone does not tell"
+            ));
+            return Judgement::None(words);
+        }
+        words.push(format!("{} ended {} before the frame arrived, and no other was near", self.label(at), seconds(late_us)));
+        self.of(at, BindingHow::Time, words, false)
+    }
+
+    /// How long after their exposures the other frames come, as far as one came alone after one exposure: the shortest and the longest
+    /// with a margin; `None` while too few are known.
+    pub(super) fn usual_delay_us(&self) -> Option<[i64; 2]> {
+        let delay = |other: &Pending| {
+            let [at] = other.prompt.as_deref()? else { return None };
+            let (shot, arrival_us) = (self.binder.shots.get(*at), other.evidence.arrival_us?);
+            let alone = shot.prompt_frames == 1 && other.evidence.frame != self.pending.evidence.frame;
+            (alone && shot.whole).then(|| arrival_us.saturating_sub(shot.end_us))
+        };
+        let (mut count, mut shortest_us, mut longest_us) = (0, i64::MAX, i64::MIN);
+        for delay_us in self.binder.frames.values().filter_map(delay) {
+            (count, shortest_us, longest_us) = (count + 1, shortest_us.min(delay_us), longest_us.max(delay_us));
+        }
+        if count < DELAYS {
+            return None;
+        }
+        let margin_us = (longest_us.saturating_sub(shortest_us) / 4).max(200_000);
+        Some([shortest_us.saturating_sub(margin_us), longest_us.saturating_add(margin_us)])
+    }
+
+    /// Chance that the exposure's own frame is missing or late and a stray arrives in its place: share of the last exposures without a
+    /// prompt frame (late ones come in runs), times rate of strays (before any was seen: one in ten minutes), times the length of the
+    /// time in which frames usually come.
+    fn arrival_risk(&self, arrival_us: i64, usual_us: i64) -> (f64, usize, usize) {
+        let shots = &self.binder.shots;
+        let settled_us = arrival_us.saturating_sub(PROMPT_US);
+        let last: Vec<bool> = (0..shots.len())
+            .rev()
+            .map(|at| shots.get(at))
+            .filter(|shot| shot.end_us < settled_us)
+            .take(LAST_EXPOSURES)
+            .map(|shot| shot.prompt_frames == 0)
+            .collect();
+        let lacking = last.iter().filter(|lacking| **lacking).count();
+        let share = (lacking as f64 + 0.5) / (last.len() as f64 + 1.0);
+        let elapsed_us = arrival_us.saturating_sub(shots.get(0).start_us).max(0).saturating_add(300_000_000);
+        let rate = (f64::from(self.binder.strays) + 0.5) / elapsed_us as f64;
+        (share * rate * usual_us as f64, lacking, last.len())
+    }
+}

@@ -1,0 +1,50 @@
+//! A frame that is bound when it comes, although console and counter are hardly known yet: where every exposure has had its frame, in
+//! order, and counter, stamp and arrival name the one that just ended.
+//!
+//! Such a frame cannot be of an earlier exposure: each has a frame with another count. It cannot be of one that telemetry missed: there
+//! was no silence. A picture of something else would have to carry the very next number, at the right moment.
+
+use super::binder::Pending;
+use super::counting::Firmness;
+use super::judgement::Weighed;
+
+/// A frame within this time of another may be of a batch.
+const BATCH_US: i64 = 800_000;
+/// Exposures before this one that must have their frames.
+const EARLIER: usize = 12;
+
+impl Weighed<'_> {
+    /// Whether the exposure at `at`, which the counter names, is the only one that the frame can have.
+    pub(super) fn orderly(&self, at: usize, firmness: Firmness, prompt: &[usize]) -> bool {
+        let (said, shots) = (&self.pending.evidence, &self.binder.shots);
+        let (Some(arrival_us), Some(counter), Some(number)) = (said.arrival_us, said.counter, shots.number(at)) else {
+            return false;
+        };
+        let shift = i64::from(counter) - number;
+        let known = match firmness {
+            Firmness::Equal => true,
+            Firmness::Once | Firmness::OneSide => self.binder.counting.only(shift),
+            Firmness::Border | Firmness::Enclosed => false,
+        };
+        if !known || self.binder.others_say_more(said) {
+            return false;
+        }
+        let waits = |other: usize| shots.get(other).frame.is_none() && self.stamp_allows(other);
+        let rival = prompt.iter().any(|other| *other != at && waits(*other));
+        let lacking = (at.saturating_sub(EARLIER)..at).any(|other| shots.get(other).frame.is_none());
+        let from_us = at.checked_sub(1).map_or(shots.get(at).start_us, |before| shots.get(before).start_us);
+        let blind = self.timeline.exposure_tracker().blind_spot(from_us, arrival_us).is_some();
+        let near = |other: &Pending| {
+            let apart_us = other.evidence.arrival_us.map_or(i64::MAX, |us| us.saturating_sub(arrival_us).saturating_abs());
+            other.evidence.frame != said.frame && other.evidence.content != said.content && apart_us <= BATCH_US
+        };
+        let alone = || !self.binder.frames.values().rev().take(EARLIER).any(near);
+        prompt.contains(&at) && !rival && !lacking && !blind && self.stamp_allows(at) && alone()
+    }
+
+    /// Whether the stamp may be of the exposure, as far as the console's clock is known: from one frame as well.
+    fn stamp_allows(&self, at: usize) -> bool {
+        let pair = self.binder.pair(&self.pending.evidence, at);
+        pair.is_none_or(|pair| self.binder.offsets.last().is_none_or(|offset| offset.allows(&pair)))
+    }
+}

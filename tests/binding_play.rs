@@ -86,15 +86,6 @@ pub fn play(session: &Session) -> Score {
             let developed = binding.settled || now_us - arrival_us >= 1_000_000;
             if developed {
                 in_time[*frame as usize] = Some(binding.exposure.is_some());
-                let sent = &session.frames[*frame as usize];
-                if std::env::var_os("SIDECARM_WHY").is_some()
-                    && binding.exposure.is_none()
-                    && matches!(sent.truth, Truth::Of(_))
-                    && !sent.late
-                    && !sent.twin
-                {
-                    println!("not in time: {}: frame {frame}: {}", session.described, binding.evidence.join("; "));
-                }
             }
             !developed
         });
@@ -176,15 +167,6 @@ pub fn play(session: &Session) -> Score {
                 score.decidable_bound += usize::from(binding.exposure.is_some());
             }
             if let (None, Some(reason)) = (&binding.exposure, binding.evidence.last()) {
-                if std::env::var_os("SIDECARM_WHY").is_some() {
-                    println!(
-                        "{}: frame {frame} ({:?}, late {}): {}",
-                        session.described,
-                        sent.truth,
-                        sent.late,
-                        binding.evidence.join("; ")
-                    );
-                }
                 let words: String = reason.chars().filter(|c| !c.is_ascii_digit()).collect();
                 *score.reasons.entry(words).or_default() += 1;
             }

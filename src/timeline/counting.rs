@@ -105,11 +105,14 @@ impl Counting {
     }
 
     /// Whether a frame with `counter`, which names the exposure at `at`, may be of `other` instead: of a later one, if exposures without a
-    /// picture are not counted; of an earlier one, if a picture between them was counted that is there.
+    /// picture are not counted; of an earlier one, if a picture between them was counted that is there, or if nothing is known of the
+    /// counter before it.
     pub(super) fn may_be(&self, shots: &Shots, counter: u32, at: usize, other: usize) -> bool {
         let (Some(named), Some(number)) = (shots.number(at), shots.number(other)) else { return true };
         let own = u32::try_from(i64::from(counter) - named + number);
-        other > at || own.is_ok_and(|own| self.times_seen(own) > 0)
+        let shift = i64::from(counter) - named;
+        let known_before = self.shifts.range(..=other).next_back().is_some_and(|(_, known)| *known == shift);
+        other > at || !known_before || own.is_ok_and(|own| self.times_seen(own) > 0)
     }
 
     /// Whether nothing but this shift is known, from one frame at least.

@@ -7,6 +7,8 @@ use super::evidence::{BindingHow, FrameEvidence, seconds};
 
 /// Telemetry must be this far past the moment that a stamp names, or another exposure may still come up there.
 const AFTER_STAMP_US: i64 = 500_000;
+/// A first frame that comes later than this after the only exposure before it may be of something that was not seen.
+const SOON_US: i64 = 4_000_000;
 /// Frames with stamps this near take part in the order of a burst.
 const ORDER_US: i64 = 20_000_000;
 
@@ -292,6 +294,13 @@ impl Weighed<'_> {
             && (usual(at) || !rivals.any(usual) && (usual_us.is_some() || said.console_us.is_some()))
     }
 
+    /// Whether the frame came no later after the exposure than others do, or soon where that is not known yet.
+    fn timely(&self, at: usize) -> bool {
+        let latest_us = self.usual_delay_us().map_or(SOON_US, |usual_us| usual_us[1]);
+        let end_us = self.binder.shots.get(at).end_us;
+        self.pending.evidence.arrival_us.is_none_or(|arrival_us| arrival_us.saturating_sub(end_us) <= latest_us)
+    }
+
     /// A frame unlike the others is bound only where counter and arrival name the same exposure, and last of all: the exposure's own frame
     /// may still come.
     fn counted_and_prompt(&self, candidates: &[(usize, Firmness)], prompt: &[usize], mut words: Vec<String>) -> Judgement {
@@ -319,8 +328,8 @@ impl Weighed<'_> {
             // A value that came before may be one that does not move, or that began anew.
             let fresh = self.binder.counting.times_seen(counter) <= 1;
             // Where nothing is known yet, an equal number proves little beside a second exposure.
-            let proved = self.decides(*at, *firmness, prompt)
-                || fresh && prompt.len() == 1
+            let proved = self.decides(*at, *firmness, prompt) && (*firmness == Firmness::Enclosed || self.timely(*at))
+                || fresh && prompt.len() == 1 && self.timely(*at)
                 || fresh && self.orderly(*at, *firmness, prompt);
             if prompt.contains(at) && proved {
                 words.push(format!("counter {counter} names {}, which ended shortly before the frame arrived", self.label(*at)));

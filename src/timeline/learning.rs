@@ -11,6 +11,8 @@ use super::evidence::{BindingHow, seconds};
 
 /// Exposures farther apart than this have no common offset.
 const APART_US: i64 = 4_000_000;
+/// Frames that agree come after about the same time; one that comes so much later is doubted.
+const LATER_US: i64 = 2_000_000;
 
 impl Binder {
     /// What the latest prompt frames suggest, as far as it is not known already.
@@ -130,6 +132,16 @@ impl Binder {
         let within = |at: usize| suggestions.iter().filter(|s| stretch(s) == at).copied().collect::<Vec<_>>();
         let agreed: Vec<Suggestion> =
             stretches.into_iter().filter_map(|at| agreement(Topic::Shift, &within(at))).flatten().collect();
+        let delay_us = |member: &Suggestion| {
+            let arrival_us = self.frames.get(&member.frame).and_then(|pending| pending.evidence.arrival_us);
+            arrival_us.map_or(0, |arrival_us| arrival_us.saturating_sub(member.at_us))
+        };
+        let mut delays_us: Vec<i64> = agreed.iter().map(delay_us).collect();
+        delays_us.sort_unstable();
+        let usual_us = delays_us.get(delays_us.len().saturating_sub(1) / 2).copied().unwrap_or(0);
+        // One that came much later than the others came for something else, or is of a later exposure.
+        let agreed: Vec<Suggestion> =
+            agreed.into_iter().filter(|member| delay_us(member) <= usual_us.saturating_add(LATER_US)).collect();
         for member in agreed {
             let Some(exposure) = timeline.exposure(self.shots.get(member.shot).index).cloned() else { continue };
             let free = |at: usize| self.shots.get(at).frame.is_none();

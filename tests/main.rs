@@ -11,7 +11,6 @@ mod telemetry_devices;
 mod telemetry_frames;
 mod telemetry_port;
 mod telemetry_wire;
-mod timeline_binding;
 mod timeline_clock;
 mod record_log;
 mod record_writer;

@@ -3,7 +3,7 @@
 use glam::{DQuat, DVec3};
 use sidecarm::geometry::{CarmJoints, Rigid};
 use sidecarm::telemetry::{CarmSample, DeviceKind, RobotSample, Sample, SequenceTracker, Sequenced, Tendon};
-use sidecarm::timeline::{BindLimits, FreshLimits, Freshness, Retention, Stamps, Support, Timeline};
+use sidecarm::timeline::{FreshLimits, Freshness, Retention, Stamps, Support, Timeline};
 
 pub const T0_US: i64 = 1_700_000_000_000_000;
 
@@ -16,8 +16,8 @@ pub struct Fed {
 }
 
 impl Fed {
-    pub fn with_limits(retention: Retention, limits: BindLimits) -> Self {
-        Self { timeline: Timeline::with_limits(retention, limits), ..Self::default() }
+    pub fn with_retention(retention: Retention) -> Self {
+        Self { timeline: Timeline::with_retention(retention), ..Self::default() }
     }
 
     pub fn push_sample(&mut self, device: DeviceKind, host_us: i64, epoch: u32, sample: Sample) -> Option<Stamps> {
@@ -174,7 +174,7 @@ fn stale_looks_stale() {
 #[test]
 fn memory_is_bounded_and_says_what_it_forgot() {
     let retention = Retention { age_us: 60_000_000, samples: 1_000 };
-    let mut timeline = Fed::with_limits(retention, BindLimits::default());
+    let mut timeline = Fed::with_retention(retention);
     for i in 0..5_000u32 {
         push(&mut timeline, i, i64::from(i) * 33_000, 0.0);
     }

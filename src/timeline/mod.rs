@@ -7,7 +7,6 @@ mod agreement;
 mod alignment;
 mod arrival;
 mod binder;
-mod binding;
 mod clock;
 mod console;
 mod counting;
@@ -21,7 +20,6 @@ mod shots;
 mod track;
 
 pub use binder::Binder;
-pub use binding::{BindLimits, FrameStamp};
 pub use clock::{ClockEstimate, ClockMap, LEAST_DELAY_US, MAX_DRIFT};
 pub use console::ConsoleClock;
 pub use evidence::{Binding, BindingFlag, BindingHow, FrameEvidence};
@@ -95,7 +93,6 @@ pub struct Timeline {
     robot: Track<RobotSample>,
     metadata: [Option<Metadata>; 2],
     exposures: ExposureTracker,
-    bind_limits: BindLimits,
 }
 
 impl Default for Timeline {
@@ -110,21 +107,20 @@ const FILLED_BACK: usize = 32;
 const EXPOSURE_REACH_US: i64 = 500_000;
 
 impl Timeline {
-    /// Empty, with the usual limits.
+    /// Empty, with the usual retention.
     #[must_use]
     pub fn new() -> Self {
-        Self::with_limits(Retention::default(), BindLimits::default())
+        Self::with_retention(Retention::default())
     }
 
-    /// Empty, with these limits.
+    /// Empty; samples are kept as `retention` says.
     #[must_use]
-    pub fn with_limits(retention: Retention, bind_limits: BindLimits) -> Self {
+    pub fn with_retention(retention: Retention) -> Self {
         Self {
             carm: Track::new(retention),
             robot: Track::new(retention),
             metadata: [None, None],
             exposures: ExposureTracker::default(),
-            bind_limits,
         }
     }
 
@@ -228,12 +224,6 @@ impl Timeline {
         let closed = self.exposures.closed();
         let at = closed.binary_search_by_key(&index, |interval| interval.index).ok()?;
         closed.get(at)
-    }
-
-    /// Ties a frame to its exposure, or says why it cannot be tied.
-    #[must_use]
-    pub fn bind(&self, stamp: &FrameStamp) -> Binding {
-        binding::bind(&self.exposures, self.carm.newest_mapped_us(), stamp, &self.bind_limits)
     }
 
     /// Whether `device` can be relied on at host time `now_us`.

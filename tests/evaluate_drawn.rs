@@ -431,7 +431,7 @@ fn a_drawn_scene_beyond_its_bound_is_seen() {
 }
 
 #[test]
-#[ignore = "half an hour long: scripts/evaluate runs it"]
+#[ignore = "minutes long: scripts/evaluate drawn runs it"]
 fn many_drawn_scenes_stay_within_their_stated_error() {
     let count = std::env::var("SIDECARM_SCENES").ok().and_then(|count| count.parse().ok()).unwrap_or(400);
     let verdicts = table(0..count);

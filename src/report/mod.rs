@@ -3,6 +3,8 @@
 mod canvas;
 mod colour;
 mod html;
+mod html_exposures;
+mod html_parts;
 mod pair;
 mod plots;
 mod session;

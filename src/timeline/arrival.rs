@@ -5,7 +5,7 @@ use super::evidence::{BindingHow, seconds};
 use super::judgement::{Judgement, Weighed};
 use super::shots::PROMPT_US;
 
-/// A frame bound by its arrival alone waits this long for others of its batch.
+/// Frames within this time of each other may be of a batch.
 const BATCH_US: i64 = 800_000;
 /// Risk at which arrival alone still binds: that the exposure's own frame is missing and a stray came just then.
 const ARRIVAL_RISK: f64 = 1e-4;
@@ -46,11 +46,7 @@ impl Weighed<'_> {
         if !self.binder.finished && self.now_us.saturating_sub(arrival_us) < BATCH_US {
             return Judgement::Wait("waiting whether more frames come with it".to_owned());
         }
-        let near = |other: &Pending| {
-            let apart_us = other.evidence.arrival_us.map_or(i64::MAX, |us| us.saturating_sub(arrival_us).saturating_abs());
-            other.evidence.frame != said.frame && other.evidence.content != said.content && apart_us <= BATCH_US
-        };
-        if self.binder.shots.get(at).prompt_frames > 1 || self.binder.frames.values().any(near) {
+        if self.binder.shots.get(at).prompt_frames > 1 || self.came_with_another(arrival_us) {
             words.push(format!("several frames came after {}: ambiguous", self.label(at)));
             return Judgement::None(words);
         }
@@ -78,6 +74,15 @@ impl Weighed<'_> {
         }
         words.push(format!("{} ended {} before the frame arrived, and no other was near", self.label(at), seconds(late_us)));
         self.of(at, BindingHow::Time, words, false)
+    }
+
+    /// Whether another picture came within the time of a batch.
+    pub(super) fn came_with_another(&self, arrival_us: i64) -> bool {
+        let said = &self.pending.evidence;
+        self.binder.frames.values().any(|other| {
+            let apart_us = other.evidence.arrival_us.map_or(i64::MAX, |us| us.saturating_sub(arrival_us).saturating_abs());
+            other.evidence.frame != said.frame && other.evidence.content != said.content && apart_us <= BATCH_US
+        })
     }
 
     /// How long after their exposures the other frames come, as far as one came alone after one exposure: the shortest and the longest

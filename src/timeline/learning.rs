@@ -74,11 +74,8 @@ impl Binder {
     pub(super) fn agree_on_offset(&mut self) {
         let known = self.known_offsets().next().is_some();
         let suggestions = self.suggestions(Topic::Offset);
-        let both = || agreement(Topic::Both, &suggestions).filter(|_| !known);
-        if agreement(Topic::Offset, &suggestions).is_some_and(|members| self.learn_offset(&members, known, false)) {
-            return;
-        }
-        if let Some(members) = both() {
+        let learnt = agreement(Topic::Offset, &suggestions).is_some_and(|members| self.learn_offset(&members, known, false));
+        if let (false, false, Some(members)) = (learnt, known, agreement(Topic::Both, &suggestions)) {
             self.learn_offset(&members, known, true);
         }
     }

@@ -4,12 +4,9 @@
 //! Such a frame cannot be of an earlier exposure: each has a frame with another count. It cannot be of one that telemetry missed: there
 //! was no silence. A picture of something else would have to carry the very next number, at the right moment.
 
-use super::binder::Pending;
 use super::counting::Firmness;
 use super::judgement::Weighed;
 
-/// A frame within this time of another may be of a batch.
-const BATCH_US: i64 = 800_000;
 /// Exposures before this one that must have their frames.
 const EARLIER: usize = 12;
 
@@ -34,12 +31,7 @@ impl Weighed<'_> {
         let lacking = (at.saturating_sub(EARLIER)..at).any(|other| shots.get(other).frame.is_none());
         let from_us = at.checked_sub(1).map_or(shots.get(at).start_us, |before| shots.get(before).start_us);
         let blind = self.timeline.exposure_tracker().blind_spot(from_us, arrival_us).is_some();
-        let near = |other: &Pending| {
-            let apart_us = other.evidence.arrival_us.map_or(i64::MAX, |us| us.saturating_sub(arrival_us).saturating_abs());
-            other.evidence.frame != said.frame && other.evidence.content != said.content && apart_us <= BATCH_US
-        };
-        let alone = || !self.binder.frames.values().rev().take(EARLIER).any(near);
-        prompt.contains(&at) && !rival && !lacking && !blind && self.stamp_allows(at) && alone()
+        prompt.contains(&at) && !rival && !lacking && !blind && self.stamp_allows(at) && !self.came_with_another(arrival_us)
     }
 
     /// Whether the stamp may be of the exposure, as far as the console's clock is known: from one frame as well.

@@ -15,6 +15,7 @@ pub mod geometry;
 pub mod gpu;
 pub mod telemetry;
 pub mod acquire;
+pub mod mask;
 pub mod timeline;
 pub mod beads;
 pub mod pose;

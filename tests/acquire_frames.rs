@@ -254,14 +254,19 @@ fn tiff_and_png_take_their_meaning_from_the_sidecar_or_the_user() {
 }
 
 #[test]
-fn pixels_that_are_not_finite_are_refused_where_they_are() {
+fn pixels_that_are_not_finite_are_masked_and_told() {
     let folder = folder();
     let path = folder.path().join("nan.tif");
     for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
         let image = Image { width: 2, height: 2, pixels: vec![0.0, 1.0, 2.0, bad] };
         write_tiff_f32(&path, &[image]).expect("written");
-        let error = read_frame(&path, None).expect_err("refused").to_string();
-        assert!(error.contains("column 1, row 1"), "{error}");
+        let frame = read_frame(&path, None).expect("ordinary");
+        assert!(frame.notes.iter().any(|note| note.contains("1 pixels (25.00 %)")), "{:?}", frame.notes);
+        let masks = sidecarm::mask::of_frame(&frame);
+        assert_eq!(masks.usable(2, 2, &[]).pixels, [true, true, true, false]);
+        write_tiff_f32(&path, &[Image::filled(2, 2, bad)]).expect("written");
+        let error = read_frame(&path, None).expect_err("nothing is there").to_string();
+        assert!(error.contains("all 4 pixels"), "{error}");
     }
 }
 

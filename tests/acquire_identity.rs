@@ -131,7 +131,14 @@ fn canaries() -> Vec<String> {
 /// Every text that a session gives: what it printed, every file it wrote, every message and attachment of its log.
 fn outputs(room: &Room, printed: &[&[u8]]) -> Vec<(String, Vec<u8>)> {
     let mut all: Vec<(String, Vec<u8>)> = printed.iter().map(|bytes| ("printed".to_owned(), bytes.to_vec())).collect();
-    let mut folders = vec![room.out()];
+    all.extend(written(&room.out()));
+    all
+}
+
+/// Every file of a session's folder, and every message and attachment of its log, if it has one.
+pub fn written(out: &Path) -> Vec<(String, Vec<u8>)> {
+    let mut all = Vec::new();
+    let mut folders = vec![out.to_owned()];
     while let Some(folder) = folders.pop() {
         for entry in std::fs::read_dir(folder).expect("lists").flatten() {
             if entry.path().is_dir() {
@@ -143,7 +150,11 @@ fn outputs(room: &Room, printed: &[&[u8]]) -> Vec<(String, Vec<u8>)> {
             }
         }
     }
-    let log = sidecarm::record::read_log(&room.out().join("session.mcap")).expect("a log");
+    let log = out.join("session.mcap");
+    if !log.exists() {
+        return all;
+    }
+    let log = sidecarm::record::read_log(&log).expect("a log");
     assert!(log.losses.is_empty(), "{:?}", log.losses);
     for entry in log.entries {
         // Pixels hold no text, and by chance any short one.
@@ -155,7 +166,8 @@ fn outputs(room: &Room, printed: &[&[u8]]) -> Vec<(String, Vec<u8>)> {
     all
 }
 
-fn hits(outputs: &[(String, Vec<u8>)], word: &str) -> Vec<String> {
+/// Where `word` (in lower case) is found.
+pub fn hits(outputs: &[(String, Vec<u8>)], word: &str) -> Vec<String> {
     let contains = |bytes: &[u8]| bytes.to_ascii_lowercase().windows(word.len()).any(|window| window == word.as_bytes());
     outputs.iter().filter(|(_, bytes)| contains(bytes)).map(|(name, _)| name.clone()).collect()
 }

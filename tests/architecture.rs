@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 /// The data-flow order, as `lib.rs` declares it. `report` stands before `session`, because a session draws each strip as it goes.
-const ORDER: [&str; 26] = [
+const ORDER: [&str; 27] = [
     "units",
     "time",
     "random",
@@ -15,6 +15,7 @@ const ORDER: [&str; 26] = [
     "gpu",
     "telemetry",
     "acquire",
+    "mask",
     "timeline",
     "beads",
     "pose",

@@ -18,6 +18,18 @@ type Came = (Truth, f64, Option<u32>);
 
 /// A session by hand; the C-arm counts from 1 if `counted`, frames have stamps if `stamped`.
 fn played(exposures_s: &[(f64, f64)], holes: &[(f64, f64)], counted: bool, stamped: bool, came: &[Came]) -> Score {
+    played_with(exposures_s, holes, counted, came, 1_000_000, &|at_s| stamped.then(|| us((at_s + AHEAD_S).floor())))
+}
+
+/// The same; `stamp` is what the console writes at a time in s, to `resolution_us`.
+fn played_with(
+    exposures_s: &[(f64, f64)],
+    holes: &[(f64, f64)],
+    counted: bool,
+    came: &[Came],
+    resolution_us: i64,
+    stamp: &dyn Fn(f64) -> Option<i64>,
+) -> Score {
     let mut draw = Draw::new(1, 0);
     let counter = |index: usize| index as u32 + 1;
     let end_s = exposures_s.iter().fold(0.0f64, |end, exposure| end.max(exposure.1)) + 30.0;
@@ -36,10 +48,10 @@ fn played(exposures_s: &[(f64, f64)], holes: &[(f64, f64)], counted: bool, stamp
             image_of_file: [0, 1],
             counter: *counter,
             console_us: match truth {
-                Truth::Of(index) | Truth::SecondOf(index) => stamped.then(|| us((exposures_s[*index].0 + AHEAD_S).floor())),
+                Truth::Of(index) | Truth::SecondOf(index) => stamp(exposures_s[*index].0),
                 Truth::Copy | Truth::Foreign => None,
             },
-            console_resolution_us: 1_000_000,
+            console_resolution_us: resolution_us,
             arrival_us: Some(us(*arrival_s)),
             frame_time_us: None,
         },
@@ -127,4 +139,118 @@ fn a_counter_of_stored_pictures_does_not_name_the_exposure_without_one() {
         let score = played(&exposures, &[], counted, false, &came);
         assert!(score.wrong.is_empty() && score.bound >= 6, "{} bound, {:#?}", score.bound, score.wrong);
     }
+}
+
+#[test]
+fn an_exposure_that_ends_in_a_silence_may_have_another_behind_it() {
+    // The C-arm does not count. Two exposures in a hole, two after it, a third of which the end falls into a second hole with a fourth.
+    for phase in 0..10 {
+        let mut exposures = calm(10);
+        let at = exposures[9].0.floor() + 60.0 + 0.1 * f64::from(phase);
+        let burst = [(0.0, 0.4), (0.9, 1.2), (2.0, 2.6), (2.83, 3.38), (4.09, 4.6), (5.1, 5.6), (29.5, 29.7), (38.6, 38.8)];
+        exposures.extend(burst.map(|(a, b)| (at + a, at + b)));
+        let came: Vec<Came> = (0..18).map(|i| (Truth::Of(i), exposures[i].1 + 1.5, Some(i as u32 + 1))).collect();
+        let score = played(&exposures, &[(at - 0.5, at + 1.7), (at + 4.2, at + 7.1)], false, true, &came);
+        assert!(score.wrong.is_empty(), "{:#?}", score.wrong);
+        assert!(score.bound >= 10, "{} of {} bound", score.bound, score.frames);
+    }
+}
+
+#[test]
+fn two_frames_with_one_count_after_one_exposure_leave_it_open() {
+    // The counter begins anew at the seventh; the older frames with the same counts come late, in a batch, right after the eighth.
+    let exposures = calm(16);
+    let count = |i: usize| if i < 6 { i as u32 + 1 } else { i as u32 - 5 };
+    let mut came: Vec<Came> =
+        (6..16).map(|i| (Truth::Of(i), exposures[i].1 + if i == 8 { 2.9 } else { 2.5 }, Some(count(i)))).collect();
+    came.extend((1..4).map(|i| (Truth::Of(i), exposures[8].1 + 2.6 + 0.05 * i as f64, Some(count(i)))));
+    let score = played(&exposures, &[], true, false, &came);
+    assert!(score.wrong.is_empty() && score.bound >= 8, "{} bound, {:#?}", score.bound, score.wrong);
+}
+
+#[test]
+fn a_console_that_stamps_beginnings_tells_a_quick_run_apart() {
+    // Nothing but stamps of whole seconds, and exposures of which two fit most of them, whatever instant they name.
+    for phase in 0..10 {
+        let mut exposures = calm(30);
+        let at = exposures[29].0.floor() + 30.0 + 0.1 * f64::from(phase);
+        exposures.extend((0..6).map(|i| at + 1.25 * f64::from(i)).map(|at| (at, at + 0.5)));
+        let came: Vec<Came> = (0..36).filter(|i| *i != 33).map(|i| (Truth::Of(i), exposures[i].1 + 1.5, Some(1))).collect();
+        let score = played(&exposures, &[], true, true, &came);
+        assert!(score.wrong.is_empty(), "{:#?}", score.wrong);
+        assert!(score.bound >= 34, "{} of {} bound", score.bound, score.frames);
+    }
+}
+
+#[test]
+fn a_counter_is_learnt_from_quick_runs_alone() {
+    // No stamps, no exposure alone: each of a run's frames comes after the next exposures. The late ones come in a batch, some of them
+    // right after an exposure.
+    let exposures: Vec<(f64, f64)> = (0..48)
+        .map(|i| (i / 4, i % 4))
+        .map(|(run, nth)| {
+            10.0 + 31.0 * f64::from(run) + 0.7 * f64::from(run * run % 5) + (1.1 + 0.05 * f64::from(run % 3)) * f64::from(nth)
+        })
+        .map(|at| (at, at + 0.4))
+        .collect();
+    for counted in [true, false] {
+        let late = |i: usize| (12..20).contains(&i);
+        let arrival = |i: usize| {
+            if late(i) { exposures[30].1 + 0.5 + 0.05 * i as f64 } else { exposures[i].1 + 2.2 + 0.1 * (i % 4) as f64 }
+        };
+        let came: Vec<Came> = (0..48).map(|i| (Truth::Of(i), arrival(i), Some(i as u32 + 41))).collect();
+        let score = played(&exposures, &[], counted, false, &came);
+        assert!(score.wrong.is_empty(), "{:#?}", score.wrong);
+        assert!(score.bound >= 40, "{} of {} bound", score.bound, score.frames);
+    }
+}
+
+#[test]
+fn a_clock_set_within_a_run_does_not_move_its_frames_to_their_neighbours() {
+    // The C-arm counts, the console counts three more. At the middle of a quick run its clock is set back by about one exposure.
+    for back in [0.9, 1.0, 1.1, 1.2, 1.3] {
+        let mut exposures = calm(6);
+        let at = exposures[5].0 + 30.0;
+        let starts = [0.0, 1.6, 2.9, 5.4, 7.1, 10.0, 11.2, 13.9, 15.1, 17.7, 18.8, 21.4, 23.6, 26.4];
+        exposures.extend(starts.map(|start| (at + start, at + start + 0.5)));
+        let set = |at_s: f64| if at_s > at + 9.0 { back } else { 0.0 };
+        let stamp = |at_s: f64| Some(us(at_s + AHEAD_S - set(at_s)));
+        let came: Vec<Came> = (0..20).map(|i| (Truth::Of(i), exposures[i].1 + 0.8, Some(i as u32 + 4))).collect();
+        let score = played_with(&exposures, &[], true, &came, 1, &stamp);
+        assert!(score.wrong.is_empty(), "{back}: {:#?}", score.wrong);
+        assert!(score.bound >= 10, "{back}: {} of {} bound", score.bound, score.frames);
+    }
+}
+
+#[test]
+fn an_equal_number_proves_nothing_while_an_earlier_exposure_waits() {
+    // The console counts one more than the C-arm, and the first picture comes late, right after the exposure that has its number.
+    let exposures = calm(8);
+    let mut came: Vec<Came> = (2..8).map(|i| (Truth::Of(i), exposures[i].1 + 1.5, Some(i as u32 + 2))).collect();
+    came.push((Truth::Of(0), exposures[1].1 + 1.4, Some(2)));
+    let score = played(&exposures, &[], true, false, &came);
+    assert!(score.wrong.is_empty() && score.bound >= 5, "{} bound, {:#?}", score.bound, score.wrong);
+}
+
+#[test]
+fn a_late_frame_is_not_bound_by_a_count_that_a_new_start_has_reached() {
+    // The second exposure has no picture; the counter begins anew at the eighth, whose second picture comes late.
+    let exposures = calm(20);
+    let count = |i: usize| if i < 8 { i as u32 + 1 } else { i as u32 - 7 };
+    let mut came: Vec<Came> =
+        (0..20).filter(|i| ![1, 8, 9].contains(i)).map(|i| (Truth::Of(i), exposures[i].1 + 1.5, Some(count(i)))).collect();
+    came.push((Truth::Of(9), exposures[9].1 + 8.0, Some(2)));
+    let score = played(&exposures, &[], true, false, &came);
+    assert!(score.wrong.is_empty() && score.bound >= 14, "{} bound, {:#?}", score.bound, score.wrong);
+}
+
+#[test]
+fn a_missing_picture_does_not_move_all_later_frames_to_the_exposure_before() {
+    // The console counts what it stores: nothing of the fourth, and exposures follow each other within two seconds.
+    let exposures: Vec<(f64, f64)> =
+        (0..24).map(|i| 20.0 + 1.9 * f64::from(i) + 0.3 * f64::from(i * i % 4)).map(|at| (at, at + 0.4)).collect();
+    let stored = (0..24).filter(|i| *i != 3);
+    let came: Vec<Came> = stored.zip(1..).map(|(i, count)| (Truth::Of(i), exposures[i].1 + 1.2, Some(count))).collect();
+    let score = played(&exposures, &[], true, false, &came);
+    assert!(score.wrong.is_empty(), "{:#?}", score.wrong);
 }

@@ -61,7 +61,7 @@ pub struct Sent {
     pub evidence: FrameEvidence,
     pub truth: Truth,
     pub late: bool,
-    /// Nothing in it tells its exposure from another: no counter that moves, and no stamp or the same one as a neighbour's.
+    /// Nothing in it tells its exposure from another that it may be of: the stamp, or its lack, and the counter are the same.
     pub twin: bool,
 }
 

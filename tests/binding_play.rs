@@ -52,7 +52,8 @@ impl Score {
 fn is_of(binding: &Binding, truth: &Exposed) -> bool {
     let Some(interval) = &binding.exposure else { return false };
     if interval.samples == 0 {
-        return interval.counter == truth.counter && interval.start_us <= truth.start_us && interval.end_us >= truth.end_us;
+        let around = interval.start_us < truth.start_us + 40_000 && interval.end_us > truth.end_us - 40_000;
+        return interval.counter == truth.counter && around;
     }
     interval.start_us < truth.end_us + 40_000 && interval.end_us > truth.start_us - 40_000
 }

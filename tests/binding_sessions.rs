@@ -283,11 +283,16 @@ pub fn session(seed: u64, kind: Kind) -> Session {
         let event = if marks_end { truth_s[index].1 } else { truth_s[index].0 } + lag_s;
         (((T0_US as f64 * 1e-6).floor() + event - offset_s - zone_s - drift * event) / resolution_s).floor()
     };
-    let has_twin = |index: usize| {
-        let same = |resolution_s: f64| {
-            (0..EXPOSURES).any(|other| other != index && second(other, resolution_s) == second(index, resolution_s))
-        };
-        !moves && resolution_s.is_none_or(same)
+    // Another exposure with the same stamp and count that the frame may be of; a count and a prompt arrival are two kinds of evidence.
+    let has_twin = |index: usize, arrival_s: f64, stamped: bool, late: bool| {
+        (0..EXPOSURES).filter(|other| *other != index).any(|other| {
+            let since_s = arrival_s - truth_s[other].1;
+            let reach_s = if late || !moves { f64::INFINITY } else { 7.0 };
+            let same_stamp = |resolution_s: f64| !stamped || second(other, resolution_s) == second(index, resolution_s);
+            (0.0..reach_s).contains(&since_s)
+                && resolution_s.is_none_or(same_stamp)
+                && frame_counter(other) == frame_counter(index)
+        })
     };
     let resolution_us = resolution_s.map_or(1_000_000, us);
     let frames = sent
@@ -306,7 +311,7 @@ pub fn session(seed: u64, kind: Kind) -> Session {
             },
             truth,
             late,
-            twin: matches!(truth, Truth::Of(index) if has_twin(index)),
+            twin: matches!(truth, Truth::Of(index) if has_twin(index, at_s, console_us.is_some(), late)),
         })
         .collect();
     let exposures = truth_s.iter().enumerate().map(|(index, (start, end))| Exposed {

@@ -219,6 +219,12 @@ fn frames_that_contradict_each_other_are_left_out_or_refused() {
     };
     glaring.refused(&["--bits", "14"], &["saturated", "lower the exposure"]);
 
+    // A masked frame is ordinary elsewhere; here its pixels would become holes of the gain map.
+    let Some(masked) = panel(&["--seed", "110", "--levels-mas", "2,4", "--frames", "2"]) else { return };
+    let holes = Image { width: 4, height: 4, pixels: (0..16).map(|n| if n == 5 { f32::NAN } else { 900.0 }).collect() };
+    sidecarm::image::write_tiff_f32(&masked.folder.path().join("air-zz.tif"), &[holes]).expect("written");
+    masked.refused(&["--bits", "14"], &["1 pixels are NaN or infinite", "export the frame unmasked"]);
+
     // A wrong mAs is a wrong air level: two of five levels said as one.
     let Some(mislabelled) = panel(&["--seed", "109", "--levels-mas", "2,4", "--frames", "2"]) else { return };
     mislabelled.refused(&["--bits", "14", "--mas", "2,2,2,2"], &["signal per mAs", "calibrate them apart"]);

@@ -2,9 +2,10 @@
 
 use glam::{DVec2, DVec3};
 use sidecarm::acquire::{Domain, Frame};
-use sidecarm::compare::{AirLevel, Cause, CommonDomain, CompareError, CompareInput, Compared, NullError, Tone, compare};
+use sidecarm::compare::{AirLevel, CommonDomain, CompareError, CompareInput, Compared, NullError, Tone, compare};
 use sidecarm::geometry::{Intrinsics, Rigid, View};
 use sidecarm::image::Image;
+use sidecarm::mask::Cause;
 
 /// A small uniform random number in [−1, 1) for an index; no generator state.
 fn scatter(index: u32, salt: u32) -> f64 {

@@ -357,3 +357,25 @@ fn an_image_that_disagrees_with_its_beads_is_amber_in_a_live_session() {
     assert!(words.contains(&format!(" 0 accepted, {amber} accepted but the image disagrees")), "{words}");
     assert!(report.contains("class=\"badge caution\">accepted, image disagrees") && !report.contains("badge good"));
 }
+
+/// A detector 22 mm farther away than the frame's own tag says: the beads fit as well, 14 mm deeper. (From 3 % on they tell by themselves.)
+#[test]
+fn a_detector_that_the_frame_puts_elsewhere_is_amber_in_a_live_session() {
+    if !mock_is_built() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let (pairs, report, words) = live(folder.path(), &[], |lab| {
+        edit(lab, "carm.json", |carm| carm["offsets"]["source_to_detector_mm"] = value!(22.0));
+    });
+    assert!(pairs.len() >= 2, "{words}");
+    let mut amber = 0;
+    for pair in &pairs {
+        let status = pair["status"].as_str().unwrap_or_default();
+        assert!(["accepted_telemetry_disagrees", "accepted_image_disagrees", "refused"].contains(&status), "{pair}");
+        assert!(pair["flags"].to_string().contains("focal spot to detector"), "{pair}");
+        amber += usize::from(status.starts_with("accepted"));
+    }
+    assert!(amber >= 2, "{words}");
+    assert!(words.contains(" 0 accepted") && !report.contains("badge good"), "{words}");
+}

@@ -141,7 +141,9 @@ impl Lab {
     pub fn delivered(&self) -> Vec<(String, i64)> {
         let mut found = Vec::new();
         for entry in std::fs::read_dir(self.frames()).expect("the folder is there").flatten() {
-            let modified = entry.metadata().expect("a file").modified().expect("a time");
+            // A frame is written under another name and renamed: what was listed may be gone.
+            let Ok(metadata) = entry.metadata() else { continue };
+            let modified = metadata.modified().expect("a time");
             let since = modified.duration_since(std::time::UNIX_EPOCH).expect("after 1970");
             if entry.path().extension().is_some_and(|extension| extension == "dcm") {
                 found.push((sha256_file(&entry.path()).expect("readable"), since.as_micros() as i64));

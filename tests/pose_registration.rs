@@ -9,7 +9,7 @@ use sidecarm::random::{Purpose, Stream};
 
 use crate::pose_synthetic as synthetic;
 
-fn matching<'a>(view: &View, layout: &'a BeadLayout) -> Matching<'a> {
+pub fn matching<'a>(view: &View, layout: &'a BeadLayout) -> Matching<'a> {
     Matching {
         size_px: view.size_px,
         layout,
@@ -22,8 +22,22 @@ fn matching<'a>(view: &View, layout: &'a BeadLayout) -> Matching<'a> {
     }
 }
 
+/// The same for a frame.
+pub fn request<'a>(view: &View, frame: &'a Frame, layout: &'a BeadLayout) -> Registration<'a> {
+    Registration {
+        frame,
+        layout,
+        intrinsics: Some(view.intrinsics),
+        pitch_mm: Some(1020.0 / view.intrinsics.fx),
+        prior: None,
+        fuse: false,
+        landmarks: &[],
+        bead_radius_mm: None,
+    }
+}
+
 /// Exact shadows of `layout`, disturbed by `noise_px` and by `noise_mm` of each bead's place; none outside the frame.
-fn shadows(view: &View, layout: &BeadLayout, noise_px: f64, noise_mm: f64, seed: u64) -> Vec<Detection> {
+pub fn shadows(view: &View, layout: &BeadLayout, noise_px: f64, noise_mm: f64, seed: u64) -> Vec<Detection> {
     let mut random = Stream::new(seed, 11, 0, Purpose::Evaluation);
     let projection = view.projection();
     let mut found = Vec::new();
@@ -48,7 +62,7 @@ fn shadow(image_px: DVec2, radius_px: f64, sigma_px: f64) -> Detection {
     Detection { image_px, sigma_px, radius_px, contrast: 0.4, snr: 30.0, misfit: 0.02, quality: 0.8 }
 }
 
-fn clutter(view: &View, count: usize, radius_px: f64, seed: u64) -> Vec<Detection> {
+pub fn clutter(view: &View, count: usize, radius_px: f64, seed: u64) -> Vec<Detection> {
     let mut random = Stream::new(seed, 12, 0, Purpose::Evaluation);
     let [w, h] = view.size_px.map(f64::from);
     (0..count)
@@ -57,7 +71,7 @@ fn clutter(view: &View, count: usize, radius_px: f64, seed: u64) -> Vec<Detectio
 }
 
 /// Mean distance between true and recovered projections of a grid of places within the specimen.
-fn landmark_error_px(pose: &Pose, view: &View) -> f64 {
+pub fn landmark_error_px(pose: &Pose, view: &View) -> f64 {
     let found = pose.projection.expect("accepted poses have a projection");
     let truth = view.projection();
     let (mut sum, mut count) = (0.0, 0.0);
@@ -69,7 +83,7 @@ fn landmark_error_px(pose: &Pose, view: &View) -> f64 {
     sum / count
 }
 
-fn reason(pose: &Pose) -> &str {
+pub fn reason(pose: &Pose) -> &str {
     assert_eq!(pose.status, Status::Refused, "accepted with rms {:?}", pose.rms_px);
     assert!(pose.projection.is_none() && pose.camera().is_none());
     pose.reason.as_deref().expect("refusals have a reason")
@@ -83,16 +97,7 @@ fn drawn_radiographs_give_p_within_a_tenth_of_a_pixel() {
         let pixels = synthetic::radiograph(view, &layout, photons, seed).draw();
         let frame = Frame::from_pixels("drawn", pixels, Domain::Linear).expect("finite");
         let landmarks = [Landmark { name: "tip".to_owned(), lps_mm: DVec3::new(5.0, 5.0, 5.0) }];
-        let pose = register(&Registration {
-            frame: &frame,
-            layout: &layout,
-            intrinsics: Some(view.intrinsics),
-            pitch_mm: Some(1020.0 / view.intrinsics.fx),
-            prior: None,
-            fuse: false,
-            landmarks: &landmarks,
-            bead_radius_mm: None,
-        });
+        let pose = register(&Registration { landmarks: &landmarks, ..request(&view, &frame, &layout) });
         assert!(pose.is_accepted(), "{:?}", pose.reason);
         let error = landmark_error_px(&pose, &view);
         assert!(error < 0.1, "{error}");

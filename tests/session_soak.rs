@@ -41,7 +41,11 @@ fn memory_stays_bounded_over_hours() {
     // Eight exposures a round, thirty an hour; a round takes at least six seconds, so that exposures do not overlap.
     let rounds = (hours * 30.0 / 8.0).min(seconds / 6.0).max(1.0) as usize;
     let (duration, repeat, rate) = (seconds.to_string(), rounds.to_string(), speed.to_string());
-    let args = ["--duration-s", &duration, "--repeat", &repeat, "--rate", &rate, "--faults", "none", "--linger-s", "5"];
+    let panel = std::env::var("SIDECARM_SOAK_PANEL").ok();
+    let mut args = vec!["--duration-s", &duration, "--repeat", &repeat, "--rate", &rate, "--faults", "none", "--linger-s", "5"];
+    if let Some(panel) = &panel {
+        args.extend(["--panel-px", panel]);
+    }
     let Some(lab) = Lab::start(&args) else { return };
     let mut live = Live::start(&lab.kit.join("session.json"), &lab.kit.with_file_name("session"), &[]);
     let watch = Stopwatch::start();

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use serialport::{SerialPort, TTYPort};
-use sidecarm::cli::devices::{CheckFile, CheckList, FileCheck, check_lines};
+use sidecarm::cli::line_checks::{CheckFile, CheckList, FileCheck, check_lines};
 use sidecarm::telemetry::{DeviceKind, PortConfig};
 
 use crate::telemetry_frames::{GOLDEN_METADATA, bytes, plain};

@@ -160,6 +160,22 @@ impl Lab {
         self
     }
 
+    /// The lab with a square panel as high as its own, of `side_px` by `side_px` pixels and as many photons for its area.
+    #[must_use]
+    pub fn with_square_panel(mut self, side_px: u32) -> Self {
+        let number = |key: &str| self.carm[key].as_f64().unwrap_or(1.0);
+        let (before_mm, height_mm) = (number("pitch_mm"), number("rows_px") * number("pitch_mm"));
+        let pitch_mm = height_mm / f64::from(side_px);
+        let middle = 0.5 * f64::from(side_px) - 0.5;
+        self.photons_per_pixel *= (pitch_mm / before_mm).powi(2);
+        for key in ["columns_px", "rows_px"] {
+            self.carm[key] = side_px.into();
+        }
+        self.carm["pitch_mm"] = pitch_mm.into();
+        self.carm["principal_point_px"] = serde_json::json!([middle, middle]);
+        self
+    }
+
     /// Left, top, right, bottom of the panel at the detector, from its middle.
     #[must_use]
     pub fn open_field_mm(&self) -> [f64; 4] {

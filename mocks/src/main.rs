@@ -66,6 +66,9 @@ struct Args {
     /// Writes for every packet that leaves a device: host time in µs, device, sequence, bytes.
     #[arg(long, value_name = "FILE.csv")]
     sent: Option<PathBuf>,
+    /// Another panel: square, as high as the lab's own, of so many pixels a side.
+    #[arg(long, value_name = "PIXELS")]
+    panel_px: Option<u32>,
     /// No exposure counter on the wire and in the frames.
     #[arg(long)]
     no_counter: bool,
@@ -108,7 +111,11 @@ fn run(args: &Args) -> Result<(), MockError> {
     within("--rate", args.rate, 0.01, 100.0)?;
     within("--repeat", args.repeat as f64, 1.0, 1000.0)?;
     within("--missing", args.missing, 0.0, 1.0)?;
-    let lab = Lab::embedded()?.repeated(args.repeat);
+    let mut lab = Lab::embedded()?.repeated(args.repeat);
+    if let Some(side_px) = args.panel_px {
+        within("--panel-px", f64::from(side_px), 64.0, 4096.0)?;
+        lab = lab.with_square_panel(side_px);
+    }
     let faults = choose(&args.faults, &lab.faults)?;
     let phantom = Phantom::embedded()?;
     refuse_old_frames(&args.out)?;

@@ -121,15 +121,11 @@ pub enum Fault {
         /// The limit.
         limit: u64,
     },
-    /// NaN or infinite pixels.
-    #[error("{count} pixels are NaN or infinite, the first at column {column}, row {row}; mask or repair them before import")]
+    /// Nothing but NaN and infinite pixels.
+    #[error("all {count} pixels are NaN or infinite; export the radiograph again")]
     NotFinite {
         /// How many.
         count: u64,
-        /// The first one's column.
-        column: u64,
-        /// The first one's row.
-        row: u64,
     },
     /// A colour image.
     #[error("pixels are in colour ({found}), expected one grey sample per pixel; export the radiograph without colour")]

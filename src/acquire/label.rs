@@ -38,6 +38,31 @@ fn stem(path: &Path) -> String {
     }
 }
 
+/// Endings of the other files that a session reads, the longer ones first.
+const INPUT_ENDINGS: [&str; 11] =
+    [".nii.gz", ".mrk.json", ".nii", ".json", ".fcsv", ".csv", ".stl", ".nrrd", ".nhdr", ".mha", ".mhd"];
+
+/// What a file that a session reads (CT, tool, calibration, beads) is called in what it writes: its own name without folders where that is
+/// harmless, else the first digits of its hash; the ending stays, because it says how the file is read.
+#[must_use]
+pub fn input_label(path: &Path, sha256: &str) -> String {
+    let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    let lower = name.to_ascii_lowercase();
+    let ending = INPUT_ENDINGS.into_iter().find(|ending| lower.ends_with(ending)).unwrap_or_default();
+    let stem = name.get(..name.len() - ending.len()).unwrap_or_default();
+    match harmless(Path::new(stem)) {
+        Some(stem) => format!("{stem}{ending}"),
+        None => hashed_input_label(&lower, sha256),
+    }
+}
+
+/// [`input_label`] of a name that says nothing: where two files of one session have the same harmless name.
+#[must_use]
+pub fn hashed_input_label(name: &str, sha256: &str) -> String {
+    let ending = INPUT_ENDINGS.into_iter().find(|ending| name.ends_with(ending)).unwrap_or_default();
+    format!("input-{}{ending}", sha256.get(..12).unwrap_or(sha256))
+}
+
 /// Whether the file's name ends as an image's does.
 pub(super) fn looks_like_an_image(path: &Path) -> bool {
     path.extension().is_some_and(|ending| IMAGE_ENDINGS.contains(&ending.to_string_lossy().to_ascii_lowercase().as_str()))

@@ -34,6 +34,7 @@ pub use detector_record::{
     NoisePower, PanelResponse,
 };
 pub use error::{AcquireError, Fault};
+pub use label::{hashed_input_label, input_label};
 pub use log_form::Samples;
 pub use read::{read_frame, read_frames, read_open, serve};
 pub use source::{Arrival, FrameSource, QueuedFrames, Reading, Sighting, Trouble};
@@ -166,7 +167,7 @@ impl Frame {
     /// A frame made in memory, from a simulation or a test; `domain` is taken at its word.
     ///
     /// # Errors
-    /// When there is no pixel, or one is NaN or infinite.
+    /// When there is no pixel, or none is finite.
     pub fn from_pixels(name: &str, pixels: Image<f32>, domain: Domain) -> Result<Self, AcquireError> {
         let mut bytes = Vec::with_capacity(pixels.pixels.len() * 4);
         pixels.pixels.iter().for_each(|value| bytes.extend_from_slice(&value.to_le_bytes()));
@@ -207,17 +208,20 @@ struct Raw {
 }
 
 impl Raw {
-    fn into_frame(self, name: String, sha256: String, image_of_file: [usize; 2]) -> Result<Frame, Fault> {
+    fn into_frame(mut self, name: String, sha256: String, image_of_file: [usize; 2]) -> Result<Frame, Fault> {
         let Image { width, height, .. } = self.pixels;
         if self.pixels.pixels.is_empty() {
             return Err(Fault::Empty { width: width as u64, height: height as u64 });
         }
-        if let Some(first) = self.pixels.pixels.iter().position(|value| !value.is_finite()) {
-            return Err(Fault::NotFinite {
-                count: self.pixels.pixels.iter().filter(|value| !value.is_finite()).count() as u64,
-                column: (first % width) as u64,
-                row: (first / width) as u64,
-            });
+        // A frame that marks what lies behind the shutters with NaN, or takes the logarithm of nothing there, is ordinary.
+        let blank = self.pixels.pixels.iter().filter(|value| !value.is_finite()).count();
+        if blank == self.pixels.pixels.len() {
+            return Err(Fault::NotFinite { count: blank as u64 });
+        }
+        if blank > 0 {
+            let percent = 100.0 * blank as f64 / self.pixels.pixels.len() as f64;
+            self.notes.push(format!("{blank} pixels ({percent:.2} %) are NaN or infinite: they are masked"));
+            self.pixels.pixels.iter_mut().filter(|value| !value.is_finite()).for_each(|value| *value = f32::NAN);
         }
         let clipping = clipping(&self.pixels, self.scale_ends, self.domain == Domain::Log);
         Ok(Frame {
@@ -244,6 +248,7 @@ impl Raw {
 const PLATEAU_SHARE: f64 = 1e-3;
 
 fn clipping(pixels: &Image<f32>, scale_ends: Option<[f32; 2]>, signal_is_low: bool) -> Clipping {
+    // The smaller of a number and NaN is the number.
     let (low, high) = pixels.pixels.iter().fold((f32::MAX, f32::MIN), |(low, high), &v| (low.min(v), high.max(v)));
     if !(low < high) {
         return Clipping::default();

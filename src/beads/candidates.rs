@@ -125,11 +125,15 @@ fn find_at_scale(image: &Image<f32>, usable: &Image<bool>, sigma: f64, step: usi
             let mut inside: Vec<f32> = Vec::with_capacity(TILE * TILE);
             for row in tile_row * TILE..((tile_row + 1) * TILE).min(h) {
                 for column in tile_column * TILE..((tile_column + 1) * TILE).min(w) {
-                    inside.push(trace.pixels[row * w + column]);
+                    let at = (row * step).min(usable.height - 1) * usable.width + (column * step).min(usable.width - 1);
+                    if usable.pixels[at] {
+                        inside.push(trace.pixels[row * w + column]);
+                    }
                 }
             }
             let middle = inside.len() / 2;
-            medians.push(*inside.select_nth_unstable_by(middle, f32::total_cmp).1 / 0.6745);
+            let median = if inside.is_empty() { 0.0 } else { *inside.select_nth_unstable_by(middle, f32::total_cmp).1 };
+            medians.push(median / 0.6745);
         }
     }
     let mut sorted: Vec<f32> = medians.iter().copied().filter(|m| *m > 0.0).collect();

@@ -10,6 +10,7 @@ use super::noise::Noise;
 use super::profile::SHAPES;
 use crate::acquire::{Domain, Frame};
 use crate::image::Image;
+use crate::mask::fill;
 
 /// What a pixel's value is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -161,18 +162,6 @@ pub fn detect(frame: &Frame, mask: Option<&Image<bool>>, expected: &Expectation)
         Domain::Display | Domain::Unknown => Signal::Unknown,
     };
     detect_image(&frame.pixels, signal, mask, expected)
-}
-
-/// Unusable pixels take the median of the usable ones, so that filters run over them.
-fn fill(pixels: &Image<f32>, usable: &Image<bool>) -> Image<f32> {
-    let mut good: Vec<f32> = pixels.pixels.iter().zip(&usable.pixels).filter(|(_, ok)| **ok).map(|(value, _)| *value).collect();
-    if good.len() == pixels.pixels.len() {
-        return pixels.clone();
-    }
-    let middle = good.len() / 2;
-    let median = if good.is_empty() { 0.0 } else { *good.select_nth_unstable_by(middle, f32::total_cmp).1 };
-    let values = pixels.pixels.iter().zip(&usable.pixels).map(|(value, ok)| if *ok { *value } else { median }).collect();
-    Image { width: pixels.width, height: pixels.height, pixels: values }
 }
 
 /// −ln of slightly smoothed transmission; values without quanta are held at a third of the lowest that occur.

@@ -12,8 +12,10 @@ mod fit;
 mod layout;
 mod markups;
 mod noise;
+mod probe;
 mod profile;
 
 pub use detect::{Detection, Detections, Expectation, Polarity, Signal, detect, detect_image};
 pub use layout::{Bead, BeadLayout, DEFAULT_BODY, DEFAULT_SIGMA_MM, Landmark};
 pub use markups::{BeadsError, parse_landmarks, parse_markups, read_landmarks, read_markups};
+pub use probe::Probe;

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::time::Duration;
 
-use super::devices::{CheckFile, CheckLine, CheckList, FileCheck, check_lines};
+use super::line_checks::{CheckFile, CheckLine, CheckList, FileCheck, check_lines};
 use crate::acquire::read_frames;
 use crate::beads::{BeadLayout, parse_markups};
 use crate::gpu::DeviceChoice;

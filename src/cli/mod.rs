@@ -15,6 +15,7 @@ pub mod demo;
 pub mod devices;
 pub mod hints;
 pub mod info;
+pub mod line_checks;
 pub mod live;
 pub mod read_foreign;
 pub mod register;

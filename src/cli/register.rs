@@ -228,7 +228,7 @@ pub fn summary(pose: &Pose) -> String {
 /// The frame in grey with circles: green observed and used, red observed and left out, yellow crosses where beads are expected.
 #[must_use]
 pub fn overlay(frame: &Frame, pose: &Pose) -> Image<[u8; 3]> {
-    let mut sorted: Vec<f32> = frame.pixels.pixels.iter().copied().step_by(11).collect();
+    let mut sorted: Vec<f32> = frame.pixels.pixels.iter().copied().step_by(11).filter(|value| value.is_finite()).collect();
     sorted.sort_by(f32::total_cmp);
     let at = |share: f64| sorted.get(((sorted.len() - 1) as f64 * share) as usize).copied().unwrap_or(0.0);
     let (low, high) = if sorted.is_empty() { (0.0, 1.0) } else { (at(0.005), at(0.995)) };

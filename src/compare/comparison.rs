@@ -3,12 +3,12 @@
 use std::collections::BTreeMap;
 
 use super::domain::{AirReport, CommonDomain};
-use super::masks::MaskShares;
 use super::null::{NullPlan, NullScore};
 use super::scores::Scores;
 use super::tone::ToneFit;
 use crate::acquire::Domain;
 use crate::image::Image;
+use crate::mask::MaskShares;
 
 /// What was found, as it is written to files.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]

@@ -1,9 +1,9 @@
 //! Edges of an image, to a fraction of a pixel, and how far apart the edges of two images lie.
 
-use super::filters::{Gradient, noise, quantile};
-use super::masks::components;
+use super::filters::{Gradient, noise};
 use super::seen::{SCORE_SIGMA_PX, Seen};
-use crate::image::Image;
+use crate::image::{Image, quantile};
+use crate::mask::components;
 
 /// An edge is a local maximum of the gradient among the strongest quarter, or nearly as strong as the strongest: where an image has
 /// nothing but equally strong edges, all of them count.

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::image::Image;
+use crate::image::{Image, quantile, zip};
 
 /// A pixel of a smoothed image is trusted when at least this share of its kernel lay on usable pixels.
 pub(super) const TRUSTED_WEIGHT: f32 = 0.75;
@@ -67,12 +67,6 @@ impl Kernel {
     }
 }
 
-/// Pixel by pixel. Both images have the same size.
-pub(super) fn zip<A, B, C>(a: &Image<A>, b: &Image<B>, f: impl Fn(&A, &B) -> C) -> Image<C> {
-    debug_assert!(a.same_size(b), "images of one size");
-    Image { width: a.width, height: a.height, pixels: a.pixels.iter().zip(&b.pixels).map(|(x, y)| f(x, y)).collect() }
-}
-
 /// Central differences of a smoothed image, per pixel; `known` where all four neighbours are trusted.
 pub(super) struct Gradient {
     pub du: Image<f32>,
@@ -100,43 +94,6 @@ pub(super) fn gradient(value: &Image<f32>, weight: &Image<f32>) -> Gradient {
         }
     }
     found
-}
-
-/// Means of `factor` × `factor` blocks over their usable pixels; a block is usable when at least half of it is. Whole blocks only.
-pub(super) fn block_means(image: &Image<f32>, usable: &Image<bool>, factor: usize) -> (Image<f32>, Image<bool>) {
-    let (width, height) = ((image.width / factor).max(1), (image.height / factor).max(1));
-    let mut means = Image::filled(width, height, f32::NAN);
-    let mut kept = Image::filled(width, height, false);
-    for v in 0..height {
-        for u in 0..width {
-            let (mut sum, mut count, mut total) = (0.0f64, 0usize, 0usize);
-            for row in v * factor..((v + 1) * factor).min(image.height) {
-                for column in u * factor..((u + 1) * factor).min(image.width) {
-                    total += 1;
-                    let at = row * image.width + column;
-                    if usable.pixels[at] {
-                        sum += f64::from(image.pixels[at]);
-                        count += 1;
-                    }
-                }
-            }
-            if count > 0 && 2 * count >= total {
-                *means.at_mut(u, v) = (sum / count as f64) as f32;
-                *kept.at_mut(u, v) = true;
-            }
-        }
-    }
-    (means, kept)
-}
-
-/// The value below which `share` of `values` lie; `None` when there are none. Reorders `values`; NaN sorts last.
-pub(super) fn quantile(values: &mut [f32], share: f64) -> Option<f64> {
-    if values.is_empty() {
-        return None;
-    }
-    let rank = ((values.len() - 1) as f64 * share.clamp(0.0, 1.0)).round() as usize;
-    let (_, value, _) = values.select_nth_unstable_by(rank, f32::total_cmp);
-    Some(f64::from(*value))
 }
 
 /// Median, and 1.4826 times the median absolute deviation (σ of a normal distribution).
@@ -169,6 +126,7 @@ pub(super) fn noise(image: &Image<f32>, scored: &Image<bool>) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::image::block_means;
 
     #[test]
     fn masked_pixels_leave_no_trace() {

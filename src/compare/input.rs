@@ -8,6 +8,7 @@ use super::tone::Tone;
 use crate::acquire::{Domain, Frame};
 use crate::geometry::View;
 use crate::image::Image;
+use crate::mask::Masks;
 
 /// Why two images are not compared.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -71,6 +72,8 @@ pub struct CompareInput<'a> {
     pub simulated_line_integral: &'a Image<f32>,
     /// 1 where the simulation is valid.
     pub valid: Option<&'a Image<u8>>,
+    /// What the frame alone masks, where it was found before.
+    pub masks: Option<&'a Masks>,
     /// True: leave out. At the simulated image's size, or at the acquired frame's.
     pub extra_mask: Option<&'a Image<bool>>,
     /// True: the robot or a tool, scored apart.
@@ -97,6 +100,7 @@ impl<'a> CompareInput<'a> {
             acquired,
             simulated_line_integral,
             valid: None,
+            masks: None,
             extra_mask: None,
             tool: None,
             beads: &[],

@@ -4,14 +4,12 @@
 //! others, one union of masks holds for all scores, and every score can be put against its null: the same score at poses known to be
 //! wrong. What cannot be claimed is `None` and says why.
 
-mod collimation;
 mod comparison;
 mod domain;
 mod edges;
 mod elsewhere;
 mod filters;
 mod input;
-mod masks;
 mod null;
 mod pedestal;
 mod scores;
@@ -27,7 +25,6 @@ pub use comparison::{Comparison, Pictures};
 pub use domain::{AirLevel, AirReport, CommonDomain};
 pub use elsewhere::{Elsewhere, elsewhere};
 pub use input::{CompareError, CompareInput};
-pub use masks::{Cause, MaskShares, REQUIRED_SHARE};
 pub use null::{NULL_WIDTH_PX, NullError, NullPlan, NullScore, Rerender, ShiftedScore};
 pub use pedestal::{OffsetReport, OffsetRule};
 pub use scores::{FEWEST_PIXELS, LOCAL_WINDOW_PX, NULL_SCORES, SSIM_CONSTANTS, Scores};
@@ -37,8 +34,8 @@ pub use wrong_poses::NULL_RENDERS;
 
 use crate::acquire::{Domain, Frame};
 use crate::geometry::View;
-use crate::image::Image;
-use masks::Masks;
+use crate::image::{Image, block_means, quantile, zip};
+use crate::mask::{self, Cause, Masks, REQUIRED_SHARE};
 use scores::{Scored, score};
 use seen::{Ground, Seen};
 
@@ -69,7 +66,7 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
     let mut masks = gather_masks(input, binning)?;
     let before_air = masks.usable(width, height, &[]);
     let all = frame.pixels.map(|v| v.is_finite());
-    let pixels = if binning == 1 { frame.pixels.clone() } else { filters::block_means(&frame.pixels, &all, binning).0 };
+    let pixels = if binning == 1 { frame.pixels.clone() } else { block_means(&frame.pixels, &all, binning).0 };
     let evidence = domain::Evidence {
         usable: &before_air,
         shuttered: masks.layer(Cause::Collimation),
@@ -141,7 +138,7 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
     };
     let of_tool = |tool: &Image<bool>| {
         let with_tool = masks.usable(width, height, &[Cause::Tool]);
-        let on_tool = filters::zip(&with_tool, tool, |usable, tool| *usable && *tool);
+        let on_tool = zip(&with_tool, tool, |usable, tool| *usable && *tool);
         let ground = Ground::of(&with_tool);
         let (acquired, simulated) = (Seen::on(&ground, &common.acquired), Seen::on(&ground, &toned));
         let edges = edges::find_both(&acquired, &simulated, &with_tool);
@@ -248,7 +245,7 @@ fn expected_noise(
             ((gain * signal + readout * readout).sqrt() / signal / binning as f64) as f32
         })
         .collect();
-    filters::quantile(&mut noise, 0.5).filter(|value| value.is_finite())
+    quantile(&mut noise, 0.5).filter(|value| value.is_finite())
 }
 
 fn permit(tone: Tone, domain: Domain) -> Result<(), CompareError> {
@@ -273,7 +270,10 @@ fn binning(frame: &Frame, simulated: &Image<f32>) -> Result<usize, CompareError>
 fn gather_masks(input: &CompareInput, binning: usize) -> Result<Masks, CompareError> {
     let simulated = input.simulated_line_integral;
     let (width, height) = (simulated.width, simulated.height);
-    let mut masks = masks::of_frame(input.acquired).binned(binning);
+    let mut masks = match input.masks {
+        Some(masks) => masks.binned(binning),
+        None => mask::of_frame(input.acquired).binned(binning),
+    };
     let checked = |what: &'static str, found: [usize; 2]| {
         if found == [width, height] { Ok(()) } else { Err(CompareError::MaskSize { what, found, expected: [width, height] }) }
     };
@@ -289,12 +289,12 @@ fn gather_masks(input: &CompareInput, binning: usize) -> Result<Masks, CompareEr
     }
     if let Some(extra) = input.extra_mask {
         let full = [input.acquired.pixels.width, input.acquired.pixels.height];
-        let extra = if [extra.width, extra.height] == full { masks::any_in_block(extra, binning) } else { extra.clone() };
+        let extra = if [extra.width, extra.height] == full { mask::any_in_block(extra, binning) } else { extra.clone() };
         checked("extra", [extra.width, extra.height])?;
         masks.add(Cause::Extra, extra);
     }
     if !input.beads.is_empty() {
-        masks.add(Cause::Beads, masks::discs(width, height, input.beads));
+        masks.add(Cause::Beads, mask::discs(width, height, input.beads));
     }
     Ok(masks)
 }

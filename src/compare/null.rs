@@ -12,13 +12,12 @@ use rayon::prelude::*;
 
 use super::domain::CommonDomain;
 use super::edges;
-use super::filters::{block_means, zip};
 use super::scores::{NULL_SCORES, Scored, Scores, score};
 use super::seen::{Ground, Seen};
 use super::tone::{self, Tone};
 use super::wrong_poses::{NULL_RENDERS, SHIFTS_MM, TURNS_DEG, wrong_poses};
 use crate::geometry::{Rigid, View};
-use crate::image::Image;
+use crate::image::{Image, block_means, zip};
 
 /// Renders the line integral at a given (small) view; pixels that cannot be known are NaN.
 pub type Rerender<'r> = dyn FnMut(&View) -> Result<Image<f32>, String> + 'r;

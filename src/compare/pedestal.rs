@@ -5,8 +5,7 @@
 //! behind the blades cannot be told from a pedestal, and is counted in.
 
 use super::domain::erode;
-use super::filters::quantile;
-use crate::image::Image;
+use crate::image::{Image, quantile};
 
 /// What to take for the stored value without X-rays.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

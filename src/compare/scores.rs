@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 
 use super::domain::CommonDomain;
 use super::edges::{EdgeMap, median_distance_px};
-use super::filters::{Kernel, TRUSTED_WEIGHT, noise, quantile, zip};
+use super::filters::{Kernel, TRUSTED_WEIGHT, noise};
 use super::seen::{Ground, Seen};
 use super::tone::Tone;
-use crate::image::Image;
+use crate::image::{Image, quantile, zip};
 
 /// Gaussian σ of the window of the local NCC, in pixels.
 pub const LOCAL_WINDOW_PX: f64 = 8.0;

@@ -1,7 +1,7 @@
 //! An image as the scores see it: smoothed and differentiated once for all of them.
 
-use super::filters::{Gradient, Kernel, gradient, zip};
-use crate::image::Image;
+use super::filters::{Gradient, Kernel, gradient};
+use crate::image::{Image, zip};
 
 /// Gaussian σ of the window of SSIM, and of the smoothing before gradients are taken, in pixels.
 pub const SCORE_SIGMA_PX: f64 = 1.5;

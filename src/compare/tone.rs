@@ -1,8 +1,7 @@
 //! The declared tone between acquired and simulated: fitted on alternate tiles, scored on the others.
 
-use super::filters::quantile;
 use crate::acquire::Domain;
-use crate::image::Image;
+use crate::image::{Image, quantile};
 
 /// What may be fitted between the simulated and the acquired image.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]

@@ -175,6 +175,14 @@ fn temporary_beside(path: &Path) -> Result<tempfile::NamedTempFile, ImageFileErr
     })
 }
 
+/// A file of this program in the user's cache folder, which need not exist; `None` where no such folder is known.
+#[must_use]
+pub fn cache_file(name: &str) -> Option<PathBuf> {
+    let set = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
+    let folder = set("XDG_CACHE_HOME").or_else(|| Some(set("HOME")?.join(".cache")))?;
+    Some(folder.join("sidecarm").join(name))
+}
+
 /// A seekable writer, as the TIFF encoder needs it.
 pub trait WriteSeek: Write + std::io::Seek {}
 impl<T: Write + std::io::Seek> WriteSeek for T {}

@@ -5,8 +5,8 @@ pub mod plot;
 mod ticks;
 
 pub use files::{
-    ImageFileError, check_writable, read_tiff_f32, refuse_overwrite, sha256_bytes, sha256_file, write_atomically, write_png_rgb,
-    write_tiff_f32,
+    ImageFileError, cache_file, check_writable, read_tiff_f32, refuse_overwrite, sha256_bytes, sha256_file, write_atomically,
+    write_png_rgb, write_tiff_f32,
 };
 
 /// A row-major raster; the index of pixel (column, row) is `row * width + column`.
@@ -84,4 +84,49 @@ impl Image<f32> {
         let bottom = at(column, next_row) * (1.0 - fu) + at(next_column, next_row) * fu;
         Some(top * (1.0 - fv) + bottom * fv)
     }
+}
+
+/// Pixel by pixel. Both images have the same size.
+#[must_use]
+pub fn zip<A, B, C>(a: &Image<A>, b: &Image<B>, f: impl Fn(&A, &B) -> C) -> Image<C> {
+    debug_assert!(a.same_size(b), "images of one size");
+    Image { width: a.width, height: a.height, pixels: a.pixels.iter().zip(&b.pixels).map(|(x, y)| f(x, y)).collect() }
+}
+
+/// The value below which `share` of `values` lie; `None` when there are none. Reorders `values`; NaN sorts last.
+pub fn quantile(values: &mut [f32], share: f64) -> Option<f64> {
+    if values.is_empty() {
+        return None;
+    }
+    let rank = ((values.len() - 1) as f64 * share.clamp(0.0, 1.0)).round() as usize;
+    let (_, value, _) = values.select_nth_unstable_by(rank, f32::total_cmp);
+    Some(f64::from(*value))
+}
+
+/// Means of `factor` × `factor` blocks over their usable pixels; a block is usable when at least half of it is. Whole blocks only.
+#[must_use]
+pub fn block_means(image: &Image<f32>, usable: &Image<bool>, factor: usize) -> (Image<f32>, Image<bool>) {
+    let (width, height) = ((image.width / factor).max(1), (image.height / factor).max(1));
+    let mut means = Image::filled(width, height, f32::NAN);
+    let mut kept = Image::filled(width, height, false);
+    for v in 0..height {
+        for u in 0..width {
+            let (mut sum, mut count, mut total) = (0.0f64, 0usize, 0usize);
+            for row in v * factor..((v + 1) * factor).min(image.height) {
+                for column in u * factor..((u + 1) * factor).min(image.width) {
+                    total += 1;
+                    let at = row * image.width + column;
+                    if usable.pixels[at] {
+                        sum += f64::from(image.pixels[at]);
+                        count += 1;
+                    }
+                }
+            }
+            if count > 0 && 2 * count >= total {
+                *means.at_mut(u, v) = (sum / count as f64) as f32;
+                *kept.at_mut(u, v) = true;
+            }
+        }
+    }
+    (means, kept)
 }

@@ -22,11 +22,18 @@ const FOCAL_SIGMA: (f64, f64) = (0.10, 0.02);
 const MOST_SIGMA: (f64, f64, f64) = (3.0 * std::f64::consts::PI / 180.0, 3.0, 40.0);
 /// Squared residual (in standard deviations, two degrees of freedom) beyond which a bead is left out.
 const OUTLIER: f64 = 25.0;
+/// From so many beads on, their own residuals say how well they stand, down to a share of the stated variance.
+const AGREEING: usize = 7;
+const SHARPEST: f64 = 0.02;
+/// The lower three quarters of residuals that a pose was fitted to are smaller than all of them.
+const AGREED: f64 = 2.5;
 
-struct Final {
-    solution: Solution,
-    matches: Vec<Match>,
-    left_out: Vec<(Match, DVec2)>,
+/// A solved match.
+pub(super) struct Final {
+    pub(super) solution: Solution,
+    pub(super) matches: Vec<Match>,
+    /// Outliers, and how far off they are.
+    pub(super) left_out: Vec<(Match, DVec2)>,
     chi2_per_dof: f64,
 }
 
@@ -53,6 +60,9 @@ impl Attempt<'_> {
         let accident = self.chance_of(&hypothesis, candidate.tried);
         let in_view = candidate.hypothesis.in_view;
         if !(accident <= MOST_CHANCE) {
+            if let Some(reason) = self.mirrored(&k, count) {
+                return self.refuse(reason, notes);
+            }
             let reason = format!(
                 "chance: {count} of {in_view} beads agree to {rms_px:.2} px, but {accident:.2e} such matches are expected by accident among {} shadows (limit {MOST_CHANCE}); bring more beads into view or give --prior",
                 self.detections.len()
@@ -68,6 +78,9 @@ impl Attempt<'_> {
             return self.refuse(reason, notes);
         }
         if let Some(reason) = self.twin(&candidate, &last, &hypothesis) {
+            return self.refuse(reason, notes);
+        }
+        if let Some(reason) = self.doubt(&last, &hypothesis, &mut notes) {
             return self.refuse(reason, notes);
         }
         let scale = last.chi2_per_dof.max(1.0);
@@ -119,9 +132,9 @@ impl Attempt<'_> {
     /// Solves from every start there is, leaves out beads that do not fit, weighs with what is left.
     fn finish(&self, candidate: &Candidate) -> Option<Final> {
         let free = self.matching.intrinsics.map_or_else(|| self.free(), |_| Free::Pose);
-        let least = if free == Free::Pose { 4 } else { 6 };
+        let fewest = if free == Free::Pose { 4 } else { 6 };
         let mut matches = candidate.hypothesis.matches.clone();
-        if matches.len() < least {
+        if matches.len() < fewest {
             return None;
         }
         let measured = match (self.matching.fuse, self.matching.prior) {
@@ -140,13 +153,16 @@ impl Attempt<'_> {
             .min_by(|a, b| total(a).total_cmp(&total(b)))?;
         let mut left_out = Vec::new();
         loop {
-            // The scale of what fits: the lower three quarters of the residuals, so that one bead does not excuse itself.
+            // The scale of what fits: the lower three quarters of the residuals, so that one bead does not excuse itself. Where many agree
+            // far better than the layout's stated uncertainty, that uncertainty excuses nobody either.
             let mut sorted = best.chi2.clone();
             sorted.sort_by(f64::total_cmp);
             let kept = (3 * sorted.len()).div_ceil(4);
-            let scale = (sorted[..kept].iter().sum::<f64>() / kept as f64).max(1.0);
+            let mean = sorted[..kept].iter().sum::<f64>() / kept as f64;
+            let least = if matches.len() >= AGREEING { (AGREED * mean).clamp(SHARPEST, 1.0) } else { 1.0 };
+            let scale = mean.max(least);
             let (worst, chi2) = best.chi2.iter().copied().enumerate().max_by(|a, b| a.1.total_cmp(&b.1))?;
-            if !(chi2 > OUTLIER * scale) || matches.len() <= least {
+            if !(chi2 > OUTLIER * scale) || matches.len() <= fewest {
                 break;
             }
             left_out.push((matches.remove(worst), best.residuals_px[worst]));
@@ -210,7 +226,7 @@ impl Attempt<'_> {
     }
 
     /// Degrees and millimetres between two poses, at the beads.
-    fn distance(&self, a: &Rigid, b: &Rigid) -> (f64, f64) {
+    pub(super) fn distance(&self, a: &Rigid, b: &Rigid) -> (f64, f64) {
         let (angle, shift) = super::search::apart(a, b, self.matching.layout.centroid_lps_mm());
         (angle.to_degrees(), shift)
     }

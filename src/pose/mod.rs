@@ -4,6 +4,7 @@
 //! image's noise and the beads' own uncertainty, and the result is accepted, or refused with the reason. "Don't know" is an answer:
 //! too few beads, degenerate layouts, accidental and ambiguous matches are refused.
 
+mod doubt;
 mod judge;
 mod record;
 mod register;
@@ -15,4 +16,4 @@ mod triangle;
 mod verdict;
 
 pub use record::{BeadResidual, BodyPose, Covariance, IntrinsicsFile, LandmarkUncertainty, Pose, PoseFileError, Prior, Status};
-pub use register::{Matching, PRIOR_SIGMA, Registration, intrinsics_of, register, register_detections};
+pub use register::{Matching, PRIOR_SIGMA, Registration, intrinsics_of, register, register_detections, register_masked};

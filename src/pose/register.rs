@@ -4,13 +4,14 @@ use glam::{DVec2, DVec3};
 use nalgebra::Matrix6;
 
 use super::record::{BeadResidual, Pose, Prior, Status};
-use super::search::{Found, Gate, Hypothesis, Search, Target, information_about};
+use super::search::{BUDGET, Found, Gate, Hypothesis, Search, Target, information_about};
 use super::solve::{Free, Match, Options, Solution, image_by_point, point_by_pose, solve};
 use super::transform;
 use super::verdict::{chance, check_geometry};
 use crate::acquire::Frame;
-use crate::beads::{BeadLayout, Detection, Expectation, Landmark, detect};
+use crate::beads::{BeadLayout, Detection, Expectation, Landmark, Polarity, Probe, detect};
 use crate::geometry::{Intrinsics, Rigid};
+use crate::mask::{self, Cause, Masks};
 
 /// Standard deviations of a prior without covariance: about the bead centroid, per axis.
 pub const PRIOR_SIGMA: (f64, f64) = (5.0 * std::f64::consts::PI / 180.0, 15.0);
@@ -65,6 +66,12 @@ const FOCAL_GUESSES: [f64; 6] = [1.6, 2.3, 3.3, 4.7, 6.7, 9.5];
 /// Registers a frame. A refusal is a result, not an error: `status` is refused and `reason` says why.
 #[must_use]
 pub fn register(request: &Registration) -> Pose {
+    register_masked(request, &mask::of_frame(request.frame))
+}
+
+/// [`register`] where the frame's masks are known.
+#[must_use]
+pub fn register_masked(request: &Registration, masks: &Masks) -> Pose {
     let size_px = request.frame.size_px.map(|n| n as u32);
     let matching = Matching {
         size_px,
@@ -80,11 +87,20 @@ pub fn register(request: &Registration) -> Pose {
         return refused;
     }
     let expected = Expectation { radius_px: expected_radius_px(&matching) };
-    let detections = detect(request.frame, None, &expected);
-    let mut pose = register_detections(&matching, &detections.found);
+    // A bead before clipped air is still a shadow, and a row of beads clipped to black looks like writing; writing has no round shadows.
+    // What is behind the shutters or dead is none.
+    let [width, height] = request.frame.size_px;
+    let usable = masks.usable(width, height, &[Cause::Saturation, Cause::NoSignal, Cause::BurnedIn]);
+    let detections = detect(request.frame, Some(&usable), &expected);
+    let probe = |polarity| Some(Probe::new(request.frame, &usable, polarity));
+    let mut pose = attempt(&matching, &detections.found, probe(detections.polarity));
     pose.notes.insert(0, detections.evidence.clone());
     if !pose.is_accepted() && !detections.opposite.is_empty() {
-        let mut other = register_detections(&matching, &detections.opposite);
+        let polarity = match detections.polarity {
+            Polarity::Dark => Polarity::Bright,
+            Polarity::Bright => Polarity::Dark,
+        };
+        let mut other = attempt(&matching, &detections.opposite, probe(polarity));
         if other.is_accepted() {
             other.notes.insert(0, detections.evidence);
             other.notes.push("the beads matched in the other polarity than most shadows have".to_owned());
@@ -97,13 +113,16 @@ pub fn register(request: &Registration) -> Pose {
 /// Matches shadows to beads and solves.
 #[must_use]
 pub fn register_detections(matching: &Matching, detections: &[Detection]) -> Pose {
+    attempt(matching, detections, None)
+}
+
+fn attempt(matching: &Matching, detections: &[Detection], probe: Option<Probe>) -> Pose {
     if let Some(refused) = refuse_early(matching) {
         return refused;
     }
     let detections: Vec<Detection> =
         detections.iter().filter(|d| d.image_px.is_finite() && d.sigma_px.is_finite()).take(MOST_DETECTIONS).copied().collect();
-    let attempt = Attempt { matching, detections: &detections };
-    attempt.run()
+    Attempt { matching, detections: &detections, probe, without_prior: false }.run()
 }
 
 fn refused(matching: &Matching, reason: String) -> Pose {
@@ -190,6 +209,10 @@ fn expected_radius_px(matching: &Matching) -> Option<(f64, f64)> {
 pub(super) struct Attempt<'a> {
     pub(super) matching: &'a Matching<'a>,
     pub(super) detections: &'a [Detection],
+    /// Looks at the frame; `None` where there is none.
+    pub(super) probe: Option<Probe<'a>>,
+    /// Nothing matched near the prior: it no longer gates.
+    pub(super) without_prior: bool,
 }
 
 /// A match with what the search knows of it.
@@ -201,7 +224,7 @@ pub(super) struct Candidate {
 }
 
 impl Attempt<'_> {
-    fn run(&self) -> Pose {
+    fn run(mut self) -> Pose {
         let mut notes = self.matching.layout.notes.clone();
         let least = if self.matching.intrinsics.is_some() { 4 } else { 6 };
         if self.detections.len() < least {
@@ -211,40 +234,66 @@ impl Attempt<'_> {
             );
             return self.refuse(reason, notes);
         }
-        let best = match self.matching.intrinsics {
+        let near = match self.matching.intrinsics {
             Some(k) => self.find(&k, 0.0, self.matching.prior),
             None => self.find_without_intrinsics(),
         };
-        let mut best = best;
-        if let (None, Some(k), Some(prior), false) = (&best, self.matching.intrinsics, self.matching.prior, self.matching.fuse) {
-            best = self.find(&k, 0.0, None);
-            if let Some(found) = &best {
+        let near = near.map(|candidate| self.judge(candidate, notes.clone()));
+        // A match that accident explains is as good as none: the prior may be of another specimen, or of yesterday.
+        let by_accident = |pose: &Pose| pose.reason.as_ref().is_some_and(|reason| reason.starts_with("chance"));
+        if let Some(pose) = near.as_ref().filter(|pose| !by_accident(pose)) {
+            return pose.clone();
+        }
+        if let (Some(k), Some(prior), false) = (self.matching.intrinsics, self.matching.prior, self.matching.fuse)
+            && (near.is_none() || prior.covariance.is_none())
+        {
+            self.without_prior = true;
+            if let Some(found) = self.find(&k, 0.0, None) {
                 let centroid = self.matching.layout.centroid_lps_mm();
                 let (angle, shift) = super::search::apart(&prior.camera_from_lps, &found.hypothesis.camera_from_lps, centroid);
+                // Who states a covariance means it.
+                if prior.covariance.is_some() {
+                    let reason = format!(
+                        "prior_contradicted: the only match, {} beads to {:.2} px, is {:.1}° and {shift:.1} mm away from the prior, more than its covariance allows; check prior, K, and the layout's scale, or leave the prior out",
+                        found.hypothesis.matches.len(),
+                        found.hypothesis.rms_px,
+                        angle.to_degrees()
+                    );
+                    return self.refuse(reason, notes);
+                }
                 notes.push(format!(
                     "nothing matched near the prior; this match is {:.1}° and {shift:.1} mm away from it: check the prior",
                     angle.to_degrees()
                 ));
+                let far = self.judge(found, notes.clone());
+                if far.is_accepted() || near.is_none() {
+                    return far;
+                }
             }
         }
-        match best {
-            Some(candidate) => self.judge(candidate, notes),
-            None => {
-                let reason = format!(
-                    "no_match: {} bead-like shadows, but no pose puts four of the {} beads on them",
-                    self.detections.len(),
-                    self.matching.layout.beads.len()
-                );
-                self.refuse(reason, notes)
-            }
+        if let Some(pose) = near {
+            return pose;
         }
+        if let Some(reason) = self.matching.intrinsics.and_then(|k| self.mirrored(&k, 3)) {
+            return self.refuse(reason, notes);
+        }
+        let reason = format!(
+            "no_match: {} bead-like shadows, but no pose puts four of the {} beads on them",
+            self.detections.len(),
+            self.matching.layout.beads.len()
+        );
+        self.refuse(reason, notes)
     }
 
     pub(super) fn refuse(&self, reason: String, notes: Vec<String>) -> Pose {
         Pose { notes, detections: self.detections.len(), ..refused(self.matching, reason) }
     }
 
-    fn targets(&self) -> Vec<Target> {
+    pub(super) fn depth_range_mm(&self, fx: f64) -> (f64, f64) {
+        depth_range_mm(self.matching, fx)
+    }
+
+    pub(super) fn targets(&self) -> Vec<Target> {
         let layout = self.matching.layout;
         let target = |(n, bead): (usize, &crate::beads::Bead)| Target {
             lps_mm: bead.lps_mm,
@@ -268,29 +317,34 @@ impl Attempt<'_> {
         Gate { camera_from_lps: prior.camera_from_lps, information, limit }
     }
 
+    /// Pairs bead × detection that the gate leaves, row by row of beads.
+    pub(super) fn allowed(&self, targets: &[Target], detections: &[Detection], k: &Intrinsics, gate: Option<&Gate>) -> Vec<bool> {
+        let mut allowed = vec![true; targets.len() * detections.len()];
+        let Some((gate, covariance)) = gate.and_then(|gate| Some((gate, gate.information.try_inverse()?))) else {
+            return allowed;
+        };
+        for (bead, target) in targets.iter().enumerate() {
+            let p = gate.camera_from_lps.transform_point(target.lps_mm);
+            if !(p.z > 1.0) {
+                continue;
+            }
+            let j = image_by_point(k, p) * point_by_pose(p, DVec3::ZERO);
+            let spread = j * covariance * j.transpose() + nalgebra::Matrix2::identity() * 9.0;
+            let Some(inverse) = spread.try_inverse() else { continue };
+            let at = k.project(p);
+            for (n, detection) in detections.iter().enumerate() {
+                let d = detection.image_px - at;
+                let d = nalgebra::Vector2::new(d.x, d.y);
+                allowed[bead * detections.len() + n] = (d.transpose() * inverse * d)[(0, 0)] <= gate.limit;
+            }
+        }
+        allowed
+    }
+
     fn find(&self, k: &Intrinsics, slack_px: f64, prior: Option<&Prior>) -> Option<Candidate> {
         let targets = self.targets();
         let gate = prior.map(|prior| self.gate(prior));
-        let mut allowed = vec![true; targets.len() * self.detections.len()];
-        if let Some(gate) = &gate
-            && let Some(covariance) = gate.information.try_inverse()
-        {
-            for (bead, target) in targets.iter().enumerate() {
-                let p = gate.camera_from_lps.transform_point(target.lps_mm);
-                if !(p.z > 1.0) {
-                    continue;
-                }
-                let j = image_by_point(k, p) * point_by_pose(p, DVec3::ZERO);
-                let spread = j * covariance * j.transpose() + nalgebra::Matrix2::identity() * 9.0;
-                let Some(inverse) = spread.try_inverse() else { continue };
-                let at = k.project(p);
-                for (n, detection) in self.detections.iter().enumerate() {
-                    let d = detection.image_px - at;
-                    let d = nalgebra::Vector2::new(d.x, d.y);
-                    allowed[bead * self.detections.len() + n] = (d.transpose() * inverse * d)[(0, 0)] <= gate.limit;
-                }
-            }
-        }
+        let allowed = self.allowed(&targets, self.detections, k, gate.as_ref());
         let search = Search {
             targets: &targets,
             detections: self.detections,
@@ -300,6 +354,7 @@ impl Attempt<'_> {
             gate,
             allowed,
             slack_px,
+            budget: BUDGET,
         };
         let enough = |best: &Hypothesis, tried: u64| {
             let count = best.matches.len();
@@ -323,6 +378,7 @@ impl Attempt<'_> {
                 .map(|(bead, n)| search.allowed[bead * self.detections.len() + n])
                 .collect(),
             slack_px,
+            budget: BUDGET,
         };
         for mut other in narrow.run(|_, _| false).hypotheses {
             for m in &mut other.matches {
@@ -388,14 +444,18 @@ impl Attempt<'_> {
     }
 
     pub(super) fn chance_of(&self, hypothesis: &Hypothesis, tried: u64) -> f64 {
+        self.chance_among(hypothesis, tried, self.detections)
+    }
+
+    pub(super) fn chance_among(&self, hypothesis: &Hypothesis, tried: u64, detections: &[Detection]) -> f64 {
         let [width, height] = self.matching.size_px.map(f64::from);
         let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
-        for detection in self.detections {
+        for detection in detections {
             low = low.min(detection.image_px);
             high = high.max(detection.image_px);
         }
         let area = ((high - low).x * (high - low).y).clamp(0.05 * width * height, width * height);
-        chance(tried, hypothesis.matches.len(), hypothesis.in_view, hypothesis.rms_px, self.detections.len(), area)
+        chance(tried, hypothesis.matches.len(), hypothesis.in_view, hypothesis.rms_px, detections.len(), area)
     }
 }
 

@@ -40,6 +40,8 @@ pub struct Search<'a> {
     pub allowed: Vec<bool>,
     /// Extra slack where K is only a guess, px.
     pub slack_px: f64,
+    /// Poses from three points, at most about so many.
+    pub budget: u64,
 }
 
 /// A refined match.
@@ -65,7 +67,7 @@ pub struct Found {
 /// Cost of a bead in view without a shadow (two degrees of freedom: beyond all noise).
 pub const MISSED: f64 = 30.0;
 /// Poses from three points allowed in one search.
-const BUDGET: u64 = 3_000_000;
+pub const BUDGET: u64 = 3_000_000;
 const BATCH: usize = 48;
 const KEPT_PER_BATCH: usize = 40;
 
@@ -98,7 +100,7 @@ impl Search<'_> {
             best.extend(refined);
             best = distinct(best);
             best.truncate(60);
-            if best.first().is_some_and(|first| enough(first, tried)) || solved > BUDGET {
+            if best.first().is_some_and(|first| enough(first, tried)) || solved > self.budget {
                 break;
             }
         }
@@ -318,6 +320,11 @@ pub fn apart(a: &Rigid, b: &Rigid, centroid_lps: DVec3) -> (f64, f64) {
     (a.angle_to_rad(b), a.transform_point(centroid_lps).distance(b.transform_point(centroid_lps)))
 }
 
+/// Shadows that both poses take for the same bead.
+pub fn shared(a: &Hypothesis, b: &Hypothesis) -> usize {
+    a.matches.iter().filter(|m| b.matches.iter().any(|n| n.bead == m.bead && n.detection == m.detection)).count()
+}
+
 fn distinct(mut all: Vec<Hypothesis>) -> Vec<Hypothesis> {
     let key = |h: &Hypothesis| -(h.matches.len() as f64) * MISSED + h.score.min(MISSED * h.matches.len() as f64);
     all.sort_by(|a, b| key(a).total_cmp(&key(b)));
@@ -326,7 +333,8 @@ fn distinct(mut all: Vec<Hypothesis>) -> Vec<Hypothesis> {
         let centroid = hypothesis.matches.iter().map(|m| m.lps_mm).sum::<DVec3>() / hypothesis.matches.len().max(1) as f64;
         let known = |other: &Hypothesis| {
             let (angle, shift) = apart(&other.camera_from_lps, &hypothesis.camera_from_lps, centroid);
-            angle < 0.02 && shift < 10.0
+            // The same shadows otherwise named, or other shadows close by, are another reading.
+            angle < 0.02 && shift < 10.0 && 2 * shared(other, &hypothesis) > hypothesis.matches.len().min(other.matches.len())
         };
         if !kept.iter().any(known) {
             kept.push(hypothesis);

@@ -3,7 +3,7 @@
 use glam::DVec3;
 use nalgebra::Matrix3;
 
-use super::search::{Hypothesis, MISSED, apart};
+use super::search::{Hypothesis, MISSED, apart, shared};
 use super::solve::{Match, Options, solve};
 use crate::geometry::{Intrinsics, Rigid};
 
@@ -122,11 +122,10 @@ pub fn rival<'a>(best: &Hypothesis, others: &'a [Hypothesis], scale: f64) -> Opt
     let count = best.matches.len();
     others.iter().find(|other| {
         let (angle, shift) = apart(&best.camera_from_lps, &other.camera_from_lps, centroid);
-        if angle < 2f64.to_radians() && shift < 15.0 {
+        let shared = shared(best, other);
+        if angle < 2f64.to_radians() && shift < 15.0 && 2 * shared > count.min(other.matches.len()) {
             return false;
         }
-        let shared =
-            other.matches.iter().filter(|m| best.matches.iter().any(|b| b.bead == m.bead && b.detection == m.detection)).count();
         let margin = 12.0 * scale;
         let same_count = other.matches.len() >= count && other.score < best.score + margin;
         let one_less =

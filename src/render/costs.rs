@@ -1,6 +1,5 @@
 //! What the parts of rendering cost on this machine: measured once in a fraction of a second, kept in the user's cache folder.
 
-use std::path::PathBuf;
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
@@ -19,7 +18,7 @@ use super::slabs::Slabs;
 use super::spectrum::{Bins, LANES};
 use crate::geometry::{Intrinsics, Rigid, View};
 use crate::gpu::cpu_name;
-use crate::image::write_atomically;
+use crate::image::{cache_file, write_atomically};
 use crate::random::{Purpose, Stream};
 use crate::reporter::Reporter;
 use crate::scene::model::{Matter, Mesh, Object, Scene, Shape, Solid, Volume};
@@ -150,7 +149,7 @@ impl Costs {
     pub fn of_this_machine() -> Self {
         let version = env!("CARGO_PKG_VERSION");
         let machine = format!("{}, version {version}, method {METHOD}, debug {}", cpu_name(), cfg!(debug_assertions));
-        let path = cache_file();
+        let path = cache_file("costs.json");
         let cached =
             path.as_ref().and_then(|path| std::fs::read(path).ok()).and_then(|text| serde_json::from_slice::<Self>(&text).ok());
         if let Some(costs) = cached.filter(|costs| costs.machine == machine && costs.is_sound()) {
@@ -174,12 +173,6 @@ impl Costs {
         let all = all.iter().chain(&pixel).chain(&self.exact_slab_ns).chain(&self.fixed_slab_ns);
         self.threads > 0 && all.into_iter().all(|ns| *ns > 0.0 && ns.is_finite())
     }
-}
-
-fn cache_file() -> Option<PathBuf> {
-    let set = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
-    let folder = set("XDG_CACHE_HOME").or_else(|| Some(set("HOME")?.join(".cache")))?;
-    Some(folder.join("sidecarm").join("costs.json"))
 }
 
 /// Voxels along the edge of the volume that is timed, and pixels along the edge of its image.

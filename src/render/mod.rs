@@ -36,6 +36,7 @@ pub mod tiles;
 pub mod trade;
 mod volumes;
 pub mod wgsl;
+pub mod ways;
 pub mod words;
 mod write;
 

@@ -1,35 +1,19 @@
 //! From a wish (an error, or a time) to the cheapest plan that grants it.
 
 use super::costs::{Costs, Work};
-use super::fits::{Fits, Wish, nodes_of};
+use super::fits::{Fits, nodes_of};
 use super::pilot::{self, Pilot};
 use super::plan::{ErrorParts, Executor, Node, Plan, Sampling, noise_applies, response};
 use super::prepared::Prepared;
 use super::quadrature;
 use super::spectrum::{Bins, whole_spectrum};
-use super::survey::{self, Survey};
+use super::survey;
 use super::tiles::Tiles;
+pub use super::ways::{Goal, Task};
+use super::ways::{Way, skipping_ways, whole_ways};
 use super::{Quantity, RenderError};
 use crate::geometry::View;
 use crate::scene::model::{Formation, Scene};
-
-/// What a user asks for.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Goal {
-    /// |Δ line_integral| / max(1, line_integral), 99.9th percentile.
-    MaxError(f64),
-    /// Wall milliseconds, preparation of volumes aside.
-    BudgetMs(f64),
-    /// Exactly this, to measure it: sampling, tolerance of the energies (none: every bin) and cast pixels.
-    Explicit {
-        /// How volumes are sampled.
-        sampling: Sampling,
-        /// Bound of the energies' part.
-        energies: Option<f64>,
-        /// Every which pixel.
-        step_px: u32,
-    },
-}
 
 /// Without a wish: what the fast path reaches at nearly no cost.
 pub const DEFAULT_MAX_ERROR: f64 = 1e-5;
@@ -61,46 +45,11 @@ struct Candidate {
     cost: f64,
 }
 
-/// One way to cast it.
-#[derive(Clone, Debug)]
-struct Way {
-    sampling: Sampling,
-    step_px: u32,
-    /// Tiles that are cast in full, where pixels are skipped.
-    tiles: Option<Tiles>,
-    sampling_error: f64,
-    interpolation: f64,
-}
-
 impl ErrorParts {
     /// The bound of all parts together.
     #[must_use]
     pub fn total(&self) -> f64 {
         self.sampling + self.energies + self.interpolation
-    }
-}
-
-/// The scene, and how it is looked at.
-pub struct Task<'s> {
-    /// The scene.
-    pub scene: &'s Scene,
-    /// The view.
-    pub view: View,
-    /// What is made.
-    pub quantity: Quantity,
-    /// Who makes it.
-    pub executor: Executor,
-    /// Whether all volumes can be crossed slab by slab.
-    pub slabs: bool,
-    /// The largest step between cast pixels with which they can be crossed in fixed point; 0 when they cannot.
-    pub fixed_step_px: u32,
-    /// What is asked for.
-    pub goal: Goal,
-}
-
-impl Task<'_> {
-    fn wish(&self) -> Wish<'_> {
-        Wish { scene: self.scene, noise: noise_applies(self.scene, self.quantity) }
     }
 }
 
@@ -144,7 +93,7 @@ impl Planner {
         };
         if coarser && task.executor == Executor::Cpu {
             let survey = survey::survey(task.view, bins.as_ref(), sampling, &mut prepare)?;
-            let ways = skipping_ways(task, &survey, &candidates);
+            let ways = skipping_ways(task, &survey, candidates.iter().map(|candidate| &candidate.way));
             if let Goal::Explicit { .. } = task.goal
                 && !ways.is_empty()
             {
@@ -275,61 +224,6 @@ impl Planner {
         plan.stated_error = plan.error_parts.total();
         Ok(())
     }
-}
-
-/// Ways to cast every pixel.
-fn whole_ways(task: &Task, pilot: &Pilot, asked: Sampling, rounding: f64) -> Vec<Way> {
-    let way = |sampling, sampling_error| Way { sampling, step_px: 1, tiles: None, sampling_error, interpolation: 0.0 };
-    if task.executor != Executor::Cpu {
-        return vec![way(asked, task.executor.stated_error())];
-    }
-    if asked == Sampling::None {
-        return vec![way(Sampling::None, 2e-6)];
-    }
-    // f64 positions; f32 interpolation weights and sums.
-    let cells = way(Sampling::ExactCells, 2e-6);
-    let mut all = Vec::new();
-    // Where no ray can be crossed in slabs, no plan says so.
-    if task.slabs && pilot.walked_share < 1.0 {
-        all.push(way(Sampling::ExactSlabs, 4e-6));
-    }
-    all.push(cells.clone());
-    if task.fixed_step_px > 0 && pilot.walked_share < 1.0 {
-        all.push(way(Sampling::FixedSlabs, rounding));
-    }
-    match task.goal {
-        Goal::MaxError(_) | Goal::BudgetMs(_) => all,
-        Goal::Explicit { sampling, .. } => vec![all.into_iter().find(|known| known.sampling == sampling).unwrap_or(cells)],
-    }
-}
-
-/// Ways to skip pixels, sampling as the candidates that cast all of them do.
-fn skipping_ways(task: &Task, survey: &Survey, whole: &[Candidate]) -> Vec<Way> {
-    let mut samplings: Vec<(Sampling, f64)> = Vec::new();
-    for Candidate { way, .. } in whole {
-        if !samplings.iter().any(|(known, _)| *known == way.sampling) {
-            samplings.push((way.sampling, way.sampling_error));
-        }
-    }
-    let mut ways = Vec::new();
-    for skipping in survey.ways() {
-        for (step_px, interpolation) in survey::STEPS.into_iter().zip(skipping.errors) {
-            let asked = match task.goal {
-                Goal::Explicit { step_px: asked, .. } => asked == step_px,
-                _ => true,
-            };
-            for (sampling, sampling_error) in samplings.iter().copied().filter(|_| asked) {
-                if sampling != Sampling::FixedSlabs || step_px <= task.fixed_step_px {
-                    ways.push(Way { sampling, step_px, tiles: Some(skipping.tiles.clone()), sampling_error, interpolation });
-                }
-            }
-        }
-    }
-    if let Goal::Explicit { .. } = task.goal {
-        // As few pixels as the outlines allow.
-        ways.truncate(1);
-    }
-    ways
 }
 
 /// Bound of fixed point: the worst of the pilot rays, and half as much again.

@@ -89,8 +89,10 @@ fn summary(page: &mut String, report: &SessionReport, title: &str) {
     let lit = |class: &'static str, count: usize| if count > 0 { class } else { "" };
     card("", counts.exposures.to_string(), "exposures");
     card(lit("good", counts.accepted), counts.accepted.to_string(), "accepted");
-    if counts.image_disagrees > 0 {
-        card("caution", counts.image_disagrees.to_string(), "accepted, image disagrees");
+    for (count, what) in [(counts.image_disagrees, "image"), (counts.telemetry_disagrees, "telemetry")] {
+        if count > 0 {
+            card("caution", count.to_string(), &format!("accepted, {what} disagrees"));
+        }
     }
     card(lit("bad", counts.refused), counts.refused.to_string(), "refused");
     card(lit("caution", counts.no_pose), counts.no_pose.to_string(), "not registered");

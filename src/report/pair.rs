@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 
 use super::canvas::Rgb;
 use super::colour;
-use crate::compare::{AirReport, Comparison, Elsewhere, MaskShares, NullPlan, NullScore, Scores, ToneFit, elsewhere};
+use crate::compare::{AirReport, Comparison, Elsewhere, NullPlan, NullScore, Scores, ToneFit, elsewhere};
+use crate::mask::MaskShares;
 use crate::time::StageTimes;
 
 /// Where the pose that was rendered came from.
@@ -27,6 +28,8 @@ pub enum PairStatus {
     Accepted,
     /// The beads agree on P, but the image as a whole prefers another pose.
     AcceptedImageDisagrees,
+    /// The beads agree on P, but telemetry puts the specimen, or the detector, elsewhere.
+    AcceptedTelemetryDisagrees,
     /// Tried and refused, with a reason.
     Refused,
     /// Not tried: the frame could not be bound, or there are no beads to look for.
@@ -40,6 +43,8 @@ pub enum Standing {
     Accepted,
     /// Registered on beads; the image as a whole prefers another pose.
     ImageDisagrees,
+    /// Registered on beads; telemetry contradicts them.
+    TelemetryDisagrees,
     /// Refused or not tried, shown with the pose from telemetry.
     Telemetry,
     /// Refused, nothing rendered.
@@ -55,6 +60,7 @@ impl Standing {
         match self {
             Self::Accepted => "ACCEPTED",
             Self::ImageDisagrees => "ACCEPTED, IMAGE DISAGREES",
+            Self::TelemetryDisagrees => "ACCEPTED, TELEMETRY DISAGREES",
             Self::Telemetry => "POSE FROM TELEMETRY",
             Self::Refused => "REFUSED",
             Self::NoPose => "NO POSE",
@@ -67,6 +73,7 @@ impl Standing {
         match self {
             Self::Accepted => "accepted",
             Self::ImageDisagrees => "image disagrees",
+            Self::TelemetryDisagrees => "telemetry disagrees",
             Self::Telemetry => "telemetry",
             Self::Refused => "refused",
             Self::NoPose => "no pose",
@@ -78,7 +85,7 @@ impl Standing {
     pub fn colour(self) -> Rgb {
         match self {
             Self::Accepted => colour::GOOD,
-            Self::ImageDisagrees | Self::Telemetry | Self::NoPose => colour::CAUTION,
+            Self::ImageDisagrees | Self::TelemetryDisagrees | Self::Telemetry | Self::NoPose => colour::CAUTION,
             Self::Refused => colour::BAD,
         }
     }
@@ -87,7 +94,7 @@ impl Standing {
     pub(super) fn class(self) -> &'static str {
         match self {
             Self::Accepted => "good",
-            Self::ImageDisagrees | Self::Telemetry | Self::NoPose => "caution",
+            Self::ImageDisagrees | Self::TelemetryDisagrees | Self::Telemetry | Self::NoPose => "caution",
             Self::Refused => "bad",
         }
     }
@@ -236,12 +243,20 @@ impl Pair {
 
     /// Turns an accepted pair into one whose image disagrees, where its null says so.
     pub fn judge_image(&mut self) {
-        if self.status == PairStatus::Accepted
+        if self.is_from_beads()
             && let Some(found) = elsewhere(&self.null)
         {
             self.status = PairStatus::AcceptedImageDisagrees;
             self.reason = Some(found.to_string());
             self.image_prefers = Some(found);
+        }
+    }
+
+    /// Turns an accepted pair into one that telemetry contradicts, with the reason.
+    pub fn doubt_by_telemetry(&mut self, reason: &str) {
+        if self.status == PairStatus::Accepted {
+            self.status = PairStatus::AcceptedTelemetryDisagrees;
+            self.reason = Some(reason.to_owned());
         }
     }
 
@@ -254,7 +269,7 @@ impl Pair {
     /// Whether P rests on beads, agreed with by the image or not.
     #[must_use]
     pub fn is_from_beads(&self) -> bool {
-        matches!(self.status, PairStatus::Accepted | PairStatus::AcceptedImageDisagrees)
+        matches!(self.status, PairStatus::Accepted | PairStatus::AcceptedImageDisagrees | PairStatus::AcceptedTelemetryDisagrees)
     }
 
     /// Status and fallback in one.
@@ -263,6 +278,7 @@ impl Pair {
         match (self.status, self.pose_source) {
             (PairStatus::Accepted, _) => Standing::Accepted,
             (PairStatus::AcceptedImageDisagrees, _) => Standing::ImageDisagrees,
+            (PairStatus::AcceptedTelemetryDisagrees, _) => Standing::TelemetryDisagrees,
             (_, PoseSource::Telemetry) => Standing::Telemetry,
             (PairStatus::Refused, _) => Standing::Refused,
             (PairStatus::NoPose, _) => Standing::NoPose,

@@ -97,6 +97,9 @@ pub struct Counts {
     /// P from beads, but the image prefers another pose.
     #[serde(default)]
     pub image_disagrees: usize,
+    /// P from beads, but telemetry puts specimen or detector elsewhere.
+    #[serde(default)]
+    pub telemetry_disagrees: usize,
     /// Registration refused.
     pub refused: usize,
     /// Not tried.
@@ -114,6 +117,7 @@ impl SessionReport {
             exposures: self.pairs.len(),
             accepted: with(PairStatus::Accepted),
             image_disagrees: with(PairStatus::AcceptedImageDisagrees),
+            telemetry_disagrees: with(PairStatus::AcceptedTelemetryDisagrees),
             refused: with(PairStatus::Refused),
             no_pose: with(PairStatus::NoPose),
             from_telemetry: self.pairs.iter().filter(|pair| pair.pose_source == PoseSource::Telemetry).count(),
@@ -127,9 +131,13 @@ pub fn counted(pairs: &[Pair]) -> String {
     let count = |keep: &dyn Fn(&Pair) -> bool| pairs.iter().filter(|pair| keep(pair)).count();
     let accepted = count(&|pair| pair.status == PairStatus::Accepted);
     let mut words = format!("{} frames, {accepted} accepted", pairs.len());
-    let doubtful = count(&|pair| pair.status == PairStatus::AcceptedImageDisagrees);
-    if doubtful > 0 {
-        words += &format!(", {doubtful} accepted but the image disagrees");
+    for (status, what) in
+        [(PairStatus::AcceptedImageDisagrees, "the image"), (PairStatus::AcceptedTelemetryDisagrees, "telemetry")]
+    {
+        let doubtful = count(&|pair| pair.status == status);
+        if doubtful > 0 {
+            words += &format!(", {doubtful} accepted but {what} disagrees");
+        }
     }
     let as_in_scene = count(&|pair| pair.robot_words().is_some());
     if as_in_scene > 0 {

@@ -1,5 +1,6 @@
 //! Where the files that a scene names are, and what they hashed to.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::de::DeserializeOwned;
@@ -21,13 +22,16 @@ const BUILT_IN: [(&str, &str); 3] = [
 pub(super) struct Files {
     scene: PathBuf,
     folder: PathBuf,
+    /// Names that lie elsewhere.
+    places: BTreeMap<String, PathBuf>,
     inputs: Vec<InputFile>,
 }
 
 impl Files {
-    /// For the scene file at `scene`.
-    pub(super) fn new(scene: &Path) -> Self {
-        Self { scene: scene.to_owned(), folder: scene.parent().map_or_else(PathBuf::new, Path::to_owned), inputs: Vec::new() }
+    /// For the scene file at `scene`, some of whose files lie at `places`.
+    pub(super) fn new(scene: &Path, places: &BTreeMap<String, PathBuf>) -> Self {
+        let folder = scene.parent().map_or_else(PathBuf::new, Path::to_owned);
+        Self { scene: scene.to_owned(), folder, places: places.clone(), inputs: Vec::new() }
     }
 
     /// `SCENE.json: key`, for messages.
@@ -40,11 +44,13 @@ impl Files {
         self.inputs
     }
 
-    /// The file `name`: absolute, or in the scene's folder, or (for `calibration/…`) in the current folder.
+    /// The file `name`: where it is known to lie, absolute, or in the scene's folder, or (for `calibration/…`) in the current folder.
     pub(super) fn find(&mut self, key: &str, name: &str) -> Result<PathBuf, SceneError> {
         let beside = self.folder.join(name);
         let mut looked = vec![shown_folder(&self.folder)];
-        let found = if beside.is_file() {
+        let found = if let Some(place) = self.places.get(name) {
+            Some(place.clone())
+        } else if beside.is_file() {
             Some(beside)
         } else if name.starts_with("calibration/") {
             looked.push("the current folder".to_owned());
@@ -61,7 +67,7 @@ impl Files {
             return Err(SceneError::Io { path, source });
         }
         let sha256 = sha256_file(&path).map_err(|error| io_error(&path, error))?;
-        self.remember(name, sha256);
+        self.remember(name, sha256, Some(&path));
         Ok(path)
     }
 
@@ -71,7 +77,7 @@ impl Files {
             Ok(path) => read_json(&path),
             Err(missing @ SceneError::Missing { .. }) => match BUILT_IN.iter().find(|(known, _)| *known == name) {
                 Some((_, text)) => {
-                    self.remember(name, sha256_bytes(text.as_bytes()));
+                    self.remember(name, sha256_bytes(text.as_bytes()), None);
                     parse_json(Path::new(name), text.as_bytes())
                 }
                 None => Err(missing),
@@ -81,8 +87,8 @@ impl Files {
     }
 
     /// Notes an input once.
-    pub(super) fn remember(&mut self, name: &str, sha256: String) {
-        let input = InputFile { path: name.to_owned(), sha256 };
+    pub(super) fn remember(&mut self, name: &str, sha256: String, place: Option<&Path>) {
+        let input = InputFile { path: name.to_owned(), sha256, place: place.map(Path::to_owned) };
         if !self.inputs.contains(&input) {
             self.inputs.push(input);
         }

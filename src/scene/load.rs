@@ -1,5 +1,6 @@
 //! From a scene file to a scene that renders.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use super::SceneError;
@@ -25,7 +26,7 @@ const DISTANCE_MM: (f64, f64) = (1.0, 100_000.0);
 /// When a file is missing, damaged or holds what it should not: one sentence naming the file, the place and the remedy.
 pub fn load(path: &Path, need_view: bool, reporter: &Reporter) -> Result<Scene, SceneError> {
     let bytes = std::fs::read(path).map_err(|source| SceneError::Io { path: path.to_owned(), source })?;
-    load_bytes(&bytes, path, need_view, reporter)
+    load_bytes(&bytes, path, &BTreeMap::new(), need_view, reporter)
 }
 
 /// Loads the scene `text`, whose files are looked for as if it had been read from `path`.
@@ -33,7 +34,21 @@ pub fn load(path: &Path, need_view: bool, reporter: &Reporter) -> Result<Scene, 
 /// # Errors
 /// As [`load`].
 pub fn load_text(text: &str, path: &Path, need_view: bool, reporter: &Reporter) -> Result<Scene, SceneError> {
-    load_bytes(text.as_bytes(), path, need_view, reporter)
+    load_bytes(text.as_bytes(), path, &BTreeMap::new(), need_view, reporter)
+}
+
+/// [`load_text`], with the files that the scene names at `places`, by name; those not in it are looked for as ever.
+///
+/// # Errors
+/// As [`load`].
+pub fn load_text_with(
+    text: &str,
+    path: &Path,
+    places: &BTreeMap<String, PathBuf>,
+    need_view: bool,
+    reporter: &Reporter,
+) -> Result<Scene, SceneError> {
+    load_bytes(text.as_bytes(), path, places, need_view, reporter)
 }
 
 /// The scene file at `path` and the files that it names, wherever they may lie: what no output may replace.
@@ -44,10 +59,16 @@ pub fn input_files(path: &Path, scene: &Scene) -> Vec<PathBuf> {
     std::iter::once(path.to_owned()).chain(named).collect()
 }
 
-fn load_bytes(bytes: &[u8], path: &Path, need_view: bool, reporter: &Reporter) -> Result<Scene, SceneError> {
+fn load_bytes(
+    bytes: &[u8],
+    path: &Path,
+    places: &BTreeMap<String, PathBuf>,
+    need_view: bool,
+    reporter: &Reporter,
+) -> Result<Scene, SceneError> {
     let file: SceneFile = parse_json(path, bytes)?;
-    let mut files = Files::new(path);
-    files.remember(&path.display().to_string(), sha256_bytes(bytes));
+    let mut files = Files::new(path, places);
+    files.remember(&path.display().to_string(), sha256_bytes(bytes), Some(path));
     refuse_unavailable(&file, &files)?;
 
     let beam = beam::beam(&file.beam, &mut files, reporter)?;

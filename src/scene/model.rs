@@ -1,5 +1,6 @@
 //! The scene as the renderers see it: objects in order, resolved to densities, shapes and material indices.
 
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
@@ -55,6 +56,9 @@ pub struct InputFile {
     pub path: String,
     /// Lower-case hexadecimal.
     pub sha256: String,
+    /// Where it lay when it was read; `None` for files that come with the program.
+    #[serde(skip)]
+    pub place: Option<PathBuf>,
 }
 
 /// One object of the scene file; a robot is one object made of many solids.

@@ -7,13 +7,15 @@ use std::sync::Arc;
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 
 use super::SceneError;
-use super::file::{AirFile, BoxFile, CtFile, CylinderFile, DensityFile, EllipsoidFile, LabelsFile, MaterialsFile, MeshFile};
-use super::file::{ObjectFile, RobotFile, SphereFile, VoxelsFile};
 use super::files::Files;
 use super::foreign_files::read_volume;
 use super::matter::{self, Class, Classes};
 use super::mesh;
 use super::model::{Matter, Object, Robot, Scene, Shape, Solid};
+use super::object_file::{
+    AirFile, BoxFile, CtFile, CylinderFile, DensityFile, EllipsoidFile, LabelsFile, MaterialsFile, MeshFile,
+};
+use super::object_file::{ObjectFile, RobotFile, SphereFile, VoxelsFile};
 use super::physics::Material;
 use crate::geometry::{Rigid, RobotModel};
 use crate::reporter::Reporter;

@@ -10,9 +10,10 @@ use super::declared::Declared;
 use super::file::Setup;
 use super::posing::Posed;
 use crate::beads::BeadLayout;
-use crate::compare::{Cause, CompareInput, Compared, MaskShares, NullError, compare};
+use crate::compare::{CompareInput, Compared, NullError, compare};
 use crate::geometry::View;
 use crate::image::{Image, sha256_bytes};
+use crate::mask::{Cause, MaskShares};
 use crate::render::{Options, Plan, Quantity, Rendered, Renderer};
 use crate::report::{self, Pair, PairStatus, PoseSource, StripInput};
 use crate::reporter::Reporter;
@@ -126,6 +127,7 @@ impl Bench {
         let tool = self.tool_mask(&scene, &view);
         let mut input = CompareInput::new(&posed.frame, &rendered.pages[0]);
         input.valid = Some(&rendered.valid);
+        input.masks = Some(&posed.masks);
         input.beads = &beads;
         input.tool = tool.as_ref();
         input.tone = self.declared.tone_of(&posed.frame, &mut pair.flags);
@@ -175,6 +177,10 @@ impl Bench {
         }
         for finding in findings {
             self.reporter.warn(&format!("check: {}", finding.check), format!("{}: {finding}", posed.label()));
+            // What P rests on besides the beads.
+            if ["SID", "pitch"].contains(&finding.check.as_str()) {
+                pair.doubt_by_telemetry(&finding.to_string());
+            }
             pair.flags.push(finding.to_string());
         }
     }
@@ -346,7 +352,9 @@ fn row(posed: &Posed) -> Pair {
         pair.flags.push("robot: telemetry is stale at the exposure".to_owned());
     }
     if let Some(apart) = posed.telemetry_disagreement {
-        pair.flags.push(format!("telemetry and beads are {:.1} mm and {:.1} degrees apart", apart.mm, apart.deg));
+        let words = format!("telemetry and beads are {:.1} mm and {:.1} degrees apart", apart.mm, apart.deg);
+        pair.doubt_by_telemetry(&words);
+        pair.flags.push(words);
     }
     pair.gap_us = posed.robot.as_ref().map(|robot| robot.gap_us).max(posed.carm_gap_us);
     pair.stages_ms = posed.stages.clone();

@@ -1,10 +1,12 @@
 //! The session file: which devices, which specimen, where results go (DESIGN §7).
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
 use super::declared::AirWord;
+use super::inputs::LoggedInput;
 use crate::acquire::{DetectorCalibration, Domain, Frame};
 use crate::beads::{Landmark, parse_landmarks};
 use crate::compare::Tone;
@@ -92,16 +94,11 @@ fn default_baud() -> u32 {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FrameSource {
-    /// Watched folder. Written (into the log) by its last part only: the folders above it may be named after people.
-    #[serde(serialize_with = "without_folders")]
+    /// Watched folder.
     pub folder: PathBuf,
     /// As the session's `domain`, which is the better place.
     #[serde(default)]
     pub domain: Option<Domain>,
-}
-
-fn without_folders<S: serde::Serializer>(path: &std::path::Path, serializer: S) -> Result<S::Ok, S::Error> {
-    serializer.serialize_str(&path.file_name().unwrap_or_default().to_string_lossy())
 }
 
 /// A session file as typed.
@@ -154,7 +151,8 @@ pub struct SessionFile {
     pub detector: Option<PathBuf>,
 }
 
-/// Everything that decides what a session computes, embedded in its log: replay needs only the CT beside it.
+/// Everything that decides what a session computes, embedded in its log without the names of folders ([`super::inputs`]): replay needs only
+/// the files that the scene names.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Setup {
     /// The session file.
@@ -175,6 +173,12 @@ pub struct Setup {
     /// The detector calibration, maps included.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub detector: Option<Box<DetectorCalibration>>,
+    /// In a log: the scene file and the files that it names, by the labels that stand in [`Setup::scene_json`].
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub inputs: Vec<LoggedInput>,
+    /// Where those files lie on this machine, by label.
+    #[serde(skip)]
+    pub places: BTreeMap<String, PathBuf>,
 }
 
 /// Reads text; the error names the file.
@@ -258,7 +262,9 @@ impl Setup {
             None => None,
         };
         let scene_path = session.scene.clone();
-        let mut setup = Self { session, carm, robot, scene_json, scene_path, beads, landmarks: None, detector: None };
+        let (inputs, places) = Default::default();
+        let mut setup =
+            Self { session, carm, robot, scene_json, scene_path, beads, landmarks: None, detector: None, inputs, places };
         setup.load_declared(path)?;
         Ok(setup)
     }

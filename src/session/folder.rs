@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use super::SessionError;
 use super::develop::Developed;
 use super::engine::Engine;
-use super::file::Setup;
+use super::inputs::InputNames;
 use super::tracks::Tracks;
 use super::workshop::Workshop;
 use crate::image::{write_atomically, write_png_rgb};
@@ -42,6 +42,7 @@ pub(super) enum Times {
 /// Writes the files of pairs as they come in, and the report at the end.
 pub(super) struct Collector {
     path: PathBuf,
+    names: InputNames,
     times: Times,
     rows: BTreeMap<u32, Pair>,
     /// Of each row, how often its frame was posed before.
@@ -61,13 +62,7 @@ const PAIRS_MS: f64 = 500.0;
 
 impl Collector {
     /// Creates the folder and those inside it.
-    pub(super) fn create(
-        path: &Path,
-        started_us: i64,
-        times: Times,
-        setup: &Setup,
-        workshop: &Workshop,
-    ) -> Result<Self, SessionError> {
+    pub(super) fn create(path: &Path, started_us: i64, times: Times, workshop: &Workshop) -> Result<Self, SessionError> {
         for part in ["strips", "drr"] {
             let folder = path.join(part);
             std::fs::create_dir_all(&folder)
@@ -78,15 +73,15 @@ impl Collector {
             "detector blur, focal spot, anode heel, lag",
             "the operating table and whatever else is not in the CT",
         ];
-        // Folders may be named after a patient; the hash says which file it was.
-        let name = |path: &Path| path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-        let inputs = workshop.inputs().iter().map(|input| (name(Path::new(&input.path)), input.sha256.clone())).collect();
+        let names = workshop.names().clone();
+        let inputs: Vec<_> = names.shown().into_iter().map(|input| (input.path, input.sha256)).collect();
+        let scene = inputs.first().map(|(label, _)| ("scene".to_owned(), label.clone()));
         let provenance = Provenance {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             adapter: Some(workshop.adapter().to_owned()),
             command: None,
             inputs,
-            details: vec![("scene".to_owned(), name(&setup.scene_path))],
+            details: scene.into_iter().collect(),
         };
         let report = SessionReport {
             title: "Sidecarm session".to_owned(),
@@ -97,6 +92,7 @@ impl Collector {
         };
         Ok(Self {
             path: path.to_owned(),
+            names,
             times,
             rows: BTreeMap::new(),
             developments: BTreeMap::new(),
@@ -171,6 +167,14 @@ impl Collector {
         }
     }
 
+    /// The names of this machine's files and folders do not reach the report.
+    fn hide_names(&mut self) {
+        let own = format!("{}/", self.path.display());
+        let hide = |text: &str| self.names.hide(&text.replace(&own, ""));
+        self.report.losses.iter_mut().for_each(|loss| *loss = hide(loss));
+        self.report.warnings.iter_mut().for_each(|(_, counted)| counted.latest = hide(&counted.latest));
+    }
+
     /// How long each stage of each frame took.
     fn write_timings(&self) -> Result<(), crate::image::ImageFileError> {
         let frames: Vec<_> =
@@ -204,6 +208,7 @@ impl Collector {
             let sentence = format!("{file}{others} could not be written ({reason}); a replay of the log makes them again");
             self.report.losses.push(sentence);
         }
+        self.hide_names();
         if let Err(error) = write_session(&self.path, &self.report) {
             reporter.warn("report not written", &error);
             self.report.losses.push(format!("{error}; a replay of the log makes the report again"));

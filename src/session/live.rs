@@ -6,23 +6,25 @@
 //! ```
 //! Nothing that is slow or dead behind the engine stops what is in front of it from being recorded.
 
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::Duration;
 
 use super::SessionError;
-use super::background::{loops_stand_back, stand_back};
+use super::background::loops_stand_back;
 use super::board::Board;
 use super::engine::{Engine, Input, Output};
+use super::event::{Event, Source};
 use super::file::Setup;
 use super::folder::{Collector, Folder, Times};
 use super::log::SessionLog;
 use super::losses::line_losses;
-use super::posing::{PoseJob, Posed, Registered};
+use super::places;
+use super::posing::{PoseJob, Posed};
+use super::registrar::start_registrar;
 use super::scribe::Scribe;
-use super::sources::{Frames, Lines, Source};
+use super::sources::{Frames, Lines};
 use super::stop::Stop;
 use super::tracks::Tracks;
 use super::workshop::Workshop;
@@ -45,15 +47,6 @@ pub struct LiveOptions {
     pub include_existing: bool,
 }
 
-/// What the session's own thread is told.
-pub(super) enum Event {
-    Input(Input),
-    Registered(Box<Registered>),
-    LineOpened { device: DeviceKind, host_us: i64 },
-    LineLost { device: DeviceKind, host_us: i64, reason: String },
-    Ended(Source),
-}
-
 /// Ticks keep waiting frames and stale marks moving when nothing arrives.
 const TICK_US: i64 = 100_000;
 /// The session's thread looks at the clock and the stop flag this often.
@@ -73,10 +66,11 @@ pub fn run(setup: Setup, options: &LiveOptions, board: &Board, reporter: &Report
     loops_stand_back();
     let setup = Arc::new(setup);
     let mut workshop = Workshop::open(&setup, DeviceChoice::Auto, reporter)?;
+    places::remember(workshop.names());
     let started_us = host_now_us();
     let (events, inbox) = channel();
     SessionLog::refuse_occupied(&options.out)?;
-    let collector = Collector::create(&options.out, started_us, Times::Told, &setup, &workshop)?;
+    let collector = Collector::create(&options.out, started_us, Times::Told, &workshop)?;
     let log = Arc::new(SessionLog::create(&options.out, &setup, &workshop, events, reporter)?);
     let engine = Engine::new(Arc::clone(&setup), workshop.layout().cloned(), reporter.clone());
     let (scribe, pairs) = Scribe::start(collector, Arc::clone(&log), board.clone(), reporter)?;
@@ -105,25 +99,6 @@ pub fn run(setup: Setup, options: &LiveOptions, board: &Board, reporter: &Report
         finishing: None,
     };
     session.run(&inbox, options, started_us)
-}
-
-/// Registers frames on a thread of its own, one at a time.
-fn start_registrar(log: Arc<SessionLog>) -> Result<Sender<PoseJob>, SessionError> {
-    let (jobs, inbox) = channel::<PoseJob>();
-    std::thread::Builder::new()
-        .name("registrar".to_owned())
-        .spawn(move || {
-            stand_back();
-            for job in inbox {
-                let attempt = catch_unwind(AssertUnwindSafe(|| job.clone().run()));
-                let registered = attempt.unwrap_or_else(|_| {
-                    Registered::failed(job, "looking for beads failed (a fault of this program); the log has the frame")
-                });
-                log.tell(Event::Registered(Box::new(registered)));
-            }
-        })
-        .map_err(|source| SessionError::Thread { source })?;
-    Ok(jobs)
 }
 
 /// How far a session has come.

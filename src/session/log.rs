@@ -11,8 +11,9 @@ use serde_json::json;
 
 use super::SessionError;
 use super::engine::Input;
+use super::event::Event;
 use super::file::Setup;
-use super::live::Event;
+use super::inputs::InputNames;
 use super::posing::Posed;
 use super::workshop::Workshop;
 use crate::record::{BeadMark, Level, Provenance, RecordError, Recorder, RecorderHealth, topic};
@@ -40,6 +41,7 @@ pub(super) struct SessionLog {
     recorder: Recorder,
     reporter: Reporter,
     path: PathBuf,
+    names: InputNames,
     /// Held while an input is recorded and handed to the engine.
     engine: Mutex<Option<Sender<Event>>>,
     failed: AtomicBool,
@@ -63,9 +65,11 @@ impl SessionLog {
     ) -> Result<Self, SessionError> {
         let path = out.join("session.mcap");
         let started_us = host_now_us();
-        let details = json!({"adapter": workshop.adapter(), "inputs": workshop.inputs()});
+        let names = workshop.names().clone();
+        let details = json!({"adapter": workshop.adapter(), "inputs": names.shown()});
+        let setup = names.setup(setup);
         let recorder = Recorder::create(&path, &Provenance::of_this_program(started_us, details))?;
-        recorder.json(SETUP_TOPIC, started_us, setup)?;
+        recorder.json(SETUP_TOPIC, started_us, &setup)?;
         recorder.attach("scene.json", "application/json", started_us, setup.scene_json.as_bytes())?;
         if let Some((path, text)) = &setup.beads {
             let name = path.file_name().map_or_else(|| "beads.mrk.json".to_owned(), |name| name.to_string_lossy().into_owned());
@@ -75,6 +79,7 @@ impl SessionLog {
             recorder,
             reporter: reporter.clone(),
             path,
+            names,
             engine: Mutex::new(Some(engine)),
             failed: AtomicBool::new(false),
             losses: Mutex::default(),
@@ -155,7 +160,7 @@ impl SessionLog {
     }
 
     pub(super) fn event(&self, level: Level, host_us: i64, text: &str) {
-        self.check(self.recorder.event(level, text, host_us));
+        self.check(self.recorder.event(level, &self.names.hide(text), host_us));
     }
 
     pub(super) fn sample(&self, device: DeviceKind, host_us: i64, sample: &Sample) {

@@ -14,15 +14,20 @@ pub mod engine;
 pub mod file;
 pub mod folder;
 pub mod import;
+pub mod inputs;
 pub mod live;
 pub mod replay;
 
 mod background;
 mod develop;
+mod event;
+mod image_difference;
 mod log;
 mod losses;
+mod places;
 mod posing;
 mod recorded;
+mod registrar;
 mod scribe;
 mod sources;
 mod stop;
@@ -93,6 +98,16 @@ pub enum SessionError {
     OwnFolder {
         /// The folder.
         path: String,
+    },
+    /// A file that the logged session read is nowhere.
+    #[error(
+        "{label} (SHA-256 {sha256}), which the session read, is neither where this machine last had it nor near the log; name its folder with --data"
+    )]
+    InputMissing {
+        /// Its name in the log.
+        label: String,
+        /// Its hash.
+        sha256: String,
     },
     /// The log is not one of a session.
     #[error("{path}: no session in this log ({detail})")]

@@ -9,6 +9,7 @@ use super::tie::Disagreement;
 use crate::acquire::Frame;
 use crate::beads::{BeadLayout, Landmark};
 use crate::geometry::{CarmJoints, Intrinsics, Rigid, View};
+use crate::mask::{self, Masks};
 use crate::pose::{self, Pose, Prior, Registration};
 use crate::report::PoseSource;
 use crate::reporter::Reporter;
@@ -46,6 +47,8 @@ pub struct Posed {
     pub binding: Binding,
     /// What registration said.
     pub pose: Pose,
+    /// Which of the frame's pixels mean nothing.
+    pub masks: Arc<Masks>,
     /// What the import had to say about the frame.
     pub warnings: Vec<String>,
     /// Which pose is used.
@@ -211,10 +214,15 @@ impl PoseJob {
     #[must_use]
     pub fn run(self) -> Registered {
         let watch = Stopwatch::start();
+        let masks = mask::of_frame(&self.bound.frame);
+        self.register(masks, &watch)
+    }
+
+    fn register(self, masks: Masks, watch: &Stopwatch) -> Registered {
         let none = BeadLayout::none();
         let layout = self.known.layout.as_deref().unwrap_or(&none);
         let prior = self.nominal().map(|camera_from_lps| Prior { camera_from_lps, covariance: None });
-        let mut pose = pose::register(&Registration {
+        let registration = Registration {
             frame: &self.bound.frame,
             layout,
             intrinsics: self.intrinsics,
@@ -223,13 +231,14 @@ impl PoseJob {
             fuse: false,
             landmarks: &self.known.landmarks,
             bead_radius_mm: self.known.setup.session.bead_radius_mm,
-        });
+        };
+        let mut pose = pose::register_masked(&registration, &masks);
         if self.known.layout.is_none() {
             pose.reason = Some("the session names no beads".to_owned());
         }
         let mut stages = StageTimes::default();
         stages.add("register", watch.ms());
-        Registered { job: self, pose, stages }
+        Registered { job: self, pose, masks: Arc::new(masks), stages }
     }
 
     /// Camera in the specimen by telemetry alone.
@@ -243,6 +252,7 @@ impl PoseJob {
 pub struct Registered {
     job: PoseJob,
     pose: Pose,
+    masks: Arc<Masks>,
     stages: StageTimes,
 }
 
@@ -257,14 +267,15 @@ impl Registered {
     #[must_use]
     pub fn failed(job: PoseJob, reason: &str) -> Self {
         let known = Known { layout: None, ..job.known };
-        let mut refused = PoseJob { known, ..job }.run();
+        // Without beads and masks nothing is looked at again: whatever failed does not fail a second time.
+        let mut refused = PoseJob { known, ..job }.register(Masks::default(), &Stopwatch::start());
         refused.pose.reason = Some(reason.to_owned());
         refused
     }
 
     /// The frame with its pose, and where its beads put the specimen in the room, if both are known.
     pub(super) fn into_posed(self, world_from_tracker: Option<Rigid>) -> (Posed, Option<Rigid>) {
-        let Self { job, pose, stages } = self;
+        let Self { job, pose, masks, stages } = self;
         let (pose_source, camera) = match (pose.camera(), job.intrinsics.zip(job.nominal())) {
             (Some(camera), _) => (PoseSource::Beads, Some(camera)),
             (None, Some(camera)) => (PoseSource::Telemetry, Some(camera)),
@@ -296,6 +307,7 @@ impl Registered {
             time_us,
             binding,
             pose,
+            masks,
             warnings: job.warnings,
             pose_source,
             view,

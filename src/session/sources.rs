@@ -8,8 +8,8 @@ use std::time::Duration;
 use super::SessionError;
 use super::board::{Board, Link};
 use super::engine::Input;
+use super::event::{Event, Source};
 use super::file::Setup;
-use super::live::Event;
 use super::log::SessionLog;
 use crate::acquire::{Arrival, FolderSource, Frame, FrameSource, Reading, Sighting};
 use crate::foreign;
@@ -17,13 +17,6 @@ use crate::record::Level;
 use crate::reporter::Reporter;
 use crate::telemetry::{DeviceKind, PortConfig, PortEvent, PortTask, spawn_port};
 use crate::time::host_now_us;
-
-/// Which source has ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Source {
-    Lines,
-    Frames,
-}
 
 /// Capacity of the channel from the ports; when full, bytes wait in the system's buffers.
 const PORT_QUEUE: usize = 4096;

@@ -11,6 +11,7 @@ use super::crosscheck::{self, check_session};
 use super::declared::Declared;
 use super::develop::{Bench, Developed};
 use super::file::Setup;
+use super::inputs::InputNames;
 use super::posing::Posed;
 use crate::beads::{BeadLayout, parse_markups};
 use crate::gpu::DeviceChoice;
@@ -64,7 +65,7 @@ pub struct Workshop {
     thread: Option<std::thread::JoinHandle<()>>,
     layout: Option<Arc<BeadLayout>>,
     adapter: String,
-    inputs: Vec<scene::InputFile>,
+    names: InputNames,
 }
 
 impl Workshop {
@@ -73,7 +74,10 @@ impl Workshop {
     /// # Errors
     /// When scene or beads are wrong, or the renderer is not available.
     pub fn open(setup: &Setup, device: DeviceChoice, reporter: &Reporter) -> Result<Self, SessionError> {
-        let scene = scene::load_text(&setup.scene_json, &setup.scene_path, false, reporter)?;
+        let mut scene = scene::load_text_with(&setup.scene_json, &setup.scene_path, &setup.places, false, reporter)?;
+        let names = InputNames::of(setup, &scene.inputs);
+        // From here on files have the names that may be shown.
+        scene.inputs = names.shown();
         let mut layout = match &setup.beads {
             Some((path, text)) => Some(
                 parse_markups(path, text.as_bytes())
@@ -88,11 +92,10 @@ impl Workshop {
         }
         let renderer = Renderer::new(device, reporter)?;
         let adapter = renderer.adapter();
-        let inputs = scene.inputs.clone();
         let declared = Declared::of(setup);
         let bench = Bench { scene, setup: setup.clone(), declared, layout: layout.clone(), renderer, reporter: reporter.clone() };
         let layout = layout.map(Arc::new);
-        Ok(Self { bench: Some(bench), shared: Arc::default(), thread: None, layout, adapter, inputs })
+        Ok(Self { bench: Some(bench), shared: Arc::default(), thread: None, layout, adapter, names })
     }
 
     /// Starts the thread, which first warms up where `warm` says so; `sink` gets each pair when it can be shown and once more with its null, and says whether it wants more.
@@ -128,10 +131,10 @@ impl Workshop {
         &self.adapter
     }
 
-    /// Files that went into the scene.
+    /// Files that went into the scene, and what they are called.
     #[must_use]
-    pub fn inputs(&self) -> &[scene::InputFile] {
-        &self.inputs
+    pub fn names(&self) -> &InputNames {
+        &self.names
     }
 
     /// Hands in a frame; `plan` is executed as it is where there is one, else the renderer plans.

@@ -8,8 +8,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use super::console::Bounds;
 
 /// Exposures closer than this count as one occasion: a batch of late frames that meets one burst is one accident.
-const OCCASION_US: i64 = 10_000_000;
-/// More frames than this after one exposure are a batch and suggest nothing.
+pub(super) const OCCASION_US: i64 = 10_000_000;
+/// More frames than this after one exposure are a batch and suggest nothing; counted ones only if they are more than the exposures before
+/// them, as a quick run's are not.
 const CROWD: usize = 2;
 
 /// A reading is another one if it gives one in so many frames another exposure.
@@ -89,11 +90,18 @@ fn party<'a>(topic: Topic, founder: &Suggestion, all: &[&'a Suggestion]) -> Part
 
 /// The suggestions that belong together and outweigh all others; none while two readings are possible.
 pub(super) fn agreement(topic: Topic, suggestions: &[Suggestion]) -> Option<Vec<Suggestion>> {
-    let mut came_after: BTreeMap<Option<usize>, BTreeSet<u32>> = BTreeMap::new();
+    let mut came_after: BTreeMap<Option<usize>, (BTreeSet<u32>, BTreeSet<usize>)> = BTreeMap::new();
     for suggestion in suggestions {
-        came_after.entry(suggestion.latest).or_default().insert(suggestion.frame);
+        let (frames, shots) = came_after.entry(suggestion.latest).or_default();
+        frames.insert(suggestion.frame);
+        shots.insert(suggestion.shot);
     }
-    let crowded = |s: &Suggestion| came_after.get(&s.latest).is_some_and(|frames| frames.len() > CROWD);
+    let crowded = |s: &Suggestion| {
+        came_after.get(&s.latest).is_some_and(|(frames, shots)| {
+            let room = if topic == Topic::Shift { shots.len() } else { 0 };
+            frames.len() > CROWD.max(room)
+        })
+    };
     let spoken: Vec<&Suggestion> = suggestions.iter().filter(|s| topic.speaks(s) && !crowded(s)).collect();
     let voters: BTreeSet<u32> = spoken.iter().map(|s| s.frame).collect();
     let parties: Vec<Party> = spoken.iter().map(|founder| party(topic, founder, &spoken)).collect();

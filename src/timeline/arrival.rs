@@ -1,12 +1,14 @@
 //! A frame of which nothing but its arrival tells: bound only where frames have come one by one, promptly, for every exposure.
 
+use std::ops::RangeInclusive;
+
 use super::binder::Pending;
 use super::evidence::{BindingHow, seconds};
 use super::judgement::{Judgement, Weighed};
 use super::shots::PROMPT_US;
 
 /// Frames within this time of each other may be of a batch.
-const BATCH_US: i64 = 800_000;
+pub(super) const BATCH_US: i64 = 800_000;
 /// Risk at which arrival alone still binds: that the exposure's own frame is missing and a stray came just then.
 const ARRIVAL_RISK: f64 = 1e-4;
 /// Frames from which it is known how soon frames come.
@@ -59,12 +61,12 @@ impl Weighed<'_> {
             words.push("how soon frames come after their exposures is not known yet: later frames will show it".to_owned());
             return Judgement::None(words);
         };
-        if !(usual_us[0]..=usual_us[1]).contains(&late_us) {
-            let (late, from, to) = (seconds(late_us), seconds(usual_us[0]), seconds(usual_us[1]));
+        if !usual_us.contains(&late_us) {
+            let (late, from, to) = (seconds(late_us), seconds(*usual_us.start()), seconds(*usual_us.end()));
             words.push(format!("it came {late} after {}, others come after {from} to {to}: ambiguous", self.label(at)));
             return Judgement::None(words);
         }
-        let (risk, lacking, count) = self.arrival_risk(arrival_us, usual_us[1].saturating_sub(usual_us[0]));
+        let (risk, lacking, count) = self.arrival_risk(arrival_us, usual_us.end().saturating_sub(*usual_us.start()));
         if !(risk <= ARRIVAL_RISK) {
             let strays = self.binder.strays;
             words.push(format!(
@@ -85,24 +87,23 @@ impl Weighed<'_> {
         })
     }
 
-    /// How long after their exposures the other frames come, as far as one came alone after one exposure: the shortest and the longest
-    /// with a margin; `None` while too few are known.
-    pub(super) fn usual_delay_us(&self) -> Option<[i64; 2]> {
+    /// How long after their exposures the other frames come, as far as one came alone after one exposure, or is bound to one: the shortest and
+    /// the longest with a margin; `None` while too few are known.
+    pub(super) fn usual_delay_us(&self) -> Option<RangeInclusive<i64>> {
+        let shots = &self.binder.shots;
         let delay = |other: &Pending| {
-            let [at] = other.prompt.as_deref()? else { return None };
-            let (shot, arrival_us) = (self.binder.shots.get(*at), other.evidence.arrival_us?);
-            let alone = shot.prompt_frames == 1 && other.evidence.frame != self.pending.evidence.frame;
-            (alone && shot.whole).then(|| arrival_us.saturating_sub(shot.end_us))
+            let prompt = other.prompt.as_deref()?;
+            let bound = other.binding.exposure.as_ref().and_then(|exposure| shots.position(exposure.index));
+            let at = match (bound, prompt) {
+                (Some(at), _) if prompt.contains(&at) => at,
+                (None, [at]) if shots.get(*at).prompt_frames == 1 => *at,
+                _ => return None,
+            };
+            let (shot, arrival_us) = (shots.get(at), other.evidence.arrival_us?);
+            (shot.whole && other.evidence.frame != self.pending.evidence.frame).then(|| arrival_us.saturating_sub(shot.end_us))
         };
-        let (mut count, mut shortest_us, mut longest_us) = (0, i64::MAX, i64::MIN);
-        for delay_us in self.binder.frames.values().filter_map(delay) {
-            (count, shortest_us, longest_us) = (count + 1, shortest_us.min(delay_us), longest_us.max(delay_us));
-        }
-        if count < DELAYS {
-            return None;
-        }
-        let margin_us = (longest_us.saturating_sub(shortest_us) / 4).max(200_000);
-        Some([shortest_us.saturating_sub(margin_us), longest_us.saturating_add(margin_us)])
+        let delays_us: Vec<i64> = self.binder.frames.values().filter_map(delay).collect();
+        usual_us_of(&delays_us).filter(|_| delays_us.len() >= DELAYS)
     }
 
     /// Chance that the exposure's own frame is missing or late and a stray arrives in its place: share of the last exposures without a
@@ -124,4 +125,11 @@ impl Weighed<'_> {
         let rate = (f64::from(self.binder.strays) + 0.5) / elapsed_us as f64;
         (share * rate * usual_us as f64, lacking, last.len())
     }
+}
+
+/// From the shortest to the longest of these delays, with a margin.
+pub(super) fn usual_us_of(delays_us: &[i64]) -> Option<RangeInclusive<i64>> {
+    let (shortest_us, longest_us) = (*delays_us.iter().min()?, *delays_us.iter().max()?);
+    let margin_us = (longest_us.saturating_sub(shortest_us) / 4).max(200_000);
+    Some(shortest_us.saturating_sub(margin_us)..=longest_us.saturating_add(margin_us))
 }

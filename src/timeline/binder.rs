@@ -10,7 +10,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::Timeline;
-use super::console::{Bounds, ConsoleClock, ConsoleOffset};
+use super::agreement::OCCASION_US;
+use super::console::{ConsoleClock, ConsoleOffset, Pair};
 use super::counting::Counting;
 use super::evidence::{Binding, BindingFlag, BindingHow, FrameEvidence, flags_of, time_within};
 use super::judgement::{Judgement, Weighed};
@@ -273,9 +274,8 @@ impl Binder {
     }
 
     /// What stamp and exposure together say of the console's offset.
-    pub(super) fn pair(&self, said: &FrameEvidence, shot: usize) -> Option<Bounds> {
-        let shot = self.shots.get(shot);
-        Some(Bounds::of(said.console_us?, self.resolution_us(said), shot.start_us, shot.end_us))
+    pub(super) fn pair(&self, said: &FrameEvidence, shot: usize) -> Option<Pair> {
+        Some(self.shots.get(shot).pair(said.console_us?, self.resolution_us(said)))
     }
 
     /// Resolution of a frame's stamp: a console that writes whole minutes writes zeros for the seconds.
@@ -297,32 +297,40 @@ impl Binder {
         other != at && self.shots.get(other).frame.is_none() && may_be()
     }
 
-    /// Whether prompt frames wait whose counter is not what the known shifts say: it may have begun anew.
+    /// Whether the counter may have begun anew: prompt frames wait whose counter is not what the known shifts say, and which are no late
+    /// ones either, or which have another shift in common on two occasions.
     pub(super) fn restless(&self) -> bool {
-        let strange = |pending: &&Pending| {
-            let Some(counter) = pending.evidence.counter else { return false };
-            let prompt = pending.prompt.as_deref().unwrap_or_default();
-            let expected =
-                |at: &usize| self.shots.number(*at).is_some_and(|number| self.counting.knows(i64::from(counter) - number));
-            !prompt.is_empty() && !prompt.iter().any(expected)
+        let waiting = self.voters.iter().filter(|frame| self.open.contains(frame)).filter_map(|frame| self.frames.get(frame));
+        let (mut strange, mut others) = (0, BTreeMap::<i64, Vec<i64>>::new());
+        for pending in waiting {
+            let (Some(counter), Some(arrival_us)) = (pending.evidence.counter, pending.evidence.arrival_us) else { continue };
+            let shift = |at: &usize| self.shots.number(*at).map(|number| i64::from(counter) - number);
+            let shifts: Vec<i64> = pending.prompt.iter().flatten().filter_map(shift).collect();
+            if shifts.is_empty() || shifts.iter().any(|shift| self.counting.knows(*shift)) {
+                continue;
+            }
+            let waits = |at: &usize| self.shots.get(*at).frame.is_none() && self.shots.get(*at).over_us <= arrival_us;
+            if !self.counting.shifts().any(|shift| self.shots.numbered(i64::from(counter) - shift).iter().any(waits)) {
+                strange += 1;
+            }
+            for shift in shifts {
+                others.entry(shift).or_default().push(arrival_us);
+            }
+        }
+        let apart = |times: &Vec<i64>| {
+            times.iter().max().zip(times.iter().min()).is_some_and(|(last, first)| last.saturating_sub(*first) >= OCCASION_US)
         };
-        self.voters
-            .iter()
-            .filter(|frame| self.open.contains(frame))
-            .filter_map(|frame| self.frames.get(frame))
-            .filter(strange)
-            .count()
-            > 1
+        strange > 1 || others.values().any(apart)
     }
 
     /// Whether any offset that is known, at that time, allows the pair.
-    pub(super) fn allowed(&self, pair: &Bounds) -> bool {
+    pub(super) fn allowed(&self, pair: &Pair) -> bool {
         let known: Vec<&ConsoleOffset> = self.known_offsets().collect();
         known.iter().enumerate().any(|(i, offset)| {
             // Between the last frame of one setting and the first of the next either may hold.
             let after =
-                i.checked_sub(1).and_then(|before| known[before].span_us()).is_none_or(|(_, last_us)| pair.at_us >= last_us);
-            let before = known.get(i + 1).and_then(|next| next.span_us()).is_none_or(|(first_us, _)| pair.at_us <= first_us);
+                i.checked_sub(1).and_then(|before| known[before].span_us()).is_none_or(|(_, last_us)| pair.any.at_us >= last_us);
+            let before = known.get(i + 1).and_then(|next| next.span_us()).is_none_or(|(first_us, _)| pair.any.at_us <= first_us);
             after && before && offset.allows(pair)
         })
     }

@@ -3,6 +3,9 @@
 //! A stamp s of resolution r names an instant of its exposure, so the offset o = host − console lies in
 //! (start − s − r, end − s]. Clocks drift by at most [`MOST_DRIFT`], so a bound at time t' holds at t, widened by drift · |t − t'|.
 //! The offset at t is the intersection of all widened bounds: it holds for every drift within the limit, steady or not.
+//!
+//! Consoles stamp the beginning of an exposure or its end, always the same. Either reading is followed beside the general one until frames
+//! contradict it; the readings that many frames have left alive tell exposures apart that follow each other within a second.
 
 use serde::Serialize;
 
@@ -10,8 +13,12 @@ use serde::Serialize;
 const MOST_DRIFT: f64 = 250e-6;
 /// What a stamp may lie outside its exposure without a constant part, which the offset absorbs.
 const SCATTER_US: i64 = 100_000;
+/// The same for the beginning or the end of the exposure: a console that scatters more is read as naming any instant.
+const END_SCATTER_US: i64 = 50_000;
 /// Bounds are merged over this time.
 const BUCKET_US: i64 = 20_000_000;
+/// Frames that a reading of the stamp must have survived before it is relied on.
+const READ_FRAMES: u32 = 12;
 /// Buckets on either side of a time that are asked; farther ones are wider by 200 ms and more.
 const REACH: usize = 60;
 
@@ -55,12 +62,83 @@ impl Bounds {
     }
 }
 
-/// The console's offset as a stretch of the session bounds it.
+/// What a stamp says of the console's offset if it is of an exposure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Pair {
+    /// If it names any instant of the exposure.
+    pub any: Bounds,
+    /// If it names its beginning, or its end.
+    ends: [Bounds; 2],
+}
+
+impl Pair {
+    /// From a stamp and an exposure whose beginning and end lie between two times each, µs.
+    pub(super) fn of(console_us: i64, resolution_us: i64, begin_us: [i64; 2], end_us: [i64; 2]) -> Self {
+        let any = Bounds::of(console_us, resolution_us, begin_us[0], end_us[1]);
+        let ends = [begin_us, end_us].map(|[from_us, to_us]| Bounds {
+            at_us: any.at_us,
+            low_us: from_us.saturating_sub(console_us).saturating_sub(resolution_us).saturating_sub(END_SCATTER_US),
+            high_us: to_us.saturating_sub(console_us).saturating_add(END_SCATTER_US),
+        });
+        Self { any, ends }
+    }
+}
+
+/// Bounds of one offset from many frames.
 #[derive(Clone, Debug, Default)]
-pub(super) struct ConsoleOffset {
+struct Chain {
     /// By time, one a bucket.
     buckets: Vec<Bounds>,
+}
+
+impl Chain {
+    /// Offsets possible at `at_us`; `None` while nothing is known.
+    fn bounds(&self, at_us: i64) -> Option<Bounds> {
+        let middle = self.buckets.partition_point(|bounds| bounds.at_us < at_us);
+        let near = &self.buckets[middle.saturating_sub(REACH)..(middle + REACH).min(self.buckets.len())];
+        let any = Bounds { at_us, low_us: i64::MIN, high_us: i64::MAX };
+        (!near.is_empty()).then(|| near.iter().fold(any, |all, bounds| all.and(bounds)))
+    }
+
+    fn allows(&self, bounds: &Bounds) -> bool {
+        self.bounds(bounds.at_us).is_some_and(|own| own.meets(bounds))
+    }
+
+    /// Takes bounds that hold; refuses them (false) where they contradict what is known.
+    fn learn(&mut self, bounds: &Bounds) -> bool {
+        if !self.buckets.is_empty() && !self.allows(bounds) {
+            return false;
+        }
+        let at = self.buckets.partition_point(|own| own.at_us < bounds.at_us);
+        let near = [at.checked_sub(1), Some(at)].into_iter().flatten().find(|i| {
+            self.buckets.get(*i).is_some_and(|own| own.at_us.saturating_sub(bounds.at_us).saturating_abs() < BUCKET_US)
+        });
+        match near {
+            Some(i) => {
+                let merged = self.buckets[i].and(bounds);
+                if merged.low_us <= merged.high_us {
+                    self.buckets[i] = merged;
+                }
+            }
+            None => self.buckets.insert(at, *bounds),
+        }
+        true
+    }
+}
+
+/// The console's offset as a stretch of the session bounds it.
+#[derive(Clone, Debug)]
+pub(super) struct ConsoleOffset {
+    any: Chain,
+    /// If stamps name beginnings, or ends; `None` once frames have contradicted it.
+    ends: [Option<Chain>; 2],
     frames: u32,
+}
+
+impl Default for ConsoleOffset {
+    fn default() -> Self {
+        Self { any: Chain::default(), ends: [Some(Chain::default()), Some(Chain::default())], frames: 0 }
+    }
 }
 
 /// The estimated clock of the console, for people and logs.
@@ -75,48 +153,39 @@ pub struct ConsoleClock {
 }
 
 impl ConsoleOffset {
-    /// Offsets possible at `at_us`; `None` while nothing is known.
+    /// Offsets possible at `at_us`, whatever instant of its exposure a stamp names; `None` while nothing is known.
     pub(super) fn bounds(&self, at_us: i64) -> Option<Bounds> {
-        let middle = self.buckets.partition_point(|bounds| bounds.at_us < at_us);
-        let near = &self.buckets[middle.saturating_sub(REACH)..(middle + REACH).min(self.buckets.len())];
-        let any = Bounds { at_us, low_us: i64::MIN, high_us: i64::MAX };
-        (!near.is_empty()).then(|| near.iter().fold(any, |all, bounds| all.and(bounds)))
+        self.any.bounds(at_us)
     }
 
     /// Whether a stamp and an exposure can belong together.
-    pub(super) fn allows(&self, pair: &Bounds) -> bool {
-        self.bounds(pair.at_us).is_some_and(|bounds| bounds.meets(pair))
+    pub(super) fn allows(&self, pair: &Pair) -> bool {
+        let mut alive = self.ends.iter().zip(&pair.ends).filter_map(|(chain, bounds)| Some((chain.as_ref()?, bounds))).peekable();
+        let read = self.frames >= READ_FRAMES && alive.peek().is_some();
+        self.any.allows(&pair.any) && (!read || alive.any(|(chain, bounds)| chain.allows(bounds)))
     }
 
     /// Takes a pair that is known to belong together; refuses it (false) where it contradicts what is known.
-    pub(super) fn learn(&mut self, pair: &Bounds) -> bool {
-        if !self.buckets.is_empty() && !self.allows(pair) {
+    pub(super) fn learn(&mut self, pair: &Pair) -> bool {
+        if !self.any.learn(&pair.any) {
             return false;
         }
         self.frames += 1;
-        let at = self.buckets.partition_point(|bounds| bounds.at_us < pair.at_us);
-        let near = [at.checked_sub(1), Some(at)].into_iter().flatten().find(|i| {
-            self.buckets.get(*i).is_some_and(|bounds| bounds.at_us.saturating_sub(pair.at_us).saturating_abs() < BUCKET_US)
-        });
-        match near {
-            Some(i) => {
-                let merged = self.buckets[i].and(pair);
-                if merged.low_us <= merged.high_us {
-                    self.buckets[i] = merged;
-                }
+        for (chain, bounds) in self.ends.iter_mut().zip(&pair.ends) {
+            if chain.as_mut().is_some_and(|chain| !chain.learn(bounds)) {
+                *chain = None;
             }
-            None => self.buckets.insert(at, *pair),
         }
         true
     }
 
     /// First and last time it was confirmed.
     pub(super) fn span_us(&self) -> Option<(i64, i64)> {
-        Some((self.buckets.first()?.at_us, self.buckets.last()?.at_us))
+        Some((self.any.buckets.first()?.at_us, self.any.buckets.last()?.at_us))
     }
 
     pub(super) fn summary(&self) -> Option<ConsoleClock> {
-        let bounds = self.bounds(self.buckets.last()?.at_us)?;
+        let bounds = self.bounds(self.any.buckets.last()?.at_us)?;
         let half_us = bounds.high_us.saturating_sub(bounds.low_us) / 2;
         Some(ConsoleClock {
             offset_us: bounds.low_us.saturating_add(half_us),
@@ -138,14 +207,14 @@ mod tests {
         for i in 0..40i64 {
             let start_us = 1_000_000_000 + i * 7_310_000;
             let console_us = (start_us - 100_000_000).div_euclid(1_000_000) * 1_000_000;
-            assert!(offset.learn(&Bounds::of(console_us, 1_000_000, start_us, start_us + 200_000)));
+            assert!(offset.learn(&Pair::of(console_us, 1_000_000, [start_us; 2], [start_us + 200_000; 2])));
         }
         let clock = offset.summary().expect("known");
         assert!((clock.offset_us - 100_000_000).abs() <= clock.uncertainty_us && clock.uncertainty_us < 300_000, "{clock:?}");
-        assert!(!offset.learn(&Bounds::of(900_000_000, 1_000_000, 1_003_000_000, 1_003_200_000)), "three seconds off");
+        assert!(!offset.learn(&Pair::of(900_000_000, 1_000_000, [1_003_000_000; 2], [1_003_200_000; 2])), "three seconds off");
         // An hour later a drift of 200 ppm is within the bounds, one of a second beyond it is not.
         let later_us = 1_000_000_000 + 3_600_000_000;
-        let pair = |off_us: i64| Bounds::of(later_us - 100_000_000 + off_us, 1, later_us, later_us + 200_000);
+        let pair = |off_us: i64| Pair::of(later_us - 100_000_000 + off_us, 1, [later_us; 2], [later_us + 200_000; 2]);
         assert!(offset.allows(&pair(720_000)) && !offset.allows(&pair(2_500_000)));
     }
 }

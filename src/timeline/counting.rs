@@ -72,6 +72,11 @@ impl Counting {
             .then(|| format!("the console's counter does not count exposures ({different} contradictions) and is not used"))
     }
 
+    /// The shifts of the known frames, without repetition.
+    pub(super) fn shifts(&self) -> impl Iterator<Item = i64> {
+        self.shifts.values().copied().collect::<BTreeSet<i64>>().into_iter()
+    }
+
     /// Whether any known frame has this shift.
     pub(super) fn knows(&self, shift: i64) -> bool {
         self.shifts.values().any(|known| *known == shift)
@@ -113,6 +118,12 @@ impl Counting {
         let shift = i64::from(counter) - named;
         let known_before = self.shifts.range(..=other).next_back().is_some_and(|(_, known)| *known == shift);
         other > at || !known_before || own.is_ok_and(|own| self.times_seen(own) > 0)
+    }
+
+    /// Whether a counter that began anew after the last known frame may have come to `counter` by now.
+    pub(super) fn may_have_begun_anew(&self, shots: &Shots, counter: u32) -> bool {
+        let since = self.shifts.keys().next_back().map_or(shots.len(), |last| shots.len().saturating_sub(last + 1));
+        usize::try_from(counter).is_ok_and(|counter| counter <= since)
     }
 
     /// Whether nothing but this shift is known, from one frame at least.

@@ -1,19 +1,15 @@
 //! One frame against everything that is known: bound, not bound and why, or not yet.
 
-use super::Timeline;
-use super::binder::{Binder, KNOWN_FRAMES, Pending};
-use super::counting::Firmness;
-use super::evidence::{BindingHow, FrameEvidence, seconds};
+use std::ops::RangeInclusive;
 
-/// Telemetry must be this far past the moment that a stamp names, or another exposure may still come up there.
-const AFTER_STAMP_US: i64 = 500_000;
+use super::Timeline;
+use super::arrival::BATCH_US;
+use super::binder::{Binder, Pending};
+use super::counting::Firmness;
+use super::evidence::BindingHow;
+
 /// A first frame that comes later than this after the only exposure before it may be of something that was not seen.
 const SOON_US: i64 = 4_000_000;
-/// Frames with stamps this near take part in the order of a burst.
-const ORDER_US: i64 = 20_000_000;
-
-/// Stamps within this time of each other show whether the clock was set.
-const STRETCH_US: i64 = 3_600_000_000;
 
 /// What came of it.
 #[derive(Clone, Debug, PartialEq)]
@@ -33,13 +29,6 @@ pub(super) struct Weighed<'a> {
     pub newest_us: Option<i64>,
     pub now_us: i64,
     pub pending: &'a Pending,
-}
-
-/// What stamp and known offset say.
-struct ByStamp {
-    fitting: Vec<usize>,
-    from_us: i64,
-    to_us: i64,
 }
 
 impl Weighed<'_> {
@@ -85,199 +74,16 @@ impl Weighed<'_> {
         (found, None)
     }
 
-    /// Whether telemetry was silent between two exposures.
+    /// Whether telemetry was silent between two exposures; a silence that hides the end of one may hide another exposure as well.
     fn hidden(&self, from: usize, to: usize) -> bool {
         let (from, to) = (self.binder.shots.get(from), self.binder.shots.get(to));
-        self.timeline.exposure_tracker().blind_spot(from.end_us, to.start_us.max(from.end_us)).is_some()
-    }
-
-    /// Leaves the exposures that the frame can have if later stamps are of later exposures: each stamp is of another exposure than every
-    /// other stamp, so a burst whose frames are all there may leave each only one place.
-    fn keep_order(&self, stamp: &mut ByStamp) {
-        let Some(console_us) = self.pending.evidence.console_us else { return };
-        let near = self.binder.by_stamp.range(console_us.saturating_sub(ORDER_US)..=console_us.saturating_add(ORDER_US));
-        let mut places: Vec<(i64, Vec<usize>)> = Vec::new();
-        for (other_us, frames) in near {
-            let mut fitting: Vec<usize> = Vec::new();
-            for other in frames.iter().filter_map(|frame| self.binder.frames.get(frame)) {
-                match &other.binding.exposure {
-                    Some(exposure) => fitting.extend(self.binder.shots.position(exposure.index)),
-                    None => fitting.extend(self.fitting(&other.evidence).map(|found| self.places(found)).unwrap_or_default()),
-                }
-            }
-            if *other_us == console_us {
-                fitting.clone_from(&stamp.fitting);
-            }
-            fitting.sort_unstable();
-            if !fitting.is_empty() {
-                places.push((*other_us, fitting));
-            }
-        }
-        let Some(own) = places.iter().position(|(us, _)| *us == console_us) else { return };
-        let mut lowest: Option<usize> = None;
-        for (_, fitting) in &places[..=own] {
-            lowest = fitting.iter().copied().find(|at| lowest.is_none_or(|lowest| *at > lowest)).or(lowest);
-        }
-        let mut highest: Option<usize> = None;
-        for (_, fitting) in places[own..].iter().rev() {
-            highest = fitting.iter().rev().copied().find(|at| highest.is_none_or(|highest| *at < highest)).or(highest);
-        }
-        if let (Some(lowest), Some(highest)) = (lowest, highest)
-            && lowest <= highest
-        {
-            stamp.fitting.retain(|at| (lowest..=highest).contains(at));
-        }
-    }
-
-    /// Why the stamp does not tell although it fits `at`: the clock may have been set between the frames that confirm its offset and this
-    /// one, because the arrival speaks for another exposure, or because other stamps from there fit nothing.
-    fn may_be_set(&self, at: usize, prompt: &[usize]) -> Option<String> {
-        let at_us = self.binder.shots.get(at).end_us;
-        let pair = self.binder.pair(&self.pending.evidence, at)?;
-        let spans: Vec<(i64, i64)> =
-            self.binder.known_offsets().filter(|offset| offset.allows(&pair)).filter_map(|offset| offset.span_us()).collect();
-        if prompt.contains(&at) || spans.iter().any(|(first_us, last_us)| (*first_us..=*last_us).contains(&at_us)) {
-            return None;
-        }
-        if let Some(other) = prompt.last() {
-            let (by_stamp, by_arrival) = (self.label(at), self.label(*other));
-            return Some(format!(
-                "the console's stamp points to {by_stamp}, the arrival to {by_arrival}, and its clock may have been set"
-            ));
-        }
-        let (mut fitting, mut lost) = (0, 0);
-        for frame in &self.binder.open {
-            let Some(other) = self.binder.frames.get(frame).filter(|other| other.evidence.frame != self.pending.evidence.frame)
-            else {
-                continue;
-            };
-            let Some(stamp) = self.fitting(&other.evidence) else { continue };
-            let within = spans.iter().any(|(first_us, last_us)| stamp.from_us >= *first_us && stamp.to_us <= *last_us);
-            let apart_us = stamp.from_us.saturating_sub(at_us).saturating_abs();
-            if !within && apart_us < STRETCH_US {
-                *(if stamp.fitting.is_empty() { &mut lost } else { &mut fitting }) += 1;
-            }
-        }
-        (lost > 1 + fitting / 2).then(|| {
-            let label = self.label(at);
-            format!(
-                "the console's stamp fits {label}, but {lost} others from that time fit no exposure: its clock may have been set"
-            )
-        })
-    }
-
-    /// Exposures of which a frame with this stamp must have one: none where telemetry was silent, for it may be of one that was not seen.
-    fn places(&self, stamp: ByStamp) -> Vec<usize> {
-        let blind = self.timeline.exposure_tracker().blind_spot(stamp.from_us, stamp.to_us).is_some();
-        if blind { Vec::new() } else { stamp.fitting }
-    }
-
-    fn by_stamp(&self) -> Option<ByStamp> {
-        self.fitting(&self.pending.evidence)
-    }
-
-    /// Exposures at the time that the stamp names, once the console's offset is known.
-    fn fitting(&self, said: &FrameEvidence) -> Option<ByStamp> {
-        let console_us = said.console_us?;
-        let mut found: Option<ByStamp> = None;
-        for offset in self.binder.known_offsets() {
-            // The offset barely drifts while exposures are looked up: a second round takes it where the stamp falls.
-            let (first_us, last_us) = offset.span_us()?;
-            let mut bounds = offset.bounds(first_us / 2 + last_us / 2)?;
-            for _ in 0..2 {
-                let at_us = console_us.saturating_add(bounds.low_us / 2 + bounds.high_us / 2);
-                bounds = offset.bounds(at_us)?;
-            }
-            let from_us = console_us.saturating_add(bounds.low_us).saturating_sub(150_000);
-            let resolution_us = self.binder.resolution_us(said);
-            let to_us = console_us.saturating_add(resolution_us).saturating_add(bounds.high_us).saturating_add(150_000);
-            let near = self.binder.shots.touching(from_us, to_us);
-            let causal = |at: &usize| {
-                let over_us = self.binder.shots.get(*at).over_us;
-                said.arrival_us.is_none_or(|arrival_us| over_us <= arrival_us)
-            };
-            let fitting: Vec<usize> = near
-                .filter(causal)
-                .filter(|at| self.binder.pair(said, *at).is_some_and(|pair| self.binder.allowed(&pair)))
-                .collect();
-            match &mut found {
-                Some(all) => {
-                    all.fitting.extend(fitting);
-                    all.fitting.sort_unstable();
-                    all.fitting.dedup();
-                    (all.from_us, all.to_us) = (all.from_us.min(from_us), all.to_us.max(to_us));
-                }
-                None => found = Some(ByStamp { fitting, from_us, to_us }),
-            }
-        }
-        found
-    }
-
-    /// Telemetry has passed the time, or will not any more.
-    fn telemetry_covers(&self, until_us: i64) -> bool {
-        let said = &self.pending.evidence;
-        let limit_us = said.arrival_us.map_or(until_us, |arrival_us| until_us.saturating_add(AFTER_STAMP_US).min(arrival_us));
-        let gave_up = said.arrival_us.is_some_and(|arrival_us| self.now_us.saturating_sub(arrival_us) >= 2 * AFTER_STAMP_US);
-        self.binder.finished || gave_up || self.newest_us.is_some_and(|newest_us| newest_us >= limit_us)
-    }
-
-    fn with_stamp(
-        &self,
-        stamp: &ByStamp,
-        candidates: &[(usize, Firmness)],
-        prompt: &[usize],
-        mut words: Vec<String>,
-    ) -> Judgement {
-        let both: Vec<(usize, Firmness)> = candidates.iter().filter(|(at, _)| stamp.fitting.contains(at)).copied().collect();
-        match (&both[..], &stamp.fitting[..]) {
-            ([(at, firmness)], fitting) if fitting.len() == 1 || self.decides(*at, *firmness, fitting) => {
-                words.push(format!("the counter names {} as well", self.label(*at)));
-                words.push(format!("the console's stamp fits {}", self.label(*at)));
-                self.of(*at, BindingHow::Counter, words, true)
-            }
-            (_, []) => {
-                words.push(format!("the console's stamp fits no exposure{}", self.offset_words()));
-                Judgement::None(words)
-            }
-            (_, [at]) => {
-                if let Some(set) = self.may_be_set(*at, prompt) {
-                    words.push(set);
-                    return Judgement::None(words);
-                }
-                let free = |at: usize| self.binder.shots.get(at).frame.is_none();
-                let firm = candidates.iter().find(|(other, firmness)| *firmness == Firmness::Enclosed && free(*other));
-                if let Some((other, _)) = firm
-                    && !prompt.contains(at)
-                {
-                    let (by_stamp, by_counter) = (self.label(*at), self.label(*other));
-                    words.push(format!("the console's stamp points to {by_stamp}, the counter to {by_counter}: contradictory"));
-                    return Judgement::None(words);
-                }
-                if self.pending.evidence.counter.is_some() && !both.iter().any(|(both, _)| both == at) && words.is_empty() {
-                    words.push("the counter contradicts the stamp and is dropped for this frame".to_owned());
-                }
-                if let Some(blind) = self.blind(*at, stamp.from_us, stamp.to_us) {
-                    words.push(blind);
-                    return Judgement::None(words);
-                }
-                words.push(format!(
-                    "{} is the only exposure that the console's stamp fits{}",
-                    self.label(*at),
-                    self.offset_words()
-                ));
-                self.of(*at, BindingHow::Time, words, prompt.contains(at))
-            }
-            (_, several) => {
-                words.push(format!("the console's stamp fits {} exposures: ambiguous", several.len()));
-                Judgement::None(words)
-            }
-        }
+        self.timeline.exposure_tracker().blind_spot(from.over_us, to.begun_us.max(from.over_us)).is_some()
     }
 
     /// Whether the counter decides for `at` among `several` exposures: no other of them waits for its frame, or the counter's
     /// shift is the same before and after. A console that counts the pictures it stores names a neighbour as soon as one is missing or one more
     /// was stored.
-    fn decides(&self, at: usize, firmness: Firmness, several: &[usize]) -> bool {
+    pub(super) fn decides(&self, at: usize, firmness: Firmness, several: &[usize]) -> bool {
         let said = &self.pending.evidence;
         let mut rivals = several.iter().copied().filter(|other| self.binder.rival(said, at, *other));
         if firmness >= Firmness::OneSide && rivals.clone().next().is_none() {
@@ -285,18 +91,36 @@ impl Weighed<'_> {
         }
         // One picture too few and one too many leave the same shift on either side; when the frame came shows it.
         let usual_us = self.usual_delay_us();
-        let usual = |at: usize| {
-            let delay_us = said.arrival_us.map(|arrival_us| arrival_us.saturating_sub(self.binder.shots.get(at).end_us));
-            delay_us.zip(usual_us).is_some_and(|(delay_us, usual_us)| (usual_us[0]..=usual_us[1]).contains(&delay_us))
-        };
+        let usual = |at: usize| usual_us.as_ref().is_some_and(|usual_us| self.came_within(usual_us, at));
         firmness == Firmness::Enclosed
             && self.binder.counting.counts_exposures(&self.binder.shots, &|from, to| self.hidden(from, to))
             && (usual(at) || !rivals.any(usual) && (usual_us.is_some() || said.console_us.is_some()))
     }
 
+    /// Whether the arrival may be an older frame's, from before the counter began anew: another frame with the same count came promptly
+    /// after the exposure as well, or one of a batch whose counts name no exposure shortly before it.
+    fn contested(&self, at: usize, counter: u32) -> bool {
+        let (said, shots) = (&self.pending.evidence, &self.binder.shots);
+        let (Some(arrival_us), Some(number)) = (said.arrival_us, shots.number(at)) else { return false };
+        let shift = i64::from(counter) - number;
+        self.binder.frames.values().filter(|other| other.evidence.frame != said.frame).any(|other| {
+            let (Some(other_us), Some(count)) = (other.evidence.arrival_us, other.evidence.counter) else { return false };
+            let prompt = other.prompt.as_deref().unwrap_or_default();
+            let named = prompt.iter().any(|shot| shots.number(*shot) == Some(i64::from(count) - shift));
+            let batch = other_us.saturating_sub(arrival_us).saturating_abs() <= BATCH_US;
+            count == counter && prompt.contains(&at) || batch && other.prompt.is_some() && !named
+        })
+    }
+
+    /// Whether the frame came so long after the exposure, µs.
+    pub(super) fn came_within(&self, delay_us: &RangeInclusive<i64>, at: usize) -> bool {
+        let end_us = self.binder.shots.get(at).end_us;
+        self.pending.evidence.arrival_us.is_some_and(|arrival_us| delay_us.contains(&arrival_us.saturating_sub(end_us)))
+    }
+
     /// Whether the frame came no later after the exposure than others do, or soon where that is not known yet.
     fn timely(&self, at: usize) -> bool {
-        let latest_us = self.usual_delay_us().map_or(SOON_US, |usual_us| usual_us[1]);
+        let latest_us = self.usual_delay_us().map_or(SOON_US, |usual_us| *usual_us.end());
         let end_us = self.binder.shots.get(at).end_us;
         self.pending.evidence.arrival_us.is_none_or(|arrival_us| arrival_us.saturating_sub(end_us) <= latest_us)
     }
@@ -327,11 +151,12 @@ impl Weighed<'_> {
         if let ([(at, firmness)], Some(counter)) = (&open[..], said.counter) {
             // A value that came before may be one that does not move, or that began anew.
             let fresh = self.binder.counting.times_seen(counter) <= 1;
-            // Where nothing is known yet, an equal number proves little beside a second exposure.
+            // Where nothing is known yet, an equal number proves little beside a second exposure, or an earlier one that waits for its frame.
+            let waits = |other: usize| *firmness == Firmness::Equal && free(other);
             let proved = self.decides(*at, *firmness, prompt) && (*firmness == Firmness::Enclosed || self.timely(*at))
-                || fresh && prompt.len() == 1 && self.timely(*at)
+                || fresh && prompt.len() == 1 && self.timely(*at) && !(0..*at).any(waits)
                 || fresh && self.orderly(*at, *firmness, prompt);
-            if prompt.contains(at) && proved {
+            if prompt.contains(at) && proved && !self.contested(*at, counter) {
                 words.push(format!("counter {counter} names {}, which ended shortly before the frame arrived", self.label(*at)));
                 return self.of(*at, BindingHow::Counter, words, true);
             }
@@ -348,7 +173,8 @@ impl Weighed<'_> {
                 words.push(format!("the counter names {}, the arrival {}: ambiguous", self.label(*at), self.label(*rival)));
                 return Judgement::None(words);
             }
-            if firm && candidates.len() == 1 && fresh && said.console_us.is_none() {
+            let anew = self.binder.counting.may_have_begun_anew(&self.binder.shots, counter);
+            if firm && !anew && candidates.len() == 1 && fresh && said.console_us.is_none() {
                 words.push(format!("counter {counter} names {}, between frames with the same count", self.label(*at)));
                 return self.of(*at, BindingHow::Counter, words, false);
             }
@@ -387,18 +213,6 @@ impl Weighed<'_> {
         match shot.counter {
             Some(counter) => format!("exposure {counter}"),
             None => format!("exposure #{} of the session", shot.index + 1),
-        }
-    }
-
-    fn offset_words(&self) -> String {
-        match self.binder.clock().filter(|clock| clock.frames >= KNOWN_FRAMES) {
-            Some(clock) => format!(
-                " (its clock is {} ± {} behind the host's, from {} frames)",
-                seconds(clock.offset_us),
-                seconds(clock.uncertainty_us),
-                clock.frames
-            ),
-            None => String::new(),
         }
     }
 }

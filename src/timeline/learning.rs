@@ -5,14 +5,19 @@ use std::collections::BTreeSet;
 use super::Timeline;
 use super::agreement::{Suggestion, Topic, agreement};
 use super::alignment::{Stamped, align};
+use super::arrival::usual_us_of;
 use super::binder::{Binder, KNOWN_FRAMES};
-use super::console::{Bounds, ConsoleOffset};
+use super::console::{ConsoleOffset, Pair};
 use super::evidence::{BindingHow, seconds};
 
 /// Exposures farther apart than this have no common offset.
 const APART_US: i64 = 4_000_000;
 /// Frames that agree come after about the same time; one that comes so much later is doubted.
 const LATER_US: i64 = 2_000_000;
+/// Frames from whose agreement it is known how soon frames come.
+const TIMED: usize = 8;
+/// Frames with two readings that show which of them is the more even.
+const COMMON: usize = 4;
 
 impl Binder {
     /// What the latest prompt frames suggest, as far as it is not known already.
@@ -33,7 +38,7 @@ impl Binder {
                     shot,
                     latest: pending.prompt.as_ref().and_then(|prompt| prompt.last()).copied(),
                     at_us: at.end_us,
-                    offset: self.pair(said, shot).filter(|_| at.whole),
+                    offset: self.pair(said, shot).filter(|_| at.whole).map(|pair| pair.any),
                     shift: said.counter.zip(number).map(|(counter, number)| i64::from(counter) - number),
                 });
             }
@@ -41,11 +46,16 @@ impl Binder {
         if topic == Topic::Offset && self.known_offsets().next().is_some() {
             // Only frames that no known offset explains can show that the clock was set.
             let explained: BTreeSet<u32> =
-                found.iter().filter(|s| s.offset.is_some_and(|pair| self.allowed(&pair))).map(|s| s.frame).collect();
+                found.iter().filter(|s| self.pair_of(s).is_some_and(|pair| self.allowed(&pair))).map(|s| s.frame).collect();
             let last_us = self.offsets.last().and_then(ConsoleOffset::span_us).map_or(i64::MIN, |(_, last_us)| last_us);
             found.retain(|s| !explained.contains(&s.frame) && s.at_us > last_us);
         }
         found
+    }
+
+    /// The pair that says what the suggestion says of the offset.
+    fn pair_of(&self, suggestion: &Suggestion) -> Option<Pair> {
+        suggestion.offset.and_then(|_| self.pair(&self.frames.get(&suggestion.frame)?.evidence, suggestion.shot))
     }
 
     /// At the end, with no offset known from prompt frames: the one at which the whole batch falls into place, if there is only one.
@@ -61,10 +71,16 @@ impl Binder {
         let mut stamps: Vec<Stamped> = self.open.iter().filter_map(stamped).collect();
         let blind = |from_us: i64, to_us: i64| timeline.exposure_tracker().blind_spot(from_us, to_us).is_some();
         let pairs = align(&mut stamps, &self.shots, &blind);
+        // A frame that came after the next exposure as well may be of that one, if the clock was set: it teaches only where there is no
+        // other.
+        let alone = |(stamped, at): &(Stamped, usize)| {
+            let prompt = stamped.arrival_us.map(|arrival_us| self.shots.prompt(arrival_us)).unwrap_or_default();
+            !prompt.contains(at) || prompt.last() == Some(at)
+        };
+        let only_alone = pairs.iter().filter(|pair| alone(pair)).count() > KNOWN_FRAMES as usize;
         let mut offset = ConsoleOffset::default();
-        for (stamped, at) in pairs {
-            let shot = self.shots.get(at);
-            offset.learn(&Bounds::of(stamped.console_us, stamped.resolution_us, shot.start_us, shot.end_us));
+        for (stamped, at) in pairs.iter().filter(|pair| !only_alone || alone(pair)) {
+            offset.learn(&self.shots.get(*at).pair(stamped.console_us, stamped.resolution_us));
         }
         if offset.summary().is_some_and(|clock| clock.frames >= KNOWN_FRAMES) {
             self.offsets = vec![offset];
@@ -96,7 +112,7 @@ impl Binder {
             };
             let prompt = self.frames.get(&member.frame).and_then(|pending| pending.prompt.as_deref()).unwrap_or_default();
             let alone = counted || !prompt.iter().any(other);
-            if let Some(pair) = member.offset.filter(|_| alone) {
+            if let Some(pair) = self.pair_of(member).filter(|_| alone) {
                 offset.learn(&pair);
             }
         }
@@ -139,12 +155,39 @@ impl Binder {
         // One that came much later than the others came for something else, or is of a later exposure.
         let agreed: Vec<Suggestion> =
             agreed.into_iter().filter(|member| delay_us(member) <= usual_us.saturating_add(LATER_US)).collect();
+        // One missing picture moves every later count to the exposure before; then those come after theirs at more even times.
+        let rivals: BTreeSet<i64> = suggestions.iter().filter_map(|s| s.shift).collect();
+        let doubted = |shift: i64| {
+            let pairs: Vec<(i64, i64)> = suggestions
+                .iter()
+                .filter(|s| s.shift == Some(shift))
+                .filter_map(|s| agreed.iter().find(|own| own.frame == s.frame && own.shift != s.shift).map(|own| (own, s)))
+                .map(|(own, other)| (delay_us(own), delay_us(other)))
+                .collect();
+            let spread_us = |delays: &mut dyn Iterator<Item = i64>| {
+                let (low_us, high_us) = delays.fold((i64::MAX, i64::MIN), |(low, high), us| (low.min(us), high.max(us)));
+                high_us.saturating_sub(low_us)
+            };
+            let own_us = spread_us(&mut pairs.iter().map(|(own_us, _)| *own_us));
+            pairs.len() >= COMMON && spread_us(&mut pairs.iter().map(|(_, other_us)| *other_us)) < own_us
+        };
+        if rivals.into_iter().any(doubted) {
+            return;
+        }
+        let delays_us: Vec<i64> = agreed.iter().map(delay_us).collect();
+        let usual_us = usual_us_of(&delays_us).filter(|_| agreed.len() >= TIMED);
         for member in agreed {
             let Some(exposure) = timeline.exposure(self.shots.get(member.shot).index).cloned() else { continue };
             let free = |at: usize| self.shots.get(at).frame.is_none();
             let Some(pending) = self.frames.get(&member.frame).filter(|_| self.open.contains(&member.frame)) else { continue };
-            // What other frames agreed on may not hold any more: it does not choose between two exposures that wait for their frames.
-            let rival = pending.prompt.iter().flatten().any(|other| self.rival(&pending.evidence, member.shot, *other));
+            // What other frames agreed on may not hold any more: it does not choose between two exposures that wait for their frames, unless
+            // the frame would have come sooner or later after the other one than any that agreed.
+            let timely = |other: usize| {
+                let delay_us = pending.evidence.arrival_us.map(|us| us.saturating_sub(self.shots.get(other).end_us));
+                usual_us.as_ref().zip(delay_us).is_none_or(|(usual_us, delay_us)| usual_us.contains(&delay_us))
+            };
+            let rival =
+                pending.prompt.iter().flatten().any(|other| timely(*other) && self.rival(&pending.evidence, member.shot, *other));
             if rival || !free(member.shot) {
                 continue;
             }

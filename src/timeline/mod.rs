@@ -17,6 +17,7 @@ mod learning;
 mod orderly;
 mod segments;
 mod shots;
+mod stamped;
 mod track;
 
 pub use binder::Binder;

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use super::console::Pair;
 use super::exposure::{ExposureInterval, ExposureTracker};
 
 /// Arrivals from this long after the end of an exposure …
@@ -23,6 +24,8 @@ pub(super) struct Shot {
     pub end_us: i64,
     /// The earliest that it can have been over: a frame that came in the silence which hides its end may still be of it.
     pub over_us: i64,
+    /// The latest that it can have begun.
+    pub begun_us: i64,
     pub counter: Option<u32>,
     /// Both ends were seen: its times can teach the console's offset.
     pub whole: bool,
@@ -30,6 +33,13 @@ pub(super) struct Shot {
     pub frame: Option<u32>,
     /// Frames that arrived promptly after it.
     pub prompt_frames: u32,
+}
+
+impl Shot {
+    /// What a stamp with this resolution says of the console's offset if it is of this exposure.
+    pub(super) fn pair(&self, console_us: i64, resolution_us: i64) -> Pair {
+        Pair::of(console_us, resolution_us, [self.start_us, self.begun_us], [self.over_us, self.end_us])
+    }
 }
 
 /// All exposures so far, in order of time.
@@ -66,13 +76,14 @@ impl Shots {
         self.by_number.entry(number).or_default().push(at);
         let (start_uncertainty_us, end_uncertainty_us) =
             (interval.start_uncertainty_us as i64, interval.end_uncertainty_us as i64);
-        let (start_us, end_us, over_us) = match interval.samples {
+        let (start_us, end_us, over_us, begun_us) = match interval.samples {
             // Anywhere in the silence that it is reported with.
-            0 => (interval.start_us, interval.end_us, interval.start_us),
+            0 => (interval.start_us, interval.end_us, interval.start_us, interval.end_us),
             _ => (
                 interval.start_us.saturating_sub(start_uncertainty_us),
                 interval.end_us.saturating_add(end_uncertainty_us),
                 interval.end_us.saturating_sub(end_uncertainty_us),
+                interval.start_us.saturating_add(start_uncertainty_us),
             ),
         };
         let sharp = interval.start_uncertainty_us.max(interval.end_uncertainty_us) < SHARP_US;
@@ -82,6 +93,7 @@ impl Shots {
             start_us,
             end_us,
             over_us,
+            begun_us,
             counter: interval.counter,
             whole: interval.start_seen && interval.end_seen && sharp,
             frame: None,

@@ -81,6 +81,14 @@ pub enum DetectorError {
         /// Columns and rows.
         expected: [usize; 2],
     },
+    /// A frame with pixels that hold no number.
+    #[error("{label}: {count} pixels are NaN or infinite; a calibration needs every pixel, export the frame unmasked")]
+    NotFinite {
+        /// The frame.
+        label: String,
+        /// How many.
+        count: usize,
+    },
     /// A dark frame with signal in it.
     #[error("{label} reads {found:.1} where the other dark frames read {expected:.1}: was X-ray on? leave it out")]
     DarkDiffers {
@@ -193,7 +201,7 @@ fn kvp_words(kvp: Option<f64>) -> String {
 /// # Errors
 /// When the frames do not determine offset, air signal or gain, or contradict each other; the message says which frame and what to do.
 pub fn calibrate(measurement: &Measurement) -> Result<DetectorCalibration, DetectorError> {
-    let size_px = check_sizes(measurement)?;
+    let size_px = check_frames(measurement)?;
     let mut notes = Vec::new();
     let saturation = saturation_value(measurement, &mut notes);
     let groups = groups::group(&measurement.air, saturation)?;
@@ -255,10 +263,16 @@ pub fn calibrate(measurement: &Measurement) -> Result<DetectorCalibration, Detec
     Ok(DetectorCalibration { record, maps })
 }
 
-fn check_sizes(measurement: &Measurement) -> Result<[usize; 2], DetectorError> {
+fn check_frames(measurement: &Measurement) -> Result<[usize; 2], DetectorError> {
     let first = measurement.air.first().ok_or(DetectorError::NoAir)?;
     let expected = [first.pixels.width, first.pixels.height];
     let all = measurement.air.iter().chain(&measurement.dark).chain(&measurement.edge);
+    for frame in all.clone() {
+        let count = frame.pixels.pixels.iter().filter(|value| !value.is_finite()).count();
+        if count > 0 {
+            return Err(DetectorError::NotFinite { label: frame.label.clone(), count });
+        }
+    }
     match all.map(|frame| (frame, [frame.pixels.width, frame.pixels.height])).find(|(_, size)| *size != expected) {
         None => Ok(expected),
         Some((frame, found)) => {

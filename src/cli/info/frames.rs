@@ -16,7 +16,7 @@ pub(super) fn examine(path: &Path) -> Result<Found, InfoError> {
 }
 
 fn facts(frame: &Frame) -> Value {
-    let mut sorted = frame.pixels.pixels.clone();
+    let mut sorted: Vec<f32> = frame.pixels.pixels.iter().copied().filter(|value| value.is_finite()).collect();
     sorted.sort_by(f32::total_cmp);
     let at = |percent: f64| sorted[((sorted.len() - 1) as f64 * percent / 100.0).round() as usize];
     let percentiles: serde_json::Map<String, Value> =

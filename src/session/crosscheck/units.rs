@@ -77,11 +77,19 @@ pub fn check_calibration(carm: &CarmCalibration) -> Vec<Finding> {
     if found.is_empty() {
         let detail = format!(
             "{} x {} px of {} mm, isocentre at {} mm",
-            carm.columns_px, carm.rows_px, carm.pitch_mm, carm.source_to_isocentre_mm
+            carm.columns_px,
+            carm.rows_px,
+            readable(carm.pitch_mm),
+            readable(carm.source_to_isocentre_mm)
         );
         found.push(Finding::pass(CHECK, detail));
     }
     found
+}
+
+/// A length in mm without the digits that nobody measured.
+fn readable(mm: f64) -> f64 {
+    (1e5 * mm).round() / 1e5
 }
 
 /// The scene's pitch and beam against the calibration and what is known of each.
@@ -91,7 +99,7 @@ pub fn check_scene_detector(setup: &Setup, scene: &Scene) -> Option<Finding> {
     let carm = setup.carm.as_ref()?;
     let (of_scene, of_carm) = (scene.detector.pitch_mm, carm.pitch_mm);
     if (of_scene / of_carm - 1.0).abs() <= PITCH_SHARE {
-        return Some(Finding::pass(CHECK, format!("{of_scene} mm, as the calibration has it")));
+        return Some(Finding::pass(CHECK, format!("{} mm, as the calibration has it", readable(of_scene))));
     }
     let unit = if (of_carm / of_scene).log10().abs() > 1.5 { ": metres or microns taken for millimetres?" } else { "" };
     let detail = format!("the scene's pitch is {of_scene} mm, the C-arm calibration's {of_carm} mm{unit}");

@@ -1,0 +1,296 @@
+//! Whether the ports and files that a session names are in place, each looked at on its own.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use serde::Serialize;
+use tokio::sync::mpsc;
+
+use crate::geometry::{CarmCalibration, RobotModel};
+use crate::telemetry::{CarmSample, DeviceKind, Event, Health, Link, Metadata, PortConfig, PortEvent, Sample, hint, spawn_port};
+use crate::time::host_now_us;
+
+/// How long each port is listened to.
+const LISTEN: Duration = Duration::from_millis(1500);
+
+/// How a session's file is looked at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FileCheck {
+    /// Can be read and is not empty.
+    Readable,
+    /// Is JSON.
+    Json,
+    /// Is a C-arm calibration.
+    CarmCalibration,
+    /// Is a robot model.
+    RobotModel,
+    /// Is a folder.
+    Folder,
+}
+
+/// A file that a session needs.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CheckFile {
+    /// Its role, as shown: `scene`, `beads` …
+    pub role: String,
+    /// Where.
+    pub path: PathBuf,
+    /// How it is looked at.
+    pub check: FileCheck,
+}
+
+impl From<PathBuf> for CheckFile {
+    /// JSON by its extension, else merely readable.
+    fn from(path: PathBuf) -> Self {
+        let is_json = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"));
+        let check = if is_json { FileCheck::Json } else { FileCheck::Readable };
+        Self { role: "file".to_owned(), path, check }
+    }
+}
+
+/// What a session needs.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct CheckList {
+    /// The C-arm's port.
+    pub carm: Option<PortConfig>,
+    /// The robot's port.
+    pub robot: Option<PortConfig>,
+    /// Files and folders.
+    pub files: Vec<CheckFile>,
+}
+
+/// The verdict on one thing.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CheckLine {
+    /// `C-arm`, `robot` or the role of a file.
+    pub what: String,
+    /// Port or file.
+    pub path: PathBuf,
+    /// Good enough to start.
+    pub ok: bool,
+    /// What was found, or what is wrong and what to do.
+    pub detail: String,
+    /// Decoded samples per second; ports only.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rate_hz: Option<f64>,
+    /// Counters; ports only.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub health: Option<Health>,
+    /// What the device says of itself; ports only.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub metadata: Option<Metadata>,
+    /// The C-arm's latest sample.
+    #[serde(skip)]
+    pub latest: Option<Box<CarmSample>>,
+}
+
+/// The verdicts, ports first. Ports are listened to for 1.5 s, together.
+#[must_use]
+pub fn check_lines(list: &CheckList) -> Vec<CheckLine> {
+    let ports: Vec<&PortConfig> = [&list.carm, &list.robot].into_iter().flatten().collect();
+    let mut lines = match listen(&ports) {
+        Ok(heard) => ports.iter().zip(heard).map(|(config, heard)| heard.verdict(config)).collect(),
+        Err(error) => ports.iter().map(|config| bad_port(config, format!("cannot listen: {error}"))).collect::<Vec<_>>(),
+    };
+    lines.extend(list.files.iter().map(check_file));
+    lines
+}
+
+/// What came from one port.
+struct Heard {
+    link: Link,
+    /// The same bytes as the other device would mean them: swapped ports show here.
+    as_other: Link,
+    metadata: Option<Metadata>,
+    latest: Option<Box<CarmSample>>,
+    samples: u64,
+    first_last_us: Option<(i64, i64)>,
+    /// Why the port is not open now.
+    closed: Option<String>,
+    /// The device went away while it was listened to.
+    lost: Option<String>,
+}
+
+impl Heard {
+    fn take(&mut self, event: &PortEvent) {
+        match event {
+            PortEvent::Retry { error, .. } => self.closed = Some(format!("{error}; {}", hint(error))),
+            PortEvent::Lost { reason, .. } => self.lost = Some(format!("the device went away: {reason}; check the cable")),
+            // An earlier attempt may have failed because another program was just letting go.
+            PortEvent::Opened { .. } => self.closed = None,
+            PortEvent::Bytes { .. } => {}
+        }
+        let Self { link, as_other, metadata, latest, samples, first_last_us, .. } = self;
+        as_other.handle(event, &mut |_| {});
+        link.handle(event, &mut |received| {
+            let Event::Sample(sample, _) = received.event else { return };
+            match sample {
+                Sample::Metadata(found) => {
+                    *metadata = Some(found);
+                    return;
+                }
+                Sample::Carm(sample) => *latest = Some(Box::new(sample)),
+                Sample::Robot(_) => {}
+            }
+            *samples += 1;
+            *first_last_us = Some((first_last_us.map_or(received.host_us, |(first, _)| first), received.host_us));
+        });
+    }
+
+    fn verdict(self, config: &PortConfig) -> CheckLine {
+        let health = *self.link.health();
+        let rate_hz = match self.first_last_us {
+            Some((first, last)) if last > first => (self.samples.saturating_sub(1)) as f64 * 1e6 / (last - first) as f64,
+            _ => 0.0,
+        };
+        let device = config.device;
+        let (ok, detail) = if let Some(trouble) = self.lost.or(self.closed) {
+            (false, trouble)
+        } else if health.bytes == 0 {
+            (false, "open, but silent; switch the device on, and check that its baud rate is the session's".to_owned())
+        } else if self.samples == 0 && health.schema_mismatch + health.version_mismatch > 0 {
+            (false, format!("speaks another protocol version ({health}); update the device's firmware or sidecarm"))
+        } else if self.samples == 0 && self.as_other.health().frames > 0 {
+            let other = self.as_other.device();
+            (
+                false,
+                format!(
+                    "the {other} speaks here, not the {device}: the two ports are swapped; exchange carm.port and robot.port"
+                ),
+            )
+        } else if self.samples == 0 {
+            let detail = format!(
+                "{} bytes, but no {device} sample ({health}); check that its baud rate is the session's ({}), then the cable",
+                health.bytes, config.baud
+            );
+            (false, detail)
+        } else {
+            let about = self.metadata.as_ref().map_or("no metadata yet".to_owned(), Metadata::summary);
+            (true, format!("{rate_hz:.1} Hz, {health}; {about}"))
+        };
+        CheckLine {
+            what: device.to_string(),
+            path: config.path.clone(),
+            ok,
+            detail,
+            rate_hz: Some(rate_hz),
+            health: Some(health),
+            metadata: self.metadata,
+            latest: self.latest,
+        }
+    }
+}
+
+fn listen(ports: &[&PortConfig]) -> std::io::Result<Vec<Heard>> {
+    let mut heard: Vec<Heard> = ports
+        .iter()
+        .map(|config| Heard {
+            link: Link::new(config.device),
+            as_other: Link::new(match config.device {
+                DeviceKind::Carm => DeviceKind::Robot,
+                DeviceKind::Robot => DeviceKind::Carm,
+            }),
+            metadata: None,
+            latest: None,
+            samples: 0,
+            first_last_us: None,
+            closed: None,
+            lost: None,
+        })
+        .collect();
+    if ports.is_empty() {
+        return Ok(heard);
+    }
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    runtime.block_on(async {
+        let (sink, mut events) = mpsc::channel::<(DeviceKind, PortEvent)>(256);
+        let tasks: Vec<_> = ports.iter().map(|config| spawn_port(runtime.handle(), (*config).clone(), sink.clone())).collect();
+        let until_us = host_now_us() + LISTEN.as_micros() as i64;
+        loop {
+            let left_us = until_us - host_now_us();
+            if left_us <= 0 {
+                break;
+            }
+            let Ok(Some((device, event))) = tokio::time::timeout(Duration::from_micros(left_us as u64), events.recv()).await
+            else {
+                break;
+            };
+            for (config, heard) in ports.iter().zip(&mut heard) {
+                if config.device == device {
+                    heard.take(&event);
+                }
+            }
+        }
+        for task in tasks {
+            task.closed().await;
+        }
+    });
+    Ok(heard)
+}
+
+fn bad_port(config: &PortConfig, detail: String) -> CheckLine {
+    CheckLine {
+        what: config.device.to_string(),
+        path: config.path.clone(),
+        ok: false,
+        detail,
+        rate_hz: None,
+        health: None,
+        metadata: None,
+        latest: None,
+    }
+}
+
+fn check_file(file: &CheckFile) -> CheckLine {
+    let (ok, detail) = match look_at(file) {
+        Ok(detail) => (true, detail),
+        Err(detail) => (false, detail),
+    };
+    CheckLine {
+        what: file.role.clone(),
+        path: file.path.clone(),
+        ok,
+        detail,
+        rate_hz: None,
+        health: None,
+        metadata: None,
+        latest: None,
+    }
+}
+
+fn look_at(file: &CheckFile) -> Result<String, String> {
+    let metadata = std::fs::metadata(&file.path).map_err(|error| match error.kind() {
+        std::io::ErrorKind::NotFound => "does not exist".to_owned(),
+        _ => error.to_string(),
+    })?;
+    if file.check == FileCheck::Folder {
+        return if metadata.is_dir() { Ok("a folder".to_owned()) } else { Err("is not a folder".to_owned()) };
+    }
+    if metadata.is_dir() {
+        return if file.check == FileCheck::Readable { Ok("a folder".to_owned()) } else { Err("is a folder".to_owned()) };
+    }
+    if metadata.len() == 0 {
+        return Err("is empty".to_owned());
+    }
+    let text = || std::fs::read_to_string(&file.path).map_err(|error| error.to_string());
+    match file.check {
+        FileCheck::Readable => {
+            std::fs::File::open(&file.path).map_err(|error| error.to_string())?;
+            Ok(format!("{} bytes", metadata.len()))
+        }
+        FileCheck::Json => parse::<serde_json::Value>(&text()?).map(|_| "JSON".to_owned()),
+        FileCheck::CarmCalibration => parse::<CarmCalibration>(&text()?).map(|calibration| calibration.origin),
+        FileCheck::RobotModel => {
+            let model = parse::<RobotModel>(&text()?)?;
+            model.check().map_err(|error| error.to_string())?;
+            Ok(model.origin)
+        }
+        FileCheck::Folder => Err("is not a folder".to_owned()),
+    }
+}
+
+/// Parses JSON; an error names the key and the place.
+fn parse<T: serde::de::DeserializeOwned>(text: &str) -> Result<T, String> {
+    let deserializer = &mut serde_json::Deserializer::from_str(text);
+    serde_path_to_error::deserialize(deserializer).map_err(|error| format!("at `{}`: {}", error.path(), error.inner()))
+}

@@ -1,0 +1,41 @@
+//! What a frame alone says of its pixels.
+
+use super::field::find_field;
+use super::layers::{Cause, Masks};
+use super::text::burned_in;
+use crate::acquire::panel_maps::{AT_LOW_END, BURNED_IN, DEAD, HOT, SATURATED, UNSTABLE};
+use crate::acquire::{Domain, Frame};
+use crate::image::{Image, zip};
+
+/// Masks that the acquired frame alone decides, at its full size.
+#[must_use]
+pub fn of_frame(frame: &Frame) -> Masks {
+    let pixels = &frame.pixels;
+    let mut masks = Masks::default();
+    masks.add(Cause::Invalid, pixels.map(|v| !v.is_finite()));
+    if let Some(field) = find_field(pixels, frame.larger_is_more_attenuation(), frame.domain.is_gray()) {
+        masks.field = Some(field.description);
+        masks.add(Cause::Collimation, field.outside);
+    }
+    // Writing is found first: its strokes lie at the ends of the scale as well, but are no clipping.
+    let flagged = |flags: &Image<u8>, any: u8| flags.map(|flag| flag & any != 0);
+    let at_end = |end: Option<f32>| pixels.map(|v| end == Some(*v));
+    let flags = frame.correction.as_ref().and_then(|correction| correction.flags.as_deref());
+    let mut saturated = at_end(frame.clipping.saturated_at);
+    let mut black = at_end(frame.clipping.black_at);
+    if let Some(flags) = flags {
+        saturated = zip(&saturated, flags, |here, flag| *here || flag & SATURATED != 0);
+        black = zip(&black, flags, |here, flag| *here || flag & AT_LOW_END != 0);
+    }
+    let written = burned_in(&[&saturated, &black]);
+    masks.add(Cause::Saturation, saturated);
+    if frame.domain == Domain::Display {
+        masks.add(Cause::NoSignal, black);
+    }
+    masks.add(Cause::BurnedIn, written);
+    if let Some(flags) = flags {
+        masks.add(Cause::BurnedIn, flagged(flags, BURNED_IN));
+        masks.add(Cause::DeadPixels, flagged(flags, DEAD | HOT | UNSTABLE));
+    }
+    masks
+}

@@ -1,0 +1,30 @@
+//! Which pixels of a frame mean anything: the open field, saturation, writing, dead pixels, each cause by itself.
+//!
+//! Everything that looks at pixels looks at the same ones: beads are sought and scores are taken inside the same masks.
+//!
+//! *The open field* (`find_field`): where the collimator, or the intensifier's input window, lets the beam through. The shut part is
+//! recognised by what physics leaves there (leakage, glare and readout noise, or a console's paint) and by its shape: the open field is
+//! an intersection of half planes and at most one disc.
+
+mod shape;
+mod signal;
+mod cells;
+mod contour;
+mod fit;
+mod refusal;
+mod profile;
+mod penumbra;
+mod edge;
+mod outline;
+mod field;
+mod fill;
+mod frame;
+mod layers;
+mod text;
+
+pub use field::{Field, find_field};
+pub use fill::fill;
+pub use frame::of_frame;
+pub use layers::{Cause, MaskShares, Masks, REQUIRED_SHARE, any_in_block, discs};
+pub use shape::{Disc, FieldShape, HalfPlane};
+pub use text::{Component, components};

@@ -1,0 +1,301 @@
+//! Objects as a scene file writes them (DESIGN §7).
+
+use std::collections::BTreeMap;
+
+use serde::Deserialize;
+use serde::de::{Deserializer, MapAccess, Visitor, value::MapAccessDeserializer};
+
+use crate::geometry::Rigid;
+
+/// One object, named by its kind.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ObjectFile {
+    /// A CT in Hounsfield units.
+    Ct(CtFile),
+    /// A closed surface.
+    Mesh(MeshFile),
+    /// Volume fractions of one material.
+    Voxels(VoxelsFile),
+    /// A ball.
+    Sphere(SphereFile),
+    /// An ellipsoid.
+    Ellipsoid(EllipsoidFile),
+    /// A cuboid.
+    Box(BoxFile),
+    /// A rod or a tube.
+    Cylinder(CylinderFile),
+    /// The snake robot.
+    Robot(RobotFile),
+}
+
+/// `{"ct": …}`
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CtFile {
+    /// NIfTI volume.
+    pub path: String,
+    /// How voxels become materials, by threshold if absent.
+    #[serde(default)]
+    pub materials: MaterialsFile,
+    /// Whether air is left out (the default) or kept as matter.
+    #[serde(default)]
+    pub air: AirFile,
+    /// Rigid part of the specimen.
+    #[serde(default)]
+    pub body: Option<String>,
+}
+
+/// What becomes of air in a CT.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum AirFile {
+    /// Density 0.
+    #[default]
+    Vacuum,
+    /// The material `air` at the density of the curve.
+    Keep,
+}
+
+/// `"threshold"` or `{"labels": …}`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub enum MaterialsFile {
+    /// By Hounsfield number.
+    #[default]
+    Threshold,
+    /// By a label map.
+    Labels(LabelsFile),
+}
+
+/// Labels to materials.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LabelsFile {
+    /// Label volume on the grid of the CT.
+    pub labels: String,
+    /// Material of labels that `map` does not name, where it is not air by threshold; `soft_tissue` if absent.
+    #[serde(default = "soft_tissue")]
+    pub default: String,
+    /// Material by label number.
+    #[serde(default)]
+    pub map: BTreeMap<String, LabelMaterialFile>,
+}
+
+/// `"bone_cortical"` or `{"material": "titanium", "density": "nominal"}`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LabelMaterialFile {
+    /// Name, formula or mass fractions.
+    pub material: String,
+    /// Where the density comes from.
+    pub density: DensityFile,
+}
+
+/// Where a labelled voxel's density comes from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DensityFile {
+    /// From its Hounsfield number.
+    #[default]
+    Hu,
+    /// The material's nominal density.
+    Nominal,
+}
+
+/// `{"mesh": …}`
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MeshFile {
+    /// STL in mm.
+    pub path: String,
+    /// What it is made of.
+    pub material: String,
+    /// Pose.
+    #[serde(default = "identity")]
+    pub lps_from_mesh: Rigid,
+    /// Density; nominal if absent.
+    #[serde(default)]
+    pub density_g_per_cm3: Option<f64>,
+    /// Rigid part of the specimen.
+    #[serde(default)]
+    pub body: Option<String>,
+}
+
+/// `{"voxels": …}`
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct VoxelsFile {
+    /// NIfTI volume of fractions 0–1.
+    pub path: String,
+    /// What it is made of.
+    pub material: String,
+    /// From the file's own LPS.
+    #[serde(default = "identity")]
+    pub lps_from_voxels_frame: Rigid,
+    /// Density at fraction 1; nominal if absent.
+    #[serde(default)]
+    pub density_g_per_cm3: Option<f64>,
+    /// Rigid part of the specimen.
+    #[serde(default)]
+    pub body: Option<String>,
+}
+
+/// `{"sphere": …}`
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SphereFile {
+    /// Centre.
+    pub centre_lps_mm: [f64; 3],
+    /// Radius.
+    pub radius_mm: f64,
+    /// What it is made of.
+    pub material: String,
+    /// Density; nominal if absent.
+    #[serde(default)]
+    pub density_g_per_cm3: Option<f64>,
+    /// Rigid part of the specimen.
+    #[serde(default)]
+    pub body: Option<String>,
+}
+
+/// `{"ellipsoid": …}`
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EllipsoidFile {
+    /// Centre.
+    pub centre_lps_mm: [f64; 3],
+    /// Half axes.
+    pub semi_axes_mm: [f64; 3],
+    /// Axes' directions; parallel to LPS if absent.
+    #[serde(default = "unturned")]
+    pub rotation_lps_from_local: [[f64; 3]; 3],
+    /// What it is made of.
+    pub material: String,
+    /// Density; nominal if absent.
+    #[serde(default)]
+    pub density_g_per_cm3: Option<f64>,
+    /// Rigid part of the specimen.
+    #[serde(default)]
+    pub body: Option<String>,
+}
+
+/// `{"box": …}`
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BoxFile {
+    /// Centre.
+    pub centre_lps_mm: [f64; 3],
+    /// Edge lengths.
+    pub size_mm: [f64; 3],
+    /// Edges' directions; parallel to LPS if absent.
+    #[serde(default = "unturned")]
+    pub rotation_lps_from_local: [[f64; 3]; 3],
+    /// What it is made of.
+    pub material: String,
+    /// Density; nominal if absent.
+    #[serde(default)]
+    pub density_g_per_cm3: Option<f64>,
+    /// Rigid part of the specimen.
+    #[serde(default)]
+    pub body: Option<String>,
+}
+
+/// `{"cylinder": …}`
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CylinderFile {
+    /// Middle of one end.
+    pub from_lps_mm: [f64; 3],
+    /// Middle of the other.
+    pub to_lps_mm: [f64; 3],
+    /// Outer radius.
+    pub radius_mm: f64,
+    /// Radius of the lumen, 0 for a rod.
+    #[serde(default)]
+    pub inner_radius_mm: f64,
+    /// What it is made of.
+    pub material: String,
+    /// Density; nominal if absent.
+    #[serde(default)]
+    pub density_g_per_cm3: Option<f64>,
+    /// Rigid part of the specimen.
+    #[serde(default)]
+    pub body: Option<String>,
+}
+
+/// `{"robot": …}`
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RobotFile {
+    /// Model file.
+    pub model: String,
+    /// Pose of the base.
+    #[serde(default = "identity")]
+    pub lps_from_base: Rigid,
+    /// The five control angles.
+    #[serde(default)]
+    pub control_angles_deg: [f64; 5],
+    /// Rigid part of the specimen.
+    #[serde(default)]
+    pub body: Option<String>,
+}
+
+fn soft_tissue() -> String {
+    "soft_tissue".to_owned()
+}
+
+fn identity() -> Rigid {
+    Rigid::IDENTITY
+}
+
+fn unturned() -> [[f64; 3]; 3] {
+    [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+}
+
+impl<'de> Deserialize<'de> for MaterialsFile {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Materials;
+        impl<'de> Visitor<'de> for Materials {
+            type Value = MaterialsFile;
+            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str("\"threshold\" or {\"labels\": …, \"default\": …, \"map\": …}")
+            }
+            fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<MaterialsFile, E> {
+                match text {
+                    "threshold" => Ok(MaterialsFile::Threshold),
+                    _ => Err(E::invalid_value(serde::de::Unexpected::Str(text), &self)),
+                }
+            }
+            fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<MaterialsFile, A::Error> {
+                LabelsFile::deserialize(MapAccessDeserializer::new(map)).map(MaterialsFile::Labels)
+            }
+        }
+        deserializer.deserialize_any(Materials)
+    }
+}
+
+impl<'de> Deserialize<'de> for LabelMaterialFile {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        #[derive(Deserialize)]
+        #[serde(deny_unknown_fields)]
+        struct Full {
+            material: String,
+            #[serde(default)]
+            density: DensityFile,
+        }
+        struct Entry;
+        impl<'de> Visitor<'de> for Entry {
+            type Value = LabelMaterialFile;
+            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str("a material or {\"material\": …, \"density\": \"nominal\"}")
+            }
+            fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<LabelMaterialFile, E> {
+                Ok(LabelMaterialFile { material: text.to_owned(), density: DensityFile::Hu })
+            }
+            fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<LabelMaterialFile, A::Error> {
+                let full = Full::deserialize(MapAccessDeserializer::new(map))?;
+                Ok(LabelMaterialFile { material: full.material, density: full.density })
+            }
+        }
+        deserializer.deserialize_any(Entry)
+    }
+}

@@ -1,0 +1,20 @@
+//! What the session's own thread is told.
+
+use super::engine::Input;
+use super::posing::Registered;
+use crate::telemetry::DeviceKind;
+
+/// Which source has ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Source {
+    Lines,
+    Frames,
+}
+/// See the module.
+pub(super) enum Event {
+    Input(Input),
+    Registered(Box<Registered>),
+    LineOpened { device: DeviceKind, host_us: i64 },
+    LineLost { device: DeviceKind, host_us: i64, reason: String },
+    Ended(Source),
+}

@@ -1,0 +1,190 @@
+//! What the files that a session reads are called in what it writes. Names of folders, and names of files that are not made of harmless
+//! words, may be those of patients: they reach neither log nor report. A file is its hash; where it lies is kept on this machine alone
+//! ([`super::places`]).
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use super::file::Setup;
+use crate::acquire::{hashed_input_label, input_label};
+use crate::scene::InputFile;
+
+/// A file that went into a session's scene, as its log knows it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LoggedInput {
+    /// Its name in the log's scene.
+    pub label: String,
+    /// Lower-case hexadecimal.
+    pub sha256: String,
+    /// Its size.
+    pub bytes: u64,
+}
+
+/// What is written in place of what.
+#[derive(Clone, Debug, Default)]
+pub struct InputNames {
+    inputs: Vec<(InputFile, LoggedInput)>,
+    /// Texts and what stands for them, the longest first.
+    hidden: Vec<(String, String)>,
+}
+
+impl InputNames {
+    /// For the files of `setup`'s scene, the scene file first; a replay keeps the labels of its log.
+    #[must_use]
+    pub fn of(setup: &Setup, inputs: &[InputFile]) -> Self {
+        let mut names = Self::default();
+        for (number, input) in inputs.iter().enumerate() {
+            // In a log's scene, names are labels; the scene itself is the first.
+            let known =
+                if number == 0 { setup.inputs.first() } else { setup.inputs.iter().find(|known| known.label == input.path) };
+            let logged = known.cloned().unwrap_or_else(|| names.logged(input));
+            names.inputs.push((input.clone(), logged));
+        }
+        let session = &setup.session;
+        let folder = (session.frames.folder.as_path(), told_folder(&session.frames.folder));
+        let files = [(setup.beads.as_ref(), "beads"), (setup.landmarks.as_ref(), "landmarks")];
+        let files = files.into_iter().filter_map(|(file, role)| file.map(|(path, _)| (path.as_path(), told(path, role))));
+        let calibrations = [
+            (session.carm.as_ref().map(|line| &line.calibration), "carm"),
+            (session.robot.as_ref().map(|line| &line.model), "robot"),
+            (session.detector.as_ref(), "detector"),
+        ];
+        let calibrations =
+            calibrations.into_iter().filter_map(|(file, role)| file.map(|path| (path.as_path(), told(path, role))));
+        let mut hidden: Vec<(String, String)> = Vec::new();
+        for (path, label) in std::iter::once(folder).chain(files).chain(calibrations) {
+            hide(&mut hidden, path, &label.to_string_lossy());
+        }
+        for (input, logged) in &names.inputs {
+            let Some(place) = &input.place else { continue };
+            hide(&mut hidden, Path::new(&input.path), &logged.label);
+            hide(&mut hidden, place, &logged.label);
+        }
+        hidden.sort_by_key(|(text, _)| std::cmp::Reverse(text.len()));
+        names.hidden = hidden;
+        names
+    }
+
+    fn logged(&self, input: &InputFile) -> LoggedInput {
+        let Some(place) = &input.place else {
+            return LoggedInput { label: input.path.clone(), sha256: input.sha256.clone(), bytes: 0 };
+        };
+        let label = input_label(place, &input.sha256);
+        let taken = self.inputs.iter().any(|(_, known)| known.label == label && known.sha256 != input.sha256);
+        let label = if taken { hashed_input_label(&label, &input.sha256) } else { label };
+        LoggedInput { label, sha256: input.sha256.clone(), bytes: place.metadata().map_or(0, |metadata| metadata.len()) }
+    }
+
+    /// The scene's inputs under the names that may be shown.
+    #[must_use]
+    pub fn shown(&self) -> Vec<InputFile> {
+        let shown = |logged: LoggedInput| InputFile { path: logged.label, sha256: logged.sha256, place: None };
+        self.labelled().into_iter().map(shown).collect()
+    }
+
+    /// Each file once, however often the scene names it.
+    fn labelled(&self) -> Vec<LoggedInput> {
+        let mut labelled: Vec<LoggedInput> = Vec::new();
+        for (_, logged) in &self.inputs {
+            if !labelled.contains(logged) {
+                labelled.push(logged.clone());
+            }
+        }
+        labelled
+    }
+
+    /// Hashes and places of the files that were read.
+    pub(super) fn places(&self) -> impl Iterator<Item = (&str, &Path)> {
+        self.inputs.iter().filter_map(|(input, logged)| Some((logged.sha256.as_str(), input.place.as_deref()?)))
+    }
+
+    /// The session as a log keeps it.
+    #[must_use]
+    pub fn setup(&self, setup: &Setup) -> Setup {
+        let mut kept = setup.clone();
+        let session = &mut kept.session;
+        if let Some(line) = &mut session.carm {
+            line.port = last_part(&line.port);
+            line.calibration = told(&line.calibration, "carm");
+        }
+        if let Some(line) = &mut session.robot {
+            line.port = last_part(&line.port);
+            line.model = told(&line.model, "robot");
+        }
+        session.frames.folder = told_folder(&session.frames.folder);
+        session.out = None;
+        session.beads = session.beads.as_deref().map(|path| told(path, "beads"));
+        session.landmarks = session.landmarks.as_deref().map(|path| told(path, "landmarks"));
+        session.detector = session.detector.as_deref().map(|path| told(path, "detector"));
+        for (file, role) in [(&mut kept.beads, "beads"), (&mut kept.landmarks, "landmarks")] {
+            if let Some((path, _)) = file {
+                *path = told(path, role);
+            }
+        }
+        kept.inputs = self.labelled();
+        let scene = kept.inputs.first().map_or_else(|| "scene.json".to_owned(), |scene| scene.label.clone());
+        session.scene = PathBuf::from(&scene);
+        kept.scene_path = PathBuf::from(scene);
+        kept.scene_json = self.scene_json(&setup.scene_json);
+        kept
+    }
+
+    /// The scene with labels for the files that it names.
+    fn scene_json(&self, text: &str) -> String {
+        let Ok(mut scene) = serde_json::from_str::<Value>(text) else { return text.to_owned() };
+        let mut changed = false;
+        self.relabel(&mut scene, &mut changed);
+        if changed { format!("{scene:#}") } else { text.to_owned() }
+    }
+
+    fn relabel(&self, value: &mut Value, changed: &mut bool) {
+        match value {
+            Value::String(text) => {
+                let named = self.inputs.iter().skip(1).find(|(input, _)| input.path == *text);
+                if let Some((_, logged)) = named.filter(|(_, logged)| logged.label != *text) {
+                    text.clone_from(&logged.label);
+                    *changed = true;
+                }
+            }
+            Value::Array(values) => values.iter_mut().for_each(|value| self.relabel(value, changed)),
+            Value::Object(fields) => fields.values_mut().for_each(|value| self.relabel(value, changed)),
+            Value::Null | Value::Bool(_) | Value::Number(_) => {}
+        }
+    }
+
+    /// `text` without the folders and the file names of this machine, as far as the session named them.
+    #[must_use]
+    pub fn hide(&self, text: &str) -> String {
+        self.hidden.iter().fold(text.to_owned(), |text, (from, to)| text.replace(from, to))
+    }
+}
+
+/// Notes that `label` stands for `path`, however it is written.
+fn hide(hidden: &mut Vec<(String, String)>, path: &Path, label: &str) {
+    let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    let real = std::fs::canonicalize(path).map(|path| path.display().to_string()).unwrap_or_default();
+    for text in [path.display().to_string(), real, name] {
+        // A word as short as this stands in sentences as well.
+        if text.len() > 3 && text != label && !hidden.iter().any(|(known, _)| *known == text) {
+            hidden.push((text, label.to_owned()));
+        }
+    }
+}
+
+/// A file whose content is in the log: its own name where that is harmless, else its role.
+fn told(path: &Path, role: &str) -> PathBuf {
+    let label = input_label(path, "");
+    PathBuf::from(label.strip_prefix("input-").map_or_else(|| label.clone(), |ending| format!("{role}{ending}")))
+}
+
+fn told_folder(path: &Path) -> PathBuf {
+    let name = last_part(path);
+    let label = input_label(&name, "");
+    if name.as_os_str().to_string_lossy() == label { name } else { PathBuf::from("frames") }
+}
+
+fn last_part(path: &Path) -> PathBuf {
+    path.file_name().map(PathBuf::from).unwrap_or_default()
+}

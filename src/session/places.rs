@@ -1,0 +1,109 @@
+//! Where on this machine the files lie that sessions read, by their hash. Kept in the user's cache folder and nowhere else, so that a replay
+//! finds its CT although the log does not say where it was.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::SessionError;
+use super::file::Setup;
+use super::inputs::{InputNames, LoggedInput};
+use crate::image::{cache_file, sha256_file, write_atomically};
+
+/// Files remembered: the latest.
+const MOST: usize = 500;
+/// Folders below one that was named are searched as well, so deep.
+const DEPTH: usize = 4;
+/// A folder with more entries than this is not searched to its end.
+const MOST_ENTRIES: usize = 20_000;
+
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+struct Known {
+    /// The latest first.
+    files: Vec<KnownFile>,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct KnownFile {
+    sha256: String,
+    path: PathBuf,
+}
+
+fn known() -> Known {
+    let text = cache_file("places.json").and_then(|path| std::fs::read(path).ok());
+    text.and_then(|text| serde_json::from_slice(&text).ok()).unwrap_or_default()
+}
+
+/// Remembers where the files of a session lie. A cache that cannot be written is no error: a replay then asks for `--data`.
+pub(super) fn remember(names: &InputNames) {
+    let mut files: Vec<KnownFile> = names
+        .places()
+        .filter_map(|(sha256, place)| Some(KnownFile { sha256: sha256.to_owned(), path: std::fs::canonicalize(place).ok()? }))
+        .collect();
+    for file in known().files {
+        if files.len() < MOST && !files.contains(&file) {
+            files.push(file);
+        }
+    }
+    if let Some(path) = cache_file("places.json")
+        && path.parent().is_some_and(|folder| std::fs::create_dir_all(folder).is_ok())
+        && let Ok(text) = serde_json::to_vec(&Known { files })
+    {
+        let _ = write_atomically(&path, |file| file.write_all(&text));
+    }
+}
+
+/// Finds the files of a logged session: where this machine last had them, in `data`, near the log, and in the current folder. A file is
+/// found by its content, whatever it is called by now.
+///
+/// # Errors
+/// When one is nowhere; the sentence names it.
+pub(super) fn find(setup: &mut Setup, log: &Path, data: Option<&Path>) -> Result<(), SessionError> {
+    let known = known();
+    let beside = log.parent().unwrap_or(Path::new("."));
+    let mut folders: Vec<(PathBuf, usize)> = data.map(|data| (data.to_owned(), DEPTH)).into_iter().collect();
+    folders.extend([(beside.to_owned(), 1), (beside.join(".."), 2), (PathBuf::from("."), 1)]);
+    let mut places = BTreeMap::new();
+    // The scene itself is in the log, and so are files without a size: those that come with the program.
+    for input in setup.inputs.iter().skip(1).filter(|input| input.bytes > 0) {
+        let remembered = known.files.iter().filter(|file| file.sha256 == input.sha256).map(|file| file.path.clone());
+        let place = remembered
+            .filter(|path| is(path, input))
+            .chain(
+                folders.iter().flat_map(|(folder, depth)| same_size(folder, *depth, input.bytes)).filter(|path| is(path, input)),
+            )
+            .next();
+        let missing = || SessionError::InputMissing { label: input.label.clone(), sha256: input.sha256.clone() };
+        places.insert(input.label.clone(), place.ok_or_else(missing)?);
+    }
+    setup.places = places;
+    Ok(())
+}
+
+fn is(path: &Path, input: &LoggedInput) -> bool {
+    path.metadata().is_ok_and(|metadata| metadata.is_file() && metadata.len() == input.bytes)
+        && sha256_file(path).is_ok_and(|sha256| sha256 == input.sha256)
+}
+
+/// Files of `bytes` bytes in `folder` and those below it.
+fn same_size(folder: &Path, depth: usize, bytes: u64) -> Vec<PathBuf> {
+    let (mut found, mut open, mut seen) = (Vec::new(), vec![(folder.to_owned(), depth)], 0);
+    while let Some((folder, depth)) = open.pop() {
+        let Ok(entries) = std::fs::read_dir(&folder) else { continue };
+        for entry in entries.flatten() {
+            seen += 1;
+            if seen > MOST_ENTRIES {
+                return found;
+            }
+            let Ok(metadata) = entry.metadata() else { continue };
+            if metadata.is_dir() && depth > 1 {
+                open.push((entry.path(), depth - 1));
+            } else if metadata.is_file() && metadata.len() == bytes {
+                found.push(entry.path());
+            }
+        }
+    }
+    found.sort();
+    found
+}

@@ -1,0 +1,247 @@
+//! A frame whose stamp tells, once the console's offset is known: which exposures it fits, and whether it is to be believed.
+
+use super::binder::KNOWN_FRAMES;
+use super::counting::Firmness;
+use super::evidence::{BindingHow, FrameEvidence, seconds};
+use super::judgement::{Judgement, Weighed};
+
+/// Telemetry must be this far past the moment that a stamp names, or another exposure may still come up there.
+const AFTER_STAMP_US: i64 = 500_000;
+/// Frames with stamps this near take part in the order of a burst.
+const ORDER_US: i64 = 20_000_000;
+/// Stamps after a frame whose counter contradicts its stamp that must fit on before the stamp is believed.
+const FITTING: usize = 3;
+/// Stamps within this time of each other show whether the clock was set.
+const STRETCH_US: i64 = 3_600_000_000;
+
+/// What stamp and known offset say.
+pub(super) struct ByStamp {
+    pub fitting: Vec<usize>,
+    pub from_us: i64,
+    pub to_us: i64,
+}
+
+impl Weighed<'_> {
+    /// Leaves the exposures that the frame can have if later stamps are of later exposures: each stamp is of another exposure than every
+    /// other stamp, so a burst whose frames are all there may leave each only one place.
+    pub(super) fn keep_order(&self, stamp: &mut ByStamp) {
+        let Some(console_us) = self.pending.evidence.console_us else { return };
+        let near = self.binder.by_stamp.range(console_us.saturating_sub(ORDER_US)..=console_us.saturating_add(ORDER_US));
+        let mut places: Vec<(i64, Vec<usize>)> = Vec::new();
+        for (other_us, frames) in near {
+            let mut fitting: Vec<usize> = Vec::new();
+            for other in frames.iter().filter_map(|frame| self.binder.frames.get(frame)) {
+                match &other.binding.exposure {
+                    Some(exposure) => fitting.extend(self.binder.shots.position(exposure.index)),
+                    None => fitting.extend(self.fitting(&other.evidence).map(|found| self.places(found)).unwrap_or_default()),
+                }
+            }
+            if *other_us == console_us {
+                fitting.clone_from(&stamp.fitting);
+            }
+            fitting.sort_unstable();
+            if !fitting.is_empty() {
+                places.push((*other_us, fitting));
+            }
+        }
+        let Some(own) = places.iter().position(|(us, _)| *us == console_us) else { return };
+        let mut lowest: Option<usize> = None;
+        for (_, fitting) in &places[..=own] {
+            lowest = fitting.iter().copied().find(|at| lowest.is_none_or(|lowest| *at > lowest)).or(lowest);
+        }
+        let mut highest: Option<usize> = None;
+        for (_, fitting) in places[own..].iter().rev() {
+            highest = fitting.iter().rev().copied().find(|at| highest.is_none_or(|highest| *at < highest)).or(highest);
+        }
+        if let (Some(lowest), Some(highest)) = (lowest, highest)
+            && lowest <= highest
+        {
+            stamp.fitting.retain(|at| (lowest..=highest).contains(at));
+        }
+    }
+
+    /// Why the stamp does not tell although it fits `at`: the clock may have been set since the frames that confirm its offset, because
+    /// arrival or counter speak for another exposure, or because other stamps from there fit nothing.
+    fn may_be_set(&self, at: usize, candidates: &[(usize, Firmness)], prompt: &[usize]) -> Option<String> {
+        let at_us = self.binder.shots.get(at).end_us;
+        let pair = self.binder.pair(&self.pending.evidence, at)?;
+        let spans: Vec<(i64, i64)> =
+            self.binder.known_offsets().filter(|offset| offset.allows(&pair)).filter_map(|offset| offset.span_us()).collect();
+        let confirmed = spans.iter().any(|(first_us, last_us)| (*first_us..=*last_us).contains(&at_us));
+        // A counter that has kept its shift names the neighbour: had its own exposure no picture, the stamps after it would fit on.
+        let free = |other: usize| other != at && self.binder.shots.get(other).frame.is_none();
+        let counted =
+            candidates.iter().find(|(other, firmness)| *firmness >= Firmness::OneSide && prompt.contains(other) && free(*other));
+        if confirmed {
+            return None;
+        }
+        // Frames before or after a setting may fit the neighbours throughout, but come sooner or later after them than frames do.
+        let usual_us = self.usual_delay_us();
+        let as_usual = |other: usize| usual_us.as_ref().map(|usual_us| self.came_within(usual_us, other));
+        if prompt.contains(&at)
+            && !as_usual(at).unwrap_or(!self.binder.finished)
+            && let Some(other) = prompt.iter().find(|other| free(**other) && as_usual(**other).unwrap_or(true))
+        {
+            let (by_stamp, by_arrival) = (self.label(at), self.label(*other));
+            return Some(format!(
+                "the console's stamp points to {by_stamp}, but frames usually come as this one did after {by_arrival}: its clock may have been set"
+            ));
+        }
+        if prompt.contains(&at) && counted.is_none() {
+            return None;
+        }
+        if let Some(other) = prompt.last().filter(|_| !prompt.contains(&at)) {
+            let (by_stamp, by_arrival) = (self.label(at), self.label(*other));
+            return Some(format!(
+                "the console's stamp points to {by_stamp}, the arrival to {by_arrival}, and its clock may have been set"
+            ));
+        }
+        let (mut fitting, mut lost) = (0, 0);
+        for frame in &self.binder.open {
+            let Some(other) = self.binder.frames.get(frame).filter(|other| other.evidence.frame != self.pending.evidence.frame)
+            else {
+                continue;
+            };
+            let Some(stamp) = self.fitting(&other.evidence) else { continue };
+            let within = spans.iter().any(|(first_us, last_us)| stamp.from_us >= *first_us && stamp.to_us <= *last_us);
+            let apart_us = stamp.from_us.saturating_sub(at_us).saturating_abs();
+            if !within && apart_us < STRETCH_US {
+                *(if stamp.fitting.is_empty() { &mut lost } else { &mut fitting }) += 1;
+            }
+        }
+        if let Some((other, _)) = counted
+            && (lost > 0 || fitting < FITTING)
+        {
+            let (by_stamp, by_counter) = (self.label(at), self.label(*other));
+            return Some(format!(
+                "the console's stamp points to {by_stamp}, the counter to {by_counter}, and its clock may have been set"
+            ));
+        }
+        (lost > 1 + fitting / 2).then(|| {
+            let label = self.label(at);
+            format!(
+                "the console's stamp fits {label}, but {lost} others from that time fit no exposure: its clock may have been set"
+            )
+        })
+    }
+
+    /// Exposures of which a frame with this stamp must have one: none where telemetry was silent, for it may be of one that was not seen.
+    fn places(&self, stamp: ByStamp) -> Vec<usize> {
+        let blind = self.timeline.exposure_tracker().blind_spot(stamp.from_us, stamp.to_us).is_some();
+        if blind { Vec::new() } else { stamp.fitting }
+    }
+
+    pub(super) fn by_stamp(&self) -> Option<ByStamp> {
+        self.fitting(&self.pending.evidence)
+    }
+
+    /// Exposures at the time that the stamp names, once the console's offset is known.
+    fn fitting(&self, said: &FrameEvidence) -> Option<ByStamp> {
+        let console_us = said.console_us?;
+        let mut found: Option<ByStamp> = None;
+        for offset in self.binder.known_offsets() {
+            // The offset barely drifts while exposures are looked up: a second round takes it where the stamp falls.
+            let (first_us, last_us) = offset.span_us()?;
+            let mut bounds = offset.bounds(first_us / 2 + last_us / 2)?;
+            for _ in 0..2 {
+                let at_us = console_us.saturating_add(bounds.low_us / 2 + bounds.high_us / 2);
+                bounds = offset.bounds(at_us)?;
+            }
+            let from_us = console_us.saturating_add(bounds.low_us).saturating_sub(150_000);
+            let resolution_us = self.binder.resolution_us(said);
+            let to_us = console_us.saturating_add(resolution_us).saturating_add(bounds.high_us).saturating_add(150_000);
+            let near = self.binder.shots.touching(from_us, to_us);
+            let causal = |at: &usize| {
+                let over_us = self.binder.shots.get(*at).over_us;
+                said.arrival_us.is_none_or(|arrival_us| over_us <= arrival_us)
+            };
+            let fitting: Vec<usize> = near
+                .filter(causal)
+                .filter(|at| self.binder.pair(said, *at).is_some_and(|pair| self.binder.allowed(&pair)))
+                .collect();
+            match &mut found {
+                Some(all) => {
+                    all.fitting.extend(fitting);
+                    all.fitting.sort_unstable();
+                    all.fitting.dedup();
+                    (all.from_us, all.to_us) = (all.from_us.min(from_us), all.to_us.max(to_us));
+                }
+                None => found = Some(ByStamp { fitting, from_us, to_us }),
+            }
+        }
+        found
+    }
+
+    /// Telemetry has passed the time, or will not any more.
+    pub(super) fn telemetry_covers(&self, until_us: i64) -> bool {
+        let said = &self.pending.evidence;
+        let limit_us = said.arrival_us.map_or(until_us, |arrival_us| until_us.saturating_add(AFTER_STAMP_US).min(arrival_us));
+        let gave_up = said.arrival_us.is_some_and(|arrival_us| self.now_us.saturating_sub(arrival_us) >= 2 * AFTER_STAMP_US);
+        self.binder.finished || gave_up || self.newest_us.is_some_and(|newest_us| newest_us >= limit_us)
+    }
+
+    pub(super) fn with_stamp(
+        &self,
+        stamp: &ByStamp,
+        candidates: &[(usize, Firmness)],
+        prompt: &[usize],
+        mut words: Vec<String>,
+    ) -> Judgement {
+        let both: Vec<(usize, Firmness)> = candidates.iter().filter(|(at, _)| stamp.fitting.contains(at)).copied().collect();
+        match (&both[..], &stamp.fitting[..]) {
+            ([(at, firmness)], fitting) if fitting.len() == 1 || self.decides(*at, *firmness, fitting) => {
+                words.push(format!("the counter names {} as well", self.label(*at)));
+                words.push(format!("the console's stamp fits {}", self.label(*at)));
+                self.of(*at, BindingHow::Counter, words, true)
+            }
+            (_, []) => {
+                words.push(format!("the console's stamp fits no exposure{}", self.offset_words()));
+                Judgement::None(words)
+            }
+            (_, [at]) => {
+                if let Some(set) = self.may_be_set(*at, candidates, prompt) {
+                    words.push(set);
+                    return Judgement::None(words);
+                }
+                let free = |at: usize| self.binder.shots.get(at).frame.is_none();
+                let firm = candidates.iter().find(|(other, firmness)| *firmness == Firmness::Enclosed && free(*other));
+                if let Some((other, _)) = firm
+                    && !prompt.contains(at)
+                {
+                    let (by_stamp, by_counter) = (self.label(*at), self.label(*other));
+                    words.push(format!("the console's stamp points to {by_stamp}, the counter to {by_counter}: contradictory"));
+                    return Judgement::None(words);
+                }
+                if self.pending.evidence.counter.is_some() && !both.iter().any(|(both, _)| both == at) && words.is_empty() {
+                    words.push("the counter contradicts the stamp and is dropped for this frame".to_owned());
+                }
+                if let Some(blind) = self.blind(*at, stamp.from_us, stamp.to_us) {
+                    words.push(blind);
+                    return Judgement::None(words);
+                }
+                words.push(format!(
+                    "{} is the only exposure that the console's stamp fits{}",
+                    self.label(*at),
+                    self.offset_words()
+                ));
+                self.of(*at, BindingHow::Time, words, prompt.contains(at))
+            }
+            (_, several) => {
+                words.push(format!("the console's stamp fits {} exposures: ambiguous", several.len()));
+                Judgement::None(words)
+            }
+        }
+    }
+
+    fn offset_words(&self) -> String {
+        match self.binder.clock().filter(|clock| clock.frames >= KNOWN_FRAMES) {
+            Some(clock) => format!(
+                " (its clock is {} ± {} behind the host's, from {} frames)",
+                seconds(clock.offset_us),
+                seconds(clock.uncertainty_us),
+                clock.frames
+            ),
+            None => String::new(),
+        }
+    }
+}

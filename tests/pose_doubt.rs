@@ -1,0 +1,252 @@
+//! Matches that fit and are wrong: what else the frame shows speaks against them.
+
+use std::path::Path;
+
+use glam::DVec3;
+use sidecarm::acquire::{Domain, Frame, read_frame};
+use sidecarm::beads::{BeadLayout, Detection, read_markups};
+use sidecarm::geometry::{Intrinsics, Projection, Rigid, View};
+use sidecarm::image::Image;
+use sidecarm::pose::{IntrinsicsFile, Matching, Pose, Prior, Registration, register, register_detections};
+
+use crate::pose_registration::{landmark_error_px, matching, reason, request, shadows};
+use crate::pose_synthetic as synthetic;
+
+/// The view with the specimen turned by `turn_deg` about an oblique axis and moved across by `shift_mm`.
+fn beside(view: &View, layout: &BeadLayout, turn_deg: f64, shift_mm: f64) -> View {
+    let centre = view.camera_from_lps.transform_point(layout.centroid_lps_mm());
+    let turn = Rigid::exp(DVec3::new(0.3, 0.5, 0.8).normalize() * turn_deg.to_radians(), DVec3::ZERO);
+    let about = Rigid::translation(centre + DVec3::new(shift_mm, 0.4 * shift_mm, 0.0)) * turn * Rigid::translation(-centre);
+    View { camera_from_lps: about * view.camera_from_lps, ..*view }
+}
+
+/// A second set of the same beads, or their ghost, must be told, whichever of the two fits better.
+#[test]
+fn a_copy_of_the_layout_makes_a_frame_ambiguous() {
+    let mut cases = 0;
+    for seed in 0..6 {
+        let (view, layout) = (synthetic::view(1024, 1024, seed), synthetic::layout(9, 0.75, seed));
+        for (turn_deg, shift_mm, own) in [(25.0, 30.0, 9), (25.0, 30.0, 6), (0.0, 4.0, 6), (0.0, 9.0, 5)] {
+            let mut found: Vec<Detection> = shadows(&view, &layout, 0.1, 0.05, seed);
+            found.truncate(own);
+            found.extend(shadows(&beside(&view, &layout, turn_deg, shift_mm), &layout, 0.1, 0.05, seed + 50));
+            let pose = register_detections(&matching(&view, &layout), &found);
+            let told = reason(&pose);
+            assert!(told.starts_with("ambiguous"), "seed {seed}, {turn_deg}°, {shift_mm} mm: {told}");
+            cases += 1;
+        }
+        let alone = register_detections(&matching(&view, &layout), &shadows(&view, &layout, 0.1, 0.05, seed));
+        assert!(alone.is_accepted(), "control: {:?}", alone.reason);
+    }
+    assert_eq!(cases, 24);
+}
+
+/// A pose fits any K or scale; a prior that states its covariance does not fit the depth that comes out.
+#[test]
+fn a_wrong_k_or_scale_contradicts_a_prior_with_covariance() {
+    let mut cases = 0;
+    for seed in 0..4 {
+        let (view, layout) = (synthetic::view(1024, 1024, seed), synthetic::layout(9, 0.75, seed));
+        let found = shadows(&view, &layout, 0.1, 0.05, seed);
+        let centre = view.camera_from_lps.transform_point(layout.centroid_lps_mm());
+        // σ of 1° and 3 mm about the beads, written for the camera's origin.
+        let mut local = nalgebra::Matrix6::<f64>::zeros();
+        (0..3).for_each(|n| (local[(n, n)], local[(n + 3, n + 3)]) = (1f64.to_radians().powi(2), 9.0));
+        let mut shift = nalgebra::Matrix6::<f64>::identity();
+        let cross = nalgebra::Matrix3::new(0.0, -centre.z, centre.y, centre.z, 0.0, -centre.x, -centre.y, centre.x, 0.0);
+        shift.fixed_view_mut::<3, 3>(3, 0).copy_from(&cross);
+        let covariance = shift * local * shift.transpose();
+        let covariance = std::array::from_fn(|i| std::array::from_fn(|j| covariance[(i, j)]));
+        let prior = Prior { camera_from_lps: view.camera_from_lps, covariance: Some(covariance) };
+        let k = view.intrinsics;
+        let longer = Intrinsics { fx: 1.15 * k.fx, fy: 1.15 * k.fy, ..k };
+        let shifted = Intrinsics { cx: k.cx + 150.0, ..k };
+        let places: Vec<DVec3> = layout.beads.iter().map(|bead| bead.lps_mm * 1.1).collect();
+        let stretched = synthetic::layout_of(&places, 0.75);
+        for (name, k, layout) in [("K", longer, &layout), ("principal point", shifted, &layout), ("scale", k, &stretched)] {
+            let request = Matching { intrinsics: Some(k), prior: Some(&prior), ..matching(&view, layout) };
+            let pose = register_detections(&request, &found);
+            let told = reason(&pose);
+            assert!(told.starts_with("prior_contradicted") || told.starts_with("no_match"), "seed {seed}, {name}: {told}");
+            cases += 1;
+        }
+        let right = register_detections(&Matching { prior: Some(&prior), ..matching(&view, &layout) }, &found);
+        assert!(right.is_accepted() && landmark_error_px(&right, &view) < 1.0, "control: {:?}", right.reason);
+    }
+    assert_eq!(cases, 12);
+}
+
+/// Without a prior that says better, the beads themselves tell a K that is far off.
+#[test]
+fn a_k_that_is_far_off_is_named() {
+    let (mut named, mut cases) = (0, 0);
+    for seed in 0..10 {
+        let (view, layout) = (synthetic::view(1024, 1024, seed), synthetic::layout(11, 0.75, seed));
+        let found = shadows(&view, &layout, 0.1, 0.05, seed);
+        if found.len() < 9 {
+            continue;
+        }
+        let k = view.intrinsics;
+        for factor in [0.8, 1.25] {
+            let wrong = Intrinsics { fx: factor * k.fx, fy: factor * k.fy, ..k };
+            let pose = register_detections(&Matching { intrinsics: Some(wrong), ..matching(&view, &layout) }, &found);
+            if pose.is_accepted() {
+                // What few beads cannot tell is small.
+                assert!(landmark_error_px(&pose, &view) < 4.0, "seed {seed}, {factor}: {}", landmark_error_px(&pose, &view));
+            } else {
+                named += usize::from(reason(&pose).starts_with("intrinsics"));
+            }
+            cases += 1;
+        }
+        for noise_mm in [0.05, 0.15] {
+            let found = shadows(&view, &layout, 0.1, noise_mm, seed + 70);
+            let right = register_detections(&matching(&view, &layout), &found);
+            assert!(right.is_accepted(), "control, seed {seed}, {noise_mm} mm: {:?}", right.reason);
+        }
+    }
+    assert!(cases >= 10 && 2 * named >= cases, "{named} of {cases}");
+}
+
+/// A prior that has nothing to do with the frame does not stop nine clear beads: the pose comes without it, and says so.
+#[test]
+fn an_unrelated_prior_does_not_stop_clear_beads() {
+    let mut cases = 0;
+    for seed in 0..12 {
+        let (view, layout) = (synthetic::view(1024, 1024, seed), synthetic::layout(9, 0.75, seed));
+        let found = shadows(&view, &layout, 0.1, 0.05, seed);
+        if found.len() < 9 {
+            continue;
+        }
+        let unrelated = beside(&view, &layout, 100.0 + 5.0 * seed as f64, 60.0);
+        let prior = Prior { camera_from_lps: unrelated.camera_from_lps, covariance: None };
+        let pose = register_detections(&Matching { prior: Some(&prior), ..matching(&view, &layout) }, &found);
+        assert!(pose.is_accepted(), "seed {seed}: {:?}", pose.reason);
+        assert!(landmark_error_px(&pose, &view) < 1.0, "seed {seed}");
+        assert!(pose.notes.iter().any(|note| note.contains("check the prior")), "seed {seed}: {:?}", pose.notes);
+        cases += 1;
+    }
+    assert!(cases >= 4, "{cases}");
+}
+
+#[test]
+fn a_mirrored_frame_is_named_so() {
+    let mut cases = 0;
+    for seed in [0, 3] {
+        let (view, layout) = (synthetic::view(620, 480, seed), synthetic::layout(9, 1.0, seed));
+        let pixels = synthetic::radiograph(view, &layout, 50_000.0, seed).draw();
+        let mirrored: Vec<f32> = pixels.pixels.chunks(pixels.width).flat_map(|row| row.iter().rev().copied()).collect();
+        let frame = |pixels: Image<f32>| Frame::from_pixels("drawn", pixels, Domain::Linear).expect("finite");
+        let upright = frame(pixels.clone());
+        assert!(register(&request(&view, &upright, &layout)).is_accepted(), "control");
+        let turned = frame(Image { pixels: mirrored, ..pixels });
+        let pose = register(&request(&view, &turned, &layout));
+        assert!(reason(&pose).starts_with("mirrored"), "{:?}", pose.reason);
+        cases += 1;
+    }
+    assert_eq!(cases, 2);
+}
+
+/// Six beads of thirteen fit, seven are certainly not where they should be, and clear shadows belong to nothing.
+#[test]
+fn beads_that_should_be_seen_and_are_not_refuse_a_pose() {
+    let mut cases = 0;
+    for seed in [0, 3, 5] {
+        let (view, layout) = (synthetic::view(620, 480, seed), synthetic::layout(9, 1.0, seed));
+        let mut drawing = synthetic::radiograph(view, &layout, 50_000.0, seed);
+        (drawing.anatomy, drawing.metal) = (false, false);
+        let frame = Frame::from_pixels("drawn", drawing.draw(), Domain::Linear).expect("finite");
+        let other = synthetic::layout(7, 1.0, seed + 900);
+        let places: Vec<DVec3> = layout.beads[..6].iter().chain(&other.beads).map(|bead| bead.lps_mm).collect();
+        let wrong = synthetic::layout_of(&places, 1.0);
+        let pose = register(&request(&view, &frame, &wrong));
+        let told = reason(&pose);
+        assert!(["missing", "chance", "ambiguous", "no_match"].iter().any(|word| told.starts_with(word)), "{told}");
+        println!("{told}");
+        cases += usize::from(told.starts_with("missing"));
+        assert!(register(&request(&view, &frame, &layout)).is_accepted(), "control");
+    }
+    assert!(cases >= 1);
+}
+
+/// Beads clipped to black in a row are no writing.
+#[test]
+fn a_row_of_beads_clipped_to_black_is_found() {
+    let view = synthetic::view(1024, 1024, 3);
+    let rotation = view.camera_from_lps.inverse();
+    // In a row along the frame's columns, a few diameters apart, and four off it.
+    let row = (0..5).map(|n| DVec3::new(6.0 * f64::from(n) - 12.0, 0.0, 2.0 * f64::from(n % 2)));
+    let off = [
+        DVec3::new(-40.0, 30.0, -15.0),
+        DVec3::new(35.0, -32.0, 12.0),
+        DVec3::new(-20.0, -38.0, 20.0),
+        DVec3::new(38.0, 25.0, -8.0),
+    ];
+    let places: Vec<DVec3> = row.chain(off).map(|place| rotation.transform_vector(place)).collect();
+    let layout = synthetic::layout_of(&places, 1.2);
+    let mut drawing = synthetic::radiograph(view, &layout, 50_000.0, 3);
+    (drawing.anatomy, drawing.metal) = (false, false);
+    let drawn = drawing.draw();
+    let (low, high) = drawn.pixels.iter().fold((f32::MAX, 0.0f32), |(low, high), v| (low.min(*v), high.max(*v)));
+    let grey = drawn.map(|v| (255.0 * (v - low - 0.3 * (high - low)) / (0.7 * (high - low))).clamp(0.0, 250.0).round());
+    let mut frame = Frame::from_pixels("clipped", grey, Domain::Display).expect("a frame");
+    frame.clipping.black_at = Some(0.0);
+    let masks = sidecarm::mask::of_frame(&frame);
+    assert!(masks.shares(1024, 1024).causes.contains_key(&sidecarm::mask::Cause::BurnedIn), "control: they look like writing");
+    let pose = register(&request(&view, &frame, &layout));
+    assert!(pose.is_accepted(), "{:?}", pose.reason);
+    assert_eq!(pose.beads.iter().filter(|bead| bead.used).count(), 9);
+    assert!(landmark_error_px(&pose, &view) < 0.5, "{}", landmark_error_px(&pose, &view));
+}
+
+fn json(path: &Path) -> serde_json::Value {
+    serde_json::from_slice(&std::fs::read(path).expect("readable")).expect("JSON")
+}
+
+/// Radiographs that share no code with this program: rod and wire in view, false beads, rectangular shutters. As they are stored, with the
+/// readout noise about zero behind the shutters, and with NaN there.
+#[test]
+fn independent_radiographs_give_p_however_the_shutters_are_stored() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/bead-frames");
+    if !folder.exists() {
+        println!("skipped: {} is absent", folder.display());
+        return;
+    }
+    let mut cases = 0;
+    for case in ["case-00", "case-01", "case-02"] {
+        let case = folder.join(case);
+        let layout = read_markups(&case.join("beads.mrk.json")).expect("beads");
+        let k = IntrinsicsFile::read(&case.join("k.json")).expect("K");
+        let prior = Prior::read(&case.join("prior.json")).expect("a prior");
+        let truth: Projection = serde_json::from_value(json(&case.join("truth.json"))["projection"].clone()).expect("P");
+        let stored = read_frame(&case.join("frame_pedestal4000_u16.tif"), Some(Domain::Linear)).expect("a frame");
+        let share = stored.pixels.map(|value| (value - 4000.0) / 2.5e6);
+        let frame = |pixels: Image<f32>| Frame::from_pixels("float", pixels, Domain::Linear).expect("a frame");
+        let (width, height) = (share.width, share.height);
+        let open = |n: usize| (82..width - 82).contains(&(n % width)) && (42..height - 42).contains(&(n / width));
+        let nan = Image {
+            width,
+            height,
+            pixels: share.pixels.iter().enumerate().map(|(n, v)| if open(n) { *v } else { f32::NAN }).collect(),
+        };
+        let cut = read_frame(&case.join("frame_u16.png"), Some(Domain::Linear)).expect("a frame");
+        for (name, frame) in [("stored", stored), ("signed", frame(share)), ("NaN", frame(nan)), ("cut at zero", cut)] {
+            let pose: Pose = register(&Registration {
+                frame: &frame,
+                layout: &layout,
+                intrinsics: Some(k.intrinsics),
+                pitch_mm: k.pitch_mm,
+                prior: Some(&prior),
+                fuse: false,
+                landmarks: &[],
+                bead_radius_mm: None,
+            });
+            assert!(pose.is_accepted(), "{} {name}: {:?}", case.display(), pose.reason);
+            let found = pose.projection.expect("accepted");
+            let off = layout.beads.iter().map(|bead| found.project(bead.lps_mm).0.distance(truth.project(bead.lps_mm).0));
+            let worst = off.fold(0.0, f64::max);
+            assert!(worst < 0.3, "{} {name}: {worst:.3} px", case.display());
+            cases += 1;
+        }
+    }
+    assert_eq!(cases, 12);
+}

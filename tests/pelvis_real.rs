@@ -128,16 +128,15 @@ fn a_noisy_pelvis_frame_gives_its_projection_back() {
         let frame = Frame::from_pixels("pelvis", rendered.pages[0].clone(), Domain::Linear).expect("finite");
         let off = Rigid::exp(DVec3::new(0.03, -0.02, 0.02), DVec3::new(4.0, -5.0, 6.0)) * camera_from_lps;
         let prior = Prior { camera_from_lps: off, covariance: None };
-        let pose = register(&Registration {
-            frame: &frame,
-            layout: &layout,
-            intrinsics: Some(intrinsics),
-            pitch_mm: Some(0.388),
-            prior: Some(&prior),
-            fuse: false,
-            landmarks: &[],
-            bead_radius_mm: None,
-        });
+        let pose = register(
+            &Registration {
+                intrinsics: Some(intrinsics),
+                pitch_mm: Some(0.388),
+                prior: Some(&prior),
+                ..Registration::new(frame.size_px.map(|n| n as u32), &layout)
+            },
+            &frame,
+        );
         assert!(pose.is_accepted(), "{orbital_deg}/{angulation_deg}: {:?}", pose.reason);
         let found = pose.projection.expect("accepted");
         let truth = view.projection();
@@ -181,16 +180,7 @@ fn real_fluoroscopy_is_display_and_is_refused() {
     for index in [1, 4] {
         let frame = read_frame(&folder.join(format!("frame-0{index}.dcm")), None).expect("reads");
         assert_eq!(frame.domain, Domain::Display);
-        let pose = register(&Registration {
-            frame: &frame,
-            layout: &layout,
-            intrinsics: None,
-            pitch_mm: None,
-            prior: None,
-            fuse: false,
-            landmarks: &[],
-            bead_radius_mm: None,
-        });
+        let pose = register(&Registration::new(frame.size_px.map(|n| n as u32), &layout), &frame);
         assert!(!pose.is_accepted() && pose.reason.as_ref().is_some_and(|reason| !reason.is_empty()), "{:?}", pose.rms_px);
         cases += 1;
     }

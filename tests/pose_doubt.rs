@@ -7,9 +7,9 @@ use sidecarm::acquire::{Domain, Frame, read_frame};
 use sidecarm::beads::{BeadLayout, Detection, read_markups};
 use sidecarm::geometry::{Intrinsics, Projection, Rigid, View};
 use sidecarm::image::Image;
-use sidecarm::pose::{IntrinsicsFile, Matching, Pose, Prior, Registration, register, register_detections};
+use sidecarm::pose::{IntrinsicsFile, Pose, Prior, Registration, register, register_shadows};
 
-use crate::pose_registration::{landmark_error_px, matching, reason, request, shadows};
+use crate::pose_registration::{landmark_error_px, matching, reason, shadows};
 use crate::pose_synthetic as synthetic;
 
 /// The view with the specimen turned by `turn_deg` about an oblique axis and moved across by `shift_mm`.
@@ -30,12 +30,12 @@ fn a_copy_of_the_layout_makes_a_frame_ambiguous() {
             let mut found: Vec<Detection> = shadows(&view, &layout, 0.1, 0.05, seed);
             found.truncate(own);
             found.extend(shadows(&beside(&view, &layout, turn_deg, shift_mm), &layout, 0.1, 0.05, seed + 50));
-            let pose = register_detections(&matching(&view, &layout), &found);
+            let pose = register_shadows(&matching(&view, &layout), &found);
             let told = reason(&pose);
             assert!(told.starts_with("ambiguous"), "seed {seed}, {turn_deg}°, {shift_mm} mm: {told}");
             cases += 1;
         }
-        let alone = register_detections(&matching(&view, &layout), &shadows(&view, &layout, 0.1, 0.05, seed));
+        let alone = register_shadows(&matching(&view, &layout), &shadows(&view, &layout, 0.1, 0.05, seed));
         assert!(alone.is_accepted(), "control: {:?}", alone.reason);
     }
     assert_eq!(cases, 24);
@@ -64,13 +64,13 @@ fn a_wrong_k_or_scale_contradicts_a_prior_with_covariance() {
         let places: Vec<DVec3> = layout.beads.iter().map(|bead| bead.lps_mm * 1.1).collect();
         let stretched = synthetic::layout_of(&places, 0.75);
         for (name, k, layout) in [("K", longer, &layout), ("principal point", shifted, &layout), ("scale", k, &stretched)] {
-            let request = Matching { intrinsics: Some(k), prior: Some(&prior), ..matching(&view, layout) };
-            let pose = register_detections(&request, &found);
+            let request = Registration { intrinsics: Some(k), prior: Some(&prior), ..matching(&view, layout) };
+            let pose = register_shadows(&request, &found);
             let told = reason(&pose);
             assert!(told.starts_with("prior_contradicted") || told.starts_with("no_match"), "seed {seed}, {name}: {told}");
             cases += 1;
         }
-        let right = register_detections(&Matching { prior: Some(&prior), ..matching(&view, &layout) }, &found);
+        let right = register_shadows(&Registration { prior: Some(&prior), ..matching(&view, &layout) }, &found);
         assert!(right.is_accepted() && landmark_error_px(&right, &view) < 1.0, "control: {:?}", right.reason);
     }
     assert_eq!(cases, 12);
@@ -89,7 +89,7 @@ fn a_k_that_is_far_off_is_named() {
         let k = view.intrinsics;
         for factor in [0.8, 1.25] {
             let wrong = Intrinsics { fx: factor * k.fx, fy: factor * k.fy, ..k };
-            let pose = register_detections(&Matching { intrinsics: Some(wrong), ..matching(&view, &layout) }, &found);
+            let pose = register_shadows(&Registration { intrinsics: Some(wrong), ..matching(&view, &layout) }, &found);
             if pose.is_accepted() {
                 // What few beads cannot tell is small.
                 assert!(landmark_error_px(&pose, &view) < 4.0, "seed {seed}, {factor}: {}", landmark_error_px(&pose, &view));
@@ -100,7 +100,7 @@ fn a_k_that_is_far_off_is_named() {
         }
         for noise_mm in [0.05, 0.15] {
             let found = shadows(&view, &layout, 0.1, noise_mm, seed + 70);
-            let right = register_detections(&matching(&view, &layout), &found);
+            let right = register_shadows(&matching(&view, &layout), &found);
             assert!(right.is_accepted(), "control, seed {seed}, {noise_mm} mm: {:?}", right.reason);
         }
     }
@@ -119,10 +119,10 @@ fn an_unrelated_prior_does_not_stop_clear_beads() {
         }
         let unrelated = beside(&view, &layout, 100.0 + 5.0 * seed as f64, 60.0);
         let prior = Prior { camera_from_lps: unrelated.camera_from_lps, covariance: None };
-        let pose = register_detections(&Matching { prior: Some(&prior), ..matching(&view, &layout) }, &found);
+        let pose = register_shadows(&Registration { prior: Some(&prior), ..matching(&view, &layout) }, &found);
         assert!(pose.is_accepted(), "seed {seed}: {:?}", pose.reason);
         assert!(landmark_error_px(&pose, &view) < 1.0, "seed {seed}");
-        assert!(pose.notes.iter().any(|note| note.contains("check the prior")), "seed {seed}: {:?}", pose.notes);
+        assert!(pose.cautions.iter().any(|caution| caution.contains("check the prior")), "seed {seed}: {:?}", pose.cautions);
         cases += 1;
     }
     assert!(cases >= 4, "{cases}");
@@ -137,9 +137,9 @@ fn a_mirrored_frame_is_named_so() {
         let mirrored: Vec<f32> = pixels.pixels.chunks(pixels.width).flat_map(|row| row.iter().rev().copied()).collect();
         let frame = |pixels: Image<f32>| Frame::from_pixels("drawn", pixels, Domain::Linear).expect("finite");
         let upright = frame(pixels.clone());
-        assert!(register(&request(&view, &upright, &layout)).is_accepted(), "control");
+        assert!(register(&matching(&view, &layout), &upright).is_accepted(), "control");
         let turned = frame(Image { pixels: mirrored, ..pixels });
-        let pose = register(&request(&view, &turned, &layout));
+        let pose = register(&matching(&view, &layout), &turned);
         assert!(reason(&pose).starts_with("mirrored"), "{:?}", pose.reason);
         cases += 1;
     }
@@ -158,12 +158,12 @@ fn beads_that_should_be_seen_and_are_not_refuse_a_pose() {
         let other = synthetic::layout(7, 1.0, seed + 900);
         let places: Vec<DVec3> = layout.beads[..6].iter().chain(&other.beads).map(|bead| bead.lps_mm).collect();
         let wrong = synthetic::layout_of(&places, 1.0);
-        let pose = register(&request(&view, &frame, &wrong));
+        let pose = register(&matching(&view, &wrong), &frame);
         let told = reason(&pose);
         assert!(["missing", "chance", "ambiguous", "no_match"].iter().any(|word| told.starts_with(word)), "{told}");
         println!("{told}");
         cases += usize::from(told.starts_with("missing"));
-        assert!(register(&request(&view, &frame, &layout)).is_accepted(), "control");
+        assert!(register(&matching(&view, &layout), &frame).is_accepted(), "control");
     }
     assert!(cases >= 1);
 }
@@ -192,7 +192,7 @@ fn a_row_of_beads_clipped_to_black_is_found() {
     frame.clipping.black_at = Some(0.0);
     let masks = sidecarm::mask::of_frame(&frame);
     assert!(masks.shares(1024, 1024).causes.contains_key(&sidecarm::mask::Cause::BurnedIn), "control: they look like writing");
-    let pose = register(&request(&view, &frame, &layout));
+    let pose = register(&matching(&view, &layout), &frame);
     assert!(pose.is_accepted(), "{:?}", pose.reason);
     assert_eq!(pose.beads.iter().filter(|bead| bead.used).count(), 9);
     assert!(landmark_error_px(&pose, &view) < 0.5, "{}", landmark_error_px(&pose, &view));
@@ -230,16 +230,15 @@ fn independent_radiographs_give_p_however_the_shutters_are_stored() {
         };
         let cut = read_frame(&case.join("frame_u16.png"), Some(Domain::Linear)).expect("a frame");
         for (name, frame) in [("stored", stored), ("signed", frame(share)), ("NaN", frame(nan)), ("cut at zero", cut)] {
-            let pose: Pose = register(&Registration {
-                frame: &frame,
-                layout: &layout,
-                intrinsics: Some(k.intrinsics),
-                pitch_mm: k.pitch_mm,
-                prior: Some(&prior),
-                fuse: false,
-                landmarks: &[],
-                bead_radius_mm: None,
-            });
+            let pose: Pose = register(
+                &Registration {
+                    intrinsics: Some(k.intrinsics),
+                    pitch_mm: k.pitch_mm,
+                    prior: Some(&prior),
+                    ..Registration::new(frame.size_px.map(|n| n as u32), &layout)
+                },
+                &frame,
+            );
             assert!(pose.is_accepted(), "{} {name}: {:?}", case.display(), pose.reason);
             let found = pose.projection.expect("accepted");
             let off = layout.beads.iter().map(|bead| found.project(bead.lps_mm).0.distance(truth.project(bead.lps_mm).0));

@@ -4,35 +4,17 @@ use glam::{DVec2, DVec3};
 use sidecarm::acquire::{Domain, Frame};
 use sidecarm::beads::{BeadLayout, Detection, Landmark};
 use sidecarm::geometry::{Rigid, View};
-use sidecarm::pose::{Matching, Pose, Prior, Registration, Status, register, register_detections};
+use sidecarm::pose::{Pose, Prior, Registration, Status, register, register_shadows};
 use sidecarm::random::{Purpose, Stream};
 
 use crate::pose_synthetic as synthetic;
 
-pub fn matching<'a>(view: &View, layout: &'a BeadLayout) -> Matching<'a> {
-    Matching {
-        size_px: view.size_px,
-        layout,
-        intrinsics: Some(view.intrinsics),
-        pitch_mm: Some(1020.0 / view.intrinsics.fx),
-        prior: None,
-        fuse: false,
-        landmarks: &[],
-        bead_radius_mm: None,
-    }
-}
-
-/// The same for a frame.
-pub fn request<'a>(view: &View, frame: &'a Frame, layout: &'a BeadLayout) -> Registration<'a> {
+/// What is known of a synthetic view.
+pub fn matching<'a>(view: &View, layout: &'a BeadLayout) -> Registration<'a> {
     Registration {
-        frame,
-        layout,
         intrinsics: Some(view.intrinsics),
         pitch_mm: Some(1020.0 / view.intrinsics.fx),
-        prior: None,
-        fuse: false,
-        landmarks: &[],
-        bead_radius_mm: None,
+        ..Registration::new(view.size_px, layout)
     }
 }
 
@@ -97,7 +79,7 @@ fn drawn_radiographs_give_p_within_a_tenth_of_a_pixel() {
         let pixels = synthetic::radiograph(view, &layout, photons, seed).draw();
         let frame = Frame::from_pixels("drawn", pixels, Domain::Linear).expect("finite");
         let landmarks = [Landmark { name: "tip".to_owned(), lps_mm: DVec3::new(5.0, 5.0, 5.0) }];
-        let pose = register(&Registration { landmarks: &landmarks, ..request(&view, &frame, &layout) });
+        let pose = register(&Registration { landmarks: &landmarks, ..matching(&view, &layout) }, &frame);
         assert!(pose.is_accepted(), "{:?}", pose.reason);
         let error = landmark_error_px(&pose, &view);
         assert!(error < 0.1, "{error}");
@@ -125,7 +107,7 @@ fn missing_and_extra_shadows_and_a_prior_that_is_off_do_not_mislead() {
         let about = Rigid::translation(centre + DVec3::new(15.0, -15.0, 15.0)) * off * Rigid::translation(-centre);
         let prior = Prior { camera_from_lps: about * view.camera_from_lps, covariance: None };
         for prior in [None, Some(&prior)] {
-            let pose = register_detections(&Matching { prior, ..matching(&view, &layout) }, &found);
+            let pose = register_shadows(&Registration { prior, ..matching(&view, &layout) }, &found);
             assert!(pose.is_accepted(), "seed {seed}, prior {}: {:?}", prior.is_some(), pose.reason);
             assert!(landmark_error_px(&pose, &view) < 1.5, "seed {seed}: {}", landmark_error_px(&pose, &view));
             cases += 1;
@@ -142,10 +124,10 @@ fn a_wrong_layout_is_refused_and_the_right_one_is_not() {
         let mut found = shadows(&view, &layout, 0.1, 0.0, seed);
         found.extend(clutter(&view, 6, found[0].radius_px, seed));
         let wrong = synthetic::layout(8, 0.75, seed + 100);
-        let refused = register_detections(&matching(&view, &wrong), &found);
+        let refused = register_shadows(&matching(&view, &wrong), &found);
         let why = reason(&refused);
         assert!(["no_match", "chance", "residual", "ambiguous"].iter().any(|word| why.starts_with(word)), "{why}");
-        assert!(register_detections(&matching(&view, &layout), &found).is_accepted(), "negative control, seed {seed}");
+        assert!(register_shadows(&matching(&view, &layout), &found).is_accepted(), "negative control, seed {seed}");
         cases += 1;
     }
     assert_eq!(cases, 4);
@@ -170,14 +152,14 @@ fn degenerate_layouts_are_refused_each_for_its_reason() {
         let layout = synthetic::layout_of(places, 0.75);
         let found = shadows(&view, &layout, 0.1, 0.0, 1);
         let base = matching(&view, &layout);
-        let pose = register_detections(&Matching { intrinsics: base.intrinsics.filter(|_| *k_known), ..base }, &found);
+        let pose = register_shadows(&Registration { intrinsics: base.intrinsics.filter(|_| *k_known), ..base }, &found);
         assert!(reason(&pose).starts_with(word), "{word}: {}", reason(&pose));
     }
     let layout = synthetic::layout(8, 0.75, 5);
-    assert!(reason(&register_detections(&matching(&view, &layout), &[])).starts_with("too_few_shadows"));
+    assert!(reason(&register_shadows(&matching(&view, &layout), &[])).starts_with("too_few_shadows"));
     let behind = Prior { camera_from_lps: Rigid::translation(DVec3::new(0.0, 0.0, -700.0)), covariance: None };
     let found = shadows(&view, &layout, 0.1, 0.0, 1);
-    let pose = register_detections(&Matching { prior: Some(&behind), ..matching(&view, &layout) }, &found);
+    let pose = register_shadows(&Registration { prior: Some(&behind), ..matching(&view, &layout) }, &found);
     assert!(reason(&pose).starts_with("behind_source"));
 }
 
@@ -190,11 +172,11 @@ fn a_symmetric_layout_is_ambiguous_until_a_prior_breaks_it() {
     let layout = synthetic::layout_of(&places, 0.75);
     let view = synthetic::view(620, 480, 8);
     let found = shadows(&view, &layout, 0.1, 0.0, 2);
-    let alone = register_detections(&matching(&view, &layout), &found);
+    let alone = register_shadows(&matching(&view, &layout), &found);
     assert!(reason(&alone).starts_with("ambiguous"), "{}", reason(&alone));
     let prior =
         Prior { camera_from_lps: Rigid::translation(DVec3::new(8.0, -8.0, 10.0)) * view.camera_from_lps, covariance: None };
-    let guided = register_detections(&Matching { prior: Some(&prior), ..matching(&view, &layout) }, &found);
+    let guided = register_shadows(&Registration { prior: Some(&prior), ..matching(&view, &layout) }, &found);
     assert!(guided.is_accepted(), "{:?}", guided.reason);
     assert!(landmark_error_px(&guided, &view) < 1.0);
 }
@@ -206,7 +188,7 @@ fn k_is_solved_from_a_deep_layout() {
         let (view, mut layout) = (synthetic::view(1024, 1024, seed), synthetic::layout(12, 0.75, seed));
         layout.beads.iter_mut().for_each(|bead| bead.sigma_mm = Some(0.02));
         let found = shadows(&view, &layout, 0.1, 0.0, seed);
-        let pose = register_detections(&Matching { intrinsics: None, pitch_mm: None, ..matching(&view, &layout) }, &found);
+        let pose = register_shadows(&Registration { intrinsics: None, pitch_mm: None, ..matching(&view, &layout) }, &found);
         assert!(pose.is_accepted(), "{:?}", pose.reason);
         assert!(landmark_error_px(&pose, &view) < 0.5, "{}", landmark_error_px(&pose, &view));
         let (k, sigma) = (pose.intrinsics.expect("solved"), pose.intrinsics_sigma_px.expect("solved"));
@@ -226,7 +208,7 @@ fn the_covariance_is_that_of_the_errors() {
         let mut found = shadows(&view, &layout, 0.3, 0.1, seed);
         found.iter_mut().for_each(|shadow| shadow.sigma_px = 0.3);
         let prior = Prior { camera_from_lps: view.camera_from_lps, covariance: None };
-        let pose = register_detections(&Matching { prior: Some(&prior), ..matching(&view, &layout) }, &found);
+        let pose = register_shadows(&Registration { prior: Some(&prior), ..matching(&view, &layout) }, &found);
         let (Some((_, camera_from_lps)), Some(rows)) = (pose.camera(), pose.covariance) else { panic!("{:?}", pose.reason) };
         let (omega, v) = (view.camera_from_lps * camera_from_lps.inverse()).log();
         let xi = nalgebra::Vector6::new(omega.x, omega.y, omega.z, v.x, v.y, v.z);
@@ -252,16 +234,10 @@ fn real_frames_without_beads_are_refused() {
     for number in [1, 4] {
         let frame = sidecarm::acquire::read_frame(&folder.join(format!("frame-{number:02}.dcm")), None).expect("readable");
         let intrinsics = sidecarm::geometry::Intrinsics { fx: 4470.0, fy: 4470.0, skew: 0.0, cx: 511.5, cy: 511.5 };
-        let pose = register(&Registration {
-            frame: &frame,
-            layout: &layout,
-            intrinsics: Some(intrinsics),
-            pitch_mm: None,
-            prior: None,
-            fuse: false,
-            landmarks: &[],
-            bead_radius_mm: None,
-        });
+        let pose = register(
+            &Registration { intrinsics: Some(intrinsics), ..Registration::new(frame.size_px.map(|n| n as u32), &layout) },
+            &frame,
+        );
         println!("frame {number}: {}", reason(&pose));
         cases += 1;
     }
@@ -284,16 +260,14 @@ fn figures() {
                             if domain == Domain::Display { synthetic::display(&pixels, photons, seed % 2 == 1) } else { pixels };
                         let frame = Frame::from_pixels("drawn", pixels, domain).expect("finite");
                         let start = sidecarm::time::Stopwatch::start();
-                        let pose = register(&Registration {
-                            frame: &frame,
-                            layout: &layout,
-                            intrinsics: Some(view.intrinsics),
-                            pitch_mm: Some(1020.0 / view.intrinsics.fx),
-                            prior: None,
-                            fuse: false,
-                            landmarks: &[],
-                            bead_radius_mm: None,
-                        });
+                        let pose = register(
+                            &Registration {
+                                intrinsics: Some(view.intrinsics),
+                                pitch_mm: Some(1020.0 / view.intrinsics.fx),
+                                ..Registration::new(frame.size_px.map(|n| n as u32), &layout)
+                            },
+                            &frame,
+                        );
                         seconds += 1e-3 * start.ms();
                         total += 1;
                         if pose.is_accepted() {

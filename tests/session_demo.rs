@@ -35,6 +35,10 @@ fn json(bytes: &[u8]) -> serde_json::Value {
     serde_json::from_slice(bytes).expect("JSON")
 }
 
+fn words(run: &Output) -> String {
+    format!("{}{}", String::from_utf8_lossy(&run.stdout), String::from_utf8_lossy(&run.stderr))
+}
+
 #[test]
 fn a_mocked_session_matches_its_frames_and_replays_byte_for_byte() {
     if !mock_is_built() {
@@ -72,15 +76,15 @@ fn a_mocked_session_matches_its_frames_and_replays_byte_for_byte() {
 
     let log = session.join("session.mcap");
     let replayed = sidecarm(&["replay", text(&log), "--json", "--out", text(&folder.path().join("replayed"))]);
+    assert_eq!(replayed.status.code(), Some(0), "{}", words(&replayed));
     let found = json(&replayed.stdout);
-    assert_eq!(replayed.status.code(), Some(0), "{found}");
     assert_eq!(found["poses_identical"], pairs.len());
     assert_eq!(found["images_different"].as_array().map(Vec::len), Some(0));
     assert_eq!(found["images_identical"], pairs.len());
 
     // Whatever is derived is the same byte for byte in a second replay, on whatever day; how long it took stands apart.
     let again = sidecarm(&["replay", text(&log), "--json", "--out", text(&folder.path().join("again"))]);
-    assert_eq!(again.status.code(), Some(0));
+    assert_eq!(again.status.code(), Some(0), "{}", words(&again));
     let mut compared = 0;
     for file in files_below(&folder.path().join("replayed")) {
         if file.file_name().is_some_and(|name| name == "timings.json") {

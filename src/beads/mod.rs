@@ -7,6 +7,7 @@
 //! with the blurred shadow of a sphere on a curved background, and what does not look like a sphere's shadow is dropped.
 
 mod candidates;
+mod correspondences;
 mod detect;
 mod fit;
 mod layout;
@@ -15,6 +16,7 @@ mod noise;
 mod probe;
 mod profile;
 
+pub use correspondences::{Correspondence, CorrespondencesError, read_correspondences};
 pub use detect::{Detection, Detections, Expectation, Polarity, Signal, detect, detect_image};
 pub use layout::{Bead, BeadLayout, DEFAULT_BODY, DEFAULT_SIGMA_MM, Landmark};
 pub use markups::{BeadsError, parse_landmarks, parse_markups, read_landmarks, read_markups};

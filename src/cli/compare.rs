@@ -5,19 +5,19 @@ use std::path::{Path, PathBuf};
 use glam::{DVec2, DVec3};
 
 use crate::acquire::{AcquireError, DetectorCalibration, DetectorCalibrationError, Domain, Frame, read_frame};
-use crate::compare::{AirLevel, CompareError, CompareInput, Compared, NULL_SCORES, OffsetRule, Tone, compare, elsewhere};
+use crate::compare::{
+    AirLevel, CompareError, CompareInput, Compared, NULL_SCORES, NullRenders, OffsetRule, Tone, bead_marks, compare, elsewhere,
+    tool_mask,
+};
 use crate::geometry::View;
 use crate::gpu::DeviceChoice;
 use crate::image::{Image, ImageFileError, read_tiff_f32, refuse_overwrite, sha256_file, write_atomically, write_png_rgb};
-use crate::pose::{Pose, PoseFileError};
-use crate::render::{Options, Quantity, RenderError, Renderer};
+use crate::pose::{BeadResidual, Pose, PoseFileError};
+use crate::render::{RenderError, Renderer};
 use crate::report::{Standing, StripInput, score_words, strip};
 use crate::reporter::Reporter;
-use crate::scene::model::{Noise, Scene};
+use crate::scene::model::Scene;
 use crate::scene::{SceneError, input_files, load};
-
-/// Radius that a bead is masked with, where nothing says how large it is.
-const BEAD_RADIUS_MM: f64 = 1.0;
 
 /// Compare an acquired radiograph with a simulated one: scores, masks, and every score against wrong poses.
 #[derive(Clone, Debug, clap::Args)]
@@ -155,11 +155,14 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
         refuse_overwrite(&[&json_path, &strip_path], &input_files(path, scene))?;
     }
     let view = pose.as_ref().and_then(|pose| view_of(pose, &simulated, reporter));
-    let beads = view.zip(pose.as_ref()).map(|(view, pose)| bead_marks(pose, &view)).unwrap_or_default();
+    let beads = view.zip(pose.as_ref()).map(|(view, pose)| marks(pose, &view)).unwrap_or_default();
+    let posed_scene = scene.as_ref().zip(pose.as_ref()).zip(view).map(|((scene, pose), view)| scene_at(scene, pose, view));
+    let tool = posed_scene.as_ref().zip(view.as_ref()).and_then(|(scene, view)| tool_mask(scene, view));
     let input = CompareInput {
         valid: valid.as_ref(),
         extra_mask: extra.as_ref(),
         beads: &beads,
+        tool: tool.as_ref(),
         tone: args.tone,
         air: args.air,
         offset: args.offset,
@@ -168,8 +171,8 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
         ..CompareInput::new(&frame, &simulated)
     };
     let mut compared = compare(&input)?;
-    if let (Some(scene), Some(pose)) = (scene, pose.as_ref().filter(|_| view.is_some())) {
-        add_null(&mut compared, scene, pose, reporter)?;
+    if let Some(scene) = &posed_scene {
+        add_null(&mut compared, scene, reporter)?;
     }
     std::fs::create_dir_all(&args.out).map_err(|source| CompareCommandError::Io { path: args.out.clone(), source })?;
     let result = serde_json::json!({
@@ -255,37 +258,36 @@ fn view_of(pose: &Pose, simulated: &Image<f32>, reporter: &Reporter) -> Option<V
     Some(View { size_px, intrinsics: intrinsics.binned(f64::from(factor)), camera_from_lps })
 }
 
-fn bead_marks(pose: &Pose, view: &View) -> Vec<(DVec2, f64)> {
-    let projection = view.projection();
-    let mark = |lps_mm: DVec3| {
-        let (pixel, depth_mm) = projection.project(lps_mm);
-        (depth_mm > 0.0).then(|| (pixel, BEAD_RADIUS_MM * view.intrinsics.fx / depth_mm))
+/// Beads by the pose's file; a matched shadow tells the size.
+fn marks(pose: &Pose, view: &View) -> Vec<(DVec2, f64)> {
+    let camera_from_lps = view.camera_from_lps;
+    let full_fx = pose.intrinsics.map_or(view.intrinsics.fx, |k| k.fx);
+    let radius_mm = |bead: &BeadResidual| {
+        let shadow = pose.shadows.iter().find(|shadow| shadow.bead.as_ref() == Some(&bead.name))?;
+        Some(shadow.radius_px * camera_from_lps.transform_point(bead.lps_mm).z / full_fx)
     };
-    pose.beads.iter().filter_map(|bead| mark(bead.lps_mm)).collect()
+    bead_marks(pose.beads.iter().map(|bead| (bead.lps_mm, radius_mm(bead))), view)
 }
 
 fn centre(pose: &Pose, scene: Option<&Scene>) -> Option<DVec3> {
     pose.centroid_lps_mm.or_else(|| scene?.bounds().map(|(centre, _)| centre))
 }
 
-fn add_null(compared: &mut Compared, mut scene: Scene, pose: &Pose, reporter: &Reporter) -> Result<(), CompareCommandError> {
-    // The null is about the pose: noise would only blur it.
-    scene.model.noise = Noise::Off;
+/// The scene as the simulated image shows it: from `view`, on a panel at the pose's distance.
+fn scene_at(scene: &Scene, pose: &Pose, view: View) -> Scene {
+    let mut scene = scene.with_view(view);
     let pitch_mm = pose.pitch_mm.unwrap_or(scene.detector.pitch_mm);
-    let source_to_detector_mm = pose.intrinsics.map(|k| k.source_to_detector_mm(pitch_mm));
+    scene.detector.pitch_mm = pose.intrinsics.map_or(pitch_mm, |k| k.source_to_detector_mm(pitch_mm) / view.intrinsics.fx);
+    scene
+}
+
+fn add_null(compared: &mut Compared, scene: &Scene, reporter: &Reporter) -> Result<(), CompareCommandError> {
     let mut renderer = Renderer::new(DeviceChoice::Auto, reporter)?;
-    let options = Options { quantity: Quantity::LineIntegral, ..Options::default() };
     let bar = reporter.progress("null", crate::compare::NULL_RENDERS as u64);
+    let mut renders = NullRenders::new(&mut renderer, scene, None);
     let mut rerender = |view: &View| {
-        let mut moved = scene.with_view(*view);
-        // Binned pixels are larger: the detector stays where it is.
-        moved.detector.pitch_mm = source_to_detector_mm.map_or(pitch_mm, |distance_mm| distance_mm / view.intrinsics.fx);
-        let rendered = renderer.render(&moved, &options).map_err(|error| error.to_string())?;
         bar.advance(1);
-        let mut page = rendered.pages.into_iter().next().ok_or_else(|| "no page".to_owned())?;
-        let invalid = rendered.valid.pixels.iter().map(|valid| *valid == 0);
-        page.pixels.iter_mut().zip(invalid).filter(|(_, invalid)| *invalid).for_each(|(pixel, _)| *pixel = f32::NAN);
-        Ok(page)
+        renders.render(view)
     };
     if let Err(error) = compared.add_null(&mut rerender, &|| false) {
         reporter.warn("null", &error);

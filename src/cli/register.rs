@@ -3,10 +3,12 @@
 use std::path::PathBuf;
 
 use crate::acquire::{AcquireError, DetectorCalibration, DetectorCalibrationError, Domain, Frame, read_frame};
-use crate::beads::{BeadsError, Landmark, read_landmarks, read_markups};
+use crate::beads::{BeadsError, CorrespondencesError, Landmark, read_correspondences, read_landmarks, read_markups};
 use crate::geometry::Intrinsics;
-use crate::image::{Image, ImageFileError, refuse_overwrite, write_png_rgb};
-use crate::pose::{IntrinsicsFile, Pose, PoseFileError, Prior, Registration, intrinsics_of, register};
+use crate::image::{ImageFileError, refuse_overwrite, write_png_rgb};
+use crate::mask;
+use crate::pose::{IntrinsicsFile, Pose, PoseFileError, Prior, Registration, Shadow, intrinsics_of, register_masked};
+use crate::report;
 use crate::reporter::Reporter;
 
 /// Recover the projection matrix of a radiograph from the metal beads in it.
@@ -30,6 +32,12 @@ pub struct RegisterArgs {
     /// Take the prior as a measurement, not only as a gate
     #[arg(long, requires = "prior")]
     pub fuse: bool,
+    /// Take a match that contradicts the prior's covariance all the same, with a word
+    #[arg(long, requires = "prior", conflicts_with = "fuse")]
+    pub ignore_prior: bool,
+    /// Which shadow is which bead, where you know it: {"correspondences": [{"bead": "B1", "image_px": [310.5, 200]}, …]}
+    #[arg(long, value_name = "FILE.json")]
+    pub correspondences: Option<PathBuf>,
     /// What the pixel values are: linear, log, display or unknown
     #[arg(long, value_name = "DOMAIN")]
     pub domain: Option<Domain>,
@@ -42,9 +50,13 @@ pub struct RegisterArgs {
     /// Points at which the uncertainty is wanted: a 3D Slicer point list
     #[arg(long, value_name = "L.mrk.json")]
     pub landmarks: Option<PathBuf>,
-    /// A picture of the frame with observed (green), left out (red) and expected (yellow) beads
+    /// A picture of the frame: masks tinted, shadows (white), beads used (green) and left out (red), where P puts them (yellow), and
+    /// residuals 20 times as long as they are
     #[arg(long, value_name = "FILE.png")]
     pub overlay: Option<PathBuf>,
+    /// Print what was found in the frame as well: every shadow, and what was made of it
+    #[arg(long)]
+    pub explain: bool,
     /// Print the pose as JSON instead of a summary
     #[arg(long)]
     pub json: bool,
@@ -65,6 +77,9 @@ pub enum RegisterError {
     /// Beads or landmarks.
     #[error(transparent)]
     Beads(#[from] BeadsError),
+    /// Correspondences.
+    #[error(transparent)]
+    Correspondences(#[from] CorrespondencesError),
     /// K, prior, or the result.
     #[error(transparent)]
     Pose(#[from] PoseFileError),
@@ -96,7 +111,13 @@ pub enum RegisterError {
 /// # Errors
 /// When an input cannot be read or does not fit the others, or an output cannot be written.
 pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError> {
-    let named = [args.intrinsics.as_ref(), args.prior.as_ref(), args.landmarks.as_ref(), args.detector.as_ref()];
+    let named = [
+        args.intrinsics.as_ref(),
+        args.prior.as_ref(),
+        args.landmarks.as_ref(),
+        args.detector.as_ref(),
+        args.correspondences.as_ref(),
+    ];
     let inputs = [&args.frame, &args.beads].into_iter().chain(named.into_iter().flatten());
     let outputs: Vec<&PathBuf> = std::iter::once(&args.out).chain(&args.overlay).collect();
     refuse_overwrite(&outputs, &inputs.collect::<Vec<_>>())?;
@@ -107,6 +128,7 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
     }
     let layout = read_markups(&args.beads)?;
     let landmarks: Vec<Landmark> = args.landmarks.as_deref().map(read_landmarks).transpose()?.unwrap_or_default();
+    let correspondences = args.correspondences.as_deref().map(read_correspondences).transpose()?.unwrap_or_default();
     let prior = args.prior.as_deref().map(Prior::read).transpose()?;
     let mut frame = read_frame(&args.frame, args.domain)?;
     if let Some(path) = &args.detector {
@@ -126,20 +148,23 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
         }
         None => from_header(&frame, &mut note),
     };
-    let mut pose = register(&Registration {
-        frame: &frame,
-        layout: &layout,
+    let request = Registration {
         intrinsics,
         pitch_mm,
         prior: prior.as_ref(),
         fuse: args.fuse,
+        ignore_prior: args.ignore_prior,
+        correspondences: &correspondences,
         landmarks: &landmarks,
         bead_radius_mm: args.bead_radius,
-    });
+        ..Registration::new(frame.size_px.map(|n| n as u32), &layout)
+    };
+    let masks = mask::of_frame(&frame);
+    let mut pose = register_masked(&request, &frame, &masks);
     pose.notes.extend(note);
     pose.write(&args.out)?;
     if let Some(path) = &args.overlay {
-        write_png_rgb(path, &overlay(&frame, &pose))?;
+        write_png_rgb(path, &report::overlay(&frame, &pose, &masks))?;
     }
     if args.json {
         match serde_json::to_string_pretty(&pose) {
@@ -147,7 +172,7 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
             Err(error) => reporter.warn("json", format!("the pose cannot be printed: {error}")),
         }
     } else {
-        print!("{}", summary(&pose));
+        print!("{}", summary(&pose, args.explain));
     }
     Ok(u8::from(!pose.is_accepted()))
 }
@@ -167,13 +192,14 @@ fn from_header(frame: &Frame, note: &mut Option<String>) -> (Option<Intrinsics>,
 
 /// Human words for a pose.
 #[must_use]
-pub fn summary(pose: &Pose) -> String {
+pub fn summary(pose: &Pose, explain: bool) -> String {
     let mut lines = Vec::new();
     let used = pose.beads.iter().filter(|bead| bead.used).count();
     if pose.is_accepted() {
         let number = |value: Option<f64>, digits: usize| value.map_or("?".to_owned(), |v| format!("{v:.digits$}"));
+        let with_caution = if pose.cautions.is_empty() { "" } else { " with caution" };
         lines.push(format!(
-            "accepted: {used} of {} beads, rms {} px = {} mm at the beads, {} accidental matches expected",
+            "accepted{with_caution}: {used} of {} beads, rms {} px = {} mm at the beads, {} accidental matches expected",
             pose.beads.len(),
             number(pose.rms_px, 3),
             number(pose.rms_mm, 3),
@@ -221,42 +247,19 @@ pub fn summary(pose: &Pose) -> String {
             lines.push(format!("landmark {}: ± {x:.3}, {y:.3} mm across, {z:.3} mm along the beam{px}", landmark.name));
         }
     }
+    lines.extend(pose.cautions.iter().map(|caution| format!("caution: {caution}")));
+    if explain {
+        lines.push(format!(
+            "{:>4} {:>10} {:>10} {:>9} {:>9} {:>8}  shadows, best first",
+            "", "u px", "v px", "sigma px", "radius px", "snr"
+        ));
+        lines.extend(pose.shadows.iter().enumerate().map(|(n, shadow)| {
+            let [u, v] = shadow.image_px;
+            let made_of_it = shadow.bead.as_deref().unwrap_or("belongs to no bead");
+            let Shadow { sigma_px, radius_px, snr, .. } = shadow;
+            format!("{:>4} {u:10.3} {v:10.3} {sigma_px:9.3} {radius_px:9.2} {snr:8.1}  {made_of_it}", n + 1)
+        }));
+    }
     lines.extend(pose.notes.iter().map(|note| format!("note: {note}")));
     lines.join("\n") + "\n"
-}
-
-/// The frame in grey with circles: green observed and used, red observed and left out, yellow crosses where beads are expected.
-#[must_use]
-pub fn overlay(frame: &Frame, pose: &Pose) -> Image<[u8; 3]> {
-    let mut sorted: Vec<f32> = frame.pixels.pixels.iter().copied().step_by(11).filter(|value| value.is_finite()).collect();
-    sorted.sort_by(f32::total_cmp);
-    let at = |share: f64| sorted.get(((sorted.len() - 1) as f64 * share) as usize).copied().unwrap_or(0.0);
-    let (low, high) = if sorted.is_empty() { (0.0, 1.0) } else { (at(0.005), at(0.995)) };
-    let mut picture = frame.pixels.map(|value| {
-        let grey = (255.0 * ((value - low) / (high - low).max(f32::MIN_POSITIVE)).clamp(0.0, 1.0)) as u8;
-        [grey; 3]
-    });
-    let mut dot = |u: f64, v: f64, colour: [u8; 3]| {
-        if u >= 0.0 && v >= 0.0 && (u as usize) < picture.width && (v as usize) < picture.height {
-            *picture.at_mut(u as usize, v as usize) = colour;
-        }
-    };
-    for bead in &pose.beads {
-        if let Some([u, v]) = bead.image_px {
-            let colour = if bead.used { [40, 230, 80] } else { [240, 50, 40] };
-            for step in 0..240 {
-                let (sin, cos) = (f64::from(step) / 240.0 * std::f64::consts::TAU).sin_cos();
-                for radius in [11.5, 12.5] {
-                    dot(u + 0.5 + radius * cos, v + 0.5 + radius * sin, colour);
-                }
-            }
-        }
-        if let Some([u, v]) = bead.predicted_px {
-            for step in -4..=4 {
-                dot(u + 0.5 + f64::from(step), v + 0.5, [250, 220, 30]);
-                dot(u + 0.5, v + 0.5 + f64::from(step), [250, 220, 30]);
-            }
-        }
-    }
-    picture
 }

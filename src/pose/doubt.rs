@@ -6,10 +6,11 @@
 
 use glam::DVec2;
 
-use super::judge::Final;
-use super::register::Attempt;
+use super::case::Case;
+use super::refusal::{Refusal, Rival};
 use super::search::{Hypothesis, Search};
-use super::solve::{Free, Options, solve};
+use super::settle::Settled;
+use super::solve::{Free, Match, Options, solve};
 use crate::beads::Detection;
 use crate::geometry::Intrinsics;
 
@@ -42,65 +43,74 @@ const LEAST_RMS_PX: f64 = 0.15;
 
 /// What a frame shows besides the match.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(super) struct Besides {
+struct Besides {
     /// Beads that the pose puts into the open field and that are certainly not there.
-    pub missing: Vec<String>,
+    missing: Vec<String>,
     /// Clear shadows like the matched ones that belong to no bead.
-    pub unexplained: usize,
+    unexplained: usize,
 }
 
-impl Attempt<'_> {
-    /// Why the match is not believed although it fits, if so.
-    pub(super) fn doubt(&self, last: &Final, hypothesis: &Hypothesis, notes: &mut Vec<String>) -> Option<String> {
+/// What is left to say of a match that is believed.
+pub(super) struct Doubts {
+    /// A person should look at these.
+    pub cautions: Vec<String>,
+}
+
+impl Case<'_> {
+    /// Refuses a match although it fits, or says what to look at.
+    pub fn doubt(&self, last: &Settled, hypothesis: &Hypothesis) -> Result<Doubts, Refusal> {
         let matched = last.matches.len();
-        let besides = self.besides(last);
-        let missing = besides.missing.len();
-        if missing >= ORDINARY
-            && besides.unexplained >= ORDINARY
-            && let Some(reason) = self.mirrored(&last.solution.intrinsics, matched)
+        let Besides { missing, unexplained } = self.besides(last);
+        if missing.len() >= ORDINARY
+            && unexplained >= ORDINARY
+            && let Some(refusal) = self.mirrored(&last.solution.intrinsics, matched)
         {
-            return Some(reason);
+            return Err(refusal);
         }
-        if missing > ORDINARY && (missing >= matched || besides.unexplained >= missing) {
-            return Some(format!(
-                "missing: {matched} beads match, but {missing} that the pose puts into the open field are not there ({}) and {} clear shadows belong to no bead; check the layout, the prior, and whether the frame is mirrored",
-                besides.missing.join(", "),
-                besides.unexplained
-            ));
+        if missing.len() > ORDINARY && (missing.len() >= matched || unexplained >= missing.len()) {
+            return Err(Refusal::Missing { matched, missing, unexplained });
         }
-        if let Some(reason) = self.other_intrinsics(last) {
-            return Some(reason);
+        if let Some(refusal) = self.other_intrinsics(last) {
+            return Err(refusal);
         }
-        if missing > 0 {
-            notes.push(format!("not seen although their places are clear: {}", besides.missing.join(", ")));
+        if let Some(second) = self.second_reading(last) {
+            let (angle_deg, shift_mm) = self.distance(&second.camera_from_lps, &hypothesis.camera_from_lps);
+            return Err(Refusal::Ambiguous {
+                rival: Rival::SecondSet,
+                angle_deg,
+                shift_mm,
+                matched,
+                fit: hypothesis.rms_px,
+                other_matched: second.matches.len(),
+                other_fit: second.rms_px,
+                prior_given: self.request.prior.is_some(),
+            });
         }
-        let second = self.second_reading(last)?;
-        let (angle, shift) = self.distance(&second.camera_from_lps, &hypothesis.camera_from_lps);
-        Some(format!(
-            "ambiguous: {} other shadows fit the layout as well, to {:.2} px, with the pose {angle:.1}° and {shift:.1} mm away; a second set of beads, or a prior that is off?",
-            second.matches.len(),
-            second.rms_px
-        ))
+        let mut cautions = Vec::new();
+        if !missing.is_empty() {
+            cautions.push(format!("not seen although their places are clear: {}", missing.join(", ")));
+        }
+        Ok(Doubts { cautions })
     }
 
-    fn besides(&self, last: &Final) -> Besides {
+    fn besides(&self, last: &Settled) -> Besides {
         let Some(probe) = &self.probe else { return Besides::default() };
-        let own = |m: &super::solve::Match| self.detections.get(m.detection).copied();
+        let own = |m: &Match| self.detections.get(m.detection).copied();
         let mut contrasts: Vec<f64> = last.matches.iter().filter_map(own).map(|detection| detection.contrast).collect();
         contrasts.sort_by(f64::total_cmp);
         let Some(usual) = contrasts.get(contrasts.len() / 2).copied() else { return Besides::default() };
         let (pose, k) = (last.solution.camera_from_lps, last.solution.intrinsics);
-        let layout = self.matching.layout;
+        let layout = self.request.layout;
         let mut besides = Besides::default();
         let radius_at = |depth_mm: f64, index: usize| {
-            layout.radius_mm(index, self.matching.bead_radius_mm).map(|radius_mm| k.fx * radius_mm / depth_mm)
+            layout.radius_mm(index, self.request.bead_radius_mm).map(|radius_mm| k.fx * radius_mm / depth_mm)
         };
         let mut radii: Vec<f64> = last.matches.iter().filter_map(own).map(|detection| detection.radius_px).collect();
         radii.sort_by(f64::total_cmp);
         let usual_radius_px = radii[radii.len() / 2];
         for (index, bead) in layout.beads.iter().enumerate() {
             let p = pose.transform_point(bead.lps_mm);
-            let known = last.matches.iter().chain(last.left_out.iter().map(|(m, _)| m)).any(|m| m.bead == index);
+            let known = last.known().any(|m| m.bead == index);
             if known || !(p.z > 1.0) {
                 continue;
             }
@@ -122,8 +132,8 @@ impl Attempt<'_> {
                 && d.snr >= CLEAR_SNR
         };
         let explained = |n: usize| {
-            let taken = last.matches.iter().chain(last.left_out.iter().map(|(m, _)| m)).any(|m| m.detection == n);
-            let beside = |m: &super::solve::Match| m.image_px.distance(self.detections[n].image_px) < usual_radius_px;
+            let taken = last.known().any(|m| m.detection == n);
+            let beside = |m: &Match| m.image_px.distance(self.detections[n].image_px) < usual_radius_px;
             taken || last.matches.iter().any(beside)
         };
         besides.unexplained = (0..self.detections.len()).filter(|n| alike(&self.detections[*n]) && !explained(*n)).count();
@@ -132,8 +142,8 @@ impl Attempt<'_> {
 
     /// That the beads fit far better with another K than with the one given: a wrong focal length or principal point is made up for by depth
     /// and turn, but not without a trace.
-    fn other_intrinsics(&self, last: &Final) -> Option<String> {
-        let k = self.matching.intrinsics?;
+    fn other_intrinsics(&self, last: &Settled) -> Option<Refusal> {
+        let k = self.request.intrinsics?;
         let degrees = (2 * last.matches.len()).checked_sub(9)?;
         let (_, needed) = *SURE_RATIOS.iter().find(|(fewest, _)| degrees >= *fewest)?;
         let options = Options { iterations: 60, ..Options::least_squares(Free::Square) };
@@ -141,61 +151,51 @@ impl Attempt<'_> {
         let squares = |residuals: &[DVec2]| residuals.iter().map(|r| r.length_squared()).sum::<f64>();
         let (given, freed) = (squares(&last.solution.residuals_px), squares(&free.residuals_px));
         let ratio = ((given - freed) / 3.0) / (freed / degrees as f64);
-        let longer = free.intrinsics.fx / k.fx;
+        let focal_ratio = free.intrinsics.fx / k.fx;
         let shift_px = DVec2::new(free.intrinsics.cx - k.cx, free.intrinsics.cy - k.cy).length();
-        let elsewhere = (longer - 1.0).abs() > OTHER_FOCAL || shift_px > OTHER_CENTRE * f64::from(self.matching.size_px[0]);
+        let elsewhere = (focal_ratio - 1.0).abs() > OTHER_FOCAL || shift_px > OTHER_CENTRE * f64::from(self.request.size_px[0]);
         let rms = |squares: f64| (squares / last.matches.len() as f64).sqrt();
-        (ratio > needed && elsewhere && rms(given) > LEAST_RMS_PX).then(|| {
-            format!(
-                "intrinsics: the beads fit to {:.2} px with K as given, to {:.2} px with a focal length {:.0} % {} and the principal point {shift_px:.0} px away; check K, SID, pitch, and whether the frame is binned or cropped",
-                rms(given),
-                rms(freed),
-                100.0 * (longer - 1.0).abs(),
-                if longer < 1.0 { "shorter" } else { "longer" }
-            )
+        let (given_px, freed_px) = (rms(given), rms(freed));
+        (ratio > needed && elsewhere && given_px > LEAST_RMS_PX).then_some(Refusal::Intrinsics {
+            given_px,
+            freed_px,
+            focal_ratio,
+            shift_px,
         })
     }
 
     /// A match of the shadows that are left, far beyond chance: the layout, or one like it, stands in the frame a second time.
-    fn second_reading(&self, last: &Final) -> Option<Hypothesis> {
+    fn second_reading(&self, last: &Settled) -> Option<Hypothesis> {
         let near = |d: &Detection| last.matches.iter().any(|m| m.image_px.distance(d.image_px) < (0.7 * d.radius_px).max(1.5));
-        let left: Vec<Detection> = self.detections.iter().filter(|d| !near(d)).copied().collect();
-        self.reading(&left, &last.solution.intrinsics, true)
+        let left: Vec<usize> = (0..self.detections.len()).filter(|n| !near(&self.detections[*n])).collect();
+        let shadows: Vec<Detection> = left.iter().map(|n| self.detections[*n]).collect();
+        self.reading(&shadows, |n| left.get(n).copied(), &last.solution.intrinsics, true)
     }
 
     /// That the layout fits the frame's mirror image, with at least two beads more than the `matched` of the frame itself.
-    pub(super) fn mirrored(&self, k: &Intrinsics, matched: usize) -> Option<String> {
-        let end = f64::from(self.matching.size_px[0]) - 1.0;
+    pub fn mirrored(&self, k: &Intrinsics, matched: usize) -> Option<Refusal> {
+        let end = f64::from(self.request.size_px[0]) - 1.0;
         let turned = |d: &Detection| Detection { image_px: DVec2::new(end - d.image_px.x, d.image_px.y), ..*d };
         let shadows: Vec<Detection> = self.detections.iter().map(turned).collect();
-        let found = self.reading(&shadows, &Intrinsics { cx: end - k.cx, ..*k }, false)?;
-        (found.matches.len() >= matched + 2).then(|| {
-            format!(
-                "mirrored: {} beads fit the frame's mirror image to {:.2} px, {matched} the frame itself; un-mirror it at the console, or state the console's geometry in the session",
-                found.matches.len(),
-                found.rms_px
-            )
-        })
+        let found = self.reading(&shadows, Some, &Intrinsics { cx: end - k.cx, ..*k }, false)?;
+        let mirrored = found.matches.len();
+        (mirrored >= matched + 2).then_some(Refusal::Mirrored { mirrored, rms_px: found.rms_px, matched })
     }
 
-    /// The best match of `shadows`, if it is beyond chance.
-    fn reading(&self, shadows: &[Detection], k: &Intrinsics, gated: bool) -> Option<Hypothesis> {
+    /// The best match of `shadows`, if it is beyond chance; `own` tells which each is among all.
+    fn reading(
+        &self,
+        shadows: &[Detection],
+        own: impl Fn(usize) -> Option<usize>,
+        k: &Intrinsics,
+        gated: bool,
+    ) -> Option<Hypothesis> {
         if shadows.len() < 4 {
             return None;
         }
         let targets = self.targets();
-        let gate = self.matching.prior.filter(|_| gated && !self.without_prior).map(|prior| self.gate(prior));
-        let search = Search {
-            targets: &targets,
-            detections: shadows,
-            intrinsics: *k,
-            size_px: self.matching.size_px,
-            depth_mm: self.depth_range_mm(k.fx),
-            allowed: self.allowed(&targets, shadows, k, gate.as_ref()),
-            gate,
-            slack_px: 0.0,
-            budget: BUDGET,
-        };
+        let gate = self.request.prior.filter(|_| gated && !self.without_prior).map(|prior| self.gate(prior));
+        let search = Search { budget: BUDGET, ..self.search(&targets, shadows, own, k, gate) };
         let accident = |found: &Hypothesis, tried: u64| self.chance_among(found, tried, shadows);
         let found = search.run(|best, tried| accident(best, tried) < 0.1 * RIVAL_CHANCE);
         found.hypotheses.into_iter().find(|hypothesis| accident(hypothesis, found.tried) < RIVAL_CHANCE)

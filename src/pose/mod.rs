@@ -4,16 +4,27 @@
 //! image's noise and the beads' own uncertainty, and the result is accepted, or refused with the reason. "Don't know" is an answer:
 //! too few beads, degenerate layouts, accidental and ambiguous matches are refused.
 
+mod accept;
+mod case;
 mod doubt;
 mod judge;
+mod propose;
 mod record;
+mod refusal;
 mod register;
+mod request;
 mod search;
+mod settle;
 mod solve;
 mod start;
 mod transform;
 mod triangle;
 mod verdict;
 
-pub use record::{BeadResidual, BodyPose, Covariance, IntrinsicsFile, LandmarkUncertainty, Pose, PoseFileError, Prior, Status};
-pub use register::{Matching, PRIOR_SIGMA, Registration, intrinsics_of, register, register_detections, register_masked};
+pub use case::PRIOR_SIGMA;
+pub use record::{
+    BeadResidual, BodyPose, Covariance, IntrinsicsFile, LandmarkUncertainty, Pose, PoseFileError, Prior, Shadow, Status,
+};
+pub use refusal::{Points, Refusal, Rival};
+pub use register::{intrinsics_of, register, register_masked, register_shadows};
+pub use request::Registration;

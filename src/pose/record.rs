@@ -5,6 +5,8 @@ use std::path::{Path, PathBuf};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
+use super::refusal::Refusal;
+use crate::beads::Detection;
 use crate::geometry::{Intrinsics, Projection, Rigid};
 use crate::image::{ImageFileError, write_atomically};
 
@@ -90,6 +92,29 @@ pub struct BeadResidual {
     pub reason: Option<String>,
 }
 
+/// A bead-like shadow in the frame.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Shadow {
+    /// Its centre.
+    pub image_px: [f64; 2],
+    /// Standard deviation of the centre per axis.
+    pub sigma_px: f64,
+    /// Fitted radius.
+    pub radius_px: f64,
+    /// Contrast over the noise.
+    pub snr: f64,
+    /// The bead that it was matched to, if P rests on it.
+    pub bead: Option<String>,
+}
+
+impl Shadow {
+    pub(super) fn of(detection: &Detection, bead: Option<String>) -> Self {
+        let Detection { image_px, sigma_px, radius_px, snr, .. } = *detection;
+        Self { image_px: image_px.to_array(), sigma_px, radius_px, snr, bead }
+    }
+}
+
 /// A rigid part and where it is.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -129,6 +154,12 @@ pub struct Pose {
     /// Why it is refused: a word, a colon, a sentence.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
+    /// The same in parts: what was expected and what was found.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub refusal: Option<Refusal>,
+    /// What a person should look at before an accepted pose is used.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub cautions: Vec<String>,
     /// P: `lps` mm to `image` px, third coordinate the depth in mm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub projection: Option<Projection>,
@@ -172,6 +203,9 @@ pub struct Pose {
     pub beads: Vec<BeadResidual>,
     /// Shadows found.
     pub detections: usize,
+    /// The shadows, best first.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub shadows: Vec<Shadow>,
     /// Whether the prior entered as a measurement.
     pub fused: bool,
     /// Assumptions and warnings.
@@ -182,6 +216,12 @@ pub struct Pose {
 }
 
 impl Pose {
+    /// The same, refused for another reason.
+    #[must_use]
+    pub fn refused_for(self, refusal: Refusal) -> Self {
+        Self { status: Status::Refused, reason: Some(refusal.to_string()), refusal: Some(refusal), ..self }
+    }
+
     /// Whether the pose may be used.
     #[must_use]
     pub fn is_accepted(&self) -> bool {

@@ -38,6 +38,8 @@ pub struct Search<'a> {
     pub gate: Option<Gate>,
     /// Pairs bead × detection that may match, row by row of beads.
     pub allowed: Vec<bool>,
+    /// Bead and shadow that belong together, whatever else seems to fit.
+    pub pinned: Vec<(usize, usize)>,
     /// Extra slack where K is only a guess, px.
     pub slack_px: f64,
     /// Poses from three points, at most about so many.
@@ -107,6 +109,11 @@ impl Search<'_> {
         Found { hypotheses: best, tried }
     }
 
+    /// Whether a bead and a shadow may belong together by what a person has pinned.
+    fn may_pair(&self, bead: usize, detection: usize) -> bool {
+        self.pinned.iter().all(|(b, d)| (*b == bead) == (*d == detection))
+    }
+
     /// Index triples of detections, best first.
     fn triples(&self) -> Vec<[usize; 3]> {
         let count = self.detections.len();
@@ -134,7 +141,8 @@ impl Search<'_> {
         }
         let (near, far) = self.depth_mm;
         let fits = |image: f64, world: f64| world >= 0.97 * image * near && world > 0.0;
-        let allowed = |bead: usize, n: usize| self.allowed[bead * self.detections.len() + triple[n]];
+        let allowed =
+            |bead: usize, n: usize| self.allowed[bead * self.detections.len() + triple[n]] && self.may_pair(bead, triple[n]);
         let (mut raws, mut tried, mut solved) = (Vec::new(), 0u64, 0u64);
         let count = self.targets.len();
         for i in 0..count {
@@ -215,7 +223,7 @@ impl Search<'_> {
             let mut nearest = limit * limit;
             for (n, detection) in self.detections.iter().enumerate() {
                 let d2 = detection.image_px.distance_squared(at);
-                if d2 < nearest && !triple.contains(&n) && self.radius_fits(n, bead, p.z) {
+                if d2 < nearest && !triple.contains(&n) && self.may_pair(bead, n) && self.radius_fits(n, bead, p.z) {
                     nearest = d2;
                 }
             }
@@ -282,7 +290,10 @@ impl Search<'_> {
             let at = self.intrinsics.project(p);
             for (n, detection) in self.detections.iter().enumerate() {
                 let distance = detection.image_px.distance(at);
-                if distance < limit_px(target) + 4.0 * detection.sigma_px && self.radius_fits(n, bead, p.z) {
+                if distance < limit_px(target) + 4.0 * detection.sigma_px
+                    && self.may_pair(bead, n)
+                    && self.radius_fits(n, bead, p.z)
+                {
                     pairs.push((distance, bead, n));
                 }
             }

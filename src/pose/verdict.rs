@@ -3,6 +3,7 @@
 use glam::DVec3;
 use nalgebra::Matrix3;
 
+use super::refusal::{Points, Refusal};
 use super::search::{Hypothesis, MISSED, apart, shared};
 use super::solve::{Match, Options, solve};
 use crate::geometry::{Intrinsics, Rigid};
@@ -29,66 +30,24 @@ const COINCIDENT_MM: f64 = 0.05;
 /// A layout whose second (third) extent is below this share of its first is a line (a plane).
 const FLAT: f64 = 0.02;
 
-/// Layouts that cannot give a pose, whatever the frame shows.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum Degenerate {
-    /// Too few.
-    #[error("too_few_beads: the layout has {found} distinct beads, {required} are needed {why}")]
-    TooFew {
-        /// Beads at distinct places.
-        found: usize,
-        /// Fewest.
-        required: usize,
-        /// With or without K.
-        why: &'static str,
-    },
-    /// On a line.
-    #[error(
-        "collinear: beads {what} lie on a line (extents {first_mm:.1}, {second_mm:.2} mm): rotation about it is not determined"
-    )]
-    Collinear {
-        /// Of the layout, or matched.
-        what: &'static str,
-        /// Largest extent.
-        first_mm: f64,
-        /// Second extent.
-        second_mm: f64,
-    },
-    /// In a plane, with K unknown.
-    #[error(
-        "coplanar: beads {what} lie in a plane (extents {first_mm:.1}, {second_mm:.1}, {third_mm:.2} mm): without intrinsics the focal length is not determined; give --intrinsics"
-    )]
-    Coplanar {
-        /// Of the layout, or matched.
-        what: &'static str,
-        /// Largest extent.
-        first_mm: f64,
-        /// Second extent.
-        second_mm: f64,
-        /// Third extent.
-        third_mm: f64,
-    },
-}
-
 /// Checks places for a pose (`k_known`) or a pose and K.
-pub fn check_geometry(points: &[DVec3], k_known: bool, what: &'static str) -> Result<(), Degenerate> {
+pub fn check_geometry(points: &[DVec3], k_known: bool, of: Points) -> Result<(), Refusal> {
     let mut distinct: Vec<DVec3> = Vec::new();
     for p in points {
         if distinct.iter().all(|other| other.distance(*p) > COINCIDENT_MM) {
             distinct.push(*p);
         }
     }
-    let (required, why) =
-        if k_known { (4, "with known intrinsics (three leave several poses)") } else { (6, "when the intrinsics are not known") };
+    let required = if k_known { 4 } else { 6 };
     if distinct.len() < required {
-        return Err(Degenerate::TooFew { found: distinct.len(), required, why });
+        return Err(Refusal::TooFewBeads { points: of, found: distinct.len(), required, intrinsics_known: k_known });
     }
     let ([first_mm, second_mm, third_mm], _) = spread(&distinct);
     if !(second_mm > (FLAT * first_mm).max(1.0)) {
-        return Err(Degenerate::Collinear { what, first_mm, second_mm });
+        return Err(Refusal::Collinear { points: of, first_mm, second_mm });
     }
     if !k_known && !(third_mm > (FLAT * first_mm).max(0.5)) {
-        return Err(Degenerate::Coplanar { what, first_mm, second_mm, third_mm });
+        return Err(Refusal::Coplanar { points: of, first_mm, second_mm, third_mm });
     }
     Ok(())
 }
@@ -166,12 +125,12 @@ mod tests {
     #[test]
     fn geometry_is_refused_for_its_reason() {
         let line: Vec<DVec3> = (0..8).map(|n| DVec3::new(10.0 * f64::from(n), 0.0, 0.0)).collect();
-        assert!(matches!(check_geometry(&line, true, "x"), Err(Degenerate::Collinear { .. })));
+        assert!(matches!(check_geometry(&line, true, Points::Layout), Err(Refusal::Collinear { .. })));
         let plane: Vec<DVec3> = (0..9).map(|n| DVec3::new(f64::from(n % 3) * 30.0, f64::from(n / 3) * 30.0, 0.0)).collect();
-        assert!(matches!(check_geometry(&plane, false, "x"), Err(Degenerate::Coplanar { .. })));
-        assert!(check_geometry(&plane, true, "x").is_ok());
-        assert!(matches!(check_geometry(&[DVec3::ONE; 9], true, "x"), Err(Degenerate::TooFew { found: 1, .. })));
-        assert!(check_geometry(&[DVec3::NAN; 9], true, "x").is_err());
+        assert!(matches!(check_geometry(&plane, false, Points::Layout), Err(Refusal::Coplanar { .. })));
+        assert!(check_geometry(&plane, true, Points::Layout).is_ok());
+        assert!(matches!(check_geometry(&[DVec3::ONE; 9], true, Points::Layout), Err(Refusal::TooFewBeads { found: 1, .. })));
+        assert!(check_geometry(&[DVec3::NAN; 9], true, Points::Layout).is_err());
     }
 
     #[test]

@@ -6,6 +6,7 @@ use std::sync::OnceLock;
 use glam::DVec3;
 use rayon::prelude::*;
 
+use super::face_sums::CutFace;
 use super::steep::steep_bricks;
 use crate::scene::model::Volume;
 
@@ -34,6 +35,7 @@ pub struct Cells {
     /// First and one past the last cell that holds anything; equal when all is empty.
     pub occupied: [[usize; 3]; 2],
     steep: OnceLock<Vec<DVec3>>,
+    faces: OnceLock<Vec<CutFace>>,
 }
 
 impl Cells {
@@ -59,7 +61,7 @@ impl Cells {
             }
         });
         let occupied = mark_empty_bricks(&mut kind, size);
-        Some(Self { size, kind, materials, material_of_class, occupied, steep: OnceLock::new() })
+        Some(Self { size, kind, materials, material_of_class, occupied, steep: OnceLock::new(), faces: OnceLock::new() })
     }
 
     /// Index of cell (i, j, k).
@@ -72,6 +74,16 @@ impl Cells {
     #[must_use]
     pub fn steep_bricks(&self, volume: &Volume) -> &[DVec3] {
         self.steep.get_or_init(|| steep_bricks(volume, BRICK))
+    }
+
+    /// The faces of the grid that hold matter other than air of `air_kind`; found when first asked for.
+    #[must_use]
+    pub fn cut_faces(&self, air_kind: Option<u8>) -> &[CutFace] {
+        let holds_matter = |cell: [usize; 3]| {
+            let kind = self.kind[self.index(cell)];
+            !matches!(kind, EMPTY | EMPTY_BRICK) && Some(kind) != air_kind
+        };
+        self.faces.get_or_init(|| CutFace::all_of(self.size, holds_matter))
     }
 
     /// Share of cells that hold nothing.

@@ -14,7 +14,7 @@ use super::renderer::{Options, Rendered, Renderer};
 use super::spectrum::Bins;
 use super::survey::every;
 use super::wgsl::{self, Executed, NoiseKey, Request, WgslExecutor};
-use super::{Quantity, RenderError, chain, flood, reference};
+use super::{Quantity, RenderError, chain, cut_faces, flood, reference};
 use crate::geometry::View;
 use crate::gpu::{Device, cpu_name};
 use crate::image::Image;
@@ -101,6 +101,11 @@ impl Renderer {
         }
         let deviates = cast.deviates.as_deref().unwrap_or_default();
         let mut non_finite = options.count_non_finite.then(|| NonFinite::of(&cast.density, &cast.signal, deviates));
+        // The reference says so itself, ray by ray.
+        if plan.executor != Executor::Reference {
+            let unscanned_mm = stages.measure("cut_faces", || cut_faces::mark(&prepared, &mut cast.density.valid));
+            cast.density.unscanned_mm = cast.density.unscanned_mm.max(unscanned_mm);
+        }
         note_invalid(&cast.density, &mut notes);
         if !cast.matter {
             let why = explain_empty(scene, &prepared);

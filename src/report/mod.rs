@@ -5,6 +5,7 @@ mod colour;
 mod html;
 mod html_exposures;
 mod html_parts;
+mod overlay;
 mod pair;
 mod plots;
 mod session;
@@ -13,6 +14,7 @@ mod strip;
 pub use canvas::{Align, Canvas, Rgb};
 pub use colour::{diverging, gray, window};
 pub use html::html;
+pub use overlay::overlay;
 pub use pair::{Pair, PairStatus, PoseSource, Standing, TruthError, score_words};
 pub use session::{
     Counts, Gap, LinkReport, PairsFile, Provenance, ReportError, SessionReport, Track, counted, png_bytes, write_pairs,

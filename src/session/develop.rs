@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use glam::{DVec2, DVec3};
+use glam::DVec3;
 
 use super::board::PairView;
 use super::crosscheck::{ExposureFacts, check_exposure, choose_view};
@@ -10,7 +10,7 @@ use super::declared::Declared;
 use super::file::Setup;
 use super::posing::Posed;
 use crate::beads::BeadLayout;
-use crate::compare::{CompareInput, Compared, NullError, compare};
+use crate::compare::{CompareInput, Compared, NullError, NullRenders, bead_marks, compare, tool_mask};
 use crate::geometry::View;
 use crate::image::{Image, sha256_bytes};
 use crate::mask::{Cause, MaskShares};
@@ -18,7 +18,6 @@ use crate::render::{Options, Plan, Quantity, Rendered, Renderer};
 use crate::report::{self, Pair, PairStatus, PoseSource, StripInput};
 use crate::reporter::Reporter;
 use crate::scene::Scene;
-use crate::scene::model::Noise;
 use crate::time::Stopwatch;
 use crate::timeline::{Binding, BindingHow};
 
@@ -123,8 +122,12 @@ impl Bench {
         let drr_sha256 = Some(sha256_bytes(&bytes));
 
         let watch = Stopwatch::start();
-        let beads = self.bead_marks(&view);
-        let tool = self.tool_mask(&scene, &view);
+        let beads = self.layout.as_ref().map(|layout| {
+            let radius_mm = |index: usize| layout.radius_mm(index, self.setup.session.bead_radius_mm);
+            bead_marks(layout.beads.iter().enumerate().map(|(index, bead)| (bead.lps_mm, radius_mm(index))), &view)
+        });
+        let beads = beads.unwrap_or_default();
+        let tool = tool_mask(&scene, &view);
         let mut input = CompareInput::new(&posed.frame, &rendered.pages[0]);
         input.valid = Some(&rendered.valid);
         input.masks = Some(&posed.masks);
@@ -204,44 +207,6 @@ impl Bench {
         beads.or_else(|| self.scene.bounds().map(|(centre, _)| centre))
     }
 
-    /// Centre and radius of each bead's shadow.
-    fn bead_marks(&self, view: &View) -> Vec<(DVec2, f64)> {
-        let projection = view.projection();
-        let Some(layout) = &self.layout else { return Vec::new() };
-        let mark = |(index, bead): (usize, &crate::beads::Bead)| {
-            let (pixel, depth_mm) = projection.project(bead.lps_mm);
-            let radius_px = layout.radius_mm(index, None).unwrap_or(1.0) * view.intrinsics.fx / depth_mm;
-            (depth_mm > 0.0).then_some((pixel, radius_px + 1.5))
-        };
-        layout.beads.iter().enumerate().filter_map(mark).collect()
-    }
-
-    /// Pixels within the projected discs around the robot's parts.
-    fn tool_mask(&self, scene: &Scene, view: &View) -> Option<Image<bool>> {
-        let robot = scene.robot.as_ref()?;
-        let crate::scene::model::Matter::Solids(solids) = &scene.objects[robot.object].matter else { return None };
-        let [width, height] = view.size_px.map(|n| n as usize);
-        let mut mask = Image::filled(width, height, false);
-        let projection = view.projection();
-        for solid in solids {
-            let (centre, radius_mm) = solid.shape.bounding_sphere();
-            let (pixel, depth_mm) = projection.project(solid.lps_from_local.transform_point(centre));
-            if !(depth_mm > radius_mm) {
-                continue;
-            }
-            let radius = radius_mm * view.intrinsics.fx / depth_mm;
-            let rows = (pixel.y - radius).max(0.0) as usize..((pixel.y + radius).max(-1.0) + 1.0).min(height as f64) as usize;
-            for row in rows {
-                let half = (radius * radius - (row as f64 - pixel.y).powi(2)).max(0.0).sqrt();
-                let columns = (pixel.x - half).max(0.0) as usize..((pixel.x + half).max(-1.0) + 1.0).min(width as f64) as usize;
-                for column in columns {
-                    *mask.at_mut(column, row) = true;
-                }
-            }
-        }
-        Some(mask)
-    }
-
     /// Does now what the first frame would wait for.
     pub(super) fn warm(&mut self) {
         let beads = self.layout.iter().flat_map(|layout| &layout.beads).map(|bead| bead.lps_mm);
@@ -260,24 +225,12 @@ impl Bench {
         };
         let mut compared = compared.clone();
         let watch = Stopwatch::start();
-        let renderer = &mut self.renderer;
-        // The DRR's own plan, which the log holds: nothing is planned anew by what this machine is fast at, so two replays agree.
         let plan = match serde_json::from_value::<Plan>(drr.plan.clone()) {
-            Ok(plan) => plan.whole(),
+            Ok(plan) => plan,
             Err(error) => return Some(developed.without_null(&error.to_string())),
         };
-        let mut rerender = |view: &View| {
-            let mut coarse = scene.with_binned_view(*view);
-            coarse.model.noise = Noise::Off;
-            let plan = Some(Plan { size_px: view.size_px, ..plan.clone() });
-            let options = Options { quantity: Quantity::LineIntegral, plan, ..Options::default() };
-            let rendered = renderer.render(&coarse, &options).map_err(|error| error.to_string())?;
-            let mut page = rendered.pages.into_iter().next().ok_or_else(|| "no page".to_owned())?;
-            let invalid = rendered.valid.pixels.iter().map(|valid| *valid == 0);
-            page.pixels.iter_mut().zip(invalid).filter(|(_, invalid)| *invalid).for_each(|(pixel, _)| *pixel = f32::NAN);
-            Ok(page)
-        };
-        match compared.add_null(&mut rerender, cancelled) {
+        let mut renders = NullRenders::new(&mut self.renderer, &scene, Some(plan));
+        match compared.add_null(&mut |view| renders.render(view), cancelled) {
             Ok(()) => {
                 developed.pair.flags.retain(|flag| flag != UNCHECKED);
                 developed.pair.set_comparison(&compared.comparison);
@@ -340,7 +293,7 @@ fn row(posed: &Posed) -> Pair {
         (false, PoseSource::None) => PairStatus::NoPose,
         (false, _) => PairStatus::Refused,
     };
-    pair.flags.extend(posed.warnings.iter().cloned());
+    pair.flags.extend(posed.warnings.iter().chain(&posed.pose.cautions).cloned());
     pair.flags.extend(posed.binding.flags.iter().map(ToString::to_string));
     pair.rms_px = posed.pose.rms_px.filter(|_| posed.pose.is_accepted());
     pair.rms_mm = posed.pose.rms_mm.filter(|_| posed.pose.is_accepted());

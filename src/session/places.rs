@@ -54,31 +54,35 @@ pub(super) fn remember(names: &InputNames) {
     }
 }
 
-/// Finds the files of a logged session: where this machine last had them, in `data`, near the log, and in the current folder. A file is
-/// found by its content, whatever it is called by now.
+/// Finds the files of a logged session: in `data`, near the log, where this machine last had them, and in the current folder. A file is
+/// found by its content, whatever it is called by now. What lies near the log comes before a file of the same content elsewhere, which
+/// belongs to another session and goes when that does.
 ///
 /// # Errors
 /// When one is nowhere; the sentence names it.
 pub(super) fn find(setup: &mut Setup, log: &Path, data: Option<&Path>) -> Result<(), SessionError> {
     let known = known();
-    let beside = log.parent().unwrap_or(Path::new("."));
-    let mut folders: Vec<(PathBuf, usize)> = data.map(|data| (data.to_owned(), DEPTH)).into_iter().collect();
-    folders.extend([(beside.to_owned(), 1), (beside.join(".."), 2), (PathBuf::from("."), 1)]);
+    let beside = log.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let mut near: Vec<(PathBuf, usize)> = data.map(|data| (data.to_owned(), DEPTH)).into_iter().collect();
+    near.extend([(beside.to_owned(), 1), (beside.join(".."), 2)]);
     let mut places = BTreeMap::new();
     // The scene itself is in the log, and so are files without a size: those that come with the program.
     for input in setup.inputs.iter().skip(1).filter(|input| input.bytes > 0) {
-        let remembered = known.files.iter().filter(|file| file.sha256 == input.sha256).map(|file| file.path.clone());
-        let place = remembered
-            .filter(|path| is(path, input))
-            .chain(
-                folders.iter().flat_map(|(folder, depth)| same_size(folder, *depth, input.bytes)).filter(|path| is(path, input)),
-            )
-            .next();
+        let place = place_of(input, &near, &known);
         let missing = || SessionError::InputMissing { label: input.label.clone(), sha256: input.sha256.clone() };
         places.insert(input.label.clone(), place.ok_or_else(missing)?);
     }
     setup.places = places;
     Ok(())
+}
+
+fn place_of(input: &LoggedInput, near: &[(PathBuf, usize)], known: &Known) -> Option<PathBuf> {
+    let below = |folder: &Path, depth: usize| same_size(folder, depth, input.bytes).into_iter().find(|path| is(path, input));
+    let remembered = || {
+        let same = known.files.iter().filter(|file| file.sha256 == input.sha256);
+        same.map(|file| file.path.clone()).find(|path| is(path, input))
+    };
+    near.iter().find_map(|(folder, depth)| below(folder, *depth)).or_else(remembered).or_else(|| below(Path::new("."), 1))
 }
 
 fn is(path: &Path, input: &LoggedInput) -> bool {
@@ -106,4 +110,28 @@ fn same_size(folder: &Path, depth: usize, bytes: u64) -> Vec<PathBuf> {
     }
     found.sort();
     found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::image::sha256_bytes;
+
+    /// A file of the same content in another session's folder may be gone a moment later.
+    #[test]
+    fn what_lies_near_the_log_comes_before_what_is_remembered() {
+        let (near, other) = (tempfile::tempdir().expect("a folder"), tempfile::tempdir().expect("a folder"));
+        let content = b"the same robot";
+        let sha256 = sha256_bytes(content);
+        let paths = [near.path().join("robot.json"), other.path().join("robot.json")];
+        paths.iter().for_each(|path| std::fs::write(path, content).expect("written"));
+        let input = LoggedInput { label: "robot".to_owned(), sha256: sha256.clone(), bytes: content.len() as u64 };
+        let known = Known { files: vec![KnownFile { sha256, path: paths[1].clone() }] };
+        let folders = [(near.path().to_owned(), 1)];
+        assert_eq!(place_of(&input, &folders, &known).as_ref(), Some(&paths[0]));
+        std::fs::remove_file(&paths[0]).expect("removed");
+        assert_eq!(place_of(&input, &folders, &known).as_ref(), Some(&paths[1]));
+        std::fs::remove_file(&paths[1]).expect("removed");
+        assert_eq!(place_of(&input, &folders, &known), None);
+    }
 }

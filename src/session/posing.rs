@@ -10,7 +10,7 @@ use crate::acquire::Frame;
 use crate::beads::{BeadLayout, Landmark};
 use crate::geometry::{CarmJoints, Intrinsics, Rigid, View};
 use crate::mask::{self, Masks};
-use crate::pose::{self, Pose, Prior, Registration};
+use crate::pose::{self, Pose, Prior, Refusal, Registration};
 use crate::report::PoseSource;
 use crate::reporter::Reporter;
 use crate::telemetry::{AngleSource, CarmSample};
@@ -222,19 +222,18 @@ impl PoseJob {
         let none = BeadLayout::none();
         let layout = self.known.layout.as_deref().unwrap_or(&none);
         let prior = self.nominal().map(|camera_from_lps| Prior { camera_from_lps, covariance: None });
+        let size_px = self.bound.frame.size_px.map(|n| n as u32);
         let registration = Registration {
-            frame: &self.bound.frame,
-            layout,
             intrinsics: self.intrinsics,
             pitch_mm: self.pitch_mm,
             prior: prior.as_ref(),
-            fuse: false,
             landmarks: &self.known.landmarks,
             bead_radius_mm: self.known.setup.session.bead_radius_mm,
+            ..Registration::new(size_px, layout)
         };
-        let mut pose = pose::register_masked(&registration, &masks);
+        let mut pose = pose::register_masked(&registration, &self.bound.frame, &masks);
         if self.known.layout.is_none() {
-            pose.reason = Some("the session names no beads".to_owned());
+            pose = pose.refused_for(Refusal::Layout { detail: "the session names no beads".to_owned() });
         }
         let mut stages = StageTimes::default();
         stages.add("register", watch.ms());
@@ -269,7 +268,7 @@ impl Registered {
         let known = Known { layout: None, ..job.known };
         // Without beads and masks nothing is looked at again: whatever failed does not fail a second time.
         let mut refused = PoseJob { known, ..job }.register(Masks::default(), &Stopwatch::start());
-        refused.pose.reason = Some(reason.to_owned());
+        refused.pose = refused.pose.refused_for(Refusal::Fault { detail: reason.to_owned() });
         refused
     }
 

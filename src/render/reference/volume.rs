@@ -75,23 +75,60 @@ impl<'a> Grid<'a> {
         }
     }
 
-    /// Whether the ray saw all the matter there was: false when it enters or leaves a CT through a border voxel that is not air, or passes a
-    /// cell in which matter meets padding outside the field of view.
+    /// Whether the ray saw all the matter there was: false when it enters or leaves a CT through a border voxel that is not air, passes
+    /// where that voxel's matter would go on beyond its face, or passes a cell in which matter meets padding outside the field of view.
     #[must_use]
     pub fn is_complete(&self, ray: &Ray) -> bool {
         if !self.volume.truncated_at_faces && self.volume.unknown.is_empty() {
             return true;
         }
         let (origin, direction) = self.in_voxels(ray);
-        let pieces = self.pieces(origin, direction, ray.end_mm);
-        let (Some(first), Some(last)) = (pieces.first(), pieces.last()) else { return true };
-        let Some([enters, leaves]) = self.domain(origin, direction) else { return true };
         let has_matter = |piece: &Piece| self.part(piece) == Some(Part::Matter);
-        let cut = self.volume.truncated_at_faces
-            && ((enters >= 0.0 && has_matter(first)) || (leaves <= ray.end_mm && has_matter(last)));
+        if self.volume.truncated_at_faces {
+            for (axis, high) in (0..3).flat_map(|axis| [(axis, false), (axis, true)]) {
+                if self.beyond(axis, high, origin, direction, ray.end_mm).iter().any(has_matter) {
+                    return false;
+                }
+            }
+        }
+        let pieces = self.pieces(origin, direction, ray.end_mm);
         let unknown = |piece: &Piece| corners(piece).any(|[i, j, k]| self.volume.unknown[self.volume.index(i, j, k)]);
-        let meets_padding = !self.volume.unknown.is_empty() && pieces.iter().any(|piece| has_matter(piece) && unknown(piece));
-        !(cut || meets_padding)
+        self.volume.unknown.is_empty() || !pieces.iter().any(|piece| has_matter(piece) && unknown(piece))
+    }
+
+    /// Stretches of the ray beyond a face, moved onto the face's outermost voxels along its normal.
+    fn beyond(&self, axis: usize, high: bool, origin: DVec3, direction: DVec3, end_mm: f64) -> Vec<Piece> {
+        let last = self.volume.size[axis] - 1;
+        let (plane, border) = if high { (last as f64 + 0.5, last) } else { (-0.5, 0) };
+        let is_beyond = |t: f64| {
+            let x = origin[axis] + direction[axis] * t;
+            if high { x > plane } else { x < plane }
+        };
+        let mut depths = vec![0.0, end_mm, (plane - origin[axis]) / direction[axis]];
+        for other in (0..3).filter(|other| *other != axis) {
+            let end = self.volume.size[other] as f64 - 0.5;
+            let centres = (0..self.volume.size[other]).map(|n| n as f64);
+            let places = centres.chain([-0.5, end]).map(|place| (place - origin[other]) / direction[other]);
+            depths.extend(places);
+        }
+        depths.retain(|depth| (0.0..=end_mm).contains(depth));
+        depths.sort_unstable_by(f64::total_cmp);
+        let inside =
+            |point: DVec3| (0..3).all(|n| n == axis || (point[n] >= -0.5 && point[n] <= self.volume.size[n] as f64 - 0.5));
+        let piece = |pair: &[f64]| {
+            let middle = 0.5 * (pair[0] + pair[1]);
+            let point = origin + direction * middle;
+            let between = |n: usize| match n == axis {
+                true => [border; 2],
+                false => self.neighbours(n, point[n], direction[n] == 0.0),
+            };
+            (is_beyond(middle) && inside(point)).then(|| Piece {
+                from: pair[0],
+                to: pair[1],
+                between: std::array::from_fn(between),
+            })
+        };
+        depths.windows(2).filter(|pair| pair[0] < pair[1]).filter_map(piece).collect()
     }
 
     fn in_voxels(&self, ray: &Ray) -> (DVec3, DVec3) {

@@ -110,16 +110,13 @@ fn expose(setup: &Setup, scene: &Scene, layout: &BeadLayout, renderer: &mut Rend
     let layout = BeadLayout { refused: None, ..layout.clone() };
     let prior = Prior { camera_from_lps: view.camera_from_lps, covariance: None };
     let attempt = |prior: Option<&Prior>| {
-        register(&Registration {
-            frame: &frame,
-            layout: &layout,
+        let request = Registration {
             intrinsics: Some(view.intrinsics),
             pitch_mm: setup.carm.as_ref().map(|carm| carm.pitch_mm),
             prior,
-            fuse: false,
-            landmarks: &[],
-            bead_radius_mm: None,
-        })
+            ..Registration::new(view.size_px, &layout)
+        };
+        register(&request, &frame)
     };
     let blind = attempt(None);
     let register_ms = watch.ms();

@@ -1,0 +1,90 @@
+//! From a scene at a pose to what its comparison needs besides the two images: marks of the beads, the tool's mask, coarse renders for
+//! the null. A session and the command `compare` come through here alike.
+
+use glam::{DVec2, DVec3};
+
+use crate::geometry::View;
+use crate::image::Image;
+use crate::render::{Options, Plan, Quantity, Renderer};
+use crate::scene::Scene;
+use crate::scene::model::{Matter, Noise};
+
+/// Blur that a bead's shadow is widened by, px.
+const BEAD_BLUR_PX: f64 = 1.5;
+/// Radius of a bead that nothing is known of, mm.
+const BEAD_RADIUS_MM: f64 = 1.0;
+
+/// Centre and radius of each bead's shadow in `view`, px; beads behind the source have none.
+#[must_use]
+pub fn bead_marks(beads: impl IntoIterator<Item = (DVec3, Option<f64>)>, view: &View) -> Vec<(DVec2, f64)> {
+    let projection = view.projection();
+    let mark = |(lps_mm, radius_mm): (DVec3, Option<f64>)| {
+        let (pixel, depth_mm) = projection.project(lps_mm);
+        let radius_px = radius_mm.unwrap_or(BEAD_RADIUS_MM) * view.intrinsics.fx / depth_mm;
+        (depth_mm > 0.0).then_some((pixel, radius_px + BEAD_BLUR_PX))
+    };
+    beads.into_iter().filter_map(mark).collect()
+}
+
+/// Pixels that the robot's pieces may cover: the discs of their bounding spheres. `None` without a robot.
+#[must_use]
+pub fn tool_mask(scene: &Scene, view: &View) -> Option<Image<bool>> {
+    let robot = scene.robot.as_ref()?;
+    let Matter::Solids(solids) = &scene.objects[robot.object].matter else { return None };
+    let [width, height] = view.size_px.map(|n| n as usize);
+    let mut mask = Image::filled(width, height, false);
+    let projection = view.projection();
+    for solid in solids {
+        let (centre, radius_mm) = solid.shape.bounding_sphere();
+        let (pixel, depth_mm) = projection.project(solid.lps_from_local.transform_point(centre));
+        if !(depth_mm > radius_mm) {
+            continue;
+        }
+        let radius = radius_mm * view.intrinsics.fx / depth_mm;
+        let rows = (pixel.y - radius).max(0.0) as usize..((pixel.y + radius).max(-1.0) + 1.0).min(height as f64) as usize;
+        for row in rows {
+            let half = (radius * radius - (row as f64 - pixel.y).powi(2)).max(0.0).sqrt();
+            let columns = (pixel.x - half).max(0.0) as usize..((pixel.x + half).max(-1.0) + 1.0).min(width as f64) as usize;
+            for column in columns {
+                *mask.at_mut(column, row) = true;
+            }
+        }
+    }
+    Some(mask)
+}
+
+/// Renders of one scene from poses about its own, for a null.
+pub struct NullRenders<'a> {
+    renderer: &'a mut Renderer,
+    scene: &'a Scene,
+    plan: Option<Plan>,
+}
+
+impl<'a> NullRenders<'a> {
+    /// `scene` has the view of the DRR, on its panel; `plan` is what rendered it: nothing is planned anew by what this machine is fast
+    /// at, so that two replays agree. Without one, one is made for all.
+    pub fn new(renderer: &'a mut Renderer, scene: &'a Scene, plan: Option<Plan>) -> Self {
+        Self { renderer, scene, plan: plan.map(|plan| plan.whole()) }
+    }
+
+    /// The line integral from `view`, on the same panel; NaN where it is not known. There is no noise in it: it would only blur the null.
+    ///
+    /// # Errors
+    /// As the renderer's, in words.
+    pub fn render(&mut self, view: &View) -> Result<Image<f32>, String> {
+        let mut coarse = self.scene.with_binned_view(*view);
+        coarse.model.noise = Noise::Off;
+        let options = Options { quantity: Quantity::LineIntegral, ..Options::default() };
+        let plan = match &self.plan {
+            Some(plan) => plan.clone(),
+            None => self.renderer.plan(&coarse, &options).map_err(|error| error.to_string())?.whole(),
+        };
+        self.plan = Some(plan.clone());
+        let options = Options { plan: Some(Plan { size_px: view.size_px, ..plan }), ..options };
+        let rendered = self.renderer.render(&coarse, &options).map_err(|error| error.to_string())?;
+        let mut page = rendered.pages.into_iter().next().ok_or_else(|| "no page".to_owned())?;
+        let invalid = rendered.valid.pixels.iter().map(|valid| *valid == 0);
+        page.pixels.iter_mut().zip(invalid).filter(|(_, invalid)| *invalid).for_each(|(pixel, _)| *pixel = f32::NAN);
+        Ok(page)
+    }
+}

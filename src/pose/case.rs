@@ -1,0 +1,173 @@
+//! One registration under way: the request, the shadows, and what every step asks of them.
+
+use glam::{DVec2, DVec3};
+use nalgebra::{Matrix2, Matrix6, Vector2};
+
+use super::record::{Pose, Prior, Shadow};
+use super::refusal::Refusal;
+use super::request::Registration;
+use super::search::{Gate, Hypothesis, Search, Target, information_about};
+use super::solve::{Free, deviation, image_by_point, point_by_pose};
+use super::verdict::chance;
+use crate::beads::{Detection, Probe};
+use crate::geometry::{Intrinsics, Rigid};
+
+/// Standard deviations of a prior without covariance: about the bead centroid, per axis.
+pub const PRIOR_SIGMA: (f64, f64) = (5.0 * std::f64::consts::PI / 180.0, 15.0);
+/// Squared deviation from a prior up to which a pose is sought: with its covariance, and without one.
+const GATE: (f64, f64) = (30.0, 60.0);
+/// Shadows of which a person's mark means the nearest one: so many radii from it, at most.
+const MARK_RADII: f64 = 2.0;
+
+/// See the module.
+pub(super) struct Case<'a> {
+    pub request: &'a Registration<'a>,
+    /// The best shadows, best first.
+    pub detections: &'a [Detection],
+    /// Bead and shadow that a person has put together.
+    pub pinned: Vec<(usize, usize)>,
+    /// Looks at the frame; `None` where there is none.
+    pub probe: Option<Probe<'a>>,
+    /// Nothing matched near the prior: it no longer gates.
+    pub without_prior: bool,
+}
+
+impl<'a> Case<'a> {
+    /// Takes a person's correspondences to the shadows that they mean.
+    pub fn new(request: &'a Registration<'a>, detections: &'a [Detection], probe: Option<Probe<'a>>) -> Result<Self, Refusal> {
+        let mut pinned: Vec<(usize, usize)> = Vec::new();
+        for given in request.correspondences {
+            let refuse = |detail: String| Refusal::Correspondences { detail };
+            let place = format!("{} at ({:.1}, {:.1}) px", given.bead, given.image_px.x, given.image_px.y);
+            let Some(bead) = request.layout.beads.iter().position(|bead| bead.name == given.bead) else {
+                return Err(refuse(format!("the layout has no bead called {:?}", given.bead)));
+            };
+            let distance = |n: &usize| detections[*n].image_px.distance(given.image_px);
+            let nearest = (0..detections.len()).min_by(|a, b| distance(a).total_cmp(&distance(b)));
+            let within = |n: &usize| distance(n) <= (MARK_RADII * detections[*n].radius_px).max(6.0);
+            let Some(shadow) = nearest.filter(within) else {
+                return Err(refuse(format!("there is no bead-like shadow where {place} is said to be")));
+            };
+            if pinned.iter().any(|(other, n)| *other == bead || *n == shadow) {
+                return Err(refuse(format!("{place}: its bead or its shadow is named twice")));
+            }
+            pinned.push((bead, shadow));
+        }
+        Ok(Self { request, detections, pinned, probe, without_prior: false })
+    }
+
+    /// The answer that there is no pose, with what the frame shows.
+    pub fn refuse(&self, refusal: &Refusal, notes: Vec<String>) -> Pose {
+        let shadows = self.detections.iter().map(|detection| Shadow::of(detection, None)).collect();
+        Pose { notes, detections: self.detections.len(), shadows, ..self.request.refuse(refusal) }
+    }
+
+    pub fn free(&self) -> Free {
+        // Detectors have square pixels; a second focal length would mostly fit noise.
+        if self.request.intrinsics.is_some() { Free::Pose } else { Free::Square }
+    }
+
+    pub fn targets(&self) -> Vec<Target> {
+        let layout = self.request.layout;
+        let target = |(n, bead): (usize, &crate::beads::Bead)| Target {
+            lps_mm: bead.lps_mm,
+            sigma_mm: bead.sigma_or_default_mm(),
+            radius_mm: layout.radius_mm(n, self.request.bead_radius_mm),
+        };
+        layout.beads.iter().enumerate().map(target).collect()
+    }
+
+    pub fn gate(&self, prior: &Prior) -> Gate {
+        let (information, limit) = match prior.covariance {
+            Some(rows) => (Matrix6::from_fn(|i, j| rows[i][j]).try_inverse().unwrap_or_else(Matrix6::zeros), GATE.0),
+            None => {
+                let centre = prior.camera_from_lps.transform_point(self.request.layout.centroid_lps_mm());
+                (information_about(centre, PRIOR_SIGMA.0, PRIOR_SIGMA.1), GATE.1)
+            }
+        };
+        Gate { camera_from_lps: prior.camera_from_lps, information, limit }
+    }
+
+    /// Whether the prior says that the pose cannot be.
+    pub fn gate_excludes(&self, pose: &Rigid) -> bool {
+        self.request.prior.is_some_and(|prior| {
+            let gate = self.gate(prior);
+            let r = deviation(pose, &gate.camera_from_lps);
+            !((r.transpose() * gate.information * r)[(0, 0)] <= gate.limit)
+        })
+    }
+
+    /// A search of some of the shadows, `own` telling which each is among all.
+    pub fn search<'s>(
+        &self,
+        targets: &'s [Target],
+        detections: &'s [Detection],
+        own: impl Fn(usize) -> Option<usize>,
+        k: &Intrinsics,
+        gate: Option<Gate>,
+    ) -> Search<'s> {
+        let pinned = self
+            .pinned
+            .iter()
+            .filter_map(|(bead, shadow)| (0..detections.len()).find(|n| own(*n) == Some(*shadow)).map(|n| (*bead, n)));
+        Search {
+            targets,
+            detections,
+            intrinsics: *k,
+            size_px: self.request.size_px,
+            depth_mm: self.request.depth_range_mm(k.fx),
+            allowed: allowed(targets, detections, k, gate.as_ref()),
+            pinned: pinned.collect(),
+            gate,
+            slack_px: 0.0,
+            budget: super::search::BUDGET,
+        }
+    }
+
+    /// Degrees and millimetres between two poses, at the beads.
+    pub fn distance(&self, a: &Rigid, b: &Rigid) -> (f64, f64) {
+        let (angle, shift) = super::search::apart(a, b, self.request.layout.centroid_lps_mm());
+        (angle.to_degrees(), shift)
+    }
+
+    /// Accidents expected behind a match of `detections` after `tried` tries.
+    pub fn chance_among(&self, hypothesis: &Hypothesis, tried: u64, detections: &[Detection]) -> f64 {
+        let [width, height] = self.request.size_px.map(f64::from);
+        let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
+        for detection in detections {
+            low = low.min(detection.image_px);
+            high = high.max(detection.image_px);
+        }
+        let area = ((high - low).x * (high - low).y).clamp(0.05 * width * height, width * height);
+        chance(tried, hypothesis.matches.len(), hypothesis.in_view, hypothesis.rms_px, detections.len(), area)
+    }
+
+    /// The same among all shadows.
+    pub fn chance_of(&self, hypothesis: &Hypothesis, tried: u64) -> f64 {
+        self.chance_among(hypothesis, tried, self.detections)
+    }
+}
+
+/// Pairs bead × detection that the gate leaves, row by row of beads.
+fn allowed(targets: &[Target], detections: &[Detection], k: &Intrinsics, gate: Option<&Gate>) -> Vec<bool> {
+    let mut allowed = vec![true; targets.len() * detections.len()];
+    let Some((gate, covariance)) = gate.and_then(|gate| Some((gate, gate.information.try_inverse()?))) else {
+        return allowed;
+    };
+    for (bead, target) in targets.iter().enumerate() {
+        let p = gate.camera_from_lps.transform_point(target.lps_mm);
+        if !(p.z > 1.0) {
+            continue;
+        }
+        let j = image_by_point(k, p) * point_by_pose(p, DVec3::ZERO);
+        let spread = j * covariance * j.transpose() + Matrix2::identity() * 9.0;
+        let Some(inverse) = spread.try_inverse() else { continue };
+        let at = k.project(p);
+        for (n, detection) in detections.iter().enumerate() {
+            let d = detection.image_px - at;
+            let d = Vector2::new(d.x, d.y);
+            allowed[bead * detections.len() + n] = (d.transpose() * inverse * d)[(0, 0)] <= gate.limit;
+        }
+    }
+    allowed
+}

@@ -1,0 +1,182 @@
+//! Why there is no pose: what was expected, and what was found.
+
+use serde::{Deserialize, Serialize};
+
+/// Which points a degenerate layout is made of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Points {
+    /// All beads of the layout.
+    Layout,
+    /// Those that were matched.
+    Matched,
+}
+
+impl std::fmt::Display for Points {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Layout => "of the layout",
+            Self::Matched => "that were matched",
+        })
+    }
+}
+
+/// A pose that fits as well as the one that was found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Rival {
+    /// The same or other shadows, named otherwise.
+    OtherNames,
+    /// The beads' plane mirrored about the line of sight.
+    Flat,
+    /// Shadows that the first reading leaves over.
+    SecondSet,
+}
+
+/// A refusal. In a pose's file it is an object with the key `code`.
+#[derive(Clone, Debug, PartialEq, thiserror::Error, Serialize, Deserialize)]
+#[serde(tag = "code", rename_all = "snake_case")]
+pub enum Refusal {
+    /// The session has no layout, or its checks refused it.
+    #[error("{detail}")]
+    Layout { detail: String },
+    /// Registering failed: a fault of this program.
+    #[error("{detail}")]
+    Fault { detail: String },
+    /// Too few places in the layout, or among the matched.
+    #[error("too_few_beads: {points_words} {found} distinct beads, {required} are needed {why}", points_words = has(*points), why = why_so_many(*intrinsics_known))]
+    TooFewBeads { points: Points, found: usize, required: usize, intrinsics_known: bool },
+    /// On a line.
+    #[error(
+        "collinear: beads {points} lie on a line (extents {first_mm:.1}, {second_mm:.2} mm): rotation about it is not determined"
+    )]
+    Collinear { points: Points, first_mm: f64, second_mm: f64 },
+    /// In a plane, with K unknown.
+    #[error(
+        "coplanar: beads {points} lie in a plane (extents {first_mm:.1}, {second_mm:.1}, {third_mm:.2} mm): without intrinsics the focal length is not determined; give --intrinsics"
+    )]
+    Coplanar { points: Points, first_mm: f64, second_mm: f64, third_mm: f64 },
+    /// The prior's covariance is none, or there is no prior to fuse.
+    #[error("prior: {detail}")]
+    Prior { detail: String },
+    /// The prior looks the other way.
+    #[error(
+        "behind_source: the prior puts the bead centroid at depth {depth_mm:.1} mm, behind the source; check its direction (camera_from_lps) and units"
+    )]
+    BehindSource { depth_mm: f64 },
+    /// Correspondences that cannot be kept.
+    #[error("correspondences: {detail}")]
+    Correspondences { detail: String },
+    /// Hardly anything in the frame.
+    #[error(
+        "too_few_shadows: {found} bead-like shadows in the frame, {required} are needed; open the collimator, raise the dose, or check --bead-radius"
+    )]
+    TooFewShadows { found: usize, required: usize },
+    /// Nothing matches.
+    #[error("no_match: {shadows} bead-like shadows, but no pose puts four of the {beads} beads on them")]
+    NoMatch { shadows: usize, beads: usize },
+    /// The only match is where the prior says it cannot be.
+    #[error(
+        "prior_contradicted: the only match, {matched} beads to {rms_px:.2} px, is {angle_deg:.1}° and {shift_mm:.1} mm away from the prior, more than its covariance allows; check prior, K, and the layout's scale, or leave the prior out (--ignore-prior)"
+    )]
+    PriorContradicted { matched: usize, rms_px: f64, angle_deg: f64, shift_mm: f64 },
+    /// Singular equations.
+    #[error("unsolved: the equations of the matched beads are singular")]
+    Unsolved,
+    /// As good as an accident.
+    #[error(
+        "chance: {matched} of {in_view} beads agree to {rms_px:.2} px, but {expected:.2e} such matches are expected by accident among {shadows} shadows (limit {limit}); bring more beads into view{remedy}", remedy = or_prior(*prior_given)
+    )]
+    Chance { matched: usize, in_view: usize, rms_px: f64, expected: f64, shadows: usize, limit: f64, prior_given: bool },
+    /// The residuals are too large.
+    #[error(
+        "residual: {matched} beads agree only to {rms_px:.2} px, {times:.1} times what noise and bead positions allow (limit {limit:.0}); the layout may have moved, or K is wrong"
+    )]
+    Residual { matched: usize, rms_px: f64, times: f64, limit: f64 },
+    /// Another pose fits as well.
+    #[error("ambiguous: {}", ambiguous(*rival, *angle_deg, *shift_mm, (*matched, *fit), (*other_matched, *other_fit), *prior_given))]
+    Ambiguous {
+        rival: Rival,
+        angle_deg: f64,
+        shift_mm: f64,
+        matched: usize,
+        /// Rms in px; χ² for flat layouts.
+        fit: f64,
+        other_matched: usize,
+        /// As `fit`.
+        other_fit: f64,
+        prior_given: bool,
+    },
+    /// Beads that should be seen are not, and shadows belong to none.
+    #[error(
+        "missing: {matched} beads match, but {count} that the pose puts into the open field are not there ({names}) and {unexplained} clear shadows belong to no bead; check the layout, the prior, and whether the frame is mirrored", count = missing.len(), names = missing.join(", ")
+    )]
+    Missing { matched: usize, missing: Vec<String>, unexplained: usize },
+    /// Another K fits far better.
+    #[error(
+        "intrinsics: the beads fit to {given_px:.2} px with K as given, to {freed_px:.2} px with a focal length {percent:.0} % {way} and the principal point {shift_px:.0} px away; check K, SID, pitch, and whether the frame is binned or cropped",
+        percent = 100.0 * (focal_ratio - 1.0).abs(), way = if *focal_ratio < 1.0 { "shorter" } else { "longer" }
+    )]
+    Intrinsics { given_px: f64, freed_px: f64, focal_ratio: f64, shift_px: f64 },
+    /// The mirror image fits better.
+    #[error(
+        "mirrored: {mirrored} beads fit the frame's mirror image to {rms_px:.2} px, {matched} the frame itself; un-mirror it at the console, or state the console's geometry in the session"
+    )]
+    Mirrored { mirrored: usize, rms_px: f64, matched: usize },
+    /// K is solved, and the focal length is not determined.
+    #[error(
+        "focal_degenerate: the focal length is {focal_px:.0} ± {sigma_px:.0} px: beads of so little depth do not determine it; give --intrinsics"
+    )]
+    FocalDegenerate { focal_px: f64, sigma_px: f64 },
+    /// The pose is too uncertain to be of use.
+    #[error(
+        "uncertain: standard deviation at the beads is {turn_deg:.2}°, {across_mm:.2} mm across and {along_mm:.1} mm along the beam (limits {:.0}°, {:.0} mm, {:.0} mm)", limits[0], limits[1], limits[2]
+    )]
+    Uncertain { turn_deg: f64, across_mm: f64, along_mm: f64, limits: [f64; 3] },
+}
+
+fn has(points: Points) -> &'static str {
+    match points {
+        Points::Layout => "the layout has",
+        Points::Matched => "there are",
+    }
+}
+
+fn why_so_many(intrinsics_known: bool) -> &'static str {
+    if intrinsics_known { "with known intrinsics (three leave several poses)" } else { "when the intrinsics are not known" }
+}
+
+fn or_prior(given: bool) -> &'static str {
+    if given { "" } else { " or give --prior" }
+}
+
+fn ambiguous(
+    rival: Rival,
+    angle_deg: f64,
+    shift_mm: f64,
+    (matched, fit): (usize, f64),
+    (other, other_fit): (usize, f64),
+    prior_given: bool,
+) -> String {
+    let remedy = if prior_given { "a prior with a smaller covariance tells them apart" } else { "give --prior" };
+    match rival {
+        Rival::OtherNames => format!(
+            "another pose, {angle_deg:.1}° and {shift_mm:.1} mm away, puts {other} beads within {other_fit:.2} px where this one puts {matched} within {fit:.2} px; {remedy}, or break the layout's symmetry"
+        ),
+        Rival::Flat => format!(
+            "the beads are nearly flat, and the mirrored pose, {angle_deg:.1}° and {shift_mm:.1} mm away, fits as well (χ² {other_fit:.1} against {fit:.1}); {remedy}"
+        ),
+        Rival::SecondSet => format!(
+            "{other} other shadows fit the layout as well, to {other_fit:.2} px, with the pose {angle_deg:.1}° and {shift_mm:.1} mm away; a second set of beads, or a prior that is off?"
+        ),
+    }
+}
+
+impl Refusal {
+    /// Its kind in one word, as in a pose's file.
+    #[must_use]
+    pub fn code(&self) -> String {
+        let value = serde_json::to_value(self).unwrap_or_default();
+        value["code"].as_str().unwrap_or_default().to_owned()
+    }
+}

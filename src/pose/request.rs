@@ -1,0 +1,147 @@
+//! What is asked of a registration.
+
+use glam::DVec3;
+
+use super::record::{BeadResidual, Pose, Prior, Status};
+use super::refusal::{Points, Refusal};
+use super::verdict::check_geometry;
+use crate::beads::{BeadLayout, Correspondence, Expectation, Landmark};
+use crate::geometry::Intrinsics;
+
+/// Everything that is known besides the picture.
+#[derive(Clone, Copy, Debug)]
+pub struct Registration<'a> {
+    /// Columns and rows of the frame.
+    pub size_px: [u32; 2],
+    /// The beads in the specimen.
+    pub layout: &'a BeadLayout,
+    /// K of the frame; `None`: solved, which takes six beads that are not coplanar.
+    pub intrinsics: Option<Intrinsics>,
+    /// Side of a pixel: bounds depths (no bead lies behind the detector) and makes pixels square when K is solved.
+    pub pitch_mm: Option<f64>,
+    /// Where the pose is expected.
+    pub prior: Option<&'a Prior>,
+    /// Whether the prior is also a measurement.
+    pub fuse: bool,
+    /// Whether a match that contradicts the prior's covariance is taken all the same.
+    pub ignore_prior: bool,
+    /// Which shadow is which bead, where a person has said so.
+    pub correspondences: &'a [Correspondence],
+    /// Where uncertainty is wanted.
+    pub landmarks: &'a [Landmark],
+    /// Radius of beads whose description gives none.
+    pub bead_radius_mm: Option<f64>,
+}
+
+impl<'a> Registration<'a> {
+    /// For frames of `size_px`; nothing else is known.
+    #[must_use]
+    pub fn new(size_px: [u32; 2], layout: &'a BeadLayout) -> Self {
+        Self {
+            size_px,
+            layout,
+            intrinsics: None,
+            pitch_mm: None,
+            prior: None,
+            fuse: false,
+            ignore_prior: false,
+            correspondences: &[],
+            landmarks: &[],
+            bead_radius_mm: None,
+        }
+    }
+
+    /// Fewest beads that give a pose.
+    pub(super) fn fewest(&self) -> usize {
+        if self.intrinsics.is_some() { 4 } else { 6 }
+    }
+
+    /// What no picture can make good.
+    pub(super) fn fault(&self) -> Option<Refusal> {
+        if let Some(reason) = &self.layout.refused {
+            return Some(Refusal::Layout { detail: reason.clone() });
+        }
+        let points: Vec<DVec3> = self.layout.beads.iter().map(|bead| bead.lps_mm).collect();
+        if let Err(degenerate) = check_geometry(&points, self.intrinsics.is_some(), Points::Layout) {
+            return Some(degenerate);
+        }
+        if let Some(prior) = self.prior {
+            if let Some(fault) = prior.fault() {
+                return Some(Refusal::Prior { detail: format!("its covariance is unusable: {fault}") });
+            }
+            let depth_mm = prior.camera_from_lps.transform_point(self.layout.centroid_lps_mm()).z;
+            if !(depth_mm > 0.0) {
+                return Some(Refusal::BehindSource { depth_mm });
+            }
+        }
+        if self.fuse && self.prior.is_none() {
+            return Some(Refusal::Prior { detail: "fusing needs a prior".to_owned() });
+        }
+        let unknown = |given: &&Correspondence| !self.layout.beads.iter().any(|bead| bead.name == given.bead);
+        if let Some(unknown) = self.correspondences.iter().find(unknown) {
+            return Some(Refusal::Correspondences { detail: format!("the layout has no bead called {:?}", unknown.bead) });
+        }
+        None
+    }
+
+    /// The answer that there is no pose.
+    pub(super) fn refuse(&self, refusal: &Refusal) -> Pose {
+        let beads = self.layout.beads.iter().map(|bead| BeadResidual {
+            name: bead.name.clone(),
+            body: bead.body.clone(),
+            lps_mm: bead.lps_mm,
+            image_px: None,
+            predicted_px: None,
+            residual_px: None,
+            sigma_px: None,
+            left_out_px: None,
+            used: false,
+            reason: Some("no pose".to_owned()),
+        });
+        Pose {
+            status: Status::Refused,
+            reason: Some(refusal.to_string()),
+            refusal: Some(refusal.clone()),
+            size_px: Some(self.size_px),
+            pitch_mm: self.pitch_mm,
+            intrinsics: self.intrinsics,
+            intrinsics_source: self.intrinsics.map(|_| "given".to_owned()),
+            beads: beads.collect(),
+            notes: self.layout.notes.clone(),
+            version: Some(env!("CARGO_PKG_VERSION").to_owned()),
+            ..Pose::default()
+        }
+    }
+
+    /// Depths at which beads may lie, mm from the source.
+    pub(super) fn depth_range_mm(&self, fx: f64) -> (f64, f64) {
+        match self.pitch_mm {
+            Some(pitch) => (0.2 * fx * pitch, 1.02 * fx * pitch),
+            None => (150.0, 2500.0),
+        }
+    }
+
+    /// Size of the beads' shadows.
+    pub(super) fn expectation(&self) -> Expectation {
+        Expectation { radius_px: self.radius_px() }
+    }
+
+    fn radius_px(&self) -> Option<(f64, f64)> {
+        let fx = self.intrinsics?.fx;
+        let mut radii = Vec::new();
+        for index in 0..self.layout.beads.len() {
+            radii.push(self.layout.radius_mm(index, self.bead_radius_mm)?);
+        }
+        let (near, far) = match self.prior {
+            Some(prior) => {
+                let depth = |p: DVec3| prior.camera_from_lps.transform_point(p).z;
+                let depths: Vec<f64> = self.layout.beads.iter().map(|bead| depth(bead.lps_mm)).collect();
+                let fold = |start: f64, f: fn(f64, f64) -> f64| depths.iter().copied().fold(start, f);
+                ((0.6 * fold(f64::INFINITY, f64::min)).max(100.0), 1.5 * fold(0.0, f64::max))
+            }
+            None => self.depth_range_mm(fx),
+        };
+        let fold = |start: f64, f: fn(f64, f64) -> f64| radii.iter().copied().fold(start, f);
+        Some((fx * fold(f64::INFINITY, f64::min) / far, fx * fold(0.0, f64::max) / near.max(1.0)))
+    }
+}

@@ -1,0 +1,102 @@
+//! The pose of a match: solved from every start there is, freed of beads that do not fit.
+
+use glam::DVec2;
+
+use super::case::Case;
+use super::propose::Candidate;
+use super::search::MISSED;
+use super::solve::{Match, Measured, Options, Solution, solve};
+use super::start;
+
+/// Squared residual (in standard deviations, two degrees of freedom) beyond which a bead is left out.
+const OUTLIER: f64 = 25.0;
+/// From so many beads on, their own residuals say how well they stand, down to a share of the stated variance.
+const AGREEING: usize = 7;
+const SHARPEST: f64 = 0.02;
+/// The lower three quarters of residuals that a pose was fitted to are smaller than all of them.
+const AGREED: f64 = 2.5;
+
+/// A solved match.
+pub(super) struct Settled {
+    pub solution: Solution,
+    pub matches: Vec<Match>,
+    /// Outliers, and how far off they are.
+    pub left_out: Vec<(Match, DVec2)>,
+    pub chi2_per_dof: f64,
+}
+
+impl Settled {
+    /// Matched beads and outliers: all whose shadow is known.
+    pub fn known(&self) -> impl Iterator<Item = &Match> {
+        self.matches.iter().chain(self.left_out.iter().map(|(m, _)| m))
+    }
+
+    /// √mean(dx² + dy²) of the beads that the pose rests on, px.
+    pub fn rms_px(&self) -> f64 {
+        let residuals = &self.solution.residuals_px;
+        (residuals.iter().map(|r| r.length_squared()).sum::<f64>() / residuals.len().max(1) as f64).sqrt()
+    }
+}
+
+impl Case<'_> {
+    /// Solves from every start there is, leaves out beads that do not fit, weighs with what is left.
+    pub fn settle(&self, candidate: &Candidate) -> Option<Settled> {
+        let free = self.free();
+        let fewest = self.request.fewest();
+        let mut matches = candidate.hypothesis.matches.clone();
+        if matches.len() < fewest {
+            return None;
+        }
+        let measured = match (self.request.fuse, self.request.prior) {
+            (true, Some(prior)) => {
+                Some(Measured { camera_from_lps: prior.camera_from_lps, information: self.gate(prior).information })
+            }
+            _ => None,
+        };
+        let options = Options { loss: 3.0, measured, ..Options::least_squares(free) };
+        let starts = [Some(candidate.hypothesis.camera_from_lps), start::opencv(&matches, &candidate.intrinsics)];
+        let total = |s: &Solution| s.chi2.iter().map(|c| c.min(MISSED)).sum::<f64>();
+        let mut best = starts
+            .into_iter()
+            .flatten()
+            .filter_map(|pose| solve(&matches, &pose, &candidate.intrinsics, &options))
+            .min_by(|a, b| total(a).total_cmp(&total(b)))?;
+        let mut left_out = Vec::new();
+        loop {
+            // The scale of what fits: the lower three quarters of the residuals, so that one bead does not excuse itself. Where many agree
+            // far better than the layout's stated uncertainty, that uncertainty excuses nobody either.
+            let mut sorted = best.chi2.clone();
+            sorted.sort_by(f64::total_cmp);
+            let kept = (3 * sorted.len()).div_ceil(4);
+            let mean = sorted[..kept].iter().sum::<f64>() / kept as f64;
+            let least = if matches.len() >= AGREEING { (AGREED * mean).clamp(SHARPEST, 1.0) } else { 1.0 };
+            let scale = mean.max(least);
+            let (worst, chi2) = best.chi2.iter().copied().enumerate().max_by(|a, b| a.1.total_cmp(&b.1))?;
+            if !(chi2 > OUTLIER * scale) || matches.len() <= fewest {
+                break;
+            }
+            left_out.push((matches.remove(worst), best.residuals_px[worst]));
+            best = solve(&matches, &best.camera_from_lps, &best.intrinsics, &options)?;
+        }
+        let plain = Options { loss: f64::INFINITY, ..options };
+        let first = solve(&matches, &best.camera_from_lps, &best.intrinsics, &plain)?;
+        let dof = (2 * matches.len()).saturating_sub(6 + free.count()).max(1) as f64;
+        let chi2_per_dof = first.chi2.iter().sum::<f64>() / dof;
+        // Beads that fit better than their stated uncertainty are better than it: weigh them so, but do not claim it.
+        let share = chi2_per_dof.sqrt().clamp(0.1, 1.0);
+        let solution = if share < 0.8 && dof >= 4.0 {
+            let sharper = Options { sigma_mm_share: share, ..plain };
+            solve(&matches, &first.camera_from_lps, &first.intrinsics, &sharper).unwrap_or(first)
+        } else {
+            first
+        };
+        let left_out = left_out
+            .into_iter()
+            .map(|(m, _)| {
+                let off = m.image_px - solution.intrinsics.project(solution.camera_from_lps.transform_point(m.lps_mm));
+                (m, off)
+            })
+            .collect();
+        Some(Settled { solution, matches, left_out, chi2_per_dof })
+    }
+}

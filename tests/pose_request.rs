@@ -1,0 +1,116 @@
+//! What a person may say about a registration, and what a refusal says back.
+
+use std::process::Command;
+
+use glam::{DVec2, DVec3};
+use sidecarm::acquire::{Domain, Frame};
+use sidecarm::beads::{BeadLayout, Correspondence};
+use sidecarm::geometry::View;
+use sidecarm::image::write_tiff_f32;
+use sidecarm::pose::{Pose, Prior, Refusal, Registration, Rival, Status, register, register_shadows};
+
+use crate::pose_registration::{landmark_error_px, matching, shadows};
+use crate::pose_synthetic as synthetic;
+
+/// A box looks the same after half a turn about each of its axes.
+fn symmetric() -> BeadLayout {
+    let corner = |n: i32| DVec3::new(f64::from(n & 1) * 70.0, f64::from(n >> 1 & 1) * 50.0, f64::from(n >> 2) * 40.0);
+    let places: Vec<DVec3> = (0..8).map(|n| corner(n) - DVec3::new(35.0, 25.0, 20.0)).collect();
+    synthetic::layout_of(&places, 0.75)
+}
+
+fn marks(view: &View, layout: &BeadLayout, pairs: &[(usize, usize)]) -> Vec<Correspondence> {
+    let place = |bead: usize| view.projection().project(layout.beads[bead].lps_mm).0 + DVec2::new(1.5, -1.0);
+    pairs.iter().map(|(named, at)| Correspondence { bead: layout.beads[*named].name.clone(), image_px: place(*at) }).collect()
+}
+
+#[test]
+fn named_shadows_settle_what_a_symmetric_layout_leaves_open() {
+    let layout = symmetric();
+    let view = synthetic::view(620, 480, 8);
+    let found = shadows(&view, &layout, 0.1, 0.0, 2);
+    let alone = register_shadows(&matching(&view, &layout), &found);
+    assert!(matches!(alone.refusal, Some(Refusal::Ambiguous { rival: Rival::OtherNames, .. })), "{:?}", alone.reason);
+
+    let right = marks(&view, &layout, &[(0, 0), (1, 1), (2, 2)]);
+    let named = register_shadows(&Registration { correspondences: &right, ..matching(&view, &layout) }, &found);
+    assert!(named.is_accepted() && landmark_error_px(&named, &view) < 1.0, "{:?}", named.reason);
+
+    // Two names exchanged: no rigid box has its corners so.
+    let wrong = marks(&view, &layout, &[(0, 1), (1, 0), (2, 2)]);
+    let named = register_shadows(&Registration { correspondences: &wrong, ..matching(&view, &layout) }, &found);
+    assert_eq!(named.status, Status::Refused);
+
+    let nowhere = [Correspondence { bead: layout.beads[0].name.clone(), image_px: DVec2::new(1.0, 1.0) }];
+    let unknown = [Correspondence { bead: "nobody".to_owned(), image_px: found[0].image_px }];
+    let twice = marks(&view, &layout, &[(0, 0), (0, 1)]);
+    for bad in [&nowhere[..], &unknown, &twice] {
+        let pose = register_shadows(&Registration { correspondences: bad, ..matching(&view, &layout) }, &found);
+        assert!(matches!(pose.refusal, Some(Refusal::Correspondences { .. })), "{:?}", pose.reason);
+    }
+}
+
+#[test]
+fn a_prior_that_contradicts_is_ignored_only_when_told() {
+    let (view, layout) = (synthetic::view(1024, 1024, 3), synthetic::layout(9, 0.75, 3));
+    let found = shadows(&view, &layout, 0.1, 0.05, 3);
+    let mut covariance = [[0.0; 6]; 6];
+    (0..6).for_each(|n| covariance[n][n] = if n < 3 { 1e-6 } else { 1e-2 });
+    let off = sidecarm::geometry::Rigid::translation(DVec3::new(0.0, 0.0, 60.0)) * view.camera_from_lps;
+    let prior = Prior { camera_from_lps: off, covariance: Some(covariance) };
+    let strict = register_shadows(&Registration { prior: Some(&prior), ..matching(&view, &layout) }, &found);
+    assert!(matches!(strict.refusal, Some(Refusal::PriorContradicted { .. })), "{:?}", strict.reason);
+    let told = Registration { prior: Some(&prior), ignore_prior: true, ..matching(&view, &layout) };
+    let pose = register_shadows(&told, &found);
+    assert!(pose.is_accepted() && landmark_error_px(&pose, &view) < 1.0, "{:?}", pose.reason);
+    assert!(pose.cautions.iter().any(|caution| caution.contains("check the prior")), "{:?}", pose.cautions);
+    let unknown = register_shadows(&matching(&view, &layout), &found);
+    assert!(unknown.is_accepted() && unknown.cautions.is_empty(), "the control: {:?}", unknown.cautions);
+}
+
+/// A refused frame says what it saw, in its file and in its picture.
+#[test]
+fn a_refusal_says_what_was_expected_and_what_was_found() {
+    let (view, layout) = (synthetic::view(620, 480, 3), synthetic::layout(9, 1.5, 3));
+    let pixels = synthetic::radiograph(view, &layout, 20000.0, 3).draw();
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let path = |name: &str| folder.path().join(name).to_str().expect("UTF-8").to_owned();
+    write_tiff_f32(std::path::Path::new(&path("frame.tif")), std::slice::from_ref(&pixels)).expect("written");
+    let other = synthetic::layout(9, 1.5, 77);
+    let points: Vec<_> = other
+        .beads
+        .iter()
+        .map(|bead| serde_json::json!({"label": bead.name, "position": bead.lps_mm.to_array(), "description": "radius_mm=1.5"}))
+        .collect();
+    let markups = serde_json::json!({"markups": [{"type": "Fiducial", "coordinateSystem": "LPS", "coordinateUnits": "mm", "controlPoints": points}]});
+    std::fs::write(path("beads.mrk.json"), markups.to_string()).expect("written");
+    let k = view.intrinsics;
+    let file = serde_json::json!({"intrinsics": [[k.fx, 0, k.cx], [0, k.fy, k.cy], [0, 0, 1]], "size_px": [620, 480]});
+    std::fs::write(path("K.json"), file.to_string()).expect("written");
+    let run = Command::new(env!("CARGO_BIN_EXE_sidecarm"))
+        .args(["register", &path("frame.tif"), "--domain", "linear", "--beads", &path("beads.mrk.json")])
+        .args(["--intrinsics", &path("K.json"), "--out", &path("POSE.json"), "--overlay", &path("seen.png"), "--explain"])
+        .output()
+        .expect("runs");
+    let words = String::from_utf8_lossy(&run.stdout).into_owned() + &String::from_utf8_lossy(&run.stderr);
+    assert_eq!(run.status.code(), Some(1), "{words}");
+    assert!(words.contains("belongs to no bead"), "{words}");
+
+    let text = std::fs::read_to_string(path("POSE.json")).expect("written");
+    let pose: Pose = serde_json::from_str(&text).expect("reads what it writes");
+    let refusal = pose.refusal.clone().expect("a refusal in parts");
+    assert_eq!(pose.reason.as_deref(), Some(refusal.to_string().as_str()));
+    assert!(text.contains(&format!("\"code\": \"{}\"", refusal.code())) && refusal.to_string().starts_with(&refusal.code()));
+    // Every bead of the frame is among the shadows, and has a ring in the picture.
+    let picture = image::open(path("seen.png")).expect("a picture").to_rgb8();
+    let grey = |at: DVec2| picture.get_pixel(at.x.round() as u32, at.y.round() as u32).0;
+    for bead in &layout.beads {
+        let at = view.projection().project(bead.lps_mm).0;
+        let near = |shadow: &&sidecarm::pose::Shadow| DVec2::from_array(shadow.image_px).distance(at) < 1.0;
+        let shadow = pose.shadows.iter().find(near).unwrap_or_else(|| panic!("{} is not among the shadows", bead.name));
+        let rim = DVec2::from_array(shadow.image_px) + DVec2::new(shadow.radius_px + 4.0, 0.0);
+        assert!(grey(rim).iter().all(|value| *value > 150), "{:?} around {}", grey(rim), bead.name);
+    }
+    let frame = Frame::from_pixels("drawn", pixels, Domain::Linear).expect("finite");
+    assert!(register(&matching(&view, &layout), &frame).is_accepted(), "the control");
+}

@@ -35,6 +35,9 @@ pub struct RegisterArgs {
     /// Take a match that contradicts the prior's covariance all the same, with a word
     #[arg(long, requires = "prior", conflicts_with = "fuse")]
     pub ignore_prior: bool,
+    /// Take the beads of several bodies as one rigid specimen: a frame in which one has moved is refused
+    #[arg(long)]
+    pub one_body: bool,
     /// Which shadow is which bead, where you know it: {"correspondences": [{"bead": "B1", "image_px": [310.5, 200]}, …]}
     #[arg(long, value_name = "FILE.json")]
     pub correspondences: Option<PathBuf>,
@@ -154,6 +157,7 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
         prior: prior.as_ref(),
         fuse: args.fuse,
         ignore_prior: args.ignore_prior,
+        one_body: args.one_body,
         correspondences: &correspondences,
         landmarks: &landmarks,
         bead_radius_mm: args.bead_radius,

@@ -38,7 +38,7 @@ impl Case<'_> {
             }
         }
         if bodies.len() > 1 {
-            notes.push("beads of several bodies are taken as one rigid specimen".to_owned());
+            notes.push("beads of several bodies agree as one rigid specimen".to_owned());
         }
         let solved = self.request.intrinsics.is_none();
         let shadow = |(n, detection): (usize, &Detection)| {

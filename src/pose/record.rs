@@ -121,7 +121,7 @@ impl Shadow {
 pub struct BodyPose {
     /// Its name.
     pub name: String,
-    /// Identity: bodies are not solved apart, all beads count as one rigid specimen.
+    /// Where the body is now; identity for the one that the camera is solved from, and where nothing has moved since the scan.
     pub lps_from_body: Rigid,
     /// Beads it has.
     pub beads: usize,
@@ -220,6 +220,30 @@ impl Pose {
     #[must_use]
     pub fn refused_for(self, refusal: Refusal) -> Self {
         Self { status: Status::Refused, reason: Some(refusal.to_string()), refusal: Some(refusal), ..self }
+    }
+
+    /// An accepted pose, refused after all: what was found stays, what must not be used goes.
+    pub(super) fn without_pose(self, refusal: Refusal) -> Self {
+        let Self { size_px, pitch_mm, intrinsics, intrinsics_source, beads, detections, shadows, notes, version, .. } = self;
+        let beads = beads.into_iter().map(|bead| BeadResidual { used: false, ..bead }).collect();
+        let kept = Self {
+            size_px,
+            pitch_mm,
+            intrinsics,
+            intrinsics_source,
+            beads,
+            detections,
+            shadows,
+            notes,
+            version,
+            ..Self::default()
+        };
+        kept.refused_for(refusal)
+    }
+
+    /// With the shadows that another pose of the same frame has.
+    pub(super) fn with_shadows_of(self, other: &Self) -> Self {
+        Self { shadows: other.shadows.clone(), detections: other.detections, ..self }
     }
 
     /// Whether the pose may be used.

@@ -123,6 +123,16 @@ pub enum Refusal {
         "mirrored: {mirrored} beads fit the frame's mirror image to {rms_px:.2} px, {matched} the frame itself; un-mirror it at the console, or state the console's geometry in the session"
     )]
     Mirrored { mirrored: usize, rms_px: f64, matched: usize },
+    /// A body has moved, and the request takes all as one.
+    #[error(
+        "bodies: {body} has moved against {reference} since the scan, by {angle_deg:.2}° and {shift_mm:.2} mm, and both are to be one rigid specimen; leave --one-body out, or register on the beads of one body"
+    )]
+    Bodies { body: String, reference: String, angle_deg: f64, shift_mm: f64 },
+    /// A body's beads do not fit the others, and are too few for a pose of their own.
+    #[error(
+        "bodies: {left_out} of {seen} beads of {body} do not fit the pose of the others: it has moved since the scan, and {seen} beads are too few to say where to; register on the beads of one body"
+    )]
+    BodySplit { body: String, left_out: usize, seen: usize },
     /// K is solved, and the focal length is not determined.
     #[error(
         "focal_degenerate: the focal length is {focal_px:.0} ± {sigma_px:.0} px: beads of so little depth do not determine it; give --intrinsics"

@@ -1,5 +1,6 @@
 //! From a frame and a layout to a pose, or to the reason why there is none.
 
+use super::bodies;
 use super::case::Case;
 use super::record::{Pose, Prior};
 use super::refusal::Refusal;
@@ -59,10 +60,14 @@ pub fn register_shadows(request: &Registration, detections: &[Detection]) -> Pos
 fn attempt(request: &Registration, detections: &[Detection], probe: Option<Probe>) -> Pose {
     let detections: Vec<Detection> =
         detections.iter().filter(|d| d.image_px.is_finite() && d.sigma_px.is_finite()).take(MOST_DETECTIONS).copied().collect();
-    match Case::new(request, &detections, probe) {
-        Ok(case) => case.run(),
-        Err(refusal) => request.refuse(&refusal),
-    }
+    let one = |request: &Registration, detections: &[Detection]| match request.fault() {
+        Some(fault) => request.refuse(&fault),
+        None => match Case::new(request, detections, probe) {
+            Ok(case) => case.run(),
+            Err(refusal) => request.refuse(&refusal),
+        },
+    };
+    bodies::apart(request, &detections, one(request, &detections), &one)
 }
 
 impl Case<'_> {

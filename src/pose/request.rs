@@ -5,7 +5,7 @@ use glam::DVec3;
 use super::record::{BeadResidual, Pose, Prior, Status};
 use super::refusal::{Points, Refusal};
 use super::verdict::check_geometry;
-use crate::beads::{BeadLayout, Correspondence, Expectation, Landmark};
+use crate::beads::{Bead, BeadLayout, Correspondence, Expectation, Landmark};
 use crate::geometry::Intrinsics;
 
 /// Everything that is known besides the picture.
@@ -25,6 +25,8 @@ pub struct Registration<'a> {
     pub fuse: bool,
     /// Whether a match that contradicts the prior's covariance is taken all the same.
     pub ignore_prior: bool,
+    /// Whether beads of several bodies are one rigid specimen; a frame in which one has moved is then refused.
+    pub one_body: bool,
     /// Which shadow is which bead, where a person has said so.
     pub correspondences: &'a [Correspondence],
     /// Where uncertainty is wanted.
@@ -45,6 +47,7 @@ impl<'a> Registration<'a> {
             prior: None,
             fuse: false,
             ignore_prior: false,
+            one_body: false,
             correspondences: &[],
             landmarks: &[],
             bead_radius_mm: None,
@@ -84,9 +87,9 @@ impl<'a> Registration<'a> {
         None
     }
 
-    /// The answer that there is no pose.
-    pub(super) fn refuse(&self, refusal: &Refusal) -> Pose {
-        let beads = self.layout.beads.iter().map(|bead| BeadResidual {
+    /// A bead that has no part in a pose.
+    pub(super) fn row(&self, bead: &Bead, reason: &str) -> BeadResidual {
+        BeadResidual {
             name: bead.name.clone(),
             body: bead.body.clone(),
             lps_mm: bead.lps_mm,
@@ -96,8 +99,13 @@ impl<'a> Registration<'a> {
             sigma_px: None,
             left_out_px: None,
             used: false,
-            reason: Some("no pose".to_owned()),
-        });
+            reason: Some(reason.to_owned()),
+        }
+    }
+
+    /// The answer that there is no pose.
+    pub(super) fn refuse(&self, refusal: &Refusal) -> Pose {
+        let beads = self.layout.beads.iter().map(|bead| self.row(bead, "no pose"));
         Pose {
             status: Status::Refused,
             reason: Some(refusal.to_string()),

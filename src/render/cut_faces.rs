@@ -15,8 +15,8 @@ const BLOCK: usize = 16;
 /// A face before a camera.
 struct Seen<'a> {
     face: &'a CutFace,
-    /// Where the face is, in `cell` coordinates along its axis.
-    plane: f64,
+    /// Where the face is, in `cell` coordinates along its axis, and how far tissue may go on beyond it.
+    plane: [f64; 2],
     /// The focal spot in `cell` coordinates.
     p: DVec3,
     cell_from_camera: glam::DMat3,
@@ -45,12 +45,13 @@ impl Seen<'_> {
         let (low, high) = q.iter().fold((q[0], q[0]), |(low, high), q| (low.min(*q), high.max(*q)));
         let axis = self.face.axis;
         let beyond = |q: f64| self.face.beyond(self.plane, self.p[axis], q, 0.0, self.detector_mm);
-        // A ray's stretch grows with its slope away from the face: the steepest two hold those of all between.
-        let Some((from, to)) =
-            [beyond(low[axis]), beyond(high[axis])].into_iter().flatten().reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
-        else {
+        // The stretches of the rays between lie between those of the two that leave the face fastest and slowest; where some go one way
+        // and some the other, those that run along the face have stretches as late as there are.
+        let stretches = [beyond(low[axis]), beyond(high[axis])];
+        let Some((from, to)) = stretches.into_iter().flatten().reduce(|a, b| (a.0.min(b.0), a.1.max(b.1))) else {
             return false;
         };
+        let to = if low[axis] < 0.0 && high[axis] > 0.0 { self.detector_mm } else { to };
         let (a, low, high) = (self.flat(self.p), self.flat(low), self.flat(high));
         let least = (a + low * from).min(a + low * to);
         let most = (a + high * from).max(a + high * to);
@@ -68,7 +69,10 @@ pub fn mark(prepared: &Prepared, valid: &mut [u8]) -> f32 {
         .flat_map(|seen| {
             seen.cells.cut_faces(seen.air_kind).iter().map(|face| Seen {
                 face,
-                plane: if face.high { seen.volume.size[face.axis] as f64 + 0.5 } else { 0.5 },
+                plane: [
+                    if face.high { seen.volume.size[face.axis] as f64 + 0.5 } else { 0.5 },
+                    seen.volume.beyond_face_mm(face.axis) / seen.volume.lps_from_voxel.matrix3.col(face.axis).length(),
+                ],
                 p: seen.cell_from_camera.translation,
                 cell_from_camera: seen.cell_from_camera.matrix3,
                 detector_mm: prepared.detector_mm,

@@ -57,19 +57,17 @@ impl CutFace {
         (bounds[0][0] < bounds[1][0]).then_some(Self { axis, high, size, sums, bounds })
     }
 
-    /// Depths at which a ray p + q·t is beyond the face, within [`from`, `to`].
+    /// Depths within [`from`, `to`] at which a ray p + q·t is beyond the face at `plane`, at most `reach` from it.
     #[must_use]
-    pub fn beyond(&self, plane: f64, p: f64, q: f64, from: f64, to: f64) -> Option<(f64, f64)> {
-        // Distance beyond the face: d0 + t·rate.
+    pub fn beyond(&self, [plane, reach]: [f64; 2], p: f64, q: f64, from: f64, to: f64) -> Option<(f64, f64)> {
+        // Distance beyond the face: distance + t·rate.
         let sign = if self.high { 1.0 } else { -1.0 };
-        let (d0, rate) = (sign * (p - plane), sign * q);
-        let crossing = -d0 / rate;
-        let (low, high) = match rate {
-            rate if rate > 0.0 => (from.max(crossing), to),
-            rate if rate < 0.0 => (from, to.min(crossing)),
-            _ if d0 > 0.0 => (from, to),
-            _ => return None,
-        };
+        let (distance, rate) = (sign * (p - plane), sign * q);
+        if rate == 0.0 {
+            return (distance > 0.0 && distance <= reach).then_some((from, to));
+        }
+        let (a, b) = (-distance / rate, (reach - distance) / rate);
+        let (low, high) = (from.max(a.min(b)), to.min(a.max(b)));
         (low < high).then_some((low, high))
     }
 
@@ -108,7 +106,9 @@ impl CutFace {
     pub fn over_bounds(&self, a: DVec2, d: DVec2, from: f64, to: f64) -> Option<(f64, f64)> {
         let (mut low, mut high) = (from, to);
         for n in 0..2 {
-            let (x0, x1) = (self.bounds[0][n] as f64, self.bounds[1][n] as f64);
+            // Matter ends half a cell before the layer does.
+            let x0 = (self.bounds[0][n] as f64).max(0.5);
+            let x1 = (self.bounds[1][n] as f64).min(self.size[n] as f64 - 0.5);
             if d[n] == 0.0 {
                 if !(a[n] >= x0 && a[n] <= x1) {
                     return None;

@@ -112,7 +112,21 @@ impl Scene {
     }
 }
 
+/// The largest body, mm: across, and along the patient's axis.
+const BODY_MM: (f64, f64) = (600.0, 2000.0);
+/// Tissue goes on beyond a face so far, at least.
+const BEYOND_MM: f64 = 50.0;
+
 impl Volume {
+    /// How far tissue that reaches a face across `axis` may go on beyond it, mm: what the largest body has besides the grid.
+    #[must_use]
+    pub fn beyond_face_mm(&self, axis: usize) -> f64 {
+        let step = self.lps_from_voxel.matrix3.col(axis);
+        let along = step.z.abs() > std::f64::consts::FRAC_1_SQRT_2 * step.length();
+        let body_mm = if along { BODY_MM.1 } else { BODY_MM.0 };
+        (body_mm - step.length() * self.size[axis] as f64).max(BEYOND_MM)
+    }
+
     /// Index of voxel (i, j, k) in the arrays.
     #[must_use]
     pub fn index(&self, i: usize, j: usize, k: usize) -> usize {

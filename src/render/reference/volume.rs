@@ -100,11 +100,15 @@ impl<'a> Grid<'a> {
     fn beyond(&self, axis: usize, high: bool, origin: DVec3, direction: DVec3, end_mm: f64) -> Vec<Piece> {
         let last = self.volume.size[axis] - 1;
         let (plane, border) = if high { (last as f64 + 0.5, last) } else { (-0.5, 0) };
+        let away = if high { 1.0 } else { -1.0 };
+        let step_mm = self.volume.lps_from_voxel.matrix3.col(axis).length();
+        let end = plane + away * self.volume.beyond_face_mm(axis) / step_mm;
         let is_beyond = |t: f64| {
             let x = origin[axis] + direction[axis] * t;
-            if high { x > plane } else { x < plane }
+            away * (x - plane) > 0.0 && away * (x - end) <= 0.0
         };
-        let mut depths = vec![0.0, end_mm, (plane - origin[axis]) / direction[axis]];
+        let mut depths = vec![0.0, end_mm];
+        depths.extend([plane, end].map(|place| (place - origin[axis]) / direction[axis]));
         for other in (0..3).filter(|other| *other != axis) {
             let end = self.volume.size[other] as f64 - 0.5;
             let centres = (0..self.volume.size[other]).map(|n| n as f64);

@@ -1,0 +1,173 @@
+//! Beads on several rigid parts: each body's own pose, and whether it has moved against the others since the scan.
+//!
+//! The camera is that of the body with most beads. A body's place is lps_from_body = camera_from_lps⁻¹ · camera_from_body, where
+//! camera_from_body is the pose that its own beads give. It has moved when that differs from the identity by more than both poses'
+//! covariances allow (χ² with six degrees of freedom).
+
+use nalgebra::{Matrix6, Vector6};
+
+use super::record::{BodyPose, Pose, Prior};
+use super::refusal::Refusal;
+use super::request::Registration;
+use super::solve::{about, deviation};
+use crate::beads::{BeadLayout, Correspondence, Detection};
+use crate::geometry::Rigid;
+
+/// Fewest beads from which a body's place is solved.
+const FEWEST: usize = 4;
+/// Squared deviation, in standard deviations, beyond which a body has moved: one in 10⁵ by accident.
+const MOVED: f64 = 33.0;
+/// Smaller motions are within what a scan and a few beads can tell, whatever their covariance says: degrees, mm.
+const LEAST_MOTION: (f64, f64) = (0.15, 0.3);
+/// A shadow closer than this to one that is taken is that one, px.
+const SAME_PX: f64 = 0.5;
+
+/// Registers a layout without regard to bodies.
+type Register<'f> = &'f dyn Fn(&Registration, &[Detection]) -> Pose;
+
+/// A body with a pose of its own.
+struct Apart {
+    name: String,
+    pose: Pose,
+    lps_from_body: Rigid,
+    angle_deg: f64,
+    shift_mm: f64,
+    moved: bool,
+}
+
+/// Names of the layout's bodies, the one with most beads first.
+fn names(layout: &BeadLayout) -> Vec<String> {
+    let mut names: Vec<(String, usize)> = Vec::new();
+    for bead in &layout.beads {
+        match names.iter_mut().find(|(name, _)| *name == bead.body) {
+            Some((_, count)) => *count += 1,
+            None => names.push((bead.body.clone(), 1)),
+        }
+    }
+    // Stable: of bodies with as many beads the first named comes first.
+    names.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
+    names.into_iter().map(|(name, _)| name).collect()
+}
+
+fn layout_of(layout: &BeadLayout, body: &str) -> BeadLayout {
+    let beads = layout.beads.iter().filter(|bead| bead.body == body).cloned().collect();
+    BeadLayout { beads, ..layout.clone() }
+}
+
+/// `one` is the pose of all beads taken as one rigid specimen. Gives it back where no body has moved, the camera and each body's place
+/// where one has, and a refusal where one has and the request takes them as one all the same.
+pub(super) fn apart(request: &Registration, detections: &[Detection], one: Pose, register: Register) -> Pose {
+    let names = names(request.layout);
+    let [reference, others @ ..] = names.as_slice() else { return one };
+    if others.is_empty() {
+        return one;
+    }
+    let alone = |body: &str, changed: Registration, detections: &[Detection]| {
+        let layout = layout_of(request.layout, body);
+        let known = |given: &&Correspondence| layout.beads.iter().any(|bead| bead.name == given.bead);
+        let correspondences: Vec<Correspondence> = changed.correspondences.iter().filter(known).cloned().collect();
+        register(&Registration { layout: &layout, correspondences: &correspondences, ..changed }, detections)
+    };
+    let first = alone(reference, *request, detections);
+    let Some((intrinsics, camera_from_lps)) = first.camera() else { return one };
+    let prior = Prior { camera_from_lps, covariance: None };
+    let mut left: Vec<Detection> = without(detections, &first);
+    let mut bodies: Vec<Apart> = Vec::new();
+    for name in others {
+        let known =
+            Registration { intrinsics: Some(intrinsics), prior: Some(&prior), fuse: false, ignore_prior: false, ..*request };
+        if layout_of(request.layout, name).beads.len() < FEWEST {
+            continue;
+        }
+        let pose = alone(name, known, &left);
+        left = without(&left, &pose);
+        bodies.extend(motion(name, &first, pose));
+    }
+    let Some(moved) = bodies.iter().filter(|body| body.moved).max_by(|a, b| a.angle_deg.total_cmp(&b.angle_deg)) else {
+        return split(one, others);
+    };
+    if request.one_body {
+        let (angle_deg, shift_mm) = (moved.angle_deg, moved.shift_mm);
+        let refusal = Refusal::Bodies { body: moved.name.clone(), reference: reference.clone(), angle_deg, shift_mm };
+        return request.refuse(&refusal).with_shadows_of(&one);
+    }
+    together(request, first, &bodies, reference)
+}
+
+/// Shadows that the beads of a pose do not take.
+fn without(detections: &[Detection], pose: &Pose) -> Vec<Detection> {
+    let taken = |d: &Detection| {
+        let near = |at: [f64; 2]| d.image_px.distance(at.into()) < SAME_PX;
+        pose.shadows.iter().any(|shadow| shadow.bead.is_some() && near(shadow.image_px))
+    };
+    detections.iter().filter(|d| !taken(d)).copied().collect()
+}
+
+fn motion(name: &str, first: &Pose, pose: Pose) -> Option<Apart> {
+    let (reference, own) = (first.camera_from_lps?, pose.camera().map(|(_, own)| own)?);
+    let lps_from_body = reference.inverse() * own;
+    let centre_lps = pose.centroid_lps_mm?;
+    let centre = own.transform_point(centre_lps);
+    // Both covariances, of what each pose says of the place of the body's beads.
+    let matrix = |rows: [[f64; 6]; 6]| Matrix6::from_fn(|i, j| rows[i][j]);
+    let shift = about(centre);
+    let covariance = shift * (matrix(first.covariance?) + matrix(pose.covariance?)) * shift.transpose();
+    let xi: Vector6<f64> = shift * deviation(&own, &reference);
+    let angle_deg = lps_from_body.angle_to_rad(&Rigid::IDENTITY).to_degrees();
+    let shift_mm = lps_from_body.transform_point(centre_lps).distance(centre_lps);
+    let chi2 = (xi.transpose() * covariance.try_inverse()? * xi)[(0, 0)];
+    let moved = chi2 > MOVED && (angle_deg > LEAST_MOTION.0 || shift_mm > LEAST_MOTION.1);
+    Some(Apart { name: name.to_owned(), pose, lps_from_body, angle_deg, shift_mm, moved })
+}
+
+/// A pose of all beads from which most of one body's are left out does not hold for that body.
+fn split(one: Pose, others: &[String]) -> Pose {
+    if !one.is_accepted() {
+        return one;
+    }
+    let off = |body: &String| {
+        let of_body = || one.beads.iter().filter(|bead| bead.body == *body && bead.image_px.is_some());
+        let (seen, left_out) = (of_body().count(), of_body().filter(|bead| !bead.used).count());
+        (left_out >= 2 && 2 * left_out >= seen).then(|| Refusal::BodySplit { body: body.clone(), left_out, seen })
+    };
+    match others.iter().find_map(off) {
+        Some(refusal) => one.without_pose(refusal),
+        None => one,
+    }
+}
+
+/// The camera by the first body, each bead's residual by its own body's place.
+fn together(request: &Registration, first: Pose, bodies: &[Apart], reference: &str) -> Pose {
+    let mut pose = first;
+    let all = &request.layout.beads;
+    let count = |body: &str| all.iter().filter(|bead| bead.body == body).count();
+    let mut beads = std::mem::take(&mut pose.beads);
+    for body in bodies {
+        beads.extend(body.pose.beads.iter().cloned());
+        pose.bodies.push(BodyPose {
+            name: body.name.clone(),
+            lps_from_body: body.lps_from_body,
+            beads: count(&body.name),
+            used: body.pose.beads.iter().filter(|bead| bead.used).count(),
+        });
+        for shadow in body.pose.shadows.iter().filter(|shadow| shadow.bead.is_some()) {
+            if let Some(known) = pose.shadows.iter_mut().find(|known| known.image_px == shadow.image_px) {
+                known.bead.clone_from(&shadow.bead);
+            }
+        }
+        if body.moved {
+            pose.cautions.push(format!(
+                "{} has moved against {reference} since the scan, by {:.2}° and {:.2} mm: the DRR shows it as scanned",
+                body.name, body.angle_deg, body.shift_mm
+            ));
+        }
+    }
+    pose.beads = all
+        .iter()
+        .map(|bead| {
+            let solved = beads.iter().find(|row| row.name == bead.name).cloned();
+            solved.unwrap_or_else(|| request.row(bead, "its body has too few beads seen for a pose of its own"))
+        })
+        .collect();
+    pose
+}

@@ -1,0 +1,130 @@
+//! Beads on two rigid parts, one of which has moved against the other since the scan.
+
+use glam::DVec3;
+use sidecarm::beads::{BeadLayout, Detection};
+use sidecarm::geometry::{Rigid, View};
+use sidecarm::pose::{Pose, Refusal, Registration, register_shadows};
+use sidecarm::random::{Purpose, Stream};
+
+use crate::pose_registration::{matching, shadows};
+use crate::pose_synthetic as synthetic;
+
+/// `count` beads on the pelvis, `femur` ones beside it, within the view.
+fn two(count: usize, femur: usize, seed: u64) -> BeadLayout {
+    let mut layout = synthetic::layout(count, 0.75, seed);
+    let mut random = Stream::new(seed, 41, 0, Purpose::Evaluation);
+    let mut places: Vec<DVec3> = Vec::new();
+    while places.len() < femur {
+        let mut side = |mm: f64| (random.uniform() - 0.5) * mm;
+        let place = DVec3::new(side(60.0), side(60.0), side(80.0)) + DVec3::new(30.0, 30.0, 0.0);
+        let apart = |other: &DVec3| other.distance(place) > 15.0;
+        if places.iter().all(apart) && layout.beads.iter().all(|bead| apart(&bead.lps_mm)) {
+            places.push(place);
+        }
+    }
+    layout.beads.iter_mut().for_each(|bead| bead.body = "pelvis".to_owned());
+    for (n, bead) in synthetic::layout_of(&places, 0.75).beads.into_iter().enumerate() {
+        layout.beads.push(sidecarm::beads::Bead { name: format!("f{n}"), body: "femur".to_owned(), ..bead });
+    }
+    layout.beads.iter_mut().for_each(|bead| bead.sigma_mm = Some(0.02));
+    layout
+}
+
+/// Turns by `angle_deg` about the femur's beads and shifts, both in directions of `seed`.
+fn motion(layout: &BeadLayout, angle_deg: f64, shift_mm: f64, seed: u64) -> Rigid {
+    let mut random = Stream::new(seed, 42, 0, Purpose::Evaluation);
+    let mut direction = || DVec3::new(random.normal(), random.normal(), random.normal()).normalize();
+    let femur: Vec<DVec3> = layout.beads.iter().filter(|bead| bead.body == "femur").map(|bead| bead.lps_mm).collect();
+    let centre = femur.iter().sum::<DVec3>() / femur.len() as f64;
+    let turn = Rigid::exp(direction() * angle_deg.to_radians(), DVec3::ZERO);
+    Rigid::translation(centre + direction() * shift_mm) * turn * Rigid::translation(-centre)
+}
+
+fn seen(view: &View, layout: &BeadLayout, lps_from_femur: &Rigid, seed: u64) -> Vec<Detection> {
+    let mut now = layout.clone();
+    for bead in now.beads.iter_mut().filter(|bead| bead.body == "femur") {
+        bead.lps_mm = lps_from_femur.transform_point(bead.lps_mm);
+    }
+    shadows(view, &now, 0.05, 0.0, seed)
+}
+
+fn code(pose: &Pose) -> String {
+    pose.refusal.as_ref().map(Refusal::code).unwrap_or_default()
+}
+
+#[test]
+fn a_femur_that_turned_against_the_pelvis_is_found_where_it_is() {
+    let mut cases = 0;
+    for seed in 0..12 {
+        let (view, layout) = (synthetic::view(1024, 1024, seed), two(9, 7, seed));
+        let truth = motion(&layout, 3.0, 4.0, seed);
+        let found = seen(&view, &layout, &truth, seed);
+        if found.len() < 15 {
+            continue;
+        }
+        let pose = register_shadows(&matching(&view, &layout), &found);
+        assert!(pose.is_accepted(), "seed {seed}: {:?}", pose.reason);
+        let camera_from_lps = pose.camera_from_lps.expect("accepted");
+        let femur = pose.bodies.iter().find(|body| body.name == "femur").expect("a body");
+        assert_eq!((pose.bodies.len(), femur.beads), (2, 7));
+        let centre = layout.beads.iter().filter(|bead| bead.body == "femur").map(|bead| bead.lps_mm).sum::<DVec3>() / 7.0;
+        for (name, found, truth, at) in [
+            ("pelvis", camera_from_lps, view.camera_from_lps, DVec3::ZERO),
+            ("femur", camera_from_lps * femur.lps_from_body, view.camera_from_lps * truth, centre),
+        ] {
+            let off = found.transform_point(at) - truth.transform_point(at);
+            let angle_deg = found.angle_to_rad(&truth).to_degrees();
+            assert!(angle_deg <= 0.1 && off.truncate().length() <= 0.1, "seed {seed}, {name}: {angle_deg}°, {off} mm");
+        }
+        assert!(pose.cautions.iter().any(|caution| caution.starts_with("femur has moved")), "{:?}", pose.cautions);
+        assert!(pose.beads.iter().all(|bead| bead.residual_px.is_none_or(|[u, v]| u.hypot(v) < 1.0)), "seed {seed}");
+        assert_eq!(pose.beads.len(), 16);
+        cases += 1;
+    }
+    assert!(cases >= 6, "{cases}");
+}
+
+#[test]
+fn bodies_that_have_moved_are_no_rigid_specimen() {
+    let mut cases = 0;
+    for seed in 0..24 {
+        let (view, layout) = (synthetic::view(1024, 1024, seed), two(9, 6, seed));
+        let angle_deg = 1.0 + 0.25 * (seed % 8) as f64;
+        let one = |truth: &Rigid| {
+            let found = seen(&view, &layout, truth, seed);
+            (found.len() == 15).then(|| register_shadows(&Registration { one_body: true, ..matching(&view, &layout) }, &found))
+        };
+        let (Some(moved), Some(still)) = (one(&motion(&layout, angle_deg, 0.0, seed)), one(&Rigid::IDENTITY)) else { continue };
+        assert_eq!(code(&moved), "bodies", "seed {seed}, {angle_deg}°: {:?}", moved.reason);
+        assert!(moved.reason.as_ref().is_some_and(|reason| reason.contains("femur")), "{:?}", moved.reason);
+        assert!(
+            still.is_accepted() && still.cautions.is_empty(),
+            "the control, seed {seed}: {:?} {:?}",
+            still.reason,
+            still.cautions
+        );
+        let identity = |body: &sidecarm::pose::BodyPose| body.lps_from_body == Rigid::IDENTITY;
+        assert!(still.bodies.len() == 2 && still.bodies.iter().all(identity));
+        cases += 1;
+    }
+    assert!(cases >= 8, "{cases}");
+}
+
+/// Three beads do not say where a femur is, but that it is elsewhere.
+#[test]
+fn a_body_of_three_beads_that_moved_is_refused() {
+    let mut cases = 0;
+    for seed in 0..16 {
+        let (view, layout) = (synthetic::view(1024, 1024, seed), two(10, 3, seed));
+        let found = seen(&view, &layout, &motion(&layout, 1.0, 2.0, seed), seed);
+        if found.len() < 13 {
+            continue;
+        }
+        let pose = register_shadows(&matching(&view, &layout), &found);
+        // Where the beads are too far off to be known as theirs, the pose of the pelvis is right, and no bead of the femur is used.
+        let unused = pose.beads.iter().all(|bead| bead.body == "pelvis" || !bead.used);
+        assert!(matches!(pose.refusal, Some(Refusal::BodySplit { .. })) || (pose.is_accepted() && unused), "{:?}", pose.reason);
+        cases += 1;
+    }
+    assert!(cases >= 5, "{cases}");
+}

@@ -15,6 +15,7 @@ use super::console::{ConsoleClock, ConsoleOffset, Pair};
 use super::counting::Counting;
 use super::evidence::{Binding, BindingFlag, BindingHow, FrameEvidence, flags_of, time_within};
 use super::judgement::{Judgement, Weighed};
+use super::series::SeriesStamps;
 use super::shots::{PROMPT_US, Shots};
 
 /// Frames that take part in an agreement: the latest.
@@ -57,6 +58,7 @@ pub struct Binder {
     /// Stamps at a whole minute, and others.
     whole_minutes: u32,
     other_stamps: u32,
+    series: SeriesStamps,
     /// Frames that came when no exposure was near.
     pub(super) strays: u32,
     changed: BTreeSet<u32>,
@@ -72,7 +74,10 @@ impl Binder {
     }
 
     /// Takes a frame; frames are pushed in the order of their arrival, images of a run one by one.
-    pub fn push(&mut self, evidence: FrameEvidence) {
+    pub fn push(&mut self, mut evidence: FrameEvidence) {
+        if self.series.found() {
+            evidence.console_us = None;
+        }
         let (frame, image) = (evidence.frame, evidence.image_of_file[0]);
         self.fresh = true;
         self.changed.insert(frame);
@@ -168,6 +173,15 @@ impl Binder {
             for at in &prompt {
                 self.shots.get_mut(*at).prompt_frames += 1;
             }
+            if let ([at], Some(counter)) = (&prompt[..], pending.evidence.counter) {
+                self.counting.doubt(&self.shots, *at, frame, counter);
+            }
+            if let (Some(last), Some(console_us)) = (prompt.last(), pending.evidence.console_us) {
+                // A whole minute may be all that the console writes.
+                let whole = console_us.rem_euclid(MINUTE_US) == 0;
+                let resolution_us = if whole { MINUTE_US } else { pending.evidence.console_resolution_us };
+                self.series.meet(console_us, resolution_us, self.shots.get(*last).end_us);
+            }
             if prompt.is_empty() {
                 self.strays += 1;
             } else if timeline.exposure_tracker().blind_spot(arrival_us.saturating_sub(PROMPT_US), arrival_us).is_none() {
@@ -178,6 +192,19 @@ impl Binder {
             }
             pending.prompt = Some(prompt);
         }
+        if self.series.found() && !self.by_stamp.is_empty() {
+            self.forget_stamps();
+        }
+    }
+
+    /// Stamps do not tell one exposure of a series from another: what was learnt from them is forgotten, bindings stay.
+    fn forget_stamps(&mut self) {
+        for pending in self.frames.values_mut() {
+            pending.evidence.console_us = None;
+        }
+        self.by_stamp.clear();
+        self.offsets.clear();
+        (self.whole_minutes, self.other_stamps) = (0, 0);
     }
 
     /// Judges until nothing more follows.
@@ -230,6 +257,7 @@ impl Binder {
         teaches: bool,
     ) {
         self.open.remove(&frame);
+        self.counting.settled(frame);
         self.shots.get_mut(shot).frame = Some(frame);
         let Some(pending) = self.frames.get(&frame) else { return };
         let said = pending.evidence.clone();

@@ -16,7 +16,7 @@ use super::counting::Counting;
 use super::evidence::{Binding, BindingFlag, BindingHow, FrameEvidence, flags_of, time_within};
 use super::judgement::{Judgement, Weighed};
 use super::series::SeriesStamps;
-use super::shots::{PROMPT_US, Shots};
+use super::shots::{BATCH_US, PROMPT_US, Shots};
 
 /// Frames that take part in an agreement: the latest.
 const VOTERS: usize = 48;
@@ -159,6 +159,8 @@ impl Binder {
     fn meet(&mut self, timeline: &Timeline, newest_us: Option<i64>, now_us: i64) {
         let open: Vec<u32> = self.open.iter().copied().collect();
         for frame in open {
+            let before = frame.checked_sub(1).and_then(|before| self.frames.get(&before));
+            let before_us = before.and_then(|before| before.evidence.arrival_us);
             let Some(pending) = self.frames.get_mut(&frame) else { continue };
             let Some(arrival_us) = pending.evidence.arrival_us else {
                 pending.prompt = Some(Vec::new());
@@ -170,10 +172,14 @@ impl Binder {
                 continue;
             }
             let prompt = self.shots.prompt(arrival_us);
+            let batch = before_us.is_some_and(|before_us| arrival_us.saturating_sub(before_us) <= BATCH_US);
             for at in &prompt {
                 self.shots.get_mut(*at).prompt_frames += 1;
             }
-            if let ([at], Some(counter)) = (&prompt[..], pending.evidence.counter) {
+            // One of a batch is late, whatever it comes after.
+            if batch {
+                self.counting.settled(frame.saturating_sub(1));
+            } else if let ([at], Some(counter)) = (&prompt[..], pending.evidence.counter) {
                 self.counting.doubt(&self.shots, *at, frame, counter);
             }
             if let (Some(last), Some(console_us)) = (prompt.last(), pending.evidence.console_us) {

@@ -74,14 +74,12 @@ impl Weighed<'_> {
         let free = |other: usize| other != at && self.binder.shots.get(other).frame.is_none();
         let counted =
             candidates.iter().find(|(other, firmness)| *firmness >= Firmness::OneSide && prompt.contains(other) && free(*other));
-        if confirmed {
-            return None;
-        }
-        // Frames before or after a setting may fit the neighbours throughout, but come sooner or later after them than frames do.
+        // Frames before or after a setting may fit the neighbours throughout, but come sooner or later after them than frames do. Where the
+        // setting is small, frames long after it still confirm the offset of before.
         let usual_us = self.usual_delay_us();
         let as_usual = |other: usize| usual_us.as_ref().map(|usual_us| self.came_within(usual_us, other));
         if prompt.contains(&at)
-            && !as_usual(at).unwrap_or(!self.binder.finished)
+            && !as_usual(at).unwrap_or(confirmed || !self.binder.finished)
             && let Some(other) = prompt.iter().find(|other| free(**other) && as_usual(**other).unwrap_or(true))
         {
             let (by_stamp, by_arrival) = (self.label(at), self.label(*other));
@@ -89,7 +87,7 @@ impl Weighed<'_> {
                 "the console's stamp points to {by_stamp}, but frames usually come as this one did after {by_arrival}: its clock may have been set"
             ));
         }
-        if prompt.contains(&at) && counted.is_none() {
+        if confirmed || prompt.contains(&at) && counted.is_none() {
             return None;
         }
         if let Some(other) = prompt.last().filter(|_| !prompt.contains(&at)) {

@@ -30,6 +30,18 @@ fn played_with(
     resolution_us: i64,
     stamp: &dyn Fn(f64) -> Option<i64>,
 ) -> Score {
+    played_beside(exposures_s, holes, counted, came, (resolution_us, None), stamp)
+}
+
+/// The same; pictures of something else have the second stamp.
+fn played_beside(
+    exposures_s: &[(f64, f64)],
+    holes: &[(f64, f64)],
+    counted: bool,
+    came: &[Came],
+    (resolution_us, foreign): (i64, Option<i64>),
+    stamp: &dyn Fn(f64) -> Option<i64>,
+) -> Score {
     let mut draw = Draw::new(1, 0);
     let counter = |index: usize| index as u32 + 1;
     let end_s = exposures_s.iter().fold(0.0f64, |end, exposure| end.max(exposure.1)) + 30.0;
@@ -49,7 +61,7 @@ fn played_with(
             counter: *counter,
             console_us: match truth {
                 Truth::Of(index) | Truth::SecondOf(index) => stamp(exposures_s[*index].0),
-                Truth::Copy | Truth::Foreign => None,
+                Truth::Copy | Truth::Foreign => foreign,
             },
             console_resolution_us: resolution_us,
             arrival_us: Some(us(*arrival_s)),
@@ -253,4 +265,68 @@ fn a_missing_picture_does_not_move_all_later_frames_to_the_exposure_before() {
     let came: Vec<Came> = stored.zip(1..).map(|(i, count)| (Truth::Of(i), exposures[i].1 + 1.2, Some(count))).collect();
     let score = played(&exposures, &[], true, false, &came);
     assert!(score.wrong.is_empty(), "{:#?}", score.wrong);
+}
+
+#[test]
+fn one_picture_too_few_and_one_too_many_do_not_name_the_exposure_between() {
+    // The console counts what it stores: nothing of the twelfth, the fifteenth twice, and between them counts are one less. The fifteenth's
+    // own picture has the count that the fourteenth's would have, which came late, as its second picture did.
+    let mut exposures = calm(20);
+    exposures[14] = (exposures[13].1 + 3.3, exposures[13].1 + 3.6);
+    let mut came: Vec<Came> = Vec::new();
+    let mut count = 0;
+    for i in (0..20).filter(|i| *i != 11) {
+        count += 1;
+        let delay_s = if i == 12 { 12.0 } else { 0.4 };
+        came.push((Truth::Of(i), exposures[i].1 + delay_s, Some(count)));
+        if [3, 6, 14].contains(&i) {
+            count += 1;
+            came.push((Truth::SecondOf(i), exposures[i].1 + 3.8, Some(count)));
+        }
+    }
+    let score = played(&exposures, &[], true, false, &came);
+    assert!(score.wrong.is_empty() && score.bound >= 10, "{} bound, {:#?}", score.bound, score.wrong);
+}
+
+#[test]
+fn a_count_of_one_that_has_not_moved_is_no_exposures_number() {
+    // The console writes 1 always; right after the first exposure a picture of half an hour ago comes, then the exposure's own.
+    let exposures = calm(8);
+    let mut came: Vec<Came> = (0..8).map(|i| (Truth::Of(i), exposures[i].1 + 1.5, Some(1))).collect();
+    came.push((Truth::Foreign, exposures[0].1 + 0.3, Some(1)));
+    let stamp = |at_s: f64| Some(us((at_s + AHEAD_S).floor()));
+    let score = played_beside(&exposures, &[], true, &came, (1_000_000, stamp(-1800.0)), &stamp);
+    assert!(score.wrong.is_empty() && score.bound == 8, "{} bound, {:#?}", score.bound, score.wrong);
+}
+
+#[test]
+fn a_picture_of_another_room_is_told_by_its_count() {
+    // Both consoles keep the same time; the other room's picture has a stamp that fits the tenth exposure, whose own comes later.
+    let exposures = calm(14);
+    let mut came: Vec<Came> =
+        (0..14).filter(|i| *i != 9).map(|i| (Truth::Of(i), exposures[i].1 + 1.5, Some(i as u32 + 6))).collect();
+    came.push((Truth::Foreign, exposures[9].1 + 1.2, Some(71)));
+    came.push((Truth::Of(9), exposures[9].1 + 1.9, Some(15)));
+    let stamp = |at_s: f64| Some(us((at_s + AHEAD_S).floor()));
+    let score = played_beside(&exposures, &[], true, &came, (1_000_000, stamp(exposures[9].0)), &stamp);
+    assert!(score.wrong.is_empty() && score.bound == 14, "{} bound, {:#?}", score.bound, score.wrong);
+}
+
+#[test]
+fn stamps_that_name_a_series_are_not_used() {
+    // Four exposures four seconds apart carry the time of the first; its own picture, in the third series, is missing.
+    let exposures: Vec<(f64, f64)> =
+        (0..24).map(|i| 10.0 + 4.1 * f64::from(i) + 20.0 * f64::from(i / 4)).map(|at| (at, at + 0.4)).collect();
+    let stamp = |at_s: f64| {
+        exposures.iter().rposition(|exposure| exposure.0 <= at_s).map(|i| us((exposures[i / 4 * 4].0 + AHEAD_S).floor()))
+    };
+    for counter in [None, Some(40)] {
+        let came: Vec<Came> = (0..24)
+            .filter(|i| *i != 8)
+            .map(|i| (Truth::Of(i), exposures[i].1 + 0.9, counter.map(|from| from + i as u32)))
+            .collect();
+        let score = played_with(&exposures, &[], true, &came, 1_000_000, &stamp);
+        assert!(score.wrong.is_empty(), "{counter:?}: {:#?}", score.wrong);
+        assert!(counter.is_none() || score.bound >= 20, "{} of {} bound", score.bound, score.frames);
+    }
 }

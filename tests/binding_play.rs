@@ -128,7 +128,7 @@ pub fn play(session: &Session) -> Score {
     let known = |truth: &Exposed| {
         intervals.iter().any(|interval| is_of(&Binding { exposure: Some(interval.clone()), ..Binding::default() }, truth))
     };
-    let mut takers: BTreeMap<u64, u32> = BTreeMap::new();
+    let mut takers: BTreeMap<u64, (u32, &str)> = BTreeMap::new();
     for sent in &session.frames {
         let frame = sent.evidence.frame;
         let binding = binder.binding(frame).expect("every frame has its binding");
@@ -138,7 +138,9 @@ pub fn play(session: &Session) -> Score {
             Truth::Copy | Truth::Foreign => false,
         };
         if let Some(interval) = &binding.exposure {
-            if let Some(other) = takers.insert(interval.index, frame) {
+            // Images of one file are one run of one exposure.
+            let content = sent.evidence.content.as_str();
+            if let Some((other, _)) = takers.insert(interval.index, (frame, content)).filter(|(_, other)| *other != content) {
                 score.wrong.push(format!("{}: frames {other} and {frame} on one exposure", session.described));
             }
             if !right {

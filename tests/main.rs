@@ -20,6 +20,7 @@ mod binding;
 mod binding_cases;
 mod binding_days;
 mod binding_draw;
+mod binding_oddities;
 mod binding_play;
 mod binding_sessions;
 mod beads_detection;

@@ -5,14 +5,14 @@ use std::ops::RangeInclusive;
 use super::binder::Pending;
 use super::evidence::{BindingHow, seconds};
 use super::judgement::{Judgement, Weighed};
-use super::shots::PROMPT_US;
+use super::shots::{BATCH_US, PROMPT_US};
 
-/// Frames within this time of each other may be of a batch.
-pub(super) const BATCH_US: i64 = 800_000;
 /// Risk at which arrival alone still binds: that the exposure's own frame is missing and a stray came just then.
 const ARRIVAL_RISK: f64 = 1e-4;
 /// Frames from which it is known how soon frames come.
 const DELAYS: usize = 5;
+/// One frame in so many may come sooner, and one later, than frames usually do.
+const STRANGE: usize = 10;
 /// Exposures from which it is known whether frames come promptly at present.
 const LAST_EXPOSURES: usize = 12;
 
@@ -103,7 +103,8 @@ impl Weighed<'_> {
             (shot.whole && other.evidence.frame != self.pending.evidence.frame).then(|| arrival_us.saturating_sub(shot.end_us))
         };
         let delays_us: Vec<i64> = self.binder.frames.values().filter_map(delay).collect();
-        usual_us_of(&delays_us).filter(|_| delays_us.len() >= DELAYS)
+        let enough = delays_us.len() >= DELAYS;
+        usual_us_of(delays_us).filter(|_| enough)
     }
 
     /// Chance that the exposure's own frame is missing or late and a stray arrives in its place: share of the last exposures without a
@@ -127,9 +128,11 @@ impl Weighed<'_> {
     }
 }
 
-/// From the shortest to the longest of these delays, with a margin.
-pub(super) fn usual_us_of(delays_us: &[i64]) -> Option<RangeInclusive<i64>> {
-    let (shortest_us, longest_us) = (*delays_us.iter().min()?, *delays_us.iter().max()?);
+/// The delays of nearly all of these frames, with a margin: a tenth on either side may be of something else.
+pub(super) fn usual_us_of(mut delays_us: Vec<i64>) -> Option<RangeInclusive<i64>> {
+    delays_us.sort_unstable();
+    let strange = delays_us.len() / STRANGE;
+    let (shortest_us, longest_us) = (*delays_us.get(strange)?, *delays_us.iter().rev().nth(strange)?);
     let margin_us = (longest_us.saturating_sub(shortest_us) / 4).max(200_000);
     Some(shortest_us.saturating_sub(margin_us)..=longest_us.saturating_add(margin_us))
 }

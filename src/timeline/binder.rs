@@ -15,7 +15,8 @@ use super::console::{ConsoleClock, ConsoleOffset, Pair};
 use super::counting::Counting;
 use super::evidence::{Binding, BindingFlag, BindingHow, FrameEvidence, flags_of, time_within};
 use super::judgement::{Judgement, Weighed};
-use super::shots::{PROMPT_US, Shots};
+use super::series::SeriesStamps;
+use super::shots::{BATCH_US, PROMPT_US, Shots};
 
 /// Frames that take part in an agreement: the latest.
 const VOTERS: usize = 48;
@@ -57,6 +58,7 @@ pub struct Binder {
     /// Stamps at a whole minute, and others.
     whole_minutes: u32,
     other_stamps: u32,
+    series: SeriesStamps,
     /// Frames that came when no exposure was near.
     pub(super) strays: u32,
     changed: BTreeSet<u32>,
@@ -72,7 +74,10 @@ impl Binder {
     }
 
     /// Takes a frame; frames are pushed in the order of their arrival, images of a run one by one.
-    pub fn push(&mut self, evidence: FrameEvidence) {
+    pub fn push(&mut self, mut evidence: FrameEvidence) {
+        if self.series.found() {
+            evidence.console_us = None;
+        }
         let (frame, image) = (evidence.frame, evidence.image_of_file[0]);
         self.fresh = true;
         self.changed.insert(frame);
@@ -154,6 +159,8 @@ impl Binder {
     fn meet(&mut self, timeline: &Timeline, newest_us: Option<i64>, now_us: i64) {
         let open: Vec<u32> = self.open.iter().copied().collect();
         for frame in open {
+            let before = frame.checked_sub(1).and_then(|before| self.frames.get(&before));
+            let before_us = before.and_then(|before| before.evidence.arrival_us);
             let Some(pending) = self.frames.get_mut(&frame) else { continue };
             let Some(arrival_us) = pending.evidence.arrival_us else {
                 pending.prompt = Some(Vec::new());
@@ -165,8 +172,21 @@ impl Binder {
                 continue;
             }
             let prompt = self.shots.prompt(arrival_us);
+            let batch = before_us.is_some_and(|before_us| arrival_us.saturating_sub(before_us) <= BATCH_US);
             for at in &prompt {
                 self.shots.get_mut(*at).prompt_frames += 1;
+            }
+            // One of a batch is late, whatever it comes after.
+            if batch {
+                self.counting.settled(frame.saturating_sub(1));
+            } else if let ([at], Some(counter)) = (&prompt[..], pending.evidence.counter) {
+                self.counting.doubt(&self.shots, *at, frame, counter);
+            }
+            if let (Some(last), Some(console_us)) = (prompt.last(), pending.evidence.console_us) {
+                // A whole minute may be all that the console writes.
+                let whole = console_us.rem_euclid(MINUTE_US) == 0;
+                let resolution_us = if whole { MINUTE_US } else { pending.evidence.console_resolution_us };
+                self.series.meet(console_us, resolution_us, self.shots.get(*last).end_us);
             }
             if prompt.is_empty() {
                 self.strays += 1;
@@ -178,6 +198,19 @@ impl Binder {
             }
             pending.prompt = Some(prompt);
         }
+        if self.series.found() && !self.by_stamp.is_empty() {
+            self.forget_stamps();
+        }
+    }
+
+    /// Stamps do not tell one exposure of a series from another: what was learnt from them is forgotten, bindings stay.
+    fn forget_stamps(&mut self) {
+        for pending in self.frames.values_mut() {
+            pending.evidence.console_us = None;
+        }
+        self.by_stamp.clear();
+        self.offsets.clear();
+        (self.whole_minutes, self.other_stamps) = (0, 0);
     }
 
     /// Judges until nothing more follows.
@@ -230,6 +263,7 @@ impl Binder {
         teaches: bool,
     ) {
         self.open.remove(&frame);
+        self.counting.settled(frame);
         self.shots.get_mut(shot).frame = Some(frame);
         let Some(pending) = self.frames.get(&frame) else { return };
         let said = pending.evidence.clone();

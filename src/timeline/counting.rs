@@ -26,6 +26,8 @@ pub(super) enum Firmness {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Counting {
     shifts: BTreeMap<usize, i64>,
+    /// The same of frames that came promptly after one exposure and are bound to none, with their numbers of arrival.
+    doubts: BTreeMap<usize, (u32, i64)>,
     /// How often the counter's values were seen, in frames of different content.
     seen: BTreeMap<u32, u32>,
 }
@@ -45,11 +47,34 @@ impl Counting {
         self.seen.get(&counter).copied().unwrap_or(0)
     }
 
+    /// Whether it has had two values at least.
+    pub(super) fn moves(&self) -> bool {
+        self.seen.len() > 1
+    }
+
     /// A frame with `counter` is known, by other means, to be of the exposure at `shot`.
     pub(super) fn learn(&mut self, shots: &Shots, shot: usize, counter: u32) {
         if let Some(number) = shots.number(shot) {
             self.shifts.insert(shot, i64::from(counter) - number);
         }
+    }
+
+    /// A frame with `counter` came promptly after the exposure at `shot` and no other.
+    pub(super) fn doubt(&mut self, shots: &Shots, shot: usize, frame: u32, counter: u32) {
+        if let Some(number) = shots.number(shot) {
+            self.doubts.insert(shot, (frame, i64::from(counter) - number));
+        }
+    }
+
+    /// Whether a frame that is bound to none speaks for another shift at an exposure between two known frames: one picture too few and
+    /// one too many leave the same shift on either side.
+    fn doubted(&self, shots: &Shots, from: usize, to: usize, shift: i64) -> bool {
+        self.doubts.range(from..=to).any(|(at, (_, other))| *other != shift && shots.get(*at).frame.is_none())
+    }
+
+    /// The frame is bound, to whichever exposure.
+    pub(super) fn settled(&mut self, frame: u32) {
+        self.doubts.retain(|_, (other, _)| *other != frame);
     }
 
     /// Neighbouring known frames with the same shift, and with different ones.
@@ -158,7 +183,9 @@ impl Counting {
                     (shots.counted || !blind((*shot).min(*at), (*shot).max(*at))).then_some(*shift)
                 };
                 let (before, after) = (self.shifts.range(..=*at).next_back(), self.shifts.range(*at..).next());
-                let torn = [before, after].into_iter().flatten().any(|side| known(side).is_none());
+                let sides = [before, after];
+                let doubted = before.zip(after).is_some_and(|(one, other)| self.doubted(shots, *one.0, *other.0, shift));
+                let torn = doubted || sides.into_iter().flatten().any(|side| known(side).is_none());
                 let (before, after) = (before.and_then(known), after.and_then(known));
                 let firmness = match (before == Some(shift), after == Some(shift), before.is_none(), after.is_none()) {
                     (true, ..) | (_, true, ..) if torn => Firmness::Border,

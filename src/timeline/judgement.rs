@@ -3,13 +3,18 @@
 use std::ops::RangeInclusive;
 
 use super::Timeline;
-use super::arrival::BATCH_US;
 use super::binder::{Binder, Pending};
 use super::counting::Firmness;
 use super::evidence::BindingHow;
+use super::shots::BATCH_US;
 
 /// A first frame that comes later than this after the only exposure before it may be of something that was not seen.
 const SOON_US: i64 = 4_000_000;
+
+/// Time zones are this far apart, but for a few.
+const ZONE_US: i64 = 3_600_000_000;
+/// A console whose clock is kept is not farther off than this.
+const BESIDE_US: i64 = 300_000_000;
 
 /// What came of it.
 #[derive(Clone, Debug, PartialEq)]
@@ -97,6 +102,16 @@ impl Weighed<'_> {
             && (usual(at) || !rivals.any(usual) && (usual_us.is_some() || said.console_us.is_some()))
     }
 
+    /// Whether an equal number may be believed although nothing is known of the console: its counter has moved, or its clock is the host's but
+    /// for the zone, as a picture from hours before it would not show.
+    fn credible(&self) -> bool {
+        let said = &self.pending.evidence;
+        let behind_us =
+            said.console_us.zip(said.arrival_us).map(|(console_us, arrival_us)| arrival_us.saturating_sub(console_us));
+        let beside_us = behind_us.map(|us| (us.saturating_add(ZONE_US / 2).rem_euclid(ZONE_US) - ZONE_US / 2).abs());
+        self.binder.finished || self.binder.counting.moves() || beside_us.is_some_and(|us| us <= BESIDE_US)
+    }
+
     /// Whether the arrival may be an older frame's, from before the counter began anew: another frame with the same count came promptly
     /// after the exposure as well, or one of a batch whose counts name no exposure shortly before it.
     fn contested(&self, at: usize, counter: u32) -> bool {
@@ -151,6 +166,12 @@ impl Weighed<'_> {
         if let ([(at, firmness)], Some(counter)) = (&open[..], said.counter) {
             // A value that came before may be one that does not move, or that began anew.
             let fresh = self.binder.counting.times_seen(counter) <= 1;
+            if *firmness == Firmness::Equal && !self.credible() {
+                words.push(
+                    "a count that has not moved yet may be one that does not move, of a picture of something else".to_owned(),
+                );
+                return Judgement::None(words);
+            }
             // Where nothing is known yet, an equal number proves little beside a second exposure, or an earlier one that waits for its frame.
             let waits = |other: usize| *firmness == Firmness::Equal && free(other);
             let proved = self.decides(*at, *firmness, prompt) && (*firmness == Firmness::Enclosed || self.timely(*at))

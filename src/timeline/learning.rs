@@ -175,7 +175,7 @@ impl Binder {
             return;
         }
         let delays_us: Vec<i64> = agreed.iter().map(delay_us).collect();
-        let usual_us = usual_us_of(&delays_us).filter(|_| agreed.len() >= TIMED);
+        let usual_us = usual_us_of(delays_us).filter(|_| agreed.len() >= TIMED);
         for member in agreed {
             let Some(exposure) = timeline.exposure(self.shots.get(member.shot).index).cloned() else { continue };
             let free = |at: usize| self.shots.get(at).frame.is_none();

@@ -16,6 +16,7 @@ mod judgement;
 mod learning;
 mod orderly;
 mod segments;
+mod series;
 mod shots;
 mod stamped;
 mod track;

@@ -9,6 +9,8 @@ use super::exposure::{ExposureInterval, ExposureTracker};
 const LEAST_DELAY_US: i64 = 50_000;
 /// … up to this long are prompt.
 pub(super) const PROMPT_US: i64 = 6_000_000;
+/// Frames within this time of each other may be of a batch.
+pub(super) const BATCH_US: i64 = 800_000;
 /// An exposure of which only the counter tells may still turn out to be the one that begins now.
 const UNSEEN_GRACE_US: i64 = 500_000;
 

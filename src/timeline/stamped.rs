@@ -11,6 +11,8 @@ const AFTER_STAMP_US: i64 = 500_000;
 const ORDER_US: i64 = 20_000_000;
 /// Stamps after a frame whose counter contradicts its stamp that must fit on before the stamp is believed.
 const FITTING: usize = 3;
+/// Frames with stamps right before and right after one, each, that show whether the counter began anew there.
+const WITNESSES: usize = 3;
 /// Stamps within this time of each other show whether the clock was set.
 const STRETCH_US: i64 = 3_600_000_000;
 
@@ -72,14 +74,12 @@ impl Weighed<'_> {
         let free = |other: usize| other != at && self.binder.shots.get(other).frame.is_none();
         let counted =
             candidates.iter().find(|(other, firmness)| *firmness >= Firmness::OneSide && prompt.contains(other) && free(*other));
-        if confirmed {
-            return None;
-        }
-        // Frames before or after a setting may fit the neighbours throughout, but come sooner or later after them than frames do.
+        // Frames before or after a setting may fit the neighbours throughout, but come sooner or later after them than frames do. Where the
+        // setting is small, frames long after it still confirm the offset of before.
         let usual_us = self.usual_delay_us();
         let as_usual = |other: usize| usual_us.as_ref().map(|usual_us| self.came_within(usual_us, other));
         if prompt.contains(&at)
-            && !as_usual(at).unwrap_or(!self.binder.finished)
+            && !as_usual(at).unwrap_or(confirmed || !self.binder.finished)
             && let Some(other) = prompt.iter().find(|other| free(**other) && as_usual(**other).unwrap_or(true))
         {
             let (by_stamp, by_arrival) = (self.label(at), self.label(*other));
@@ -87,7 +87,7 @@ impl Weighed<'_> {
                 "the console's stamp points to {by_stamp}, but frames usually come as this one did after {by_arrival}: its clock may have been set"
             ));
         }
-        if prompt.contains(&at) && counted.is_none() {
+        if confirmed || prompt.contains(&at) && counted.is_none() {
             return None;
         }
         if let Some(other) = prompt.last().filter(|_| !prompt.contains(&at)) {
@@ -123,6 +123,30 @@ impl Weighed<'_> {
                 "the console's stamp fits {label}, but {lost} others from that time fit no exposure: its clock may have been set"
             )
         })
+    }
+
+    /// Whether the counter, which has never begun anew, contradicts that the frame is of the exposure at `at`, and no frame shortly before or
+    /// after has the same new count: it may be of another room whose console keeps the same time.
+    fn of_another_count(&self, at: usize, candidates: &[(usize, Firmness)]) -> bool {
+        let (said, counting, shots) = (&self.pending.evidence, &self.binder.counting, &self.binder.shots);
+        let (Some(console_us), Some(counter), Some(number)) = (said.console_us, said.counter, shots.number(at)) else {
+            return false;
+        };
+        if counting.useless().is_some() || !counting.steady(shots) || candidates.iter().any(|(other, _)| *other == at) {
+            return false;
+        }
+        let shift = i64::from(counter) - number;
+        let (before, after) =
+            (self.binder.by_stamp.range(..console_us).rev(), self.binder.by_stamp.range(console_us.saturating_add(1)..));
+        let near = before.take(WITNESSES).chain(after.take(WITNESSES)).flat_map(|(_, frames)| frames);
+        let same = |other: &FrameEvidence| {
+            let fits = |own: i64| {
+                let named = |shot: &usize| *shot != at && shots.number(*shot) == Some(own - shift);
+                self.fitting(other).is_some_and(|stamp| stamp.fitting.iter().any(named))
+            };
+            other.counter.is_some_and(|own| fits(i64::from(own)))
+        };
+        !near.filter_map(|frame| self.binder.frames.get(frame)).any(|other| same(&other.evidence))
     }
 
     /// Exposures of which a frame with this stamp must have one: none where telemetry was silent, for it may be of one that was not seen.
@@ -214,6 +238,13 @@ impl Weighed<'_> {
                 }
                 if self.pending.evidence.counter.is_some() && !both.iter().any(|(both, _)| both == at) && words.is_empty() {
                     words.push("the counter contradicts the stamp and is dropped for this frame".to_owned());
+                }
+                if self.of_another_count(*at, candidates) {
+                    words.push(format!(
+                        "the console's stamp fits {}, but its counter never began anew and is at another number: contradictory",
+                        self.label(*at)
+                    ));
+                    return Judgement::None(words);
                 }
                 if let Some(blind) = self.blind(*at, stamp.from_us, stamp.to_us) {
                     words.push(blind);

@@ -47,6 +47,16 @@ impl<'a> Probe<'a> {
         Self { frame, usable, polarity }
     }
 
+    /// Whether values are proportional to quanta, or logarithms of such.
+    #[must_use]
+    pub fn is_quantitative(&self) -> bool {
+        match self.frame.domain {
+            Domain::Linear => true,
+            Domain::Log => self.frame.unit.as_deref() == Some("neper"),
+            Domain::Display | Domain::Unknown => false,
+        }
+    }
+
     /// Whether the place may be used at all.
     #[must_use]
     pub fn is_usable(&self, at_px: DVec2) -> bool {

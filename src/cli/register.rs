@@ -96,7 +96,7 @@ pub enum RegisterError {
         found: f64,
     },
     /// K is for another frame.
-    #[error("{path}: K is for frames of {expected:?} px, {frame} has {found:?} px", path = path.display(), frame = frame.display())]
+    #[error("{path}: K is for frames of {expected:?} px, {frame} has {found:?} px, which no binning gives: the console cropped or zoomed it; give K of the frame as it is", path = path.display(), frame = frame.display())]
     Size {
         /// File of K.
         path: PathBuf,
@@ -142,12 +142,16 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
         Some(path) => {
             let file = IntrinsicsFile::read(path)?;
             let found = frame.size_px.map(|n| n as u32);
-            if let Some(expected) = file.size_px
-                && expected != found
-            {
-                return Err(RegisterError::Size { path: path.clone(), expected, frame: args.frame.clone(), found });
+            let pitch_mm = file.pitch_mm.or(frame.tags.pitch_mm.map(|pitch| pitch[0]));
+            match file.size_px.filter(|expected| *expected != found) {
+                None => (Some(file.intrinsics), pitch_mm),
+                Some(expected) => {
+                    let size = RegisterError::Size { path: path.clone(), expected, frame: args.frame.clone(), found };
+                    let factor = binning(expected, found).ok_or(size)?;
+                    note = Some(format!("K is for {expected:?} px: the frame is taken as binned {factor} x {factor}"));
+                    (Some(file.intrinsics.binned(f64::from(factor))), file.pitch_mm.map(|pitch| pitch * f64::from(factor)))
+                }
             }
-            (Some(file.intrinsics), file.pitch_mm.or(frame.tags.pitch_mm.map(|pitch| pitch[0])))
         }
         None => from_header(&frame, &mut note),
     };
@@ -179,6 +183,11 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
         print!("{}", summary(&pose, args.explain));
     }
     Ok(u8::from(!pose.is_accepted()))
+}
+
+/// Whole number of panel pixels along the side of one of the frame's, if that is what makes the sizes differ.
+fn binning(panel: [u32; 2], frame: [u32; 2]) -> Option<u32> {
+    (2..=8).find(|factor| panel.map(|n| n / factor) == frame && panel.iter().zip(frame).all(|(n, m)| n - m * factor < *factor))
 }
 
 fn from_header(frame: &Frame, note: &mut Option<String>) -> (Option<Intrinsics>, Option<f64>) {

@@ -113,7 +113,7 @@ impl Case<'_> {
             (None, Some((_, off))) => Some(format!("its shadow is {:.2} px from where the other beads put it", off.length())),
             (None, None) if predicted.is_none() => Some("behind the source".to_owned()),
             (None, None) if outside => Some("outside the frame".to_owned()),
-            (None, None) => Some("no shadow found where it should be".to_owned()),
+            (None, None) => Some(self.beside(last, at)),
         };
         BeadResidual {
             name: bead.name.clone(),
@@ -126,6 +126,18 @@ impl Case<'_> {
             left_out_px: used.and_then(|n| self.left_out(last, n)).map(|off| off.to_array()),
             used: used.is_some(),
             reason,
+        }
+    }
+
+    /// What there is instead of a bead's shadow.
+    fn beside(&self, last: &Settled, at: DVec2) -> String {
+        let free = |n: &usize| !last.known().any(|m| m.detection == *n);
+        let distance = |n: &usize| self.detections[*n].image_px.distance(at);
+        let near = |n: &usize| distance(n) < 4.0 * self.detections[*n].radius_px;
+        let nearest = (0..self.detections.len()).filter(free).filter(near).min_by(|a, b| distance(a).total_cmp(&distance(b)));
+        match nearest {
+            Some(n) => format!("no shadow where it should be; one that belongs to no bead is {:.1} px away", distance(&n)),
+            None => "no shadow found where it should be".to_owned(),
         }
     }
 

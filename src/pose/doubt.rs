@@ -7,11 +7,12 @@
 use glam::DVec2;
 
 use super::case::Case;
+use super::record::Prior;
 use super::refusal::{Refusal, Rival};
-use super::search::{Hypothesis, Search};
+use super::search::{Gate, Hypothesis, Search};
 use super::settle::Settled;
-use super::solve::{Free, Match, Options, solve};
-use crate::beads::Detection;
+use super::solve::{Free, Match, Options, deviation, solve};
+use crate::beads::{Detection, Probe};
 use crate::geometry::Intrinsics;
 
 /// A bead is missing for certain where its place is less deep than this share of the others' contrast …
@@ -28,6 +29,24 @@ const CLEAR_SNR: f64 = 10.0;
 const ORDINARY: usize = 2;
 /// Accidents expected behind a second reading of the frame, at most, for it to count: it would be accepted by itself.
 const RIVAL_CHANCE: f64 = 0.01;
+/// The same for shadows that look like beads, close to the pose: fewer could be tried, and each counts.
+const NEAR_CHANCE: f64 = 0.05;
+/// A second reading is nearer the prior from this difference of squared standard deviations on.
+const NEARER: f64 = 12.0;
+/// So many beads may carry a pose although more than usual are missing.
+const SURE_MATCHED: usize = 6;
+/// χ² per degree of freedom beyond which residuals are a reason for doubt, where one shadow lies beside its bead's place, and where more do.
+const LOOSE_CHI2: f64 = 4.0;
+const LOOSE_CHI2_OF_SEVERAL: f64 = 2.25;
+/// Fitted over true radius of a bead: blur of the intensity makes thick metal's shadow smaller than that of its line integral.
+const USUAL_RADIUS: f64 = 0.97;
+/// Relative differences of the radius from which on it is said, and refused.
+const OTHER_RADIUS: (f64, f64) = (0.08, 0.15);
+/// Squared standard deviations from the prior (six degrees of freedom) beyond which it is said, and for so few beads refused.
+const FAR_FROM_PRIOR: f64 = 20.0;
+const FEW: usize = 5;
+/// The mirror image must fit so many times as well as noise and bead positions allow.
+const MIRROR_FIT: f64 = 2.0;
 /// Poses from three points that are tried for a second reading, and for a mirrored one.
 const BUDGET: u64 = 400_000;
 
@@ -46,8 +65,10 @@ const LEAST_RMS_PX: f64 = 0.15;
 struct Besides {
     /// Beads that the pose puts into the open field and that are certainly not there.
     missing: Vec<String>,
+    /// Beads whose shadow is there, but beside its place: outliers, and what no bead claims close by.
+    displaced: Vec<String>,
     /// Clear shadows like the matched ones that belong to no bead.
-    unexplained: usize,
+    unexplained: Vec<usize>,
 }
 
 /// What is left to say of a match that is believed.
@@ -60,37 +81,160 @@ impl Case<'_> {
     /// Refuses a match although it fits, or says what to look at.
     pub fn doubt(&self, last: &Settled, hypothesis: &Hypothesis) -> Result<Doubts, Refusal> {
         let matched = last.matches.len();
-        let Besides { missing, unexplained } = self.besides(last);
-        if missing.len() >= ORDINARY
-            && unexplained >= ORDINARY
+        let besides = self.besides(last);
+        let Besides { missing, displaced, unexplained } = &besides;
+        let mut cautions = Vec::new();
+        if missing.len() + displaced.len() >= ORDINARY
+            && unexplained.len() + displaced.len() >= ORDINARY
             && let Some(refusal) = self.mirrored(&last.solution.intrinsics, matched)
         {
             return Err(refusal);
         }
-        if missing.len() > ORDINARY && (missing.len() >= matched || unexplained >= missing.len()) {
+        let many_missing = missing.len() > ORDINARY && (missing.len() >= matched || unexplained.len() >= missing.len());
+        if many_missing && !self.is_best_of_all(last, missing.len()) {
+            let (missing, unexplained) = (missing.clone(), unexplained.len());
             return Err(Refusal::Missing { matched, missing, unexplained });
         }
+        self.check_residual(last, displaced, &mut cautions)?;
         if let Some(refusal) = self.other_intrinsics(last) {
             return Err(refusal);
         }
-        if let Some(second) = self.second_reading(last) {
-            let (angle_deg, shift_mm) = self.distance(&second.camera_from_lps, &hypothesis.camera_from_lps);
-            return Err(Refusal::Ambiguous {
-                rival: Rival::SecondSet,
-                angle_deg,
-                shift_mm,
-                matched,
-                fit: hypothesis.rms_px,
-                other_matched: second.matches.len(),
-                other_fit: second.rms_px,
-                prior_given: self.request.prior.is_some(),
-            });
-        }
-        let mut cautions = Vec::new();
+        self.check_radii(last, &mut cautions)?;
+        self.check_second(last, hypothesis, unexplained, &mut cautions)?;
+        self.check_prior(last, &mut cautions)?;
         if !missing.is_empty() {
             cautions.push(format!("not seen although their places are clear: {}", missing.join(", ")));
         }
         Ok(Doubts { cautions })
+    }
+
+    /// Whether no other reading of all shadows, wherever it puts the camera, explains as many beads.
+    fn is_best_of_all(&self, last: &Settled, missing: usize) -> bool {
+        let matched = last.matches.len();
+        if matched < SURE_MATCHED || missing >= matched {
+            return false;
+        }
+        let best = self.search_all(self.detections, Some, &last.solution.intrinsics, None, BUDGET);
+        let pose = &last.solution.camera_from_lps;
+        best.is_some_and(|(best, _)| {
+            let (angle_deg, shift_mm) = self.distance(&best.camera_from_lps, pose);
+            angle_deg < 2.0 && shift_mm < 15.0
+        })
+    }
+
+    /// Shadows beside the places of their beads are outliers where the others fit as they should, and a wrong layout or K where not.
+    fn check_residual(&self, last: &Settled, displaced: &[String], cautions: &mut Vec<String>) -> Result<(), Refusal> {
+        let (chi2, matched) = (last.chi2_per_dof, last.matches.len());
+        let limit = match displaced.len() {
+            0 => f64::INFINITY,
+            1 => LOOSE_CHI2,
+            _ => LOOSE_CHI2_OF_SEVERAL,
+        };
+        if !(chi2 <= limit) {
+            return Err(Refusal::Displaced { matched, rms_px: last.rms_px(), times: chi2.sqrt(), displaced: displaced.to_vec() });
+        }
+        if chi2 > LOOSE_CHI2 {
+            cautions.push(format!("residuals are {:.1} times what noise and bead positions allow", chi2.sqrt()));
+        }
+        Ok(())
+    }
+
+    /// The size of the shadows against depth and size of the beads: the same pose of a larger layout is farther away. Only values that
+    /// are proportional to quanta, or their logarithms, show the size of what is in the beam.
+    fn check_radii(&self, last: &Settled, cautions: &mut Vec<String>) -> Result<(), Refusal> {
+        if !self.probe.as_ref().is_some_and(Probe::is_quantitative) {
+            return Ok(());
+        }
+        let (pose, k) = (last.solution.camera_from_lps, last.solution.intrinsics);
+        let ratio = |m: &Match| {
+            let radius_mm = self.request.layout.radius_mm(m.bead, self.request.bead_radius_mm)?;
+            let expected_px = k.fx * radius_mm / pose.transform_point(m.lps_mm).z;
+            Some(self.detections.get(m.detection)?.radius_px / expected_px)
+        };
+        let mut ratios: Vec<f64> = last.matches.iter().filter_map(ratio).collect();
+        if ratios.len() < 4 {
+            return Ok(());
+        }
+        ratios.sort_by(f64::total_cmp);
+        let ratio = ratios[ratios.len() / 2] / USUAL_RADIUS;
+        let off = (ratio - 1.0).abs();
+        if !(off <= OTHER_RADIUS.1) {
+            return Err(Refusal::Radii { ratio });
+        }
+        if off > OTHER_RADIUS.0 {
+            cautions.push(format!(
+                "the shadows are {:.0} % {} than the beads' radii give at their depth: check the layout's scale, the beads' radius, and SID and pitch",
+                100.0 * off,
+                if ratio < 1.0 { "smaller" } else { "larger" }
+            ));
+        }
+        Ok(())
+    }
+
+    /// A second reading of the shadows that are left.
+    fn check_second(
+        &self,
+        last: &Settled,
+        hypothesis: &Hypothesis,
+        unexplained: &[usize],
+        cautions: &mut Vec<String>,
+    ) -> Result<(), Refusal> {
+        let refusal = |second: &Hypothesis| {
+            let (angle_deg, shift_mm) = self.distance(&second.camera_from_lps, &hypothesis.camera_from_lps);
+            Refusal::Ambiguous {
+                rival: Rival::SecondSet,
+                angle_deg,
+                shift_mm,
+                matched: last.matches.len(),
+                fit: hypothesis.rms_px,
+                other_matched: second.matches.len(),
+                other_fit: second.rms_px,
+                prior_given: self.request.prior.is_some(),
+            }
+        };
+        if let Some(second) = self.second_reading(last) {
+            return Err(refusal(&second));
+        }
+        let Some(second) = self.second_near(last, unexplained) else { return Ok(()) };
+        let explains = second.matches.len();
+        let squares = |pose: &crate::geometry::Rigid| self.prior_squares(pose).unwrap_or(0.0);
+        let nearer_the_prior = squares(&last.solution.camera_from_lps) - squares(&second.camera_from_lps) > NEARER;
+        if nearer_the_prior || 3 * explains >= 2 * unexplained.len() {
+            return Err(refusal(&second));
+        }
+        let (angle_deg, shift_mm) = self.distance(&second.camera_from_lps, &hypothesis.camera_from_lps);
+        cautions.push(format!(
+            "{explains} of {} clear shadows that belong to no bead fit the layout {angle_deg:.1}° and {shift_mm:.1} mm away",
+            unexplained.len()
+        ));
+        Ok(())
+    }
+
+    /// Squared deviation from the prior in its standard deviations (six degrees of freedom).
+    fn prior_squares(&self, pose: &crate::geometry::Rigid) -> Option<f64> {
+        let gate = self.gate(self.request.prior?);
+        let r = deviation(pose, &gate.camera_from_lps);
+        Some((r.transpose() * gate.information * r)[(0, 0)])
+    }
+
+    /// A pose that few beads carry is not believed far from the prior; of others it is said.
+    fn check_prior(&self, last: &Settled, cautions: &mut Vec<String>) -> Result<(), Refusal> {
+        let pose = &last.solution.camera_from_lps;
+        let (Some(prior), false) = (self.request.prior, self.without_prior) else { return Ok(()) };
+        let squares = self.prior_squares(pose).unwrap_or(0.0);
+        if squares <= FAR_FROM_PRIOR {
+            return Ok(());
+        }
+        let (angle_deg, shift_mm) = self.distance(&prior.camera_from_lps, pose);
+        let matched = last.matches.len();
+        if matched <= FEW && !self.request.ignore_prior {
+            return Err(Refusal::PriorContradicted { matched, rms_px: last.rms_px(), angle_deg, shift_mm });
+        }
+        cautions.push(format!(
+            "{angle_deg:.1}° and {shift_mm:.1} mm from the prior, {:.1} standard deviations: check K, SID, the layout's scale, and the prior",
+            squares.sqrt()
+        ));
+        Ok(())
     }
 
     fn besides(&self, last: &Settled) -> Besides {
@@ -108,24 +252,6 @@ impl Case<'_> {
         let mut radii: Vec<f64> = last.matches.iter().filter_map(own).map(|detection| detection.radius_px).collect();
         radii.sort_by(f64::total_cmp);
         let usual_radius_px = radii[radii.len() / 2];
-        for (index, bead) in layout.beads.iter().enumerate() {
-            let p = pose.transform_point(bead.lps_mm);
-            let known = last.known().any(|m| m.bead == index);
-            if known || !(p.z > 1.0) {
-                continue;
-            }
-            let (at, radius_px) = (k.project(p), radius_at(p.z, index).unwrap_or(usual_radius_px));
-            let hidden = |d: &Detection| d.image_px.distance(at) < APART_RADII * radius_px.max(d.radius_px);
-            if !probe.is_usable(at) || self.detections.iter().any(hidden) {
-                continue;
-            }
-            // Beads stand where the layout has them to a fraction of their radius; nothing within that counts as there.
-            if let Some((contrast, sigma)) = probe.contrast(at, radius_px)
-                && contrast + SIGMAS * sigma < LEAST_SHARE * usual
-            {
-                besides.missing.push(bead.name.clone());
-            }
-        }
         let alike = |d: &Detection| {
             (d.radius_px / usual_radius_px).ln().abs() < ALIKE.0
                 && (d.contrast / usual).ln().abs() < ALIKE.1
@@ -136,7 +262,33 @@ impl Case<'_> {
             let beside = |m: &Match| m.image_px.distance(self.detections[n].image_px) < usual_radius_px;
             taken || last.matches.iter().any(beside)
         };
-        besides.unexplained = (0..self.detections.len()).filter(|n| alike(&self.detections[*n]) && !explained(*n)).count();
+        besides.displaced.extend(last.left_out.iter().map(|(m, _)| layout.beads[m.bead].name.clone()));
+        for (index, bead) in layout.beads.iter().enumerate() {
+            let p = pose.transform_point(bead.lps_mm);
+            let known = last.known().any(|m| m.bead == index);
+            if known || !(p.z > 1.0) {
+                continue;
+            }
+            let (at, radius_px) = (k.project(p), radius_at(p.z, index).unwrap_or(usual_radius_px));
+            let hidden = |d: &Detection| d.image_px.distance(at) < APART_RADII * radius_px.max(d.radius_px);
+            if !probe.is_usable(at) {
+                continue;
+            }
+            if let Some(n) = self.detections.iter().position(hidden) {
+                // What hides it may be its own shadow.
+                if alike(&self.detections[n]) && !explained(n) {
+                    besides.displaced.push(bead.name.clone());
+                }
+                continue;
+            }
+            // Beads stand where the layout has them to a fraction of their radius; nothing within that counts as there.
+            if let Some((contrast, sigma)) = probe.contrast(at, radius_px)
+                && contrast + SIGMAS * sigma < LEAST_SHARE * usual
+            {
+                besides.missing.push(bead.name.clone());
+            }
+        }
+        besides.unexplained = (0..self.detections.len()).filter(|n| alike(&self.detections[*n]) && !explained(*n)).collect();
         besides
     }
 
@@ -172,14 +324,35 @@ impl Case<'_> {
         self.reading(&shadows, |n| left.get(n).copied(), &last.solution.intrinsics, true)
     }
 
-    /// That the layout fits the frame's mirror image, with at least two beads more than the `matched` of the frame itself.
+    /// The best match, close to the pose, of shadows that look like beads and belong to none.
+    fn second_near(&self, last: &Settled, unexplained: &[usize]) -> Option<Hypothesis> {
+        if unexplained.len() < 4 {
+            return None;
+        }
+        let shadows: Vec<Detection> = unexplained.iter().map(|n| self.detections[*n]).collect();
+        let near = Prior { camera_from_lps: last.solution.camera_from_lps, covariance: None };
+        let own = |n: usize| unexplained.get(n).copied();
+        let (found, tried) = self.search_all(&shadows, own, &last.solution.intrinsics, Some(self.gate(&near)), BUDGET)?;
+        (self.chance_among(&found, tried, &shadows) < NEAR_CHANCE).then_some(found)
+    }
+
+    /// That the layout fits the frame's mirror image, with at least two beads more than the `matched` of the frame itself, as well as beads
+    /// should, and the frame itself nowhere as well.
     pub fn mirrored(&self, k: &Intrinsics, matched: usize) -> Option<Refusal> {
         let end = f64::from(self.request.size_px[0]) - 1.0;
         let turned = |d: &Detection| Detection { image_px: DVec2::new(end - d.image_px.x, d.image_px.y), ..*d };
         let shadows: Vec<Detection> = self.detections.iter().map(turned).collect();
         let found = self.reading(&shadows, Some, &Intrinsics { cx: end - k.cx, ..*k }, false)?;
-        let mirrored = found.matches.len();
-        (mirrored >= matched + 2).then_some(Refusal::Mirrored { mirrored, rms_px: found.rms_px, matched })
+        let (mirrored, rms_px) = (found.matches.len(), found.rms_px);
+        let depth_mm = found.camera_from_lps.transform_point(self.request.layout.centroid_lps_mm()).z;
+        let allowed_px = |m: &Match| 2.0 * ((m.sigma_mm * k.fx / depth_mm).powi(2) + m.sigma_px.powi(2));
+        let allowed_px = (found.matches.iter().map(allowed_px).sum::<f64>() / mirrored as f64).sqrt();
+        if mirrored < matched + 2 || !(rms_px <= (MIRROR_FIT * allowed_px).max(LEAST_RMS_PX)) {
+            return None;
+        }
+        let (itself, _) = self.search_all(self.detections, Some, k, None, BUDGET).unzip();
+        let as_well = itself.is_some_and(|itself| itself.matches.len() + 1 >= mirrored);
+        (!as_well).then_some(Refusal::Mirrored { mirrored, rms_px, matched })
     }
 
     /// The best match of `shadows`, if it is beyond chance; `own` tells which each is among all.
@@ -199,5 +372,20 @@ impl Case<'_> {
         let accident = |found: &Hypothesis, tried: u64| self.chance_among(found, tried, shadows);
         let found = search.run(|best, tried| accident(best, tried) < 0.1 * RIVAL_CHANCE);
         found.hypotheses.into_iter().find(|hypothesis| accident(hypothesis, found.tried) < RIVAL_CHANCE)
+    }
+
+    /// The best match of `shadows` after all tries that `budget` allows, and their number.
+    fn search_all(
+        &self,
+        shadows: &[Detection],
+        own: impl Fn(usize) -> Option<usize>,
+        k: &Intrinsics,
+        gate: Option<Gate>,
+        budget: u64,
+    ) -> Option<(Hypothesis, u64)> {
+        let targets = self.targets();
+        let search = Search { budget, ..self.search(&targets, shadows, own, k, gate) };
+        let found = search.run(|_, _| false);
+        found.hypotheses.into_iter().next().map(|best| (best, found.tried))
     }
 }

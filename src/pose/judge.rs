@@ -92,7 +92,12 @@ impl Case<'_> {
     fn check_twins(&self, candidate: &Candidate, settled: &Settled, hypothesis: &Hypothesis) -> Result<(), Refusal> {
         let scale = settled.chi2_per_dof.max(1.0);
         let (matched, prior_given) = (hypothesis.matches.len(), self.request.prior.is_some());
-        if let Some(other) = rival(&candidate.hypothesis, &candidate.others, scale) {
+        // With K unknown the search was not held to the prior.
+        let others: Vec<Hypothesis> = match self.without_prior {
+            true => candidate.others.clone(),
+            false => candidate.others.iter().filter(|other| !self.gate_excludes(&other.camera_from_lps)).cloned().collect(),
+        };
+        if let Some(other) = rival(&candidate.hypothesis, &others, scale) {
             let (angle_deg, shift_mm) = self.distance(&other.camera_from_lps, &hypothesis.camera_from_lps);
             return Err(Refusal::Ambiguous {
                 rival: Rival::OtherNames,

@@ -93,6 +93,21 @@ pub enum Refusal {
         "residual: {matched} beads agree only to {rms_px:.2} px, {times:.1} times what noise and bead positions allow (limit {limit:.0}); the layout may have moved, or K is wrong"
     )]
     Residual { matched: usize, rms_px: f64, times: f64, limit: f64 },
+    /// The residuals are large, and shadows lie beside the places of their beads.
+    #[error(
+        "residual: {matched} beads agree only to {rms_px:.2} px, {times:.1} times what noise and bead positions allow, and the shadows of {names} lie beside their places; the layout may have moved or be stretched, its sigma_mm be too small, or K or the picture's geometry be wrong", names = displaced.join(", ")
+    )]
+    Displaced { matched: usize, rms_px: f64, times: f64, displaced: Vec<String> },
+    /// The shadows have another size than the beads at their depth.
+    #[error(
+        "radii: the shadows are {percent:.0} % {way} than the beads' radii give at the depth of this pose; check the layout's scale and radius_mm", percent = 100.0 * (ratio - 1.0).abs(), way = if *ratio < 1.0 { "smaller" } else { "larger" }
+    )]
+    Radii { ratio: f64 },
+    /// The layout with x and y negated is where the prior says.
+    #[error(
+        "axes: the only match, {matched} beads, is turned by half a turn about the patient's long axis from the prior, and with x and y of the layout negated it agrees with it: the layout's file says LPS and holds RAS, or the reverse"
+    )]
+    Axes { matched: usize },
     /// Another pose fits as well.
     #[error("ambiguous: {}", ambiguous(*rival, *angle_deg, *shift_mm, (*matched, *fit), (*other_matched, *other_fit), *prior_given))]
     Ambiguous {

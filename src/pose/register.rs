@@ -1,5 +1,7 @@
 //! From a frame and a layout to a pose, or to the reason why there is none.
 
+use glam::DVec3;
+
 use super::bodies;
 use super::case::Case;
 use super::record::{Pose, Prior};
@@ -7,7 +9,7 @@ use super::refusal::Refusal;
 use super::request::Registration;
 use crate::acquire::Frame;
 use crate::beads::{Detection, Polarity, Probe, detect};
-use crate::geometry::Intrinsics;
+use crate::geometry::{Intrinsics, Rigid};
 use crate::mask::{self, Cause, Masks};
 
 /// Shadows used in the search: the best.
@@ -102,6 +104,10 @@ impl Case<'_> {
         self.without_prior = true;
         let found = self.propose(None)?;
         let (angle_deg, shift_mm) = self.distance(&prior.camera_from_lps, &found.hypothesis.camera_from_lps);
+        let half_turn = Rigid::exp(DVec3::Z * std::f64::consts::PI, DVec3::ZERO);
+        if !self.gate_excludes(&(found.hypothesis.camera_from_lps * half_turn)) {
+            return Some(self.refuse(&Refusal::Axes { matched: found.hypothesis.matches.len() }, notes.to_vec()));
+        }
         // Who states a covariance means it.
         if prior.covariance.is_some() && !self.request.ignore_prior {
             let (matched, rms_px) = (found.hypothesis.matches.len(), found.hypothesis.rms_px);

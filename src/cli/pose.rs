@@ -209,7 +209,11 @@ pub fn run(args: &PoseArgs, reporter: &Reporter) -> Result<u8, ConvertError> {
         Target::Pose => serde_json::to_string_pretty(&pose_of(&camera, from))? + "\n",
         Target::Foreign(format) => {
             let axes = args.axes.unwrap_or(format.usual_axes());
-            write(format, &camera, axes).map_err(|source| ConvertError::Format { path: args.pose.clone(), format: format.name(), source })?
+            write(format, &camera, axes).map_err(|source| ConvertError::Format {
+                path: args.pose.clone(),
+                format: format.name(),
+                source,
+            })?
         }
     };
     if let Some(out) = &args.out {
@@ -270,8 +274,11 @@ fn load(args: &ConvertArgs, known: &Known) -> Result<(Target, ExchangedCamera), 
         Target::Pose => camera_of(&Pose::read(path)?, path, known)?,
         Target::Foreign(format) => {
             let axes = args.axes.unwrap_or(format.usual_axes());
-            read(format, &text, axes, known)
-                .map_err(|source| ConvertError::Format { path: path.clone(), format: format.name(), source })?
+            read(format, &text, axes, known).map_err(|source| ConvertError::Format {
+                path: path.clone(),
+                format: format.name(),
+                source,
+            })?
         }
     };
     if let (Some(intrinsics), Some(size_px)) = (camera.intrinsics, camera.size_px) {

@@ -63,9 +63,11 @@ pub(super) fn rows(value: &Value, what: &str) -> Result<Vec<Vec<f64>>, FormatErr
 pub(super) fn size_px(value: &Value) -> Result<[u32; 2], FormatError> {
     match list(value, "size_px")?[..] {
         [columns, rows] => size(columns, rows),
-        ref other => {
-            Err(FormatError::Shape { what: "size_px".to_owned(), found: format!("{} numbers", other.len()), expected: "two numbers" })
-        }
+        ref other => Err(FormatError::Shape {
+            what: "size_px".to_owned(),
+            found: format!("{} numbers", other.len()),
+            expected: "two numbers",
+        }),
     }
 }
 

@@ -12,8 +12,8 @@ const THREE_BY_THREE: &str = "3 rows of 3 numbers";
 
 pub(super) fn read_projection(text: &str) -> Result<ExchangedCamera, FormatError> {
     let found = if text.trim_start().starts_with('[') {
-        let value: Value =
-            serde_json::from_str(text).map_err(|error| FormatError::Syntax { expected: "rows of numbers", detail: error.to_string() })?;
+        let value: Value = serde_json::from_str(text)
+            .map_err(|error| FormatError::Syntax { expected: "rows of numbers", detail: error.to_string() })?;
         json_rows(&value, "P")?
     } else {
         rows(text, "P")?

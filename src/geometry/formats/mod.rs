@@ -215,7 +215,9 @@ impl Format {
                 Some("image size and pixel pitch are not in the file: give --intrinsics K.json to read it back whole")
             }
             Self::Rtk => Some("image size and pixel pitch are not in the file: --intrinsics K.json is needed to read it back"),
-            Self::Slicer => Some("K, image size and pixel pitch are not in the file: --intrinsics K.json is needed to read it back"),
+            Self::Slicer => {
+                Some("K, image size and pixel pitch are not in the file: --intrinsics K.json is needed to read it back")
+            }
             Self::KrJson | Self::OpenCv | Self::DeepDrr | Self::Xreg(_) => None,
         }
     }
@@ -224,16 +226,22 @@ impl Format {
     #[must_use]
     pub fn convention(self) -> &'static str {
         match self {
-            Self::Matrix => "P maps patient mm to pixels (column, row), third coordinate the depth in mm, first pixel's centre (0, 0)",
+            Self::Matrix => {
+                "P maps patient mm to pixels (column, row), third coordinate the depth in mm, first pixel's centre (0, 0)"
+            }
             Self::Kr | Self::KrJson => {
                 "K in px, [R|t] maps patient mm to the camera (+z to the detector, +x along columns, +y along rows), first pixel's centre (0, 0)"
             }
-            Self::OpenCv => "rvec, tvec map patient mm to OpenCV's camera, which is ours; first pixel's centre (0, 0), no distortion",
+            Self::OpenCv => {
+                "rvec, tvec map patient mm to OpenCV's camera, which is ours; first pixel's centre (0, 0), no distortion"
+            }
             Self::Rtk => {
                 "mm about the volume's origin in ITK's (lps) coordinates; give the projection image the direction (1, 0; 0, -1) and the origin \
                  (-(columns-1)/2 * pitch, +(rows-1)/2 * pitch), since RTK's v points up and rows run down"
             }
-            Self::DeepDrr => "world is RAS unless --axes lps; camera3d is our camera; DeepDRR's first pixel has its centre at (0.5, 0.5)",
+            Self::DeepDrr => {
+                "world is RAS unless --axes lps; camera3d is our camera; DeepDRR's first pixel has its centre at (0.5, 0.5)"
+            }
             Self::Xreg(XregFrame::DetectorPositiveZ) => {
                 "extrinsic maps lps mm to a camera with +z to the detector, which is ours; first pixel's centre (0, 0)"
             }

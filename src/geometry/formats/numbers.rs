@@ -60,8 +60,7 @@ pub(super) fn matrix<const R: usize, const C: usize>(
     if !rows.iter().flatten().all(|value| value.is_finite()) {
         return Err(FormatError::NotFinite { what: what.to_owned() });
     }
-    let fixed: Vec<[f64; C]> =
-        rows.iter().map(|row| row.as_slice().try_into()).collect::<Result<_, _>>().map_err(|_| wrong())?;
+    let fixed: Vec<[f64; C]> = rows.iter().map(|row| row.as_slice().try_into()).collect::<Result<_, _>>().map_err(|_| wrong())?;
     fixed.as_slice().try_into().map_err(|_| wrong())
 }
 
@@ -71,7 +70,11 @@ pub(super) fn rigid(rows: &[Vec<f64>], what: &'static str) -> Result<Rigid, Form
     let top: [[f64; 4]; 3] = match rows {
         [top @ .., last] if rows.len() == 4 => {
             if last[..] != [0.0, 0.0, 0.0, 1.0] {
-                return Err(FormatError::Shape { what: format!("last row of {what}"), found: format!("{last:?}"), expected: "[0, 0, 0, 1]" });
+                return Err(FormatError::Shape {
+                    what: format!("last row of {what}"),
+                    found: format!("{last:?}"),
+                    expected: "[0, 0, 0, 1]",
+                });
             }
             matrix(top, what, EXPECTED)?
         }

@@ -68,7 +68,9 @@ pub(super) fn read(text: &str) -> Result<ExchangedCamera, FormatError> {
             let [row]: [[f64; 6]; 1] = matrix(listed, key, "1 row of 6 numbers: rotation vector, translation")?;
             turned([row[0], row[1], row[2]], [row[3], row[4], row[5]])
         }
-        (Some(_), Some((key, _)), _) | (Some(_), None, Some((key, _))) => return Err(FormatError::TwiceKey { key: key.to_owned() }),
+        (Some(_), Some((key, _)), _) | (Some(_), None, Some((key, _))) => {
+            return Err(FormatError::TwiceKey { key: key.to_owned() });
+        }
         (None, Some((rotation_key, rotation)), Some((key, translation))) => {
             let t = vector(rows(translation, key)?, key)?;
             let rotation = rows(rotation, rotation_key)?;

@@ -170,7 +170,11 @@ fn parse(text: &str) -> Result<RtkParameters, FormatError> {
     }
     let projections = root.children().filter(|node| node.has_tag_name("Projection")).count();
     if projections != 1 {
-        return Err(if projections == 0 { FormatError::MissingKey { key: "Projection" } } else { FormatError::Several { found: projections } });
+        return Err(if projections == 0 {
+            FormatError::MissingKey { key: "Projection" }
+        } else {
+            FormatError::Several { found: projections }
+        });
     }
     let mut parameters = RtkParameters::default();
     let mut stated = None;
@@ -189,7 +193,9 @@ fn parse(text: &str) -> Result<RtkParameters, FormatError> {
                 let found = content.to_owned();
                 return Err(FormatError::Unsupported { key: key.to_owned(), found, expected: "0: a flat detector" });
             }
-        } else if !UNUSED.contains(&key) && !set(&mut parameters, key, if LENGTHS.contains(&key) || ANGLES.contains(&key) { value? } else { 0.0 }) {
+        } else if !UNUSED.contains(&key)
+            && !set(&mut parameters, key, if LENGTHS.contains(&key) || ANGLES.contains(&key) { value? } else { 0.0 })
+        {
             let expected = [&LENGTHS[..], &ANGLES, &UNUSED, &["Matrix", "RadiusCylindricalDetector"]].concat().join(", ");
             return Err(FormatError::UnknownKey { key: key.to_owned(), expected });
         }

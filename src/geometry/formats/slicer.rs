@@ -44,7 +44,11 @@ pub(super) fn read(text: &str) -> Result<ExchangedCamera, FormatError> {
         return Err(FormatError::Unsupported { key: "Transform".to_owned(), found: kind.clone(), expected });
     }
     let parameters = parameters.ok_or(FormatError::MissingKey { key: "Parameters" })?;
-    let shape = |what: &str, found: usize, expected| FormatError::Shape { what: what.to_owned(), found: format!("{found} numbers"), expected };
+    let shape = |what: &str, found: usize, expected| FormatError::Shape {
+        what: what.to_owned(),
+        found: format!("{found} numbers"),
+        expected,
+    };
     let values: [f64; 12] = parameters[..].try_into().map_err(|_| shape("Parameters", parameters.len(), "12 numbers"))?;
     let fixed = fixed.unwrap_or_else(|| vec![0.0; 3]);
     let centre: [f64; 3] = fixed[..].try_into().map_err(|_| shape("FixedParameters", fixed.len(), "3 numbers"))?;

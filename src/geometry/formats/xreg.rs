@@ -99,7 +99,9 @@ fn camera_in(
     let mut camera = camera_of(&Projection(p))?;
     if mirrored {
         let name = frame.name();
-        camera.notes.push(format!("{name} sees the picture mirrored: the pose is for the frame with its columns in reverse order"));
+        camera
+            .notes
+            .push(format!("{name} sees the picture mirrored: the pose is for the frame with its columns in reverse order"));
     }
     Ok(camera)
 }

@@ -44,7 +44,10 @@ pub(super) fn parse(text: &str) -> Result<Vec<(String, Node)>, FormatError> {
             return Err(FormatError::TwiceKey { key });
         }
         // All that is indented, and lists in the block style, belong to the key above.
-        let below = lines[at..].iter().take_while(|line| line.is_empty() || line.starts_with([' ', '\t', '-']) && **line != "---").count();
+        let below = lines[at..]
+            .iter()
+            .take_while(|line| line.is_empty() || line.starts_with([' ', '\t', '-']) && **line != "---")
+            .count();
         let block = &lines[at..at + below];
         at += below;
         let node = if value.starts_with("!!opencv-matrix") {
@@ -63,7 +66,11 @@ pub(super) fn parse(text: &str) -> Result<Vec<(String, Node)>, FormatError> {
 fn dense(block: &[&str], key: &str, start: usize) -> Result<Vec<Vec<f64>>, FormatError> {
     let joined = block.iter().map(|line| line.trim()).collect::<Vec<_>>().join(" ");
     let (head, data) = joined.split_once("data:").ok_or_else(|| wrong(start, "a matrix without data"))?;
-    let data = data.trim().strip_prefix('[').and_then(|rest| rest.strip_suffix(']')).ok_or_else(|| wrong(start, "data in no brackets"))?;
+    let data = data
+        .trim()
+        .strip_prefix('[')
+        .and_then(|rest| rest.strip_suffix(']'))
+        .ok_or_else(|| wrong(start, "data in no brackets"))?;
     let words: Vec<&str> = head.split_whitespace().collect();
     let field = |name: &str| words.iter().position(|word| *word == name).and_then(|at| words.get(at + 1)).copied();
     let count = |name: &str| -> Result<usize, FormatError> {
@@ -73,7 +80,11 @@ fn dense(block: &[&str], key: &str, start: usize) -> Result<Vec<Vec<f64>>, Forma
     let (rows, columns) = (count("rows:")?, count("cols:")?);
     let kind = field("dt:").ok_or_else(|| wrong(start, "a matrix without dt"))?.trim_matches('"');
     if !matches!(kind, "d" | "f" | "i" | "s" | "u" | "w" | "c") {
-        return Err(FormatError::Unsupported { key: format!("{key}: dt"), found: kind.to_owned(), expected: "one channel of numbers" });
+        return Err(FormatError::Unsupported {
+            key: format!("{key}: dt"),
+            found: kind.to_owned(),
+            expected: "one channel of numbers",
+        });
     }
     // FileStorage writes NaN and infinity as .Nan and .Inf.
     if data.to_ascii_lowercase().contains(".nan") || data.to_ascii_lowercase().contains(".inf") {

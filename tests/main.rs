@@ -30,6 +30,7 @@ mod pose_synthetic;
 mod pose_angles;
 mod pose_command;
 mod pose_convert;
+mod pose_refused_formats;
 mod live_numbers;
 mod timeline_joints;
 mod calibrate_detector;

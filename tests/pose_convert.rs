@@ -93,7 +93,7 @@ fn files_that_rtk_wrote_draw_spheres_where_we_project_them() {
 #[test]
 fn configurations_of_deepdrr_project_where_deepdrr_does() {
     // DeepDRR holds K in single precision (6e-8) and computes in it: 500 px of 24 bits, a few operations.
-    agrees("deepdrr.json", |case| case["config"].to_string(), Format::DeepDrr, "image_px", 1e-7, 2e-3);
+    agrees("deepdrr.json", |case| case["config"].to_string(), Format::DeepDrr, "image_px", 1e-7, 2e-4);
 }
 
 #[test]
@@ -126,7 +126,7 @@ fn the_tools_read_what_we_write() {
                 "case {n}: {format} is no longer what the tool has read; make the reference again"
             );
         }
-        for (tool, px) in [("opencv", 1e-8), ("rtk", 1e-8), ("deepdrr", 2e-3)] {
+        for (tool, px) in [("opencv", 1e-8), ("rtk", 1e-8), ("deepdrr", 2e-4)] {
             let off = worst_px(&projection, &phantom, &get::<Vec<[f64; 2]>>(&case[tool], "image_px"));
             assert!(off <= px, "case {n}: {tool} is {off} px off");
         }
@@ -222,6 +222,17 @@ fn every_format_gives_back_what_it_was_given() {
         }
     }
     assert!(worst > 0.0, "some rounding must have been seen");
+}
+
+/// Beside millimetres a tiny turn vanishes in P, so it is looked at by itself.
+#[test]
+fn a_turn_of_a_billionth_is_kept_by_the_rotation_vector() {
+    let vector = DVec3::new(1e-9, -2e-9, 3e-9);
+    let camera = Draw(2).camera(Some(DQuat::from_xyzw(0.5 * vector.x, 0.5 * vector.y, 0.5 * vector.z, 1.0)));
+    let text = write(Format::OpenCv, &camera, PatientAxes::Lps).expect("can be written");
+    let found = read(Format::OpenCv, &text, PatientAxes::Lps, &Known::default()).expect("can be read");
+    let back = 2.0 * found.camera_from_lps.rotation.xyz();
+    assert!(back.distance(vector) <= 1e-9 * vector.length(), "{back}");
 }
 
 #[test]

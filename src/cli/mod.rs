@@ -17,6 +17,7 @@ pub mod hints;
 pub mod info;
 pub mod line_checks;
 pub mod live;
+pub mod pose;
 pub mod read_foreign;
 pub mod register;
 pub mod render;
@@ -52,6 +53,7 @@ enum Command {
     Trade(trade::TradeArgs),
     Time(time::TimeArgs),
     Register(register::RegisterArgs),
+    Pose(pose::PoseArgs),
     Compare(compare::CompareArgs),
     Calibrate(calibrate::CalibrateArgs),
     Attach(attach::AttachArgs),
@@ -87,6 +89,7 @@ fn dispatch(command: &Command, reporter: &Reporter) -> u8 {
         Command::Compare(args) => end(compare::run(args, reporter), reporter),
         Command::Calibrate(args) => end(calibrate::run(args, reporter), reporter),
         Command::Register(args) => end(register::run(args, reporter), reporter),
+        Command::Pose(args) => end(pose::run(args, reporter), reporter),
         Command::Attach(args) => end(attach::run(args, reporter), reporter),
         Command::Attenuation(args) => end(attenuation::run(args, &mut std::io::stdout().lock()).map(|()| 0), reporter),
         Command::Spectrum(args) => end(spectrum::run(args, &mut std::io::stdout().lock()).map(|()| 0), reporter),

@@ -14,13 +14,16 @@
 //! | `base`, `tip` | robot: origin of piece 0, +z along the shaft at rest; drill tip | mm |
 //! | `voxel` | continuous index (i, j, k), voxel centres at integers | – |
 
+mod angles;
 mod camera;
 mod carm;
 mod console;
 mod convert;
+pub mod formats;
 mod rigid;
 mod robot;
 
+pub use angles::{AngleConvention, CarmAngles, PatientPosition};
 pub use camera::{CameraError, Intrinsics, Projection, View};
 pub use carm::{CarmCalibration, CarmCalibrationError, CarmJoints};
 pub use console::{ConsoleError, ConsoleGeometry, Flip, PanelWindow};

@@ -146,8 +146,10 @@ fn layered() -> Scene {
     let size = [30, 26, 61];
     let turn = DQuat::from_rotation_y(0.5) * DQuat::from_rotation_x(0.7);
     let affine = placed(size, DVec3::new(0.0, 0.0, 600.0), DVec3::new(1.5, 1.7, 1.2), turn);
+    // Cut at one face, and there on one side.
+    let border = |[i, j, k]: [usize; 3]| [0, 29].contains(&i) || [0, 25].contains(&j) || k == 60 || (k == 0 && i >= 15);
     let mut scan = volume(size, affine, &[0, 1], |[i, j, k]| match (i + 2 * j + 3 * k) % 40 {
-        n if n < 12 => (0, 0.0),
+        n if n < 12 || border([i, j, k]) => (0, 0.0),
         n if n < 30 => (1, 1.0 + 0.01 * k as f32),
         _ => (2, 1.8),
     });

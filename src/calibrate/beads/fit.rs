@@ -20,6 +20,8 @@ type Matrix = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 const MOST_STEPS: usize = 60;
 /// Residuals beyond this many σ count as anatomy that the background does not have, and pull with constant force.
 const HUBER_SIGMAS: f64 = 4.0;
+/// Voxels that stand out by less than this share of the highest are halo, and tell little of a shape.
+const STANDS_OUT: f64 = 0.2;
 
 /// A number's logarithm: expected value, and σ.
 #[derive(Clone, Copy, Debug)]
@@ -113,8 +115,8 @@ pub(super) struct Fitted {
     pub blur_sigma_ln: f64,
     /// Root mean square of what the model misses, unclipped voxels, HU.
     pub rms_hu: f64,
-    /// Root mean square of the ball itself in those voxels, and of clipped ones above the background, HU.
-    pub signal_hu: f64,
+    /// Root mean square of what the model misses where ball or data stand out, as a share of the ball there.
+    pub missed_share: f64,
     /// Clipped voxels.
     pub clipped: usize,
 }
@@ -137,7 +139,7 @@ impl Problem<'_> {
         let (mut damping, mut cost) = (1e-2, self.cost(&at, origin));
         for _ in 0..MOST_STEPS {
             let (gradient, curvature) = self.normal(&at, origin);
-            let mut settled = false;
+            let settled;
             loop {
                 let mut damped = curvature;
                 (0..UNKNOWNS).for_each(|n| damped[(n, n)] *= 1.0 + damping);
@@ -270,19 +272,28 @@ impl Problem<'_> {
         let inverse = curvature.cholesky()?.inverse();
         let rows: Vec<Row> = self.rows(at, origin).collect();
         let covariance = inverse + inverse * self.shared(&rows) * inverse;
-        let background = |row: &Row| at[6] + at[7] * row.by[7] + at[8] * row.by[8] + at[9] * row.by[9];
-        let (mut missed, mut signal, mut open) = (0.0, 0.0, 0usize);
-        for (row, sample) in rows.iter().zip(self.samples) {
-            if row.clipped {
-                // Below the clip is a miss, above it is not.
-                missed += row.residual.min(0.0).powi(2);
-                signal += (self.clip_hu - sample.background_hu - background(row)).powi(2);
-            } else {
-                missed += row.residual * row.residual;
-                signal += row.by[3] * row.by[3];
-            }
-            open += usize::from(!row.clipped || row.residual < 0.0);
-        }
+        let background = |row: &Row, sample: &Sample| sample.background_hu + at[6] + at[7] * row.by[7] + at[8] * row.by[8] + at[9] * row.by[9];
+        // Of each voxel: what the model misses (below the clip only, where it is clipped), the ball's own share of what can be seen, and
+        // how far data or ball stand out.
+        let seen: Vec<(f64, f64, f64)> = rows
+            .iter()
+            .zip(self.samples)
+            .map(|(row, sample)| {
+                let background = background(row, sample);
+                let missed = if row.clipped { row.residual.min(0.0) } else { row.residual };
+                let ball = row.by[3].min(self.clip_hu - background);
+                (missed, ball, ball.max(sample.hu.min(self.clip_hu) - background))
+            })
+            .collect();
+        let highest = seen.iter().map(|(.., stands_out)| *stands_out).fold(0.0, f64::max);
+        let rms = |voxels: &mut dyn Iterator<Item = f64>| {
+            let (sum, count) = voxels.fold((0.0, 0usize), |(sum, count), value| (sum + value * value, count + 1));
+            (sum / count.max(1) as f64).sqrt()
+        };
+        let strong = || seen.iter().filter(|(.., stands_out)| *stands_out >= STANDS_OUT * highest);
+        let missed_share = rms(&mut strong().map(|(missed, ..)| *missed)) / rms(&mut strong().map(|(_, ball, _)| *ball));
+        // A clipped voxel whose model is above the clip says nothing of a misfit.
+        let rms_hu = rms(&mut seen.iter().zip(&rows).filter(|(_, row)| !row.clipped || row.residual < 0.0).map(|((missed, ..), _)| *missed));
         let ball = Self::ball(at, origin);
         let covariance_mm2 = [0, 1, 2].map(|r| [0, 1, 2].map(|c| 0.5 * (covariance[(r, c)] + covariance[(c, r)])));
         let finite = covariance.iter().all(|value| value.is_finite()) && ball.centre_lps_mm.is_finite();
@@ -291,8 +302,8 @@ impl Problem<'_> {
             covariance_mm2,
             radius_sigma_ln: covariance[(4, 4)].max(0.0).sqrt(),
             blur_sigma_ln: covariance[(5, 5)].max(0.0).sqrt(),
-            rms_hu: (missed / open.max(1) as f64).sqrt(),
-            signal_hu: (signal / rows.len().max(1) as f64).sqrt(),
+            rms_hu,
+            missed_share,
             clipped: rows.iter().filter(|row| row.clipped).count(),
         })
     }

@@ -14,8 +14,12 @@ const ELONGATED: f64 = 1.7;
 const LONGER_MM: f64 = 1.5;
 /// Less contrast to its surroundings than this is bone, calcification or contrast medium: titanium has 8000 HU, dense bone 1500.
 const LEAST_CONTRAST_HU: f64 = 3500.0;
+/// No scanner's point spread is wider, full width at half maximum.
+const WIDEST_BLUR_MM: f64 = 1.9;
+/// Full width at half maximum of a Gaussian of σ = 1.
+pub(super) const FWHM: f64 = 2.354_820_045;
 /// A ball's model misses less than this share of the ball, root mean square.
-const MISSED_SHARE: f64 = 0.12;
+const MISSED_SHARE: f64 = 0.25;
 
 /// Why metal, or what looked like it, is not taken for a bead.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
@@ -37,6 +41,11 @@ pub enum NotBead {
     Faint {
         /// Contrast to the surroundings.
         contrast_hu: f64,
+    },
+    /// Wider than a scanner's point spread makes a ball.
+    Unsharp {
+        /// Full width at half maximum of the blur that it would need.
+        fwhm_mm: f64,
     },
     /// It does not look like a blurred ball.
     Shape {
@@ -60,6 +69,9 @@ impl std::fmt::Display for NotBead {
             }
             Self::Faint { contrast_hu } => {
                 write!(f, "{contrast_hu:.0} HU above its surroundings, less than metal: bone, calcification or contrast medium")
+            }
+            Self::Unsharp { fwhm_mm } => {
+                write!(f, "a ball blurred by {fwhm_mm:.1} mm, more than a scanner blurs: contrast medium, calcification or bone")
             }
             Self::Shape { missed_share, limit_share } => write!(
                 f,
@@ -97,6 +109,10 @@ pub(super) fn of_fit(grid: &VoxelGrid, lump: &Lump, alone: bool, fitted: &Fitted
     if !(ball.contrast_hu() >= LEAST_CONTRAST_HU) || !(f64::from(lump.peak_hu) - middle_hu >= 0.5 * f64::from(METAL_HU)) {
         return Some(NotBead::Faint { contrast_hu: contrast_hu.min(f64::from(lump.peak_hu) - middle_hu) });
     }
+    let fwhm_mm = FWHM * ball.blur_mm;
+    if !(fwhm_mm <= WIDEST_BLUR_MM) {
+        return Some(NotBead::Unsharp { fwhm_mm });
+    }
     if !(ball.radius_mm <= LARGEST_RADIUS_MM) {
         return Some(NotBead::Large { longest_mm: length_mm });
     }
@@ -104,7 +120,7 @@ pub(super) fn of_fit(grid: &VoxelGrid, lump: &Lump, alone: bool, fitted: &Fitted
     if alone && length_mm > ELONGATED * width_mm && length_mm > width_mm + LONGER_MM + thick_mm {
         return Some(NotBead::Elongated { length_mm, width_mm });
     }
-    let missed_share = fitted.rms_hu / fitted.signal_hu;
+    let missed_share = fitted.missed_share;
     if !(missed_share <= MISSED_SHARE) {
         return Some(NotBead::Shape { missed_share, limit_share: MISSED_SHARE });
     }

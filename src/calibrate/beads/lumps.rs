@@ -24,8 +24,6 @@ pub(super) struct Lump {
     pub extent_mm: [f64; 3],
     /// Largest value.
     pub peak_hu: f32,
-    /// Whether it lies at the end of the grid.
-    pub at_border: bool,
 }
 
 /// All lumps, in the order of their first voxel.
@@ -91,9 +89,7 @@ fn measure(grid: &VoxelGrid, hu: &[f32], voxels: Vec<usize>) -> Lump {
     });
     extent_mm.sort_by(|a, b| b.total_cmp(a));
     let peak_hu = voxels.iter().map(|index| hu[*index]).fold(f32::NEG_INFINITY, f32::max);
-    let at_end = |index: &usize| (0..3).any(|axis| [0, grid.size[axis] - 1].contains(&grid.coordinates(*index)[axis]));
-    let at_border = voxels.iter().any(at_end);
-    Lump { voxels, centre_lps_mm: centre, extent_mm, peak_hu, at_border }
+    Lump { voxels, centre_lps_mm: centre, extent_mm, peak_hu }
 }
 
 /// Where beads may lie in a lump, lps mm: the summits of the blurred values, highest first. At least one.

@@ -31,8 +31,6 @@ pub use markups::markups;
 
 /// How far a bead may lie from its place in a list of names, unless said otherwise; mm.
 pub const NAME_TOLERANCE_MM: f64 = 5.0;
-/// Full width at half maximum of a Gaussian of σ = 1.
-const FWHM: f64 = 2.354_820_045;
 /// A radius less certain than this share is not stated as the bead's.
 const RADIUS_STATED_SHARE: f64 = 0.15;
 
@@ -178,7 +176,7 @@ fn bead(found: &search::Found) -> CtBead {
         radius_stated: fitted.radius_sigma_ln <= RADIUS_STATED_SHARE,
         contrast_hu: ball.contrast_hu(),
         mass_hu_mm3: ball.mass_hu_mm3,
-        point_spread_fwhm_mm: FWHM * ball.blur_mm,
+        point_spread_fwhm_mm: judge::FWHM * ball.blur_mm,
         peak_hu: found.peak_hu,
         clipped_voxels: fitted.clipped,
         missed_hu: fitted.rms_hu,

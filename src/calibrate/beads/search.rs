@@ -20,8 +20,11 @@ const RADIUS_MM: Prior = Prior { expected: 0.9, sigma_ln: 0.6 };
 const BLUR_MM: Prior = Prior { expected: 0.40, sigma_ln: 0.4 };
 /// The radius of a given bead may be wrong by this.
 const GIVEN_RADIUS_SIGMA_LN: f64 = 0.01;
-/// Misfit is shared over about a point spread, mm.
-const MISFIT_LENGTH_MM: f64 = 1.0;
+/// Misfit is mostly anatomy that the surroundings do not continue: walls of bone and the like, mm.
+const MISFIT_LENGTH_MM: f64 = 1.2;
+/// What the surroundings continue wrongly inside a bead, of their own structure: the ball takes up much of that itself, so that the
+/// misfit left in the voxels understates it.
+const MISFIT_OF_STRUCTURE: f64 = 0.7;
 /// A lump with more summits than this is no group of beads.
 const MOST_SUMMITS: usize = 6;
 /// More lumps than this are not fitted, only counted: dense bone breaks into thousands.
@@ -212,13 +215,13 @@ impl Fitter<'_> {
     }
 
     fn solve(&self, window: &Window, start: Ball, own: &Candidate, (radius, blur): (Prior, Prior)) -> Option<Fitted> {
-        let loose_hu = 20.0 + 0.5 * window.spread_hu;
+        let loose_hu = 20.0 + 0.5 * window.structure_hu;
         let mut problem = Problem {
             samples: &window.samples,
             points: &self.points,
             clip_hu: self.clip_hu,
             noise_hu: window.noise_hu,
-            misfit_hu: 0.0,
+            misfit_hu: MISFIT_OF_STRUCTURE * window.structure_hu,
             misfit_length_mm: MISFIT_LENGTH_MM,
             priors: Priors {
                 contrast_hu: CONTRAST,
@@ -228,11 +231,13 @@ impl Fitter<'_> {
                 gradient_hu_per_mm: loose_hu / own.window_mm(self.points.half_diagonal_mm),
             },
         };
-        let first = problem.solve(start)?;
-        problem.misfit_hu = (first.rms_hu.powi(2) - window.noise_hu.powi(2)).max(0.0).sqrt();
-        let second = problem.solve(first.ball)?;
-        problem.misfit_hu = (second.rms_hu.powi(2) - window.noise_hu.powi(2)).max(0.0).sqrt();
-        problem.solve(second.ball)
+        let mut fitted = problem.solve(start)?;
+        for _ in 0..2 {
+            let measured_hu = (fitted.rms_hu.powi(2) - window.noise_hu.powi(2)).max(0.0).sqrt();
+            problem.misfit_hu = measured_hu.max(MISFIT_OF_STRUCTURE * window.structure_hu);
+            fitted = problem.solve(fitted.ball)?;
+        }
+        Some(fitted)
     }
 }
 

@@ -9,7 +9,7 @@ use super::lumps::METAL_HU;
 use crate::scene::{VoxelGrid, fill_harmonic};
 
 /// Past the last voxel above the threshold a bead's halo reaches this far, plus half a voxel's diagonal; mm.
-const HALO_MM: f64 = 1.5;
+const HALO_MM: f64 = 1.0;
 /// Voxels this near to metal that is no bead say nothing of a bead, mm.
 const FOREIGN_HALO_MM: f64 = 1.3;
 /// The surroundings are looked at this far past the halo, mm.
@@ -42,8 +42,8 @@ pub(super) struct Window {
     pub samples: Vec<Sample>,
     /// White noise, from differences of neighbours around the halo.
     pub noise_hu: f64,
-    /// Robust spread of what surrounds the halo.
-    pub spread_hu: f64,
+    /// Standard deviation of what surrounds the halo, without the noise.
+    pub structure_hu: f64,
     /// Its middle value.
     pub middle_hu: f64,
 }
@@ -74,7 +74,7 @@ pub(super) fn window(grid: &VoxelGrid, hu: &[f32], all: &[Candidate], at: usize,
         around.iter().copied().filter(|index| !spoiled.contains(index)).partition(|index| halo(grid.centre(*index)));
     let is_shell: BTreeSet<usize> = shell.into_iter().filter(|index| hu[*index] < METAL_HU && hu[*index] > UNKNOWN_HU).collect();
     let filled = fill_harmonic(grid, hu, &hidden, &|index| is_shell.contains(&index))?;
-    let (noise_hu, spread_hu, middle_hu) = surroundings(grid, hu, &is_shell)?;
+    let (noise_hu, structure_hu, middle_hu) = surroundings(grid, hu, &is_shell)?;
     let mut samples = Vec::new();
     for (index, background_hu) in hidden.into_iter().zip(filled) {
         let place = grid.centre(index);
@@ -84,7 +84,7 @@ pub(super) fn window(grid: &VoxelGrid, hu: &[f32], all: &[Candidate], at: usize,
             samples.push(Sample { place_lps_mm: place, hu: f64::from(hu[index]), background_hu });
         }
     }
-    Some(Window { samples, noise_hu, spread_hu, middle_hu })
+    Some(Window { samples, noise_hu, structure_hu, middle_hu })
 }
 
 /// Voxels of `around` that metal which is no bead reaches.
@@ -97,21 +97,24 @@ fn near_foreign(grid: &VoxelGrid, around: &[usize], foreign: &BTreeSet<usize>) -
     foreign.range(first.saturating_sub(steps)..=last + steps).flat_map(|index| grid.within(grid.centre(*index), reach_mm)).collect()
 }
 
-/// White noise, robust spread and median of voxels.
+/// White noise, structure and median of voxels.
 fn surroundings(grid: &VoxelGrid, hu: &[f32], shell: &BTreeSet<usize>) -> Option<(f64, f64, f64)> {
     let mut values: Vec<f64> = shell.iter().map(|index| f64::from(hu[*index])).collect();
     let middle = median(&mut values)?;
-    let mut away: Vec<f64> = values.iter().map(|value| (value - middle).abs()).collect();
+    let count = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / count;
+    let variance = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / count;
     let mut steps: Vec<f64> = shell
         .iter()
         .filter_map(|index| grid.neighbour(*index, 0, true).filter(|next| shell.contains(next)).map(|next| (*index, next)))
         .map(|(index, next)| (f64::from(hu[next]) - f64::from(hu[index])).abs())
         .collect();
     const SIGMA_FROM_MEDIAN: f64 = 1.4826;
-    let spread = SIGMA_FROM_MEDIAN * median(&mut away)?;
-    let noise = median(&mut steps).map_or(spread, |step| SIGMA_FROM_MEDIAN * step * std::f64::consts::FRAC_1_SQRT_2);
+    let noise = median(&mut steps).map_or(variance.sqrt(), |step| SIGMA_FROM_MEDIAN * step * std::f64::consts::FRAC_1_SQRT_2);
+    // Ten percent more than the noise is within what the noise is known to.
+    let structure = (variance - 1.1 * noise * noise).max(0.0).sqrt();
     // Stored values are rounded, and no CT is better than this.
-    Some((noise.max(3.0), spread, middle))
+    Some((noise.max(3.0), structure, middle))
 }
 
 fn median(values: &mut [f64]) -> Option<f64> {

@@ -169,7 +169,9 @@ fn the_list_goes_through_slicers_format_and_keeps_given_names() {
     let document = markups(&found.beads);
     let point = &document["markups"][0]["controlPoints"][0];
     assert_eq!((&point["positionStatus"], &document["markups"][0]["coordinateUnits"]), (&"defined".into(), &"mm".into()));
-    assert!(point["description"].as_str().is_some_and(|words| words.contains("covariance_mm2=") && words.matches(':').count() == 5));
+    assert!(
+        point["description"].as_str().is_some_and(|words| words.contains("covariance_mm2=") && words.matches(':').count() == 5)
+    );
 }
 
 /// A CT as a file; its sform is in RAS.
@@ -237,11 +239,16 @@ fn volume(scene: &Scene) -> &Volume {
 fn line_integral(scene: &Scene, place: DVec3, toward: DVec3) -> f64 {
     let volume = volume(scene);
     let voxel_from_lps = volume.lps_from_voxel.inverse();
-    let per_class: Vec<f64> =
-        volume.class_materials.iter().map(|m| 0.1 * scene.materials[*m].attenuation(60.0).expect("in range").total_cm2_per_g).collect();
+    let per_class: Vec<f64> = volume
+        .class_materials
+        .iter()
+        .map(|m| 0.1 * scene.materials[*m].attenuation(60.0).expect("in range").total_cm2_per_g)
+        .collect();
     let at = |voxel: [usize; 3]| {
         let index = volume.index(voxel[0], voxel[1], voxel[2]);
-        volume.class[index].checked_sub(1).map_or(0.0, |class| per_class[usize::from(class)] * f64::from(volume.density_g_per_cm3[index]))
+        volume.class[index]
+            .checked_sub(1)
+            .map_or(0.0, |class| per_class[usize::from(class)] * f64::from(volume.density_g_per_cm3[index]))
     };
     let step = 0.1;
     let mut sum = 0.0;
@@ -253,7 +260,8 @@ fn line_integral(scene: &Scene, place: DVec3, toward: DVec3) -> f64 {
         let low = voxel.floor();
         for corner in 0..8usize {
             let bit = |axis: usize| corner >> axis & 1;
-            let weight: f64 = (0..3).map(|axis| if bit(axis) == 1 { voxel[axis] - low[axis] } else { 1.0 - voxel[axis] + low[axis] }).product();
+            let weight: f64 =
+                (0..3).map(|axis| if bit(axis) == 1 { voxel[axis] - low[axis] } else { 1.0 - voxel[axis] + low[axis] }).product();
             sum += step * weight * at([0, 1, 2].map(|axis| low[axis] as usize + bit(axis)));
         }
     }
@@ -276,7 +284,11 @@ fn beads_that_the_scene_draws_leave_the_ct() {
         let (middle, across) = (phantom.middle(), lps_from_voxel.matrix3.x_axis.normalize());
         // In muscle, two of them 4 mm apart, and in marrow.
         let up = lps_from_voxel.matrix3.z_axis.normalize();
-        let places = [middle - 9.0 * across, middle - 9.0 * across + 4.0 * lps_from_voxel.matrix3.y_axis.normalize(), middle + 10.0 * across + 5.0 * up];
+        let places = [
+            middle - 9.0 * across,
+            middle - 9.0 * across + 4.0 * lps_from_voxel.matrix3.y_axis.normalize(),
+            middle + 10.0 * across + 5.0 * up,
+        ];
         places.iter().for_each(|place| phantom.ball(*place, 0.75, 20_000.0));
         write_ct(&phantom, &phantom.stored(20.0, CLIP_HU, &mut noise()), &folder.path().join("beads.nii.gz"));
         let sphere = |place: &DVec3, material: &str| {
@@ -312,7 +324,11 @@ fn beads_that_the_scene_draws_leave_the_ct() {
         // Far from the beads nothing changes.
         let far = |index: &usize| places.iter().all(|place| phantom.place(*index).distance(*place) > 7.0);
         let (one, two) = (volume(&once), volume(&twice));
-        assert!((0..one.class.len()).filter(far).all(|i| one.density_g_per_cm3[i] == two.density_g_per_cm3[i] && one.class[i] == two.class[i]));
+        assert!(
+            (0..one.class.len())
+                .filter(far)
+                .all(|i| one.density_g_per_cm3[i] == two.density_g_per_cm3[i] && one.class[i] == two.class[i])
+        );
     }
     assert_eq!(cases, 9);
 }

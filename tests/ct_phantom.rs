@@ -73,7 +73,8 @@ impl Phantom {
     /// A ball of `contrast_hu` above what is there.
     pub fn ball(&mut self, centre: DVec3, radius_mm: f64, contrast_hu: f64) {
         let step = radius_mm / 10.0;
-        let cloud: Vec<DVec3> = lattice(DVec3::splat(-radius_mm), DVec3::splat(radius_mm), step).filter(|p| p.length() <= radius_mm).collect();
+        let cloud: Vec<DVec3> =
+            lattice(DVec3::splat(-radius_mm), DVec3::splat(radius_mm), step).filter(|p| p.length() <= radius_mm).collect();
         // Normalised to the ball's volume, which the cloud's cubes have only nearly.
         let volume = 4.0 / 3.0 * std::f64::consts::PI * radius_mm.powi(3);
         let reach = radius_mm + 5.0 * self.blur_mm;
@@ -94,7 +95,8 @@ impl Phantom {
         for index in 0..self.hu.len() {
             let away = self.place(index) - centre;
             if away.length_squared() < far * far {
-                self.hu[index] += contrast_hu * inside.iter().map(|o| share((away + *o).length())).sum::<f64>() / inside.len() as f64;
+                self.hu[index] +=
+                    contrast_hu * inside.iter().map(|o| share((away + *o).length())).sum::<f64>() / inside.len() as f64;
             }
         }
     }
@@ -121,7 +123,9 @@ impl Phantom {
                         let index = i as usize + self.size[0] * (j as usize + self.size[1] * k as usize);
                         let away = self.lps_from_voxel.transform_point3(DVec3::new(i as f64, j as f64, k as f64)) - point;
                         if away.length_squared() < reach * reach {
-                            let sum = inside.iter().map(|o| (-0.5 * (away + *o).length_squared() / (self.blur_mm * self.blur_mm)).exp());
+                            let sum = inside
+                                .iter()
+                                .map(|o| (-0.5 * (away + *o).length_squared() / (self.blur_mm * self.blur_mm)).exp());
                             self.hu[index] += scale * sum.sum::<f64>();
                         }
                     }

@@ -116,7 +116,11 @@ fn check(args: &BeadsArgs) -> Result<(), CalibrateBeadsError> {
         return Err(CalibrateBeadsError::Option { option: "--radius", found, expected: "0.2 to 5 mm" });
     }
     if !(args.tolerance > 0.0 && args.tolerance <= 100.0) {
-        return Err(CalibrateBeadsError::Option { option: "--tolerance", found: args.tolerance, expected: "above 0, at most 100 mm" });
+        return Err(CalibrateBeadsError::Option {
+            option: "--tolerance",
+            found: args.tolerance,
+            expected: "above 0, at most 100 mm",
+        });
     }
     if !args.out.to_string_lossy().to_lowercase().ends_with(".mrk.json") {
         return Err(CalibrateBeadsError::Extension { path: args.out.clone() });

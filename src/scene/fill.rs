@@ -13,12 +13,7 @@ const MOST_STEPS: usize = 400;
 ///
 /// The result depends on the values alone, not on threads.
 #[must_use]
-pub fn fill_harmonic(
-    grid: &VoxelGrid,
-    values: &[f32],
-    hidden: &[usize],
-    usable: &dyn Fn(usize) -> bool,
-) -> Option<Vec<f64>> {
+pub fn fill_harmonic(grid: &VoxelGrid, values: &[f32], hidden: &[usize], usable: &dyn Fn(usize) -> bool) -> Option<Vec<f64>> {
     let weight = grid.spacing_mm().map(|mm| 1.0 / (mm * mm));
     // Row n: the unknowns that n touches, with weights; what the known neighbours add; the sum of all weights.
     let mut rows: Vec<Vec<(usize, f64)>> = Vec::with_capacity(hidden.len());

@@ -6,8 +6,8 @@ use std::path::Path;
 use glam::DAffine3;
 
 use super::SceneError;
-use super::voxel_grid::VoxelGrid;
 use super::volume_file::{PlacedBy, VolumeHead, VoxelSummary, decode_volume};
+use super::voxel_grid::VoxelGrid;
 use crate::foreign::{self, ForeignFault, Kind, Limits, Message, OpenFault, OpenFile, Receiver, Request, Sender, WireError};
 use crate::reporter::Reporter;
 

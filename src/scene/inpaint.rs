@@ -54,7 +54,8 @@ pub(super) fn metal_balls(objects: &[ObjectFile]) -> Vec<Ball> {
     let is_bead = |file: &&SphereFile| {
         let mean_z = |material: Material| material.composition.iter().map(|(z, share)| f64::from(*z) * share).sum::<f64>();
         // A material that is not known is refused when its object's turn comes.
-        file.radius_mm <= LARGEST_BEAD_MM && Material::parse(&file.material).is_ok_and(|material| mean_z(material) >= METAL_MEAN_Z)
+        file.radius_mm <= LARGEST_BEAD_MM
+            && Material::parse(&file.material).is_ok_and(|material| mean_z(material) >= METAL_MEAN_Z)
     };
     let sphere = |object| match object {
         &ObjectFile::Sphere(ref file) => Some(file),

@@ -52,7 +52,9 @@ pub enum BeadsInCtError {
         high: f32,
     },
     /// Something else than a CT.
-    #[error("{share_percent:.0} % of the voxels are above {threshold_hu} HU: these are hardly Hounsfield numbers (rescale left out?)")]
+    #[error(
+        "{share_percent:.0} % of the voxels are above {threshold_hu} HU: these are hardly Hounsfield numbers (rescale left out?)"
+    )]
     TooMuchMetal {
         /// Share.
         share_percent: f64,

@@ -272,7 +272,8 @@ impl Problem<'_> {
         let inverse = curvature.cholesky()?.inverse();
         let rows: Vec<Row> = self.rows(at, origin).collect();
         let covariance = inverse + inverse * self.shared(&rows) * inverse;
-        let background = |row: &Row, sample: &Sample| sample.background_hu + at[6] + at[7] * row.by[7] + at[8] * row.by[8] + at[9] * row.by[9];
+        let background =
+            |row: &Row, sample: &Sample| sample.background_hu + at[6] + at[7] * row.by[7] + at[8] * row.by[8] + at[9] * row.by[9];
         // Of each voxel: what the model misses (below the clip only, where it is clipped), the ball's own share of what can be seen, and
         // how far data or ball stand out.
         let seen: Vec<(f64, f64, f64)> = rows
@@ -293,7 +294,11 @@ impl Problem<'_> {
         let strong = || seen.iter().filter(|(.., stands_out)| *stands_out >= STANDS_OUT * highest);
         let missed_share = rms(&mut strong().map(|(missed, ..)| *missed)) / rms(&mut strong().map(|(_, ball, _)| *ball));
         // A clipped voxel whose model is above the clip says nothing of a misfit.
-        let rms_hu = rms(&mut seen.iter().zip(&rows).filter(|(_, row)| !row.clipped || row.residual < 0.0).map(|((missed, ..), _)| *missed));
+        let rms_hu = rms(&mut seen
+            .iter()
+            .zip(&rows)
+            .filter(|(_, row)| !row.clipped || row.residual < 0.0)
+            .map(|((missed, ..), _)| *missed));
         let ball = Self::ball(at, origin);
         let covariance_mm2 = [0, 1, 2].map(|r| [0, 1, 2].map(|c| 0.5 * (covariance[(r, c)] + covariance[(c, r)])));
         let finite = covariance.iter().all(|value| value.is_finite()) && ball.centre_lps_mm.is_finite();

@@ -63,7 +63,9 @@ pub enum NotBead {
 impl std::fmt::Display for NotBead {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            Self::Large { longest_mm } => write!(f, "{longest_mm:.0} mm long: larger than a bead (screw, plate, implant, tooth filling)"),
+            Self::Large { longest_mm } => {
+                write!(f, "{longest_mm:.0} mm long: larger than a bead (screw, plate, implant, tooth filling)")
+            }
             Self::Elongated { length_mm, width_mm } => {
                 write!(f, "{length_mm:.1} mm long and {width_mm:.1} mm wide: elongated (screw, wire, clip)")
             }
@@ -91,7 +93,11 @@ pub(super) fn at_sight(lump: &Lump, spacing_mm: [f64; 3]) -> Option<NotBead> {
     let thick_mm = spacing_mm.into_iter().fold(0.0, f64::max);
     if length_mm > LARGEST_MM + thick_mm {
         let elongated = length_mm > ELONGATED * width_mm;
-        return Some(if elongated { NotBead::Elongated { length_mm, width_mm } } else { NotBead::Large { longest_mm: length_mm } });
+        return Some(if elongated {
+            NotBead::Elongated { length_mm, width_mm }
+        } else {
+            NotBead::Large { longest_mm: length_mm }
+        });
     }
     None
 }

@@ -100,7 +100,8 @@ pub(super) fn summits(grid: &VoxelGrid, hu: &[f32], lump: &Lump) -> Vec<DVec3> {
             let weight = (-0.5 * grid.centre(near).distance_squared(place) / (SUMMIT_BLUR_MM * SUMMIT_BLUR_MM)).exp();
             (weight * f64::from(hu[near]), weight)
         };
-        let sums = grid.within(place, 2.5 * SUMMIT_BLUR_MM).into_iter().map(weigh).fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
+        let sums =
+            grid.within(place, 2.5 * SUMMIT_BLUR_MM).into_iter().map(weigh).fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
         sums.0 / sums.1
     };
     let heights: Vec<f64> = lump.voxels.par_iter().map(|index| blurred(*index)).collect();

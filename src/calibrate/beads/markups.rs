@@ -4,8 +4,7 @@ use serde_json::{Value, json};
 
 use super::CtBead;
 
-const SCHEMA: &str =
-    "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/markups-schema-v1.0.3.json#";
+const SCHEMA: &str = "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/markups-schema-v1.0.3.json#";
 
 /// The document that Slicer opens and edits, and `beads::read_markups` reads. The description of each point holds `radius_mm` (where it
 /// is certain), `sigma_mm` per axis, the covariance's six numbers `xx:xy:xz:yy:yz:zz` in mm², and the body.

@@ -145,8 +145,13 @@ pub fn find_beads(grid: &VoxelGrid, hu: &[f32], known: &Known, step: &(dyn Fn(us
     let not_beads: Vec<OtherMetal> = found.others.iter().map(other_metal).collect();
     if found.beads.is_empty() {
         return Err(match not_beads.first() {
-            Some(first) => BeadsInCtError::NoBead { lumps: not_beads.len(), at_lps_mm: first.lps_mm, reason: first.reason.clone() },
-            None => BeadsInCtError::NoMetal { most_hu: hu.iter().copied().fold(f32::NEG_INFINITY, f32::max), needed_hu: lumps::METAL_HU },
+            Some(first) => {
+                BeadsInCtError::NoBead { lumps: not_beads.len(), at_lps_mm: first.lps_mm, reason: first.reason.clone() }
+            }
+            None => BeadsInCtError::NoMetal {
+                most_hu: hu.iter().copied().fold(f32::NEG_INFINITY, f32::max),
+                needed_hu: lumps::METAL_HU,
+            },
         });
     }
     let beads: Vec<CtBead> = found.beads.iter().map(bead).collect();

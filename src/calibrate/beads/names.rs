@@ -16,7 +16,13 @@ pub(super) struct Named {
 /// Names `beads`: pairs of bead and listed place within `tolerance_mm`, nearest first, each used once; the others are numbered by
 /// height, then from back to front, then from right to left. Listed beads come first, in the order of the list.
 pub(super) fn name(mut beads: Vec<CtBead>, list: Option<&BeadLayout>, tolerance_mm: f64) -> Named {
-    beads.sort_by(|a, b| (0..3).rev().map(|axis| a.lps_mm[axis].total_cmp(&b.lps_mm[axis])).find(|o| o.is_ne()).unwrap_or(std::cmp::Ordering::Equal));
+    beads.sort_by(|a, b| {
+        (0..3)
+            .rev()
+            .map(|axis| a.lps_mm[axis].total_cmp(&b.lps_mm[axis]))
+            .find(|o| o.is_ne())
+            .unwrap_or(std::cmp::Ordering::Equal)
+    });
     let listed = list.map_or(&[][..], |list| &list.beads);
     let mut pairs: Vec<(f64, usize, usize)> = Vec::new();
     for (at, bead) in beads.iter().enumerate() {

@@ -68,22 +68,19 @@ pub(super) fn search(
     let left_out = lumps.len().saturating_sub(MOST_FITTED);
     let mut verdicts: Vec<Option<NotBead>> = lumps.iter().map(|lump| at_sight(lump, grid.spacing_mm())).collect();
     let candidates = candidates(grid, hu, &lumps, &mut verdicts);
-    let fitter = Fitter {
-        grid,
-        hu,
-        clip_hu,
-        points: VoxelPoints::new(grid.lps_from_voxel.matrix3),
-        radius_mm,
-        step,
-    };
+    let fitter = Fitter { grid, hu, clip_hu, points: VoxelPoints::new(grid.lps_from_voxel.matrix3), radius_mm, step };
     let alone = |lump: usize| candidates.iter().filter(|candidate| candidate.lump == lump).count() == 1;
     let mut fits: Vec<Option<Fitted>> = vec![None; candidates.len()];
     let mut blur = BLUR_MM;
     // The second round knows which lumps are no beads, the third what beads add to their neighbours and how wide the point spread is.
     for round in 0..3 {
         let live: Vec<usize> = (0..candidates.len()).filter(|at| verdicts[candidates[*at].lump].is_none()).collect();
-        let foreign: BTreeSet<usize> =
-            lumps.iter().zip(&verdicts).filter(|(_, verdict)| verdict.is_some()).flat_map(|(lump, _)| lump.voxels.iter().copied()).collect();
+        let foreign: BTreeSet<usize> = lumps
+            .iter()
+            .zip(&verdicts)
+            .filter(|(_, verdict)| verdict.is_some())
+            .flat_map(|(lump, _)| lump.voxels.iter().copied())
+            .collect();
         let left: Vec<Candidate> = live.iter().map(|at| candidates[*at].clone()).collect();
         let known: Vec<Option<Ball>> = live.iter().map(|at| fits[*at].as_ref().map(|fitted| fitted.ball)).collect();
         let refit = |at: usize| fitter.fit(&left, at, &known, &foreign, blur);
@@ -243,7 +240,8 @@ impl Fitter<'_> {
 
 /// Middle of the beads' point spreads, weighted by how well each knows its own.
 fn shared_blur<'a>(beads: impl Iterator<Item = &'a Fitted>) -> Option<Prior> {
-    let mut known: Vec<(f64, f64)> = beads.map(|fitted| (fitted.ball.blur_mm.ln(), fitted.blur_sigma_ln.max(0.01).powi(-2))).collect();
+    let mut known: Vec<(f64, f64)> =
+        beads.map(|fitted| (fitted.ball.blur_mm.ln(), fitted.blur_sigma_ln.max(0.01).powi(-2))).collect();
     known.sort_by(|a, b| a.0.total_cmp(&b.0));
     let total: f64 = known.iter().map(|(_, weight)| weight).sum();
     let mut sum = 0.0;

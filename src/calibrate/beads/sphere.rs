@@ -140,7 +140,10 @@ mod tests {
                     (at(d, radius + h, blur) - at(d, radius - h, blur), found.by_radius),
                     (at(d, radius, blur + h) - at(d, radius, blur - h), found.by_blur),
                 ];
-                assert!(differences.iter().all(|(difference, slope)| (difference / (2.0 * h) - slope).abs() < 1e-3), "{differences:?}");
+                assert!(
+                    differences.iter().all(|(difference, slope)| (difference / (2.0 * h) - slope).abs() < 1e-3),
+                    "{differences:?}"
+                );
                 cases += 1;
             }
         }

@@ -59,8 +59,7 @@ pub(super) fn window(grid: &VoxelGrid, hu: &[f32], all: &[Candidate], at: usize,
         .iter()
         .enumerate()
         .filter(|(other, candidate)| {
-            *other != at
-                && candidate.centre_lps_mm.distance(own.centre_lps_mm) < near_mm + candidate.window_mm(half_diagonal_mm)
+            *other != at && candidate.centre_lps_mm.distance(own.centre_lps_mm) < near_mm + candidate.window_mm(half_diagonal_mm)
         })
         .map(|(_, candidate)| candidate)
         .collect();
@@ -94,7 +93,10 @@ fn near_foreign(grid: &VoxelGrid, around: &[usize], foreign: &BTreeSet<usize>) -
     // A margin in the list's order, so that metal just outside counts too.
     let stride = grid.size[0] * grid.size[1];
     let steps = stride * ((reach_mm / grid.spacing_mm()[2]).ceil() as usize + 1);
-    foreign.range(first.saturating_sub(steps)..=last + steps).flat_map(|index| grid.within(grid.centre(*index), reach_mm)).collect()
+    foreign
+        .range(first.saturating_sub(steps)..=last + steps)
+        .flat_map(|index| grid.within(grid.centre(*index), reach_mm))
+        .collect()
 }
 
 /// White noise, structure and median of voxels.

@@ -6,6 +6,8 @@ use crate::scene::VoxelGrid;
 
 /// A bead and its halo span less than this.
 const LARGEST_MM: f64 = 14.0;
+/// A centre that is less certain than this is none.
+const MOST_SIGMA_MM: f64 = 1.0;
 /// Radius up to which a ball is a bead.
 const LARGEST_RADIUS_MM: f64 = 5.0;
 /// A lump this many times as long as wide, and longer by more than [`LONGER_MM`], is no ball.
@@ -54,6 +56,11 @@ pub enum NotBead {
         /// What it may.
         limit_share: f64,
     },
+    /// The voxels do not say where its centre is.
+    Uncertain {
+        /// Largest standard deviation of a coordinate.
+        sigma_mm: f64,
+    },
     /// Cut by the end of the scan.
     Border,
     /// No tissue around it to compare with.
@@ -81,6 +88,7 @@ impl std::fmt::Display for NotBead {
                 100.0 * missed_share,
                 100.0 * limit_share
             ),
+            Self::Uncertain { sigma_mm } => write!(f, "its centre is known to {sigma_mm:.1} mm only"),
             Self::Border => f.write_str("its centre is cut off by the end of the scan"),
             Self::Surrounded => f.write_str("nothing but metal around it"),
         }
@@ -110,6 +118,10 @@ pub(super) fn of_fit(grid: &VoxelGrid, lump: &Lump, alone: bool, fitted: &Fitted
     let inside = (0..3).all(|axis| at[axis] > -0.5 && at[axis] < grid.size[axis] as f64 - 0.5);
     if !inside {
         return Some(NotBead::Border);
+    }
+    let variance_mm2 = (0..3).map(|axis| fitted.covariance_mm2[axis][axis]).fold(0.0, f64::max);
+    if !(variance_mm2 <= MOST_SIGMA_MM * MOST_SIGMA_MM) {
+        return Some(NotBead::Uncertain { sigma_mm: variance_mm2.sqrt() });
     }
     let contrast_hu = ball.contrast_hu().max(f64::from(lump.peak_hu) - middle_hu);
     if !(ball.contrast_hu() >= LEAST_CONTRAST_HU) || !(f64::from(lump.peak_hu) - middle_hu >= 0.5 * f64::from(METAL_HU)) {

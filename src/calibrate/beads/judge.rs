@@ -7,7 +7,7 @@ use crate::scene::VoxelGrid;
 /// A bead and its halo span less than this.
 const LARGEST_MM: f64 = 14.0;
 /// A centre that is less certain than this is none.
-const MOST_SIGMA_MM: f64 = 1.0;
+const MOST_SIGMA_MM: f64 = 0.4;
 /// Radius up to which a ball is a bead.
 const LARGEST_RADIUS_MM: f64 = 5.0;
 /// A lump this many times as long as wide, and longer by more than [`LONGER_MM`], is no ball.

@@ -1,9 +1,10 @@
-//! `sidecarm calibrate detector`: a panel's calibration from frames without a specimen.
+//! `sidecarm calibrate`: what can be measured; `detector` is a panel's calibration from frames without a specimen.
 
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
 
+use super::calibrate_beads::{self, BeadsArgs, CalibrateBeadsError};
 use super::spectrum::FilterArg;
 use crate::acquire::{AcquireError, DetectorCalibration, Domain, Frame, MapsFile, PanelResponse, exposure_mas, read_frames};
 use crate::calibrate::detector::{DetectorError, Measurement, PanelFrame, calibrate};
@@ -22,6 +23,8 @@ pub struct CalibrateArgs {
 /// What can be calibrated.
 #[derive(Clone, Debug, Subcommand)]
 pub enum CalibrateWhat {
+    /// The metal beads of a CT: centres with covariance, as a point list for 3D Slicer.
+    Beads(BeadsArgs),
     /// The panel: offset, gain by photon transfer, air signal by tube voltage, bad pixels, noise power, MTF.
     Detector(DetectorArgs),
 }
@@ -77,6 +80,9 @@ pub struct DetectorArgs {
 /// Why nothing was calibrated.
 #[derive(Debug, thiserror::Error)]
 pub enum CalibrateError {
+    /// The beads of a CT.
+    #[error(transparent)]
+    Beads(#[from] CalibrateBeadsError),
     /// A frame cannot be read.
     #[error(transparent)]
     Frame(#[from] AcquireError),
@@ -109,8 +115,10 @@ pub enum CalibrateError {
 /// # Errors
 /// When a frame cannot be read, the frames do not determine the panel, or the files cannot be written.
 pub fn run(args: &CalibrateArgs, reporter: &Reporter) -> Result<u8, CalibrateError> {
-    let CalibrateWhat::Detector(args) = &args.what;
-    detector(args, reporter)
+    match &args.what {
+        CalibrateWhat::Beads(args) => Ok(calibrate_beads::run(args, reporter)?),
+        CalibrateWhat::Detector(args) => detector(args, reporter),
+    }
 }
 
 fn detector(args: &DetectorArgs, reporter: &Reporter) -> Result<u8, CalibrateError> {

@@ -9,6 +9,7 @@ use crate::reporter::Reporter;
 pub mod attach;
 pub mod attenuation;
 pub mod calibrate;
+pub mod calibrate_beads;
 pub mod check;
 pub mod compare;
 pub mod demo;

@@ -7,6 +7,7 @@ use glam::DAffine3;
 
 use super::SceneError;
 use super::volume_file::{PlacedBy, VolumeHead, VoxelSummary, decode_volume};
+use super::voxel_grid::VoxelGrid;
 use crate::foreign::{self, ForeignFault, Kind, Limits, Message, OpenFault, OpenFile, Receiver, Request, Sender, WireError};
 use crate::reporter::Reporter;
 
@@ -23,6 +24,14 @@ pub struct VolumeFile {
     pub placed_by: PlacedBy,
     /// Distance of voxel centres along i, j, k.
     pub spacing_mm: [f64; 3],
+}
+
+impl VolumeFile {
+    /// Its size and place.
+    #[must_use]
+    pub fn grid(&self) -> VoxelGrid {
+        VoxelGrid { size: self.size, lps_from_voxel: self.lps_from_voxel }
+    }
 }
 
 /// What `info` says of a volume.

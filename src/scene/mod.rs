@@ -7,7 +7,9 @@ mod edit;
 mod error;
 pub mod file;
 mod files;
+mod fill;
 mod foreign_files;
+mod inpaint;
 mod load;
 mod matter;
 mod mesh;
@@ -16,6 +18,7 @@ mod objects;
 mod optics_file;
 mod view;
 mod volume_file;
+mod voxel_grid;
 
 pub mod model;
 pub mod optics;
@@ -23,7 +26,10 @@ pub mod physics;
 
 pub use density::{DensityCurve, ThresholdClass};
 pub use error::SceneError;
+pub use fill::fill_harmonic;
 pub use foreign_files::{Triangle, VolumeFacts, VolumeFile, read_triangles, read_volume, read_volume_facts, serve};
+pub use inpaint::{Ball, Inpainted, inpaint_labels, inpaint_metal};
 pub use load::{input_files, load, load_text, load_text_with};
 pub use model::{InputFile, Scene};
 pub use volume_file::PlacedBy;
+pub use voxel_grid::VoxelGrid;

@@ -8,7 +8,8 @@ use glam::{DAffine3, DMat3, DQuat, DVec3};
 
 use super::SceneError;
 use super::files::Files;
-use super::foreign_files::read_volume;
+use super::foreign_files::{VolumeFile, read_volume};
+use super::inpaint::{Ball, inpaint_labels, inpaint_metal, metal_balls};
 use super::matter::{self, Class, Classes};
 use super::mesh;
 use super::model::{Matter, Object, Robot, Scene, Shape, Solid};
@@ -33,7 +34,7 @@ pub(super) fn build(objects: &[ObjectFile], scene: &mut Scene, files: &mut Files
         let kind = kind(object);
         builder.key = format!("objects[{index}].{kind}");
         let (matter, body) = match object {
-            ObjectFile::Ct(file) => (builder.ct(file)?, &file.body),
+            ObjectFile::Ct(file) => (builder.ct(file, &metal_balls(&objects[index + 1..]))?, &file.body),
             ObjectFile::Mesh(file) => (builder.mesh(file)?, &file.body),
             ObjectFile::Voxels(file) => (builder.voxels(file)?, &file.body),
             ObjectFile::Sphere(file) => (builder.sphere(file)?, &file.body),
@@ -233,13 +234,15 @@ impl Builder<'_> {
         self.files.find(&key, name)
     }
 
-    fn ct(&mut self, file: &CtFile) -> Result<Matter, SceneError> {
+    /// A CT without the metal of the beads that come after it, `balls`.
+    fn ct(&mut self, file: &CtFile, balls: &[Ball]) -> Result<Matter, SceneError> {
         let path = self.find("path", &file.path)?;
         if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("dcm")) {
             return Err(SceneError::Unavailable { place: format!("{}: a CT from DICOM slices", self.place("path")) });
         }
-        let ct = read_volume(&path, self.reporter)?;
+        let mut ct = read_volume(&path, self.reporter)?;
         matter::check_hounsfield(&path, &ct, self.reporter);
+        let inpainted = self.without_beads(&mut ct, balls);
         // Materials are numbered apart first: only those that have voxels enter the scene.
         let mut local = Vec::new();
         let air = match file.air {
@@ -254,7 +257,8 @@ impl Builder<'_> {
             MaterialsFile::Labels(labels) => {
                 let labels_path = self.find("materials.labels", &labels.labels)?;
                 let grid = read_volume(&labels_path, self.reporter)?;
-                let numbers = matter::labels_on_grid((&path, &ct), (&labels_path, grid))?;
+                let mut numbers = matter::labels_on_grid((&path, &ct), (&labels_path, grid))?;
+                inpaint_labels(&ct.grid(), &mut numbers, &inpainted);
                 let (default, map) = self.label_classes(&mut local, labels)?;
                 Classes::Labels { labels: numbers, default, map }
             }
@@ -270,6 +274,24 @@ impl Builder<'_> {
         }
         volume.class_materials = order.iter().map(|class| index_of[&class.material]).collect();
         Ok(Matter::Volume(Arc::new(volume)))
+    }
+
+    /// Takes the metal of `balls` out of the CT and says so; the voxels that changed, ascending.
+    fn without_beads(&self, ct: &mut VolumeFile, balls: &[Ball]) -> Vec<usize> {
+        let grid = ct.grid();
+        let inpainted = inpaint_metal(&grid, &mut ct.values, balls);
+        if inpainted.balls > 0 {
+            self.reporter.note(format_args!(
+                "{}: {} of {} beads that the scene draws are metal in the CT too: replaced there by what surrounds them ({} voxels, \
+                 halo up to {:.1} mm)",
+                self.files.place(&self.key),
+                inpainted.balls,
+                balls.len(),
+                inpainted.voxels.len(),
+                inpainted.halo_mm
+            ));
+        }
+        inpainted.voxels
     }
 
     fn label_classes(&self, local: &mut Vec<Material>, file: &LabelsFile) -> Result<LabelClasses, SceneError> {

@@ -1,0 +1,49 @@
+//! Beads as a point list of 3D Slicer: markups schema 1.0.3, `lps`, mm.
+
+use serde_json::{Value, json};
+
+use super::CtBead;
+
+const SCHEMA: &str = "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/markups-schema-v1.0.3.json#";
+
+/// The document that Slicer opens and edits, and `beads::read_markups` reads. The description of each point holds `radius_mm` (where it
+/// is certain), `sigma_mm` per axis, the covariance's six numbers `xx:xy:xz:yy:yz:zz` in mm², and the body.
+#[must_use]
+pub fn markups(beads: &[CtBead]) -> Value {
+    let point = |(number, bead): (usize, &CtBead)| {
+        json!({
+            "id": (number + 1).to_string(),
+            "label": bead.name,
+            "description": description(bead),
+            "associatedNodeID": "",
+            "position": bead.lps_mm,
+            // Slicer's own axes, as it writes them in LPS.
+            "orientation": [-1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0],
+            "selected": true,
+            "locked": false,
+            "visibility": true,
+            "positionStatus": "defined",
+        })
+    };
+    json!({
+        "@schema": SCHEMA,
+        "markups": [{
+            "type": "Fiducial",
+            "coordinateSystem": "LPS",
+            "coordinateUnits": "mm",
+            "locked": false,
+            "fixedNumberOfControlPoints": false,
+            "labelFormat": "%N-%d",
+            "lastUsedControlPointNumber": beads.len(),
+            "controlPoints": beads.iter().enumerate().map(point).collect::<Vec<_>>(),
+            "measurements": [],
+        }],
+    })
+}
+
+fn description(bead: &CtBead) -> String {
+    let radius = if bead.radius_stated { format!("radius_mm={:.3} ", bead.radius_mm) } else { String::new() };
+    let [[xx, xy, xz], [_, yy, yz], [_, _, zz]] = bead.covariance_mm2;
+    let covariance = [xx, xy, xz, yy, yz, zz].map(|value| format!("{value:.3e}")).join(":");
+    format!("{radius}sigma_mm={:.4} covariance_mm2={covariance} body={}", bead.sigma_mm, bead.body)
+}

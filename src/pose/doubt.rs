@@ -7,9 +7,8 @@
 use glam::DVec2;
 
 use super::case::Case;
-use super::record::Prior;
 use super::refusal::{Refusal, Rival};
-use super::search::{Gate, Hypothesis, Search};
+use super::search::{Gate, Hypothesis, Search, information_about};
 use super::settle::Settled;
 use super::solve::{Free, Match, Options, deviation, solve};
 use crate::beads::{Detection, Probe};
@@ -31,19 +30,24 @@ const ORDINARY: usize = 2;
 const RIVAL_CHANCE: f64 = 0.01;
 /// The same for shadows that look like beads, close to the pose: fewer could be tried, and each counts.
 const NEAR_CHANCE: f64 = 0.05;
+/// Close: rotation (rad) and shift (mm) about the beads, and the squared deviation allowed.
+const NEAR_SIGMA: (f64, f64) = (3.0 * std::f64::consts::PI / 180.0, 10.0);
+const NEAR_LIMIT: f64 = 20.0;
 /// A second reading is nearer the prior from this difference of squared standard deviations on.
 const NEARER: f64 = 12.0;
 /// So many beads may carry a pose although more than usual are missing.
 const SURE_MATCHED: usize = 6;
 /// χ² per degree of freedom beyond which residuals are a reason for doubt, where one shadow lies beside its bead's place, and where more do.
 const LOOSE_CHI2: f64 = 4.0;
+/// From here on the mirror image is looked at.
+const UNEASY_CHI2: f64 = 1.5;
 const LOOSE_CHI2_OF_SEVERAL: f64 = 2.25;
 /// Fitted over true radius of a bead: blur of the intensity makes thick metal's shadow smaller than that of its line integral.
 const USUAL_RADIUS: f64 = 0.97;
 /// Relative differences of the radius from which on it is said, and refused.
 const OTHER_RADIUS: (f64, f64) = (0.08, 0.15);
 /// Squared standard deviations from the prior (six degrees of freedom) beyond which it is said, and for so few beads refused.
-const FAR_FROM_PRIOR: f64 = 20.0;
+const FAR_FROM_PRIOR: f64 = 14.0;
 const FEW: usize = 5;
 /// The mirror image must fit so many times as well as noise and bead positions allow.
 const MIRROR_FIT: f64 = 2.0;
@@ -84,9 +88,9 @@ impl Case<'_> {
         let besides = self.besides(last);
         let Besides { missing, displaced, unexplained } = &besides;
         let mut cautions = Vec::new();
-        if missing.len() + displaced.len() >= ORDINARY
-            && unexplained.len() + displaced.len() >= ORDINARY
-            && let Some(refusal) = self.mirrored(&last.solution.intrinsics, matched)
+        let strays = missing.len() + displaced.len() >= ORDINARY && unexplained.len() + displaced.len() >= ORDINARY;
+        if (strays || last.chi2_per_dof > UNEASY_CHI2)
+            && let Some(refusal) = self.mirrored(&last.solution.intrinsics, matched, Some(last.rms_px()))
         {
             return Err(refusal);
         }
@@ -330,29 +334,34 @@ impl Case<'_> {
             return None;
         }
         let shadows: Vec<Detection> = unexplained.iter().map(|n| self.detections[*n]).collect();
-        let near = Prior { camera_from_lps: last.solution.camera_from_lps, covariance: None };
+        let camera_from_lps = last.solution.camera_from_lps;
+        let information = information_about(last.solution.centroid_mm, NEAR_SIGMA.0, NEAR_SIGMA.1);
+        let gate = Gate { camera_from_lps, information, limit: NEAR_LIMIT };
         let own = |n: usize| unexplained.get(n).copied();
-        let (found, tried) = self.search_all(&shadows, own, &last.solution.intrinsics, Some(self.gate(&near)), BUDGET)?;
+        let (found, tried) = self.search_all(&shadows, own, &last.solution.intrinsics, Some(gate), BUDGET)?;
         (self.chance_among(&found, tried, &shadows) < NEAR_CHANCE).then_some(found)
     }
 
-    /// That the layout fits the frame's mirror image, with at least two beads more than the `matched` of the frame itself, as well as beads
-    /// should, and the frame itself nowhere as well.
-    pub fn mirrored(&self, k: &Intrinsics, matched: usize) -> Option<Refusal> {
+    /// That the layout fits the frame's mirror image as well as beads should, with at least two beads more than the `matched` of the frame
+    /// itself, or with as many far better than their `rms_px`; and the frame itself nowhere as well.
+    pub fn mirrored(&self, k: &Intrinsics, matched: usize, rms_px: Option<f64>) -> Option<Refusal> {
         let end = f64::from(self.request.size_px[0]) - 1.0;
         let turned = |d: &Detection| Detection { image_px: DVec2::new(end - d.image_px.x, d.image_px.y), ..*d };
         let shadows: Vec<Detection> = self.detections.iter().map(turned).collect();
         let found = self.reading(&shadows, Some, &Intrinsics { cx: end - k.cx, ..*k }, false)?;
-        let (mirrored, rms_px) = (found.matches.len(), found.rms_px);
+        let mirrored = found.matches.len();
         let depth_mm = found.camera_from_lps.transform_point(self.request.layout.centroid_lps_mm()).z;
         let allowed_px = |m: &Match| 2.0 * ((m.sigma_mm * k.fx / depth_mm).powi(2) + m.sigma_px.powi(2));
         let allowed_px = (found.matches.iter().map(allowed_px).sum::<f64>() / mirrored as f64).sqrt();
-        if mirrored < matched + 2 || !(rms_px <= (MIRROR_FIT * allowed_px).max(LEAST_RMS_PX)) {
+        let far_better = |rms_px: f64| mirrored >= matched && MIRROR_FIT * found.rms_px < rms_px;
+        if !(found.rms_px <= (MIRROR_FIT * allowed_px).max(LEAST_RMS_PX))
+            || !(mirrored >= matched + 2 || rms_px.is_some_and(far_better))
+        {
             return None;
         }
         let (itself, _) = self.search_all(self.detections, Some, k, None, BUDGET).unzip();
-        let as_well = itself.is_some_and(|itself| itself.matches.len() + 1 >= mirrored);
-        (!as_well).then_some(Refusal::Mirrored { mirrored, rms_px, matched })
+        let as_well = itself.is_some_and(|itself| itself.matches.len() + 1 >= mirrored && itself.rms_px < MIRROR_FIT * found.rms_px);
+        (!as_well).then_some(Refusal::Mirrored { mirrored, rms_px: found.rms_px, matched })
     }
 
     /// The best match of `shadows`, if it is beyond chance; `own` tells which each is among all.

@@ -77,7 +77,7 @@ impl Case<'_> {
             return Ok(expected);
         }
         let matched = settled.matches.len();
-        Err(self.mirrored(&settled.solution.intrinsics, matched).unwrap_or(Refusal::Chance {
+        Err(self.mirrored(&settled.solution.intrinsics, matched, None).unwrap_or(Refusal::Chance {
             matched,
             in_view: candidate.hypothesis.in_view,
             rms_px: hypothesis.rms_px,

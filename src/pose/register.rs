@@ -80,9 +80,14 @@ impl Case<'_> {
             return self.refuse(&Refusal::TooFewShadows { found, required }, notes);
         }
         let near = self.propose(self.request.prior).map(|candidate| self.judge(&candidate, notes.clone()));
-        // A match that accident explains is as good as none: the prior may be of another specimen, or of yesterday.
-        let by_accident = |pose: &Pose| matches!(pose.refusal, Some(Refusal::Chance { .. }));
-        if let Some(pose) = near.as_ref().filter(|pose| !by_accident(pose)) {
+        // A match that accident explains, or that the frame speaks against, is as good as none: the prior may be of another specimen, or of
+        // yesterday.
+        let as_good_as_none = |pose: &Pose| {
+            use Refusal::{Chance, Displaced, Mirrored, Missing, Residual};
+            let code = &pose.refusal;
+            matches!(code, Some(Chance { .. } | Displaced { .. } | Mirrored { .. } | Missing { .. } | Residual { .. }))
+        };
+        if let Some(pose) = near.as_ref().filter(|pose| !as_good_as_none(pose)) {
             return pose.clone();
         }
         if let Some(prior) = self.request.prior.filter(|_| self.request.intrinsics.is_some() && !self.request.fuse)
@@ -94,7 +99,7 @@ impl Case<'_> {
         if let Some(pose) = near {
             return pose;
         }
-        let mirrored = self.request.intrinsics.and_then(|k| self.mirrored(&k, 3));
+        let mirrored = self.request.intrinsics.and_then(|k| self.mirrored(&k, 3, None));
         let beads = self.request.layout.beads.len();
         self.refuse(&mirrored.unwrap_or(Refusal::NoMatch { shadows: found, beads }), notes)
     }

@@ -7,15 +7,21 @@
 //! with the blurred shadow of a sphere on a curved background, and what does not look like a sphere's shadow is dropped.
 
 mod candidates;
+mod correlation;
 mod detect;
 mod fit;
+mod fitted;
+mod flags;
 mod layout;
 mod markups;
 mod noise;
 mod probe;
 mod profile;
+mod shadow;
+mod window;
 
 pub use detect::{Detection, Detections, Expectation, Polarity, Signal, detect, detect_image};
+pub use flags::Flags;
 pub use layout::{Bead, BeadLayout, DEFAULT_BODY, DEFAULT_SIGMA_MM, Landmark};
 pub use markups::{BeadsError, parse_landmarks, parse_markups, read_landmarks, read_markups};
 pub use probe::Probe;

@@ -118,7 +118,7 @@ fn the_stated_error_holds_in_smoothed_noise() {
 #[test]
 fn clutter_is_flagged_or_does_little() {
     let mut cases = 0;
-    for (clutter, least_good) in [(Clutter::Tissue, 4), (Clutter::Bone, 10), (Clutter::Wire, 8), (Clutter::Screw, 30)] {
+    for (clutter, least_good) in [(Clutter::Tissue, 4), (Clutter::Bone, 10), (Clutter::Wire, 5), (Clutter::Screw, 30)] {
         let scenes: Vec<(Drawn, Image<f64>)> = (0..2)
             .map(|seed| {
                 let drawn = Drawn::new(5, 4, 1.0, clutter, 70 + seed);

@@ -38,7 +38,7 @@ pub enum Clutter {
 
 /// A straight thing across the frame.
 #[derive(Clone, Copy, Debug)]
-struct Line {
+pub struct Line {
     /// v = offset + slope · u.
     offset: f64,
     slope: f64,
@@ -56,9 +56,12 @@ pub struct Drawn {
     pub clutter: Clutter,
     /// Share and attenuation (in 1/mm) of steel for each energy of the beam.
     pub steel: Vec<(f64, f64)>,
-    tilt: (f64, f64),
-    lobes: [f64; 4],
-    lines: Vec<Line>,
+    /// Nepers per pixel along either axis.
+    pub tilt: (f64, f64),
+    /// Phases of the lobes of tissue.
+    pub lobes: [f64; 4],
+    /// A bone, wire or screw for each row of beads.
+    pub lines: Vec<Line>,
 }
 
 impl Drawn {

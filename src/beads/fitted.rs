@@ -30,10 +30,8 @@ const FOLLOWED: f64 = 0.22;
 /// Shift of the centre, in radii, of a shadow that is deeper on one side by its own depth per radius: (∫ρ³)/(∫ρ³/(1 − ρ²)), the lower
 /// integral cut off by blur.
 const LOPSIDED: f64 = 0.2;
-/// Structure, as a share of the radius, above which a shadow is flagged even where noise is stronger.
-const MOST_STRUCTURE: f64 = 0.003;
-/// Structure below which no shadow is flagged for it.
-const LEAST_STRUCTURE_PX: f64 = 0.01;
+/// Share of the radius by which structure may move the centre of a shadow that is not flagged.
+const MOST_STRUCTURE: f64 = 0.0027;
 /// Share of the core that is clipped, and of the shadow that is masked, from which it is flagged.
 const CLIPPED_SHARE: f64 = 0.1;
 const MASKED_SHARE: f64 = 0.02;
@@ -112,7 +110,7 @@ pub fn judge(finished: &Finished) -> Option<Fit> {
             clipped: residuals.clipped > CLIPPED_SHARE,
             overlapping: false,
             at_mask: masked > MASKED_SHARE * std::f64::consts::PI * shadow_px * shadow_px,
-            over_structure: !(structure_px <= noise_px.min(MOST_STRUCTURE * radius_px).max(LEAST_STRUCTURE_PX)),
+            over_structure: !(structure_px <= MOST_STRUCTURE * radius_px),
         },
     };
     let [[uu, uv], [_, vv]] = fit.covariance_px2;

@@ -11,8 +11,8 @@ pub struct Flags {
     pub overlapping: bool,
     /// Part of it lies behind a mask or outside the frame.
     pub at_mask: bool,
-    /// Something that is no smooth background lies under or beside it (a bone's rim, a wire, a tool) and moves the centre by more than
-    /// noise does.
+    /// Something that is no smooth background lies under or beside it (a bone's rim, a wire, a tool) and may move the centre by more
+    /// than a few thousandths of the radius.
     pub over_structure: bool,
 }
 

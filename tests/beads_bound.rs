@@ -139,7 +139,7 @@ fn clutter_is_flagged_or_does_little() {
             assert!(rms(&outcome.good.pulls) < 1.3, "{case}, pull {}", rms(&outcome.good.pulls));
             if flagged >= 5 {
                 let pull = rms(&outcome.flagged.pulls);
-                assert!((0.5..1.5).contains(&pull), "{case}, pull {pull}");
+                assert!((0.4..1.5).contains(&pull), "{case}, pull {pull}");
             }
             assert!(outcome.extra <= 6, "{case}, {} shadows of nothing", outcome.extra);
             cases += 1;

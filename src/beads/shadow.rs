@@ -171,8 +171,8 @@ impl Equations {
         // The residual's column holds the scale until it is no longer needed.
         let (derivatives, last) = self.columns.split_at_mut(COUNT);
         let residual = &mut last[0];
-        for n in 0..count {
-            residual[n] = weighing.trust[n].sqrt() / weighing.sigma[n];
+        for ((scale, trust), sigma) in residual.iter_mut().zip(&weighing.trust).zip(&weighing.sigma) {
+            *scale = trust.sqrt() / sigma;
         }
         let (shape, background) = derivatives.split_at_mut(SHAPE);
         for (column, derivative) in shape.iter_mut().zip(&at.shape) {
@@ -185,8 +185,8 @@ impl Equations {
                 column[n] = residual[n] * at.factor[n] * term[n];
             }
         }
-        for n in 0..count {
-            residual[n] *= window.value[n] - at.value[n];
+        for ((residual, value), expected) in residual.iter_mut().zip(&window.value).zip(&at.value) {
+            *residual *= value - expected;
         }
         let (mut normal, mut right) = (Matrix::zeros(), Vector::zeros());
         for i in 0..COUNT {

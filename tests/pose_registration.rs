@@ -2,7 +2,7 @@
 
 use glam::{DVec2, DVec3};
 use sidecarm::acquire::{Domain, Frame};
-use sidecarm::beads::{BeadLayout, Detection, Landmark};
+use sidecarm::beads::{BeadLayout, Detection, Flags, Landmark};
 use sidecarm::geometry::{Rigid, View};
 use sidecarm::pose::{Pose, Prior, Registration, Status, register, register_shadows};
 use sidecarm::random::{Purpose, Stream};
@@ -41,7 +41,17 @@ pub fn shadows(view: &View, layout: &BeadLayout, noise_px: f64, noise_mm: f64, s
 }
 
 fn shadow(image_px: DVec2, radius_px: f64, sigma_px: f64) -> Detection {
-    Detection { image_px, sigma_px, radius_px, contrast: 0.4, snr: 30.0, misfit: 0.02, quality: 0.8 }
+    Detection {
+        image_px,
+        sigma_px,
+        covariance_px2: [[sigma_px * sigma_px, 0.0], [0.0, sigma_px * sigma_px]],
+        radius_px,
+        contrast: 0.4,
+        snr: 30.0,
+        misfit: 0.02,
+        quality: 0.8,
+        flags: Flags::default(),
+    }
 }
 
 pub fn clutter(view: &View, count: usize, radius_px: f64, seed: u64) -> Vec<Detection> {

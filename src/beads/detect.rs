@@ -5,9 +5,11 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::candidates::{self, Candidate, blur};
-use super::fit::{Field, Fit, Model, fit, refit};
+use super::fit::{Fit, Model, fit, refit};
+use super::flags::Flags;
 use super::noise::Noise;
 use super::profile::SHAPES;
+use super::window::Field;
 use crate::acquire::{Domain, Frame};
 use crate::image::Image;
 use crate::mask::fill;
@@ -41,8 +43,10 @@ pub enum Polarity {
 pub struct Detection {
     /// Centre of the shadow; its small bias against the projected centre is corrected once P is known.
     pub image_px: DVec2,
-    /// Standard deviation of the centre per axis.
+    /// Standard deviation of the centre per axis, the mean of both.
     pub sigma_px: f64,
+    /// Covariance of (u, v), for the noise's correlation and what structure there is.
+    pub covariance_px2: [[f64; 2]; 2],
     /// Radius of the shadow before blur.
     pub radius_px: f64,
     /// Depth of the shadow: nepers for transmission and line integrals, else the frame's unit.
@@ -53,6 +57,8 @@ pub struct Detection {
     pub misfit: f64,
     /// In (0, 1]: how much it looks like a bead and like the other beads; orders the search for a match.
     pub quality: f64,
+    /// What speaks against its centre.
+    pub flags: Flags,
 }
 
 /// All shadows found.
@@ -83,6 +89,14 @@ const MOST_DOUBTFUL: usize = 16;
 const LEAST_SNR: f64 = 6.0;
 /// Structure in the residual above which a shadow is no sphere's, as a share of its depth.
 const MOST_MISFIT: f64 = 0.17;
+
+/// Structure as a share of the radius beyond which a faint shadow is a thread or a crossing of wires; a clear one may have more.
+const MOST_STRUCTURE: f64 = 0.13;
+const CLEAR_SNR: f64 = 25.0;
+/// Share of a shadow's significance below which a neighbour is too doubtful to be taken out of it.
+const DISTURBING: f64 = 0.2;
+/// Display curves change their slope by about half over the depth of a bead.
+const DISPLAY_CURVE: f64 = 0.5;
 
 /// Finds beads in `pixels`, whose values are a `signal`; `mask` is true where the frame may be used (everywhere if `None`). Pixels that
 /// are not finite are left out.
@@ -118,14 +132,14 @@ pub fn detect_image(pixels: &Image<f32>, signal: Signal, mask: Option<&Image<boo
                 _ => "linear intensities: metal is dark",
             };
             let noise = Noise::measure(&transmission, &usable, true);
-            let field = Field { pixels: &transmission, usable: &usable, noise: &noise };
+            let field = Field::new(&transmission, &usable, &noise, 0.0);
             let found = find(&field, &line_integral(&transmission), &[Model::Transmission], radius_px);
             let polarity = if signal == Signal::LineIntegral { Polarity::Bright } else { Polarity::Dark };
             Detections { found, polarity, opposite: Vec::new(), evidence: evidence.to_owned() }
         }
         Signal::Attenuation | Signal::Unknown => {
             let noise = Noise::measure(&filled, &usable, false);
-            let field = Field { pixels: &filled, usable: &usable, noise: &noise };
+            let field = Field::new(&filled, &usable, &noise, if signal == Signal::Unknown { DISPLAY_CURVE } else { 0.0 });
             let one = |sign: f64| {
                 let models: Vec<Model> = (0..SHAPES.len()).map(|shape| Model::Additive { sign, shape }).collect();
                 find(&field, &filled.map(|value| sign as f32 * value), &models, radius_px)
@@ -222,7 +236,7 @@ fn find(field: &Field, bright: &Image<f32>, models: &[Model], radius_px: (f64, f
             .map(|own| {
                 let others: Vec<Fit> = kept
                     .iter()
-                    .filter(|other| !same(other, own))
+                    .filter(|other| !same(other, own) && other.snr > DISTURBING * own.snr)
                     .filter(|other| {
                         (other.u_px - own.u_px).hypot(other.v_px - own.v_px) < 2.2 * own.radius_px + 1.4 * other.radius_px + 6.0
                     })
@@ -274,11 +288,18 @@ fn is_bead(fit: &Fit, radius_px: (f64, f64)) -> bool {
         && fit.radius_px >= 0.7 * radius_px.0
         && fit.radius_px <= 1.3 * radius_px.1
         && fit.blur_px <= 0.9 * fit.radius_px + 0.8
+        && fit.structure_px <= MOST_STRUCTURE * fit.radius_px * (fit.snr / CLEAR_SNR).clamp(1.0, 3.0)
         && sigma <= 0.5 * fit.radius_px + 0.2
 }
 
 fn same(a: &Fit, b: &Fit) -> bool {
     (a.u_px - b.u_px).hypot(a.v_px - b.v_px) < 0.5 * a.radius_px.max(b.radius_px)
+}
+
+/// Whether the shadow of `b` reaches into that of `a`.
+fn overlap(a: &Fit, b: &Fit) -> bool {
+    let distance = (a.u_px - b.u_px).hypot(a.v_px - b.v_px);
+    distance > 0.0 && b.snr > DISTURBING * a.snr && distance < a.radius_px + b.radius_px + a.blur_px + b.blur_px
 }
 
 /// One fit per place: the one that explains most.
@@ -305,11 +326,13 @@ fn ranked(fits: &[Fit]) -> Vec<Detection> {
             Detection {
                 image_px: DVec2::new(fit.u_px, fit.v_px),
                 sigma_px: (0.5 * (fit.covariance_px2[0][0] + fit.covariance_px2[1][1])).sqrt(),
+                covariance_px2: fit.covariance_px2,
                 radius_px: fit.radius_px,
                 contrast: fit.contrast,
                 snr: fit.snr,
                 misfit: fit.misfit,
                 quality: own * (0.4 + 0.6 * (company.min(4) as f64 / 4.0)),
+                flags: Flags { overlapping: fits.iter().any(|other| overlap(fit, other)), ..fit.flags },
             }
         })
         .collect();

@@ -8,16 +8,22 @@
 
 mod candidates;
 mod correspondences;
+mod correlation;
 mod detect;
 mod fit;
+mod fitted;
+mod flags;
 mod layout;
 mod markups;
 mod noise;
 mod probe;
 mod profile;
+mod shadow;
+mod window;
 
 pub use correspondences::{Correspondence, CorrespondencesError, read_correspondences};
 pub use detect::{Detection, Detections, Expectation, Polarity, Signal, detect, detect_image};
+pub use flags::Flags;
 pub use layout::{Bead, BeadLayout, DEFAULT_BODY, DEFAULT_SIGMA_MM, Landmark};
 pub use markups::{BeadsError, parse_landmarks, parse_markups, read_landmarks, read_markups};
 pub use probe::Probe;

@@ -1,5 +1,6 @@
 //! The noise of a frame as a function of its value, and of its correlation between neighbours.
 
+use super::correlation::Correlation;
 use crate::image::Image;
 
 /// Standard deviation of a pixel's noise against the pixel's value.
@@ -12,6 +13,8 @@ pub struct Noise {
     /// Variance = slope · value + offset where that law fits (quanta); else the bins are interpolated.
     law: Option<(f64, f64)>,
     floor: f64,
+    /// Between pixels.
+    correlation: Correlation,
 }
 
 const BINS: usize = 24;
@@ -58,7 +61,23 @@ impl Noise {
             sigmas.push((1e-3 * range).max(floor));
         }
         let law = quanta.then(|| quantum_law(&values, &sigmas)).flatten();
-        Self { values, sigmas, law, floor }
+        let mut noise = Self { values, sigmas, law, floor, correlation: Correlation::none() };
+        let correlation = Correlation::measure(pixels, usable, |value| noise.sigma(value));
+        // Second differences see little of noise that neighbours share.
+        noise.scale(correlation.variance_ratio);
+        noise.correlation = correlation;
+        noise
+    }
+
+    fn scale(&mut self, variance_ratio: f64) {
+        let factor = variance_ratio.sqrt();
+        self.sigmas.iter_mut().for_each(|sigma| *sigma *= factor);
+        self.law = self.law.map(|(slope, offset)| (slope * variance_ratio, offset * variance_ratio));
+    }
+
+    /// Correlation between pixels.
+    pub fn correlation(&self) -> &Correlation {
+        &self.correlation
     }
 
     /// Standard deviation at `value`.
@@ -79,20 +98,30 @@ impl Noise {
     }
 }
 
-/// Least squares of variance = slope · value + offset, relative errors equal; `None` when it does not rise.
+/// Variance = slope · value + offset through those bins that hold noise only; `None` when it does not rise.
+///
+/// Rims of beads and bones add to a bin's second differences and never take away, so the line sought is one that most bins lie on or
+/// above: of all lines through two bins, or through one and the origin, the one with the least lopsided loss (quantile regression).
 fn quantum_law(values: &[f64], sigmas: &[f64]) -> Option<(f64, f64)> {
-    let mut sums = [0.0; 5];
-    for (value, sigma) in values.iter().zip(sigmas) {
-        let variance = sigma * sigma;
-        let weight = 1.0 / (variance * variance);
-        for (sum, term) in sums.iter_mut().zip([1.0, *value, value * value, variance, variance * value]) {
-            *sum += weight * term;
-        }
-    }
-    let [n, v, vv, y, vy] = sums;
-    let slope = (n * vy - v * y) / (n * vv - v * v);
-    let offset = (y - slope * v) / n;
-    let (slope, offset) = if offset < 0.0 { (vy / vv, 0.0) } else { (slope, offset) };
-    let lowest = values.first().map_or(0.0, |first| slope * first.max(0.0) + offset);
-    (slope > 0.0 && slope.is_finite() && offset.is_finite() && lowest >= 0.0 && slope + offset > 0.0).then_some((slope, offset))
+    let bins: Vec<(f64, f64)> = values.iter().zip(sigmas).map(|(value, sigma)| (value.max(0.0), sigma * sigma)).collect();
+    let through_origin = bins.iter().map(|(value, variance)| (variance / value, 0.0));
+    let through_two = bins.iter().enumerate().flat_map(|(n, a)| {
+        bins[..n].iter().map(move |b| {
+            let slope = (a.1 - b.1) / (a.0 - b.0);
+            (slope, a.1 - slope * a.0)
+        })
+    });
+    let is_law = |(slope, offset): &(f64, f64)| *slope > 0.0 && slope.is_finite() && *offset >= 0.0 && offset.is_finite();
+    let loss = |(slope, offset): (f64, f64)| {
+        let above = |(value, variance): &(f64, f64)| variance / (slope * value + offset) - 1.0;
+        bins.iter()
+            .map(above)
+            .map(|excess| if excess > 0.0 { LOW_QUANTILE * excess.min(1.0) } else { (LOW_QUANTILE - 1.0) * excess })
+            .sum::<f64>()
+    };
+    let laws = through_origin.chain(through_two).filter(is_law).map(|law| (loss(law), law));
+    laws.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, law)| law)
 }
+
+/// Share of bins that may lie below the line of noise.
+const LOW_QUANTILE: f64 = 0.3;

@@ -360,7 +360,8 @@ impl Case<'_> {
             return None;
         }
         let (itself, _) = self.search_all(self.detections, Some, k, None, BUDGET).unzip();
-        let as_well = itself.is_some_and(|itself| itself.matches.len() + 1 >= mirrored && itself.rms_px < MIRROR_FIT * found.rms_px);
+        let as_well =
+            itself.is_some_and(|itself| itself.matches.len() + 1 >= mirrored && itself.rms_px < MIRROR_FIT * found.rms_px);
         (!as_well).then_some(Refusal::Mirrored { mirrored, rms_px: found.rms_px, matched })
     }
 

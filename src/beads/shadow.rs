@@ -1,0 +1,241 @@
+//! A sphere's shadow on its background, as numbers over a window: expected values, their derivatives, and the normal equations.
+//!
+//! Transmission: V = exp(B(x, y) − c·G(d/r; s/r)), so that noise keeps its own statistics and thick metal needs no logarithm of few
+//! quanta. Other images: V = B(x, y) ± c·G_k. B is a cubic.
+
+use nalgebra::{SMatrix, SVector};
+
+use super::fit::Model;
+use super::noise::Noise;
+use super::profile::Profile;
+use super::window::{BACKGROUND, Window};
+
+/// u, v, ln r, ln s, c.
+pub const SHAPE: usize = 5;
+/// Parameters of a fit.
+pub const COUNT: usize = SHAPE + BACKGROUND;
+/// θ = (u, v, ln r, ln s, c, background); positions relative to the window's centre.
+pub type Vector = SVector<f64, COUNT>;
+/// Of normal equations.
+pub type Matrix = SMatrix<f64, COUNT, COUNT>;
+
+/// Blur expected of detector and focal spot, px, and the standard deviation of its logarithm.
+pub const BLUR_PRIOR: (f64, f64) = (0.8, 0.5);
+
+/// Terms of the background of the third degree, the last ones.
+pub const CUBIC: usize = 4;
+/// First term of the background that is not a plane's.
+const CURVED: usize = 3;
+
+/// What is known before the pixels are looked at.
+#[derive(Clone, Copy)]
+pub struct Prior {
+    pub ln_radius: f64,
+    /// Weight against curvature of the background: a stiff one does not follow a wire, which then stands out and is left out.
+    pub stiffness: f64,
+}
+
+/// Expected values over a window, and what their derivatives are made of.
+#[derive(Clone, Default)]
+pub struct Evaluated {
+    /// Expected value.
+    pub value: Vec<f64>,
+    /// ∂V/∂B.
+    pub factor: Vec<f64>,
+    /// Derivatives by u, v, ln r, ln s and c.
+    pub shape: [Vec<f64>; SHAPE],
+    /// Distance from the centre in radii.
+    pub rho: Vec<f64>,
+}
+
+impl Evaluated {
+    /// Evaluates `model` with `theta` over `window`.
+    pub fn fill(&mut self, model: Model, theta: &Vector, window: &Window) {
+        let count = window.len();
+        for column in self.shape.iter_mut().chain([&mut self.value, &mut self.factor, &mut self.rho]) {
+            column.resize(count, 0.0);
+        }
+        let radius = theta[2].exp();
+        let profile = Profile::new(model.shape(), theta[3].exp() / radius);
+        // The background first, term by term, which the compiler turns into vector instructions.
+        self.value.fill(0.0);
+        for (term, coefficient) in window.basis.iter().zip(theta.as_slice()[SHAPE..].iter()) {
+            for (value, term) in self.value.iter_mut().zip(term) {
+                *value += coefficient * term;
+            }
+        }
+        let [by_u, by_v, by_ln_r, by_ln_s, by_c] = &mut self.shape;
+        let contrast = theta[4];
+        for n in 0..count {
+            let (du, dv) = (window.dx[n] - theta[0], window.dy[n] - theta[1]);
+            let distance = (du * du + dv * dv).sqrt();
+            let rho = distance / radius;
+            let g = profile.at(rho);
+            let (sign, factor) = match model {
+                Model::Transmission => {
+                    let value = (self.value[n] - contrast * g.value).clamp(-60.0, 60.0).exp() * window.others[n];
+                    self.value[n] = value;
+                    (-1.0, value)
+                }
+                Model::Additive { sign, .. } => {
+                    self.value[n] += sign * contrast * g.value + window.others[n];
+                    (sign, 1.0)
+                }
+            };
+            let depth = factor * sign * contrast;
+            let slope = if distance > 1e-9 { depth * g.by_rho / (radius * distance) } else { 0.0 };
+            by_u[n] = -slope * du;
+            by_v[n] = -slope * dv;
+            by_ln_r[n] = depth * (-g.by_rho * rho - g.by_ln_beta);
+            by_ln_s[n] = depth * g.by_ln_beta;
+            by_c[n] = factor * sign * g.value;
+            self.factor[n] = factor;
+            self.rho[n] = rho;
+        }
+    }
+}
+
+/// Noise and weight of each pixel.
+#[derive(Clone, Default)]
+pub struct Weighing {
+    /// Standard deviation of the expected value's noise.
+    pub sigma: Vec<f64>,
+    /// In [0, 1]: how far the pixel is trusted.
+    pub trust: Vec<f64>,
+}
+
+/// |residual| in spreads to which a pixel counts fully, from which it counts no more than that, and from which not at all.
+const TRUST: [f64; 3] = [2.5, 4.5, 9.0];
+
+impl Weighing {
+    /// Noise at the expected values; trust after Hampel (1974), against wires and edges in the window. Under the shadow itself trust does
+    /// not fall to nothing: there a large residual means that the model is not yet right.
+    pub fn update(&mut self, noise: &Noise, window: &Window, at: &Evaluated, redescending: bool) {
+        let count = window.len();
+        self.sigma.resize(count, 1.0);
+        self.trust.resize(count, 1.0);
+        for n in 0..count {
+            self.sigma[n] = noise.sigma(at.value[n]);
+            self.trust[n] = ((window.value[n] - at.value[n]) / self.sigma[n]).abs();
+        }
+        let mut sizes = self.trust.clone();
+        let middle = sizes.len() / 2;
+        let spread = (*sizes.select_nth_unstable_by(middle, f64::total_cmp).1 / 0.6745).max(1.0);
+        let [full, level, none] = TRUST.map(|limit| limit * spread);
+        for (trust, rho) in self.trust.iter_mut().zip(&at.rho) {
+            let size = *trust;
+            *trust = if size <= full {
+                1.0
+            } else if !redescending || size <= level || *rho < 1.2 {
+                full / size
+            } else {
+                full / size * ((none - size) / (none - level)).max(0.0)
+            };
+        }
+    }
+
+    /// Weighted square residual plus priors.
+    pub fn cost(&self, window: &Window, at: &Evaluated, theta: &Vector, prior: &Prior) -> f64 {
+        let mut data = 0.0;
+        for n in 0..window.len() {
+            data += self.trust[n] * ((window.value[n] - at.value[n]) / self.sigma[n]).powi(2);
+        }
+        let curved: f64 = theta.as_slice()[SHAPE + CURVED..].iter().map(|term| term * term).sum();
+        data + ((theta[3] - BLUR_PRIOR.0.ln()) / BLUR_PRIOR.1).powi(2)
+            + (theta[2] - prior.ln_radius).powi(2)
+            + prior.stiffness * curved
+    }
+}
+
+/// Scratch space of the normal equations: derivatives over noise, times the root of the trust; last the residual.
+#[derive(Clone, Default)]
+pub struct Equations {
+    columns: Vec<Vec<f64>>,
+}
+
+impl Equations {
+    /// JᵀWJ and JᵀWr, priors included.
+    pub fn normal(
+        &mut self,
+        window: &Window,
+        at: &Evaluated,
+        weighing: &Weighing,
+        theta: &Vector,
+        prior: &Prior,
+    ) -> (Matrix, Vector) {
+        let count = window.len();
+        self.columns.resize(COUNT + 1, Vec::new());
+        for column in &mut self.columns {
+            column.resize(count, 0.0);
+        }
+        // The residual's column holds the scale until it is no longer needed.
+        let (derivatives, last) = self.columns.split_at_mut(COUNT);
+        let residual = &mut last[0];
+        for ((scale, trust), sigma) in residual.iter_mut().zip(&weighing.trust).zip(&weighing.sigma) {
+            *scale = trust.sqrt() / sigma;
+        }
+        let (shape, background) = derivatives.split_at_mut(SHAPE);
+        for (column, derivative) in shape.iter_mut().zip(&at.shape) {
+            for n in 0..count {
+                column[n] = residual[n] * derivative[n];
+            }
+        }
+        for (column, term) in background.iter_mut().zip(&window.basis) {
+            for n in 0..count {
+                column[n] = residual[n] * at.factor[n] * term[n];
+            }
+        }
+        for ((residual, value), expected) in residual.iter_mut().zip(&window.value).zip(&at.value) {
+            *residual *= value - expected;
+        }
+        let (mut normal, mut right) = (Matrix::zeros(), Vector::zeros());
+        for i in 0..COUNT {
+            for j in i..COUNT {
+                let sum = dot(&self.columns[i], &self.columns[j]);
+                normal[(i, j)] = sum;
+                normal[(j, i)] = sum;
+            }
+            right[i] = dot(&self.columns[i], &self.columns[COUNT]);
+        }
+        let blur_weight = BLUR_PRIOR.1.powi(-2);
+        normal[(3, 3)] += blur_weight;
+        right[3] += blur_weight * (BLUR_PRIOR.0.ln() - theta[3]);
+        normal[(2, 2)] += 1.0;
+        right[2] += prior.ln_radius - theta[2];
+        for n in SHAPE + CURVED..COUNT {
+            normal[(n, n)] += prior.stiffness;
+            right[n] -= prior.stiffness * theta[n];
+        }
+        (normal, right)
+    }
+
+    /// How much each pixel's normalised residual z = r/σ moves the parameters `of`: N⁻¹ Jᵀ W, column by column.
+    pub fn influence<const N: usize>(&self, inverse: &Matrix, weighing: &Weighing, of: [usize; N]) -> [Vec<f64>; N] {
+        of.map(|parameter| {
+            let mut influence = vec![0.0; weighing.trust.len()];
+            for (n, column) in self.columns[..COUNT].iter().enumerate() {
+                let share = inverse[(parameter, n)];
+                for (sum, derivative) in influence.iter_mut().zip(column) {
+                    *sum += share * derivative;
+                }
+            }
+            for (sum, trust) in influence.iter_mut().zip(&weighing.trust) {
+                *sum *= trust.sqrt();
+            }
+            influence
+        })
+    }
+}
+
+/// Sum of products in eight strands, always in the same order.
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let mut strands = [0.0f64; 8];
+    let (a_chunks, b_chunks) = (a.chunks_exact(8), b.chunks_exact(8));
+    let rest: f64 = a_chunks.remainder().iter().zip(b_chunks.remainder()).map(|(x, y)| x * y).sum();
+    for (x, y) in a_chunks.zip(b_chunks) {
+        for n in 0..8 {
+            strands[n] += x[n] * y[n];
+        }
+    }
+    strands.iter().sum::<f64>() + rest
+}

@@ -1,12 +1,13 @@
 //! The final solution of a match, and whether it may be believed.
 
 use glam::{DVec2, DVec3};
-use nalgebra::{DMatrix, Matrix2x3, Matrix6};
+use nalgebra::{DMatrix, Matrix6};
 
 use super::record::{BeadResidual, BodyPose, Covariance, LandmarkUncertainty, Pose, Status};
 use super::register::{Attempt, Candidate};
+use super::flat::off_plane;
 use super::search::{Hypothesis, MISSED};
-use super::solve::{Free, Match, Measured, Options, Solution, about, image_by_point, point_by_pose, solve};
+use super::solve::{Free, Match, Measured, Options, Solution, about, left_out, solve};
 use super::start;
 use super::verdict::{check_geometry, mirrored, rival};
 use crate::beads::DEFAULT_SIGMA_MM;
@@ -35,6 +36,8 @@ pub(super) struct Final {
     /// Outliers, and how far off they are.
     pub(super) left_out: Vec<(Match, DVec2)>,
     chi2_per_dof: f64,
+    /// How the solution was asked for, priors among it.
+    options: Options,
 }
 
 impl Attempt<'_> {
@@ -123,6 +126,13 @@ impl Attempt<'_> {
                 last.chi2_per_dof.sqrt()
             ));
         }
+        let off_plane = off_plane(&last.solution, &last.matches, &covariance);
+        if off_plane.is_degenerate() {
+            notes.push(format!(
+                "the beads are nearly flat: off their plane the pose is uncertain by {:.1} px, which their own residuals do not show",
+                off_plane.sigma_px
+            ));
+        }
         if count < in_view {
             notes.push(format!("{} of {in_view} beads that should be in view are matched", count));
         }
@@ -170,8 +180,9 @@ impl Attempt<'_> {
         }
         let plain = Options { loss: f64::INFINITY, ..options };
         let first = solve(&matches, &best.camera_from_lps, &best.intrinsics, &plain)?;
-        let dof = (2 * matches.len()).saturating_sub(6 + free.count()).max(1) as f64;
-        let chi2_per_dof = first.chi2.iter().sum::<f64>() / dof;
+        // A fused prior is an observation like the beads.
+        let dof = first.degrees_of_freedom.max(1) as f64;
+        let chi2_per_dof = (first.chi2.iter().sum::<f64>() + first.prior_chi2) / dof;
         // Beads that fit better than their stated uncertainty are better than it: weigh them so, but do not claim it.
         let share = chi2_per_dof.sqrt().clamp(0.1, 1.0);
         let solution = if share < 0.8 && dof >= 4.0 {
@@ -187,7 +198,7 @@ impl Attempt<'_> {
                 (m, off)
             })
             .collect();
-        Some(Final { solution, matches, left_out, chi2_per_dof })
+        Some(Final { solution, matches, left_out, chi2_per_dof, options: plain })
     }
 
     /// Why the match is not unique, if it is not.
@@ -239,8 +250,9 @@ impl Attempt<'_> {
         let back = about(-centroid);
         let about_origin = back * at_centroid * back.transpose();
         let projection = Projection::compose(&k, &pose);
+        let unseen = self.left_out(last);
         let beads: Vec<BeadResidual> =
-            layout.beads.iter().enumerate().map(|(n, bead)| self.bead(last, n, bead, &projection)).collect();
+            layout.beads.iter().enumerate().map(|(n, bead)| self.bead(last, &unseen, n, bead, &projection)).collect();
         let mut bodies: Vec<BodyPose> = Vec::new();
         for bead in &beads {
             match bodies.iter_mut().find(|body| body.name == bead.body) {
@@ -262,17 +274,9 @@ impl Attempt<'_> {
         let solved = self.matching.intrinsics.is_none();
         let landmarks = self.matching.landmarks.iter().map(|landmark| {
             let p = pose.transform_point(landmark.lps_mm);
-            let j = point_by_pose(p, centroid);
-            let place = j * at_centroid * j.transpose();
-            let sigma_px = (p.z > 1.0).then(|| {
-                let mut rows = DMatrix::zeros(2, covariance.ncols());
-                rows.view_mut((0, 0), (2, 6)).copy_from(&(image_by_point(&k, p) * j));
-                if solved {
-                    rows.view_mut((0, 6), (2, 3)).copy_from(&Matrix2x3::new(p.x / p.z, 1.0, 0.0, p.y / p.z, 0.0, 1.0));
-                }
-                let image = &rows * covariance * rows.transpose();
-                [image[(0, 0)].sqrt(), image[(1, 1)].sqrt()]
-            });
+            let sharpness = last.solution.sharpness(landmark.lps_mm, covariance);
+            let place = sharpness.camera_mm2;
+            let sigma_px = sharpness.image_px2.map(|image| [image[(0, 0)].sqrt(), image[(1, 1)].sqrt()]);
             LandmarkUncertainty {
                 name: landmark.name.clone(),
                 lps_mm: landmark.lps_mm,
@@ -311,7 +315,14 @@ impl Attempt<'_> {
         }
     }
 
-    fn bead(&self, last: &Final, index: usize, bead: &crate::beads::Bead, projection: &Projection) -> BeadResidual {
+    fn bead(
+        &self,
+        last: &Final,
+        unseen: &[Option<DVec2>],
+        index: usize,
+        bead: &crate::beads::Bead,
+        projection: &Projection,
+    ) -> BeadResidual {
         let (at, depth_mm) = projection.project(bead.lps_mm);
         let predicted = (depth_mm > 1.0).then_some(at);
         let used = last.matches.iter().position(|m| m.bead == index);
@@ -334,28 +345,21 @@ impl Attempt<'_> {
             predicted_px: predicted.map(|p| p.to_array()),
             residual_px: observed.zip(predicted).map(|(m, p)| (m.image_px - p).to_array()),
             sigma_px: observed.map(|m| m.sigma_px),
-            left_out_px: used.and_then(|n| self.left_out(last, n)).map(|off| off.to_array()),
+            left_out_px: used.and_then(|n| unseen[n]).map(|off| off.to_array()),
             used: used.is_some(),
             reason,
         }
     }
 
-    /// Residual of a used bead under the pose of all others.
-    fn left_out(&self, last: &Final, n: usize) -> Option<DVec2> {
-        let free = if self.matching.intrinsics.is_some() { Free::Pose } else { Free::Square };
-        let mut others = last.matches.clone();
-        let own = others.remove(n);
-        if 2 * others.len() < 6 + free.count() + 2 {
-            return None;
+    /// Residual of each used bead under the pose of all others, the prior among them where it is fused.
+    fn left_out(&self, last: &Final) -> Vec<Option<DVec2>> {
+        // Seen by its own solution alone: at least one other bead must be left to contradict it.
+        if last.solution.degrees_of_freedom < 4 {
+            return vec![None; last.matches.len()];
         }
-        let s = &last.solution;
-        let without = solve(&others, &s.camera_from_lps, &s.intrinsics, &Options::least_squares(free))?;
-        Some(own.image_px - project(&without.intrinsics, &without.camera_from_lps, own.lps_mm))
+        let off = |found: crate::estimate::LeftOut| DVec2::new(found.offset[0], found.offset[1]);
+        left_out(&last.matches, &last.solution, &last.options).into_iter().map(|found| found.map(off)).collect()
     }
-}
-
-fn project(k: &Intrinsics, pose: &Rigid, p: DVec3) -> DVec2 {
-    k.project(pose.transform_point(p))
 }
 
 fn rms(residuals: &[DVec2]) -> f64 {

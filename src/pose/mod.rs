@@ -5,6 +5,7 @@
 //! too few beads, degenerate layouts, accidental and ambiguous matches are refused.
 
 mod doubt;
+mod flat;
 mod judge;
 mod record;
 mod register;

@@ -1,0 +1,102 @@
+//! Levenberg–Marquardt.
+//!
+//! A residual's weight may depend on the state (a bead's own uncertainty, seen through the camera). A step is judged by the weights from
+//! which it was computed, then weights are renewed: the end is where Σ w JᵀWr = 0 whatever the start. Judged by each state's own weights,
+//! steps near the end are refused as soon as the change of the weights outweighs the gain, and the end depends on the way there.
+
+use super::block::State;
+use super::equations::Equations;
+use super::error::EstimateError;
+use super::estimate::Estimate;
+use super::linearisation::{Linearisation, Plan};
+use super::problem::Problem;
+
+/// When to stop.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Settings {
+    /// Steps, at most.
+    pub iterations: usize,
+    /// Enough is a step of less than this many standard deviations.
+    pub step_sigmas: f64,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self { iterations: 50, step_sigmas: 1e-8 }
+    }
+}
+
+/// Why it stopped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stop {
+    /// The next step would be too small to matter.
+    Converged,
+    /// No step, however short, makes the cost smaller.
+    Stalled,
+    /// The number of steps is used up.
+    Iterations,
+}
+
+/// Attempts at one step, each ten times shorter or so.
+const ATTEMPTS: usize = 12;
+/// Relative rounding of a cost: differences below it mean nothing.
+const ROUNDING: f64 = 1e-13;
+
+impl Problem<'_> {
+    /// Minimises Σ ρ(rᵀWr).
+    ///
+    /// # Errors
+    /// When a residual is not finite at the start, or the solution leaves one without a prediction.
+    pub fn solve(&self, settings: &Settings) -> Result<Estimate<'_>, EstimateError> {
+        self.solve_without(self.start.clone(), None, settings)
+    }
+
+    pub(super) fn solve_without(
+        &self,
+        start: State,
+        without: Option<usize>,
+        settings: &Settings,
+    ) -> Result<Estimate<'_>, EstimateError> {
+        let plan = Plan::new(self);
+        let (mut state, mut linear, mut trial) = (start, Linearisation::new(&plan), Linearisation::new(&plan));
+        linear.fill(self, &plan, &state);
+        if let Some(residual) = linear.offset_not_finite(&plan) {
+            return Err(EstimateError::NotFinite { residual });
+        }
+        let mut equations = Equations::new(self, &plan);
+        let mut damping = 1e-4;
+        let (mut stop, mut iterations) = (Stop::Iterations, 0);
+        'steps: while iterations < settings.iterations && plan.total > 0 {
+            equations.assemble(self, &plan, &linear, without);
+            let cost = linear.cost(self, &plan, &linear, without);
+            for _ in 0..ATTEMPTS {
+                if let Some(step) = equations.step(damping) {
+                    if equations.along(&step) * (1.0 + damping) <= settings.step_sigmas.powi(2) {
+                        stop = Stop::Converged;
+                        break 'steps;
+                    }
+                    let next = self.moved(&state, &plan.columns, step.as_slice());
+                    trial.fill(self, &plan, &next);
+                    if trial.cost(self, &plan, &linear, without) <= cost * (1.0 + ROUNDING) {
+                        state = next;
+                        std::mem::swap(&mut linear, &mut trial);
+                        damping = (damping * 0.1).max(1e-15);
+                        iterations += 1;
+                        continue 'steps;
+                    }
+                }
+                damping = (damping * 10.0).max(1e-8);
+            }
+            stop = Stop::Stalled;
+            break;
+        }
+        if plan.total == 0 {
+            stop = Stop::Converged;
+        }
+        let missing = linear.chi2.iter().enumerate().position(|(i, chi2)| !chi2.is_finite() && without != Some(i));
+        if let Some(residual) = missing {
+            return Err(EstimateError::Infeasible { residual });
+        }
+        Ok(Estimate { problem: self, plan, state, linear, without, settings: *settings, stop, iterations })
+    }
+}

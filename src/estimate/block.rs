@@ -127,8 +127,8 @@ pub(super) struct Block {
     pub raw_width: usize,
     /// Columns in the equations.
     pub width: usize,
-    /// Raw from free, raw_width × width; `None`: the same.
-    pub directions: Option<DMatrix<f64>>,
+    /// Raw from free, the entries that are not zero: (number, direction, share); `None`: the same.
+    pub directions: Option<Vec<(usize, usize, f64)>>,
     pub eliminated: bool,
 }
 
@@ -138,18 +138,20 @@ impl Block {
         if self.width == 0 {
             return;
         }
-        let raw = |n: usize| match &self.directions {
-            None => step[n],
-            Some(b) => (0..self.width).map(|k| b[(n, k)] * step[k]).sum(),
-        };
-        match self.kind {
-            Kind::Pose { index } => {
-                let xi = std::array::from_fn(raw);
-                state.motions[index] = state.motions[index].moved(&xi);
+        match (self.kind, &self.directions) {
+            (Kind::Pose { index }, _) => {
+                if let Some(xi) = step.first_chunk() {
+                    state.motions[index] = state.motions[index].moved(xi);
+                }
             }
-            Kind::Vector { first, len } => {
-                for n in 0..len {
-                    state.numbers[first + n] += raw(n);
+            (Kind::Vector { first, .. }, Some(directions)) => {
+                for (number, direction, share) in directions {
+                    state.numbers[first + number] += share * step[*direction];
+                }
+            }
+            (Kind::Vector { first, len }, None) => {
+                for (number, by) in state.numbers[first..first + len].iter_mut().zip(step) {
+                    *number += by;
                 }
             }
         }

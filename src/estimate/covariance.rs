@@ -6,7 +6,7 @@ use super::block::BlockId;
 use super::equations::Equations;
 use super::error::{Direction, EstimateError};
 use super::estimate::Estimate;
-use super::linearisation::{Linearisation, Plan};
+use super::linearisation::{Plan, Weighing};
 use super::problem::Problem;
 
 /// An entry of the inverse of the information, scaled to a unit diagonal, is at most the inverse of its smallest eigenvalue; beyond
@@ -21,7 +21,7 @@ pub type Rows<'a> = [(BlockId, &'a DMatrix<f64>)];
 struct Part {
     column: usize,
     width: usize,
-    directions: Option<DMatrix<f64>>,
+    directions: Option<Vec<(usize, usize, f64)>>,
 }
 
 /// Of an eliminated block: H_ee⁻¹, and G = H_ee⁻¹ H_ek, with which it follows the kept columns.
@@ -60,10 +60,12 @@ impl Covariance {
             .zip(&plan.columns)
             .map(|(block, column)| Part { column: *column, width: block.width, directions: block.directions.clone() })
             .collect();
-        if estimate.counted().any(|i| linear.own_noise[i]) {
+        // Full weights stand for the noise itself; discounted ones, or weights chosen otherwise, do not.
+        if estimate.counted().any(|i| linear.own_noise[i] || linear.weight(problem, i) < 1.0) {
             let inverse = inverse(problem, plan, &equations.dense())?;
-            let middle = middle(problem, plan, linear, estimate.without);
-            return Ok(Self { parts, kept: &inverse * middle * &inverse, followers: Vec::new() });
+            let mut middle = Equations::new(problem, plan);
+            middle.assemble(problem, plan, linear, estimate.without, Weighing::Spread);
+            return Ok(Self { parts, kept: &inverse * middle.dense() * &inverse, followers: Vec::new() });
         }
         match Self::reduced(&parts, equations) {
             Some(reduced) => Ok(reduced),
@@ -124,7 +126,13 @@ impl Covariance {
         let part = &self.parts[id.0];
         match &part.directions {
             _ if part.width == 0 => DMatrix::zeros(by_raw.nrows(), 0),
-            Some(b) => by_raw * b,
+            Some(b) => {
+                let mut by_free = DMatrix::zeros(by_raw.nrows(), part.width);
+                for (number, direction, share) in b {
+                    by_free.column_mut(*direction).axpy(*share, &by_raw.column(*number), 1.0);
+                }
+                by_free
+            }
             None => by_raw.clone(),
         }
     }
@@ -146,38 +154,6 @@ impl Covariance {
             }
         }
     }
-}
-
-/// Σ Jᵀ W C W J over all residuals, C their noise; all columns.
-fn middle(problem: &Problem, plan: &Plan, linear: &Linearisation, without: Option<usize>) -> DMatrix<f64> {
-    let mut sum = DMatrix::zeros(plan.total, plan.total);
-    for (i, slot) in plan.slots.iter().enumerate() {
-        let weight = linear.weight(problem, i);
-        if without == Some(i) || weight == 0.0 {
-            continue;
-        }
-        let n = slot.n;
-        let square = |numbers: &[f64]| DMatrix::from_row_slice(n, n, &numbers[slot.square..slot.square + n * n]);
-        let information = square(&linear.information) * weight;
-        // With the noise that its weights stand for, a residual adds what it adds to the information.
-        let spread = if linear.own_noise[i] { &information * square(&linear.noise) * &information } else { information };
-        let parts = slot.first..slot.first + slot.count;
-        let jacobians: Vec<(usize, DMatrix<f64>)> = parts
-            .filter_map(|part| {
-                let (start, block) = (plan.starts[part]?, plan.parts[part]);
-                let width = problem.blocks[block].width;
-                let rows = DMatrix::from_row_slice(n, width, &linear.jacobian[start..start + n * width]);
-                Some((plan.columns[block], rows))
-            })
-            .collect();
-        for (row, a) in &jacobians {
-            for (column, b) in &jacobians {
-                let mut view = sum.view_mut((*row, *column), (a.ncols(), b.ncols()));
-                view += a.transpose() * &spread * b;
-            }
-        }
-    }
-    sum
 }
 
 /// The inverse of `h`, scaled by the diagonal of `by`; `None` where it is singular to double precision. The scale is that of the

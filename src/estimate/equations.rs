@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::linearisation::{Linearisation, Plan};
+use super::linearisation::{Linearisation, Plan, Weighing};
 use super::problem::Problem;
 
 /// An eliminated block's part: its own square, its rows against the kept columns, its right side.
@@ -23,6 +23,9 @@ pub(super) struct Equations {
     /// Index into `apart` of each block.
     which: Vec<Option<usize>>,
     total: usize,
+    /// Of one residual: n×n weights, n pulls, weights times a Jacobian.
+    weights: Vec<f64>,
+    pulled: Vec<f64>,
     weighed: Vec<f64>,
 }
 
@@ -47,12 +50,21 @@ impl Equations {
             apart,
             which,
             total: plan.total,
+            weights: Vec::new(),
+            pulled: Vec::new(),
             weighed: Vec::new(),
         }
     }
 
     /// Sums up all residuals but `without`.
-    pub fn assemble(&mut self, problem: &Problem, plan: &Plan, linear: &Linearisation, without: Option<usize>) {
+    pub fn assemble(
+        &mut self,
+        problem: &Problem,
+        plan: &Plan,
+        linear: &Linearisation,
+        without: Option<usize>,
+        weighing: Weighing,
+    ) {
         self.kept.fill(0.0);
         self.right.fill(0.0);
         for part in &mut self.apart {
@@ -66,74 +78,47 @@ impl Equations {
                 continue;
             }
             let n = slot.n;
-            let information = &linear.information[slot.square..slot.square + n * n];
-            let offset = &linear.offset[slot.offset..slot.offset + n];
+            linear.weights(problem, i, slot, weighing, &mut self.weights);
+            self.pulled.clear();
+            for r in 0..n {
+                let row = &linear.information[slot.square + r * n..slot.square + (r + 1) * n];
+                self.pulled.push(weight * dot(row, &linear.offset[slot.offset..slot.offset + n]));
+            }
             for b in slot.first..slot.first + slot.count {
                 let Some(start) = plan.starts[b] else { continue };
                 let (block, width) = (plan.parts[b], problem.blocks[plan.parts[b]].width);
-                let jacobian = &linear.jacobian[start..];
-                // w W J of this block, n × width.
+                let jacobian = &linear.jacobian[start..start + n * width];
+                // Weights times J of this block, column by column: the weights are symmetric.
                 self.weighed.clear();
-                for r in 0..n {
-                    for k in 0..width {
-                        let sum: f64 = (0..n).map(|s| information[r * n + s] * jacobian[s * width + k]).sum();
-                        self.weighed.push(weight * sum);
-                    }
+                for column in jacobian.chunks_exact(n) {
+                    self.weighed.extend(self.weights.chunks_exact(n).map(|row| dot(row, column)));
                 }
-                let weighed = &self.weighed;
-                let right = |k: usize| (0..n).map(|r| weighed[r * width + k] * offset[r]).sum::<f64>();
-                match self.which[block] {
-                    None => (0..width).for_each(|k| self.right[plan.columns[block] + k] += right(k)),
-                    Some(e) => (0..width).for_each(|k| self.apart[e].right[k] += right(k)),
+                let right = match self.which[block] {
+                    None => &mut self.right.as_mut_slice()[plan.columns[block]..],
+                    Some(e) => self.apart[e].right.as_mut_slice(),
+                };
+                for (sum, column) in right.iter_mut().zip(jacobian.chunks_exact(n)) {
+                    *sum += dot(column, &self.pulled);
                 }
                 for a in slot.first..=b {
                     let Some(start) = plan.starts[a] else { continue };
                     let (other, other_width) = (plan.parts[a], problem.blocks[plan.parts[a]].width);
-                    let left = &linear.jacobian[start..];
-                    let entry =
-                        |j: usize, k: usize| (0..n).map(|r| left[r * other_width + j] * weighed[r * width + k]).sum::<f64>();
+                    let left = &linear.jacobian[start..start + n * other_width];
+                    let (row, column) = (plan.columns[other], plan.columns[block]);
+                    // Of the symmetric squares only the lower triangle is summed.
                     match (self.which[other], self.which[block]) {
-                        (None, None) => {
-                            let (rows, columns) = (plan.columns[other], plan.columns[block]);
-                            for k in 0..width {
-                                for j in 0..other_width {
-                                    // Only the lower triangle is used.
-                                    let (row, column) = (rows + j, columns + k);
-                                    if row >= column || other != block {
-                                        self.kept[(row.max(column), row.min(column))] += entry(j, k);
-                                    }
-                                }
-                            }
-                        }
-                        (Some(e), Some(_)) => {
-                            for k in 0..width {
-                                for j in 0..other_width {
-                                    self.apart[e].own[(j, k)] += entry(j, k);
-                                }
-                            }
-                        }
-                        (Some(e), None) => {
-                            for k in 0..width {
-                                for j in 0..other_width {
-                                    self.apart[e].cross[(j, plan.columns[block] + k)] += entry(j, k);
-                                }
-                            }
-                        }
-                        (None, Some(e)) => {
-                            for k in 0..width {
-                                for j in 0..other_width {
-                                    self.apart[e].cross[(k, plan.columns[other] + j)] += entry(j, k);
-                                }
-                            }
-                        }
+                        (None, None) if row > column => add(&mut self.kept, (row, column), left, &self.weighed, n, false),
+                        (None, None) => add(&mut self.kept, (column, row), &self.weighed, left, n, other == block),
+                        (Some(e), Some(_)) => add(&mut self.apart[e].own, (0, 0), &self.weighed, left, n, true),
+                        (Some(e), None) => add(&mut self.apart[e].cross, (0, column), left, &self.weighed, n, false),
+                        (None, Some(e)) => add(&mut self.apart[e].cross, (0, row), &self.weighed, left, n, false),
                     }
                 }
             }
         }
-        for column in 1..self.kept.ncols() {
-            for row in 0..column {
-                self.kept[(row, column)] = self.kept[(column, row)];
-            }
+        self.kept.fill_upper_triangle_with_lower_triangle();
+        for part in &mut self.apart {
+            part.own.fill_upper_triangle_with_lower_triangle();
         }
     }
 
@@ -189,5 +174,26 @@ impl Equations {
             all.view_mut((0, part.column), (kept, width)).copy_from(&part.cross.transpose());
         }
         all
+    }
+}
+
+/// Adds rowsᵀ·columns at `at`, both column-major with n numbers a column; of a square on the diagonal only the lower triangle.
+fn add(to: &mut DMatrix<f64>, at: (usize, usize), rows: &[f64], columns: &[f64], n: usize, lower: bool) {
+    let height = to.nrows();
+    for (k, right) in columns.chunks_exact(n).enumerate() {
+        let from = if lower { k } else { 0 };
+        let start = (at.1 + k) * height + at.0 + from;
+        let target = &mut to.as_mut_slice()[start..];
+        for (sum, left) in target.iter_mut().zip(rows.chunks_exact(n).skip(from)) {
+            *sum += dot(left, right);
+        }
+    }
+}
+
+/// Σ aᵢ bᵢ; a bead's image has two numbers.
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    match (a, b) {
+        ([a0, a1], [b0, b1]) => a0 * b0 + a1 * b1,
+        _ => a.iter().zip(b).map(|(x, y)| x * y).sum(),
     }
 }

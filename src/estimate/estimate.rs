@@ -6,7 +6,7 @@ use super::equations::Equations;
 use super::error::EstimateError;
 use super::left_out::LeftOut;
 use super::levenberg::{Settings, Stop};
-use super::linearisation::{Linearisation, Plan};
+use super::linearisation::{Linearisation, Plan, Weighing};
 use super::problem::Problem;
 
 /// Where the solver ended.
@@ -78,7 +78,7 @@ impl Estimate<'_> {
     /// When some direction is not determined, or a number is not finite.
     pub fn covariance(&self) -> Result<Covariance, EstimateError> {
         let mut equations = Equations::new(self.problem, &self.plan);
-        equations.assemble(self.problem, &self.plan, &self.linear, self.without);
+        equations.assemble(self.problem, &self.plan, &self.linear, self.without, Weighing::Curvature);
         Covariance::new(self, &equations)
     }
 

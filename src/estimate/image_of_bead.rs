@@ -177,30 +177,31 @@ impl Residual for BeadImage {
         let off_diagonal = -used[1] / determinant;
         out.information().copy_from_slice(&[used[2] / determinant, off_diagonal, off_diagonal, used[0] / determinant]);
 
-        let mut rows = |place: usize, width: usize, values: [&[f64]; 2]| {
+        let mut rows = |place: usize, values: [&[f64]; 2]| {
             if let Some(jacobian) = out.jacobian(place) {
-                jacobian[..width].copy_from_slice(values[0]);
-                jacobian[width..].copy_from_slice(values[1]);
+                for ((column, u), v) in jacobian.chunks_exact_mut(2).zip(values[0]).zip(values[1]) {
+                    (column[0], column[1]) = (*u, *v);
+                }
             }
         };
         let arm = p - camera.centre_mm();
         let [u, v] = by_camera.map(|row| turned(row, arm));
-        rows(0, 6, [&u, &v]);
-        rows(1, 5, [&[bent.at.x, 0.0, bent.at.y, 1.0, 0.0], &[0.0, bent.at.y, 0.0, 0.0, 1.0]]);
+        rows(0, [&u, &v]);
+        rows(1, [&[bent.at.x, 0.0, bent.at.y, 1.0, 0.0], &[0.0, bent.at.y, 0.0, 0.0, 1.0]]);
         if let Place::Solved(block) = self.place {
             let [u, v] = by_body;
-            rows(self.place_of(block.id), 3, [&u.to_array(), &v.to_array()]);
+            rows(self.place_of(block.id), [&u.to_array(), &v.to_array()]);
         }
         if let Some(body) = self.body {
             let arm = in_lps - state.motion(body).centre_mm();
             let [u, v] = by_lps.map(|row| turned(row, arm));
-            rows(self.place_of(body.id), 6, [&u, &v]);
+            rows(self.place_of(body.id), [&u, &v]);
         }
         if let Some(lens) = self.lens {
             let [x, y] = bent.by_lens;
             let along = |row: [f64; 2]| -> [f64; 4] { std::array::from_fn(|n| row[0] * x[n] + row[1] * y[n]) };
             let (u, v) = (along([fx, skew]), along([0.0, fy]));
-            rows(self.place_of(lens.id), 4, [&u, &v]);
+            rows(self.place_of(lens.id), [&u, &v]);
         }
         true
     }

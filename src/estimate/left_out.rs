@@ -76,7 +76,7 @@ fn spread(estimate: &Estimate, covariance: &Covariance, residual: usize) -> DMat
     for part in slot.first..slot.first + slot.count {
         let (Some(start), block) = (plan.starts[part], plan.parts[part]) else { continue };
         let width = problem.blocks[block].width;
-        let rows = DMatrix::from_row_slice(slot.n, width, &estimate.linear.jacobian[start..start + slot.n * width]);
+        let rows = DMatrix::from_column_slice(slot.n, width, &estimate.linear.jacobian[start..start + slot.n * width]);
         let before = by_free.ncols();
         by_free = by_free.resize_horizontally(before + width, 0.0);
         by_free.columns_mut(before, width).copy_from(&rows);

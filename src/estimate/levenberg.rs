@@ -8,7 +8,7 @@ use super::block::State;
 use super::equations::Equations;
 use super::error::EstimateError;
 use super::estimate::Estimate;
-use super::linearisation::{Linearisation, Plan};
+use super::linearisation::{Linearisation, Plan, Weighing};
 use super::problem::Problem;
 
 /// When to stop.
@@ -39,6 +39,8 @@ pub enum Stop {
 
 /// Attempts at one step, each ten times shorter or so.
 const ATTEMPTS: usize = 12;
+/// A cost that falls by less than a tenth is near its end.
+const NEAR: f64 = 0.9;
 /// Relative rounding of a cost: differences below it mean nothing.
 const ROUNDING: f64 = 1e-13;
 
@@ -66,8 +68,10 @@ impl Problem<'_> {
         let mut equations = Equations::new(self, &plan);
         let mut damping = 1e-4;
         let (mut stop, mut iterations) = (Stop::Iterations, 0);
+        let mut near = false;
         'steps: while iterations < settings.iterations && plan.total > 0 {
-            equations.assemble(self, &plan, &linear, without);
+            let weighing = if near { Weighing::Curvature } else { Weighing::Slope };
+            equations.assemble(self, &plan, &linear, without, weighing);
             let cost = linear.cost(self, &plan, &linear, without);
             for _ in 0..ATTEMPTS {
                 if let Some(step) = equations.step(damping) {
@@ -77,7 +81,9 @@ impl Problem<'_> {
                     }
                     let next = self.moved(&state, &plan.columns, step.as_slice());
                     trial.fill(self, &plan, &next);
-                    if trial.cost(self, &plan, &linear, without) <= cost * (1.0 + ROUNDING) {
+                    let next_cost = trial.cost(self, &plan, &linear, without);
+                    if next_cost <= cost * (1.0 + ROUNDING) {
+                        near = next_cost > NEAR * cost;
                         state = next;
                         std::mem::swap(&mut linear, &mut trial);
                         damping = (damping * 0.1).max(1e-15);

@@ -1,11 +1,27 @@
 //! All residuals at one state, in flat memory.
 
 use super::block::State;
+use super::loss::Loss;
 use super::problem::Problem;
 use super::residual::Evaluation;
 
 /// What a residual without a prediction costs: more than any that has one.
 const WITHOUT_PREDICTION: f64 = 1e12;
+
+/// How the normal equations weigh a residual with a loss ρ.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Weighing {
+    /// ρ′ W: steps from afar, where the loss bends down.
+    Slope,
+    /// ρ′ W + 2 ρ″ W r rᵀ W, the second derivative of the cost: steps near the end, and the information there. Where it would not be
+    /// positive, a little is left (Triggs et al. 2000, §4.3).
+    Curvature,
+    /// ρ′² W C W with the noise C: how the right side scatters.
+    Spread,
+}
+
+/// Share of ρ′ W that a bending loss leaves along r, at least.
+const LEFT: f64 = 0.1;
 
 /// Where a residual's numbers lie.
 #[derive(Clone, Copy, Debug)]
@@ -78,7 +94,7 @@ impl Plan {
     }
 }
 
-/// Offsets, weights and Jacobians of all residuals at one state; Jacobians by free directions, row-major.
+/// Offsets, weights and Jacobians of all residuals at one state; Jacobians by free directions, column-major.
 #[derive(Clone, Debug)]
 pub(super) struct Linearisation {
     pub offset: Vec<f64>,
@@ -88,7 +104,7 @@ pub(super) struct Linearisation {
     pub jacobian: Vec<f64>,
     /// rᵀ W r of each residual; infinite where it has no prediction.
     pub chi2: Vec<f64>,
-    row: Vec<f64>,
+    raw: Vec<f64>,
 }
 
 impl Linearisation {
@@ -100,7 +116,7 @@ impl Linearisation {
             own_noise: vec![false; plan.slots.len()],
             jacobian: vec![0.0; plan.jacobians],
             chi2: vec![0.0; plan.slots.len()],
-            row: Vec::new(),
+            raw: Vec::new(),
         }
     }
 
@@ -135,12 +151,13 @@ impl Linearisation {
     fn along_directions(&mut self, problem: &Problem, plan: &Plan, part: usize, n: usize) {
         let block = &problem.blocks[plan.parts[part]];
         let (Some(start), Some(b)) = (plan.starts[part], &block.directions) else { return };
-        for i in 0..n {
-            self.row.clear();
-            self.row.extend_from_slice(&self.jacobian[start + i * block.raw_width..start + (i + 1) * block.raw_width]);
-            for k in 0..block.width {
-                // There are no more directions than numbers, so row i ends before row i + 1 of the raw matrix begins.
-                self.jacobian[start + i * block.width + k] = self.row.iter().enumerate().map(|(r, x)| x * b[(r, k)]).sum();
+        let raw = start..start + n * block.raw_width;
+        self.raw.clear();
+        self.raw.extend_from_slice(&self.jacobian[raw.clone()]);
+        self.jacobian[raw].fill(0.0);
+        for (number, direction, share) in b {
+            for i in 0..n {
+                self.jacobian[start + direction * n + i] += share * self.raw[number * n + i];
             }
         }
     }
@@ -167,6 +184,37 @@ impl Linearisation {
     /// The first residual whose offset is NaN or infinite.
     pub fn offset_not_finite(&self, plan: &Plan) -> Option<usize> {
         plan.slots.iter().position(|slot| !self.offset[slot.offset..slot.offset + slot.n].iter().all(|x| x.is_finite()))
+    }
+
+    /// What residual `i` adds between its Jacobians, n×n.
+    pub fn weights(&self, problem: &Problem, i: usize, slot: &Slot, weighing: Weighing, out: &mut Vec<f64>) {
+        let n = slot.n;
+        let information = &self.information[slot.square..slot.square + n * n];
+        let (loss, chi2) = (problem.residuals[i].1, self.chi2[i]);
+        let weight = if loss == Loss::None { 1.0 } else { loss.weight(chi2) };
+        out.clear();
+        match weighing {
+            Weighing::Spread if self.own_noise[i] => {
+                let noise = &self.noise[slot.square..slot.square + n * n];
+                let entry = |r: usize, s: usize| -> f64 {
+                    let along = |a: usize| -> f64 { (0..n).map(|b| noise[a * n + b] * information[s * n + b]).sum() };
+                    (0..n).map(|a| information[r * n + a] * along(a)).sum()
+                };
+                out.extend((0..n * n).map(|k| weight * weight * entry(k / n, k % n)));
+            }
+            Weighing::Spread => out.extend(information.iter().map(|w| weight * weight * w)),
+            Weighing::Slope | Weighing::Curvature => out.extend(information.iter().map(|w| weight * w)),
+        }
+        if weighing == Weighing::Curvature && loss != Loss::None {
+            let bend = (-2.0 * loss.bend(chi2)).min((1.0 - LEFT) * weight / chi2.max(f64::MIN_POSITIVE));
+            let offset = &self.offset[slot.offset..slot.offset + n];
+            let pull = |r: usize| -> f64 { (0..n).map(|s| information[r * n + s] * offset[s]).sum() };
+            for r in 0..n {
+                for s in 0..n {
+                    out[r * n + s] -= bend * pull(r) * pull(s);
+                }
+            }
+        }
     }
 
     /// The share with which residual `i` counts: ρ′, or nothing where it has no prediction.

@@ -36,6 +36,18 @@ impl Loss {
     }
 }
 
+impl Loss {
+    /// ρ″, never positive.
+    pub(super) fn bend(self, chi2: f64) -> f64 {
+        match self {
+            Self::None => 0.0,
+            Self::Cauchy(s) => -(s * (1.0 + chi2 / (s * s))).powi(-2),
+            Self::Huber(s) if chi2 <= s * s => 0.0,
+            Self::Huber(s) => -0.5 * s * chi2.powf(-1.5),
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -48,6 +60,8 @@ mod tests {
                 let h = 1e-6 * chi2;
                 let slope = (loss.cost(chi2 + h) - loss.cost(chi2 - h)) / (2.0 * h);
                 assert!((slope - loss.weight(chi2)).abs() < 1e-6, "{loss:?} {chi2}");
+                let bend = (loss.weight(chi2 + h) - loss.weight(chi2 - h)) / (2.0 * h);
+                assert!((bend - loss.bend(chi2)).abs() < 1e-6, "{loss:?} {chi2}");
                 cases += 1;
             }
         }

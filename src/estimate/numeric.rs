@@ -51,11 +51,7 @@ impl<F: Fn(&State, &mut [f64]) -> bool> Residual for Numeric<F> {
         for (i, offset) in out.offset().iter_mut().enumerate() {
             *offset = self.observed[i] - high[i];
         }
-        for i in 0..n {
-            for j in 0..n {
-                out.information()[i * n + j] = self.information[(i, j)];
-            }
-        }
+        out.information().copy_from_slice(self.information.as_slice());
         let mut near = state.clone();
         for (place, block) in self.blocks.iter().enumerate() {
             let Some(jacobian) = out.jacobian(place) else { continue };
@@ -75,7 +71,7 @@ impl<F: Fn(&State, &mut [f64]) -> bool> Residual for Numeric<F> {
                     return false;
                 }
                 for i in 0..n {
-                    jacobian[i * block.raw_width + k] = (high[i] - low[i]) / (2.0 * step);
+                    jacobian[k * n + i] = (high[i] - low[i]) / (2.0 * step);
                 }
             }
         }

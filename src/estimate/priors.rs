@@ -46,9 +46,9 @@ impl Residual for PosePrior {
         for (offset, x) in out.offset().iter_mut().zip(xi.iter()) {
             *offset = -x;
         }
-        copy(out.information(), &self.information);
+        out.information().copy_from_slice(self.information.as_slice());
         if let Some(jacobian) = out.jacobian(0) {
-            copy(jacobian, &(left_jacobian_inverse(&xi) * about(-motion.centre_mm())));
+            jacobian.copy_from_slice((left_jacobian_inverse(&xi) * about(-motion.centre_mm())).as_slice());
         }
         true
     }
@@ -132,29 +132,17 @@ impl Residual for Reading {
             *offset = value - joints[*c] + offsets.map_or(0.0, |o| o[*c]);
         }
         let n = self.chosen.len();
-        for i in 0..n {
-            for j in 0..n {
-                out.information()[i * n + j] = self.information[(i, j)];
-            }
-        }
-        for (place, width, slope) in [(0, self.joints.len, 1.0), (1, self.offsets.map_or(0, |o| o.len), -1.0)] {
+        out.information().copy_from_slice(self.information.as_slice());
+        for (place, slope) in [(0, 1.0), (1, -1.0)] {
             if place < self.ids.len()
                 && let Some(jacobian) = out.jacobian(place)
             {
                 for (row, c) in self.chosen.iter().enumerate() {
-                    jacobian[row * width + c] = slope;
+                    jacobian[c * n + row] = slope;
                 }
             }
         }
         true
-    }
-}
-
-fn copy(to: &mut [f64], from: &Matrix6<f64>) {
-    for i in 0..6 {
-        for j in 0..6 {
-            to[6 * i + j] = from[(i, j)];
-        }
     }
 }
 

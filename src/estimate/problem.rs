@@ -1,7 +1,6 @@
 //! Blocks and residuals, put together.
 
 use glam::DVec3;
-use nalgebra::DMatrix;
 
 use super::block::{Block, BlockId, Freedom, Kind, PoseBlock, State, VectorBlock};
 use super::loss::Loss;
@@ -57,12 +56,13 @@ impl<'a> Problem<'a> {
             Freedom::All => (len, None),
             Freedom::Only(chosen) => {
                 assert!(chosen.iter().all(|n| *n < len), "{name} has {len} numbers, {chosen:?} are to be free");
-                let select = DMatrix::from_fn(len, chosen.len(), |row, k| f64::from(u8::from(chosen[k] == row)));
-                (chosen.len(), Some(select))
+                (chosen.len(), Some(chosen.into_iter().enumerate().map(|(k, n)| (n, k, 1.0)).collect()))
             }
             Freedom::Along(b) => {
                 assert!(b.nrows() == len && b.ncols() <= len, "{name} has {len} numbers, its directions are {:?}", b.shape());
-                (b.ncols(), Some(b))
+                let entries = (0..b.ncols()).flat_map(|k| (0..len).map(move |n| (n, k)));
+                let shares = entries.map(|(n, k)| (n, k, b[(n, k)])).filter(|(_, _, share)| *share != 0.0);
+                (b.ncols(), Some(shares.collect()))
             }
         };
         let kind = Kind::Vector { first, len };

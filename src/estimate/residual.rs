@@ -20,7 +20,8 @@ pub trait Residual {
     fn evaluate(&self, state: &State, out: &mut Evaluation) -> bool;
 }
 
-/// Where a residual writes. All matrices are row-major and start as zeros; n is the residual's dimension.
+/// Where a residual writes. All matrices start as zeros and are column-major: a column's n numbers stand together, n being the residual's
+/// dimension.
 pub struct Evaluation<'a> {
     pub(super) offset: &'a mut [f64],
     pub(super) information: &'a mut [f64],

@@ -24,6 +24,7 @@ mod binding_play;
 mod binding_sessions;
 mod beads_detection;
 mod beads_layout;
+mod estimate_core;
 mod pose_doubt;
 mod pose_registration;
 mod pose_synthetic;

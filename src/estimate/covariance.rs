@@ -2,14 +2,14 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::block::BlockId;
+use super::block::{BlockId, Kind};
 use super::equations::Equations;
 use super::error::{Direction, EstimateError};
 use super::estimate::Estimate;
 use super::linearisation::{Plan, Weighing};
 use super::problem::Problem;
 
-/// An entry of the inverse of the information, scaled to a unit diagonal, is at most the inverse of its smallest eigenvalue; beyond
+/// An entry of the inverse of the scaled information is at most the inverse of its smallest eigenvalue; beyond
 /// this, double precision cannot tell the eigenvalue from zero.
 const MOST_INFLATION: f64 = 1e12;
 
@@ -67,23 +67,24 @@ impl Covariance {
             middle.assemble(problem, plan, linear, estimate.without, Weighing::Spread);
             return Ok(Self { parts, kept: &inverse * middle.dense() * &inverse, followers: Vec::new() });
         }
-        match Self::reduced(&parts, equations) {
+        match Self::reduced(problem, plan, &parts, equations) {
             Some(reduced) => Ok(reduced),
             // What the reduced equations cannot tell, the whole ones say in full.
             None => Ok(Self { parts, kept: inverse(problem, plan, &equations.dense())?, followers: Vec::new() }),
         }
     }
 
-    fn reduced(parts: &[Part], equations: &Equations) -> Option<Self> {
+    fn reduced(problem: &Problem, plan: &Plan, parts: &[Part], equations: &Equations) -> Option<Self> {
         let mut reduced = equations.kept.clone();
         let mut followers = Vec::with_capacity(equations.apart.len());
         for part in &equations.apart {
-            let own = scaled_inverse(&part.own, &part.own)?;
+            let own = scaled_inverse(&part.own, part.own.diagonal().as_slice())?;
             let gain = &own * &part.cross;
             reduced -= part.cross.transpose() * &gain;
             followers.push(Follower { column: part.column, own, gain });
         }
-        Some(Self { parts: parts.to_vec(), kept: scaled_inverse(&reduced, &equations.kept)?, followers })
+        let kept = scaled_inverse(&reduced, &typical(problem, plan, &equations.kept))?;
+        Some(Self { parts: parts.to_vec(), kept, followers })
     }
 
     /// Covariance of some blocks together, in their free coordinates: (ω, v) of a pose in rad and mm, the free directions of a vector.
@@ -156,10 +157,25 @@ impl Covariance {
     }
 }
 
-/// The inverse of `h`, scaled by the diagonal of `by`; `None` where it is singular to double precision. The scale is that of the
-/// information before anything was subtracted from it, so that what is left after cancellation shows.
-fn scaled_inverse(h: &DMatrix<f64>, by: &DMatrix<f64>) -> Option<DMatrix<f64>> {
-    let scale: Vec<f64> = (0..h.nrows()).map(|n| by[(n, n)].sqrt().recip()).collect();
+/// Information that is usual for each column of `h`: of a pose, the largest about any axis and the largest along any; else the column's
+/// own. A turn about a row of beads has nothing but rounding on its own diagonal, and would look as good as any beside itself alone.
+fn typical(problem: &Problem, plan: &Plan, h: &DMatrix<f64>) -> Vec<f64> {
+    let mut usual: Vec<f64> = h.diagonal().iter().copied().collect();
+    for (block, column) in problem.blocks.iter().zip(&plan.columns) {
+        if block.width == 6 && matches!(block.kind, Kind::Pose { .. }) {
+            for axes in usual[*column..*column + 6].chunks_exact_mut(3) {
+                let most = axes.iter().copied().fold(0.0, f64::max);
+                axes.fill(most);
+            }
+        }
+    }
+    usual
+}
+
+/// The inverse of `h`, scaled by the information `by` of each column; `None` where it is singular to double precision. The scale is that
+/// of the information before anything was subtracted from it, so that what is left after cancellation shows.
+fn scaled_inverse(h: &DMatrix<f64>, by: &[f64]) -> Option<DMatrix<f64>> {
+    let scale: Vec<f64> = by.iter().map(|usual| usual.sqrt().recip()).collect();
     if !scale.iter().all(|s| s.is_finite()) {
         return None;
     }
@@ -176,13 +192,14 @@ fn scaled_inverse(h: &DMatrix<f64>, by: &DMatrix<f64>) -> Option<DMatrix<f64>> {
 }
 
 fn inverse(problem: &Problem, plan: &Plan, h: &DMatrix<f64>) -> Result<DMatrix<f64>, EstimateError> {
-    scaled_inverse(h, h).ok_or_else(|| undetermined(problem, plan, h))
+    let usual = typical(problem, plan, h);
+    scaled_inverse(h, &usual).ok_or_else(|| undetermined(problem, plan, h, &usual))
 }
 
-/// The directions in which the information scaled to a unit diagonal vanishes.
-fn undetermined(problem: &Problem, plan: &Plan, h: &DMatrix<f64>) -> EstimateError {
+/// The directions in which the scaled information vanishes.
+fn undetermined(problem: &Problem, plan: &Plan, h: &DMatrix<f64>, usual: &[f64]) -> EstimateError {
     let columns = h.nrows();
-    let scale: Vec<f64> = (0..columns).map(|n| if h[(n, n)] > 0.0 { h[(n, n)].sqrt().recip() } else { 1.0 }).collect();
+    let scale: Vec<f64> = usual.iter().map(|usual| if *usual > 0.0 { usual.sqrt().recip() } else { 1.0 }).collect();
     let eigen = DMatrix::from_fn(columns, columns, |i, j| h[(i, j)] * scale[i] * scale[j]).symmetric_eigen();
     let mut order: Vec<usize> = (0..columns).collect();
     order.sort_by(|a, b| eigen.eigenvalues[*a].total_cmp(&eigen.eigenvalues[*b]));

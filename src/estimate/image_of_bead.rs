@@ -45,17 +45,8 @@ impl BeadImage {
     /// `camera` is `camera_from_lps`; `intrinsics` holds fx, fy, skew, cx, cy in px; `covariance_px2` is (uu, uv, vv).
     #[must_use]
     pub fn new(camera: PoseBlock, intrinsics: VectorBlock, place: Place, image_px: DVec2, covariance_px2: [f64; 3]) -> Self {
-        let mut bead = Self {
-            ids: [camera.id; 5],
-            count: 1,
-            camera,
-            intrinsics,
-            body: None,
-            lens: None,
-            place,
-            image_px,
-            covariance_px2,
-        };
+        let mut bead =
+            Self { ids: [camera.id; 5], count: 1, camera, intrinsics, body: None, lens: None, place, image_px, covariance_px2 };
         bead.push(intrinsics.id);
         if let Place::Solved(block) = place {
             bead.push(block.id);
@@ -113,8 +104,7 @@ fn bend(p: DVec2, lens: Option<&[f64]>) -> Bent {
         [radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x, mixed],
         [mixed, radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x],
     ];
-    let by_lens =
-        [[x * r2, x * r2 * r2, 2.0 * x * y, r2 + 2.0 * x * x], [y * r2, y * r2 * r2, r2 + 2.0 * y * y, 2.0 * x * y]];
+    let by_lens = [[x * r2, x * r2 * r2, 2.0 * x * y, r2 + 2.0 * x * x], [y * r2, y * r2 * r2, r2 + 2.0 * y * y, 2.0 * x * y]];
     Bent { at, by_point, by_lens }
 }
 

@@ -92,7 +92,9 @@ fn only_by(estimate: &Estimate, residual: usize) -> EstimateError {
     let parts = slot.first..slot.first + slot.count;
     let components = parts
         .filter(|part| estimate.plan.starts[*part].is_some())
-        .map(|part| (super::block::BlockId(estimate.plan.parts[part]), estimate.problem.blocks[estimate.plan.parts[part]].name, 0, 1.0))
+        .map(|part| {
+            (super::block::BlockId(estimate.plan.parts[part]), estimate.problem.blocks[estimate.plan.parts[part]].name, 0, 1.0)
+        })
         .collect();
     EstimateError::Undetermined { rank: columns - 1, columns, directions: vec![Direction { components }] }
 }

@@ -41,8 +41,11 @@ pub enum Stop {
 const ATTEMPTS: usize = 12;
 /// A cost that falls by less than a tenth is near its end.
 const NEAR: f64 = 0.9;
-/// Relative rounding of a cost: differences below it mean nothing.
-const ROUNDING: f64 = 1e-13;
+/// Rounding of a cost, absolute and relative: pixels of some hundred with σ of some hundredths carry 1e-12 σ each. Differences below it
+/// mean nothing.
+const ROUNDING: f64 = 1e-10;
+/// Steps that rounding may cause, in standard deviations.
+const ROUNDING_STEP: f64 = 1e-4;
 
 impl Problem<'_> {
     /// Minimises Σ ρ(rᵀWr).
@@ -68,22 +71,28 @@ impl Problem<'_> {
         let mut equations = Equations::new(self, &plan);
         let mut damping = 1e-4;
         let (mut stop, mut iterations) = (Stop::Iterations, 0);
-        let mut near = false;
+        let (mut near, mut before) = (false, f64::INFINITY);
         'steps: while iterations < settings.iterations && plan.total > 0 {
             let weighing = if near { Weighing::Curvature } else { Weighing::Slope };
             equations.assemble(self, &plan, &linear, without, weighing);
             let cost = linear.cost(self, &plan, &linear, without);
+            let mut gain = f64::INFINITY;
             for _ in 0..ATTEMPTS {
                 if let Some(step) = equations.step(damping) {
-                    if equations.along(&step) * (1.0 + damping) <= settings.step_sigmas.powi(2) {
+                    let squared = equations.along(&step) * (1.0 + damping);
+                    gain = gain.min(squared);
+                    // Tiny steps that grow no smaller are the rounding of the Jacobians.
+                    let floor = squared <= ROUNDING_STEP.powi(2) && squared >= before;
+                    if squared <= settings.step_sigmas.powi(2) || floor {
                         stop = Stop::Converged;
                         break 'steps;
                     }
                     let next = self.moved(&state, &plan.columns, step.as_slice());
                     trial.fill(self, &plan, &next);
                     let next_cost = trial.cost(self, &plan, &linear, without);
-                    if next_cost <= cost * (1.0 + ROUNDING) {
+                    if next_cost <= cost + ROUNDING * (1.0 + cost) {
                         near = next_cost > NEAR * cost;
+                        before = squared;
                         state = next;
                         std::mem::swap(&mut linear, &mut trial);
                         damping = (damping * 0.1).max(1e-15);
@@ -93,7 +102,7 @@ impl Problem<'_> {
                 }
                 damping = (damping * 10.0).max(1e-8);
             }
-            stop = Stop::Stalled;
+            stop = if gain <= ROUNDING * (1.0 + cost) { Stop::Converged } else { Stop::Stalled };
             break;
         }
         if plan.total == 0 {

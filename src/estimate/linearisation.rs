@@ -73,13 +73,7 @@ impl Plan {
         };
         for (residual, _) in &problem.residuals {
             let (n, blocks) = (residual.dimension(), residual.blocks());
-            plan.slots.push(Slot {
-                n,
-                offset: plan.offsets,
-                square: plan.squares,
-                first: plan.parts.len(),
-                count: blocks.len(),
-            });
+            plan.slots.push(Slot { n, offset: plan.offsets, square: plan.squares, first: plan.parts.len(), count: blocks.len() });
             plan.offsets += n;
             plan.squares += n * n;
             for id in blocks {

@@ -112,8 +112,10 @@ mod tests {
 
     #[test]
     fn a_pose_turns_about_its_pivot() {
-        let motion =
-            Motion { pose: Rigid::exp(DVec3::new(0.3, -0.2, 0.9), DVec3::new(5.0, 7.0, 600.0)), pivot_mm: DVec3::new(9.0, 8.0, -7.0) };
+        let motion = Motion {
+            pose: Rigid::exp(DVec3::new(0.3, -0.2, 0.9), DVec3::new(5.0, 7.0, 600.0)),
+            pivot_mm: DVec3::new(9.0, 8.0, -7.0),
+        };
         let turned = motion.moved(&[0.1, -0.2, 0.3, 0.0, 0.0, 0.0]);
         assert!(turned.centre_mm().distance(motion.centre_mm()) < 1e-9);
         assert!(turned.pose.angle_to_rad(&motion.pose) > 0.3);

@@ -83,7 +83,12 @@ impl Reading {
     #[must_use]
     pub fn of_some(block: VectorBlock, chosen: Vec<usize>, values: &[f64], information: DMatrix<f64>) -> Self {
         let n = chosen.len();
-        assert!(values.len() == n && information.shape() == (n, n), "{n} numbers, {} values, {:?}", values.len(), information.shape());
+        assert!(
+            values.len() == n && information.shape() == (n, n),
+            "{n} numbers, {} values, {:?}",
+            values.len(),
+            information.shape()
+        );
         assert!(chosen.iter().all(|c| *c < block.len), "{chosen:?} of {} numbers", block.len);
         let rank = rank(&information);
         Self { ids: vec![block.id], joints: block, offsets: None, chosen, values: values.to_vec(), information, rank }
@@ -152,7 +157,8 @@ fn rank(information: &DMatrix<f64>) -> usize {
     if !information.iter().all(|x| x.is_finite()) {
         return n;
     }
-    let scale: Vec<f64> = (0..n).map(|i| if information[(i, i)] > 0.0 { information[(i, i)].sqrt().recip() } else { 0.0 }).collect();
+    let scale: Vec<f64> =
+        (0..n).map(|i| if information[(i, i)] > 0.0 { information[(i, i)].sqrt().recip() } else { 0.0 }).collect();
     let unit = DMatrix::from_fn(n, n, |i, j| information[(i, j)] * scale[i] * scale[j]);
     // A positive definite matrix is the ordinary case, and needs no eigenvalues.
     if unit.clone().cholesky().is_some_and(|c| (0..n).all(|i| c.l_dirty()[(i, i)] > 1e-4)) {

@@ -33,14 +33,7 @@ impl<'a> Problem<'a> {
         let (id, index) = (BlockId(self.blocks.len()), self.start.motions.len());
         self.start.motions.push(Motion { pose: start, pivot_mm });
         let width = if free { 6 } else { 0 };
-        self.blocks.push(Block {
-            name,
-            kind: Kind::Pose { index },
-            raw_width: 6,
-            width,
-            directions: None,
-            eliminated: false,
-        });
+        self.blocks.push(Block { name, kind: Kind::Pose { index }, raw_width: 6, width, directions: None, eliminated: false });
         PoseBlock { id, index }
     }
 

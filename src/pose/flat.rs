@@ -38,7 +38,8 @@ pub fn off_plane(solution: &Solution, matches: &[Match], covariance: &DMatrix<f6
             let lps_mm = foot + normal * (side * radius_mm);
             let Some(image) = solution.sharpness(lps_mm, covariance).image_px2 else { continue };
             // The larger eigenvalue of a 2×2.
-            let (mean, half) = (0.5 * (image[(0, 0)] + image[(1, 1)]), DVec2::new(0.5 * (image[(0, 0)] - image[(1, 1)]), image[(0, 1)]));
+            let (mean, half) =
+                (0.5 * (image[(0, 0)] + image[(1, 1)]), DVec2::new(0.5 * (image[(0, 0)] - image[(1, 1)]), image[(0, 1)]));
             let sigma_px = (mean + half.length()).sqrt();
             if !(sigma_px <= worst.sigma_px) {
                 worst = OffPlane { sigma_px, lps_mm };

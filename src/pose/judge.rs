@@ -3,9 +3,9 @@
 use glam::{DVec2, DVec3};
 use nalgebra::{DMatrix, Matrix6};
 
+use super::flat::off_plane;
 use super::record::{BeadResidual, BodyPose, Covariance, LandmarkUncertainty, Pose, Status};
 use super::register::{Attempt, Candidate};
-use super::flat::off_plane;
 use super::search::{Hypothesis, MISSED};
 use super::solve::{Free, Match, Measured, Options, Solution, about, left_out, solve};
 use super::start;

@@ -272,7 +272,8 @@ mod tests {
             assert_eq!(solution.degrees_of_freedom, 16 - 6 - free.without_prior() as i64, "{free:?}");
             (solution.covariance[(0, 0)].sqrt(), solution.covariance[(5, 5)].sqrt())
         };
-        let (known, tight, prior, free) = (sigma(Free::Pose), sigma(Free::Known(tight)), sigma(Free::Known(loose)), sigma(Free::Square));
+        let (known, tight, prior, free) =
+            (sigma(Free::Pose), sigma(Free::Known(tight)), sigma(Free::Known(loose)), sigma(Free::Square));
         assert!(known.1 < prior.1 && prior.1 < free.1, "{known:?} {prior:?} {free:?}");
         assert!((tight.1 / known.1 - 1.0).abs() < 1e-3 && (tight.0 / known.0 - 1.0).abs() < 1e-3, "{tight:?} {known:?}");
     }
@@ -283,7 +284,8 @@ mod tests {
         matches[3].image_px += DVec2::new(8.0, -3.0);
         let options = Options::least_squares(Free::Pose);
         let solution = solve(&matches, &pose, &k, &options).expect("regular");
-        let left_out: Vec<f64> = left_out(&matches, &solution, &options).into_iter().map(|l| l.expect("seven are enough").chi2).collect();
+        let left_out: Vec<f64> =
+            left_out(&matches, &solution, &options).into_iter().map(|l| l.expect("seven are enough").chi2).collect();
         let worst = (0..8).max_by(|a, b| left_out[*a].total_cmp(&left_out[*b]));
         assert_eq!(worst, Some(3), "{left_out:?}");
     }

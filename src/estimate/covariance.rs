@@ -5,7 +5,7 @@ use nalgebra::{DMatrix, DVector};
 use super::block::{BlockId, Kind};
 use super::equations::Equations;
 use super::error::{Direction, EstimateError};
-use super::estimate::Estimate;
+use super::levenberg::Solved;
 use super::linearisation::{Plan, Weighing};
 use super::problem::Problem;
 
@@ -41,7 +41,7 @@ pub struct Covariance {
 }
 
 impl Covariance {
-    pub(super) fn new(estimate: &Estimate, equations: &Equations) -> Result<Self, EstimateError> {
+    pub(super) fn new(estimate: &Solved) -> Result<Self, EstimateError> {
         let (problem, plan, linear) = (estimate.problem, &estimate.plan, &estimate.linear);
         for (i, slot) in plan.slots.iter().enumerate() {
             let end = plan.slots.get(i + 1).map_or(plan.starts.len(), |next| next.first);
@@ -60,6 +60,8 @@ impl Covariance {
             .zip(&plan.columns)
             .map(|(block, column)| Part { column: *column, width: block.width, directions: block.directions.clone() })
             .collect();
+        let mut equations = Equations::new(problem, plan);
+        equations.assemble(problem, plan, linear, estimate.without, Weighing::Curvature);
         // Full weights stand for the noise itself; discounted ones, or weights chosen otherwise, do not.
         if estimate.counted().any(|i| linear.own_noise[i] || linear.weight(problem, i) < 1.0) {
             let inverse = inverse(problem, plan, &equations.dense())?;
@@ -67,7 +69,7 @@ impl Covariance {
             middle.assemble(problem, plan, linear, estimate.without, Weighing::Spread);
             return Ok(Self { parts, kept: &inverse * middle.dense() * &inverse, followers: Vec::new() });
         }
-        match Self::reduced(problem, plan, &parts, equations) {
+        match Self::reduced(problem, plan, &parts, &equations) {
             Some(reduced) => Ok(reduced),
             // What the reduced equations cannot tell, the whole ones say in full.
             None => Ok(Self { parts, kept: inverse(problem, plan, &equations.dense())?, followers: Vec::new() }),

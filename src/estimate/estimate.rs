@@ -2,74 +2,75 @@
 
 use super::block::State;
 use super::covariance::Covariance;
-use super::equations::Equations;
 use super::error::EstimateError;
 use super::left_out::LeftOut;
-use super::levenberg::{Settings, Stop};
-use super::linearisation::{Linearisation, Plan, Weighing};
+use super::levenberg::{Settings, Solved, Stop};
 use super::problem::Problem;
+
+impl Problem<'_> {
+    /// Minimises Σ ρ(rᵀWr).
+    ///
+    /// # Errors
+    /// When a residual is not finite at the start, or the solution leaves one without a prediction.
+    pub fn solve(&self, settings: &Settings) -> Result<Estimate<'_>, EstimateError> {
+        Ok(Estimate { solved: self.minimise(self.start.clone(), None, settings)?, settings: *settings })
+    }
+}
 
 /// Where the solver ended.
 pub struct Estimate<'a> {
-    pub(super) problem: &'a Problem<'a>,
-    pub(super) plan: Plan,
-    pub(super) state: State,
-    pub(super) linear: Linearisation,
-    pub(super) without: Option<usize>,
-    pub(super) settings: Settings,
-    pub(super) stop: Stop,
-    pub(super) iterations: usize,
+    solved: Solved<'a>,
+    settings: Settings,
 }
 
 impl Estimate<'_> {
     /// All blocks.
     #[must_use]
     pub fn state(&self) -> &State {
-        &self.state
+        &self.solved.state
     }
 
     /// Why the solver stopped.
     #[must_use]
     pub fn stop(&self) -> Stop {
-        self.stop
+        self.solved.stop
     }
 
     /// Steps taken.
     #[must_use]
     pub fn iterations(&self) -> usize {
-        self.iterations
+        self.solved.iterations
     }
 
     /// Observed minus predicted of a residual, in its own units.
     #[must_use]
     pub fn offset(&self, residual: usize) -> &[f64] {
-        let slot = &self.plan.slots[residual];
-        &self.linear.offset[slot.offset..slot.offset + slot.n]
+        self.solved.offset(residual)
     }
 
     /// rᵀWr of a residual.
     #[must_use]
     pub fn chi2(&self, residual: usize) -> f64 {
-        self.linear.chi2[residual]
+        self.solved.linear.chi2[residual]
     }
 
     /// The share with which its loss let a residual count, in (0, 1].
     #[must_use]
     pub fn weight(&self, residual: usize) -> f64 {
-        self.linear.weight(self.problem, residual)
+        self.solved.weight(residual)
     }
 
     /// Σ rᵀWr over residuals and priors alike.
     #[must_use]
     pub fn chi2_sum(&self) -> f64 {
-        self.counted().map(|i| self.linear.chi2[i]).sum()
+        self.solved.counted().map(|i| self.solved.linear.chi2[i]).sum()
     }
 
     /// Observed numbers, priors among them, less unknowns; negative where there are too few.
     #[must_use]
     pub fn degrees_of_freedom(&self) -> i64 {
-        let degrees: usize = self.counted().map(|i| self.problem.residuals[i].0.degrees()).sum();
-        degrees as i64 - self.plan.total as i64
+        let degrees: usize = self.solved.counted().map(|i| self.solved.problem.residuals[i].0.degrees()).sum();
+        degrees as i64 - self.solved.plan.total as i64
     }
 
     /// Covariance of all free blocks; residuals count with their loss's weights.
@@ -77,9 +78,7 @@ impl Estimate<'_> {
     /// # Errors
     /// When some direction is not determined, or a number is not finite.
     pub fn covariance(&self) -> Result<Covariance, EstimateError> {
-        let mut equations = Equations::new(self.problem, &self.plan);
-        equations.assemble(self.problem, &self.plan, &self.linear, self.without, Weighing::Curvature);
-        Covariance::new(self, &equations)
+        Covariance::new(&self.solved)
     }
 
     /// What residual `residual` is when all others, priors among them, are solved without it.
@@ -87,7 +86,7 @@ impl Estimate<'_> {
     /// # Errors
     /// When the others leave a direction undetermined.
     pub fn left_out(&self, residual: usize) -> Result<LeftOut, EstimateError> {
-        LeftOut::solved(self, residual, &self.settings)
+        LeftOut::solved(&self.solved, residual, &self.settings)
     }
 
     /// The same to first order, by taking the residual's information out of `covariance` (one matrix of the residual's size to invert).
@@ -95,11 +94,6 @@ impl Estimate<'_> {
     /// # Errors
     /// When the others leave a direction undetermined.
     pub fn left_out_linear(&self, covariance: &Covariance, residual: usize) -> Result<LeftOut, EstimateError> {
-        LeftOut::linear(self, covariance, residual)
-    }
-
-    pub(super) fn counted(&self) -> impl Iterator<Item = usize> {
-        let without = self.without;
-        (0..self.plan.slots.len()).filter(move |i| without != Some(*i))
+        LeftOut::linear(&self.solved, covariance, residual)
     }
 }

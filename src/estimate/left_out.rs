@@ -2,10 +2,10 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use super::block::BlockId;
 use super::covariance::Covariance;
 use super::error::{Direction, EstimateError};
-use super::estimate::Estimate;
-use super::levenberg::Settings;
+use super::levenberg::{Settings, Solved};
 
 /// A residual that its own solution has not seen.
 #[derive(Clone, Debug, PartialEq)]
@@ -19,16 +19,16 @@ pub struct LeftOut {
 }
 
 impl LeftOut {
-    pub(super) fn solved(whole: &Estimate, residual: usize, settings: &Settings) -> Result<Self, EstimateError> {
+    pub(super) fn solved(whole: &Solved, residual: usize, settings: &Settings) -> Result<Self, EstimateError> {
         let count = whole.plan.slots.len();
         if residual >= count {
             return Err(EstimateError::NoSuchResidual { residual, count });
         }
-        let others = whole.problem.solve_without(whole.state.clone(), Some(residual), settings)?;
+        let others = whole.problem.minimise(whole.state.clone(), Some(residual), settings)?;
         if !others.linear.chi2[residual].is_finite() {
             return Err(EstimateError::Infeasible { residual });
         }
-        let covariance = others.covariance()?;
+        let covariance = Covariance::new(&others)?;
         let of_prediction = spread(&others, &covariance, residual);
         let information = information(&others, residual);
         let offset = DVector::from_column_slice(others.offset(residual));
@@ -40,7 +40,7 @@ impl LeftOut {
 
     /// With S = J C Jᵀ of the whole, 1 − S W is what leaving out divides by: r → (1 − S W)⁻¹ r, S → (1 − S W)⁻¹ S, and
     /// χ² = rᵀ W (1 − S W)⁻¹ r (Cook & Weisberg 1982, §2.2).
-    pub(super) fn linear(whole: &Estimate, covariance: &Covariance, residual: usize) -> Result<Self, EstimateError> {
+    pub(super) fn linear(whole: &Solved, covariance: &Covariance, residual: usize) -> Result<Self, EstimateError> {
         let count = whole.plan.slots.len();
         if residual >= count {
             return Err(EstimateError::NoSuchResidual { residual, count });
@@ -63,13 +63,13 @@ impl LeftOut {
     }
 }
 
-fn information(estimate: &Estimate, residual: usize) -> DMatrix<f64> {
+fn information(estimate: &Solved, residual: usize) -> DMatrix<f64> {
     let slot = &estimate.plan.slots[residual];
     DMatrix::from_row_slice(slot.n, slot.n, &estimate.linear.information[slot.square..slot.square + slot.n * slot.n])
 }
 
 /// J C Jᵀ over the residual's blocks.
-fn spread(estimate: &Estimate, covariance: &Covariance, residual: usize) -> DMatrix<f64> {
+fn spread(estimate: &Solved, covariance: &Covariance, residual: usize) -> DMatrix<f64> {
     let (problem, plan) = (estimate.problem, &estimate.plan);
     let slot = &plan.slots[residual];
     let (mut blocks, mut by_free) = (Vec::new(), DMatrix::zeros(slot.n, 0));
@@ -80,21 +80,19 @@ fn spread(estimate: &Estimate, covariance: &Covariance, residual: usize) -> DMat
         let before = by_free.ncols();
         by_free = by_free.resize_horizontally(before + width, 0.0);
         by_free.columns_mut(before, width).copy_from(&rows);
-        blocks.push(super::block::BlockId(block));
+        blocks.push(BlockId(block));
     }
     &by_free * covariance.of(&blocks) * by_free.transpose()
 }
 
 /// Something of this residual's blocks rests on it alone.
-fn only_by(estimate: &Estimate, residual: usize) -> EstimateError {
+fn only_by(estimate: &Solved, residual: usize) -> EstimateError {
     let columns = estimate.plan.total;
     let slot = &estimate.plan.slots[residual];
     let parts = slot.first..slot.first + slot.count;
     let components = parts
         .filter(|part| estimate.plan.starts[*part].is_some())
-        .map(|part| {
-            (super::block::BlockId(estimate.plan.parts[part]), estimate.problem.blocks[estimate.plan.parts[part]].name, 0, 1.0)
-        })
+        .map(|part| (BlockId(estimate.plan.parts[part]), estimate.problem.blocks[estimate.plan.parts[part]].name, 0, 1.0))
         .collect();
     EstimateError::Undetermined { rank: columns - 1, columns, directions: vec![Direction { components }] }
 }

@@ -7,7 +7,6 @@
 use super::block::State;
 use super::equations::Equations;
 use super::error::EstimateError;
-use super::estimate::Estimate;
 use super::linearisation::{Linearisation, Plan, Weighing};
 use super::problem::Problem;
 
@@ -47,21 +46,45 @@ const ROUNDING: f64 = 1e-10;
 /// Steps that rounding may cause, in standard deviations.
 const ROUNDING_STEP: f64 = 1e-4;
 
-impl Problem<'_> {
-    /// Minimises Σ ρ(rᵀWr).
-    ///
-    /// # Errors
-    /// When a residual is not finite at the start, or the solution leaves one without a prediction.
-    pub fn solve(&self, settings: &Settings) -> Result<Estimate<'_>, EstimateError> {
-        self.solve_without(self.start.clone(), None, settings)
+/// Where it ended.
+pub(super) struct Solved<'a> {
+    pub problem: &'a Problem<'a>,
+    pub plan: Plan,
+    pub state: State,
+    pub linear: Linearisation,
+    /// The residual that was left out.
+    pub without: Option<usize>,
+    pub stop: Stop,
+    pub iterations: usize,
+}
+
+impl Solved<'_> {
+    /// Observed minus predicted of a residual.
+    pub fn offset(&self, residual: usize) -> &[f64] {
+        let slot = &self.plan.slots[residual];
+        &self.linear.offset[slot.offset..slot.offset + slot.n]
     }
 
-    pub(super) fn solve_without(
+    /// The share with which a residual's loss let it count.
+    pub fn weight(&self, residual: usize) -> f64 {
+        self.linear.weight(self.problem, residual)
+    }
+
+    /// The residuals that were not left out.
+    pub fn counted(&self) -> impl Iterator<Item = usize> {
+        let without = self.without;
+        (0..self.plan.slots.len()).filter(move |i| without != Some(*i))
+    }
+}
+
+impl Problem<'_> {
+    /// Minimises Σ ρ(rᵀWr) from `start` over all residuals but `without`.
+    pub(super) fn minimise(
         &self,
         start: State,
         without: Option<usize>,
         settings: &Settings,
-    ) -> Result<Estimate<'_>, EstimateError> {
+    ) -> Result<Solved<'_>, EstimateError> {
         let plan = Plan::new(self);
         let (mut state, mut linear, mut trial) = (start, Linearisation::new(&plan), Linearisation::new(&plan));
         linear.fill(self, &plan, &state);
@@ -112,6 +135,6 @@ impl Problem<'_> {
         if let Some(residual) = missing {
             return Err(EstimateError::Infeasible { residual });
         }
-        Ok(Estimate { problem: self, plan, state, linear, without, settings: *settings, stop, iterations })
+        Ok(Solved { problem: self, plan, state, linear, without, stop, iterations })
     }
 }

@@ -9,21 +9,21 @@
 //! blocks, and what every residual would have been had it been left out. What the residuals leave undetermined is an error that names
 //! the direction. Nothing here depends on thread order, hash order or time.
 
-mod block;
-mod covariance;
-mod equations;
-mod error;
-mod estimate;
-mod image_of_bead;
-mod left_out;
-mod levenberg;
-mod linearisation;
-mod loss;
 mod motion;
-mod numeric;
+mod block;
+mod loss;
+mod residual;
+mod image_of_bead;
 mod priors;
 mod problem;
-mod residual;
+mod numeric;
+mod error;
+mod linearisation;
+mod equations;
+mod levenberg;
+mod covariance;
+mod left_out;
+mod estimate;
 
 pub use block::{BlockId, Freedom, PoseBlock, State, VectorBlock};
 pub use covariance::{Covariance, Rows};

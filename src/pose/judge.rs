@@ -11,7 +11,7 @@ use super::solve::{Free, Match, Measured, Options, Solution, about, left_out, so
 use super::start;
 use super::verdict::{check_geometry, mirrored, rival};
 use crate::beads::DEFAULT_SIGMA_MM;
-use crate::geometry::{Intrinsics, Projection, Rigid};
+use crate::geometry::{Projection, Rigid};
 
 /// Accidents expected, at most, behind an accepted match.
 const MOST_CHANCE: f64 = 0.01;

@@ -18,3 +18,4 @@ mod verdict;
 
 pub use record::{BeadResidual, BodyPose, Covariance, IntrinsicsFile, LandmarkUncertainty, Pose, PoseFileError, Prior, Status};
 pub use register::{Matching, PRIOR_SIGMA, Registration, intrinsics_of, register, register_detections, register_masked};
+pub use solve::{Free, IntrinsicsPrior};

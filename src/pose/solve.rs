@@ -56,24 +56,6 @@ pub enum Free {
     Known(IntrinsicsPrior),
 }
 
-impl Free {
-    /// Unknowns besides the pose, with or without priors: columns of the covariance after the first six.
-    pub fn count(self) -> usize {
-        match self {
-            Self::Pose => 0,
-            Self::Square | Self::Known(_) => 3,
-        }
-    }
-
-    /// Unknowns besides the pose that only beads can tell: what they cost in degrees of freedom.
-    pub fn without_prior(self) -> usize {
-        match self {
-            Self::Pose | Self::Known(_) => 0,
-            Self::Square => 3,
-        }
-    }
-}
-
 /// A measured pose: covariance of ξ in `camera`, exp(ξ̂)·pose being true.
 #[derive(Clone, Copy, Debug)]
 pub struct Measured {
@@ -269,7 +251,9 @@ mod tests {
         let tight = IntrinsicsPrior::from_distance(k, (1020.0, 1e-4), (0.194, 1e-9), 1e-4);
         let sigma = |free: Free| {
             let solution = solve(&matches, &pose, &k, &Options::least_squares(free)).expect("regular");
-            assert_eq!(solution.degrees_of_freedom, 16 - 6 - free.without_prior() as i64, "{free:?}");
+            // A prior is an observation for each number that it frees.
+            let degrees = if free == Free::Square { 7 } else { 10 };
+            assert_eq!(solution.degrees_of_freedom, degrees, "{free:?}");
             (solution.covariance[(0, 0)].sqrt(), solution.covariance[(5, 5)].sqrt())
         };
         let (known, tight, prior, free) =

@@ -23,12 +23,11 @@ mod equations;
 mod levenberg;
 mod covariance;
 mod left_out;
-mod estimate;
+mod solution;
 
 pub use block::{BlockId, Freedom, PoseBlock, State, VectorBlock};
 pub use covariance::{Covariance, Rows};
 pub use error::{Direction, EstimateError};
-pub use estimate::Estimate;
 pub use image_of_bead::{BeadImage, Place};
 pub use left_out::LeftOut;
 pub use levenberg::{Settings, Stop};
@@ -38,3 +37,4 @@ pub use numeric::Numeric;
 pub use priors::{PosePrior, Reading};
 pub use problem::Problem;
 pub use residual::{Evaluation, Residual};
+pub use solution::Estimate;

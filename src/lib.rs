@@ -12,6 +12,7 @@ pub mod reporter;
 pub mod foreign;
 
 pub mod geometry;
+pub mod estimate;
 pub mod gpu;
 pub mod telemetry;
 pub mod acquire;

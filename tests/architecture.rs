@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 /// The data-flow order, as `lib.rs` declares it. `report` stands before `session`, because a session draws each strip as it goes.
-const ORDER: [&str; 27] = [
+const ORDER: [&str; 28] = [
     "units",
     "time",
     "random",
@@ -12,6 +12,7 @@ const ORDER: [&str; 27] = [
     "reporter",
     "foreign",
     "geometry",
+    "estimate",
     "gpu",
     "telemetry",
     "acquire",

@@ -29,6 +29,7 @@ mod beads_in_ct;
 mod beads_drawn;
 mod beads_layout;
 mod pose_bodies;
+mod estimate_core;
 mod pose_doubt;
 mod pose_registration;
 mod pose_request;

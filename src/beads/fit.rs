@@ -52,8 +52,7 @@ pub struct Fit {
     pub misfit: f64,
     /// Share of the window that could be used.
     pub coverage: f64,
-    /// Standard deviation of the centre per axis from noise, and from structure.
-    pub noise_px: f64,
+    /// Standard deviation of the centre per axis from structure.
     pub structure_px: f64,
     /// What can be told from the fit alone.
     pub flags: Flags,

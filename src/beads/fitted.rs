@@ -79,7 +79,6 @@ pub fn judge(finished: &Finished) -> Option<Fit> {
         let grid = window.on_grid(&by_contrast);
         contrast_variance = form(&grid, &grid);
     }
-    let noise_px = (0.5 * (covariance[0][0] + covariance[1][1])).sqrt();
     let structure = structure(finished, &inverse, &residuals.clustered, scale)?;
     let structure_px = (0.5 * (structure[0][0] + structure[1][1])).sqrt();
     for (i, line) in covariance.iter_mut().enumerate() {
@@ -104,7 +103,6 @@ pub fn judge(finished: &Finished) -> Option<Fit> {
         chi2_per_dof,
         misfit: residuals.unexplained.max(0.0).sqrt(),
         coverage: count / window.total.max(1.0),
-        noise_px,
         structure_px,
         flags: Flags {
             clipped: residuals.clipped > CLIPPED_SHARE,

@@ -1,14 +1,15 @@
 //! The record of a pose that is believed.
 
-use glam::{DVec2, DVec3};
-use nalgebra::{DMatrix, Matrix2x3, Matrix6};
+use glam::DVec2;
+use nalgebra::{DMatrix, Matrix6};
 
 use super::case::Case;
 use super::record::{BeadResidual, BodyPose, Covariance, LandmarkUncertainty, Pose, Shadow, Status};
 use super::settle::Settled;
-use super::solve::{Options, about, image_by_point, point_by_pose, solve};
+use super::solve::{about, left_out};
 use crate::beads::{Bead, Detection};
-use crate::geometry::{Intrinsics, Projection, Rigid};
+use crate::estimate::LeftOut;
+use crate::geometry::{Projection, Rigid};
 
 impl Case<'_> {
     pub fn accept(&self, last: &Settled, covariance: &DMatrix<f64>, accident: f64, mut notes: Vec<String>) -> Pose {
@@ -20,8 +21,9 @@ impl Case<'_> {
         let back = about(-centroid);
         let about_origin = back * at_centroid * back.transpose();
         let projection = Projection::compose(&k, &pose);
+        let unseen = self.left_out(last);
         let beads: Vec<BeadResidual> =
-            layout.beads.iter().enumerate().map(|(n, bead)| self.bead(last, n, bead, &projection)).collect();
+            layout.beads.iter().enumerate().map(|(n, bead)| self.bead(last, &unseen, n, bead, &projection)).collect();
         let mut bodies: Vec<BodyPose> = Vec::new();
         for bead in &beads {
             match bodies.iter_mut().find(|body| body.name == bead.body) {
@@ -48,17 +50,9 @@ impl Case<'_> {
         let shadows = self.detections.iter().enumerate().map(shadow).collect();
         let landmarks = self.request.landmarks.iter().map(|landmark| {
             let p = pose.transform_point(landmark.lps_mm);
-            let j = point_by_pose(p, centroid);
-            let place = j * at_centroid * j.transpose();
-            let sigma_px = (p.z > 1.0).then(|| {
-                let mut rows = DMatrix::zeros(2, covariance.ncols());
-                rows.view_mut((0, 0), (2, 6)).copy_from(&(image_by_point(&k, p) * j));
-                if solved {
-                    rows.view_mut((0, 6), (2, 3)).copy_from(&Matrix2x3::new(p.x / p.z, 1.0, 0.0, p.y / p.z, 0.0, 1.0));
-                }
-                let image = &rows * covariance * rows.transpose();
-                [image[(0, 0)].sqrt(), image[(1, 1)].sqrt()]
-            });
+            let sharpness = last.solution.sharpness(landmark.lps_mm, covariance);
+            let place = sharpness.camera_mm2;
+            let sigma_px = sharpness.image_px2.map(|image| [image[(0, 0)].sqrt(), image[(1, 1)].sqrt()]);
             LandmarkUncertainty {
                 name: landmark.name.clone(),
                 lps_mm: landmark.lps_mm,
@@ -100,7 +94,7 @@ impl Case<'_> {
         }
     }
 
-    fn bead(&self, last: &Settled, index: usize, bead: &Bead, projection: &Projection) -> BeadResidual {
+    fn bead(&self, last: &Settled, unseen: &[Option<DVec2>], index: usize, bead: &Bead, projection: &Projection) -> BeadResidual {
         let (at, depth_mm) = projection.project(bead.lps_mm);
         let predicted = (depth_mm > 1.0).then_some(at);
         let used = last.matches.iter().position(|m| m.bead == index);
@@ -123,7 +117,7 @@ impl Case<'_> {
             predicted_px: predicted.map(|p| p.to_array()),
             residual_px: observed.zip(predicted).map(|(m, p)| (m.image_px - p).to_array()),
             sigma_px: observed.map(|m| m.sigma_px),
-            left_out_px: used.and_then(|n| self.left_out(last, n)).map(|off| off.to_array()),
+            left_out_px: used.and_then(|n| unseen[n]).map(|off| off.to_array()),
             used: used.is_some(),
             reason,
         }
@@ -141,22 +135,15 @@ impl Case<'_> {
         }
     }
 
-    /// Residual of a used bead under the pose of all others.
-    fn left_out(&self, last: &Settled, n: usize) -> Option<DVec2> {
-        let free = self.free();
-        let mut others = last.matches.clone();
-        let own = others.remove(n);
-        if 2 * others.len() < 6 + free.count() + 2 {
-            return None;
+    /// Residual of each used bead under the pose of all others, the prior among them where it is fused.
+    fn left_out(&self, last: &Settled) -> Vec<Option<DVec2>> {
+        // At least one other bead must be left to contradict it.
+        if last.solution.degrees_of_freedom < 4 {
+            return vec![None; last.matches.len()];
         }
-        let s = &last.solution;
-        let without = solve(&others, &s.camera_from_lps, &s.intrinsics, &Options::least_squares(free))?;
-        Some(own.image_px - project(&without.intrinsics, &without.camera_from_lps, own.lps_mm))
+        let off = |found: LeftOut| DVec2::new(found.offset[0], found.offset[1]);
+        left_out(&last.matches, &last.solution, &last.options).into_iter().map(|found| found.map(off)).collect()
     }
-}
-
-fn project(k: &Intrinsics, pose: &Rigid, p: DVec3) -> DVec2 {
-    k.project(pose.transform_point(p))
 }
 
 fn rows_of(m: &Matrix6<f64>) -> Covariance {

@@ -5,6 +5,7 @@ use nalgebra::DMatrix;
 
 use super::case::Case;
 use super::doubt::Doubts;
+use super::flat::off_plane;
 use super::propose::Candidate;
 use super::record::Pose;
 use super::refusal::{Points, Refusal, Rival};
@@ -62,6 +63,13 @@ impl Case<'_> {
             notes.push(format!(
                 "residuals are {:.1} times what was expected; all uncertainties are scaled up by that",
                 settled.chi2_per_dof.sqrt()
+            ));
+        }
+        let off_plane = off_plane(&settled.solution, &settled.matches, &covariance);
+        if off_plane.is_degenerate() {
+            notes.push(format!(
+                "the beads are nearly flat: off their plane the pose is uncertain by {:.1} px, which their own residuals do not show",
+                off_plane.sigma_px
             ));
         }
         if matched < candidate.hypothesis.in_view {

@@ -8,6 +8,7 @@ mod accept;
 mod bodies;
 mod case;
 mod doubt;
+mod flat;
 mod judge;
 mod propose;
 mod record;
@@ -29,3 +30,4 @@ pub use record::{
 pub use refusal::{Points, Refusal, Rival};
 pub use register::{intrinsics_of, register, register_masked, register_shadows};
 pub use request::Registration;
+pub use solve::{Free, IntrinsicsPrior};

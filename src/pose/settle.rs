@@ -23,6 +23,8 @@ pub(super) struct Settled {
     /// Outliers, and how far off they are.
     pub left_out: Vec<(Match, DVec2)>,
     pub chi2_per_dof: f64,
+    /// How the solution was asked for, priors among it.
+    pub options: Options,
 }
 
 impl Settled {
@@ -80,8 +82,9 @@ impl Case<'_> {
         }
         let plain = Options { loss: f64::INFINITY, ..options };
         let first = solve(&matches, &best.camera_from_lps, &best.intrinsics, &plain)?;
-        let dof = (2 * matches.len()).saturating_sub(6 + free.count()).max(1) as f64;
-        let chi2_per_dof = first.chi2.iter().sum::<f64>() / dof;
+        // A fused prior is an observation like the beads.
+        let dof = first.degrees_of_freedom.max(1) as f64;
+        let chi2_per_dof = (first.chi2.iter().sum::<f64>() + first.prior_chi2) / dof;
         // Beads that fit better than their stated uncertainty are better than it: weigh them so, but do not claim it.
         let share = chi2_per_dof.sqrt().clamp(0.1, 1.0);
         let solution = if share < 0.8 && dof >= 4.0 {
@@ -97,6 +100,6 @@ impl Case<'_> {
                 (m, off)
             })
             .collect();
-        Some(Settled { solution, matches, left_out, chi2_per_dof })
+        Some(Settled { solution, matches, left_out, chi2_per_dof, options: plain })
     }
 }

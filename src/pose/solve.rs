@@ -1,13 +1,14 @@
-//! Pose (and K) from matched beads: Levenberg–Marquardt on SE(3).
+//! Pose (and K) from matched beads, by the estimation core.
 //!
-//! The pose moves by camera_from_lps ← T(c)·exp(ξ̂)·T(−c)·camera_from_lps with c the beads' centroid in `camera`: rotation about the
-//! beads and translation of the beads, which are nearly uncorrelated, where rotation about the distant source and translation are not.
 //! A bead's measurement has the covariance Σ = σ_px² 1 + σ_mm² A Aᵀ, A = ∂(u, v)/∂p: noise of the image and of the bead's place.
 
 use glam::{DMat3, DVec2, DVec3};
-use nalgebra::{DMatrix, DVector, Matrix2, Matrix2x3, Matrix6, Vector2, Vector6};
+use nalgebra::{DMatrix, Matrix2, Matrix2x3, Matrix3, Matrix6, Vector2};
 
+use crate::estimate::{BeadImage, Freedom, LeftOut, Loss, Place, PoseBlock, PosePrior, Problem, Reading, Settings, VectorBlock};
 use crate::geometry::{Intrinsics, Rigid};
+
+pub use crate::estimate::{about, deviation};
 
 /// A bead and its shadow.
 #[derive(Clone, Copy, Debug)]
@@ -22,23 +23,37 @@ pub struct Match {
     pub sigma_mm: f64,
 }
 
+/// K with independent Gaussian uncertainties: square pixels, one focal length.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct IntrinsicsPrior {
+    pub mean: Intrinsics,
+    pub focal_sigma_px: f64,
+    /// Of the principal point's column and row.
+    pub centre_sigma_px: [f64; 2],
+}
+
+impl IntrinsicsPrior {
+    /// f = SID / pitch from both with their standard deviations, each as (value, σ) in mm.
+    #[must_use]
+    pub fn from_distance(mean: Intrinsics, distance_mm: (f64, f64), pitch_mm: (f64, f64), centre_sigma_px: f64) -> Self {
+        let focal_px = distance_mm.0 / pitch_mm.0;
+        let relative = (distance_mm.1 / distance_mm.0).hypot(pitch_mm.1 / pitch_mm.0);
+        // Pixels that are not quite square keep their ratio.
+        let ratio = mean.fy / mean.fx;
+        let mean = Intrinsics { fx: focal_px, fy: focal_px * ratio, ..mean };
+        Self { mean, focal_sigma_px: focal_px * relative, centre_sigma_px: [centre_sigma_px; 2] }
+    }
+}
+
 /// Which of K's numbers are unknown.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Free {
     /// None: K is known.
     Pose,
     /// One focal length and the principal point: square pixels.
     Square,
-}
-
-impl Free {
-    /// Unknowns besides the pose.
-    pub fn count(self) -> usize {
-        match self {
-            Self::Pose => 0,
-            Self::Square => 3,
-        }
-    }
+    /// The same, each with a prior.
+    Known(IntrinsicsPrior),
 }
 
 /// A measured pose: covariance of ξ in `camera`, exp(ξ̂)·pose being true.
@@ -75,10 +90,44 @@ pub struct Solution {
     pub residuals_px: Vec<DVec2>,
     /// Squared residual in standard deviations (two degrees of freedom), per match, with all of σ_mm.
     pub chi2: Vec<f64>,
+    /// Squared deviation from the priors, of pose and K together.
+    pub prior_chi2: f64,
+    /// Of beads and priors together; negative where there are too few.
+    pub degrees_of_freedom: i64,
     /// Covariance of (ω, v) about the centroid, then of K's free numbers (px).
     pub covariance: DMatrix<f64>,
     /// The beads' centroid in `camera`.
     pub centroid_mm: DVec3,
+}
+
+/// How well a place is known.
+#[derive(Clone, Copy, Debug)]
+pub struct Sharpness {
+    /// Covariance of its projection, of pose and K together; `None` behind the source.
+    pub image_px2: Option<Matrix2<f64>>,
+    /// Covariance of its place in `camera`.
+    pub camera_mm2: Matrix3<f64>,
+}
+
+impl Solution {
+    /// Uncertainty of P at a place; `covariance` is this solution's, scaled perhaps.
+    #[must_use]
+    pub fn sharpness(&self, lps_mm: DVec3, covariance: &DMatrix<f64>) -> Sharpness {
+        let p = self.camera_from_lps.transform_point(lps_mm);
+        let by_pose = point_by_pose(p, self.centroid_mm);
+        let camera_mm2 = by_pose * covariance.fixed_view::<6, 6>(0, 0) * by_pose.transpose();
+        let image_px2 = (p.z > 1.0).then(|| {
+            let mut rows = DMatrix::zeros(2, covariance.ncols());
+            rows.view_mut((0, 0), (2, 6)).copy_from(&(image_by_point(&self.intrinsics, p) * by_pose));
+            if covariance.ncols() > 6 {
+                let ratio = self.intrinsics.fy / self.intrinsics.fx;
+                rows.view_mut((0, 6), (2, 3)).copy_from(&Matrix2x3::new(p.x / p.z, 1.0, 0.0, ratio * p.y / p.z, 0.0, 1.0));
+            }
+            let image = &rows * covariance * rows.transpose();
+            Matrix2::from_fn(|i, j| image[(i, j)])
+        });
+        Sharpness { image_px2, camera_mm2 }
+    }
 }
 
 /// Rows of ∂(u, v)/∂p for a point in `camera`.
@@ -88,208 +137,140 @@ pub fn image_by_point(intrinsics: &Intrinsics, p: DVec3) -> Matrix2x3<f64> {
     Matrix2x3::new(fx / z, skew / z, -(fx * p.x + skew * p.y) / (z * z), 0.0, fy / z, -fy * p.y / (z * z))
 }
 
-/// −[r]× as it stands in δp = ω × r + v.
-fn minus_cross(r: DVec3) -> DMat3 {
-    DMat3::from_cols(DVec3::new(0.0, -r.z, r.y), DVec3::new(r.z, 0.0, -r.x), DVec3::new(-r.y, r.x, 0.0))
-}
-
 /// ∂p/∂(ω, v) for rotation about `centre`, 3×6.
 pub fn point_by_pose(p: DVec3, centre: DVec3) -> nalgebra::Matrix3x6<f64> {
-    let cross = minus_cross(p - centre);
-    let mut j = nalgebra::Matrix3x6::zeros();
-    for column in 0..3 {
-        let c = cross.col(column);
-        j[(0, column)] = c.x;
-        j[(1, column)] = c.y;
-        j[(2, column)] = c.z;
-        j[(column, column + 3)] = 1.0;
+    let mut rows = nalgebra::Matrix3x6::zeros();
+    for (n, axis) in DVec3::AXES.into_iter().enumerate() {
+        rows.set_row(n, &nalgebra::RowVector6::from_row_slice(&crate::estimate::turned(axis, p - centre)));
     }
-    j
+    rows
 }
 
-/// ξ about `centre` from ξ about the camera's origin: (ω, v + ω × c).
-pub fn about(centre: DVec3) -> Matrix6<f64> {
-    let cross = minus_cross(centre);
-    let mut t = Matrix6::identity();
-    for column in 0..3 {
-        let c = cross.col(column);
-        t[(3, column)] = c.x;
-        t[(4, column)] = c.y;
-        t[(5, column)] = c.z;
-    }
-    t
-}
-
-struct Linear {
-    jacobian: DMatrix<f64>,
-    residual: DVector<f64>,
-    /// Square residual under all of σ_mm, per match.
-    chi2: Vec<f64>,
-    residuals_px: Vec<DVec2>,
-    /// Σ of the weights and Σ of the covariance, per match.
-    covariances: Vec<(Matrix2<f64>, Matrix2<f64>)>,
-    cost: f64,
-}
-
-fn linearise(matches: &[Match], pose: &Rigid, k: &Intrinsics, centre: DVec3, options: &Options) -> Linear {
-    let columns = 6 + options.free.count();
-    let mut jacobian = DMatrix::zeros(2 * matches.len(), columns);
-    let mut residual = DVector::zeros(2 * matches.len());
-    let (mut chi2, mut residuals_px, mut covariances) = (Vec::new(), Vec::new(), Vec::new());
-    let mut cost = 0.0;
-    for (n, m) in matches.iter().enumerate() {
-        let p = pose.transform_point(m.lps_mm);
-        let a = image_by_point(k, p);
-        let off = m.image_px - k.project(p);
-        let spread = a * a.transpose();
-        let image = Matrix2::identity() * m.sigma_px.powi(2).max(1e-8);
-        let full = image + spread * m.sigma_mm.powi(2);
-        let used = image + spread * (m.sigma_mm * options.sigma_mm_share).powi(2);
-        let off2 = Vector2::new(off.x, off.y);
-        let square = |s: &Matrix2<f64>| s.try_inverse().map_or(f64::INFINITY, |i| (off2.transpose() * i * off2)[(0, 0)]);
-        let own = if p.z > 1.0 { square(&used) } else { 1e12 };
-        cost += if options.loss.is_finite() { options.loss.powi(2) * (1.0 + own / options.loss.powi(2)).ln() } else { own };
-        chi2.push(square(&full));
-        residuals_px.push(off);
-        covariances.push((used, full));
-        let rows = a * point_by_pose(p, centre);
-        jacobian.view_mut((2 * n, 0), (2, 6)).copy_from(&rows);
-        let (x, y) = (p.x / p.z, p.y / p.z);
-        match options.free {
-            Free::Pose => {}
-            Free::Square => {
-                jacobian[(2 * n, 6)] = x;
-                jacobian[(2 * n + 1, 6)] = y;
-                jacobian[(2 * n, 7)] = 1.0;
-                jacobian[(2 * n + 1, 8)] = 1.0;
-            }
-        }
-        residual[2 * n] = off.x;
-        residual[2 * n + 1] = off.y;
+/// The problem, with bead n as residual n and the priors behind them.
+fn problem<'a>(matches: &[Match], start: &Rigid, k: &Intrinsics, options: &Options) -> (Problem<'a>, PoseBlock, VectorBlock) {
+    let mean_lps = matches.iter().map(|m| m.lps_mm).sum::<DVec3>() / matches.len().max(1) as f64;
+    let mut problem = Problem::new();
+    let camera = problem.pose("camera_from_lps", *start, mean_lps, true);
+    let freedom = match options.free {
+        Free::Pose => Freedom::Constant,
+        // fy follows fx; columns f, cx, cy.
+        Free::Square | Free::Known(_) => Freedom::Along(DMatrix::from_row_slice(
+            5,
+            3,
+            &[1.0, 0.0, 0.0, k.fy / k.fx, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        )),
+    };
+    let intrinsics = problem.vector("intrinsics", &[k.fx, k.fy, k.skew, k.cx, k.cy], freedom);
+    let loss = if options.loss.is_finite() { Loss::Cauchy(options.loss) } else { Loss::None };
+    for m in matches {
+        let covariance_mm2 = DMat3::from_diagonal(DVec3::splat(m.sigma_mm.powi(2)));
+        let place = Place::Known { body_mm: m.lps_mm, covariance_mm2, share: options.sigma_mm_share };
+        let variance = m.sigma_px.powi(2).max(1e-8);
+        problem.add(BeadImage::new(camera, intrinsics, place, m.image_px, [variance, 0.0, variance]), loss);
     }
     if let Some(measured) = &options.measured {
-        let r = deviation(pose, &measured.camera_from_lps);
-        cost += (r.transpose() * measured.information * r)[(0, 0)];
+        problem.add(PosePrior::new(camera, measured.camera_from_lps, measured.information), Loss::None);
     }
-    Linear { jacobian, residual, chi2, residuals_px, covariances, cost }
-}
-
-/// ξ with exp(ξ̂)·from = to.
-pub fn deviation(to: &Rigid, from: &Rigid) -> Vector6<f64> {
-    let (omega, v) = (*to * from.inverse()).log();
-    Vector6::new(omega.x, omega.y, omega.z, v.x, v.y, v.z)
-}
-
-/// JᵀWJ and JᵀWr with the loss's weights, the measured pose included.
-fn normal_equations(linear: &Linear, pose: &Rigid, centre: DVec3, options: &Options) -> (DMatrix<f64>, DVector<f64>) {
-    let columns = linear.jacobian.ncols();
-    let (mut normal, mut right) = (DMatrix::zeros(columns, columns), DVector::zeros(columns));
-    for (n, (used, _)) in linear.covariances.iter().enumerate() {
-        let Some(inverse) = used.try_inverse() else { continue };
-        let j = linear.jacobian.rows(2 * n, 2);
-        let r = linear.residual.rows(2 * n, 2);
-        let own = (r.transpose() * inverse * r)[(0, 0)];
-        let weight = if options.loss.is_finite() { 1.0 / (1.0 + own / options.loss.powi(2)) } else { 1.0 };
-        let jw = j.transpose() * inverse * weight;
-        normal += &jw * j;
-        right += jw * r;
+    if let Free::Known(prior) = options.free {
+        let sigmas = [prior.focal_sigma_px, prior.centre_sigma_px[0], prior.centre_sigma_px[1]];
+        let information = DMatrix::from_fn(3, 3, |i, j| if i == j { sigmas[i].powi(-2) } else { 0.0 });
+        let mean = [prior.mean.fx, prior.mean.cx, prior.mean.cy];
+        problem.add(Reading::of_some(intrinsics, vec![0, 3, 4], &mean, information), Loss::None);
     }
-    if let Some(measured) = &options.measured {
-        // ξ about the origin = T⁻¹ · ξ about the centroid.
-        let t = about(-centre);
-        let information = t.transpose() * measured.information * t;
-        let pull = t.transpose() * measured.information * deviation(pose, &measured.camera_from_lps);
-        for i in 0..6 {
-            right[i] -= pull[i];
-            for j in 0..6 {
-                normal[(i, j)] += information[(i, j)];
-            }
-        }
-    }
-    (normal, right)
-}
-
-fn moved(pose: &Rigid, centre: DVec3, step: &DVector<f64>) -> Rigid {
-    let local = Rigid::exp(DVec3::new(step[0], step[1], step[2]), DVec3::new(step[3], step[4], step[5]));
-    Rigid::translation(centre) * local * Rigid::translation(-centre) * *pose
-}
-
-fn changed(k: &Intrinsics, free: Free, step: &DVector<f64>) -> Intrinsics {
-    let mut next = *k;
-    match free {
-        Free::Pose => {}
-        Free::Square => {
-            next.fx += step[6];
-            next.fy += step[6];
-            next.cx += step[7];
-            next.cy += step[8];
-        }
-    }
-    next
+    (problem, camera, intrinsics)
 }
 
 /// Solves from a start; `None` when the equations are singular or a number ceases to be finite.
 pub fn solve(matches: &[Match], start: &Rigid, intrinsics: &Intrinsics, options: &Options) -> Option<Solution> {
-    let mean_lps = matches.iter().map(|m| m.lps_mm).sum::<DVec3>() / matches.len().max(1) as f64;
-    let (mut pose, mut k) = (*start, *intrinsics);
-    let mut centre = pose.transform_point(mean_lps);
-    let mut linear = linearise(matches, &pose, &k, centre, options);
-    let mut damping = 1e-4;
-    for _ in 0..options.iterations {
-        let (normal, right) = normal_equations(&linear, &pose, centre, options);
-        let mut gain = 0.0;
-        let mut accepted = false;
-        for _ in 0..8 {
-            let mut damped = normal.clone();
-            for n in 0..damped.nrows() {
-                damped[(n, n)] *= 1.0 + damping;
-            }
-            let Some(step) = damped.cholesky().map(|c| c.solve(&right)) else {
-                damping = (damping * 10.0).max(1e-8);
-                continue;
-            };
-            let (next_pose, next_k) = (moved(&pose, centre, &step), changed(&k, options.free, &step));
-            let next_centre = next_pose.transform_point(mean_lps);
-            let sane = next_k.fx > 1.0 && next_k.fy > 1.0 && next_centre.z > 1.0;
-            if sane {
-                let next = linearise(matches, &next_pose, &next_k, next_centre, options);
-                if next.cost <= linear.cost {
-                    gain = linear.cost - next.cost;
-                    (pose, k, centre, linear) = (next_pose, next_k, next_centre, next);
-                    damping *= 0.1;
-                    accepted = true;
-                    break;
-                }
-            }
-            damping = (damping * 10.0).max(1e-8);
+    let (problem, camera, k) = problem(matches, start, intrinsics, options);
+    let estimate = problem.solve(&Settings { iterations: options.iterations, ..Settings::default() }).ok()?;
+    let covariance = estimate.covariance().ok()?.of(&[camera.into(), k.into()]);
+    let state = estimate.state();
+    let &[fx, fy, skew, cx, cy, ..] = state.vector(k) else { return None };
+    let solved = Intrinsics { fx, fy, skew, cx, cy };
+    let pose = *state.pose(camera);
+    let off = |n: usize| DVec2::from_slice(estimate.offset(n));
+    let chi2 = |n: usize| {
+        if options.sigma_mm_share == 1.0 {
+            return estimate.chi2(n);
         }
-        if !accepted || gain <= 1e-12 * (1.0 + linear.cost) {
-            break;
-        }
-    }
-    let plain = Options { loss: f64::INFINITY, ..*options };
-    let (normal, _) = normal_equations(&linear, &pose, centre, &plain);
-    let inverse = normal.cholesky()?.inverse();
-    // Sandwich H⁻¹ (Σ Jᵀ W Σ_full W J + prior) H⁻¹: equal to H⁻¹ when the weights take all of σ_mm.
-    let mut middle: DMatrix<f64> = DMatrix::zeros(inverse.nrows(), inverse.nrows());
-    for (n, (used, full)) in linear.covariances.iter().enumerate() {
-        let jw = linear.jacobian.rows(2 * n, 2).transpose() * used.try_inverse()?;
-        middle += &jw * full * jw.transpose();
-    }
-    if let Some(measured) = &options.measured {
-        let t = about(-centre);
-        let information = t.transpose() * measured.information * t;
-        let mut block = middle.view_mut((0, 0), (6, 6));
-        block += information;
-    }
-    let covariance = &inverse * middle * &inverse;
-    let finite = covariance.iter().all(|x| x.is_finite()) && pose.translation_mm.is_finite() && k.fx.is_finite();
-    finite.then_some(Solution {
+        let m = &matches[n];
+        let a = image_by_point(&solved, pose.transform_point(m.lps_mm));
+        let spread = Matrix2::identity() * m.sigma_px.powi(2).max(1e-8) + a * a.transpose() * m.sigma_mm.powi(2);
+        let off = Vector2::new(off(n).x, off(n).y);
+        spread.try_inverse().map_or(f64::INFINITY, |inverse| off.dot(&(inverse * off)))
+    };
+    let finite = covariance.iter().all(|x| x.is_finite()) && pose.translation_mm.is_finite() && fx.is_finite();
+    finite.then(|| Solution {
         camera_from_lps: pose,
-        intrinsics: k,
-        residuals_px: linear.residuals_px,
-        chi2: linear.chi2,
+        intrinsics: solved,
+        residuals_px: (0..matches.len()).map(off).collect(),
+        chi2: (0..matches.len()).map(chi2).collect(),
+        prior_chi2: (matches.len()..problem.residual_count()).map(|n| estimate.chi2(n)).sum(),
+        degrees_of_freedom: estimate.degrees_of_freedom(),
         covariance,
-        centroid_mm: centre,
+        centroid_mm: state.motion(camera).centre_mm(),
     })
+}
+
+/// What each match's residual (px) would be under the pose of all others, and how surprising that is; solved by `options`, whose priors
+/// count. `None` for a match without which nothing is determined.
+pub fn left_out(matches: &[Match], solution: &Solution, options: &Options) -> Vec<Option<LeftOut>> {
+    let (problem, ..) = problem(matches, &solution.camera_from_lps, &solution.intrinsics, options);
+    let settings = Settings { iterations: options.iterations, ..Settings::default() };
+    let Ok(estimate) = problem.solve(&settings) else { return vec![None; matches.len()] };
+    (0..matches.len()).map(|n| estimate.left_out(n).ok()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::{Purpose, Stream};
+
+    /// Eight beads over 160×160×120 mm, seen by a C-arm, with noise.
+    fn frame(seed: u64) -> (Vec<Match>, Rigid, Intrinsics) {
+        let mut random = Stream::new(seed, 0, 0, Purpose::Evaluation);
+        let k = Intrinsics { fx: 5257.0, fy: 5257.0, skew: 0.0, cx: 511.5, cy: 511.5 };
+        let pose = Rigid::translation(DVec3::new(4.0, -6.0, 600.0)) * Rigid::exp(DVec3::new(0.4, -0.2, 0.9), DVec3::ZERO);
+        let matches = (0..8)
+            .map(|n| {
+                let side = |bit: usize| if n >> bit & 1 == 1 { 1.0 } else { -1.0 };
+                let place = DVec3::new(80.0 * side(0), 80.0 * side(1), 60.0 * side(2)) * (0.6 + 0.4 * random.uniform());
+                let noise = DVec2::new(random.normal(), random.normal()) * 0.05;
+                let image_px = k.project(pose.transform_point(place)) + noise;
+                Match { bead: n, detection: n, lps_mm: place, image_px, sigma_px: 0.05, sigma_mm: 0.05 }
+            })
+            .collect();
+        (matches, pose, k)
+    }
+
+    #[test]
+    fn a_prior_of_intrinsics_lies_between_known_and_unknown() {
+        let (matches, pose, k) = frame(1);
+        let loose = IntrinsicsPrior::from_distance(k, (1020.0, 3.0), (0.194, 0.0002), 5.0);
+        let tight = IntrinsicsPrior::from_distance(k, (1020.0, 1e-4), (0.194, 1e-9), 1e-4);
+        let sigma = |free: Free| {
+            let solution = solve(&matches, &pose, &k, &Options::least_squares(free)).expect("regular");
+            // A prior is an observation for each number that it frees.
+            let degrees = if free == Free::Square { 7 } else { 10 };
+            assert_eq!(solution.degrees_of_freedom, degrees, "{free:?}");
+            (solution.covariance[(0, 0)].sqrt(), solution.covariance[(5, 5)].sqrt())
+        };
+        let (known, tight, prior, free) =
+            (sigma(Free::Pose), sigma(Free::Known(tight)), sigma(Free::Known(loose)), sigma(Free::Square));
+        assert!(known.1 < prior.1 && prior.1 < free.1, "{known:?} {prior:?} {free:?}");
+        assert!((tight.1 / known.1 - 1.0).abs() < 1e-3 && (tight.0 / known.0 - 1.0).abs() < 1e-3, "{tight:?} {known:?}");
+    }
+
+    #[test]
+    fn a_moved_bead_is_the_most_surprising_one() {
+        let (mut matches, pose, k) = frame(2);
+        matches[3].image_px += DVec2::new(8.0, -3.0);
+        let options = Options::least_squares(Free::Pose);
+        let solution = solve(&matches, &pose, &k, &options).expect("regular");
+        let left_out: Vec<f64> =
+            left_out(&matches, &solution, &options).into_iter().map(|l| l.expect("seven are enough").chi2).collect();
+        let worst = (0..8).max_by(|a, b| left_out[*a].total_cmp(&left_out[*b]));
+        assert_eq!(worst, Some(3), "{left_out:?}");
+    }
 }

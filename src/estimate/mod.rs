@@ -1,0 +1,40 @@
+//! The one least-squares core: poses, K, distortion, bead places and arm parameters, from bead images, priors and joint readings.
+//!
+//! A [`Problem`] holds parameter blocks and residuals. A pose block moves on SE(3), a vector block along chosen directions of its
+//! numbers; either may be constant, and a vector block may be eliminated (Schur complement), as bead places with priors are. Every
+//! residual says, at a state, how far the observed lies from the predicted, its information (inverse covariance), and its Jacobian per
+//! block; a robust loss may discount it.
+//!
+//! [`Problem::solve`] runs Levenberg–Marquardt and gives an [`Estimate`]: state, χ², degrees of freedom, [`Covariance`] of all free
+//! blocks, and what every residual would have been had it been left out. What the residuals leave undetermined is an error that names
+//! the direction. Nothing here depends on thread order, hash order or time.
+
+mod motion;
+mod block;
+mod loss;
+mod residual;
+mod image_of_bead;
+mod priors;
+mod problem;
+mod numeric;
+mod error;
+mod linearisation;
+mod equations;
+mod levenberg;
+mod covariance;
+mod left_out;
+mod solution;
+
+pub use block::{BlockId, Freedom, PoseBlock, State, VectorBlock};
+pub use covariance::{Covariance, Rows};
+pub use error::{Direction, EstimateError};
+pub use image_of_bead::{BeadImage, Place};
+pub use left_out::LeftOut;
+pub use levenberg::{Settings, Stop};
+pub use loss::Loss;
+pub use motion::{Motion, about, deviation, left_jacobian_inverse, turned};
+pub use numeric::Numeric;
+pub use priors::{PosePrior, Reading};
+pub use problem::Problem;
+pub use residual::{Evaluation, Residual};
+pub use solution::Estimate;

@@ -82,7 +82,7 @@ fn the_fast_mask_is_the_reference_s_ray_by_ray() {
     let (differ, all, invalid) = compared(0..60);
     assert!(invalid > all / 10 && invalid < 9 * all / 10, "{invalid} of {all} are invalid");
     // Rays that touch a border between cells may fall on either side.
-    assert!(differ as f64 <= 5e-4 * all as f64, "{differ} of {all}");
+    assert!(differ as f64 <= 1e-3 * all as f64, "{differ} of {all}");
 }
 
 /// `cargo test --workspace -- render_cut_faces::many --ignored --nocapture`
@@ -91,7 +91,7 @@ fn the_fast_mask_is_the_reference_s_ray_by_ray() {
 fn many() {
     let (differ, all, invalid) = compared(1_000..5_000);
     println!("{differ} of {all} pixels differ, {invalid} are invalid");
-    assert!(differ as f64 <= 5e-4 * all as f64);
+    assert!(differ as f64 <= 1e-3 * all as f64);
 }
 
 /// A column of tissue cut at the top: half of the frame looks past it. One surrounded by air is cut nowhere.

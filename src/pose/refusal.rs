@@ -135,7 +135,7 @@ pub enum Refusal {
     Intrinsics { given_px: f64, freed_px: f64, focal_ratio: f64, shift_px: f64 },
     /// The mirror image fits better.
     #[error(
-        "mirrored: {mirrored} beads fit the frame's mirror image to {rms_px:.2} px, {matched} the frame itself; un-mirror it at the console, or state the console's geometry in the session"
+        "mirrored: {mirrored} beads fit the frame's mirror image to {rms_px:.2} px, {matched} the frame itself; un-mirror it at the console, state the console's geometry in the session, or correct the layout if its axes are negated"
     )]
     Mirrored { mirrored: usize, rms_px: f64, matched: usize },
     /// A body has moved, and the request takes all as one.

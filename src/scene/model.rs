@@ -112,19 +112,16 @@ impl Scene {
     }
 }
 
-/// The largest body, mm: across, and along the patient's axis.
-const BODY_MM: (f64, f64) = (600.0, 2000.0);
-/// Tissue goes on beyond a face so far, at least.
-const BEYOND_MM: f64 = 50.0;
+/// How far tissue goes on beyond a face that it reaches, mm: across the patient, where a field of view cuts skin and arms, and along.
+const BEYOND_MM: (f64, f64) = (50.0, 2000.0);
 
 impl Volume {
-    /// How far tissue that reaches a face across `axis` may go on beyond it, mm: what the largest body has besides the grid.
+    /// How far tissue that reaches a face across `axis` may go on beyond it, mm.
     #[must_use]
     pub fn beyond_face_mm(&self, axis: usize) -> f64 {
         let step = self.lps_from_voxel.matrix3.col(axis);
         let along = step.z.abs() > std::f64::consts::FRAC_1_SQRT_2 * step.length();
-        let body_mm = if along { BODY_MM.1 } else { BODY_MM.0 };
-        (body_mm - step.length() * self.size[axis] as f64).max(BEYOND_MM)
+        if along { BEYOND_MM.1 } else { BEYOND_MM.0 }
     }
 
     /// Index of voxel (i, j, k) in the arrays.

@@ -24,7 +24,7 @@ fn placed(kind: usize, luck: &mut Luck) -> (DAffine3, [usize; 3]) {
         (DVec3::new(-0.6, 0.6, 1.5), [74, 74, 30]),
         (DVec3::new(0.5, 0.5, 0.6), [86, 86, 72]),
     ][kind % 4];
-    let turn = if kind % 2 == 0 { DMat3::IDENTITY } else { DMat3::from_rotation_z(0.3) * DMat3::from_rotation_x(-0.2) };
+    let turn = if kind.is_multiple_of(2) { DMat3::IDENTITY } else { DMat3::from_rotation_z(0.3) * DMat3::from_rotation_x(-0.2) };
     (DAffine3 { matrix3: turn * DMat3::from_diagonal(spacing), translation: luck.vector(100.0) }, size)
 }
 

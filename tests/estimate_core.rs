@@ -141,8 +141,7 @@ fn evaluated(start: &Start, which: usize) -> (Vec<f64>, Vec<Vec<f64>>) {
         }
     }
     let _ = problem.solve(&Settings { iterations: 0, ..Settings::default() }).expect("finite");
-    let result = written.borrow().clone();
-    result
+    written.borrow().clone()
 }
 
 #[test]

@@ -40,9 +40,7 @@ impl Case<'_> {
     fn verdict(&self, candidate: &Candidate, notes: &mut Vec<String>) -> Result<Believed, Refusal> {
         let settled = self.settle(candidate).ok_or(Refusal::Unsolved)?;
         let points: Vec<DVec3> = settled.matches.iter().map(|m| m.lps_mm).collect();
-        if let Err(degenerate) = check_geometry(&points, self.request.intrinsics.is_some(), Points::Matched) {
-            return Err(degenerate);
-        }
+        check_geometry(&points, self.request.intrinsics.is_some(), Points::Matched)?;
         let hypothesis = Hypothesis {
             camera_from_lps: settled.solution.camera_from_lps,
             rms_px: settled.rms_px(),

@@ -57,11 +57,11 @@ pub(super) fn metal_balls(objects: &[ObjectFile]) -> Vec<Ball> {
         file.radius_mm <= LARGEST_BEAD_MM
             && Material::parse(&file.material).is_ok_and(|material| mean_z(material) >= METAL_MEAN_Z)
     };
-    let sphere = |object| match object {
-        &ObjectFile::Sphere(ref file) => Some(file),
+    let spheres = objects.iter().filter_map(|object| match object {
+        ObjectFile::Sphere(file) => Some(file),
         _ => None,
-    };
-    objects.iter().filter_map(sphere).filter(is_bead).map(ball).collect()
+    });
+    spheres.filter(is_bead).map(ball).collect()
 }
 
 /// Replaces the metal around each of `balls` in a CT of Hounsfield numbers by what surrounds it. Deterministic; without metal there,

@@ -15,6 +15,7 @@ mod markups;
 mod noise;
 mod probe;
 mod profile;
+pub mod tags;
 
 pub use correspondences::{Correspondence, CorrespondencesError, read_correspondences};
 pub use detect::{Detection, Detections, Expectation, Polarity, Signal, detect, detect_image};

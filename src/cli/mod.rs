@@ -22,6 +22,7 @@ pub mod register;
 pub mod render;
 pub mod replay;
 pub mod spectrum;
+pub mod tags;
 pub mod time;
 pub mod time_changes;
 pub mod trade;
@@ -52,6 +53,7 @@ enum Command {
     Trade(trade::TradeArgs),
     Time(time::TimeArgs),
     Register(register::RegisterArgs),
+    Tags(tags::TagsArgs),
     Compare(compare::CompareArgs),
     Calibrate(calibrate::CalibrateArgs),
     Attach(attach::AttachArgs),
@@ -87,6 +89,7 @@ fn dispatch(command: &Command, reporter: &Reporter) -> u8 {
         Command::Compare(args) => end(compare::run(args, reporter), reporter),
         Command::Calibrate(args) => end(calibrate::run(args, reporter), reporter),
         Command::Register(args) => end(register::run(args, reporter), reporter),
+        Command::Tags(args) => end(tags::run(args, reporter), reporter),
         Command::Attach(args) => end(attach::run(args, reporter), reporter),
         Command::Attenuation(args) => end(attenuation::run(args, &mut std::io::stdout().lock()).map(|()| 0), reporter),
         Command::Spectrum(args) => end(spectrum::run(args, &mut std::io::stdout().lock()).map(|()| 0), reporter),

@@ -24,6 +24,10 @@ mod binding_play;
 mod binding_sessions;
 mod beads_detection;
 mod beads_layout;
+#[cfg(feature = "vision")]
+mod tags_drawn;
+#[cfg(feature = "vision")]
+mod tags_photos;
 mod pose_doubt;
 mod pose_registration;
 mod pose_request;

@@ -43,7 +43,9 @@ fn all_forty_tags_of_the_printed_grid_are_read() {
 
 #[test]
 fn corners_agree_with_those_measured_by_others_and_the_half_pixel_is_seen() {
-    let (Some(image), Some(text)) = (photo("33369213973_9d9bb4cc96_c.jpg"), photo("33369213973_9d9bb4cc96_c.txt")) else { return };
+    let (Some(image), Some(text)) = (photo("33369213973_9d9bb4cc96_c.jpg"), photo("33369213973_9d9bb4cc96_c.txt")) else {
+        return;
+    };
     let seen = tags_of(&image);
     let measured = expected(&std::fs::read_to_string(text).expect("text"));
     assert_eq!((measured.len(), seen.len()), (12, 12));

@@ -8,7 +8,9 @@ use crate::beads::{BeadLayout, BeadsError, CorrespondencesError, Landmark, read_
 use crate::geometry::Intrinsics;
 use crate::image::{ImageFileError, refuse_overwrite, write_png_rgb};
 use crate::mask;
-use crate::pose::{IntrinsicsFile, Pose, PoseFileError, Prior, Registration, Shadow, intrinsics_of, register_masked, register_tagged};
+use crate::pose::{
+    IntrinsicsFile, Pose, PoseFileError, Prior, Registration, Shadow, intrinsics_of, register_masked, register_tagged,
+};
 use crate::report;
 use crate::reporter::Reporter;
 
@@ -219,7 +221,8 @@ pub fn summary(pose: &Pose, explain: bool) -> String {
         let (rms_px, rms_mm) = (number(pose.rms_px, 3), number(pose.rms_mm, 3));
         if used == 0 {
             let tags = pose.tags.iter().filter(|tag| tag.used).count();
-            lines.push(format!("accepted{with_caution}: {tags} tags, no beads, corners to {rms_px} px = {rms_mm} mm at the tags"));
+            lines
+                .push(format!("accepted{with_caution}: {tags} tags, no beads, corners to {rms_px} px = {rms_mm} mm at the tags"));
         } else {
             lines.push(format!(
                 "accepted{with_caution}: {used} of {} beads, rms {rms_px} px = {rms_mm} mm at the beads, {} accidental matches expected",
@@ -269,7 +272,10 @@ pub fn summary(pose: &Pose, explain: bool) -> String {
         let off = tag.residual_px.map_or(String::new(), |off| format!(", corners {off:.2} px from where P puts them"));
         let why = tag.reason.as_deref().map_or(String::new(), |why| format!("  not used: {why}"));
         let mirrored = if tag.mirrored { ", mirrored" } else { "" };
-        lines.push(format!("tag {} {}: first corner {u:.2}, {v:.2} px, margin {:.0}{mirrored}{off}{why}", tag.family, tag.id, tag.margin));
+        lines.push(format!(
+            "tag {} {}: first corner {u:.2}, {v:.2} px, margin {:.0}{mirrored}{off}{why}",
+            tag.family, tag.id, tag.margin
+        ));
     }
     if pose.is_accepted() {
         for landmark in &pose.landmarks {

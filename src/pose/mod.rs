@@ -25,7 +25,8 @@ mod with_tags;
 
 pub use case::PRIOR_SIGMA;
 pub use record::{
-    BeadResidual, BodyPose, Covariance, IntrinsicsFile, LandmarkUncertainty, Pose, PoseFileError, Prior, Shadow, Status, TagResidual,
+    BeadResidual, BodyPose, Covariance, IntrinsicsFile, LandmarkUncertainty, Pose, PoseFileError, Prior, Shadow, Status,
+    TagResidual,
 };
 pub use refusal::{Points, Refusal, Rival};
 pub use register::{intrinsics_of, register, register_masked, register_shadows};

@@ -111,9 +111,8 @@ pub(super) fn estimate(views: &[View], k: &Intrinsics) -> Result<TagPose, Refusa
             for start in &starts {
                 let Some((agrees, cost, solution)) = consensus(views, &members, start, k) else { continue };
                 let count = |agrees: &[bool]| agrees.iter().filter(|agrees| **agrees).count();
-                let better = best.as_ref().is_none_or(|(other, other_cost, _)| {
-                    (count(&agrees), -cost) > (count(other), -other_cost)
-                });
+                let better =
+                    best.as_ref().is_none_or(|(other, other_cost, _)| (count(&agrees), -cost) > (count(other), -other_cost));
                 if better {
                     best = Some((agrees, cost, solution));
                 }

@@ -104,7 +104,12 @@ impl Tags<'_> {
         if prior.covariance.is_some() && !self.request.ignore_prior {
             let (matched, rms_px) = (pose.beads.iter().filter(|bead| bead.used).count(), pose.rms_px.unwrap_or(f64::NAN));
             let refusal = Refusal::PriorContradicted { matched, rms_px, angle_deg, shift_mm };
-            return Pose { notes: pose.notes, shadows: pose.shadows, detections: pose.detections, ..self.request.refuse(&refusal) };
+            return Pose {
+                notes: pose.notes,
+                shadows: pose.shadows,
+                detections: pose.detections,
+                ..self.request.refuse(&refusal)
+            };
         }
         pose.cautions.push(format!(
             "tags and beads agree on a pose {angle_deg:.1}° and {shift_mm:.1} mm away from the prior: check the prior"
@@ -124,9 +129,11 @@ impl Tags<'_> {
         }
         let off_px = self.views.iter().enumerate().filter(|(n, _)| wrong(*n)).map(|(_, view)| rms_px(view, &k, &camera_from_lps));
         let off_px = off_px.fold(0.0, f64::max);
-        let together = self.pose.as_ref().ok().filter(|found| {
-            found.agrees.iter().enumerate().filter(|(n, agrees)| **agrees && wrong(*n)).count() >= WITNESSES
-        });
+        let together = self
+            .pose
+            .as_ref()
+            .ok()
+            .filter(|found| found.agrees.iter().enumerate().filter(|(n, agrees)| **agrees && wrong(*n)).count() >= WITNESSES);
         let Some(found) = together else {
             pose.cautions.push(format!(
                 "the corners of tags {contradicting:?} are up to {off_px:.1} px from where the beads put them: the beads are believed; check lps_from_tag and size_mm, and whether a tag has moved"
@@ -246,7 +253,8 @@ impl Tags<'_> {
         }
         if let Some(refused) = beads {
             let why = refused.reason.as_deref().unwrap_or("no reason given");
-            pose.cautions.push(format!("the beads gave no pose ({why}), and too few of them are in the frame; this one is of tags alone"));
+            pose.cautions
+                .push(format!("the beads gave no pose ({why}), and too few of them are in the frame; this one is of tags alone"));
             (pose.shadows, pose.detections) = (refused.shadows.clone(), refused.detections);
         }
         let disagreeing = self.ids(|n| !found.agrees[n]);
@@ -259,31 +267,37 @@ impl Tags<'_> {
     /// Every tag that was seen, and what it did for the pose.
     fn record(&self, mut pose: Pose) -> Pose {
         let (camera, covered) = (pose.camera(), solution_and_k(&pose));
-        pose.tags = self.seen.iter().map(|seen| {
-            let own = self.views.iter().position(|view| std::ptr::eq(view.seen, seen));
-            let residual_px = own.zip(camera.as_ref()).map(|(n, (k, at))| rms_px(&self.views[n], k, at));
-            let agrees = own.is_some_and(|n| self.pose.as_ref().is_ok_and(|found| found.agrees[n]));
-            let fits = own.zip(covered.as_ref()).is_none_or(|(n, (solution, k))| mean_off(&self.views[n], solution, k) <= CONTRADICTS);
-            let reason = match own {
-                None if self.layout.tags.iter().any(|tag| tag.id == seen.id) => Some("seen more than once"),
-                None => Some("not in the list"),
-                Some(_) if self.request.intrinsics.is_none() => Some("tags need K"),
-                Some(_) if !agrees => Some("disagrees with the other tags"),
-                Some(_) if !fits => Some("contradicts the beads"),
-                Some(_) => None,
-            };
-            TagResidual {
-                id: seen.id,
-                family: seen.family,
-                corners_px: seen.corners_px.map(|corner| corner.to_array()),
-                margin: seen.margin,
-                inverted: seen.inverted,
-                mirrored: seen.mirrored,
-                residual_px,
-                used: reason.is_none() && pose.is_accepted(),
-                reason: reason.map(str::to_owned),
-            }
-        }).collect();
+        pose.tags = self
+            .seen
+            .iter()
+            .map(|seen| {
+                let own = self.views.iter().position(|view| std::ptr::eq(view.seen, seen));
+                let residual_px = own.zip(camera.as_ref()).map(|(n, (k, at))| rms_px(&self.views[n], k, at));
+                let agrees = own.is_some_and(|n| self.pose.as_ref().is_ok_and(|found| found.agrees[n]));
+                let fits = own
+                    .zip(covered.as_ref())
+                    .is_none_or(|(n, (solution, k))| mean_off(&self.views[n], solution, k) <= CONTRADICTS);
+                let reason = match own {
+                    None if self.layout.tags.iter().any(|tag| tag.id == seen.id) => Some("seen more than once"),
+                    None => Some("not in the list"),
+                    Some(_) if self.request.intrinsics.is_none() => Some("tags need K"),
+                    Some(_) if !agrees => Some("disagrees with the other tags"),
+                    Some(_) if !fits => Some("contradicts the beads"),
+                    Some(_) => None,
+                };
+                TagResidual {
+                    id: seen.id,
+                    family: seen.family,
+                    corners_px: seen.corners_px.map(|corner| corner.to_array()),
+                    margin: seen.margin,
+                    inverted: seen.inverted,
+                    mirrored: seen.mirrored,
+                    residual_px,
+                    used: reason.is_none() && pose.is_accepted(),
+                    reason: reason.map(str::to_owned),
+                }
+            })
+            .collect();
         if let Err(refusal) = &self.pose
             && !self.request.layout.beads.is_empty()
         {

@@ -24,8 +24,8 @@ pub fn decode(grey: &Image<u8>, family: Family, sigma_px: f32) -> Result<Vec<See
         return Ok(Vec::new());
     }
     let library = |error: apriltag::Error| TagsError::Library { detail: error.to_string() };
-    let mut image = GreyImage::zeros_with_alignment(grey.width, grey.height, apriltag::image_buf::DEFAULT_ALIGNMENT_U8)
-        .map_err(library)?;
+    let mut image =
+        GreyImage::zeros_with_alignment(grey.width, grey.height, apriltag::image_buf::DEFAULT_ALIGNMENT_U8).map_err(library)?;
     let stride = image.stride();
     for (row, own) in image.as_slice_mut().chunks_exact_mut(stride).zip(grey.pixels.chunks_exact(grey.width)) {
         row[..own.len()].copy_from_slice(own);

@@ -89,7 +89,8 @@ pub fn find_tags(frame: &Frame, family: Family) -> Result<Vec<SeenTag>, TagsErro
         found = in_views(&views.each_ref().map(grey::mirrored), &SIGMAS_PX, family)?;
         for tag in &mut found {
             let back = |p: DVec2| DVec2::new(last - p.x, p.y);
-            *tag = SeenTag { mirrored: true, centre_px: back(tag.centre_px), corners_px: tag.corners_px.map(back), ..tag.clone() };
+            *tag =
+                SeenTag { mirrored: true, centre_px: back(tag.centre_px), corners_px: tag.corners_px.map(back), ..tag.clone() };
         }
     }
     let order = |a: &SeenTag, b: &SeenTag| -> Ordering {

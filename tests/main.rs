@@ -30,6 +30,10 @@ mod beads_drawn;
 mod beads_layout;
 mod pose_bodies;
 mod estimate_core;
+#[cfg(feature = "vision")]
+mod tags_drawn;
+#[cfg(feature = "vision")]
+mod tags_photos;
 mod pose_doubt;
 mod pose_registration;
 mod pose_request;

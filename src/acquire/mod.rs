@@ -17,6 +17,7 @@ mod log_form;
 mod notices;
 mod offer;
 pub mod panel_maps;
+mod photo;
 mod raster;
 mod read;
 mod source;
@@ -36,7 +37,7 @@ pub use detector_record::{
 pub use error::{AcquireError, Fault};
 pub use label::{hashed_input_label, input_label};
 pub use log_form::Samples;
-pub use read::{read_frame, read_frames, read_open, serve};
+pub use read::{read_frame, read_frames, read_open, read_photo, serve};
 pub use source::{Arrival, FrameSource, QueuedFrames, Reading, Sighting, Trouble};
 pub use tags::{FrameTags, KEPT_TAGS, KeptTag};
 pub use watch::FolderSource;
@@ -274,6 +275,9 @@ struct Settings {
     label: Option<String>,
     /// What the description beside a PNG or TIFF says.
     beside: Beside,
+    /// Any picture will do: a JPEG or a colour PNG is taken for its brightness.
+    #[serde(default)]
+    photo: bool,
 }
 
 fn check_image(width: u64, height: u64, limits: &Limits) -> Result<(), Fault> {

@@ -3,7 +3,7 @@
 use std::io::{Read, Write};
 use std::path::Path;
 
-use super::{AcquireError, Beside, Domain, Fault, FileKind, Frame, Raw, Settings, dicom::DicomImages, label, raster};
+use super::{AcquireError, Beside, Domain, Fault, FileKind, Frame, Raw, Settings, dicom::DicomImages, label, photo, raster};
 use crate::foreign::{self, ForeignFault, ForeignReader, Kind, Limits, Message, OpenFile, Receiver, Request, Sender, WireError};
 use crate::image::{Image, sha256_bytes};
 
@@ -35,12 +35,34 @@ pub fn read_frames(path: &Path, domain_override: Option<Domain>) -> Result<Vec<F
     read_open(&reader, open, path, domain_override).map_err(|fault| AcquireError::Refused { file: shown(), fault })
 }
 
+/// Reads the one picture in `path`: a frame as [`read_frame`] has it, or a photograph (JPEG, PNG in colour), of which the brightness is
+/// taken. Photographs show marks, and are no radiographs: nothing but tags is sought in them.
+///
+/// # Errors
+/// As [`read_frame`], but JPEG and colour are welcome.
+pub fn read_photo(path: &Path) -> Result<Frame, AcquireError> {
+    let shown = || path.display().to_string();
+    let reader = foreign::installed();
+    let open = foreign::open_regular(path, reader.limits(Kind::Frames).file_bytes)
+        .map_err(|fault| AcquireError::from_open(shown(), fault))?;
+    let settings = Settings { domain: None, label: label::harmless(path), beside: Beside::of(path), photo: true };
+    let refused = |fault| AcquireError::Refused { file: shown(), fault };
+    let mut frames = read_with(&reader, open, settings).map_err(refused)?;
+    match (frames.len(), frames.pop()) {
+        (1, Some(frame)) => Ok(frame),
+        (found, _) => Err(refused(Fault::SeveralImages { found: found as u64 })),
+    }
+}
+
 /// Reads every image of an open file; `path` is only asked for a label and for the description beside it.
 ///
 /// # Errors
 /// When the file is no frame that can be used.
 pub fn read_open(reader: &ForeignReader, open: OpenFile, path: &Path, domain: Option<Domain>) -> Result<Vec<Frame>, Fault> {
-    let settings = Settings { domain, label: label::harmless(path), beside: Beside::of(path) };
+    read_with(reader, open, Settings { domain, label: label::harmless(path), beside: Beside::of(path), photo: false })
+}
+
+fn read_with(reader: &ForeignReader, open: OpenFile, settings: Settings) -> Result<Vec<Frame>, Fault> {
     let limits = reader.limits(Kind::Frames);
     let Some(program) = reader.program() else {
         let bytes = content(open.file, &limits)?;
@@ -81,6 +103,10 @@ fn decode(
     let name = |label: &str, index: usize, count: usize| {
         if count > 1 { format!("{label}#{index:04}") } else { label.to_owned() }
     };
+    if settings.photo && photo::is_photo(bytes) {
+        let raw = photo::read(bytes, limits)?;
+        return take(raw.into_frame(settings.label.clone().unwrap_or(from_hash), sha256, [0, 1])?);
+    }
     match FileKind::of(bytes) {
         FileKind::Dicom => {
             let images = DicomImages::open(bytes, settings.domain, limits)?;

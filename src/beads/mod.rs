@@ -20,6 +20,7 @@ mod probe;
 mod profile;
 mod shadow;
 mod window;
+pub mod tags;
 
 pub use correspondences::{Correspondence, CorrespondencesError, read_correspondences};
 pub use detect::{Detection, Detections, Expectation, Polarity, Signal, detect, detect_image};

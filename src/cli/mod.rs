@@ -24,6 +24,7 @@ pub mod register;
 pub mod render;
 pub mod replay;
 pub mod spectrum;
+pub mod tags;
 pub mod time;
 pub mod time_changes;
 pub mod trade;
@@ -55,6 +56,7 @@ enum Command {
     Time(time::TimeArgs),
     Register(register::RegisterArgs),
     Pose(pose::PoseArgs),
+    Tags(tags::TagsArgs),
     Compare(compare::CompareArgs),
     Calibrate(calibrate::CalibrateArgs),
     Attach(attach::AttachArgs),
@@ -91,6 +93,7 @@ fn dispatch(command: &Command, reporter: &Reporter) -> u8 {
         Command::Calibrate(args) => end(calibrate::run(args, reporter), reporter),
         Command::Register(args) => end(register::run(args, reporter), reporter),
         Command::Pose(args) => end(pose::run(args, reporter), reporter),
+        Command::Tags(args) => end(tags::run(args, reporter), reporter),
         Command::Attach(args) => end(attach::run(args, reporter), reporter),
         Command::Attenuation(args) => end(attenuation::run(args, &mut std::io::stdout().lock()).map(|()| 0), reporter),
         Command::Spectrum(args) => end(spectrum::run(args, &mut std::io::stdout().lock()).map(|()| 0), reporter),

@@ -3,11 +3,14 @@
 use std::path::PathBuf;
 
 use crate::acquire::{AcquireError, DetectorCalibration, DetectorCalibrationError, Domain, Frame, read_frame};
-use crate::beads::{BeadsError, CorrespondencesError, Landmark, read_correspondences, read_landmarks, read_markups};
+use crate::beads::tags::{TagsError, TagsFileError, find_tags, read_tags};
+use crate::beads::{BeadLayout, BeadsError, CorrespondencesError, Landmark, read_correspondences, read_landmarks, read_markups};
 use crate::geometry::Intrinsics;
 use crate::image::{ImageFileError, refuse_overwrite, write_png_rgb};
 use crate::mask;
-use crate::pose::{IntrinsicsFile, Pose, PoseFileError, Prior, Registration, Shadow, intrinsics_of, register_masked};
+use crate::pose::{
+    IntrinsicsFile, Pose, PoseFileError, Prior, Registration, Shadow, intrinsics_of, register_masked, register_tagged,
+};
 use crate::report;
 use crate::reporter::Reporter;
 
@@ -15,14 +18,19 @@ use crate::reporter::Reporter;
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Example:
   sidecarm register frame.dcm --beads beads.mrk.json --intrinsics K.json --out POSE.json
+  sidecarm register frame.dcm --tags tags.json --intrinsics K.json --out POSE.json
 
 Exit code 0: accepted; 1: refused (POSE.json says why and holds no projection).")]
 pub struct RegisterArgs {
     /// The radiograph: DICOM, 16-bit PNG or TIFF, float TIFF
     pub frame: PathBuf,
     /// Beads: a 3D Slicer point list (.mrk.json or .fcsv); radius_mm=0.75, sigma_mm=0.1 and body=pelvis are read from descriptions
-    #[arg(long, value_name = "BEADS")]
-    pub beads: PathBuf,
+    #[arg(long, value_name = "BEADS", required_unless_present = "tags")]
+    pub beads: Option<PathBuf>,
+    /// AprilTags: {"family": "tag36h11", "tags": [{"id": 3, "size_mm": 12.0, "lps_from_tag": 4x4 rows}, …]}; they start the search for
+    /// beads and are checked against it; without beads the pose is that of the tags
+    #[arg(long, value_name = "TAGS.json")]
+    pub tags: Option<PathBuf>,
     /// K: {"intrinsics": 3x3, "size_px": [columns, rows], "pitch_mm": p}; without it from SID and pixel spacing, else solved
     #[arg(long, value_name = "K.json")]
     pub intrinsics: Option<PathBuf>,
@@ -80,6 +88,12 @@ pub enum RegisterError {
     /// Beads or landmarks.
     #[error(transparent)]
     Beads(#[from] BeadsError),
+    /// The list of tags.
+    #[error(transparent)]
+    TagsFile(#[from] TagsFileError),
+    /// The tag decoder.
+    #[error(transparent)]
+    Tags(#[from] TagsError),
     /// Correspondences.
     #[error(transparent)]
     Correspondences(#[from] CorrespondencesError),
@@ -120,8 +134,10 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
         args.landmarks.as_ref(),
         args.detector.as_ref(),
         args.correspondences.as_ref(),
+        args.beads.as_ref(),
+        args.tags.as_ref(),
     ];
-    let inputs = [&args.frame, &args.beads].into_iter().chain(named.into_iter().flatten());
+    let inputs = std::iter::once(&args.frame).chain(named.into_iter().flatten());
     let outputs: Vec<&PathBuf> = std::iter::once(&args.out).chain(&args.overlay).collect();
     refuse_overwrite(&outputs, &inputs.collect::<Vec<_>>())?;
     if let Some(found) = args.bead_radius
@@ -129,7 +145,8 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
     {
         return Err(RegisterError::Radius { found });
     }
-    let layout = read_markups(&args.beads)?;
+    let layout = args.beads.as_deref().map_or_else(|| Ok(BeadLayout::none()), read_markups)?;
+    let tags = args.tags.as_deref().map(read_tags).transpose()?;
     let landmarks: Vec<Landmark> = args.landmarks.as_deref().map(read_landmarks).transpose()?.unwrap_or_default();
     let correspondences = args.correspondences.as_deref().map(read_correspondences).transpose()?.unwrap_or_default();
     let prior = args.prior.as_deref().map(Prior::read).transpose()?;
@@ -168,7 +185,10 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
         ..Registration::new(frame.size_px.map(|n| n as u32), &layout)
     };
     let masks = mask::of_frame(&frame);
-    let mut pose = register_masked(&request, &frame, &masks);
+    let mut pose = match &tags {
+        Some(tags) => register_tagged(&request, &frame, &masks, tags, &find_tags(&frame, tags.family)?),
+        None => register_masked(&request, &frame, &masks),
+    };
     pose.notes.extend(note);
     pose.write(&args.out)?;
     if let Some(path) = &args.overlay {
@@ -211,13 +231,18 @@ pub fn summary(pose: &Pose, explain: bool) -> String {
     if pose.is_accepted() {
         let number = |value: Option<f64>, digits: usize| value.map_or("?".to_owned(), |v| format!("{v:.digits$}"));
         let with_caution = if pose.cautions.is_empty() { "" } else { " with caution" };
-        lines.push(format!(
-            "accepted{with_caution}: {used} of {} beads, rms {} px = {} mm at the beads, {} accidental matches expected",
-            pose.beads.len(),
-            number(pose.rms_px, 3),
-            number(pose.rms_mm, 3),
-            pose.chance.map_or("?".to_owned(), |chance| format!("{chance:.0e}"))
-        ));
+        let (rms_px, rms_mm) = (number(pose.rms_px, 3), number(pose.rms_mm, 3));
+        if used == 0 {
+            let tags = pose.tags.iter().filter(|tag| tag.used).count();
+            lines
+                .push(format!("accepted{with_caution}: {tags} tags, no beads, corners to {rms_px} px = {rms_mm} mm at the tags"));
+        } else {
+            lines.push(format!(
+                "accepted{with_caution}: {used} of {} beads, rms {rms_px} px = {rms_mm} mm at the beads, {} accidental matches expected",
+                pose.beads.len(),
+                pose.chance.map_or("?".to_owned(), |chance| format!("{chance:.0e}"))
+            ));
+        }
         if let Some(rows) = &pose.covariance_at_centroid {
             let sigma = |n: usize| rows[n][n].sqrt();
             lines.push(format!(
@@ -254,6 +279,18 @@ pub fn summary(pose: &Pose, explain: bool) -> String {
                 _ => lines.push(format!("{:16} not used: {}", bead.name, bead.reason.as_deref().unwrap_or("no shadow"))),
             }
         }
+    }
+    for tag in &pose.tags {
+        let [[u, v], ..] = tag.corners_px;
+        let off = tag.residual_px.map_or(String::new(), |off| format!(", corners {off:.2} px from where P puts them"));
+        let why = tag.reason.as_deref().map_or(String::new(), |why| format!("  not used: {why}"));
+        let mirrored = if tag.mirrored { ", mirrored" } else { "" };
+        lines.push(format!(
+            "tag {} {}: first corner {u:.2}, {v:.2} px, margin {:.0}{mirrored}{off}{why}",
+            tag.family, tag.id, tag.margin
+        ));
+    }
+    if pose.is_accepted() {
         for landmark in &pose.landmarks {
             let [x, y, z] = landmark.sigma_mm;
             let px = landmark.sigma_px.map_or(String::new(), |[u, v]| format!(", {u:.2}, {v:.2} px"));

@@ -85,6 +85,7 @@ impl Case<'_> {
             centroid_lps_mm: Some(pose.inverse().transform_point(centroid)),
             landmarks: landmarks.collect(),
             beads,
+            tags: Vec::new(),
             detections: self.detections.len(),
             shadows,
             fused: self.request.fuse,

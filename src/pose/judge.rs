@@ -21,7 +21,7 @@ const MOST_CHI2_PER_DOF: f64 = 9.0;
 /// Relative standard deviation of a solved focal length beyond which K is refused, and beyond which it is mentioned.
 const FOCAL_SIGMA: (f64, f64) = (0.10, 0.02);
 /// Standard deviations at the bead centroid, at most: rotation (degrees), shift across the beam, shift along it (mm).
-const MOST_SIGMA: [f64; 3] = [3.0, 3.0, 40.0];
+pub(super) const MOST_SIGMA: [f64; 3] = [3.0, 3.0, 40.0];
 
 impl Case<'_> {
     /// The pose, or the refusal, that a candidate comes to.

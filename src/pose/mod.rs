@@ -19,15 +19,19 @@ mod search;
 mod settle;
 mod solve;
 mod start;
+mod tagged;
 mod transform;
 mod triangle;
 mod verdict;
+mod with_tags;
 
 pub use case::PRIOR_SIGMA;
 pub use record::{
     BeadResidual, BodyPose, Covariance, IntrinsicsFile, LandmarkUncertainty, Pose, PoseFileError, Prior, Shadow, Status,
+    TagResidual,
 };
 pub use refusal::{Points, Refusal, Rival};
 pub use register::{intrinsics_of, register, register_masked, register_shadows};
 pub use request::Registration;
 pub use solve::{Free, IntrinsicsPrior};
+pub use with_tags::register_tagged;

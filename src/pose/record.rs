@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::refusal::Refusal;
 use crate::beads::Detection;
+use crate::beads::tags::Family;
 use crate::geometry::{Intrinsics, Projection, Rigid};
 use crate::image::{ImageFileError, write_atomically};
 
@@ -115,6 +116,30 @@ impl Shadow {
     }
 }
 
+/// A tag's part in a pose.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TagResidual {
+    /// Number in its family.
+    pub id: u32,
+    /// The family.
+    pub family: Family,
+    /// Lower left, lower right, upper right, upper left of the tag as it is read.
+    pub corners_px: [[f64; 2]; 4],
+    /// Mean distance of its bits from the threshold, in 256 steps of the window.
+    pub margin: f64,
+    /// It is light where the printed tag is dark.
+    pub inverted: bool,
+    /// It reads only in the mirror image.
+    pub mirrored: bool,
+    /// √mean(dx² + dy²) of its corners against P; absent without a pose, or when the tag is not listed.
+    pub residual_px: Option<f64>,
+    /// Whether it started the search or P rests on it, and P agrees with it.
+    pub used: bool,
+    /// Why not, if not.
+    pub reason: Option<String>,
+}
+
 /// A rigid part and where it is.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -201,6 +226,9 @@ pub struct Pose {
     pub landmarks: Vec<LandmarkUncertainty>,
     /// All beads of the layout, in its order.
     pub beads: Vec<BeadResidual>,
+    /// The tags that were seen, by id.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub tags: Vec<TagResidual>,
     /// Shadows found.
     pub detections: usize,
     /// The shadows, best first.

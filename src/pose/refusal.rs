@@ -158,6 +158,46 @@ pub enum Refusal {
         "uncertain: standard deviation at the beads is {turn_deg:.2}°, {across_mm:.2} mm across and {along_mm:.1} mm along the beam (limits {:.0}°, {:.0} mm, {:.0} mm)", limits[0], limits[1], limits[2]
     )]
     Uncertain { turn_deg: f64, across_mm: f64, along_mm: f64, limits: [f64; 3] },
+    /// Tags give a pose only to a known camera.
+    #[error("tags_without_intrinsics: tags give a pose only where K is known; give --intrinsics")]
+    TagsWithoutIntrinsics,
+    /// None of the listed tags is seen.
+    #[error("no_tags: none of the {listed} listed tags reads in the frame{}", others_seen(others))]
+    NoTags { listed: usize, others: Vec<u32> },
+    /// Tags read only in the mirror image.
+    #[error(
+        "mirrored: tags {tags:?} read only in the frame's mirror image: the frame is mirrored (un-mirror it at the console), or they are seen from behind, which beads would tell"
+    )]
+    MirroredTags { tags: Vec<u32> },
+    /// Too few tags agree.
+    #[error(
+        "tags_disagree: {agreeing} of the tags {tags:?} agree on a pose; check their ids, size_mm and lps_from_tag, and K; one tag alone must read without a corrected bit"
+    )]
+    TagsDisagree { tags: Vec<u32>, agreeing: usize },
+    /// Corners that are no square's.
+    #[error(
+        "tag_corners: the corners of tags {tags:?} fit {times:.1} times worse than they are measured (limit {limit:.0}); check size_mm, lps_from_tag and K"
+    )]
+    TagCorners { tags: Vec<u32>, times: f64, limit: f64 },
+    /// The two poses of a plane.
+    #[error(
+        "ambiguous: the corners of tags {tags:?} lie in a plane, and the pose tilted the other way, {angle_deg:.1}° and {shift_mm:.1} mm away, fits nearly as well (χ² {worse:.1} more, {limit:.0} are needed); bring beads or a tag in another plane into view"
+    )]
+    FlatTags { tags: Vec<u32>, angle_deg: f64, shift_mm: f64, worse: f64, limit: f64 },
+    /// Tags against the prior.
+    #[error(
+        "prior_contradicted: the pose of tags {tags:?} is {angle_deg:.1}° and {shift_mm:.1} mm away from the prior, more than it allows; check both, or leave the prior out (--ignore-prior)"
+    )]
+    PriorAgainstTags { tags: Vec<u32>, angle_deg: f64, shift_mm: f64 },
+    /// Tags against beads.
+    #[error(
+        "tags_contradicted: {beads} beads agree on a pose that puts the corners of tags {tags:?} up to {off_px:.1} px off, and the tags agree on one {angle_deg:.1}° and {shift_mm:.1} mm away; have the tags moved against the beads, or is lps_from_tag or size_mm wrong?"
+    )]
+    TagsContradicted { tags: Vec<u32>, off_px: f64, beads: usize, angle_deg: f64, shift_mm: f64 },
+}
+
+fn others_seen(others: &[u32]) -> String {
+    if others.is_empty() { String::new() } else { format!("; others do: {others:?}") }
 }
 
 fn has(points: Points) -> &'static str {

@@ -2,7 +2,6 @@
 
 /// A family of tags, by the name that the AprilTag library gives it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[expect(clippy::enum_variant_names, reason = "the names that are printed on tag sheets")]
 pub enum Family {
     /// 16 bits, Hamming distance 5: many accidental readings.
     #[serde(rename = "tag16h5")]

@@ -1,5 +1,6 @@
 //! The seam to the AprilTag library: 8-bit pixels in, quadrilaterals that decode out.
 
+#[cfg(feature = "vision")]
 use glam::DVec2;
 
 use super::seen::TagsError;

@@ -43,6 +43,7 @@ pub struct SeenTag {
 }
 
 impl SeenTag {
+    #[cfg(feature = "vision")]
     pub(super) fn is_finite(&self) -> bool {
         self.margin.is_finite() && self.centre_px.is_finite() && self.corners_px.iter().all(|corner| corner.is_finite())
     }

@@ -39,6 +39,8 @@ enum State {
 /// What is known of a name.
 #[derive(Debug)]
 struct Entry {
+    /// This version was said to have vanished.
+    said_gone: bool,
     /// The version.
     stamp: FileStamp,
     /// Host clock when this version was first seen.
@@ -67,6 +69,8 @@ pub struct FolderSource {
     entries: BTreeMap<OsString, Entry>,
     not_files: BTreeMap<OsString, NotRegular>,
     departed: VecDeque<(FileStamp, Option<String>)>,
+    /// Versions that were said to have vanished before they were read: a notice of them may come later.
+    vanished: VecDeque<FileStamp>,
     held: HeldCount,
     notices: Notices,
     told: (Sender<Told>, Receiver<Told>),
@@ -89,6 +93,7 @@ impl FolderSource {
             entries: BTreeMap::new(),
             not_files: BTreeMap::new(),
             departed: VecDeque::new(),
+            vanished: VecDeque::new(),
             notices: Notices::of(folder, &held, is_wanted),
             held,
             told: channel(),
@@ -172,7 +177,9 @@ impl FolderSource {
 
     fn add(&mut self, name: OsString, stamp: FileStamp, now_us: i64) {
         self.seen += 1;
+        let said_gone = self.vanished.contains(&stamp);
         let entry = Entry {
+            said_gone,
             stamp,
             since_us: now_us,
             state: State::Settling,
@@ -194,6 +201,7 @@ impl FolderSource {
         entry.stamp = stamp;
         entry.since_us = now_us;
         entry.take_holes = false;
+        entry.said_gone = false;
         // That a version which was read has been completed says nothing about the next one.
         if !same_file || stamp.bytes != before.bytes || !matches!(entry.state, State::Settling) {
             entry.closed = None;
@@ -296,11 +304,18 @@ impl FolderSource {
             match (entry.state, entry.held) {
                 (State::Settling, Some(held)) => {
                     let stamp = held.open.file.metadata().map_or(entry.stamp, |metadata| FileStamp::of(&metadata));
-                    let offer = self.offer(&name, stamp, now_us, Some(held), entry.earlier, label, true, entry.take_holes);
+                    let offer =
+                        self.offer(&name, stamp, now_us, Some(held), entry.earlier, label, !entry.said_gone, entry.take_holes);
                     found.push(offer);
                 }
                 (State::Settling | State::Unfinished(_), _) => {
-                    found.push(Sighting::Trouble(Trouble::Vanished { label }));
+                    if !entry.said_gone {
+                        found.push(Sighting::Trouble(Trouble::Vanished { label }));
+                        self.vanished.push_back(entry.stamp);
+                    }
+                    if self.vanished.len() > REMEMBERED {
+                        self.vanished.pop_front();
+                    }
                 }
                 (State::Done, _) => {
                     self.departed.push_back((entry.stamp, entry.earlier));

@@ -29,7 +29,6 @@ mod beads_in_ct;
 mod beads_drawn;
 mod beads_layout;
 mod pose_bodies;
-mod estimate_core;
 #[cfg(feature = "vision")]
 mod tags_drawn;
 #[cfg(feature = "vision")]
@@ -64,6 +63,8 @@ mod render_executors;
 mod render_extreme_places;
 mod render_extremes;
 mod render_fixed;
+mod estimate_core;
+mod estimate_jacobians;
 mod evaluate;
 mod evaluate_drawn;
 mod render_slabs;

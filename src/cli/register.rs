@@ -159,14 +159,15 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
         Some(path) => {
             let file = IntrinsicsFile::read(path)?;
             let found = frame.size_px.map(|n| n as u32);
-            let pitch_mm = file.pitch_mm.or(frame.tags.pitch_mm.map(|pitch| pitch[0]));
+            let tagged_pitch_mm = frame.tags.pitch_mm.map(|pitch| pitch[0]);
             match file.size_px.filter(|expected| *expected != found) {
-                None => (Some(file.intrinsics), pitch_mm),
+                None => (Some(file.intrinsics), file.pitch_mm.or(tagged_pitch_mm)),
                 Some(expected) => {
                     let size = RegisterError::Size { path: path.clone(), expected, frame: args.frame.clone(), found };
                     let factor = binning(expected, found).ok_or(size)?;
                     note = Some(format!("K is for {expected:?} px: the frame is taken as binned {factor} x {factor}"));
-                    (Some(file.intrinsics.binned(f64::from(factor))), file.pitch_mm.map(|pitch| pitch * f64::from(factor)))
+                    let pitch_mm = file.pitch_mm.map(|pitch| pitch * f64::from(factor)).or(tagged_pitch_mm);
+                    (Some(file.intrinsics.binned(f64::from(factor))), pitch_mm)
                 }
             }
         }

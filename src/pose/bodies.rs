@@ -69,7 +69,7 @@ pub(super) fn apart(request: &Registration, detections: &[Detection], one: Pose,
         register(&Registration { layout: &layout, correspondences: &correspondences, ..changed }, detections)
     };
     let first = alone(reference, *request, detections);
-    let Some((intrinsics, camera_from_lps)) = first.camera() else { return one };
+    let Some((intrinsics, camera_from_lps)) = first.camera() else { return split(one, others) };
     let prior = Prior { camera_from_lps, covariance: None };
     let mut left: Vec<Detection> = without(detections, &first);
     let mut bodies: Vec<Apart> = Vec::new();

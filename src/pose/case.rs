@@ -88,13 +88,17 @@ impl<'a> Case<'a> {
         Gate { camera_from_lps: prior.camera_from_lps, information, limit }
     }
 
-    /// Whether the prior says that the pose cannot be.
+    /// Squared deviation from the prior in its standard deviations (six degrees of freedom), and the limit of its gate; `None` without a
+    /// prior that holds.
+    pub fn off_prior(&self, pose: &Rigid) -> Option<(f64, f64)> {
+        let gate = self.gate(self.request.prior.filter(|_| !self.without_prior)?);
+        let r = deviation(pose, &gate.camera_from_lps);
+        Some(((r.transpose() * gate.information * r)[(0, 0)], gate.limit))
+    }
+
+    /// Whether the prior, if it holds, says that the pose cannot be.
     pub fn gate_excludes(&self, pose: &Rigid) -> bool {
-        self.request.prior.is_some_and(|prior| {
-            let gate = self.gate(prior);
-            let r = deviation(pose, &gate.camera_from_lps);
-            !((r.transpose() * gate.information * r)[(0, 0)] <= gate.limit)
-        })
+        self.off_prior(pose).is_some_and(|(squares, limit)| !(squares <= limit))
     }
 
     /// A search of some of the shadows, `own` telling which each is among all.

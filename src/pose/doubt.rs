@@ -10,9 +10,9 @@ use super::case::Case;
 use super::refusal::{Refusal, Rival};
 use super::search::{Gate, Hypothesis, Search, information_about};
 use super::settle::Settled;
-use super::solve::{Free, Match, Options, deviation, solve};
+use super::solve::{Free, Match, Options, solve};
 use crate::beads::{Detection, Probe};
-use crate::geometry::Intrinsics;
+use crate::geometry::{Intrinsics, Rigid};
 
 /// A bead is missing for certain where its place is less deep than this share of the others' contrast …
 const LEAST_SHARE: f64 = 0.3;
@@ -39,9 +39,9 @@ const NEARER: f64 = 12.0;
 const SURE_MATCHED: usize = 6;
 /// χ² per degree of freedom beyond which residuals are a reason for doubt, where one shadow lies beside its bead's place, and where more do.
 const LOOSE_CHI2: f64 = 4.0;
+const LOOSE_CHI2_OF_SEVERAL: f64 = 2.25;
 /// From here on the mirror image is looked at.
 const UNEASY_CHI2: f64 = 1.5;
-const LOOSE_CHI2_OF_SEVERAL: f64 = 2.25;
 /// Fitted over true radius of a bead: blur of the intensity makes thick metal's shadow smaller than that of its line integral.
 const USUAL_RADIUS: f64 = 0.97;
 /// Relative differences of the radius from which on it is said, and refused.
@@ -75,15 +75,9 @@ struct Besides {
     unexplained: Vec<usize>,
 }
 
-/// What is left to say of a match that is believed.
-pub(super) struct Doubts {
-    /// A person should look at these.
-    pub cautions: Vec<String>,
-}
-
 impl Case<'_> {
-    /// Refuses a match although it fits, or says what to look at.
-    pub fn doubt(&self, last: &Settled, hypothesis: &Hypothesis) -> Result<Doubts, Refusal> {
+    /// Refuses a match although it fits, or gives the cautions that a person should look at.
+    pub fn doubt(&self, last: &Settled, hypothesis: &Hypothesis) -> Result<Vec<String>, Refusal> {
         let matched = last.matches.len();
         let besides = self.besides(last);
         let Besides { missing, displaced, unexplained } = &besides;
@@ -109,7 +103,7 @@ impl Case<'_> {
         if !missing.is_empty() {
             cautions.push(format!("not seen although their places are clear: {}", missing.join(", ")));
         }
-        Ok(Doubts { cautions })
+        Ok(cautions)
     }
 
     /// Whether no other reading of all shadows, wherever it puts the camera, explains as many beads.
@@ -118,7 +112,7 @@ impl Case<'_> {
         if matched < SURE_MATCHED || missing >= matched {
             return false;
         }
-        let best = self.search_all(self.detections, Some, &last.solution.intrinsics, None, BUDGET);
+        let best = self.search_all(self.detections, Some, &last.solution.intrinsics, None);
         let pose = &last.solution.camera_from_lps;
         best.is_some_and(|(best, _)| {
             let (angle_deg, shift_mm) = self.distance(&best.camera_from_lps, pose);
@@ -201,7 +195,7 @@ impl Case<'_> {
         }
         let Some(second) = self.second_near(last, unexplained) else { return Ok(()) };
         let explains = second.matches.len();
-        let squares = |pose: &crate::geometry::Rigid| self.prior_squares(pose).unwrap_or(0.0);
+        let squares = |pose: &Rigid| self.off_prior(pose).map_or(0.0, |(squares, _)| squares);
         let nearer_the_prior = squares(&last.solution.camera_from_lps) - squares(&second.camera_from_lps) > NEARER;
         if nearer_the_prior || 3 * explains >= 2 * unexplained.len() {
             return Err(refusal(&second));
@@ -214,18 +208,10 @@ impl Case<'_> {
         Ok(())
     }
 
-    /// Squared deviation from the prior in its standard deviations (six degrees of freedom).
-    fn prior_squares(&self, pose: &crate::geometry::Rigid) -> Option<f64> {
-        let gate = self.gate(self.request.prior?);
-        let r = deviation(pose, &gate.camera_from_lps);
-        Some((r.transpose() * gate.information * r)[(0, 0)])
-    }
-
     /// A pose that few beads carry is not believed far from the prior; of others it is said.
     fn check_prior(&self, last: &Settled, cautions: &mut Vec<String>) -> Result<(), Refusal> {
         let pose = &last.solution.camera_from_lps;
-        let (Some(prior), false) = (self.request.prior, self.without_prior) else { return Ok(()) };
-        let squares = self.prior_squares(pose).unwrap_or(0.0);
+        let Some((prior, (squares, _))) = self.request.prior.zip(self.off_prior(pose)) else { return Ok(()) };
         if squares <= FAR_FROM_PRIOR {
             return Ok(());
         }
@@ -338,7 +324,7 @@ impl Case<'_> {
         let information = information_about(last.solution.centroid_mm, NEAR_SIGMA.0, NEAR_SIGMA.1);
         let gate = Gate { camera_from_lps, information, limit: NEAR_LIMIT };
         let own = |n: usize| unexplained.get(n).copied();
-        let (found, tried) = self.search_all(&shadows, own, &last.solution.intrinsics, Some(gate), BUDGET)?;
+        let (found, tried) = self.search_all(&shadows, own, &last.solution.intrinsics, Some(gate))?;
         (self.chance_among(&found, tried, &shadows) < NEAR_CHANCE).then_some(found)
     }
 
@@ -359,7 +345,7 @@ impl Case<'_> {
         {
             return None;
         }
-        let (itself, _) = self.search_all(self.detections, Some, k, None, BUDGET).unzip();
+        let (itself, _) = self.search_all(self.detections, Some, k, None).unzip();
         let as_well =
             itself.is_some_and(|itself| itself.matches.len() + 1 >= mirrored && itself.rms_px < MIRROR_FIT * found.rms_px);
         (!as_well).then_some(Refusal::Mirrored { mirrored, rms_px: found.rms_px, matched })
@@ -384,17 +370,16 @@ impl Case<'_> {
         found.hypotheses.into_iter().find(|hypothesis| accident(hypothesis, found.tried) < RIVAL_CHANCE)
     }
 
-    /// The best match of `shadows` after all tries that `budget` allows, and their number.
+    /// The best match of `shadows` after all tries that are allowed, and their number.
     fn search_all(
         &self,
         shadows: &[Detection],
         own: impl Fn(usize) -> Option<usize>,
         k: &Intrinsics,
         gate: Option<Gate>,
-        budget: u64,
     ) -> Option<(Hypothesis, u64)> {
         let targets = self.targets();
-        let search = Search { budget, ..self.search(&targets, shadows, own, k, gate) };
+        let search = Search { budget: BUDGET, ..self.search(&targets, shadows, own, k, gate) };
         let found = search.run(|_, _| false);
         found.hypotheses.into_iter().next().map(|best| (best, found.tried))
     }

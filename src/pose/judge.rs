@@ -4,7 +4,6 @@ use glam::DVec3;
 use nalgebra::DMatrix;
 
 use super::case::Case;
-use super::doubt::Doubts;
 use super::flat::off_plane;
 use super::propose::Candidate;
 use super::record::Pose;
@@ -54,7 +53,7 @@ impl Case<'_> {
             return Err(Refusal::Residual { matched, rms_px, times, limit });
         }
         self.check_twins(candidate, &settled, &hypothesis)?;
-        let Doubts { cautions } = self.doubt(&settled, &hypothesis)?;
+        let cautions = self.doubt(&settled, &hypothesis)?;
         let covariance = &settled.solution.covariance * settled.chi2_per_dof.max(1.0);
         self.check_uncertainty(&settled, &covariance, notes)?;
         if settled.chi2_per_dof > 1.5 {
@@ -99,10 +98,8 @@ impl Case<'_> {
         let scale = settled.chi2_per_dof.max(1.0);
         let (matched, prior_given) = (hypothesis.matches.len(), self.request.prior.is_some());
         // With K unknown the search was not held to the prior.
-        let others: Vec<Hypothesis> = match self.without_prior {
-            true => candidate.others.clone(),
-            false => candidate.others.iter().filter(|other| !self.gate_excludes(&other.camera_from_lps)).cloned().collect(),
-        };
+        let others: Vec<Hypothesis> =
+            candidate.others.iter().filter(|other| !self.gate_excludes(&other.camera_from_lps)).cloned().collect();
         if let Some(other) = rival(&candidate.hypothesis, &others, scale) {
             let (angle_deg, shift_mm) = self.distance(&other.camera_from_lps, &hypothesis.camera_from_lps);
             return Err(Refusal::Ambiguous {

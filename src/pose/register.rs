@@ -106,13 +106,13 @@ impl Case<'_> {
 
     /// Looks everywhere, and says how far that is from the prior. `None` where what was found near the prior says more.
     fn without_prior(&mut self, prior: &Prior, nothing_near: bool, notes: &[String]) -> Option<Pose> {
-        self.without_prior = true;
         let found = self.propose(None)?;
         let (angle_deg, shift_mm) = self.distance(&prior.camera_from_lps, &found.hypothesis.camera_from_lps);
         let half_turn = Rigid::exp(DVec3::Z * std::f64::consts::PI, DVec3::ZERO);
         if !self.gate_excludes(&(found.hypothesis.camera_from_lps * half_turn)) {
             return Some(self.refuse(&Refusal::Axes { matched: found.hypothesis.matches.len() }, notes.to_vec()));
         }
+        self.without_prior = true;
         // Who states a covariance means it.
         if prior.covariance.is_some() && !self.request.ignore_prior {
             let (matched, rms_px) = (found.hypothesis.matches.len(), found.hypothesis.rms_px);

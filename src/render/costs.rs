@@ -367,10 +367,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn costs_are_sound_and_more_work_costs_more() {
+    fn costs_measured_here_are_sound_and_nan_is_not() {
         let costs = measure();
         assert!(costs.is_sound(), "{costs:?}");
         assert!(!Costs { noise_ns: f64::NAN, ..costs.clone() }.is_sound());
+        assert!(!Costs { threads: 0, ..costs }.is_sound());
+    }
+
+    // With written costs: what a crowded machine measures may say anything of one part against another.
+    #[test]
+    fn more_work_costs_more() {
+        let costs = Costs { threads: 2, ..Costs::default() };
         let work = Work { pixels: 1e5, rays: 1e5, slabs_per_ray: 100.0, materials: 2, energies: 8, ..Work::default() };
         let ms = costs.predict_ms(&work, Sampling::ExactSlabs);
         assert!(ms > 0.0);
@@ -380,7 +387,7 @@ mod tests {
         // Half a tile more than the cores take at a time: a second round.
         let tiles = |count: f64| costs.predict_ms(&Work { pixels: count * TILE_PX, rays: 0.0, ..work }, Sampling::ExactSlabs);
         let threads = costs.threads as f64;
-        assert!(costs.threads == 1 || tiles(threads + 1.0) - costs.image_ms > 1.2 * (tiles(threads) - costs.image_ms));
+        assert!(tiles(threads + 1.0) - costs.image_ms > 1.2 * (tiles(threads) - costs.image_ms));
         assert!(costs.predict_ms(&Work { filled_per_ray: 80.0, ..work }, Sampling::ExactSlabs) < ms);
         assert!(costs.predict_ms(&Work { rays: 2.5e4, ..work }, Sampling::ExactSlabs) < ms);
         assert!(costs.predict_ms(&Work { walked_share: 0.5, ..work }, Sampling::ExactSlabs) > 2.0 * ms);

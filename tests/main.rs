@@ -39,6 +39,7 @@ mod pose_request;
 mod pose_synthetic;
 mod pose_angles;
 mod pose_command;
+mod pose_console;
 mod pose_convert;
 mod pose_refused_formats;
 mod live_numbers;

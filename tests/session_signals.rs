@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use sidecarm::time::Stopwatch;
 
-use crate::live_lab::{Lab, Live, Signal, copies, eventually, many_images};
+use crate::live_lab::{HANG_S, Lab, Live, Signal, copies, eventually, many_images};
 
 /// A signal is heard within this, among other tests on a crowded machine;
 /// alone it is 100 ms.
@@ -18,7 +18,7 @@ fn quiet_lab(seconds: &str) -> Option<(Lab, PathBuf, tempfile::TempDir)> {
     let frame = folder.path().join("frame.dcm");
     {
         let kit = Lab::start(&["--kit-only", "--exposures", "1"])?;
-        let made = eventually(60.0, || std::fs::read_dir(kit.frames()).ok()?.flatten().next()).expect("a frame");
+        let made = eventually(HANG_S, || std::fs::read_dir(kit.frames()).ok()?.flatten().next()).expect("a frame");
         std::thread::sleep(Duration::from_millis(200));
         std::fs::copy(made.path(), &frame).expect("copied");
     }
@@ -77,8 +77,7 @@ fn every_signal_ends_the_session_in_order() {
         deliver(&files, &lab);
         std::thread::sleep(Duration::from_millis(1_500));
         let (heard_ms, signal_us) = live.signalled(signal);
-        let status =
-            live.program.end(60.0).unwrap_or_else(|| panic!("{signal:?}: still there after a minute: {}", live.stderr()));
+        let status = live.program.end(HANG_S).unwrap_or_else(|| panic!("{signal:?}: still there: {}", live.stderr()));
         let words = live.stderr();
         assert_eq!(status.code(), Some(0), "{signal:?}: {words} {}", live.stdout());
         assert!(live.report().contains("</html>"), "{signal:?}: no report");

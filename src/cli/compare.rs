@@ -9,7 +9,7 @@ use crate::compare::{
     AirLevel, CompareError, CompareInput, Compared, NULL_SCORES, NullRenders, OffsetRule, Tone, bead_marks, compare, elsewhere,
     tool_mask,
 };
-use crate::geometry::View;
+use crate::geometry::{PanelWindow, View};
 use crate::gpu::DeviceChoice;
 use crate::image::{Image, ImageFileError, read_tiff_f32, refuse_overwrite, sha256_file, write_atomically, write_png_rgb};
 use crate::pose::{BeadResidual, Pose, PoseFileError};
@@ -142,14 +142,20 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
     let mut inputs: Vec<PathBuf> = named.into_iter().flatten().cloned().collect();
     inputs.extend(["json", "valid.png"].map(|suffix| beside(&args.simulated, suffix)));
     refuse_overwrite(&[&json_path, &strip_path], &inputs)?;
+    let pose = args.pose.as_deref().map(Pose::read).transpose()?;
     let mut frame = read_frame(&args.acquired, args.domain)?;
+    let mut window = PanelWindow::WHOLE;
+    // The pose is that of the picture with the console's doing undone.
+    if let Some(console) = pose.as_ref().and_then(|pose| pose.console.as_ref()) {
+        window = console.window(frame.size_px.map(|side| side as u32));
+        frame = frame.oriented(console, pose.as_ref().and_then(|pose| pose.detector.as_ref()?.size_px));
+    }
     if let Some(path) = &args.detector {
-        frame = DetectorCalibration::apply_file(path, &frame)?;
+        frame = DetectorCalibration::apply_file(path, &frame, window)?;
     }
     let simulated = read_simulated(&args.simulated, args.quantity.as_deref())?;
     let valid = read_valid(&args.simulated)?;
     let extra = args.mask.as_deref().map(read_mask).transpose()?;
-    let pose = args.pose.as_deref().map(Pose::read).transpose()?;
     let scene = args.scene.as_deref().map(|path| load(path, false, reporter)).transpose()?;
     if let (Some(path), Some(scene)) = (&args.scene, &scene) {
         refuse_overwrite(&[&json_path, &strip_path], &input_files(path, scene))?;

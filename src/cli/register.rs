@@ -5,11 +5,12 @@ use std::path::PathBuf;
 use crate::acquire::{AcquireError, DetectorCalibration, DetectorCalibrationError, Domain, Frame, read_frame};
 use crate::beads::tags::{TagsError, TagsFileError, find_tags, read_tags};
 use crate::beads::{BeadLayout, BeadsError, CorrespondencesError, Landmark, read_correspondences, read_landmarks, read_markups};
-use crate::geometry::Intrinsics;
+use crate::geometry::{ConsoleError, ConsoleGeometry, Intrinsics, PanelWindow};
 use crate::image::{ImageFileError, refuse_overwrite, write_png_rgb};
-use crate::mask;
+use crate::mask::{self, Masks};
 use crate::pose::{
-    IntrinsicsFile, Pose, PoseFileError, Prior, Registration, Shadow, intrinsics_of, register_masked, register_tagged,
+    IntrinsicsFile, Panel, Pose, PoseFileError, Prior, Registration, Shadow, SolvedConsole, intrinsics_of, read_console,
+    register_masked, register_tagged, solve_console, whole_binning,
 };
 use crate::report;
 use crate::reporter::Reporter;
@@ -37,6 +38,11 @@ pub struct RegisterArgs {
     /// Where the pose is expected: a pose file, only camera_from_lps (and covariance) are used
     #[arg(long, value_name = "POSE.json")]
     pub prior: Option<PathBuf>,
+    /// What the console did to the panel's picture: a file with the keys of a session's "console" (rotation_deg, flip, crop_px, binning,
+    /// zoom, or detector_from_image as 3x3 rows), or `solve`: found from the beads, with K of the panel and a prior; K and prior are then
+    /// those of the panel
+    #[arg(long, value_name = "FILE.json|solve")]
+    pub console: Option<PathBuf>,
     /// Take the prior as a measurement, not only as a gate
     #[arg(long, requires = "prior")]
     pub fuse: bool,
@@ -109,6 +115,19 @@ pub enum RegisterError {
         /// What was typed.
         found: f64,
     },
+    /// Nothing says what the panel's picture would be.
+    #[error(
+        "--console solve needs --intrinsics K.json with size_px, the panel's, and --prior POSE.json: beads cannot tell a turned picture from a turned camera"
+    )]
+    SolveWhat,
+    /// The console's geometry does not fit frame and panel.
+    #[error("{path}: {error}", path = path.display())]
+    Console {
+        /// What states it.
+        path: PathBuf,
+        /// Why not.
+        error: ConsoleError,
+    },
     /// K is for another frame.
     #[error("{path}: K is for frames of {expected:?} px, {frame} has {found:?} px, which no binning gives: the console cropped or zoomed it; give K of the frame as it is", path = path.display(), frame = frame.display())]
     Size {
@@ -134,6 +153,7 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
         args.landmarks.as_ref(),
         args.detector.as_ref(),
         args.correspondences.as_ref(),
+        args.console.as_ref(),
         args.beads.as_ref(),
         args.tags.as_ref(),
     ];
@@ -150,33 +170,9 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
     let landmarks: Vec<Landmark> = args.landmarks.as_deref().map(read_landmarks).transpose()?.unwrap_or_default();
     let correspondences = args.correspondences.as_deref().map(read_correspondences).transpose()?.unwrap_or_default();
     let prior = args.prior.as_deref().map(Prior::read).transpose()?;
-    let mut frame = read_frame(&args.frame, args.domain)?;
-    if let Some(path) = &args.detector {
-        frame = DetectorCalibration::apply_file(path, &frame)?;
-    }
-    let mut note = None;
-    let (intrinsics, pitch_mm) = match &args.intrinsics {
-        Some(path) => {
-            let file = IntrinsicsFile::read(path)?;
-            let found = frame.size_px.map(|n| n as u32);
-            let tagged_pitch_mm = frame.tags.pitch_mm.map(|pitch| pitch[0]);
-            match file.size_px.filter(|expected| *expected != found) {
-                None => (Some(file.intrinsics), file.pitch_mm.or(tagged_pitch_mm)),
-                Some(expected) => {
-                    let size = RegisterError::Size { path: path.clone(), expected, frame: args.frame.clone(), found };
-                    let factor = binning(expected, found).ok_or(size)?;
-                    note = Some(format!("K is for {expected:?} px: the frame is taken as binned {factor} x {factor}"));
-                    let pitch_mm = file.pitch_mm.map(|pitch| pitch * f64::from(factor)).or(tagged_pitch_mm);
-                    (Some(file.intrinsics.binned(f64::from(factor))), pitch_mm)
-                }
-            }
-        }
-        None => from_header(&frame, &mut note),
-    };
+    let frame = read_frame(&args.frame, args.domain)?;
+    let file = args.intrinsics.as_deref().map(IntrinsicsFile::read).transpose()?;
     let request = Registration {
-        intrinsics,
-        pitch_mm,
-        prior: prior.as_ref(),
         fuse: args.fuse,
         ignore_prior: args.ignore_prior,
         one_body: args.one_body,
@@ -185,15 +181,43 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
         bead_radius_mm: args.bead_radius,
         ..Registration::new(frame.size_px.map(|n| n as u32), &layout)
     };
+    let mut notes = Vec::new();
+    let console = match args.console.as_deref() {
+        Some(path) if path.as_os_str() == "solve" => match solved(&request, &frame, file.as_ref(), prior)? {
+            Ok(found) => {
+                notes.push(found.words);
+                Some((found.console, found.with_intrinsics))
+            }
+            Err(pose) => return answer(args, &frame, pose, None, reporter),
+        },
+        Some(path) => Some((read_console(path)?, false)),
+        None => None,
+    };
+    let seen = Seen::of(args, frame, file.as_ref(), console.as_ref(), &mut notes)?;
+    let prior = prior.map(|prior| prior.turned(seen.turn_rad));
+    let Seen { frame, intrinsics, pitch_mm, .. } = seen;
+    let size_px = frame.size_px.map(|n| n as u32);
+    let request = Registration { intrinsics, pitch_mm, prior: prior.as_ref(), size_px, ..request };
     let masks = mask::of_frame(&frame);
     let mut pose = match &tags {
         Some(tags) => register_tagged(&request, &frame, &masks, tags, &find_tags(&frame, tags.family)?),
         None => register_masked(&request, &frame, &masks),
     };
-    pose.notes.extend(note);
+    pose.notes.extend(notes);
+    answer(args, &frame, pose, Some(masks), reporter)
+}
+
+/// Writes and prints.
+fn answer(
+    args: &RegisterArgs,
+    frame: &Frame,
+    pose: Pose,
+    masks: Option<Masks>,
+    reporter: &Reporter,
+) -> Result<u8, RegisterError> {
     pose.write(&args.out)?;
     if let Some(path) = &args.overlay {
-        write_png_rgb(path, &report::overlay(&frame, &pose, &masks))?;
+        write_png_rgb(path, &report::overlay(frame, &pose, &masks.unwrap_or_else(|| mask::of_frame(frame))))?;
     }
     if args.json {
         match serde_json::to_string_pretty(&pose) {
@@ -206,19 +230,89 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
     Ok(u8::from(!pose.is_accepted()))
 }
 
-/// Whole number of panel pixels along the side of one of the frame's, if that is what makes the sizes differ.
-fn binning(panel: [u32; 2], frame: [u32; 2]) -> Option<u32> {
-    (2..=8).find(|factor| panel.map(|n| n / factor) == frame && panel.iter().zip(frame).all(|(n, m)| n - m * factor < *factor))
+/// What the console did, from the beads; a pose that says why not where they do not tell.
+fn solved(
+    request: &Registration,
+    frame: &Frame,
+    file: Option<&IntrinsicsFile>,
+    prior: Option<Prior>,
+) -> Result<Result<SolvedConsole, Pose>, RegisterError> {
+    let panel = file.and_then(|file| Some(Panel { intrinsics: file.intrinsics, size_px: file.size_px?, prior: prior? }));
+    let panel = panel.ok_or(RegisterError::SolveWhat)?;
+    Ok(solve_console(request, frame, &panel).map_err(|refusal| request.refuse(&refusal)))
 }
 
-fn from_header(frame: &Frame, note: &mut Option<String>) -> (Option<Intrinsics>, Option<f64>) {
+/// A frame as it lies on the panel, with its K.
+struct Seen {
+    frame: Frame,
+    intrinsics: Option<Intrinsics>,
+    pitch_mm: Option<f64>,
+    /// From the panel's axes to the frame's, about the beam.
+    turn_rad: f64,
+}
+
+impl Seen {
+    /// `console`: what it did, and whether K is to be solved.
+    fn of(
+        args: &RegisterArgs,
+        stored: Frame,
+        file: Option<&IntrinsicsFile>,
+        console: Option<&(ConsoleGeometry, bool)>,
+        notes: &mut Vec<String>,
+    ) -> Result<Self, RegisterError> {
+        let found = stored.size_px.map(|n| n as u32);
+        let panel_px = file.and_then(|file| file.size_px);
+        let window = match (console, panel_px) {
+            (Some((console, _)), Some(panel_px)) => console
+                .window_on(panel_px, found)
+                .map_err(|error| RegisterError::Console { path: args.console.clone().unwrap_or_default(), error })?,
+            (Some((console, _)), None) => console.window(found),
+            (None, _) => PanelWindow::WHOLE,
+        };
+        let mut frame = console.map_or_else(|| stored.clone(), |(console, _)| stored.oriented(console, panel_px));
+        if let Some(correction) = &frame.correction {
+            notes.extend(correction.console.iter().cloned());
+        }
+        if let Some(path) = &args.detector {
+            frame = DetectorCalibration::apply_file(path, &frame, window)?;
+        }
+        let tagged_pitch_mm = frame.tags.pitch_mm.map(|pitch| pitch[0]);
+        let Some(file) = file else {
+            let (intrinsics, pitch_mm) = from_header(&frame, notes);
+            return Ok(Self { frame, intrinsics, pitch_mm, turn_rad: window.turned_rad });
+        };
+        if let Some((_, solve_intrinsics)) = console {
+            let (intrinsics, turn_rad) = window.intrinsics(&file.intrinsics);
+            let pitch_mm = file.pitch_mm.map(|pitch| pitch * window.step).or(tagged_pitch_mm);
+            return Ok(Self { frame, intrinsics: (!solve_intrinsics).then_some(intrinsics), pitch_mm, turn_rad });
+        }
+        let factor =
+            file.size_px.map_or(Some(1), |expected| whole_binning(expected, found)).ok_or_else(|| RegisterError::Size {
+                path: args.intrinsics.clone().unwrap_or_default(),
+                expected: file.size_px.unwrap_or(found),
+                frame: args.frame.clone(),
+                found,
+            })?;
+        if factor > 1 {
+            notes.push(format!(
+                "K is for {:?} px: the frame is taken as binned {factor} x {factor}",
+                file.size_px.unwrap_or(found)
+            ));
+        }
+        let pitch_mm = file.pitch_mm.map(|pitch| pitch * f64::from(factor)).or(tagged_pitch_mm);
+        let intrinsics = if factor > 1 { file.intrinsics.binned(f64::from(factor)) } else { file.intrinsics };
+        Ok(Self { frame, intrinsics: Some(intrinsics), pitch_mm, turn_rad: 0.0 })
+    }
+}
+
+fn from_header(frame: &Frame, notes: &mut Vec<String>) -> (Option<Intrinsics>, Option<f64>) {
     match intrinsics_of(frame) {
         Some((intrinsics, pitch_mm, words)) => {
-            *note = Some(words);
+            notes.push(words);
             (Some(intrinsics), Some(pitch_mm))
         }
         None => {
-            *note = Some("no --intrinsics, and no SID with pixel spacing in the header: K is solved from the beads".to_owned());
+            notes.push("no --intrinsics, and no SID with pixel spacing in the header: K is solved from the beads".to_owned());
             (None, frame.tags.pitch_mm.map(|pitch| pitch[0]))
         }
     }

@@ -3,7 +3,7 @@
 use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
-use super::{Intrinsics, Rigid};
+use super::{Intrinsics, Rigid, turned_camera};
 
 /// Joint readings; angles in radians, NaN where a joint has no encoder.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -151,6 +151,9 @@ pub struct CarmCalibration {
     /// Non-isocentric arms: where the principal ray passes the isocentre, along camera x and y.
     #[serde(default)]
     pub principal_ray_offset_mm: [f64; 2],
+    /// How far the picture is turned clockwise against the panel about the beam: the camera's axes are the picture's.
+    #[serde(default)]
+    pub picture_turn_deg: f64,
     /// Sag: displacement of the camera (mm, camera axes) and tilt (degrees) as linear functions of sin and cos of the C's angles.
     #[serde(default)]
     pub sag: Option<Sag>,
@@ -188,7 +191,8 @@ pub struct Sag {
 
 impl CarmCalibration {
     /// The pose of the camera in the room:
-    /// `T(longitudinal, 0, lift) · Rz(wig_wag) · T(column_to_isocentre) · Rx(angulation) · Ry(orbital) · T(0, 0, −SOD) · Rz(detector_rotation)`.
+    /// `T(longitudinal, 0, lift) · Rz(wig_wag) · T(column_to_isocentre) · Rx(angulation) · Ry(orbital) · T(0, 0, −SOD) · Rz(detector_rotation)`,
+    /// then sag, then the picture's turn.
     ///
     /// # Errors
     /// When a joint is not measured.
@@ -212,11 +216,15 @@ impl CarmCalibration {
             * Rigid::rotation(DQuat::from_rotation_y(orbital))
             * Rigid::translation(DVec3::new(ray_x, ray_y, -self.source_to_isocentre_mm))
             * Rigid::rotation(DQuat::from_rotation_z(detector_rotation));
-        let Some(sag) = &self.sag else { return Ok(ideal) };
+        let picture = |camera: Rigid| match self.picture_turn_deg {
+            0.0 => camera,
+            turn => camera * turned_camera(turn.to_radians()).inverse(),
+        };
+        let Some(sag) = &self.sag else { return Ok(picture(ideal)) };
         let basis = DVec3::new(orbital.sin(), orbital.cos() - 1.0, angulation.sin());
         let apply = |rows: &[[f64; 3]; 3]| DVec3::from_array(rows.map(|row| DVec3::from_array(row).dot(basis)));
         let rotation_rad = apply(&sag.rotation_deg).map(f64::to_radians);
-        Ok(ideal * Rigid { rotation: DQuat::from_scaled_axis(rotation_rad), translation_mm: apply(&sag.translation_mm) })
+        Ok(picture(ideal * Rigid { rotation: DQuat::from_scaled_axis(rotation_rad), translation_mm: apply(&sag.translation_mm) }))
     }
 
     /// K: focal length from the distance and the pitch.

@@ -17,6 +17,7 @@
 mod angles;
 mod camera;
 mod carm;
+mod panel_window;
 mod console;
 mod convert;
 pub mod formats;
@@ -26,7 +27,8 @@ mod robot;
 pub use angles::{AngleConvention, CarmAngles, PatientPosition};
 pub use camera::{CameraError, Intrinsics, Projection, View};
 pub use carm::{CarmCalibration, CarmCalibrationError, CarmJoints};
-pub use console::{ConsoleError, ConsoleGeometry, Flip, PanelWindow};
+pub use console::{ConsoleError, ConsoleGeometry, Flip, homogeneous_rows, quarters_and_rest};
 pub use convert::{dicom_angles_deg, lps_from_ras, ras_from_lps};
+pub use panel_window::{PanelWindow, seen_through, turned_camera};
 pub use rigid::{Rigid, RigidError};
 pub use robot::{RobotModel, RobotModelError, RobotShape, TubeSize};

@@ -63,8 +63,6 @@ impl Case<'_> {
         });
         Pose {
             status: Status::Accepted,
-            reason: None,
-            refusal: None,
             projection: Some(projection),
             intrinsics: Some(k),
             intrinsics_source: Some(if solved { "solved" } else { "given" }.to_owned()),
@@ -85,13 +83,12 @@ impl Case<'_> {
             centroid_lps_mm: Some(pose.inverse().transform_point(centroid)),
             landmarks: landmarks.collect(),
             beads,
-            tags: Vec::new(),
             detections: self.detections.len(),
             shadows,
             fused: self.request.fuse,
-            cautions: Vec::new(),
             notes,
             version: Some(env!("CARGO_PKG_VERSION").to_owned()),
+            ..Pose::default()
         }
     }
 

@@ -10,6 +10,8 @@ mod case;
 mod doubt;
 mod flat;
 mod judge;
+mod on_panel;
+mod orientation;
 mod propose;
 mod record;
 mod refusal;
@@ -26,9 +28,11 @@ mod verdict;
 mod with_tags;
 
 pub use case::PRIOR_SIGMA;
+pub use on_panel::read_console;
+pub use orientation::{Panel, SolvedConsole, solve_console, whole_binning};
 pub use record::{
-    BeadResidual, BodyPose, Covariance, IntrinsicsFile, LandmarkUncertainty, Pose, PoseFileError, Prior, Shadow, Status,
-    TagResidual,
+    BeadResidual, BodyPose, Covariance, DetectorPose, IntrinsicsFile, LandmarkUncertainty, Pose, PoseFileError, Prior, Shadow,
+    Status, TagResidual,
 };
 pub use refusal::{Points, Refusal, Rival};
 pub use register::{intrinsics_of, register, register_masked, register_shadows};

@@ -138,6 +138,16 @@ pub enum Refusal {
         "mirrored: {mirrored} beads fit the frame's mirror image to {rms_px:.2} px, {matched} the frame itself; un-mirror it at the console, state the console's geometry in the session, or correct the layout if its axes are negated"
     )]
     Mirrored { mirrored: usize, rms_px: f64, matched: usize },
+    /// No way of turning and mirroring the picture gives a pose.
+    #[error(
+        "console: the picture gives no pose however it is turned, neither as it is stored ({as_stored}) nor mirrored ({mirrored}); state what the console did"
+    )]
+    NoOrientation { as_stored: String, mirrored: String },
+    /// The picture and its mirror image both give one.
+    #[error(
+        "ambiguous: the layout fits the picture as it is stored ({matched} beads, {rms_px:.2} px) and mirrored ({other_matched} beads, {other_px:.2} px); state what the console did"
+    )]
+    EitherOrientation { matched: usize, rms_px: f64, other_matched: usize, other_px: f64 },
     /// A body has moved, and the request takes all as one.
     #[error(
         "bodies: {body} has moved against {reference} since the scan, by {angle_deg:.2}° and {shift_mm:.2} mm, and both are to be one rigid specimen; leave --one-body out, or register on the beads of one body"

@@ -24,9 +24,14 @@ pub fn register(request: &Registration, frame: &Frame) -> Pose {
 /// [`register`] where the frame's masks are known.
 #[must_use]
 pub fn register_masked(request: &Registration, frame: &Frame, masks: &Masks) -> Pose {
-    if let Some(fault) = request.fault() {
-        return request.refuse(&fault);
-    }
+    let pose = match request.fault() {
+        Some(fault) => request.refuse(&fault),
+        None => either_polarity(request, frame, masks),
+    };
+    pose.on_panel(frame)
+}
+
+fn either_polarity(request: &Registration, frame: &Frame, masks: &Masks) -> Pose {
     // A bead before clipped air is still a shadow, and a row of beads clipped to black looks like writing; writing has no round shadows.
     // What is behind the shutters or dead is none.
     let [width, height] = frame.size_px;

@@ -104,7 +104,8 @@ impl<'a> Registration<'a> {
     }
 
     /// The answer that there is no pose.
-    pub(super) fn refuse(&self, refusal: &Refusal) -> Pose {
+    #[must_use]
+    pub fn refuse(&self, refusal: &Refusal) -> Pose {
         let beads = self.layout.beads.iter().map(|bead| self.row(bead, "no pose"));
         Pose {
             status: Status::Refused,

@@ -33,7 +33,7 @@ pub fn register_tagged(request: &Registration, frame: &Frame, masks: &Masks, lay
         let pose = tags.beads(frame, masks);
         if pose.is_accepted() { tags.confront(pose) } else { tags.instead_of(pose) }
     };
-    tags.record(pose)
+    tags.record(pose).on_panel(frame)
 }
 
 fn pose_of(request: &Registration, layout: &TagLayout, seen: &[SeenTag], views: &[View]) -> Result<TagPose, Refusal> {

@@ -34,6 +34,7 @@ mod tags_drawn;
 #[cfg(feature = "vision")]
 mod tags_photos;
 mod pose_doubt;
+mod pose_evaluate;
 mod pose_registration;
 mod pose_request;
 mod pose_synthetic;

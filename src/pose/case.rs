@@ -15,7 +15,7 @@ use crate::geometry::{Intrinsics, Rigid};
 /// Standard deviations of a prior without covariance: about the bead centroid, per axis.
 pub const PRIOR_SIGMA: (f64, f64) = (5.0 * std::f64::consts::PI / 180.0, 15.0);
 /// Squared deviation from a prior up to which a pose is sought: with its covariance, and without one.
-const GATE: (f64, f64) = (30.0, 60.0);
+pub const GATE: (f64, f64) = (30.0, 60.0);
 /// Shadows of which a person's mark means the nearest one: so many radii from it, at most.
 const MARK_RADII: f64 = 2.0;
 

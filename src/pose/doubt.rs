@@ -5,25 +5,18 @@
 //! show besides.
 
 use glam::DVec2;
+use nalgebra::Matrix6;
 
-use super::case::Case;
+use super::besides::Besides;
+use super::case::{Case, GATE};
+use super::record::Prior;
 use super::refusal::{Refusal, Rival};
 use super::search::{Gate, Hypothesis, Search, information_about};
 use super::settle::Settled;
-use super::solve::{Free, Match, Options, solve};
+use super::solve::{Free, Match, Options, about, deviation, solve};
 use crate::beads::{Detection, Probe};
 use crate::geometry::{Intrinsics, Rigid};
 
-/// A bead is missing for certain where its place is less deep than this share of the others' contrast …
-const LEAST_SHARE: f64 = 0.3;
-/// … by so many standard deviations.
-const SIGMAS: f64 = 3.0;
-/// Shadows closer than so many radii hide each other.
-const APART_RADII: f64 = 2.5;
-/// A shadow is another bead's if radius and contrast are within these factors of what a bead would have (natural logarithms).
-const ALIKE: (f64, f64) = (0.25, 0.4);
-/// Contrast over noise from which on a shadow is clear.
-const CLEAR_SNR: f64 = 10.0;
 /// So many beads may be missing, or migrated, from a sound layout.
 const ORDINARY: usize = 2;
 /// Accidents expected behind a second reading of the frame, at most, for it to count: it would be accepted by itself.
@@ -63,17 +56,6 @@ const OTHER_FOCAL: f64 = 0.03;
 const OTHER_CENTRE: f64 = 0.05;
 /// Residuals below this are nobody's concern.
 const LEAST_RMS_PX: f64 = 0.15;
-
-/// What a frame shows besides the match.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-struct Besides {
-    /// Beads that the pose puts into the open field and that are certainly not there.
-    missing: Vec<String>,
-    /// Beads whose shadow is there, but beside its place: outliers, and what no bead claims close by.
-    displaced: Vec<String>,
-    /// Clear shadows like the matched ones that belong to no bead.
-    unexplained: Vec<usize>,
-}
 
 impl Case<'_> {
     /// Refuses a match although it fits, or gives the cautions that a person should look at.
@@ -217,7 +199,7 @@ impl Case<'_> {
         }
         let (angle_deg, shift_mm) = self.distance(&prior.camera_from_lps, pose);
         let matched = last.matches.len();
-        if matched <= FEW && !self.request.ignore_prior {
+        if (matched <= FEW || self.contradicts(last, prior)) && !self.request.ignore_prior {
             return Err(Refusal::PriorContradicted { matched, rms_px: last.rms_px(), angle_deg, shift_mm });
         }
         cautions.push(format!(
@@ -227,59 +209,15 @@ impl Case<'_> {
         Ok(())
     }
 
-    fn besides(&self, last: &Settled) -> Besides {
-        let Some(probe) = &self.probe else { return Besides::default() };
-        let own = |m: &Match| self.detections.get(m.detection).copied();
-        let mut contrasts: Vec<f64> = last.matches.iter().filter_map(own).map(|detection| detection.contrast).collect();
-        contrasts.sort_by(f64::total_cmp);
-        let Some(usual) = contrasts.get(contrasts.len() / 2).copied() else { return Besides::default() };
-        let (pose, k) = (last.solution.camera_from_lps, last.solution.intrinsics);
-        let layout = self.request.layout;
-        let mut besides = Besides::default();
-        let radius_at = |depth_mm: f64, index: usize| {
-            layout.radius_mm(index, self.request.bead_radius_mm).map(|radius_mm| k.fx * radius_mm / depth_mm)
-        };
-        let mut radii: Vec<f64> = last.matches.iter().filter_map(own).map(|detection| detection.radius_px).collect();
-        radii.sort_by(f64::total_cmp);
-        let usual_radius_px = radii[radii.len() / 2];
-        let alike = |d: &Detection| {
-            (d.radius_px / usual_radius_px).ln().abs() < ALIKE.0
-                && (d.contrast / usual).ln().abs() < ALIKE.1
-                && d.snr >= CLEAR_SNR
-        };
-        let explained = |n: usize| {
-            let taken = last.known().any(|m| m.detection == n);
-            let beside = |m: &Match| m.image_px.distance(self.detections[n].image_px) < usual_radius_px;
-            taken || last.matches.iter().any(beside)
-        };
-        besides.displaced.extend(last.left_out.iter().map(|(m, _)| layout.beads[m.bead].name.clone()));
-        for (index, bead) in layout.beads.iter().enumerate() {
-            let p = pose.transform_point(bead.lps_mm);
-            let known = last.known().any(|m| m.bead == index);
-            if known || !(p.z > 1.0) {
-                continue;
-            }
-            let (at, radius_px) = (k.project(p), radius_at(p.z, index).unwrap_or(usual_radius_px));
-            let hidden = |d: &Detection| d.image_px.distance(at) < APART_RADII * radius_px.max(d.radius_px);
-            if !probe.is_usable(at) {
-                continue;
-            }
-            if let Some(n) = self.detections.iter().position(hidden) {
-                // What hides it may be its own shadow.
-                if alike(&self.detections[n]) && !explained(n) {
-                    besides.displaced.push(bead.name.clone());
-                }
-                continue;
-            }
-            // Beads stand where the layout has them to a fraction of their radius; nothing within that counts as there.
-            if let Some((contrast, sigma)) = probe.contrast(at, radius_px)
-                && contrast + SIGMAS * sigma < LEAST_SHARE * usual
-            {
-                besides.missing.push(bead.name.clone());
-            }
-        }
-        besides.unexplained = (0..self.detections.len()).filter(|n| alike(&self.detections[*n]) && !explained(*n)).collect();
-        besides
+    /// Whether a pose that was solved with K is outside a stated covariance, widened by its own: no gate has held it.
+    fn contradicts(&self, last: &Settled, prior: &Prior) -> bool {
+        let Some(rows) = prior.covariance.filter(|_| self.request.intrinsics.is_none()) else { return false };
+        let stated = Matrix6::from_fn(|i, j| rows[i][j]);
+        let own = last.solution.covariance.fixed_view::<6, 6>(0, 0) * last.chi2_per_dof.max(1.0);
+        let Some(origin_from_centroid) = about(last.solution.centroid_mm).try_inverse() else { return true };
+        let both = stated + origin_from_centroid * own * origin_from_centroid.transpose();
+        let off = deviation(&last.solution.camera_from_lps, &prior.camera_from_lps);
+        both.try_inverse().is_none_or(|information| !((off.transpose() * information * off)[(0, 0)] <= GATE.0))
     }
 
     /// That the beads fit far better with another K than with the one given: a wrong focal length or principal point is made up for by depth

@@ -5,6 +5,7 @@
 //! too few beads, degenerate layouts, accidental and ambiguous matches are refused.
 
 mod accept;
+mod besides;
 mod bodies;
 mod case;
 mod doubt;

@@ -356,10 +356,15 @@ fn distinct(mut all: Vec<Hypothesis>) -> Vec<Hypothesis> {
 
 /// Information about ξ in `camera` from standard deviations about `centre`.
 pub fn information_about(centre: DVec3, rotation_rad: f64, shift_mm: f64) -> Matrix6<f64> {
+    information_about_each(centre, rotation_rad, [shift_mm; 3])
+}
+
+/// [`information_about`] with shifts along x, y and z of their own.
+pub fn information_about_each(centre: DVec3, rotation_rad: f64, shift_mm: [f64; 3]) -> Matrix6<f64> {
     let mut local = Matrix6::zeros();
     for n in 0..3 {
         local[(n, n)] = rotation_rad.powi(-2);
-        local[(n + 3, n + 3)] = shift_mm.powi(-2);
+        local[(n + 3, n + 3)] = shift_mm[n].powi(-2);
     }
     let t = about(centre);
     t.transpose() * local * t

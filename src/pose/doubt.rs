@@ -11,7 +11,7 @@ use super::besides::Besides;
 use super::case::{Case, GATE};
 use super::record::Prior;
 use super::refusal::{Refusal, Rival};
-use super::search::{Gate, Hypothesis, Search, information_about};
+use super::search::{Found, Gate, Hypothesis, Search, information_about};
 use super::settle::Settled;
 use super::solve::{Free, Match, Options, about, deviation, solve};
 use crate::beads::{Detection, Probe};
@@ -71,7 +71,7 @@ impl Case<'_> {
             return Err(refusal);
         }
         let many_missing = missing.len() > ORDINARY && (missing.len() >= matched || unexplained.len() >= missing.len());
-        if many_missing && !self.is_best_of_all(last, missing.len()) {
+        if many_missing && !self.is_best_of_all(last, &besides) {
             let (missing, unexplained) = (missing.clone(), unexplained.len());
             return Err(Refusal::Missing { matched, missing, unexplained });
         }
@@ -88,15 +88,19 @@ impl Case<'_> {
         Ok(cautions)
     }
 
-    /// Whether no other reading of all shadows, wherever it puts the camera, explains as many beads.
-    fn is_best_of_all(&self, last: &Settled, missing: usize) -> bool {
+    /// Whether no other reading of all shadows, wherever it puts the camera, explains as many beads. Where more shadows are left than
+    /// matched, all must have been tried.
+    fn is_best_of_all(&self, last: &Settled, besides: &Besides) -> bool {
         let matched = last.matches.len();
-        if matched < SURE_MATCHED || missing >= matched {
+        if matched < SURE_MATCHED || besides.missing.len() >= matched {
             return false;
         }
-        let best = self.search_all(self.detections, Some, &last.solution.intrinsics, None);
+        let found = self.search_all(self.detections, Some, &last.solution.intrinsics, None);
+        if found.cut_short && besides.unexplained.len() > matched {
+            return false;
+        }
         let pose = &last.solution.camera_from_lps;
-        best.is_some_and(|(best, _)| {
+        found.hypotheses.first().is_some_and(|best| {
             let (angle_deg, shift_mm) = self.distance(&best.camera_from_lps, pose);
             angle_deg < 2.0 && shift_mm < 15.0
         })
@@ -262,8 +266,9 @@ impl Case<'_> {
         let information = information_about(last.solution.centroid_mm, NEAR_SIGMA.0, NEAR_SIGMA.1);
         let gate = Gate { camera_from_lps, information, limit: NEAR_LIMIT };
         let own = |n: usize| unexplained.get(n).copied();
-        let (found, tried) = self.search_all(&shadows, own, &last.solution.intrinsics, Some(gate))?;
-        (self.chance_among(&found, tried, &shadows) < NEAR_CHANCE).then_some(found)
+        let found = self.search_all(&shadows, own, &last.solution.intrinsics, Some(gate));
+        let best = found.hypotheses.into_iter().next()?;
+        (self.chance_among(&best, found.tried, &shadows) < NEAR_CHANCE).then_some(best)
     }
 
     /// That the layout fits the frame's mirror image as well as beads should, with at least two beads more than the `matched` of the frame
@@ -283,9 +288,10 @@ impl Case<'_> {
         {
             return None;
         }
-        let (itself, _) = self.search_all(self.detections, Some, k, None).unzip();
-        let as_well =
-            itself.is_some_and(|itself| itself.matches.len() + 1 >= mirrored && itself.rms_px < MIRROR_FIT * found.rms_px);
+        let itself = self.search_all(self.detections, Some, k, None).hypotheses;
+        let as_well = itself
+            .first()
+            .is_some_and(|itself| itself.matches.len() + 1 >= mirrored && itself.rms_px < MIRROR_FIT * found.rms_px);
         (!as_well).then_some(Refusal::Mirrored { mirrored, rms_px: found.rms_px, matched })
     }
 
@@ -308,17 +314,15 @@ impl Case<'_> {
         found.hypotheses.into_iter().find(|hypothesis| accident(hypothesis, found.tried) < RIVAL_CHANCE)
     }
 
-    /// The best match of `shadows` after all tries that are allowed, and their number.
+    /// The matches of `shadows` after all tries that are allowed.
     fn search_all(
         &self,
         shadows: &[Detection],
         own: impl Fn(usize) -> Option<usize>,
         k: &Intrinsics,
         gate: Option<Gate>,
-    ) -> Option<(Hypothesis, u64)> {
+    ) -> Found {
         let targets = self.targets();
-        let search = Search { budget: BUDGET, ..self.search(&targets, shadows, own, k, gate) };
-        let found = search.run(|_, _| false);
-        found.hypotheses.into_iter().next().map(|best| (best, found.tried))
+        Search { budget: BUDGET, ..self.search(&targets, shadows, own, k, gate) }.run(|_, _| false)
     }
 }

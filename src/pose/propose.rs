@@ -45,7 +45,7 @@ impl Case<'_> {
             let count = best.matches.len();
             count >= 5 && 10 * count >= 7 * best.in_view && self.chance_of(best, tried) < 1e-6
         };
-        let Found { hypotheses, tried } = search.run(enough);
+        let Found { hypotheses, tried, .. } = search.run(enough);
         let mut all = hypotheses.into_iter();
         let best = all.next()?;
         let mut others: Vec<Hypothesis> = all.collect();

@@ -75,6 +75,17 @@ impl Drop for Running {
     }
 }
 
+/// The process that writes `log` for another one.
+pub fn keeper(log: &Path) -> Option<rustix::process::Pid> {
+    let log = log.as_os_str().as_encoded_bytes();
+    std::fs::read_dir("/proc").into_iter().flatten().flatten().find_map(|entry| {
+        let pid = entry.file_name().to_str()?.parse().ok()?;
+        let words = std::fs::read(entry.path().join("cmdline")).ok()?;
+        let mut words = words.split(|byte| *byte == 0).skip(1);
+        (words.next()? == b"keep-log" && words.next()? == log).then(|| rustix::process::Pid::from_raw(pid))?
+    })
+}
+
 /// A packet that left a mocked device.
 #[derive(Clone, Copy, Debug)]
 pub struct Sent {
@@ -181,7 +192,10 @@ fn collect(mut stream: impl Read + Send + 'static) -> Arc<Mutex<String>> {
 impl Live {
     /// Starts the program without waiting for anything.
     pub fn launch(session: &Path, out: &Path, args: &[&str]) -> Self {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
+        Self::spawn(Command::new(env!("CARGO_BIN_EXE_sidecarm")), session, out, args)
+    }
+
+    fn spawn(mut command: Command, session: &Path, out: &Path, args: &[&str]) -> Self {
         command.arg("live").arg(session).arg("--headless").arg("--out").arg(out).args(args);
         let child = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn();
         let mut program = Running(child.expect("the program starts"));
@@ -191,7 +205,18 @@ impl Live {
 
     /// Starts the program and waits until telemetry has reached the log.
     pub fn start(session: &Path, out: &Path, args: &[&str]) -> Self {
-        let mut live = Self::launch(session, out, args);
+        Self::launch(session, out, args).recording()
+    }
+
+    /// As [`Live::start`], in a process group of its own, as a shell starts it.
+    pub fn start_in_own_group(session: &Path, out: &Path) -> Self {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
+        std::os::unix::process::CommandExt::process_group(&mut command, 0);
+        Self::spawn(command, session, out, &[]).recording()
+    }
+
+    fn recording(self) -> Self {
+        let mut live = self;
         let grown = eventually(HANG_S, || {
             let log = read_log(&live.log).ok()?;
             let raw = log.entries.iter().filter(|entry| [topic::CARM_RAW, topic::ROBOT_RAW].contains(&&*entry.topic)).count();
@@ -200,6 +225,13 @@ impl Live {
         assert!(grown.is_some(), "no telemetry ever came into the log: {}", live.stderr());
         live.recording_us = host_now_us();
         live
+    }
+
+    /// SIGKILL to the program, not to its keeper; waits until that has written what it holds. Gives the host time just before the kill.
+    pub fn kill(&mut self) -> i64 {
+        let before_us = self.program.kill();
+        assert!(eventually(HANG_S, || keeper(&self.log).is_none().then_some(())).is_some(), "the keeper never leaves");
+        before_us
     }
 
     /// Sends a signal; gives milliseconds until the program has said that it heard it, and the host time of the signal.
@@ -335,4 +367,28 @@ pub fn many_images(frame: &Path, count: usize, path: &Path) {
     let words: Vec<u16> = all.chunks_exact(2).map(|pair| u16::from_le_bytes([pair[0], pair[1]])).collect();
     object.put(DataElement::new(tags::PIXEL_DATA, VR::OW, PrimitiveValue::U16(words.into())));
     object.write_to_file(path).expect("written");
+}
+
+/// A lab without exposures of its own, a frame of another lab to deliver, and an empty folder.
+pub fn quiet_lab(seconds: &str) -> Option<(Lab, PathBuf, tempfile::TempDir)> {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let frame = folder.path().join("frame.dcm");
+    {
+        let kit = Lab::start(&["--kit-only", "--exposures", "1"])?;
+        let made = eventually(HANG_S, || std::fs::read_dir(kit.frames()).ok()?.flatten().next()).expect("a frame");
+        std::thread::sleep(Duration::from_millis(200));
+        std::fs::copy(made.path(), &frame).expect("copied");
+    }
+    let lab = Lab::start(&["--duration-s", seconds, "--faults", "none", "--exposures", "0", "--linger-s", "30"])?;
+    Some((lab, frame, folder))
+}
+
+/// Files appear whole in the folder of frames, as a careful exporter makes them.
+pub fn deliver(files: &[PathBuf], lab: &Lab) {
+    for file in files {
+        let name = file.file_name().expect("a name");
+        let staged = lab.kit.join(name);
+        std::fs::copy(file, &staged).expect("copied");
+        std::fs::rename(staged, lab.frames().join(name)).expect("renamed");
+    }
 }

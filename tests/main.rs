@@ -12,6 +12,7 @@ mod telemetry_frames;
 mod telemetry_port;
 mod telemetry_wire;
 mod timeline_clock;
+mod record_keeper;
 mod record_log;
 mod record_writer;
 mod attach_command;

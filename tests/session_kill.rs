@@ -31,7 +31,7 @@ fn killed(lab: &Lab, out: &std::path::Path, after_s: f64) -> Killed {
     let mut live = Live::start(&lab.kit.join("session.json"), out, &[]);
     let from_us = live.recording_us;
     std::thread::sleep(std::time::Duration::from_secs_f64(after_s));
-    let kill_us = live.program.kill();
+    let kill_us = live.kill();
     let heard = live.heard();
     assert!(!heard.losses.is_empty(), "a log that was not closed says so");
     let missing = heard.missing(&lab.sent(), from_us, kill_us);
@@ -99,7 +99,7 @@ fn a_log_that_ends_early_is_seen() {
     let out = tempfile::tempdir().expect("temporary folder");
     let mut live = Live::start(&lab.kit.join("session.json"), &out.path().join("session"), &[]);
     std::thread::sleep(std::time::Duration::from_millis(700));
-    live.program.kill();
+    live.kill();
     std::thread::sleep(std::time::Duration::from_millis(500));
     let missing = live.heard().missing(&lab.sent(), live.recording_us, sidecarm::time::host_now_us());
     assert!(missing.oldest_ms > 450.0 && missing.lost > 40, "{missing:?}");

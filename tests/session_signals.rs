@@ -1,39 +1,15 @@
 //! Ctrl-C once, twice, SIGTERM, SIGHUP: heard at once, the log complete, and the session ends in order.
 #![cfg(unix)]
 
-use std::path::PathBuf;
 use std::time::Duration;
 
 use sidecarm::time::Stopwatch;
 
-use crate::live_lab::{HANG_S, Lab, Live, Signal, copies, eventually, many_images};
+use crate::live_lab::{HANG_S, Live, Signal, copies, deliver, many_images, quiet_lab};
 
 /// A signal is heard within this, among other tests on a crowded machine;
 /// alone it is 100 ms.
 const HEARD_MS: f64 = 400.0;
-
-/// A lab without exposures of its own, a frame of another lab to deliver, and an empty folder.
-fn quiet_lab(seconds: &str) -> Option<(Lab, PathBuf, tempfile::TempDir)> {
-    let folder = tempfile::tempdir().expect("temporary folder");
-    let frame = folder.path().join("frame.dcm");
-    {
-        let kit = Lab::start(&["--kit-only", "--exposures", "1"])?;
-        let made = eventually(HANG_S, || std::fs::read_dir(kit.frames()).ok()?.flatten().next()).expect("a frame");
-        std::thread::sleep(Duration::from_millis(200));
-        std::fs::copy(made.path(), &frame).expect("copied");
-    }
-    let lab = Lab::start(&["--duration-s", seconds, "--faults", "none", "--exposures", "0", "--linger-s", "30"])?;
-    Some((lab, frame, folder))
-}
-
-fn deliver(files: &[PathBuf], lab: &Lab) {
-    for file in files {
-        let name = file.file_name().expect("a name");
-        let staged = lab.kit.join(name);
-        std::fs::copy(file, &staged).expect("copied");
-        std::fs::rename(staged, lab.frames().join(name)).expect("renamed");
-    }
-}
 
 /// Forty images in one file are being registered. Ctrl-C is heard at once and the telemetry is complete up to then; a second Ctrl-C
 /// leaves at once. (It was 219 of 504 packets, and Ctrl-C took 89 s.)

@@ -16,6 +16,8 @@ pub mod demo;
 pub mod devices;
 pub mod hints;
 pub mod info;
+#[cfg(target_os = "linux")]
+pub mod keep_log;
 pub mod line_checks;
 pub mod live;
 pub mod pose;
@@ -65,6 +67,8 @@ enum Command {
     Devices(devices::DevicesArgs),
     Info(info::InfoArgs),
     ReadForeign(read_foreign::ReadForeignArgs),
+    #[cfg(target_os = "linux")]
+    KeepLog(keep_log::KeepLogArgs),
 }
 
 /// Runs the program.
@@ -107,6 +111,8 @@ fn dispatch(command: &Command, reporter: &Reporter) -> u8 {
         },
         Command::Info(args) => end(info::run(args, reporter), reporter),
         Command::ReadForeign(args) => end(read_foreign::run(args), reporter),
+        #[cfg(target_os = "linux")]
+        Command::KeepLog(args) => keep_log::run(args),
     }
 }
 

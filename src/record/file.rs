@@ -59,8 +59,13 @@ impl<W: Write> LogFile<W> {
         Ok(())
     }
 
-    pub(super) fn flush(&mut self) -> std::io::Result<()> {
-        self.target.flush()
+    /// Bytes of the log so far.
+    pub(super) fn at(&self) -> u64 {
+        self.at
+    }
+
+    pub(super) fn target(&mut self) -> &mut W {
+        &mut self.target
     }
 
     /// Announces channel `id` (they count from 1) in `chunk`.
@@ -177,8 +182,7 @@ impl<W: Write> LogFile<W> {
         summary.extend(offsets_start.to_le_bytes());
         summary.extend(crc32fast::hash(&summary).to_le_bytes());
         summary.extend_from_slice(mcap::MAGIC);
-        self.write(&summary)?;
-        self.flush()
+        self.write(&summary)
     }
 
     fn statistics(&self) -> Vec<u8> {

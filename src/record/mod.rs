@@ -16,30 +16,50 @@
 //! Other JSON topics may be added by whoever records. Log times are host microseconds × 1000. `sidecarm.RawBytes` is a little-endian u32
 //! epoch followed by the bytes.
 //!
-//! Chunks are compressed (zstd), checked (CRC-32) and written in one piece within 100 ms: a killed program loses no more than that, and a
-//! log cut at any byte still reads up to the cut ([`LogReader`]). Pixels have chunks of their own, compressed by whoever records them.
+//! Chunks are compressed (zstd), checked (CRC-32) and handed over in one piece within 100 ms: a killed program loses no more than that,
+//! and a log cut at any byte still reads up to the cut ([`LogReader`]). Pixels have chunks of their own, compressed by whoever records
+//! them.
+//!
+//! ```text
+//! whoever records ─ queue ─ writer ─┬─ shared memory ─ keeper (a process of its own) ─ file     a session, on Linux
+//!                                   └─ file                                                     elsewhere, and where no keeper starts
+//! ```
+//! A keeper ([`keep`]) survives a kill −9 of the program and what ends its terminal, and writes what was handed over, also while the disk
+//! stands still. What it has not written counts as memory of the recorder: beyond 24 MB producers of large messages wait, beyond 512 MB
+//! messages are refused and counted. A log that lost its program has no summary and reads as one that was not closed, because it is. A
+//! keeper that is killed is replaced; what it had not written is still in the shared memory, so only a kill of both loses it. Without a
+//! keeper a kill loses what came while a write was under way, which on a busy disk is up to some hundred milliseconds.
 
 mod channel;
 mod chunk;
 mod decode;
 mod error;
 mod file;
+#[cfg(target_os = "linux")]
+mod handover;
+#[cfg(target_os = "linux")]
+mod keeper;
 mod messages;
+mod place;
 mod queue;
 mod reader;
 mod recorder;
+mod sink;
 mod tolerance;
 mod unpack;
 mod writer;
 
 pub use decode::{FrameAssembler, RawBytes};
 pub use error::RecordError;
+#[cfg(target_os = "linux")]
+pub use keeper::keep;
 pub use messages::{BeadMark, Level};
 pub use queue::RecorderHealth;
 pub use reader::{Attachment, LogContents, LogEntry, LogLoss, LogReader, read_log};
 pub use recorder::{Prepared, Recorder};
+pub use sink::LogTarget;
 pub use tolerance::Tolerance;
-pub use writer::{LogTarget, Summary};
+pub use writer::Summary;
 
 /// Topic names.
 pub mod topic {

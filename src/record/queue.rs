@@ -30,8 +30,12 @@ pub struct RecorderHealth {
     pub waiting: u64,
     /// Bytes that wait for the writer.
     pub waiting_bytes: usize,
-    /// Age of the oldest message that is not in the file yet: what a kill would lose now. Large when the disk stands still.
+    /// Age of the oldest message that is not in the file yet. Large when the disk stands still.
     pub behind_ms: f64,
+    /// Age of the oldest message that a kill of this program would lose now: one that is neither in the file nor with a keeper.
+    pub kill_loses_ms: f64,
+    /// How often the process that writes the file died and another took its place; nothing is lost by it.
+    pub keepers_lost: u32,
     /// Messages that were refused because recording had stopped or was too far behind: lost.
     pub refused: u64,
     /// Why recording stopped; `None` while all is well.
@@ -81,14 +85,15 @@ struct State {
     commands: VecDeque<Command>,
     /// When the oldest waiting command came.
     waiting_since: Option<Stopwatch>,
-    /// When the oldest command came that the writer has taken and not written yet.
-    writing_since: Option<Stopwatch>,
-    /// Messages taken and not written yet.
-    writing: u64,
-    writing_bytes: usize,
-    /// Commands that ever came, those among them that the writer has taken, and those that are in the file.
+    /// Batches that the writer took and that are not in the file, the oldest first.
+    taken: VecDeque<Taken>,
+    taken_bytes: usize,
+    /// Bytes of the log that are in its file.
+    in_file: u64,
+    /// What was handed over is in this process only.
+    unkept: bool,
+    /// Commands that ever came, and those among them that are in the file.
     put: u64,
-    taken: u64,
     written: u64,
     /// Someone waits in `flush_now`, or the end is near: write at once.
     hurry: bool,
@@ -97,13 +102,30 @@ struct State {
     closed: bool,
 }
 
+/// A batch that the writer took and that is not in the file yet.
+struct Taken {
+    /// When its oldest command came.
+    since: Stopwatch,
+    messages: u64,
+    bytes: usize,
+    /// Commands put up to its end.
+    put: u64,
+    /// Bytes of the log up to its end, once it is safe from a kill of this process.
+    end: Option<u64>,
+}
+
 impl State {
     fn in_memory_bytes(&self) -> usize {
-        self.health.waiting_bytes + self.writing_bytes
+        self.health.waiting_bytes + self.taken_bytes
     }
 
     fn behind_ms(&self) -> f64 {
-        self.writing_since.or(self.waiting_since).map_or(0.0, |since| since.ms())
+        self.taken.front().map(|batch| batch.since).or(self.waiting_since).map_or(0.0, |since| since.ms())
+    }
+
+    fn kill_loses_ms(&self) -> f64 {
+        let exposed = self.taken.iter().find(|batch| self.unkept || batch.end.is_none()).map(|batch| batch.since);
+        exposed.or(self.waiting_since).map_or(0.0, |since| since.ms())
     }
 }
 
@@ -133,7 +155,7 @@ impl Queue {
 
     pub(super) fn health(&self) -> RecorderHealth {
         let state = self.lock();
-        RecorderHealth { behind_ms: state.behind_ms(), ..state.health.clone() }
+        RecorderHealth { behind_ms: state.behind_ms(), kill_loses_ms: state.kill_loses_ms(), ..state.health.clone() }
     }
 
     /// The channel of `topic`, announced when it is new.
@@ -253,7 +275,7 @@ impl Queue {
     }
 
     /// For the writer: waits until something has waited for `gather`, or must be written now, or `idle` has passed.
-    pub(super) fn take(&self, gather: Duration, idle: Duration) -> Batch {
+    pub(super) fn take(&self, gather: Duration, idle: Duration) -> std::io::Result<Batch> {
         let slept = Stopwatch::start();
         let mut state = self.lock();
         loop {
@@ -261,7 +283,8 @@ impl Queue {
                 Some(since) => gather.saturating_sub(Duration::from_secs_f64(since.ms() / 1e3)),
                 None => idle.saturating_sub(Duration::from_secs_f64(slept.ms() / 1e3)),
             };
-            if state.finish
+            if state.closed
+                || state.finish
                 || (state.hurry && state.waiting_since.is_some())
                 || due.is_zero()
                 || state.health.waiting_bytes >= EAGER_BYTES
@@ -270,38 +293,86 @@ impl Queue {
             }
             state = self.arrived.wait_timeout(state, due).unwrap_or_else(PoisonError::into_inner).0;
         }
+        failure(&state)?;
         state.hurry = false;
-        let commands = std::mem::take(&mut state.commands);
-        state.taken = state.put;
-        state.writing_since = state.waiting_since.take();
-        state.writing = std::mem::take(&mut state.health.waiting);
-        state.writing_bytes = std::mem::take(&mut state.health.waiting_bytes);
-        Batch { commands, last: state.finish }
+        if let Some(since) = state.waiting_since.take() {
+            let messages = std::mem::take(&mut state.health.waiting);
+            let bytes = std::mem::take(&mut state.health.waiting_bytes);
+            let put = state.put;
+            state.taken_bytes += bytes;
+            state.taken.push_back(Taken { since, messages, bytes, put, end: None });
+        }
+        Ok(Batch { commands: std::mem::take(&mut state.commands), last: state.finish })
     }
 
-    /// For the writer: what was taken is in the file.
-    pub(super) fn wrote(&self, moved: bool) {
+    /// For the writer: what was taken ends at byte `end` of the log, and a kill of this process does not lose it any more.
+    pub(super) fn handed_over(&self, end: u64) {
+        if let Some(batch) = self.lock().taken.back_mut() {
+            batch.end.get_or_insert(end);
+        }
+    }
+
+    /// For the writer: waits until the log's first `end` bytes are in the file.
+    pub(super) fn wait_until_in_file(&self, end: u64) -> std::io::Result<()> {
         let mut state = self.lock();
-        state.written = state.taken;
-        state.health.flushed += std::mem::take(&mut state.writing);
-        state.health.moved = moved;
-        state.writing_bytes = 0;
-        state.writing_since = None;
+        while state.in_file < end {
+            failure(&state)?;
+            state = self.written.wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+        Ok(())
+    }
+
+    /// For whoever writes the file: its first `end` bytes are written.
+    pub(super) fn in_file(&self, end: u64) {
+        let mut state = self.lock();
+        state.in_file = end;
+        while let Some(batch) = state.taken.pop_front_if(|batch| batch.end.is_some_and(|its_end| its_end <= end)) {
+            state.written = batch.put;
+            state.health.flushed += batch.messages;
+            state.taken_bytes -= batch.bytes;
+        }
         self.written.notify_all();
     }
 
-    /// For the writer: nothing can be written any more. What waits is lost and counted.
+    /// For whoever writes the file: whether it is still at its path.
+    pub(super) fn placed(&self, moved: bool) {
+        self.lock().health.moved = moved;
+    }
+
+    /// The process that writes the file died: what it has not written is in this process only.
+    pub(super) fn keeper_left(&self) {
+        let mut state = self.lock();
+        state.health.keepers_lost += 1;
+        state.unkept = true;
+    }
+
+    /// Another process took its place.
+    pub(super) fn keeper_came(&self) {
+        self.lock().unkept = false;
+    }
+
+    /// Nothing can be written any more. What is not in the file is lost and counted.
     pub(super) fn close(&self, failure: Option<String>) {
         let mut state = self.lock();
         if let Some(reason) = failure {
-            state.health.refused += state.writing + state.health.waiting;
+            state.health.refused += state.taken.iter().map(|batch| batch.messages).sum::<u64>() + state.health.waiting;
             state.health.failure.get_or_insert(reason);
         }
         state.closed = true;
         state.commands.clear();
-        (state.writing, state.health.waiting) = (0, 0);
-        (state.writing_bytes, state.health.waiting_bytes) = (0, 0);
-        (state.writing_since, state.waiting_since) = (None, None);
+        state.taken.clear();
+        state.health.waiting = 0;
+        (state.taken_bytes, state.health.waiting_bytes) = (0, 0);
+        state.waiting_since = None;
+        self.arrived.notify_all();
         self.written.notify_all();
+    }
+}
+
+/// Why nothing can be written any more, if that is so.
+fn failure(state: &State) -> std::io::Result<()> {
+    match &state.health.failure {
+        Some(reason) if state.closed => Err(std::io::Error::other(reason.clone())),
+        _ => Ok(()),
     }
 }

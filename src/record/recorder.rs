@@ -12,8 +12,10 @@ use foxglove::Encode;
 use super::channel::Kind;
 use super::chunk::{ClosedChunk, OpenChunk};
 use super::messages::{self, BeadMark, Level};
+use super::place::Watched;
 use super::queue::{Queue, RecorderHealth};
-use super::writer::{LogTarget, Summary, Watched, write_until_finished};
+use super::sink::{LogTarget, OwnFile, Sink};
+use super::writer::{Summary, write_until_finished};
 use super::{Provenance, RecordError, topic};
 use crate::acquire::{Frame, Samples};
 use crate::geometry::View;
@@ -55,18 +57,34 @@ impl std::fmt::Debug for Recorder {
 }
 
 impl Recorder {
-    /// Creates `path` and starts the writer; the first message is `provenance`.
+    /// Creates `path` and starts the writer; the first message is `provenance`. This process writes the file itself: a kill −9 while the
+    /// disk stands still loses what came meanwhile.
     ///
     /// # Errors
     /// When the file exists or cannot be created.
     pub fn create(path: &Path, provenance: &Provenance) -> Result<Self, RecordError> {
-        let io = |source: std::io::Error| match source.kind() {
-            std::io::ErrorKind::AlreadyExists => RecordError::Exists { path: path.to_owned() },
-            _ => RecordError::Io { path: path.to_owned(), source },
+        let (queue, file) = (Arc::new(Queue::new(path)), new_file(path)?);
+        Self::start(path, &queue, Box::new(own_file(path, file, &queue)?), provenance)
+    }
+
+    /// As [`Recorder::create`], but the file is written by a process of its own, which a kill −9 of this one leaves alone: `program`,
+    /// which must know `keep-log`. Where that cannot be started, this process writes the file, and the error says why. Linux only;
+    /// elsewhere this is [`Recorder::create`].
+    ///
+    /// # Errors
+    /// When the file exists or cannot be created.
+    pub fn create_kept(
+        path: &Path,
+        program: &Path,
+        provenance: &Provenance,
+    ) -> Result<(Self, Option<std::io::Error>), RecordError> {
+        let (queue, file) = (Arc::new(Queue::new(path)), new_file(path)?);
+        let (sink, unkept): (Box<dyn Sink>, _) = match keeper(program, path, &file, &queue) {
+            Ok(Some(kept)) => (kept, None),
+            Ok(None) => (Box::new(own_file(path, file, &queue)?), None),
+            Err(error) => (Box::new(own_file(path, file, &queue)?), Some(error)),
         };
-        let file: File = OpenOptions::new().write(true).create_new(true).open(path).map_err(io)?;
-        let watched = Watched::new(&file).map_err(io)?;
-        Self::start(path, Box::new(file), Some(watched), provenance)
+        Ok((Self::start(path, &queue, sink, provenance)?, unkept))
     }
 
     /// Records into `target`; `path` serves messages only.
@@ -74,26 +92,23 @@ impl Recorder {
     /// # Errors
     /// When `provenance` cannot be written as JSON or the thread cannot be started.
     pub fn to_target(path: &Path, target: Box<dyn LogTarget>, provenance: &Provenance) -> Result<Self, RecordError> {
-        Self::start(path, target, None, provenance)
+        let queue = Arc::new(Queue::new(path));
+        let sink = OwnFile { target, watched: None, path: path.to_owned(), queue: Arc::clone(&queue) };
+        Self::start(path, &queue, Box::new(sink), provenance)
     }
 
-    fn start(
-        path: &Path,
-        target: Box<dyn LogTarget>,
-        watched: Option<Watched>,
-        provenance: &Provenance,
-    ) -> Result<Self, RecordError> {
-        let queue = Arc::new(Queue::new(path));
+    fn start(path: &Path, queue: &Arc<Queue>, sink: Box<dyn Sink>, provenance: &Provenance) -> Result<Self, RecordError> {
         let mut prepared = HashMap::new();
         for (topic, kind) in Kind::announced() {
             let id = queue.announce(topic, kind);
             prepared.insert(topic, (id, 0));
         }
+        let queue = Arc::clone(queue);
         let thread = std::thread::Builder::new()
             .name("recorder".into())
             .spawn({
                 let (path, queue) = (path.to_owned(), Arc::clone(&queue));
-                move || write_until_finished(&path, target, watched.as_ref(), &queue)
+                move || write_until_finished(&path, sink, &queue)
             })
             .map_err(|source| RecordError::Io { path: path.to_owned(), source })?;
         let recorder = Self { path: path.to_owned(), queue, prepared: Mutex::new(prepared), thread: Mutex::new(Some(thread)) };
@@ -272,6 +287,29 @@ impl Recorder {
     fn message(&self, kind: impl FnOnce() -> Kind, topic: &str, host_us: i64, data: Vec<u8>) -> Result<(), RecordError> {
         self.queue.put([(topic, kind, nanoseconds(host_us), data)], None)
     }
+}
+
+fn new_file(path: &Path) -> Result<File, RecordError> {
+    OpenOptions::new().write(true).create_new(true).open(path).map_err(|source| match source.kind() {
+        std::io::ErrorKind::AlreadyExists => RecordError::Exists { path: path.to_owned() },
+        _ => RecordError::Io { path: path.to_owned(), source },
+    })
+}
+
+fn own_file(path: &Path, file: File, queue: &Arc<Queue>) -> Result<OwnFile, RecordError> {
+    let watched = Watched::new(&file).map_err(|source| RecordError::Io { path: path.to_owned(), source })?;
+    Ok(OwnFile { target: Box::new(file), watched: Some(watched), path: path.to_owned(), queue: Arc::clone(queue) })
+}
+
+#[cfg(target_os = "linux")]
+fn keeper(program: &Path, path: &Path, file: &File, queue: &Arc<Queue>) -> std::io::Result<Option<Box<dyn Sink>>> {
+    Ok(Some(Box::new(super::handover::Handover::start(program, path, file, queue)?)))
+}
+
+/// Elsewhere there is no memory that two processes share by a plain file handle.
+#[cfg(not(target_os = "linux"))]
+fn keeper(_: &Path, _: &Path, _: &File, _: &Arc<Queue>) -> std::io::Result<Option<Box<dyn Sink>>> {
+    Ok(None)
 }
 
 fn as_json(topic: &str, value: &impl serde::Serialize) -> Result<Vec<u8>, RecordError> {

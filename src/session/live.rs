@@ -96,6 +96,7 @@ pub fn run(setup: Setup, options: &LiveOptions, board: &Board, reporter: &Report
         next_tick_us: started_us,
         tell_losses_us: started_us,
         told_losses: 0,
+        told_keepers_lost: 0,
         finishing: None,
     };
     session.run(&inbox, options, started_us)
@@ -129,6 +130,7 @@ struct Session {
     next_tick_us: i64,
     tell_losses_us: i64,
     told_losses: u64,
+    told_keepers_lost: u32,
     finishing: Option<(Progress, usize)>,
 }
 
@@ -267,7 +269,13 @@ impl Session {
             self.told_losses = lost;
             self.reporter.warn("telemetry lost", words.join("; "));
         }
-        if let Some(failure) = self.log.health().failure {
+        let recorder = self.log.health();
+        if recorder.keepers_lost > self.told_keepers_lost {
+            self.told_keepers_lost = recorder.keepers_lost;
+            self.reporter
+                .warn("log keeper lost", "the process that writes the log died; another one goes on, and nothing is lost");
+        }
+        if let Some(failure) = recorder.failure {
             self.log.fail(&failure);
         }
         if self.workshop.has_ended() && !matches!(self.stage, Stage::Finishing) {

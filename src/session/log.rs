@@ -68,7 +68,17 @@ impl SessionLog {
         let names = workshop.names().clone();
         let details = json!({"adapter": workshop.adapter(), "inputs": names.shown()});
         let setup = names.setup(setup);
-        let recorder = Recorder::create(&path, &Provenance::of_this_program(started_us, details))?;
+        let provenance = Provenance::of_this_program(started_us, details);
+        let (recorder, unkept) = match crate::foreign::installed().program() {
+            Some(program) => Recorder::create_kept(&path, program, &provenance)?,
+            None => (Recorder::create(&path, &provenance)?, None),
+        };
+        if let Some(error) = unkept {
+            let what = format!(
+                "the process that writes the log cannot be started ({error}); it is written by this one, and a kill -9 loses"
+            );
+            reporter.warn("no log keeper", format!("{what} what comes while the disk stands still"));
+        }
         recorder.json(SETUP_TOPIC, started_us, &setup)?;
         recorder.attach("scene.json", "application/json", started_us, setup.scene_json.as_bytes())?;
         if let Some((path, text)) = &setup.beads {

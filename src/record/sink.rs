@@ -1,0 +1,48 @@
+//! What takes the bytes of a log: a file that this process writes itself, or a keeper (`handover.rs`).
+
+use std::io::Write;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use super::place::{DELETED, Place, Watched};
+use super::queue::Queue;
+
+/// Where a log goes: a file, or something else that can be written (tests).
+pub trait LogTarget: Write + Send {}
+impl<T: Write + Send> LogTarget for T {}
+
+/// Takes the bytes of a log in order. What was written and then delivered is safe from a kill of this process.
+pub(super) trait Sink: Write + Send {
+    /// The log's first `end` bytes are a whole; the queue is told when they are in the file, now or later.
+    fn deliver(&mut self, end: u64) -> std::io::Result<()>;
+}
+
+/// A file that this process writes itself: a write that takes long holds up what comes behind it.
+pub(super) struct OwnFile {
+    pub(super) target: Box<dyn LogTarget>,
+    pub(super) watched: Option<Watched>,
+    pub(super) path: PathBuf,
+    pub(super) queue: Arc<Queue>,
+}
+
+impl Write for OwnFile {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.target.write(bytes)
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        self.target.flush()
+    }
+}
+
+impl Sink for OwnFile {
+    fn deliver(&mut self, end: u64) -> std::io::Result<()> {
+        self.flush()?;
+        match self.watched.as_ref().map_or(Place::There, |watched| watched.place(&self.path)) {
+            Place::Deleted => return Err(std::io::Error::other(DELETED)),
+            place => self.queue.placed(place == Place::Moved),
+        }
+        self.queue.in_file(end);
+        Ok(())
+    }
+}

@@ -1,14 +1,17 @@
 //! `sidecarm calibrate carm` against simulated arms that bend (`carm_arm`, which shares no code with the program).
 
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
 use glam::{DMat3, DQuat, DVec2, DVec3};
-use sidecarm::calibrate::carm::{CarmFit, CarmFitError, Sensors, Shot, ShotBead, calibrate};
+use sidecarm::calibrate::carm::{CarmFit, CarmFitError, CarmReport, Sensors, Shot, ShotBead, calibrate};
 use sidecarm::geometry::{CarmCalibration, CarmJoints, Rigid};
 use sidecarm::random::{Purpose, Stream};
 
-use crate::carm_arm::{Arm, Bed, Joints, Posture, V, angle_deg, sub};
+use crate::carm_arm::{Arm, Bed, Joints, Posture, TURNS_DEG, V, WANDERS_MM, angle_deg, sub};
 
 fn nominal() -> CarmCalibration {
-    let text = include_str!("../calibration/carm/live-620x480.json");
+    let text = include_str!("../calibration/carm/nominal-mobile.json");
     serde_json::from_str(text).expect("a calibration of the project")
 }
 
@@ -34,7 +37,7 @@ impl Lab {
     fn joints(&self, random: &mut Stream, n: usize, count: usize) -> Joints {
         let mut within = |half: f64| half * (2.0 * random.uniform() - 1.0);
         let orbital = -90.0 + 180.0 * (n as f64 + 0.5) / count as f64 + within(6.0);
-        let angulation = [-25.0, 10.0, 25.0, -10.0][n % 4] + within(5.0);
+        let angulation = [-25.0, 25.0, 0.0][n % 3] + within(5.0);
         let wig_wag = if self.wig_wags { within(8.0) } else { 3.0 };
         [20.0 + within(20.0), wig_wag, within(30.0), angulation, orbital, within(15.0), 1020.0]
     }
@@ -47,10 +50,15 @@ impl Lab {
         CarmJoints::from_array(read)
     }
 
+    /// On a shell that is in view from all sides.
     fn beads(&self) -> Vec<V> {
         let mut random = self.random(1);
         let count = 8 + (self.seed % 5) as usize;
-        (0..count).map(|_| std::array::from_fn(|_| 40.0 * (2.0 * random.uniform() - 1.0))).collect()
+        let bead = |_| {
+            let way = DVec3::new(random.normal(), random.normal(), random.normal());
+            (way.normalize() * (60.0 + 10.0 * random.uniform())).to_array()
+        };
+        (0..count).map(bead).collect()
     }
 
     fn shots(&self, arm: &Arm, bed: &Bed) -> Vec<Shot> {
@@ -65,7 +73,13 @@ impl Lab {
             };
             let beads = beads.iter().enumerate().map(bead).collect();
             let joints = self.read(&mut random, joints);
-            Shot { name: format!("shot-{n:02}"), size_px: [620, 480], joints, beads, camera_from_lps: camera_from_lps(&posture, bed) }
+            Shot {
+                name: format!("shot-{n:02}"),
+                size_px: [1536, 1536],
+                joints,
+                beads,
+                camera_from_lps: camera_from_lps(&posture, bed),
+            }
         };
         (0..self.shots).map(shot).collect()
     }
@@ -151,4 +165,127 @@ fn many_arms() {
             if wig_wags { ", the column turning" } else { "" }
         );
     }
+}
+
+const GOOD_LAB: Lab = Lab { seed: 0, shots: 10, sensors: GOOD, wig_wags: false };
+
+#[test]
+fn ten_shots_calibrate_arms_that_sag() {
+    let [piercing, ray, ..] = many(0, 3, 10, GOOD, false);
+    // Half a millimetre on the detector is 0.3 mm at the isocentre.
+    assert!(piercing[0] < 0.45 && piercing[2] < 1.5, "piercing point, mm: {piercing:?}");
+    assert!(ray[0] < 0.05 && ray[2] < 0.15, "ray, degrees: {ray:?}");
+    // Control: the arm as drawn errs by its sag.
+    let (arm, bed) = (Arm::drawn(1), Bed::drawn(1));
+    let lab = Lab { seed: 1, ..GOOD_LAB };
+    let fit = lab.fit(&arm, &bed).expect("calibrates");
+    let drawn = CarmFit { calibration: nominal(), ..fit };
+    let off = lab.held_out(&arm, &bed, &drawn).into_iter().map(|[[piercing, _], _]| piercing).collect();
+    assert!(spread(off)[0] > 3.0, "the nominal arm");
+}
+
+#[test]
+fn the_simulated_arm_sags_as_published() {
+    let (mm, deg) = Arm::drawn(4).wanders();
+    assert!((mm - WANDERS_MM).abs() < 1.0 && (deg - TURNS_DEG).abs() < 0.1, "{mm} mm, {deg} degrees");
+}
+
+#[test]
+fn what_the_shots_cannot_tell_is_said() {
+    let (arm, bed) = (Arm::drawn(5), Bed::drawn(5));
+    let fit = Lab { seed: 5, ..GOOD_LAB }.fit(&arm, &bed).expect("calibrates");
+    let relative = |key: &str| {
+        let (parameter, sigma) = fit.parameters.iter().find(|(parameter, _)| parameter.key == key).expect("fitted");
+        sigma / parameter.prior_sigma
+    };
+    assert!(relative("source_to_isocentre_mm") < 0.2, "{}", relative("source_to_isocentre_mm"));
+    // The column never turned.
+    assert!(relative("column_to_isocentre_mm[1]") > 0.9, "{}", relative("column_to_isocentre_mm[1]"));
+
+    let mut shots = Lab { seed: 5, ..GOOD_LAB }.shots(&arm, &bed);
+    let one = shots[4].clone();
+    shots.iter_mut().for_each(|shot| *shot = Shot { name: shot.name.clone(), ..one.clone() });
+    match calibrate(&shots, &nominal(), &GOOD) {
+        Err(CarmFitError::OneAngle { orbital_deg, parameters, .. }) => {
+            assert!(orbital_deg < 1e-9 && parameters.iter().any(|key| key == "source_to_isocentre_mm"), "{parameters:?}");
+        }
+        other => panic!("{:?}", other.map(|fit| fit.chi2_per_dof)),
+    }
+    assert!(matches!(calibrate(&shots[..3], &nominal(), &GOOD), Err(CarmFitError::TooFewShots { found: 3, .. })));
+}
+
+#[test]
+fn a_shot_with_the_joints_of_another_moment_is_named() {
+    let (arm, bed) = (Arm::drawn(6), Bed::drawn(6));
+    let mut shots = Lab { seed: 6, ..GOOD_LAB }.shots(&arm, &bed);
+    shots[3].joints.orbital_rad += 8f64.to_radians();
+    let fit = calibrate(&shots, &nominal(), &GOOD).expect("calibrates without it");
+    let named: Vec<&str> = fit.left_out.iter().map(|left_out| left_out.shot.as_str()).collect();
+    assert_eq!(named, ["shot-03"]);
+    assert!(fit.left_out[0].off.attitude_deg > 4.0, "{:?}", fit.left_out[0].off);
+}
+
+/// Pose files and their table of joints, as `register` and a person write them.
+fn write_shots(folder: &Path, shots: &[Shot]) -> Vec<PathBuf> {
+    let mut table = "frame,lift_mm,wig_wag_deg,longitudinal_mm,angulation_deg,orbital_deg,detector_rotation_deg\n".to_owned();
+    let write = |shot: &Shot| {
+        let bead = |bead: &ShotBead| {
+            serde_json::json!({"name": bead.name, "body": "specimen", "lps_mm": bead.lps_mm.to_array(), "image_px": bead.image_px.to_array(),
+                "predicted_px": null, "residual_px": null, "sigma_px": bead.sigma_px, "left_out_px": null, "used": true, "reason": null})
+        };
+        let beads: Vec<_> = shot.beads.iter().map(bead).collect();
+        let pose = serde_json::json!({"status": "accepted", "size_px": shot.size_px, "beads": beads,
+            "intrinsics": [[5257.0, 0.0, 767.5], [0.0, 5257.0, 767.5], [0.0, 0.0, 1.0]], "camera_from_lps": shot.camera_from_lps});
+        let path = folder.join(format!("{}.json", shot.name));
+        std::fs::write(&path, pose.to_string()).expect("written");
+        let [lift, wig_wag, longitudinal, angulation, orbital, rotation, _] = shot.joints.to_array();
+        let [wig_wag, angulation, orbital, rotation] = [wig_wag, angulation, orbital, rotation].map(f64::to_degrees);
+        table += &format!("{},{lift},{wig_wag},{longitudinal},{angulation},{orbital},{rotation}\n", shot.name);
+        path
+    };
+    let paths = shots.iter().map(write).collect();
+    std::fs::write(folder.join("joints.csv"), table).expect("written");
+    paths
+}
+
+#[test]
+fn the_command_writes_a_calibration_that_predicts_the_shots() {
+    let folder = tempfile::tempdir().expect("scratch");
+    let (arm, bed) = (Arm::drawn(7), Bed::drawn(7));
+    let lab = Lab { seed: 7, ..GOOD_LAB };
+    let paths = write_shots(folder.path(), &lab.shots(&arm, &bed));
+    let out = folder.path().join("lab.json");
+    let run = |paths: &[PathBuf]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
+        command.args(["calibrate", "carm"]).args(paths).arg("--joints").arg(folder.path().join("joints.csv"));
+        command.args([
+            "--calibration",
+            "calibration/carm/nominal-mobile.json",
+            "--encoder-sigma-deg",
+            "0.02",
+            "--encoder-sigma-mm",
+            "0.1",
+        ]);
+        command.args(["--origin", "a test", "--json", "--out"]).arg(&out).current_dir(env!("CARGO_MANIFEST_DIR"));
+        command.output().expect("sidecarm runs")
+    };
+    let stray = folder.path().join("stray.json");
+    std::fs::copy(&paths[0], &stray).expect("copied");
+    let refused = run(&[stray]);
+    assert_eq!(refused.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("add a line `stray,"), "{refused:?}");
+    assert!(!out.exists(), "nothing half-written");
+
+    let done = run(&paths);
+    assert_eq!(done.status.code(), Some(0), "{}", String::from_utf8_lossy(&done.stderr));
+    let report: CarmReport = serde_json::from_slice(&done.stdout).expect("the report");
+    assert!(report.shots.len() == 10 && report.held_out_piercing_mm < 2.0 && report.held_out_ray_deg < 0.2, "{report:?}");
+    assert_eq!(std::fs::read(folder.path().join("lab.report.json")).expect("beside it"), done.stdout);
+    assert!(std::fs::read_to_string(folder.path().join("lab.svg")).expect("plot").starts_with("<svg"));
+    let calibration: CarmCalibration = serde_json::from_slice(&std::fs::read(&out).expect("written")).expect("reads");
+    assert!(calibration.origin.contains("a test; 10 bead shots"), "{}", calibration.origin);
+    assert!(calibration.camera_sigma_mm.is_some_and(|mm| mm > 0.0 && mm < 2.0), "{:?}", calibration.camera_sigma_mm);
+    let fit = CarmFit { calibration, ..lab.fit(&arm, &bed).expect("calibrates") };
+    let off = lab.held_out(&arm, &bed, &fit).into_iter().map(|[[piercing, _], _]| piercing).collect();
+    assert!(spread(off)[0] < 0.6, "the file predicts held-out shots");
 }

@@ -117,13 +117,13 @@ pub const WANDERS_MM: f64 = 15.8;
 pub const TURNS_DEG: f64 = 2.9;
 
 impl Arm {
-    /// The nominal one of `calibration/carm/live-620x480.json`, with the errors of a real one.
+    /// The nominal one of `calibration/carm/nominal-mobile.json`, with the errors of a real one.
     pub fn drawn(seed: u64) -> Self {
         let mut random = Stream::new(seed, 0, 0, Purpose::Evaluation);
         let mut about = |nominal: f64, sigma: f64| nominal + sigma * random.normal();
         let mut arm = Self {
-            size_px: [620.0, 480.0],
-            pitch_mm: 0.388,
+            size_px: [1536.0, 1536.0],
+            pitch_mm: 0.194,
             source_to_isocentre_mm: about(631.8, 5.0),
             distance_offset_mm: about(0.0, 3.0),
             column_to_isocentre_mm: [about(800.0, 5.0), about(0.0, 5.0), about(1000.0, 5.0)],
@@ -211,7 +211,10 @@ impl Bed {
     pub fn drawn(seed: u64) -> Self {
         let mut random = Stream::new(seed, 1, 0, Purpose::Evaluation);
         let mut about = |nominal: f64, sigma: f64| nominal + sigma * random.normal();
-        Self { at: [about(815.0, 10.0), about(0.0, 10.0), about(1025.0, 10.0)], askew_deg: std::array::from_fn(|_| about(0.0, 4.0)) }
+        Self {
+            at: [about(815.0, 10.0), about(0.0, 10.0), about(1025.0, 10.0)],
+            askew_deg: std::array::from_fn(|_| about(0.0, 4.0)),
+        }
     }
 
     /// x → x, y → −z, z → y.

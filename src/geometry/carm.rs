@@ -223,12 +223,7 @@ impl CarmCalibration {
         let detector_rotation = joints.detector_rotation_rad + o.detector_rotation_deg.to_radians();
         let [ray_x, ray_y] = self.principal_ray_offset_mm;
         let m = &self.misalignment;
-        let [tilt_x, tilt_y] = m.detector_tilt_deg.map(f64::to_radians);
-        let tilt = DVec3::new(tilt_x, tilt_y, 0.0);
-        let (source, turn) = self.gravity_sag.as_ref().map_or((DVec3::ZERO, DVec3::ZERO), |sag| {
-            let terms = sag_terms(angulation, orbital);
-            (GravitySag::at(&sag.source_mm, &terms), GravitySag::at(&sag.rotation_deg, &terms).map(f64::to_radians))
-        });
+        let (source, c_from_panel, _) = self.bent(angulation, orbital, detector_rotation);
         let carriage = DVec3::new(joints.longitudinal_mm + o.longitudinal_mm, 0.0, joints.lift_mm + o.lift_mm);
         let ideal = Rigid::translation(carriage)
             * Rigid::rotation(DQuat::from_rotation_z(wig_wag))
@@ -241,9 +236,7 @@ impl CarmCalibration {
             }
             * Rigid::rotation(DQuat::from_rotation_y(orbital))
             * Rigid::translation(DVec3::new(ray_x, ray_y, -self.source_to_isocentre_mm) + source)
-            * Rigid::rotation(DQuat::from_scaled_axis(turn))
-            * Rigid::rotation(DQuat::from_scaled_axis(tilt))
-            * Rigid::rotation(DQuat::from_rotation_z(detector_rotation));
+            * Rigid::rotation(c_from_panel);
         let Some(sag) = &self.sag else { return Ok(ideal) };
         let basis = DVec3::new(orbital.sin(), orbital.cos() - 1.0, angulation.sin());
         let apply = |rows: &[[f64; 3]; 3]| DVec3::from_array(rows.map(|row| DVec3::from_array(row).dot(basis)));
@@ -256,39 +249,57 @@ impl CarmCalibration {
     /// # Errors
     /// When neither telemetry nor calibration gives the distance, a length is not positive, or sag needs an angle that is not measured.
     pub fn intrinsics(&self, joints: &CarmJoints) -> Result<Intrinsics, CarmCalibrationError> {
-        let moved = self.detector_sag_mm(joints)?;
         let measured = joints.source_to_detector_mm.is_finite().then_some(joints.source_to_detector_mm);
         let distance_mm = measured
             .or(self.source_to_detector_mm)
             .ok_or(CarmCalibrationError::NotMeasured { joint: "source_to_detector_mm" })?
-            + self.offsets.source_to_detector_mm
-            + moved.z;
-        for (key, value) in [("pitch_mm", self.pitch_mm), ("source_to_detector_mm", distance_mm)] {
+            + self.offsets.source_to_detector_mm;
+        let middle_mm = self.middle_from_source_mm(joints, distance_mm)?;
+        for (key, value) in [("pitch_mm", self.pitch_mm), ("source_to_detector_mm", middle_mm.z)] {
             if !(value > 0.0 && value.is_finite()) {
                 return Err(CarmCalibrationError::NotPositive { key, value });
             }
         }
         let middle = [f64::from(self.columns_px) * 0.5 - 0.5, f64::from(self.rows_px) * 0.5 - 0.5];
         let [cx, cy] = self.principal_point_px.unwrap_or(middle);
-        let focal = distance_mm / self.pitch_mm;
-        // The detector goes one way, the foot of the principal ray the other way on it.
-        let (cx, cy) = (cx - moved.x / self.pitch_mm, cy - moved.y / self.pitch_mm);
+        let focal = middle_mm.z / self.pitch_mm;
+        // The panel goes one way, the foot of the principal ray the other way on it.
+        let (cx, cy) = (cx - middle_mm.x / self.pitch_mm, cy - middle_mm.y / self.pitch_mm);
         Ok(Intrinsics { fx: focal, fy: focal, skew: 0.0, cx, cy })
     }
 
-    /// How gravity moves the detector against the focal spot, in the panel's own axes.
-    fn detector_sag_mm(&self, joints: &CarmJoints) -> Result<DVec3, CarmCalibrationError> {
-        let Some(sag) = &self.gravity_sag else { return Ok(DVec3::ZERO) };
+    /// How the focal spot moves in the C's axes, how the panel stands in them, and how the panel's middle moves against the focal spot.
+    fn bent(&self, angulation: f64, orbital: f64, detector_rotation: f64) -> (DVec3, DQuat, DVec3) {
+        let in_plane = DQuat::from_rotation_z(detector_rotation);
+        let [tilt_x, tilt_y] = self.misalignment.detector_tilt_deg.map(f64::to_radians);
+        let tilt = DQuat::from_scaled_axis(DVec3::new(tilt_x, tilt_y, 0.0));
+        let Some(sag) = &self.gravity_sag else { return (DVec3::ZERO, tilt * in_plane, DVec3::ZERO) };
+        let terms = sag_terms(angulation, orbital);
+        let turn = DQuat::from_scaled_axis(GravitySag::at(&sag.rotation_deg, &terms).map(f64::to_radians));
+        let source = GravitySag::at(&sag.source_mm, &terms);
+        (source, turn * tilt * in_plane, GravitySag::at(&sag.detector_mm, &terms) - source)
+    }
+
+    /// From the focal spot to the panel's middle in the panel's axes: the distance and the foot of the principal ray follow from it. Plain
+    /// where nothing bends and nothing is tilted.
+    fn middle_from_source_mm(&self, joints: &CarmJoints, distance_mm: f64) -> Result<DVec3, CarmCalibrationError> {
+        let [offset_x, offset_y] = self.misalignment.detector_offset_mm;
+        let straight = DVec3::new(offset_x, offset_y, distance_mm);
+        if self.gravity_sag.is_none() && self.misalignment == Misalignment::default() {
+            return Ok(straight);
+        }
         for index in [3, 4, 5] {
             if !joints.to_array()[index].is_finite() {
                 return Err(CarmCalibrationError::NotMeasured { joint: JOINT_KEYS[index].0 });
             }
         }
         let o = &self.offsets;
-        let terms =
-            sag_terms(joints.angulation_rad + o.angulation_deg.to_radians(), joints.orbital_rad + o.orbital_deg.to_radians());
-        let panel_from_c = DQuat::from_rotation_z(-joints.detector_rotation_rad - o.detector_rotation_deg.to_radians());
-        Ok(panel_from_c * GravitySag::at(&sag.detector_mm, &terms))
+        let (_, c_from_panel, moved) = self.bent(
+            joints.angulation_rad + o.angulation_deg.to_radians(),
+            joints.orbital_rad + o.orbital_deg.to_radians(),
+            joints.detector_rotation_rad + o.detector_rotation_deg.to_radians(),
+        );
+        Ok(c_from_panel.conjugate() * (straight + moved))
     }
 }
 

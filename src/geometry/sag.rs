@@ -25,11 +25,11 @@ pub fn sag_terms(angulation_rad: f64, orbital_rad: f64) -> [f64; SAG_TERMS] {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct GravitySag {
-    /// The focal spot moves, and the detector with it.
+    /// The focal spot moves.
     pub source_mm: [[f64; SAG_TERMS]; 3],
-    /// The detector turns about the focal spot; a rotation vector.
+    /// The detector turns about its middle; a rotation vector.
     pub rotation_deg: [[f64; SAG_TERMS]; 3],
-    /// The detector moves against the focal spot: in its plane the principal point, along z the distance.
+    /// The detector's middle moves.
     pub detector_mm: [[f64; SAG_TERMS]; 3],
 }
 
@@ -51,8 +51,10 @@ pub struct Misalignment {
     pub orbital_axis_skew_deg: f64,
     /// The orbital axis passes the angulation axis at this distance, along z at zero.
     pub orbital_axis_offset_mm: f64,
-    /// Turn of the detector about the C's x and y, with the focal spot as its centre.
+    /// Turn of the detector about its middle, about the C's x and y.
     pub detector_tilt_deg: [f64; 2],
+    /// Where the axis about which the panel turns passes the C's own axis, along its x and y.
+    pub detector_offset_mm: [f64; 2],
 }
 
 #[cfg(test)]

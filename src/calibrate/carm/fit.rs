@@ -119,7 +119,8 @@ fn check_determined(shots: &[&Shot], parameters: &[Parameter], whole: &Solution)
     if unknown().all(|(parameter, _)| parameter.key != "source_to_isocentre_mm") {
         return Ok(());
     }
-    let parameters = unknown().map(|(parameter, _)| parameter.key.clone()).filter(|key| !key.starts_with("gravity_sag")).collect();
+    let parameters =
+        unknown().map(|(parameter, _)| parameter.key.clone()).filter(|key| !key.starts_with("gravity_sag")).collect();
     let (angulation_deg, orbital_deg) = (range(shots, 3), range(shots, 4));
     Err(CarmFitError::OneAngle { orbital_deg, angulation_deg, required_deg: RANGE_DEG, parameters })
 }
@@ -158,4 +159,3 @@ fn finish(
         left_out,
     }
 }
-

@@ -8,14 +8,16 @@
 
 mod parameters;
 mod shot;
+mod shots_of;
 mod solve;
 mod fit;
-
+mod report;
 
 pub use fit::{CarmFit, LeftOutShot, calibrate};
 pub use parameters::Parameter;
-
+pub use report::{CarmReport, FittedParameter, ShotReport, plot};
 pub use shot::{Shot, ShotBead};
+pub use shots_of::shots_of_log;
 pub use solve::CameraError;
 
 use crate::estimate::EstimateError;

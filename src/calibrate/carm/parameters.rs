@@ -11,8 +11,8 @@ const FIRST_ORDER: usize = 3;
 /// Offsets of angle encoders, turns of axes and panel.
 const ANGLE_DEG: f64 = 2.0;
 /// Deflections of first and of second order: mm of focal spot and detector, degrees.
-const SAG_MM: (f64, f64) = (10.0, 2.5);
-const SAG_DEG: (f64, f64) = (2.0, 0.4);
+const SAG_MM: (f64, f64) = (10.0, 1.5);
+const SAG_DEG: (f64, f64) = (2.0, 0.3);
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Target {
@@ -28,6 +28,7 @@ enum Target {
     OrbitalAxisSkew,
     OrbitalAxisOffset,
     DetectorTilt(usize),
+    DetectorOffset(usize),
     SagOfSource(usize, usize),
     SagOfRotation(usize, usize),
     SagOfDetector(usize, usize),
@@ -65,6 +66,7 @@ impl Parameter {
             all.push(Self::new(format!("principal_point_px[{axis}]"), 5.0 / pitch_mm, Target::PrincipalPoint(axis)));
             all.push(Self::new(format!("principal_ray_offset_mm[{axis}]"), 30.0, Target::PrincipalRay(axis)));
             all.push(Self::new(format!("misalignment.detector_tilt_deg[{axis}]"), ANGLE_DEG, Target::DetectorTilt(axis)));
+            all.push(Self::new(format!("misalignment.detector_offset_mm[{axis}]"), 10.0, Target::DetectorOffset(axis)));
         }
         for axis in 0..3 {
             all.push(Self::new(format!("column_to_isocentre_mm[{axis}]"), 30.0, Target::ColumnToIsocentre(axis)));
@@ -103,6 +105,7 @@ impl Parameter {
             Target::OrbitalAxisSkew => &mut carm.misalignment.orbital_axis_skew_deg,
             Target::OrbitalAxisOffset => &mut carm.misalignment.orbital_axis_offset_mm,
             Target::DetectorTilt(axis) => &mut carm.misalignment.detector_tilt_deg[axis],
+            Target::DetectorOffset(axis) => &mut carm.misalignment.detector_offset_mm[axis],
             Target::SagOfSource(axis, term) => &mut sag(carm).source_mm[axis][term],
             Target::SagOfRotation(axis, term) => &mut sag(carm).rotation_deg[axis][term],
             Target::SagOfDetector(axis, term) => &mut sag(carm).detector_mm[axis][term],

@@ -484,6 +484,7 @@ mod tests {
             sag: Some(serde_json::from_value(serde_json::json!({
                 "translation_mm": [[1.0, 0.0, 2.0], [0.0, 3.0, 0.0], [0.0, 0.0, 1.0]], "rotation_deg": [[0.5, 0.0, 0.2], [0.0, 0.1, 0.0], [0.3, 0.0, 0.0]]
             })).expect("sag")),
+            misalignment: crate::geometry::Misalignment { detector_offset_mm: [7.0, -4.0], ..Default::default() },
             ..carm()
         };
         let folded = console.calibration_of(&sagging, [900, 600]).expect("fits");

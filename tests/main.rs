@@ -35,6 +35,7 @@ mod tags_drawn;
 mod tags_photos;
 mod pose_doubt;
 mod pose_registration;
+mod pose_intrinsics;
 mod pose_request;
 mod pose_synthetic;
 mod pose_angles;

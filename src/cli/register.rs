@@ -1,6 +1,6 @@
 //! `sidecarm register`: one frame, one bead layout, one P (or the reason why there is none).
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use crate::acquire::{AcquireError, DetectorCalibration, DetectorCalibrationError, Domain, Frame, read_frame};
 use crate::beads::tags::{TagsError, TagsFileError, find_tags, read_tags};
@@ -9,7 +9,8 @@ use crate::geometry::Intrinsics;
 use crate::image::{ImageFileError, refuse_overwrite, write_png_rgb};
 use crate::mask;
 use crate::pose::{
-    IntrinsicsFile, Pose, PoseFileError, Prior, Registration, Shadow, intrinsics_of, register_masked, register_tagged,
+    IntrinsicsFile, IntrinsicsPrior, Pose, PoseFileError, Prior, Registration, Shadow, intrinsics_of, register_masked,
+    register_tagged,
 };
 use crate::report;
 use crate::reporter::Reporter;
@@ -31,7 +32,8 @@ pub struct RegisterArgs {
     /// beads and are checked against it; without beads the pose is that of the tags
     #[arg(long, value_name = "TAGS.json")]
     pub tags: Option<PathBuf>,
-    /// K: {"intrinsics": 3x3, "size_px": [columns, rows], "pitch_mm": p}; without it from SID and pixel spacing, else solved
+    /// K: {"intrinsics": 3x3, "size_px": [columns, rows], "pitch_mm": p}; without it from SID and pixel spacing, else solved. With
+    /// "sigma": {"source_to_detector_mm": 3, "principal_point_px": 5, "pitch_mm": 0.0002} K is solved too, with what is stated as priors
     #[arg(long, value_name = "K.json")]
     pub intrinsics: Option<PathBuf>,
     /// Where the pose is expected: a pose file, only camera_from_lps (and covariance) are used
@@ -155,27 +157,11 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
         frame = DetectorCalibration::apply_file(path, &frame)?;
     }
     let mut note = None;
-    let (intrinsics, pitch_mm) = match &args.intrinsics {
-        Some(path) => {
-            let file = IntrinsicsFile::read(path)?;
-            let found = frame.size_px.map(|n| n as u32);
-            let tagged_pitch_mm = frame.tags.pitch_mm.map(|pitch| pitch[0]);
-            match file.size_px.filter(|expected| *expected != found) {
-                None => (Some(file.intrinsics), file.pitch_mm.or(tagged_pitch_mm)),
-                Some(expected) => {
-                    let size = RegisterError::Size { path: path.clone(), expected, frame: args.frame.clone(), found };
-                    let factor = binning(expected, found).ok_or(size)?;
-                    note = Some(format!("K is for {expected:?} px: the frame is taken as binned {factor} x {factor}"));
-                    let pitch_mm = file.pitch_mm.map(|pitch| pitch * f64::from(factor)).or(tagged_pitch_mm);
-                    (Some(file.intrinsics.binned(f64::from(factor))), pitch_mm)
-                }
-            }
-        }
-        None => from_header(&frame, &mut note),
-    };
+    let known = known(args, &args.frame, &frame, &mut note)?;
     let request = Registration {
-        intrinsics,
-        pitch_mm,
+        intrinsics: known.intrinsics,
+        intrinsics_prior: known.prior,
+        pitch_mm: known.pitch_mm,
         prior: prior.as_ref(),
         fuse: args.fuse,
         ignore_prior: args.ignore_prior,
@@ -191,6 +177,9 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
         None => register_masked(&request, &frame, &masks),
     };
     pose.notes.extend(note);
+    if tags.is_some() && known.prior.is_some() {
+        pose.notes.push("where tags are used K is taken as stated: its sigma is left aside".to_owned());
+    }
     pose.write(&args.out)?;
     if let Some(path) = &args.overlay {
         write_png_rgb(path, &report::overlay(&frame, &pose, &masks))?;
@@ -211,17 +200,44 @@ fn binning(panel: [u32; 2], frame: [u32; 2]) -> Option<u32> {
     (2..=8).find(|factor| panel.map(|n| n / factor) == frame && panel.iter().zip(frame).all(|(n, m)| n - m * factor < *factor))
 }
 
-fn from_header(frame: &Frame, note: &mut Option<String>) -> (Option<Intrinsics>, Option<f64>) {
-    match intrinsics_of(frame) {
-        Some((intrinsics, pitch_mm, words)) => {
-            *note = Some(words);
-            (Some(intrinsics), Some(pitch_mm))
+/// K of a frame and how sure it is.
+struct Known {
+    intrinsics: Option<Intrinsics>,
+    prior: Option<IntrinsicsPrior>,
+    pitch_mm: Option<f64>,
+}
+
+/// From the file of K, binned as the frame is, else from the frame's header.
+fn known(args: &RegisterArgs, path: &Path, frame: &Frame, note: &mut Option<String>) -> Result<Known, RegisterError> {
+    let tagged_pitch_mm = frame.tags.pitch_mm.map(|pitch| pitch[0]);
+    let Some(file_path) = &args.intrinsics else {
+        let (words, known) = match intrinsics_of(frame) {
+            Some((intrinsics, pitch_mm, words)) => (words, (Some(intrinsics), Some(pitch_mm))),
+            None => {
+                let words = "no --intrinsics, and no SID with pixel spacing in the header: K is solved from the beads";
+                (words.to_owned(), (None, tagged_pitch_mm))
+            }
+        };
+        *note = Some(words);
+        return Ok(Known { intrinsics: known.0, prior: None, pitch_mm: known.1 });
+    };
+    let file = IntrinsicsFile::read(file_path)?;
+    let found = frame.size_px.map(|n| n as u32);
+    let factor = match file.size_px.filter(|expected| *expected != found) {
+        None => 1,
+        Some(expected) => {
+            let size = RegisterError::Size { path: file_path.clone(), expected, frame: path.to_owned(), found };
+            let factor = binning(expected, found).ok_or(size)?;
+            *note = Some(format!("K is for {expected:?} px: the frame is taken as binned {factor} x {factor}"));
+            factor
         }
-        None => {
-            *note = Some("no --intrinsics, and no SID with pixel spacing in the header: K is solved from the beads".to_owned());
-            (None, frame.tags.pitch_mm.map(|pitch| pitch[0]))
-        }
-    }
+    };
+    let factor = f64::from(factor);
+    Ok(Known {
+        intrinsics: Some(file.intrinsics.binned(factor)),
+        prior: file.prior().map(|prior| prior.binned(factor)),
+        pitch_mm: file.pitch_mm.map(|pitch| pitch * factor).or(tagged_pitch_mm),
+    })
 }
 
 /// Human words for a pose.
@@ -257,7 +273,8 @@ pub fn summary(pose: &Pose, explain: bool) -> String {
             ));
         }
         if let (Some(k), Some(source)) = (&pose.intrinsics, &pose.intrinsics_source) {
-            lines.push(format!("K {source}: f {:.1}, {:.1} px, principal point {:.1}, {:.1} px", k.fx, k.fy, k.cx, k.cy));
+            let sigma = pose.intrinsics_sigma_px.map_or(String::new(), |[f, _, x, y]| format!(" (± {f:.1}; {x:.1}, {y:.1})"));
+            lines.push(format!("K {source}: f {:.1}, {:.1} px, principal point {:.1}, {:.1} px{sigma}", k.fx, k.fy, k.cx, k.cy));
         }
     } else {
         lines.push(format!("refused: {}", pose.reason.as_deref().unwrap_or("no reason given")));

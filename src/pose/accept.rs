@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, Matrix6};
 use super::case::Case;
 use super::record::{BeadResidual, BodyPose, Covariance, LandmarkUncertainty, Pose, Shadow, Status};
 use super::settle::Settled;
-use super::solve::{about, left_out};
+use super::solve::{Free, about, left_out};
 use crate::beads::{Bead, Detection};
 use crate::estimate::LeftOut;
 use crate::geometry::{Projection, Rigid};
@@ -42,7 +42,11 @@ impl Case<'_> {
         if bodies.len() > 1 {
             notes.push("beads of several bodies agree as one rigid specimen".to_owned());
         }
-        let solved = self.request.intrinsics.is_none();
+        let (solved, source) = match self.request.free() {
+            Free::Pose => (false, "given"),
+            Free::Square => (true, "solved"),
+            Free::Known(_) => (true, "solved with priors"),
+        };
         let shadow = |(n, detection): (usize, &Detection)| {
             let bead = last.matches.iter().find(|m| m.detection == n).map(|m| layout.beads[m.bead].name.clone());
             Shadow::of(detection, bead)
@@ -67,7 +71,7 @@ impl Case<'_> {
             refusal: None,
             projection: Some(projection),
             intrinsics: Some(k),
-            intrinsics_source: Some(if solved { "solved" } else { "given" }.to_owned()),
+            intrinsics_source: Some(source.to_owned()),
             intrinsics_sigma_px: solved.then(|| {
                 let sigma = |n: usize| covariance[(n, n)].sqrt();
                 [sigma(6), sigma(6), sigma(7), sigma(8)]

@@ -71,17 +71,29 @@ pub(super) fn apart(request: &Registration, detections: &[Detection], one: Pose,
     let first = alone(reference, *request, detections);
     let Some((intrinsics, camera_from_lps)) = first.camera() else { return split(one, others) };
     let prior = Prior { camera_from_lps, covariance: None };
+    // K that one body's beads gave holds for the others, and its uncertainty moves them all alike.
+    let held = request.intrinsics_prior.map(|_| {
+        let known = Registration { intrinsics: Some(intrinsics), intrinsics_prior: None, ..*request };
+        alone(reference, known, detections)
+    });
+    let held = held.filter(Pose::is_accepted).unwrap_or_else(|| first.clone());
     let mut left: Vec<Detection> = without(detections, &first);
     let mut bodies: Vec<Apart> = Vec::new();
     for name in others {
-        let known =
-            Registration { intrinsics: Some(intrinsics), prior: Some(&prior), fuse: false, ignore_prior: false, ..*request };
+        let known = Registration {
+            intrinsics: Some(intrinsics),
+            intrinsics_prior: None,
+            prior: Some(&prior),
+            fuse: false,
+            ignore_prior: false,
+            ..*request
+        };
         if layout_of(request.layout, name).beads.len() < FEWEST {
             continue;
         }
         let pose = alone(name, known, &left);
         left = without(&left, &pose);
-        bodies.extend(motion(name, &first, pose));
+        bodies.extend(motion(name, &held, pose));
     }
     let Some(moved) = bodies.iter().filter(|body| body.moved).max_by(|a, b| a.angle_deg.total_cmp(&b.angle_deg)) else {
         return split(one, others);

@@ -9,6 +9,7 @@ mod bodies;
 mod case;
 mod doubt;
 mod flat;
+mod intrinsics_file;
 mod judge;
 mod propose;
 mod record;
@@ -26,11 +27,11 @@ mod verdict;
 mod with_tags;
 
 pub use case::PRIOR_SIGMA;
+pub use intrinsics_file::{IntrinsicsFile, IntrinsicsSigma};
 pub use record::{
-    BeadResidual, BodyPose, Covariance, IntrinsicsFile, LandmarkUncertainty, Pose, PoseFileError, Prior, Shadow, Status,
-    TagResidual,
+    BeadResidual, BodyPose, Covariance, LandmarkUncertainty, Pose, PoseFileError, Prior, Shadow, Status, TagResidual,
 };
-pub use refusal::{Points, Refusal, Rival};
+pub use refusal::{IntrinsicsNumber, Points, Refusal, Rival};
 pub use register::{intrinsics_of, register, register_masked, register_shadows};
 pub use request::Registration;
 pub use solve::{Free, IntrinsicsPrior};

@@ -5,6 +5,7 @@
 use glam::{DMat3, DVec2, DVec3};
 use nalgebra::{DMatrix, Matrix2, Matrix2x3, Matrix3, Matrix6, Vector2};
 
+use super::refusal::IntrinsicsNumber;
 use crate::estimate::{BeadImage, Freedom, LeftOut, Loss, Place, PoseBlock, PosePrior, Problem, Reading, Settings, VectorBlock};
 use crate::geometry::{Intrinsics, Rigid};
 
@@ -42,6 +43,26 @@ impl IntrinsicsPrior {
         let ratio = mean.fy / mean.fx;
         let mean = Intrinsics { fx: focal_px, fy: focal_px * ratio, ..mean };
         Self { mean, focal_sigma_px: focal_px * relative, centre_sigma_px: [centre_sigma_px; 2] }
+    }
+
+    /// K of the same detector with `factor` × `factor` pixels averaged into one.
+    #[must_use]
+    pub fn binned(&self, factor: f64) -> Self {
+        Self {
+            mean: self.mean.binned(factor),
+            focal_sigma_px: self.focal_sigma_px / factor,
+            centre_sigma_px: self.centre_sigma_px.map(|sigma| sigma / factor),
+        }
+    }
+
+    /// What the prior says of `solved`'s numbers: name, solved minus stated, standard deviation, px.
+    pub(super) fn deviations(&self, solved: &Intrinsics) -> [(IntrinsicsNumber, f64, f64); 3] {
+        let [column, row] = self.centre_sigma_px;
+        [
+            (IntrinsicsNumber::FocalLength, solved.fx - self.mean.fx, self.focal_sigma_px),
+            (IntrinsicsNumber::PrincipalColumn, solved.cx - self.mean.cx, column),
+            (IntrinsicsNumber::PrincipalRow, solved.cy - self.mean.cy, row),
+        ]
     }
 }
 

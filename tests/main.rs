@@ -38,6 +38,7 @@ mod pose_registration;
 mod pose_intrinsics;
 mod pose_request;
 mod pose_synthetic;
+mod pose_together;
 mod pose_angles;
 mod pose_command;
 mod pose_convert;

@@ -21,6 +21,7 @@ pub mod live;
 pub mod pose;
 pub mod read_foreign;
 pub mod register;
+pub mod register_together;
 pub mod render;
 pub mod replay;
 pub mod spectrum;

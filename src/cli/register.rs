@@ -1,7 +1,8 @@
-//! `sidecarm register`: one frame, one bead layout, one P (or the reason why there is none).
+//! `sidecarm register`: a frame, a bead layout, a P (or the reason why there is none); with `--together` several frames.
 
 use std::path::{Path, PathBuf};
 
+use super::register_together;
 use crate::acquire::{AcquireError, DetectorCalibration, DetectorCalibrationError, Domain, Frame, read_frame};
 use crate::beads::tags::{TagsError, TagsFileError, find_tags, read_tags};
 use crate::beads::{BeadLayout, BeadsError, CorrespondencesError, Landmark, read_correspondences, read_landmarks, read_markups};
@@ -20,11 +21,17 @@ use crate::reporter::Reporter;
 #[command(after_help = "Example:
   sidecarm register frame.dcm --beads beads.mrk.json --intrinsics K.json --out POSE.json
   sidecarm register frame.dcm --tags tags.json --intrinsics K.json --out POSE.json
+  sidecarm register ap.dcm lateral.dcm oblique.dcm --together --beads beads.mrk.json --intrinsics K.json --out POSES.json
 
 Exit code 0: accepted; 1: refused (POSE.json says why and holds no projection).")]
 pub struct RegisterArgs {
-    /// The radiograph: DICOM, 16-bit PNG or TIFF, float TIFF
-    pub frame: PathBuf,
+    /// The radiograph: DICOM, 16-bit PNG or TIFF, float TIFF; with --together several of one specimen, in the order they were taken
+    #[arg(required = true, value_name = "FRAME")]
+    pub frames: Vec<PathBuf>,
+    /// Solve the frames together: each is registered alone, then all at once with K and bead positions in common, which tells beads that
+    /// have migrated, bodies that were bumped between two frames, and single shadows that are off from each other
+    #[arg(long, conflicts_with_all = ["fuse", "tags", "correspondences", "overlay", "explain"])]
+    pub together: bool,
     /// Beads: a 3D Slicer point list (.mrk.json or .fcsv); radius_mm=0.75, sigma_mm=0.1 and body=pelvis are read from descriptions
     #[arg(long, value_name = "BEADS", required_unless_present = "tags")]
     pub beads: Option<PathBuf>,
@@ -36,9 +43,10 @@ pub struct RegisterArgs {
     /// "sigma": {"source_to_detector_mm": 3, "principal_point_px": 5, "pitch_mm": 0.0002} K is solved too, with what is stated as priors
     #[arg(long, value_name = "K.json")]
     pub intrinsics: Option<PathBuf>,
-    /// Where the pose is expected: a pose file, only camera_from_lps (and covariance) are used
+    /// Where the pose is expected: a pose file, only camera_from_lps (and covariance) are used; with --together once per frame, in their
+    /// order
     #[arg(long, value_name = "POSE.json")]
-    pub prior: Option<PathBuf>,
+    pub prior: Vec<PathBuf>,
     /// Take the prior as a measurement, not only as a gate
     #[arg(long, requires = "prior")]
     pub fuse: bool,
@@ -73,7 +81,7 @@ pub struct RegisterArgs {
     /// Print the pose as JSON instead of a summary
     #[arg(long)]
     pub json: bool,
-    /// Where the pose is written, accepted or refused
+    /// Where the pose is written, accepted or refused; with --together POSES.json, or a folder for it and every frame's own NN-NAME.json
     #[arg(long, value_name = "POSE.json")]
     pub out: PathBuf,
 }
@@ -105,6 +113,38 @@ pub enum RegisterError {
     /// An output.
     #[error(transparent)]
     Output(#[from] ImageFileError),
+    /// Several frames, and nothing that says what to do with them.
+    #[error("{found} frames are given, register takes one; solve several of one specimen with --together")]
+    Frames {
+        /// How many.
+        found: usize,
+    },
+    /// Priors and frames do not pair.
+    #[error("{priors} priors are given for {frames} frames; give one --prior for each frame in its order, or none")]
+    Priors {
+        /// How many priors.
+        priors: usize,
+        /// How many frames.
+        frames: usize,
+    },
+    /// The folder for the results cannot be made.
+    #[error("{path}: {source}", path = path.display())]
+    Folder {
+        /// The folder.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// Frames that cannot share K.
+    #[error("{path} has {found:?} px, the first frame {expected:?} px: frames of different sizes share no K", path = path.display())]
+    Sizes {
+        /// The frame.
+        path: PathBuf,
+        /// Of the first.
+        expected: [u32; 2],
+        /// Its own.
+        found: [u32; 2],
+    },
     /// The radius typed is impossible.
     #[error("--bead-radius is {found} mm, it must be positive")]
     Radius {
@@ -130,46 +170,21 @@ pub enum RegisterError {
 /// # Errors
 /// When an input cannot be read or does not fit the others, or an output cannot be written.
 pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError> {
-    let named = [
-        args.intrinsics.as_ref(),
-        args.prior.as_ref(),
-        args.landmarks.as_ref(),
-        args.detector.as_ref(),
-        args.correspondences.as_ref(),
-        args.beads.as_ref(),
-        args.tags.as_ref(),
-    ];
-    let inputs = std::iter::once(&args.frame).chain(named.into_iter().flatten());
+    if args.together {
+        return register_together::run(args, reporter);
+    }
+    let [path] = args.frames.as_slice() else { return Err(RegisterError::Frames { found: args.frames.len() }) };
     let outputs: Vec<&PathBuf> = std::iter::once(&args.out).chain(&args.overlay).collect();
-    refuse_overwrite(&outputs, &inputs.collect::<Vec<_>>())?;
-    if let Some(found) = args.bead_radius
-        && !(found > 0.0 && found.is_finite())
-    {
-        return Err(RegisterError::Radius { found });
-    }
-    let layout = args.beads.as_deref().map_or_else(|| Ok(BeadLayout::none()), read_markups)?;
+    let given = Given::read(args, &outputs)?;
     let tags = args.tags.as_deref().map(read_tags).transpose()?;
-    let landmarks: Vec<Landmark> = args.landmarks.as_deref().map(read_landmarks).transpose()?.unwrap_or_default();
     let correspondences = args.correspondences.as_deref().map(read_correspondences).transpose()?.unwrap_or_default();
-    let prior = args.prior.as_deref().map(Prior::read).transpose()?;
-    let mut frame = read_frame(&args.frame, args.domain)?;
-    if let Some(path) = &args.detector {
-        frame = DetectorCalibration::apply_file(path, &frame)?;
-    }
     let mut note = None;
-    let known = known(args, &args.frame, &frame, &mut note)?;
+    let frame = read(args, path)?;
+    let known = known(args, path, &frame, &mut note)?;
     let request = Registration {
-        intrinsics: known.intrinsics,
-        intrinsics_prior: known.prior,
-        pitch_mm: known.pitch_mm,
-        prior: prior.as_ref(),
         fuse: args.fuse,
-        ignore_prior: args.ignore_prior,
-        one_body: args.one_body,
         correspondences: &correspondences,
-        landmarks: &landmarks,
-        bead_radius_mm: args.bead_radius,
-        ..Registration::new(frame.size_px.map(|n| n as u32), &layout)
+        ..given.request(args, &frame, &known, given.priors.first())
     };
     let masks = mask::of_frame(&frame);
     let mut pose = match &tags {
@@ -200,15 +215,75 @@ fn binning(panel: [u32; 2], frame: [u32; 2]) -> Option<u32> {
     (2..=8).find(|factor| panel.map(|n| n / factor) == frame && panel.iter().zip(frame).all(|(n, m)| n - m * factor < *factor))
 }
 
+/// What is read before any frame is.
+pub(super) struct Given {
+    pub layout: BeadLayout,
+    pub landmarks: Vec<Landmark>,
+    /// None, or one for each frame.
+    pub priors: Vec<Prior>,
+}
+
+impl Given {
+    /// Checks that no output is an input, and that numbers make sense.
+    pub fn read(args: &RegisterArgs, outputs: &[&PathBuf]) -> Result<Self, RegisterError> {
+        let named = [&args.intrinsics, &args.landmarks, &args.detector, &args.correspondences, &args.beads, &args.tags]
+            .into_iter()
+            .flatten();
+        refuse_overwrite(outputs, &args.frames.iter().chain(&args.prior).chain(named).collect::<Vec<_>>())?;
+        if let Some(found) = args.bead_radius.filter(|radius| !(*radius > 0.0 && radius.is_finite())) {
+            return Err(RegisterError::Radius { found });
+        }
+        let (priors, frames) = (args.prior.len(), args.frames.len());
+        if !(priors == 0 || priors == frames) {
+            return Err(RegisterError::Priors { priors, frames });
+        }
+        Ok(Self {
+            layout: args.beads.as_deref().map_or_else(|| Ok(BeadLayout::none()), read_markups)?,
+            landmarks: args.landmarks.as_deref().map(read_landmarks).transpose()?.unwrap_or_default(),
+            priors: args.prior.iter().map(|path| Prior::read(path)).collect::<Result<_, _>>()?,
+        })
+    }
+
+    /// The request for one frame.
+    pub fn request<'a>(
+        &'a self,
+        args: &RegisterArgs,
+        frame: &Frame,
+        known: &Known,
+        prior: Option<&'a Prior>,
+    ) -> Registration<'a> {
+        Registration {
+            intrinsics: known.intrinsics,
+            intrinsics_prior: known.prior,
+            pitch_mm: known.pitch_mm,
+            prior,
+            ignore_prior: args.ignore_prior,
+            one_body: args.one_body,
+            landmarks: &self.landmarks,
+            bead_radius_mm: args.bead_radius,
+            ..Registration::new(frame.size_px.map(|n| n as u32), &self.layout)
+        }
+    }
+}
+
+/// A frame, with the panel's faults taken out where its calibration is given.
+pub(super) fn read(args: &RegisterArgs, path: &Path) -> Result<Frame, RegisterError> {
+    let frame = read_frame(path, args.domain)?;
+    Ok(match &args.detector {
+        Some(calibration) => DetectorCalibration::apply_file(calibration, &frame)?,
+        None => frame,
+    })
+}
+
 /// K of a frame and how sure it is.
-struct Known {
-    intrinsics: Option<Intrinsics>,
-    prior: Option<IntrinsicsPrior>,
-    pitch_mm: Option<f64>,
+pub(super) struct Known {
+    pub intrinsics: Option<Intrinsics>,
+    pub prior: Option<IntrinsicsPrior>,
+    pub pitch_mm: Option<f64>,
 }
 
 /// From the file of K, binned as the frame is, else from the frame's header.
-fn known(args: &RegisterArgs, path: &Path, frame: &Frame, note: &mut Option<String>) -> Result<Known, RegisterError> {
+pub(super) fn known(args: &RegisterArgs, path: &Path, frame: &Frame, note: &mut Option<String>) -> Result<Known, RegisterError> {
     let tagged_pitch_mm = frame.tags.pitch_mm.map(|pitch| pitch[0]);
     let Some(file_path) = &args.intrinsics else {
         let (words, known) = match intrinsics_of(frame) {

@@ -6,8 +6,8 @@ use nalgebra::{DMatrix, Matrix6};
 use super::case::Case;
 use super::record::{BeadResidual, BodyPose, Covariance, LandmarkUncertainty, Pose, Shadow, Status};
 use super::settle::Settled;
-use super::solve::{Free, about, left_out};
-use crate::beads::{Bead, Detection};
+use super::solve::{Free, Solution, about, left_out};
+use crate::beads::{Bead, Detection, Landmark};
 use crate::estimate::LeftOut;
 use crate::geometry::{Projection, Rigid};
 
@@ -52,19 +52,6 @@ impl Case<'_> {
             Shadow::of(detection, bead)
         };
         let shadows = self.detections.iter().enumerate().map(shadow).collect();
-        let landmarks = self.request.landmarks.iter().map(|landmark| {
-            let p = pose.transform_point(landmark.lps_mm);
-            let sharpness = last.solution.sharpness(landmark.lps_mm, covariance);
-            let place = sharpness.camera_mm2;
-            let sigma_px = sharpness.image_px2.map(|image| [image[(0, 0)].sqrt(), image[(1, 1)].sqrt()]);
-            LandmarkUncertainty {
-                name: landmark.name.clone(),
-                lps_mm: landmark.lps_mm,
-                image_px: (p.z > 1.0).then(|| k.project(p).to_array()),
-                sigma_mm: std::array::from_fn(|n| place[(n, n)].sqrt()),
-                sigma_px,
-            }
-        });
         Pose {
             status: Status::Accepted,
             reason: None,
@@ -87,7 +74,7 @@ impl Case<'_> {
             covariance: Some(rows_of(&about_origin)),
             covariance_at_centroid: Some(rows_of(&at_centroid)),
             centroid_lps_mm: Some(pose.inverse().transform_point(centroid)),
-            landmarks: landmarks.collect(),
+            landmarks: landmarks_of(self.request.landmarks, &last.solution, covariance),
             beads,
             tags: Vec::new(),
             detections: self.detections.len(),
@@ -151,6 +138,22 @@ impl Case<'_> {
     }
 }
 
-fn rows_of(m: &Matrix6<f64>) -> Covariance {
+/// Uncertainty where it was asked for; `covariance` is the solution's, scaled perhaps.
+pub(super) fn landmarks_of(landmarks: &[Landmark], solution: &Solution, covariance: &DMatrix<f64>) -> Vec<LandmarkUncertainty> {
+    let of = |landmark: &Landmark| {
+        let p = solution.camera_from_lps.transform_point(landmark.lps_mm);
+        let sharpness = solution.sharpness(landmark.lps_mm, covariance);
+        LandmarkUncertainty {
+            name: landmark.name.clone(),
+            lps_mm: landmark.lps_mm,
+            image_px: (p.z > 1.0).then(|| solution.intrinsics.project(p).to_array()),
+            sigma_mm: std::array::from_fn(|n| sharpness.camera_mm2[(n, n)].sqrt()),
+            sigma_px: sharpness.image_px2.map(|image| [image[(0, 0)].sqrt(), image[(1, 1)].sqrt()]),
+        }
+    };
+    landmarks.iter().map(of).collect()
+}
+
+pub(super) fn rows_of(m: &Matrix6<f64>) -> Covariance {
     std::array::from_fn(|i| std::array::from_fn(|j| 0.5 * (m[(i, j)] + m[(j, i)])))
 }

@@ -14,11 +14,11 @@ use crate::beads::{BeadLayout, Correspondence, Detection};
 use crate::geometry::Rigid;
 
 /// Fewest beads from which a body's place is solved.
-const FEWEST: usize = 4;
+pub(super) const FEWEST: usize = 4;
 /// Squared deviation, in standard deviations, beyond which a body has moved: one in 10⁵ by accident.
-const MOVED: f64 = 33.0;
+pub(super) const MOVED: f64 = 33.0;
 /// Smaller motions are within what a scan and a few beads can tell, whatever their covariance says: degrees, mm.
-const LEAST_MOTION: (f64, f64) = (0.15, 0.3);
+pub(super) const LEAST_MOTION: (f64, f64) = (0.15, 0.3);
 /// A shadow closer than this to one that is taken is that one, px.
 const SAME_PX: f64 = 0.5;
 
@@ -36,7 +36,7 @@ struct Apart {
 }
 
 /// Names of the layout's bodies, the one with most beads first.
-fn names(layout: &BeadLayout) -> Vec<String> {
+pub(super) fn names(layout: &BeadLayout) -> Vec<String> {
     let mut names: Vec<(String, usize)> = Vec::new();
     for bead in &layout.beads {
         match names.iter_mut().find(|(name, _)| *name == bead.body) {

@@ -17,7 +17,7 @@ use crate::beads::DEFAULT_SIGMA_MM;
 /// Accidents expected, at most, behind an accepted match.
 const MOST_CHANCE: f64 = 0.01;
 /// χ² per degree of freedom, at most, of an accepted match: residuals three times what image noise and bead uncertainty allow.
-const MOST_CHI2_PER_DOF: f64 = 9.0;
+pub(super) const MOST_CHI2_PER_DOF: f64 = 9.0;
 /// Relative standard deviation of a solved focal length beyond which K is refused, and beyond which it is mentioned.
 const FOCAL_SIGMA: (f64, f64) = (0.10, 0.02);
 /// Standard deviations from what is stated of K beyond which it is said, and refused.

@@ -21,6 +21,7 @@ mod settle;
 mod solve;
 mod start;
 mod tagged;
+mod together;
 mod transform;
 mod triangle;
 mod verdict;
@@ -35,4 +36,7 @@ pub use refusal::{IntrinsicsNumber, Points, Refusal, Rival};
 pub use register::{intrinsics_of, register, register_masked, register_shadows};
 pub use request::Registration;
 pub use solve::{Free, IntrinsicsPrior};
+pub use together::{
+    Against, BeadVerdict, Bump, SeveralViews, SolvedBead, Together, TogetherRefusal, ViewAlone, register_together,
+};
 pub use with_tags::register_tagged;

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, Subcommand};
 
 use super::calibrate_beads::{self, BeadsArgs, CalibrateBeadsError};
+use super::calibrate_layout::{self, CalibrateLayoutError, LayoutArgs};
 use super::spectrum::FilterArg;
 use crate::acquire::{AcquireError, DetectorCalibration, Domain, Frame, MapsFile, PanelResponse, exposure_mas, read_frames};
 use crate::calibrate::detector::{DetectorError, Measurement, PanelFrame, calibrate};
@@ -27,6 +28,8 @@ pub enum CalibrateWhat {
     Beads(BeadsArgs),
     /// The panel: offset, gain by photon transfer, air signal by tube voltage, bad pixels, noise power, MTF.
     Detector(DetectorArgs),
+    /// Score a bead layout: does it resemble itself, is it flat, how well will it fix the pose of planned views.
+    Layout(LayoutArgs),
 }
 
 /// The panel: offset, gain by photon transfer, air signal by tube voltage, bad pixels, noise power, MTF.
@@ -83,6 +86,9 @@ pub enum CalibrateError {
     /// The beads of a CT.
     #[error(transparent)]
     Beads(#[from] CalibrateBeadsError),
+    /// A bead layout.
+    #[error(transparent)]
+    Layout(#[from] CalibrateLayoutError),
     /// A frame cannot be read.
     #[error(transparent)]
     Frame(#[from] AcquireError),
@@ -117,6 +123,7 @@ pub enum CalibrateError {
 pub fn run(args: &CalibrateArgs, reporter: &Reporter) -> Result<u8, CalibrateError> {
     match &args.what {
         CalibrateWhat::Beads(args) => Ok(calibrate_beads::run(args, reporter)?),
+        CalibrateWhat::Layout(args) => Ok(calibrate_layout::run(args, reporter)?),
         CalibrateWhat::Detector(args) => detector(args, reporter),
     }
 }

@@ -39,4 +39,6 @@ pub use solve::{Free, IntrinsicsPrior};
 pub use together::{
     Against, BeadVerdict, Bump, SeveralViews, SolvedBead, Together, TogetherRefusal, ViewAlone, register_together,
 };
+pub use triangle::align as align_triangles;
+pub use verdict::extents_mm;
 pub use with_tags::register_tagged;

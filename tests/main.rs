@@ -43,6 +43,7 @@ mod pose_angles;
 mod pose_command;
 mod pose_convert;
 mod pose_refused_formats;
+mod layout_score;
 mod live_numbers;
 mod timeline_joints;
 mod calibrate_detector;

@@ -22,6 +22,7 @@ pub mod live;
 pub mod pose;
 pub mod read_foreign;
 pub mod register;
+pub mod register_error;
 pub mod register_together;
 pub mod render;
 pub mod replay;

@@ -2,16 +2,16 @@
 
 use std::path::{Path, PathBuf};
 
+use super::register_error::RegisterError;
 use super::register_together;
-use crate::acquire::{AcquireError, DetectorCalibration, DetectorCalibrationError, Domain, Frame, read_frame};
-use crate::beads::tags::{TagsError, TagsFileError, find_tags, read_tags};
-use crate::beads::{BeadLayout, BeadsError, CorrespondencesError, Landmark, read_correspondences, read_landmarks, read_markups};
+use crate::acquire::{DetectorCalibration, Domain, Frame, read_frame};
+use crate::beads::tags::{find_tags, read_tags};
+use crate::beads::{BeadLayout, Landmark, read_correspondences, read_landmarks, read_markups};
 use crate::geometry::Intrinsics;
-use crate::image::{ImageFileError, refuse_overwrite, write_png_rgb};
+use crate::image::{refuse_overwrite, write_png_rgb};
 use crate::mask;
 use crate::pose::{
-    IntrinsicsFile, IntrinsicsPrior, Pose, PoseFileError, Prior, Registration, Shadow, intrinsics_of, register_masked,
-    register_tagged,
+    IntrinsicsFile, IntrinsicsPrior, Pose, Prior, Registration, Shadow, intrinsics_of, register_masked, register_tagged,
 };
 use crate::report;
 use crate::reporter::Reporter;
@@ -84,85 +84,6 @@ pub struct RegisterArgs {
     /// Where the pose is written, accepted or refused; with --together POSES.json, or a folder for it and every frame's own NN-NAME.json
     #[arg(long, value_name = "POSE.json")]
     pub out: PathBuf,
-}
-
-/// Why nothing was registered.
-#[derive(Debug, thiserror::Error)]
-pub enum RegisterError {
-    /// The frame.
-    #[error(transparent)]
-    Frame(#[from] AcquireError),
-    /// The detector calibration cannot be read, or does not apply to the frame.
-    #[error(transparent)]
-    Detector(#[from] DetectorCalibrationError),
-    /// Beads or landmarks.
-    #[error(transparent)]
-    Beads(#[from] BeadsError),
-    /// The list of tags.
-    #[error(transparent)]
-    TagsFile(#[from] TagsFileError),
-    /// The tag decoder.
-    #[error(transparent)]
-    Tags(#[from] TagsError),
-    /// Correspondences.
-    #[error(transparent)]
-    Correspondences(#[from] CorrespondencesError),
-    /// K, prior, or the result.
-    #[error(transparent)]
-    Pose(#[from] PoseFileError),
-    /// An output.
-    #[error(transparent)]
-    Output(#[from] ImageFileError),
-    /// Several frames, and nothing that says what to do with them.
-    #[error("{found} frames are given, register takes one; solve several of one specimen with --together")]
-    Frames {
-        /// How many.
-        found: usize,
-    },
-    /// Priors and frames do not pair.
-    #[error("{priors} priors are given for {frames} frames; give one --prior for each frame in its order, or none")]
-    Priors {
-        /// How many priors.
-        priors: usize,
-        /// How many frames.
-        frames: usize,
-    },
-    /// The folder for the results cannot be made.
-    #[error("{path}: {source}", path = path.display())]
-    Folder {
-        /// The folder.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// Frames that cannot share K.
-    #[error("{path} has {found:?} px, the first frame {expected:?} px: frames of different sizes share no K", path = path.display())]
-    Sizes {
-        /// The frame.
-        path: PathBuf,
-        /// Of the first.
-        expected: [u32; 2],
-        /// Its own.
-        found: [u32; 2],
-    },
-    /// The radius typed is impossible.
-    #[error("--bead-radius is {found} mm, it must be positive")]
-    Radius {
-        /// What was typed.
-        found: f64,
-    },
-    /// K is for another frame.
-    #[error("{path}: K is for frames of {expected:?} px, {frame} has {found:?} px, which no binning gives: the console cropped or zoomed it; give K of the frame as it is", path = path.display(), frame = frame.display())]
-    Size {
-        /// File of K.
-        path: PathBuf,
-        /// Its size.
-        expected: [u32; 2],
-        /// The frame.
-        frame: PathBuf,
-        /// The frame's size.
-        found: [u32; 2],
-    },
 }
 
 /// Registers, writes the pose, prints a summary. Returns the exit code: 0 accepted, 1 refused.

@@ -2,7 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use super::register::{Given, RegisterArgs, RegisterError, known, read};
+use super::register::{Given, RegisterArgs, known, read};
+use super::register_error::RegisterError;
+use crate::image::check_writable;
 use crate::mask;
 use crate::pose::{BeadVerdict, SeveralViews, Together, ViewAlone, register_masked, register_together};
 use crate::reporter::Reporter;
@@ -18,6 +20,7 @@ const SIGMA_MM: f64 = 0.15;
 pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError> {
     let outputs = Outputs::of(args);
     let mut given = Given::read(args, &outputs.all())?;
+    outputs.prepare()?;
     let mut assumed = 0;
     for bead in given.layout.beads.iter_mut().filter(|bead| bead.sigma_mm.is_none()) {
         bead.sigma_mm = Some(SIGMA_MM);
@@ -83,11 +86,16 @@ impl Outputs {
         std::iter::once(&self.all).chain(&self.each).collect()
     }
 
-    fn write(&self, together: &Together) -> Result<(), RegisterError> {
+    /// Fails before the work where results could not be written after it.
+    fn prepare(&self) -> Result<(), RegisterError> {
         if !self.each.is_empty() {
             let folder = self.all.parent().unwrap_or(Path::new("."));
             std::fs::create_dir_all(folder).map_err(|source| RegisterError::Folder { path: folder.to_owned(), source })?;
         }
+        Ok(check_writable(&self.all)?)
+    }
+
+    fn write(&self, together: &Together) -> Result<(), RegisterError> {
         for (pose, path) in together.views.iter().zip(&self.each) {
             pose.write(path)?;
         }

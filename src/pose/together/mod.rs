@@ -85,7 +85,8 @@ impl SeveralViews<'_> {
         let poses: Vec<&Pose> = accepted.iter().map(|n| &self.views[*n].pose).collect();
         let mut setup = self.setup(&poses)?;
         let mut bumps = Vec::new();
-        if !setup.segments.is_empty() {
+        let missing: Vec<usize> = (0..self.layout.beads.len()).filter(|n| setup.seen_in(*n).next().is_none()).collect();
+        if !setup.segments.is_empty() || !missing.is_empty() {
             let mut apart = setup.clone();
             // A body's beads count only where its own place is solved.
             let whole = |own: &Observation| {
@@ -96,7 +97,14 @@ impl SeveralViews<'_> {
             strays::sort(&mut apart).map_err(unsolved)?;
             let (problem, blocks) = apart.problem();
             let (estimate, covariance) = solved(&problem).map_err(unsolved)?;
+            apart.take(&estimate, &blocks);
+            for sought::Sought { bead, place_mm, observations } in sought::seek(&apart, &poses, &missing) {
+                setup.observations.extend(observations);
+                setup.places_mm[bead] = place_mm;
+                setup.freed[bead] = true;
+            }
             (setup.segments, bumps) = bumps::joined(&apart, &blocks, &estimate, &covariance);
+            setup.cameras = apart.cameras;
         }
         let sorted = strays::sort(&mut setup).map_err(unsolved)?;
         let (problem, blocks) = setup.problem();
@@ -176,7 +184,6 @@ impl SeveralViews<'_> {
             return Err(TogetherRefusal::TooFewShared { shared, required: FEWEST_SHARED });
         }
         bumps::each_view(&mut setup, poses);
-        sought::seek(&mut setup, poses);
         if let Free::Known(prior) = free {
             setup.intrinsics.fill(prior.mean);
         } else if free == Free::Square {

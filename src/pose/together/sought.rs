@@ -22,27 +22,26 @@ struct Candidate {
     along: DVec3,
 }
 
-/// Adds what was found to `setup`, each such bead freed. `poses` are the accepted views, in the order of `setup.cameras`.
-pub fn seek(setup: &mut Setup, poses: &[&Pose]) {
-    let beads = setup.layout.beads.len();
-    for bead in 0..beads {
-        if setup.seen_in(bead).count() > 0 {
-            continue;
-        }
+/// A bead that was found, and its shadows.
+pub struct Sought {
+    pub bead: usize,
+    pub place_mm: DVec3,
+    pub observations: Vec<Observation>,
+}
+
+/// Those of `beads` that the shadows of two views or more agree on. `setup` is solved; `poses` are its views.
+pub fn seek(setup: &Setup, poses: &[&Pose], beads: &[usize]) -> Vec<Sought> {
+    let found = |bead: &usize| {
         let candidates: Vec<Candidate> =
-            poses.iter().enumerate().flat_map(|(view, pose)| in_view(setup, bead, view, pose)).collect();
-        if let Some((place_mm, members)) = agreed(setup, bead, &candidates) {
-            let seen = members.into_iter().map(|n| &candidates[n]);
-            setup.observations.extend(seen.map(|c| Observation {
-                view: c.view,
-                bead,
-                image_px: c.image_px,
-                sigma_px: c.sigma_px,
-            }));
-            setup.places_mm[bead] = place_mm;
-            setup.freed[bead] = true;
-        }
-    }
+            poses.iter().enumerate().flat_map(|(view, pose)| in_view(setup, *bead, view, pose)).collect();
+        let (place_mm, members) = agreed(setup, *bead, &candidates)?;
+        let observation = |n: usize| {
+            let Candidate { view, image_px, sigma_px, .. } = candidates[n];
+            Observation { view, bead: *bead, image_px, sigma_px }
+        };
+        Some(Sought { bead: *bead, place_mm, observations: members.into_iter().map(observation).collect() })
+    };
+    beads.iter().filter_map(found).collect()
 }
 
 fn in_view(setup: &Setup, bead: usize, view: usize, pose: &Pose) -> Vec<Candidate> {

@@ -6,6 +6,7 @@ use clap::{Args, Subcommand};
 
 use super::calibrate_beads::{self, BeadsArgs, CalibrateBeadsError};
 use super::calibrate_carm::{self, CalibrateCarmError, CarmArgs};
+use super::calibrate_layout::{self, CalibrateLayoutError, LayoutArgs};
 use super::spectrum::FilterArg;
 use crate::acquire::{AcquireError, DetectorCalibration, Domain, Frame, MapsFile, PanelResponse, exposure_mas, read_frames};
 use crate::calibrate::detector::{DetectorError, Measurement, PanelFrame, calibrate};
@@ -30,6 +31,8 @@ pub enum CalibrateWhat {
     Carm(CarmArgs),
     /// The panel: offset, gain by photon transfer, air signal by tube voltage, bad pixels, noise power, MTF.
     Detector(DetectorArgs),
+    /// Score a bead layout: does it resemble itself, is it flat, how well will it fix the pose of planned views.
+    Layout(LayoutArgs),
 }
 
 /// The panel: offset, gain by photon transfer, air signal by tube voltage, bad pixels, noise power, MTF.
@@ -89,6 +92,9 @@ pub enum CalibrateError {
     /// A C-arm.
     #[error(transparent)]
     Carm(#[from] CalibrateCarmError),
+    /// A bead layout.
+    #[error(transparent)]
+    Layout(#[from] CalibrateLayoutError),
     /// A frame cannot be read.
     #[error(transparent)]
     Frame(#[from] AcquireError),
@@ -124,6 +130,7 @@ pub fn run(args: &CalibrateArgs, reporter: &Reporter) -> Result<u8, CalibrateErr
     match &args.what {
         CalibrateWhat::Beads(args) => Ok(calibrate_beads::run(args, reporter)?),
         CalibrateWhat::Carm(args) => Ok(calibrate_carm::run(args, reporter)?),
+        CalibrateWhat::Layout(args) => Ok(calibrate_layout::run(args, reporter)?),
         CalibrateWhat::Detector(args) => detector(args, reporter),
     }
 }

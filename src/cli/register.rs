@@ -1,17 +1,16 @@
-//! `sidecarm register`: one frame, one bead layout, one P (or the reason why there is none).
+//! `sidecarm register`: a frame, a bead layout, a P (or the reason why there is none); with `--together` several frames.
 
 use std::path::PathBuf;
 
-use crate::acquire::{AcquireError, DetectorCalibration, DetectorCalibrationError, Domain, Frame, read_frame};
-use crate::beads::tags::{TagsError, TagsFileError, find_tags, read_tags};
-use crate::beads::{BeadLayout, BeadsError, CorrespondencesError, Landmark, read_correspondences, read_landmarks, read_markups};
-use crate::geometry::{ConsoleError, ConsoleGeometry, Intrinsics, PanelWindow};
-use crate::image::{ImageFileError, refuse_overwrite, write_png_rgb};
+use super::register_error::RegisterError;
+use super::register_seen::{Console, Seen};
+use super::register_together;
+use crate::acquire::{Domain, Frame, read_frame};
+use crate::beads::tags::{find_tags, read_tags};
+use crate::beads::{BeadLayout, Landmark, read_correspondences, read_landmarks, read_markups};
+use crate::image::{refuse_overwrite, write_png_rgb};
 use crate::mask::{self, Masks};
-use crate::pose::{
-    IntrinsicsFile, Panel, Pose, PoseFileError, Prior, Registration, Shadow, SolvedConsole, intrinsics_of, read_console,
-    register_masked, register_tagged, solve_console, whole_binning,
-};
+use crate::pose::{IntrinsicsFile, Pose, Prior, Registration, Shadow, register_masked, register_tagged};
 use crate::report;
 use crate::reporter::Reporter;
 
@@ -20,11 +19,17 @@ use crate::reporter::Reporter;
 #[command(after_help = "Example:
   sidecarm register frame.dcm --beads beads.mrk.json --intrinsics K.json --out POSE.json
   sidecarm register frame.dcm --tags tags.json --intrinsics K.json --out POSE.json
+  sidecarm register ap.dcm lateral.dcm oblique.dcm --together --beads beads.mrk.json --intrinsics K.json --out POSES.json
 
 Exit code 0: accepted; 1: refused (POSE.json says why and holds no projection).")]
 pub struct RegisterArgs {
-    /// The radiograph: DICOM, 16-bit PNG or TIFF, float TIFF
-    pub frame: PathBuf,
+    /// The radiograph: DICOM, 16-bit PNG or TIFF, float TIFF; with --together several of one specimen, in the order they were taken
+    #[arg(required = true, value_name = "FRAME")]
+    pub frames: Vec<PathBuf>,
+    /// Solve the frames together: each is registered alone, then all at once with K and bead positions in common, which tells beads that
+    /// have migrated, bodies that were bumped between two frames, and single shadows that are off from each other
+    #[arg(long, conflicts_with_all = ["fuse", "tags", "correspondences", "overlay", "explain"])]
+    pub together: bool,
     /// Beads: a 3D Slicer point list (.mrk.json or .fcsv); radius_mm=0.75, sigma_mm=0.1 and body=pelvis are read from descriptions
     #[arg(long, value_name = "BEADS", required_unless_present = "tags")]
     pub beads: Option<PathBuf>,
@@ -32,12 +37,14 @@ pub struct RegisterArgs {
     /// beads and are checked against it; without beads the pose is that of the tags
     #[arg(long, value_name = "TAGS.json")]
     pub tags: Option<PathBuf>,
-    /// K: {"intrinsics": 3x3, "size_px": [columns, rows], "pitch_mm": p}; without it from SID and pixel spacing, else solved
+    /// K: {"intrinsics": 3x3, "size_px": [columns, rows], "pitch_mm": p}; without it from SID and pixel spacing, else solved. With
+    /// "sigma": {"source_to_detector_mm": 3, "principal_point_px": 5, "pitch_mm": 0.0002} K is solved too, with what is stated as priors
     #[arg(long, value_name = "K.json")]
     pub intrinsics: Option<PathBuf>,
-    /// Where the pose is expected: a pose file, only camera_from_lps (and covariance) are used
+    /// Where the pose is expected: a pose file, only camera_from_lps (and covariance) are used; with --together once per frame, in their
+    /// order
     #[arg(long, value_name = "POSE.json")]
-    pub prior: Option<PathBuf>,
+    pub prior: Vec<PathBuf>,
     /// What the console did to the panel's picture: a file with the keys of a session's "console" (rotation_deg, flip, crop_px, binning,
     /// zoom, or detector_from_image as 3x3 rows), or `solve`: found from the beads, with K of the panel and a prior; K and prior are then
     /// those of the panel
@@ -77,69 +84,9 @@ pub struct RegisterArgs {
     /// Print the pose as JSON instead of a summary
     #[arg(long)]
     pub json: bool,
-    /// Where the pose is written, accepted or refused
+    /// Where the pose is written, accepted or refused; with --together POSES.json, or a folder for it and every frame's own NN-NAME.json
     #[arg(long, value_name = "POSE.json")]
     pub out: PathBuf,
-}
-
-/// Why nothing was registered.
-#[derive(Debug, thiserror::Error)]
-pub enum RegisterError {
-    /// The frame.
-    #[error(transparent)]
-    Frame(#[from] AcquireError),
-    /// The detector calibration cannot be read, or does not apply to the frame.
-    #[error(transparent)]
-    Detector(#[from] DetectorCalibrationError),
-    /// Beads or landmarks.
-    #[error(transparent)]
-    Beads(#[from] BeadsError),
-    /// The list of tags.
-    #[error(transparent)]
-    TagsFile(#[from] TagsFileError),
-    /// The tag decoder.
-    #[error(transparent)]
-    Tags(#[from] TagsError),
-    /// Correspondences.
-    #[error(transparent)]
-    Correspondences(#[from] CorrespondencesError),
-    /// K, prior, or the result.
-    #[error(transparent)]
-    Pose(#[from] PoseFileError),
-    /// An output.
-    #[error(transparent)]
-    Output(#[from] ImageFileError),
-    /// The radius typed is impossible.
-    #[error("--bead-radius is {found} mm, it must be positive")]
-    Radius {
-        /// What was typed.
-        found: f64,
-    },
-    /// Nothing says what the panel's picture would be.
-    #[error(
-        "--console solve needs --intrinsics K.json with size_px, the panel's, and --prior POSE.json: beads cannot tell a turned picture from a turned camera"
-    )]
-    SolveWhat,
-    /// The console's geometry does not fit frame and panel.
-    #[error("{path}: {error}", path = path.display())]
-    Console {
-        /// What states it.
-        path: PathBuf,
-        /// Why not.
-        error: ConsoleError,
-    },
-    /// K is for another frame.
-    #[error("{path}: K is for frames of {expected:?} px, {frame} has {found:?} px, which no binning gives: the console cropped or zoomed it; give K of the frame as it is", path = path.display(), frame = frame.display())]
-    Size {
-        /// File of K.
-        path: PathBuf,
-        /// Its size.
-        expected: [u32; 2],
-        /// The frame.
-        frame: PathBuf,
-        /// The frame's size.
-        found: [u32; 2],
-    },
 }
 
 /// Registers, writes the pose, prints a summary. Returns the exit code: 0 accepted, 1 refused.
@@ -147,64 +94,35 @@ pub enum RegisterError {
 /// # Errors
 /// When an input cannot be read or does not fit the others, or an output cannot be written.
 pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError> {
-    let named = [
-        args.intrinsics.as_ref(),
-        args.prior.as_ref(),
-        args.landmarks.as_ref(),
-        args.detector.as_ref(),
-        args.correspondences.as_ref(),
-        args.console.as_ref(),
-        args.beads.as_ref(),
-        args.tags.as_ref(),
-    ];
-    let inputs = std::iter::once(&args.frame).chain(named.into_iter().flatten());
-    let outputs: Vec<&PathBuf> = std::iter::once(&args.out).chain(&args.overlay).collect();
-    refuse_overwrite(&outputs, &inputs.collect::<Vec<_>>())?;
-    if let Some(found) = args.bead_radius
-        && !(found > 0.0 && found.is_finite())
-    {
-        return Err(RegisterError::Radius { found });
+    if args.together {
+        return register_together::run(args, reporter);
     }
-    let layout = args.beads.as_deref().map_or_else(|| Ok(BeadLayout::none()), read_markups)?;
+    let [path] = args.frames.as_slice() else { return Err(RegisterError::Frames { found: args.frames.len() }) };
+    let outputs: Vec<&PathBuf> = std::iter::once(&args.out).chain(&args.overlay).collect();
+    let given = Given::read(args, &outputs)?;
     let tags = args.tags.as_deref().map(read_tags).transpose()?;
-    let landmarks: Vec<Landmark> = args.landmarks.as_deref().map(read_landmarks).transpose()?.unwrap_or_default();
     let correspondences = args.correspondences.as_deref().map(read_correspondences).transpose()?.unwrap_or_default();
-    let prior = args.prior.as_deref().map(Prior::read).transpose()?;
-    let frame = read_frame(&args.frame, args.domain)?;
-    let file = args.intrinsics.as_deref().map(IntrinsicsFile::read).transpose()?;
-    let request = Registration {
-        fuse: args.fuse,
-        ignore_prior: args.ignore_prior,
-        one_body: args.one_body,
-        correspondences: &correspondences,
-        landmarks: &landmarks,
-        bead_radius_mm: args.bead_radius,
-        ..Registration::new(frame.size_px.map(|n| n as u32), &layout)
-    };
+    let stored = read_frame(path, args.domain)?;
     let mut notes = Vec::new();
-    let console = match args.console.as_deref() {
-        Some(path) if path.as_os_str() == "solve" => match solved(&request, &frame, file.as_ref(), prior)? {
-            Ok(found) => {
-                notes.push(found.words);
-                Some((found.console, found.with_intrinsics))
-            }
-            Err(pose) => return answer(args, &frame, pose, None, reporter),
-        },
-        Some(path) => Some((read_console(path)?, false)),
-        None => None,
+    let declared = match Console::of(args, &given, &stored, &mut notes)? {
+        Ok(declared) => declared,
+        Err(pose) => return answer(args, &stored, *pose, None, reporter),
     };
-    let seen = Seen::of(args, frame, file.as_ref(), console.as_ref(), &mut notes)?;
-    let prior = prior.map(|prior| prior.turned(seen.turn_rad));
-    let Seen { frame, intrinsics, pitch_mm, .. } = seen;
-    let size_px = frame.size_px.map(|n| n as u32);
-    let request = Registration { intrinsics, pitch_mm, prior: prior.as_ref(), size_px, ..request };
-    let masks = mask::of_frame(&frame);
+    let mut seen = Seen::of(args, path, &stored, given.file.as_ref(), declared.as_ref())?;
+    notes.append(&mut seen.notes);
+    let prior = given.priors.first().map(|prior| prior.turned(seen.turn_rad));
+    let request =
+        Registration { fuse: args.fuse, correspondences: &correspondences, ..given.request(args, &seen, prior.as_ref()) };
+    let masks = mask::of_frame(&seen.frame);
     let mut pose = match &tags {
-        Some(tags) => register_tagged(&request, &frame, &masks, tags, &find_tags(&frame, tags.family)?),
-        None => register_masked(&request, &frame, &masks),
+        Some(tags) => register_tagged(&request, &seen.frame, &masks, tags, &find_tags(&seen.frame, tags.family)?),
+        None => register_masked(&request, &seen.frame, &masks),
     };
     pose.notes.extend(notes);
-    answer(args, &frame, pose, Some(masks), reporter)
+    if tags.is_some() && seen.prior.is_some() {
+        pose.notes.push("where tags are used K is taken as stated: its sigma is left aside".to_owned());
+    }
+    answer(args, &seen.frame, pose, Some(masks), reporter)
 }
 
 /// Writes and prints.
@@ -230,90 +148,51 @@ fn answer(
     Ok(u8::from(!pose.is_accepted()))
 }
 
-/// What the console did, from the beads; a pose that says why not where they do not tell.
-fn solved(
-    request: &Registration,
-    frame: &Frame,
-    file: Option<&IntrinsicsFile>,
-    prior: Option<Prior>,
-) -> Result<Result<SolvedConsole, Pose>, RegisterError> {
-    let panel = file.and_then(|file| Some(Panel { intrinsics: file.intrinsics, size_px: file.size_px?, prior: prior? }));
-    let panel = panel.ok_or(RegisterError::SolveWhat)?;
-    Ok(solve_console(request, frame, &panel).map_err(|refusal| request.refuse(&refusal)))
+/// What is read before any frame is.
+pub(super) struct Given {
+    pub layout: BeadLayout,
+    pub landmarks: Vec<Landmark>,
+    /// None, or one for each frame.
+    pub priors: Vec<Prior>,
+    /// K.
+    pub file: Option<IntrinsicsFile>,
 }
 
-/// A frame as it lies on the panel, with its K.
-struct Seen {
-    frame: Frame,
-    intrinsics: Option<Intrinsics>,
-    pitch_mm: Option<f64>,
-    /// From the panel's axes to the frame's, about the beam.
-    turn_rad: f64,
-}
-
-impl Seen {
-    /// `console`: what it did, and whether K is to be solved.
-    fn of(
-        args: &RegisterArgs,
-        stored: Frame,
-        file: Option<&IntrinsicsFile>,
-        console: Option<&(ConsoleGeometry, bool)>,
-        notes: &mut Vec<String>,
-    ) -> Result<Self, RegisterError> {
-        let found = stored.size_px.map(|n| n as u32);
-        let panel_px = file.and_then(|file| file.size_px);
-        let window = match (console, panel_px) {
-            (Some((console, _)), Some(panel_px)) => console
-                .window_on(panel_px, found)
-                .map_err(|error| RegisterError::Console { path: args.console.clone().unwrap_or_default(), error })?,
-            (Some((console, _)), None) => console.window(found),
-            (None, _) => PanelWindow::WHOLE,
-        };
-        let mut frame = console.map_or_else(|| stored.clone(), |(console, _)| stored.oriented(console, panel_px));
-        if let Some(correction) = &frame.correction {
-            notes.extend(correction.console.iter().cloned());
+impl Given {
+    /// Checks that no output is an input, and that numbers make sense.
+    pub fn read(args: &RegisterArgs, outputs: &[&PathBuf]) -> Result<Self, RegisterError> {
+        let named =
+            [&args.intrinsics, &args.landmarks, &args.detector, &args.correspondences, &args.beads, &args.tags, &args.console]
+                .into_iter()
+                .flatten();
+        refuse_overwrite(outputs, &args.frames.iter().chain(&args.prior).chain(named).collect::<Vec<_>>())?;
+        if let Some(found) = args.bead_radius.filter(|radius| !(*radius > 0.0 && radius.is_finite())) {
+            return Err(RegisterError::Radius { found });
         }
-        if let Some(path) = &args.detector {
-            frame = DetectorCalibration::apply_file(path, &frame, window)?;
+        let (priors, frames) = (args.prior.len(), args.frames.len());
+        if !(priors == 0 || priors == frames) {
+            return Err(RegisterError::Priors { priors, frames });
         }
-        let tagged_pitch_mm = frame.tags.pitch_mm.map(|pitch| pitch[0]);
-        let Some(file) = file else {
-            let (intrinsics, pitch_mm) = from_header(&frame, notes);
-            return Ok(Self { frame, intrinsics, pitch_mm, turn_rad: window.turned_rad });
-        };
-        if let Some((_, solve_intrinsics)) = console {
-            let (intrinsics, turn_rad) = window.intrinsics(&file.intrinsics);
-            let pitch_mm = file.pitch_mm.map(|pitch| pitch * window.step).or(tagged_pitch_mm);
-            return Ok(Self { frame, intrinsics: (!solve_intrinsics).then_some(intrinsics), pitch_mm, turn_rad });
-        }
-        let factor =
-            file.size_px.map_or(Some(1), |expected| whole_binning(expected, found)).ok_or_else(|| RegisterError::Size {
-                path: args.intrinsics.clone().unwrap_or_default(),
-                expected: file.size_px.unwrap_or(found),
-                frame: args.frame.clone(),
-                found,
-            })?;
-        if factor > 1 {
-            notes.push(format!(
-                "K is for {:?} px: the frame is taken as binned {factor} x {factor}",
-                file.size_px.unwrap_or(found)
-            ));
-        }
-        let pitch_mm = file.pitch_mm.map(|pitch| pitch * f64::from(factor)).or(tagged_pitch_mm);
-        let intrinsics = if factor > 1 { file.intrinsics.binned(f64::from(factor)) } else { file.intrinsics };
-        Ok(Self { frame, intrinsics: Some(intrinsics), pitch_mm, turn_rad: 0.0 })
+        Ok(Self {
+            layout: args.beads.as_deref().map_or_else(|| Ok(BeadLayout::none()), read_markups)?,
+            landmarks: args.landmarks.as_deref().map(read_landmarks).transpose()?.unwrap_or_default(),
+            priors: args.prior.iter().map(|path| Prior::read(path)).collect::<Result<_, _>>()?,
+            file: args.intrinsics.as_deref().map(IntrinsicsFile::read).transpose()?,
+        })
     }
-}
 
-fn from_header(frame: &Frame, notes: &mut Vec<String>) -> (Option<Intrinsics>, Option<f64>) {
-    match intrinsics_of(frame) {
-        Some((intrinsics, pitch_mm, words)) => {
-            notes.push(words);
-            (Some(intrinsics), Some(pitch_mm))
-        }
-        None => {
-            notes.push("no --intrinsics, and no SID with pixel spacing in the header: K is solved from the beads".to_owned());
-            (None, frame.tags.pitch_mm.map(|pitch| pitch[0]))
+    /// The request for one frame.
+    pub fn request<'a>(&'a self, args: &RegisterArgs, seen: &Seen, prior: Option<&'a Prior>) -> Registration<'a> {
+        Registration {
+            intrinsics: seen.intrinsics,
+            intrinsics_prior: seen.prior,
+            pitch_mm: seen.pitch_mm,
+            prior,
+            ignore_prior: args.ignore_prior,
+            one_body: args.one_body,
+            landmarks: &self.landmarks,
+            bead_radius_mm: args.bead_radius,
+            ..Registration::new(seen.frame.size_px.map(|n| n as u32), &self.layout)
         }
     }
 }
@@ -351,7 +230,8 @@ pub fn summary(pose: &Pose, explain: bool) -> String {
             ));
         }
         if let (Some(k), Some(source)) = (&pose.intrinsics, &pose.intrinsics_source) {
-            lines.push(format!("K {source}: f {:.1}, {:.1} px, principal point {:.1}, {:.1} px", k.fx, k.fy, k.cx, k.cy));
+            let sigma = pose.intrinsics_sigma_px.map_or(String::new(), |[f, _, x, y]| format!(" (± {f:.1}; {x:.1}, {y:.1})"));
+            lines.push(format!("K {source}: f {:.1}, {:.1} px, principal point {:.1}, {:.1} px{sigma}", k.fx, k.fy, k.cx, k.cy));
         }
     } else {
         lines.push(format!("refused: {}", pose.reason.as_deref().unwrap_or("no reason given")));

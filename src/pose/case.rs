@@ -7,7 +7,7 @@ use super::record::{Pose, Prior, Shadow};
 use super::refusal::Refusal;
 use super::request::Registration;
 use super::search::{Gate, Hypothesis, Search, Target, information_about};
-use super::solve::{Free, deviation, image_by_point, point_by_pose};
+use super::solve::{deviation, image_by_point, point_by_pose};
 use super::verdict::chance;
 use crate::beads::{Detection, Probe};
 use crate::geometry::{Intrinsics, Rigid};
@@ -60,11 +60,6 @@ impl<'a> Case<'a> {
     pub fn refuse(&self, refusal: &Refusal, notes: Vec<String>) -> Pose {
         let shadows = self.detections.iter().map(|detection| Shadow::of(detection, None)).collect();
         Pose { notes, detections: self.detections.len(), shadows, ..self.request.refuse(refusal) }
-    }
-
-    pub fn free(&self) -> Free {
-        // Detectors have square pixels; a second focal length would mostly fit noise.
-        if self.request.intrinsics.is_some() { Free::Pose } else { Free::Square }
     }
 
     pub fn targets(&self) -> Vec<Target> {

@@ -30,12 +30,20 @@ impl Case<'_> {
     /// The best match, near `prior` if there is one.
     pub fn propose(&self, prior: Option<&Prior>) -> Option<Candidate> {
         match self.request.intrinsics {
-            Some(k) => self.find(&k, 0.0, prior.map(|prior| self.gate(prior))),
+            Some(k) => self.find(&k, self.slack_px(), prior.map(|prior| self.gate(prior))),
             // What fits near the prior goes before what fits better elsewhere.
             None => {
                 prior.and_then(|prior| self.find_without_intrinsics(Some(prior))).or_else(|| self.find_without_intrinsics(None))
             }
         }
+    }
+
+    /// How far K's own uncertainty may put a bead off beyond what turn, shift and depth make up for: three σ of the focal length act on
+    /// differences of depth, a tenth of the depth or so.
+    fn slack_px(&self) -> f64 {
+        let [width, height] = self.request.size_px.map(f64::from);
+        let relative = self.request.intrinsics_prior.map_or(0.0, |prior| prior.focal_sigma_px / prior.mean.fx);
+        3.0 * relative * 0.1 * 0.5 * width.hypot(height)
     }
 
     fn find(&self, k: &Intrinsics, slack_px: f64, gate: Option<Gate>) -> Option<Candidate> {

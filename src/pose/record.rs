@@ -214,7 +214,7 @@ pub struct Pose {
     /// K.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub intrinsics: Option<Intrinsics>,
-    /// Where K comes from: `given`, or `solved`.
+    /// Where K comes from: `given`, `solved`, or `solved with priors`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub intrinsics_source: Option<String>,
     /// Standard deviations of solved (fx, fy, cx, cy), px.
@@ -396,37 +396,7 @@ impl Prior {
     }
 }
 
-/// The file of K: `{"intrinsics": 3×3, "size_px": [columns, rows], "pitch_mm": …}`.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct IntrinsicsFile {
-    /// K.
-    pub intrinsics: Intrinsics,
-    /// Frame it is for.
-    #[serde(default)]
-    pub size_px: Option<[u32; 2]>,
-    /// Side of a pixel.
-    #[serde(default)]
-    pub pitch_mm: Option<f64>,
-}
-
-impl IntrinsicsFile {
-    /// Reads a file.
-    ///
-    /// # Errors
-    /// When it cannot be read, is not JSON, holds unknown keys, or K or the pitch is impossible.
-    pub fn read(path: &Path) -> Result<Self, PoseFileError> {
-        let file: Self = read_json(path)?;
-        if let Some(pitch) = file.pitch_mm
-            && !(pitch > 0.0 && pitch.is_finite())
-        {
-            let message = format!("pitch is {pitch} mm, it must be positive");
-            return Err(PoseFileError::Form { path: path.to_owned(), place: "pitch_mm".to_owned(), message });
-        }
-        Ok(file)
-    }
-}
-
+/// Reads a JSON file; errors name the key.
 pub(super) fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, PoseFileError> {
     let bytes = std::fs::read(path).map_err(|source| PoseFileError::Read { path: path.to_owned(), source })?;
     let mut deserializer = serde_json::Deserializer::from_slice(&bytes);

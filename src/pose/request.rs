@@ -4,6 +4,7 @@ use glam::DVec3;
 
 use super::record::{BeadResidual, Pose, Prior, Status};
 use super::refusal::{Points, Refusal};
+use super::solve::{Free, IntrinsicsPrior};
 use super::verdict::check_geometry;
 use crate::beads::{Bead, BeadLayout, Correspondence, Expectation, Landmark};
 use crate::geometry::Intrinsics;
@@ -17,6 +18,8 @@ pub struct Registration<'a> {
     pub layout: &'a BeadLayout,
     /// K of the frame; `None`: solved, which takes six beads that are not coplanar.
     pub intrinsics: Option<Intrinsics>,
+    /// How sure `intrinsics` is, which is its mean: K is solved with this prior. `None`: it is known.
+    pub intrinsics_prior: Option<IntrinsicsPrior>,
     /// Side of a pixel: bounds depths (no bead lies behind the detector) and makes pixels square when K is solved.
     pub pitch_mm: Option<f64>,
     /// Where the pose is expected.
@@ -43,6 +46,7 @@ impl<'a> Registration<'a> {
             size_px,
             layout,
             intrinsics: None,
+            intrinsics_prior: None,
             pitch_mm: None,
             prior: None,
             fuse: false,
@@ -57,6 +61,16 @@ impl<'a> Registration<'a> {
     /// Fewest beads that give a pose.
     pub(super) fn fewest(&self) -> usize {
         if self.intrinsics.is_some() { 4 } else { 6 }
+    }
+
+    /// What of K is solved.
+    pub(super) fn free(&self) -> Free {
+        match (self.intrinsics, self.intrinsics_prior) {
+            // Detectors have square pixels; a second focal length would mostly fit noise.
+            (None, _) => Free::Square,
+            (Some(mean), Some(prior)) => Free::Known(IntrinsicsPrior { mean, ..prior }),
+            (Some(_), None) => Free::Pose,
+        }
     }
 
     /// What no picture can make good.

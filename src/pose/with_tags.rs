@@ -22,9 +22,11 @@ const WITNESSES: usize = 2;
 /// χ² per degree of freedom of the corners up to which tags alone give a pose.
 const MOST_CHI2_PER_DOF: f64 = 9.0;
 
-/// [`register_masked`] with the tags that `seen` shows of those in `layout`. Without beads the pose is that of the tags.
+/// [`register_masked`] with the tags that `seen` shows of those in `layout`. Without beads the pose is that of the tags. K is taken as it
+/// is stated: of a tag's corners nobody knows how they share K's uncertainty with the beads.
 #[must_use]
 pub fn register_tagged(request: &Registration, frame: &Frame, masks: &Masks, layout: &TagLayout, seen: &[SeenTag]) -> Pose {
+    let request = &Registration { intrinsics_prior: None, ..*request };
     let views = views(layout, seen);
     let tags = Tags { request, layout, seen, views: &views, pose: pose_of(request, layout, seen, &views) };
     let pose = if request.layout.beads.is_empty() {

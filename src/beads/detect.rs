@@ -79,10 +79,14 @@ pub struct Detections {
 pub struct Expectation {
     /// Smallest and largest radius of a shadow.
     pub radius_px: Option<(f64, f64)>,
+    /// Blobs that are looked at, at most; enough for any specimen if `None`, too few for a calibration grid.
+    pub most_candidates: Option<usize>,
 }
 
 /// Radii searched when nothing is known.
 const ANY_RADIUS_PX: (f64, f64) = (0.9, 24.0);
+/// Blobs that are looked at where nothing else is asked.
+const MOST_CANDIDATES: usize = 160;
 /// Shadows that are tried as two.
 const MOST_DOUBTFUL: usize = 16;
 /// Contrast over noise below which a shadow is not trusted.
@@ -123,6 +127,7 @@ pub fn detect_image(pixels: &Image<f32>, signal: Signal, mask: Option<&Image<boo
     }
     let filled = fill(pixels, &usable);
     let radius_px = expected.radius_px.unwrap_or(ANY_RADIUS_PX);
+    let most = expected.most_candidates.unwrap_or(MOST_CANDIDATES);
     match signal {
         Signal::Transmission | Signal::LineIntegral => {
             let transmission =
@@ -133,7 +138,7 @@ pub fn detect_image(pixels: &Image<f32>, signal: Signal, mask: Option<&Image<boo
             };
             let noise = Noise::measure(&transmission, &usable, true);
             let field = Field::new(&transmission, &usable, &noise, 0.0);
-            let found = find(&field, &line_integral(&transmission), &[Model::Transmission], radius_px);
+            let found = find(&field, &line_integral(&transmission), &[Model::Transmission], radius_px, most);
             let polarity = if signal == Signal::LineIntegral { Polarity::Bright } else { Polarity::Dark };
             Detections { found, polarity, opposite: Vec::new(), evidence: evidence.to_owned() }
         }
@@ -142,7 +147,7 @@ pub fn detect_image(pixels: &Image<f32>, signal: Signal, mask: Option<&Image<boo
             let field = Field::new(&filled, &usable, &noise, if signal == Signal::Unknown { DISPLAY_CURVE } else { 0.0 });
             let one = |sign: f64| {
                 let models: Vec<Model> = (0..SHAPES.len()).map(|shape| Model::Additive { sign, shape }).collect();
-                find(&field, &filled.map(|value| sign as f32 * value), &models, radius_px)
+                find(&field, &filled.map(|value| sign as f32 * value), &models, radius_px, most)
             };
             if signal == Signal::Attenuation {
                 let evidence = "attenuation at an unknown scale: metal is bright".to_owned();
@@ -190,8 +195,8 @@ fn line_integral(transmission: &Image<f32>) -> Image<f32> {
     smooth.map(|value| -value.max(floor).ln())
 }
 
-fn find(field: &Field, bright: &Image<f32>, models: &[Model], radius_px: (f64, f64)) -> Vec<Detection> {
-    let candidates = candidates::find(bright, field.usable, radius_px);
+fn find(field: &Field, bright: &Image<f32>, models: &[Model], radius_px: (f64, f64), most: usize) -> Vec<Detection> {
+    let candidates = candidates::find(bright, field.usable, radius_px, most);
     let fit_at = |u: f64, v: f64, radius: f64, others: &[Fit]| fit(field, models[0], u, v, radius, others);
     // Which of several profiles it is matters to size and misfit, hardly to the centre: asked only of what may be a bead.
     let best_model = |first: Fit, others: &[Fit]| -> Fit {

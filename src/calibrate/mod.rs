@@ -2,3 +2,4 @@
 
 pub mod beads;
 pub mod detector;
+pub mod intensifier;

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, Subcommand};
 
 use super::calibrate_beads::{self, BeadsArgs, CalibrateBeadsError};
+use super::calibrate_intensifier::{self, CalibrateIntensifierError, IntensifierArgs};
 use super::spectrum::FilterArg;
 use crate::acquire::{AcquireError, DetectorCalibration, Domain, Frame, MapsFile, PanelResponse, exposure_mas, read_frames};
 use crate::calibrate::detector::{DetectorError, Measurement, PanelFrame, calibrate};
@@ -27,6 +28,8 @@ pub enum CalibrateWhat {
     Beads(BeadsArgs),
     /// The panel: offset, gain by photon transfer, air signal by tube voltage, bad pixels, noise power, MTF.
     Detector(DetectorArgs),
+    /// An image intensifier: distortion by angle of the C-arm from frames of a grid, round mask, veiling glare.
+    Intensifier(IntensifierArgs),
 }
 
 /// The panel: offset, gain by photon transfer, air signal by tube voltage, bad pixels, noise power, MTF.
@@ -83,6 +86,9 @@ pub enum CalibrateError {
     /// The beads of a CT.
     #[error(transparent)]
     Beads(#[from] CalibrateBeadsError),
+    /// An image intensifier.
+    #[error(transparent)]
+    Intensifier(#[from] CalibrateIntensifierError),
     /// A frame cannot be read.
     #[error(transparent)]
     Frame(#[from] AcquireError),
@@ -118,6 +124,7 @@ pub fn run(args: &CalibrateArgs, reporter: &Reporter) -> Result<u8, CalibrateErr
     match &args.what {
         CalibrateWhat::Beads(args) => Ok(calibrate_beads::run(args, reporter)?),
         CalibrateWhat::Detector(args) => detector(args, reporter),
+        CalibrateWhat::Intensifier(args) => Ok(calibrate_intensifier::run(args, reporter)?),
     }
 }
 

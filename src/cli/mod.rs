@@ -10,6 +10,7 @@ pub mod attach;
 pub mod attenuation;
 pub mod calibrate;
 pub mod calibrate_beads;
+pub mod calibrate_intensifier;
 pub mod check;
 pub mod compare;
 pub mod demo;

@@ -19,7 +19,9 @@ mod camera;
 mod carm;
 mod console;
 mod convert;
+mod distortion;
 pub mod formats;
+mod intensifier;
 mod rigid;
 mod robot;
 
@@ -28,5 +30,9 @@ pub use camera::{CameraError, Intrinsics, Projection, View};
 pub use carm::{CarmCalibration, CarmCalibrationError, CarmJoints};
 pub use console::{ConsoleError, ConsoleGeometry, Flip, PanelWindow};
 pub use convert::{dicom_angles_deg, lps_from_ras, ras_from_lps};
+pub use distortion::{DEFAULT_ORDER, Distortion, DistortionError, ORDERS, term_count, terms};
+pub use intensifier::{
+    AnglesDeg, AnglesFrom, Glare, Intensifier, IntensifierCalibration, IntensifierError, IntensifierView,
+};
 pub use rigid::{Rigid, RigidError};
 pub use robot::{RobotModel, RobotModelError, RobotShape, TubeSize};

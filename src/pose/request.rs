@@ -131,7 +131,7 @@ impl<'a> Registration<'a> {
 
     /// Size of the beads' shadows.
     pub(super) fn expectation(&self) -> Expectation {
-        Expectation { radius_px: self.radius_px() }
+        Expectation { radius_px: self.radius_px(), ..Expectation::default() }
     }
 
     fn radius_px(&self) -> Option<(f64, f64)> {

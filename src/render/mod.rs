@@ -36,6 +36,7 @@ pub mod steep;
 pub mod survey;
 pub mod tiles;
 pub mod trade;
+pub mod veil;
 mod volumes;
 pub mod wgsl;
 pub mod ways;

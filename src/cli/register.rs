@@ -1,11 +1,11 @@
 //! `sidecarm register`: one frame, one bead layout, one P (or the reason why there is none).
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use crate::acquire::{AcquireError, DetectorCalibration, DetectorCalibrationError, Domain, Frame, read_frame};
 use crate::beads::tags::{TagsError, TagsFileError, find_tags, read_tags};
 use crate::beads::{BeadLayout, BeadsError, CorrespondencesError, Landmark, read_correspondences, read_landmarks, read_markups};
-use crate::geometry::Intrinsics;
+use crate::geometry::{AnglesFrom, Intensifier, IntensifierCalibration, IntensifierError, Intrinsics};
 use crate::image::{ImageFileError, refuse_overwrite, write_png_rgb};
 use crate::mask;
 use crate::pose::{
@@ -55,6 +55,20 @@ pub struct RegisterArgs {
     /// Calibration of the panel, from `calibrate detector`: takes out offset, gain and bad pixels before beads are sought
     #[arg(long, value_name = "DETECTOR.json")]
     pub detector: Option<PathBuf>,
+    /// Calibration of an image intensifier, from `calibrate intensifier`: shadows are undistorted before the pose; K is then that of the
+    /// undistorted picture
+    #[arg(long, value_name = "FILE.json")]
+    pub distortion: Option<PathBuf>,
+    /// Orbital and angulation angle of the C-arm, for a distortion at several angles; from the header where it was calibrated by those
+    #[arg(
+        long,
+        value_name = "DEG,DEG",
+        value_delimiter = ',',
+        num_args = 2,
+        allow_hyphen_values = true,
+        requires = "distortion"
+    )]
+    pub carm_angles: Vec<f64>,
     /// Radius of beads whose description gives none
     #[arg(long, value_name = "MM")]
     pub bead_radius: Option<f64>,
@@ -97,6 +111,14 @@ pub enum RegisterError {
     /// Correspondences.
     #[error(transparent)]
     Correspondences(#[from] CorrespondencesError),
+    /// The calibration of the image intensifier cannot be read, or does not fit the frame.
+    #[error("{path}: {source}{hint}", path = path.display(), hint = angles_hint(source))]
+    Distortion {
+        /// Its file.
+        path: PathBuf,
+        /// What does not fit.
+        source: Box<IntensifierError>,
+    },
     /// K, prior, or the result.
     #[error(transparent)]
     Pose(#[from] PoseFileError),
@@ -133,6 +155,7 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
         args.prior.as_ref(),
         args.landmarks.as_ref(),
         args.detector.as_ref(),
+        args.distortion.as_ref(),
         args.correspondences.as_ref(),
         args.beads.as_ref(),
         args.tags.as_ref(),
@@ -173,9 +196,11 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
         }
         None => from_header(&frame, &mut note),
     };
+    let intensifier = args.distortion.as_deref().map(|path| intensifier(path, &args.carm_angles, &frame)).transpose()?;
     let request = Registration {
         intrinsics,
         pitch_mm,
+        distortion: intensifier.as_ref().map(|intensifier| &intensifier.distortion),
         prior: prior.as_ref(),
         fuse: args.fuse,
         ignore_prior: args.ignore_prior,
@@ -191,9 +216,14 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
         None => register_masked(&request, &frame, &masks),
     };
     pose.notes.extend(note);
+    if let (Some(path), Some(intensifier)) = (&args.distortion, &intensifier) {
+        pose.notes.push(format!("all places are those of the picture undistorted by {}", path.display()));
+        pose.notes.extend(intensifier.note.clone());
+    }
     pose.write(&args.out)?;
     if let Some(path) = &args.overlay {
-        write_png_rgb(path, &report::overlay(&frame, &pose, &masks))?;
+        let drawn = request.distortion.map(|distortion| pose.drawn_on_distorted(distortion));
+        write_png_rgb(path, &report::overlay(&frame, drawn.as_ref().unwrap_or(&pose), &masks))?;
     }
     if args.json {
         match serde_json::to_string_pretty(&pose) {
@@ -204,6 +234,25 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
         print!("{}", summary(&pose, args.explain));
     }
     Ok(u8::from(!pose.is_accepted()))
+}
+
+/// What the intensifier did to `frame`.
+fn intensifier(path: &Path, typed_deg: &[f64], frame: &Frame) -> Result<Intensifier, RegisterError> {
+    let at = || {
+        let calibration = IntensifierCalibration::read(path)?;
+        let tagged =
+            frame.tags.primary_deg.zip(frame.tags.secondary_deg).filter(|_| calibration.angles_from == AnglesFrom::Positioner);
+        let angles_deg = match typed_deg {
+            [orbital, angulation] => Some([*orbital, *angulation]),
+            _ => tagged.map(|(primary, secondary)| [primary, secondary]),
+        };
+        calibration.at(angles_deg)?.for_size(frame.size_px.map(|n| n as u32))
+    };
+    at().map_err(|source| RegisterError::Distortion { path: path.to_owned(), source: Box::new(source) })
+}
+
+fn angles_hint(error: &IntensifierError) -> &'static str {
+    if matches!(error, IntensifierError::AngleUnknown { .. }) { " (--carm-angles ORBITAL,ANGULATION)" } else { "" }
 }
 
 /// Whole number of panel pixels along the side of one of the frame's, if that is what makes the sizes differ.

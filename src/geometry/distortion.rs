@@ -181,7 +181,8 @@ impl Distortion {
             }
             let step = self.jacobian(at).inverse() * left;
             // A full step may lead away where the mapping bends; half of it, or a quarter, does not.
-            let shorter = (0..12).map(|halves| held(at + step * 0.5f64.powi(halves))).find(|next| off(*next).length() < left.length());
+            let shorter =
+                (0..12).map(|halves| held(at + step * 0.5f64.powi(halves))).find(|next| off(*next).length() < left.length());
             let Some(next) = shorter else { break };
             (at, left) = (next, off(next));
         }
@@ -206,7 +207,9 @@ mod tests {
     fn pincushion(share: f64) -> Result<Distortion, DistortionError> {
         let mut shift = vec![DVec2::ZERO; term_count(5)];
         // x³ + x y² and x² y + y³ are terms 6, 8, 7 and 9.
-        for (n, radial, turned) in [(6, DVec2::X, DVec2::Y), (8, DVec2::X, DVec2::Y), (7, DVec2::Y, -DVec2::X), (9, DVec2::Y, -DVec2::X)] {
+        for (n, radial, turned) in
+            [(6, DVec2::X, DVec2::Y), (8, DVec2::X, DVec2::Y), (7, DVec2::Y, -DVec2::X), (9, DVec2::Y, -DVec2::X)]
+        {
             shift[n] = share * (-20.0 * radial + 6.0 * turned);
         }
         Distortion::new(DVec2::new(255.0, 260.0), 250.0, 5, shift)

@@ -1,6 +1,6 @@
 //! The calibration of an image intensifier: distortion by C-arm angle, the round mask, veiling glare.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
@@ -16,18 +16,14 @@ const SAME_ANGLE_DEG: f64 = 0.05;
 #[derive(Debug, thiserror::Error)]
 pub enum IntensifierError {
     /// The operating system refused.
-    #[error("{path}: cannot be read ({source})", path = path.display())]
+    #[error("cannot be read ({source})")]
     Read {
-        /// The file.
-        path: PathBuf,
         /// What the system said.
         source: std::io::Error,
     },
     /// It is not JSON, or has the wrong keys.
-    #[error("{path}: {place}: {detail}", path = path.display())]
+    #[error("{place}: {detail}")]
     Json {
-        /// The file.
-        path: PathBuf,
         /// Where in it.
         place: String,
         /// What is wrong.
@@ -58,7 +54,9 @@ pub enum IntensifierError {
         views: usize,
     },
     /// The frame is of another size.
-    #[error("the distortion was measured in frames of {expected:?} px, here are {found:?} px, which is no other size of the same picture")]
+    #[error(
+        "the distortion was measured in frames of {expected:?} px, here are {found:?} px, which is no other size of the same picture"
+    )]
     Size {
         /// Measured.
         expected: [u32; 2],
@@ -206,18 +204,18 @@ impl Intensifier {
 }
 
 impl IntensifierCalibration {
-    /// Reads a file.
+    /// Reads a file, which errors leave to the caller to name.
     ///
     /// # Errors
     /// When it cannot be read, holds unknown keys, or a number makes no sense.
     pub fn read(path: &Path) -> Result<Self, IntensifierError> {
-        let bytes = std::fs::read(path).map_err(|source| IntensifierError::Read { path: path.to_owned(), source })?;
-        let json = |place: String, detail: String| IntensifierError::Json { path: path.to_owned(), place, detail };
+        let bytes = std::fs::read(path).map_err(|source| IntensifierError::Read { source })?;
+        let json = |place: String, detail: String| IntensifierError::Json { place, detail };
         let mut deserializer = serde_json::Deserializer::from_slice(&bytes);
         let file: Self = serde_path_to_error::deserialize(&mut deserializer)
             .map_err(|error| json(error.path().to_string(), error.inner().to_string()))?;
         deserializer.end().map_err(|error| json("the end".to_owned(), error.to_string()))?;
-        file.check().map_err(|error| json("a value".to_owned(), error.to_string()))?;
+        file.check()?;
         Ok(file)
     }
 
@@ -240,7 +238,11 @@ impl IntensifierCalibration {
         }
         let stated = |view: &IntensifierView| view.angles_deg().is_some_and(|angles| angles.iter().all(|a| a.is_finite()));
         if self.views.len() > 1 && !self.views.iter().all(stated) {
-            return number("views", "without orbital_deg or angulation_deg".to_owned(), "both in every view where there are several");
+            return number(
+                "views",
+                "without orbital_deg or angulation_deg".to_owned(),
+                "both in every view where there are several",
+            );
         }
         for (view, numbers) in self.views.iter().enumerate() {
             self.distortion(numbers.shift_px()).map_err(|source| IntensifierError::View { view, source })?;

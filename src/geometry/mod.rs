@@ -31,8 +31,6 @@ pub use carm::{CarmCalibration, CarmCalibrationError, CarmJoints};
 pub use console::{ConsoleError, ConsoleGeometry, Flip, PanelWindow};
 pub use convert::{dicom_angles_deg, lps_from_ras, ras_from_lps};
 pub use distortion::{DEFAULT_ORDER, Distortion, DistortionError, ORDERS, term_count, terms};
-pub use intensifier::{
-    AnglesDeg, AnglesFrom, Glare, Intensifier, IntensifierCalibration, IntensifierError, IntensifierView,
-};
+pub use intensifier::{AnglesDeg, AnglesFrom, Glare, Intensifier, IntensifierCalibration, IntensifierError, IntensifierView};
 pub use rigid::{Rigid, RigidError};
 pub use robot::{RobotModel, RobotModelError, RobotShape, TubeSize};

@@ -261,7 +261,8 @@ impl Case<'_> {
             }
             let (at, radius_px) = (k.project(p), radius_at(p.z, index).unwrap_or(usual_radius_px));
             let hidden = |d: &Detection| d.image_px.distance(at) < APART_RADII * radius_px.max(d.radius_px);
-            if !probe.is_usable(at) {
+            let in_frame = self.request.in_frame(at);
+            if !probe.is_usable(in_frame) {
                 continue;
             }
             if let Some(n) = self.detections.iter().position(hidden) {
@@ -272,7 +273,7 @@ impl Case<'_> {
                 continue;
             }
             // Beads stand where the layout has them to a fraction of their radius; nothing within that counts as there.
-            if let Some((contrast, sigma)) = probe.contrast(at, radius_px)
+            if let Some((contrast, sigma)) = probe.contrast(in_frame, radius_px)
                 && contrast + SIGMAS * sigma < LEAST_SHARE * usual
             {
                 besides.missing.push(bead.name.clone());

@@ -15,6 +15,7 @@ mod record;
 mod refusal;
 mod register;
 mod request;
+mod straighten;
 mod search;
 mod settle;
 mod solve;

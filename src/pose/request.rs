@@ -6,7 +6,7 @@ use super::record::{BeadResidual, Pose, Prior, Status};
 use super::refusal::{Points, Refusal};
 use super::verdict::check_geometry;
 use crate::beads::{Bead, BeadLayout, Correspondence, Expectation, Landmark};
-use crate::geometry::Intrinsics;
+use crate::geometry::{Distortion, Intrinsics};
 
 /// Everything that is known besides the picture.
 #[derive(Clone, Copy, Debug)]
@@ -19,6 +19,9 @@ pub struct Registration<'a> {
     pub intrinsics: Option<Intrinsics>,
     /// Side of a pixel: bounds depths (no bead lies behind the detector) and makes pixels square when K is solved.
     pub pitch_mm: Option<f64>,
+    /// What an image intensifier did to the frame. Places found in it, or marked by a person, are undistorted before anything is solved:
+    /// K, P and all places of the pose are those of the undistorted picture.
+    pub distortion: Option<&'a Distortion>,
     /// Where the pose is expected.
     pub prior: Option<&'a Prior>,
     /// Whether the prior is also a measurement.
@@ -44,6 +47,7 @@ impl<'a> Registration<'a> {
             layout,
             intrinsics: None,
             pitch_mm: None,
+            distortion: None,
             prior: None,
             fuse: false,
             ignore_prior: false,

@@ -25,6 +25,7 @@ const MOST_CHI2_PER_DOF: f64 = 9.0;
 /// [`register_masked`] with the tags that `seen` shows of those in `layout`. Without beads the pose is that of the tags.
 #[must_use]
 pub fn register_tagged(request: &Registration, frame: &Frame, masks: &Masks, layout: &TagLayout, seen: &[SeenTag]) -> Pose {
+    let seen = &request.straight_tags(seen);
     let views = views(layout, seen);
     let tags = Tags { request, layout, seen, views: &views, pose: pose_of(request, layout, seen, &views) };
     let pose = if request.layout.beads.is_empty() {

@@ -29,13 +29,17 @@ pub enum IntensifierFault {
         angles_deg: [f64; 2],
     },
     /// An angle is missing.
-    #[error("{frame}: the angle of the C-arm is not stated: with several frames give --angles, or DICOM files with both positioner angles")]
+    #[error(
+        "{frame}: the angle of the C-arm is not stated: with several frames give --angles, or DICOM files with both positioner angles"
+    )]
     NoAngle {
         /// Which frame.
         frame: String,
     },
     /// No grid.
-    #[error("{frame}: of {spots} spots {named} lie on a square grid, {required} are needed: are these beads or holes (--holes), in focus and 8 px apart or more?")]
+    #[error(
+        "{frame}: of {spots} spots {named} lie on a square grid, {required} are needed: are these beads or holes (--holes), in focus and 8 px apart or more?"
+    )]
     NoGrid {
         /// Which frame.
         frame: String,

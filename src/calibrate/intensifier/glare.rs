@@ -62,9 +62,8 @@ pub fn measure_glare(frame: &Frame, disc: &Disc) -> Result<Glare, IntensifierFau
     };
     let (low, high, steps) = SCALES;
     let at_step = |n: f64| disc.radius_px * low * (high / low).powf(n / f64::from(steps));
-    let best = |tried: &mut dyn Iterator<Item = f64>| {
-        tried.map(|n| (n, try_scale(at_step(n)))).min_by(|a, b| a.1.0.total_cmp(&b.1.0))
-    };
+    let best =
+        |tried: &mut dyn Iterator<Item = f64>| tried.map(|n| (n, try_scale(at_step(n)))).min_by(|a, b| a.1.0.total_cmp(&b.1.0));
     let coarse = best(&mut (0..=steps).map(f64::from));
     let fine = coarse.and_then(|(n, _)| best(&mut (-4..=4).map(|part| n + 0.25 * f64::from(part))));
     let (off, glare) = fine.map(|(_, tried)| tried).ok_or_else(|| fault("no scale fits".to_owned()))?;
@@ -99,7 +98,8 @@ struct Lead {
 
 /// The largest dark patch that does not touch the rim of the intensifier's disc.
 fn lead(pixels: &Image<f32>, open: &Image<bool>, disc: &Disc) -> Option<Lead> {
-    let mut values: Vec<f32> = pixels.pixels.iter().zip(&open.pixels).filter(|(_, open)| **open).map(|(value, _)| *value).collect();
+    let mut values: Vec<f32> =
+        pixels.pixels.iter().zip(&open.pixels).filter(|(_, open)| **open).map(|(value, _)| *value).collect();
     let (bright, dark) = (quantile(&mut values, 0.7)?, quantile(&mut values, 0.002)?);
     let limit = 0.5 * (bright + dark);
     let mut below = pixels.map(|value| f64::from(*value) < limit);

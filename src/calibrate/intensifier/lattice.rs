@@ -87,7 +87,8 @@ fn grow(spots: &[Spot], seed: usize, steps: [DVec2; 2]) -> BTreeMap<[i32; 2], us
             }
             let here = spots[spot].image_px;
             let expected = here + f64::from(sign) * steps[axis];
-            let Some(found) = nearest(spots, expected, NEIGHBOUR * steps[axis].length()).filter(|found| !taken.contains(found)) else {
+            let Some(found) = nearest(spots, expected, NEIGHBOUR * steps[axis].length()).filter(|found| !taken.contains(found))
+            else {
                 continue;
             };
             let mut onward = steps;

@@ -64,7 +64,8 @@ const UNMOVED_CELLS: f64 = 0.25;
 pub fn calibrate(frames: &[GridFrame], request: &GridRequest) -> Result<IntensifierCalibration, IntensifierFault> {
     let first = &frames.first().ok_or(IntensifierFault::NoFrames)?.frame;
     check(frames)?;
-    let mut notes = vec!["the plate is taken to lie flat on the intensifier's input: a tilted plate shows as distortion".to_owned()];
+    let mut notes =
+        vec!["the plate is taken to lie flat on the intensifier's input: a tilted plate shows as distortion".to_owned()];
     // One disc for all: it is the intensifier's own, and polynomials need one centre to be interpolated.
     let (disc, where_from) = spots::disc(frames, request.disc);
     notes.push(where_from);
@@ -87,7 +88,10 @@ pub fn calibrate(frames: &[GridFrame], request: &GridRequest) -> Result<Intensif
         let fit = ViewFit::new(nodes, &disc, request.order).ok_or_else(|| none(named))?;
         let gauge = unmoved.unwrap_or_else(|| fit.polynomial.gauge());
         if reference.is_some() && !request.plate_moved && unmoved.is_none() {
-            notes.push(format!("{}: the plate lies otherwise than in the first frame: this view keeps its own centre", frame.name));
+            notes.push(format!(
+                "{}: the plate lies otherwise than in the first frame: this view keeps its own centre",
+                frame.name
+            ));
         }
         let squares = fit.held_out_px2(&gauge, &disc).ok_or_else(|| none(named))?;
         held_out = (held_out.0 + squares, held_out.1 + fit.nodes.len());
@@ -138,9 +142,7 @@ fn check(frames: &[GridFrame]) -> Result<(), IntensifierFault> {
 
 /// `nodes` with the cells that the first view has there: quarter turns and whole steps apart. `None` when the plate lies otherwise.
 fn as_in(first: &Polynomial, nodes: &[Node]) -> Option<Vec<Node>> {
-    let quarter = |turns: usize| {
-        (0..turns).fold(DMat2::IDENTITY, |turned, _| DMat2::from_cols(DVec2::Y, DVec2::NEG_X) * turned)
-    };
+    let quarter = |turns: usize| (0..turns).fold(DMat2::IDENTITY, |turned, _| DMat2::from_cols(DVec2::Y, DVec2::NEG_X) * turned);
     (0..4).find_map(|turns| {
         let turned = |node: &Node| quarter(turns) * node.cell.as_dvec2();
         let offsets: Vec<DVec2> = nodes.iter().map(|node| first.at(node.image_px) - turned(node)).collect();

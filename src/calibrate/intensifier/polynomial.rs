@@ -89,7 +89,8 @@ impl Polynomial {
     pub fn shift_px(&self, gauge: &Gauge) -> Vec<DVec2> {
         let mut shift: Vec<DVec2> = self.cells.iter().map(|cells| gauge.px_from_cells * *cells).collect();
         // p = c + R x.
-        let own = [gauge.origin_px - self.disc.centre, DVec2::new(-self.disc.radius_px, 0.0), DVec2::new(0.0, -self.disc.radius_px)];
+        let own =
+            [gauge.origin_px - self.disc.centre, DVec2::new(-self.disc.radius_px, 0.0), DVec2::new(0.0, -self.disc.radius_px)];
         shift.iter_mut().zip(own).for_each(|(shift, own)| *shift += own);
         shift
     }

@@ -54,7 +54,10 @@ pub fn disc(frames: &[GridFrame], given: Option<Disc>) -> (Disc, String) {
         values[values.len() / 2]
     };
     let centre = DVec2::new(median(|disc| disc.centre.x), median(|disc| disc.centre.y));
-    (Disc { centre, radius_px: median(|disc| disc.radius_px) }, format!("the round mask was seen in {} of {} frames", discs.len(), frames.len()))
+    (
+        Disc { centre, radius_px: median(|disc| disc.radius_px) },
+        format!("the round mask was seen in {} of {} frames", discs.len(), frames.len()),
+    )
 }
 
 /// The spots of `grid` inside `disc`.

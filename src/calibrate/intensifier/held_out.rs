@@ -16,29 +16,45 @@ const FOLDS: i32 = 10;
 const OUTLIER: f64 = 5.0;
 /// … but none that are nearer than this.
 const LEAST_OUTLIER_PX: f64 = 0.1;
+/// One in so many is left out at a time.
+const AT_A_TIME: usize = 50;
+const ROUNDS: usize = 40;
 /// Median length of a vector of two standard normals: √(2 ln 2).
 const MEDIAN_LENGTH: f64 = 1.177_410_022_515_474_6;
 
 impl ViewFit {
     /// Fits `nodes`, leaving out those that do not belong. `None` when the rest does not determine the polynomial.
-    pub fn new(nodes: Vec<Node>, disc: &Disc, order: usize) -> Option<Self> {
-        let mut kept = nodes.clone();
-        let mut polynomial = Polynomial::fit(kept.iter(), disc, order)?;
-        for _ in 0..8 {
+    // A false spot at the rim draws the polynomial to itself, and good ones beside it off: judged is how far each would be off had it
+    // been left out, and only the worst go at a time.
+    pub fn new(nodes: &[Node], disc: &Disc, order: usize) -> Option<Self> {
+        let mut kept = vec![true; nodes.len()];
+        for _ in 0..ROUNDS {
+            let chosen = || nodes.iter().zip(&kept).filter(|(_, kept)| **kept).map(|(node, _)| node);
+            let (polynomial, leverage) = Polynomial::fit_with_leverage(chosen(), disc, order)?;
             let cell_px = polynomial.gauge().cell_px();
-            let off_px = |polynomial: &Polynomial, node: &Node| cell_px * polynomial.off(node).length();
-            let mut lengths: Vec<f64> = kept.iter().map(|node| off_px(&polynomial, node)).collect();
+            let mut leverage = leverage.into_iter();
+            let off_px: Vec<f64> = nodes
+                .iter()
+                .zip(&kept)
+                .map(|(node, kept)| {
+                    let pull = if *kept { leverage.next().unwrap_or(0.0) } else { 0.0 };
+                    cell_px * polynomial.off(node).length() / (1.0 - pull).max(1e-6)
+                })
+                .collect();
+            let mut lengths: Vec<f64> = off_px.iter().zip(&kept).filter(|(_, kept)| **kept).map(|(off, _)| *off).collect();
             lengths.sort_by(f64::total_cmp);
-            let sigma_px = lengths[lengths.len() / 2] / MEDIAN_LENGTH;
+            let sigma_px = lengths.get(lengths.len() / 2)? / MEDIAN_LENGTH;
             let limit_px = (OUTLIER * sigma_px).max(LEAST_OUTLIER_PX);
-            let next: Vec<Node> = nodes.iter().filter(|node| off_px(&polynomial, node) <= limit_px).copied().collect();
+            let most = (lengths.len() / AT_A_TIME).max(1);
+            let limit_px = limit_px.max(lengths[lengths.len() - 1 - most]);
+            let next: Vec<bool> = off_px.iter().map(|off| *off <= limit_px).collect();
             if next == kept {
-                break;
+                return Some(Self { polynomial, nodes: chosen().copied().collect() });
             }
-            polynomial = Polynomial::fit(next.iter(), disc, order)?;
             kept = next;
         }
-        Some(Self { polynomial, nodes: kept })
+        let nodes: Vec<Node> = nodes.iter().zip(&kept).filter(|(_, kept)| **kept).map(|(node, _)| *node).collect();
+        Some(Self { polynomial: Polynomial::fit(nodes.iter(), disc, order)?, nodes })
     }
 
     /// Sum of squared residuals, px², of every node against the fit to the other nine tenths; `None` when those determine none.

@@ -85,7 +85,7 @@ pub fn calibrate(frames: &[GridFrame], request: &GridRequest) -> Result<Intensif
             Some(*gauge)
         });
         let named = nodes.len();
-        let fit = ViewFit::new(nodes, &disc, request.order).ok_or_else(|| none(named))?;
+        let fit = ViewFit::new(&nodes, &disc, request.order).ok_or_else(|| none(named))?;
         let gauge = unmoved.unwrap_or_else(|| fit.polynomial.gauge());
         if reference.is_some() && !request.plate_moved && unmoved.is_none() {
             notes.push(format!(

@@ -37,6 +37,12 @@ pub struct Polynomial {
 impl Polynomial {
     /// Fits `nodes` by weighted least squares; `None` when they are too few or lie on a curve of that order.
     pub fn fit<'a>(nodes: impl Iterator<Item = &'a Node>, disc: &Disc, order: usize) -> Option<Self> {
+        Self::fit_with_leverage(nodes, disc, order).map(|(fit, _)| fit)
+    }
+
+    /// [`Polynomial::fit`], and how far each node pulls the fit to itself, 0 to 1: left out, it would be off by 1 / (1 − leverage) times as
+    /// much.
+    pub fn fit_with_leverage<'a>(nodes: impl Iterator<Item = &'a Node>, disc: &Disc, order: usize) -> Option<(Self, Vec<f64>)> {
         let nodes: Vec<&Node> = nodes.collect();
         let count = term_count(order);
         if nodes.len() < count {
@@ -53,14 +59,16 @@ impl Polynomial {
             cells[(row, 1)] = weight * f64::from(node.cell.y);
         }
         let qr = design.qr();
-        let (r, right) = (qr.r(), qr.q().transpose() * cells);
+        let (q, r) = (qr.q(), qr.r());
+        let right = q.transpose() * cells;
         let diagonal: DVector<f64> = r.diagonal().abs();
         if !(diagonal.min() > 1e-9 * diagonal.max()) {
             return None;
         }
         let solved = r.solve_upper_triangular(&right)?;
         let cells: Vec<DVec2> = (0..count).map(|n| DVec2::new(solved[(n, 0)], solved[(n, 1)])).collect();
-        cells.iter().all(|cell| cell.is_finite()).then_some(Self { order, disc: *disc, cells })
+        let leverage = q.row_iter().map(|row| row.norm_squared()).collect();
+        cells.iter().all(|cell| cell.is_finite()).then_some((Self { order, disc: *disc, cells }, leverage))
     }
 
     /// Cells at a place of the frame.

@@ -30,6 +30,8 @@ pub struct Spot {
 const MOST_CANDIDATES: usize = 7200;
 /// Spots of one grid have radii within this factor of the median.
 const ALIKE: f64 = 1.7;
+/// A disc smaller than this share of the frame's shorter side is a hole, or the collimator's, and not the intensifier's.
+const LEAST_DISC: f64 = 0.25;
 /// What is known of centres at best: thresholds, pixels' gain.
 const LEAST_SIGMA_PX: f64 = 0.03;
 
@@ -41,7 +43,9 @@ pub fn disc(frames: &[GridFrame], given: Option<Disc>) -> (Disc, String) {
         return (disc, "the round mask was given".to_owned());
     }
     let seen = |frame: &Frame| find_field(&frame.pixels, frame.larger_is_more_attenuation(), frame.domain.is_gray())?.shape.disc;
-    let discs: Vec<Disc> = frames.iter().filter_map(|frame| seen(&frame.frame)).collect();
+    let large = |disc: &Disc, frame: &Frame| disc.radius_px >= LEAST_DISC * frame.size_px[0].min(frame.size_px[1]) as f64;
+    let discs: Vec<Disc> =
+        frames.iter().filter_map(|GridFrame { frame, .. }| seen(frame).filter(|disc| large(disc, frame))).collect();
     if discs.is_empty() {
         let [width, height] = frames.first().map_or([0, 0], |frame| frame.frame.size_px).map(|n| n as f64);
         let centre = 0.5 * DVec2::new(width - 1.0, height - 1.0);

@@ -26,8 +26,6 @@ pub struct Spot {
     pub sigma_px: f64,
 }
 
-/// Blobs that are looked at: a grid of 60 × 60 and as many false ones.
-const MOST_CANDIDATES: usize = 7200;
 /// Spots of one grid have radii within this factor of the median.
 const ALIKE: f64 = 1.7;
 /// A disc smaller than this share of the frame's shorter side is a hole, or the collimator's, and not the intensifier's.
@@ -72,7 +70,7 @@ pub fn find(frame: &Frame, grid: GridOf, disc: &Disc) -> Vec<Spot> {
         let at = DVec2::new((index % pixels.width) as f64, (index / pixels.width) as f64);
         *usable = at.distance(disc.centre) <= disc.radius_px - 1.0;
     }
-    let expected = Expectation { radius_px: None, most_candidates: Some(MOST_CANDIDATES) };
+    let expected = Expectation { radius_px: None, grid: true };
     let mut found = match grid {
         GridOf::Beads => detect(frame, Some(&usable), &expected).found,
         GridOf::Holes => {

@@ -14,8 +14,8 @@ pub struct ViewFit {
 const FOLDS: i32 = 10;
 /// Spots further off than so many standard deviations, per axis and robustly measured, are left out …
 const OUTLIER: f64 = 5.0;
-/// … but none that are nearer than this.
-const LEAST_OUTLIER_PX: f64 = 0.1;
+/// … but none that are nearer than this: what the polynomial itself cannot follow at the rim belongs into the figure.
+const LEAST_OUTLIER_PX: f64 = 1.0;
 /// One in so many is left out at a time.
 const AT_A_TIME: usize = 50;
 const ROUNDS: usize = 40;

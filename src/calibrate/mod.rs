@@ -4,3 +4,4 @@ pub mod beads;
 pub mod carm;
 pub mod detector;
 pub mod layout;
+pub mod intensifier;

@@ -6,6 +6,7 @@ use clap::{Args, Subcommand};
 
 use super::calibrate_beads::{self, BeadsArgs, CalibrateBeadsError};
 use super::calibrate_carm::{self, CalibrateCarmError, CarmArgs};
+use super::calibrate_intensifier::{self, CalibrateIntensifierError, IntensifierArgs};
 use super::calibrate_layout::{self, CalibrateLayoutError, LayoutArgs};
 use super::spectrum::FilterArg;
 use crate::acquire::{AcquireError, DetectorCalibration, Domain, Frame, MapsFile, PanelResponse, exposure_mas, read_frames};
@@ -33,6 +34,8 @@ pub enum CalibrateWhat {
     Detector(DetectorArgs),
     /// Score a bead layout: does it resemble itself, is it flat, how well will it fix the pose of planned views.
     Layout(LayoutArgs),
+    /// An image intensifier: distortion by angle of the C-arm from frames of a grid, round mask, veiling glare.
+    Intensifier(IntensifierArgs),
 }
 
 /// The panel: offset, gain by photon transfer, air signal by tube voltage, bad pixels, noise power, MTF.
@@ -95,6 +98,9 @@ pub enum CalibrateError {
     /// A bead layout.
     #[error(transparent)]
     Layout(#[from] CalibrateLayoutError),
+    /// An image intensifier.
+    #[error(transparent)]
+    Intensifier(#[from] CalibrateIntensifierError),
     /// A frame cannot be read.
     #[error(transparent)]
     Frame(#[from] AcquireError),
@@ -132,6 +138,7 @@ pub fn run(args: &CalibrateArgs, reporter: &Reporter) -> Result<u8, CalibrateErr
         CalibrateWhat::Carm(args) => Ok(calibrate_carm::run(args, reporter)?),
         CalibrateWhat::Layout(args) => Ok(calibrate_layout::run(args, reporter)?),
         CalibrateWhat::Detector(args) => detector(args, reporter),
+        CalibrateWhat::Intensifier(args) => Ok(calibrate_intensifier::run(args, reporter)?),
     }
 }
 

@@ -161,7 +161,7 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
         refuse_overwrite(&[&json_path, &strip_path], &input_files(path, scene))?;
     }
     let view = pose.as_ref().and_then(|pose| view_of(pose, &simulated, reporter));
-    let beads = view.zip(pose.as_ref()).map(|(view, pose)| marks(pose, &view)).unwrap_or_default();
+    let beads = view.zip(pose.as_ref()).map(|(view, pose)| marks(pose, &view, scene.as_ref())).unwrap_or_default();
     let posed_scene = scene.as_ref().zip(pose.as_ref()).zip(view).map(|((scene, pose), view)| scene_at(scene, pose, view));
     let tool = posed_scene.as_ref().zip(view.as_ref()).and_then(|(scene, view)| tool_mask(scene, view));
     let input = CompareInput {
@@ -265,14 +265,14 @@ fn view_of(pose: &Pose, simulated: &Image<f32>, reporter: &Reporter) -> Option<V
 }
 
 /// Beads by the pose's file; a matched shadow tells the size.
-fn marks(pose: &Pose, view: &View) -> Vec<(DVec2, f64)> {
+fn marks(pose: &Pose, view: &View, scene: Option<&Scene>) -> Vec<(DVec2, f64)> {
     let camera_from_lps = view.camera_from_lps;
     let full_fx = pose.intrinsics.map_or(view.intrinsics.fx, |k| k.fx);
     let radius_mm = |bead: &BeadResidual| {
         let shadow = pose.shadows.iter().find(|shadow| shadow.bead.as_ref() == Some(&bead.name))?;
         Some(shadow.radius_px * camera_from_lps.transform_point(bead.lps_mm).z / full_fx)
     };
-    bead_marks(pose.beads.iter().map(|bead| (bead.lps_mm, radius_mm(bead))), view)
+    bead_marks(pose.beads.iter().map(|bead| (bead.lps_mm, radius_mm(bead))), view, scene)
 }
 
 fn centre(pose: &Pose, scene: Option<&Scene>) -> Option<DVec3> {

@@ -9,7 +9,7 @@ use crate::acquire::{Domain, Frame, read_frame};
 use crate::beads::tags::{find_tags, read_tags};
 use crate::beads::{BeadLayout, Landmark, read_correspondences, read_landmarks, read_markups};
 use crate::image::{refuse_overwrite, write_png_rgb};
-use crate::mask::{self, Masks};
+use crate::mask;
 use crate::pose::{IntrinsicsFile, Pose, Prior, Registration, Shadow, register_masked, register_tagged};
 use crate::report;
 use crate::reporter::Reporter;
@@ -68,6 +68,20 @@ pub struct RegisterArgs {
     /// Calibration of the panel, from `calibrate detector`: takes out offset, gain and bad pixels before beads are sought
     #[arg(long, value_name = "DETECTOR.json")]
     pub detector: Option<PathBuf>,
+    /// Calibration of an image intensifier, from `calibrate intensifier`: shadows are undistorted before the pose; K is then that of the
+    /// undistorted picture
+    #[arg(long, value_name = "FILE.json", conflicts_with = "together")]
+    pub distortion: Option<PathBuf>,
+    /// Orbital and angulation angle of the C-arm, for a distortion at several angles; from the header where it was calibrated by those
+    #[arg(
+        long,
+        value_name = "DEG,DEG",
+        value_delimiter = ',',
+        num_args = 2,
+        allow_hyphen_values = true,
+        requires = "distortion"
+    )]
+    pub carm_angles: Vec<f64>,
     /// Radius of beads whose description gives none
     #[arg(long, value_name = "MM")]
     pub bead_radius: Option<f64>,
@@ -106,7 +120,12 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
     let mut notes = Vec::new();
     let declared = match Console::of(args, &given, &stored, &mut notes)? {
         Ok(declared) => declared,
-        Err(pose) => return answer(args, &stored, *pose, None, reporter),
+        Err(pose) => {
+            if let Some(path) = &args.overlay {
+                write_png_rgb(path, &report::overlay(&stored, &pose, &mask::of_frame(&stored)))?;
+            }
+            return answer(args, &pose, reporter);
+        }
     };
     let mut seen = Seen::of(args, path, &stored, given.file.as_ref(), declared.as_ref())?;
     notes.append(&mut seen.notes);
@@ -122,28 +141,27 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
     if tags.is_some() && seen.prior.is_some() {
         pose.notes.push("where tags are used K is taken as stated: its sigma is left aside".to_owned());
     }
-    answer(args, &seen.frame, pose, Some(masks), reporter)
+    if let (Some(path), Some(intensifier)) = (&args.distortion, &intensifier) {
+        pose.notes.push(format!("all places are those of the picture undistorted by {}", path.display()));
+        pose.notes.extend(intensifier.note.clone());
+    }
+    let drawn = request.distortion.map(|distortion| pose.drawn_on_distorted(distortion));
+    if let Some(path) = &args.overlay {
+        write_png_rgb(path, &report::overlay(&seen.frame, drawn.as_ref().unwrap_or(&pose), &masks))?;
+    }
+    answer(args, &pose, reporter)
 }
 
 /// Writes and prints.
-fn answer(
-    args: &RegisterArgs,
-    frame: &Frame,
-    pose: Pose,
-    masks: Option<Masks>,
-    reporter: &Reporter,
-) -> Result<u8, RegisterError> {
+fn answer(args: &RegisterArgs, pose: &Pose, reporter: &Reporter) -> Result<u8, RegisterError> {
     pose.write(&args.out)?;
-    if let Some(path) = &args.overlay {
-        write_png_rgb(path, &report::overlay(frame, &pose, &masks.unwrap_or_else(|| mask::of_frame(frame))))?;
-    }
     if args.json {
-        match serde_json::to_string_pretty(&pose) {
+        match serde_json::to_string_pretty(pose) {
             Ok(text) => println!("{text}"),
             Err(error) => reporter.warn("json", format!("the pose cannot be printed: {error}")),
         }
     } else {
-        print!("{}", summary(&pose, args.explain));
+        print!("{}", summary(pose, args.explain));
     }
     Ok(u8::from(!pose.is_accepted()))
 }
@@ -161,10 +179,18 @@ pub(super) struct Given {
 impl Given {
     /// Checks that no output is an input, and that numbers make sense.
     pub fn read(args: &RegisterArgs, outputs: &[&PathBuf]) -> Result<Self, RegisterError> {
-        let named =
-            [&args.intrinsics, &args.landmarks, &args.detector, &args.correspondences, &args.beads, &args.tags, &args.console]
-                .into_iter()
-                .flatten();
+        let named = [
+            &args.intrinsics,
+            &args.landmarks,
+            &args.detector,
+            &args.correspondences,
+            &args.beads,
+            &args.tags,
+            &args.console,
+            &args.distortion,
+        ]
+        .into_iter()
+        .flatten();
         refuse_overwrite(outputs, &args.frames.iter().chain(&args.prior).chain(named).collect::<Vec<_>>())?;
         if let Some(found) = args.bead_radius.filter(|radius| !(*radius > 0.0 && radius.is_finite())) {
             return Err(RegisterError::Radius { found });

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use crate::acquire::{AcquireError, DetectorCalibrationError};
 use crate::beads::tags::{TagsError, TagsFileError};
 use crate::beads::{BeadsError, CorrespondencesError};
-use crate::geometry::ConsoleError;
+use crate::geometry::{ConsoleError, IntensifierError};
 use crate::image::ImageFileError;
 use crate::pose::PoseFileError;
 
@@ -74,6 +74,19 @@ pub enum RegisterError {
         /// What was typed.
         found: f64,
     },
+    /// The calibration of the image intensifier cannot be read, or does not fit the frame.
+    #[error("{path}: {source}{hint}", path = path.display(), hint = angles_hint(source))]
+    Distortion {
+        /// Its file.
+        path: PathBuf,
+        /// What does not fit.
+        source: Box<IntensifierError>,
+    },
+    /// A distortion is that of the whole picture.
+    #[error(
+        "--distortion is for pictures as the intensifier gives them, the console cropped, enlarged or turned this one by part of a quarter; store it as it is, or calibrate the pictures as the console stores them and leave --console out"
+    )]
+    DistortedAndCut,
     /// Nothing says what the panel's picture would be.
     #[error(
         "--console solve needs --intrinsics K.json with size_px, the panel's, and --prior POSE.json: beads cannot tell a turned picture from a turned camera"
@@ -99,4 +112,8 @@ pub enum RegisterError {
         /// The frame's size.
         found: [u32; 2],
     },
+}
+
+fn angles_hint(error: &IntensifierError) -> &'static str {
+    if matches!(error, IntensifierError::AngleUnknown { .. }) { " (--carm-angles ORBITAL,ANGULATION)" } else { "" }
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use super::register::{Given, RegisterArgs};
 use super::register_error::RegisterError;
 use crate::acquire::{DetectorCalibration, Frame};
-use crate::geometry::{ConsoleGeometry, Intrinsics, PanelWindow};
+use crate::geometry::{AnglesFrom, ConsoleGeometry, Intensifier, IntensifierCalibration, Intrinsics, PanelWindow};
 use crate::pose::{IntrinsicsFile, IntrinsicsPrior, Panel, Pose, intrinsics_of, read_console, solve_console, whole_binning};
 
 /// What the console did.
@@ -118,5 +118,24 @@ impl Seen {
         let pitch_mm = file.pitch_mm.map(|pitch| pitch * factor).or(tagged_pitch_mm);
         let prior = file.prior().map(|prior| prior.binned(factor));
         Ok(Self { notes, ..Self::plain(frame, Some(file.intrinsics.binned(factor)), prior, pitch_mm) })
+    }
+
+    /// What the image intensifier did to the frame.
+    pub fn intensifier(&self, path: &Path, typed_deg: &[f64]) -> Result<Intensifier, RegisterError> {
+        let stored = self.frame.correction.as_ref().and_then(|correction| correction.stored.as_ref());
+        if stored.is_some_and(|stored| stored.console.window(stored.size_px) != PanelWindow::WHOLE) {
+            return Err(RegisterError::DistortedAndCut);
+        }
+        let at = || {
+            let calibration = IntensifierCalibration::read(path)?;
+            let tags = &self.frame.tags;
+            let tagged = tags.primary_deg.zip(tags.secondary_deg).filter(|_| calibration.angles_from == AnglesFrom::Positioner);
+            let angles_deg = match typed_deg {
+                [orbital, angulation] => Some([*orbital, *angulation]),
+                _ => tagged.map(|(primary, secondary)| [primary, secondary]),
+            };
+            calibration.at(angles_deg)?.for_size(self.frame.size_px.map(|n| n as u32))
+        };
+        at().map_err(|source| RegisterError::Distortion { path: path.to_owned(), source: Box::new(source) })
     }
 }

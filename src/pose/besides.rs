@@ -65,7 +65,8 @@ impl Case<'_> {
             }
             let (at, radius_px) = (k.project(p), radius_at(p.z, index).unwrap_or(usual_radius_px));
             let hidden = |d: &Detection| d.image_px.distance(at) < APART_RADII * radius_px.max(d.radius_px);
-            if !self.is_open(at, radius_px) {
+            let in_frame = self.request.in_frame(at);
+            if !self.is_open(in_frame, radius_px) {
                 continue;
             }
             if let Some(n) = self.detections.iter().position(hidden) {
@@ -80,7 +81,7 @@ impl Case<'_> {
                 // Where shadows are all that is known, a bead without one is not there.
                 None => false,
                 Some(probe) => probe
-                    .contrast(at, radius_px)
+                    .contrast(in_frame, radius_px)
                     .is_none_or(|(contrast, sigma)| !(contrast + SIGMAS * sigma < LEAST_SHARE * usual)),
             };
             if !is_there {

@@ -42,7 +42,8 @@ impl<'a> Case<'a> {
             let Some(bead) = request.layout.beads.iter().position(|bead| bead.name == given.bead) else {
                 return Err(refuse(format!("the layout has no bead called {:?}", given.bead)));
             };
-            let distance = |n: &usize| detections[*n].image_px.distance(given.image_px);
+            let marked = request.straight(given.image_px);
+            let distance = |n: &usize| detections[*n].image_px.distance(marked);
             let nearest = (0..detections.len()).min_by(|a, b| distance(a).total_cmp(&distance(b)));
             let within = |n: &usize| distance(n) <= (MARK_RADII * detections[*n].radius_px).max(6.0);
             let Some(shadow) = nearest.filter(within) else {

@@ -19,6 +19,7 @@ mod record;
 mod refusal;
 mod register;
 mod request;
+mod straighten;
 mod search;
 mod settle;
 mod solve;

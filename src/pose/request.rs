@@ -7,7 +7,7 @@ use super::refusal::{Points, Refusal};
 use super::solve::{Free, IntrinsicsPrior};
 use super::verdict::check_geometry;
 use crate::beads::{Bead, BeadLayout, Correspondence, Expectation, Landmark};
-use crate::geometry::Intrinsics;
+use crate::geometry::{Distortion, Intrinsics};
 
 /// Everything that is known besides the picture.
 #[derive(Clone, Copy, Debug)]
@@ -22,6 +22,9 @@ pub struct Registration<'a> {
     pub intrinsics_prior: Option<IntrinsicsPrior>,
     /// Side of a pixel: bounds depths (no bead lies behind the detector) and makes pixels square when K is solved.
     pub pitch_mm: Option<f64>,
+    /// What an image intensifier did to the frame. Places found in it, or marked by a person, are undistorted before anything is solved:
+    /// K, P and all places of the pose are those of the undistorted picture.
+    pub distortion: Option<&'a Distortion>,
     /// Where the pose is expected.
     pub prior: Option<&'a Prior>,
     /// Whether the prior is also a measurement.
@@ -48,6 +51,7 @@ impl<'a> Registration<'a> {
             intrinsics: None,
             intrinsics_prior: None,
             pitch_mm: None,
+            distortion: None,
             prior: None,
             fuse: false,
             ignore_prior: false,
@@ -146,7 +150,7 @@ impl<'a> Registration<'a> {
 
     /// Size of the beads' shadows.
     pub(super) fn expectation(&self) -> Expectation {
-        Expectation { radius_px: self.radius_px() }
+        Expectation { radius_px: self.radius_px(), ..Expectation::default() }
     }
 
     fn radius_px(&self) -> Option<(f64, f64)> {

@@ -27,6 +27,9 @@ const MOST_CHI2_PER_DOF: f64 = 9.0;
 #[must_use]
 pub fn register_tagged(request: &Registration, frame: &Frame, masks: &Masks, layout: &TagLayout, seen: &[SeenTag]) -> Pose {
     let request = &Registration { intrinsics_prior: None, ..*request };
+
+    let seen = &request.straight_tags(seen);
+
     let views = views(layout, seen);
     let tags = Tags { request, layout, seen, views: &views, pose: pose_of(request, layout, seen, &views) };
     let pose = if request.layout.beads.is_empty() {

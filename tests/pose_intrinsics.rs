@@ -45,8 +45,11 @@ pub fn stated(truth: &Intrinsics, seed: u64) -> IntrinsicsPrior {
     IntrinsicsPrior { mean: Intrinsics { fx, fy: fx, cx: truth.cx + off(), cy: truth.cy + off(), ..*truth }, ..exact }
 }
 
+/// As [`held`] gives it.
+pub type Held = (bool, [usize; 2], f64);
+
 /// Whether the pose's region holds the truth, how many of the landmarks' do, and the landmarks' largest error across, mm.
-pub fn held(pose: &Pose, view: &View) -> (bool, [usize; 2], f64) {
+pub fn held(pose: &Pose, view: &View) -> Held {
     let (k, found) = pose.camera().expect("accepted");
     let rows = pose.covariance.expect("accepted");
     let xi: Vector6<f64> = deviation(&view.camera_from_lps, &found);
@@ -71,7 +74,7 @@ pub fn landmarks() -> Vec<Landmark> {
     (0..6).map(|n| Landmark { name: format!("l{n}"), lps_mm: place(n) }).collect()
 }
 
-fn one(seed: u64) -> Option<(bool, [usize; 2], f64)> {
+fn one(seed: u64) -> Option<Held> {
     let (view, layout, places) = (synthetic::view(1024, 1024, seed), beads(8, seed), landmarks());
     let prior = stated(&view.intrinsics, seed);
     let found = shadows(&view, &layout, 0.05, 0.15, seed);
@@ -90,7 +93,7 @@ fn one(seed: u64) -> Option<(bool, [usize; 2], f64)> {
 }
 
 fn covered(seeds: std::ops::Range<u64>) -> (f64, f64, f64, usize) {
-    let runs: Vec<(bool, [usize; 2], f64)> = seeds.into_par_iter().filter_map(one).collect();
+    let runs: Vec<Held> = seeds.into_par_iter().filter_map(one).collect();
     let count = runs.len() as f64;
     let poses = runs.iter().filter(|(inside, ..)| *inside).count() as f64 / count;
     let inside: usize = runs.iter().map(|(_, [inside, _], _)| inside).sum();

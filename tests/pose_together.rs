@@ -14,7 +14,7 @@ use sidecarm::pose::{
 };
 use sidecarm::random::{Purpose, Stream};
 
-use crate::pose_intrinsics::{beads, held, landmarks, stated};
+use crate::pose_intrinsics::{Held, beads, held, landmarks, stated};
 use crate::pose_synthetic as synthetic;
 
 const NOISE_PX: f64 = 0.05;
@@ -111,7 +111,7 @@ fn covered(seeds: std::ops::Range<u64>) -> (f64, f64, f64, usize) {
         let each = together.views.iter().zip(&lab.views).map(|(pose, view)| held(pose, view));
         (each.collect::<Vec<_>>(), alarm)
     };
-    let runs: Vec<(Vec<(bool, [usize; 2], f64)>, bool)> = seeds.into_par_iter().map(one).collect();
+    let runs: Vec<(Vec<Held>, bool)> = seeds.into_par_iter().map(one).collect();
     let alarms = runs.iter().filter(|(_, alarm)| *alarm).count();
     let views: Vec<_> = runs.into_iter().flat_map(|(views, _)| views).collect();
     let poses = views.iter().filter(|(inside, ..)| *inside).count() as f64 / views.len() as f64;

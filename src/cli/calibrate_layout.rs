@@ -1,6 +1,6 @@
 //! `sidecarm calibrate layout`: what a bead layout is worth.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 
@@ -122,9 +122,9 @@ pub fn run(args: &LayoutArgs, reporter: &Reporter) -> Result<u8, CalibrateLayout
     Ok(u8::from(!found.warnings.is_empty()))
 }
 
-fn planned(args: &LayoutArgs, path: &PathBuf) -> Result<Planned, CalibrateLayoutError> {
+fn planned(args: &LayoutArgs, path: &Path) -> Result<Planned, CalibrateLayoutError> {
     let file = IntrinsicsFile::read(path)?;
-    let missing = |key| CalibrateLayoutError::Missing { path: path.clone(), key };
+    let missing = |key| CalibrateLayoutError::Missing { path: path.to_owned(), key };
     let pitch_mm = file.pitch_mm.ok_or_else(|| missing("pitch_mm"))?;
     Ok(Planned {
         intrinsics: file.intrinsics,

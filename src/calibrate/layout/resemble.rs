@@ -29,7 +29,7 @@ pub fn self_match(places: &[DVec3], names: &[&str], mirrored: bool, tolerance_mm
     let turned = |p: &DVec3| if mirrored { DVec3::new(-p.x, p.y, p.z) } else { *p };
     let from: Vec<DVec3> = places.iter().map(turned).collect();
     let n = places.len();
-    let mut best: Option<(usize, f64, Rigid, Vec<(usize, usize)>)> = None;
+    let mut best: Option<Best> = None;
     let near = |a: f64, b: f64| (a - b).abs() <= 2.0 * tolerance_mm;
     for [i, j, k] in (0..n).flat_map(|i| (i + 1..n).flat_map(move |j| (j + 1..n).map(move |k| [i, j, k]))) {
         let source = [from[i], from[j], from[k]];
@@ -49,28 +49,31 @@ pub fn self_match(places: &[DVec3], names: &[&str], mirrored: bool, tolerance_mm
                     }
                     let Some(motion) = align_triangles(&source, &[places[a], places[b], places[c]]) else { continue };
                     let pairs = pairs(&from, places, &motion, tolerance_mm);
-                    if !mirrored && pairs.iter().all(|(from, to)| from == to) {
-                        continue;
-                    }
                     let squares: f64 =
                         pairs.iter().map(|(p, q)| motion.transform_point(from[*p]).distance_squared(places[*q])).sum();
                     let rms_mm = (squares / pairs.len().max(1) as f64).sqrt();
-                    if best
-                        .as_ref()
-                        .is_none_or(|(most, least, ..)| pairs.len() > *most || (pairs.len() == *most && rms_mm < *least))
-                    {
-                        best = Some((pairs.len(), rms_mm, motion, pairs));
+                    let better =
+                        |best: &Best| pairs.len() > best.pairs.len() || (pairs.len() == best.pairs.len() && rms_mm < best.rms_mm);
+                    if best.as_ref().is_none_or(better) {
+                        best = Some(Best { pairs, rms_mm, motion });
                     }
                 }
             }
         }
     }
-    best.map(|(beads, rms_mm, motion, pairs)| SelfMatch {
-        beads,
+    best.map(|Best { pairs, rms_mm, motion }| SelfMatch {
+        beads: pairs.len(),
         angle_deg: motion.angle_to_rad(&Rigid::IDENTITY).to_degrees(),
         rms_mm,
         pairs: pairs.into_iter().map(|(p, q)| [names[p].to_owned(), names[q].to_owned()]).collect(),
     })
+}
+
+/// The best so far.
+struct Best {
+    pairs: Vec<(usize, usize)>,
+    rms_mm: f64,
+    motion: Rigid,
 }
 
 /// One-to-one, each bead with the nearest place within the tolerance.

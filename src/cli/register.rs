@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use super::register_error::RegisterError;
 use super::register_seen::{Console, Seen};
 use super::register_together;
-use crate::acquire::{Domain, Frame, read_frame};
+use crate::acquire::{Domain, read_frame};
 use crate::beads::tags::{find_tags, read_tags};
 use crate::beads::{BeadLayout, Landmark, read_correspondences, read_landmarks, read_markups};
 use crate::image::{refuse_overwrite, write_png_rgb};
@@ -130,8 +130,13 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
     let mut seen = Seen::of(args, path, &stored, given.file.as_ref(), declared.as_ref())?;
     notes.append(&mut seen.notes);
     let prior = given.priors.first().map(|prior| prior.turned(seen.turn_rad));
-    let request =
-        Registration { fuse: args.fuse, correspondences: &correspondences, ..given.request(args, &seen, prior.as_ref()) };
+    let intensifier = args.distortion.as_deref().map(|path| seen.intensifier(path, &args.carm_angles)).transpose()?;
+    let request = Registration {
+        distortion: intensifier.as_ref().map(|intensifier| &intensifier.distortion),
+        fuse: args.fuse,
+        correspondences: &correspondences,
+        ..given.request(args, &seen, prior.as_ref())
+    };
     let masks = mask::of_frame(&seen.frame);
     let mut pose = match &tags {
         Some(tags) => register_tagged(&request, &seen.frame, &masks, tags, &find_tags(&seen.frame, tags.family)?),

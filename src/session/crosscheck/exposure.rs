@@ -225,7 +225,11 @@ fn check_innovation(carm: &CarmCalibration, angle_deg: f64, shift_mm: DVec3) -> 
         "telemetry and beads are {:.1} mm and {angle_deg:.2} degrees apart, {sigmas:.0} standard deviations of the calibrated arm",
         shift_mm.length()
     );
-    Some(Finding::warn("telemetry and beads", detail, "the specimen or the arm's base was moved, or an encoder jumped: tie the specimen anew"))
+    Some(Finding::warn(
+        "telemetry and beads",
+        detail,
+        "the specimen or the arm's base was moved, or an encoder jumped: tie the specimen anew",
+    ))
 }
 
 /// The largest of shift and turn in standard deviations: √mean over axes of a frame's and of the tying frame's, which err alike.

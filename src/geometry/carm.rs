@@ -228,15 +228,19 @@ impl CarmCalibration {
         let m = &self.misalignment;
         let (source, c_from_panel, _) = self.bent(angulation, orbital, detector_rotation);
         let carriage = DVec3::new(joints.longitudinal_mm + o.longitudinal_mm, 0.0, joints.lift_mm + o.lift_mm);
-        let ideal = Rigid::translation(carriage)
+        let mut ideal = Rigid::translation(carriage)
             * Rigid::rotation(DQuat::from_rotation_z(wig_wag))
-            * Rigid::translation(DVec3::from_array(self.column_to_isocentre_mm))
-            * Rigid::rotation(DQuat::from_rotation_y(m.angulation_axis_tilt_deg.to_radians()))
-            * Rigid::rotation(DQuat::from_rotation_x(angulation))
-            * Rigid {
-                rotation: DQuat::from_rotation_z(m.orbital_axis_skew_deg.to_radians()),
-                translation_mm: DVec3::new(0.0, 0.0, m.orbital_axis_offset_mm),
-            }
+            * Rigid::translation(DVec3::from_array(self.column_to_isocentre_mm));
+        // What is as drawn is left out: a product with nothing still rounds.
+        if m.angulation_axis_tilt_deg != 0.0 {
+            ideal = ideal * Rigid::rotation(DQuat::from_rotation_y(m.angulation_axis_tilt_deg.to_radians()));
+        }
+        ideal = ideal * Rigid::rotation(DQuat::from_rotation_x(angulation));
+        if (m.orbital_axis_skew_deg, m.orbital_axis_offset_mm) != (0.0, 0.0) {
+            let rotation = DQuat::from_rotation_z(m.orbital_axis_skew_deg.to_radians());
+            ideal = ideal * Rigid { rotation, translation_mm: DVec3::new(0.0, 0.0, m.orbital_axis_offset_mm) };
+        }
+        let ideal = ideal
             * Rigid::rotation(DQuat::from_rotation_y(orbital))
             * Rigid::translation(DVec3::new(ray_x, ray_y, -self.source_to_isocentre_mm) + source)
             * Rigid::rotation(c_from_panel);

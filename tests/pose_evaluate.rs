@@ -251,13 +251,14 @@ fn case(seed: u64) -> Option<Case> {
     let error_px = if pose.is_accepted() { landmark_error_px(&pose, &view) } else { 0.0 };
     let k = if free { K::Free } else { K::Known };
     let near = matches!(expected, Expected::Near | Expected::NearWithCovariance);
+    let used = pose.beads.iter().filter(|bead| bead.used).count();
     let untold = match mistake {
         // The same picture at another depth, from a camera half a turn away, of a layout that is its own mirror image.
         Mistake::LayoutScaled | Mistake::FocalLength | Mistake::PrincipalPoint => expected != Expected::NearWithCovariance,
         Mistake::LayoutAxes => !near,
         Mistake::FrameMirrored | Mistake::LayoutMirrored => beads == Beads::MirrorImage && !near,
-        // The better seen of two is the specimen.
-        Mistake::SecondSpecimen | Mistake::Ghost => copies > visible,
+        // The better seen of two is the specimen. That beads are missing only a picture tells.
+        Mistake::SecondSpecimen | Mistake::Ghost => copies > visible || 10 * used < 7 * visible,
         _ => false,
     };
     let depth_mm = view.camera_from_lps.transform_point(DVec3::ZERO).z;

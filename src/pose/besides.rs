@@ -1,7 +1,5 @@
 //! What a frame shows besides a match: beads that should be seen and are not, shadows that belong to none.
 
-use glam::DVec2;
-
 use super::case::Case;
 use super::settle::Settled;
 use super::solve::Match;
@@ -17,8 +15,6 @@ const APART_RADII: f64 = 2.5;
 const ALIKE: (f64, f64) = (0.25, 0.4);
 /// Contrast over noise from which on a shadow is clear.
 const CLEAR_SNR: f64 = 10.0;
-/// Nearer to the frame's edge a shadow may not have been found.
-const EDGE_PX: f64 = 8.0;
 
 /// What a frame shows besides the match.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -33,6 +29,8 @@ pub struct Besides {
 
 impl Case<'_> {
     pub fn besides(&self, last: &Settled) -> Besides {
+        // Without the picture nobody knows what the masks hide.
+        let Some(probe) = &self.probe else { return Besides::default() };
         let own = |m: &Match| self.detections.get(m.detection).copied();
         let mut contrasts: Vec<f64> = last.matches.iter().filter_map(own).map(|detection| detection.contrast).collect();
         contrasts.sort_by(f64::total_cmp);
@@ -66,7 +64,7 @@ impl Case<'_> {
             let (at, radius_px) = (k.project(p), radius_at(p.z, index).unwrap_or(usual_radius_px));
             let hidden = |d: &Detection| d.image_px.distance(at) < APART_RADII * radius_px.max(d.radius_px);
             let in_frame = self.request.in_frame(at);
-            if !self.is_open(in_frame, radius_px) {
+            if !probe.is_usable(in_frame) {
                 continue;
             }
             if let Some(n) = self.detections.iter().position(hidden) {
@@ -77,26 +75,13 @@ impl Case<'_> {
                 continue;
             }
             // Beads stand where the layout has them to a fraction of their radius; nothing within that counts as there.
-            let is_there = match &self.probe {
-                // Where shadows are all that is known, a bead without one is not there.
-                None => false,
-                Some(probe) => probe
-                    .contrast(in_frame, radius_px)
-                    .is_none_or(|(contrast, sigma)| !(contrast + SIGMAS * sigma < LEAST_SHARE * usual)),
-            };
+            let contrast = probe.contrast(in_frame, radius_px);
+            let is_there = contrast.is_none_or(|(contrast, sigma)| !(contrast + SIGMAS * sigma < LEAST_SHARE * usual));
             if !is_there {
                 besides.missing.push(bead.name.clone());
             }
         }
         besides.unexplained = (0..self.detections.len()).filter(|n| alike(&self.detections[*n]) && !explained(*n)).collect();
         besides
-    }
-
-    /// Whether a bead would show there.
-    fn is_open(&self, at: DVec2, radius_px: f64) -> bool {
-        let margin_px = radius_px + EDGE_PX;
-        let inside = |at: f64, side: u32| at > margin_px && at < f64::from(side) - 1.0 - margin_px;
-        let [columns, rows] = self.request.size_px;
-        self.probe.as_ref().map_or(inside(at.x, columns) && inside(at.y, rows), |probe| probe.is_usable(at))
     }
 }

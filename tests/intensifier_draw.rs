@@ -84,7 +84,7 @@ impl Drawn {
             strength: 1.0,
             curvature: within(0.4, 0.6),
             s_rad: within(-0.05, 0.05),
-            bend: (within(0.5, 2.0), within(0.0, 6.28), within(0.0, 6.28)),
+            bend: (within(0.5, 2.0), within(0.0, std::f64::consts::TAU), within(0.0, std::f64::consts::TAU)),
         }
         .of_mean(11.0);
         let pitch_px = if size <= 512 { within(20.0, 25.0) } else { within(32.0, 44.0) };
@@ -95,7 +95,7 @@ impl Drawn {
             law,
             holes: false,
             pitch_px,
-            turn_rad: within(-3.14, 3.14),
+            turn_rad: within(-std::f64::consts::PI, std::f64::consts::PI),
             origin: centre + DVec2::new(within(-20.0, 20.0), within(-20.0, 20.0)),
             spot_px: within(0.13, 0.18) * pitch_px,
             missing: 0.07,

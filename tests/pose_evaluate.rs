@@ -331,7 +331,7 @@ fn evaluate(first: u64, count: u64) -> (usize, usize, usize, usize) {
 
 #[test]
 fn no_drawn_mistake_gives_a_wrong_pose() {
-    let (right, clear, wrong, _) = evaluate(0, 60);
+    let (right, clear, wrong, _) = evaluate(400, 60);
     assert_eq!(wrong, 0);
     assert!(clear >= 1 && right + 1 >= clear, "{right} of {clear}");
 }

@@ -83,7 +83,7 @@ fn a_keeper_that_is_killed_is_said_and_replaced() {
     std::thread::sleep(Duration::from_millis(300));
     signal_keeper(&live.log, Signal::KILL);
     drop(stopped);
-    let said = eventually(20.0, || live.stderr().contains("log keeper lost").then_some(()));
+    let said = eventually(20.0, || live.stderr().contains("the process that writes the log died").then_some(()));
     assert!(said.is_some(), "nobody said it: {}", live.stderr());
     assert!(keeper(&live.log).is_some_and(|next| Some(next) != first), "another one goes on");
     let (_, signal_us) = live.signalled(Signal::INT);

@@ -1,5 +1,7 @@
 //! Frames of a grid as an image intensifier shows them, drawn from a law of its own: no polynomial, and no code of `calibrate`.
 
+use std::f64::consts::{PI, TAU};
+
 use glam::DVec2;
 use sidecarm::acquire::{Domain, Frame};
 use sidecarm::image::Image;
@@ -84,7 +86,7 @@ impl Drawn {
             strength: 1.0,
             curvature: within(0.4, 0.6),
             s_rad: within(-0.05, 0.05),
-            bend: (within(0.5, 2.0), within(0.0, 6.28), within(0.0, 6.28)),
+            bend: (within(0.5, 2.0), within(0.0, TAU), within(0.0, TAU)),
         }
         .of_mean(11.0);
         let pitch_px = if size <= 512 { within(20.0, 25.0) } else { within(32.0, 44.0) };
@@ -95,7 +97,7 @@ impl Drawn {
             law,
             holes: false,
             pitch_px,
-            turn_rad: within(-3.14, 3.14),
+            turn_rad: within(-PI, PI),
             origin: centre + DVec2::new(within(-20.0, 20.0), within(-20.0, 20.0)),
             spot_px: within(0.13, 0.18) * pitch_px,
             missing: 0.07,

@@ -186,6 +186,17 @@ fn read_text(path: &Path) -> Result<String, SessionFileError> {
     std::fs::read_to_string(path).map_err(|source| SessionFileError::Io { path: path.to_owned(), source })
 }
 
+/// A distorted DRR beside poses that take the frame as straight would be wrong everywhere but in the middle.
+fn refuse_intensifier(scene: &Path, text: &str) -> Result<(), SessionFileError> {
+    let distorts = |scene: serde_json::Value| scene.pointer("/detector/intensifier").is_some_and(|value| !value.is_null());
+    if !serde_json::from_str(text).is_ok_and(distorts) {
+        return Ok(());
+    }
+    let detail = "a session does not undistort its frames in this version: leave it out of a session's scene, and give the calibration to \
+                  `register --distortion` and to the scene that `compare` gets";
+    Err(SessionFileError::Json { path: scene.to_owned(), place: "detector.intensifier".to_owned(), detail: detail.to_owned() })
+}
+
 /// Parses JSON; the error names file and key.
 pub(super) fn parse<T: serde::de::DeserializeOwned>(path: &Path, text: &str) -> Result<T, SessionFileError> {
     let mut deserializer = serde_json::Deserializer::from_str(text);
@@ -252,6 +263,7 @@ impl Setup {
         }
         session.scene = locate(path, "scene", &session.scene)?;
         let scene_json = read_text(&session.scene)?;
+        refuse_intensifier(&session.scene, &scene_json)?;
         let beads = match &session.beads {
             Some(named) => {
                 let found = locate(path, "beads", named)?;

@@ -190,12 +190,13 @@ impl PoseJob {
     /// `imported` is the bound frame as it lies on the panel; `development` counts from 0.
     #[must_use]
     pub fn new(bound: Bound, imported: Imported, known: Known, development: u32, reporter: &Reporter) -> Self {
-        let carm = known.setup.carm.as_ref();
+        let Imported { frame, carm: sized, warnings } = imported;
+        // Of the frame where it fits the calibration: its columns may be turned against the panel's.
+        let carm = sized.as_ref().or(known.setup.carm.as_ref());
         let camera_from_world = bound.joints.zip(carm).and_then(|(joints, carm)| {
             carm.world_from_camera(&joints).map(Rigid::inverse).map_err(|error| reporter.warn("carm", error)).ok()
         });
         let at_zero = CarmJoints { source_to_detector_mm: f64::NAN, ..CarmJoints::ZERO };
-        let Imported { frame, carm: sized, warnings } = imported;
         let intrinsics = sized.as_ref().and_then(|carm| {
             carm.intrinsics(&bound.joints.unwrap_or(at_zero)).map_err(|error| reporter.warn("carm", error)).ok()
         });

@@ -204,6 +204,13 @@ fn a_wrong_word_in_a_session_is_named_before_the_first_exposure() {
         cases += 1;
     }
     assert_eq!(cases, 13);
+    // Its frames would not be undistorted, its DRRs would be distorted.
+    let scene = path.with_file_name("distorting.json");
+    std::fs::write(&scene, json!({"detector": {"intensifier": {"calibration": "ii.json"}}}).to_string()).expect("written");
+    let session = json!({"frames": {"folder": "frames"}, "scene": "distorting.json"});
+    std::fs::write(&path, session.to_string()).expect("written");
+    let error = sidecarm::session::file::Setup::load(&path).expect_err("distorts").to_string();
+    assert!(error.contains("detector.intensifier") && error.contains("--distortion"), "{error}");
     let twice = json!({"frames": {"folder": "frames", "domain": "log"}, "scene": "scene.json", "domain": "linear"});
     std::fs::write(&path, twice.to_string()).expect("written");
     assert!(sidecarm::session::file::Setup::load(&path).expect_err("two domains").to_string().contains("frames.domain"));

@@ -110,10 +110,10 @@ impl Seen {
         let size =
             || RegisterError::Size { path: args.intrinsics.clone().unwrap_or_default(), expected, frame: path.to_owned(), found };
         let factor = whole_binning(expected, found).ok_or_else(size)?;
-        let notes = match factor {
-            1 => Vec::new(),
-            _ => vec![format!("K is for {expected:?} px: the frame is taken as binned {factor} x {factor}")],
-        };
+        if factor == 1 {
+            return Ok(Self::plain(frame, Some(file.intrinsics), file.prior(), file.pitch_mm.or(tagged_pitch_mm)));
+        }
+        let notes = vec![format!("K is for {expected:?} px: the frame is taken as binned {factor} x {factor}")];
         let factor = f64::from(factor);
         let pitch_mm = file.pitch_mm.map(|pitch| pitch * factor).or(tagged_pitch_mm);
         let prior = file.prior().map(|prior| prior.binned(factor));

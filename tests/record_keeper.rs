@@ -17,6 +17,9 @@ const WORST_CROWDED_MS: f64 = 1000.0;
 /// Longer than any limit here: what is lost with the disk would be seen.
 const STILL: Duration = Duration::from_millis(2_500);
 
+/// What the person hears of it.
+const KEEPER_DIED: &str = "the process that writes the log died";
+
 fn signal_keeper(log: &Path, signal: Signal) {
     let pid = keeper(log).unwrap_or_else(|| panic!("{} has no keeper", log.display()));
     kill_process(pid, signal).expect("the keeper is there");
@@ -83,7 +86,7 @@ fn a_keeper_that_is_killed_is_said_and_replaced() {
     std::thread::sleep(Duration::from_millis(300));
     signal_keeper(&live.log, Signal::KILL);
     drop(stopped);
-    let said = eventually(20.0, || live.stderr().contains("log keeper lost").then_some(()));
+    let said = eventually(20.0, || live.stderr().contains(KEEPER_DIED).then_some(()));
     assert!(said.is_some(), "nobody said it: {}", live.stderr());
     assert!(keeper(&live.log).is_some_and(|next| Some(next) != first), "another one goes on");
     let (_, signal_us) = live.signalled(Signal::INT);
@@ -110,7 +113,7 @@ fn an_interrupt_of_the_group_leaves_a_finished_log() {
     let heard = live.heard();
     assert_eq!(status.code(), Some(0), "{} {}", live.stdout(), live.stderr());
     assert!(heard.losses.is_empty() && heard.end_us.is_some(), "{:?}", heard.losses);
-    assert!(!live.stderr().contains("log keeper"), "the keeper heard none of it: {}", live.stderr());
+    assert!(!live.stderr().contains(KEEPER_DIED), "the keeper heard none of it: {}", live.stderr());
     assert_eq!(heard.missing(&lab.sent(), live.recording_us, signal_us).lost, 0);
 }
 

@@ -85,7 +85,8 @@ fn display_frames_of_either_sense_and_logarithms_give_the_same_beads() {
         (log.clone(), Signal::LineIntegral, true),
         (log.map(|value| 500.0 * value + 30.0), Signal::Attenuation, true),
     ] {
-        let detections = detect_image(&image, signal, None, &Expectation { radius_px: Some((2.0, 6.0)) });
+        let detections =
+            detect_image(&image, signal, None, &Expectation { radius_px: Some((2.0, 6.0)), ..Expectation::default() });
         let one = outcome(&detections, &centres, [620, 480]);
         assert!(10 * one.found >= 8 * one.visible, "{signal:?}: {} of {}", one.found, one.visible);
         assert_eq!(detections.polarity == Polarity::Bright, bright, "{signal:?}: {}", detections.evidence);

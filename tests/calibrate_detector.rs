@@ -285,7 +285,7 @@ fn a_calibrated_frame_has_absolute_numbers_masks_and_an_expected_noise() {
     cropped.pixels = Image { width: 80, height: 60, pixels: (0..80 * 60).map(block).collect() };
     cropped.size_px = [80, 60];
     let console = ConsoleGeometry { crop_px: Some([20, 10, 160, 120]), binning: 2, ..ConsoleGeometry::default() };
-    let binned = calibration.correct(&cropped, console.window()).expect("applies");
+    let binned = calibration.correct(&cropped, console.window([80, 60])).expect("applies");
     let level = binned.correction.as_ref().and_then(|correction| correction.air_value).expect("known");
     let mut off: Vec<f64> = (0..80 * 60)
         .map(|n| {

@@ -7,7 +7,7 @@ use sidecarm::acquire::read_frame;
 use sidecarm::image::Image;
 use sidecarm::record::{read_log, topic};
 
-use crate::live_lab::{Lab, Live};
+use crate::live_lab::{HANG_S, Lab, Live};
 
 /// The kit's frames as the console would store them.
 fn pictures(lab: &Lab) -> Vec<Image<f32>> {
@@ -65,7 +65,7 @@ fn session(lab: &Lab, seconds: &str, change: impl FnOnce(&mut Value)) -> (Vec<Va
     });
     let out = lab.kit.join("out");
     let mut live = Live::launch(&file, &out, &["--include-existing", "--seconds", seconds]);
-    let ended = live.program.end(90.0);
+    let ended = live.program.end(HANG_S);
     let said = live.stdout() + &live.stderr();
     assert!(ended.is_some_and(|status| matches!(status.code(), Some(0 | 3))), "{said}");
     let log = read_log(&live.log).expect("the log opens");
@@ -189,7 +189,8 @@ fn a_wrong_word_in_a_session_is_named_before_the_first_exposure() {
         ("bead_radius_mm", json!(0), "bead_radius_mm is 0"),
         ("landmarks", json!("nowhere.mrk.json"), "landmarks names nowhere.mrk.json"),
         ("landmarks", json!("points.fcsv"), "landmarks"),
-        ("console", json!({"rotation_deg": 45}), "rotation_deg is 45"),
+        ("console", json!({"rotation_deg": 450}), "rotation_deg is 450"),
+        ("console", json!({"detector_from_image": [[1, 0.1, 0], [0, 1, 0], [0, 0, 1]]}), "detector_from_image"),
         ("console", json!({"rotate": 90}), "console"),
         ("console", json!({"zoom": -1}), "zoom is -1"),
         ("detector", json!("nowhere.json"), "detector names nowhere.json"),
@@ -202,7 +203,7 @@ fn a_wrong_word_in_a_session_is_named_before_the_first_exposure() {
         assert!(error.contains(says), "{key}: {error}");
         cases += 1;
     }
-    assert_eq!(cases, 12);
+    assert_eq!(cases, 13);
     let twice = json!({"frames": {"folder": "frames", "domain": "log"}, "scene": "scene.json", "domain": "linear"});
     std::fs::write(&path, twice.to_string()).expect("written");
     assert!(sidecarm::session::file::Setup::load(&path).expect_err("two domains").to_string().contains("frames.domain"));

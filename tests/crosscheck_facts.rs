@@ -54,13 +54,17 @@ fn sample() -> CarmSample {
 
 /// Everything agrees but for what `change` does; the findings.
 fn exposure(change: impl FnOnce(&mut Frame, &mut CarmSample, &mut Rigid, &mut f64)) -> Vec<Finding> {
-    let (scene, carm, mut frame, mut beam) = (scene(SCENE), calibration(), frame(), sample());
+    exposure_of(&calibration(), change)
+}
+
+fn exposure_of(carm: &CarmCalibration, change: impl FnOnce(&mut Frame, &mut CarmSample, &mut Rigid, &mut f64)) -> Vec<Finding> {
+    let (scene, mut frame, mut beam) = (scene(SCENE), frame(), sample());
     let from_beads = Rigid { rotation: DQuat::from_rotation_x(1.5), translation_mm: DVec3::new(2.0, 1.0, 630.0) };
     let (mut nominal, mut shuttered) = (from_beads, 0.0);
     change(&mut frame, &mut beam, &mut nominal, &mut shuttered);
     check_exposure(&ExposureFacts {
         frame: &frame,
-        carm: Some(&carm),
+        carm: Some(carm),
         scene: &scene,
         scene_json: SCENE,
         beam: Some(&beam),
@@ -69,6 +73,17 @@ fn exposure(change: impl FnOnce(&mut Frame, &mut CarmSample, &mut Rigid, &mut f6
         centre_lps_mm: Some(DVec3::new(5.0, 5.0, 5.0)),
         shuttered_share: Some(shuttered),
     })
+}
+
+/// Three millimetres are nothing for an arm that nobody measured, and a jump for one that is known to 0.3 mm.
+#[test]
+fn a_measured_arm_tells_a_jump_from_its_usual_error() {
+    let measured = CarmCalibration { camera_sigma_mm: Some(0.3), camera_sigma_deg: Some(0.05), ..calibration() };
+    assert_eq!(exposure(|_, _, n, _| n.translation_mm.x += 5.0), Vec::new());
+    assert_eq!(exposure_of(&measured, |_, _, n, _| n.translation_mm.x += 1.0), Vec::new());
+    let found = exposure_of(&measured, |_, _, n, _| n.translation_mm.x += 5.0);
+    assert_eq!(found.len(), 1, "{found:?}");
+    assert!(found[0].to_string().contains("7 standard deviations"), "{}", found[0]);
 }
 
 #[test]

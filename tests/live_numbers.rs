@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use serialport::{SerialPort, TTYPort};
 
-use crate::live_lab::{Lab, Live, eventually};
+use crate::live_lab::{HANG_S, Lab, Live, eventually};
 use crate::telemetry_frames::carm;
 
 /// It was `attempt to multiply with overflow`, live and in every replay of the log.
@@ -27,7 +27,7 @@ fn a_device_whose_clock_leaps_centuries_ends_neither_live_nor_replay() {
     });
     let out = lab.kit.with_file_name("session");
     let mut live = Live::launch(&session, &out, &["--seconds", "6"]);
-    let opened = eventually(60.0, || live.log.exists().then_some(()));
+    let opened = eventually(HANG_S, || live.log.exists().then_some(()));
     assert!(opened.is_some(), "{}", live.stderr());
     std::thread::sleep(Duration::from_millis(500));
     let joints = [0.0, 0.0, 0.0, 0.0, 10.0, 0.0, 1020.0];
@@ -41,7 +41,7 @@ fn a_device_whose_clock_leaps_centuries_ends_neither_live_nor_replay() {
         sent += 1;
     }
     assert_eq!(sent, 76);
-    let status = live.program.end(120.0).expect("live ends");
+    let status = live.program.end(HANG_S).expect("live ends");
     assert!(!live.stderr().contains("panicked"), "{}", live.stderr());
     assert!(matches!(status.code(), Some(0 | 3)), "{status}: {}", live.stderr());
     let heard = live.heard();

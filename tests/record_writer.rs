@@ -149,7 +149,7 @@ fn a_disk_that_stands_still_is_seen_and_blocks_no_telemetry() {
     }
     let health = recorder.health();
     assert!(health.behind_ms > 900.0, "{health:?}");
-    assert!(slowest_ms < 100.0, "a sender waited {slowest_ms:.0} ms");
+    assert!(slowest_ms < 500.0, "a sender waited {slowest_ms:.0} ms");
     let waited = std::thread::scope(|scope| {
         let (recorder, disk) = (&recorder, &disk);
         let large = scope.spawn(move || {

@@ -18,7 +18,7 @@ fn bad_file(name: &str) -> Option<PathBuf> {
 fn replayed(log: &Path) -> Option<(Option<i32>, Value)> {
     let lab = crate::live_lab::Lab::start(&["--kit-only", "--exposures", "0"])?;
     let mut lab = lab;
-    lab.mock.end(60.0).expect("the kit is written");
+    lab.mock.end(crate::live_lab::HANG_S).expect("the kit is written");
     let out = lab.kit.with_file_name("replayed");
     let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
     let run = command.arg("replay").arg(log).arg("--data").arg(&lab.kit).arg("--out").arg(out).arg("--json").output();

@@ -189,10 +189,6 @@ fn mistakes_name_file_and_place() {
 
 #[test]
 fn what_is_not_built_yet_says_so() {
-    let mut scene = example();
-    scene["detector"]["intensifier"] = json!(1);
-    let error = load(&scene).expect_err("intensifier");
-    assert!(error.contains("detector.intensifier is not available in this version"), "{error}");
     let mut cases = 0;
     for scatter in ["network", "monte_carlo"] {
         let mut scene = example();

@@ -7,13 +7,13 @@ use std::time::Duration;
 
 use sidecarm::time::{Stopwatch, host_now_us};
 
-use crate::live_lab::{Lab, Live, Signal, eventually};
+use crate::live_lab::{HANG_S, Lab, Live, Signal, eventually};
 
 /// A session of four seconds; its words and how it ended.
 fn short_session(lab: &Lab, session: &Path) -> (Live, Option<i32>) {
     let out = lab.kit.with_file_name("session");
     let mut live = Live::launch(session, &out, &["--seconds", "4"]);
-    let status = live.program.end(60.0).unwrap_or_else(|| panic!("still there: {}", live.stderr()));
+    let status = live.program.end(HANG_S).unwrap_or_else(|| panic!("still there: {}", live.stderr()));
     (live, status.code())
 }
 
@@ -75,7 +75,7 @@ fn an_unplugged_line_comes_back_and_is_said() {
     let Some(lab) = Lab::start(&["--duration-s", "20", "--faults", "robot:unplug@0.15", "--exposures", "0"]) else { return };
     let out = lab.kit.with_file_name("session");
     let mut live = Live::start(&lab.kit.join("session.json"), &out, &["--seconds", "7"]);
-    let status = live.program.end(60.0).expect("ends");
+    let status = live.program.end(HANG_S).expect("ends");
     let heard = live.heard();
     let robot: Vec<u32> =
         heard.packets.keys().filter(|(device, _)| *device == sidecarm::telemetry::DeviceKind::Robot).map(|(_, n)| *n).collect();
@@ -119,7 +119,7 @@ fn a_full_disk_is_said_within_seconds_and_the_log_stays_readable() {
     let said = eventually(10.0, || live.stderr().to_lowercase().contains("no space left").then(|| watch.ms()));
     let said = said.unwrap_or_else(|| panic!("nobody said that the disk is full: {}", live.stderr()));
     live.program.signal(Signal::INT);
-    let status = live.program.end(30.0).unwrap_or_else(|| panic!("hangs on a full disk: {}", live.stderr()));
+    let status = live.program.end(HANG_S).unwrap_or_else(|| panic!("hangs on a full disk: {}", live.stderr()));
     println!("full disk said after {said:.0} ms");
     assert!(said < 3_000.0, "said after {said:.0} ms");
     assert!(matches!(status.code(), Some(1 | 3)), "{status:?}");
@@ -133,7 +133,7 @@ fn a_read_only_disk_is_refused_in_one_sentence() {
     let Some(lab) = Lab::start(&["--duration-s", "8", "--faults", "none", "--exposures", "0"]) else { return };
     let Some(mount) = Mount::tmpfs(&lab.kit.with_file_name("disk"), "ro,size=1m") else { return };
     let mut live = Live::launch(&lab.kit.join("session.json"), &mount.0.join("session"), &[]);
-    let status = live.program.end(30.0).expect("ends");
+    let status = live.program.end(HANG_S).expect("ends");
     let words = live.stderr();
     assert_eq!(status.code(), Some(1), "{words}");
     assert!(words.to_lowercase().contains("read-only") && !words.contains("panicked"), "{words}");
@@ -149,7 +149,7 @@ fn a_folder_that_is_deleted_is_said_at_once() {
     let said = eventually(10.0, || live.stderr().contains("recording stopped").then(|| watch.ms()));
     let said = said.unwrap_or_else(|| panic!("nobody said that the folder is gone: {}", live.stderr()));
     live.program.signal(Signal::INT);
-    let status = live.program.end(30.0).unwrap_or_else(|| panic!("hangs: {}", live.stderr()));
+    let status = live.program.end(HANG_S).unwrap_or_else(|| panic!("hangs: {}", live.stderr()));
     println!("deleted folder said after {said:.0} ms");
     assert!(said < 3_000.0, "said after {said:.0} ms");
     assert!(matches!(status.code(), Some(1 | 3)), "{status:?}");
@@ -165,12 +165,12 @@ fn strips_that_cannot_be_written_do_not_end_the_recording() {
     std::fs::rename(out.join("strips"), out.join("strips-away")).expect("moved");
     std::fs::write(out.join("strips"), "no folder").expect("written");
     // Two frames come and cannot be drawn.
-    let frames = eventually(30.0, || Some(lab.delivered().len()).filter(|count| *count >= 2));
+    let frames = eventually(HANG_S, || Some(lab.delivered().len()).filter(|count| *count >= 2));
     assert!(frames.is_some(), "the lab delivers");
     std::thread::sleep(Duration::from_secs(2));
     let signal_us = host_now_us();
     live.program.signal(Signal::INT);
-    let status = live.program.end(60.0).unwrap_or_else(|| panic!("hangs: {}", live.stderr()));
+    let status = live.program.end(HANG_S).unwrap_or_else(|| panic!("hangs: {}", live.stderr()));
     let heard = live.heard();
     let words = format!("{} {}", live.stdout(), live.stderr());
     assert!(heard.end_us.is_some(), "the recording ended early: {words}");

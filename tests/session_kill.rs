@@ -6,7 +6,7 @@
 
 use sidecarm::random::{Purpose, Stream};
 
-use crate::live_lab::{Lab, Live, Missing, eventually};
+use crate::live_lab::{HANG_S, Lab, Live, Missing, eventually};
 
 /// A frame that had been complete for so long must be in the log: the folder is looked at every 100 ms, a file must rest for 100 ms, then
 /// it is read.
@@ -134,12 +134,12 @@ fn a_second_program_on_the_same_output_is_refused() {
     let folder = out.path().join("session");
     let first = Live::start(&lab.kit.join("session.json"), &folder, &["--seconds", "4"]);
     let mut second = Live::launch(&lab.kit.join("session.json"), &folder, &[]);
-    let status = second.program.end(30.0).expect("the second ends at once");
+    let status = second.program.end(HANG_S).expect("the second ends at once");
     let words = second.stderr();
     assert_eq!(status.code(), Some(1), "{words}");
     assert!(words.contains("session.mcap") && words.contains("--out") && !words.contains("panicked"), "{words}");
     let mut first = first;
-    assert_eq!(first.program.end(30.0).and_then(|status| status.code()), Some(0), "{}", first.stderr());
+    assert_eq!(first.program.end(HANG_S).and_then(|status| status.code()), Some(0), "{}", first.stderr());
     let ended = eventually(1.0, || first.heard().end_us);
     assert!(ended.is_some() && first.heard().losses.is_empty(), "the first is complete");
 }

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use serde_json::Value;
 
-use crate::live_lab::{Lab, Live, Signal, eventually};
+use crate::live_lab::{HANG_S, Lab, Live, Signal, eventually};
 
 fn pairs(folder: &Path) -> Vec<Value> {
     let bytes = std::fs::read(folder.join("pairs.json")).expect("pairs.json");
@@ -25,7 +25,7 @@ fn frames_bound_at_the_end_get_the_telemetry_of_their_exposure() {
     let session = lab.session("late.json", |session| session["frames"]["folder"] = folder.to_str().expect("UTF-8").into());
     let out = lab.kit.with_file_name("session");
     let mut live = Live::start(&session, &out, &[]);
-    let delivered = eventually(60.0, || Some(lab.delivered()).filter(|delivered| delivered.len() == 8));
+    let delivered = eventually(HANG_S, || Some(lab.delivered()).filter(|delivered| delivered.len() == 8));
     assert!(delivered.is_some(), "{} frames", lab.delivered().len());
     std::thread::sleep(Duration::from_secs(7));
     let mut files: Vec<_> = std::fs::read_dir(lab.frames()).expect("frames").flatten().map(|entry| entry.path()).collect();
@@ -33,12 +33,12 @@ fn frames_bound_at_the_end_get_the_telemetry_of_their_exposure() {
     for file in files.iter().rev() {
         std::fs::copy(file, folder.join(file.file_name().expect("a name"))).expect("copied");
     }
-    assert!(eventually(120.0, || (live.pairs() == 8).then_some(())).is_some(), "{} pairs", live.pairs());
+    assert!(eventually(HANG_S, || (live.pairs() == 8).then_some(())).is_some(), "{} pairs", live.pairs());
     let before = pairs(&out);
     assert!(before.iter().all(|pair| pair["binding"] == "none" && pair["robot_source"] == "scene"), "{before:#?}");
 
     live.signalled(Signal::INT);
-    assert!(live.program.end(120.0).is_some_and(|status| status.success()), "{}", live.stderr());
+    assert!(live.program.end(HANG_S).is_some_and(|status| status.success()), "{}", live.stderr());
     let after = pairs(&out);
     assert_eq!(after.len(), 8);
     // On a crowded machine the session begins to listen after the first exposure, whose frame comes last; nothing is then known of it.

@@ -7,7 +7,7 @@ use std::process::Command;
 use serde_json::{Value, json};
 
 use crate::acquire_identity::{hits, written};
-use crate::live_lab::{Lab, Live, eventually};
+use crate::live_lab::{HANG_S, Lab, Live, eventually};
 
 /// Folders and files are named after these persons.
 const PERSONS: [&str; 7] = ["quaxwelk", "annegrund", "pfriemk", "wimmelrath", "zettelhuber", "trullgasse", "borvelde"];
@@ -57,7 +57,7 @@ fn a_session_writes_no_name_of_its_files_and_a_replay_finds_them_by_content() {
     let home = tempfile::tempdir().expect("a folder");
     let out = home.path().join("session");
     let mut live = Live::launch(&session, &out, &["--include-existing", "--seconds", "14"]);
-    let ended = eventually(120.0, || live.program.end(0.1));
+    let ended = eventually(HANG_S, || live.program.end(0.1));
     assert!(ended.is_some_and(|status| matches!(status.code(), Some(0 | 3))), "{}", live.stderr());
     assert!(live.pairs() >= 3, "{} pairs: {}", live.pairs(), live.stderr());
 

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use sidecarm::time::Stopwatch;
 
-use crate::live_lab::{Live, Signal, copies, deliver, many_images, quiet_lab};
+use crate::live_lab::{HANG_S, Live, Signal, copies, deliver, many_images, quiet_lab};
 
 /// A signal is heard within this, among other tests on a crowded machine;
 /// alone it is 100 ms.
@@ -53,8 +53,7 @@ fn every_signal_ends_the_session_in_order() {
         deliver(&files, &lab);
         std::thread::sleep(Duration::from_millis(1_500));
         let (heard_ms, signal_us) = live.signalled(signal);
-        let status =
-            live.program.end(60.0).unwrap_or_else(|| panic!("{signal:?}: still there after a minute: {}", live.stderr()));
+        let status = live.program.end(HANG_S).unwrap_or_else(|| panic!("{signal:?}: still there: {}", live.stderr()));
         let words = live.stderr();
         assert_eq!(status.code(), Some(0), "{signal:?}: {words} {}", live.stdout());
         assert!(live.report().contains("</html>"), "{signal:?}: no report");

@@ -3,11 +3,24 @@
 use std::path::Path;
 use std::sync::Arc;
 
+use glam::DVec2;
+
 use super::detector_record::{AirBeam, DetectorCalibration, DetectorCalibrationError};
 use super::panel_maps::{AT_LOW_END, BURNED_IN, DEAD, HOT, SATURATED, UNSTABLE};
 use super::{Domain, Frame, FrameTags};
 use crate::geometry::{ConsoleGeometry, PanelWindow};
 use crate::image::Image;
+
+/// How a console stored a frame.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Stored {
+    /// What it did to the panel's picture.
+    pub console: ConsoleGeometry,
+    /// Columns and rows in the file.
+    pub size_px: [u32; 2],
+    /// Columns and rows of the panel, where they are known.
+    pub panel_px: Option<[u32; 2]>,
+}
 
 /// What was done to a frame after it was read, and what is known about its values since.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -15,6 +28,8 @@ use crate::image::Image;
 pub struct Correction {
     /// What of the console's doing was undone, in words.
     pub console: Vec<String>,
+    /// What the console did, as declared or solved.
+    pub stored: Option<Stored>,
     /// Panel pixels per pixel of the frame; 0 when the console's geometry is not declared.
     pub panel_px_per_px: f64,
     /// Stored value without X-rays that was subtracted (median over the panel).
@@ -58,9 +73,11 @@ pub fn exposure_mas(tags: &FrameTags) -> Option<f64> {
 }
 
 impl Frame {
-    /// The frame as it lies on the panel: turning and mirroring undone pixel by pixel, declared writing marked.
+    /// The frame as it lies on the panel: quarter turns and mirroring undone pixel by pixel, declared writing marked, and what the
+    /// console left empty beside a panel of `panel_px`, where that is known.
     #[must_use]
-    pub fn oriented(&self, console: &ConsoleGeometry) -> Self {
+    pub fn oriented(&self, console: &ConsoleGeometry, panel_px: Option<[u32; 2]>) -> Self {
+        let stored_px = self.size_px.map(|side| side as u32);
         let mut frame = self.clone();
         let mut correction = frame.correction.take().unwrap_or_default();
         let mut words = console.words();
@@ -84,23 +101,32 @@ impl Frame {
             }
             correction.flags = Some(Arc::new(console.orient(&written, self.unmirrored)));
         }
+        if let Some(beside) = panel_px.and_then(|panel_px| console.beside_the_panel(panel_px, stored_px)) {
+            let (width, height) = (frame.pixels.width, frame.pixels.height);
+            let mut flags = correction.flags.take().map_or_else(|| Image::filled(width, height, 0), Arc::unwrap_or_clone);
+            for (_, flag) in flags.pixels.iter_mut().enumerate().filter(|(at, _)| beside(at % width, at / width)) {
+                *flag |= BURNED_IN;
+            }
+            correction.flags = Some(Arc::new(flags));
+        }
         if let (Some(pitch), true) = (&mut frame.tags.pitch_mm, self.size_px[0] != frame.size_px[0]) {
             pitch.reverse();
         }
         correction.console = words;
-        correction.panel_px_per_px = console.window().step;
+        correction.stored = Some(Stored { console: console.clone(), size_px: stored_px, panel_px });
+        correction.panel_px_per_px = console.window(stored_px).step;
         frame.correction = Some(correction);
         frame
     }
 }
 
 impl DetectorCalibration {
-    /// A frame of the whole panel, corrected by the calibration at `path`.
+    /// A frame whose pixels lie on the panel as `window` says, corrected by the calibration at `path`.
     ///
     /// # Errors
     /// When the calibration cannot be read or does not apply; see [`DetectorCalibration::correct`].
-    pub fn apply_file(path: &Path, frame: &Frame) -> Result<Frame, DetectorCalibrationError> {
-        let corrected = Self::read(path)?.correct(frame, PanelWindow::WHOLE);
+    pub fn apply_file(path: &Path, frame: &Frame, window: PanelWindow) -> Result<Frame, DetectorCalibrationError> {
+        let corrected = Self::read(path)?.correct(frame, window);
         corrected.map_err(|reason| DetectorCalibrationError::NotApplied { path: path.to_owned(), reason })
     }
 
@@ -122,9 +148,12 @@ impl DetectorCalibration {
             return Err(format!("the detector calibration was not applied: it is for stored values, the frame's unit is {unit}"));
         }
         let panel_px = [record.columns_px as usize, record.rows_px as usize];
-        let reaches = |axis: usize| window.first_px[axis] + window.step * frame.size_px[axis] as f64;
         let whole = window == PanelWindow::WHOLE;
-        let fits = |axis: usize| reaches(axis) < panel_px[axis] as f64 + 1.0;
+        // Corners of a turned picture may lie beside the panel, its middle may not.
+        let share = if window.turned_rad == 0.0 { 1.0 } else { 0.5 };
+        let last = DVec2::from_array(frame.size_px.map(|side| share * side as f64)) - 0.5;
+        let reach = window.detector_from_oriented().transform_point2(last).to_array();
+        let fits = |axis: usize| reach[axis] + 0.5 < panel_px[axis] as f64 + 1.0;
         if (whole && frame.size_px != panel_px) || !fits(0) || !fits(1) {
             return Err(format!(
                 "the detector calibration was not applied: it is for {panel_px:?} px, the frame has {:?}; calibrate this mode, or \
@@ -271,8 +300,19 @@ struct Covered {
 
 impl Places {
     fn covered(&self, column: usize, row: usize) -> Covered {
+        let step = self.window.step;
+        if self.window.turned_rad != 0.0 {
+            let centre = self.window.detector_from_oriented().transform_point2(DVec2::new(column as f64, row as f64)).to_array();
+            let range = |axis: usize| {
+                let side = self.panel_px[axis];
+                // As many as a pixel is wide, about its middle.
+                let start = ((centre[axis] + 0.5 - 0.5 * step).round().max(0.0) as usize).min(side - 1);
+                start..(start + step.round().max(1.0) as usize).min(side)
+            };
+            return Covered { columns: range(0), rows: range(1) };
+        }
         let range = |axis: usize, at: usize| {
-            let (first, step) = (self.window.first_px[axis], self.window.step);
+            let first = self.window.first_px[axis];
             let last = self.panel_px[axis] - 1;
             // An enlarged pixel lies within one of the panel; a binned one covers whole ones.
             let centre = (first + step * (at as f64 + 0.5)).floor().max(0.0) as usize;

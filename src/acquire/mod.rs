@@ -29,7 +29,7 @@ mod whole;
 use crate::foreign::Limits;
 use crate::image::{Image, sha256_bytes};
 
-pub use correction::{Correction, exposure_mas};
+pub use correction::{Correction, Stored, exposure_mas};
 pub use detector_record::{
     AirBeam, BadPixels, DetectorCalibration, DetectorCalibrationError, DetectorRecord, EdgeMtf, ExposureLevel, MapsFile,
     NoisePower, PanelResponse,

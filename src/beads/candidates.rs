@@ -24,11 +24,10 @@ pub struct Candidate {
 const RADIUS_PER_SIGMA: f64 = 1.8;
 /// Side of the tiles in which responses are compared, in pixels of the octave.
 const TILE: usize = 32;
-/// Candidates kept for fitting.
-const KEPT: usize = 160;
 
-/// Bright blobs of `image` whose radius may lie in `radius_px`, strongest first. Pixels that are not `usable` yield none.
-pub fn find(image: &Image<f32>, usable: &Image<bool>, radius_px: (f64, f64)) -> Vec<Candidate> {
+/// Bright blobs of `image` whose radius may lie in `radius_px`, the `most` strongest, strongest first. Pixels that are not `usable` yield
+/// none.
+pub fn find(image: &Image<f32>, usable: &Image<bool>, radius_px: (f64, f64), most: usize) -> Vec<Candidate> {
     let mut found = Vec::new();
     let mut level = blur(image, (1.0f64 - 0.25).sqrt());
     let mut step = 1usize;
@@ -60,7 +59,7 @@ pub fn find(image: &Image<f32>, usable: &Image<bool>, radius_px: (f64, f64)) -> 
         }
     }
     kept.sort_by(|a, b| b.strength.total_cmp(&a.strength));
-    kept.truncate(KEPT);
+    kept.truncate(most);
     kept
 }
 

@@ -79,10 +79,17 @@ pub struct Detections {
 pub struct Expectation {
     /// Smallest and largest radius of a shadow.
     pub radius_px: Option<(f64, f64)>,
+    /// The frame shows a grid of spots: thousands of blobs are looked at, and noise is measured beside them, of which they would be most.
+    pub grid: bool,
 }
 
 /// Radii searched when nothing is known.
 const ANY_RADIUS_PX: (f64, f64) = (0.9, 24.0);
+/// Blobs that are looked at: in a specimen, and in a grid of 60 × 60 with as many false ones.
+const MOST_CANDIDATES: usize = 160;
+const MOST_IN_GRID: usize = 7200;
+/// Noise is measured so many radii from a grid's spots.
+const BESIDE: f64 = 2.2;
 /// Shadows that are tried as two.
 const MOST_DOUBTFUL: usize = 16;
 /// Contrast over noise below which a shadow is not trusted.
@@ -123,6 +130,7 @@ pub fn detect_image(pixels: &Image<f32>, signal: Signal, mask: Option<&Image<boo
     }
     let filled = fill(pixels, &usable);
     let radius_px = expected.radius_px.unwrap_or(ANY_RADIUS_PX);
+    let most = if expected.grid { MOST_IN_GRID } else { MOST_CANDIDATES };
     match signal {
         Signal::Transmission | Signal::LineIntegral => {
             let transmission =
@@ -131,18 +139,25 @@ pub fn detect_image(pixels: &Image<f32>, signal: Signal, mask: Option<&Image<boo
                 Signal::LineIntegral => "line integrals: metal is bright",
                 _ => "linear intensities: metal is dark",
             };
-            let noise = Noise::measure(&transmission, &usable, true);
+            let bright = line_integral(&transmission);
+            let plain = expected.grid.then(|| beside(&candidates::find(&bright, &usable, radius_px, most), &usable));
+            let noise = Noise::measure(&transmission, plain.as_ref().unwrap_or(&usable), true);
             let field = Field::new(&transmission, &usable, &noise, 0.0);
-            let found = find(&field, &line_integral(&transmission), &[Model::Transmission], radius_px);
+            let found = find(&field, &bright, &[Model::Transmission], radius_px, most);
             let polarity = if signal == Signal::LineIntegral { Polarity::Bright } else { Polarity::Dark };
             Detections { found, polarity, opposite: Vec::new(), evidence: evidence.to_owned() }
         }
         Signal::Attenuation | Signal::Unknown => {
-            let noise = Noise::measure(&filled, &usable, false);
+            let blobs = |sign: f32| candidates::find(&filled.map(|value| sign * value), &usable, radius_px, most);
+            let plain = expected.grid.then(|| match signal {
+                Signal::Unknown => beside(&blobs(-1.0), &beside(&blobs(1.0), &usable)),
+                _ => beside(&blobs(1.0), &usable),
+            });
+            let noise = Noise::measure(&filled, plain.as_ref().unwrap_or(&usable), false);
             let field = Field::new(&filled, &usable, &noise, if signal == Signal::Unknown { DISPLAY_CURVE } else { 0.0 });
             let one = |sign: f64| {
                 let models: Vec<Model> = (0..SHAPES.len()).map(|shape| Model::Additive { sign, shape }).collect();
-                find(&field, &filled.map(|value| sign as f32 * value), &models, radius_px)
+                find(&field, &filled.map(|value| sign as f32 * value), &models, radius_px, most)
             };
             if signal == Signal::Attenuation {
                 let evidence = "attenuation at an unknown scale: metal is bright".to_owned();
@@ -178,6 +193,26 @@ pub fn detect(frame: &Frame, mask: Option<&Image<bool>>, expected: &Expectation)
     detect_image(&frame.pixels, signal, mask, expected)
 }
 
+/// What is usable and lies beside all of `candidates`, but for those far larger than most, which are the gaps of a grid.
+fn beside(candidates: &[Candidate], usable: &Image<bool>) -> Image<bool> {
+    let mut plain = usable.clone();
+    let mut radii: Vec<f64> = candidates.iter().map(|candidate| candidate.radius_px).collect();
+    radii.sort_by(f64::total_cmp);
+    let usual = radii.get(radii.len() / 2).copied().unwrap_or(0.0);
+    for candidate in candidates.iter().filter(|candidate| candidate.radius_px <= 2.1 * usual) {
+        let reach = BESIDE * candidate.radius_px;
+        let range = |centre: f64, count: usize| (centre - reach).max(0.0) as usize..((centre + reach) as usize + 1).min(count);
+        for row in range(candidate.v_px, usable.height) {
+            for column in range(candidate.u_px, usable.width) {
+                if (column as f64 - candidate.u_px).hypot(row as f64 - candidate.v_px) < reach {
+                    *plain.at_mut(column, row) = false;
+                }
+            }
+        }
+    }
+    plain
+}
+
 /// −ln of slightly smoothed transmission; values without quanta are held at a third of the lowest that occur.
 fn line_integral(transmission: &Image<f32>) -> Image<f32> {
     let smooth = blur(transmission, 0.7);
@@ -190,8 +225,8 @@ fn line_integral(transmission: &Image<f32>) -> Image<f32> {
     smooth.map(|value| -value.max(floor).ln())
 }
 
-fn find(field: &Field, bright: &Image<f32>, models: &[Model], radius_px: (f64, f64)) -> Vec<Detection> {
-    let candidates = candidates::find(bright, field.usable, radius_px);
+fn find(field: &Field, bright: &Image<f32>, models: &[Model], radius_px: (f64, f64), most: usize) -> Vec<Detection> {
+    let candidates = candidates::find(bright, field.usable, radius_px, most);
     let fit_at = |u: f64, v: f64, radius: f64, others: &[Fit]| fit(field, models[0], u, v, radius, others);
     // Which of several profiles it is matters to size and misfit, hardly to the centre: asked only of what may be a bead.
     let best_model = |first: Fit, others: &[Fit]| -> Fit {

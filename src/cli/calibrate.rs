@@ -5,6 +5,9 @@ use std::path::{Path, PathBuf};
 use clap::{Args, Subcommand};
 
 use super::calibrate_beads::{self, BeadsArgs, CalibrateBeadsError};
+use super::calibrate_carm::{self, CalibrateCarmError, CarmArgs};
+use super::calibrate_intensifier::{self, CalibrateIntensifierError, IntensifierArgs};
+use super::calibrate_layout::{self, CalibrateLayoutError, LayoutArgs};
 use super::spectrum::FilterArg;
 use crate::acquire::{AcquireError, DetectorCalibration, Domain, Frame, MapsFile, PanelResponse, exposure_mas, read_frames};
 use crate::calibrate::detector::{DetectorError, Measurement, PanelFrame, calibrate};
@@ -25,8 +28,14 @@ pub struct CalibrateArgs {
 pub enum CalibrateWhat {
     /// The metal beads of a CT: centres with covariance, as a point list for 3D Slicer.
     Beads(BeadsArgs),
+    /// A C-arm from a few bead shots: offsets, source to isocentre, detector, axes and gravity sag.
+    Carm(CarmArgs),
     /// The panel: offset, gain by photon transfer, air signal by tube voltage, bad pixels, noise power, MTF.
     Detector(DetectorArgs),
+    /// Score a bead layout: does it resemble itself, is it flat, how well will it fix the pose of planned views.
+    Layout(LayoutArgs),
+    /// An image intensifier: distortion by angle of the C-arm from frames of a grid, round mask, veiling glare.
+    Intensifier(IntensifierArgs),
 }
 
 /// The panel: offset, gain by photon transfer, air signal by tube voltage, bad pixels, noise power, MTF.
@@ -83,6 +92,15 @@ pub enum CalibrateError {
     /// The beads of a CT.
     #[error(transparent)]
     Beads(#[from] CalibrateBeadsError),
+    /// A C-arm.
+    #[error(transparent)]
+    Carm(#[from] CalibrateCarmError),
+    /// A bead layout.
+    #[error(transparent)]
+    Layout(#[from] CalibrateLayoutError),
+    /// An image intensifier.
+    #[error(transparent)]
+    Intensifier(#[from] CalibrateIntensifierError),
     /// A frame cannot be read.
     #[error(transparent)]
     Frame(#[from] AcquireError),
@@ -117,7 +135,10 @@ pub enum CalibrateError {
 pub fn run(args: &CalibrateArgs, reporter: &Reporter) -> Result<u8, CalibrateError> {
     match &args.what {
         CalibrateWhat::Beads(args) => Ok(calibrate_beads::run(args, reporter)?),
+        CalibrateWhat::Carm(args) => Ok(calibrate_carm::run(args, reporter)?),
+        CalibrateWhat::Layout(args) => Ok(calibrate_layout::run(args, reporter)?),
         CalibrateWhat::Detector(args) => detector(args, reporter),
+        CalibrateWhat::Intensifier(args) => Ok(calibrate_intensifier::run(args, reporter)?),
     }
 }
 

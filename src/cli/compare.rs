@@ -9,7 +9,7 @@ use crate::compare::{
     AirLevel, CompareError, CompareInput, Compared, NULL_SCORES, NullRenders, OffsetRule, Tone, bead_marks, compare, elsewhere,
     tool_mask,
 };
-use crate::geometry::View;
+use crate::geometry::{PanelWindow, View};
 use crate::gpu::DeviceChoice;
 use crate::image::{Image, ImageFileError, read_tiff_f32, refuse_overwrite, sha256_file, write_atomically, write_png_rgb};
 use crate::pose::{BeadResidual, Pose, PoseFileError};
@@ -142,20 +142,26 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
     let mut inputs: Vec<PathBuf> = named.into_iter().flatten().cloned().collect();
     inputs.extend(["json", "valid.png"].map(|suffix| beside(&args.simulated, suffix)));
     refuse_overwrite(&[&json_path, &strip_path], &inputs)?;
+    let pose = args.pose.as_deref().map(Pose::read).transpose()?;
     let mut frame = read_frame(&args.acquired, args.domain)?;
+    let mut window = PanelWindow::WHOLE;
+    // The pose is that of the picture with the console's doing undone.
+    if let Some(console) = pose.as_ref().and_then(|pose| pose.console.as_ref()) {
+        window = console.window(frame.size_px.map(|side| side as u32));
+        frame = frame.oriented(console, pose.as_ref().and_then(|pose| pose.detector.as_ref()?.size_px));
+    }
     if let Some(path) = &args.detector {
-        frame = DetectorCalibration::apply_file(path, &frame)?;
+        frame = DetectorCalibration::apply_file(path, &frame, window)?;
     }
     let simulated = read_simulated(&args.simulated, args.quantity.as_deref())?;
     let valid = read_valid(&args.simulated)?;
     let extra = args.mask.as_deref().map(read_mask).transpose()?;
-    let pose = args.pose.as_deref().map(Pose::read).transpose()?;
     let scene = args.scene.as_deref().map(|path| load(path, false, reporter)).transpose()?;
     if let (Some(path), Some(scene)) = (&args.scene, &scene) {
         refuse_overwrite(&[&json_path, &strip_path], &input_files(path, scene))?;
     }
     let view = pose.as_ref().and_then(|pose| view_of(pose, &simulated, reporter));
-    let beads = view.zip(pose.as_ref()).map(|(view, pose)| marks(pose, &view)).unwrap_or_default();
+    let beads = view.zip(pose.as_ref()).map(|(view, pose)| marks(pose, &view, scene.as_ref())).unwrap_or_default();
     let posed_scene = scene.as_ref().zip(pose.as_ref()).zip(view).map(|((scene, pose), view)| scene_at(scene, pose, view));
     let tool = posed_scene.as_ref().zip(view.as_ref()).and_then(|(scene, view)| tool_mask(scene, view));
     let input = CompareInput {
@@ -259,14 +265,14 @@ fn view_of(pose: &Pose, simulated: &Image<f32>, reporter: &Reporter) -> Option<V
 }
 
 /// Beads by the pose's file; a matched shadow tells the size.
-fn marks(pose: &Pose, view: &View) -> Vec<(DVec2, f64)> {
+fn marks(pose: &Pose, view: &View, scene: Option<&Scene>) -> Vec<(DVec2, f64)> {
     let camera_from_lps = view.camera_from_lps;
     let full_fx = pose.intrinsics.map_or(view.intrinsics.fx, |k| k.fx);
     let radius_mm = |bead: &BeadResidual| {
         let shadow = pose.shadows.iter().find(|shadow| shadow.bead.as_ref() == Some(&bead.name))?;
         Some(shadow.radius_px * camera_from_lps.transform_point(bead.lps_mm).z / full_fx)
     };
-    bead_marks(pose.beads.iter().map(|bead| (bead.lps_mm, radius_mm(bead))), view)
+    bead_marks(pose.beads.iter().map(|bead| (bead.lps_mm, radius_mm(bead))), view, scene)
 }
 
 fn centre(pose: &Pose, scene: Option<&Scene>) -> Option<DVec3> {

@@ -1,16 +1,16 @@
-//! `sidecarm register`: one frame, one bead layout, one P (or the reason why there is none).
+//! `sidecarm register`: a frame, a bead layout, a P (or the reason why there is none); with `--together` several frames.
 
 use std::path::PathBuf;
 
-use crate::acquire::{AcquireError, DetectorCalibration, DetectorCalibrationError, Domain, Frame, read_frame};
-use crate::beads::tags::{TagsError, TagsFileError, find_tags, read_tags};
-use crate::beads::{BeadLayout, BeadsError, CorrespondencesError, Landmark, read_correspondences, read_landmarks, read_markups};
-use crate::geometry::Intrinsics;
-use crate::image::{ImageFileError, refuse_overwrite, write_png_rgb};
+use super::register_error::RegisterError;
+use super::register_seen::{Console, Seen};
+use super::register_together;
+use crate::acquire::{Domain, read_frame};
+use crate::beads::tags::{find_tags, read_tags};
+use crate::beads::{BeadLayout, Landmark, read_correspondences, read_landmarks, read_markups};
+use crate::image::{refuse_overwrite, write_png_rgb};
 use crate::mask;
-use crate::pose::{
-    IntrinsicsFile, Pose, PoseFileError, Prior, Registration, Shadow, intrinsics_of, register_masked, register_tagged,
-};
+use crate::pose::{IntrinsicsFile, Pose, Prior, Registration, Shadow, register_masked, register_tagged};
 use crate::report;
 use crate::reporter::Reporter;
 
@@ -19,11 +19,17 @@ use crate::reporter::Reporter;
 #[command(after_help = "Example:
   sidecarm register frame.dcm --beads beads.mrk.json --intrinsics K.json --out POSE.json
   sidecarm register frame.dcm --tags tags.json --intrinsics K.json --out POSE.json
+  sidecarm register ap.dcm lateral.dcm oblique.dcm --together --beads beads.mrk.json --intrinsics K.json --out POSES.json
 
 Exit code 0: accepted; 1: refused (POSE.json says why and holds no projection).")]
 pub struct RegisterArgs {
-    /// The radiograph: DICOM, 16-bit PNG or TIFF, float TIFF
-    pub frame: PathBuf,
+    /// The radiograph: DICOM, 16-bit PNG or TIFF, float TIFF; with --together several of one specimen, in the order they were taken
+    #[arg(required = true, value_name = "FRAME")]
+    pub frames: Vec<PathBuf>,
+    /// Solve the frames together: each is registered alone, then all at once with K and bead positions in common, which tells beads that
+    /// have migrated, bodies that were bumped between two frames, and single shadows that are off from each other
+    #[arg(long, conflicts_with_all = ["fuse", "tags", "correspondences", "overlay", "explain"])]
+    pub together: bool,
     /// Beads: a 3D Slicer point list (.mrk.json or .fcsv); radius_mm=0.75, sigma_mm=0.1 and body=pelvis are read from descriptions
     #[arg(long, value_name = "BEADS", required_unless_present = "tags")]
     pub beads: Option<PathBuf>,
@@ -31,12 +37,19 @@ pub struct RegisterArgs {
     /// beads and are checked against it; without beads the pose is that of the tags
     #[arg(long, value_name = "TAGS.json")]
     pub tags: Option<PathBuf>,
-    /// K: {"intrinsics": 3x3, "size_px": [columns, rows], "pitch_mm": p}; without it from SID and pixel spacing, else solved
+    /// K: {"intrinsics": 3x3, "size_px": [columns, rows], "pitch_mm": p}; without it from SID and pixel spacing, else solved. With
+    /// "sigma": {"source_to_detector_mm": 3, "principal_point_px": 5, "pitch_mm": 0.0002} K is solved too, with what is stated as priors
     #[arg(long, value_name = "K.json")]
     pub intrinsics: Option<PathBuf>,
-    /// Where the pose is expected: a pose file, only camera_from_lps (and covariance) are used
+    /// Where the pose is expected: a pose file, only camera_from_lps (and covariance) are used; with --together once per frame, in their
+    /// order
     #[arg(long, value_name = "POSE.json")]
-    pub prior: Option<PathBuf>,
+    pub prior: Vec<PathBuf>,
+    /// What the console did to the panel's picture: a file with the keys of a session's "console" (rotation_deg, flip, crop_px, binning,
+    /// zoom, or detector_from_image as 3x3 rows), or `solve`: found from the beads, with K of the panel and a prior; K and prior are then
+    /// those of the panel
+    #[arg(long, value_name = "FILE.json|solve")]
+    pub console: Option<PathBuf>,
     /// Take the prior as a measurement, not only as a gate
     #[arg(long, requires = "prior")]
     pub fuse: bool,
@@ -55,6 +68,20 @@ pub struct RegisterArgs {
     /// Calibration of the panel, from `calibrate detector`: takes out offset, gain and bad pixels before beads are sought
     #[arg(long, value_name = "DETECTOR.json")]
     pub detector: Option<PathBuf>,
+    /// Calibration of an image intensifier, from `calibrate intensifier`: shadows are undistorted before the pose; K is then that of the
+    /// undistorted picture
+    #[arg(long, value_name = "FILE.json", conflicts_with = "together")]
+    pub distortion: Option<PathBuf>,
+    /// Orbital and angulation angle of the C-arm, for a distortion at several angles; from the header where it was calibrated by those
+    #[arg(
+        long,
+        value_name = "DEG,DEG",
+        value_delimiter = ',',
+        num_args = 2,
+        allow_hyphen_values = true,
+        requires = "distortion"
+    )]
+    pub carm_angles: Vec<f64>,
     /// Radius of beads whose description gives none
     #[arg(long, value_name = "MM")]
     pub bead_radius: Option<f64>,
@@ -71,56 +98,9 @@ pub struct RegisterArgs {
     /// Print the pose as JSON instead of a summary
     #[arg(long)]
     pub json: bool,
-    /// Where the pose is written, accepted or refused
+    /// Where the pose is written, accepted or refused; with --together POSES.json, or a folder for it and every frame's own NN-NAME.json
     #[arg(long, value_name = "POSE.json")]
     pub out: PathBuf,
-}
-
-/// Why nothing was registered.
-#[derive(Debug, thiserror::Error)]
-pub enum RegisterError {
-    /// The frame.
-    #[error(transparent)]
-    Frame(#[from] AcquireError),
-    /// The detector calibration cannot be read, or does not apply to the frame.
-    #[error(transparent)]
-    Detector(#[from] DetectorCalibrationError),
-    /// Beads or landmarks.
-    #[error(transparent)]
-    Beads(#[from] BeadsError),
-    /// The list of tags.
-    #[error(transparent)]
-    TagsFile(#[from] TagsFileError),
-    /// The tag decoder.
-    #[error(transparent)]
-    Tags(#[from] TagsError),
-    /// Correspondences.
-    #[error(transparent)]
-    Correspondences(#[from] CorrespondencesError),
-    /// K, prior, or the result.
-    #[error(transparent)]
-    Pose(#[from] PoseFileError),
-    /// An output.
-    #[error(transparent)]
-    Output(#[from] ImageFileError),
-    /// The radius typed is impossible.
-    #[error("--bead-radius is {found} mm, it must be positive")]
-    Radius {
-        /// What was typed.
-        found: f64,
-    },
-    /// K is for another frame.
-    #[error("{path}: K is for frames of {expected:?} px, {frame} has {found:?} px, which no binning gives: the console cropped or zoomed it; give K of the frame as it is", path = path.display(), frame = frame.display())]
-    Size {
-        /// File of K.
-        path: PathBuf,
-        /// Its size.
-        expected: [u32; 2],
-        /// The frame.
-        frame: PathBuf,
-        /// The frame's size.
-        found: [u32; 2],
-    },
 }
 
 /// Registers, writes the pose, prints a summary. Returns the exit code: 0 accepted, 1 refused.
@@ -128,98 +108,122 @@ pub enum RegisterError {
 /// # Errors
 /// When an input cannot be read or does not fit the others, or an output cannot be written.
 pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError> {
-    let named = [
-        args.intrinsics.as_ref(),
-        args.prior.as_ref(),
-        args.landmarks.as_ref(),
-        args.detector.as_ref(),
-        args.correspondences.as_ref(),
-        args.beads.as_ref(),
-        args.tags.as_ref(),
-    ];
-    let inputs = std::iter::once(&args.frame).chain(named.into_iter().flatten());
+    if args.together {
+        return register_together::run(args, reporter);
+    }
+    let [path] = args.frames.as_slice() else { return Err(RegisterError::Frames { found: args.frames.len() }) };
     let outputs: Vec<&PathBuf> = std::iter::once(&args.out).chain(&args.overlay).collect();
-    refuse_overwrite(&outputs, &inputs.collect::<Vec<_>>())?;
-    if let Some(found) = args.bead_radius
-        && !(found > 0.0 && found.is_finite())
-    {
-        return Err(RegisterError::Radius { found });
-    }
-    let layout = args.beads.as_deref().map_or_else(|| Ok(BeadLayout::none()), read_markups)?;
+    let given = Given::read(args, &outputs)?;
     let tags = args.tags.as_deref().map(read_tags).transpose()?;
-    let landmarks: Vec<Landmark> = args.landmarks.as_deref().map(read_landmarks).transpose()?.unwrap_or_default();
     let correspondences = args.correspondences.as_deref().map(read_correspondences).transpose()?.unwrap_or_default();
-    let prior = args.prior.as_deref().map(Prior::read).transpose()?;
-    let mut frame = read_frame(&args.frame, args.domain)?;
-    if let Some(path) = &args.detector {
-        frame = DetectorCalibration::apply_file(path, &frame)?;
-    }
-    let mut note = None;
-    let (intrinsics, pitch_mm) = match &args.intrinsics {
-        Some(path) => {
-            let file = IntrinsicsFile::read(path)?;
-            let found = frame.size_px.map(|n| n as u32);
-            let tagged_pitch_mm = frame.tags.pitch_mm.map(|pitch| pitch[0]);
-            match file.size_px.filter(|expected| *expected != found) {
-                None => (Some(file.intrinsics), file.pitch_mm.or(tagged_pitch_mm)),
-                Some(expected) => {
-                    let size = RegisterError::Size { path: path.clone(), expected, frame: args.frame.clone(), found };
-                    let factor = binning(expected, found).ok_or(size)?;
-                    note = Some(format!("K is for {expected:?} px: the frame is taken as binned {factor} x {factor}"));
-                    let pitch_mm = file.pitch_mm.map(|pitch| pitch * f64::from(factor)).or(tagged_pitch_mm);
-                    (Some(file.intrinsics.binned(f64::from(factor))), pitch_mm)
-                }
+    let stored = read_frame(path, args.domain)?;
+    let mut notes = Vec::new();
+    let declared = match Console::of(args, &given, &stored, &mut notes)? {
+        Ok(declared) => declared,
+        Err(pose) => {
+            if let Some(path) = &args.overlay {
+                write_png_rgb(path, &report::overlay(&stored, &pose, &mask::of_frame(&stored)))?;
             }
+            return answer(args, &pose, reporter);
         }
-        None => from_header(&frame, &mut note),
     };
+    let mut seen = Seen::of(args, path, &stored, given.file.as_ref(), declared.as_ref())?;
+    notes.append(&mut seen.notes);
+    let prior = given.priors.first().map(|prior| prior.turned(seen.turn_rad));
+    let intensifier = args.distortion.as_deref().map(|path| seen.intensifier(path, &args.carm_angles)).transpose()?;
     let request = Registration {
-        intrinsics,
-        pitch_mm,
-        prior: prior.as_ref(),
+        distortion: intensifier.as_ref().map(|intensifier| &intensifier.distortion),
         fuse: args.fuse,
-        ignore_prior: args.ignore_prior,
-        one_body: args.one_body,
         correspondences: &correspondences,
-        landmarks: &landmarks,
-        bead_radius_mm: args.bead_radius,
-        ..Registration::new(frame.size_px.map(|n| n as u32), &layout)
+        ..given.request(args, &seen, prior.as_ref())
     };
-    let masks = mask::of_frame(&frame);
+    let masks = mask::of_frame(&seen.frame);
     let mut pose = match &tags {
-        Some(tags) => register_tagged(&request, &frame, &masks, tags, &find_tags(&frame, tags.family)?),
-        None => register_masked(&request, &frame, &masks),
+        Some(tags) => register_tagged(&request, &seen.frame, &masks, tags, &find_tags(&seen.frame, tags.family)?),
+        None => register_masked(&request, &seen.frame, &masks),
     };
-    pose.notes.extend(note);
-    pose.write(&args.out)?;
-    if let Some(path) = &args.overlay {
-        write_png_rgb(path, &report::overlay(&frame, &pose, &masks))?;
+    pose.notes.extend(notes);
+    if tags.is_some() && seen.prior.is_some() {
+        pose.notes.push("where tags are used K is taken as stated: its sigma is left aside".to_owned());
     }
+    if let (Some(path), Some(intensifier)) = (&args.distortion, &intensifier) {
+        pose.notes.push(format!("all places are those of the picture undistorted by {}", path.display()));
+        pose.notes.extend(intensifier.note.clone());
+    }
+    let drawn = request.distortion.map(|distortion| pose.drawn_on_distorted(distortion));
+    if let Some(path) = &args.overlay {
+        write_png_rgb(path, &report::overlay(&seen.frame, drawn.as_ref().unwrap_or(&pose), &masks))?;
+    }
+    answer(args, &pose, reporter)
+}
+
+/// Writes and prints.
+fn answer(args: &RegisterArgs, pose: &Pose, reporter: &Reporter) -> Result<u8, RegisterError> {
+    pose.write(&args.out)?;
     if args.json {
-        match serde_json::to_string_pretty(&pose) {
+        match serde_json::to_string_pretty(pose) {
             Ok(text) => println!("{text}"),
             Err(error) => reporter.warn("json", format!("the pose cannot be printed: {error}")),
         }
     } else {
-        print!("{}", summary(&pose, args.explain));
+        print!("{}", summary(pose, args.explain));
     }
     Ok(u8::from(!pose.is_accepted()))
 }
 
-/// Whole number of panel pixels along the side of one of the frame's, if that is what makes the sizes differ.
-fn binning(panel: [u32; 2], frame: [u32; 2]) -> Option<u32> {
-    (2..=8).find(|factor| panel.map(|n| n / factor) == frame && panel.iter().zip(frame).all(|(n, m)| n - m * factor < *factor))
+/// What is read before any frame is.
+pub(super) struct Given {
+    pub layout: BeadLayout,
+    pub landmarks: Vec<Landmark>,
+    /// None, or one for each frame.
+    pub priors: Vec<Prior>,
+    /// K.
+    pub file: Option<IntrinsicsFile>,
 }
 
-fn from_header(frame: &Frame, note: &mut Option<String>) -> (Option<Intrinsics>, Option<f64>) {
-    match intrinsics_of(frame) {
-        Some((intrinsics, pitch_mm, words)) => {
-            *note = Some(words);
-            (Some(intrinsics), Some(pitch_mm))
+impl Given {
+    /// Checks that no output is an input, and that numbers make sense.
+    pub fn read(args: &RegisterArgs, outputs: &[&PathBuf]) -> Result<Self, RegisterError> {
+        let named = [
+            &args.intrinsics,
+            &args.landmarks,
+            &args.detector,
+            &args.correspondences,
+            &args.beads,
+            &args.tags,
+            &args.console,
+            &args.distortion,
+        ]
+        .into_iter()
+        .flatten();
+        refuse_overwrite(outputs, &args.frames.iter().chain(&args.prior).chain(named).collect::<Vec<_>>())?;
+        if let Some(found) = args.bead_radius.filter(|radius| !(*radius > 0.0 && radius.is_finite())) {
+            return Err(RegisterError::Radius { found });
         }
-        None => {
-            *note = Some("no --intrinsics, and no SID with pixel spacing in the header: K is solved from the beads".to_owned());
-            (None, frame.tags.pitch_mm.map(|pitch| pitch[0]))
+        let (priors, frames) = (args.prior.len(), args.frames.len());
+        if !(priors == 0 || priors == frames) {
+            return Err(RegisterError::Priors { priors, frames });
+        }
+        Ok(Self {
+            layout: args.beads.as_deref().map_or_else(|| Ok(BeadLayout::none()), read_markups)?,
+            landmarks: args.landmarks.as_deref().map(read_landmarks).transpose()?.unwrap_or_default(),
+            priors: args.prior.iter().map(|path| Prior::read(path)).collect::<Result<_, _>>()?,
+            file: args.intrinsics.as_deref().map(IntrinsicsFile::read).transpose()?,
+        })
+    }
+
+    /// The request for one frame.
+    pub fn request<'a>(&'a self, args: &RegisterArgs, seen: &Seen, prior: Option<&'a Prior>) -> Registration<'a> {
+        Registration {
+            intrinsics: seen.intrinsics,
+            intrinsics_prior: seen.prior,
+            pitch_mm: seen.pitch_mm,
+            prior,
+            ignore_prior: args.ignore_prior,
+            one_body: args.one_body,
+            landmarks: &self.landmarks,
+            bead_radius_mm: args.bead_radius,
+            ..Registration::new(seen.frame.size_px.map(|n| n as u32), &self.layout)
         }
     }
 }
@@ -257,7 +261,8 @@ pub fn summary(pose: &Pose, explain: bool) -> String {
             ));
         }
         if let (Some(k), Some(source)) = (&pose.intrinsics, &pose.intrinsics_source) {
-            lines.push(format!("K {source}: f {:.1}, {:.1} px, principal point {:.1}, {:.1} px", k.fx, k.fy, k.cx, k.cy));
+            let sigma = pose.intrinsics_sigma_px.map_or(String::new(), |[f, _, x, y]| format!(" (± {f:.1}; {x:.1}, {y:.1})"));
+            lines.push(format!("K {source}: f {:.1}, {:.1} px, principal point {:.1}, {:.1} px{sigma}", k.fx, k.fy, k.cx, k.cy));
         }
     } else {
         lines.push(format!("refused: {}", pose.reason.as_deref().unwrap_or("no reason given")));

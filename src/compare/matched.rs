@@ -3,7 +3,7 @@
 
 use glam::{DVec2, DVec3};
 
-use crate::geometry::View;
+use crate::geometry::{Intensifier, View};
 use crate::image::Image;
 use crate::render::{Options, Plan, Quantity, Renderer};
 use crate::scene::Scene;
@@ -14,14 +14,26 @@ const BEAD_BLUR_PX: f64 = 1.5;
 /// Radius of a bead that nothing is known of, mm.
 const BEAD_RADIUS_MM: f64 = 1.0;
 
-/// Centre and radius of each bead's shadow in `view`, px; beads behind the source have none.
+/// The intensifier through which `scene` is seen at the size of `view`.
+fn seen_through(scene: &Scene, view: &View) -> Option<Intensifier> {
+    scene.detector.panel.intensifier.as_ref().and_then(|intensifier| intensifier.for_size(view.size_px).ok())
+}
+
+/// Centre and radius of each bead's shadow in the frame of `view`, px, where the intensifier of `scene` shows it; beads behind the source
+/// or outside the intensifier's disc have none.
 #[must_use]
-pub fn bead_marks(beads: impl IntoIterator<Item = (DVec3, Option<f64>)>, view: &View) -> Vec<(DVec2, f64)> {
+pub fn bead_marks(
+    beads: impl IntoIterator<Item = (DVec3, Option<f64>)>,
+    view: &View,
+    scene: Option<&Scene>,
+) -> Vec<(DVec2, f64)> {
     let projection = view.projection();
+    let through = scene.and_then(|scene| seen_through(scene, view));
+    let shown = |pixel: DVec2| through.as_ref().map_or(Some(pixel), |through| through.distortion.distorted(pixel).ok());
     let mark = |(lps_mm, radius_mm): (DVec3, Option<f64>)| {
         let (pixel, depth_mm) = projection.project(lps_mm);
         let radius_px = radius_mm.unwrap_or(BEAD_RADIUS_MM) * view.intrinsics.fx / depth_mm;
-        (depth_mm > 0.0).then_some((pixel, radius_px + BEAD_BLUR_PX))
+        (depth_mm > 0.0).then(|| Some((shown(pixel)?, radius_px + BEAD_BLUR_PX))).flatten()
     };
     beads.into_iter().filter_map(mark).collect()
 }
@@ -50,7 +62,15 @@ pub fn tool_mask(scene: &Scene, view: &View) -> Option<Image<bool>> {
             }
         }
     }
-    Some(mask)
+    let Some(through) = seen_through(scene, view) else { return Some(mask) };
+    let straight = |index: usize| {
+        let there = through.distortion.undistorted(DVec2::new((index % width) as f64, (index / width) as f64)).round();
+        there.min_element() >= 0.0
+            && there.x < width as f64
+            && there.y < height as f64
+            && *mask.at(there.x as usize, there.y as usize)
+    };
+    Some(Image { width, height, pixels: (0..width * height).map(straight).collect() })
 }
 
 /// Renders of one scene from poses about its own, for a null.

@@ -1,9 +1,10 @@
 //! The C-arm's kinematic chain: joints to the pose of the camera in the room.
 
-use glam::{DQuat, DVec3};
+use glam::{DQuat, DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
-use super::{Intrinsics, Rigid};
+use super::sag::{GravitySag, Misalignment, sag_terms};
+use super::{Intrinsics, Rigid, turned_camera};
 
 /// Joint readings; angles in radians, NaN where a joint has no encoder.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -151,9 +152,28 @@ pub struct CarmCalibration {
     /// Non-isocentric arms: where the principal ray passes the isocentre, along camera x and y.
     #[serde(default)]
     pub principal_ray_offset_mm: [f64; 2],
+    /// How far the picture is turned clockwise against the panel about the beam: the camera's axes are the picture's.
+    #[serde(default)]
+    pub picture_turn_deg: f64,
     /// Sag: displacement of the camera (mm, camera axes) and tilt (degrees) as linear functions of sin and cos of the C's angles.
     #[serde(default)]
     pub sag: Option<Sag>,
+    /// How axes and detector stand to each other; as drawn where absent.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub misalignment: Misalignment,
+    /// Gravity's effect as `calibrate carm` fits it; comes on top of `sag`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gravity_sag: Option<GravitySag>,
+    /// Standard deviation, per axis, of where joint readings put the isocentre in the camera.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub camera_sigma_mm: Option<f64>,
+    /// Standard deviation, per axis, of the camera's attitude by joint readings.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub camera_sigma_deg: Option<f64>,
+}
+
+fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+    *value == T::default()
 }
 
 /// What calibration adds to each joint reading.
@@ -188,7 +208,8 @@ pub struct Sag {
 
 impl CarmCalibration {
     /// The pose of the camera in the room:
-    /// `T(longitudinal, 0, lift) · Rz(wig_wag) · T(column_to_isocentre) · Rx(angulation) · Ry(orbital) · T(0, 0, −SOD) · Rz(detector_rotation)`.
+    /// `T(longitudinal, 0, lift) · Rz(wig_wag) · T(column_to_isocentre) · Rx(angulation) · Ry(orbital) · T(0, 0, −SOD) · Rz(detector_rotation)`,
+    /// with [`Misalignment`] beside the axes and [`GravitySag`] before the detector's rotation; then sag, then the picture's turn.
     ///
     /// # Errors
     /// When a joint is not measured.
@@ -204,40 +225,96 @@ impl CarmCalibration {
         let wig_wag = joints.wig_wag_rad + o.wig_wag_deg.to_radians();
         let detector_rotation = joints.detector_rotation_rad + o.detector_rotation_deg.to_radians();
         let [ray_x, ray_y] = self.principal_ray_offset_mm;
+        let m = &self.misalignment;
+        let (source, c_from_panel, _) = self.bent(angulation, orbital, detector_rotation);
         let carriage = DVec3::new(joints.longitudinal_mm + o.longitudinal_mm, 0.0, joints.lift_mm + o.lift_mm);
-        let ideal = Rigid::translation(carriage)
+        let mut ideal = Rigid::translation(carriage)
             * Rigid::rotation(DQuat::from_rotation_z(wig_wag))
-            * Rigid::translation(DVec3::from_array(self.column_to_isocentre_mm))
-            * Rigid::rotation(DQuat::from_rotation_x(angulation))
+            * Rigid::translation(DVec3::from_array(self.column_to_isocentre_mm));
+        // What is as drawn is left out: a product with nothing still rounds.
+        if m.angulation_axis_tilt_deg != 0.0 {
+            ideal = ideal * Rigid::rotation(DQuat::from_rotation_y(m.angulation_axis_tilt_deg.to_radians()));
+        }
+        ideal = ideal * Rigid::rotation(DQuat::from_rotation_x(angulation));
+        if (m.orbital_axis_skew_deg, m.orbital_axis_offset_mm) != (0.0, 0.0) {
+            let rotation = DQuat::from_rotation_z(m.orbital_axis_skew_deg.to_radians());
+            ideal = ideal * Rigid { rotation, translation_mm: DVec3::new(0.0, 0.0, m.orbital_axis_offset_mm) };
+        }
+        let ideal = ideal
             * Rigid::rotation(DQuat::from_rotation_y(orbital))
-            * Rigid::translation(DVec3::new(ray_x, ray_y, -self.source_to_isocentre_mm))
-            * Rigid::rotation(DQuat::from_rotation_z(detector_rotation));
-        let Some(sag) = &self.sag else { return Ok(ideal) };
+            * Rigid::translation(DVec3::new(ray_x, ray_y, -self.source_to_isocentre_mm) + source)
+            * Rigid::rotation(c_from_panel);
+        let picture = |camera: Rigid| match self.picture_turn_deg {
+            0.0 => camera,
+            turn => camera * turned_camera(turn.to_radians()).inverse(),
+        };
+        let Some(sag) = &self.sag else { return Ok(picture(ideal)) };
         let basis = DVec3::new(orbital.sin(), orbital.cos() - 1.0, angulation.sin());
         let apply = |rows: &[[f64; 3]; 3]| DVec3::from_array(rows.map(|row| DVec3::from_array(row).dot(basis)));
         let rotation_rad = apply(&sag.rotation_deg).map(f64::to_radians);
-        Ok(ideal * Rigid { rotation: DQuat::from_scaled_axis(rotation_rad), translation_mm: apply(&sag.translation_mm) })
+        Ok(picture(ideal * Rigid { rotation: DQuat::from_scaled_axis(rotation_rad), translation_mm: apply(&sag.translation_mm) }))
     }
 
-    /// K: focal length from the distance and the pitch.
+    /// K: focal length from the distance and the pitch; where the arm sags, distance and principal point with the angles.
     ///
     /// # Errors
-    /// When neither telemetry nor calibration gives the distance, or a length is not positive.
+    /// When neither telemetry nor calibration gives the distance, a length is not positive, or sag needs an angle that is not measured.
     pub fn intrinsics(&self, joints: &CarmJoints) -> Result<Intrinsics, CarmCalibrationError> {
         let measured = joints.source_to_detector_mm.is_finite().then_some(joints.source_to_detector_mm);
         let distance_mm = measured
             .or(self.source_to_detector_mm)
             .ok_or(CarmCalibrationError::NotMeasured { joint: "source_to_detector_mm" })?
             + self.offsets.source_to_detector_mm;
-        for (key, value) in [("pitch_mm", self.pitch_mm), ("source_to_detector_mm", distance_mm)] {
+        let middle_mm = self.middle_from_source_mm(joints, distance_mm)?;
+        for (key, value) in [("pitch_mm", self.pitch_mm), ("source_to_detector_mm", middle_mm.z)] {
             if !(value > 0.0 && value.is_finite()) {
                 return Err(CarmCalibrationError::NotPositive { key, value });
             }
         }
         let middle = [f64::from(self.columns_px) * 0.5 - 0.5, f64::from(self.rows_px) * 0.5 - 0.5];
         let [cx, cy] = self.principal_point_px.unwrap_or(middle);
-        let focal = distance_mm / self.pitch_mm;
+        let focal = middle_mm.z / self.pitch_mm;
+        // The panel goes one way, the foot of the principal ray the other way on it.
+        let foot_mm = match self.picture_turn_deg {
+            0.0 => middle_mm.truncate(),
+            turn => DVec2::from_angle(turn.to_radians()).rotate(middle_mm.truncate()),
+        };
+        let (cx, cy) = (cx - foot_mm.x / self.pitch_mm, cy - foot_mm.y / self.pitch_mm);
         Ok(Intrinsics { fx: focal, fy: focal, skew: 0.0, cx, cy })
+    }
+
+    /// How the focal spot moves in the C's axes, how the panel stands in them, and how the panel's middle moves against the focal spot.
+    fn bent(&self, angulation: f64, orbital: f64, detector_rotation: f64) -> (DVec3, DQuat, DVec3) {
+        let in_plane = DQuat::from_rotation_z(detector_rotation);
+        let [tilt_x, tilt_y] = self.misalignment.detector_tilt_deg.map(f64::to_radians);
+        let tilt = DQuat::from_scaled_axis(DVec3::new(tilt_x, tilt_y, 0.0));
+        let Some(sag) = &self.gravity_sag else { return (DVec3::ZERO, tilt * in_plane, DVec3::ZERO) };
+        let terms = sag_terms(angulation, orbital);
+        let turn = DQuat::from_scaled_axis(GravitySag::at(&sag.rotation_deg, &terms).map(f64::to_radians));
+        let source = GravitySag::at(&sag.source_mm, &terms);
+        (source, turn * tilt * in_plane, GravitySag::at(&sag.detector_mm, &terms) - source)
+    }
+
+    /// From the focal spot to the panel's middle in the panel's axes: the distance and the foot of the principal ray follow from it. Plain
+    /// where nothing bends and nothing is tilted.
+    fn middle_from_source_mm(&self, joints: &CarmJoints, distance_mm: f64) -> Result<DVec3, CarmCalibrationError> {
+        let [offset_x, offset_y] = self.misalignment.detector_offset_mm;
+        let straight = DVec3::new(offset_x, offset_y, distance_mm);
+        if self.gravity_sag.is_none() && self.misalignment == Misalignment::default() {
+            return Ok(straight);
+        }
+        for index in [3, 4, 5] {
+            if !joints.to_array()[index].is_finite() {
+                return Err(CarmCalibrationError::NotMeasured { joint: JOINT_KEYS[index].0 });
+            }
+        }
+        let o = &self.offsets;
+        let (_, c_from_panel, moved) = self.bent(
+            joints.angulation_rad + o.angulation_deg.to_radians(),
+            joints.orbital_rad + o.orbital_deg.to_radians(),
+            joints.detector_rotation_rad + o.detector_rotation_deg.to_radians(),
+        );
+        Ok(c_from_panel.conjugate() * (straight + moved))
     }
 }
 
@@ -272,6 +349,43 @@ mod tests {
             cases += 1;
         }
         assert_eq!(cases, 3);
+    }
+
+    #[test]
+    fn without_sag_and_misalignment_the_chain_is_the_plain_one_bit_for_bit() {
+        let c = calibration();
+        let text = serde_json::to_string(&c).expect("serialises");
+        assert!(!text.contains("misalignment") && !text.contains("gravity_sag") && !text.contains("camera_sigma"), "{text}");
+        for n in 1..40 {
+            let n = f64::from(n);
+            let joints = CarmJoints::from_array([n, 0.01 * n, -n, 0.02 * n, -0.07 * n, 0.1 * n, 1000.0 + n]);
+            let plain = Rigid::translation(DVec3::new(-n, 0.0, n))
+                * Rigid::rotation(DQuat::from_rotation_z(0.01 * n))
+                * Rigid::translation(DVec3::new(800.0, 0.0, 1000.0))
+                * Rigid::rotation(DQuat::from_rotation_x(0.02 * n))
+                * Rigid::rotation(DQuat::from_rotation_y(-0.07 * n))
+                * Rigid::translation(DVec3::new(0.0, 0.0, -600.0))
+                * Rigid::rotation(DQuat::from_rotation_z(0.1 * n));
+            assert_eq!(c.world_from_camera(&joints).expect("all measured"), plain);
+            let k = c.intrinsics(&joints).expect("all measured");
+            assert_eq!((k.fx, k.cx, k.cy), ((1000.0 + n) / 0.5, 309.5, 239.5));
+        }
+    }
+
+    #[test]
+    fn a_sagging_detector_moves_the_foot_of_the_principal_ray_in_the_turned_panel() {
+        let mut sag = GravitySag::default();
+        sag.detector_mm[0][0] = 10.0;
+        let c = CarmCalibration { gravity_sag: Some(sag), ..calibration() };
+        let joints = CarmJoints { orbital_rad: 30f64.to_radians(), ..CarmJoints::ZERO };
+        let k = c.intrinsics(&joints).expect("measured");
+        // 10 mm · sin 30°, 0.5 mm a pixel.
+        assert!((k.cx - 299.5).abs() < 1e-9 && (k.cy - 239.5).abs() < 1e-9, "{k:?}");
+        let turned = CarmJoints { detector_rotation_rad: 90f64.to_radians(), ..joints };
+        // The C's x is the turned panel's −y.
+        let k = c.intrinsics(&turned).expect("measured");
+        assert!((k.cx - 309.5).abs() < 1e-9 && (k.cy - 249.5).abs() < 1e-9, "{k:?}");
+        assert!(c.intrinsics(&CarmJoints { orbital_rad: f64::NAN, ..joints }).is_err());
     }
 
     #[test]

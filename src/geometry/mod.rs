@@ -16,17 +16,25 @@
 
 mod angles;
 mod camera;
+mod sag;
 mod carm;
+mod panel_window;
 mod console;
 mod convert;
+mod distortion;
 pub mod formats;
+mod intensifier;
 mod rigid;
 mod robot;
 
 pub use angles::{AngleConvention, CarmAngles, PatientPosition};
 pub use camera::{CameraError, Intrinsics, Projection, View};
-pub use carm::{CarmCalibration, CarmCalibrationError, CarmJoints};
-pub use console::{ConsoleError, ConsoleGeometry, Flip, PanelWindow};
+pub use carm::{CarmCalibration, CarmCalibrationError, CarmJoints, JOINT_KEYS, JointOffsets};
+pub use console::{ConsoleError, ConsoleGeometry, Flip, homogeneous_rows, quarters_and_rest};
 pub use convert::{dicom_angles_deg, lps_from_ras, ras_from_lps};
+pub use distortion::{DEFAULT_ORDER, Distortion, DistortionError, ORDERS, term_count, terms};
+pub use intensifier::{AnglesDeg, AnglesFrom, Glare, Intensifier, IntensifierCalibration, IntensifierError, IntensifierView};
+pub use panel_window::{PanelWindow, seen_through, turned_camera};
 pub use rigid::{Rigid, RigidError};
 pub use robot::{RobotModel, RobotModelError, RobotShape, TubeSize};
+pub use sag::{GravitySag, Misalignment, SAG_TERMS, sag_terms};

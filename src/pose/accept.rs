@@ -6,8 +6,8 @@ use nalgebra::{DMatrix, Matrix6};
 use super::case::Case;
 use super::record::{BeadResidual, BodyPose, Covariance, LandmarkUncertainty, Pose, Shadow, Status};
 use super::settle::Settled;
-use super::solve::{about, left_out};
-use crate::beads::{Bead, Detection};
+use super::solve::{Free, Solution, about, left_out};
+use crate::beads::{Bead, Detection, Landmark};
 use crate::estimate::LeftOut;
 use crate::geometry::{Projection, Rigid};
 
@@ -42,32 +42,21 @@ impl Case<'_> {
         if bodies.len() > 1 {
             notes.push("beads of several bodies agree as one rigid specimen".to_owned());
         }
-        let solved = self.request.intrinsics.is_none();
+        let (solved, source) = match self.request.free() {
+            Free::Pose => (false, "given"),
+            Free::Square => (true, "solved"),
+            Free::Known(_) => (true, "solved with priors"),
+        };
         let shadow = |(n, detection): (usize, &Detection)| {
             let bead = last.matches.iter().find(|m| m.detection == n).map(|m| layout.beads[m.bead].name.clone());
             Shadow::of(detection, bead)
         };
         let shadows = self.detections.iter().enumerate().map(shadow).collect();
-        let landmarks = self.request.landmarks.iter().map(|landmark| {
-            let p = pose.transform_point(landmark.lps_mm);
-            let sharpness = last.solution.sharpness(landmark.lps_mm, covariance);
-            let place = sharpness.camera_mm2;
-            let sigma_px = sharpness.image_px2.map(|image| [image[(0, 0)].sqrt(), image[(1, 1)].sqrt()]);
-            LandmarkUncertainty {
-                name: landmark.name.clone(),
-                lps_mm: landmark.lps_mm,
-                image_px: (p.z > 1.0).then(|| k.project(p).to_array()),
-                sigma_mm: std::array::from_fn(|n| place[(n, n)].sqrt()),
-                sigma_px,
-            }
-        });
         Pose {
             status: Status::Accepted,
-            reason: None,
-            refusal: None,
             projection: Some(projection),
             intrinsics: Some(k),
-            intrinsics_source: Some(if solved { "solved" } else { "given" }.to_owned()),
+            intrinsics_source: Some(source.to_owned()),
             intrinsics_sigma_px: solved.then(|| {
                 let sigma = |n: usize| covariance[(n, n)].sqrt();
                 [sigma(6), sigma(6), sigma(7), sigma(8)]
@@ -83,15 +72,14 @@ impl Case<'_> {
             covariance: Some(rows_of(&about_origin)),
             covariance_at_centroid: Some(rows_of(&at_centroid)),
             centroid_lps_mm: Some(pose.inverse().transform_point(centroid)),
-            landmarks: landmarks.collect(),
+            landmarks: landmarks_of(self.request.landmarks, &last.solution, covariance),
             beads,
-            tags: Vec::new(),
             detections: self.detections.len(),
             shadows,
             fused: self.request.fuse,
-            cautions: Vec::new(),
             notes,
             version: Some(env!("CARGO_PKG_VERSION").to_owned()),
+            ..Pose::default()
         }
     }
 
@@ -147,6 +135,22 @@ impl Case<'_> {
     }
 }
 
-fn rows_of(m: &Matrix6<f64>) -> Covariance {
+/// Uncertainty where it was asked for; `covariance` is the solution's, scaled perhaps.
+pub(super) fn landmarks_of(landmarks: &[Landmark], solution: &Solution, covariance: &DMatrix<f64>) -> Vec<LandmarkUncertainty> {
+    let of = |landmark: &Landmark| {
+        let p = solution.camera_from_lps.transform_point(landmark.lps_mm);
+        let sharpness = solution.sharpness(landmark.lps_mm, covariance);
+        LandmarkUncertainty {
+            name: landmark.name.clone(),
+            lps_mm: landmark.lps_mm,
+            image_px: (p.z > 1.0).then(|| solution.intrinsics.project(p).to_array()),
+            sigma_mm: std::array::from_fn(|n| sharpness.camera_mm2[(n, n)].sqrt()),
+            sigma_px: sharpness.image_px2.map(|image| [image[(0, 0)].sqrt(), image[(1, 1)].sqrt()]),
+        }
+    };
+    landmarks.iter().map(of).collect()
+}
+
+pub(super) fn rows_of(m: &Matrix6<f64>) -> Covariance {
     std::array::from_fn(|i| std::array::from_fn(|j| 0.5 * (m[(i, j)] + m[(j, i)])))
 }

@@ -14,11 +14,11 @@ use crate::beads::{BeadLayout, Correspondence, Detection};
 use crate::geometry::Rigid;
 
 /// Fewest beads from which a body's place is solved.
-const FEWEST: usize = 4;
+pub(super) const FEWEST: usize = 4;
 /// Squared deviation, in standard deviations, beyond which a body has moved: one in 10⁵ by accident.
-const MOVED: f64 = 33.0;
+pub(super) const MOVED: f64 = 33.0;
 /// Smaller motions are within what a scan and a few beads can tell, whatever their covariance says: degrees, mm.
-const LEAST_MOTION: (f64, f64) = (0.15, 0.3);
+pub(super) const LEAST_MOTION: (f64, f64) = (0.15, 0.3);
 /// A shadow closer than this to one that is taken is that one, px.
 const SAME_PX: f64 = 0.5;
 
@@ -36,7 +36,7 @@ struct Apart {
 }
 
 /// Names of the layout's bodies, the one with most beads first.
-fn names(layout: &BeadLayout) -> Vec<String> {
+pub(super) fn names(layout: &BeadLayout) -> Vec<String> {
     let mut names: Vec<(String, usize)> = Vec::new();
     for bead in &layout.beads {
         match names.iter_mut().find(|(name, _)| *name == bead.body) {
@@ -71,17 +71,29 @@ pub(super) fn apart(request: &Registration, detections: &[Detection], one: Pose,
     let first = alone(reference, *request, detections);
     let Some((intrinsics, camera_from_lps)) = first.camera() else { return split(one, others) };
     let prior = Prior { camera_from_lps, covariance: None };
+    // K that one body's beads gave holds for the others, and its uncertainty moves them all alike.
+    let held = request.intrinsics_prior.map(|_| {
+        let known = Registration { intrinsics: Some(intrinsics), intrinsics_prior: None, ..*request };
+        alone(reference, known, detections)
+    });
+    let held = held.filter(Pose::is_accepted).unwrap_or_else(|| first.clone());
     let mut left: Vec<Detection> = without(detections, &first);
     let mut bodies: Vec<Apart> = Vec::new();
     for name in others {
-        let known =
-            Registration { intrinsics: Some(intrinsics), prior: Some(&prior), fuse: false, ignore_prior: false, ..*request };
+        let known = Registration {
+            intrinsics: Some(intrinsics),
+            intrinsics_prior: None,
+            prior: Some(&prior),
+            fuse: false,
+            ignore_prior: false,
+            ..*request
+        };
         if layout_of(request.layout, name).beads.len() < FEWEST {
             continue;
         }
         let pose = alone(name, known, &left);
         left = without(&left, &pose);
-        bodies.extend(motion(name, &first, pose));
+        bodies.extend(motion(name, &held, pose));
     }
     let Some(moved) = bodies.iter().filter(|body| body.moved).max_by(|a, b| a.angle_deg.total_cmp(&b.angle_deg)) else {
         return split(one, others);

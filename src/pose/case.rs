@@ -7,7 +7,7 @@ use super::record::{Pose, Prior, Shadow};
 use super::refusal::Refusal;
 use super::request::Registration;
 use super::search::{Gate, Hypothesis, Search, Target, information_about};
-use super::solve::{Free, deviation, image_by_point, point_by_pose};
+use super::solve::{deviation, image_by_point, point_by_pose};
 use super::verdict::chance;
 use crate::beads::{Detection, Probe};
 use crate::geometry::{Intrinsics, Rigid};
@@ -15,7 +15,7 @@ use crate::geometry::{Intrinsics, Rigid};
 /// Standard deviations of a prior without covariance: about the bead centroid, per axis.
 pub const PRIOR_SIGMA: (f64, f64) = (5.0 * std::f64::consts::PI / 180.0, 15.0);
 /// Squared deviation from a prior up to which a pose is sought: with its covariance, and without one.
-const GATE: (f64, f64) = (30.0, 60.0);
+pub const GATE: (f64, f64) = (30.0, 60.0);
 /// Shadows of which a person's mark means the nearest one: so many radii from it, at most.
 const MARK_RADII: f64 = 2.0;
 
@@ -42,7 +42,8 @@ impl<'a> Case<'a> {
             let Some(bead) = request.layout.beads.iter().position(|bead| bead.name == given.bead) else {
                 return Err(refuse(format!("the layout has no bead called {:?}", given.bead)));
             };
-            let distance = |n: &usize| detections[*n].image_px.distance(given.image_px);
+            let marked = request.straight(given.image_px);
+            let distance = |n: &usize| detections[*n].image_px.distance(marked);
             let nearest = (0..detections.len()).min_by(|a, b| distance(a).total_cmp(&distance(b)));
             let within = |n: &usize| distance(n) <= (MARK_RADII * detections[*n].radius_px).max(6.0);
             let Some(shadow) = nearest.filter(within) else {
@@ -60,11 +61,6 @@ impl<'a> Case<'a> {
     pub fn refuse(&self, refusal: &Refusal, notes: Vec<String>) -> Pose {
         let shadows = self.detections.iter().map(|detection| Shadow::of(detection, None)).collect();
         Pose { notes, detections: self.detections.len(), shadows, ..self.request.refuse(refusal) }
-    }
-
-    pub fn free(&self) -> Free {
-        // Detectors have square pixels; a second focal length would mostly fit noise.
-        if self.request.intrinsics.is_some() { Free::Pose } else { Free::Square }
     }
 
     pub fn targets(&self) -> Vec<Target> {

@@ -5,25 +5,18 @@
 //! show besides.
 
 use glam::DVec2;
+use nalgebra::Matrix6;
 
-use super::case::Case;
+use super::besides::Besides;
+use super::case::{Case, GATE};
+use super::record::Prior;
 use super::refusal::{Refusal, Rival};
-use super::search::{Gate, Hypothesis, Search, information_about};
+use super::search::{Found, Gate, Hypothesis, Search, information_about};
 use super::settle::Settled;
-use super::solve::{Free, Match, Options, solve};
+use super::solve::{Free, Match, Options, about, deviation, solve};
 use crate::beads::{Detection, Probe};
 use crate::geometry::{Intrinsics, Rigid};
 
-/// A bead is missing for certain where its place is less deep than this share of the others' contrast …
-const LEAST_SHARE: f64 = 0.3;
-/// … by so many standard deviations.
-const SIGMAS: f64 = 3.0;
-/// Shadows closer than so many radii hide each other.
-const APART_RADII: f64 = 2.5;
-/// A shadow is another bead's if radius and contrast are within these factors of what a bead would have (natural logarithms).
-const ALIKE: (f64, f64) = (0.25, 0.4);
-/// Contrast over noise from which on a shadow is clear.
-const CLEAR_SNR: f64 = 10.0;
 /// So many beads may be missing, or migrated, from a sound layout.
 const ORDINARY: usize = 2;
 /// Accidents expected behind a second reading of the frame, at most, for it to count: it would be accepted by itself.
@@ -64,17 +57,6 @@ const OTHER_CENTRE: f64 = 0.05;
 /// Residuals below this are nobody's concern.
 const LEAST_RMS_PX: f64 = 0.15;
 
-/// What a frame shows besides the match.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-struct Besides {
-    /// Beads that the pose puts into the open field and that are certainly not there.
-    missing: Vec<String>,
-    /// Beads whose shadow is there, but beside its place: outliers, and what no bead claims close by.
-    displaced: Vec<String>,
-    /// Clear shadows like the matched ones that belong to no bead.
-    unexplained: Vec<usize>,
-}
-
 impl Case<'_> {
     /// Refuses a match although it fits, or gives the cautions that a person should look at.
     pub fn doubt(&self, last: &Settled, hypothesis: &Hypothesis) -> Result<Vec<String>, Refusal> {
@@ -89,7 +71,7 @@ impl Case<'_> {
             return Err(refusal);
         }
         let many_missing = missing.len() > ORDINARY && (missing.len() >= matched || unexplained.len() >= missing.len());
-        if many_missing && !self.is_best_of_all(last, missing.len()) {
+        if many_missing && !self.is_best_of_all(last, &besides) {
             let (missing, unexplained) = (missing.clone(), unexplained.len());
             return Err(Refusal::Missing { matched, missing, unexplained });
         }
@@ -106,15 +88,19 @@ impl Case<'_> {
         Ok(cautions)
     }
 
-    /// Whether no other reading of all shadows, wherever it puts the camera, explains as many beads.
-    fn is_best_of_all(&self, last: &Settled, missing: usize) -> bool {
+    /// Whether no other reading of all shadows, wherever it puts the camera, explains as many beads. Where more shadows are left than
+    /// matched, all must have been tried.
+    fn is_best_of_all(&self, last: &Settled, besides: &Besides) -> bool {
         let matched = last.matches.len();
-        if matched < SURE_MATCHED || missing >= matched {
+        if matched < SURE_MATCHED || besides.missing.len() >= matched {
             return false;
         }
-        let best = self.search_all(self.detections, Some, &last.solution.intrinsics, None);
+        let found = self.search_all(self.detections, Some, &last.solution.intrinsics, None);
+        if found.cut_short && besides.unexplained.len() > matched {
+            return false;
+        }
         let pose = &last.solution.camera_from_lps;
-        best.is_some_and(|(best, _)| {
+        found.hypotheses.first().is_some_and(|best| {
             let (angle_deg, shift_mm) = self.distance(&best.camera_from_lps, pose);
             angle_deg < 2.0 && shift_mm < 15.0
         })
@@ -217,7 +203,7 @@ impl Case<'_> {
         }
         let (angle_deg, shift_mm) = self.distance(&prior.camera_from_lps, pose);
         let matched = last.matches.len();
-        if matched <= FEW && !self.request.ignore_prior {
+        if (matched <= FEW || self.contradicts(last, prior)) && !self.request.ignore_prior {
             return Err(Refusal::PriorContradicted { matched, rms_px: last.rms_px(), angle_deg, shift_mm });
         }
         cautions.push(format!(
@@ -227,59 +213,15 @@ impl Case<'_> {
         Ok(())
     }
 
-    fn besides(&self, last: &Settled) -> Besides {
-        let Some(probe) = &self.probe else { return Besides::default() };
-        let own = |m: &Match| self.detections.get(m.detection).copied();
-        let mut contrasts: Vec<f64> = last.matches.iter().filter_map(own).map(|detection| detection.contrast).collect();
-        contrasts.sort_by(f64::total_cmp);
-        let Some(usual) = contrasts.get(contrasts.len() / 2).copied() else { return Besides::default() };
-        let (pose, k) = (last.solution.camera_from_lps, last.solution.intrinsics);
-        let layout = self.request.layout;
-        let mut besides = Besides::default();
-        let radius_at = |depth_mm: f64, index: usize| {
-            layout.radius_mm(index, self.request.bead_radius_mm).map(|radius_mm| k.fx * radius_mm / depth_mm)
-        };
-        let mut radii: Vec<f64> = last.matches.iter().filter_map(own).map(|detection| detection.radius_px).collect();
-        radii.sort_by(f64::total_cmp);
-        let usual_radius_px = radii[radii.len() / 2];
-        let alike = |d: &Detection| {
-            (d.radius_px / usual_radius_px).ln().abs() < ALIKE.0
-                && (d.contrast / usual).ln().abs() < ALIKE.1
-                && d.snr >= CLEAR_SNR
-        };
-        let explained = |n: usize| {
-            let taken = last.known().any(|m| m.detection == n);
-            let beside = |m: &Match| m.image_px.distance(self.detections[n].image_px) < usual_radius_px;
-            taken || last.matches.iter().any(beside)
-        };
-        besides.displaced.extend(last.left_out.iter().map(|(m, _)| layout.beads[m.bead].name.clone()));
-        for (index, bead) in layout.beads.iter().enumerate() {
-            let p = pose.transform_point(bead.lps_mm);
-            let known = last.known().any(|m| m.bead == index);
-            if known || !(p.z > 1.0) {
-                continue;
-            }
-            let (at, radius_px) = (k.project(p), radius_at(p.z, index).unwrap_or(usual_radius_px));
-            let hidden = |d: &Detection| d.image_px.distance(at) < APART_RADII * radius_px.max(d.radius_px);
-            if !probe.is_usable(at) {
-                continue;
-            }
-            if let Some(n) = self.detections.iter().position(hidden) {
-                // What hides it may be its own shadow.
-                if alike(&self.detections[n]) && !explained(n) {
-                    besides.displaced.push(bead.name.clone());
-                }
-                continue;
-            }
-            // Beads stand where the layout has them to a fraction of their radius; nothing within that counts as there.
-            if let Some((contrast, sigma)) = probe.contrast(at, radius_px)
-                && contrast + SIGMAS * sigma < LEAST_SHARE * usual
-            {
-                besides.missing.push(bead.name.clone());
-            }
-        }
-        besides.unexplained = (0..self.detections.len()).filter(|n| alike(&self.detections[*n]) && !explained(*n)).collect();
-        besides
+    /// Whether a pose that was solved with K is outside a stated covariance, widened by its own: no gate has held it.
+    fn contradicts(&self, last: &Settled, prior: &Prior) -> bool {
+        let Some(rows) = prior.covariance.filter(|_| self.request.intrinsics.is_none()) else { return false };
+        let stated = Matrix6::from_fn(|i, j| rows[i][j]);
+        let own = last.solution.covariance.fixed_view::<6, 6>(0, 0) * last.chi2_per_dof.max(1.0);
+        let Some(origin_from_centroid) = about(last.solution.centroid_mm).try_inverse() else { return true };
+        let both = stated + origin_from_centroid * own * origin_from_centroid.transpose();
+        let off = deviation(&last.solution.camera_from_lps, &prior.camera_from_lps);
+        both.try_inverse().is_none_or(|information| !((off.transpose() * information * off)[(0, 0)] <= GATE.0))
     }
 
     /// That the beads fit far better with another K than with the one given: a wrong focal length or principal point is made up for by depth
@@ -324,8 +266,9 @@ impl Case<'_> {
         let information = information_about(last.solution.centroid_mm, NEAR_SIGMA.0, NEAR_SIGMA.1);
         let gate = Gate { camera_from_lps, information, limit: NEAR_LIMIT };
         let own = |n: usize| unexplained.get(n).copied();
-        let (found, tried) = self.search_all(&shadows, own, &last.solution.intrinsics, Some(gate))?;
-        (self.chance_among(&found, tried, &shadows) < NEAR_CHANCE).then_some(found)
+        let found = self.search_all(&shadows, own, &last.solution.intrinsics, Some(gate));
+        let best = found.hypotheses.into_iter().next()?;
+        (self.chance_among(&best, found.tried, &shadows) < NEAR_CHANCE).then_some(best)
     }
 
     /// That the layout fits the frame's mirror image as well as beads should, with at least two beads more than the `matched` of the frame
@@ -345,9 +288,10 @@ impl Case<'_> {
         {
             return None;
         }
-        let (itself, _) = self.search_all(self.detections, Some, k, None).unzip();
-        let as_well =
-            itself.is_some_and(|itself| itself.matches.len() + 1 >= mirrored && itself.rms_px < MIRROR_FIT * found.rms_px);
+        let itself = self.search_all(self.detections, Some, k, None).hypotheses;
+        let as_well = itself
+            .first()
+            .is_some_and(|itself| itself.matches.len() + 1 >= mirrored && itself.rms_px < MIRROR_FIT * found.rms_px);
         (!as_well).then_some(Refusal::Mirrored { mirrored, rms_px: found.rms_px, matched })
     }
 
@@ -370,17 +314,15 @@ impl Case<'_> {
         found.hypotheses.into_iter().find(|hypothesis| accident(hypothesis, found.tried) < RIVAL_CHANCE)
     }
 
-    /// The best match of `shadows` after all tries that are allowed, and their number.
+    /// The matches of `shadows` after all tries that are allowed.
     fn search_all(
         &self,
         shadows: &[Detection],
         own: impl Fn(usize) -> Option<usize>,
         k: &Intrinsics,
         gate: Option<Gate>,
-    ) -> Option<(Hypothesis, u64)> {
+    ) -> Found {
         let targets = self.targets();
-        let search = Search { budget: BUDGET, ..self.search(&targets, shadows, own, k, gate) };
-        let found = search.run(|_, _| false);
-        found.hypotheses.into_iter().next().map(|best| (best, found.tried))
+        Search { budget: BUDGET, ..self.search(&targets, shadows, own, k, gate) }.run(|_, _| false)
     }
 }

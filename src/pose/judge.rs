@@ -10,15 +10,20 @@ use super::record::Pose;
 use super::refusal::{Points, Refusal, Rival};
 use super::search::Hypothesis;
 use super::settle::Settled;
+use super::solve::{Free, Options, solve};
 use super::verdict::{check_geometry, mirrored, rival};
 use crate::beads::DEFAULT_SIGMA_MM;
 
 /// Accidents expected, at most, behind an accepted match.
 const MOST_CHANCE: f64 = 0.01;
 /// χ² per degree of freedom, at most, of an accepted match: residuals three times what image noise and bead uncertainty allow.
-const MOST_CHI2_PER_DOF: f64 = 9.0;
+pub(super) const MOST_CHI2_PER_DOF: f64 = 9.0;
 /// Relative standard deviation of a solved focal length beyond which K is refused, and beyond which it is mentioned.
 const FOCAL_SIGMA: (f64, f64) = (0.10, 0.02);
+/// Standard deviations from what is stated of K beyond which it is said, and refused.
+const OFF_INTRINSICS: (f64, f64) = (3.3, 5.0);
+/// Share of a prior's variance that the beads must take away before they can contradict it.
+const LEAST_GAIN: f64 = 0.02;
 /// Standard deviations at the bead centroid, at most: rotation (degrees), shift across the beam, shift along it (mm).
 pub(super) const MOST_SIGMA: [f64; 3] = [3.0, 3.0, 40.0];
 
@@ -48,12 +53,14 @@ impl Case<'_> {
         };
         let chance = self.check_chance(candidate, &settled, &hypothesis)?;
         let (matched, rms_px) = (settled.matches.len(), hypothesis.rms_px);
+        let off_intrinsics = self.check_intrinsics(&settled)?;
         if !(settled.chi2_per_dof <= MOST_CHI2_PER_DOF) {
             let (times, limit) = (settled.chi2_per_dof.sqrt(), MOST_CHI2_PER_DOF.sqrt());
             return Err(Refusal::Residual { matched, rms_px, times, limit });
         }
         self.check_twins(candidate, &settled, &hypothesis)?;
-        let cautions = self.doubt(&settled, &hypothesis)?;
+        let mut cautions = self.doubt(&settled, &hypothesis)?;
+        cautions.extend(off_intrinsics);
         let covariance = &settled.solution.covariance * settled.chi2_per_dof.max(1.0);
         self.check_uncertainty(&settled, &covariance, notes)?;
         if settled.chi2_per_dof > 1.5 {
@@ -136,9 +143,39 @@ impl Case<'_> {
         Ok(())
     }
 
+    /// What the beads say of K against what is stated of it: a word where they differ, a refusal where they contradict each other.
+    ///
+    /// At the solution the deviation d of a number from its prior has the variance σ² − C, with σ of the prior and C after the beads; where
+    /// the beads add nothing, neither says anything.
+    fn check_intrinsics(&self, settled: &Settled) -> Result<Option<String>, Refusal> {
+        let Free::Known(prior) = self.request.free() else { return Ok(None) };
+        let full = Options { sigma_mm_share: 1.0, ..settled.options };
+        let last = &settled.solution;
+        let solution = solve(&settled.matches, &last.camera_from_lps, &last.intrinsics, &full).ok_or(Refusal::Unsolved)?;
+        // Beads that are worse than stated move K farther than stated.
+        let scale = (solution.chi2.iter().sum::<f64>() / (2 * settled.matches.len()) as f64).max(1.0);
+        let mut word = None;
+        for (n, (number, off_px, sigma_px)) in prior.deviations(&solution.intrinsics).into_iter().enumerate() {
+            let gained = sigma_px.powi(2) - solution.covariance[(6 + n, 6 + n)];
+            if !(gained > LEAST_GAIN * sigma_px.powi(2)) {
+                continue;
+            }
+            let times = off_px.abs() / (gained * scale).sqrt();
+            if !(times <= OFF_INTRINSICS.1) {
+                return Err(Refusal::IntrinsicsContradicted { number, off_px, sigma_px, times, limit: OFF_INTRINSICS.1 });
+            }
+            if times > OFF_INTRINSICS.0 {
+                word = Some(format!(
+                    "the beads put the {number} {off_px:+.1} px from where it is stated to be within {sigma_px:.1} px: check K, SID and pitch"
+                ));
+            }
+        }
+        Ok(word)
+    }
+
     fn check_uncertainty(&self, settled: &Settled, covariance: &DMatrix<f64>, notes: &mut Vec<String>) -> Result<(), Refusal> {
         let sigma = |n: usize| covariance[(n, n)].sqrt();
-        let known = self.request.intrinsics.is_some();
+        let known = self.request.free() == Free::Pose;
         if !known {
             let (focal_px, sigma_px) = (settled.solution.intrinsics.fx, sigma(6));
             if !(sigma_px / focal_px <= FOCAL_SIGMA.0) {

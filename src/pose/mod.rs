@@ -5,33 +5,47 @@
 //! too few beads, degenerate layouts, accidental and ambiguous matches are refused.
 
 mod accept;
+mod besides;
 mod bodies;
 mod case;
 mod doubt;
 mod flat;
+mod intrinsics_file;
 mod judge;
+mod on_panel;
+mod orientation;
 mod propose;
 mod record;
 mod refusal;
 mod register;
 mod request;
+mod straighten;
 mod search;
 mod settle;
 mod solve;
 mod start;
 mod tagged;
+mod together;
 mod transform;
 mod triangle;
 mod verdict;
 mod with_tags;
 
 pub use case::PRIOR_SIGMA;
+pub use intrinsics_file::{IntrinsicsFile, IntrinsicsSigma};
+pub use on_panel::read_console;
+pub use orientation::{Panel, SolvedConsole, solve_console, whole_binning};
 pub use record::{
-    BeadResidual, BodyPose, Covariance, IntrinsicsFile, LandmarkUncertainty, Pose, PoseFileError, Prior, Shadow, Status,
+    BeadResidual, BodyPose, Covariance, DetectorPose, LandmarkUncertainty, Pose, PoseFileError, Prior, Shadow, Status,
     TagResidual,
 };
-pub use refusal::{Points, Refusal, Rival};
+pub use refusal::{IntrinsicsNumber, Points, Refusal, Rival};
 pub use register::{intrinsics_of, register, register_masked, register_shadows};
 pub use request::Registration;
 pub use solve::{Free, IntrinsicsPrior};
+pub use together::{
+    Against, BeadVerdict, Bump, SeveralViews, SolvedBead, Together, TogetherRefusal, ViewAlone, register_together,
+};
+pub use triangle::align as align_triangles;
+pub use verdict::extents_mm;
 pub use with_tags::register_tagged;

@@ -2,7 +2,7 @@
 
 use super::case::Case;
 use super::record::Prior;
-use super::search::{Found, Hypothesis, Search};
+use super::search::{Found, Gate, Hypothesis, Search, information_about_each};
 use super::solve::{Free, Match, Options, Solution, solve};
 use super::transform;
 use crate::beads::Detection;
@@ -12,6 +12,11 @@ use crate::geometry::{Intrinsics, Rigid};
 const FOCAL_GUESSES: [f64; 6] = [1.6, 2.3, 3.3, 4.7, 6.7, 9.5];
 /// How far a guessed K may put a bead off, px in a frame of 620, and a solved one.
 const GUESS_SLACK_PX: (f64, f64) = (6.0, 1.0);
+
+/// Standard deviations of a prior while K is a guess: turn (rad), across (mm), along the beam as a share of the depth; and the squared
+/// deviation from it.
+const GUESS_SIGMA: (f64, f64, f64) = (8.0 * std::f64::consts::PI / 180.0, 30.0, 0.3);
+const GUESS_LIMIT: f64 = 20.0;
 
 /// A match with what the search knows of it.
 pub(super) struct Candidate {
@@ -25,20 +30,30 @@ impl Case<'_> {
     /// The best match, near `prior` if there is one.
     pub fn propose(&self, prior: Option<&Prior>) -> Option<Candidate> {
         match self.request.intrinsics {
-            Some(k) => self.find(&k, 0.0, prior),
-            None => self.find_without_intrinsics(),
+            Some(k) => self.find(&k, self.slack_px(), prior.map(|prior| self.gate(prior))),
+            // What fits near the prior goes before what fits better elsewhere.
+            None => {
+                prior.and_then(|prior| self.find_without_intrinsics(Some(prior))).or_else(|| self.find_without_intrinsics(None))
+            }
         }
     }
 
-    fn find(&self, k: &Intrinsics, slack_px: f64, prior: Option<&Prior>) -> Option<Candidate> {
+    /// How far K's own uncertainty may put a bead off beyond what turn, shift and depth make up for: three σ of the focal length act on
+    /// differences of depth, a tenth of the depth or so.
+    fn slack_px(&self) -> f64 {
+        let [width, height] = self.request.size_px.map(f64::from);
+        let relative = self.request.intrinsics_prior.map_or(0.0, |prior| prior.focal_sigma_px / prior.mean.fx);
+        3.0 * relative * 0.1 * 0.5 * width.hypot(height)
+    }
+
+    fn find(&self, k: &Intrinsics, slack_px: f64, gate: Option<Gate>) -> Option<Candidate> {
         let targets = self.targets();
-        let gate = prior.map(|prior| self.gate(prior));
         let search = Search { slack_px, ..self.search(&targets, self.detections, Some, k, gate) };
         let enough = |best: &Hypothesis, tried: u64| {
             let count = best.matches.len();
             count >= 5 && 10 * count >= 7 * best.in_view && self.chance_of(best, tried) < 1e-6
         };
-        let Found { hypotheses, tried } = search.run(enough);
+        let Found { hypotheses, tried, .. } = search.run(enough);
         let mut all = hypotheses.into_iter();
         let best = all.next()?;
         let mut others: Vec<Hypothesis> = all.collect();
@@ -56,14 +71,20 @@ impl Case<'_> {
     }
 
     /// K unknown: a few focal lengths with the principal point in the middle are close enough to find the match.
-    fn find_without_intrinsics(&self) -> Option<Candidate> {
+    fn find_without_intrinsics(&self, prior: Option<&Prior>) -> Option<Candidate> {
+        let gate = prior.map(|prior| {
+            let centre = prior.camera_from_lps.transform_point(self.request.layout.centroid_lps_mm());
+            let information =
+                information_about_each(centre, GUESS_SIGMA.0, [GUESS_SIGMA.1, GUESS_SIGMA.1, GUESS_SIGMA.2 * centre.z]);
+            Gate { camera_from_lps: prior.camera_from_lps, information, limit: GUESS_LIMIT }
+        });
         let [width, height] = self.request.size_px.map(f64::from);
         let mut best: Option<Candidate> = None;
         let mut tried = 0;
         for guess in FOCAL_GUESSES {
             let fx = guess * width.max(height);
             let k = Intrinsics { fx, fy: fx, skew: 0.0, cx: 0.5 * (width - 1.0), cy: 0.5 * (height - 1.0) };
-            let Some(mut found) = self.find(&k, GUESS_SLACK_PX.0 * width.max(height) / 620.0, None) else { continue };
+            let Some(mut found) = self.find(&k, GUESS_SLACK_PX.0 * width.max(height) / 620.0, gate) else { continue };
             tried += found.tried;
             let key = |c: &Candidate| (c.hypothesis.matches.len() as f64) * 100.0 - c.hypothesis.rms_px;
             if let Some(solved) = solve_intrinsics(&found.hypothesis.matches, &found.hypothesis.camera_from_lps, &k) {
@@ -79,7 +100,7 @@ impl Case<'_> {
         let mut best = best?;
         best.tried = tried;
         // With K near the truth, the beads that the guess put too far off are found as well.
-        if let Some(again) = self.find(&best.intrinsics, GUESS_SLACK_PX.1, None)
+        if let Some(again) = self.find(&best.intrinsics, GUESS_SLACK_PX.1, gate)
             && again.hypothesis.matches.len() >= best.hypothesis.matches.len()
         {
             best = Candidate { tried: tried + again.tried, ..again };

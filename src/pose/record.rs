@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::refusal::Refusal;
 use crate::beads::Detection;
 use crate::beads::tags::Family;
-use crate::geometry::{Intrinsics, Projection, Rigid};
+use crate::geometry::{ConsoleGeometry, Intrinsics, Projection, Rigid};
 use crate::image::{ImageFileError, write_atomically};
 
 /// Why a pose, prior or intrinsics file is unusable.
@@ -170,6 +170,29 @@ pub struct LandmarkUncertainty {
     pub sigma_px: Option<[f64; 2]>,
 }
 
+/// The pose in the panel's own pixels and axes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DetectorPose {
+    /// Pixels of the picture as the console stored it to pixels of the panel, homogeneous rows; centres at integers.
+    pub detector_from_image: [[f64; 3]; 3],
+    /// Columns and rows of the panel, if known.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub size_px: Option<[u32; 2]>,
+    /// P: `lps` mm to `detector` px; absent when refused.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub projection: Option<Projection>,
+    /// K of the panel.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub intrinsics: Option<Intrinsics>,
+    /// The specimen in the camera whose columns and rows are the panel's.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub camera_from_lps: Option<Rigid>,
+    /// Of ξ of that camera.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub covariance: Option<Covariance>,
+}
+
 /// The result of a registration; the file of DESIGN §7. Refused poses carry no projection.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -191,7 +214,7 @@ pub struct Pose {
     /// K.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub intrinsics: Option<Intrinsics>,
-    /// Where K comes from: `given`, or `solved`.
+    /// Where K comes from: `given`, `solved`, or `solved with priors`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub intrinsics_source: Option<String>,
     /// Standard deviations of solved (fx, fy, cx, cy), px.
@@ -236,6 +259,15 @@ pub struct Pose {
     pub shadows: Vec<Shadow>,
     /// Whether the prior entered as a measurement.
     pub fused: bool,
+    /// The picture was stored mirrored; `image` is the un-mirrored one.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub mirrored: bool,
+    /// What the console did to the picture, where it was stated or solved; `image` is the picture with quarter turns and mirroring undone.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub console: Option<ConsoleGeometry>,
+    /// The same pose in the panel's own pixels and axes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub detector: Option<DetectorPose>,
     /// Assumptions and warnings.
     pub notes: Vec<String>,
     /// Software that wrote it.
@@ -331,7 +363,12 @@ impl Prior {
         let why = if refused { ": the pose was refused".to_owned() } else { String::new() };
         let camera_from_lps =
             pose.camera_from_lps.filter(|_| !refused).ok_or(PoseFileError::NoPose { path: path.to_owned(), why })?;
-        let prior = Self { camera_from_lps, covariance: pose.covariance };
+        // What is expected is expected of the panel, whatever a console did to the picture.
+        let (camera_from_lps, covariance) = match pose.detector {
+            Some(detector) => (detector.camera_from_lps.unwrap_or(camera_from_lps), detector.covariance),
+            None => (camera_from_lps, pose.covariance),
+        };
+        let prior = Self { camera_from_lps, covariance };
         if let Some(detail) = prior.fault() {
             return Err(PoseFileError::Covariance { path: path.to_owned(), detail });
         }
@@ -359,38 +396,8 @@ impl Prior {
     }
 }
 
-/// The file of K: `{"intrinsics": 3×3, "size_px": [columns, rows], "pitch_mm": …}`.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct IntrinsicsFile {
-    /// K.
-    pub intrinsics: Intrinsics,
-    /// Frame it is for.
-    #[serde(default)]
-    pub size_px: Option<[u32; 2]>,
-    /// Side of a pixel.
-    #[serde(default)]
-    pub pitch_mm: Option<f64>,
-}
-
-impl IntrinsicsFile {
-    /// Reads a file.
-    ///
-    /// # Errors
-    /// When it cannot be read, is not JSON, holds unknown keys, or K or the pitch is impossible.
-    pub fn read(path: &Path) -> Result<Self, PoseFileError> {
-        let file: Self = read_json(path)?;
-        if let Some(pitch) = file.pitch_mm
-            && !(pitch > 0.0 && pitch.is_finite())
-        {
-            let message = format!("pitch is {pitch} mm, it must be positive");
-            return Err(PoseFileError::Form { path: path.to_owned(), place: "pitch_mm".to_owned(), message });
-        }
-        Ok(file)
-    }
-}
-
-fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, PoseFileError> {
+/// Reads a JSON file; errors name the key.
+pub(super) fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, PoseFileError> {
     let bytes = std::fs::read(path).map_err(|source| PoseFileError::Read { path: path.to_owned(), source })?;
     let mut deserializer = serde_json::Deserializer::from_slice(&bytes);
     let value = serde_path_to_error::deserialize(&mut deserializer).map_err(|error| PoseFileError::Form {

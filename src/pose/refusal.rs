@@ -33,6 +33,28 @@ pub enum Rival {
     SecondSet,
 }
 
+/// One of K's numbers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum IntrinsicsNumber {
+    /// In px: the distance from source to detector over the pitch.
+    FocalLength,
+    /// Column of the principal point.
+    PrincipalColumn,
+    /// Row of the principal point.
+    PrincipalRow,
+}
+
+impl std::fmt::Display for IntrinsicsNumber {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::FocalLength => "focal length",
+            Self::PrincipalColumn => "principal point's column",
+            Self::PrincipalRow => "principal point's row",
+        })
+    }
+}
+
 /// A refusal. In a pose's file it is an object with the key `code`.
 #[derive(Clone, Debug, PartialEq, thiserror::Error, Serialize, Deserialize)]
 #[serde(tag = "code", rename_all = "snake_case")]
@@ -133,11 +155,26 @@ pub enum Refusal {
         percent = 100.0 * (focal_ratio - 1.0).abs(), way = if *focal_ratio < 1.0 { "shorter" } else { "longer" }
     )]
     Intrinsics { given_px: f64, freed_px: f64, focal_ratio: f64, shift_px: f64 },
+    /// The beads contradict what is stated of K with its standard deviations.
+    #[error(
+        "intrinsics_contradicted: the beads put the {number} {off_px:+.1} px from where it is stated to be within {sigma_px:.1} px, {times:.1} standard deviations of what they can tell (limit {limit:.0}); check K, SID, pitch, their sigma, and whether the frame is binned or cropped"
+    )]
+    IntrinsicsContradicted { number: IntrinsicsNumber, off_px: f64, sigma_px: f64, times: f64, limit: f64 },
     /// The mirror image fits better.
     #[error(
         "mirrored: {mirrored} beads fit the frame's mirror image to {rms_px:.2} px, {matched} the frame itself; un-mirror it at the console, state the console's geometry in the session, or correct the layout if its axes are negated"
     )]
     Mirrored { mirrored: usize, rms_px: f64, matched: usize },
+    /// No way of turning and mirroring the picture gives a pose.
+    #[error(
+        "console: the picture gives no pose however it is turned, neither as it is stored ({as_stored}) nor mirrored ({mirrored}); state what the console did"
+    )]
+    NoOrientation { as_stored: String, mirrored: String },
+    /// The picture and its mirror image both give one.
+    #[error(
+        "ambiguous: the layout fits the picture as it is stored ({matched} beads, {rms_px:.2} px) and mirrored ({other_matched} beads, {other_px:.2} px); state what the console did"
+    )]
+    EitherOrientation { matched: usize, rms_px: f64, other_matched: usize, other_px: f64 },
     /// A body has moved, and the request takes all as one.
     #[error(
         "bodies: {body} has moved against {reference} since the scan, by {angle_deg:.2}° and {shift_mm:.2} mm, and both are to be one rigid specimen; leave --one-body out, or register on the beads of one body"

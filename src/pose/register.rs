@@ -8,7 +8,7 @@ use super::record::{Pose, Prior};
 use super::refusal::Refusal;
 use super::request::Registration;
 use crate::acquire::Frame;
-use crate::beads::{Detection, Polarity, Probe, detect};
+use crate::beads::{Detection, Detections, Polarity, Probe, detect};
 use crate::geometry::{Intrinsics, Rigid};
 use crate::mask::{self, Cause, Masks};
 
@@ -24,14 +24,21 @@ pub fn register(request: &Registration, frame: &Frame) -> Pose {
 /// [`register`] where the frame's masks are known.
 #[must_use]
 pub fn register_masked(request: &Registration, frame: &Frame, masks: &Masks) -> Pose {
-    if let Some(fault) = request.fault() {
-        return request.refuse(&fault);
-    }
+    let pose = match request.fault() {
+        Some(fault) => request.refuse(&fault),
+        None => either_polarity(request, frame, masks),
+    };
+    pose.on_panel(frame)
+}
+
+fn either_polarity(request: &Registration, frame: &Frame, masks: &Masks) -> Pose {
     // A bead before clipped air is still a shadow, and a row of beads clipped to black looks like writing; writing has no round shadows.
     // What is behind the shutters or dead is none.
     let [width, height] = frame.size_px;
     let usable = masks.usable(width, height, &[Cause::Saturation, Cause::NoSignal, Cause::BurnedIn]);
-    let detections = detect(frame, Some(&usable), &request.expectation());
+    let found = detect(frame, Some(&usable), &request.expectation());
+    let straight = |shadows| request.straight_shadows(shadows);
+    let detections = Detections { found: straight(found.found), opposite: straight(found.opposite), ..found };
     let probe = |polarity| Some(Probe::new(frame, &usable, polarity));
     let mut pose = attempt(request, &detections.found, probe(detections.polarity));
     pose.notes.insert(0, detections.evidence.clone());

@@ -4,9 +4,10 @@ use glam::DVec3;
 
 use super::record::{BeadResidual, Pose, Prior, Status};
 use super::refusal::{Points, Refusal};
+use super::solve::{Free, IntrinsicsPrior};
 use super::verdict::check_geometry;
 use crate::beads::{Bead, BeadLayout, Correspondence, Expectation, Landmark};
-use crate::geometry::Intrinsics;
+use crate::geometry::{Distortion, Intrinsics};
 
 /// Everything that is known besides the picture.
 #[derive(Clone, Copy, Debug)]
@@ -17,8 +18,13 @@ pub struct Registration<'a> {
     pub layout: &'a BeadLayout,
     /// K of the frame; `None`: solved, which takes six beads that are not coplanar.
     pub intrinsics: Option<Intrinsics>,
+    /// How sure `intrinsics` is, which is its mean: K is solved with this prior. `None`: it is known.
+    pub intrinsics_prior: Option<IntrinsicsPrior>,
     /// Side of a pixel: bounds depths (no bead lies behind the detector) and makes pixels square when K is solved.
     pub pitch_mm: Option<f64>,
+    /// What an image intensifier did to the frame. Places found in it, or marked by a person, are undistorted before anything is solved:
+    /// K, P and all places of the pose are those of the undistorted picture.
+    pub distortion: Option<&'a Distortion>,
     /// Where the pose is expected.
     pub prior: Option<&'a Prior>,
     /// Whether the prior is also a measurement.
@@ -43,7 +49,9 @@ impl<'a> Registration<'a> {
             size_px,
             layout,
             intrinsics: None,
+            intrinsics_prior: None,
             pitch_mm: None,
+            distortion: None,
             prior: None,
             fuse: false,
             ignore_prior: false,
@@ -57,6 +65,16 @@ impl<'a> Registration<'a> {
     /// Fewest beads that give a pose.
     pub(super) fn fewest(&self) -> usize {
         if self.intrinsics.is_some() { 4 } else { 6 }
+    }
+
+    /// What of K is solved.
+    pub(super) fn free(&self) -> Free {
+        match (self.intrinsics, self.intrinsics_prior) {
+            // Detectors have square pixels; a second focal length would mostly fit noise.
+            (None, _) => Free::Square,
+            (Some(mean), Some(prior)) => Free::Known(IntrinsicsPrior { mean, ..prior }),
+            (Some(_), None) => Free::Pose,
+        }
     }
 
     /// What no picture can make good.
@@ -104,7 +122,8 @@ impl<'a> Registration<'a> {
     }
 
     /// The answer that there is no pose.
-    pub(super) fn refuse(&self, refusal: &Refusal) -> Pose {
+    #[must_use]
+    pub fn refuse(&self, refusal: &Refusal) -> Pose {
         let beads = self.layout.beads.iter().map(|bead| self.row(bead, "no pose"));
         Pose {
             status: Status::Refused,
@@ -131,7 +150,7 @@ impl<'a> Registration<'a> {
 
     /// Size of the beads' shadows.
     pub(super) fn expectation(&self) -> Expectation {
-        Expectation { radius_px: self.radius_px() }
+        Expectation { radius_px: self.radius_px(), ..Expectation::default() }
     }
 
     fn radius_px(&self) -> Option<(f64, f64)> {

@@ -64,6 +64,8 @@ pub struct Found {
     pub hypotheses: Vec<Hypothesis>,
     /// Poses that were verified: the number of chances an accident had.
     pub tried: u64,
+    /// The budget ran out before all triples were tried.
+    pub cut_short: bool,
 }
 
 /// Cost of a bead in view without a shadow (two degrees of freedom: beyond all noise).
@@ -86,7 +88,7 @@ impl Search<'_> {
         let rays: Vec<DVec2> =
             self.detections.iter().map(|d| self.intrinsics.unproject(d.image_px)).map(|p| DVec2::new(p.x, p.y)).collect();
         let mut best: Vec<Hypothesis> = Vec::new();
-        let (mut tried, mut solved) = (0u64, 0u64);
+        let (mut tried, mut solved, mut cut_short) = (0u64, 0u64, false);
         for (batch, chunk) in triples.chunks(BATCH).enumerate() {
             let results: Vec<(Vec<Raw>, u64, u64)> =
                 chunk.par_iter().enumerate().map(|(n, triple)| self.try_triple(batch * BATCH + n, *triple, &rays)).collect();
@@ -102,11 +104,12 @@ impl Search<'_> {
             best.extend(refined);
             best = distinct(best);
             best.truncate(60);
-            if best.first().is_some_and(|first| enough(first, tried)) || solved > self.budget {
+            cut_short = solved > self.budget;
+            if best.first().is_some_and(|first| enough(first, tried)) || cut_short {
                 break;
             }
         }
-        Found { hypotheses: best, tried }
+        Found { hypotheses: best, tried, cut_short }
     }
 
     /// Whether a bead and a shadow may belong together by what a person has pinned.
@@ -356,10 +359,15 @@ fn distinct(mut all: Vec<Hypothesis>) -> Vec<Hypothesis> {
 
 /// Information about ξ in `camera` from standard deviations about `centre`.
 pub fn information_about(centre: DVec3, rotation_rad: f64, shift_mm: f64) -> Matrix6<f64> {
+    information_about_each(centre, rotation_rad, [shift_mm; 3])
+}
+
+/// [`information_about`] with shifts along x, y and z of their own.
+pub fn information_about_each(centre: DVec3, rotation_rad: f64, shift_mm: [f64; 3]) -> Matrix6<f64> {
     let mut local = Matrix6::zeros();
     for n in 0..3 {
         local[(n, n)] = rotation_rad.powi(-2);
-        local[(n + 3, n + 3)] = shift_mm.powi(-2);
+        local[(n + 3, n + 3)] = shift_mm[n].powi(-2);
     }
     let t = about(centre);
     t.transpose() * local * t

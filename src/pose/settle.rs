@@ -43,7 +43,7 @@ impl Settled {
 impl Case<'_> {
     /// Solves from every start there is, leaves out beads that do not fit, weighs with what is left.
     pub fn settle(&self, candidate: &Candidate) -> Option<Settled> {
-        let free = self.free();
+        let free = self.request.free();
         let fewest = self.request.fewest();
         let mut matches = candidate.hypothesis.matches.clone();
         if matches.len() < fewest {

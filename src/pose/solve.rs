@@ -5,8 +5,9 @@
 use glam::{DMat3, DVec2, DVec3};
 use nalgebra::{DMatrix, Matrix2, Matrix2x3, Matrix3, Matrix6, Vector2};
 
+use super::refusal::IntrinsicsNumber;
 use crate::estimate::{BeadImage, Freedom, LeftOut, Loss, Place, PoseBlock, PosePrior, Problem, Reading, Settings, VectorBlock};
-use crate::geometry::{Intrinsics, Rigid};
+use crate::geometry::{Intrinsics, PanelWindow, Rigid};
 
 pub use crate::estimate::{about, deviation};
 
@@ -42,6 +43,43 @@ impl IntrinsicsPrior {
         let ratio = mean.fy / mean.fx;
         let mean = Intrinsics { fx: focal_px, fy: focal_px * ratio, ..mean };
         Self { mean, focal_sigma_px: focal_px * relative, centre_sigma_px: [centre_sigma_px; 2] }
+    }
+
+    /// K of the same detector with `factor` × `factor` pixels averaged into one.
+    #[must_use]
+    pub fn binned(&self, factor: f64) -> Self {
+        Self {
+            mean: self.mean.binned(factor),
+            focal_sigma_px: self.focal_sigma_px / factor,
+            centre_sigma_px: self.centre_sigma_px.map(|sigma| sigma / factor),
+        }
+    }
+
+    /// K of a picture that a console made of the detector's.
+    #[must_use]
+    pub fn seen_through(&self, window: &PanelWindow) -> Self {
+        Self {
+            mean: window.intrinsics(&self.mean).0,
+            focal_sigma_px: self.focal_sigma_px / window.step,
+            centre_sigma_px: self.centre_sigma_px.map(|sigma| sigma / window.step),
+        }
+    }
+
+    /// The prior as a residual of K's numbers (fx, fy, skew, cx, cy).
+    pub(super) fn reading(&self, intrinsics: VectorBlock) -> Reading {
+        let sigmas = [self.focal_sigma_px, self.centre_sigma_px[0], self.centre_sigma_px[1]];
+        let information = DMatrix::from_fn(3, 3, |i, j| if i == j { sigmas[i].powi(-2) } else { 0.0 });
+        Reading::of_some(intrinsics, vec![0, 3, 4], &[self.mean.fx, self.mean.cx, self.mean.cy], information)
+    }
+
+    /// What the prior says of `solved`'s numbers: name, solved minus stated, standard deviation, px.
+    pub(super) fn deviations(&self, solved: &Intrinsics) -> [(IntrinsicsNumber, f64, f64); 3] {
+        let [column, row] = self.centre_sigma_px;
+        [
+            (IntrinsicsNumber::FocalLength, solved.fx - self.mean.fx, self.focal_sigma_px),
+            (IntrinsicsNumber::PrincipalColumn, solved.cx - self.mean.cx, column),
+            (IntrinsicsNumber::PrincipalRow, solved.cy - self.mean.cy, row),
+        ]
     }
 }
 
@@ -146,6 +184,12 @@ pub fn point_by_pose(p: DVec3, centre: DVec3) -> nalgebra::Matrix3x6<f64> {
     rows
 }
 
+/// K of square pixels, or of pixels of fixed shape: fy follows fx; columns f, cx, cy.
+pub fn square_pixels(k: &Intrinsics) -> Freedom {
+    let shares = [1.0, 0.0, 0.0, k.fy / k.fx, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+    Freedom::Along(DMatrix::from_row_slice(5, 3, &shares))
+}
+
 /// The problem, with bead n as residual n and the priors behind them.
 fn problem<'a>(matches: &[Match], start: &Rigid, k: &Intrinsics, options: &Options) -> (Problem<'a>, PoseBlock, VectorBlock) {
     let mean_lps = matches.iter().map(|m| m.lps_mm).sum::<DVec3>() / matches.len().max(1) as f64;
@@ -153,12 +197,7 @@ fn problem<'a>(matches: &[Match], start: &Rigid, k: &Intrinsics, options: &Optio
     let camera = problem.pose("camera_from_lps", *start, mean_lps, true);
     let freedom = match options.free {
         Free::Pose => Freedom::Constant,
-        // fy follows fx; columns f, cx, cy.
-        Free::Square | Free::Known(_) => Freedom::Along(DMatrix::from_row_slice(
-            5,
-            3,
-            &[1.0, 0.0, 0.0, k.fy / k.fx, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-        )),
+        Free::Square | Free::Known(_) => square_pixels(k),
     };
     let intrinsics = problem.vector("intrinsics", &[k.fx, k.fy, k.skew, k.cx, k.cy], freedom);
     let loss = if options.loss.is_finite() { Loss::Cauchy(options.loss) } else { Loss::None };
@@ -172,10 +211,7 @@ fn problem<'a>(matches: &[Match], start: &Rigid, k: &Intrinsics, options: &Optio
         problem.add(PosePrior::new(camera, measured.camera_from_lps, measured.information), Loss::None);
     }
     if let Free::Known(prior) = options.free {
-        let sigmas = [prior.focal_sigma_px, prior.centre_sigma_px[0], prior.centre_sigma_px[1]];
-        let information = DMatrix::from_fn(3, 3, |i, j| if i == j { sigmas[i].powi(-2) } else { 0.0 });
-        let mean = [prior.mean.fx, prior.mean.cx, prior.mean.cy];
-        problem.add(Reading::of_some(intrinsics, vec![0, 3, 4], &mean, information), Loss::None);
+        problem.add(prior.reading(intrinsics), Loss::None);
     }
     (problem, camera, intrinsics)
 }

@@ -75,8 +75,9 @@ fn newton(points: &[DVec3; 3], images: &[DVec2; 3], start: [f64; 3]) -> Option<R
     align(points, &at)
 }
 
-/// The rigid motion that takes triangle `from` to its copy `to`.
-fn align(from: &[DVec3; 3], to: &[DVec3; 3]) -> Option<Rigid> {
+/// The rigid motion that takes triangle `from` to its copy `to`; `None` where the corners of one lie on a line.
+#[must_use]
+pub fn align(from: &[DVec3; 3], to: &[DVec3; 3]) -> Option<Rigid> {
     let frame = |p: &[DVec3; 3]| {
         let x = (p[1] - p[0]).normalize();
         let z = x.cross(p[2] - p[0]);

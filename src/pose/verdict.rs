@@ -25,6 +25,12 @@ pub fn spread(points: &[DVec3]) -> ([f64; 3], DVec3) {
     (order.map(|n| eigen.eigenvalues[n].max(0.0).sqrt()), DVec3::new(axis[0], axis[1], axis[2]))
 }
 
+/// Standard deviations of points along their principal axes, largest first.
+#[must_use]
+pub fn extents_mm(points: &[DVec3]) -> [f64; 3] {
+    spread(points).0
+}
+
 /// Points closer than this are one point.
 const COINCIDENT_MM: f64 = 0.05;
 /// A layout whose second (third) extent is below this share of its first is a line (a plane).

@@ -22,9 +22,14 @@ const WITNESSES: usize = 2;
 /// χ² per degree of freedom of the corners up to which tags alone give a pose.
 const MOST_CHI2_PER_DOF: f64 = 9.0;
 
-/// [`register_masked`] with the tags that `seen` shows of those in `layout`. Without beads the pose is that of the tags.
+/// [`register_masked`] with the tags that `seen` shows of those in `layout`. Without beads the pose is that of the tags. K is taken as it
+/// is stated: of a tag's corners nobody knows how they share K's uncertainty with the beads.
 #[must_use]
 pub fn register_tagged(request: &Registration, frame: &Frame, masks: &Masks, layout: &TagLayout, seen: &[SeenTag]) -> Pose {
+    let request = &Registration { intrinsics_prior: None, ..*request };
+
+    let seen = &request.straight_tags(seen);
+
     let views = views(layout, seen);
     let tags = Tags { request, layout, seen, views: &views, pose: pose_of(request, layout, seen, &views) };
     let pose = if request.layout.beads.is_empty() {
@@ -33,7 +38,7 @@ pub fn register_tagged(request: &Registration, frame: &Frame, masks: &Masks, lay
         let pose = tags.beads(frame, masks);
         if pose.is_accepted() { tags.confront(pose) } else { tags.instead_of(pose) }
     };
-    tags.record(pose)
+    tags.record(pose).on_panel(frame)
 }
 
 fn pose_of(request: &Registration, layout: &TagLayout, seen: &[SeenTag], views: &[View]) -> Result<TagPose, Refusal> {

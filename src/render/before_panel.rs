@@ -1,8 +1,8 @@
-//! The scene as stated errors mean it: line integrals of what arrives, before the panel blurs, cuts or digitises it.
+//! The scene as stated errors mean it: line integrals of what arrives, before the panel distorts, blurs, cuts or digitises it.
 
 use crate::scene::model::{Noise, Scene};
 
-/// `scene` without noise, collimation, and the blur of focal spot and scintillator; heel, bow-tie and the scintillator's absorption, which act on
+/// `scene` without noise, collimation, intensifier, and the blur of focal spot and scintillator; heel, bow-tie and the scintillator's absorption, which act on
 /// each ray's spectrum, stay.
 #[must_use]
 pub fn before_panel(scene: &Scene) -> Scene {
@@ -11,6 +11,7 @@ pub fn before_panel(scene: &Scene) -> Scene {
     before.beam.shape.field = None;
     before.beam.shape.focal_spot_mm = [0.0; 2];
     before.detector.panel.blur_fwhm_mm = 0.0;
+    before.detector.panel.intensifier = None;
     before
 }
 
@@ -18,6 +19,6 @@ pub fn before_panel(scene: &Scene) -> Scene {
 #[must_use]
 pub fn is_before_panel(scene: &Scene) -> bool {
     let (shape, panel) = (&scene.beam.shape, &scene.detector.panel);
-    let spread = shape.focal_spot_mm != [0.0; 2] || panel.blur_fwhm_mm != 0.0;
+    let spread = shape.focal_spot_mm != [0.0; 2] || panel.blur_fwhm_mm != 0.0 || panel.intensifier.is_some();
     scene.model.noise == Noise::Off && shape.field.is_none() && !spread
 }

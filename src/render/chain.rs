@@ -121,6 +121,12 @@ pub(super) fn choices(scene: &Scene, quantity: Quantity) -> Vec<Choice> {
     let blurred =
         if scene.model.noise == Noise::Off { "of the signal" } else { "of signal and quantum noise, which it correlates" };
     choose("blur of the scintillator", panel.blur_fwhm_mm > 0.0, Some(blurred.to_owned()), "");
+    let glare = panel.intensifier.as_ref().and_then(|intensifier| intensifier.glare);
+    let glare = glare.map_or("no veiling glare, which was not measured".to_owned(), |glare| {
+        format!("veiling glare of {:.1} % over {:.0} px, without noise of its own", 100.0 * glare.fraction, glare.scale_px)
+    });
+    let how = format!("bilinear in intensity, on top of the stated error; nothing outside the disc; {glare}");
+    choose("image intensifier", panel.intensifier.is_some(), Some(how), "");
     let clip = |how: &str| (quantity == Quantity::Counts).then(|| how.to_owned());
     let counts_only = "acts on counts only";
     choose("saturation", panel.saturation.is_some(), clip("signals above it are cut"), counts_only);

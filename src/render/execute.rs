@@ -14,7 +14,7 @@ use super::renderer::{Options, Rendered, Renderer};
 use super::spectrum::Bins;
 use super::survey::every;
 use super::wgsl::{self, Executed, NoiseKey, Request, WgslExecutor};
-use super::{Quantity, RenderError, chain, cut_faces, flood, reference};
+use super::{Quantity, RenderError, chain, cut_faces, flood, intensifier, reference};
 use crate::geometry::View;
 use crate::gpu::{Device, cpu_name};
 use crate::image::Image;
@@ -116,13 +116,21 @@ impl Renderer {
         let pages: Vec<Image<f32>> = match &bins {
             None => area_pages(&cast.density).into_iter().map(image).collect(),
             Some(bins) => {
-                let photons = noisy || plan.quantity == Quantity::Counts;
+                let intensifier = intensifier::of_view(scene, &view)?;
+                let glares = intensifier.as_ref().is_some_and(|intensifier| intensifier.glare.is_some());
+                let photons = noisy || plan.quantity == Quantity::Counts || glares;
                 let made_by = (plan.energy_nodes.as_slice(), plan.executor);
-                let flood = stages.measure("shape_beam", || {
+                let mut flood = stages.measure("shape_beam", || {
                     chain::shape(scene, &view, made_by, &cast.density, bins, &mut cast.signal, photons)
                 })?;
+                if let Some(intensifier) = &intensifier {
+                    stages.measure("distort", || {
+                        intensifier::distort(intensifier, &mut cast.signal, &mut flood, &mut valid.pixels)
+                    });
+                    notes.extend(intensifier.note.clone());
+                }
                 chain::close(&flood, &mut valid.pixels, &mut notes);
-                let noise = if noisy {
+                let mut noise = if noisy {
                     stages.measure("add_noise", || {
                         let deviates = cast.deviates.filter(|_| flood::is_plain(scene)).unwrap_or_else(|| {
                             add_noise(&detector::expected_photons(&cast.signal, &flood), plan.seed, plan.frame_index)
@@ -143,7 +151,10 @@ impl Renderer {
                     counts.add_noise += non_finite::count(&noise);
                 }
                 let page = stages.measure("detect", || {
-                    let line = detector::seen_line_integral(scene, &view, &cast.signal.line_integral, &flood);
+                    let mut line = detector::seen_line_integral(scene, &view, &cast.signal.line_integral, &flood);
+                    if let Some(intensifier) = &intensifier {
+                        intensifier::veil(intensifier, &mut line, &mut noise, &mut flood);
+                    }
                     detector::page(scene, plan.quantity, &line, &noise, &flood)
                 });
                 chain::note_clipped(scene, plan.quantity, &page, &flood, &mut notes);

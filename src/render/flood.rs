@@ -53,6 +53,20 @@ impl Flood {
         f64::from(self.photons[pixel]) * self.response(pixel) / self.principal_response
     }
 
+    /// Puts every map on another raster.
+    pub(super) fn resample(&mut self, onto: impl Fn(&[f32]) -> Vec<f32>) {
+        for map in [&mut self.photons, &mut self.responses, &mut self.open] {
+            if !map.is_empty() {
+                *map = onto(map);
+            }
+        }
+    }
+
+    /// Makes `pixel` brighter by `factor`.
+    pub(super) fn brighten(&mut self, pixel: usize, factor: f64) {
+        self.photons[pixel] = (f64::from(self.photons[pixel]) * factor) as f32;
+    }
+
     /// Share of `pixel` that is open.
     #[must_use]
     pub fn open(&self, pixel: usize) -> f64 {
@@ -83,6 +97,7 @@ pub fn is_plain(scene: &Scene) -> bool {
         && shape.focal_spot_mm == [0.0; 2]
         && panel.scintillator.is_none()
         && panel.grid.is_none()
+        && panel.intensifier.is_none()
 }
 
 /// Weights by energy of the detected photons, and what heel and bow-tie do to them.

@@ -20,6 +20,7 @@ pub mod explain;
 mod face_sums;
 pub mod fits;
 pub mod flood;
+mod intensifier;
 pub mod meshes;
 pub mod non_finite;
 pub mod outline;
@@ -36,6 +37,7 @@ pub mod steep;
 pub mod survey;
 pub mod tiles;
 pub mod trade;
+pub mod veil;
 mod volumes;
 pub mod wgsl;
 pub mod ways;
@@ -104,6 +106,12 @@ pub enum RenderError {
         fx: f64,
         /// Pixel pitch.
         pitch_mm: f64,
+    },
+    /// The intensifier was measured in another picture.
+    #[error("detector.intensifier: {detail}")]
+    Intensifier {
+        /// What does not fit.
+        detail: String,
     },
     /// The spectrum is empty.
     #[error("beam: no photons in the spectrum")]

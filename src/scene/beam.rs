@@ -63,7 +63,7 @@ pub(super) fn beam(file: &BeamFile, files: &mut Files, reporter: &Reporter) -> R
 }
 
 /// The detector; its pitch is NaN where the file gives none.
-pub(super) fn detector(file: &DetectorFile, files: &Files) -> Result<Detector, SceneError> {
+pub(super) fn detector(file: &DetectorFile, files: &mut Files) -> Result<Detector, SceneError> {
     if let Some(pitch_mm) = file.pitch_mm {
         check(pitch_mm > 0.0 && pitch_mm <= 100.0, files, "detector.pitch_mm", pitch_mm, "above 0, at most 100 mm")?;
     }

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use super::physics::PhysicsError;
-use crate::geometry::{CameraError, CarmCalibrationError, RobotModelError};
+use crate::geometry::{CameraError, CarmCalibrationError, IntensifierError, RobotModelError};
 
 /// Why a scene, or a file that it names, cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -67,6 +67,14 @@ pub enum SceneError {
         place: String,
         /// What is wrong.
         source: PhysicsError,
+    },
+    /// The calibration of an image intensifier does not fit.
+    #[error("{place}: {source}")]
+    Intensifier {
+        /// File and key.
+        place: String,
+        /// What is wrong.
+        source: Box<IntensifierError>,
     },
     /// K or P is no camera.
     #[error("{place}: {source}")]

@@ -5,13 +5,12 @@ use std::collections::BTreeMap;
 
 use serde::de::{Deserializer, Visitor};
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
 
 use super::model::{Formation, Noise, ReadoutNoise, Response, Voxels};
 use super::object_file::ObjectFile;
 use super::optics::Grid;
 pub use super::optics_file::{
-    BowTieFile, CircleFile, FieldFile, FocalSpotFile, HeelFile, PolygonFile, RectangleFile, ScintillatorFile,
+    BowTieFile, CircleFile, FieldFile, FocalSpotFile, HeelFile, IntensifierFile, PolygonFile, RectangleFile, ScintillatorFile,
 };
 use crate::geometry::{CarmJoints, Intrinsics, Projection, Rigid};
 
@@ -134,9 +133,9 @@ pub struct DetectorFile {
     /// Antiscatter grid.
     #[serde(default)]
     pub grid: Option<Grid>,
-    /// Not modelled yet.
+    /// Distortion, round mask and glare of an image intensifier.
     #[serde(default)]
-    pub intensifier: Option<Value>,
+    pub intensifier: Option<IntensifierFile>,
 }
 
 /// `model`.

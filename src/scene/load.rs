@@ -72,7 +72,7 @@ fn load_bytes(
     refuse_unavailable(&file, &files)?;
 
     let beam = beam::beam(&file.beam, &mut files, reporter)?;
-    let mut detector = beam::detector(&file.detector, &files)?;
+    let mut detector = beam::detector(&file.detector, &mut files)?;
     let seen = file.view.as_ref().map(|view| view::resolve(view, &mut files)).transpose()?;
     let mut by_projection = false;
     let view = match seen {
@@ -80,6 +80,7 @@ fn load_bytes(
             settle_pitch(&mut detector, seen.pitch_mm, &files)?;
             check_distance(seen.view.intrinsics.source_to_detector_mm(detector.pitch_mm), &files)?;
             by_projection = seen.by_projection;
+            check_intensifier(&detector, seen.view.size_px, &files)?;
             Some(seen.view)
         }
         None if need_view => {
@@ -113,7 +114,6 @@ fn load_bytes(
 /// Keys of the format whose physics this version does not have.
 fn refuse_unavailable(file: &SceneFile, files: &Files) -> Result<(), SceneError> {
     let keys = [
-        ("detector.intensifier", file.detector.intensifier.is_some()),
         ("model.scatter \"network\"", file.model.scatter == ScatterFile::Network),
         ("model.scatter \"monte_carlo\"", file.model.scatter == ScatterFile::MonteCarlo),
     ];
@@ -144,6 +144,11 @@ fn settle_pitch(detector: &mut Detector, calibrated_mm: Option<f64>, files: &Fil
         _ => {}
     }
     Ok(())
+}
+
+fn check_intensifier(detector: &Detector, size_px: [u32; 2], files: &Files) -> Result<(), SceneError> {
+    let fits = detector.panel.intensifier.as_ref().map_or(Ok(()), |intensifier| intensifier.for_size(size_px).map(drop));
+    fits.map_err(|source| SceneError::Intensifier { place: files.place("detector.intensifier"), source: Box::new(source) })
 }
 
 fn check_distance(distance_mm: f64, files: &Files) -> Result<(), SceneError> {

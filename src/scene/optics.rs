@@ -6,6 +6,7 @@
 use glam::{DVec2, DVec3};
 
 use super::physics::{Material, PhysicsError};
+use crate::geometry::Intensifier;
 
 /// A number that makes no sense: key, value, what would do.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -253,6 +254,8 @@ pub struct Panel {
     pub saturation: Option<f64>,
     /// `counts` are whole numbers in [0, 2^bits − 1].
     pub bits: Option<u32>,
+    /// What an image intensifier makes of the picture.
+    pub intensifier: Option<Intensifier>,
 }
 
 impl Panel {

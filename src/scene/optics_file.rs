@@ -8,6 +8,7 @@ use super::file::{BeamFile, DetectorFile};
 use super::files::Files;
 use super::optics::{Axis, BeamShape, BowTie, Fault, Field, Heel, Panel, Scintillator, Towards};
 use super::physics::Material;
+use crate::geometry::{Intensifier, IntensifierCalibration};
 
 /// `beam.bowtie`.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -100,6 +101,36 @@ pub struct ScintillatorFile {
     pub thickness_mm: f64,
 }
 
+/// `detector.intensifier`.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct IntensifierFile {
+    /// A file of `calibrate intensifier`.
+    pub calibration: String,
+    /// Angle of the C-arm along the C, as the calibration means it; needed where that has several views.
+    #[serde(default)]
+    pub orbital_deg: Option<f64>,
+    /// Angle of the C-arm about its axis.
+    #[serde(default)]
+    pub angulation_deg: Option<f64>,
+}
+
+/// The intensifier's calibration at its angle.
+fn intensifier(file: &IntensifierFile, files: &mut Files) -> Result<Intensifier, SceneError> {
+    let key = "detector.intensifier";
+    let angles_deg = match (file.orbital_deg, file.angulation_deg) {
+        (Some(orbital), Some(angulation)) => Some([orbital, angulation]),
+        (None, None) => None,
+        _ => {
+            let detail = "orbital_deg and angulation_deg go together".to_owned();
+            return Err(SceneError::Keys { place: files.place(key), detail });
+        }
+    };
+    let calibration: IntensifierCalibration = files.read_json(&format!("{key}.calibration"), &file.calibration)?;
+    let at = calibration.check().and_then(|()| calibration.at(angles_deg));
+    at.map_err(|source| SceneError::Intensifier { place: files.place(key), source: Box::new(source) })
+}
+
 /// Heel, bow-tie, field and focal spot of `beam`, checked.
 pub(super) fn beam_shape(file: &BeamFile, anode_angle_deg: f64, files: &Files) -> Result<BeamShape, SceneError> {
     let heel = match (&file.heel, file.tube_kvp) {
@@ -138,7 +169,8 @@ pub(super) fn beam_shape(file: &BeamFile, anode_angle_deg: f64, files: &Files) -
 }
 
 /// Scintillator, grid, blur, saturation and digits of `detector`, checked.
-pub(super) fn panel(file: &DetectorFile, files: &Files) -> Result<Panel, SceneError> {
+pub(super) fn panel(file: &DetectorFile, files: &mut Files) -> Result<Panel, SceneError> {
+    let intensifier = file.intensifier.as_ref().map(|file| intensifier(file, files)).transpose()?;
     let scintillator = file.scintillator.as_ref().map(|layer| {
         let (material, density_g_per_cm3) =
             dense("detector.scintillator.material", &layer.material, layer.density_g_per_cm3, files)?;
@@ -157,6 +189,7 @@ pub(super) fn panel(file: &DetectorFile, files: &Files) -> Result<Panel, SceneEr
         blur_fwhm_mm: file.blur_fwhm_mm.unwrap_or(0.0),
         saturation: file.saturation,
         bits,
+        intensifier,
     };
     panel.check().map_err(|fault| refused(fault, files))?;
     Ok(panel)

@@ -124,7 +124,7 @@ impl Bench {
         let watch = Stopwatch::start();
         let beads = self.layout.as_ref().map(|layout| {
             let radius_mm = |index: usize| layout.radius_mm(index, self.setup.session.bead_radius_mm);
-            bead_marks(layout.beads.iter().enumerate().map(|(index, bead)| (bead.lps_mm, radius_mm(index))), &view)
+            bead_marks(layout.beads.iter().enumerate().map(|(index, bead)| (bead.lps_mm, radius_mm(index))), &view, Some(&scene))
         });
         let beads = beads.unwrap_or_default();
         let tool = tool_mask(&scene, &view);

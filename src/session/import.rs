@@ -47,10 +47,10 @@ impl Import {
         });
         let mut frame = Arc::clone(read);
         if let Some(console) = &self.console {
-            frame = Arc::new(frame.oriented(console));
+            frame = Arc::new(frame.oriented(console, self.carm.as_ref().map(|carm| [carm.columns_px, carm.rows_px])));
         }
         if let Some(detector) = &self.detector {
-            let window = self.console.as_ref().map_or(PanelWindow::WHOLE, ConsoleGeometry::window);
+            let window = self.console.as_ref().map_or(PanelWindow::WHOLE, |console| console.window(stored_px));
             match detector.correct(&frame, window) {
                 Ok(corrected) => frame = Arc::new(corrected),
                 Err(reason) => warnings.push(("detector calibration", format!("{}: {reason}", read.name))),
@@ -62,8 +62,12 @@ impl Import {
     /// A file that says how its console turned the picture must not contradict the session.
     fn question_tags(&self, read: &Frame, warnings: &mut Vec<(&'static str, String)>) {
         let Some(tagged) = read.tags.field_of_view_rotation_deg.map(|deg| deg.rem_euclid(360.0)) else { return };
-        let declared = self.console.as_ref().map(|console| f64::from(console.rotation_deg));
-        if declared.unwrap_or(0.0) == tagged {
+        // A matrix says it all, and more finely than a tag.
+        if self.console.as_ref().is_some_and(|console| console.detector_from_image.is_some()) {
+            return;
+        }
+        let declared = self.console.as_ref().map(|console| console.rotation_deg);
+        if declared.unwrap_or(0.0).rem_euclid(360.0) == tagged {
             return;
         }
         let said = declared.map_or("declares no console".to_owned(), |deg| format!("declares rotation_deg {deg}"));

@@ -25,6 +25,9 @@ const FIELD_SHARE: f64 = 0.15;
 /// Sag and an uncalibrated arm explain this much: degrees, mm across, mm in depth.
 const POSE_TOLERANCE: (f64, f64, f64) = (3.0, 18.0, 25.0);
 
+/// An innovation beyond this is a jump.
+const JUMP_SIGMAS: f64 = 5.0;
+
 /// Samples further apart than this around an exposure tell nothing of its beam.
 const MOST_GAP_US: i64 = 500_000;
 
@@ -211,6 +214,30 @@ pub fn pose_difference(from_beads: &Rigid, nominal: &Rigid, centre_lps_mm: DVec3
     }
 }
 
+/// A measured arm tells how far telemetry may be off: a jump beyond it is said long before an uncalibrated arm would explain it.
+fn check_innovation(carm: &CarmCalibration, angle_deg: f64, shift_mm: DVec3) -> Option<Finding> {
+    let (sigma_mm, sigma_deg) = carm.camera_sigma_mm.zip(carm.camera_sigma_deg)?;
+    let sigmas = innovation_sigmas(sigma_mm, sigma_deg, angle_deg, shift_mm);
+    if sigmas <= JUMP_SIGMAS {
+        return None;
+    }
+    let detail = format!(
+        "telemetry and beads are {:.1} mm and {angle_deg:.2} degrees apart, {sigmas:.0} standard deviations of the calibrated arm",
+        shift_mm.length()
+    );
+    Some(Finding::warn(
+        "telemetry and beads",
+        detail,
+        "the specimen or the arm's base was moved, or an encoder jumped: tie the specimen anew",
+    ))
+}
+
+/// The largest of shift and turn in standard deviations: √mean over axes of a frame's and of the tying frame's, which err alike.
+fn innovation_sigmas(sigma_mm: f64, sigma_deg: f64, angle_deg: f64, shift_mm: DVec3) -> f64 {
+    let both = 2f64.sqrt() * 3f64.sqrt();
+    (shift_mm.length() / (both * sigma_mm)).max(angle_deg / (both * sigma_deg))
+}
+
 fn check_pose(facts: &ExposureFacts) -> Option<Finding> {
     const CHECK: &str = "telemetry and beads";
     let ((from_beads, nominal), centre) = facts.from_beads.zip(facts.nominal).zip(facts.centre_lps_mm)?;
@@ -218,7 +245,7 @@ fn check_pose(facts: &ExposureFacts) -> Option<Finding> {
     let (most_deg, most_across_mm, most_depth_mm) = POSE_TOLERANCE;
     let across_mm = shift_mm.truncate().length();
     if angle_deg <= most_deg && across_mm <= most_across_mm && shift_mm.z.abs() <= most_depth_mm {
-        return None;
+        return facts.carm.and_then(|carm| check_innovation(carm, angle_deg, shift_mm));
     }
     let detail = format!(
         "telemetry puts the specimen {angle_deg:.1} degrees, {across_mm:.0} mm across and {:+.0} mm in depth from where the beads are",

@@ -1,0 +1,72 @@
+//! The fit of one view: outliers out, residuals of spots held out.
+
+use super::polynomial::{Gauge, Node, Polynomial};
+use crate::mask::Disc;
+
+/// The polynomial of one view, and the nodes that it rests on.
+#[derive(Clone, Debug)]
+pub struct ViewFit {
+    pub polynomial: Polynomial,
+    pub nodes: Vec<Node>,
+}
+
+/// Parts that are held out in turn.
+const FOLDS: i32 = 10;
+/// Spots further off than so many standard deviations, per axis and robustly measured, are left out …
+const OUTLIER: f64 = 5.0;
+/// … but none that are nearer than this: what the polynomial itself cannot follow at the rim belongs into the figure.
+const LEAST_OUTLIER_PX: f64 = 1.0;
+/// One in so many is left out at a time.
+const AT_A_TIME: usize = 50;
+const ROUNDS: usize = 40;
+/// Median length of a vector of two standard normals: √(2 ln 2).
+const MEDIAN_LENGTH: f64 = 1.177_410_022_515_474_6;
+
+impl ViewFit {
+    /// Fits `nodes`, leaving out those that do not belong. `None` when the rest does not determine the polynomial.
+    // A false spot at the rim draws the polynomial to itself, and good ones beside it off: judged is how far each would be off had it
+    // been left out, and only the worst go at a time.
+    pub fn new(nodes: &[Node], disc: &Disc, order: usize) -> Option<Self> {
+        let mut kept = vec![true; nodes.len()];
+        for _ in 0..ROUNDS {
+            let chosen = || nodes.iter().zip(&kept).filter(|(_, kept)| **kept).map(|(node, _)| node);
+            let (polynomial, leverage) = Polynomial::fit_with_leverage(chosen(), disc, order)?;
+            let cell_px = polynomial.gauge().cell_px();
+            let mut leverage = leverage.into_iter();
+            let off_px: Vec<f64> = nodes
+                .iter()
+                .zip(&kept)
+                .map(|(node, kept)| {
+                    let pull = if *kept { leverage.next().unwrap_or(0.0) } else { 0.0 };
+                    cell_px * polynomial.off(node).length() / (1.0 - pull).max(1e-6)
+                })
+                .collect();
+            let mut lengths: Vec<f64> = off_px.iter().zip(&kept).filter(|(_, kept)| **kept).map(|(off, _)| *off).collect();
+            lengths.sort_by(f64::total_cmp);
+            let sigma_px = lengths.get(lengths.len() / 2)? / MEDIAN_LENGTH;
+            let limit_px = (OUTLIER * sigma_px).max(LEAST_OUTLIER_PX);
+            let most = (lengths.len() / AT_A_TIME).max(1);
+            let limit_px = limit_px.max(lengths[lengths.len() - 1 - most]);
+            let next: Vec<bool> = off_px.iter().map(|off| *off <= limit_px).collect();
+            if next == kept {
+                return Some(Self { polynomial, nodes: chosen().copied().collect() });
+            }
+            kept = next;
+        }
+        let nodes: Vec<Node> = nodes.iter().zip(&kept).filter(|(_, kept)| **kept).map(|(node, _)| *node).collect();
+        Some(Self { polynomial: Polynomial::fit(nodes.iter(), disc, order)?, nodes })
+    }
+
+    /// Sum of squared residuals, px², of every node against the fit to the other nine tenths; `None` when those determine none.
+    pub fn held_out_px2(&self, gauge: &Gauge, disc: &Disc) -> Option<f64> {
+        // Neighbours, and neighbours' neighbours, are of different parts.
+        let fold = |node: &Node| (node.cell.x + 3 * node.cell.y).rem_euclid(FOLDS);
+        let mut sum = 0.0;
+        for held in 0..FOLDS {
+            let fit = Polynomial::fit(self.nodes.iter().filter(|node| fold(node) != held), disc, self.polynomial.order)?;
+            let out = self.nodes.iter().filter(|node| fold(node) == held);
+            sum += out.map(|node| (gauge.px_from_cells * fit.off(node)).length_squared()).sum::<f64>();
+        }
+        Some(sum)
+    }
+}

@@ -1,0 +1,232 @@
+//! `sidecarm calibrate carm`: a C-arm from a few bead shots.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+
+use crate::calibrate::carm::{CarmFitError, CarmReport, Sensors, Shot, calibrate, plot, shots_of_log};
+use crate::geometry::{CarmCalibration, CarmJoints, JOINT_KEYS};
+use crate::image::plot::PlotError;
+use crate::image::{ImageFileError, check_writable, refuse_overwrite, write_atomically};
+use crate::pose::{Pose, PoseFileError};
+use crate::record::RecordError;
+use crate::reporter::Reporter;
+
+/// A C-arm from a few bead shots: offsets, source to isocentre, detector, axes and gravity sag.
+#[derive(Clone, Debug, Args)]
+#[command(after_help = "Examples:
+  sidecarm calibrate carm session.mcap --calibration calibration/carm/live-620x480.json --out calibration/carm/lab-3.json
+  sidecarm calibrate carm pose-*.json --joints joints.csv --calibration live-620x480.json --encoder-sigma-deg 0.02 --out lab-3.json
+
+A shot is a frame of one specimen that does not move, with an accepted pose and the joints at its exposure: a log of `live` has both, for
+POSE.json files of `register` the joints come as a table, one line a shot: frame,lift_mm,wig_wag_deg,longitudinal_mm,angulation_deg,
+orbital_deg,detector_rotation_deg,source_to_detector_mm (frame: the POSE file's name without its ending), or as JSON {\"frame\": {joints}}.
+Ten shots over the whole orbit, at three or more angulations, make a good calibration. Beside NAME.json stand NAME.report.json (residuals,
+standard deviation of each parameter) and NAME.svg (each shot predicted by the others). Exit code 1: the shots do not tell the arm (said
+why); 3: some shots did not belong to the others and were left out (said which).")]
+pub struct CarmArgs {
+    /// POSE.json files of `register`, or logs of sessions
+    #[arg(required = true, value_name = "SHOTS")]
+    pub shots: Vec<PathBuf>,
+    /// Joints at the exposures of POSE.json files, CSV or JSON
+    #[arg(long, value_name = "TABLE")]
+    pub joints: Option<PathBuf>,
+    /// The nominal arm, for frames of the shots' size
+    #[arg(long, value_name = "NOMINAL.json")]
+    pub calibration: PathBuf,
+    /// Standard deviation of the encoders of angles, degrees
+    #[arg(long, value_name = "DEG", default_value_t = Sensors::default().sigma_deg)]
+    pub encoder_sigma_deg: f64,
+    /// Standard deviation of the encoders of lengths, mm
+    #[arg(long, value_name = "MM", default_value_t = Sensors::default().sigma_mm)]
+    pub encoder_sigma_mm: f64,
+    /// Who measured, when, with which instrument; goes into the file
+    #[arg(long, value_name = "TEXT")]
+    pub origin: Option<String>,
+    /// Print the report as JSON instead of a table
+    #[arg(long)]
+    pub json: bool,
+    /// The calibration
+    #[arg(long, value_name = "NAME.json")]
+    pub out: PathBuf,
+}
+
+/// Why there is no calibration.
+#[derive(Debug, thiserror::Error)]
+pub enum CalibrateCarmError {
+    /// A pose file.
+    #[error(transparent)]
+    Pose(#[from] PoseFileError),
+    /// A log.
+    #[error(transparent)]
+    Log(#[from] RecordError),
+    /// The nominal calibration or the table of joints.
+    #[error("{path}: {detail}", path = path.display())]
+    Input {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        detail: String,
+    },
+    /// A pose without joints.
+    #[error("{shot}: there are no joints of it; add a line `{shot},…` to the table of --joints")]
+    NoJoints {
+        /// Name of the pose file, without its ending.
+        shot: String,
+    },
+    /// A number that was typed.
+    #[error("{option} is {found}, expected above 0 and at most {most}")]
+    Option {
+        /// As typed.
+        option: &'static str,
+        /// Found.
+        found: f64,
+        /// Largest that makes sense.
+        most: f64,
+    },
+    /// The shots.
+    #[error(transparent)]
+    Fit(#[from] CarmFitError),
+    /// The plot.
+    #[error(transparent)]
+    Plot(#[from] PlotError),
+    /// An output.
+    #[error(transparent)]
+    Output(#[from] ImageFileError),
+}
+
+/// Calibrates; exit code 0, or 3 when shots were left out.
+///
+/// # Errors
+/// When a file cannot be read or written, an option makes no sense, or the shots do not determine the arm.
+pub fn run(args: &CarmArgs, reporter: &Reporter) -> Result<u8, CalibrateCarmError> {
+    let sensors = Sensors { sigma_deg: args.encoder_sigma_deg, sigma_mm: args.encoder_sigma_mm };
+    for (option, found, most) in [("--encoder-sigma-deg", sensors.sigma_deg, 5.0), ("--encoder-sigma-mm", sensors.sigma_mm, 50.0)]
+    {
+        if !(found > 0.0 && found <= most) {
+            return Err(CalibrateCarmError::Option { option, found, most });
+        }
+    }
+    let outputs = [args.out.clone(), args.out.with_extension("report.json"), args.out.with_extension("svg")];
+    let inputs: Vec<&Path> = args.shots.iter().chain(&args.joints).chain([&args.calibration]).map(PathBuf::as_path).collect();
+    refuse_overwrite(&outputs.each_ref().map(PathBuf::as_path), &inputs)?;
+    check_writable(&args.out)?;
+    let wrong = |detail: String| CalibrateCarmError::Input { path: args.calibration.clone(), detail };
+    let nominal = std::fs::read_to_string(&args.calibration).map_err(|error| wrong(error.to_string()))?;
+    let nominal: CarmCalibration = serde_json::from_str(&nominal).map_err(|error| wrong(error.to_string()))?;
+    let shots = read_shots(args, reporter)?;
+    let mut fit = calibrate(&shots, &nominal, &sensors)?;
+    let said = args.origin.as_deref().unwrap_or("who, when and with what not stated (--origin)");
+    fit.calibration.origin = format!(
+        "{said}; {} bead shots, encoders {} degrees and {} mm; calibrate carm of sidecarm {}",
+        fit.shots.len(),
+        sensors.sigma_deg,
+        sensors.sigma_mm,
+        env!("CARGO_PKG_VERSION")
+    );
+    let report = CarmReport::new(&fit, &nominal, &sensors);
+    let texts = [pretty(&fit.calibration), pretty(&report), plot(&report)?];
+    for (path, text) in outputs.iter().zip(&texts) {
+        write_atomically(path, |file| file.write_all(text.as_bytes()))?;
+    }
+    if args.json {
+        print!("{}", texts[1]);
+    } else {
+        print!("{}", table(&report));
+    }
+    for shot in &report.left_out {
+        reporter.warn(
+            "shot left out",
+            format_args!(
+                "{}: its beads are {:.1} mm and {:.1} degrees from where its joints and the other shots put them: were its joints read at \
+                 another moment, or was the specimen moved?",
+                shot.shot, shot.off.piercing_mm, shot.off.attitude_deg
+            ),
+        );
+    }
+    Ok(if report.left_out.is_empty() { 0 } else { 3 })
+}
+
+fn pretty<T: serde::Serialize>(value: &T) -> String {
+    format!("{}\n", serde_json::to_string_pretty(value).unwrap_or_default())
+}
+
+fn read_shots(args: &CarmArgs, reporter: &Reporter) -> Result<Vec<Shot>, CalibrateCarmError> {
+    let joints = args.joints.as_deref().map(read_joints).transpose()?.unwrap_or_default();
+    let mut shots = Vec::new();
+    for path in &args.shots {
+        if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap")) {
+            let (found, notes) = shots_of_log(path)?;
+            notes.iter().for_each(|note| reporter.note(format_args!("note: {note}")));
+            shots.extend(found);
+            continue;
+        }
+        let pose = Pose::read(path)?;
+        let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let of_shot = joints.get(&name).ok_or_else(|| CalibrateCarmError::NoJoints { shot: name.clone() })?;
+        match Shot::of(&name, &pose, *of_shot) {
+            Some(shot) => shots.push(shot),
+            None => reporter.note(format_args!("note: {name} is no shot: its pose was refused")),
+        }
+    }
+    Ok(shots)
+}
+
+/// Joints by shot: JSON by its ending, else CSV.
+fn read_joints(path: &Path) -> Result<BTreeMap<String, CarmJoints>, CalibrateCarmError> {
+    let wrong = |detail: String| CalibrateCarmError::Input { path: path.to_owned(), detail };
+    let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
+    if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json")) {
+        return serde_json::from_str(&text).map_err(|error| wrong(error.to_string()));
+    }
+    let mut lines = (1..).zip(text.lines()).filter(|(_, line)| !line.trim().is_empty());
+    let header: Vec<&str> = lines.next().map(|(_, line)| line.split(',').map(str::trim).collect()).unwrap_or_default();
+    let known = |key: &str| key == "frame" || JOINT_KEYS.iter().any(|(joint, _)| *joint == key);
+    if header.first() != Some(&"frame") || !header.iter().all(|key| known(key)) {
+        let keys = JOINT_KEYS.map(|(key, _)| key).join(",");
+        return Err(wrong(format!("line 1: the columns are {}, expected frame,{keys} or some of them", header.join(","))));
+    }
+    let mut joints = BTreeMap::new();
+    for (number, line) in lines {
+        let cells: Vec<&str> = line.split(',').map(str::trim).collect();
+        if cells.len() != header.len() {
+            return Err(wrong(format!("line {number}: {} cells, the header has {}", cells.len(), header.len())));
+        }
+        let mut values = serde_json::Map::new();
+        for (key, cell) in header.iter().zip(&cells).skip(1).filter(|(_, cell)| !cell.is_empty()) {
+            let value = cell.parse::<f64>().ok().filter(|value| value.is_finite());
+            let value = value.ok_or_else(|| wrong(format!("line {number}: {key} is '{cell}', expected a number")))?;
+            values.insert((*key).to_owned(), value.into());
+        }
+        let of_shot = serde_json::from_value(values.into()).map_err(|error| wrong(format!("line {number}: {error}")))?;
+        if joints.insert(cells[0].to_owned(), of_shot).is_some() {
+            return Err(wrong(format!("line {number}: '{}' stands in the table twice", cells[0])));
+        }
+    }
+    Ok(joints)
+}
+
+fn table(report: &CarmReport) -> String {
+    let mut text = format!(
+        "{} shots; each predicted from its joints by the others: piercing point {:.2} mm on the detector, ray {:.3} degrees (rms); chi2 per degree \
+         of freedom {:.2}\n",
+        report.shots.len(),
+        report.held_out_piercing_mm,
+        report.held_out_ray_deg,
+        report.chi2_per_dof
+    );
+    text += "shot                         beads px  readings sigma   piercing mm    ray deg  attitude deg\n";
+    for shot in &report.shots {
+        let off = &shot.held_out;
+        text += &format!(
+            "{:<28} {:>8.3} {:>15.2} {:>13.2} {:>10.3} {:>13.3}\n",
+            shot.shot, shot.rms_px, shot.readings_off_sigma, off.piercing_mm, off.ray_deg, off.attitude_deg
+        );
+    }
+    for parameter in report.parameters.iter().filter(|parameter| !parameter.key.starts_with("gravity_sag")) {
+        let undetermined = if parameter.determined { "" } else { "  not determined by these shots" };
+        text += &format!("{:<42} {:>10.3} ± {:<8.3}{undetermined}\n", parameter.key, parameter.value, parameter.sigma);
+    }
+    text
+}

@@ -1,0 +1,226 @@
+//! `sidecarm calibrate intensifier`: the distortion of an image intensifier from frames of a grid.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use serde::Deserialize;
+
+use crate::acquire::{AcquireError, Domain, Frame, read_frame};
+use crate::calibrate::intensifier::{GridFrame, GridOf, GridRequest, IntensifierFault, calibrate, disc_of, measure_glare};
+use crate::geometry::{AnglesDeg, AnglesFrom, DEFAULT_ORDER, IntensifierCalibration};
+use crate::image::{ImageFileError, check_writable, refuse_overwrite, write_atomically};
+use crate::mask::Disc;
+use crate::reporter::Reporter;
+
+/// The distortion of an image intensifier from frames of a grid: pincushion and S by angle of the C-arm, round mask, veiling glare.
+#[derive(Clone, Debug, Args)]
+#[command(after_help = "Examples:
+  sidecarm calibrate intensifier grid.dcm --pitch-mm 10 --out calibration/carm/lab-intensifier.json
+  sidecarm calibrate intensifier grid-*.tif --holes --angles angles.json --opaque lead.tif --out lab-intensifier.json
+
+Fasten a plate with a square grid of beads (or holes, --holes) flat on the intensifier's input and leave it there for all angles; 42 spots
+and more, 100 are better, over the whole disc. Angles come from DICOM positioner angles, or from --angles: [{\"frame\": \"grid-1.tif\",
+\"orbital_deg\": 0, \"angulation_deg\": -30}, …]. register --distortion and \"intensifier\" of a scene's detector use the file. The figure
+is the rms over spots of fits that did not have them. Exit code 1: no grid was recognised (said why).")]
+pub struct IntensifierArgs {
+    /// Frames of the grid, one for each angle: DICOM, PNG or TIFF
+    #[arg(required = true, value_name = "GRID")]
+    pub grid: Vec<PathBuf>,
+    /// The grid is of holes in a metal plate, bright where beads are dark
+    #[arg(long)]
+    pub holes: bool,
+    /// Distance between neighbours on the plate; gives the side of a pixel there
+    #[arg(long, value_name = "MM")]
+    pub pitch_mm: Option<f64>,
+    /// Orbital and angulation angle of each frame, by file name
+    #[arg(long, value_name = "FILE.json")]
+    pub angles: Option<PathBuf>,
+    /// The plate was taken off between the frames: each keeps its own centre and direction
+    #[arg(long)]
+    pub plate_moved: bool,
+    /// A frame with a disc of lead in the open beam, linear and with its offset taken out: gives the veiling glare
+    #[arg(long, value_name = "FILE")]
+    pub opaque: Option<PathBuf>,
+    /// The round mask where the frames do not show it: column and row of its centre, radius, px
+    #[arg(long, value_name = "U,V,R", value_delimiter = ',')]
+    pub disc: Vec<f64>,
+    /// Order of the polynomials
+    #[arg(long, value_name = "N", default_value_t = DEFAULT_ORDER)]
+    pub order: usize,
+    /// What the pixel values are: linear, log, display or unknown
+    #[arg(long, value_name = "DOMAIN")]
+    pub domain: Option<Domain>,
+    /// Who measured, when, with which plate; goes into the file
+    #[arg(long, value_name = "TEXT")]
+    pub origin: Option<String>,
+    /// Print the calibration as JSON instead of a table
+    #[arg(long)]
+    pub json: bool,
+    /// The calibration
+    #[arg(long, value_name = "FILE.json")]
+    pub out: PathBuf,
+}
+
+/// Why there is no calibration.
+#[derive(Debug, thiserror::Error)]
+pub enum CalibrateIntensifierError {
+    /// A frame cannot be read.
+    #[error(transparent)]
+    Frame(#[from] AcquireError),
+    /// The frames give no calibration.
+    #[error(transparent)]
+    Intensifier(#[from] IntensifierFault),
+    /// The output.
+    #[error(transparent)]
+    Output(#[from] ImageFileError),
+    /// A number that was typed.
+    #[error("{option} is {found}, expected {expected}")]
+    Option {
+        /// As typed.
+        option: &'static str,
+        /// Found.
+        found: String,
+        /// What would be right.
+        expected: &'static str,
+    },
+    /// The list of angles.
+    #[error("{path}: {detail}; expected [{{\"frame\": \"FILE\", \"orbital_deg\": 0, \"angulation_deg\": 0}}, …]", path = path.display())]
+    Angles {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        detail: String,
+    },
+}
+
+/// A row of the list of angles.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct AngleRow {
+    frame: PathBuf,
+    orbital_deg: f64,
+    angulation_deg: f64,
+}
+
+/// Calibrates, writes, prints; exit code 0.
+///
+/// # Errors
+/// When a file cannot be read or written, an option makes no sense, or no grid is recognised.
+pub fn run(args: &IntensifierArgs, reporter: &Reporter) -> Result<u8, CalibrateIntensifierError> {
+    let disc = check(args)?;
+    let listed = args.angles.as_deref().map(read_angles).transpose()?;
+    let progress = reporter.progress("reading", args.grid.len() as u64);
+    let mut frames = Vec::new();
+    for path in &args.grid {
+        let frame = read_frame(path, args.domain)?;
+        let angles_deg = match (&listed, &args.angles) {
+            (Some(rows), Some(list)) => Some(listed_angles(rows, path, list)?),
+            _ => frame.tags.primary_deg.zip(frame.tags.secondary_deg).map(|(primary, secondary)| [primary, secondary]),
+        };
+        frames.push(GridFrame { frame, angles_deg });
+        progress.advance(1);
+    }
+    let angles_from = match (&listed, frames.iter().all(|frame| frame.angles_deg.is_some())) {
+        (Some(_), _) => AnglesFrom::Given,
+        (None, true) => AnglesFrom::Positioner,
+        (None, false) => AnglesFrom::Unknown,
+    };
+    let opaque: Option<Frame> = args.opaque.as_deref().map(|path| read_frame(path, args.domain)).transpose()?;
+    let glare = opaque.map(|frame| measure_glare(&frame, &disc.unwrap_or_else(|| disc_of(&frames, None).0))).transpose()?;
+    let said = args.origin.as_deref().unwrap_or("who and with what not stated (--origin)");
+    let dates: std::collections::BTreeSet<&str> = frames.iter().filter_map(|f| f.frame.tags.acquired_date.as_deref()).collect();
+    let taken = dates.into_iter().collect::<Vec<_>>().join(", ");
+    let taken = if taken.is_empty() { "date of the frames not stated".to_owned() } else { format!("frames of {taken}") };
+    let request = GridRequest {
+        grid: if args.holes { GridOf::Holes } else { GridOf::Beads },
+        pitch_mm: args.pitch_mm,
+        order: args.order,
+        plate_moved: args.plate_moved,
+        disc,
+        angles_from,
+        glare,
+        origin: format!("{said}; {taken}; calibrate intensifier of sidecarm {}", env!("CARGO_PKG_VERSION")),
+    };
+    let calibration = calibrate(&frames, &request)?;
+    let text = serde_json::to_string_pretty(&calibration).unwrap_or_default();
+    write_atomically(&args.out, |file| file.write_all(format!("{text}\n").as_bytes()))?;
+    if args.json {
+        println!("{text}");
+    } else {
+        print!("{}", table(&calibration));
+    }
+    calibration.notes.iter().for_each(|note| reporter.note(format_args!("note: {note}")));
+    Ok(0)
+}
+
+/// The disc that was typed, if any.
+fn check(args: &IntensifierArgs) -> Result<Option<Disc>, CalibrateIntensifierError> {
+    let inputs = args.grid.iter().chain(&args.angles).chain(&args.opaque);
+    refuse_overwrite(&[&args.out], &inputs.collect::<Vec<_>>())?;
+    check_writable(&args.out)?;
+    let wrong = |option, found: String, expected| Err(CalibrateIntensifierError::Option { option, found, expected });
+    if let Some(found) = args.pitch_mm.filter(|pitch| !(*pitch > 0.1 && *pitch < 200.0)) {
+        return wrong("--pitch-mm", found.to_string(), "0.1 to 200 mm");
+    }
+    // The polynomial's linear part is the grid's own.
+    if !(2..=9).contains(&args.order) {
+        return wrong("--order", args.order.to_string(), "2 to 9");
+    }
+    match args.disc.as_slice() {
+        [] => Ok(None),
+        [u, v, r] if [u, v, r].iter().all(|n| n.is_finite()) && *r > 10.0 => {
+            Ok(Some(Disc { centre: glam::DVec2::new(*u, *v), radius_px: *r }))
+        }
+        other => wrong("--disc", format!("{other:?}"), "column and row of the centre and a radius above 10 px, as 511,512,480"),
+    }
+}
+
+fn read_angles(path: &Path) -> Result<Vec<AngleRow>, CalibrateIntensifierError> {
+    let fault = |detail: String| CalibrateIntensifierError::Angles { path: path.to_owned(), detail };
+    let text = std::fs::read_to_string(path).map_err(|error| fault(format!("cannot be read ({error})")))?;
+    let rows: Vec<AngleRow> = serde_json::from_str(&text).map_err(|error| fault(error.to_string()))?;
+    match rows.iter().find(|row| !(row.orbital_deg.abs() <= 360.0 && row.angulation_deg.abs() <= 360.0)) {
+        Some(row) => Err(fault(format!("{} has no angle within 360 degrees", row.frame.display()))),
+        None => Ok(rows),
+    }
+}
+
+fn listed_angles(rows: &[AngleRow], frame: &Path, list: &Path) -> Result<AnglesDeg, CalibrateIntensifierError> {
+    let row = rows.iter().find(|row| row.frame.file_name() == frame.file_name());
+    row.map(|row| [row.orbital_deg, row.angulation_deg]).ok_or_else(|| CalibrateIntensifierError::Angles {
+        path: list.to_owned(),
+        detail: format!("{} is not in it", frame.display()),
+    })
+}
+
+fn table(calibration: &IntensifierCalibration) -> String {
+    let number = |value: Option<f64>, digits: usize| value.map_or_else(|| "-".to_owned(), |value| format!("{value:.digits$}"));
+    let [u, v] = calibration.disc_centre_px;
+    let mut text = format!(
+        "held-out spots: {} px rms; order {}, disc of radius {:.1} px about ({u:.1}, {v:.1})\n",
+        number(calibration.held_out_rms_px, 3),
+        calibration.order,
+        calibration.disc_radius_px
+    );
+    text += "frame                orbital°  angulation°   spots  left out   raw mean px   held-out rms px   reach\n";
+    for view in &calibration.views {
+        text += &format!(
+            "{:<20} {:>8} {:>12} {:>7} {:>9} {:>13} {:>17} {:>7}\n",
+            view.frame,
+            number(view.orbital_deg, 1),
+            number(view.angulation_deg, 1),
+            view.spots,
+            view.left_out,
+            number(view.raw_mean_px, 2),
+            number(view.held_out_rms_px, 3),
+            number(view.reach, 2)
+        );
+    }
+    if let Some(pitch_mm) = calibration.plate_pitch_mm {
+        text += &format!("an undistorted pixel is {pitch_mm:.5} mm wide on the plate\n");
+    }
+    if let Some(glare) = calibration.veiling_glare {
+        text += &format!("veiling glare: {:.1} % of the light, scale {:.0} px\n", 100.0 * glare.fraction, glare.scale_px);
+    }
+    text
+}

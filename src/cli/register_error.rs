@@ -1,0 +1,119 @@
+//! Why nothing was registered.
+
+use std::path::PathBuf;
+
+use crate::acquire::{AcquireError, DetectorCalibrationError};
+use crate::beads::tags::{TagsError, TagsFileError};
+use crate::beads::{BeadsError, CorrespondencesError};
+use crate::geometry::{ConsoleError, IntensifierError};
+use crate::image::ImageFileError;
+use crate::pose::PoseFileError;
+
+/// Why nothing was registered.
+#[derive(Debug, thiserror::Error)]
+pub enum RegisterError {
+    /// The frame.
+    #[error(transparent)]
+    Frame(#[from] AcquireError),
+    /// The detector calibration cannot be read, or does not apply to the frame.
+    #[error(transparent)]
+    Detector(#[from] DetectorCalibrationError),
+    /// Beads or landmarks.
+    #[error(transparent)]
+    Beads(#[from] BeadsError),
+    /// The list of tags.
+    #[error(transparent)]
+    TagsFile(#[from] TagsFileError),
+    /// The tag decoder.
+    #[error(transparent)]
+    Tags(#[from] TagsError),
+    /// Correspondences.
+    #[error(transparent)]
+    Correspondences(#[from] CorrespondencesError),
+    /// K, prior, or the result.
+    #[error(transparent)]
+    Pose(#[from] PoseFileError),
+    /// An output.
+    #[error(transparent)]
+    Output(#[from] ImageFileError),
+    /// Several frames, and nothing that says what to do with them.
+    #[error("{found} frames are given, register takes one; solve several of one specimen with --together")]
+    Frames {
+        /// How many.
+        found: usize,
+    },
+    /// Priors and frames do not pair.
+    #[error("{priors} priors are given for {frames} frames; give one --prior for each frame in its order, or none")]
+    Priors {
+        /// How many priors.
+        priors: usize,
+        /// How many frames.
+        frames: usize,
+    },
+    /// The folder for the results cannot be made.
+    #[error("{path}: {source}", path = path.display())]
+    Folder {
+        /// The folder.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// Frames that cannot share K.
+    #[error("{path} has {found:?} px, the first frame {expected:?} px: frames of different sizes share no K", path = path.display())]
+    Sizes {
+        /// The frame.
+        path: PathBuf,
+        /// Of the first.
+        expected: [u32; 2],
+        /// Its own.
+        found: [u32; 2],
+    },
+    /// The radius typed is impossible.
+    #[error("--bead-radius is {found} mm, it must be positive")]
+    Radius {
+        /// What was typed.
+        found: f64,
+    },
+    /// The calibration of the image intensifier cannot be read, or does not fit the frame.
+    #[error("{path}: {source}{hint}", path = path.display(), hint = angles_hint(source))]
+    Distortion {
+        /// Its file.
+        path: PathBuf,
+        /// What does not fit.
+        source: Box<IntensifierError>,
+    },
+    /// A distortion is that of the whole picture.
+    #[error(
+        "--distortion is for pictures as the intensifier gives them, the console cropped, enlarged or turned this one by part of a quarter; store it as it is, or calibrate the pictures as the console stores them and leave --console out"
+    )]
+    DistortedAndCut,
+    /// Nothing says what the panel's picture would be.
+    #[error(
+        "--console solve needs --intrinsics K.json with size_px, the panel's, and --prior POSE.json: beads cannot tell a turned picture from a turned camera"
+    )]
+    SolveWhat,
+    /// The console's geometry does not fit frame and panel.
+    #[error("{path}: {error}", path = path.display())]
+    Console {
+        /// What states it.
+        path: PathBuf,
+        /// Why not.
+        error: ConsoleError,
+    },
+    /// K is for another frame.
+    #[error("{path}: K is for frames of {expected:?} px, {frame} has {found:?} px, which no binning gives: the console cropped or zoomed it; give K of the frame as it is", path = path.display(), frame = frame.display())]
+    Size {
+        /// File of K.
+        path: PathBuf,
+        /// Its size.
+        expected: [u32; 2],
+        /// The frame.
+        frame: PathBuf,
+        /// The frame's size.
+        found: [u32; 2],
+    },
+}
+
+fn angles_hint(error: &IntensifierError) -> &'static str {
+    if matches!(error, IntensifierError::AngleUnknown { .. }) { " (--carm-angles ORBITAL,ANGULATION)" } else { "" }
+}

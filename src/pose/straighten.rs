@@ -1,0 +1,68 @@
+//! Places in a frame of an image intensifier, as they are in the undistorted picture, and back.
+
+use glam::{DMat2, DVec2};
+
+use super::record::Pose;
+use super::request::Registration;
+use crate::beads::Detection;
+use crate::beads::tags::SeenTag;
+use crate::geometry::Distortion;
+
+impl Registration<'_> {
+    /// A place of the frame in the undistorted picture.
+    pub(super) fn straight(&self, p: DVec2) -> DVec2 {
+        self.distortion.map_or(p, |distortion| distortion.undistorted(p))
+    }
+
+    /// A place of the undistorted picture in the frame; NaN where the frame does not show it.
+    pub(super) fn in_frame(&self, p: DVec2) -> DVec2 {
+        self.distortion.map_or(p, |distortion| distortion.distorted(p).unwrap_or(DVec2::NAN))
+    }
+
+    /// Shadows with place, covariance and size in the undistorted picture; those outside the disc are none.
+    pub(super) fn straight_shadows(&self, found: Vec<Detection>) -> Vec<Detection> {
+        let Some(distortion) = self.distortion else { return found };
+        let straight = |shadow: Detection| {
+            let jacobian = distortion.jacobian(shadow.image_px);
+            let [[uu, uv], [vu, vv]] = shadow.covariance_px2;
+            let covariance = jacobian * DMat2::from_cols_array_2d(&[[uu, vu], [uv, vv]]) * jacobian.transpose();
+            let enlarged = jacobian.determinant().sqrt();
+            Detection {
+                image_px: distortion.undistorted(shadow.image_px),
+                sigma_px: (0.5 * (covariance.x_axis.x + covariance.y_axis.y)).sqrt(),
+                covariance_px2: covariance.transpose().to_cols_array_2d(),
+                radius_px: shadow.radius_px * enlarged,
+                ..shadow
+            }
+        };
+        found.into_iter().filter(|shadow| distortion.sees(shadow.image_px)).map(straight).collect()
+    }
+
+    /// Tags with their places in the undistorted picture.
+    pub(super) fn straight_tags(&self, seen: &[SeenTag]) -> Vec<SeenTag> {
+        let straight = |tag: &SeenTag| SeenTag {
+            centre_px: self.straight(tag.centre_px),
+            corners_px: tag.corners_px.map(|corner| self.straight(corner)),
+            ..tag.clone()
+        };
+        seen.iter().map(straight).collect()
+    }
+}
+
+impl Pose {
+    /// The same with the places of beads, shadows and tags where the distorted frame shows them: to be drawn on it.
+    #[must_use]
+    pub fn drawn_on_distorted(&self, distortion: &Distortion) -> Self {
+        let shown = |p: [f64; 2]| distortion.distorted(DVec2::from_array(p)).ok().map(|p| p.to_array());
+        let mut pose = self.clone();
+        for bead in &mut pose.beads {
+            bead.image_px = bead.image_px.and_then(shown);
+            bead.predicted_px = bead.predicted_px.and_then(shown);
+        }
+        pose.shadows.iter_mut().for_each(|shadow| shadow.image_px = shown(shadow.image_px).unwrap_or(shadow.image_px));
+        for corner in pose.tags.iter_mut().flat_map(|tag| &mut tag.corners_px) {
+            *corner = shown(*corner).unwrap_or(*corner);
+        }
+        pose
+    }
+}

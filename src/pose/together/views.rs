@@ -1,0 +1,177 @@
+//! What the common solution says of each view, and of each bead.
+
+use glam::DVec2;
+use nalgebra::Matrix6;
+
+use super::record::{BeadVerdict, SolvedBead};
+use super::setup::{Blocks, Setup, place_covariance};
+use super::strays::Sorted;
+use crate::beads::Landmark;
+use crate::estimate::{Covariance, Estimate, about};
+use crate::geometry::{Projection, Rigid};
+use crate::pose::accept::{landmarks_of, rows_of};
+use crate::pose::record::{BeadResidual, BodyPose, Pose};
+use crate::pose::solve::{Free, Solution};
+
+/// The common solution.
+pub struct Common<'s> {
+    pub setup: &'s Setup<'s>,
+    pub blocks: &'s Blocks,
+    pub estimate: &'s Estimate<'s>,
+    pub covariance: &'s Covariance,
+    /// What covariances are scaled by.
+    pub scale: f64,
+    pub sorted: &'s Sorted,
+    pub landmarks: &'s [Landmark],
+}
+
+impl Common<'_> {
+    /// Standard deviations of (fx, fy, cx, cy).
+    pub fn intrinsics_sigma_px(&self) -> Option<[f64; 4]> {
+        let of = self.covariance.of(&[self.blocks.intrinsics[0].id()]);
+        let sigma = |n: usize| (self.scale * of[(n, n)]).sqrt();
+        (self.setup.free != Free::Pose).then(|| [sigma(0), sigma(0), sigma(1), sigma(2)])
+    }
+
+    /// The pose of a view, from what it was alone.
+    pub fn pose(&self, view: usize, alone: &Pose) -> Pose {
+        let (setup, blocks) = (self.setup, self.blocks);
+        let (camera, k) = (setup.cameras[view], setup.intrinsics[view]);
+        let motion = self.estimate.state().motion(blocks.cameras[view]);
+        let covariance = self.covariance.of(&[blocks.cameras[view].id(), blocks.intrinsics_of(view).id()]) * self.scale;
+        let at_centroid = Matrix6::from_fn(|i, j| covariance[(i, j)]);
+        let back = about(-motion.centre_mm());
+        let beads: Vec<BeadResidual> = (0..setup.layout.beads.len()).map(|n| self.bead(view, n, alone)).collect();
+        let used: Vec<f64> =
+            beads.iter().filter(|bead| bead.used).filter_map(|bead| bead.residual_px).map(|[u, v]| u * u + v * v).collect();
+        let rms_px = (used.iter().sum::<f64>() / used.len().max(1) as f64).sqrt();
+        let solution = Solution {
+            camera_from_lps: camera,
+            intrinsics: k,
+            residuals_px: Vec::new(),
+            chi2: Vec::new(),
+            prior_chi2: 0.0,
+            degrees_of_freedom: self.estimate.degrees_of_freedom(),
+            covariance,
+            centroid_mm: motion.centre_mm(),
+        };
+        let source = match setup.free {
+            Free::Pose => "given",
+            Free::Square => "solved",
+            Free::Known(_) => "solved with priors",
+        };
+        let mut shadows = alone.shadows.clone();
+        for shadow in &mut shadows {
+            let rests = |name: &String| beads.iter().any(|bead| bead.used && bead.name == *name);
+            shadow.bead = shadow.bead.take().filter(rests);
+        }
+        let mut bodies: Vec<BodyPose> = Vec::new();
+        for (n, bead) in beads.iter().enumerate() {
+            match bodies.iter_mut().find(|body| body.name == bead.body) {
+                Some(body) => {
+                    body.beads += 1;
+                    body.used += usize::from(bead.used);
+                }
+                None => bodies.push(BodyPose {
+                    name: bead.body.clone(),
+                    lps_from_body: self.lps_from_body(view, n),
+                    beads: 1,
+                    used: usize::from(bead.used),
+                }),
+            }
+        }
+        Pose {
+            projection: Some(Projection::compose(&k, &camera)),
+            intrinsics: Some(k),
+            intrinsics_source: Some(source.to_owned()),
+            intrinsics_sigma_px: self.intrinsics_sigma_px(),
+            camera_from_lps: Some(camera),
+            bodies,
+            rms_px: Some(rms_px),
+            rms_mm: Some(rms_px * motion.centre_mm().z / k.fx),
+            chi2_per_dof: Some(self.estimate.chi2_sum() / self.estimate.degrees_of_freedom().max(1) as f64),
+            covariance: Some(rows_of(&(back * at_centroid * back.transpose()))),
+            covariance_at_centroid: Some(rows_of(&at_centroid)),
+            centroid_lps_mm: Some(motion.pivot_mm),
+            landmarks: landmarks_of(self.landmarks, &solution, &solution.covariance),
+            beads,
+            shadows,
+            ..alone.clone()
+        }
+    }
+
+    fn lps_from_body(&self, view: usize, bead: usize) -> Rigid {
+        self.setup.segment_of(view, bead).map_or(Rigid::IDENTITY, |n| self.setup.segments[n].lps_from_body)
+    }
+
+    fn bead(&self, view: usize, bead: usize, alone: &Pose) -> BeadResidual {
+        let setup = self.setup;
+        let own = &setup.layout.beads[bead];
+        let p = (setup.cameras[view] * self.lps_from_body(view, bead)).transform_point(own.lps_mm);
+        let predicted = (p.z > 1.0).then(|| setup.intrinsics[view].project(p));
+        let seen = setup.observations.iter().position(|o| o.view == view && o.bead == bead);
+        let row = alone.beads.iter().find(|row| row.name == own.name);
+        let aside = self.sorted.aside.iter().find(|aside| aside.view == view && aside.bead == bead);
+        let image = match seen {
+            Some(n) => Some(setup.observations[n].image_px),
+            None => row.and_then(|row| row.image_px).map(DVec2::from_array),
+        };
+        let left_out = |n: usize| {
+            let found = self.estimate.left_out_linear(self.covariance, self.blocks.images[n]).ok()?;
+            Some([found.offset[0], found.offset[1]])
+        };
+        let verdict = self.sorted.verdicts[bead];
+        let reason = match (seen, aside, verdict) {
+            (Some(_), ..) if setup.freed[bead] => Some("it has migrated since the scan, as all views agree".to_owned()),
+            (Some(_), ..) => None,
+            (None, Some(_), Some(BeadVerdict::Unclear)) => {
+                Some("it has moved, or one of its shadows is not its own; these views cannot tell which".to_owned())
+            }
+            (None, Some(_), Some(BeadVerdict::Inconsistent)) => Some("no one place explains its shadows in all views".to_owned()),
+            (None, Some(aside), _) => {
+                Some(format!("its shadow here is {:.2} px from where the other views put it", aside.off_px))
+            }
+            (None, None, _) => row.and_then(|row| row.reason.clone()).or_else(|| Some("no shadow found".to_owned())),
+        };
+        BeadResidual {
+            name: own.name.clone(),
+            body: own.body.clone(),
+            lps_mm: own.lps_mm,
+            image_px: image.map(|at| at.to_array()),
+            predicted_px: predicted.map(|at| at.to_array()),
+            residual_px: image.zip(predicted).map(|(at, predicted)| (at - predicted).to_array()),
+            sigma_px: seen.map(|n| setup.observations[n].sigma_px).or_else(|| row.and_then(|row| row.sigma_px)),
+            left_out_px: seen.and_then(left_out),
+            used: seen.is_some() && !setup.freed[bead],
+            reason,
+        }
+    }
+
+    /// A bead's place.
+    pub fn solved(&self, bead: usize) -> SolvedBead {
+        let setup = self.setup;
+        let own = &setup.layout.beads[bead];
+        let views = setup.seen_in(bead).count();
+        let verdict = match self.sorted.verdicts[bead] {
+            Some(verdict) => verdict,
+            None if views == 0 => BeadVerdict::NotSeen,
+            None if setup.freed[bead] => BeadVerdict::Migrated,
+            None => BeadVerdict::InPlace,
+        };
+        let (place, covariance) = match self.blocks.beads[bead] {
+            Some(block) => (setup.places_mm[bead], place_covariance(self.covariance, block) * self.scale),
+            None => (own.lps_mm, nalgebra::Matrix3::identity() * own.sigma_or_default_mm().powi(2)),
+        };
+        SolvedBead {
+            name: own.name.clone(),
+            body: own.body.clone(),
+            lps_mm: place,
+            sigma_mm: std::array::from_fn(|n| covariance[(n, n)].sqrt()),
+            covariance_mm2: std::array::from_fn(|i| std::array::from_fn(|j| 0.5 * (covariance[(i, j)] + covariance[(j, i)]))),
+            moved_mm: place.distance(own.lps_mm),
+            migrated: verdict == BeadVerdict::Migrated,
+            verdict,
+            views,
+        }
+    }
+}

@@ -1,0 +1,187 @@
+//! Pictures through an image intensifier against formulas by hand: where shadows fall, what is dark, how noise goes, what glares.
+
+use glam::{DVec2, DVec3};
+use sidecarm::acquire::{Domain, Frame};
+use sidecarm::calibrate::intensifier::measure_glare;
+use sidecarm::compare::bead_marks;
+use sidecarm::geometry::{Distortion, Glare, Intensifier, term_count};
+use sidecarm::gpu::DeviceChoice;
+use sidecarm::image::Image;
+use sidecarm::mask::Disc;
+use sidecarm::render::{Options, Quantity, Rendered, Renderer};
+use sidecarm::reporter::Reporter;
+use sidecarm::scene::Scene;
+use sidecarm::scene::model::Noise;
+
+use crate::render_scenes::{With, empty, render_on, solids, sphere};
+
+const CENTRE: DVec2 = DVec2::new(101.0, 97.0);
+const RADIUS_PX: f64 = 92.0;
+/// Pincushion and S at the rim.
+const RIM_PX: (f64, f64) = (9.0, 4.0);
+
+/// r² (pincushion · x + S · x turned): terms 6 to 9 of the third order are x³, x²y, xy², y³.
+fn intensifier(glare: Option<Glare>) -> Intensifier {
+    let mut shift = vec![DVec2::ZERO; term_count(3)];
+    let (p, s) = (-RIM_PX.0, RIM_PX.1);
+    for (n, value) in [(6, DVec2::new(p, s)), (7, DVec2::new(-s, p)), (8, DVec2::new(p, s)), (9, DVec2::new(-s, p))] {
+        shift[n] = value;
+    }
+    let distortion = Distortion::new(CENTRE, RADIUS_PX, 3, shift).expect("invertible");
+    Intensifier { size_px: [200, 200], distortion, glare, note: None }
+}
+
+/// The same law, written out.
+fn undistorted(p: DVec2) -> DVec2 {
+    let x = (p - CENTRE) / RADIUS_PX;
+    p + x.length_squared() * (-RIM_PX.0 * x + RIM_PX.1 * x.perp())
+}
+
+fn scene(objects: &[(DVec3, f64)], intensifier: Option<Intensifier>) -> Scene {
+    let balls: Vec<_> = objects.iter().map(|(centre, radius_mm)| sphere(*centre, *radius_mm, 0, 11.35)).collect();
+    let mut scene = empty(&["lead"]).with(solids(&balls));
+    let view = scene.view.as_mut().expect("has one");
+    view.size_px = [200, 200];
+    (view.intrinsics.cx, view.intrinsics.cy) = (99.5, 99.5);
+    (view.intrinsics.fx, view.intrinsics.fy) = (2000.0, 2000.0);
+    scene.detector.panel.intensifier = intensifier;
+    scene
+}
+
+/// Centre of the darkness within `reach_px`.
+fn dark_centre(page: &Image<f32>, near: DVec2, reach_px: f64) -> DVec2 {
+    let (mut sum, mut weight) = (DVec2::ZERO, 0.0);
+    for (index, value) in page.pixels.iter().enumerate() {
+        let p = DVec2::new((index % page.width) as f64, (index / page.width) as f64);
+        if p.distance(near) < reach_px {
+            sum += p * f64::from(1.0 - value);
+            weight += f64::from(1.0 - value);
+        }
+    }
+    sum / weight
+}
+
+#[test]
+fn shadows_fall_where_the_distortion_puts_them() {
+    let places = [
+        DVec2::new(60.0, 70.0),
+        DVec2::new(140.0, 60.0),
+        DVec2::new(101.0, 97.0),
+        DVec2::new(70.0, 150.0),
+        DVec2::new(165.0, 120.0),
+    ];
+    let ball = |px: &DVec2| (DVec3::new((px.x - 99.5) * 0.3, (px.y - 99.5) * 0.3, 600.0), 0.9);
+    let balls: Vec<(DVec3, f64)> = places.iter().map(ball).collect();
+    let scene = scene(&balls, Some(intensifier(None)));
+    let reference = || {
+        let mut renderer = Renderer::new(DeviceChoice::Cpu, &Reporter::silent()).expect("device");
+        let options = Options { quantity: Quantity::Intensity, reference: true, ..Options::default() };
+        renderer.render(&scene, &options).expect("renders")
+    };
+    let marks = bead_marks(balls.iter().map(|(at, radius)| (*at, Some(*radius))), &scene.view.expect("has one"), Some(&scene));
+    let (mut moved, mut checked) = (0.0f64, 0);
+    for rendered in [render_on(DeviceChoice::Cpu, &scene, Quantity::Intensity), reference()] {
+        let page = &rendered.pages[0];
+        for (px, mark) in places.iter().zip(&marks) {
+            // p with undistorted(p) = px, by fixed point.
+            let there = (0..200).fold(*px, |p, _| p + (*px - undistorted(p)));
+            let found = dark_centre(page, there, 8.0);
+            let expected = shadow_centre(*px, there, 3.0);
+            assert!(found.distance(expected) < 0.06, "{px} is at {found}, expected {expected}");
+            assert!(mark.0.distance(there) < 1e-6, "the mark of {px}");
+            moved = moved.max(px.distance(there));
+            checked += 1;
+        }
+        for (index, (value, valid)) in page.pixels.iter().zip(&rendered.valid.pixels).enumerate() {
+            let r = DVec2::new((index % 200) as f64, (index / 200) as f64).distance(CENTRE);
+            assert_eq!(*valid == 0, r > RADIUS_PX, "{index}");
+            assert!(r <= RADIUS_PX || *value == 0.0, "{index}: {value} outside the disc");
+        }
+        assert!((page.at(101, 30) - 1.0).abs() < 1e-6, "air is 1");
+    }
+    assert!(checked == 10 && moved > 3.0, "{checked} {moved}");
+}
+
+/// Middle of the opaque disc of `radius_px` about `straight` as the law shows it about `there`: no disc, and fuller on the outer side.
+fn shadow_centre(straight: DVec2, there: DVec2, radius_px: f64) -> DVec2 {
+    let steps = || (-60..=60).map(|n| f64::from(n) * 0.1);
+    let places = steps().flat_map(|u| steps().map(move |v| there + DVec2::new(u, v)));
+    let (mut sum, mut count) = (DVec2::ZERO, 0.0);
+    for p in places.filter(|p| undistorted(*p).distance(straight) < radius_px) {
+        sum += p;
+        count += 1.0;
+    }
+    sum / count
+}
+
+/// Variance of `page` where `here` says.
+fn variance(page: &Image<f32>, here: impl Fn(f64) -> bool) -> f64 {
+    let at = |index: usize| DVec2::new((index % 200) as f64, (index / 200) as f64).distance(CENTRE) / RADIUS_PX;
+    let values: Vec<f64> = (0..page.pixels.len()).filter(|index| here(at(*index))).map(|n| f64::from(page.pixels[n])).collect();
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / values.len() as f64
+}
+
+/// Noise belongs to the frame's own pixels: neighbours are independent, and a pixel at the rim, which shows less area, has fewer quanta.
+#[test]
+fn noise_is_drawn_in_the_frame_s_pixels_by_the_area_that_each_shows() {
+    let mut scene = scene(&[(DVec3::new(0.0, 0.0, 600.0), 1e-3)], Some(intensifier(None)));
+    scene.model.noise = Noise::True;
+    scene.beam.photons_per_pixel = 1e3;
+    let Rendered { pages, .. } = render_on(DeviceChoice::Cpu, &scene, Quantity::Intensity);
+    let page = &pages[0];
+    let (inner, rim) = (variance(page, |r| r < 0.3), variance(page, |r| r > 0.85 && r <= 1.0));
+    assert!((inner * 1e3 - 1.0).abs() < 0.12, "{inner}");
+    // det J = (1 − p r²)(1 − 3 p r²) + 3 (s r²)², p and s over the radius; about r = 0.93 on average.
+    let (p, s, square) = (RIM_PX.0 / RADIUS_PX, RIM_PX.1 / RADIUS_PX, 0.5 * (1.0 + 0.85f64.powi(2)));
+    let area = (1.0 - p * square) * (1.0 - 3.0 * p * square) + 3.0 * (s * square).powi(2);
+    assert!(area < 0.75 && (rim / inner * area - 1.0).abs() < 0.12, "{} {area}", rim / inner);
+    let (mut both, mut count) = (0.0, 0);
+    for row in 40..150 {
+        for column in 40..150 {
+            both += f64::from(page.at(column, row) - 1.0) * f64::from(page.at(column + 1, row) - 1.0);
+            count += 1;
+        }
+    }
+    let correlation = both / f64::from(count) / inner;
+    assert!(correlation.abs() < 0.05, "{correlation}");
+}
+
+/// Behind lead of radius a in the middle of a disc of radius R glare alone arrives: ρ (e^(−a/k) − e^(−R/k)) of the light, over an air
+/// frame that glares as well.
+#[test]
+fn glare_shines_behind_lead_and_is_measured_there() {
+    let glare = Glare { fraction: 0.12, scale_px: 45.0 };
+    let straight = Distortion::new(CENTRE, RADIUS_PX, 1, vec![DVec2::ZERO; 3]).expect("none");
+    let veiled = Intensifier { size_px: [200, 200], distortion: straight, glare: Some(glare), note: None };
+    let lead_px = 24.0;
+    let lead = [(DVec3::new((CENTRE.x - 99.5) * 0.3, (CENTRE.y - 99.5) * 0.3, 600.0), lead_px * 0.3)];
+    let scene = scene(&lead, Some(veiled));
+    let page = render_on(DeviceChoice::Cpu, &scene, Quantity::Intensity).pages.remove(0);
+    let spread = |r: f64| 1.0 - (-r / glare.scale_px).exp();
+    let behind =
+        glare.fraction * (spread(RADIUS_PX) - spread(lead_px)) / (1.0 - glare.fraction + glare.fraction * spread(RADIUS_PX));
+    let found = f64::from(*page.at(CENTRE.x as usize, CENTRE.y as usize));
+    assert!((found / behind - 1.0).abs() < 0.03, "{found} {behind}");
+    let clear = f64::from(*page.at(CENTRE.x as usize, 20));
+    assert!(clear < 1.0 && clear > 0.95, "air beside the lead loses what the lead keeps back: {clear}");
+
+    let counts = render_on(DeviceChoice::Cpu, &scene, Quantity::Counts).pages.remove(0);
+    let disc = Disc { centre: CENTRE, radius_px: RADIUS_PX };
+    let frame = |pixels: Image<f32>| Frame::from_pixels("lead", pixels, Domain::Linear).expect("a frame");
+    let measured = measure_glare(&frame(counts.clone()), &disc).expect("measured");
+    println!("glare {glare:?}, measured {measured:?}");
+    assert!(
+        (measured.fraction / glare.fraction - 1.0).abs() < 0.1 && (measured.scale_px / glare.scale_px - 1.0).abs() < 0.15,
+        "{measured:?}"
+    );
+    let flat = counts.map(|value| if *value > 0.0 { 1e5 } else { 0.0 });
+    assert!(measure_glare(&frame(flat), &disc).expect_err("no lead").to_string().contains("opaque"));
+}
+
+#[test]
+fn an_intensifier_of_another_picture_is_refused_and_a_binned_one_is_not() {
+    let ours = intensifier(None);
+    assert!(ours.for_size([100, 100]).is_ok() && ours.for_size([66, 66]).is_ok());
+    assert!(ours.for_size([200, 150]).expect_err("another picture").to_string().contains("[200, 150]"));
+}

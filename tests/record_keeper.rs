@@ -10,12 +10,15 @@ use sidecarm::image::{Image, sha256_file};
 use sidecarm::record::{Provenance, RecordError, Recorder, read_log, topic};
 use sidecarm::time::host_now_us;
 
-use crate::live_lab::{Live, Signal, deliver, eventually, keeper, quiet_lab};
+use crate::live_lab::{HANG_S, Live, Signal, deliver, eventually, keeper, quiet_lab};
 
 /// What a kill may cost among other tests on a crowded machine; alone it is 200 ms.
 const WORST_CROWDED_MS: f64 = 1000.0;
 /// Longer than any limit here: what is lost with the disk would be seen.
 const STILL: Duration = Duration::from_millis(2_500);
+
+/// What the person hears of it.
+const KEEPER_DIED: &str = "the process that writes the log died";
 
 fn signal_keeper(log: &Path, signal: Signal) {
     let pid = keeper(log).unwrap_or_else(|| panic!("{} has no keeper", log.display()));
@@ -64,7 +67,7 @@ fn a_kill_while_the_disk_stands_still_costs_neither_telemetry_nor_a_frame() {
     assert_eq!(length(), still, "the disk stood still");
     let kill_us = live.program.kill();
     drop(stopped);
-    assert!(eventually(crate::live_lab::HANG_S, || keeper(&log).is_none().then_some(())).is_some(), "the keeper leaves");
+    assert!(eventually(HANG_S, || keeper(&log).is_none().then_some(())).is_some(), "the keeper leaves");
     let heard = live.heard();
     let missing = heard.missing(&lab.sent(), live.recording_us, kill_us);
     println!("killed while the disk stood still: {missing:?}");
@@ -83,11 +86,11 @@ fn a_keeper_that_is_killed_is_said_and_replaced() {
     std::thread::sleep(Duration::from_millis(300));
     signal_keeper(&live.log, Signal::KILL);
     drop(stopped);
-    let said = eventually(20.0, || live.stderr().contains("the process that writes the log died").then_some(()));
+    let said = eventually(HANG_S, || live.stderr().contains(KEEPER_DIED).then_some(()));
     assert!(said.is_some(), "nobody said it: {}", live.stderr());
     assert!(keeper(&live.log).is_some_and(|next| Some(next) != first), "another one goes on");
     let (_, signal_us) = live.signalled(Signal::INT);
-    let status = live.program.end(crate::live_lab::HANG_S).unwrap_or_else(|| panic!("still there: {}", live.stderr()));
+    let status = live.program.end(HANG_S).unwrap_or_else(|| panic!("still there: {}", live.stderr()));
     let heard = live.heard();
     assert_eq!(status.code(), Some(0), "{} {}", live.stdout(), live.stderr());
     assert!(heard.losses.is_empty(), "{:?}", heard.losses);
@@ -106,11 +109,11 @@ fn an_interrupt_of_the_group_leaves_a_finished_log() {
     let group = rustix::process::Pid::from_raw(live.program.id() as i32).expect("a process");
     let signal_us = host_now_us();
     kill_process_group(group, Signal::INT).expect("the group is there");
-    let status = live.program.end(crate::live_lab::HANG_S).unwrap_or_else(|| panic!("still there: {}", live.stderr()));
+    let status = live.program.end(HANG_S).unwrap_or_else(|| panic!("still there: {}", live.stderr()));
     let heard = live.heard();
     assert_eq!(status.code(), Some(0), "{} {}", live.stdout(), live.stderr());
     assert!(heard.losses.is_empty() && heard.end_us.is_some(), "{:?}", heard.losses);
-    assert!(!live.stderr().contains("log keeper"), "the keeper heard none of it: {}", live.stderr());
+    assert!(!live.stderr().contains(KEEPER_DIED), "the keeper heard none of it: {}", live.stderr());
     assert_eq!(heard.missing(&lab.sent(), live.recording_us, signal_us).lost, 0);
 }
 
@@ -160,7 +163,7 @@ fn a_kept_log_that_is_moved_goes_on_and_one_that_is_deleted_is_said() {
     let (recorder, _) = kept(&path, &program());
     recorder.flush_now(Duration::from_secs(30)).expect("flushed");
     std::fs::rename(&path, &elsewhere).expect("moved");
-    assert!(eventually(10.0, || recorder.health().moved.then_some(())).is_some(), "moved");
+    assert!(eventually(HANG_S, || recorder.health().moved.then_some(())).is_some(), "moved");
     // The next keeper finds the file where it is.
     signal_keeper(&path, Signal::KILL);
     recorder.raw_bytes("robot", 1, 1, &[1; 158]).expect("recorded");
@@ -169,7 +172,7 @@ fn a_kept_log_that_is_moved_goes_on_and_one_that_is_deleted_is_said() {
 
     let (recorder, _) = kept(&path, &program());
     std::fs::remove_file(&path).expect("deleted");
-    let failure = eventually(10.0, || recorder.health().failure).expect("said");
+    let failure = eventually(HANG_S, || recorder.health().failure).expect("said");
     assert!(failure.contains("deleted"), "{failure}");
     assert!(recorder.raw_bytes("robot", 1, 1, &[1; 158]).is_err());
     assert!(matches!(recorder.finish(), Err(RecordError::Stopped { .. })));
@@ -200,7 +203,7 @@ fn a_keeper_that_cannot_be_replaced_is_the_end_of_the_recording() {
     recorder.flush_now(Duration::from_secs(30)).expect("flushed");
     std::fs::remove_file(&link).expect("removed");
     signal_keeper(&path, Signal::KILL);
-    let failure = eventually(10.0, || recorder.health().failure).expect("said");
+    let failure = eventually(HANG_S, || recorder.health().failure).expect("said");
     assert!(failure.contains("died") && failure.contains("No such file"), "{failure}");
     assert!(matches!(recorder.finish(), Err(RecordError::Stopped { .. })));
     assert_eq!(read_log(&path).expect("readable").entries.len(), 1, "what was written stays");

@@ -24,7 +24,7 @@ use super::queue::Queue;
 use super::sink::Sink;
 
 /// A keeper that has not said a word by then is none.
-const START: Duration = Duration::from_secs(10);
+const START: Duration = Duration::from_secs(30);
 /// So many keepers in a row may die without having written anything.
 const FRUITLESS: u32 = 3;
 /// Memory is given back in multiples of this: no system has larger pages here.

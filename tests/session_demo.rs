@@ -59,7 +59,8 @@ fn a_mocked_session_matches_its_frames_and_replays_byte_for_byte() {
     let collimated = pairs.iter().find(|pair| pair["frame"] == "frame-007");
     assert!(pairs.len() < 8 || collimated.is_some(), "{told:#?}");
     // There it may also come before two others have tied the specimen to the room, and then nothing else gives it a pose.
-    let refused = |pair: &Value| pair["status"] == "refused" || (pair["status"] == "no_pose" && pair["pose_source"] == "none");
+    let refused =
+        |pair: &serde_json::Value| pair["status"] == "refused" || (pair["status"] == "no_pose" && pair["pose_source"] == "none");
     assert!(collimated.is_none_or(refused), "the collimated frame is refused: {told:#?}");
     for pair in pairs {
         assert_eq!(pair["binding"], "counter", "every exposure's frame is bound when it is developed: {pair}");

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use crate::binding_days::{day, day_of};
 use crate::binding_oddities::{odd_session, oddity_of};
 use crate::binding_play::{Score, play};
-use crate::binding_sessions::{kind_of, session};
+use crate::binding_sessions::{Kind, kind_of, session};
 
 /// What was drawn, its kind, and how it went.
 type Played = (&'static str, String, Score);
@@ -20,6 +20,11 @@ fn usual(seed: u64) -> Vec<Played> {
 fn odd(seed: u64) -> Vec<Played> {
     let oddity = oddity_of(seed);
     vec![("odd", format!("{oddity:?}"), play(&odd_session(seed, oddity)))]
+}
+
+/// The session of one seed in which nothing is odd but late frames.
+fn late(seed: u64) -> Vec<Played> {
+    vec![("late", format!("{:?}", Kind::Late), play(&session(seed, Kind::Late)))]
 }
 
 /// Plays on two threads and adds up by kind.
@@ -119,6 +124,30 @@ fn thousand_sessions() {
     assert!(count < 500 || bound >= 0.95 * decidable, "{bound} of {decidable} bound that can be told apart");
     let (bound, frames) = (drawn.bound as f64, drawn.frames as f64);
     assert!(count < 500 || bound >= 0.92 * frames, "{bound} of {frames} bound");
+}
+
+/// Judges sessions in which nothing is odd but late frames.
+fn judge_late(seeds: std::ops::Range<u64>) {
+    let rows = table(seeds, late);
+    print(&rows);
+    let (_, all) = &rows["all"];
+    for wrong in &all.wrong {
+        println!("wrong: {wrong}");
+    }
+    assert!(all.frames > 400 && all.wrong.is_empty() && all.taken_back == 0, "{} wrong of {}", all.wrong.len(), all.frames);
+    assert!(all.bound as f64 >= 0.95 * all.frames as f64, "{} of {} bound", all.bound, all.frames);
+}
+
+/// A small fixed part of `thousand_late_sessions`.
+#[test]
+fn late_frames_are_bound_and_none_wrongly() {
+    judge_late(27_000_000..27_000_010);
+}
+
+#[test]
+#[ignore = "minutes: run by scripts/evaluate bind"]
+fn thousand_late_sessions() {
+    judge_late(long_run());
 }
 
 /// Judges odd sessions. A picture of another room whose console keeps the same time and does not count is told by nothing: a few of them

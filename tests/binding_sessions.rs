@@ -29,6 +29,9 @@ pub enum Kind {
     StampOnly,
     /// Neither stamp nor counter: arrival is all there is, and a third of the frames comes late.
     Neither,
+    /// Nothing odd: full telemetry, stamps to the second by a clock off by minutes that drifts, any counter but a restarting one, frames
+    /// that are missing, 22 that come late and shuffled. Not among [`KINDS`]: a table of its own.
+    Late,
 }
 
 /// Shares in a hundred sessions.
@@ -70,6 +73,7 @@ fn exposures(draw: &mut Draw, kind: Kind) -> Vec<(f64, f64)> {
     let regime = match kind {
         Kind::AtTheMinute => 0,
         Kind::Bursts => 2,
+        Kind::Late => draw.pick(&[1, 3]),
         Kind::Neither | Kind::StampOnly | Kind::CounterOnly | Kind::Holes | Kind::Mixed => draw.pick(&[0, 1, 1, 1, 2, 3]),
     };
     let period = if kind == Kind::AtTheMinute { draw.pick(&[20.0, 30.0, 60.0]) } else { draw.pick(&[5.0, 12.0, 20.0, 30.0]) };
@@ -121,6 +125,7 @@ pub fn session(seed: u64, kind: Kind) -> Session {
     };
     let holes = match kind {
         Kind::Holes => 3 + draw.below(6),
+        Kind::Late => 0,
         _ if draw.chance(0.35) => 1 + draw.below(3),
         _ => 0,
     };
@@ -139,10 +144,11 @@ pub fn session(seed: u64, kind: Kind) -> Session {
     } else {
         draw.between(-600.0, 600.0)
     };
-    let zone_s = if draw.chance(0.4) { 3600.0 * draw.between(-12.0, 12.0).round() } else { 0.0 };
+    let zone_s = if kind != Kind::Late && draw.chance(0.4) { 3600.0 * draw.between(-12.0, 12.0).round() } else { 0.0 };
     let drift = draw.between(-200e-6, 200e-6);
     let resolution_s = match kind {
         Kind::CounterOnly | Kind::Neither => None,
+        Kind::Late => Some(1.0),
         Kind::StampOnly | Kind::AtTheMinute => Some(draw.pick(&[1.0, 1.0, 1.0, 0.1])),
         _ if draw.chance(0.06) => None,
         _ if draw.chance(0.03) => Some(60.0),
@@ -152,6 +158,7 @@ pub fn session(seed: u64, kind: Kind) -> Session {
     let lag_s = draw.pick(&[0.0, 0.0, 0.05, 0.3]);
     let mut counting = match kind {
         Kind::Neither | Kind::StampOnly => draw.pick(&[Counting::Absent, Counting::Constant]),
+        Kind::Late => draw.pick(&[Counting::Absent, Counting::Constant, Counting::Right, Counting::Offset]),
         Kind::AtTheMinute => draw.pick(&[Counting::Absent, Counting::Constant, Counting::Constant, Counting::Restarting]),
         Kind::CounterOnly => draw.pick(&[
             Counting::Right,
@@ -192,7 +199,8 @@ pub fn session(seed: u64, kind: Kind) -> Session {
             Some((index - from) as u32 + 1)
         }
     };
-    let stamp_missing = if draw.chance(0.15) { 0.05 } else { 0.0 };
+    let is_odd = kind != Kind::Late;
+    let stamp_missing = if is_odd && draw.chance(0.15) { 0.05 } else { 0.0 };
     let stamp = |draw: &mut Draw, index: usize| {
         let resolution_s = resolution_s?;
         if draw.chance(stamp_missing) {
@@ -256,19 +264,19 @@ pub fn session(seed: u64, kind: Kind) -> Session {
     }
     // A second picture of an exposure, with the same stamp and counter, soon after the first.
     let originals = sent.len();
-    if draw.chance(0.3) {
+    if is_odd && draw.chance(0.3) {
         for _ in 0..=draw.below(2) {
             let (at, stamp, counter, index, _, late) = sent[draw.below(originals)];
             sent.push((at + draw.between(0.02, 2.0), stamp, counter, EXPOSURES + sent.len(), Truth::SecondOf(index), late));
         }
     }
     // The same file again.
-    for _ in 0..draw.below(3) {
+    for _ in 0..if is_odd { draw.below(3) } else { 0 } {
         let (at, stamp, counter, content, _, late) = sent[draw.below(originals)];
         sent.push((at + draw.log(0.5, 1000.0), stamp, counter, content, Truth::Copy, late));
     }
     // Frames of something else: an earlier patient, a picture without any header, a report.
-    for _ in 0..draw.below(4) {
+    for _ in 0..if is_odd { draw.below(4) } else { 0 } {
         let at = draw.between(0.0, end_s);
         let stamp = (resolution_s.is_some() && draw.chance(0.6))
             .then(|| us((T0_US as f64 * 1e-6).floor() - zone_s - offset_s - draw.log(7200.0, 300_000.0).floor()));

@@ -322,7 +322,13 @@ impl Heard {
         let gone: Vec<&&Sent> =
             span.iter().filter(|packet| !self.packets.contains_key(&(packet.device, packet.sequence))).collect();
         let oldest_us = gone.iter().map(|packet| packet.host_us).min();
-        Missing { sent: span.len(), lost: gone.len(), oldest_ms: oldest_us.map_or(0.0, |us| (to_us - us) as f64 * 1e-3) }
+        let read_us = |packet: &&Sent| Some(self.packets.get(&(packet.device, packet.sequence))? - packet.host_us);
+        Missing {
+            sent: span.len(),
+            lost: gone.len(),
+            oldest_ms: oldest_us.map_or(0.0, |us| (to_us - us) as f64 * 1e-3),
+            slowest_read_ms: span.iter().copied().filter_map(|packet| read_us(&packet)).max().unwrap_or(0) as f64 * 1e-3,
+        }
     }
 }
 
@@ -333,6 +339,8 @@ pub struct Missing {
     pub lost: usize,
     /// From the oldest missing packet to the end of the span.
     pub oldest_ms: f64,
+    /// The longest that a packet, once sent, took through the line and its driver to the program, of those in the log.
+    pub slowest_read_ms: f64,
 }
 
 /// Frames of the mock, of other content each: `count` files in a folder of their own.

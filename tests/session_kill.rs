@@ -67,12 +67,13 @@ fn judge(killed: &[Killed], worst_ms: f64) {
     assert!(!killed.is_empty());
     let mut lost_ms: Vec<f64> = killed.iter().map(|kill| kill.missing.oldest_ms).collect();
     lost_ms.sort_by(f64::total_cmp);
+    let slowest_read_ms = killed.iter().map(|kill| kill.missing.slowest_read_ms).fold(0.0, f64::max);
     let sum = |count: fn(&Killed) -> usize| killed.iter().map(count).sum::<usize>();
     let (delivered, lost) = (sum(|kill| kill.frames_delivered), sum(|kill| kill.frames_lost));
     let worst = lost_ms[lost_ms.len() - 1];
     println!(
         "{} kills: telemetry lost median {:.0} ms, worst {worst:.0} ms, {} of {} packets; {lost} of {delivered} delivered frames lost, \
-         {} more were in the log before they counted as delivered",
+         {} more were in the log before they counted as delivered; slowest packet from the device to the program {slowest_read_ms:.0} ms",
         killed.len(),
         lost_ms[lost_ms.len() / 2],
         sum(|kill| kill.missing.lost),

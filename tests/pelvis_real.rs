@@ -107,6 +107,7 @@ fn a_noisy_pelvis_frame_gives_its_projection_back() {
             })
             .collect(),
         source: "test".to_owned(),
+        checks: Vec::new(),
         notes: Vec::new(),
         refused: None,
     };
@@ -173,6 +174,7 @@ fn real_fluoroscopy_is_display_and_is_refused() {
             })
             .collect(),
         source: "test".to_owned(),
+        checks: Vec::new(),
         notes: Vec::new(),
         refused: None,
     };

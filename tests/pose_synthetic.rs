@@ -65,6 +65,7 @@ pub fn layout_of(places: &[DVec3], radius_mm: f64) -> BeadLayout {
     BeadLayout {
         beads: places.iter().enumerate().map(bead).collect(),
         source: "synthetic".to_owned(),
+        checks: Vec::new(),
         notes: Vec::new(),
         refused: None,
     }

@@ -65,8 +65,11 @@ impl Lab {
                 residual_px: None,
                 sigma_px: Some(NOISE_PX),
                 left_out_px: None,
+                beside_px: None,
+                off_sigmas: None,
                 used: true,
                 reason: None,
+                check: false,
             }
         });
         let beads: Vec<BeadResidual> = beads.collect();

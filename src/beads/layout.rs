@@ -36,6 +36,8 @@ impl Bead {
 pub struct BeadLayout {
     /// At least one.
     pub beads: Vec<Bead>,
+    /// Beads of role `check`: no pose rests on them, each is judged by them.
+    pub checks: Vec<Bead>,
     /// Where they come from: a path, or words.
     pub source: String,
     /// What was assumed or left out while reading.
@@ -48,7 +50,7 @@ impl BeadLayout {
     /// No beads at all.
     #[must_use]
     pub fn none() -> Self {
-        Self { beads: Vec::new(), source: "none".to_owned(), notes: Vec::new(), refused: None }
+        Self { beads: Vec::new(), checks: Vec::new(), source: "none".to_owned(), notes: Vec::new(), refused: None }
     }
 
     /// Mean position.

@@ -83,6 +83,24 @@ pub enum BeadsError {
         /// What is there.
         found: String,
     },
+    /// A role that beads do not have.
+    #[error("{path}: point {name:?}: role={found} in its description; the only role is check, of beads on which no pose may rest", path = path.display())]
+    Role {
+        /// The file.
+        path: PathBuf,
+        /// The label.
+        name: String,
+        /// What is there.
+        found: String,
+    },
+    /// Nothing to solve a pose from.
+    #[error("{path}: all {checks} points have role=check; a pose needs beads without it", path = path.display())]
+    OnlyChecks {
+        /// The file.
+        path: PathBuf,
+        /// How many.
+        checks: usize,
+    },
 }
 
 struct Point {
@@ -96,11 +114,11 @@ struct Points {
     notes: Vec<String>,
 }
 
-/// Beads of a Slicer markups file. `radius_mm=`, `sigma_mm=` and `body=` are read from the descriptions; points whose status is not
-/// defined are skipped.
+/// Beads of a Slicer markups file. `radius_mm=`, `sigma_mm=`, `body=` and `role=check` are read from the descriptions; points whose status
+/// is not defined are skipped.
 ///
 /// # Errors
-/// Every form of damage, each with the file, the place and what was expected; also duplicate names and an empty list.
+/// Every form of damage, each with the file, the place and what was expected; also duplicate names and a list without a bead to solve from.
 pub fn read_markups(path: &Path) -> Result<BeadLayout, BeadsError> {
     layout(path, read_points(path)?)
 }
@@ -114,8 +132,15 @@ pub fn parse_markups(path: &Path, content: &[u8]) -> Result<BeadLayout, BeadsErr
 }
 
 fn layout(path: &Path, Points { points, notes }: Points) -> Result<BeadLayout, BeadsError> {
-    let beads = points.into_iter().map(|point| bead(path, point)).collect::<Result<_, _>>()?;
-    Ok(BeadLayout { beads, source: path.display().to_string(), notes, refused: None })
+    let (mut beads, mut checks) = (Vec::new(), Vec::new());
+    for point in points {
+        let (bead, is_check) = bead(path, point)?;
+        if is_check { checks.push(bead) } else { beads.push(bead) }
+    }
+    if beads.is_empty() {
+        return Err(BeadsError::OnlyChecks { path: path.to_owned(), checks: checks.len() });
+    }
+    Ok(BeadLayout { beads, checks, source: path.display().to_string(), notes, refused: None })
 }
 
 /// Landmarks of a Slicer markups file; as [`read_markups`], without a look at the descriptions.
@@ -138,7 +163,8 @@ fn landmarks(Points { points, .. }: Points) -> Vec<Landmark> {
     points.into_iter().map(|point| Landmark { name: point.label, lps_mm: point.lps_mm }).collect()
 }
 
-fn bead(path: &Path, point: Point) -> Result<Bead, BeadsError> {
+/// The bead, and whether it is one to check poses by.
+fn bead(path: &Path, point: Point) -> Result<(Bead, bool), BeadsError> {
     let value = |key: &str| {
         point
             .description
@@ -152,13 +178,22 @@ fn bead(path: &Path, point: Point) -> Result<Bead, BeadsError> {
             _ => Err(BeadsError::Description { path: path.to_owned(), name: point.label.clone(), key, found: text }),
         },
     };
-    Ok(Bead {
+    let is_check = match value("role").as_deref() {
+        None => false,
+        Some("check") => true,
+        Some(found) => {
+            let (name, found) = (point.label, found.to_owned());
+            return Err(BeadsError::Role { path: path.to_owned(), name, found });
+        }
+    };
+    let bead = Bead {
         radius_mm: positive("radius_mm", f64::MIN_POSITIVE)?,
         sigma_mm: positive("sigma_mm", 0.0)?,
         body: value("body").filter(|body| !body.is_empty()).unwrap_or_else(|| DEFAULT_BODY.to_owned()),
         lps_mm: point.lps_mm,
         name: point.label,
-    })
+    };
+    Ok((bead, is_check))
 }
 
 fn read_points(path: &Path) -> Result<Points, BeadsError> {

@@ -30,7 +30,7 @@ pub struct RegisterArgs {
     /// have migrated, bodies that were bumped between two frames, and single shadows that are off from each other
     #[arg(long, conflicts_with_all = ["fuse", "tags", "correspondences", "overlay", "explain"])]
     pub together: bool,
-    /// Beads: a 3D Slicer point list (.mrk.json or .fcsv); radius_mm=0.75, sigma_mm=0.1 and body=pelvis are read from descriptions
+    /// Beads: a 3D Slicer point list (.mrk.json or .fcsv); radius_mm=0.75, sigma_mm=0.1, body=pelvis and role=check (P does not rest on it, its error is told) are read from descriptions
     #[arg(long, value_name = "BEADS", required_unless_present = "tags")]
     pub beads: Option<PathBuf>,
     /// AprilTags: {"family": "tag36h11", "tags": [{"id": 3, "size_mm": 12.0, "lps_from_tag": 4x4 rows}, …]}; they start the search for
@@ -244,10 +244,11 @@ pub fn summary(pose: &Pose, explain: bool) -> String {
         } else {
             lines.push(format!(
                 "accepted{with_caution}: {used} of {} beads, rms {rms_px} px = {rms_mm} mm at the beads, {} accidental matches expected",
-                pose.beads.len(),
+                pose.beads.iter().filter(|bead| !bead.check).count(),
                 pose.chance.map_or("?".to_owned(), |chance| format!("{chance:.0e}"))
             ));
         }
+        lines.extend(pose.unseen.as_ref().map(ToString::to_string));
         if let Some(rows) = &pose.covariance_at_centroid {
             let sigma = |n: usize| rows[n][n].sqrt();
             lines.push(format!(

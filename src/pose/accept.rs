@@ -7,6 +7,7 @@ use super::case::Case;
 use super::record::{BeadResidual, BodyPose, Covariance, LandmarkUncertainty, Pose, Shadow, Status};
 use super::settle::Settled;
 use super::solve::{Free, Solution, about, left_out};
+use super::unseen::Unseen;
 use crate::beads::{Bead, Detection, Landmark};
 use crate::estimate::LeftOut;
 use crate::geometry::{Projection, Rigid};
@@ -22,10 +23,12 @@ impl Case<'_> {
         let about_origin = back * at_centroid * back.transpose();
         let projection = Projection::compose(&k, &pose);
         let unseen = self.left_out(last);
-        let beads: Vec<BeadResidual> =
-            layout.beads.iter().enumerate().map(|(n, bead)| self.bead(last, &unseen, n, bead, &projection)).collect();
+        let own = layout.beads.iter().enumerate().map(|(n, bead)| self.bead(last, covariance, &unseen, n, bead));
+        let checks = layout.checks.iter().map(|bead| self.check(last, covariance, bead));
+        let beads: Vec<BeadResidual> = own.chain(checks).collect();
+        let mm_per_px = centroid.z / k.fx;
         let mut bodies: Vec<BodyPose> = Vec::new();
-        for bead in &beads {
+        for bead in beads.iter().filter(|bead| !bead.check) {
             match bodies.iter_mut().find(|body| body.name == bead.body) {
                 Some(body) => {
                     body.beads += 1;
@@ -66,7 +69,8 @@ impl Case<'_> {
             camera_from_lps: Some(pose),
             bodies,
             rms_px: Some(rms_px),
-            rms_mm: Some(rms_px * centroid.z / k.fx),
+            rms_mm: Some(rms_px * mm_per_px),
+            unseen: Unseen::of(&beads, mm_per_px),
             chi2_per_dof: Some(last.chi2_per_dof),
             chance: Some(accident),
             covariance: Some(rows_of(&about_origin)),
@@ -83,21 +87,37 @@ impl Case<'_> {
         }
     }
 
-    fn bead(&self, last: &Settled, unseen: &[Option<DVec2>], index: usize, bead: &Bead, projection: &Projection) -> BeadResidual {
-        let (at, depth_mm) = projection.project(bead.lps_mm);
-        let predicted = (depth_mm > 1.0).then_some(at);
+    fn bead(
+        &self,
+        last: &Settled,
+        covariance: &DMatrix<f64>,
+        unseen: &[Option<LeftOut>],
+        index: usize,
+        bead: &Bead,
+    ) -> BeadResidual {
+        let (at, predicted) = last.solution.place(bead.lps_mm);
         let used = last.matches.iter().position(|m| m.bead == index);
         let rejected = last.left_out.iter().find(|(m, _)| m.bead == index);
         let observed = used.map(|n| last.matches[n]).or_else(|| rejected.map(|(m, _)| *m));
-        let [width, height] = self.request.size_px.map(f64::from);
-        let outside = at.x < 0.0 || at.y < 0.0 || at.x > width - 1.0 || at.y > height - 1.0;
+        let left_out = used.and_then(|n| unseen[n].as_ref());
+        let beside = match observed {
+            None => predicted.filter(|at| !self.request.is_outside(*at)).and_then(|at| self.nearest_free(last, at)),
+            Some(_) => None,
+        };
+        let beside = beside.map(|n| (self.detections[n].image_px - at, self.detections[n].sigma_px));
         let reason = match (used, rejected) {
             (Some(_), _) => None,
             (None, Some((_, off))) => Some(format!("its shadow is {:.2} px from where the other beads put it", off.length())),
             (None, None) if predicted.is_none() => Some("behind the source".to_owned()),
-            (None, None) if outside => Some("outside the frame".to_owned()),
-            (None, None) => Some(self.beside(last, at)),
+            (None, None) if self.request.is_outside(at) => Some("outside the frame".to_owned()),
+            (None, None) => Some(match beside {
+                Some((off, _)) => {
+                    format!("no shadow where it should be; one that belongs to no bead is {:.1} px away", off.length())
+                }
+                None => "no shadow found where it should be".to_owned(),
+            }),
         };
+        let off = rejected.map(|(m, off)| (*off, m.sigma_px)).or(beside);
         BeadResidual {
             name: bead.name.clone(),
             body: bead.body.clone(),
@@ -106,32 +126,59 @@ impl Case<'_> {
             predicted_px: predicted.map(|p| p.to_array()),
             residual_px: observed.zip(predicted).map(|(m, p)| (m.image_px - p).to_array()),
             sigma_px: observed.map(|m| m.sigma_px),
-            left_out_px: used.and_then(|n| unseen[n]).map(|off| off.to_array()),
+            left_out_px: left_out.map(|found| [found.offset[0], found.offset[1]]),
+            beside_px: beside.map(|(off, _)| off.to_array()),
+            off_sigmas: left_out.map(|found| found.chi2.sqrt()).or_else(|| {
+                let (off, sigma_px) = off?;
+                last.off_sigmas(covariance, bead.lps_mm, bead.sigma_or_default_mm(), sigma_px, off)
+            }),
             used: used.is_some(),
             reason,
+            check: false,
         }
     }
 
-    /// What there is instead of a bead's shadow.
-    fn beside(&self, last: &Settled, at: DVec2) -> String {
+    /// A bead of role `check` against the free shadow next to its place.
+    fn check(&self, last: &Settled, covariance: &DMatrix<f64>, bead: &Bead) -> BeadResidual {
+        let (at, predicted) = last.solution.place(bead.lps_mm);
+        let nearest = predicted.and_then(|at| self.nearest_free(last, at)).map(|n| &self.detections[n]);
+        let off = nearest.zip(predicted).map(|(shadow, at)| shadow.image_px - at);
+        BeadResidual {
+            image_px: nearest.map(|shadow| shadow.image_px.to_array()),
+            predicted_px: predicted.map(|at| at.to_array()),
+            residual_px: off.map(|off| off.to_array()),
+            sigma_px: nearest.map(|shadow| shadow.sigma_px),
+            off_sigmas: nearest.zip(off).and_then(|(shadow, off)| {
+                last.off_sigmas(covariance, bead.lps_mm, bead.sigma_or_default_mm(), shadow.sigma_px, off)
+            }),
+            check: true,
+            ..self.request.row(
+                bead,
+                match (nearest, predicted) {
+                    (Some(_), _) => "a check bead: P is judged by it and does not rest on it",
+                    (None, Some(_)) if self.request.is_outside(at) => "a check bead outside the frame",
+                    (None, Some(_)) => "a check bead of which no shadow was found",
+                    (None, None) => "a check bead behind the source",
+                },
+            )
+        }
+    }
+
+    /// The shadow next to `at` that is no bead's.
+    fn nearest_free(&self, last: &Settled, at: DVec2) -> Option<usize> {
         let free = |n: &usize| !last.known().any(|m| m.detection == *n);
         let distance = |n: &usize| self.detections[*n].image_px.distance(at);
         let near = |n: &usize| distance(n) < 4.0 * self.detections[*n].radius_px;
-        let nearest = (0..self.detections.len()).filter(free).filter(near).min_by(|a, b| distance(a).total_cmp(&distance(b)));
-        match nearest {
-            Some(n) => format!("no shadow where it should be; one that belongs to no bead is {:.1} px away", distance(&n)),
-            None => "no shadow found where it should be".to_owned(),
-        }
+        (0..self.detections.len()).filter(free).filter(near).min_by(|a, b| distance(a).total_cmp(&distance(b)))
     }
 
     /// Residual of each used bead under the pose of all others, the prior among them where it is fused.
-    fn left_out(&self, last: &Settled) -> Vec<Option<DVec2>> {
+    fn left_out(&self, last: &Settled) -> Vec<Option<LeftOut>> {
         // At least one other bead must be left to contradict it.
         if last.solution.degrees_of_freedom < 4 {
             return vec![None; last.matches.len()];
         }
-        let off = |found: LeftOut| DVec2::new(found.offset[0], found.offset[1]);
-        left_out(&last.matches, &last.solution, &last.options).into_iter().map(|found| found.map(off)).collect()
+        left_out(&last.matches, &last.solution, &last.options)
     }
 }
 

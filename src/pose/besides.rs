@@ -3,7 +3,7 @@
 use super::case::Case;
 use super::settle::Settled;
 use super::solve::Match;
-use crate::beads::Detection;
+use crate::beads::{Bead, Detection};
 
 /// A bead is missing for certain where its place is less deep than this share of the others' contrast …
 const LEAST_SHARE: f64 = 0.3;
@@ -52,7 +52,11 @@ impl Case<'_> {
         let explained = |n: usize| {
             let taken = last.known().any(|m| m.detection == n);
             let beside = |m: &Match| m.image_px.distance(self.detections[n].image_px) < usual_radius_px;
-            taken || last.matches.iter().any(beside)
+            let of_check = |bead: &Bead| {
+                let at = last.solution.place(bead.lps_mm).1;
+                at.is_some_and(|at| at.distance(self.detections[n].image_px) < APART_RADII * usual_radius_px)
+            };
+            taken || last.matches.iter().any(beside) || layout.checks.iter().any(of_check)
         };
         besides.displaced.extend(last.left_out.iter().map(|(m, _)| layout.beads[m.bead].name.clone()));
         for (index, bead) in layout.beads.iter().enumerate() {

@@ -6,11 +6,12 @@
 
 use nalgebra::{Matrix6, Vector6};
 
-use super::record::{BodyPose, Pose, Prior};
+use super::record::{BeadResidual, BodyPose, Pose, Prior};
 use super::refusal::Refusal;
 use super::request::Registration;
 use super::solve::{about, deviation};
-use crate::beads::{BeadLayout, Correspondence, Detection};
+use super::unseen::Unseen;
+use crate::beads::{Bead, BeadLayout, Correspondence, Detection};
 use crate::geometry::Rigid;
 
 /// Fewest beads from which a body's place is solved.
@@ -50,8 +51,8 @@ pub(super) fn names(layout: &BeadLayout) -> Vec<String> {
 }
 
 fn layout_of(layout: &BeadLayout, body: &str) -> BeadLayout {
-    let beads = layout.beads.iter().filter(|bead| bead.body == body).cloned().collect();
-    BeadLayout { beads, ..layout.clone() }
+    let of_body = |beads: &[Bead]| beads.iter().filter(|bead| bead.body == body).cloned().collect();
+    BeadLayout { beads: of_body(&layout.beads), checks: of_body(&layout.checks), ..layout.clone() }
 }
 
 /// `one` is the pose of all beads taken as one rigid specimen. Gives it back where no body has moved, the camera and each body's place
@@ -174,12 +175,14 @@ fn together(request: &Registration, first: Pose, bodies: &[Apart], reference: &s
             ));
         }
     }
-    pose.beads = all
-        .iter()
-        .map(|bead| {
-            let solved = beads.iter().find(|row| row.name == bead.name).cloned();
-            solved.unwrap_or_else(|| request.row(bead, "its body has too few beads seen for a pose of its own"))
-        })
-        .collect();
+    let mm_per_px = pose.rms_mm.zip(pose.rms_px).map_or(f64::NAN, |(mm, px)| mm / px);
+    let row = |bead: &Bead, check: bool| {
+        let solved = beads.iter().find(|row| row.name == bead.name).cloned();
+        let without = "its body has too few beads seen for a pose of its own";
+        solved.unwrap_or_else(|| BeadResidual { check, ..request.row(bead, without) })
+    };
+    let checks = request.layout.checks.iter().map(|bead| row(bead, true));
+    pose.beads = all.iter().map(|bead| row(bead, false)).chain(checks).collect();
+    pose.unseen = Unseen::of(&pose.beads, mm_per_px);
     pose
 }

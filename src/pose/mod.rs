@@ -28,6 +28,7 @@ mod tagged;
 mod together;
 mod transform;
 mod triangle;
+mod unseen;
 mod verdict;
 mod with_tags;
 
@@ -47,5 +48,6 @@ pub use together::{
     Against, BeadVerdict, Bump, SeveralViews, SolvedBead, Together, TogetherRefusal, ViewAlone, register_together,
 };
 pub use triangle::align as align_triangles;
+pub use unseen::{Unseen, UnseenBy, WorstBead};
 pub use verdict::extents_mm;
 pub use with_tags::register_tagged;

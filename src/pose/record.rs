@@ -6,6 +6,7 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use super::refusal::Refusal;
+use super::unseen::Unseen;
 use crate::beads::Detection;
 use crate::beads::tags::Family;
 use crate::geometry::{ConsoleGeometry, Intrinsics, Projection, Rigid};
@@ -87,10 +88,20 @@ pub struct BeadResidual {
     pub sigma_px: Option<f64>,
     /// Observed minus predicted by the pose of all other used beads: what an unseen point would have shown.
     pub left_out_px: Option<[f64; 2]>,
+    /// Of a bead without a shadow: the shadow next to its place that is no other's, minus predicted. The bead may have moved.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub beside_px: Option<[f64; 2]>,
+    /// Of `left_out_px` where P rests on the bead, of `residual_px` or `beside_px` elsewhere: how many standard deviations of observation,
+    /// place and prediction it is.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub off_sigmas: Option<f64>,
     /// Whether P rests on it.
     pub used: bool,
     /// Why not, if not.
     pub reason: Option<String>,
+    /// It has the role `check`.
+    #[serde(skip_serializing_if = "std::ops::Not::not", default)]
+    pub check: bool,
 }
 
 /// A bead-like shadow in the frame.
@@ -235,6 +246,9 @@ pub struct Pose {
     pub rms_px: Option<f64>,
     /// The same at the isocentre; the beads' mean depth stands for it: rms_px · depth / f.
     pub rms_mm: Option<f64>,
+    /// The error at beads that P has not seen.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub unseen: Option<Unseen>,
     /// Weighted square residual over its degrees of freedom, with the 3D uncertainty of the beads.
     pub chi2_per_dof: Option<f64>,
     /// Expected number of matches as good as this by accident.
@@ -247,7 +261,7 @@ pub struct Pose {
     pub centroid_lps_mm: Option<DVec3>,
     /// Uncertainty where it was asked for.
     pub landmarks: Vec<LandmarkUncertainty>,
-    /// All beads of the layout, in its order.
+    /// All beads of the layout, in its order, then those of role `check`.
     pub beads: Vec<BeadResidual>,
     /// The tags that were seen, by id.
     #[serde(skip_serializing_if = "Vec::is_empty")]

@@ -1,6 +1,6 @@
 //! What is asked of a registration.
 
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 
 use super::record::{BeadResidual, Pose, Prior, Status};
 use super::refusal::{Points, Refusal};
@@ -105,6 +105,12 @@ impl<'a> Registration<'a> {
         None
     }
 
+    /// Whether no pixel of the frame lies there.
+    pub(super) fn is_outside(&self, at: DVec2) -> bool {
+        let [width, height] = self.size_px.map(f64::from);
+        !(at.x >= 0.0 && at.y >= 0.0 && at.x <= width - 1.0 && at.y <= height - 1.0)
+    }
+
     /// A bead that has no part in a pose.
     pub(super) fn row(&self, bead: &Bead, reason: &str) -> BeadResidual {
         BeadResidual {
@@ -116,8 +122,11 @@ impl<'a> Registration<'a> {
             residual_px: None,
             sigma_px: None,
             left_out_px: None,
+            beside_px: None,
+            off_sigmas: None,
             used: false,
             reason: Some(reason.to_owned()),
+            check: false,
         }
     }
 
@@ -125,6 +134,7 @@ impl<'a> Registration<'a> {
     #[must_use]
     pub fn refuse(&self, refusal: &Refusal) -> Pose {
         let beads = self.layout.beads.iter().map(|bead| self.row(bead, "no pose"));
+        let checks = self.layout.checks.iter().map(|bead| BeadResidual { check: true, ..self.row(bead, "no pose") });
         Pose {
             status: Status::Refused,
             reason: Some(refusal.to_string()),
@@ -133,7 +143,7 @@ impl<'a> Registration<'a> {
             pitch_mm: self.pitch_mm,
             intrinsics: self.intrinsics,
             intrinsics_source: self.intrinsics.map(|_| "given".to_owned()),
-            beads: beads.collect(),
+            beads: beads.chain(checks).collect(),
             notes: self.layout.notes.clone(),
             version: Some(env!("CARGO_PKG_VERSION").to_owned()),
             ..Pose::default()

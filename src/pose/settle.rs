@@ -1,11 +1,12 @@
 //! The pose of a match: solved from every start there is, freed of beads that do not fit.
 
-use glam::DVec2;
+use glam::{DVec2, DVec3};
+use nalgebra::{DMatrix, Matrix2, Vector2};
 
 use super::case::Case;
 use super::propose::Candidate;
 use super::search::MISSED;
-use super::solve::{Match, Measured, Options, Solution, solve};
+use super::solve::{Match, Measured, Options, Solution, image_by_point, solve};
 use super::start;
 
 /// Squared residual (in standard deviations, two degrees of freedom) beyond which a bead is left out.
@@ -37,6 +38,25 @@ impl Settled {
     pub fn rms_px(&self) -> f64 {
         let residuals = &self.solution.residuals_px;
         (residuals.iter().map(|r| r.length_squared()).sum::<f64>() / residuals.len().max(1) as f64).sqrt()
+    }
+
+    /// `off_px`, of a bead that the pose does not rest on, in standard deviations of its place (`sigma_mm` per axis), its shadow's
+    /// (`sigma_px`) and the prediction's; `covariance` is the solution's, scaled perhaps. `None` behind the source.
+    pub fn off_sigmas(
+        &self,
+        covariance: &DMatrix<f64>,
+        lps_mm: DVec3,
+        sigma_mm: f64,
+        sigma_px: f64,
+        off_px: DVec2,
+    ) -> Option<f64> {
+        let p = self.solution.camera_from_lps.transform_point(lps_mm);
+        let by_place = image_by_point(&self.solution.intrinsics, p);
+        let spread = self.solution.sharpness(lps_mm, covariance).image_px2?
+            + by_place * by_place.transpose() * sigma_mm.powi(2)
+            + Matrix2::identity() * sigma_px.powi(2);
+        let off = Vector2::new(off_px.x, off_px.y);
+        Some((off.transpose() * spread.try_inverse()? * off)[(0, 0)].sqrt()).filter(|sigmas| sigmas.is_finite())
     }
 }
 

@@ -148,6 +148,14 @@ pub struct Sharpness {
 }
 
 impl Solution {
+    /// Where P puts a place, and the same where it lies in front of the source.
+    #[must_use]
+    pub fn place(&self, lps_mm: DVec3) -> (DVec2, Option<DVec2>) {
+        let p = self.camera_from_lps.transform_point(lps_mm);
+        let at = self.intrinsics.project(p);
+        (at, (p.z > 1.0).then_some(at))
+    }
+
     /// Uncertainty of P at a place; `covariance` is this solution's, scaled perhaps.
     #[must_use]
     pub fn sharpness(&self, lps_mm: DVec3, covariance: &DMatrix<f64>) -> Sharpness {

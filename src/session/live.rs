@@ -213,7 +213,10 @@ impl Session {
     fn announce(&self, posed: &Posed) {
         let outcome = match &posed.pose.reason {
             Some(reason) => format!("refused, {reason}"),
-            None => format!("accepted, rms {:.3} px", posed.pose.rms_px.unwrap_or(f64::NAN)),
+            None => {
+                let unseen = posed.pose.unseen.as_ref().map(|unseen| format!(", unseen beads {:.3} px", unseen.rms_px));
+                format!("accepted, rms {:.3} px{}", posed.pose.rms_px.unwrap_or(f64::NAN), unseen.unwrap_or_default())
+            }
         };
         self.reporter.note(format!("{}: {outcome}", posed.label()));
     }

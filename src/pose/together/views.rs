@@ -8,10 +8,11 @@ use super::setup::{Blocks, Setup, place_covariance};
 use super::strays::Sorted;
 use crate::beads::Landmark;
 use crate::estimate::{Covariance, Estimate, about};
-use crate::geometry::{Projection, Rigid};
+use crate::geometry::{Intrinsics, Projection, Rigid};
 use crate::pose::accept::{landmarks_of, rows_of};
 use crate::pose::record::{BeadResidual, BodyPose, Pose};
 use crate::pose::solve::{Free, Solution};
+use crate::pose::unseen::Unseen;
 
 /// The common solution.
 pub struct Common<'s> {
@@ -41,7 +42,9 @@ impl Common<'_> {
         let covariance = self.covariance.of(&[blocks.cameras[view].id(), blocks.intrinsics_of(view).id()]) * self.scale;
         let at_centroid = Matrix6::from_fn(|i, j| covariance[(i, j)]);
         let back = about(-motion.centre_mm());
-        let beads: Vec<BeadResidual> = (0..setup.layout.beads.len()).map(|n| self.bead(view, n, alone)).collect();
+        let own = (0..setup.layout.beads.len()).map(|n| self.bead(view, n, alone));
+        let checks = alone.beads.iter().filter(|bead| bead.check).map(|bead| Self::check(&camera, &k, bead));
+        let beads: Vec<BeadResidual> = own.chain(checks).collect();
         let used: Vec<f64> =
             beads.iter().filter(|bead| bead.used).filter_map(|bead| bead.residual_px).map(|[u, v]| u * u + v * v).collect();
         let rms_px = (used.iter().sum::<f64>() / used.len().max(1) as f64).sqrt();
@@ -66,7 +69,7 @@ impl Common<'_> {
             shadow.bead = shadow.bead.take().filter(rests);
         }
         let mut bodies: Vec<BodyPose> = Vec::new();
-        for (n, bead) in beads.iter().enumerate() {
+        for (n, bead) in beads.iter().filter(|bead| !bead.check).enumerate() {
             match bodies.iter_mut().find(|body| body.name == bead.body) {
                 Some(body) => {
                     body.beads += 1;
@@ -89,6 +92,7 @@ impl Common<'_> {
             bodies,
             rms_px: Some(rms_px),
             rms_mm: Some(rms_px * motion.centre_mm().z / k.fx),
+            unseen: Unseen::of(&beads, motion.centre_mm().z / k.fx),
             chi2_per_dof: Some(self.estimate.chi2_sum() / self.estimate.degrees_of_freedom().max(1) as f64),
             covariance: Some(rows_of(&(back * at_centroid * back.transpose()))),
             covariance_at_centroid: Some(rows_of(&at_centroid)),
@@ -104,6 +108,19 @@ impl Common<'_> {
         self.setup.segment_of(view, bead).map_or(Rigid::IDENTITY, |n| self.setup.segments[n].lps_from_body)
     }
 
+    /// A bead of role `check` against the pose of all views.
+    fn check(camera_from_lps: &Rigid, k: &Intrinsics, alone: &BeadResidual) -> BeadResidual {
+        let p = camera_from_lps.transform_point(alone.lps_mm);
+        let predicted = (p.z > 1.0).then(|| k.project(p));
+        let off = |at: DVec2| Some((DVec2::from_array(alone.image_px?) - at).to_array());
+        BeadResidual {
+            predicted_px: predicted.map(|at| at.to_array()),
+            residual_px: predicted.and_then(off),
+            off_sigmas: None,
+            ..alone.clone()
+        }
+    }
+
     fn bead(&self, view: usize, bead: usize, alone: &Pose) -> BeadResidual {
         let setup = self.setup;
         let own = &setup.layout.beads[bead];
@@ -116,10 +133,7 @@ impl Common<'_> {
             Some(n) => Some(setup.observations[n].image_px),
             None => row.and_then(|row| row.image_px).map(DVec2::from_array),
         };
-        let left_out = |n: usize| {
-            let found = self.estimate.left_out_linear(self.covariance, self.blocks.images[n]).ok()?;
-            Some([found.offset[0], found.offset[1]])
-        };
+        let left_out = seen.and_then(|n| self.estimate.left_out_linear(self.covariance, self.blocks.images[n]).ok());
         let verdict = self.sorted.verdicts[bead];
         let reason = match (seen, aside, verdict) {
             (Some(_), ..) if setup.freed[bead] => Some("it has migrated since the scan, as all views agree".to_owned()),
@@ -141,9 +155,12 @@ impl Common<'_> {
             predicted_px: predicted.map(|at| at.to_array()),
             residual_px: image.zip(predicted).map(|(at, predicted)| (at - predicted).to_array()),
             sigma_px: seen.map(|n| setup.observations[n].sigma_px).or_else(|| row.and_then(|row| row.sigma_px)),
-            left_out_px: seen.and_then(left_out),
+            left_out_px: left_out.as_ref().map(|found| [found.offset[0], found.offset[1]]),
+            beside_px: row.and_then(|row| row.beside_px).filter(|_| image.is_none()),
+            off_sigmas: left_out.map(|found| found.chi2.sqrt()),
             used: seen.is_some() && !setup.freed[bead],
             reason,
+            check: false,
         }
     }
 

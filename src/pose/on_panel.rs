@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
-use super::record::{Covariance, DetectorPose, Pose, PoseFileError, Prior, read_json};
+use super::file::{PoseFileError, read_json};
+use super::prior::Prior;
+use super::record::{Covariance, DetectorPose, Pose};
 use crate::acquire::{Frame, Stored};
 use crate::geometry::{ConsoleGeometry, Projection, homogeneous_rows, seen_through, turned_camera};
 

@@ -112,6 +112,24 @@ pub struct BodyPose {
     pub used: usize,
 }
 
+impl BodyPose {
+    /// The bodies of `beads`, in the order in which they come, with how many beads each has; the nth bead's body is at `lps_from_body(n)`.
+    pub(super) fn of_beads(beads: &[BeadResidual], lps_from_body: impl Fn(usize) -> Rigid) -> Vec<Self> {
+        let mut bodies: Vec<Self> = Vec::new();
+        for (n, bead) in beads.iter().enumerate() {
+            let used = usize::from(bead.used);
+            match bodies.iter_mut().find(|body| body.name == bead.body) {
+                Some(body) => {
+                    body.beads += 1;
+                    body.used += used;
+                }
+                None => bodies.push(Self { name: bead.body.clone(), lps_from_body: lps_from_body(n), beads: 1, used }),
+            }
+        }
+        bodies
+    }
+}
+
 /// Uncertainty of P at a point of interest.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

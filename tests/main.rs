@@ -41,6 +41,7 @@ mod pose_intrinsics;
 mod pose_request;
 mod pose_synthetic;
 mod pose_together;
+mod pose_together_command;
 mod pose_angles;
 mod pose_command;
 mod pose_console;

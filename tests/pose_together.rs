@@ -3,10 +3,10 @@
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 use sidecarm::beads::BeadLayout;
-use sidecarm::geometry::{Intrinsics, Rigid, View};
+use sidecarm::geometry::{ConsoleGeometry, Flip, Intrinsics, Rigid, View};
 use sidecarm::pose::{
-    Against, BeadResidual, BeadVerdict, BodyPose, IntrinsicsPrior, Pose, Prior, SeveralViews, Shadow, Status, Together,
-    TogetherRefusal, ViewAlone, register_together,
+    Against, BeadResidual, BeadVerdict, BodyPose, DetectorPose, IntrinsicsPrior, Pose, Prior, SeveralViews, Shadow, Status,
+    Together, TogetherRefusal, ViewAlone, register_together,
 };
 use sidecarm::random::{Purpose, Stream};
 
@@ -124,9 +124,8 @@ fn regions_of_views_solved_together_hold_the_truth() {
     assert!(worst_mm <= 0.25 && alarms <= 1, "{worst_mm} {alarms}");
 }
 
-/// `scripts/evaluate together N`.
 #[test]
-#[ignore = "a minute"]
+#[ignore = "a minute long: scripts/evaluate together runs it"]
 fn many_together() {
     let count = std::env::var("SIDECARM_TOGETHER").ok().and_then(|n| n.parse().ok()).unwrap_or(10_000);
     let (poses, landmarks, worst_mm, alarms) = covered(0..count);
@@ -157,9 +156,8 @@ fn power(mm: f64, count: u64) -> [f64; 4] {
     std::array::from_fn(|n| all.iter().map(|run| run[n]).sum::<f64>() / count as f64)
 }
 
-/// `scripts/evaluate together N`.
 #[test]
-#[ignore = "a minute"]
+#[ignore = "a minute long: scripts/evaluate together runs it"]
 fn many_together_with_a_migrated_bead() {
     let count = std::env::var("SIDECARM_TOGETHER").ok().and_then(|n| n.parse().ok()).unwrap_or(10_000) / 5;
     for mm in [0.5, 1.0, 1.5, 2.0, 3.0] {
@@ -351,4 +349,43 @@ fn views_that_give_nothing_together_are_refused_for_their_reason() {
     assert_eq!(back.beads.len(), 8);
     let body: &BodyPose = &back.views[0].bodies[0];
     assert_eq!((body.beads, body.used), (8, 8));
+}
+
+/// A console turned all three pictures by 13 degrees and mirrored them: what is said of the panel is the common solution, not what the
+/// frame gave alone.
+#[test]
+fn the_panel_s_pose_is_that_of_the_common_solution() {
+    let mut lab = Lab::new(3, beads(8, 4), 4);
+    let k = lab.views[0].intrinsics;
+    let mut views = lab.all(&k);
+    for view in &mut views {
+        let pose = &mut view.pose;
+        pose.console = Some(ConsoleGeometry { rotation_deg: 13.0, flip: Flip::Horizontal, ..ConsoleGeometry::default() });
+        pose.mirrored = true;
+        pose.detector = Some(DetectorPose {
+            detector_from_image: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+            size_px: Some([1024, 1024]),
+            projection: None,
+            intrinsics: Some(k),
+            camera_from_lps: pose.camera_from_lps,
+            covariance: None,
+        });
+    }
+    let together = lab.together(&views, None);
+    let (sin, cos) = 13f64.to_radians().sin_cos();
+    let mut cases = 0;
+    for pose in &together.views {
+        let detector = pose.detector.as_ref().expect("the console is known");
+        let (panel, picture) = (detector.projection.expect("solved"), pose.projection.expect("solved"));
+        for bead in &lab.layout.beads {
+            // Back by 13 degrees about the middle of the picture; rows count downwards.
+            let off = picture.project(bead.lps_mm).0 - 511.5;
+            let expected = DVec2::new(off.x * cos + off.y * sin, off.y * cos - off.x * sin) + 511.5;
+            let found = panel.project(bead.lps_mm).0;
+            assert!(found.distance(expected) < 1e-6, "{}: {found} {expected}", bead.name);
+            cases += 1;
+        }
+        assert!(pose.mirrored && detector.size_px == Some([1024, 1024]) && detector.covariance.is_some());
+    }
+    assert_eq!(cases, 24);
 }

@@ -49,6 +49,16 @@ impl Pose {
         }
     }
 
+    /// The same after its camera or K has changed: what it says of the panel follows.
+    pub(super) fn on_panel_anew(self) -> Self {
+        let (Some(console), Some(oriented_px), Some(detector)) = (&self.console, self.size_px, &self.detector) else {
+            return self;
+        };
+        let stored = Stored { console: console.clone(), size_px: console.stored_size(oriented_px), panel_px: detector.size_px };
+        let mirrored = self.mirrored;
+        self.of_stored(&stored, mirrored)
+    }
+
     fn of_stored(self, stored: &Stored, unmirrored: bool) -> Self {
         let Stored { console, size_px, panel_px } = stored;
         let detector_from_oriented = console.window(*size_px).detector_from_oriented();

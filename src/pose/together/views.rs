@@ -61,7 +61,7 @@ impl Common<'_> {
             shadow.bead = shadow.bead.take().filter(rests);
         }
         let bodies = BodyPose::of_beads(&beads, |n| self.lps_from_body(view, n));
-        Pose {
+        let pose = Pose {
             projection: Some(Projection::compose(&k, &camera)),
             intrinsics: Some(k),
             intrinsics_source: Some(setup.free.source().to_owned()),
@@ -78,7 +78,8 @@ impl Common<'_> {
             beads,
             shadows,
             ..alone.clone()
-        }
+        };
+        pose.on_panel_anew()
     }
 
     fn lps_from_body(&self, view: usize, bead: usize) -> Rigid {

@@ -51,6 +51,7 @@ mod layout_score;
 mod live_numbers;
 mod timeline_joints;
 mod calibrate_carm;
+mod calibrate_carm_shots;
 mod calibrate_detector;
 mod carm_arm;
 mod calibrate_intensifier;

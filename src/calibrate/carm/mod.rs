@@ -17,7 +17,7 @@ pub use fit::{CarmFit, LeftOutShot, calibrate};
 pub use parameters::Parameter;
 pub use report::{CarmReport, FittedParameter, ShotReport, plot};
 pub use shot::{Shot, ShotBead};
-pub use shots_of::shots_of_log;
+pub use shots_of::{NoShot, shots_of_log};
 pub use solve::CameraError;
 
 use crate::estimate::EstimateError;

@@ -223,9 +223,8 @@ fn a_pose_through_an_intensifier_is_that_of_the_undistorted_picture() {
     assert!(off(&plain).is_none_or(|px| px > 5.0 * straightened), "control");
 }
 
-/// Started by `scripts/evaluate intensifier [N]`.
 #[test]
-#[ignore = "long: some seconds a grid; run by scripts/evaluate"]
+#[ignore = "minutes long: scripts/evaluate intensifier runs it"]
 fn many_grids_are_straightened() {
     let count = std::env::var("SIDECARM_GRIDS").ok().and_then(|count| count.parse().ok()).unwrap_or(60u64);
     let first = std::env::var("SIDECARM_FIRST_SEED").ok().and_then(|seed| seed.parse().ok()).unwrap_or(100u64);

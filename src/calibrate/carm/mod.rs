@@ -116,6 +116,17 @@ pub enum CarmFitError {
         /// All shots.
         shots: usize,
     },
+    /// No arm explains the shots.
+    #[error(
+        "the shots agree only to {times:.0} times what beads and encoders allow (limit {limit:.0}): are their joints those of their exposures, did \
+         the specimen lie still, and is the nominal arm the right one?"
+    )]
+    Residual {
+        /// Root of the mean square residual in standard deviations.
+        times: f64,
+        /// Most that is believed.
+        limit: f64,
+    },
     /// A prediction needs what is not there.
     #[error(transparent)]
     Chain(#[from] CarmCalibrationError),

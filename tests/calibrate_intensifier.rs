@@ -165,6 +165,12 @@ fn what_is_no_grid_is_refused() {
     let drawn = Drawn { missing: 0.85, ..Drawn::random(5, 512) };
     let fault = calibrated(&drawn).expect_err("a few beads").to_string();
     assert!(fault.contains("grid-5") && fault.contains("are needed"), "{fault}");
+    // A plate of thirty spots determines 21 terms and leaves too little to judge them by.
+    let coarse = Drawn { missing: 0.0, false_spots: Vec::new(), pitch_px: 75.0, spot_px: 8.0, ..Drawn::random(5, 512) };
+    match calibrated(&coarse).expect_err("too few") {
+        IntensifierFault::NoGrid { named, required: 42, .. } => assert!(named > 21 && named < 42, "{named}"),
+        other => panic!("{other}"),
+    }
     let refused = |frames: &[GridFrame]| calibrate(frames, &request(GridOf::Beads)).expect_err("refused");
     assert!(matches!(refused(&[]), IntensifierFault::NoFrames));
     let blank = |width: usize, angles_deg: Option<AnglesDeg>| {

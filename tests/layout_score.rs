@@ -79,6 +79,8 @@ fn a_prediction_is_what_the_beads_scatter_allows() {
         assert!(along > 2.0 * x, "depth is worse: {along}");
         assert!((view.landmarks_mm[0].1 / x.max(y) - 1.0).abs() < 0.02, "{:?}", view.landmarks_mm);
     }
+    let three = score(&beads(3, 6), 1.0, Some(&planned)).views;
+    assert!(three.iter().all(|view| view.in_view == 3 && view.centroid_mm.is_none()), "three beads fit four poses");
     let none = Planned { size_px: [20, 20], ..planned };
     assert!(score(&layout, 1.0, Some(&none)).views[0].centroid_mm.is_none(), "no bead in view, no promise");
 }

@@ -195,14 +195,12 @@ fn glare_shines_behind_lead_and_is_measured_there() {
         assert!(said.contains(word), "{word}: {said}");
     };
     refused(&frame(counts.map(|value| if *value > 0.0 { 1e5 } else { 0.0 })), "no opaque disc");
-    let clear = *counts.at(CENTRE.x as usize, 20);
     let behind_lead = |n: usize| DVec2::new((n % 200) as f64, (n / 200) as f64).distance(CENTRE) < lead_px + 1.5;
-    let behind = |value: fn(usize, f32, f32) -> f32| {
-        let seen = |(n, own): (usize, &f32)| if behind_lead(n) { value(n, *own, clear) } else { *own };
+    let behind = |value: fn(usize, f32) -> f32| {
+        let seen = |(n, own): (usize, &f32)| if behind_lead(n) { value(n, *own) } else { *own };
         frame(Image { pixels: counts.pixels.iter().enumerate().map(seen).collect(), ..counts.clone() })
     };
-    refused(&behind(|_, _, clear| 0.7 * clear), "is no glare");
-    refused(&behind(|n, own, _| if n % 200 < 101 { 5.0 * own } else { own }), "is no glare");
+    refused(&behind(|n, own| if n % 200 < 101 { 5.0 * own } else { own }), "is no glare");
     let shown = Frame::from_pixels("lead", counts.clone(), Domain::Display).expect("a frame");
     refused(&shown, "linear values only");
 }

@@ -123,3 +123,44 @@ fn a_backward_arrow_is_found() {
     assert_eq!(violations("geometry", "crate::viewer::show()"), ["viewer"]);
     assert!(violations("cli", "use crate::render::Plan;").is_empty());
 }
+
+/// Why a test is ignored names the command of `scripts/evaluate` that runs it, and that command runs it.
+fn unrun(file: &str, text: &str, script: &str) -> Vec<String> {
+    let mut missing = Vec::new();
+    let mut lines = text.lines();
+    while let Some(line) = lines.next() {
+        let Some(reason) = line.trim().strip_prefix("#[ignore = \"").and_then(|rest| rest.strip_suffix("\"]")) else { continue };
+        let name = lines.by_ref().find_map(|line| line.trim().strip_prefix("fn ")?.split('(').next()).unwrap_or_default();
+        let command = reason.split("scripts/evaluate ").nth(1).and_then(|rest| rest.split(' ').next()).unwrap_or_default();
+        let body = script.split(&format!("\n  {command})")).nth(1).and_then(|rest| rest.split(";;").next()).unwrap_or_default();
+        let filters = body
+            .match_indices("ignored ")
+            .map(|(at, word)| body[at + word.len()..].split_whitespace().next().unwrap_or_default());
+        let path = format!("{file}::{name}");
+        if command.is_empty() || !filters.into_iter().any(|filter| !filter.is_empty() && path.contains(filter)) {
+            missing.push(format!("{path}: {reason}"));
+        }
+    }
+    missing
+}
+
+#[test]
+fn every_ignored_test_is_run_by_the_command_that_it_names() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let script = std::fs::read_to_string(root.join("scripts/evaluate")).expect("the script");
+    let (mut ignored, mut missing) = (0, Vec::new());
+    let mut files = Vec::new();
+    ["tests", "src", "mocks"].iter().for_each(|folder| rust_files(&root.join(folder), &mut files));
+    for file in files {
+        let text = std::fs::read_to_string(&file).expect("source is text");
+        ignored += text.lines().filter(|line| line.trim().starts_with("#[ignore")).count();
+        missing.extend(unrun(&file.file_stem().expect("a name").to_string_lossy(), &text, &script));
+    }
+    assert!(ignored >= 15 && missing.is_empty(), "{missing:#?}");
+    // The control: no command, one that is not there, one that runs another test.
+    let of = |reason: &str| {
+        unrun("a", &format!("#[ignore = \"{reason}\"]\nfn many() {{}}"), "case\n  all) ignored a::many ;;\n  b) ignored b:: ;;")
+    };
+    assert_eq!([of("long"), of("scripts/evaluate c runs it"), of("scripts/evaluate b runs it")].map(|found| found.len()), [1; 3]);
+    assert!(of("scripts/evaluate all runs it").is_empty());
+}

@@ -106,7 +106,7 @@ fn drawn_sessions_have_no_wrong_binding() {
 }
 
 #[test]
-#[ignore = "minutes: run by scripts/evaluate bind"]
+#[ignore = "minutes long: scripts/evaluate bind runs it"]
 fn thousand_sessions() {
     let seeds = long_run();
     let count = seeds.end - seeds.start;
@@ -175,7 +175,7 @@ fn odd_consoles_have_no_wrong_binding() {
 }
 
 #[test]
-#[ignore = "minutes: run by scripts/evaluate bind"]
+#[ignore = "minutes long: scripts/evaluate bind runs it"]
 fn thousand_oddities() {
     judge_odd(long_run());
 }

@@ -10,22 +10,22 @@ use sidecarm::random::{Purpose, Stream};
 
 use crate::carm_arm::{Arm, Bed, Joints, Posture, TURNS_DEG, V, WANDERS_MM, angle_deg, sub};
 
-fn nominal() -> CarmCalibration {
+pub fn nominal() -> CarmCalibration {
     let text = include_str!("../calibration/carm/nominal-mobile.json");
     serde_json::from_str(text).expect("a calibration of the project")
 }
 
 /// What a simulated lab has.
 #[derive(Clone, Copy, Debug)]
-struct Lab {
-    seed: u64,
-    shots: usize,
-    sensors: Sensors,
+pub struct Lab {
+    pub seed: u64,
+    pub shots: usize,
+    pub sensors: Sensors,
     /// The column turns too, by up to 8 degrees either way.
-    wig_wags: bool,
+    pub wig_wags: bool,
 }
 
-const GOOD: Sensors = Sensors { sigma_deg: 0.02, sigma_mm: 0.1 };
+pub const GOOD: Sensors = Sensors { sigma_deg: 0.02, sigma_mm: 0.1 };
 const BEAD_NOISE_PX: f64 = 0.05;
 
 impl Lab {
@@ -61,7 +61,7 @@ impl Lab {
         (0..count).map(bead).collect()
     }
 
-    fn shots(&self, arm: &Arm, bed: &Bed) -> Vec<Shot> {
+    pub fn shots(&self, arm: &Arm, bed: &Bed) -> Vec<Shot> {
         let (mut random, beads) = (self.random(2), self.beads());
         let shot = |n: usize| {
             let joints = self.joints(&mut random, n, self.shots);
@@ -151,7 +151,7 @@ fn many(first: u64, count: u64, shots: usize, sensors: Sensors, wig_wags: bool) 
 }
 
 #[test]
-#[ignore = "long: a hundred arms a sensor; run by scripts/evaluate"]
+#[ignore = "minutes long: scripts/evaluate carm runs it"]
 fn many_arms() {
     let count = std::env::var("SIDECARM_ARMS").ok().and_then(|count| count.parse().ok()).unwrap_or(100u64);
     let poor = Sensors { sigma_deg: 0.2 / 3f64.sqrt(), sigma_mm: 0.1 };
@@ -167,7 +167,7 @@ fn many_arms() {
     }
 }
 
-const GOOD_LAB: Lab = Lab { seed: 0, shots: 10, sensors: GOOD, wig_wags: false };
+pub const GOOD_LAB: Lab = Lab { seed: 0, shots: 10, sensors: GOOD, wig_wags: false };
 
 #[test]
 fn ten_shots_calibrate_arms_that_sag() {
@@ -225,19 +225,23 @@ fn a_shot_with_the_joints_of_another_moment_is_named() {
     assert!(fit.left_out[0].off.attitude_deg > 4.0, "{:?}", fit.left_out[0].off);
 }
 
+/// A pose as `register` writes it.
+pub fn pose_of(shot: &Shot) -> serde_json::Value {
+    let bead = |bead: &ShotBead| {
+        serde_json::json!({"name": bead.name, "body": "specimen", "lps_mm": bead.lps_mm.to_array(), "image_px": bead.image_px.to_array(),
+            "predicted_px": null, "residual_px": null, "sigma_px": bead.sigma_px, "left_out_px": null, "used": true, "reason": null})
+    };
+    let beads: Vec<_> = shot.beads.iter().map(bead).collect();
+    serde_json::json!({"status": "accepted", "size_px": shot.size_px, "beads": beads,
+        "intrinsics": [[5257.0, 0.0, 767.5], [0.0, 5257.0, 767.5], [0.0, 0.0, 1.0]], "camera_from_lps": shot.camera_from_lps})
+}
+
 /// Pose files and their table of joints, as `register` and a person write them.
 fn write_shots(folder: &Path, shots: &[Shot]) -> Vec<PathBuf> {
     let mut table = "frame,lift_mm,wig_wag_deg,longitudinal_mm,angulation_deg,orbital_deg,detector_rotation_deg\n".to_owned();
     let write = |shot: &Shot| {
-        let bead = |bead: &ShotBead| {
-            serde_json::json!({"name": bead.name, "body": "specimen", "lps_mm": bead.lps_mm.to_array(), "image_px": bead.image_px.to_array(),
-                "predicted_px": null, "residual_px": null, "sigma_px": bead.sigma_px, "left_out_px": null, "used": true, "reason": null})
-        };
-        let beads: Vec<_> = shot.beads.iter().map(bead).collect();
-        let pose = serde_json::json!({"status": "accepted", "size_px": shot.size_px, "beads": beads,
-            "intrinsics": [[5257.0, 0.0, 767.5], [0.0, 5257.0, 767.5], [0.0, 0.0, 1.0]], "camera_from_lps": shot.camera_from_lps});
         let path = folder.join(format!("{}.json", shot.name));
-        std::fs::write(&path, pose.to_string()).expect("written");
+        std::fs::write(&path, pose_of(shot).to_string()).expect("written");
         let [lift, wig_wag, longitudinal, angulation, orbital, rotation, _] = shot.joints.to_array();
         let [wig_wag, angulation, orbital, rotation] = [wig_wag, angulation, orbital, rotation].map(f64::to_degrees);
         table += &format!("{},{lift},{wig_wag},{longitudinal},{angulation},{orbital},{rotation}\n", shot.name);

@@ -362,7 +362,7 @@ fn a_calibration_comes_back_from_a_log_and_damage_to_its_maps_is_seen() {
 
 /// Started by `scripts/evaluate detector [N]`.
 #[test]
-#[ignore = "long: forty panels, two minutes; run by scripts/evaluate"]
+#[ignore = "minutes long: scripts/evaluate detector runs it"]
 fn many_panels_are_calibrated_within_the_limits() {
     let count = std::env::var("SIDECARM_PANELS").ok().and_then(|count| count.parse().ok()).unwrap_or(40u64);
     let mut worst = [0.0f64; 3];

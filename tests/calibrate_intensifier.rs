@@ -4,6 +4,7 @@ use std::process::Command;
 
 use glam::DVec2;
 use serde_json::json;
+use sidecarm::acquire::{Domain, Frame};
 use sidecarm::calibrate::intensifier::{GridFrame, GridOf, GridRequest, IntensifierFault, calibrate};
 use sidecarm::geometry::{AnglesDeg, AnglesFrom, Distortion, IntensifierCalibration};
 use sidecarm::image::{Image, write_tiff_f32};
@@ -164,7 +165,24 @@ fn what_is_no_grid_is_refused() {
     let drawn = Drawn { missing: 0.85, ..Drawn::random(5, 512) };
     let fault = calibrated(&drawn).expect_err("a few beads").to_string();
     assert!(fault.contains("grid-5") && fault.contains("are needed"), "{fault}");
-    assert!(matches!(calibrate(&[], &request(GridOf::Beads)), Err(IntensifierFault::NoFrames)));
+    // A plate of thirty spots determines 21 terms and leaves too little to judge them by.
+    let coarse = Drawn { missing: 0.0, false_spots: Vec::new(), pitch_px: 75.0, spot_px: 8.0, ..Drawn::random(5, 512) };
+    match calibrated(&coarse).expect_err("too few") {
+        IntensifierFault::NoGrid { named, required: 42, .. } => assert!(named > 21 && named < 42, "{named}"),
+        other => panic!("{other}"),
+    }
+    let refused = |frames: &[GridFrame]| calibrate(frames, &request(GridOf::Beads)).expect_err("refused");
+    assert!(matches!(refused(&[]), IntensifierFault::NoFrames));
+    let blank = |width: usize, angles_deg: Option<AnglesDeg>| {
+        let pixels = Image::filled(width, 64, 1e3);
+        GridFrame { frame: Frame::from_pixels("blank", pixels, Domain::Linear).expect("a frame"), angles_deg }
+    };
+    let sizes = refused(&[blank(64, Some([0.0, 0.0])), blank(65, Some([30.0, 0.0]))]);
+    assert!(matches!(sizes, IntensifierFault::Sizes { found: [65, 64], expected: [64, 64], .. }), "{sizes}");
+    let angle = refused(&[blank(64, Some([0.0, 0.0])), blank(64, None)]);
+    assert!(matches!(angle, IntensifierFault::NoAngle { .. }), "{angle}");
+    let nothing = refused(&[blank(64, None)]);
+    assert!(matches!(nothing, IntensifierFault::NoGrid { named: 0, .. }), "{nothing}");
 }
 
 /// A grid is measured by the command, and a radiograph through the same intensifier registered with its file.
@@ -223,9 +241,8 @@ fn a_pose_through_an_intensifier_is_that_of_the_undistorted_picture() {
     assert!(off(&plain).is_none_or(|px| px > 5.0 * straightened), "control");
 }
 
-/// Started by `scripts/evaluate intensifier [N]`.
 #[test]
-#[ignore = "long: some seconds a grid; run by scripts/evaluate"]
+#[ignore = "minutes long: scripts/evaluate intensifier runs it"]
 fn many_grids_are_straightened() {
     let count = std::env::var("SIDECARM_GRIDS").ok().and_then(|count| count.parse().ok()).unwrap_or(60u64);
     let first = std::env::var("SIDECARM_FIRST_SEED").ok().and_then(|seed| seed.parse().ok()).unwrap_or(100u64);

@@ -238,17 +238,18 @@ fn count(lab: &mut Lab, frames: &[Known], first_seed: usize) {
     }
 }
 
+/// How often right and wrong poses of the mocked laboratory are doubted.
 #[test]
-#[ignore = "minutes: how often right and wrong poses of the mocked laboratory are doubted"]
+#[ignore = "minutes long: scripts/evaluate doubt runs it"]
 fn figures_of_the_mocked_laboratory() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let (mut lab, frames) = open(&kit(folder.path()));
     count(&mut lab, &frames, number("SIDECARM_SEED", 0));
 }
 
-/// A real pelvis with what a session does not model: scatter as strong as the primary, another voltage, noise.
+/// The same of a real pelvis with what a session does not model: scatter as strong as the primary, another voltage, noise.
 #[test]
-#[ignore = "minutes: how often right and wrong poses of a real pelvis with unmodelled scatter are doubted"]
+#[ignore = "minutes long: scripts/evaluate doubt runs it"]
 fn figures_of_a_pelvis_with_scatter() {
     let ct = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/ct-pelvis/ct.nii.gz");
     if !ct.exists() {

@@ -204,7 +204,7 @@ fn an_error_beyond_the_bound_is_seen() {
 }
 
 #[test]
-#[ignore = "minutes long: scripts/evaluate runs it"]
+#[ignore = "minutes long: scripts/evaluate scenes runs it"]
 fn many_random_scenes_stay_within_their_stated_error() {
     let count = std::env::var("SIDECARM_SCENES").ok().and_then(|count| count.parse().ok()).unwrap_or(200);
     judge(0..count);

@@ -35,6 +35,17 @@ fn a_box_resembles_itself_and_scattered_beads_do_not() {
     assert!(scattered.self_match.is_none_or(|found| found.beads <= 4) && scattered.flatness > 0.4);
 }
 
+/// Every three beads of a plate fall on some hundreds of others; trying them all took hours.
+#[test]
+fn a_plate_of_a_hundred_beads_is_scored_in_part_and_said_to_be() {
+    let cell = |n: i32| DVec3::new(f64::from(n % 10) * 10.0, f64::from(n / 10) * 10.0, 0.0);
+    let plate: Vec<DVec3> = (0..100).filter(|n| ![17, 42, 58].contains(n)).map(cell).collect();
+    let plate = score(&synthetic::layout_of(&plate, 0.75), 1.0, None);
+    assert!(plate.self_match.is_some_and(|found| found.beads >= 90), "{:?}", plate.warnings);
+    assert!(plate.notes.iter().any(|note| note.contains("not every three")), "{:?}", plate.notes);
+    assert!(score(&beads(20, 4), 1.0, None).notes.is_empty(), "control");
+}
+
 #[test]
 fn a_flat_layout_is_said_to_be_flat_and_is_its_own_mirror_image() {
     let mut layout = beads(9, 2);
@@ -68,6 +79,8 @@ fn a_prediction_is_what_the_beads_scatter_allows() {
         assert!(along > 2.0 * x, "depth is worse: {along}");
         assert!((view.landmarks_mm[0].1 / x.max(y) - 1.0).abs() < 0.02, "{:?}", view.landmarks_mm);
     }
+    let three = score(&beads(3, 6), 1.0, Some(&planned)).views;
+    assert!(three.iter().all(|view| view.in_view == 3 && view.centroid_mm.is_none()), "three beads fit four poses");
     let none = Planned { size_px: [20, 20], ..planned };
     assert!(score(&layout, 1.0, Some(&none)).views[0].centroid_mm.is_none(), "no bead in view, no promise");
 }

@@ -234,7 +234,7 @@ fn the_intensifier_s_disc_is_found_in_real_frames() {
 }
 
 #[test]
-#[ignore = "minutes: run by scripts/evaluate field"]
+#[ignore = "minutes long: scripts/evaluate field runs it"]
 fn many() {
     let (first, frames) = (of("SIDECARM_FIRST_SEED", 100_000), of("SIDECARM_FRAMES", 1000));
     let mut scores = Vec::new();

@@ -112,9 +112,8 @@ fn k_with_priors_is_solved_and_its_regions_hold_the_truth() {
     assert!(worst_mm <= 0.3, "{worst_mm}");
 }
 
-/// `scripts/evaluate together N`.
 #[test]
-#[ignore = "minutes"]
+#[ignore = "minutes long: scripts/evaluate together runs it"]
 fn many_together_of_one_view() {
     let count = std::env::var("SIDECARM_TOGETHER").ok().and_then(|n| n.parse().ok()).unwrap_or(10_000);
     let (poses, landmarks, worst_mm, accepted) = covered(0..count);

@@ -254,9 +254,8 @@ fn real_frames_without_beads_are_refused() {
     assert_eq!(cases, 2);
 }
 
-/// `cargo test --workspace -- pose_registration::figures --ignored --nocapture`
 #[test]
-#[ignore = "prints figures; the fixed subset is tested above"]
+#[ignore = "prints figures: scripts/evaluate beads runs it"]
 fn figures() {
     for (width, height) in [(620u32, 480u32), (1024, 1024)] {
         for photons in [300.0, 2000.0, 20000.0] {

@@ -1,16 +1,12 @@
 //! Several views of one bead set: honest regions, and migrated beads, bumps and stray shadows told apart.
 
-use std::process::Command;
-
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
-use serde_json::json;
 use sidecarm::beads::BeadLayout;
-use sidecarm::geometry::{Intrinsics, Rigid, View};
-use sidecarm::image::write_tiff_f32;
+use sidecarm::geometry::{ConsoleGeometry, Flip, Intrinsics, Rigid, View};
 use sidecarm::pose::{
-    Against, BeadResidual, BeadVerdict, BodyPose, IntrinsicsPrior, Pose, Prior, SeveralViews, Shadow, Status, Together,
-    TogetherRefusal, ViewAlone, register_together,
+    Against, BeadResidual, BeadVerdict, BodyPose, DetectorPose, IntrinsicsPrior, Pose, Prior, SeveralViews, Shadow, Status,
+    Together, TogetherRefusal, ViewAlone, register_together,
 };
 use sidecarm::random::{Purpose, Stream};
 
@@ -20,16 +16,16 @@ use crate::pose_synthetic as synthetic;
 const NOISE_PX: f64 = 0.05;
 
 /// Views of one specimen with one K, spread over 60° or so.
-struct Lab {
-    views: Vec<View>,
-    layout: BeadLayout,
+pub struct Lab {
+    pub views: Vec<View>,
+    pub layout: BeadLayout,
     /// Where each bead really is at the scan.
     places: Vec<DVec3>,
     random: Stream,
 }
 
 impl Lab {
-    fn new(count: usize, beads_in: BeadLayout, seed: u64) -> Self {
+    pub fn new(count: usize, beads_in: BeadLayout, seed: u64) -> Self {
         let mut random = Stream::new(seed, 71, 0, Purpose::Evaluation);
         let first = synthetic::view(1024, 1024, seed);
         let views = (0..count).map(|n| {
@@ -131,9 +127,8 @@ fn regions_of_views_solved_together_hold_the_truth() {
     assert!(worst_mm <= 0.25 && alarms <= 1, "{worst_mm} {alarms}");
 }
 
-/// `scripts/evaluate together N`.
 #[test]
-#[ignore = "a minute"]
+#[ignore = "a minute long: scripts/evaluate together runs it"]
 fn many_together() {
     let count = std::env::var("SIDECARM_TOGETHER").ok().and_then(|n| n.parse().ok()).unwrap_or(10_000);
     let (poses, landmarks, worst_mm, alarms) = covered(0..count);
@@ -164,9 +159,8 @@ fn power(mm: f64, count: u64) -> [f64; 4] {
     std::array::from_fn(|n| all.iter().map(|run| run[n]).sum::<f64>() / count as f64)
 }
 
-/// `scripts/evaluate together N`.
 #[test]
-#[ignore = "a minute"]
+#[ignore = "a minute long: scripts/evaluate together runs it"]
 fn many_together_with_a_migrated_bead() {
     let count = std::env::var("SIDECARM_TOGETHER").ok().and_then(|n| n.parse().ok()).unwrap_or(10_000) / 5;
     for mm in [0.5, 1.0, 1.5, 2.0, 3.0] {
@@ -360,63 +354,41 @@ fn views_that_give_nothing_together_are_refused_for_their_reason() {
     assert_eq!((body.beads, body.used), (8, 8));
 }
 
-/// As it is typed: three drawn frames, a bead that has migrated, K with its standard deviations.
+/// A console turned all three pictures by 13 degrees and mirrored them: what is said of the panel is the common solution, not what the
+/// frame gave alone.
 #[test]
-fn frames_are_registered_together_by_the_command() {
-    let seed = 5;
-    let mut layout = synthetic::layout(9, 1.2, seed);
-    layout.beads.iter_mut().for_each(|bead| bead.sigma_mm = Some(0.1));
-    let lab = Lab::new(3, layout, seed);
-    let mut drawn = lab.layout.clone();
-    drawn.beads[2].lps_mm += DVec3::new(1.2, -1.0, 0.8);
-    let folder = tempfile::tempdir().expect("a folder");
-    let path = |name: &str| folder.path().join(name).to_str().expect("UTF-8").to_owned();
-    for (n, view) in lab.views.iter().enumerate() {
-        let pixels = synthetic::radiograph(*view, &drawn, 50000.0, n as u64).draw();
-        write_tiff_f32(std::path::Path::new(&path(&format!("f{n}.tif"))), std::slice::from_ref(&pixels)).expect("written");
-    }
-    let description = "radius_mm=1.2 sigma_mm=0.1";
-    let point = |bead: &sidecarm::beads::Bead| json!({"label": bead.name, "position": bead.lps_mm.to_array(), "description": description});
-    let points: Vec<_> = lab.layout.beads.iter().map(point).collect();
-    let markups =
-        json!({"markups": [{"type": "Fiducial", "coordinateSystem": "LPS", "coordinateUnits": "mm", "controlPoints": points}]});
-    std::fs::write(path("beads.mrk.json"), markups.to_string()).expect("written");
+fn the_panel_s_pose_is_that_of_the_common_solution() {
+    let mut lab = Lab::new(3, beads(8, 4), 4);
     let k = lab.views[0].intrinsics;
-    let file = json!({"intrinsics": [[k.fx + 5.0, 0, k.cx + 2.0], [0, k.fy + 5.0, k.cy - 2.0], [0, 0, 1]], "size_px": [1024, 1024],
-        "pitch_mm": 1020.0 / k.fx, "sigma": {"source_to_detector_mm": 3, "principal_point_px": 5}});
-    std::fs::write(path("K.json"), file.to_string()).expect("written");
-    let run = |words: &[&str]| {
-        Command::new(env!("CARGO_BIN_EXE_sidecarm"))
-            .args(["register", "f0.tif", "f1.tif", "f2.tif", "--domain", "linear", "--beads", "beads.mrk.json"])
-            .args(["--intrinsics", "K.json"])
-            .args(words)
-            .current_dir(folder.path())
-            .output()
-            .expect("runs")
-    };
-    let out = run(&["--together", "--out", "solved"]);
-    assert_eq!(out.status.code(), Some(0), "{out:?}");
-    let words = String::from_utf8_lossy(&out.stdout).into_owned();
-    assert!(words.contains("K solved") && words.contains("b2 has migrated by"), "{words}");
-    let text = std::fs::read_to_string(path("solved/POSES.json")).expect("written");
-    let together: Together = serde_json::from_str(&text).expect("reads what it writes");
-    assert!(together.beads[2].migrated && together.views.len() == 3);
-    let off = together.beads[2].lps_mm.distance(drawn.beads[2].lps_mm);
-    assert!(off < 0.5, "{off} mm");
-    let sigma = together.intrinsics_sigma_px.expect("solved");
-    let found = together.intrinsics.expect("shared");
-    assert!((found.fx - k.fx).abs() < 3.0 * sigma[0] && (found.cx - k.cx).abs() < 3.0 * sigma[2], "{found:?} ± {sigma:?}");
-    let own = Pose::read(std::path::Path::new(&path("solved/02-f1.json"))).expect("each frame's own");
-    assert!(own.is_accepted() && own.beads.len() == 9 && own.intrinsics_sigma_px.is_some());
-
-    // Several frames with nothing said, and priors that do not pair.
-    for (words, expected) in [
-        (&["--out", "P.json"][..], "3 frames are given"),
-        (&["--together", "--prior", "solved/02-f1.json", "--out", "P.json"], "1 priors are given for 3 frames"),
-        (&["--together", "--out", "f1.tif/POSES.json"], "f1.tif"),
-    ] {
-        let out = run(words);
-        let complaint = String::from_utf8_lossy(&out.stderr).into_owned();
-        assert!(out.status.code() == Some(1) && complaint.contains(expected), "{complaint}");
+    let mut views = lab.all(&k);
+    for view in &mut views {
+        let pose = &mut view.pose;
+        pose.console = Some(ConsoleGeometry { rotation_deg: 13.0, flip: Flip::Horizontal, ..ConsoleGeometry::default() });
+        pose.mirrored = true;
+        pose.detector = Some(DetectorPose {
+            detector_from_image: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+            size_px: Some([1024, 1024]),
+            projection: None,
+            intrinsics: Some(k),
+            camera_from_lps: pose.camera_from_lps,
+            covariance: None,
+        });
     }
+    let together = lab.together(&views, None);
+    let (sin, cos) = 13f64.to_radians().sin_cos();
+    let mut cases = 0;
+    for pose in &together.views {
+        let detector = pose.detector.as_ref().expect("the console is known");
+        let (panel, picture) = (detector.projection.expect("solved"), pose.projection.expect("solved"));
+        for bead in &lab.layout.beads {
+            // Back by 13 degrees about the middle of the picture; rows count downwards.
+            let off = picture.project(bead.lps_mm).0 - 511.5;
+            let expected = DVec2::new(off.x * cos + off.y * sin, off.y * cos - off.x * sin) + 511.5;
+            let found = panel.project(bead.lps_mm).0;
+            assert!(found.distance(expected) < 1e-6, "{}: {found} {expected}", bead.name);
+            cases += 1;
+        }
+        assert!(pose.mirrored && detector.size_px == Some([1024, 1024]) && detector.covariance.is_some());
+    }
+    assert_eq!(cases, 24);
 }

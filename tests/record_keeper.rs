@@ -2,6 +2,7 @@
 //! keeper that is killed is replaced.
 #![cfg(target_os = "linux")]
 
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -107,6 +108,8 @@ fn an_interrupt_of_the_group_leaves_a_finished_log() {
     // And what ends a service goes to all of its processes.
     [Signal::INT, Signal::TERM, Signal::HUP].into_iter().for_each(|signal| signal_keeper(&live.log, signal));
     let group = rustix::process::Pid::from_raw(live.program.id() as i32).expect("a process");
+    // Ctrl-Z, too, is meant for the group of the terminal alone.
+    assert_ne!(rustix::process::getpgid(keeper(&live.log)).expect("it is there"), group);
     let signal_us = host_now_us();
     kill_process_group(group, Signal::INT).expect("the group is there");
     let status = live.program.end(HANG_S).unwrap_or_else(|| panic!("still there: {}", live.stderr()));
@@ -149,6 +152,11 @@ fn health_tells_what_is_in_the_file_from_what_a_kill_would_lose() {
         drop(stopped);
         large.join().expect("no panic");
     });
+    recorder.flush_now(Duration::from_secs(30)).expect("flushed");
+    // The keeper's standard input is the memory that both hold: what is in the file takes none of it.
+    let memory = format!("/proc/{}/fd/0", keeper(&path).expect("it is there").as_raw_nonzero());
+    let memory = std::fs::metadata(memory).expect("shared memory");
+    assert!(memory.len() > 24 << 20 && 512 * memory.blocks() < 1 << 20, "{} bytes, {} blocks", memory.len(), memory.blocks());
     let summary = recorder.finish().expect("finished");
     assert_eq!((summary.topics[topic::ROBOT_RAW], summary.topics[topic::DRR]), (1, 4));
     let log = read_log(&path).expect("readable");

@@ -85,9 +85,8 @@ fn the_fast_mask_is_the_reference_s_ray_by_ray() {
     assert!(differ as f64 <= 1e-3 * all as f64, "{differ} of {all}");
 }
 
-/// `cargo test --workspace -- render_cut_faces::many --ignored --nocapture`
 #[test]
-#[ignore = "a minute; the fixed subset is tested above"]
+#[ignore = "a minute long: scripts/evaluate faces runs it"]
 fn many() {
     let (differ, all, invalid) = compared(1_000..5_000);
     println!("{differ} of {all} pixels differ, {invalid} are invalid");

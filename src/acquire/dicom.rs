@@ -7,7 +7,7 @@ use dicom_object::DefaultDicomObject;
 use dicom_pixeldata::PixelDecoder;
 
 use super::domain::{Traces, judge};
-use super::tags::TagReader;
+use super::tag_reader::TagReader;
 use super::terms::is_term;
 use super::{Domain, Fault, Raw, whole};
 use crate::foreign::Limits;

@@ -21,6 +21,7 @@ mod photo;
 mod raster;
 mod read;
 mod source;
+mod tag_reader;
 mod tags;
 mod terms;
 mod watch;

@@ -2,9 +2,6 @@
 
 use dicom_core::Tag;
 use dicom_dictionary_std::tags;
-use dicom_object::InMemDicomObject;
-
-use super::terms::is_term;
 
 /// One attribute that is kept, and why it is needed.
 #[derive(Clone, Copy, Debug)]
@@ -175,204 +172,6 @@ impl FrameTags {
     }
 }
 
-/// Reads attributes one by one and refuses what does not look as the standard says; a refused value is noted without being repeated.
-pub(super) struct TagReader<'a> {
-    object: &'a InMemDicomObject,
-    notes: &'a mut Vec<String>,
-}
-
-impl<'a> TagReader<'a> {
-    pub(super) fn new(object: &'a InMemDicomObject, notes: &'a mut Vec<String>) -> Self {
-        Self { object, notes }
-    }
-
-    fn texts(&self, tag: Tag) -> Vec<String> {
-        let Some(element) = self.object.get(tag) else { return Vec::new() };
-        let Ok(values) = element.to_multi_str() else { return Vec::new() };
-        values.iter().map(|value| value.trim_matches([' ', '\0']).to_owned()).filter(|value| !value.is_empty()).collect()
-    }
-
-    fn refuse(&mut self, tag: Tag, what: &str) {
-        self.notes.push(format!("attribute {tag} is ignored: it is not {what}"));
-    }
-
-    /// Code strings that the standard defines for `field`; any other is dropped, because free text is put there too.
-    pub(super) fn terms(&mut self, tag: Tag, field: &str) -> Vec<String> {
-        let values = self.texts(tag);
-        let count = values.len();
-        let terms: Vec<String> = values.into_iter().filter(|value| is_term(field, value)).collect();
-        if terms.len() < count {
-            self.refuse(tag, "a term of the standard");
-        }
-        terms
-    }
-
-    pub(super) fn term(&mut self, tag: Tag, field: &str) -> Option<String> {
-        self.terms(tag, field).into_iter().next()
-    }
-
-    /// A calendar day `YYYYMMDD`, unless it is the day of birth.
-    fn date(&mut self, tag: Tag) -> Option<String> {
-        let value = self.digits(tag, "")?;
-        let born = self.texts(tags::PATIENT_BIRTH_DATE).into_iter().next();
-        if is_day(&value) && born.as_deref() != Some(&value) {
-            return Some(value);
-        }
-        self.refuse(tag, "a date of acquisition");
-        None
-    }
-
-    /// `HHMMSS` with a fraction, or the start of it.
-    fn time(&mut self, tag: Tag) -> Option<String> {
-        let value = self.digits(tag, ".")?;
-        let pair = |at: usize, below: u32| value.get(at..at + 2).is_none_or(|pair| pair.parse::<u32>().is_ok_and(|n| n < below));
-        let whole = value.split('.').next().map_or(0, str::len);
-        if matches!(whole, 2 | 4 | 6) && pair(0, 24) && pair(2, 60) && pair(4, 61) {
-            return Some(value);
-        }
-        self.refuse(tag, "a time of day");
-        None
-    }
-
-    fn digits(&mut self, tag: Tag, allowed: &str) -> Option<String> {
-        let value = self.texts(tag).into_iter().next()?;
-        if value.len() <= 26 && value.chars().all(|c| c.is_ascii_digit() || allowed.contains(c)) {
-            return Some(value);
-        }
-        self.refuse(tag, "a date or time");
-        None
-    }
-
-    pub(super) fn numbers(&mut self, tag: Tag) -> Vec<f64> {
-        let values = self.texts(tag);
-        let numbers: Vec<f64> =
-            values.iter().filter_map(|value| value.parse().ok()).filter(|value: &f64| value.is_finite()).collect();
-        if numbers.len() != values.len() {
-            self.refuse(tag, "a finite number");
-            return Vec::new();
-        }
-        numbers
-    }
-
-    pub(super) fn number(&mut self, tag: Tag) -> Option<f64> {
-        self.numbers(tag).into_iter().next()
-    }
-
-    fn positive(&mut self, tag: Tag) -> Option<f64> {
-        let value = self.number(tag)?;
-        if value > 0.0 {
-            return Some(value);
-        }
-        self.refuse(tag, "positive");
-        None
-    }
-
-    fn counter(&mut self, tag: Tag) -> Option<u32> {
-        let value = self.number(tag)?;
-        if value >= 0.0 && value <= f64::from(u32::MAX) && value.fract() == 0.0 {
-            return Some(value as u32);
-        }
-        self.refuse(tag, "a count");
-        None
-    }
-
-    /// DICOM gives row spacing (along v) first; this is (u, v).
-    fn spacing(&mut self, tag: Tag) -> Option<[f64; 2]> {
-        match self.numbers(tag)[..] {
-            [] => None,
-            [along_v, along_u] if along_v > 0.0 && along_u > 0.0 => Some([along_u, along_v]),
-            _ => {
-                self.refuse(tag, "a pair of positive spacings");
-                None
-            }
-        }
-    }
-
-    fn yes(&mut self, tag: Tag) -> Option<bool> {
-        match self.texts(tag).first()?.as_str() {
-            "YES" => Some(true),
-            "NO" => Some(false),
-            _ => {
-                self.refuse(tag, "YES or NO");
-                None
-            }
-        }
-    }
-
-    /// Reads the whole whitelist.
-    pub(super) fn read(&mut self) -> FrameTags {
-        let born = self.texts(tags::PATIENT_BIRTH_DATE).into_iter().next();
-        let date_time = self
-            .digits(tags::ACQUISITION_DATE_TIME, ".+-")
-            .filter(|text| text.get(..8).is_some_and(is_day) && text.get(..8) != born.as_deref());
-        let from_date_time = |from: usize, to: Option<usize>| {
-            let text = date_time.as_deref()?;
-            let end = text.find(['+', '-']).unwrap_or(text.len());
-            let part = text.get(from..to.map_or(end, |to| to.min(end)))?;
-            (!part.is_empty()).then(|| part.to_owned())
-        };
-        let zone = date_time.as_deref().and_then(|text| text.find(['+', '-']).map(|at| text[at..].to_owned()));
-        let (mut date, mut time) = (self.date(tags::ACQUISITION_DATE), self.time(tags::ACQUISITION_TIME));
-        if date.is_none() || time.is_none() {
-            (date, time) = (from_date_time(0, Some(8)), from_date_time(8, None));
-        }
-        if date.is_none() || time.is_none() {
-            (date, time) = (self.date(tags::CONTENT_DATE), self.time(tags::CONTENT_TIME));
-        }
-        let zone = zone.or_else(|| self.digits(tags::TIMEZONE_OFFSET_FROM_UTC, "+-"));
-        let (centre, width) = (self.number(tags::WINDOW_CENTER), self.number(tags::WINDOW_WIDTH));
-        let exposure_mas = self.positive(tags::EXPOSURE);
-        FrameTags {
-            modality: self.term(tags::MODALITY, "modality"),
-            image_type: self.terms(tags::IMAGE_TYPE, "image_type"),
-            pitch_mm: self.spacing(tags::IMAGER_PIXEL_SPACING),
-            pixel_spacing_mm: self.spacing(tags::PIXEL_SPACING),
-            sid_mm: self.positive(tags::DISTANCE_SOURCE_TO_DETECTOR),
-            sod_mm: self.positive(tags::DISTANCE_SOURCE_TO_PATIENT),
-            kvp: self.positive(tags::KVP),
-            tube_ma: self.positive(tags::X_RAY_TUBE_CURRENT),
-            exposure_ms: self.positive(tags::EXPOSURE_TIME),
-            exposure_uas: self.positive(tags::EXPOSURE_INU_AS).or(exposure_mas.map(|mas| mas * 1000.0)),
-            exposure_counter: self.counter(tags::ACQUISITION_NUMBER),
-            instance_number: self.counter(tags::INSTANCE_NUMBER),
-            acquired_date: date,
-            acquired_time: time,
-            timezone_offset_min: zone.as_deref().and_then(minutes_from_zone),
-            primary_deg: self.number(tags::POSITIONER_PRIMARY_ANGLE),
-            secondary_deg: self.number(tags::POSITIONER_SECONDARY_ANGLE),
-            intensifier_mm: self.positive(tags::INTENSIFIER_SIZE),
-            field_of_view_rotation_deg: self.number(tags::FIELD_OF_VIEW_ROTATION),
-            field_of_view_flipped: self.yes(tags::FIELD_OF_VIEW_HORIZONTAL_FLIP),
-            photometric: self.term(tags::PHOTOMETRIC_INTERPRETATION, "photometric"),
-            intensity_relationship: self.term(tags::PIXEL_INTENSITY_RELATIONSHIP, "intensity_relationship"),
-            intensity_sign: self.number(tags::PIXEL_INTENSITY_RELATIONSHIP_SIGN).map(|sign| if sign < 0.0 { -1 } else { 1 }),
-            presentation_intent: self.term(tags::PRESENTATION_INTENT_TYPE, "presentation_intent"),
-            burned_in_annotation: self.yes(tags::BURNED_IN_ANNOTATION),
-            bits_stored: self.counter(tags::BITS_STORED),
-            window: centre.zip(width).filter(|(_, width)| *width > 0.0).map(|(centre, width)| [centre, width]),
-        }
-    }
-}
-
-/// Whether `text` is `YYYYMMDD` in the time of digital radiography.
-fn is_day(text: &str) -> bool {
-    let number = |from: usize, to: usize| text.get(from..to).and_then(|part| part.parse::<u32>().ok()).unwrap_or(0);
-    text.len() == 8
-        && (1980..=2100).contains(&number(0, 4))
-        && (1..=12).contains(&number(4, 6))
-        && (1..=31).contains(&number(6, 8))
-}
-
-fn minutes_from_zone(zone: &str) -> Option<i32> {
-    let sign = match zone.get(..1)? {
-        "-" => -1,
-        "+" => 1,
-        _ => return None,
-    };
-    let (hours, minutes) = (zone.get(1..3)?.parse::<i32>().ok()?, zone.get(3..5)?.parse::<i32>().ok()?);
-    (hours <= 14 && minutes < 60).then_some(sign * (hours * 60 + minutes))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -383,16 +182,10 @@ mod tests {
             FrameTags { acquired_date: Some("20261121".into()), acquired_time: Some("050102.25".into()), ..FrameTags::default() };
         assert_eq!(tags.acquired_local_us(), Some(1_795_237_262_250_000));
         assert_eq!(tags.acquired_us(), None, "without a time zone nothing is claimed");
-        tags.timezone_offset_min = minutes_from_zone("-0400");
+        tags.timezone_offset_min = Some(-240);
         assert_eq!(tags.acquired_us(), Some(1_795_237_262_250_000 + 4 * 3_600_000_000));
         tags.acquired_date = Some("20261321".into());
         assert_eq!(tags.acquired_local_us(), None, "month 13");
-        assert_eq!(minutes_from_zone("+2500"), None);
-    }
-
-    #[test]
-    fn days_are_those_of_digital_radiography() {
-        assert!(is_day("20261121") && !is_day("19521204") && !is_day("20261321"));
     }
 
     #[test]

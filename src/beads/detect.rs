@@ -39,7 +39,7 @@ pub enum Polarity {
 }
 
 /// The shadow of a sphere.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Detection {
     /// Centre of the shadow; its small bias against the projected centre is corrected once P is known.
     pub image_px: DVec2,

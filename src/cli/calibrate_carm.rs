@@ -22,9 +22,10 @@ use crate::reporter::Reporter;
 A shot is a frame of one specimen that does not move, with an accepted pose and the joints at its exposure: a log of `live` has both, for
 POSE.json files of `register` the joints come as a table, one line a shot: frame,lift_mm,wig_wag_deg,longitudinal_mm,angulation_deg,
 orbital_deg,detector_rotation_deg,source_to_detector_mm (frame: the POSE file's name without its ending), or as JSON {\"frame\": {joints}}.
-Ten shots over the whole orbit, at three or more angulations, make a good calibration. Beside NAME.json stand NAME.report.json (residuals,
-standard deviation of each parameter) and NAME.svg (each shot predicted by the others). Exit code 1: the shots do not tell the arm (said
-why); 3: some shots did not belong to the others and were left out (said which).")]
+What is no shot is said: a refused pose, an exposure during which the arm moved. Ten shots over the whole orbit, at three or more
+angulations, make a good calibration. Beside NAME.json stand NAME.report.json (residuals, standard deviation of each parameter) and
+NAME.svg (each shot predicted by the others). Exit code 1: the shots do not tell the arm (said why); 3: some shots did not belong to the
+others and were left out (said which).")]
 pub struct CarmArgs {
     /// POSE.json files of `register`, or logs of sessions
     #[arg(required = true, value_name = "SHOTS")]
@@ -32,7 +33,7 @@ pub struct CarmArgs {
     /// Joints at the exposures of POSE.json files, CSV or JSON
     #[arg(long, value_name = "TABLE")]
     pub joints: Option<PathBuf>,
-    /// The nominal arm, for frames of the shots' size
+    /// The nominal arm, for frames of the shots' size, or of the panel where the console's doing is declared
     #[arg(long, value_name = "NOMINAL.json")]
     pub calibration: PathBuf,
     /// Standard deviation of the encoders of angles, degrees
@@ -166,8 +167,8 @@ fn read_shots(args: &CarmArgs, reporter: &Reporter) -> Result<Vec<Shot>, Calibra
         let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let of_shot = joints.get(&name).ok_or_else(|| CalibrateCarmError::NoJoints { shot: name.clone() })?;
         match Shot::of(&name, &pose, *of_shot) {
-            Some(shot) => shots.push(shot),
-            None => reporter.note(format_args!("note: {name} is no shot: its pose was refused")),
+            Ok(shot) => shots.push(shot),
+            Err(why) => reporter.note(format_args!("note: {name} is no shot: {why}")),
         }
     }
     Ok(shots)

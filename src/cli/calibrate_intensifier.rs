@@ -7,7 +7,7 @@ use serde::Deserialize;
 
 use crate::acquire::{AcquireError, Domain, Frame, read_frame};
 use crate::calibrate::intensifier::{GridFrame, GridOf, GridRequest, IntensifierFault, calibrate, disc_of, measure_glare};
-use crate::geometry::{AnglesDeg, AnglesFrom, DEFAULT_ORDER, IntensifierCalibration};
+use crate::geometry::{AnglesDeg, AnglesFrom, DEFAULT_ORDER, IntensifierCalibration, ORDERS};
 use crate::image::{ImageFileError, check_writable, refuse_overwrite, write_atomically};
 use crate::mask::Disc;
 use crate::reporter::Reporter;
@@ -163,7 +163,7 @@ fn check(args: &IntensifierArgs) -> Result<Option<Disc>, CalibrateIntensifierErr
         return wrong("--pitch-mm", found.to_string(), "0.1 to 200 mm");
     }
     // The polynomial's linear part is the grid's own.
-    if !(2..=9).contains(&args.order) {
+    if args.order < 2 || !ORDERS.contains(&args.order) {
         return wrong("--order", args.order.to_string(), "2 to 9");
     }
     match args.disc.as_slice() {

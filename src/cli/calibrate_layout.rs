@@ -118,6 +118,7 @@ pub fn run(args: &LayoutArgs, reporter: &Reporter) -> Result<u8, CalibrateLayout
     } else {
         print!("{}", table(&found));
     }
+    found.notes.iter().for_each(|note| reporter.note(format_args!("note: {note}")));
     found.warnings.iter().for_each(|warning| reporter.note(format_args!("warning: {warning}")));
     Ok(u8::from(!found.warnings.is_empty()))
 }

@@ -37,6 +37,7 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
             Ok(console) => console,
             Err(pose) => {
                 views.push(ViewAlone { name: path.display().to_string(), pose: *pose, prior: None });
+                progress.advance(1);
                 continue;
             }
         };

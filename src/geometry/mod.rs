@@ -16,6 +16,7 @@
 
 mod angles;
 mod camera;
+mod joints;
 mod sag;
 mod carm;
 mod panel_window;
@@ -29,11 +30,12 @@ mod robot;
 
 pub use angles::{AngleConvention, CarmAngles, PatientPosition};
 pub use camera::{CameraError, Intrinsics, Projection, View};
-pub use carm::{CarmCalibration, CarmCalibrationError, CarmJoints, JOINT_KEYS, JointOffsets};
+pub use carm::{CarmCalibration, CarmCalibrationError, JointOffsets};
 pub use console::{ConsoleError, ConsoleGeometry, Flip, homogeneous_rows, quarters_and_rest};
 pub use convert::{dicom_angles_deg, lps_from_ras, ras_from_lps};
 pub use distortion::{DEFAULT_ORDER, Distortion, DistortionError, ORDERS, term_count, terms};
 pub use intensifier::{AnglesDeg, AnglesFrom, Glare, Intensifier, IntensifierCalibration, IntensifierError, IntensifierView};
+pub use joints::{CarmJoints, JOINT_KEYS};
 pub use panel_window::{PanelWindow, seen_through, turned_camera};
 pub use rigid::{Rigid, RigidError};
 pub use robot::{RobotModel, RobotModelError, RobotShape, TubeSize};

@@ -27,29 +27,11 @@ impl Case<'_> {
         let checks = layout.checks.iter().map(|bead| self.check(last, covariance, bead));
         let beads: Vec<BeadResidual> = own.chain(checks).collect();
         let mm_per_px = centroid.z / k.fx;
-        let mut bodies: Vec<BodyPose> = Vec::new();
-        for bead in beads.iter().filter(|bead| !bead.check) {
-            match bodies.iter_mut().find(|body| body.name == bead.body) {
-                Some(body) => {
-                    body.beads += 1;
-                    body.used += usize::from(bead.used);
-                }
-                None => bodies.push(BodyPose {
-                    name: bead.body.clone(),
-                    lps_from_body: Rigid::IDENTITY,
-                    beads: 1,
-                    used: usize::from(bead.used),
-                }),
-            }
-        }
+        let bodies = BodyPose::of_beads(&beads, |_| Rigid::IDENTITY);
         if bodies.len() > 1 {
             notes.push("beads of several bodies agree as one rigid specimen".to_owned());
         }
-        let (solved, source) = match self.request.free() {
-            Free::Pose => (false, "given"),
-            Free::Square => (true, "solved"),
-            Free::Known(_) => (true, "solved with priors"),
-        };
+        let free = self.request.free();
         let shadow = |(n, detection): (usize, &Detection)| {
             let bead = last.matches.iter().find(|m| m.detection == n).map(|m| layout.beads[m.bead].name.clone());
             Shadow::of(detection, bead)
@@ -59,8 +41,8 @@ impl Case<'_> {
             status: Status::Accepted,
             projection: Some(projection),
             intrinsics: Some(k),
-            intrinsics_source: Some(source.to_owned()),
-            intrinsics_sigma_px: solved.then(|| {
+            intrinsics_source: Some(free.source().to_owned()),
+            intrinsics_sigma_px: (free != Free::Pose).then(|| {
                 let sigma = |n: usize| covariance[(n, n)].sqrt();
                 [sigma(6), sigma(6), sigma(7), sigma(8)]
             }),

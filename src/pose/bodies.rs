@@ -6,7 +6,8 @@
 
 use nalgebra::{Matrix6, Vector6};
 
-use super::record::{BeadResidual, BodyPose, Pose, Prior};
+use super::prior::Prior;
+use super::record::{BeadResidual, BodyPose, Pose};
 use super::refusal::Refusal;
 use super::request::Registration;
 use super::solve::{about, deviation};

@@ -3,7 +3,8 @@
 use glam::{DVec2, DVec3};
 use nalgebra::{Matrix2, Matrix6, Vector2};
 
-use super::record::{Pose, Prior, Shadow};
+use super::prior::Prior;
+use super::record::{Pose, Shadow};
 use super::refusal::Refusal;
 use super::request::Registration;
 use super::search::{Gate, Hypothesis, Search, Target, information_about};

@@ -9,7 +9,7 @@ use nalgebra::Matrix6;
 
 use super::besides::Besides;
 use super::case::{Case, GATE};
-use super::record::Prior;
+use super::prior::Prior;
 use super::refusal::{Refusal, Rival};
 use super::search::{Found, Gate, Hypothesis, Search, information_about};
 use super::settle::Settled;

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::record::{PoseFileError, read_json};
+use super::file::{PoseFileError, read_json};
 use super::solve::IntrinsicsPrior;
 use crate::geometry::Intrinsics;
 

@@ -9,11 +9,13 @@ mod besides;
 mod bodies;
 mod case;
 mod doubt;
+mod file;
 mod flat;
 mod intrinsics_file;
 mod judge;
 mod on_panel;
 mod orientation;
+mod prior;
 mod propose;
 mod record;
 mod refusal;
@@ -33,13 +35,12 @@ mod verdict;
 mod with_tags;
 
 pub use case::PRIOR_SIGMA;
+pub use file::PoseFileError;
 pub use intrinsics_file::{IntrinsicsFile, IntrinsicsSigma};
 pub use on_panel::read_console;
 pub use orientation::{Panel, SolvedConsole, solve_console, whole_binning};
-pub use record::{
-    BeadResidual, BodyPose, Covariance, DetectorPose, LandmarkUncertainty, Pose, PoseFileError, Prior, Shadow, Status,
-    TagResidual,
-};
+pub use prior::Prior;
+pub use record::{BeadResidual, BodyPose, Covariance, DetectorPose, LandmarkUncertainty, Pose, Shadow, Status, TagResidual};
 pub use refusal::{IntrinsicsNumber, Points, Refusal, Rival};
 pub use register::{intrinsics_of, register, register_masked, register_shadows};
 pub use request::Registration;

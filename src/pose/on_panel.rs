@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
-use super::record::{Covariance, DetectorPose, Pose, PoseFileError, Prior, read_json};
+use super::file::{PoseFileError, read_json};
+use super::prior::Prior;
+use super::record::{Covariance, DetectorPose, Pose};
 use crate::acquire::{Frame, Stored};
 use crate::geometry::{ConsoleGeometry, Projection, homogeneous_rows, seen_through, turned_camera};
 
@@ -45,6 +47,16 @@ impl Pose {
             Some(stored) => self.of_stored(stored, frame.unmirrored),
             None => Self { mirrored: frame.unmirrored, ..self },
         }
+    }
+
+    /// The same after its camera or K has changed: what it says of the panel follows.
+    pub(super) fn on_panel_anew(self) -> Self {
+        let (Some(console), Some(oriented_px), Some(detector)) = (&self.console, self.size_px, &self.detector) else {
+            return self;
+        };
+        let stored = Stored { console: console.clone(), size_px: console.stored_size(oriented_px), panel_px: detector.size_px };
+        let mirrored = self.mirrored;
+        self.of_stored(&stored, mirrored)
     }
 
     fn of_stored(self, stored: &Stored, unmirrored: bool) -> Self {

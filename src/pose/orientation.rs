@@ -7,7 +7,8 @@
 use glam::{DAffine2, DMat2, DVec2};
 
 use super::case::PRIOR_SIGMA;
-use super::record::{Pose, Prior};
+use super::prior::Prior;
+use super::record::Pose;
 use super::refusal::Refusal;
 use super::register::register;
 use super::request::Registration;

@@ -1,7 +1,7 @@
 //! The match that explains most of the frame, and what else was found on the way.
 
 use super::case::Case;
-use super::record::Prior;
+use super::prior::Prior;
 use super::search::{Found, Gate, Hypothesis, Search, information_about_each};
 use super::solve::{Free, Match, Options, Solution, solve};
 use super::transform;

@@ -1,58 +1,16 @@
 //! `Pose`: what a registration says, and its file.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
+use super::file::{PoseFileError, read_json, write_json};
 use super::refusal::Refusal;
 use super::unseen::Unseen;
 use crate::beads::Detection;
 use crate::beads::tags::Family;
 use crate::geometry::{ConsoleGeometry, Intrinsics, Projection, Rigid};
-use crate::image::{ImageFileError, write_atomically};
-
-/// Why a pose, prior or intrinsics file is unusable.
-#[derive(Debug, thiserror::Error)]
-pub enum PoseFileError {
-    /// The operating system refused.
-    #[error("{path}: {source}", path = path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// Not JSON, an unknown key, or a value of the wrong form.
-    #[error("{path}: at {place}: {message}", path = path.display())]
-    Form {
-        /// The file.
-        path: PathBuf,
-        /// Path of keys.
-        place: String,
-        /// What is wrong there.
-        message: String,
-    },
-    /// A prior without a pose.
-    #[error("{path}: has no camera_from_lps{why}; a prior needs one", path = path.display())]
-    NoPose {
-        /// The file.
-        path: PathBuf,
-        /// `: the pose was refused`, or nothing.
-        why: String,
-    },
-    /// The covariance is not one.
-    #[error("{path}: covariance is not symmetric and positive definite: {detail}", path = path.display())]
-    Covariance {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong.
-        detail: String,
-    },
-    /// The file could not be written.
-    #[error(transparent)]
-    Write(#[from] ImageFileError),
-}
 
 /// Accepted or refused.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -163,6 +121,24 @@ pub struct BodyPose {
     pub beads: usize,
     /// Beads of it that P rests on.
     pub used: usize,
+}
+
+impl BodyPose {
+    /// The bodies of `beads`, in the order in which they come, with how many beads each has; the nth bead's body is at `lps_from_body(n)`.
+    pub(super) fn of_beads(beads: &[BeadResidual], lps_from_body: impl Fn(usize) -> Rigid) -> Vec<Self> {
+        let mut bodies: Vec<Self> = Vec::new();
+        for (n, bead) in beads.iter().enumerate().filter(|(_, bead)| !bead.check) {
+            let used = usize::from(bead.used);
+            match bodies.iter_mut().find(|body| body.name == bead.body) {
+                Some(body) => {
+                    body.beads += 1;
+                    body.used += used;
+                }
+                None => bodies.push(Self { name: bead.body.clone(), lps_from_body: lps_from_body(n), beads: 1, used }),
+            }
+        }
+        bodies
+    }
 }
 
 /// Uncertainty of P at a point of interest.
@@ -348,81 +324,6 @@ impl Pose {
     /// # Errors
     /// When the folder is missing or not writable, or the disk is full.
     pub fn write(&self, path: &Path) -> Result<(), PoseFileError> {
-        write_atomically(path, |file| {
-            let mut text = serde_json::to_vec_pretty(self).map_err(std::io::Error::other)?;
-            text.push(b'\n');
-            file.write_all(&text)
-        })?;
-        Ok(())
+        write_json(path, self)
     }
-}
-
-/// What is known of a pose before the beads are seen.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Prior {
-    /// The expected pose.
-    pub camera_from_lps: Rigid,
-    /// Of ξ; `None` means σ = 5° about the bead centroid and 15 mm of the centroid, per axis.
-    pub covariance: Option<Covariance>,
-}
-
-impl Prior {
-    /// Reads a pose file; only `camera_from_lps` is needed, `covariance` is used if there.
-    ///
-    /// # Errors
-    /// As [`Pose::read`]; also when there is no pose, or the covariance is not one.
-    pub fn read(path: &Path) -> Result<Self, PoseFileError> {
-        let pose = Pose::read(path)?;
-        let refused = pose.status == Status::Refused;
-        let why = if refused { ": the pose was refused".to_owned() } else { String::new() };
-        let camera_from_lps =
-            pose.camera_from_lps.filter(|_| !refused).ok_or(PoseFileError::NoPose { path: path.to_owned(), why })?;
-        // What is expected is expected of the panel, whatever a console did to the picture.
-        let (camera_from_lps, covariance) = match pose.detector {
-            Some(detector) => (detector.camera_from_lps.unwrap_or(camera_from_lps), detector.covariance),
-            None => (camera_from_lps, pose.covariance),
-        };
-        let prior = Self { camera_from_lps, covariance };
-        if let Some(detail) = prior.fault() {
-            return Err(PoseFileError::Covariance { path: path.to_owned(), detail });
-        }
-        Ok(prior)
-    }
-
-    /// What is wrong with the covariance, if anything.
-    #[must_use]
-    pub fn fault(&self) -> Option<String> {
-        let rows = self.covariance.as_ref()?;
-        let matrix = nalgebra::Matrix6::from_fn(|i, j| rows[i][j]);
-        if !matrix.iter().all(|x| x.is_finite()) {
-            return Some("it holds a number that is not finite".to_owned());
-        }
-        let scale = |i: usize, j: usize| (matrix[(i, i)] * matrix[(j, j)]).abs().sqrt().max(f64::MIN_POSITIVE);
-        for i in 0..6 {
-            for j in 0..i {
-                let gap = (matrix[(i, j)] - matrix[(j, i)]).abs();
-                if !(gap <= 1e-6 * scale(i, j)) {
-                    return Some(format!("entries ({i}, {j}) and ({j}, {i}) differ by {gap:.3e}"));
-                }
-            }
-        }
-        matrix.cholesky().is_none().then(|| "an eigenvalue is zero or negative".to_owned())
-    }
-}
-
-/// Reads a JSON file; errors name the key.
-pub(super) fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, PoseFileError> {
-    let bytes = std::fs::read(path).map_err(|source| PoseFileError::Read { path: path.to_owned(), source })?;
-    let mut deserializer = serde_json::Deserializer::from_slice(&bytes);
-    let value = serde_path_to_error::deserialize(&mut deserializer).map_err(|error| PoseFileError::Form {
-        path: path.to_owned(),
-        place: error.path().to_string(),
-        message: error.inner().to_string(),
-    })?;
-    deserializer.end().map_err(|error| PoseFileError::Form {
-        path: path.to_owned(),
-        place: "the end".to_owned(),
-        message: error.to_string(),
-    })?;
-    Ok(value)
 }

@@ -4,7 +4,8 @@ use glam::DVec3;
 
 use super::bodies;
 use super::case::Case;
-use super::record::{Pose, Prior};
+use super::prior::Prior;
+use super::record::Pose;
 use super::refusal::Refusal;
 use super::request::Registration;
 use crate::acquire::Frame;

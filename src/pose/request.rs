@@ -2,7 +2,8 @@
 
 use glam::{DVec2, DVec3};
 
-use super::record::{BeadResidual, Pose, Prior, Status};
+use super::prior::Prior;
+use super::record::{BeadResidual, Pose, Status};
 use super::refusal::{Points, Refusal};
 use super::solve::{Free, IntrinsicsPrior};
 use super::verdict::check_geometry;

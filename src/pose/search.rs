@@ -104,8 +104,9 @@ impl Search<'_> {
             best.extend(refined);
             best = distinct(best);
             best.truncate(60);
-            cut_short = solved > self.budget;
-            if best.first().is_some_and(|first| enough(first, tried)) || cut_short {
+            let spent = solved > self.budget;
+            cut_short = spent && (batch + 1) * BATCH < triples.len();
+            if best.first().is_some_and(|first| enough(first, tried)) || spent {
                 break;
             }
         }
@@ -371,4 +372,29 @@ pub fn information_about_each(centre: DVec3, rotation_rad: f64, shift_mm: [f64; 
     }
     let t = about(centre);
     t.transpose() * local * t
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_search_that_tried_every_triple_is_not_cut_short() {
+        let places = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z].map(|p| 60.0 * p);
+        let targets = places.map(|lps_mm| Target { lps_mm, sigma_mm: 0.1, radius_mm: None });
+        let intrinsics = Intrinsics { fx: 1000.0, fy: 1000.0, skew: 0.0, cx: 255.5, cy: 255.5 };
+        let found = |shadows: u32| {
+            let at = |n: u32| intrinsics.project(Rigid::translation(DVec3::Z * 700.0).transform_point(places[n as usize % 4]));
+            let detections: Vec<Detection> =
+                (0..shadows).map(|n| Detection { image_px: at(n), sigma_px: 0.1, ..Detection::default() }).collect();
+            let allowed = vec![true; targets.len() * detections.len()];
+            let (size_px, depth_mm) = ([512, 512], (300.0, 1200.0));
+            let (gate, pinned, slack_px) = (None, Vec::new(), 0.0);
+            let (targets, detections) = (&targets, &detections);
+            Search { targets, detections, intrinsics, size_px, depth_mm, gate, allowed, pinned, slack_px, budget: 0 }
+                .run(|_, _| false)
+        };
+        // Four triples are one batch, 56 are two.
+        assert!(!found(4).cut_short && found(8).cut_short);
+    }
 }

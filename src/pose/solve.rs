@@ -94,6 +94,17 @@ pub enum Free {
     Known(IntrinsicsPrior),
 }
 
+impl Free {
+    /// Where K comes from, as a pose's file says it.
+    pub(super) fn source(self) -> &'static str {
+        match self {
+            Self::Pose => "given",
+            Self::Square => "solved",
+            Self::Known(_) => "solved with priors",
+        }
+    }
+}
+
 /// A measured pose: covariance of ξ in `camera`, exp(ξ̂)·pose being true.
 #[derive(Clone, Copy, Debug)]
 pub struct Measured {

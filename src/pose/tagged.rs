@@ -6,7 +6,8 @@
 use glam::DVec3;
 use nalgebra::{DMatrix, Matrix3, Matrix6, SVector};
 
-use super::record::{Covariance, Prior};
+use super::prior::Prior;
+use super::record::Covariance;
 use super::refusal::Refusal;
 use super::solve::{Free, Match, Options, Solution, about, solve};
 use super::verdict::mirrored;

@@ -2,7 +2,8 @@
 
 use super::case::Case;
 use super::judge::MOST_SIGMA;
-use super::record::{BodyPose, Pose, Prior, TagResidual};
+use super::prior::Prior;
+use super::record::{BodyPose, Pose, TagResidual};
 use super::refusal::Refusal;
 use super::register::register_masked;
 use super::request::Registration;

@@ -10,12 +10,13 @@ use rayon::prelude::*;
 use super::RenderError;
 use super::cpu::attenuate_spectrum::{Arriving, Signal, exp_of_negative};
 use super::cpu::integrate_density::Density;
+use super::heel_table::HeelTable;
 use super::plan::{Node, response};
 use super::spectrum::{Bins, LANES};
 use crate::geometry::View;
 use crate::scene::model::{Formation, Scene};
-use crate::scene::optics::{BowTie, Heel};
-use crate::scene::physics::{ANODE_ANGLES_DEG, Bin, Spectrum};
+use crate::scene::optics::BowTie;
+use crate::scene::physics::Bin;
 
 /// Pixels are sampled this often along each side where the edge of the field crosses them.
 const SAMPLES: i32 = 8;
@@ -108,13 +109,6 @@ pub struct Weights<'a> {
     squares: Vec<f32>,
     bowtie: Option<(&'a BowTie, Vec<f32>)>,
     heel: Option<HeelTable>,
-}
-
-/// Tungsten output at each node over that on the principal ray, by take-off angle in whole degrees.
-// The tables hold even angles and are interpolated linearly, so whole degrees lose nothing.
-struct HeelTable {
-    heel: Heel,
-    rows: Vec<Vec<f64>>,
 }
 
 /// Σ over the energies, up to exp(−least).
@@ -212,58 +206,6 @@ impl<'a> Weights<'a> {
     }
 }
 
-impl HeelTable {
-    fn new(heel: Heel, nodes: &[Node], padded: usize) -> Result<Self, RenderError> {
-        let at = |angle_deg: f64| Spectrum::tungsten_output(heel.tube_kvp, angle_deg, &[]);
-        let centre = at(heel.anode_angle_deg)?;
-        let first_kev = centre.bins.first().map_or(0.0, |bin| bin.energy_kev - 0.5);
-        let index = |node: &Node| ((node.energy_kev - first_kev).max(0.0) as usize).min(centre.bins.len().saturating_sub(1));
-        let mut rows = Vec::new();
-        for angle_deg in ANODE_ANGLES_DEG.0 as u32..=ANODE_ANGLES_DEG.1 as u32 {
-            let output = at(f64::from(angle_deg))?;
-            let share = |node: &Node| {
-                let (here, there) = (output.bins[index(node)].fluence, centre.bins[index(node)].fluence);
-                if there > 0.0 { here / there } else { 1.0 }
-            };
-            let mut row: Vec<f64> = nodes.iter().map(share).collect();
-            row.resize(padded, 0.0);
-            rows.push(row);
-        }
-        Ok(Self { heel, rows })
-    }
-
-    /// Beyond the tables, ln of the output is linear in 1/sin of the angle, to which the mean path inside the target is proportional; it
-    /// never falls as the angle grows, as single tabulated bins at the end of the spectrum do by rounding.
-    fn fill(&self, ray: DVec3, factors: &mut [f32]) -> bool {
-        let sine = self.heel.sine_of_take_off(ray);
-        if !(sine > 0.0) {
-            return false;
-        }
-        let (first_deg, last_deg) = ANODE_ANGLES_DEG;
-        let angle_deg = sine.asin().to_degrees();
-        let position = (angle_deg.clamp(first_deg, last_deg) - first_deg).min((self.rows.len() - 2) as f64 + 1.0);
-        let below = (position as usize).min(self.rows.len() - 2);
-        let (low, high) = (&self.rows[below], &self.rows[below + 1]);
-        let weight = position - below as f64;
-        let outside = self.is_outside(sine);
-        let inverse_sine = |degrees: f64| 1.0 / degrees.to_radians().sin();
-        let (a, b) = (first_deg + below as f64, first_deg + below as f64 + 1.0);
-        let step = (1.0 / sine - inverse_sine(a)) / (inverse_sine(b) - inverse_sine(a));
-        for ((factor, low), high) in factors.iter_mut().zip(low).zip(high) {
-            let between = low + (high - low) * weight;
-            // The weight is 0 or 1 outside, so that `between` is the table's end.
-            let beyond = || between * (high / low).max(1.0).powf(step - weight);
-            *factor = if outside && *low > 0.0 { beyond() } else { between } as f32;
-        }
-        true
-    }
-
-    fn is_outside(&self, sine: f64) -> bool {
-        let (first_deg, last_deg) = ANODE_ANGLES_DEG;
-        sine < first_deg.to_radians().sin() || sine > last_deg.to_radians().sin()
-    }
-}
-
 fn ray_of(view: &View, pixel: usize) -> DVec3 {
     let width = view.size_px[0] as usize;
     view.intrinsics.unproject(DVec2::new((pixel % width) as f64, (pixel / width) as f64))
@@ -313,7 +255,7 @@ pub fn flood(scene: &Scene, view: &View, weights: &Weights, photons: bool) -> Re
         if !shape.varies() {
             return Pixel { open, ..dark };
         }
-        let outside = weights.heel.as_ref().is_some_and(|table| table.is_outside(table.heel.sine_of_take_off(ray)));
+        let outside = weights.heel.as_ref().is_some_and(|table| table.is_beyond(ray));
         if !weights.shape(ray, scratch) {
             return Pixel { outside, ..dark };
         }

@@ -20,6 +20,7 @@ pub mod explain;
 mod face_sums;
 pub mod fits;
 pub mod flood;
+mod heel_table;
 mod intensifier;
 pub mod meshes;
 pub mod non_finite;

@@ -16,6 +16,8 @@ pub(super) const UNDETERMINED: f64 = 0.9;
 const RANGE_DEG: f64 = 30.0;
 /// A shot without which the squares fall by this many times its share does not belong to the others.
 const EXCESS: f64 = 10.0;
+/// Residuals of so many times what beads and encoders state are explained by no arm.
+const MOST_TIMES: f64 = 10.0;
 /// Of the shots, as many may be left out.
 const MOST_LEFT_OUT: f64 = 0.34;
 
@@ -70,7 +72,12 @@ pub fn calibrate(shots: &[Shot], nominal: &CarmCalibration, sensors: &Sensors) -
         let held_out: Vec<CameraError> = used.iter().zip(&others).map(outside).collect::<Result<_, CarmFitError>>()?;
         let excess = |k: usize| excess(&whole, &others[k], used[k]);
         let worst = (0..used.len()).max_by(|a, b| excess(*a).total_cmp(&excess(*b))).filter(|k| excess(*k) > EXCESS);
-        let Some(worst) = worst else { return Ok(finish(whole, parameters, &used, held_out, left_out)) };
+        let Some(worst) = worst else {
+            let fit = finish(whole, parameters, &used, held_out, left_out);
+            // Where half of the shots are wrong none stands out from the others.
+            let times = fit.chi2_per_dof.sqrt();
+            return if times <= MOST_TIMES { Ok(fit) } else { Err(CarmFitError::Residual { times, limit: MOST_TIMES }) };
+        };
         left_out.push(LeftOutShot { shot: used[worst].name.clone(), off: held_out[worst] });
         used.remove(worst);
         if left_out.len() as f64 > MOST_LEFT_OUT * shots.len() as f64 || used.len() < LEAST_SHOTS {

@@ -17,7 +17,7 @@ pub use fit::{CarmFit, LeftOutShot, calibrate};
 pub use parameters::Parameter;
 pub use report::{CarmReport, FittedParameter, ShotReport, plot};
 pub use shot::{Shot, ShotBead};
-pub use shots_of::shots_of_log;
+pub use shots_of::{NoShot, shots_of_log};
 pub use solve::CameraError;
 
 use crate::estimate::EstimateError;
@@ -115,6 +115,17 @@ pub enum CarmFitError {
         named: Vec<String>,
         /// All shots.
         shots: usize,
+    },
+    /// No arm explains the shots.
+    #[error(
+        "the shots agree only to {times:.0} times what beads and encoders allow (limit {limit:.0}): are their joints those of their exposures, did \
+         the specimen lie still, and is the nominal arm the right one?"
+    )]
+    Residual {
+        /// Root of the mean square residual in standard deviations.
+        times: f64,
+        /// Most that is believed.
+        limit: f64,
     },
     /// A prediction needs what is not there.
     #[error(transparent)]

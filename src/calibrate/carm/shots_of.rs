@@ -7,7 +7,7 @@ use glam::DVec2;
 use serde::Deserialize;
 
 use super::shot::{Shot, ShotBead};
-use crate::geometry::CarmJoints;
+use crate::geometry::{CarmJoints, PanelWindow, Rigid};
 use crate::pose::{BeadResidual, Pose};
 use crate::record::{LogReader, RecordError, Tolerance, topic};
 
@@ -25,6 +25,13 @@ struct PoseRecord {
 #[derive(Deserialize)]
 struct BindingRecord {
     exposure: Option<ExposureRecord>,
+    #[serde(default)]
+    flags: Vec<FlagRecord>,
+}
+
+#[derive(Deserialize)]
+struct FlagRecord {
+    flag: String,
 }
 
 #[derive(Deserialize)]
@@ -37,23 +44,74 @@ struct JointsRecord {
     value: CarmJoints,
 }
 
+/// Why a frame is no shot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum NoShot {
+    /// Without a pose there are no beads.
+    #[error("its pose was refused, or its file does not say of which frame size it is")]
+    Refused,
+    /// A picture that the console moved, of a panel of unknown size.
+    #[error(
+        "its console turned, cropped or enlarged the picture, and the pose does not say of which panel; give register K with size_px"
+    )]
+    PanelUnknown,
+    /// Nothing tells the joints.
+    #[error("it is not bound to an exposure with joints")]
+    NoJoints,
+    /// The readings are those of another moment, or of several.
+    #[error("the arm moved while the beam was on")]
+    Moved,
+    /// Nobody read the encoders.
+    #[error("telemetry has a gap at its exposure")]
+    Gap,
+}
+
 impl Shot {
-    /// An accepted pose with the joints at its exposure; `None` where it is refused or names no frame size.
-    #[must_use]
-    pub fn of(name: &str, pose: &Pose, joints: CarmJoints) -> Option<Self> {
-        let (_, camera_from_lps) = pose.camera()?;
+    /// An accepted pose with the joints at its exposure, in pixels of the panel where a console is known to have made another picture of
+    /// it. Beads of a body that has moved since the scan are left out: the layout does not tell where they are.
+    ///
+    /// # Errors
+    /// Why it is no shot.
+    pub fn of(name: &str, pose: &Pose, joints: CarmJoints) -> Result<Self, NoShot> {
+        let ((_, camera_from_lps), size_px) = pose.camera().zip(pose.size_px).ok_or(NoShot::Refused)?;
+        let window = pose.console.as_ref().map_or(PanelWindow::WHOLE, |console| console.window(console.stored_size(size_px)));
+        let panel = pose.detector.as_ref().and_then(|detector| detector.size_px.zip(detector.camera_from_lps));
+        let (size_px, camera_from_lps) = match panel {
+            Some(panel) => panel,
+            None if window == PanelWindow::WHOLE => (size_px, camera_from_lps),
+            None => return Err(NoShot::PanelUnknown),
+        };
+        let panel_from_picture = window.detector_from_oriented();
+        let moved =
+            |bead: &BeadResidual| pose.bodies.iter().any(|body| body.name == bead.body && body.lps_from_body != Rigid::IDENTITY);
         let bead = |bead: &BeadResidual| {
-            let (image_px, sigma_px) = (bead.image_px.filter(|_| bead.used)?, bead.sigma_px?);
-            let image_px = DVec2::from_array(image_px);
+            let (image_px, sigma_px) = (bead.image_px.filter(|_| bead.used && !moved(bead))?, bead.sigma_px?);
+            let image_px = panel_from_picture.transform_point2(DVec2::from_array(image_px));
+            let sigma_px = window.step * sigma_px;
             (sigma_px > 0.0).then(|| ShotBead { name: bead.name.clone(), lps_mm: bead.lps_mm, image_px, sigma_px })
         };
         let beads = pose.beads.iter().filter_map(bead).collect();
-        Some(Self { name: name.to_owned(), size_px: pose.size_px?, joints, beads, camera_from_lps })
+        Ok(Self { name: name.to_owned(), size_px, joints, beads, camera_from_lps })
     }
 }
 
-/// The shots of a session's log: frames that are bound to an exposure with joints and have an accepted pose, in order of arrival; a frame that
-/// was posed again counts with its last pose. Second: what is no shot and why, and what of the log could not be read.
+impl BindingRecord {
+    /// The joints at the exposure, if they are those of the picture.
+    fn joints(&self) -> Result<CarmJoints, NoShot> {
+        let joints = self.exposure.as_ref().and_then(|exposure| exposure.joints.as_ref()).ok_or(NoShot::NoJoints)?;
+        let flagged = |names: &[&str]| self.flags.iter().any(|flag| names.contains(&flag.flag.as_str()));
+        if flagged(&["moved"]) {
+            return Err(NoShot::Moved);
+        }
+        if flagged(&["telemetry_gap", "unseen"]) {
+            return Err(NoShot::Gap);
+        }
+        Ok(joints.value)
+    }
+}
+
+/// The shots of a session's log: frames that are bound to an exposure during which the arm stood still, with an accepted pose, in order of
+/// arrival; a frame that was posed again counts with its last pose. Second: what is no shot and why, and what of the log could not be read.
 ///
 /// # Errors
 /// When the file cannot be read or is no log.
@@ -70,12 +128,9 @@ pub fn shots_of_log(path: &Path) -> Result<(Vec<Shot>, Vec<String>), RecordError
     let (mut shots, mut notes) = (Vec::new(), Vec::new());
     for record in latest.into_values() {
         let name = format!("frame {} ({})", record.number, record.frame);
-        match record.binding.exposure.and_then(|exposure| exposure.joints) {
-            Some(joints) => match Shot::of(&name, &record.pose, joints.value) {
-                Some(shot) => shots.push(shot),
-                None => notes.push(format!("{name} is no shot: its pose was refused")),
-            },
-            None => notes.push(format!("{name} is no shot: it is not bound to an exposure with joints")),
+        match record.binding.joints().and_then(|joints| Shot::of(&name, &record.pose, joints)) {
+            Ok(shot) => shots.push(shot),
+            Err(why) => notes.push(format!("{name} is no shot: {why}")),
         }
     }
     notes.extend(reader.losses().iter().map(|loss| format!("at byte {} of the log: {}", loss.at_byte, loss.reason)));

@@ -70,3 +70,29 @@ impl ViewFit {
         Some(sum)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::{DVec2, IVec2};
+
+    use super::*;
+    use crate::random::{Purpose, Stream};
+
+    /// 64 nodes and 21 terms: fitted to a node, the polynomial is off by √(1 − 21/64) of its noise there, without it by more than all of it.
+    #[test]
+    fn a_node_is_judged_by_a_fit_that_does_not_have_it() {
+        let mut random = Stream::new(3, 0, 0, Purpose::Evaluation);
+        let node = |n: i32| {
+            let cell = IVec2::new(n % 8 - 4, n / 8 - 4);
+            let noise = DVec2::new(random.normal(), random.normal());
+            Node { image_px: DVec2::splat(100.0) + 20.0 * cell.as_dvec2() + 0.2 * noise, sigma_px: 0.2, cell }
+        };
+        let nodes: Vec<Node> = (0..64).map(node).collect();
+        let disc = Disc { centre: DVec2::splat(90.0), radius_px: 100.0 };
+        let fit = ViewFit::new(&nodes, &disc, 5).expect("determined");
+        let gauge = fit.polynomial.gauge();
+        let fitted: f64 = fit.nodes.iter().map(|node| (gauge.px_from_cells * fit.polynomial.off(node)).length_squared()).sum();
+        let held_out = fit.held_out_px2(&gauge, &disc).expect("determined");
+        assert!(fit.nodes.len() == 64 && held_out > 1.5 * fitted, "{held_out} {fitted}");
+    }
+}

@@ -33,6 +33,8 @@ pub struct LayoutScore {
     pub views: Vec<PlannedView>,
     /// What speaks against the layout.
     pub warnings: Vec<String>,
+    /// What a person should know of the score.
+    pub notes: Vec<String>,
 }
 
 /// Scores a layout; beads within `tolerance_mm` of each other are taken for the same.
@@ -42,7 +44,15 @@ pub fn score(layout: &BeadLayout, tolerance_mm: f64, planned: Option<&Planned>) 
     let names: Vec<&str> = layout.beads.iter().map(|bead| bead.name.as_str()).collect();
     let extents_mm = extents_mm(&places);
     let flatness = if extents_mm[0] > 0.0 { extents_mm[2] / extents_mm[0] } else { 0.0 };
-    let found = [false, true].map(|mirrored| self_match(&places, &names, mirrored, tolerance_mm));
+    let [itself, image] = [false, true].map(|mirrored| self_match(&places, &names, mirrored, tolerance_mm));
+    let mut notes = Vec::new();
+    if itself.1 || image.1 {
+        notes.push(
+            "so many beads, or so regular ones, that not every three of them were tried: another motion may put more beads onto beads"
+                .to_owned(),
+        );
+    }
+    let found = [itself.0, image.0];
     let mut warnings = Vec::new();
     if !(flatness >= FLAT) {
         warnings.push(format!(
@@ -69,5 +79,5 @@ pub fn score(layout: &BeadLayout, tolerance_mm: f64, planned: Option<&Planned>) 
     }
     let views = planned.map_or_else(Vec::new, |planned| predict(layout, planned));
     let [self_match, mirrored_match] = found;
-    LayoutScore { beads: places.len(), extents_mm, flatness, self_match, mirrored_match, views, warnings }
+    LayoutScore { beads: places.len(), extents_mm, flatness, self_match, mirrored_match, views, warnings, notes }
 }

@@ -19,19 +19,27 @@ pub struct SelfMatch {
     pub pairs: Vec<[String; 2]>,
 }
 
+/// Distances that are compared before the search is cut short: some for sixty scattered beads, far too few for a plate of a hundred.
+const MOST_COMPARED: u64 = 300_000_000;
 /// Triangles with a side, or a height, below this many tolerances fix no motion.
 const SHARP: f64 = 4.0;
 
 /// The motion with most pairs, of those the closest; not the one that leaves every bead where it is. Three beads of three others give the
-/// motion, all are counted. `None` where there are fewer than three beads, or all lie on a line.
+/// motion, all are counted. `None` where there are fewer than three beads, or all lie on a line. Second: whether the search was cut short,
+/// because the layout is so large, or so regular, that too many motions fit three beads; the first of them show what is regular.
 #[must_use]
-pub fn self_match(places: &[DVec3], names: &[&str], mirrored: bool, tolerance_mm: f64) -> Option<SelfMatch> {
+pub fn self_match(places: &[DVec3], names: &[&str], mirrored: bool, tolerance_mm: f64) -> (Option<SelfMatch>, bool) {
     let turned = |p: &DVec3| if mirrored { DVec3::new(-p.x, p.y, p.z) } else { *p };
     let from: Vec<DVec3> = places.iter().map(turned).collect();
     let n = places.len();
     let mut best: Option<Best> = None;
+    let mut compared = 0u64;
     let near = |a: f64, b: f64| (a - b).abs() <= 2.0 * tolerance_mm;
-    for [i, j, k] in (0..n).flat_map(|i| (i + 1..n).flat_map(move |j| (j + 1..n).map(move |k| [i, j, k]))) {
+    let triples = (0..n).flat_map(|i| (i + 1..n).flat_map(move |j| (j + 1..n).map(move |k| [i, j, k])));
+    for [i, j, k] in triples {
+        if compared > MOST_COMPARED {
+            break;
+        }
         let source = [from[i], from[j], from[k]];
         let sides = [source[0].distance(source[1]), source[0].distance(source[2]), source[1].distance(source[2])];
         let height = (source[1] - source[0]).cross(source[2] - source[0]).length() / sides.iter().copied().fold(0.0, f64::max);
@@ -40,6 +48,7 @@ pub fn self_match(places: &[DVec3], names: &[&str], mirrored: bool, tolerance_mm
         }
         for a in 0..n {
             for b in (0..n).filter(|b| *b != a && near(places[a].distance(places[*b]), sides[0])) {
+                compared += n as u64;
                 for c in (0..n).filter(|c| *c != a && *c != b) {
                     if ([i, j, k] == [a, b, c] && !mirrored)
                         || !near(places[a].distance(places[c]), sides[1])
@@ -48,6 +57,7 @@ pub fn self_match(places: &[DVec3], names: &[&str], mirrored: bool, tolerance_mm
                         continue;
                     }
                     let Some(motion) = align_triangles(&source, &[places[a], places[b], places[c]]) else { continue };
+                    compared += (n * n) as u64;
                     let pairs = pairs(&from, places, &motion, tolerance_mm);
                     let squares: f64 =
                         pairs.iter().map(|(p, q)| motion.transform_point(from[*p]).distance_squared(places[*q])).sum();
@@ -61,12 +71,13 @@ pub fn self_match(places: &[DVec3], names: &[&str], mirrored: bool, tolerance_mm
             }
         }
     }
-    best.map(|Best { pairs, rms_mm, motion }| SelfMatch {
+    let found = best.map(|Best { pairs, rms_mm, motion }| SelfMatch {
         beads: pairs.len(),
         angle_deg: motion.angle_to_rad(&Rigid::IDENTITY).to_degrees(),
         rms_mm,
         pairs: pairs.into_iter().map(|(p, q)| [names[p].to_owned(), names[q].to_owned()]).collect(),
-    })
+    });
+    (found, compared > MOST_COMPARED)
 }
 
 /// The best so far.

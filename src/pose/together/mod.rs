@@ -19,7 +19,8 @@ use glam::DVec2;
 
 use super::bodies::names;
 use super::judge::MOST_CHI2_PER_DOF;
-use super::record::{Pose, Prior, Status};
+use super::prior::Prior;
+use super::record::{Pose, Status};
 use super::solve::{Free, IntrinsicsPrior};
 use crate::beads::{BeadLayout, Landmark};
 use crate::estimate::EstimateError;

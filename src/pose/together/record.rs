@@ -6,8 +6,8 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use crate::geometry::{Intrinsics, Rigid};
-use crate::image::write_atomically;
-use crate::pose::record::{Pose, PoseFileError, Status};
+use crate::pose::file::{PoseFileError, write_json};
+use crate::pose::record::{Pose, Status};
 
 /// Why several views give nothing together.
 #[derive(Clone, Debug, PartialEq, thiserror::Error, Serialize, Deserialize)]
@@ -158,11 +158,6 @@ impl Together {
     /// # Errors
     /// When the folder is missing or not writable, or the disk is full.
     pub fn write(&self, path: &Path) -> Result<(), PoseFileError> {
-        write_atomically(path, |file| {
-            let mut text = serde_json::to_vec_pretty(self).map_err(std::io::Error::other)?;
-            text.push(b'\n');
-            file.write_all(&text)
-        })?;
-        Ok(())
+        write_json(path, self)
     }
 }

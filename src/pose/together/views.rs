@@ -58,35 +58,16 @@ impl Common<'_> {
             covariance,
             centroid_mm: motion.centre_mm(),
         };
-        let source = match setup.free {
-            Free::Pose => "given",
-            Free::Square => "solved",
-            Free::Known(_) => "solved with priors",
-        };
         let mut shadows = alone.shadows.clone();
         for shadow in &mut shadows {
             let rests = |name: &String| beads.iter().any(|bead| bead.used && bead.name == *name);
             shadow.bead = shadow.bead.take().filter(rests);
         }
-        let mut bodies: Vec<BodyPose> = Vec::new();
-        for (n, bead) in beads.iter().filter(|bead| !bead.check).enumerate() {
-            match bodies.iter_mut().find(|body| body.name == bead.body) {
-                Some(body) => {
-                    body.beads += 1;
-                    body.used += usize::from(bead.used);
-                }
-                None => bodies.push(BodyPose {
-                    name: bead.body.clone(),
-                    lps_from_body: self.lps_from_body(view, n),
-                    beads: 1,
-                    used: usize::from(bead.used),
-                }),
-            }
-        }
-        Pose {
+        let bodies = BodyPose::of_beads(&beads, |n| self.lps_from_body(view, n));
+        let pose = Pose {
             projection: Some(Projection::compose(&k, &camera)),
             intrinsics: Some(k),
-            intrinsics_source: Some(source.to_owned()),
+            intrinsics_source: Some(setup.free.source().to_owned()),
             intrinsics_sigma_px: self.intrinsics_sigma_px(),
             camera_from_lps: Some(camera),
             bodies,
@@ -101,7 +82,8 @@ impl Common<'_> {
             beads,
             shadows,
             ..alone.clone()
-        }
+        };
+        pose.on_panel_anew()
     }
 
     fn lps_from_body(&self, view: usize, bead: usize) -> Rigid {

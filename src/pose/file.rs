@@ -1,0 +1,77 @@
+//! Files of poses, priors and K: JSON whose errors name file and key, written all or nothing.
+
+use std::path::{Path, PathBuf};
+
+use crate::image::{ImageFileError, write_atomically};
+
+/// Why a pose, prior or intrinsics file is unusable.
+#[derive(Debug, thiserror::Error)]
+pub enum PoseFileError {
+    /// The operating system refused.
+    #[error("{path}: {source}", path = path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// Not JSON, an unknown key, or a value of the wrong form.
+    #[error("{path}: at {place}: {message}", path = path.display())]
+    Form {
+        /// The file.
+        path: PathBuf,
+        /// Path of keys.
+        place: String,
+        /// What is wrong there.
+        message: String,
+    },
+    /// A prior without a pose.
+    #[error("{path}: has no camera_from_lps{why}; a prior needs one", path = path.display())]
+    NoPose {
+        /// The file.
+        path: PathBuf,
+        /// `: the pose was refused`, or nothing.
+        why: String,
+    },
+    /// The covariance is not one.
+    #[error("{path}: covariance is not symmetric and positive definite: {detail}", path = path.display())]
+    Covariance {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        detail: String,
+    },
+    /// The file could not be written.
+    #[error(transparent)]
+    Write(#[from] ImageFileError),
+}
+
+/// Reads a JSON file; errors name the key.
+pub(super) fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, PoseFileError> {
+    let bytes = std::fs::read(path).map_err(|source| PoseFileError::Read { path: path.to_owned(), source })?;
+    let mut deserializer = serde_json::Deserializer::from_slice(&bytes);
+    let value = serde_path_to_error::deserialize(&mut deserializer).map_err(|error| PoseFileError::Form {
+        path: path.to_owned(),
+        place: error.path().to_string(),
+        message: error.inner().to_string(),
+    })?;
+    deserializer.end().map_err(|error| PoseFileError::Form {
+        path: path.to_owned(),
+        place: "the end".to_owned(),
+        message: error.to_string(),
+    })?;
+    Ok(value)
+}
+
+/// Writes a JSON file, all or nothing.
+///
+/// # Errors
+/// When the folder is missing or not writable, or the disk is full.
+pub(super) fn write_json<T: serde::Serialize>(path: &Path, value: &T) -> Result<(), PoseFileError> {
+    write_atomically(path, |file| {
+        let mut text = serde_json::to_vec_pretty(value).map_err(std::io::Error::other)?;
+        text.push(b'\n');
+        file.write_all(&text)
+    })?;
+    Ok(())
+}

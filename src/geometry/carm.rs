@@ -66,10 +66,11 @@ pub struct CarmCalibration {
     /// Gravity's effect as `calibrate carm` fits it; comes on top of `sag`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gravity_sag: Option<GravitySag>,
-    /// Standard deviation, per axis, of where joint readings put the isocentre in the camera.
+    /// Standard deviation, per axis, of where joint readings put the isocentre in the camera, against the pose that beads give with this
+    /// calibration's own K; K's error moves both alike and is not in it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub camera_sigma_mm: Option<f64>,
-    /// Standard deviation, per axis, of the camera's attitude by joint readings.
+    /// Standard deviation, per axis, of the camera's attitude by joint readings, likewise.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub camera_sigma_deg: Option<f64>,
 }

@@ -196,11 +196,13 @@ fn glare_shines_behind_lead_and_is_measured_there() {
     };
     refused(&frame(counts.map(|value| if *value > 0.0 { 1e5 } else { 0.0 })), "no opaque disc");
     let behind_lead = |n: usize| DVec2::new((n % 200) as f64, (n / 200) as f64).distance(CENTRE) < lead_px + 1.5;
-    let behind = |value: fn(usize, f32) -> f32| {
+    let behind = |value: &dyn Fn(usize, f32) -> f32| {
         let seen = |(n, own): (usize, &f32)| if behind_lead(n) { value(n, *own) } else { *own };
         frame(Image { pixels: counts.pixels.iter().enumerate().map(seen).collect(), ..counts.clone() })
     };
-    refused(&behind(|n, own| if n % 200 < 101 { 5.0 * own } else { own }), "is no glare");
+    refused(&behind(&|n, own| if n % 200 < 101 { 5.0 * own } else { own }), "is no glare");
+    let beside = *counts.at(CENTRE.x as usize, 20);
+    refused(&behind(&|_, _| 0.7 * beside), "is no glare");
     let shown = Frame::from_pixels("lead", counts.clone(), Domain::Display).expect("a frame");
     refused(&shown, "linear values only");
 }

@@ -20,6 +20,10 @@ const LEAST_LEAD: f64 = 0.04;
 const RIM: f64 = 0.2;
 /// Glare between these is believed; beyond, the frame has an offset, or the lead is none.
 const BELIEVED: (f64, f64) = (0.002, 0.6);
+/// The share and the light have settled when a turn changes the share by no more; where they do not in so many turns, that scale explains
+/// nothing.
+const SETTLED: f64 = 1e-3;
+const MOST_TURNS: u32 = 12;
 /// What the model may leave of the signal behind the lead.
 const MOST_MISFIT: f64 = 0.15;
 
@@ -42,7 +46,8 @@ pub fn measure_glare(frame: &Frame, disc: &Disc) -> Result<Glare, IntensifierFau
         // Alternately: the light that glares, and the share of it that does.
         let mut fraction = 0.0;
         let mut glare = vec![0.0; pixels.pixels.len()];
-        for _ in 0..4 {
+        let mut change = f64::INFINITY;
+        for _ in 0..MOST_TURNS {
             let light: Vec<f64> = (0..glare.len())
                 .map(|at| {
                     let shines = open.pixels[at] && !lead.mask.pixels[at];
@@ -55,7 +60,14 @@ pub fn measure_glare(frame: &Frame, disc: &Disc) -> Result<Glare, IntensifierFau
                 both += glare[*at] * measured;
                 square += glare[*at] * glare[*at];
             }
-            fraction = (both / square).clamp(0.0, 0.9);
+            let before = std::mem::replace(&mut fraction, (both / square).clamp(0.0, 0.9));
+            change = (fraction - before).abs();
+            if change <= SETTLED {
+                break;
+            }
+        }
+        if !(change <= SETTLED) {
+            return (f64::INFINITY, Glare { fraction, scale_px });
         }
         let off: f64 = inner.iter().zip(&measured).map(|(at, m)| (m - fraction * glare[*at]).powi(2)).sum();
         (off, Glare { fraction, scale_px })

@@ -31,7 +31,7 @@ struct TypedCompare {
 /// A pose in which the femur has moved by 3° and 4 mm, and the truth: view, lps_from_femur.
 fn registered() -> (Pose, View, Rigid) {
     let found = (0..12).find_map(|seed| {
-        let (view, layout) = (synthetic::view(512, 512, seed), two(9, 7, seed));
+        let (view, layout) = (synthetic::view(256, 256, seed), two(9, 7, seed));
         let truth = motion(&layout, 3.0, 4.0, seed);
         let found = seen(&view, &layout, &truth, seed);
         let pose = (found.len() >= 15).then(|| register_shadows(&matching(&view, &layout), &found))?;
@@ -73,10 +73,12 @@ fn a_registered_pose_moves_the_bone_in_render_and_masks_the_guess_in_compare() {
         let (from, to) = (text.find("\"view\"").expect("there"), text.find("\"beam\"").expect("there"));
         format!("{}{}", &text[..from], &text[to..])
     };
-    let scene = scene.replace(r#""pitch_mm": 1.0"#, r#""pitch_mm": 0.5859375"#);
+    let scene = scene.replace(r#""pitch_mm": 1.0"#, r#""pitch_mm": 1.171875"#);
     let (pose, view, truth) = registered();
-    let mut true_pose = Pose { camera_from_lps: Some(view.camera_from_lps), ..pose.clone() };
-    true_pose.bodies.iter_mut().filter(|body| body.name == "femur").for_each(|body| body.lps_from_body = truth);
+    // The camera's own error moves everything: what is looked at is the femur's place before the camera that was found.
+    let lps_from_femur = pose.camera_from_lps.expect("accepted").inverse() * view.camera_from_lps * truth;
+    let mut true_pose = pose.clone();
+    true_pose.bodies.iter_mut().filter(|body| body.name == "femur").for_each(|body| body.lps_from_body = lps_from_femur);
     let mut as_scanned = true_pose.clone();
     as_scanned.bodies.iter_mut().for_each(|body| body.lps_from_body = Rigid::IDENTITY);
     for (pose, out) in [(&as_scanned, "scanned.tif"), (&true_pose, "frame.tif"), (&pose, "drr.tif")] {
@@ -84,7 +86,7 @@ fn a_registered_pose_moves_the_bone_in_render_and_masks_the_guess_in_compare() {
     }
     let [scanned, frame, drr] = ["scanned.tif", "frame.tif", "drr.tif"].map(|name| page(folder.join(name)));
     let (right, wrong) = (apart(&drr, &frame), apart(&scanned, &frame));
-    assert!(right < 0.1 * wrong, "{right} nepers from the truth, as scanned {wrong}");
+    assert!(right < 0.2 * wrong, "{right} nepers from the truth, as scanned {wrong}");
 
     let described = json(folder.join("drr.tif.json"));
     let share = described["share_guessed"].as_f64().expect("a share");

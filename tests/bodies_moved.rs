@@ -1,14 +1,14 @@
 //! A labelled body of a CT that has moved since the scan: where its shadow falls, what fills its place, what is called a guess.
 
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use glam::DVec3;
 use sidecarm::geometry::{Rigid, View};
 use sidecarm::gpu::DeviceChoice;
 use sidecarm::render::{LEAST_GUESSED_MM, Options, Quantity, Rendered, Renderer, guessed, guessed_share};
 use sidecarm::reporter::Reporter;
-use sidecarm::scene::model::{Matter, Object, Scene, Shape, Solid};
+use sidecarm::scene::model::{LabelledBody, Matter, Object, Scene, Shape, Solid};
 use sidecarm::scene::{SceneError, load_text};
 
 use crate::render_scenes::worst;
@@ -16,8 +16,6 @@ use crate::scene_support::{NiftiFile, solid};
 
 /// Voxels along an edge of the CT: 1 mm each, the middle one at the origin.
 const EDGE: i16 = 65;
-const WATER_HU: i16 = 0;
-const BONE_HU: i16 = 1000;
 /// By the density curve.
 const BONE_OVER_WATER_G_PER_CM3: f64 = 1.06 + (1000.0 - 55.0) / (1700.0 - 55.0) * (1.92 - 1.06) - 1.0;
 const SEMI_AXES_MM: DVec3 = DVec3::new(13.0, 9.0, 7.0);
@@ -92,6 +90,14 @@ fn scanned(before: &str, after: &str) -> Scene {
     load(folder.path(), &scene_text("ct", before, after)).expect("loads")
 }
 
+/// The water alone.
+fn without_bone() -> Scene {
+    let folder = tempfile::tempdir().expect("folder");
+    write_ct(folder.path(), "empty", None);
+    let text = scene_text("empty", "", "").replace(r#", "bodies": {"femur": [5, 77]}"#, "");
+    load(folder.path(), &text).expect("loads")
+}
+
 fn render(device: DeviceChoice, scene: &Scene, options: Options) -> Rendered {
     let mut renderer = Renderer::new(device, &Reporter::silent()).expect("a device");
     renderer.render(scene, &Options { guessed: true, ..options }).expect("renders")
@@ -117,39 +123,40 @@ fn chords_mm(view: &View, lps_from_bone: Rigid, grown_mm: f64) -> Vec<f64> {
 }
 
 /// A body's shadow lies where the body is. The voxels blur an ellipsoid by their own width (variance h²/12) and by interpolation (h²/6),
-/// which shortens a chord L by σ²/2·|∇²L| with σ² = h²/4; for rays nearer than 0.8 of the outline that is below 0.2 mm, for the least
-/// curved part of the least half axis. The share that the water keeps is interpolated on the CT's grid: its kinks are off by at most h/8
-/// at either side.
+/// which shortens a chord L by σ²/2·|∇²L| with σ² = h²/4: below 0.2 mm well inside the outline. The share of each point that the water
+/// keeps is interpolated on the CT's grid: where labels end in steps it is off by up to a quarter of a voxel of water at either side, up or
+/// down alike. A seam without water would take half a voxel at either side, always down: the mean tells.
 #[test]
 fn a_moved_bone_has_the_shadow_of_an_ellipsoid_that_has_moved() {
     let scene = scanned("", "");
     let view = scene.view.expect("its own");
     let moved = scene.with_bodies(&[("femur", motion()), ("pelvis", Rigid::IDENTITY)]).expect("known");
-    let folder = tempfile::tempdir().expect("folder");
-    write_ct(folder.path(), "empty", None);
-    let text = scene_text("empty", "", "").replace(r#", "bodies": {"femur": [5, 77]}"#, "");
-    let water = mass(&load(folder.path(), &text).expect("loads"));
-    let chords = chords_mm(&view, motion() * lps_from_bone(), 0.0);
+    let water = mass(&without_bone());
+    let place = motion() * lps_from_bone();
+    let (chords, grown) = (chords_mm(&view, place, 0.0), chords_mm(&view, place, 2.0));
     let longest = chords.iter().copied().fold(0.0, f64::max);
-    let expected: Vec<f64> = water.iter().zip(&chords).map(|(water, mm)| water + 0.1 * mm * BONE_OVER_WATER_G_PER_CM3).collect();
     let (found, unmoved) = (mass(&moved), mass(&scene));
-    let limit = 0.1 * 0.2 * BONE_OVER_WATER_G_PER_CM3 + 2.0 * 0.1 * 0.125;
-    let (mut inside, mut sum, mut off_unmoved) = (0, 0.0, 0.0f64);
+    let limit = 0.1 * 0.2 * BONE_OVER_WATER_G_PER_CM3 + 2.0 * 0.1 * 0.25;
+    let (mut inside, mut outline, mut off_unmoved) = (Vec::new(), Vec::new(), 0.0f64);
     for pixel in 0..found.len() {
-        let off = found[pixel] - expected[pixel];
-        // Rays that are well inside, or pass the bone by.
-        if chords[pixel] > 0.6 * longest || chords[pixel] == 0.0 && (unmoved[pixel] - water[pixel]).abs() < 1e-6 {
-            assert!(off.abs() <= limit, "pixel {pixel}, chord {} mm: off by {off} g/cm2, limit {limit}", chords[pixel]);
-            inside += usize::from(chords[pixel] > 0.0);
+        let expected = water[pixel] + 0.1 * chords[pixel] * BONE_OVER_WATER_G_PER_CM3;
+        let off = found[pixel] - expected;
+        off_unmoved = off_unmoved.max((unmoved[pixel] - expected).abs());
+        if chords[pixel] > 0.6 * longest {
+            inside.push(off);
+        } else if grown[pixel] > 0.0 {
+            outline.push(off);
+        } else {
+            assert!(off.abs() < 0.01, "pixel {pixel} beside the bone: off by {off} g/cm2");
         }
-        sum += off;
-        off_unmoved = off_unmoved.max((unmoved[pixel] - expected[pixel]).abs());
     }
-    assert!(inside > 150, "{inside}");
-    assert!(off_unmoved > 4.0 * limit, "the control: the scan as it was is off by {off_unmoved}");
-    // What the bone takes from the water it gives back where it lay: over the whole image nothing is lost.
-    let mass_of_bone: f64 = chords.iter().map(|mm| 0.1 * mm * BONE_OVER_WATER_G_PER_CM3).sum();
-    assert!(sum.abs() < 0.01 * mass_of_bone, "{sum} of {mass_of_bone}");
+    assert!(inside.len() > 300 && outline.len() > 300, "{} {}", inside.len(), outline.len());
+    let worst = |off: &[f64]| off.iter().map(|off| off.abs()).fold(0.0, f64::max);
+    let mean = |off: &[f64]| off.iter().sum::<f64>() / off.len() as f64;
+    assert!(worst(&inside) <= limit && mean(&inside).abs() < 0.003, "{} {}", worst(&inside), mean(&inside));
+    // Rays along the surface run through many steps.
+    assert!(worst(&outline) < 0.3 && mean(&outline).abs() < 0.01, "{} {}", worst(&outline), mean(&outline));
+    assert!(off_unmoved > 0.5, "the control: the scan as it was is off by {off_unmoved}");
 }
 
 /// The same bone drawn by the scanner where it has moved to. Both are voxels of one ellipsoid on grids that lie differently.
@@ -162,9 +169,9 @@ fn a_moved_bone_looks_like_one_that_was_scanned_there() {
     let (found, expected, before) = (mass(&moved), mass(&drawn), mass(&scanned("", "")));
     let rms = |a: &[f64], b: &[f64]| (a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>() / a.len() as f64).sqrt();
     let (off, control) = (rms(&found, &expected), rms(&before, &expected));
-    assert!(off < 0.006 && control > 10.0 * off, "{off} g/cm2, unmoved {control}");
-    let worst = found.iter().zip(&expected).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-    assert!(worst < 0.06, "{worst} g/cm2");
+    assert!(off < 0.016 && control > 5.0 * off, "{off} g/cm2, unmoved {control}");
+    let sum = |values: &[f64]| values.iter().sum::<f64>();
+    assert!((sum(&found) / sum(&expected) - 1.0).abs() < 2e-4, "{} {}", sum(&found), sum(&expected));
 }
 
 #[test]
@@ -193,10 +200,7 @@ fn what_a_body_left_is_filled_and_called_a_guess() {
     let scene = scanned("", "");
     let away = Rigid::translation(DVec3::new(0.0, 0.0, 500.0));
     let moved = scene.with_bodies(&[("femur", away)]).expect("known");
-    let folder = tempfile::tempdir().expect("folder");
-    write_ct(folder.path(), "empty", None);
-    let text = scene_text("empty", "", "").replace(r#", "bodies": {"femur": [5, 77]}"#, "");
-    let water = mass(&load(folder.path(), &text).expect("loads"));
+    let water = mass(&without_bone());
     let worst_off = mass(&moved).iter().zip(&water).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
     assert!(worst_off < 1e-4, "{worst_off} g/cm2");
     let Matter::Parts(parts) = &moved.objects[0].matter else { panic!("parts") };
@@ -210,7 +214,7 @@ fn what_a_body_left_is_filled_and_called_a_guess() {
         chords.iter().filter(|mm| **mm > LEAST_GUESSED_MM).count() as f64 / chords.len() as f64
     };
     let (least, found, most) = (share_of(0.0), guessed_share(&mask), share_of(1.0));
-    assert!(least > 0.1 && least <= found && found <= most, "{least} {found} {most}");
+    assert!(least > 0.05 && least <= found && found <= most, "{least} {found} {most}");
     let filled = moved.bodies.motions.iter().find(|motion| motion.body == "femur").expect("listed");
     let labelled = scene.bodies.labelled[0].voxels.len() as f64 * 1e-3;
     assert!((filled.filled_cm3 - labelled).abs() < 1e-6 && (filled.shift_mm - 500.0).abs() < 1e-9, "{filled:?}");
@@ -324,24 +328,32 @@ fn executors_agree_with_the_reference_about_moved_bodies() {
 #[test]
 fn a_body_that_the_scan_cut_off_stays_invalid_where_it_goes() {
     let folder = tempfile::tempdir().expect("folder");
-    write_ct(folder.path(), "ct", Some(Rigid::translation(DVec3::new(0.0, 0.0, 30.0))));
-    let text = scene_text("ct", "", "").replace("[96, 80]", "[96, 96]").replace("39.5", "47.5");
+    write_ct(folder.path(), "ct", Some(Rigid::translation(DVec3::new(0.0, 0.0, 27.0))));
+    let text = scene_text("ct", "", "").replace("[96, 80]", "[96, 160]").replace("39.5", "79.5");
     let mut scene = load(folder.path(), &text).expect("loads");
     let Matter::Volume(ct) = &scene.objects[0].matter else { panic!("a volume") };
-    // Water and bone up to the last slice.
+    // The bone alone up to the last slice, as the slice below the air has it.
     let mut ct = (**ct).clone();
     let slice = ct.size[0] * ct.size[1];
-    let last = ct.class.len() - slice;
-    for k in [1, 2] {
-        for at in 0..slice {
-            (ct.class[last - (k - 1) * slice + at], ct.density_g_per_cm3[last - (k - 1) * slice + at]) =
-                (ct.class[last - 2 * slice + at], ct.density_g_per_cm3[last - 2 * slice + at]);
-        }
+    let labelled = &scene.bodies.labelled[0];
+    let last = |n: &&usize| **n / slice == 62;
+    let more: Vec<usize> = [1, 2].iter().flat_map(|k| labelled.voxels.iter().filter(last).map(move |n| n + k * slice)).collect();
+    for n in &more {
+        (ct.class[*n], ct.density_g_per_cm3[*n]) = (ct.class[n % slice + 62 * slice], 1.5);
     }
+    assert!(more.len() > 100);
+    let voxels = labelled.voxels.iter().copied().chain(more).collect();
+    let body = LabelledBody { name: "femur".to_owned(), object: labelled.object.clone(), voxels, filling: OnceLock::new() };
+    scene.bodies.labelled = vec![Arc::new(body)];
     scene.objects[0].matter = Matter::Volume(Arc::new(ct));
-    let moved = scene.with_bodies(&[("femur", Rigid::translation(DVec3::new(5.0, 0.0, 0.0)))]).expect("known");
+    let moved = scene.with_bodies(&[("femur", Rigid::translation(DVec3::new(20.0, 0.0, 0.0)))]).expect("known");
     let line = Options { quantity: Quantity::LineIntegral, ..Options::default() };
     let (before, after) = (render(DeviceChoice::Cpu, &scene, line.clone()), render(DeviceChoice::Cpu, &moved, line));
-    let invalid = |rendered: &Rendered| rendered.valid.pixels.iter().filter(|valid| **valid == 0).count();
-    assert!(invalid(&before) > 100 && invalid(&after) >= invalid(&before), "{} {}", invalid(&before), invalid(&after));
+    let invalid = |rendered: &Rendered| -> Vec<usize> {
+        (0..96 * 160).filter(|pixel| rendered.valid.pixels[*pixel] == 0).map(|pixel| pixel % 96).collect()
+    };
+    let (before, after) = (invalid(&before), invalid(&after));
+    assert!(before.len() > 100 && after.len() > before.len(), "{} {}", before.len(), after.len());
+    let reach = |columns: &[usize]| columns.iter().copied().max().expect("some");
+    assert!(reach(&after) > reach(&before) + 20, "{} {}", reach(&after), reach(&before));
 }

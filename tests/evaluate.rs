@@ -193,6 +193,7 @@ fn an_error_beyond_the_bound_is_seen() {
     for object in &mut denser.objects {
         match &mut object.matter {
             Matter::Volume(volume) => Arc::make_mut(volume).density_g_per_cm3.iter_mut().for_each(|rho| *rho *= 1.02),
+            Matter::Parts(_) => {}
             Matter::Solids(solids) => solids.iter_mut().for_each(|solid| solid.density_g_per_cm3 *= 1.02),
             Matter::Mesh(_) => {}
         }

@@ -29,6 +29,8 @@ mod beads_detection;
 mod beads_in_ct;
 mod beads_drawn;
 mod beads_layout;
+mod bodies_commands;
+mod bodies_moved;
 mod pose_bodies;
 #[cfg(feature = "vision")]
 mod tags_drawn;

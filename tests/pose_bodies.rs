@@ -10,7 +10,7 @@ use crate::pose_registration::{matching, shadows};
 use crate::pose_synthetic as synthetic;
 
 /// `count` beads on the pelvis, `femur` ones beside it, within the view.
-fn two(count: usize, femur: usize, seed: u64) -> BeadLayout {
+pub fn two(count: usize, femur: usize, seed: u64) -> BeadLayout {
     let mut layout = synthetic::layout(count, 0.75, seed);
     let mut random = Stream::new(seed, 41, 0, Purpose::Evaluation);
     let mut places: Vec<DVec3> = Vec::new();
@@ -31,7 +31,7 @@ fn two(count: usize, femur: usize, seed: u64) -> BeadLayout {
 }
 
 /// Turns by `angle_deg` about the femur's beads and shifts, both in directions of `seed`.
-fn motion(layout: &BeadLayout, angle_deg: f64, shift_mm: f64, seed: u64) -> Rigid {
+pub fn motion(layout: &BeadLayout, angle_deg: f64, shift_mm: f64, seed: u64) -> Rigid {
     let mut random = Stream::new(seed, 42, 0, Purpose::Evaluation);
     let mut direction = || DVec3::new(random.normal(), random.normal(), random.normal()).normalize();
     let femur: Vec<DVec3> = layout.beads.iter().filter(|bead| bead.body == "femur").map(|bead| bead.lps_mm).collect();
@@ -40,7 +40,7 @@ fn motion(layout: &BeadLayout, angle_deg: f64, shift_mm: f64, seed: u64) -> Rigi
     Rigid::translation(centre + direction() * shift_mm) * turn * Rigid::translation(-centre)
 }
 
-fn seen(view: &View, layout: &BeadLayout, lps_from_femur: &Rigid, seed: u64) -> Vec<Detection> {
+pub fn seen(view: &View, layout: &BeadLayout, lps_from_femur: &Rigid, seed: u64) -> Vec<Detection> {
     let mut now = layout.clone();
     for bead in now.beads.iter_mut().filter(|bead| bead.body == "femur") {
         bead.lps_mm = lps_from_femur.transform_point(bead.lps_mm);

@@ -60,7 +60,7 @@ fn expected(scene: &Scene, view: &View, pixel: [f64; 2], materials: usize) -> Ve
                         return sums;
                     }
                 }
-                Matter::Mesh(_) => {}
+                Matter::Mesh(_) | Matter::Parts(_) => {}
             }
         }
         vec![0.0; materials]

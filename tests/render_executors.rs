@@ -20,6 +20,7 @@ fn with_density_scaled(scene: &Scene, factor: f64) -> Scene {
             Matter::Volume(volume) => Arc::make_mut(volume).density_g_per_cm3.iter_mut().for_each(|rho| *rho *= factor as f32),
             Matter::Solids(solids) => solids.iter_mut().for_each(|solid| solid.density_g_per_cm3 *= factor),
             Matter::Mesh(mesh) => Arc::make_mut(mesh).density_g_per_cm3 *= factor,
+            Matter::Parts(_) => {}
         }
     }
     scene

@@ -9,7 +9,7 @@ use sidecarm::random::{Purpose, Stream};
 use sidecarm::render::{Options, Quantity, Rendered, Renderer};
 use sidecarm::reporter::Reporter;
 use sidecarm::scene::model::{
-    Beam, Detector, Formation, Matter, Model, Noise, Object, Response, Scene, Shape, Solid, Volume, Voxels,
+    Beam, Bodies, Detector, Formation, Matter, Model, Noise, Object, Response, Scene, Shape, Solid, Volume, Voxels,
 };
 use sidecarm::scene::optics::{BeamShape, Panel};
 use sidecarm::scene::physics::{Bin, Material, Spectrum};
@@ -42,6 +42,7 @@ pub fn empty(materials: &[&str]) -> Scene {
         model: Model { formation: Formation::Deepdrr, voxels: Voxels::Trilinear, noise: Noise::Off, seed: 1 },
         inputs: Vec::new(),
         robot: None,
+        bodies: Bodies::default(),
     }
 }
 

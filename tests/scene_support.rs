@@ -6,7 +6,9 @@ use std::sync::Arc;
 use glam::{DAffine3, DQuat, DVec3};
 use sidecarm::geometry::{Intrinsics, Rigid, View};
 use sidecarm::scene::Scene;
-use sidecarm::scene::model::{Beam, Detector, Formation, Matter, Model, Noise, Object, Response, Shape, Solid, Volume, Voxels};
+use sidecarm::scene::model::{
+    Beam, Bodies, Detector, Formation, Matter, Model, Noise, Object, Response, Shape, Solid, Volume, Voxels,
+};
 use sidecarm::scene::optics::{BeamShape, Panel};
 use sidecarm::scene::physics::{Material, Spectrum};
 
@@ -74,6 +76,7 @@ pub fn scene(materials: &[&str], matters: Vec<Matter>) -> Scene {
         model: Model { formation: Formation::Deepdrr, voxels: Voxels::Trilinear, noise: Noise::Off, seed: 1 },
         inputs: Vec::new(),
         robot: None,
+        bodies: Bodies::default(),
     }
 }
 

@@ -15,6 +15,7 @@ mod fitted;
 mod flags;
 mod layout;
 mod markups;
+mod markups_error;
 mod noise;
 mod probe;
 mod profile;
@@ -26,5 +27,6 @@ pub use correspondences::{Correspondence, CorrespondencesError, read_corresponde
 pub use detect::{Detection, Detections, Expectation, Polarity, Signal, detect, detect_image};
 pub use flags::Flags;
 pub use layout::{Bead, BeadLayout, DEFAULT_BODY, DEFAULT_SIGMA_MM, Landmark};
-pub use markups::{BeadsError, parse_landmarks, parse_markups, read_landmarks, read_markups};
+pub use markups::{parse_landmarks, parse_markups, read_landmarks, read_markups};
+pub use markups_error::BeadsError;
 pub use probe::Probe;

@@ -7,13 +7,13 @@ use glam::{DVec2, DVec3};
 use crate::acquire::{AcquireError, DetectorCalibration, DetectorCalibrationError, Domain, Frame, read_frame};
 use crate::compare::{
     AirLevel, CompareError, CompareInput, Compared, NULL_SCORES, NullRenders, OffsetRule, Tone, bead_marks, compare, elsewhere,
-    tool_mask,
+    posed_scene, tool_mask,
 };
 use crate::geometry::{PanelWindow, View};
 use crate::gpu::DeviceChoice;
 use crate::image::{Image, ImageFileError, read_tiff_f32, refuse_overwrite, sha256_file, write_atomically, write_png_rgb};
 use crate::pose::{BeadResidual, Pose, PoseFileError};
-use crate::render::{RenderError, Renderer};
+use crate::render::{RenderError, Renderer, guessed};
 use crate::report::{Standing, StripInput, score_words, strip};
 use crate::reporter::Reporter;
 use crate::scene::model::Scene;
@@ -32,7 +32,7 @@ pub struct CompareArgs {
     pub acquired: PathBuf,
     /// The simulated image: a float TIFF from `render`, intensity or line_integral
     pub simulated: PathBuf,
-    /// Scene that was rendered; with --pose it gives the null
+    /// Scene that was rendered; with --pose it gives the null, and what a moved body left
     #[arg(long, value_name = "SCENE.json", requires = "pose")]
     pub scene: Option<PathBuf>,
     /// Pose that was rendered, from `register`; gives mm and the places of the beads
@@ -140,7 +140,7 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
         args.detector.as_ref(),
     ];
     let mut inputs: Vec<PathBuf> = named.into_iter().flatten().cloned().collect();
-    inputs.extend(["json", "valid.png"].map(|suffix| beside(&args.simulated, suffix)));
+    inputs.extend(["json", "valid.png", "guessed.png"].map(|suffix| beside(&args.simulated, suffix)));
     refuse_overwrite(&[&json_path, &strip_path], &inputs)?;
     let pose = args.pose.as_deref().map(Pose::read).transpose()?;
     let mut frame = read_frame(&args.acquired, args.domain)?;
@@ -154,7 +154,7 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
         frame = DetectorCalibration::apply_file(path, &frame, window)?;
     }
     let simulated = read_simulated(&args.simulated, args.quantity.as_deref())?;
-    let valid = read_valid(&args.simulated)?;
+    let valid = read_flags(&beside(&args.simulated, "valid.png"))?;
     let extra = args.mask.as_deref().map(read_mask).transpose()?;
     let scene = args.scene.as_deref().map(|path| load(path, false, reporter)).transpose()?;
     if let (Some(path), Some(scene)) = (&args.scene, &scene) {
@@ -162,10 +162,16 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
     }
     let view = pose.as_ref().and_then(|pose| view_of(pose, &simulated, reporter));
     let beads = view.zip(pose.as_ref()).map(|(view, pose)| marks(pose, &view, scene.as_ref())).unwrap_or_default();
-    let posed_scene = scene.as_ref().zip(pose.as_ref()).zip(view).map(|((scene, pose), view)| scene_at(scene, pose, view));
+    let posed = scene.as_ref().zip(pose.as_ref()).zip(view).map(|((scene, pose), view)| posed_scene(scene, pose, view));
+    let posed_scene = posed.transpose()?;
+    let guessed = match &posed_scene {
+        Some(scene) => guessed(scene)?,
+        None => read_flags(&beside(&args.simulated, "guessed.png"))?,
+    };
     let tool = posed_scene.as_ref().zip(view.as_ref()).and_then(|(scene, view)| tool_mask(scene, view));
     let input = CompareInput {
         valid: valid.as_ref(),
+        guessed: guessed.as_ref(),
         extra_mask: extra.as_ref(),
         beads: &beads,
         tool: tool.as_ref(),
@@ -225,13 +231,12 @@ fn read_simulated(path: &Path, quantity: Option<&str>) -> Result<Image<f32>, Com
     }
 }
 
-/// `render` writes `IMAGE.tif.valid.png` when some pixel is invalid.
-fn read_valid(simulated: &Path) -> Result<Option<Image<u8>>, CompareCommandError> {
-    let path = beside(simulated, "valid.png");
+/// What `render` writes beside an image where some pixels are invalid, or show a guess: 1 where the picture is white.
+fn read_flags(path: &Path) -> Result<Option<Image<u8>>, CompareCommandError> {
     if !path.exists() {
         return Ok(None);
     }
-    Ok(Some(read_mask(&path)?.map(|valid| u8::from(*valid))))
+    Ok(Some(read_mask(path)?.map(|valid| u8::from(*valid))))
 }
 
 /// True where a pixel is not zero.
@@ -272,19 +277,11 @@ fn marks(pose: &Pose, view: &View, scene: Option<&Scene>) -> Vec<(DVec2, f64)> {
         let shadow = pose.shadows.iter().find(|shadow| shadow.bead.as_ref() == Some(&bead.name))?;
         Some(shadow.radius_px * camera_from_lps.transform_point(bead.lps_mm).z / full_fx)
     };
-    bead_marks(pose.beads.iter().map(|bead| (bead.lps_mm, radius_mm(bead))), view, scene)
+    bead_marks(pose.beads.iter().map(|bead| (pose.place_of(&bead.body, bead.lps_mm), radius_mm(bead))), view, scene)
 }
 
 fn centre(pose: &Pose, scene: Option<&Scene>) -> Option<DVec3> {
     pose.centroid_lps_mm.or_else(|| scene?.bounds().map(|(centre, _)| centre))
-}
-
-/// The scene as the simulated image shows it: from `view`, on a panel at the pose's distance.
-fn scene_at(scene: &Scene, pose: &Pose, view: View) -> Scene {
-    let mut scene = scene.with_view(view);
-    let pitch_mm = pose.pitch_mm.unwrap_or(scene.detector.pitch_mm);
-    scene.detector.pitch_mm = pose.intrinsics.map_or(pitch_mm, |k| k.source_to_detector_mm(pitch_mm) / view.intrinsics.fx);
-    scene
 }
 
 fn add_null(compared: &mut Compared, scene: &Scene, reporter: &Reporter) -> Result<(), CompareCommandError> {

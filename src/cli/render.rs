@@ -1,11 +1,17 @@
 //! `sidecarm render`: one scene, one radiograph.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
+use crate::compare::posed_scene;
+use crate::geometry::View;
 use crate::gpu::DeviceChoice;
-use crate::image::{ImageFileError, check_writable, refuse_overwrite};
-use crate::render::{Goal, Options, Quantity, RenderError, Rendered, Renderer, write_image, write_picture, written_with};
+use crate::image::{ImageFileError, check_writable, refuse_overwrite, sha256_file};
+use crate::pose::{Pose, PoseFileError};
+use crate::render::{
+    Goal, Options, Quantity, RenderError, Rendered, Renderer, guessed_share, write_image, write_picture, written_with,
+};
 use crate::reporter::Reporter;
+use crate::scene::model::{InputFile, Scene};
 use crate::scene::{self, SceneError};
 use crate::time::StageTimes;
 
@@ -16,9 +22,10 @@ use crate::time::StageTimes;
   sidecarm render scene.json --out paths.tif --quantity area_density
   sidecarm render scene.json --out drr.tif --max-error 1e-3 --explain
   sidecarm render scene.json --out drr.tif --budget-ms 20
+  sidecarm render scene.json --out drr.tif --pose POSE.json --explain
 
-Beside IMAGE.tif lies IMAGE.tif.json (plan, stated error, times, inputs), and IMAGE.tif.valid.png when the CT is cut off for some
-pixels (black there).")]
+Beside IMAGE.tif lies IMAGE.tif.json (plan, stated error, times, inputs), IMAGE.tif.valid.png when the CT is cut off for some
+pixels (black there), and IMAGE.tif.guessed.png when a body has moved (white where the image shows what fills its old place).")]
 pub struct RenderArgs {
     /// The scene
     pub scene: PathBuf,
@@ -40,6 +47,9 @@ pub struct RenderArgs {
     /// MiB of a GPU's memory that a CT may take: a larger one is crossed part by part [default: all there is]
     #[arg(long, value_name = "N")]
     pub gpu_memory_mib: Option<u64>,
+    /// Pose to render from, in place of the scene's view, from `register`; bodies that have moved since the scan move with it
+    #[arg(long, value_name = "POSE.json")]
+    pub pose: Option<PathBuf>,
     /// The slow f64 yardstick instead of the fast path; with --max-error or --budget-ms that plan is executed as well, and what it
     /// achieved stands in IMAGE.tif.json
     #[arg(long)]
@@ -116,6 +126,17 @@ pub enum RenderCommandError {
     /// The renderer.
     #[error(transparent)]
     Render(#[from] RenderError),
+    /// The pose.
+    #[error(transparent)]
+    Pose(#[from] PoseFileError),
+    /// A pose that says too little.
+    #[error("{path}: {detail}", path = path.display())]
+    NoView {
+        /// The pose.
+        path: PathBuf,
+        /// What is missing.
+        detail: String,
+    },
     /// The picture.
     #[error(transparent)]
     Picture(#[from] ImageFileError),
@@ -150,9 +171,13 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
     for output in std::iter::once(&args.out).chain(&args.png) {
         check_writable(output)?;
     }
-    let scene = scene::load(&args.scene, true, reporter)?;
+    let mut scene = scene::load(&args.scene, args.pose.is_none(), reporter)?;
+    if let Some(path) = &args.pose {
+        scene = posed(&scene, path)?;
+    }
     let outputs: Vec<PathBuf> = written_with(&args.out).into_iter().chain(args.png.clone()).collect();
-    refuse_overwrite(&outputs, &scene::input_files(&args.scene, &scene))?;
+    let inputs: Vec<PathBuf> = scene::input_files(&args.scene, &scene).into_iter().chain(args.pose.clone()).collect();
+    refuse_overwrite(&outputs, &inputs)?;
     // The yardstick runs on the CPU whatever else there is.
     let device = if args.reference { DeviceChoice::Cpu } else { args.device.into() };
     let mut renderer = Renderer::new(device, reporter)?;
@@ -164,6 +189,7 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
         quantity: args.quantity.into(),
         reference: args.reference,
         count_non_finite: args.count_non_finite,
+        guessed: true,
         goal,
         ..Options::default()
     };
@@ -210,6 +236,22 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
         println!("{}", line(args, &rendered));
     }
     Ok(0)
+}
+
+/// The scene from the pose at `path`.
+fn posed(scene: &Scene, path: &Path) -> Result<Scene, RenderCommandError> {
+    let pose = Pose::read(path)?;
+    let says = |detail: String| RenderCommandError::NoView { path: path.to_owned(), detail };
+    let (intrinsics, camera_from_lps) = pose.camera().ok_or_else(|| {
+        let why = pose.reason.as_deref().unwrap_or("it has no intrinsics or no camera_from_lps");
+        says(format!("gives no camera ({why}); an accepted pose does"))
+    })?;
+    let size_px = pose.size_px.or(scene.view.map(|view| view.size_px));
+    let size_px = size_px.ok_or_else(|| says("has no size_px, and the scene has no view; add either".to_owned()))?;
+    let mut scene = posed_scene(scene, &pose, View { size_px, intrinsics, camera_from_lps })?;
+    let sha256 = sha256_file(path)?;
+    scene.inputs.push(InputFile { path: path.display().to_string(), sha256, place: Some(path.to_owned()) });
+    Ok(scene)
 }
 
 /// What `--max-error` or `--budget-ms` asks for.
@@ -266,6 +308,7 @@ fn summary(args: &RenderArgs, rendered: &Rendered) -> serde_json::Value {
         "gpu_ms": rendered.gpu_ms,
         "read_back_bytes": rendered.read_back_bytes,
         "adapter": rendered.adapter,
+        "share_guessed": rendered.guessed.as_ref().map(guessed_share),
         "notes": rendered.notes,
     })
 }

@@ -58,7 +58,7 @@ fn move_robot(scene: &mut Scene, _: u32) {
         match &mut object.matter {
             Matter::Solids(solids) => solids.iter_mut().for_each(|solid| solid.lps_from_local.translation_mm += by),
             Matter::Mesh(mesh) => Arc::make_mut(mesh).vertices_lps_mm.iter_mut().for_each(|vertex| *vertex += by),
-            Matter::Volume(_) => {}
+            Matter::Volume(_) | Matter::Parts(_) => {}
         }
     }
 }

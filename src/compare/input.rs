@@ -72,6 +72,8 @@ pub struct CompareInput<'a> {
     pub simulated_line_integral: &'a Image<f32>,
     /// 1 where the simulation is valid.
     pub valid: Option<&'a Image<u8>>,
+    /// 1 where the simulation shows a guess: what fills the place that a body left.
+    pub guessed: Option<&'a Image<u8>>,
     /// What the frame alone masks, where it was found before.
     pub masks: Option<&'a Masks>,
     /// True: leave out. At the simulated image's size, or at the acquired frame's.
@@ -100,6 +102,7 @@ impl<'a> CompareInput<'a> {
             acquired,
             simulated_line_integral,
             valid: None,
+            guessed: None,
             masks: None,
             extra_mask: None,
             tool: None,

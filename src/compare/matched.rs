@@ -5,9 +5,10 @@ use glam::{DVec2, DVec3};
 
 use crate::geometry::{Intensifier, View};
 use crate::image::Image;
+use crate::pose::Pose;
 use crate::render::{Options, Plan, Quantity, Renderer};
-use crate::scene::Scene;
 use crate::scene::model::{Matter, Noise};
+use crate::scene::{Scene, SceneError};
 
 /// Blur that a bead's shadow is widened by, px.
 const BEAD_BLUR_PX: f64 = 1.5;
@@ -17,6 +18,18 @@ const BEAD_RADIUS_MM: f64 = 1.0;
 /// The intensifier through which `scene` is seen at the size of `view`.
 fn seen_through(scene: &Scene, view: &View) -> Option<Intensifier> {
     scene.detector.panel.intensifier.as_ref().and_then(|intensifier| intensifier.for_size(view.size_px).ok())
+}
+
+/// The scene as an image by `pose` shows it: from `view`, the pose's own or one of larger pixels, on a panel at the pose's distance, every body
+/// where the pose has it.
+///
+/// # Errors
+/// When a body has moved that the scene does not know.
+pub fn posed_scene(scene: &Scene, pose: &Pose, view: View) -> Result<Scene, SceneError> {
+    let mut scene = scene.with_bodies(&pose.places())?.with_view(view);
+    let pitch_mm = pose.pitch_mm.unwrap_or(scene.detector.pitch_mm);
+    scene.detector.pitch_mm = pose.intrinsics.map_or(pitch_mm, |k| k.source_to_detector_mm(pitch_mm) / view.intrinsics.fx);
+    Ok(scene)
 }
 
 /// Centre and radius of each bead's shadow in the frame of `view`, px, where the intensifier of `scene` shows it; beads behind the source

@@ -26,7 +26,7 @@ pub use comparison::{Comparison, Pictures};
 pub use domain::{AirLevel, AirReport, CommonDomain};
 pub use elsewhere::{Elsewhere, elsewhere};
 pub use input::{CompareError, CompareInput};
-pub use matched::{NullRenders, bead_marks, tool_mask};
+pub use matched::{NullRenders, bead_marks, posed_scene, tool_mask};
 pub use null::{NULL_WIDTH_PX, NullError, NullPlan, NullScore, Rerender, ShiftedScore};
 pub use pedestal::{OffsetReport, OffsetRule};
 pub use scores::{FEWEST_PIXELS, LOCAL_WINDOW_PX, NULL_SCORES, SSIM_CONSTANTS, Scores};
@@ -285,6 +285,10 @@ fn gather_masks(input: &CompareInput, binning: usize) -> Result<Masks, CompareEr
         invalid.pixels.iter_mut().zip(&valid.pixels).for_each(|(invalid, valid)| *invalid |= *valid == 0);
     }
     masks.add(Cause::Invalid, invalid);
+    if let Some(guessed) = input.guessed {
+        checked("guessed", [guessed.width, guessed.height])?;
+        masks.add(Cause::Filled, guessed.map(|guessed| *guessed != 0));
+    }
     if let Some(tool) = input.tool {
         checked("tool", [tool.width, tool.height])?;
         masks.add(Cause::Tool, tool.clone());

@@ -20,6 +20,8 @@ pub enum Cause {
     BurnedIn,
     /// Not finite in either image, or the simulation says that it cannot know (truncated CT).
     Invalid,
+    /// The simulation shows a guess: what fills the place that a moved body left.
+    Filled,
     /// Dead, hot or unstable, as the detector calibration says; they were interpolated.
     DeadPixels,
     /// Around the beads, whose positions were fitted.
@@ -40,6 +42,7 @@ impl Cause {
             Self::NoSignal => "no signal",
             Self::BurnedIn => "burned in",
             Self::Invalid => "invalid",
+            Self::Filled => "filled where a body lay",
             Self::DeadPixels => "dead pixels",
             Self::Beads => "beads",
             Self::Tool => "tool",

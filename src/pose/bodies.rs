@@ -4,6 +4,7 @@
 //! camera_from_body is the pose that its own beads give. It has moved when that differs from the identity by more than both poses'
 //! covariances allow (χ² with six degrees of freedom).
 
+use glam::DVec3;
 use nalgebra::{Matrix6, Vector6};
 
 use super::prior::Prior;
@@ -26,6 +27,22 @@ const SAME_PX: f64 = 0.5;
 
 /// Registers a layout without regard to bodies.
 type Register<'f> = &'f dyn Fn(&Registration, &[Detection]) -> Pose;
+
+impl Pose {
+    /// Each body's name and place, of an accepted pose.
+    #[must_use]
+    pub fn places(&self) -> Vec<(&str, Rigid)> {
+        let bodies = self.bodies.iter().filter(|_| self.is_accepted());
+        bodies.map(|body| (body.name.as_str(), body.lps_from_body)).collect()
+    }
+
+    /// Where a point of a body is now.
+    #[must_use]
+    pub fn place_of(&self, body: &str, lps_mm: DVec3) -> DVec3 {
+        let places = self.places();
+        places.iter().find(|(name, _)| *name == body).map_or(lps_mm, |(_, place)| place.transform_point(lps_mm))
+    }
+}
 
 /// A body with a pose of its own.
 struct Apart {
@@ -171,7 +188,7 @@ fn together(request: &Registration, first: Pose, bodies: &[Apart], reference: &s
         }
         if body.moved {
             pose.cautions.push(format!(
-                "{} has moved against {reference} since the scan, by {:.2}° and {:.2} mm: the DRR shows it as scanned",
+                "{} has moved against {reference} since the scan, by {:.2}° and {:.2} mm: a DRR follows where its scene names that body",
                 body.name, body.angle_deg, body.shift_mm
             ));
         }

@@ -168,6 +168,7 @@ impl Renderer {
             pages,
             quantity: plan.quantity,
             valid,
+            guessed: None,
             stated_error: plan.stated_error,
             plan: serde_json::to_value(&plan).expect("a plan is plain data"),
             adapter: cast.adapter,

@@ -1,10 +1,12 @@
 //! Why an image is empty.
 
+use std::sync::Arc;
+
 use glam::{DAffine3, DVec3};
 
 use super::prepared::{Prepared, sphere_bounds};
 use crate::geometry::View;
-use crate::scene::model::{Matter, Object, Scene};
+use crate::scene::model::{Matter, Object, Scene, Volume};
 
 /// One sentence on why no ray meets anything.
 #[must_use]
@@ -60,11 +62,17 @@ fn in_view(view: &View, detector_mm: f64, centre: DVec3, radius: f64) -> bool {
 
 fn bounding_sphere(object: &Object) -> Option<(DVec3, f64)> {
     match &object.matter {
-        Matter::Volume(volume) => {
-            let last = DVec3::from_array(volume.size.map(|n| n as f64));
-            let affine: &DAffine3 = &volume.lps_from_voxel;
-            let centre = affine.transform_point3(0.5 * last - 0.5);
-            Some((centre, corners_reach(affine, last)))
+        Matter::Volume(_) | Matter::Parts(_) => {
+            let around = |volume: &Arc<Volume>| {
+                let last = DVec3::from_array(volume.size.map(|n| n as f64));
+                let affine: &DAffine3 = &volume.lps_from_voxel;
+                (affine.transform_point3(0.5 * last - 0.5), corners_reach(affine, last))
+            };
+            let spheres: Vec<_> = object.matter.volumes().iter().map(around).collect();
+            match spheres.as_slice() {
+                [one] => Some(*one),
+                several => (!several.is_empty()).then(|| enclosing(several)),
+            }
         }
         Matter::Solids(solids) => {
             let spheres: Vec<_> = solids

@@ -110,6 +110,12 @@ pub(super) fn distort(intensifier: &Intensifier, signal: &mut Signal, flood: &mu
     flood.open.iter_mut().zip(&looks).filter(|(_, look)| !(look.area > 0.0)).for_each(|(open, _)| *open = 0.0);
 }
 
+/// A mask of the undistorted raster on the frame's own: 1 where any of the pixels that are looked up is.
+pub(super) fn shown(intensifier: &Intensifier, mask: &[u8]) -> Vec<u8> {
+    let looks = looks(intensifier, intensifier.size_px.map(|n| n as usize));
+    looks.iter().map(|look| u8::from(look.area > 0.0 && look.weighed().any(|(pixel, _)| mask[pixel] != 0))).collect()
+}
+
 /// Veils the picture: `line_integral` and `noise` become those of a frame over an air frame of the same intensifier, both with their
 /// glare, so that air stays 1; `flood` takes on the air frame's brightness. The spread light carries no noise of its own.
 pub(super) fn veil(intensifier: &Intensifier, line_integral: &mut [f32], noise: &mut [f32], flood: &mut Flood) {

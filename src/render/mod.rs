@@ -20,6 +20,7 @@ pub mod explain;
 mod face_sums;
 pub mod fits;
 pub mod flood;
+mod guessed;
 mod heel_table;
 mod intensifier;
 pub mod meshes;
@@ -45,6 +46,7 @@ pub mod ways;
 pub mod words;
 mod write;
 
+pub use guessed::{LEAST_GUESSED_MM, guessed, guessed_share};
 pub use plan::Plan;
 pub use planner::Goal;
 pub use renderer::{Options, Rendered, Renderer, image_ms};

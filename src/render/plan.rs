@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::spectrum::whole_spectrum;
 use super::tiles::Tiles;
 use super::{Quantity, chain};
-use crate::scene::model::{Formation, Matter, Noise, Response, Scene, Voxels};
+use crate::scene::model::{Formation, Matter, Motion, Noise, Response, Scene, Voxels};
 
 /// Which of the two executors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -201,7 +201,7 @@ impl Plan {
         let mut choose = |what: &str, modelled: bool, why: String| {
             choices.push(Choice { what: what.to_owned(), modelled, why });
         };
-        let volumes = scene.objects.iter().filter(|object| matches!(object.matter, Matter::Volume(_))).count();
+        let volumes: usize = scene.objects.iter().map(|object| object.matter.volumes().len()).sum();
         let shapes: usize =
             scene.objects.iter().map(|object| if let Matter::Solids(s) = &object.matter { s.len() } else { 0 }).sum();
         let meshes = scene.objects.iter().filter(|object| matches!(object.matter, Matter::Mesh(_))).count();
@@ -217,6 +217,9 @@ impl Plan {
                 "there is nothing that could displace anything".to_owned()
             },
         );
+        if let Some((moved, words)) = bodies(scene) {
+            choose("bodies", moved, words);
+        }
         choose("path images", true, format!("one for each of {} materials", scene.materials.len()));
         let sampling = Sampling::of(scene, volumes);
         if volumes > 0 {
@@ -321,6 +324,24 @@ impl Plan {
         }
         text
     }
+}
+
+/// What is said of the specimen's rigid parts: whether any has moved, and each; `None` where nobody said where they are.
+fn bodies(scene: &Scene) -> Option<(bool, String)> {
+    let motions = &scene.bodies.motions;
+    let words = |motion: &Motion| match (motion.is_moved(), motion.filled_cm3) {
+        (false, _) => format!("{} unmoved", motion.body),
+        (true, filled_cm3) => {
+            let filled = if filled_cm3 > 0.0 {
+                format!(", {filled_cm3:.1} cm3 that it left filled with what surrounds it")
+            } else {
+                String::new()
+            };
+            format!("{} moved by {:.2} deg and {:.2} mm{filled}", motion.body, motion.angle_deg(), motion.shift_mm)
+        }
+    };
+    let all: Vec<String> = motions.iter().map(words).collect();
+    (!all.is_empty()).then(|| (motions.iter().any(Motion::is_moved), all.join("; ")))
 }
 
 /// Whether random numbers are drawn.

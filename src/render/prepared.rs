@@ -65,6 +65,8 @@ pub struct SeenVolume<'a> {
     pub cell_from_camera: DAffine3,
     /// Where its matter can be seen.
     pub bounds: Bounds,
+    /// Index of its object; the densities of volumes of one object add up.
+    pub object: usize,
 }
 
 /// A mesh as the camera sees it.
@@ -145,7 +147,7 @@ impl<'a> Prepared<'a> {
             steps: Vec::new(),
         };
         let mut air_steps = Vec::new();
-        for object in &scene.objects {
+        for (number, object) in scene.objects.iter().enumerate() {
             match &object.matter {
                 Matter::Solids(solids) => {
                     for solid in solids.iter().filter(|solid| solid.density_g_per_cm3 > 0.0) {
@@ -154,21 +156,24 @@ impl<'a> Prepared<'a> {
                         if is_air(solid.material) { air_steps.push(step) } else { prepared.steps.push(step) }
                     }
                 }
-                Matter::Volume(volume) => {
-                    let (cells, slabs) = cells_of(volume, &object.name)?;
-                    let air = cells.materials.iter().position(|material| is_air(*material));
-                    let index = prepared.volumes.len();
-                    prepared.volumes.push(SeenVolume {
-                        volume,
-                        air_kind: air.map(|material| material as u8 + 1),
-                        cell_from_camera: cell_from_camera(volume, &view),
-                        bounds: volume_bounds(volume, &cells, &view),
-                        cells,
-                        slabs,
-                    });
-                    prepared.steps.push(Step::Volume(index));
-                    if air.is_some() {
-                        air_steps.push(Step::VolumeAir(index));
+                Matter::Volume(_) | Matter::Parts(_) => {
+                    for volume in object.matter.volumes() {
+                        let (cells, slabs) = cells_of(volume, &object.name)?;
+                        let air = cells.materials.iter().position(|material| is_air(*material));
+                        let index = prepared.volumes.len();
+                        prepared.volumes.push(SeenVolume {
+                            volume,
+                            air_kind: air.map(|material| material as u8 + 1),
+                            cell_from_camera: cell_from_camera(volume, &view),
+                            bounds: volume_bounds(volume, &cells, &view),
+                            cells,
+                            slabs,
+                            object: number,
+                        });
+                        prepared.steps.push(Step::Volume(index));
+                        if air.is_some() {
+                            air_steps.push(Step::VolumeAir(index));
+                        }
                     }
                 }
                 Matter::Mesh(mesh) if mesh.density_g_per_cm3 > 0.0 => {

@@ -4,6 +4,7 @@ use super::achieved::Achieved;
 use super::before_panel::{before_panel, is_before_panel};
 use super::checks::check;
 use super::cpu::fixed_lanes::is_fast;
+use super::guessed::{LEAST_GUESSED_MM, guessed, guessed_share};
 use super::non_finite::NonFinite;
 use super::plan::{Executor, Plan, Sampling};
 use super::planner::{DEFAULT_MAX_ERROR, Goal, LEAST_FIXED_ERROR, Planner, Task};
@@ -32,6 +33,8 @@ pub struct Options {
     pub goal: Option<Goal>,
     /// Count NaN and infinity after every pass.
     pub count_non_finite: bool,
+    /// Say which pixels show a guess ([`Rendered::guessed`]).
+    pub guessed: bool,
 }
 
 /// An image with its provenance.
@@ -43,6 +46,9 @@ pub struct Rendered {
     pub quantity: Quantity,
     /// 1 where the ray stayed inside the scan and the pixel lies wholly inside the field.
     pub valid: Image<u8>,
+    /// 1 where the ray runs through what fills the place that a body left ([`super::guessed()`]); `None` where none has moved, or unless
+    /// [`Options::guessed`] asks.
+    pub guessed: Option<Image<u8>>,
     /// The executed [`Plan`].
     pub plan: serde_json::Value,
     /// Device, driver, version.
@@ -220,7 +226,17 @@ impl Renderer {
         let cast = self.cast(&mut ready)?;
         let [ready] = ready;
         let cast = cast.into_iter().next().ok_or(RenderError::NoView)?;
-        self.finish(ready, cast, options)
+        let mut rendered = self.finish(ready, cast, options)?;
+        if options.guessed
+            && let Some(mask) = rendered.stages.measure("guessed", || guessed(scene))?
+        {
+            rendered.notes.push(format!(
+                "{:.1} % of the pixels look through more than {LEAST_GUESSED_MM} mm of what fills the place that a body left: a guess",
+                100.0 * guessed_share(&mask)
+            ));
+            rendered.guessed = Some(mask);
+        }
+        Ok(rendered)
     }
 
     /// Renders `scene` from many views of one size by one plan, that of the first; `take` is given each image in turn. A GPU is given

@@ -30,7 +30,7 @@ type Made = (Arc<Cells>, Option<Arc<Slabs>>);
 impl VolumeCache {
     /// Forgets volumes and meshes that `scene` does not hold.
     pub fn keep(&mut self, scene: &Scene) {
-        self.held.retain(|held| holds(scene, |matter| matches!(matter, Matter::Volume(of) if Arc::ptr_eq(of, &held.volume))));
+        self.held.retain(|held| holds(scene, |matter| matter.volumes().iter().any(|of| Arc::ptr_eq(of, &held.volume))));
         self.meshes.keep(|mesh| holds(scene, |matter| matches!(matter, Matter::Mesh(of) if Arc::ptr_eq(of, mesh))));
     }
 

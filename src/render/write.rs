@@ -1,7 +1,9 @@
-//! `IMAGE.tif` with `IMAGE.tif.json` beside it, and `IMAGE.tif.valid.png` when some pixel is invalid.
+//! `IMAGE.tif` with `IMAGE.tif.json` beside it, `IMAGE.tif.valid.png` when some pixel is invalid, and `IMAGE.tif.guessed.png` when a body of
+//! the specimen has moved.
 
 use std::path::{Path, PathBuf};
 
+use super::guessed::guessed_share;
 use super::{Quantity, RenderError, Rendered};
 use crate::image::{Image, ImageFileError, write_atomically, write_png_rgb, write_tiff_f32};
 use crate::scene::model::Scene;
@@ -28,21 +30,31 @@ pub fn write_image_without_times(path: &Path, rendered: &Rendered, scene: &Scene
 }
 
 fn write_described(path: &Path, rendered: &Rendered, json: serde_json::Value) -> Result<(), RenderError> {
-    let [_, json_path, mask_path] = written_with(path);
+    let [_, json_path, mask_path, guessed_path] = written_with(path);
     let invalid = rendered.valid.pixels.iter().filter(|valid| **valid == 0).count();
     write_tiff_f32(path, &rendered.pages)?;
-    if invalid > 0 {
-        write_png_rgb(&mask_path, &rendered.valid.map(|valid| [if *valid == 1 { 255 } else { 0 }; 3]))?;
+    let white = |flags: &Image<u8>| flags.map(|flag| [if *flag == 1 { 255 } else { 0 }; 3]);
+    for (path, flags) in [(mask_path, (invalid > 0).then_some(&rendered.valid)), (guessed_path, rendered.guessed.as_ref())] {
+        match flags {
+            Some(flags) => write_png_rgb(&path, &white(flags))?,
+            // That of an earlier image of this name.
+            None if path.is_file() => remove(&path)?,
+            None => {}
+        }
     }
     let text = serde_json::to_string_pretty(&json).expect("plain data");
     write_atomically(&json_path, |file| file.write_all(text.as_bytes()))?;
     Ok(())
 }
 
-/// The files that [`write_image`] may write: the image, what it is, and which pixels are valid.
+fn remove(path: &Path) -> Result<(), ImageFileError> {
+    std::fs::remove_file(path).map_err(|source| ImageFileError::Io { path: path.to_owned(), source })
+}
+
+/// The files that [`write_image`] may write: the image, what it is, which pixels are valid, and which show a guess.
 #[must_use]
-pub fn written_with(path: &Path) -> [PathBuf; 3] {
-    [path.to_owned(), beside(path, "json"), beside(path, "valid.png")]
+pub fn written_with(path: &Path) -> [PathBuf; 4] {
+    [path.to_owned(), beside(path, "json"), beside(path, "valid.png"), beside(path, "guessed.png")]
 }
 
 /// `IMAGE.tif` → `IMAGE.tif.suffix`.
@@ -89,6 +101,9 @@ fn description(rendered: &Rendered, scene: &Scene) -> serde_json::Value {
     if let (Some((plan, achieved)), Some(map)) = (&rendered.achieved, json.as_object_mut()) {
         let predicted = serde_json::json!({"error": plan.stated_error, "ms": plan.predicted_ms});
         map.insert("fast".to_owned(), serde_json::json!({"plan": plan, "predicted": predicted, "achieved": achieved}));
+    }
+    if let (Some(guessed), Some(map)) = (&rendered.guessed, json.as_object_mut()) {
+        map.insert("share_guessed".to_owned(), serde_json::json!(guessed_share(guessed)));
     }
     if let (Some(counts), Some(map)) = (&rendered.non_finite, json.as_object_mut()) {
         map.insert("non_finite".to_owned(), serde_json::json!(counts));

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::DVec3;
 
 use super::SceneError;
-use super::model::{Matter, Object, Robot, Scene, Shape, Solid};
+use super::model::{Matter, Object, Robot, Scene, Shape, Solid, Volume};
 use super::physics::Material;
 use crate::geometry::{Rigid, RobotModelError, View};
 
@@ -121,9 +121,12 @@ impl Object {
     pub fn corners_in_lps(&self) -> Vec<DVec3> {
         let corner = |bits: u32| DVec3::new(f64::from(bits & 1), f64::from(bits >> 1 & 1), f64::from(bits >> 2));
         match &self.matter {
-            Matter::Volume(volume) => {
-                let end = DVec3::from_array(volume.size.map(|n| n as f64));
-                (0..8).map(|bits| volume.lps_from_voxel.transform_point3(corner(bits) * end - 0.5)).collect()
+            Matter::Volume(_) | Matter::Parts(_) => {
+                let around = |volume: &Arc<Volume>| {
+                    let (end, affine) = (DVec3::from_array(volume.size.map(|n| n as f64)), volume.lps_from_voxel);
+                    (0..8).map(move |bits| affine.transform_point3(corner(bits) * end - 0.5))
+                };
+                self.matter.volumes().iter().flat_map(around).collect()
             }
             Matter::Solids(solids) => {
                 let around = |solid: &Solid| {

@@ -103,6 +103,20 @@ pub enum SceneError {
     /// A robot was to be moved in a scene without one.
     #[error("the scene has no robot object, so it cannot be bent")]
     NoRobot,
+    /// A body has moved that no object belongs to.
+    #[error(
+        "the body '{body}' has moved by {angle_deg:.2} deg and {shift_mm:.2} mm, and the scene does not know it (it knows {known}); name it with \"body\" of an object or \"bodies\" of a CT's labels"
+    )]
+    UnknownBody {
+        /// Its name.
+        body: String,
+        /// By how much it turned.
+        angle_deg: f64,
+        /// How far its origin went.
+        shift_mm: f64,
+        /// Bodies of the scene.
+        known: String,
+    },
     /// A volume file is not what it says.
     #[error("{path}: {detail}", path = path.display())]
     Volume {

@@ -7,7 +7,7 @@ use super::SceneError;
 use super::beam;
 use super::file::{ScatterFile, SceneFile};
 use super::files::{Files, parse_json};
-use super::model::{Detector, Formation, Model, Object, Scene};
+use super::model::{Bodies, Detector, Formation, Model, Object, Scene};
 use super::objects;
 use super::physics::Spectrum;
 use super::view;
@@ -100,8 +100,17 @@ fn load_bytes(
         noise: file.model.noise.0,
         seed: file.model.seed.unwrap_or(1),
     };
-    let mut scene =
-        Scene { materials: Vec::new(), objects: Vec::new(), view, beam, detector, model, inputs: Vec::new(), robot: None };
+    let mut scene = Scene {
+        materials: Vec::new(),
+        objects: Vec::new(),
+        view,
+        beam,
+        detector,
+        model,
+        inputs: Vec::new(),
+        robot: None,
+        bodies: Bodies::default(),
+    };
     objects::build(&file.objects, &mut scene, &mut files, reporter)?;
     check_energies(&scene, &files)?;
     if by_projection {

@@ -1,6 +1,7 @@
 //! What is in the beam: scene files, volumes, shapes, the robot, materials, the beam and the detector.
 
 mod beam;
+mod bodies;
 mod crossings;
 mod density;
 mod edit;

@@ -1,7 +1,7 @@
 //! The scene as the renderers see it: objects in order, resolved to densities, shapes and material indices.
 
 use std::path::PathBuf;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use glam::{DAffine3, DVec3};
 
@@ -28,6 +28,73 @@ pub struct Scene {
     pub inputs: Vec<InputFile>,
     /// The robot, when the scene has one: what is needed to move it.
     pub robot: Option<Robot>,
+    /// Rigid parts of its CTs, and what has moved since the scan.
+    pub bodies: Bodies,
+}
+
+/// Rigid parts of the specimen that may lie elsewhere than they were scanned.
+#[derive(Clone, Debug, Default)]
+pub struct Bodies {
+    /// Bodies that labels of a CT make, by CT, then by name.
+    pub labelled: Vec<Arc<LabelledBody>>,
+    /// Every body that the scene knows and where it is, once that was said ([`Scene::with_bodies`]).
+    pub motions: Vec<Motion>,
+    /// By name, what stands where a labelled body lay and nothing has come since: the filling's share of each voxel, as a density from 0 to 1.
+    pub filled: Vec<(String, Arc<Volume>)>,
+}
+
+/// Voxels of a CT that are a rigid body of their own.
+#[derive(Debug)]
+pub struct LabelledBody {
+    /// Its name.
+    pub name: String,
+    /// Name of the CT among [`Scene::objects`].
+    pub object: String,
+    /// Places in the lists of the CT's volume, ascending, at least one.
+    pub voxels: Vec<usize>,
+    /// What fills its place when it has moved; made when first needed.
+    pub filling: OnceLock<Filling>,
+}
+
+/// What fills the place that a body left.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Filling {
+    /// Class in the CT's volume; 0 where nothing surrounds the body.
+    pub class: u8,
+    /// By voxel of the body.
+    pub density_g_per_cm3: Vec<f32>,
+}
+
+/// Where a body is.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Motion {
+    /// Its name.
+    pub body: String,
+    /// From its place in the scan to its place now.
+    pub lps_from_body: Rigid,
+    /// How far its middle went.
+    pub shift_mm: f64,
+    /// What it left and the filling stands for, where labels make it.
+    pub filled_cm3: f64,
+}
+
+impl Motion {
+    /// By how much it turned.
+    #[must_use]
+    pub fn angle_deg(&self) -> f64 {
+        self.lps_from_body.angle_to_rad(&Rigid::IDENTITY).to_degrees()
+    }
+
+    /// Whether it lies elsewhere than it was scanned, by more than rounding.
+    #[must_use]
+    pub fn is_moved(&self) -> bool {
+        !is_still(&self.lps_from_body)
+    }
+}
+
+/// Whether a motion is none but for rounding.
+pub(super) fn is_still(motion: &Rigid) -> bool {
+    motion.angle_to_rad(&Rigid::IDENTITY) < 1e-9 && motion.translation_mm.length() < 1e-6
 }
 
 /// The robot of a scene: enough to rebuild its solids for other angles.
@@ -77,10 +144,24 @@ pub struct Object {
 pub enum Matter {
     /// A voxel grid.
     Volume(Arc<Volume>),
+    /// Parts of one CT, each on a grid of its own: their densities add up, and together they displace what they displace as one.
+    Parts(Vec<Arc<Volume>>),
     /// Analytic shapes, in order.
     Solids(Vec<Solid>),
     /// Closed triangle meshes.
     Mesh(Arc<Mesh>),
+}
+
+impl Matter {
+    /// Its voxel grids: one, the parts, or none.
+    #[must_use]
+    pub fn volumes(&self) -> &[Arc<Volume>] {
+        match self {
+            Self::Volume(volume) => std::slice::from_ref(volume),
+            Self::Parts(parts) => parts,
+            Self::Solids(_) | Self::Mesh(_) => &[],
+        }
+    }
 }
 
 /// A voxel grid of densities; per material the field is the trilinear interpolant of ρ_m(i,j,k) between voxel centres, constant over

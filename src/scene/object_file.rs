@@ -79,6 +79,9 @@ pub struct LabelsFile {
     /// Material by label number.
     #[serde(default)]
     pub map: BTreeMap<String, LabelMaterialFile>,
+    /// Labels of each rigid part that may have moved since the scan; all others are of the CT's own `body`.
+    #[serde(default)]
+    pub bodies: BTreeMap<String, Vec<u32>>,
 }
 
 /// `"bone_cortical"` or `{"material": "titanium", "density": "nominal"}`.
@@ -257,7 +260,7 @@ impl<'de> Deserialize<'de> for MaterialsFile {
         impl<'de> Visitor<'de> for Materials {
             type Value = MaterialsFile;
             fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-                f.write_str("\"threshold\" or {\"labels\": …, \"default\": …, \"map\": …}")
+                f.write_str("\"threshold\" or {\"labels\": …, \"default\": …, \"map\": …, \"bodies\": …}")
             }
             fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<MaterialsFile, E> {
                 match text {

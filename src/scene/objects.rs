@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 use std::path::PathBuf;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 
@@ -12,7 +12,7 @@ use super::foreign_files::{VolumeFile, read_volume};
 use super::inpaint::{Ball, inpaint_labels, inpaint_metal, metal_balls};
 use super::matter::{self, Class, Classes};
 use super::mesh;
-use super::model::{Matter, Object, Robot, Scene, Shape, Solid};
+use super::model::{LabelledBody, Matter, Object, Robot, Scene, Shape, Solid};
 use super::object_file::{
     AirFile, BoxFile, CtFile, CylinderFile, DensityFile, EllipsoidFile, LabelsFile, MaterialsFile, MeshFile,
 };
@@ -259,6 +259,7 @@ impl Builder<'_> {
                 let grid = read_volume(&labels_path, self.reporter)?;
                 let mut numbers = matter::labels_on_grid((&path, &ct), (&labels_path, grid))?;
                 inpaint_labels(&ct.grid(), &mut numbers, &inpainted);
+                self.labelled_bodies(file.body.as_deref().unwrap_or(BODY), labels, &numbers)?;
                 let (default, map) = self.label_classes(&mut local, labels)?;
                 Classes::Labels { labels: numbers, default, map }
             }
@@ -292,6 +293,32 @@ impl Builder<'_> {
             ));
         }
         inpainted.voxels
+    }
+
+    /// Finds the voxels of the bodies that `file` makes of labels; `own` is that of all other voxels.
+    fn labelled_bodies(&mut self, own: &str, file: &LabelsFile, numbers: &[u32]) -> Result<(), SceneError> {
+        let mut taken: HashMap<u32, &str> = HashMap::new();
+        for (name, labels) in &file.bodies {
+            let key = format!("materials.bodies.{name}");
+            if name == own {
+                let expected = "another name than that of the CT's other voxels (its \"body\")";
+                return Err(self.value(&key, format!("the body '{name}'"), expected));
+            }
+            if let Some((label, other)) = labels.iter().find_map(|label| taken.insert(*label, name).map(|other| (label, other))) {
+                return Err(self.value(&key, format!("label {label}, which {other} has"), "each label once"));
+            }
+            let voxels: Vec<usize> = (0..numbers.len()).filter(|index| labels.contains(&numbers[*index])).collect();
+            if voxels.is_empty() {
+                return Err(self.value(
+                    &key,
+                    format!("labels {labels:?} without any voxel"),
+                    "labels that the label volume holds",
+                ));
+            }
+            let body = LabelledBody { name: name.clone(), object: self.key.clone(), voxels, filling: OnceLock::new() };
+            self.scene.bodies.labelled.push(Arc::new(body));
+        }
+        Ok(())
     }
 
     fn label_classes(&self, local: &mut Vec<Material>, file: &LabelsFile) -> Result<LabelClasses, SceneError> {

@@ -9,7 +9,7 @@ use super::crosscheck::{ExposureFacts, check_exposure, choose_view};
 use super::declared::Declared;
 use super::file::Setup;
 use super::posing::Posed;
-use crate::beads::BeadLayout;
+use crate::beads::{Bead, BeadLayout};
 use crate::compare::{CompareInput, Compared, NullError, NullRenders, bead_marks, compare, tool_mask};
 use crate::geometry::View;
 use crate::image::{Image, sha256_bytes};
@@ -105,12 +105,13 @@ impl Bench {
         let Some(view) = posed.view else {
             return self.without(posed, pair, "no pose: nothing to render");
         };
-        let scene = match self.scene_at(&posed, view) {
+        let scene = match self.scene_at(&posed, view, &mut pair.flags) {
             Ok(scene) => Arc::new(scene),
             Err(reason) => return self.without(posed, pair, &reason),
         };
         let watch = Stopwatch::start();
-        let options = Options { quantity: Quantity::LineIntegral, frame_index: posed.number, plan, ..Options::default() };
+        let (quantity, frame_index) = (Quantity::LineIntegral, posed.number);
+        let options = Options { quantity, frame_index, plan, guessed: true, ..Options::default() };
         let rendered = match self.renderer.render(&scene, &options) {
             Ok(rendered) => Arc::new(rendered),
             Err(error) => return self.without(posed, pair, &format!("not rendered: {error}")),
@@ -124,12 +125,14 @@ impl Bench {
         let watch = Stopwatch::start();
         let beads = self.layout.as_ref().map(|layout| {
             let radius_mm = |index: usize| layout.radius_mm(index, self.setup.session.bead_radius_mm);
-            bead_marks(layout.beads.iter().enumerate().map(|(index, bead)| (bead.lps_mm, radius_mm(index))), &view, Some(&scene))
+            let place = |(index, bead): (usize, &Bead)| (posed.pose.place_of(&bead.body, bead.lps_mm), radius_mm(index));
+            bead_marks(layout.beads.iter().enumerate().map(place), &view, Some(&scene))
         });
         let beads = beads.unwrap_or_default();
         let tool = tool_mask(&scene, &view);
         let mut input = CompareInput::new(&posed.frame, &rendered.pages[0]);
         input.valid = Some(&rendered.valid);
+        input.guessed = rendered.guessed.as_ref();
         input.masks = Some(&posed.masks);
         input.beads = &beads;
         input.tool = tool.as_ref();
@@ -188,9 +191,17 @@ impl Bench {
         }
     }
 
-    /// The scene at the exposure: view, robot shape.
-    fn scene_at(&self, posed: &Posed, view: View) -> Result<Scene, String> {
-        let mut scene = self.scene.with_view(view);
+    /// The scene at the exposure: view, bodies, robot shape. A body that the scene does not know stays as it was scanned, and `flags` say so.
+    fn scene_at(&self, posed: &Posed, view: View, flags: &mut Vec<String>) -> Result<Scene, String> {
+        let mut places = posed.pose.places();
+        let mut moved = self.scene.with_bodies(&places);
+        if let Err(unknown) = &moved {
+            flags.push(format!("{unknown}; the DRR shows it as scanned"));
+            self.reporter.warn("unknown body", format!("{}: {unknown}", posed.label()));
+            places.retain(|(name, _)| self.scene.body_names().contains(name));
+            moved = self.scene.with_bodies(&places);
+        }
+        let mut scene = moved.map_err(|error| error.to_string())?.with_view(view);
         // Pixels that the console binned or enlarged are not the panel's; the panel stays where it is.
         let panel_px_per_px = posed.frame.correction.as_ref().map_or(0.0, |correction| correction.panel_px_per_px);
         if panel_px_per_px > 0.0 {

@@ -35,6 +35,8 @@ struct Scratch {
     covered: Intervals,
     gaps: Vec<(f64, f64)>,
     own: Vec<(f64, f64)>,
+    /// What the volumes of the present object cover.
+    pending: Vec<(f64, f64)>,
     found: Found,
     sums: Vec<f64>,
 }
@@ -113,6 +115,7 @@ impl<'a> Integrator<'a> {
             covered: Intervals::default(),
             gaps: Vec::new(),
             own: Vec::new(),
+            pending: Vec::new(),
             found: Found::default(),
             sums: vec![0.0; materials],
         };
@@ -217,16 +220,32 @@ fn seen_in(prepared: &Prepared, step: &Step, tile: &Bounds) -> bool {
     }
 }
 
+/// Volumes of one object, and their air, displace what follows together and one another not at all.
+fn group_of(prepared: &Prepared, step: &Step) -> Option<(usize, bool)> {
+    match *step {
+        Step::Solid(_) | Step::Mesh(_) => None,
+        Step::Volume(index) => Some((prepared.volumes[index].object, false)),
+        Step::VolumeAir(index) => Some((prepared.volumes[index].object, true)),
+    }
+}
+
 /// Fills `scratch.sums` with g/cm²; returns the path outside the scan, if the ray left it through matter.
 fn integrate_ray(prepared: &Prepared, steps: &[Step], at: DVec2, scratch: &mut Scratch) -> Option<f64> {
     let direction = prepared.view.intrinsics.unproject(at);
     let mm_per_depth = direction.length();
-    let Scratch { covered, gaps, own, found, sums } = scratch;
+    let Scratch { covered, gaps, own, pending, found, sums } = scratch;
     covered.clear();
+    pending.clear();
     sums.fill(0.0);
     let mut missing = None;
+    let mut group = None;
     for (order, step) in steps.iter().enumerate() {
         let is_last = order + 1 == steps.len();
+        let next = group_of(prepared, step);
+        if next != group {
+            pending.drain(..).for_each(|(from, to)| covered.insert(from, to));
+            group = next;
+        }
         match *step {
             Step::Solid(_) | Step::Mesh(_) => {
                 claim_solids(prepared, std::slice::from_ref(step), direction, covered, own, sums);
@@ -238,7 +257,7 @@ fn integrate_ray(prepared: &Prepared, steps: &[Step], at: DVec2, scratch: &mut S
                 found.collect = !is_last;
                 found.cut = false;
                 let left = cross_volume(prepared, seen, direction, pass, covered, gaps, sums, found);
-                found.spans.iter().for_each(|(from, to)| covered.insert(*from, *to));
+                pending.extend_from_slice(&found.spans);
                 if pass == Pass::Matter && (found.cut || left.is_some()) {
                     let outside = left.unwrap_or(0.0) * mm_per_depth;
                     missing = Some(missing.map_or(outside, |m: f64| m.max(outside)));

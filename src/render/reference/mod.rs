@@ -42,7 +42,8 @@ enum Thing<'a> {
 /// A scene and a view, ready for rays.
 pub struct Reference<'a> {
     view: &'a View,
-    things: Vec<Thing<'a>>,
+    /// Each with the number of what it displaces others with: that of its own, or its object's where densities add up.
+    things: Vec<(usize, Thing<'a>)>,
     is_air: Vec<bool>,
     end_mm: f64,
 }
@@ -63,10 +64,13 @@ impl<'a> Reference<'a> {
         }
         let mut things = Vec::new();
         for object in &scene.objects {
+            let first = things.len();
             match &object.matter {
-                Matter::Solids(solids) => things.extend(solids.iter().map(Thing::Solid)),
-                Matter::Mesh(mesh) => things.push(Thing::Mesh(mesh, Tree::new(mesh))),
-                Matter::Volume(volume) => things.push(Thing::Volume(Grid::new(volume, scene))),
+                Matter::Solids(solids) => things.extend(solids.iter().zip(first..).map(|(s, own)| (own, Thing::Solid(s)))),
+                Matter::Mesh(mesh) => things.push((first, Thing::Mesh(mesh, Tree::new(mesh)))),
+                Matter::Volume(_) | Matter::Parts(_) => {
+                    things.extend(object.matter.volumes().iter().map(|part| (first, Thing::Volume(Grid::new(part, scene)))));
+                }
             }
         }
         let is_air = (0..scene.materials.len()).map(|material| scene.is_air(material)).collect();
@@ -86,7 +90,12 @@ impl<'a> Reference<'a> {
         let mut sums = vec![0.0; self.is_air.len()];
         let mut taken = Intervals::default();
         for part in [Part::Matter, Part::Air] {
-            for thing in self.things.iter().rev() {
+            let (mut pending, mut present) = (Intervals::default(), usize::MAX);
+            for (own, thing) in self.things.iter().rev() {
+                if *own != present {
+                    taken = taken.union(&pending);
+                    (pending, present) = (Intervals::default(), *own);
+                }
                 let covered = self.covered(thing, &ray, part);
                 if covered.is_empty() {
                     continue;
@@ -97,8 +106,9 @@ impl<'a> Reference<'a> {
                     Thing::Mesh(mesh, _) => sums[mesh.material] += mesh.density_g_per_cm3 * free.length(),
                     Thing::Volume(grid) => grid.integrate(&ray, part, &free, &mut sums),
                 }
-                taken = taken.union(&covered);
+                pending = pending.union(&covered);
             }
+            taken = taken.union(&pending);
         }
         // Depth to path length, and mm to cm.
         let cm_per_mm_of_depth = 0.1 * ray.direction.length();
@@ -121,7 +131,7 @@ impl<'a> Reference<'a> {
     #[must_use]
     pub fn is_valid(&self, pixel: [f64; 2]) -> bool {
         let ray = self.ray(pixel);
-        self.things.iter().all(|thing| match thing {
+        self.things.iter().all(|(_, thing)| match thing {
             Thing::Volume(grid) => grid.is_complete(&ray),
             _ => true,
         })

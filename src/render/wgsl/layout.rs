@@ -157,7 +157,13 @@ pub fn pack(prepared: &Prepared) -> Packed {
     Packed { view, solids, nodes, corners, grid: volume.map_or_else(Grid::default, |seen| pack_grid(seen, depth_ref_mm)) }
 }
 
-/// Depth of the volume's centre, else the middle of the solids; a whole number, so that f32 has it exactly.
+/// The volume number `volume` of `prepared`, about the depth that [`pack`] takes.
+#[must_use]
+pub fn grid_of(prepared: &Prepared, volume: usize) -> Grid {
+    pack_grid(&prepared.volumes[volume], reference_depth(prepared))
+}
+
+/// Depth of the first volume's centre, else the middle of the solids; a whole number, so that f32 has it exactly.
 fn reference_depth(prepared: &Prepared) -> f64 {
     let depth = match prepared.volumes.first() {
         Some(seen) => centre_of(seen).z,

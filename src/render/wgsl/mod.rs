@@ -28,9 +28,13 @@ const MATERIALS: usize = 8;
 /// Why this scene needs the CPU executor; `None` when the shaders can do it.
 #[must_use]
 pub fn unsupported(scene: &Scene) -> Option<String> {
-    let volumes = scene.objects.iter().filter(|object| matches!(object.matter, Matter::Volume(_))).count();
+    let volumes = scene.objects.iter().filter(|object| !object.matter.volumes().is_empty()).count();
     if volumes > 1 {
         return Some(format!("{volumes} volumes, the shader takes one"));
+    }
+    // Parts are crossed one after the other: each would take off anew what they displace together.
+    if scene.objects.iter().position(|object| matches!(object.matter, Matter::Parts(_))).is_some_and(|first| first > 0) {
+        return Some("a CT with moved bodies displaces objects before it".to_owned());
     }
     if scene.materials.len() > MATERIALS {
         return Some(format!("{} materials, the shader takes {MATERIALS}", scene.materials.len()));
@@ -93,7 +97,8 @@ pub struct NoiseKey {
 #[derive(Debug)]
 pub struct WgslExecutor {
     pipelines: Pipelines,
-    resident: Option<(Arc<Volume>, Resident)>,
+    /// Every volume of the scene in order, or the part of one that is being crossed.
+    resident: Vec<(Arc<Volume>, Resident)>,
     nothing: Resident,
     workspaces: Vec<Workspace>,
     /// Bytes that a volume may take on the device.
@@ -111,13 +116,13 @@ impl WgslExecutor {
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
         let pipelines = Pipelines::new(gpu)?;
         let nothing = Resident::nothing(gpu)?;
-        Ok(Self { pipelines, resident: None, nothing, workspaces: Vec::new(), room_bytes: u64::MAX })
+        Ok(Self { pipelines, resident: Vec::new(), nothing, workspaces: Vec::new(), room_bytes: u64::MAX })
     }
 
     /// Leaves a volume no more than `bytes` of the device's memory; what is larger is crossed part by part, uploaded for every view.
     pub fn limit_memory(&mut self, bytes: u64) {
         self.room_bytes = bytes;
-        self.resident = None;
+        self.resident.clear();
     }
 
     /// Renders views of one scene, at most [`VIEWS_PER_SUBMISSION`]: in one submission, unless the volume does not fit the device.
@@ -136,29 +141,32 @@ impl WgslExecutor {
                 self.workspaces.truncate(slot);
                 self.workspaces.push(Workspace::new(gpu, needs)?);
             }
-            let grid = packed.grid;
             write(gpu, &self.workspaces[slot], request, packed, &needs);
             self.begin(&mut commands, slot);
-            if let (false, Some(seen)) = (parts.is_empty(), request.prepared.volumes.first()) {
-                for (index, part) in parts.iter().enumerate() {
-                    self.resident = None;
-                    self.resident = Some((seen.volume.clone(), Resident::upload(gpu, seen, part)?));
-                    let grid = layout::Grid {
-                        cells_from: part.start as u32,
-                        cells_to: part.end as u32,
-                        voxels_from: resident::voxels_of(part, seen.volume.size[2]).start as u32,
-                        adds: u32::from(index > 0),
-                        ..grid
-                    };
-                    gpu.queue.write_buffer(&self.workspaces[slot].grid, 0, bytemuck::bytes_of(&grid));
-                    self.integrate(gpu, &mut commands, slot, request)?;
-                    gpu.queue.submit([std::mem::replace(&mut commands, encoder(gpu)).finish()]);
-                    // The next part takes this one's room.
-                    finish(gpu)?;
+            for (index, (volume, part)) in parts.iter().enumerate() {
+                let seen = &request.prepared.volumes[*volume];
+                self.resident.clear();
+                self.resident.push((seen.volume.clone(), Resident::upload(gpu, seen, part)?));
+                let grid = layout::Grid {
+                    cells_from: part.start as u32,
+                    cells_to: part.end as u32,
+                    voxels_from: resident::voxels_of(part, seen.volume.size[2]).start as u32,
+                    adds: u32::from(index > 0),
+                    ..layout::grid_of(request.prepared, *volume)
+                };
+                self.cross(gpu, &mut commands, slot, request, (0, grid))?;
+                // The next part takes this one's room.
+                finish(gpu)?;
+            }
+            if !parts.is_empty() {
+                self.resident.clear();
+            } else if self.resident.len() > 1 {
+                for volume in 0..self.resident.len() {
+                    let grid = layout::Grid { adds: u32::from(volume > 0), ..layout::grid_of(request.prepared, volume) };
+                    self.cross(gpu, &mut commands, slot, request, (volume, grid))?;
                 }
-                self.resident = None;
             } else {
-                self.integrate(gpu, &mut commands, slot, request)?;
+                self.integrate(gpu, &mut commands, slot, request, 0)?;
             }
             self.attenuate(gpu, &mut commands, slot, &needs);
         }
@@ -196,15 +204,31 @@ impl WgslExecutor {
         }
     }
 
+    /// Submits what there is and one resident volume more, described by its `grid`.
+    fn cross(
+        &mut self,
+        gpu: &Gpu,
+        commands: &mut wgpu::CommandEncoder,
+        slot: usize,
+        request: &Request,
+        (volume, grid): (usize, layout::Grid),
+    ) -> Result<(), GpuError> {
+        gpu.queue.write_buffer(&self.workspaces[slot].grid, 0, bytemuck::bytes_of(&grid));
+        self.integrate(gpu, commands, slot, request, volume)?;
+        gpu.queue.submit([std::mem::replace(commands, encoder(gpu)).finish()]);
+        Ok(())
+    }
+
     fn integrate(
         &mut self,
         gpu: &Gpu,
         commands: &mut wgpu::CommandEncoder,
         slot: usize,
         request: &Request,
+        volume: usize,
     ) -> Result<(), GpuError> {
         let meshes = request.prepared.steps.iter().any(|step| matches!(step, Step::Mesh(_)));
-        let resident = self.resident.as_ref().map_or(&self.nothing, |(_, resident)| resident);
+        let resident = self.resident.get(volume).map_or(&self.nothing, |(_, resident)| resident);
         let workspace = &mut self.workspaces[slot];
         let texture = wgpu::BindingResource::TextureView;
         let bindings = [
@@ -244,30 +268,33 @@ impl WgslExecutor {
         workspace.bring_back(commands);
     }
 
-    /// Makes the volume resident; where it does not fit the device, says in which parts it does.
-    fn upload(&mut self, gpu: &Gpu, prepared: &Prepared) -> Result<Vec<Range<usize>>, GpuError> {
+    /// Makes the volumes resident; where they do not fit the device, says in which parts of each they do.
+    fn upload(&mut self, gpu: &Gpu, prepared: &Prepared) -> Result<Vec<(usize, Range<usize>)>, GpuError> {
         debug_assert!(prepared.steps.iter().all(|step| !matches!(step, Step::VolumeAir(_))));
-        let Some(seen) = prepared.volumes.first() else {
-            self.resident = None;
-            return Ok(Vec::new());
-        };
-        if self.resident.as_ref().is_some_and(|(held, _)| Arc::ptr_eq(held, seen.volume)) {
+        let volumes = &prepared.volumes;
+        let held = self.resident.len() == volumes.len()
+            && self.resident.iter().zip(volumes).all(|((held, _), seen)| Arc::ptr_eq(held, seen.volume));
+        if held {
             return Ok(Vec::new());
         }
-        self.resident = None;
+        self.resident.clear();
         let longest = gpu.device.limits().max_texture_dimension_3d as usize;
-        let parts = resident::parts(seen.volume.size, self.room_bytes, longest);
-        if parts.len() > 1 {
-            return Ok(parts);
+        let parts: Vec<Vec<Range<usize>>> =
+            volumes.iter().map(|seen| resident::parts(seen.volume.size, self.room_bytes, longest)).collect();
+        if parts.iter().any(|parts| parts.len() > 1) {
+            let numbered = parts.into_iter().enumerate();
+            return Ok(numbered.flat_map(|(volume, parts)| parts.into_iter().map(move |part| (volume, part))).collect());
         }
-        match Resident::upload(gpu, seen, &parts[0]) {
-            Ok(resident) => self.resident = Some((seen.volume.clone(), resident)),
-            Err(GpuError::Memory { needed_mib, .. }) if needed_mib > 1 && seen.volume.size[2] > BRICK => {
-                // Half of what did not fit, and half again until it does.
-                self.room_bytes = (needed_mib << 20) / 2;
-                return self.upload(gpu, prepared);
+        for (seen, part) in volumes.iter().zip(parts.iter().flatten()) {
+            match Resident::upload(gpu, seen, part) {
+                Ok(resident) => self.resident.push((seen.volume.clone(), resident)),
+                Err(GpuError::Memory { needed_mib, .. }) if needed_mib > 1 && seen.volume.size[2] > BRICK => {
+                    // Half of what did not fit, and half again until it does.
+                    self.room_bytes = (needed_mib << 20) / 2;
+                    return self.upload(gpu, prepared);
+                }
+                Err(error) => return Err(error),
             }
-            Err(error) => return Err(error),
         }
         Ok(Vec::new())
     }

@@ -83,10 +83,8 @@ pub fn ct_metal(scene: &Scene) -> CtMetal {
 
 /// The scene's CTs.
 pub fn cts(scene: &Scene) -> impl Iterator<Item = &Volume> {
-    scene.objects.iter().filter_map(|object| match &object.matter {
-        Matter::Volume(volume) if volume.truncated_at_faces => Some(volume.as_ref()),
-        _ => None,
-    })
+    let volumes = scene.objects.iter().flat_map(|object| object.matter.volumes());
+    volumes.map(std::convert::AsRef::as_ref).filter(|volume: &&Volume| volume.truncated_at_faces)
 }
 
 /// Distances of voxel centres along i, j, k.
@@ -155,7 +153,7 @@ impl<'a> Specimen<'a> {
         objects.map(|(_, object)| &object.matter).filter(|matter| match matter {
             Matter::Solids(solids) => solids.iter().any(|solid| solid.shape.bounding_sphere().1 > LARGEST_BEAD_RADIUS_MM),
             Matter::Mesh(_) => true,
-            Matter::Volume(_) => false,
+            Matter::Volume(_) | Matter::Parts(_) => false,
         })
     }
 
@@ -198,7 +196,7 @@ fn near_in_volume(volume: &Volume, point: DVec3, reach_mm: f64) -> bool {
 
 fn near_in_shapes(matter: &Matter, point: DVec3, reach_mm: f64) -> bool {
     match matter {
-        Matter::Volume(_) => false,
+        Matter::Volume(_) | Matter::Parts(_) => false,
         Matter::Mesh(mesh) => {
             let (low, high) = mesh
                 .vertices_lps_mm

@@ -78,6 +78,6 @@ impl Unseen {
             Some(WorstBead { name: bead.name.clone(), off_px, off_sigmas: bead.off_sigmas?, used: bead.used })
         };
         let worst = beads.iter().filter_map(worst).max_by(|a, b| a.off_sigmas.total_cmp(&b.off_sigmas));
-        rms_px.is_finite().then(|| Self { by, beads: off_px.len(), rms_px, rms_mm: rms_px * mm_per_px, worst })
+        rms_px.is_finite().then_some(Self { by, beads: off_px.len(), rms_px, rms_mm: rms_px * mm_per_px, worst })
     }
 }

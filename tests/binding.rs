@@ -145,7 +145,7 @@ fn late_frames_are_bound_and_none_wrongly() {
 }
 
 #[test]
-#[ignore = "minutes: run by scripts/evaluate bind"]
+#[ignore = "minutes long: scripts/evaluate bind runs it"]
 fn thousand_late_sessions() {
     judge_late(long_run());
 }

@@ -337,7 +337,7 @@ fn no_drawn_mistake_gives_a_wrong_pose() {
 }
 
 #[test]
-#[ignore = "minutes to hours: scripts/evaluate pose runs it"]
+#[ignore = "minutes to hours long: scripts/evaluate pose runs it"]
 fn many_registrations() {
     let number = |name: &str, default: u64| std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(default);
     let (right, clear, wrong, _) = evaluate(number("SIDECARM_FIRST_SEED", 0), number("SIDECARM_POSES", 50_000));

@@ -45,32 +45,25 @@ pub(super) struct EdgeMap {
 const NOTHING: u32 = u32::MAX;
 
 /// Local maxima of the gradient: index of the pixel, point, size; and what noise makes of the gradient.
-struct Maxima {
+pub(super) struct Maxima {
     width: usize,
     height: usize,
     found: Vec<(usize, EdgePoint, f32)>,
     noise: f32,
 }
 
-/// The edges of both images within `usable`, for scoring: as many strong ones in the acquired as in the simulated image, whatever the
-/// scales of the two, and among weaker ones each strong edge may find its partner.
-pub(super) fn find_both(acquired: &Seen, simulated: &Seen, usable: &Image<bool>) -> (EdgeMap, EdgeMap) {
-    let (acquired, simulated) = rayon::join(|| maxima(acquired, usable), || maxima(simulated, usable));
+/// The edges of both images, for scoring: as many strong ones in the acquired as in the simulated image, whatever the scales of the two,
+/// and among weaker ones each strong edge may find its partner.
+pub(super) fn of_both(acquired: &Maxima, simulated: &Maxima) -> (EdgeMap, EdgeMap) {
     let limit = simulated.limit(STRONG.0);
     let count = simulated.found.iter().filter(|(_, _, size)| *size >= limit).count();
     let weaker = (WEAK_FACTOR * count as f64) as usize;
     let map = |maxima: &Maxima| maxima.map(maxima.nth_largest(count), maxima.nth_largest(weaker));
-    (map(&acquired), map(&simulated))
+    (map(acquired), map(simulated))
 }
 
-/// The edges of a noise-free image, to be drawn over another.
-pub(super) fn to_draw(seen: &Seen, usable: &Image<bool>) -> Image<bool> {
-    let maxima = maxima(seen, usable);
-    let limit = maxima.limit(DRAWN);
-    maxima.map(limit, limit).picture()
-}
-
-fn maxima(seen: &Seen, usable: &Image<bool>) -> Maxima {
+/// Where the gradient of an image is largest across its direction, within `usable`.
+pub(super) fn maxima(seen: &Seen, usable: &Image<bool>) -> Maxima {
     let (width, height) = (seen.image.width, seen.image.height);
     let Gradient { du, dv, known } = &seen.gradient;
     let size = |at: usize| (du.pixels[at] * du.pixels[at] + dv.pixels[at] * dv.pixels[at]).sqrt();
@@ -105,6 +98,12 @@ fn maxima(seen: &Seen, usable: &Image<bool>) -> Maxima {
 }
 
 impl Maxima {
+    /// The edges of a noise-free image, to be drawn over another.
+    pub(super) fn to_draw(&self) -> Image<bool> {
+        let limit = self.limit(DRAWN);
+        self.map(limit, limit).picture()
+    }
+
     /// The gradient that `weak_share` of the maxima fall short of, or nearly the strongest where all are alike.
     fn limit(&self, weak_share: f64) -> f32 {
         let mut sizes: Vec<f32> = self.found.iter().map(|(_, _, size)| *size).collect();
@@ -154,17 +153,25 @@ impl EdgeMap {
     /// From `point` to the nearest edge here: along that edge's normal where they meet closely, else straight; at most the reach.
     fn distance_px(&self, point: &EdgePoint) -> f32 {
         let (cu, cv) = (point.u.round() as i64, point.v.round() as i64);
+        let [width, height] = [self.width, self.height].map(|size| size as i64);
         let mut nearest: Option<(f32, &EdgePoint)> = None;
-        for v in (cv - REACH_PX).max(0)..(cv + REACH_PX + 1).min(self.height as i64) {
-            for u in (cu - REACH_PX).max(0)..(cu + REACH_PX + 1).min(self.width as i64) {
-                let index = self.by_pixel[(v * self.width as i64 + u) as usize];
-                if index == NOTHING {
-                    continue;
-                }
-                let other = &self.points[index as usize];
-                let straight = (other.u - point.u).hypot(other.v - point.v);
-                if nearest.is_none_or(|(least, _)| straight < least) {
-                    nearest = Some((straight, other));
+        for reach in 0..=REACH_PX {
+            // Edges lie within half a pixel of where they are listed, and so does the point: further out nothing is nearer.
+            if nearest.is_some_and(|(least, _)| least <= (reach - 1) as f32) {
+                break;
+            }
+            for v in (cv - reach).max(0)..(cv + reach + 1).min(height) {
+                let step = if (v - cv).abs() == reach { 1 } else { 2 * reach };
+                for u in (cu - reach..=cu + reach).step_by(step.max(1) as usize).filter(|u| (0..width).contains(u)) {
+                    let index = self.by_pixel[(v * width + u) as usize];
+                    if index == NOTHING {
+                        continue;
+                    }
+                    let other = &self.points[index as usize];
+                    let straight = (other.u - point.u).hypot(other.v - point.v);
+                    if nearest.is_none_or(|(least, _)| straight < least) {
+                        nearest = Some((straight, other));
+                    }
                 }
             }
         }
@@ -214,9 +221,10 @@ mod tests {
     #[test]
     fn edges_lie_on_the_circle_and_distances_are_sub_pixel() {
         let all = Image::filled(160, 160, true);
-        let ground = Ground::of(&all);
+        let ground = Ground::of(all.clone());
         let (still, moved) = (disc(0.0), disc(1.0));
-        let (map, same) = find_both(&Seen::on(&ground, &still), &Seen::on(&ground, &still), &all);
+        let [still, moved] = [&still, &moved].map(|image| maxima(&Seen::on(&ground, image), &all));
+        let (map, same) = of_both(&still, &still);
         assert!(map.points.len() > 150);
         for point in &map.points {
             let r = (point.u - 80.0).hypot(point.v - 80.0);
@@ -224,7 +232,7 @@ mod tests {
         }
         assert!(median_distance_px(&map, &same, &all).expect("edges") < 1e-3);
         // A shift by s moves the normal distance by s |cos φ|, whose median is s cos 45°.
-        let (a, b) = find_both(&Seen::on(&ground, &still), &Seen::on(&ground, &moved), &all);
+        let (a, b) = of_both(&still, &moved);
         let moved = median_distance_px(&a, &b, &all).expect("edges");
         assert!((moved - 0.707).abs() < 0.12, "{moved}");
     }

@@ -7,6 +7,7 @@
 use std::collections::BTreeMap;
 
 use super::null::NullScore;
+use super::wrong_poses::is_of_another_layout;
 
 /// Scores that vote, each looking at something else: name, whether larger is better, and the least by which one must be better. A pose
 /// that is half a millimetre and a fifth of a degree off, as beads leave it open, loses less than these in most scores.
@@ -16,6 +17,10 @@ const VOTERS: [(&str, bool, f64); 4] =
 const IN_PLACE_OF_ZNCC: &str = "rank_ncc";
 /// Of what is missing to a perfect score, the better pose must make up this share.
 const SHARE: f64 = 0.1;
+/// The same where all scores, and at least three, prefer one pose of a layout turned about, negated or mirrored. Scatter and noise that the simulation lacks
+/// make what is missing large at every pose; they do not make all scores agree on the same half-turn.
+const SHARE_OF_ANOTHER_LAYOUT: f64 = 0.05;
+const FEWEST_UNANIMOUS: usize = 3;
 /// Fewer voters than this decide nothing.
 const FEWEST_VOTERS: usize = 2;
 
@@ -62,7 +67,7 @@ pub fn elsewhere(null: &BTreeMap<String, NullScore>) -> Option<Elsewhere> {
     }
     let mut best: Option<(f64, Elsewhere)> = None;
     for (index, shift) in voters[0].4.shifts.iter().enumerate() {
-        let (mut preferring, mut gain) = (Vec::new(), 0.0);
+        let (mut preferring, mut gain, mut by_half) = (Vec::new(), 0.0, Vec::new());
         for (name, larger, least, here, score) in &voters {
             let Some(there) = score.shifts.get(index).filter(|s| s.shift == shift.shift).and_then(|s| s.value) else { continue };
             // What is missing to a perfect score: 1 for correlations, 0 for distances.
@@ -71,6 +76,13 @@ pub fn elsewhere(null: &BTreeMap<String, NullScore>) -> Option<Elsewhere> {
             if missing_here - missing_there > least.max(SHARE * missing_here) {
                 preferring.push(((*name).to_owned(), *here, there));
             }
+            if missing_here - missing_there > least.max(SHARE_OF_ANOTHER_LAYOUT * missing_here) {
+                by_half.push(((*name).to_owned(), *here, there));
+            }
+        }
+        let unanimous = by_half.len() == voters.len() && by_half.len() >= FEWEST_UNANIMOUS;
+        if unanimous && is_of_another_layout(&shift.shift) {
+            preferring = by_half;
         }
         let majority = 2 * preferring.len() > voters.len();
         if majority && best.as_ref().is_none_or(|(most, _)| gain > *most) {
@@ -116,6 +128,24 @@ mod tests {
         // The same votes for different poses are no agreement.
         let split = [("gradient_ncc", 0.35, [0.6, 0.36, 0.3]), ("local_ncc", 0.4, [0.3, 0.7, 0.3])];
         assert_eq!(elsewhere(&null(&[scatter, split[0], split[1], distance])), None);
+    }
+
+    #[test]
+    fn all_scores_together_need_less_for_another_layout() {
+        // Scatter that the simulation lacks: much is missing at every pose, and all scores lean the same way by 8 % of it.
+        let leaning = |name: &str, voters: usize| {
+            let scores =
+                [("zncc", 0.5, 0.54), ("gradient_ncc", 0.4, 0.448), ("local_ncc", 0.3, 0.356), ("edge_distance_px", 4.0, 3.68)];
+            let mut null = null(&scores.map(|(name, here, there)| (name, here, [here, there, here])));
+            null.retain(|name, _| scores[..voters].iter().any(|(kept, ..)| kept == name));
+            null.values_mut().for_each(|score| score.shifts[1].shift = name.to_owned());
+            elsewhere(&null).map(|found| (found.pose, found.preferring.len()))
+        };
+        for name in ["half-turn about v", "y and z of lps negated", "x of lps mirrored"] {
+            assert_eq!(leaning(name, 4), Some((name.to_owned(), 4)));
+            assert_eq!(leaning(name, 2), None, "two agree by chance");
+        }
+        assert_eq!(leaning("turn about v +3 deg", 4), None);
     }
 
     #[test]

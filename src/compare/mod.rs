@@ -5,6 +5,7 @@
 //! wrong. What cannot be claimed is `None` and says why.
 
 mod comparison;
+mod correlation;
 mod domain;
 mod edges;
 mod elsewhere;
@@ -29,8 +30,8 @@ pub use input::{CompareError, CompareInput};
 pub use matched::{NullRenders, bead_marks, posed_scene, tool_mask};
 pub use null::{NULL_WIDTH_PX, NullError, NullPlan, NullScore, Rerender, ShiftedScore};
 pub use pedestal::{OffsetReport, OffsetRule};
-pub use scores::{FEWEST_PIXELS, LOCAL_WINDOW_PX, NULL_SCORES, SSIM_CONSTANTS, Scores};
-pub use seen::{LOCAL_BAND_PX, SCORE_SIGMA_PX};
+pub use scores::{FEWEST_PIXELS, NULL_SCORES, SSIM_CONSTANTS, Scores};
+pub use seen::{LOCAL_BAND_PX, LOCAL_WINDOW_PX, SCORE_SIGMA_PX};
 pub use tone::{Tone, ToneFit};
 pub use wrong_poses::NULL_RENDERS;
 
@@ -38,6 +39,7 @@ use crate::acquire::{Domain, Frame};
 use crate::geometry::View;
 use crate::image::{Image, block_means, quantile, zip};
 use crate::mask::{self, Cause, Masks, REQUIRED_SHARE};
+use correlation::{rank_ncc, ranks};
 use scores::{Scored, score};
 use seen::{Ground, Seen};
 
@@ -116,11 +118,14 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
         let depth_mm = view.camera_from_lps.transform_point(centre).z;
         (depth_mm > 0.0).then(|| depth_mm / view.intrinsics.fx)
     });
-    let ground = Ground::of(&usable);
+    let ground = Ground::of(usable.clone());
     let (acquired_seen, toned_seen) = rayon::join(|| Seen::on(&ground, &common.acquired), || Seen::on(&ground, &toned));
-    let (edges_acquired, edges_simulated) = edges::find_both(&acquired_seen, &toned_seen, &usable);
+    let (found_acquired, found_simulated) =
+        rayon::join(|| edges::maxima(&acquired_seen, &usable), || edges::maxima(&toned_seen, &usable));
+    let edges = edges::of_both(&found_acquired, &found_simulated);
     let base = Scored {
         acquired: &acquired_seen,
+        acquired_ranks: &ranks(&common.acquired, &scored),
         simulated: &toned_seen,
         ground: &ground,
         scored: &scored,
@@ -129,22 +134,22 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
         air_reason: common.air.reason.as_deref(),
         mm_per_px,
     };
-    let edges = (&edges_acquired, &edges_simulated);
     let alone = || {
-        let scores = score(&base, edges);
+        let scores = score(&base, (&edges.0, &edges.1));
         let without_tone = match input.tone {
             Tone::None => scores.clone(),
-            _ => score(&Scored { simulated: &Seen::on(&ground, simulated), tone: Tone::None, ..base }, edges),
+            _ => score(&Scored { simulated: &Seen::on(&ground, simulated), tone: Tone::None, ..base }, (&edges.0, &edges.1)),
         };
-        (scores, without_tone, edges::to_draw(&toned_seen, &usable))
+        (scores, without_tone, found_simulated.to_draw())
     };
     let of_tool = |tool: &Image<bool>| {
         let with_tool = masks.usable(width, height, &[Cause::Tool]);
         let on_tool = zip(&with_tool, tool, |usable, tool| *usable && *tool);
-        let ground = Ground::of(&with_tool);
-        let (acquired, simulated) = (Seen::on(&ground, &common.acquired), Seen::on(&ground, &toned));
-        let edges = edges::find_both(&acquired, &simulated, &with_tool);
-        let scored = Scored { acquired: &acquired, simulated: &simulated, ground: &ground, scored: &on_tool, ..base };
+        let acquired_ranks = &ranks(&common.acquired, &on_tool);
+        let ground = Ground::of(with_tool);
+        let (acquired, simulated) = (&Seen::on(&ground, &common.acquired), &Seen::on(&ground, &toned));
+        let edges = edges::of_both(&edges::maxima(acquired, &ground.usable), &edges::maxima(simulated, &ground.usable));
+        let scored = Scored { acquired, acquired_ranks, simulated, ground: &ground, scored: &on_tool, ..base };
         score(&scored, (&edges.0, &edges.1))
     };
     let ((scores, scores_without_tone, edges), scores_tool) = rayon::join(alone, || masks.layer(Cause::Tool).map(of_tool));
@@ -329,7 +334,7 @@ fn settle_polarity(
     if !matches!(domain, Domain::Display | Domain::Unknown) {
         return;
     }
-    let correlation = scores::rank_ncc(acquired, simulated, usable).unwrap_or(0.0);
+    let correlation = rank_ncc(&ranks(acquired, usable), &ranks(simulated, usable)).unwrap_or(0.0);
     if domain == Domain::Unknown && correlation < 0.0 {
         acquired.pixels.iter_mut().for_each(|v| *v = -*v);
         flags.push(format!("domain unknown: larger values are taken as more attenuation (rank correlation {:.2})", -correlation));

@@ -10,8 +10,9 @@ use std::collections::BTreeMap;
 use glam::{DQuat, DVec3};
 use rayon::prelude::*;
 
+use super::correlation::ranks;
 use super::domain::CommonDomain;
-use super::edges;
+use super::edges::{self, Maxima};
 use super::scores::{NULL_SCORES, Scored, Scores, score};
 use super::seen::{Ground, Seen};
 use super::tone::{self, Tone};
@@ -165,10 +166,7 @@ pub(super) fn null(
             done += 1;
             renders.push((name, render));
         }
-        let tile_px = (32 / binning as usize).max(8);
-        let scored =
-            renders.into_par_iter().map(|(name, render)| (name, score_small(input, &acquired, &usable, &render, tile_px)));
-        Ok(scored.collect())
+        Ok(score_small(input, &acquired, &usable, renders, (32 / binning as usize).max(8)))
     };
     let mut poses = vec![("the stated pose".to_owned(), small.camera_from_lps)];
     poses.extend(wrong_poses(&small.camera_from_lps, input.centre_lps_mm));
@@ -238,22 +236,59 @@ fn lowest(x: &[f64; 5], y: &[f64]) -> f64 {
     }
 }
 
-fn score_small(input: &NullInput, acquired: &Image<f32>, usable: &Image<bool>, render: &Image<f32>, tile_px: usize) -> Scores {
-    let usable = zip(usable, render, |u, l| *u && l.is_finite());
-    let Some(fit) = tone::fit(input.tone, acquired, render, &usable, tile_px) else {
+/// The acquired image as the scores see it, where the render of a pose is known: the same for most poses.
+struct Standing<'a> {
+    ground: Ground,
+    scored: Image<bool>,
+    acquired: Seen<'a>,
+    maxima: Maxima,
+    ranks: Image<f32>,
+}
+
+fn score_small(
+    input: &NullInput,
+    acquired: &Image<f32>,
+    usable: &Image<bool>,
+    renders: Vec<(String, Image<f32>)>,
+    tile_px: usize,
+) -> Vec<(String, Scores)> {
+    let mut known: Vec<Image<bool>> = Vec::new();
+    let place = |(name, render): (String, Image<f32>)| {
+        let usable = zip(usable, &render, |u, l| *u && l.is_finite());
+        let at = known.iter().position(|other| *other == usable).unwrap_or_else(|| {
+            known.push(usable);
+            known.len() - 1
+        });
+        (name, render, at)
+    };
+    let renders: Vec<_> = renders.into_iter().map(place).collect();
+    let standing = |usable: Image<bool>| {
+        let scored = super::scored_pixels(&usable, input.tone, tile_px);
+        let ground = Ground::of(usable);
+        let seen = Seen::on(&ground, acquired);
+        let (maxima, ranks) = (edges::maxima(&seen, &ground.usable), ranks(acquired, &scored));
+        Standing { ground, scored, acquired: seen, maxima, ranks }
+    };
+    let standings: Vec<Standing> = known.into_par_iter().map(standing).collect();
+    let scores = |(name, render, at): (String, Image<f32>, usize)| (name, score_one(input, &standings[at], &render, tile_px));
+    renders.into_par_iter().map(scores).collect()
+}
+
+fn score_one(input: &NullInput, standing: &Standing, render: &Image<f32>, tile_px: usize) -> Scores {
+    let Standing { ground, scored, acquired, maxima, ranks } = standing;
+    let Some(fit) = tone::fit(input.tone, acquired.image, render, &ground.usable, tile_px) else {
         return Scores::absent("the tone is not determined");
     };
     let toned = fit.apply_to(render);
-    let scored = super::scored_pixels(&usable, input.tone, tile_px);
-    let ground = Ground::of(&usable);
-    let (acquired, simulated) = (Seen::on(&ground, acquired), Seen::on(&ground, &toned));
-    let (edges_a, edges_s) = edges::find_both(&acquired, &simulated, &usable);
+    let simulated = &Seen::on(ground, &toned);
+    let (edges_a, edges_s) = edges::of_both(maxima, &edges::maxima(simulated, &ground.usable));
     score(
         &Scored {
-            acquired: &acquired,
-            simulated: &simulated,
-            ground: &ground,
-            scored: &scored,
+            acquired,
+            acquired_ranks: ranks,
+            simulated,
+            ground,
+            scored,
             domain: input.domain,
             tone: input.tone,
             air_reason: input.air_reason,

@@ -2,15 +2,14 @@
 
 use std::collections::BTreeMap;
 
+use super::correlation::{for_each_scored, rank_ncc, ranks, zncc};
 use super::domain::CommonDomain;
 use super::edges::{EdgeMap, median_distance_px};
-use super::filters::{Kernel, TRUSTED_WEIGHT, noise};
+use super::filters::{TRUSTED_WEIGHT, noise};
 use super::seen::{Ground, Seen};
 use super::tone::Tone;
 use crate::image::{Image, quantile, zip};
 
-/// Gaussian σ of the window of the local NCC, in pixels.
-pub const LOCAL_WINDOW_PX: f64 = 8.0;
 /// K₁ and K₂ of SSIM; its range is the simulated image's from the 0.5th to the 99.5th percentile.
 pub const SSIM_CONSTANTS: [f64; 2] = [0.01, 0.03];
 /// Fewer scored pixels than this score nothing.
@@ -87,10 +86,12 @@ impl Scores {
 pub(super) struct Scored<'a> {
     /// In the common domain.
     pub acquired: &'a Seen<'a>,
+    /// [`ranks`] of the acquired image on `scored`.
+    pub acquired_ranks: &'a Image<f32>,
     /// In the common domain, tone applied.
     pub simulated: &'a Seen<'a>,
     /// What is not masked.
-    pub ground: &'a Ground<'a>,
+    pub ground: &'a Ground,
     /// Of the usable pixels those that were not used to fit the tone.
     pub scored: &'a Image<bool>,
     pub domain: CommonDomain,
@@ -139,7 +140,7 @@ pub(super) fn score(input: &Scored, edges: (&EdgeMap, &EdgeMap)) -> Scores {
     if !toned_gray {
         scores.zncc = zncc(acquired, simulated, input.scored);
     }
-    scores.rank_ncc = rank_ncc(acquired, simulated, input.scored);
+    scores.rank_ncc = rank_ncc(input.acquired_ranks, &ranks(simulated, input.scored));
     scores.gradient_ncc = gradient_ncc(input);
     if ssim_reason.is_none() {
         scores.ssim = ssim(input);
@@ -171,64 +172,6 @@ pub(super) fn score(input: &Scored, edges: (&EdgeMap, &EdgeMap)) -> Scores {
     scores
 }
 
-fn for_each_scored(a: &Image<f32>, s: &Image<f32>, scored: &Image<bool>, mut f: impl FnMut(f64, f64)) {
-    for ((a, s), _) in a.pixels.iter().zip(&s.pixels).zip(&scored.pixels).filter(|(_, scored)| **scored) {
-        f(f64::from(*a), f64::from(*s));
-    }
-}
-
-/// Correlation of values about their means; `None` where either is constant.
-pub(super) fn zncc(a: &Image<f32>, b: &Image<f32>, scored: &Image<bool>) -> Option<f64> {
-    let (mut n, mut mean_a, mut mean_b) = (0.0, 0.0, 0.0);
-    for_each_scored(a, b, scored, |x, y| {
-        n += 1.0;
-        mean_a += x;
-        mean_b += y;
-    });
-    (mean_a, mean_b) = (mean_a / n, mean_b / n);
-    let (mut aa, mut bb, mut ab) = (0.0, 0.0, 0.0);
-    for_each_scored(a, b, scored, |x, y| {
-        aa += (x - mean_a) * (x - mean_a);
-        bb += (y - mean_b) * (y - mean_b);
-        ab += (x - mean_a) * (y - mean_b);
-    });
-    let product = (aa * bb).sqrt();
-    // Beyond the rounding of f32 there must be something to correlate.
-    let floor = 1e-12 * n * (1.0 + mean_a.abs()) * (1.0 + mean_b.abs());
-    (product > floor).then(|| (ab / product).clamp(-1.0, 1.0))
-}
-
-/// Spearman's correlation on an even subsample of at most 20 000 pixels.
-pub(super) fn rank_ncc(a: &Image<f32>, b: &Image<f32>, scored: &Image<bool>) -> Option<f64> {
-    let mut pairs = Vec::new();
-    for_each_scored(a, b, scored, |x, y| pairs.push([x as f32, y as f32]));
-    let step = pairs.len().div_ceil(20_000).max(1);
-    let pairs: Vec<[f32; 2]> = pairs.into_iter().step_by(step).collect();
-    let ranked: [Image<f32>; 2] = [0, 1].map(|side| {
-        let ranks = ranks(&pairs.iter().map(|pair| pair[side]).collect::<Vec<_>>());
-        Image { width: ranks.len(), height: 1, pixels: ranks }
-    });
-    zncc(&ranked[0], &ranked[1], &Image::filled(pairs.len(), 1, true))
-}
-
-/// Ranks from 0 to 1; equal values share the mean of theirs.
-fn ranks(values: &[f32]) -> Vec<f32> {
-    let mut order: Vec<usize> = (0..values.len()).collect();
-    order.sort_unstable_by(|&i, &j| values[i].total_cmp(&values[j]));
-    let mut ranks = vec![0.0; values.len()];
-    let mut start = 0;
-    while start < order.len() {
-        let mut end = start + 1;
-        while end < order.len() && values[order[end]] == values[order[start]] {
-            end += 1;
-        }
-        let shared = 0.5 * (start + end - 1) as f32 / values.len() as f32;
-        order[start..end].iter().for_each(|&at| ranks[at] = shared);
-        start = end;
-    }
-    ranks
-}
-
 fn gradient_ncc(input: &Scored) -> Option<f64> {
     let (a, b) = (&input.acquired.gradient, &input.simulated.gradient);
     let known = zip(&a.known, input.scored, |k, s| *k && *s);
@@ -246,42 +189,32 @@ fn range(image: &Image<f32>, scored: &Image<bool>) -> Option<f64> {
 fn ssim(input: &Scored) -> Option<f64> {
     let (a, b) = (input.acquired.image, input.simulated.image);
     let range = range(b, input.scored)?;
-    // About the mean, so that second moments do not cancel in f32.
-    let mean = {
-        let (mut sum, mut n) = (0.0, 0.0);
-        for_each_scored(a, b, input.scored, |_, s| {
-            sum += s;
-            n += 1.0;
-        });
-        sum / n
-    };
-    let (a, b) = (a.map(|v| (f64::from(*v) - mean) as f32), b.map(|v| (f64::from(*v) - mean) as f32));
-    let fine = input.ground.fine();
-    let [maa, mbb, mab] = products(&a, &b).map(|product| fine.smooth(&product, input.ground.usable));
-    let (ma, mb, weight) = (&input.acquired.fine, &input.simulated.fine, &fine.weight);
+    let (acquired, simulated) = (input.acquired, input.simulated);
+    let mut of_simulated = (0.0, 0.0);
+    for_each_scored(a, b, input.scored, |_, s| of_simulated = (of_simulated.0 + s, of_simulated.1 + 1.0));
+    let middle = of_simulated.0 / of_simulated.1;
+    let weight = input.ground.fine_weight();
+    let cross = input.ground.in_fine_windows(&acquired.product(simulated));
+    let (power_a, power_b) = (acquired.power(input.ground), simulated.power(input.ground));
     let [c1, c2] = SSIM_CONSTANTS.map(|k| (k * range).powi(2));
     let (mut sum, mut n) = (0.0, 0.0);
     for at in (0..weight.pixels.len()).filter(|&at| input.scored.pixels[at] && weight.pixels[at] >= TRUSTED_WEIGHT) {
         let value = |image: &Image<f32>| f64::from(image.pixels[at]);
-        let (ma, mb) = (value(ma) - mean, value(mb) - mean);
-        let (va, vb, cov) = ((value(&maa) - ma * ma).max(0.0), (value(&mbb) - mb * mb).max(0.0), value(&mab) - ma * mb);
+        let (fine_a, fine_b) = (value(&acquired.fine), value(&simulated.fine));
+        let (ma, mb) = (fine_a - f64::from(acquired.mean), fine_b - f64::from(simulated.mean));
+        let (va, vb, cov) = ((value(power_a) - ma * ma).max(0.0), (value(power_b) - mb * mb).max(0.0), value(&cross) - ma * mb);
         // The means are those of the images moved so that the simulated range starts at 0, as SSIM wants them positive.
-        let (la, lb) = (ma + 0.5 * range, mb + 0.5 * range);
+        let (la, lb) = (fine_a - middle + 0.5 * range, fine_b - middle + 0.5 * range);
         sum += (2.0 * la * lb + c1) * (2.0 * cov + c2) / ((la * la + lb * lb + c1) * (va + vb + c2));
         n += 1.0;
     }
     (n >= FEWEST_PIXELS as f64).then(|| sum / n)
 }
 
-/// aa, bb, ab.
-fn products(a: &Image<f32>, b: &Image<f32>) -> [Image<f32>; 3] {
-    [zip(a, a, |x, y| x * y), zip(b, b, |x, y| x * y), zip(a, b, |x, y| x * y)]
-}
-
 fn local_ncc(input: &Scored) -> Option<f64> {
-    let known = zip(&input.ground.fine().weight, input.ground.usable, |w, u| *u && *w >= TRUSTED_WEIGHT);
-    let window = Kernel::on(&known, LOCAL_WINDOW_PX);
-    let [maa, mbb, mab] = products(&input.acquired.band, &input.simulated.band).map(|product| window.smooth(&product, &known));
+    let known = &input.ground.known;
+    let (maa, mbb) = (&input.acquired.band_power, &input.simulated.band_power);
+    let mab = input.ground.in_windows(&zip(&input.acquired.band, &input.simulated.band, |a, b| a * b));
     let (mut total, mut n) = (0.0, 0.0);
     for at in (0..mbb.pixels.len()).filter(|&at| known.pixels[at]) {
         total += f64::from(mbb.pixels[at]);

@@ -6,8 +6,13 @@ use crate::geometry::Rigid;
 
 pub(super) const SHIFTS_MM: [f64; 3] = [1.0, 3.0, 10.0];
 pub(super) const TURNS_DEG: [f64; 2] = [1.0, 3.0];
-/// Renders of a null: 18 shifts, 12 turns, 9 other poses, the optimum of all shifts and that of all turns, and the stated pose.
-pub const NULL_RENDERS: usize = 42;
+/// Renders of a null: 18 shifts, 12 turns, 12 other poses, the optimum of all shifts and that of all turns, and the stated pose.
+pub const NULL_RENDERS: usize = 45;
+
+/// Whether the wrong pose of this name is that of a layout turned about, negated or mirrored: no small error of a right pose leads there.
+pub(super) fn is_of_another_layout(name: &str) -> bool {
+    name.starts_with("half-turn about ") || name.contains(" of lps ")
+}
 
 /// Wrong poses: name and camera_from_lps, given the stated one and the centre to turn about.
 pub(super) fn wrong_poses(camera_from_lps: &Rigid, centre_lps_mm: DVec3) -> Vec<(String, Rigid)> {
@@ -30,6 +35,11 @@ pub(super) fn wrong_poses(camera_from_lps: &Rigid, centre_lps_mm: DVec3) -> Vec<
     for (name, axis) in axes {
         let turn = DQuat::from_axis_angle(axis, std::f64::consts::PI);
         found.push((format!("half-turn about {name}"), about(turn) * *camera_from_lps));
+    }
+    // Layouts are placed along the specimen's axes, which in an oblique view are not the camera's.
+    for (name, axis) in [("x", DVec3::X), ("y", DVec3::Y), ("z", DVec3::Z)] {
+        let turn = DQuat::from_axis_angle(camera_from_lps.rotation * axis, std::f64::consts::PI);
+        found.push((format!("half-turn about {name} of lps"), about(turn) * *camera_from_lps));
     }
     found.extend(negated(camera_from_lps));
     found.extend(mirrored(camera_from_lps, centre_in_camera));
@@ -72,16 +82,32 @@ mod tests {
     }
 
     #[test]
-    fn there_are_thirty_nine_wrong_poses_and_turns_keep_the_centre() {
+    fn there_are_forty_two_wrong_poses_and_turns_keep_the_centre() {
         let centre = DVec3::new(3.0, -7.0, 12.0);
         let wrong = wrong_poses(&stated(), centre);
         assert_eq!(wrong.len() + 3, NULL_RENDERS);
         let turns: Vec<_> = wrong.iter().filter(|(name, _)| name.contains("turn about")).collect();
-        assert_eq!(turns.len(), 15);
+        assert_eq!(turns.len(), 18);
         let there = stated().transform_point(centre);
         assert!(turns.iter().all(|(_, pose)| pose.transform_point(centre).distance(there) < 1e-9));
         assert!(wrong.iter().any(|(name, _)| name == "depth -10 mm"));
+        assert_eq!(wrong.iter().filter(|(name, _)| is_of_another_layout(name)).count(), 12);
         assert!(wrong.iter().all(|(_, pose)| (pose.rotation.length() - 1.0).abs() < 1e-12));
+    }
+
+    #[test]
+    fn a_half_turn_of_the_layout_about_its_centre_is_among_the_wrong_ones() {
+        let centre = DVec3::new(3.0, -7.0, 12.0);
+        let turned = |axis: DVec3| {
+            let turn = Rigid::rotation(DQuat::from_axis_angle(axis, std::f64::consts::PI));
+            stated() * Rigid::translation(centre) * turn * Rigid::translation(-centre)
+        };
+        for (name, axis) in [("x", DVec3::X), ("y", DVec3::Y), ("z", DVec3::Z)] {
+            let name = format!("half-turn about {name} of lps");
+            let (_, found) = wrong_poses(&stated(), centre).into_iter().find(|(listed, _)| *listed == name).expect("listed");
+            let expected = turned(axis);
+            assert!(found.angle_to_rad(&expected) < 1e-9 && found.translation_mm.distance(expected.translation_mm) < 1e-9);
+        }
     }
 
     #[test]

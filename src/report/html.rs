@@ -8,6 +8,7 @@ use super::pair::{Pair, PairStatus};
 use super::plots::{self, Dot, escape};
 use super::session::SessionReport;
 use super::strip::panel_rectangle;
+use crate::compare::NULL_RENDERS;
 
 /// Width of a tile of the contact sheet in CSS pixels.
 const TILE_PX: f64 = 220.0;
@@ -198,8 +199,12 @@ fn table(page: &mut String, report: &SessionReport) {
             number((total > 0.0).then_some(total), 0)
         );
     }
-    page.push_str("</tbody></table></div><p class=\"dim\" style=\"margin-top:8px\">Best of its null: the highest ZNCC at 41 other poses (±1, 3, 10 mm; ±1, 3°; where these point to; turned round, negated, mirrored), \
-        at reduced size; a score marked ? does not tell the stated pose from a wrong one.</p>");
+    let _ = write!(
+        page,
+        "</tbody></table></div><p class=\"dim\" style=\"margin-top:8px\">Best of its null: the highest ZNCC at {} other poses (±1, 3, 10 mm; ±1, 3°; where these point to; turned round, negated, mirrored), \
+        at reduced size; a score marked ? does not tell the stated pose from a wrong one.</p>",
+        NULL_RENDERS - 1
+    );
 }
 
 fn over_time(page: &mut String, report: &SessionReport) {

@@ -6,9 +6,10 @@ use glam::{DQuat, DVec3};
 use sidecarm::acquire::{Domain, Frame};
 use sidecarm::geometry::{CarmCalibration, CarmJoints, Rigid};
 use sidecarm::image::Image;
+use sidecarm::report::Innovation;
 use sidecarm::reporter::Reporter;
 use sidecarm::scene::{self, Scene};
-use sidecarm::session::crosscheck::{ExposureFacts, Finding, Level, check_exposure, check_line, check_session};
+use sidecarm::session::crosscheck::{ExposureFacts, Finding, Level, check_exposure, check_line, check_session, innovation};
 use sidecarm::session::file::Setup;
 use sidecarm::telemetry::{CarmSample, DeviceKind, Limit, Metadata};
 
@@ -58,11 +59,18 @@ fn exposure(change: impl FnOnce(&mut Frame, &mut CarmSample, &mut Rigid, &mut f6
 }
 
 fn exposure_of(carm: &CarmCalibration, change: impl FnOnce(&mut Frame, &mut CarmSample, &mut Rigid, &mut f64)) -> Vec<Finding> {
+    told_of(carm, change).0
+}
+
+fn told_of(
+    carm: &CarmCalibration,
+    change: impl FnOnce(&mut Frame, &mut CarmSample, &mut Rigid, &mut f64),
+) -> (Vec<Finding>, Option<Innovation>) {
     let (scene, mut frame, mut beam) = (scene(SCENE), frame(), sample());
     let from_beads = Rigid { rotation: DQuat::from_rotation_x(1.5), translation_mm: DVec3::new(2.0, 1.0, 630.0) };
     let (mut nominal, mut shuttered) = (from_beads, 0.0);
     change(&mut frame, &mut beam, &mut nominal, &mut shuttered);
-    check_exposure(&ExposureFacts {
+    let facts = ExposureFacts {
         frame: &frame,
         carm: Some(carm),
         scene: &scene,
@@ -72,7 +80,8 @@ fn exposure_of(carm: &CarmCalibration, change: impl FnOnce(&mut Frame, &mut Carm
         nominal: Some(&nominal),
         centre_lps_mm: Some(DVec3::new(5.0, 5.0, 5.0)),
         shuttered_share: Some(shuttered),
-    })
+    };
+    (check_exposure(&facts), innovation(&facts))
 }
 
 /// Three millimetres are nothing for an arm that nobody measured, and a jump for one that is known to 0.3 mm.
@@ -84,6 +93,25 @@ fn a_measured_arm_tells_a_jump_from_its_usual_error() {
     let found = exposure_of(&measured, |_, _, n, _| n.translation_mm.x += 5.0);
     assert_eq!(found.len(), 1, "{found:?}");
     assert!(found[0].to_string().contains("7 standard deviations"), "{}", found[0]);
+}
+
+#[test]
+fn the_innovation_is_telemetry_minus_beads_at_the_centroid() {
+    let measured = CarmCalibration { camera_sigma_mm: Some(0.3), camera_sigma_deg: Some(0.05), ..calibration() };
+    let turn = |n: &mut Rigid| {
+        // About the centroid, so that it stays where it is, and then 2 mm up the picture.
+        let centre = n.transform_point(DVec3::splat(5.0));
+        let turn = Rigid::rotation(DQuat::from_rotation_z(0.5f64.to_radians()));
+        *n = Rigid::translation(centre + DVec3::new(0.0, -2.0, 0.0)) * turn * Rigid::translation(-centre) * *n;
+    };
+    let (_, told) = told_of(&measured, |_, _, n, _| turn(n));
+    let told = told.expect("both have a pose");
+    let apart: Vec<f64> = told.shift_mm.iter().zip([0.0, -2.0, 0.0]).map(|(found, expected)| (found - expected).abs()).collect();
+    assert!(apart.iter().all(|mm| *mm < 1e-9) && (told.turn_deg - 0.5).abs() < 1e-6, "{told:?}");
+    // 0.5 degrees over 0.05, √2 for two frames and √3 for three axes, is more than 2 mm over 0.3.
+    assert!(told.sigmas.is_some_and(|sigmas| (sigmas - 10.0 / 6f64.sqrt()).abs() < 1e-6), "{told:?}");
+    let (_, unmeasured) = told_of(&calibration(), |_, _, n, _| turn(n));
+    assert!(unmeasured.is_some_and(|told| told.sigmas.is_none()), "{unmeasured:?}");
 }
 
 #[test]

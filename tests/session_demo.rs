@@ -71,6 +71,9 @@ fn a_mocked_session_matches_its_frames_and_replays_byte_for_byte() {
         assert!(number(&pair["scores"]["zncc"]) > 0.99, "{}: {}", pair["frame"], pair["scores"]["zncc"]);
         assert_eq!(pair["binding"], "counter");
     }
+    // Once two frames have tied the specimen to the room, telemetry is measured against the beads of each.
+    let turns: Vec<f64> = accepted.iter().filter_map(|pair| pair["innovation"]["turn_deg"].as_f64()).collect();
+    assert!(turns.len() + 3 >= accepted.len() && turns.iter().all(|deg| *deg < 1.0), "{turns:?} of {} accepted", accepted.len());
     for file in ["report.html", "strips/001.png", "drr/001.tif", "drr/001.tif.json"] {
         assert!(session.join(file).exists(), "{file}");
     }

@@ -97,6 +97,14 @@ fn circumstances(page: &mut String, pair: &Pair, standing: Standing) {
             format!("{}: {}", pair.binding, pair.binding_evidence.join("; "))
         }
     ));
+    if let Some(innovation) = &pair.innovation {
+        let [u, v, depth] = innovation.shift_mm;
+        let sigmas = innovation.sigmas.map(|sigmas| format!(", {sigmas:.1} standard deviations of the arm")).unwrap_or_default();
+        item(format!(
+            "telemetry minus beads: {u:+.1}, {v:+.1} mm across, {depth:+.1} mm in depth, {:.2} degrees{sigmas}",
+            innovation.turn_deg
+        ));
+    }
     if let Some(gap_us) = pair.gap_us {
         item(format!("telemetry answers span a gap of {:.1} ms", gap_us as f64 * 1e-3));
     }

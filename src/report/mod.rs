@@ -15,7 +15,7 @@ pub use canvas::{Align, Canvas, Rgb};
 pub use colour::{diverging, gray, window};
 pub use html::html;
 pub use overlay::overlay;
-pub use pair::{Pair, PairStatus, PoseSource, Standing, TruthError, score_words};
+pub use pair::{Innovation, Pair, PairStatus, PoseSource, Standing, TruthError, score_words};
 pub use session::{
     Counts, Gap, LinkReport, PairsFile, Provenance, ReportError, SessionReport, Track, counted, png_bytes, write_pairs,
     write_session,

@@ -109,6 +109,18 @@ pub struct TruthError {
     pub mean_mm: Option<f64>,
 }
 
+/// How far telemetry puts the camera from where the beads have it: what a filter that trusts both would call the innovation.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Innovation {
+    /// Telemetry minus beads at the centroid of the beads, along the camera's axes, mm.
+    pub shift_mm: [f64; 3],
+    /// Between the two attitudes, degrees.
+    pub turn_deg: f64,
+    /// The larger of both in standard deviations of the calibrated arm; `None` where its calibration states none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sigmas: Option<f64>,
+}
+
 /// One exposure.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Pair {
@@ -138,6 +150,9 @@ pub struct Pair {
     pub rms_px: Option<f64>,
     /// The same at the isocentre, mm.
     pub rms_mm: Option<f64>,
+    /// Telemetry against the beads, where both have a pose.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub innovation: Option<Innovation>,
     /// How the images agree.
     pub scores: Scores,
     /// Each score against its null; empty when it was not made.
@@ -204,6 +219,7 @@ impl Pair {
             reason: Some(reason.to_owned()),
             rms_px: None,
             rms_mm: None,
+            innovation: None,
             scores: Scores::default(),
             null: BTreeMap::new(),
             null_plan: None,

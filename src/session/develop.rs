@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::DVec3;
 
 use super::board::PairView;
-use super::crosscheck::{ExposureFacts, check_exposure, choose_view};
+use super::crosscheck::{ExposureFacts, check_exposure, choose_view, innovation};
 use super::declared::Declared;
 use super::file::Setup;
 use super::posing::Posed;
@@ -167,7 +167,7 @@ impl Bench {
     fn cross_check(&self, posed: &Posed, pair: &mut Pair) {
         let shuttered = |masks: &MaskShares| masks.causes.get(&Cause::Collimation).copied().unwrap_or(0.0);
         let carm = self.setup.carm_of_frame(&posed.frame);
-        let findings = check_exposure(&ExposureFacts {
+        let facts = ExposureFacts {
             frame: &posed.frame,
             carm: carm.as_ref(),
             scene: &self.scene,
@@ -177,7 +177,9 @@ impl Bench {
             nominal: posed.nominal.as_ref(),
             centre_lps_mm: self.centre(),
             shuttered_share: pair.masks.as_ref().map(shuttered),
-        });
+        };
+        pair.innovation = innovation(&facts);
+        let findings = check_exposure(&facts);
         if let (Some(words), Some(_)) = (pair.robot_words(), &self.setup.robot) {
             self.reporter.warn("robot not told", format!("{}: {words} covers the exposure", posed.label()));
         }

@@ -6,6 +6,7 @@ use super::finding::Finding;
 use super::units::{PITCH_SHARE, scene_kvp, sid};
 use crate::acquire::Frame;
 use crate::geometry::{CarmCalibration, Rigid};
+use crate::report::Innovation;
 use crate::scene::Scene;
 use crate::telemetry::CarmSample;
 use crate::timeline::Timeline;
@@ -214,22 +215,14 @@ pub fn pose_difference(from_beads: &Rigid, nominal: &Rigid, centre_lps_mm: DVec3
     }
 }
 
-/// A measured arm tells how far telemetry may be off: a jump beyond it is said long before an uncalibrated arm would explain it.
-fn check_innovation(carm: &CarmCalibration, angle_deg: f64, shift_mm: DVec3) -> Option<Finding> {
-    let (sigma_mm, sigma_deg) = carm.camera_sigma_mm.zip(carm.camera_sigma_deg)?;
-    let sigmas = innovation_sigmas(sigma_mm, sigma_deg, angle_deg, shift_mm);
-    if sigmas <= JUMP_SIGMAS {
-        return None;
-    }
-    let detail = format!(
-        "telemetry and beads are {:.1} mm and {angle_deg:.2} degrees apart, {sigmas:.0} standard deviations of the calibrated arm",
-        shift_mm.length()
-    );
-    Some(Finding::warn(
-        "telemetry and beads",
-        detail,
-        "the specimen or the arm's base was moved, or an encoder jumped: tie the specimen anew",
-    ))
+/// Telemetry against the beads; `None` where either has no pose, or nothing says about which point.
+#[must_use]
+pub fn innovation(facts: &ExposureFacts) -> Option<Innovation> {
+    let ((from_beads, nominal), centre) = facts.from_beads.zip(facts.nominal).zip(facts.centre_lps_mm)?;
+    let PoseDifference { angle_deg, shift_mm } = pose_difference(from_beads, nominal, centre);
+    let sigmas = facts.carm.and_then(|carm| carm.camera_sigma_mm.zip(carm.camera_sigma_deg));
+    let sigmas = sigmas.map(|(mm, deg)| innovation_sigmas(mm, deg, angle_deg, shift_mm));
+    Some(Innovation { shift_mm: shift_mm.to_array(), turn_deg: angle_deg, sigmas })
 }
 
 /// The largest of shift and turn in standard deviations: √mean over axes of a frame's and of the tying frame's, which err alike.
@@ -238,18 +231,35 @@ fn innovation_sigmas(sigma_mm: f64, sigma_deg: f64, angle_deg: f64, shift_mm: DV
     (shift_mm.length() / (both * sigma_mm)).max(angle_deg / (both * sigma_deg))
 }
 
-fn check_pose(facts: &ExposureFacts) -> Option<Finding> {
-    const CHECK: &str = "telemetry and beads";
-    let ((from_beads, nominal), centre) = facts.from_beads.zip(facts.nominal).zip(facts.centre_lps_mm)?;
-    let PoseDifference { angle_deg, shift_mm } = pose_difference(from_beads, nominal, centre);
-    let (most_deg, most_across_mm, most_depth_mm) = POSE_TOLERANCE;
-    let across_mm = shift_mm.truncate().length();
-    if angle_deg <= most_deg && across_mm <= most_across_mm && shift_mm.z.abs() <= most_depth_mm {
-        return facts.carm.and_then(|carm| check_innovation(carm, angle_deg, shift_mm));
+/// A measured arm tells how far telemetry may be off: a jump beyond it is said long before an uncalibrated arm would explain it.
+fn check_jump(innovation: &Innovation) -> Option<Finding> {
+    let sigmas = innovation.sigmas?;
+    if sigmas <= JUMP_SIGMAS {
+        return None;
     }
     let detail = format!(
-        "telemetry puts the specimen {angle_deg:.1} degrees, {across_mm:.0} mm across and {:+.0} mm in depth from where the beads are",
-        shift_mm.z
+        "telemetry and beads are {:.1} mm and {:.2} degrees apart, {sigmas:.0} standard deviations of the calibrated arm",
+        DVec3::from_array(innovation.shift_mm).length(),
+        innovation.turn_deg
+    );
+    Some(Finding::warn(
+        "telemetry and beads",
+        detail,
+        "the specimen or the arm's base was moved, or an encoder jumped: tie the specimen anew",
+    ))
+}
+
+fn check_pose(facts: &ExposureFacts) -> Option<Finding> {
+    const CHECK: &str = "telemetry and beads";
+    let innovation = innovation(facts)?;
+    let (angle_deg, [u_mm, v_mm, depth_mm]) = (innovation.turn_deg, innovation.shift_mm);
+    let (most_deg, most_across_mm, most_depth_mm) = POSE_TOLERANCE;
+    let across_mm = u_mm.hypot(v_mm);
+    if angle_deg <= most_deg && across_mm <= most_across_mm && depth_mm.abs() <= most_depth_mm {
+        return check_jump(&innovation);
+    }
+    let detail = format!(
+        "telemetry puts the specimen {angle_deg:.1} degrees, {across_mm:.0} mm across and {depth_mm:+.0} mm in depth from where the beads are"
     );
     let only_depth = angle_deg <= most_deg && across_mm <= most_across_mm;
     let remedy = if only_depth {

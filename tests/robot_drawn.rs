@@ -155,6 +155,8 @@ pub fn draw(eye: &Eye, snake: Option<&Snake>, balls: &[Ball], photons: f64, seed
         }
         rods.push(Rod { place: end, length: 4.0, radii: [2.5, 0.0], per_mm: PER_MM[1], group: 1 });
     }
+    // No point of a robot of 39 mm lies farther from the middle of its straight shape than 30 mm, unless it is bent back on itself.
+    let middle = snake.map(|snake| snake.base.along(15.0).origin);
     let source = eye.place.origin;
     let mut noise = Noise::new(seed);
     let mut pixels = Vec::with_capacity(eye.size_px[0] * eye.size_px[1]);
@@ -171,13 +173,17 @@ pub fn draw(eye: &Eye, snake: Option<&Snake>, balls: &[Ball], photons: f64, seed
                 let length = dot(ray, ray).sqrt();
                 let way = plus(eye.place.point(ray), source, -1.0).map(|x| x / length);
                 let mut depth = 0.0;
+                let near = middle.is_some_and(|middle| {
+                    let to = plus(middle, source, -1.0);
+                    dot(to, to) - dot(to, way).powi(2) < 30.0 * 30.0
+                });
                 for (centre, radius, per_mm) in balls {
                     let to = plus(*centre, source, -1.0);
                     let miss2 = dot(to, to) - dot(to, way).powi(2);
                     depth += per_mm * 2.0 * (radius * radius - miss2).max(0.0).sqrt();
                 }
                 stretches.iter_mut().for_each(Vec::clear);
-                for rod in &rods {
+                for rod in rods.iter().filter(|_| near) {
                     let to = plus(rod.place.origin, source, -1.0);
                     if dot(to, to) - dot(to, way).powi(2) > 36.0 {
                         continue;

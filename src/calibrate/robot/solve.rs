@@ -16,6 +16,8 @@ const DOUBTFUL: f64 = 3.0;
 const WEIGHINGS: usize = 3;
 /// A shot's own bend counts less from so many standard deviations on.
 const LOADED: f64 = 3.0;
+/// Notches are stiff across their plane: of a reading's standard deviation, what they bend there without a load.
+const ACROSS: f64 = 0.1;
 /// No pose is known better, px; and what is taken where it does not say.
 const POSE_PX: (f64, f64) = (0.02, 0.5);
 
@@ -72,7 +74,8 @@ pub(super) fn solve(
 struct Blocks {
     own: VectorBlock,
     shift: VectorBlock,
-    marks: usize,
+    /// None of a shot without marks.
+    marks: Option<usize>,
     pose: usize,
 }
 
@@ -106,9 +109,13 @@ fn weighed(
     let mut blocks = Vec::new();
     for (n, shot) in shots.iter().enumerate() {
         let own = problem.vector("own_bend", &state.own_deg[n], Freedom::All);
-        let sigmas: [f64; OWN] =
-            std::array::from_fn(|k| if k < CONTROL_COUNT { assumed.reading_sigma_deg } else { 0.5 * assumed.reading_sigma_deg });
-        problem.add(Reading::with_sigmas(own, &[0.0; OWN], &sigmas), Loss::Cauchy(LOADED));
+        for (chosen, sigma_deg) in [
+            ((0..CONTROL_COUNT).collect::<Vec<_>>(), assumed.reading_sigma_deg),
+            ((CONTROL_COUNT..OWN).collect(), ACROSS * assumed.reading_sigma_deg),
+        ] {
+            let information = DMatrix::from_diagonal_element(chosen.len(), chosen.len(), sigma_deg.powi(-2));
+            problem.add(Reading::of_some(own, chosen.clone(), &vec![0.0; chosen.len()], information), Loss::Cauchy(LOADED));
+        }
         let shift = problem.vector("image_shift", &[0.0; 2], Freedom::All);
         let place = shot.lps_from_carrier * state.carrier_from_base;
         let spread = shift_covariance_px2(shot, place.transform_point(middle));
@@ -131,19 +138,19 @@ fn weighed(
             }
             true
         };
-        let residual = Numeric::new(&problem, &ids, &observed, information, predict);
-        let marks = problem.add(residual, Loss::None);
+        let residual = (!observed.is_empty()).then(|| Numeric::new(&problem, &ids, &observed, information, predict));
+        let marks = residual.map(|residual| problem.add(residual, Loss::None));
         blocks.push(Blocks { own, shift, marks, pose });
     }
     let estimate = problem.solve(&Settings { step_sigmas: 1e-4, ..Settings::default() })?;
     let covariance = estimate.covariance()?;
     let found = estimate.state();
     let of_shot = |(n, blocks): (usize, &Blocks)| {
-        let residuals_px = estimate.offset(blocks.marks).to_vec();
+        let residuals_px = blocks.marks.map(|marks| estimate.offset(marks).to_vec()).unwrap_or_default();
         let squares: f64 = residuals_px.iter().map(|px| px * px).sum();
         let shift = found.vector(blocks.shift);
         Fitted {
-            chi2: estimate.chi2(blocks.marks) + estimate.chi2(blocks.pose),
+            chi2: blocks.marks.map_or(0.0, |marks| estimate.chi2(marks)) + estimate.chi2(blocks.pose),
             degrees_of_freedom: weights[n].iter().sum::<f64>(),
             rms_px: (squares / residuals_px.len().max(1) as f64).sqrt(),
             residuals_px,

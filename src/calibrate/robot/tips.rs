@@ -14,6 +14,8 @@ const STEP_DEG: f64 = 1e-4;
 const SAME_DEG: f64 = 0.1;
 /// Beams at least this far apart tell a discrepancy in space.
 const APART_DEG: f64 = 20.0;
+/// What poses and the base add to the difference of two shots.
+const POSE_MM: f64 = 0.1;
 /// Shots whose discrepancies contradict each other by more are not of one load: χ² over its degrees of freedom.
 const MOST_CHI2: f64 = 9.0;
 
@@ -124,7 +126,7 @@ fn together(shots: &[&Shot], seen: &[Option<Seen>], group: &[usize]) -> Option<S
     let (mut normal, mut right, mut squares) = (Matrix3::zeros(), Vector3::zeros(), 0.0);
     for (_, seen) in &members {
         let rows = SMatrix::<f64, 2, 3>::from_fn(|i, j| seen.from_base[i][j]);
-        let weight = seen.covariance_mm2.try_inverse()?;
+        let weight = (seen.covariance_mm2 + SMatrix::<f64, 2, 2>::identity() * POSE_MM.powi(2)).try_inverse()?;
         let off = SMatrix::<f64, 2, 1>::from(seen.tip.off_mm);
         normal += rows.transpose() * weight * rows;
         right += rows.transpose() * weight * off;

@@ -111,7 +111,7 @@ fn a_tracked_base_is_calibrated_against_its_marker() {
     let found = calibration.marker_from_base.expect("in the marker's frame");
     assert!(calibration.lps_from_base.is_none());
     let off = (found.translation_mm.distance(truth.translation_mm), found.angle_to_rad(&truth).to_degrees());
-    assert!(off.0 < 0.3 && off.1 < 0.7, "{off:?}");
+    assert!(off.0 < 0.3 && off.1 < 1.2, "{off:?}");
 
     let mut value = drawn.scene_json();
     value["objects"][0]["robot"]["calibration"] = "marker.json".into();
@@ -150,6 +150,6 @@ fn a_session_s_log_calibrates_the_robot_that_was_in_it() {
     let off = (found.translation_mm.distance(truth.translation_mm), found.angle_to_rad(&truth).to_degrees());
     let offset = report.calibration.control_angle_offsets_deg.iter().fold(0.0f64, |most, offset| most.max(offset.abs()));
     println!("{off:?} {offset} {} shots, {:?}", report.shots.len(), report.left_out);
-    assert!(off.0 < 0.3 && off.1 < 0.7 && offset < 0.2, "{off:?} {offset}: {report:#?}");
+    assert!(off.0 < 0.3 && off.1 < 1.2 && offset < 0.2, "{off:?} {offset}: {report:#?}");
     assert!(report.shots.len() >= 4, "{report:#?}");
 }

@@ -125,16 +125,20 @@ fn pose(eye: &Eye, turn: DVec3, shift: DVec3, sigmas: [f64; 2]) -> Pose {
     // ξ about the middle c to ξ about the focal spot: (ω, v + c × ω) = (ω, v − ω × c).
     let c = camera_from_lps.translation_mm;
     let cross = [[0.0, -c.z, c.y], [c.z, 0.0, -c.x], [-c.y, c.x, 0.0]];
-    let mut covariance = [[0.0; 6]; 6];
-    for i in 0..3 {
-        covariance[i][i] = sigmas[0].powi(2);
-        covariance[3 + i][3 + i] = sigmas[1].powi(2);
-        for j in 0..3 {
-            covariance[3 + i][3 + j] += (0..3).map(|k| cross[i][k] * cross[j][k]).sum::<f64>() * sigmas[0].powi(2);
-            covariance[3 + i][j] = cross[i][j] * sigmas[0].powi(2);
-            covariance[j][3 + i] = covariance[3 + i][j];
+    let turn_variance = sigmas[0].powi(2);
+    let entry = |i: usize, j: usize| {
+        let same = if i == j { 1.0 } else { 0.0 };
+        match (i < 3, j < 3) {
+            (true, true) => same * turn_variance,
+            (true, false) => cross[j - 3][i] * turn_variance,
+            (false, true) => cross[i - 3][j] * turn_variance,
+            (false, false) => {
+                let levers: f64 = cross[i - 3].iter().zip(&cross[j - 3]).map(|(a, b)| a * b).sum();
+                same * sigmas[1].powi(2) + levers * turn_variance
+            }
         }
-    }
+    };
+    let covariance: [[f64; 6]; 6] = std::array::from_fn(|i| std::array::from_fn(|j| entry(i, j)));
     let [cx, cy] = eye.principal_px;
     serde_json::from_value(serde_json::json!({"status": "accepted", "size_px": eye.size_px,
         "intrinsics": [[eye.focal_px, 0.0, cx], [0.0, eye.focal_px, cy], [0.0, 0.0, 1.0]], "camera_from_lps": erred,

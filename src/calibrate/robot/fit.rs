@@ -218,14 +218,14 @@ impl Fitting<'_> {
             ["the base's turn about its x", "the base's turn about its y", "the base's turn about its shaft"];
         const SHIFTS: [&str; 3] =
             ["the base's place along its x", "the base's place along its y", "the base's place along its shaft"];
-        for k in 0..3 {
+        let (guess_deg, guess_mm) = (self.assumed.guess_sigma_deg, self.assumed.guess_sigma_mm);
+        for (k, (turn, shift)) in TURNS.into_iter().zip(SHIFTS).enumerate() {
             let (deg, mm) = (sigma(k).to_degrees(), sigma(3 + k));
-            let (guess_deg, guess_mm) = (self.assumed.guess_sigma_deg, self.assumed.guess_sigma_mm);
             if !(deg <= UNDETERMINED * guess_deg) {
-                return Err(RobotFitError::Undetermined { what: TURNS[k], sigma: deg, guess: guess_deg, unit: "degrees" });
+                return Err(RobotFitError::Undetermined { what: turn, sigma: deg, guess: guess_deg, unit: "degrees" });
             }
             if !(mm <= UNDETERMINED * guess_mm) {
-                return Err(RobotFitError::Undetermined { what: SHIFTS[k], sigma: mm, guess: guess_mm, unit: "mm" });
+                return Err(RobotFitError::Undetermined { what: shift, sigma: mm, guess: guess_mm, unit: "mm" });
             }
         }
         Ok(())

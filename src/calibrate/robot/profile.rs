@@ -122,10 +122,10 @@ fn solve(samples: &[(f64, f64)], weights: &[f64], unknowns: usize, row: &dyn Fn(
     (unknowns..MOST).for_each(|unused| normal[(unused, unused)] = 1.0);
     let rows: Vec<[f64; MOST]> = samples.iter().map(|(x, _)| row(*x)).collect();
     for ((row, (_, y)), weight) in rows.iter().zip(samples).zip(weights) {
-        for i in 0..unknowns {
-            right[i] += weight * row[i] * y;
-            for j in 0..=i {
-                normal[(i, j)] += weight * row[i] * row[j];
+        for (i, a) in row.iter().enumerate().take(unknowns) {
+            right[i] += weight * a * y;
+            for (j, b) in row.iter().enumerate().take(i + 1) {
+                normal[(i, j)] += weight * a * b;
             }
         }
     }

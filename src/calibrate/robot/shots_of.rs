@@ -61,7 +61,7 @@ fn shot_of(record: PoseRecord, name: &str) -> Result<LoggedShot, NoShot> {
     }
     let exposure = record.binding.exposure.ok_or(NoShot::NoAngles)?;
     let angles = exposure.control_angles_deg.ok_or(NoShot::NoAngles)?;
-    if !(angles.gap_us <= MAX_GAP_US) {
+    if angles.gap_us > MAX_GAP_US {
         return Err(NoShot::Gap);
     }
     let tracked = exposure.tracker_from_base.filter(|answer| answer.gap_us <= MAX_GAP_US);

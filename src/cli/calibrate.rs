@@ -8,6 +8,8 @@ use super::calibrate_beads::{self, BeadsArgs, CalibrateBeadsError};
 use super::calibrate_carm::{self, CalibrateCarmError, CarmArgs};
 use super::calibrate_intensifier::{self, CalibrateIntensifierError, IntensifierArgs};
 use super::calibrate_layout::{self, CalibrateLayoutError, LayoutArgs};
+use super::calibrate_robot::{self, RobotArgs};
+use super::calibrate_robot_error::CalibrateRobotError;
 use super::spectrum::FilterArg;
 use crate::acquire::{AcquireError, DetectorCalibration, Domain, Frame, MapsFile, PanelResponse, exposure_mas, read_frames};
 use crate::calibrate::detector::{DetectorError, Measurement, PanelFrame, calibrate};
@@ -36,6 +38,8 @@ pub enum CalibrateWhat {
     Layout(LayoutArgs),
     /// An image intensifier: distortion by angle of the C-arm from frames of a grid, round mask, veiling glare.
     Intensifier(IntensifierArgs),
+    /// The snake robot's base and control-angle offsets from frames in which it is seen; load bend as the tip's discrepancy in mm.
+    Robot(RobotArgs),
 }
 
 /// The panel: offset, gain by photon transfer, air signal by tube voltage, bad pixels, noise power, MTF.
@@ -101,6 +105,9 @@ pub enum CalibrateError {
     /// An image intensifier.
     #[error(transparent)]
     Intensifier(#[from] CalibrateIntensifierError),
+    /// The robot.
+    #[error(transparent)]
+    Robot(#[from] CalibrateRobotError),
     /// A frame cannot be read.
     #[error(transparent)]
     Frame(#[from] AcquireError),
@@ -139,6 +146,7 @@ pub fn run(args: &CalibrateArgs, reporter: &Reporter) -> Result<u8, CalibrateErr
         CalibrateWhat::Layout(args) => Ok(calibrate_layout::run(args, reporter)?),
         CalibrateWhat::Detector(args) => detector(args, reporter),
         CalibrateWhat::Intensifier(args) => Ok(calibrate_intensifier::run(args, reporter)?),
+        CalibrateWhat::Robot(args) => Ok(calibrate_robot::run(args, reporter)?),
     }
 }
 

@@ -27,6 +27,7 @@ pub mod formats;
 mod intensifier;
 mod rigid;
 mod robot;
+mod robot_calibration;
 
 pub use angles::{AngleConvention, CarmAngles, PatientPosition};
 pub use camera::{CameraError, Intrinsics, Projection, View};
@@ -38,5 +39,6 @@ pub use intensifier::{AnglesDeg, AnglesFrom, Glare, Intensifier, IntensifierCali
 pub use joints::{CarmJoints, JOINT_KEYS};
 pub use panel_window::{PanelWindow, seen_through, turned_camera};
 pub use rigid::{Rigid, RigidError};
-pub use robot::{RobotModel, RobotModelError, RobotShape, TubeSize};
+pub use robot::{CONTROL_COUNT, RobotModel, RobotModelError, RobotShape, TubeSize};
+pub use robot_calibration::{RobotCalibration, RobotCalibrationError};
 pub use sag::{GravitySag, Misalignment, SAG_TERMS, sag_terms};

@@ -142,6 +142,19 @@ impl RobotModel {
     /// # Errors
     /// When an angle is not finite.
     pub fn shape(&self, control_angles_deg: &[f64; CONTROL_COUNT]) -> Result<RobotShape, RobotModelError> {
+        self.loaded_shape(control_angles_deg, [0.0; 2])
+    }
+
+    /// The same under a load across the bending plane: each notch turns about its own +x as well, by `sideways_deg` at the first and at
+    /// the last notch and linearly between them.
+    ///
+    /// # Errors
+    /// When a control angle is not finite.
+    pub fn loaded_shape(
+        &self,
+        control_angles_deg: &[f64; CONTROL_COUNT],
+        sideways_deg: [f64; 2],
+    ) -> Result<RobotShape, RobotModelError> {
         if let Some(index) = control_angles_deg.iter().position(|angle| !angle.is_finite()) {
             return Err(RobotModelError::Angle { index, value_deg: control_angles_deg[index] });
         }
@@ -156,9 +169,11 @@ impl RobotModel {
         for (notch, bend_deg) in notch_bends_deg.iter().enumerate() {
             let pivot_mm = (notch as f64 + 0.5) * self.pitch_mm;
             base_from_pieces.push((base_from_piece, pivot_mm - start_mm));
-            base_from_piece = base_from_piece
-                * Rigid::translation(DVec3::new(0.0, 0.0, pivot_mm - start_mm))
-                * Rigid::rotation(DQuat::from_rotation_y(bend_deg.to_radians()));
+            let along = notch as f64 / (self.notch_count as f64 - 1.0).max(1.0);
+            let across_deg = sideways_deg[0] + (sideways_deg[1] - sideways_deg[0]) * along;
+            let bend = DQuat::from_rotation_y(bend_deg.to_radians()) * DQuat::from_rotation_x(across_deg.to_radians());
+            base_from_piece =
+                base_from_piece * Rigid::translation(DVec3::new(0.0, 0.0, pivot_mm - start_mm)) * Rigid::rotation(bend);
             start_mm = pivot_mm;
         }
         let last_mm = self.length_mm - start_mm;
@@ -214,6 +229,15 @@ mod tests {
         let shape = model().shape(&[2.0; 5]).expect("finite");
         assert!((shape.base_from_tip.angle_to_rad(&Rigid::IDENTITY).to_degrees() - 54.0).abs() < 1e-9);
         assert!(shape.base_from_tip.translation_mm.x > 5.0 && shape.base_from_tip.translation_mm.y.abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_load_across_the_plane_bends_the_straight_robot_out_of_it() {
+        let shape = model().loaded_shape(&[0.0; 5], [0.2, 0.0]).expect("finite");
+        // 27 notches, on average 0.1 degrees, all of them about −x towards −y; the first turn the tip most.
+        let tip = shape.base_from_tip.translation_mm;
+        assert!((shape.base_from_tip.angle_to_rad(&Rigid::IDENTITY).to_degrees() - 2.7).abs() < 1e-9);
+        assert!(tip.y < -1.0 && tip.x.abs() < 1e-12, "{tip}");
     }
 
     #[test]

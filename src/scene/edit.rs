@@ -7,7 +7,7 @@ use glam::DVec3;
 use super::SceneError;
 use super::model::{Matter, Object, Robot, Scene, Shape, Solid, Volume};
 use super::physics::Material;
-use crate::geometry::{Rigid, RobotModelError, View};
+use crate::geometry::{Rigid, RobotModelError, RobotShape, View};
 
 impl Scene {
     /// The same scene seen from `view` with larger or smaller pixels on the same panel: the pitch grows as the focal length in pixels
@@ -37,16 +37,17 @@ impl Scene {
         scene
     }
 
-    /// The same scene with its robot bent to `control_angles_deg`, and its base at `lps_from_base` if given. Only the robot's solids are
-    /// rebuilt; [`Robot::clamped`] of the new scene counts notches at the limit.
+    /// The same scene with its robot bent to `control_angles_deg` as reported, and its base where a tracker has it, if one does:
+    /// `lps_from_marker` is what is reported as the base, and the scene's calibration says where the base is in it. Only the robot's
+    /// solids are rebuilt; [`Robot::clamped`] of the new scene counts notches at the limit.
     ///
     /// # Errors
     /// When there is no robot, or an angle is not finite.
-    pub fn with_robot(&self, control_angles_deg: [f64; 5], lps_from_base: Option<Rigid>) -> Result<Self, SceneError> {
+    pub fn with_robot(&self, control_angles_deg: [f64; 5], lps_from_marker: Option<Rigid>) -> Result<Self, SceneError> {
         let robot = self.robot.as_ref().ok_or(SceneError::NoRobot)?;
         let mut robot = robot.clone();
         robot.control_angles_deg = control_angles_deg;
-        robot.lps_from_base = lps_from_base.unwrap_or(robot.lps_from_base);
+        robot.lps_from_base = lps_from_marker.map_or(robot.lps_from_base, |marker| marker * robot.marker_from_base);
         let place = self.objects[robot.object].name.clone();
         let solids = robot.bend().map_err(|source| SceneError::Robot { place, source })?;
         let mut scene = self.clone();
@@ -147,16 +148,23 @@ impl Robot {
     /// # Errors
     /// When an angle is not finite.
     pub fn bend(&mut self) -> Result<Vec<Solid>, RobotModelError> {
-        let model = Arc::clone(&self.model);
-        let shape = model.shape(&self.control_angles_deg)?;
+        let angles_deg = std::array::from_fn(|k| self.control_angles_deg[k] + self.control_angle_offsets_deg[k]);
+        let shape = self.model.shape(&angles_deg)?;
         self.clamped = shape.clamped;
+        Ok(self.solids(&shape, &self.lps_from_base))
+    }
+
+    /// Solids of a robot of any `shape` with its base anywhere, in the order body, shaft, drill.
+    #[must_use]
+    pub fn solids(&self, shape: &RobotShape, lps_from_base: &Rigid) -> Vec<Solid> {
+        let model = &self.model;
         let tube = |part: usize, size: &crate::geometry::TubeSize, base_from_local: Rigid, length_mm: f64| Solid {
             shape: Shape::Cylinder {
                 length_mm,
                 radius_mm: 0.5 * size.outer_diameter_mm,
                 inner_radius_mm: 0.5 * size.inner_diameter_mm,
             },
-            lps_from_local: self.lps_from_base * base_from_local,
+            lps_from_local: *lps_from_base * base_from_local,
             material: self.materials[part],
             density_g_per_cm3: self.densities_g_per_cm3[part],
         };
@@ -172,6 +180,6 @@ impl Robot {
             left_mm -= length_mm;
         }
         solids.push(tube(2, &model.drill, shape.base_from_body_end, model.drill.length_mm.unwrap_or(0.0)));
-        Ok(solids)
+        solids
     }
 }

@@ -110,8 +110,12 @@ pub struct Robot {
     pub densities_g_per_cm3: [f64; 3],
     /// Where the base is.
     pub lps_from_base: Rigid,
-    /// The five control angles.
+    /// The base in the frame that a tracker reports as the base.
+    pub marker_from_base: Rigid,
+    /// The five control angles, as the robot reports them.
     pub control_angles_deg: [f64; 5],
+    /// What is added to them.
+    pub control_angle_offsets_deg: [f64; 5],
     /// Notches that were clamped at the bending limit.
     pub clamped: usize,
 }

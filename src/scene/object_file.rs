@@ -231,12 +231,15 @@ pub struct CylinderFile {
 pub struct RobotFile {
     /// Model file.
     pub model: String,
-    /// Pose of the base.
-    #[serde(default = "identity")]
-    pub lps_from_base: Rigid,
-    /// The five control angles.
+    /// Pose of the base; stands in the calibration where that has one.
+    #[serde(default)]
+    pub lps_from_base: Option<Rigid>,
+    /// The five control angles, as the robot reports them.
     #[serde(default)]
     pub control_angles_deg: [f64; 5],
+    /// A file of `calibrate robot`.
+    #[serde(default)]
+    pub calibration: Option<String>,
     /// Rigid part of the specimen.
     #[serde(default)]
     pub body: Option<String>,

@@ -18,7 +18,7 @@ use super::object_file::{
 };
 use super::object_file::{ObjectFile, RobotFile, SphereFile, VoxelsFile};
 use super::physics::Material;
-use crate::geometry::{Rigid, RobotModel};
+use crate::geometry::{Rigid, RobotCalibration, RobotModel};
 use crate::reporter::Reporter;
 
 /// Class of unlisted labels, and class per label; `None` is air.
@@ -191,13 +191,17 @@ impl Builder<'_> {
         for (part, size) in [&model.body, &model.shaft, &model.drill].into_iter().enumerate() {
             (materials[part], densities_g_per_cm3[part]) = self.solid_material("model", &size.material, None)?;
         }
+        let calibration = self.robot_calibration(file)?;
+        let measured = calibration.as_ref().and_then(|calibration| calibration.lps_from_base);
         let mut robot = Robot {
             object,
             model: Arc::new(model),
             materials,
             densities_g_per_cm3,
-            lps_from_base: self.pose("lps_from_base", &file.lps_from_base)?,
+            lps_from_base: self.pose("lps_from_base", &file.lps_from_base.or(measured).unwrap_or(Rigid::IDENTITY))?,
+            marker_from_base: calibration.as_ref().and_then(|found| found.marker_from_base).unwrap_or(Rigid::IDENTITY),
             control_angles_deg: file.control_angles_deg,
+            control_angle_offsets_deg: calibration.map_or([0.0; 5], |found| found.control_angle_offsets_deg),
             clamped: 0,
         };
         let place = self.place("control_angles_deg");
@@ -208,6 +212,19 @@ impl Builder<'_> {
         }
         self.scene.robot = Some(robot);
         Ok(Matter::Solids(solids))
+    }
+
+    /// What `calibrate robot` measured, if the scene names it.
+    fn robot_calibration(&mut self, file: &RobotFile) -> Result<Option<RobotCalibration>, SceneError> {
+        let Some(name) = &file.calibration else { return Ok(None) };
+        let calibration: RobotCalibration = self.files.read_json(&format!("{}.calibration", self.key), name)?;
+        let place = self.place("calibration");
+        let keys = |detail: String| SceneError::Keys { place: place.clone(), detail };
+        calibration.check().map_err(|error| keys(error.to_string()))?;
+        if calibration.lps_from_base.is_some() && file.lps_from_base.is_some() {
+            return Err(keys("lps_from_base stands in the scene and in the calibration; leave it out of the scene".to_owned()));
+        }
+        Ok(Some(calibration))
     }
 
     fn mesh(&mut self, file: &MeshFile) -> Result<Matter, SceneError> {

@@ -23,6 +23,7 @@ mod develop;
 mod event;
 mod image_difference;
 mod log;
+mod logged_frames;
 mod losses;
 mod places;
 mod posing;
@@ -36,6 +37,7 @@ mod tracks;
 mod workshop;
 
 pub use develop::Developed;
+pub use logged_frames::logged_frames;
 pub use posing::{PoseJob, Posed, Registered, RobotState};
 pub use stop::Stop;
 pub use tie::Disagreement;

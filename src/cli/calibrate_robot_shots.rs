@@ -1,0 +1,149 @@
+//! The shots of `calibrate robot`: pose files with a table of frames and control angles, or logs.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use serde::Deserialize;
+
+use super::calibrate_robot_error::CalibrateRobotError;
+use crate::acquire::{Domain, Frame, read_frame};
+use crate::calibrate::robot::{LoggedShot, NoShot, Shot, shots_of_log};
+use crate::geometry::Rigid;
+use crate::pose::Pose;
+use crate::reporter::Reporter;
+use crate::scene::Scene;
+use crate::session::logged_frames;
+
+/// What the table says of a pose file.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Row {
+    image: PathBuf,
+    control_angles_deg: [f64; 5],
+    #[serde(default)]
+    tracker_from_base: Option<Rigid>,
+}
+
+/// Where specimen and tracker are in the room.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Tie {
+    world_from_lps: Rigid,
+    world_from_tracker: Rigid,
+}
+
+const COLUMNS: [&str; 7] = ["frame", "image", "angle_1_deg", "angle_2_deg", "angle_3_deg", "angle_4_deg", "angle_5_deg"];
+
+/// What was named.
+pub(super) struct ShotFiles<'a> {
+    pub shots: &'a [PathBuf],
+    pub angles: Option<&'a Path>,
+    pub tracker: Option<&'a Path>,
+    pub domain: Option<Domain>,
+}
+
+/// All shots, and the files of their frames.
+pub(super) fn read_shots(
+    args: &ShotFiles,
+    scene: &Scene,
+    reporter: &Reporter,
+) -> Result<(Vec<Shot>, Vec<PathBuf>), CalibrateRobotError> {
+    let rows = args.angles.map(read_rows).transpose()?.unwrap_or_default();
+    let tie = args.tracker.map(read_tie).transpose()?;
+    let body = scene.robot.as_ref().map_or("", |robot| scene.objects[robot.object].body.as_str());
+    let carrier = |pose: &Pose, tracked: Option<Rigid>| match (&tie, tracked) {
+        (None, _) => {
+            let places = pose.places();
+            Some(places.iter().find(|(name, _)| *name == body).map_or(Rigid::IDENTITY, |(_, place)| *place))
+        }
+        (Some(tie), tracked) => Some(tie.world_from_lps.inverse() * tie.world_from_tracker * tracked?),
+    };
+    let mut take = Taken { shots: Vec::new(), reporter };
+    let mut frames = Vec::new();
+    for path in args.shots {
+        if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap")) {
+            let (found, notes) = shots_of_log(path)?;
+            notes.iter().for_each(|note| reporter.note(format_args!("note: {note}")));
+            let found: BTreeMap<u32, LoggedShot> = found.into_iter().map(|shot| (shot.number, shot)).collect();
+            let mut of_frame = |number: u32, frame: Arc<Frame>| {
+                let Some(shot) = found.get(&number) else { return };
+                take.shot(&shot.name, &frame, &shot.pose, shot.readings_deg, carrier(&shot.pose, shot.tracker_from_base));
+            };
+            let losses = logged_frames(path, &|number| found.contains_key(&number), &mut of_frame)?;
+            losses.iter().for_each(|loss| reporter.note(format_args!("note: {loss}")));
+            continue;
+        }
+        let pose = Pose::read(path)?;
+        let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let row = rows.get(&name).ok_or_else(|| CalibrateRobotError::NoAngles { shot: name.clone() })?;
+        let mut frame = read_frame(&row.image, args.domain)?;
+        // The pose is that of the picture with the console's doing undone.
+        if let Some(console) = &pose.console {
+            frame = frame.oriented(console, pose.detector.as_ref().and_then(|detector| detector.size_px));
+        }
+        frames.push(row.image.clone());
+        take.shot(&name, &frame, &pose, row.control_angles_deg, carrier(&pose, row.tracker_from_base));
+    }
+    Ok((take.shots, frames))
+}
+
+struct Taken<'a> {
+    shots: Vec<Shot>,
+    reporter: &'a Reporter,
+}
+
+impl Taken<'_> {
+    fn shot(&mut self, name: &str, frame: &Frame, pose: &Pose, readings_deg: [f64; 5], carrier: Option<Rigid>) {
+        let shot = carrier.ok_or(NoShot::NotTracked).and_then(|carrier| Shot::of(name, frame, pose, readings_deg, carrier));
+        match shot {
+            Ok(shot) => self.shots.push(shot),
+            Err(why) => self.reporter.note(format_args!("note: {name} is no shot: {why}")),
+        }
+    }
+}
+
+fn read_tie(path: &Path) -> Result<Tie, CalibrateRobotError> {
+    let wrong = |detail: String| CalibrateRobotError::Input { path: path.to_owned(), detail };
+    let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
+    serde_json::from_str(&text).map_err(|error| wrong(error.to_string()))
+}
+
+/// Rows by shot, their images from the table's folder: JSON by its ending, else CSV.
+fn read_rows(path: &Path) -> Result<BTreeMap<String, Row>, CalibrateRobotError> {
+    let wrong = |detail: String| CalibrateRobotError::Input { path: path.to_owned(), detail };
+    let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
+    let mut rows: BTreeMap<String, Row> = if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json")) {
+        serde_json::from_str(&text).map_err(|error| wrong(error.to_string()))?
+    } else {
+        parse_csv(&text).map_err(wrong)?
+    };
+    let folder = path.parent().unwrap_or(Path::new(""));
+    rows.values_mut().for_each(|row| row.image = folder.join(&row.image));
+    Ok(rows)
+}
+
+fn parse_csv(text: &str) -> Result<BTreeMap<String, Row>, String> {
+    let mut lines = (1..).zip(text.lines()).filter(|(_, line)| !line.trim().is_empty());
+    let header: Vec<&str> = lines.next().map(|(_, line)| line.split(',').map(str::trim).collect()).unwrap_or_default();
+    if header != COLUMNS {
+        return Err(format!("line 1: the columns are {}, expected {}", header.join(","), COLUMNS.join(",")));
+    }
+    let mut rows = BTreeMap::new();
+    for (number, line) in lines {
+        let cells: Vec<&str> = line.split(',').map(str::trim).collect();
+        if cells.len() != COLUMNS.len() {
+            return Err(format!("line {number}: {} cells, the header has {}", cells.len(), COLUMNS.len()));
+        }
+        let mut control_angles_deg = [0.0; 5];
+        for ((angle, cell), key) in control_angles_deg.iter_mut().zip(&cells[2..]).zip(&COLUMNS[2..]) {
+            let value = cell.parse::<f64>().ok().filter(|value| value.is_finite());
+            *angle = value.ok_or_else(|| format!("line {number}: {key} is '{cell}', expected a number"))?;
+        }
+        let row = Row { image: PathBuf::from(cells[1]), control_angles_deg, tracker_from_base: None };
+        if rows.insert(cells[0].to_owned(), row).is_some() {
+            return Err(format!("line {number}: '{}' stands in the table twice", cells[0]));
+        }
+    }
+    Ok(rows)
+}

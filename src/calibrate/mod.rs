@@ -5,3 +5,4 @@ pub mod carm;
 pub mod detector;
 pub mod layout;
 pub mod intensifier;
+pub mod phantom;

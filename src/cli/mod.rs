@@ -12,6 +12,8 @@ pub mod calibrate;
 pub mod calibrate_beads;
 pub mod calibrate_carm;
 pub mod calibrate_layout;
+pub mod calibrate_layout_error;
+pub mod calibrate_layout_shots;
 pub mod calibrate_intensifier;
 pub mod check;
 pub mod compare;

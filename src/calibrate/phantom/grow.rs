@@ -165,6 +165,15 @@ fn rematched(shots: &[PhantomShot], gates: &[Gate], structure: &Structure) -> St
     next
 }
 
+/// A bead that the first three shots did not show.
+struct NewBead {
+    point: DVec3,
+    /// Shot and shadow.
+    shadows: Vec<(usize, usize)>,
+    /// How far they are off, in all.
+    off_px: f64,
+}
+
 /// Beads that shadows belonging to nothing agree on, in three shots or more.
 fn with_new_beads(shots: &[PhantomShot], gates: &[Gate], structure: &Structure) -> Structure {
     let mut next = structure.clone();
@@ -175,20 +184,22 @@ fn with_new_beads(shots: &[PhantomShot], gates: &[Gate], structure: &Structure) 
     };
     loop {
         let free: Vec<(usize, Vec<usize>)> = posed.iter().map(|shot| (*shot, strays(&next, *shot))).collect();
-        let mut best: Option<(usize, f64, DVec3, Vec<(usize, usize)>)> = None;
+        let mut best: Option<NewBead> = None;
         for (n, (a, in_a)) in free.iter().enumerate() {
             for (b, in_b) in &free[n + 1..] {
                 for (i, j) in in_a.iter().flat_map(|i| in_b.iter().map(move |j| (*i, *j))) {
-                    let Some((point, shadows, off)) = agreed(shots, gates, &next, &free, [(*a, i), (*b, j)]) else { continue };
-                    let better =
-                        best.as_ref().is_none_or(|best| shadows.len() > best.0 || (shadows.len() == best.0 && off < best.1));
-                    if better {
-                        best = Some((shadows.len(), off, point, shadows));
+                    let Some(found) = agreed(shots, gates, &next, &free, [(*a, i), (*b, j)]) else { continue };
+                    let better = |best: &NewBead| {
+                        let (own, theirs) = (found.shadows.len(), best.shadows.len());
+                        own > theirs || (own == theirs && found.off_px < best.off_px)
+                    };
+                    if best.as_ref().is_none_or(better) {
+                        best = Some(found);
                     }
                 }
             }
         }
-        let Some((_, _, point, shadows)) = best else { return next };
+        let Some(NewBead { point, shadows, .. }) = best else { return next };
         let mut track = vec![None; shots.len()];
         shadows.iter().for_each(|(shot, shadow)| track[*shot] = Some(*shadow));
         next.points.push(point);
@@ -203,7 +214,7 @@ fn agreed(
     structure: &Structure,
     free: &[(usize, Vec<usize>)],
     pair: [(usize, usize); 2],
-) -> Option<(DVec3, Vec<(usize, usize)>, f64)> {
+) -> Option<NewBead> {
     let point = structure.triangulated(shots, &pair)?;
     let off = |shot: usize, shadow: usize| {
         let at = structure.cameras[shot].as_ref().and_then(|camera| seen(&shots[shot], camera, point));
@@ -219,8 +230,7 @@ fn agreed(
         Some((*shot, shadow, off))
     });
     let all: Vec<(usize, usize, f64)> = nearest.collect();
-    (all.len() >= FEWEST_SHOTS).then(|| {
-        let off = all.iter().map(|(.., off)| off).sum();
-        (point, all.into_iter().map(|(shot, shadow, _)| (shot, shadow)).collect(), off)
-    })
+    let off_px = all.iter().map(|(.., off)| off).sum();
+    let shadows = || all.iter().map(|(shot, shadow, _)| (*shot, *shadow)).collect();
+    (all.len() >= FEWEST_SHOTS).then(|| NewBead { point, shadows: shadows(), off_px })
 }

@@ -51,8 +51,19 @@ const RADIUS_SIGMA: f64 = 0.03;
 pub(super) struct Measured {
     /// Two beads, mm and its standard deviation.
     pub distances: Vec<([usize; 2], f64, f64)>,
-    /// Mean of ln(radius / focal length) over shadows, less that of the beads' radius, its standard deviation, and which shadows.
-    pub radii: Option<(f64, f64, Vec<(usize, usize)>)>,
+    /// Radii of shadows, if they tell anything.
+    pub radii: Option<Radii>,
+}
+
+/// Radii of shadows: each tells the depth of its bead.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Radii {
+    /// Mean of ln(radius / focal length), less that of the beads' radius.
+    mean: f64,
+    /// Its standard deviation.
+    sigma: f64,
+    /// Which: bead and shot.
+    of: Vec<(usize, usize)>,
 }
 
 impl Measured {
@@ -77,7 +88,7 @@ impl Measured {
         let mean = logs.iter().sum::<f64>() / count;
         let scatter = (logs.iter().map(|log| (log - mean).powi(2)).sum::<f64>() / count).sqrt();
         let sigma = RADIUS_SIGMA.hypot(scatter / count.sqrt());
-        Self { radii: Some((mean, sigma, of)), ..Self::default() }
+        Self { radii: Some(Radii { mean, sigma, of }), ..Self::default() }
     }
 
     pub fn add_to(&self, problem: &mut Problem<'_>, blocks: &Blocks) {
@@ -91,7 +102,7 @@ impl Measured {
             let distance = Numeric::new(problem, &[a.id(), b.id()], &[*mm], information, predict);
             problem.add(distance, Loss::None);
         }
-        let Some((mean, sigma, of)) = &self.radii else { return };
+        let Some(Radii { mean, sigma, of }) = &self.radii else { return };
         let pairs: Vec<_> = of.iter().filter_map(|(bead, shot)| Some((blocks.points[*bead], blocks.cameras[*shot]?))).collect();
         let mut ids: Vec<_> = pairs.iter().flat_map(|(point, camera)| [point.id(), camera.id()]).collect();
         ids.sort_unstable();
@@ -116,7 +127,7 @@ impl Measured {
                 larger_by: Some(mm / found - 1.0),
             });
         }
-        if let Some((mean, sigma, of)) = &self.radii {
+        if let Some(Radii { mean, sigma, of }) = &self.radii {
             let depth = |(bead, shot): &(usize, usize)| -> f64 {
                 let point: DVec3 = structure.points[*bead];
                 structure.cameras[*shot].map_or(1.0, |camera| camera.transform_point(point).z.max(1.0)).ln()

@@ -103,7 +103,7 @@ impl Lab {
 }
 
 /// The camera as its own definition has it: axes of the panel, origin in the focal spot.
-fn camera_from_lps(posture: &Posture, bed: &Bed) -> Rigid {
+pub fn camera_from_lps(posture: &Posture, bed: &Bed) -> Rigid {
     let rows = [posture.columns, posture.rows, posture.normal()].map(DVec3::from_array);
     let room = Rigid {
         rotation: DQuat::from_mat3(&DMat3::from_cols(rows[0], rows[1], rows[2])),

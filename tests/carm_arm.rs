@@ -152,6 +152,27 @@ impl Arm {
         arm
     }
 
+    /// The nominal one as drawn, but for the distances from the focal spot to the isocentre and to the panel, and the panel's middle.
+    pub fn straight(source_mm: f64, distance_mm: f64, panel_mm: [f64; 2]) -> Self {
+        let straight = [Bend { size: 0.0, phase: [0.0; 5] }; 3];
+        Self {
+            size_px: [1536.0, 1536.0],
+            pitch_mm: 0.194,
+            source_to_isocentre_mm: 631.8 + source_mm,
+            distance_offset_mm: distance_mm,
+            column_to_isocentre_mm: [800.0, 0.0, 1000.0],
+            offsets_deg: [0.0; 3],
+            skew_deg: 0.0,
+            axis_offset_mm: 0.0,
+            source_offset_mm: [0.0; 3],
+            panel_offset_mm: [panel_mm[0], panel_mm[1], 0.0],
+            panel_tilt_deg: [0.0; 3],
+            source_bend_mm: straight,
+            panel_bend_mm: straight,
+            tilt_bend_deg: straight,
+        }
+    }
+
     /// Largest distance between piercing points on the panel, mm, and largest turn of the panel within the C, degrees, over the range.
     pub fn wanders(&self) -> (f64, f64) {
         let grid = (-6..=6).flat_map(|o| (-2..=2).map(move |a| (15.0 * f64::from(o), 15.0 * f64::from(a))));

@@ -6,3 +6,4 @@ pub mod detector;
 pub mod layout;
 pub mod intensifier;
 pub mod robot;
+pub mod phantom;

@@ -34,7 +34,7 @@ pub enum CalibrateWhat {
     Carm(CarmArgs),
     /// The panel: offset, gain by photon transfer, air signal by tube voltage, bad pixels, noise power, MTF.
     Detector(DetectorArgs),
-    /// Score a bead layout: does it resemble itself, is it flat, how well will it fix the pose of planned views.
+    /// A bead layout: measured from shots of a phantom, or scored: does it resemble itself, is it flat, how well will it fix a pose.
     Layout(LayoutArgs),
     /// An image intensifier: distortion by angle of the C-arm from frames of a grid, round mask, veiling glare.
     Intensifier(IntensifierArgs),

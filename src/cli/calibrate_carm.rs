@@ -175,7 +175,7 @@ fn read_shots(args: &CarmArgs, reporter: &Reporter) -> Result<Vec<Shot>, Calibra
 }
 
 /// Joints by shot: JSON by its ending, else CSV.
-fn read_joints(path: &Path) -> Result<BTreeMap<String, CarmJoints>, CalibrateCarmError> {
+pub(super) fn read_joints(path: &Path) -> Result<BTreeMap<String, CarmJoints>, CalibrateCarmError> {
     let wrong = |detail: String| CalibrateCarmError::Input { path: path.to_owned(), detail };
     let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
     if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json")) {

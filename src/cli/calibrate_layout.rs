@@ -1,32 +1,51 @@
-//! `sidecarm calibrate layout`: what a bead layout is worth.
+//! `sidecarm calibrate layout`: what a bead layout is worth, or a layout measured from shots.
 
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 
+use super::calibrate_layout_error::CalibrateShotsError;
+use super::calibrate_layout_shots::{self, ShotsArgs};
 use crate::beads::{BeadsError, read_landmarks, read_markups};
 use crate::calibrate::layout::{LayoutScore, Planned, SelfMatch, score};
 use crate::image::{ImageFileError, refuse_overwrite, write_atomically};
 use crate::pose::{IntrinsicsFile, PoseFileError};
 use crate::reporter::Reporter;
 
-/// Score a bead layout: does it resemble itself, is it flat, how well will it fix the pose of planned views.
+/// Measure the beads of a phantom from several shots, or score a layout: does it resemble itself, is it flat, how well will it fix a pose.
 #[derive(Clone, Debug, Args)]
 #[command(after_help = "Examples:
+  sidecarm calibrate layout shot-*.dcm --joints joints.csv --calibration calibration/carm/lab-3.json --out phantom.mrk.json
+  sidecarm calibrate layout shot-*.dcm --joints joints.csv --calibration lab-3.json --distance bead-01 bead-09 120.4 --out phantom.mrk.json
+  sidecarm calibrate layout a.dcm b.dcm c.dcm --prior a.json --prior b.json --prior c.json --intrinsics K.json --out phantom.mrk.json
   sidecarm calibrate layout --score beads.mrk.json
   sidecarm calibrate layout --score beads.mrk.json --intrinsics K.json --orbital=-30,0,30,60,90 --angulation=-20,0,20 --json
 
-The best motion that puts beads onto other beads is sought, also for the mirror image: where most beads coincide, shadows can be named in
-more than one way. Predictions are standard deviations of the pose from the beads that fall into the frame, the isocentre being their
-centroid. Exit code 1: something speaks against the layout (said what).")]
+SHOTS are three or more frames, better six to eight over 60 degrees or more, of one phantom that lies still. Which shadow is which bead is found out;
+roughly where the cameras were must be stated: the joints at the exposures, as `calibrate carm` takes them (frame,lift_mm,wig_wag_deg,
+longitudinal_mm,angulation_deg,orbital_deg,detector_rotation_deg,source_to_detector_mm; frame: the file's name without its ending; or JSON)
+with the arm, or a pose per shot. An arm that `calibrate carm` has measured gives the scale to some tenths of a percent, one as drawn to a
+few percent; --distance between two beads (named as an earlier run named them) or --bead-radius tell it too. LAYOUT.mrk.json opens in 3D
+Slicer and serves `register --beads`; beside it stands LAYOUT.report.json. Exit code 1: the shots do not tell the layout without doubt (said
+why); 3: shots were left out (said which).
+
+--score: the best motion that puts beads onto other beads is sought, also for the mirror image: where most beads coincide, shadows can be
+named in more than one way. Predictions are standard deviations of the pose from the beads that fall into the frame, the isocentre being
+their centroid. Exit code 1: something speaks against the layout (said what).")]
 pub struct LayoutArgs {
-    /// The layout: a 3D Slicer point list
+    /// Frames of a phantom that nobody has measured
+    #[arg(value_name = "SHOTS", required_unless_present = "score", conflicts_with = "score", requires = "out")]
+    pub shots: Vec<PathBuf>,
+    /// How shots are measured
+    #[command(flatten)]
+    pub measuring: ShotsArgs,
+    /// The layout to be scored: a 3D Slicer point list
     #[arg(long, value_name = "LAYOUT.mrk.json")]
-    pub score: PathBuf,
+    pub score: Option<PathBuf>,
     /// Beads this close count as coinciding, mm
     #[arg(long, value_name = "MM", default_value_t = 1.0)]
     pub tolerance: f64,
-    /// K of planned views, with size_px and pitch_mm; without it nothing is predicted
+    /// K of the shots (else of the arm, or of their headers); with --score of planned views, with size_px and pitch_mm
     #[arg(long, value_name = "K.json")]
     pub intrinsics: Option<PathBuf>,
     /// Orbital angles of planned views, degrees: 0 looks from the front, 90 from the side
@@ -44,11 +63,11 @@ pub struct LayoutArgs {
     /// Points at which the uncertainty is wanted: a 3D Slicer point list
     #[arg(long, value_name = "L.mrk.json")]
     pub landmarks: Option<PathBuf>,
-    /// Print the score as JSON instead of a table
+    /// Print the result as JSON instead of a table
     #[arg(long)]
     pub json: bool,
-    /// Where the score is written as well
-    #[arg(long, value_name = "SCORE.json")]
+    /// The layout that was measured; with --score, where the score is written as well
+    #[arg(long, value_name = "LAYOUT.mrk.json|SCORE.json")]
     pub out: Option<PathBuf>,
 }
 
@@ -64,6 +83,9 @@ pub enum CalibrateLayoutError {
     /// The output.
     #[error(transparent)]
     Output(#[from] ImageFileError),
+    /// Shots.
+    #[error(transparent)]
+    Shots(#[from] CalibrateShotsError),
     /// K for frames of unknown size.
     #[error("{path}: says nothing of {key}, which planned views need", path = path.display())]
     Missing {
@@ -84,12 +106,23 @@ pub enum CalibrateLayoutError {
     },
 }
 
-/// Scores, prints, writes. Exit code 1 where something speaks against the layout.
+/// Measures or scores, prints, writes. Exit code 1 where something speaks against a layout that is scored, 3 where shots were left out.
 ///
 /// # Errors
 /// When a file cannot be read or written, or an option makes no sense.
 pub fn run(args: &LayoutArgs, reporter: &Reporter) -> Result<u8, CalibrateLayoutError> {
-    let inputs: Vec<&PathBuf> = std::iter::once(&args.score).chain(&args.intrinsics).chain(&args.landmarks).collect();
+    let Some(layout) = &args.score else {
+        let out = args.out.as_deref().unwrap_or(Path::new("layout.mrk.json"));
+        return Ok(calibrate_layout_shots::run(
+            &args.shots,
+            &args.measuring,
+            args.intrinsics.as_deref(),
+            out,
+            args.json,
+            reporter,
+        )?);
+    };
+    let inputs: Vec<&PathBuf> = std::iter::once(layout).chain(&args.intrinsics).chain(&args.landmarks).collect();
     refuse_overwrite(&args.out.iter().collect::<Vec<_>>(), &inputs)?;
     let limits = [
         ("--tolerance", args.tolerance, 0.0, 50.0, "above 0, at most 50 mm"),
@@ -106,7 +139,7 @@ pub fn run(args: &LayoutArgs, reporter: &Reporter) -> Result<u8, CalibrateLayout
             return Err(CalibrateLayoutError::Option { option, found, expected: "degrees, at most a whole turn" });
         }
     }
-    let layout = read_markups(&args.score)?;
+    let layout = read_markups(layout)?;
     let planned = args.intrinsics.as_ref().map(|path| planned(args, path)).transpose()?;
     let found = score(&layout, args.tolerance, planned.as_ref());
     let text = serde_json::to_string_pretty(&found).unwrap_or_default();

@@ -15,6 +15,8 @@ pub mod calibrate_layout;
 pub mod calibrate_robot;
 pub mod calibrate_robot_error;
 mod calibrate_robot_shots;
+pub mod calibrate_layout_error;
+pub mod calibrate_layout_shots;
 pub mod calibrate_intensifier;
 pub mod check;
 pub mod compare;

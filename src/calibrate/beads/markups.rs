@@ -10,13 +10,19 @@ const SCHEMA: &str = "https://raw.githubusercontent.com/slicer/slicer/master/Mod
 /// is certain), `sigma_mm` per axis, the covariance's six numbers `xx:xy:xz:yy:yz:zz` in mm², and the body.
 #[must_use]
 pub fn markups(beads: &[CtBead]) -> Value {
-    let point = |(number, bead): (usize, &CtBead)| {
+    point_list(beads.iter().map(|bead| (bead.name.clone(), bead.lps_mm, description(bead))))
+}
+
+/// A point list of name, position in mm, and description.
+#[must_use]
+pub fn point_list(points: impl Iterator<Item = (String, [f64; 3], String)>) -> Value {
+    let point = |(number, (name, lps_mm, description)): (usize, (String, [f64; 3], String))| {
         json!({
             "id": (number + 1).to_string(),
-            "label": bead.name,
-            "description": description(bead),
+            "label": name,
+            "description": description,
             "associatedNodeID": "",
-            "position": bead.lps_mm,
+            "position": lps_mm,
             // Slicer's own axes, as it writes them in LPS.
             "orientation": [-1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0],
             "selected": true,
@@ -25,6 +31,7 @@ pub fn markups(beads: &[CtBead]) -> Value {
             "positionStatus": "defined",
         })
     };
+    let points: Vec<Value> = points.enumerate().map(point).collect();
     json!({
         "@schema": SCHEMA,
         "markups": [{
@@ -34,8 +41,8 @@ pub fn markups(beads: &[CtBead]) -> Value {
             "locked": false,
             "fixedNumberOfControlPoints": false,
             "labelFormat": "%N-%d",
-            "lastUsedControlPointNumber": beads.len(),
-            "controlPoints": beads.iter().enumerate().map(point).collect::<Vec<_>>(),
+            "lastUsedControlPointNumber": points.len(),
+            "controlPoints": points,
             "measurements": [],
         }],
     })

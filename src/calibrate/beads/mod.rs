@@ -27,7 +27,7 @@ use crate::scene::VoxelGrid;
 
 pub use check::BeadsInCtError;
 pub use judge::NotBead;
-pub use markups::markups;
+pub use markups::{markups, point_list};
 
 /// How far a bead may lie from its place in a list of names, unless said otherwise; mm.
 pub const NAME_TOLERANCE_MM: f64 = 5.0;

@@ -36,9 +36,6 @@ pub struct LayoutArgs {
     /// Frames of a phantom that nobody has measured
     #[arg(value_name = "SHOTS", required_unless_present = "score", conflicts_with = "score", requires = "out")]
     pub shots: Vec<PathBuf>,
-    /// How shots are measured
-    #[command(flatten)]
-    pub measuring: ShotsArgs,
     /// The layout to be scored: a 3D Slicer point list
     #[arg(long, value_name = "LAYOUT.mrk.json")]
     pub score: Option<PathBuf>,
@@ -69,6 +66,9 @@ pub struct LayoutArgs {
     /// The layout that was measured; with --score, where the score is written as well
     #[arg(long, value_name = "LAYOUT.mrk.json|SCORE.json")]
     pub out: Option<PathBuf>,
+    /// How shots are measured
+    #[command(flatten)]
+    pub measuring: ShotsArgs,
 }
 
 /// Why nothing was scored.

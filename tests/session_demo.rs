@@ -84,9 +84,13 @@ fn a_mocked_session_matches_its_frames_and_replays_byte_for_byte() {
     let replayed = sidecarm(&["replay", text(&log), "--json", "--out", text(&folder.path().join("replayed"))]);
     assert_eq!(replayed.status.code(), Some(0), "{}", words(&replayed));
     let found = json(&replayed.stdout);
-    assert_eq!(found["poses_identical"], pairs.len());
-    assert_eq!(found["images_different"].as_array().map(Vec::len), Some(0));
-    assert_eq!(found["images_identical"], pairs.len());
+    // A frame that is bound late, as on a crowded machine, is posed and drawn once more.
+    for what in ["poses", "images"] {
+        let identical = found[format!("{what}_identical")].as_u64().expect("a count");
+        assert!(identical >= pairs.len() as u64, "{identical} {what} of {} pairs", pairs.len());
+        assert_eq!(found[format!("{what}_different")].as_array().map(Vec::len), Some(0), "{what}");
+    }
+    assert_eq!(found["poses_missing"].as_array().map_or(0, Vec::len), 0);
 
     // Whatever is derived is the same byte for byte in a second replay, on whatever day; how long it took stands apart.
     let again = sidecarm(&["replay", text(&log), "--json", "--out", text(&folder.path().join("again"))]);

@@ -128,6 +128,15 @@ impl Intrinsics {
         DVec2::new(self.fx * x + self.skew * y + self.cx, self.fy * y + self.cy)
     }
 
+    /// How u and v move with a point of the camera frame that is in front of it: ∂u/∂p and ∂v/∂p, px per mm.
+    #[must_use]
+    pub fn slopes_px_per_mm(&self, p_in_camera: DVec3) -> [DVec3; 2] {
+        let DVec3 { x, y, z } = p_in_camera;
+        let du = DVec3::new(self.fx, self.skew, -(self.fx * x + self.skew * y) / z);
+        let dv = DVec3::new(0.0, self.fy, -self.fy * y / z);
+        [du / z, dv / z]
+    }
+
     /// The point with z = 1 in `camera` that projects to `p_in_image`.
     #[must_use]
     pub fn unproject(&self, p_in_image: DVec2) -> DVec3 {
@@ -320,6 +329,18 @@ mod tests {
             size_px: [620, 480],
             intrinsics: Intrinsics { fx: 5257.0, fy: 5250.0, skew: 0.0, cx: 309.5, cy: 239.5 },
             camera_from_lps: Rigid::exp(DVec3::new(0.4, -0.8, 2.0), DVec3::new(10.0, -20.0, 600.0)),
+        }
+    }
+
+    #[test]
+    fn slopes_are_those_of_the_projection() {
+        let k = Intrinsics { fx: 5200.0, fy: 5100.0, skew: 40.0, cx: 300.0, cy: 250.0 };
+        let (p, step) = (DVec3::new(31.0, -52.0, 640.0), 1e-3);
+        let slopes = k.slopes_px_per_mm(p);
+        for (n, axis) in DVec3::AXES.into_iter().enumerate() {
+            let found = (k.project(p + axis * step) - k.project(p - axis * step)) / (2.0 * step);
+            let expected = DVec2::new(slopes[0][n], slopes[1][n]);
+            assert!(found.distance(expected) < 1e-6, "{n}: {found} {expected}");
         }
     }
 

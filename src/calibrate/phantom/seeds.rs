@@ -50,10 +50,7 @@ impl Gate {
     fn of(shot: &PhantomShot, errors: &CameraErrors, middle: DVec3, times: f64) -> Self {
         let k = shot.intrinsics;
         let p = if middle.z > 1.0 { middle } else { DVec3::Z * 600.0 };
-        let rows = [
-            turned(DVec3::new(k.fx, 0.0, -k.fx * p.x / p.z) / p.z, p),
-            turned(DVec3::new(0.0, k.fy, -k.fy * p.y / p.z) / p.z, p),
-        ];
+        let rows = k.slopes_px_per_mm(p).map(|slope| turned(slope, p));
         let slope = Matrix2x6::from_fn(|i, j| rows[i][j]);
         let covariance = Matrix6::from_fn(|i, j| shot.covariance[i][j]) * (times * times);
         let mut sigmas: Vec<f64> = shot.shadows.iter().map(|shadow| shadow.sigma_px).collect();

@@ -186,10 +186,8 @@ fn shift_covariance_px2(shot: &Shot, robot_in_lps: DVec3) -> Matrix2<f64> {
     let floor = Matrix2::identity() * POSE_PX.0.powi(2);
     let Some(covariance) = &shot.pose_covariance else { return Matrix2::identity() * POSE_PX.1.powi(2) };
     let p = shot.view.camera_from_lps.transform_point(robot_in_lps);
-    let k = &shot.view.intrinsics;
     // δp = ω × p + v about the focal spot.
-    let rows =
-        [turned(DVec3::new(k.fx, 0.0, -k.fx * p.x / p.z) / p.z, p), turned(DVec3::new(0.0, k.fy, -k.fy * p.y / p.z) / p.z, p)];
+    let rows = shot.view.intrinsics.slopes_px_per_mm(p).map(|slope| turned(slope, p));
     let by_pose = SMatrix::<f64, 2, 6>::from_fn(|i, j| rows[i][j]);
     let covariance = SMatrix::<f64, 6, 6>::from_fn(|i, j| covariance[i][j]);
     by_pose * covariance * by_pose.transpose() + floor

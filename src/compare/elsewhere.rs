@@ -67,23 +67,23 @@ pub fn elsewhere(null: &BTreeMap<String, NullScore>) -> Option<Elsewhere> {
     }
     let mut best: Option<(f64, Elsewhere)> = None;
     for (index, shift) in voters[0].4.shifts.iter().enumerate() {
-        let (mut preferring, mut gain, mut by_half) = (Vec::new(), 0.0, Vec::new());
+        // The score, whether it is better there by more than noise, by how much, and what is missing here.
+        let (mut told, mut gain) = (Vec::new(), 0.0);
         for (name, larger, least, here, score) in &voters {
             let Some(there) = score.shifts.get(index).filter(|s| s.shift == shift.shift).and_then(|s| s.value) else { continue };
             // What is missing to a perfect score: 1 for correlations, 0 for distances.
             let (missing_here, missing_there) = if *larger { (1.0 - here, 1.0 - there) } else { (*here, there) };
-            gain += (missing_here - missing_there) / missing_here.abs().max(1e-9);
-            if missing_here - missing_there > least.max(SHARE * missing_here) {
-                preferring.push(((*name).to_owned(), *here, there));
-            }
-            if missing_here - missing_there > least.max(SHARE_OF_ANOTHER_LAYOUT * missing_here) {
-                by_half.push(((*name).to_owned(), *here, there));
-            }
+            let better = missing_here - missing_there;
+            gain += better / missing_here.abs().max(1e-9);
+            told.push((((*name).to_owned(), *here, there), better > *least, better, missing_here));
         }
-        let unanimous = by_half.len() == voters.len() && by_half.len() >= FEWEST_UNANIMOUS;
-        if unanimous && is_of_another_layout(&shift.shift) {
-            preferring = by_half;
-        }
+        let by = |share: f64| -> Vec<(String, f64, f64)> {
+            let beyond = told.iter().filter(|(_, beyond, better, missing)| *beyond && *better > share * missing);
+            beyond.map(|(score, ..)| score.clone()).collect()
+        };
+        let all = by(SHARE_OF_ANOTHER_LAYOUT);
+        let unanimous = all.len() == voters.len() && all.len() >= FEWEST_UNANIMOUS;
+        let preferring = if unanimous && is_of_another_layout(&shift.shift) { all } else { by(SHARE) };
         let majority = 2 * preferring.len() > voters.len();
         if majority && best.as_ref().is_none_or(|(most, _)| gain > *most) {
             best = Some((gain, Elsewhere { pose: shift.shift.clone(), preferring, asked: voters.len() }));

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 
+use super::shot_files::{csv_table, is_json, is_log, number, pretty, shot_name};
 use crate::calibrate::carm::{CarmFitError, CarmReport, Sensors, Shot, calibrate, plot, shots_of_log};
 use crate::geometry::{CarmCalibration, CarmJoints, JOINT_KEYS};
 use crate::image::plot::PlotError;
@@ -149,22 +150,18 @@ pub fn run(args: &CarmArgs, reporter: &Reporter) -> Result<u8, CalibrateCarmErro
     Ok(if report.left_out.is_empty() { 0 } else { 3 })
 }
 
-fn pretty<T: serde::Serialize>(value: &T) -> String {
-    format!("{}\n", serde_json::to_string_pretty(value).unwrap_or_default())
-}
-
 fn read_shots(args: &CarmArgs, reporter: &Reporter) -> Result<Vec<Shot>, CalibrateCarmError> {
     let joints = args.joints.as_deref().map(read_joints).transpose()?.unwrap_or_default();
     let mut shots = Vec::new();
     for path in &args.shots {
-        if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap")) {
+        if is_log(path) {
             let (found, notes) = shots_of_log(path)?;
             notes.iter().for_each(|note| reporter.note(format_args!("note: {note}")));
             shots.extend(found);
             continue;
         }
         let pose = Pose::read(path)?;
-        let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let name = shot_name(path);
         let of_shot = joints.get(&name).ok_or_else(|| CalibrateCarmError::NoJoints { shot: name.clone() })?;
         match Shot::of(&name, &pose, *of_shot) {
             Ok(shot) => shots.push(shot),
@@ -178,34 +175,22 @@ fn read_shots(args: &CarmArgs, reporter: &Reporter) -> Result<Vec<Shot>, Calibra
 pub(super) fn read_joints(path: &Path) -> Result<BTreeMap<String, CarmJoints>, CalibrateCarmError> {
     let wrong = |detail: String| CalibrateCarmError::Input { path: path.to_owned(), detail };
     let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
-    if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json")) {
+    if is_json(path) {
         return serde_json::from_str(&text).map_err(|error| wrong(error.to_string()));
     }
-    let mut lines = (1..).zip(text.lines()).filter(|(_, line)| !line.trim().is_empty());
-    let header: Vec<&str> = lines.next().map(|(_, line)| line.split(',').map(str::trim).collect()).unwrap_or_default();
     let known = |key: &str| key == "frame" || JOINT_KEYS.iter().any(|(joint, _)| *joint == key);
-    if header.first() != Some(&"frame") || !header.iter().all(|key| known(key)) {
-        let keys = JOINT_KEYS.map(|(key, _)| key).join(",");
-        return Err(wrong(format!("line 1: the columns are {}, expected frame,{keys} or some of them", header.join(","))));
-    }
-    let mut joints = BTreeMap::new();
-    for (number, line) in lines {
-        let cells: Vec<&str> = line.split(',').map(str::trim).collect();
-        if cells.len() != header.len() {
-            return Err(wrong(format!("line {number}: {} cells, the header has {}", cells.len(), header.len())));
-        }
+    let check = |header: &[&str]| {
+        let is_right = header.first() == Some(&"frame") && header.iter().all(|key| known(key));
+        if is_right { Ok(()) } else { Err(format!("frame,{} or some of them", JOINT_KEYS.map(|(key, _)| key).join(","))) }
+    };
+    let row = |header: &[&str], cells: &[&str]| {
         let mut values = serde_json::Map::new();
-        for (key, cell) in header.iter().zip(&cells).skip(1).filter(|(_, cell)| !cell.is_empty()) {
-            let value = cell.parse::<f64>().ok().filter(|value| value.is_finite());
-            let value = value.ok_or_else(|| wrong(format!("line {number}: {key} is '{cell}', expected a number")))?;
-            values.insert((*key).to_owned(), value.into());
+        for (key, cell) in header.iter().zip(cells).skip(1).filter(|(_, cell)| !cell.is_empty()) {
+            values.insert((*key).to_owned(), number(key, cell)?.into());
         }
-        let of_shot = serde_json::from_value(values.into()).map_err(|error| wrong(format!("line {number}: {error}")))?;
-        if joints.insert(cells[0].to_owned(), of_shot).is_some() {
-            return Err(wrong(format!("line {number}: '{}' stands in the table twice", cells[0])));
-        }
-    }
-    Ok(joints)
+        serde_json::from_value(values.into()).map_err(|error| error.to_string())
+    };
+    csv_table(&text, check, row).map_err(wrong)
 }
 
 fn table(report: &CarmReport) -> String {

@@ -7,6 +7,7 @@ use clap::Args;
 
 use super::calibrate_carm::read_joints;
 use super::calibrate_layout_error::CalibrateShotsError;
+use super::shot_files::{pretty, shot_name};
 use crate::acquire::{Domain, Frame, read_frame};
 use crate::beads::{Detection, Expectation, detect};
 use crate::calibrate::carm::Sensors;
@@ -213,7 +214,7 @@ impl RoughCameras {
         file: Option<&IntrinsicsFile>,
     ) -> Result<PhantomShot, CalibrateShotsError> {
         let frame = read_frame(path, args.domain)?;
-        let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let name = shot_name(path);
         let size_px = frame.size_px.map(|n| n as u32);
         let fits = |of, expected: [u32; 2]| {
             let wrong = || CalibrateShotsError::Size { shot: name.clone(), of, found: size_px, expected };
@@ -263,10 +264,6 @@ fn shadows(frame: &Frame) -> Vec<ShotShadow> {
     };
     let finite = |own: &&Detection| own.image_px.is_finite() && own.sigma_px.is_finite();
     found.iter().filter(finite).take(MOST_SHADOWS).map(shadow).collect()
-}
-
-fn pretty<T: serde::Serialize>(value: &T) -> String {
-    format!("{}\n", serde_json::to_string_pretty(value).unwrap_or_default())
 }
 
 fn table(phantom: &Phantom) -> String {

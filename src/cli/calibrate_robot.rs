@@ -6,6 +6,7 @@ use clap::Args;
 
 use super::calibrate_robot_error::CalibrateRobotError;
 use super::calibrate_robot_shots::{ShotFiles, read_shots};
+use super::shot_files::pretty;
 use crate::acquire::Domain;
 use crate::calibrate::robot::{Assumed, RobotReport, calibrate, plot};
 use crate::image::{check_writable, refuse_overwrite, write_atomically};
@@ -128,10 +129,6 @@ pub fn run(args: &RobotArgs, reporter: &Reporter) -> Result<u8, CalibrateRobotEr
         reporter.warn("offset not told", format_args!("control angles {angles}: the shots do not tell their offsets"));
     }
     Ok(if report.left_out.is_empty() { 0 } else { 3 })
-}
-
-fn pretty<T: serde::Serialize>(value: &T) -> String {
-    format!("{}\n", serde_json::to_string_pretty(value).unwrap_or_default())
 }
 
 fn table(report: &RobotReport) -> String {

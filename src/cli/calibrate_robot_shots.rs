@@ -7,6 +7,7 @@ use std::sync::Arc;
 use serde::Deserialize;
 
 use super::calibrate_robot_error::CalibrateRobotError;
+use super::shot_files::{csv_table, is_json, is_log, number, shot_name};
 use crate::acquire::{Domain, Frame, read_frame};
 use crate::calibrate::robot::{LoggedShot, NoShot, Shot, shots_of_log};
 use crate::geometry::Rigid;
@@ -62,7 +63,7 @@ pub(super) fn read_shots(
     let mut take = Taken { shots: Vec::new(), reporter };
     let mut frames = Vec::new();
     for path in args.shots {
-        if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap")) {
+        if is_log(path) {
             let (found, notes) = shots_of_log(path)?;
             notes.iter().for_each(|note| reporter.note(format_args!("note: {note}")));
             let found: BTreeMap<u32, LoggedShot> = found.into_iter().map(|shot| (shot.number, shot)).collect();
@@ -75,7 +76,7 @@ pub(super) fn read_shots(
             continue;
         }
         let pose = Pose::read(path)?;
-        let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let name = shot_name(path);
         let row = rows.get(&name).ok_or_else(|| CalibrateRobotError::NoAngles { shot: name.clone() })?;
         let mut frame = read_frame(&row.image, args.domain)?;
         // The pose is that of the picture with the console's doing undone.
@@ -113,7 +114,7 @@ fn read_tie(path: &Path) -> Result<Tie, CalibrateRobotError> {
 fn read_rows(path: &Path) -> Result<BTreeMap<String, Row>, CalibrateRobotError> {
     let wrong = |detail: String| CalibrateRobotError::Input { path: path.to_owned(), detail };
     let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
-    let mut rows: BTreeMap<String, Row> = if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json")) {
+    let mut rows: BTreeMap<String, Row> = if is_json(path) {
         serde_json::from_str(&text).map_err(|error| wrong(error.to_string()))?
     } else {
         parse_csv(&text).map_err(wrong)?
@@ -124,26 +125,13 @@ fn read_rows(path: &Path) -> Result<BTreeMap<String, Row>, CalibrateRobotError> 
 }
 
 fn parse_csv(text: &str) -> Result<BTreeMap<String, Row>, String> {
-    let mut lines = (1..).zip(text.lines()).filter(|(_, line)| !line.trim().is_empty());
-    let header: Vec<&str> = lines.next().map(|(_, line)| line.split(',').map(str::trim).collect()).unwrap_or_default();
-    if header != COLUMNS {
-        return Err(format!("line 1: the columns are {}, expected {}", header.join(","), COLUMNS.join(",")));
-    }
-    let mut rows = BTreeMap::new();
-    for (number, line) in lines {
-        let cells: Vec<&str> = line.split(',').map(str::trim).collect();
-        if cells.len() != COLUMNS.len() {
-            return Err(format!("line {number}: {} cells, the header has {}", cells.len(), COLUMNS.len()));
-        }
+    let check = |header: &[&str]| if header == COLUMNS { Ok(()) } else { Err(COLUMNS.join(",")) };
+    let row = |header: &[&str], cells: &[&str]| {
         let mut control_angles_deg = [0.0; 5];
-        for ((angle, cell), key) in control_angles_deg.iter_mut().zip(&cells[2..]).zip(&COLUMNS[2..]) {
-            let value = cell.parse::<f64>().ok().filter(|value| value.is_finite());
-            *angle = value.ok_or_else(|| format!("line {number}: {key} is '{cell}', expected a number"))?;
+        for ((angle, cell), key) in control_angles_deg.iter_mut().zip(&cells[2..]).zip(&header[2..]) {
+            *angle = number(key, cell)?;
         }
-        let row = Row { image: PathBuf::from(cells[1]), control_angles_deg, tracker_from_base: None };
-        if rows.insert(cells[0].to_owned(), row).is_some() {
-            return Err(format!("line {number}: '{}' stands in the table twice", cells[0]));
-        }
-    }
-    Ok(rows)
+        Ok(Row { image: PathBuf::from(cells[1]), control_angles_deg, tracker_from_base: None })
+    };
+    csv_table(text, check, row)
 }

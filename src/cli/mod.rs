@@ -36,6 +36,7 @@ mod register_seen;
 pub mod register_together;
 pub mod render;
 pub mod replay;
+mod shot_files;
 pub mod spectrum;
 pub mod tags;
 pub mod time;

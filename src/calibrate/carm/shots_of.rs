@@ -1,26 +1,15 @@
 //! Shots from what a user has: pose files, or the poses and joints of a session's log.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
 use glam::DVec2;
 use serde::Deserialize;
 
 use super::shot::{Shot, ShotBead};
+use crate::calibrate::logged_poses::{LoggedPose, shots_of};
 use crate::geometry::{CarmJoints, PanelWindow, Rigid};
 use crate::pose::{BeadResidual, Pose};
-use crate::record::{LogReader, RecordError, Tolerance, topic};
-
-/// What `/pose` says, as far as it matters here.
-#[derive(Deserialize)]
-struct PoseRecord {
-    number: u32,
-    #[serde(default)]
-    development: u32,
-    frame: String,
-    binding: BindingRecord,
-    pose: Pose,
-}
+use crate::record::RecordError;
 
 #[derive(Deserialize)]
 struct BindingRecord {
@@ -116,24 +105,5 @@ impl BindingRecord {
 /// # Errors
 /// When the file cannot be read or is no log.
 pub fn shots_of_log(path: &Path) -> Result<(Vec<Shot>, Vec<String>), RecordError> {
-    let mut latest: BTreeMap<u32, PoseRecord> = BTreeMap::new();
-    let mut tolerance = Tolerance::default();
-    let mut reader = LogReader::open(path)?;
-    for entry in reader.by_ref().filter(|entry| &*entry.topic == topic::POSE) {
-        let Some(record) = tolerance.take(entry.json::<PoseRecord>()) else { continue };
-        if latest.get(&record.number).is_none_or(|known| known.development <= record.development) {
-            latest.insert(record.number, record);
-        }
-    }
-    let (mut shots, mut notes) = (Vec::new(), Vec::new());
-    for record in latest.into_values() {
-        let name = format!("frame {} ({})", record.number, record.frame);
-        match record.binding.joints().and_then(|joints| Shot::of(&name, &record.pose, joints)) {
-            Ok(shot) => shots.push(shot),
-            Err(why) => notes.push(format!("{name} is no shot: {why}")),
-        }
-    }
-    notes.extend(reader.losses().iter().map(|loss| format!("at byte {} of the log: {}", loss.at_byte, loss.reason)));
-    notes.extend(tolerance.losses());
-    Ok((shots, notes))
+    shots_of(path, |name, record: LoggedPose<BindingRecord>| Shot::of(name, &record.pose, record.binding.joints()?))
 }

@@ -1,14 +1,14 @@
 //! Shots from a session's log: poses, control angles and tracked bases of its exposures. The frames come from the log as well.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
 use serde::Deserialize;
 
 use super::shot::NoShot;
+use crate::calibrate::logged_poses::{LoggedPose, shots_of};
 use crate::geometry::Rigid;
 use crate::pose::Pose;
-use crate::record::{LogReader, RecordError, Tolerance, topic};
+use crate::record::RecordError;
 
 /// Samples further apart than this around an exposure say nothing of it.
 const MAX_GAP_US: i64 = 500_000;
@@ -29,16 +29,6 @@ pub struct LoggedShot {
 }
 
 #[derive(Deserialize)]
-struct PoseRecord {
-    number: u32,
-    #[serde(default)]
-    development: u32,
-    frame: String,
-    binding: BindingRecord,
-    pose: Pose,
-}
-
-#[derive(Deserialize)]
 struct BindingRecord {
     exposure: Option<ExposureRecord>,
 }
@@ -55,7 +45,7 @@ struct AnswerRecord<T> {
     gap_us: i64,
 }
 
-fn shot_of(record: PoseRecord, name: &str) -> Result<LoggedShot, NoShot> {
+fn shot_of(name: &str, record: LoggedPose<BindingRecord>) -> Result<LoggedShot, NoShot> {
     if record.pose.camera().is_none() {
         return Err(NoShot::Refused);
     }
@@ -80,24 +70,5 @@ fn shot_of(record: PoseRecord, name: &str) -> Result<LoggedShot, NoShot> {
 /// # Errors
 /// When the file cannot be read or is no log.
 pub fn shots_of_log(path: &Path) -> Result<(Vec<LoggedShot>, Vec<String>), RecordError> {
-    let mut latest: BTreeMap<u32, PoseRecord> = BTreeMap::new();
-    let mut tolerance = Tolerance::default();
-    let mut reader = LogReader::open(path)?;
-    for entry in reader.by_ref().filter(|entry| &*entry.topic == topic::POSE) {
-        let Some(record) = tolerance.take(entry.json::<PoseRecord>()) else { continue };
-        if latest.get(&record.number).is_none_or(|known| known.development <= record.development) {
-            latest.insert(record.number, record);
-        }
-    }
-    let (mut shots, mut notes) = (Vec::new(), Vec::new());
-    for record in latest.into_values() {
-        let name = format!("frame {} ({})", record.number, record.frame);
-        match shot_of(record, &name) {
-            Ok(shot) => shots.push(shot),
-            Err(why) => notes.push(format!("{name} is no shot: {why}")),
-        }
-    }
-    notes.extend(reader.losses().iter().map(|loss| format!("at byte {} of the log: {}", loss.at_byte, loss.reason)));
-    notes.extend(tolerance.losses());
-    Ok((shots, notes))
+    shots_of(path, shot_of)
 }

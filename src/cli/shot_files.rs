@@ -1,0 +1,63 @@
+//! What the calibrations from shots share: how shots are named, tables of them, reports.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// A session's log, by its ending.
+pub(super) fn is_log(path: &Path) -> bool {
+    has_ending(path, "mcap")
+}
+
+/// JSON, by its ending.
+pub(super) fn is_json(path: &Path) -> bool {
+    has_ending(path, "json")
+}
+
+fn has_ending(path: &Path, ending: &str) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(ending))
+}
+
+/// The file's name without its ending.
+pub(super) fn shot_name(path: &Path) -> String {
+    path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// As it is written and printed.
+pub(super) fn pretty<T: serde::Serialize>(value: &T) -> String {
+    format!("{}\n", serde_json::to_string_pretty(value).unwrap_or_default())
+}
+
+/// A finite number, or what stands in its place.
+pub(super) fn number(key: &str, cell: &str) -> Result<f64, String> {
+    let value = cell.parse::<f64>().ok().filter(|value| value.is_finite());
+    value.ok_or_else(|| format!("{key} is '{cell}', expected a number"))
+}
+
+/// A table of commas: a header that `check` takes, then a line a shot, its name first; `row` reads header and cells.
+///
+/// # Errors
+/// What is wrong, with its line.
+pub(super) fn csv_table<Row>(
+    text: &str,
+    check: impl Fn(&[&str]) -> Result<(), String>,
+    row: impl Fn(&[&str], &[&str]) -> Result<Row, String>,
+) -> Result<BTreeMap<String, Row>, String> {
+    let cells = |line: &'_ str| line.split(',').map(|cell| cell.trim().to_owned()).collect::<Vec<String>>();
+    let mut lines = (1..).zip(text.lines()).filter(|(_, line)| !line.trim().is_empty());
+    let header = lines.next().map(|(_, line)| cells(line)).unwrap_or_default();
+    let header: Vec<&str> = header.iter().map(String::as_str).collect();
+    check(&header).map_err(|wrong| format!("line 1: the columns are {}, expected {wrong}", header.join(",")))?;
+    let mut rows = BTreeMap::new();
+    for (line_number, line) in lines {
+        let wrong = |detail: String| format!("line {line_number}: {detail}");
+        let cells = cells(line);
+        let cells: Vec<&str> = cells.iter().map(String::as_str).collect();
+        if cells.len() != header.len() {
+            return Err(wrong(format!("{} cells, the header has {}", cells.len(), header.len())));
+        }
+        if rows.insert(cells[0].to_owned(), row(&header, &cells).map_err(wrong)?).is_some() {
+            return Err(wrong(format!("'{}' stands in the table twice", cells[0])));
+        }
+    }
+    Ok(rows)
+}

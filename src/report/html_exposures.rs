@@ -105,6 +105,13 @@ fn circumstances(page: &mut String, pair: &Pair, standing: Standing) {
             innovation.turn_deg
         ));
     }
+    if let Some(tip) = &pair.tip {
+        let ([u, v], [sigma_u, sigma_v]) = (tip.off_mm, tip.sigma_mm);
+        item(format!(
+            "drill's tip, seen minus drawn: {u:+.2} ± {sigma_u:.2}, {v:+.2} ± {sigma_v:.2} mm across, {:.2} mm in all ({} profiles)",
+            tip.length_mm, tip.profiles
+        ));
+    }
     if let Some(gap_us) = pair.gap_us {
         item(format!("telemetry answers span a gap of {:.1} ms", gap_us as f64 * 1e-3));
     }

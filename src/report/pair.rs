@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use super::canvas::Rgb;
 use super::colour;
+use crate::calibrate::robot::SeenTip;
 use crate::compare::{AirReport, Comparison, Elsewhere, NullPlan, NullScore, Scores, ToneFit, elsewhere};
 use crate::mask::MaskShares;
 use crate::time::StageTimes;
@@ -153,6 +154,9 @@ pub struct Pair {
     /// Telemetry against the beads, where both have a pose.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub innovation: Option<Innovation>,
+    /// Where the frame shows the drill's tip, against where the DRR draws it; absent where the robot is not seen.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tip: Option<SeenTip>,
     /// How the images agree.
     pub scores: Scores,
     /// Each score against its null; empty when it was not made.
@@ -220,6 +224,7 @@ impl Pair {
             rms_px: None,
             rms_mm: None,
             innovation: None,
+            tip: None,
             scores: Scores::default(),
             null: BTreeMap::new(),
             null_plan: None,

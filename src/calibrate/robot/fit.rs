@@ -21,7 +21,7 @@ const LEAST_SHOTS: usize = 2;
 /// Beams of two directions.
 const LEAST_SPREAD_DEG: f64 = 10.0;
 /// A robot is seen in a shot that has as many marks.
-const LEAST_MARKS: usize = 12;
+pub(super) const LEAST_MARKS: usize = 12;
 /// Of each round, how far from the prediction is looked, mm; what it brings is less than a step of the next.
 const REACHES_MM: [f64; 8] = [5.0, 4.0, 3.0, 2.5, 2.0, 2.0, 2.0, 2.0];
 /// Rounds without the drill's end, whose profile must lie on the drill.
@@ -72,11 +72,12 @@ pub struct RobotFit {
     pub own_bends_deg: Vec<[f64; OWN]>,
 }
 
-struct Fitting<'a> {
-    robot: &'a Robot,
-    metal: Metal,
-    start: State,
-    assumed: &'a Assumed,
+/// What all rounds of a fit share.
+pub(super) struct Fitting<'a> {
+    pub robot: &'a Robot,
+    pub metal: Metal,
+    pub start: State,
+    pub assumed: &'a Assumed,
 }
 
 /// Fits base and offsets to shots; `scene` has the robot, with its base where it is guessed to be.
@@ -134,7 +135,7 @@ pub fn calibrate(shots: &[Shot], scene: &Scene, assumed: &Assumed) -> Result<Rob
 
 impl Fitting<'_> {
     /// Searches, then measures and solves in turn.
-    fn rounds(&self, shots: &[&Shot]) -> Result<(Solution, Vec<Vec<Mark>>), RobotFitError> {
+    pub fn rounds(&self, shots: &[&Shot]) -> Result<(Solution, Vec<Vec<Mark>>), RobotFitError> {
         let (model, assumed) = (&self.robot.model, self.assumed);
         let start = State { own_deg: vec![[0.0; OWN]; shots.len()], ..self.start.clone() };
         let guess = (assumed.guess_sigma_mm, assumed.guess_sigma_deg);

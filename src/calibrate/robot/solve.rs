@@ -34,8 +34,9 @@ pub(super) struct Fitted {
     pub residuals_px: Vec<f64>,
     /// By how much its whole picture is shifted against its pose, px.
     pub shift_px: [f64; 2],
-    /// Of the own bend, deg².
-    pub own_covariance: DMatrix<f64>,
+    /// Covariance of (ω, v) of the base about the robot's middle along the carrier's axes, rad and mm; of the own bend, deg; and of the
+    /// picture's shift, px.
+    pub joint: DMatrix<f64>,
 }
 
 /// A solution with its covariance, not scaled.
@@ -71,6 +72,11 @@ pub(super) fn solve(
     Ok(last)
 }
 
+/// The point about which the base is turned, in `base`.
+pub(super) fn middle(model: &RobotModel) -> DVec3 {
+    DVec3::new(0.0, 0.0, 0.5 * length_mm(model))
+}
+
 struct Blocks {
     own: VectorBlock,
     shift: VectorBlock,
@@ -89,7 +95,7 @@ fn weighed(
     assumed: &Assumed,
 ) -> Result<Solution, EstimateError> {
     let mut problem = Problem::new();
-    let middle = DVec3::new(0.0, 0.0, 0.5 * length_mm(model));
+    let middle = middle(model);
     let base = problem.pose("carrier_from_base", state.carrier_from_base, middle, true);
     let offsets = problem.vector("control_angle_offsets", &state.offsets_deg, Freedom::All);
     problem.add(Reading::with_sigmas(offsets, &start.offsets_deg, &[assumed.offset_sigma_deg; CONTROL_COUNT]), Loss::None);
@@ -155,7 +161,7 @@ fn weighed(
             rms_px: (squares / residuals_px.len().max(1) as f64).sqrt(),
             residuals_px,
             shift_px: [shift[0], shift[1]],
-            own_covariance: covariance.of(&[blocks.own.id()]),
+            joint: covariance.of(&[base.id(), blocks.own.id(), blocks.shift.id()]),
         }
     };
     let fitted: Vec<Fitted> = blocks.iter().enumerate().map(of_shot).collect();

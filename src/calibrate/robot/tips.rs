@@ -56,7 +56,7 @@ pub(super) struct Seen {
     beam_in_base: DVec3,
 }
 
-fn tip_px(model: &RobotModel, shot: &Shot, state: &State, own_deg: &[f64; OWN]) -> Option<(DVec2, f64)> {
+pub(super) fn tip_px(model: &RobotModel, shot: &Shot, state: &State, own_deg: &[f64; OWN]) -> Option<(DVec2, f64)> {
     let shape = shape(model, shot, &state.offsets_deg, own_deg)?;
     shot.image(shot.lps_from_carrier.transform_point(state.carrier_from_base.transform_point(shape.base_from_tip.translation_mm)))
 }
@@ -77,7 +77,7 @@ pub(super) fn tip(model: &RobotModel, shot: &Shot, state: &State, n: usize, fitt
         let slope = (at(STEP_DEG)? - at(-STEP_DEG)?) * (mm_per_px / (2.0 * STEP_DEG));
         (by_own[(0, k)], by_own[(1, k)]) = (slope.x, slope.y);
     }
-    let own_covariance = SMatrix::<f64, OWN, OWN>::from_fn(|i, j| fitted.own_covariance[(i, j)]);
+    let own_covariance = SMatrix::<f64, OWN, OWN>::from_fn(|i, j| fitted.joint[(6 + i, 6 + j)]);
     let covariance_mm2 = by_own * own_covariance * by_own.transpose() * scale;
     let along = if off.length() > 0.0 { off.normalize() } else { DVec2::X };
     let variance = |a: DVec2, b: DVec2| {

@@ -4,6 +4,7 @@
 use glam::DVec2;
 use rayon::prelude::*;
 use sidecarm::image::Image;
+use sidecarm::mask::{FieldShape, HalfPlane};
 use sidecarm::random::{Purpose, Stream};
 
 use crate::mask_matter::draw_anatomy;
@@ -20,6 +21,8 @@ pub struct Drawn {
     pub penumbra_px: f64,
     /// Along half of the edge or more, inside and outside cannot be told apart on 8 × 8 pixels.
     pub faint: bool,
+    /// The straight blades: what telemetry would tell.
+    pub told: FieldShape,
     /// Which parts and numbers were drawn, for people.
     pub note: String,
 }
@@ -335,6 +338,10 @@ pub fn draw_frame(seed: u64, collimated: bool) -> Drawn {
         "{width}x{height} {shape} {domain_name} penumbra {penumbra_px:.1} air {air:.0} readout {readout:.1} leak {leak:.4} scatter {scatter:.3} glare {glare:.3}/{glare_px:.0} mean {anatomy_mean:.3} paint {paint:?}"
     );
     Drawn {
+        told: FieldShape {
+            half_planes: blades.planes.iter().map(|&(normal, limit_px)| HalfPlane { normal, limit_px }).collect(),
+            ..FieldShape::default()
+        },
         pixels,
         larger_is_more_attenuation: matches!(
             domain,

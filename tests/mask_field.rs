@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use sidecarm::image::Image;
-use sidecarm::mask::{Field, find_field};
+use sidecarm::mask::{Field, FieldShape, HalfPlane, find_field, find_told_field};
 
 use crate::mask_draw::{Drawn, draw_frame, frame_size};
 
@@ -255,4 +255,40 @@ fn many() {
     table(&scores);
     let wrong = scores.iter().filter(|score| score.open_flagged >= 0.02).count();
     assert!(wrong as f64 <= 0.01 * scores.len() as f64, "{wrong} of {} frames lose open anatomy", scores.len());
+}
+
+/// Blades that telemetry tells of are looked at where the picture alone suggests none; what it tells of an open frame is not believed.
+#[test]
+fn blades_that_somebody_tells_of_are_found_and_invented_ones_are_not() {
+    let (mut alone, mut told, mut wrong) = (0, 0, 0);
+    for seed in 3000..3400 {
+        let drawn = draw_frame(seed, true);
+        if drawn.faint || drawn.told.half_planes.is_empty() {
+            continue;
+        }
+        let find = |told: &FieldShape| {
+            let field = find_told_field(&drawn.pixels, drawn.larger_is_more_attenuation, drawn.domain == "display", told);
+            let shares = marked(&drawn, field.as_ref());
+            (usize::from(shares.shut_flagged >= 0.98), usize::from(shares.open_flagged >= 0.02))
+        };
+        let (without, with) = (find(&FieldShape::default()), find(&drawn.told));
+        if without != with {
+            println!("seed {seed}: {without:?} {with:?} {} {}", drawn.shape, drawn.domain);
+        }
+        (alone, told, wrong) = (alone + without.0, told + with.0, wrong + with.1.saturating_sub(without.1));
+    }
+    println!("whole fields found: {alone} alone, {told} told, {wrong} wrong only when told");
+    assert!(told > alone && wrong == 0, "{alone} {told} {wrong}");
+    for seed in 3000..3012 {
+        let drawn = draw_frame(seed, false);
+        let size = glam::DVec2::new(drawn.pixels.width as f64, drawn.pixels.height as f64);
+        let half_planes = vec![
+            HalfPlane { normal: glam::DVec2::NEG_X, limit_px: -0.15 * size.x },
+            HalfPlane { normal: glam::DVec2::Y, limit_px: 0.8 * size.y },
+        ];
+        let invented = FieldShape { half_planes, ..FieldShape::default() };
+        let field = find_told_field(&drawn.pixels, drawn.larger_is_more_attenuation, drawn.domain == "display", &invented);
+        let shares = marked(&drawn, field.as_ref());
+        assert!(shares.open_flagged < 0.02, "seed {seed}: {:?}", field.map(|field| field.description));
+    }
 }

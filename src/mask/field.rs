@@ -41,6 +41,18 @@ const MOST_JUDGED: usize = 28;
 /// `may_be_bright`: a console may have painted what is shut as bright as open air, as only processed frames have it.
 #[must_use]
 pub fn find_field(pixels: &Image<f32>, larger_is_more_attenuation: bool, may_be_bright: bool) -> Option<Field> {
+    find_told_field(pixels, larger_is_more_attenuation, may_be_bright, &FieldShape::default())
+}
+
+/// [`find_field`], where somebody says that the edges of `told` are there: they are looked at as those that the picture suggests, and taken
+/// only if it shows them.
+#[must_use]
+pub fn find_told_field(
+    pixels: &Image<f32>,
+    larger_is_more_attenuation: bool,
+    may_be_bright: bool,
+    told: &FieldShape,
+) -> Option<Field> {
     let (width, height) = (pixels.width, pixels.height);
     if width < SMALLEST_PX || height < SMALLEST_PX || pixels.pixels.len() != width * height {
         return None;
@@ -49,10 +61,11 @@ pub fn find_field(pixels: &Image<f32>, larger_is_more_attenuation: bool, may_be_
     let factor = width.max(height).div_ceil(LARGEST_PX);
     let (shape, penumbra_px) = if factor > 1 {
         let coarse = block_means(pixels, &pixels.map(|value| value.is_finite()), factor).0;
-        let (shape, penumbra_px) = outline_of(&coarse, larger_is_more_attenuation, may_be_bright)?;
+        let (shape, penumbra_px) =
+            outline_of(&coarse, larger_is_more_attenuation, may_be_bright, &told.enlarged(1.0 / factor as f64))?;
         (shape.enlarged(factor as f64), penumbra_px * factor as f64)
     } else {
-        outline_of(pixels, larger_is_more_attenuation, may_be_bright)?
+        outline_of(pixels, larger_is_more_attenuation, may_be_bright, told)?
     };
     let margin_px = penumbra_px / 2.0 + 0.5 * factor as f64;
     let description = format!("{}; penumbra {:.0} px", shape.describe(width, height), penumbra_px);
@@ -60,13 +73,18 @@ pub fn find_field(pixels: &Image<f32>, larger_is_more_attenuation: bool, may_be_
 }
 
 /// The field's outline and the width of its penumbra.
-fn outline_of(pixels: &Image<f32>, larger_is_more_attenuation: bool, may_be_bright: bool) -> Option<(FieldShape, f64)> {
+fn outline_of(
+    pixels: &Image<f32>,
+    larger_is_more_attenuation: bool,
+    may_be_bright: bool,
+    told: &FieldShape,
+) -> Option<(FieldShape, f64)> {
     let signal = Signal::new(pixels, larger_is_more_attenuation)?;
     let cells = Cells::new(&signal);
-    let dark = outline(&signal, &cells, &thresholds(&cells));
+    let dark = outline(&signal, &cells, &thresholds(&cells), told);
     let painted = paint_of(&cells).map(f32::from_bits).and_then(|paint| {
         let unlike = signal.unlike(paint);
-        let mut found = outline(&unlike, &Cells::new(&unlike), &[0.5])?;
+        let mut found = outline(&unlike, &Cells::new(&unlike), &[0.5], told)?;
         found.round_corners(&unlike);
         (!signal.is_bright(paint) || may_be_bright && found.is_no_saturated_air()).then_some(found)
     });
@@ -122,7 +140,7 @@ fn paint_of(cells: &Cells) -> Option<u32> {
     (longest.len() * 20 >= columns + rows).then(|| longest[0])
 }
 
-fn outline(signal: &Signal, cells: &Cells, thresholds: &[f32]) -> Option<Outline> {
+fn outline(signal: &Signal, cells: &Cells, thresholds: &[f32], told: &FieldShape) -> Option<Outline> {
     let found: Vec<_> = thresholds
         .par_iter()
         .filter_map(|&threshold| {
@@ -139,8 +157,8 @@ fn outline(signal: &Signal, cells: &Cells, thresholds: &[f32]) -> Option<Outline
     let none = FieldShape::default();
     let least_px = SHORT_SHARE * shortest;
     let alone = Terms { shape: &none, search_px, least_px, shut_level: None };
-    let lines: Vec<Edge> =
-        lines.into_iter().chain(border_lines(signal.pixels.width, signal.pixels.height)).map(Edge::Line).collect();
+    let suggested = lines.into_iter().chain(border_lines(signal.pixels.width, signal.pixels.height));
+    let lines: Vec<Edge> = suggested.chain(told.half_planes.iter().copied()).map(Edge::Line).collect();
     let mut judged: Vec<Judged> = lines
         .par_iter()
         .copied()

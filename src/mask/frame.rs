@@ -1,7 +1,8 @@
 //! What a frame alone says of its pixels.
 
-use super::field::find_field;
+use super::field::find_told_field;
 use super::layers::{Cause, Masks};
+use super::shape::FieldShape;
 use super::text::burned_in;
 use crate::acquire::panel_maps::{AT_LOW_END, BURNED_IN, DEAD, HOT, SATURATED, UNSTABLE};
 use crate::acquire::{Domain, Frame};
@@ -10,10 +11,16 @@ use crate::image::{Image, zip};
 /// Masks that the acquired frame alone decides, at its full size.
 #[must_use]
 pub fn of_frame(frame: &Frame) -> Masks {
+    of_told_frame(frame, &FieldShape::default())
+}
+
+/// [`of_frame`], where telemetry says that the edges of `told` are there.
+#[must_use]
+pub fn of_told_frame(frame: &Frame, told: &FieldShape) -> Masks {
     let pixels = &frame.pixels;
     let mut masks = Masks::default();
     masks.add(Cause::Invalid, pixels.map(|v| !v.is_finite()));
-    if let Some(field) = find_field(pixels, frame.larger_is_more_attenuation(), frame.domain.is_gray()) {
+    if let Some(field) = find_told_field(pixels, frame.larger_is_more_attenuation(), frame.domain.is_gray(), told) {
         masks.field = Some(field.description);
         masks.add(Cause::Collimation, field.outside);
     }

@@ -22,9 +22,9 @@ mod frame;
 mod layers;
 mod text;
 
-pub use field::{Field, find_field};
+pub use field::{Field, find_field, find_told_field};
 pub use fill::fill;
-pub use frame::of_frame;
+pub use frame::{of_frame, of_told_frame};
 pub use layers::{Cause, MaskShares, Masks, REQUIRED_SHARE, any_in_block, discs};
 pub use shape::{Disc, FieldShape, HalfPlane};
 pub use text::{Component, components};

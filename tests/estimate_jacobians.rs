@@ -55,7 +55,7 @@ fn start() -> Start {
             pose: Rigid::exp(DVec3::new(-0.1, 0.4, 0.2), DVec3::new(3.0, 7.0, -5.0)),
             pivot_mm: DVec3::new(-6.0, 2.0, 1.0),
         },
-        vectors: [vec![5257.0, 5240.0, 3.0, 509.0, 515.0], vec![50.0, -40.0, 30.0], vec![0.8, -3.0, 0.02, -0.01]],
+        vectors: [vec![5257.0, 5240.0, 3.0, 509.0, 515.0], vec![50.0, -40.0, 30.0], vec![0.8, -3.0, 0.02, -0.01, 0.6]],
     }
 }
 
@@ -120,7 +120,7 @@ fn jacobians_are_finite_differences() {
             }
         }
     }
-    assert_eq!(compared, 2 * 24 + 36);
+    assert_eq!(compared, 2 * 25 + 36);
     // Linear: readings of K's cx, fx and skew, short by the lens's fourth, first and third number.
     let mut problem = Problem::new();
     let joints = problem.vector("joints", &[10.0, 20.0, 30.0], Freedom::All);

@@ -62,8 +62,8 @@ impl BeadImage {
         self
     }
 
-    /// The lens distorts: k1, k2, p1, p2 of Brown (1971), "Close-range camera calibration", on the plane z = 1:
-    /// x ← x (1 + k1 r² + k2 r⁴) + 2 p1 x y + p2 (r² + 2 x²), y likewise with p1 and p2 exchanged.
+    /// The lens distorts: k1, k2, p1, p2 of Brown (1971), "Close-range camera calibration", and s, an S distortion, on the plane z = 1:
+    /// x ← x (1 + k1 r² + k2 r⁴) + 2 p1 x y + p2 (r² + 2 x²) − s r² y, y likewise with p1 and p2 exchanged, and + s r² x.
     #[must_use]
     pub fn through(mut self, lens: VectorBlock) -> Self {
         self.lens = Some(lens);
@@ -81,30 +81,33 @@ impl BeadImage {
     }
 }
 
-/// A point through the lens: where it goes, the 2×2 derivative by the point, rows, and by k1, k2, p1, p2.
+/// A point through the lens: where it goes, the 2×2 derivative by the point, rows, and by k1, k2, p1, p2, s.
 struct Bent {
     at: DVec2,
     by_point: [[f64; 2]; 2],
-    by_lens: [[f64; 4]; 2],
+    by_lens: [[f64; 5]; 2],
 }
 
 fn bend(p: DVec2, lens: Option<&[f64]>) -> Bent {
-    let Some(&[k1, k2, p1, p2]) = lens.and_then(|numbers| numbers.first_chunk()) else {
-        return Bent { at: p, by_point: [[1.0, 0.0], [0.0, 1.0]], by_lens: [[0.0; 4]; 2] };
+    let Some(&[k1, k2, p1, p2, s]) = lens.and_then(|numbers| numbers.first_chunk()) else {
+        return Bent { at: p, by_point: [[1.0, 0.0], [0.0, 1.0]], by_lens: [[0.0; 5]; 2] };
     };
     let DVec2 { x, y } = p;
     let r2 = x * x + y * y;
     let (radial, slope) = (1.0 + (k1 + k2 * r2) * r2, 2.0 * k1 + 4.0 * k2 * r2);
     let at = DVec2::new(
-        x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
-        y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+        x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) - s * r2 * y,
+        y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y + s * r2 * x,
     );
     let mixed = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y;
     let by_point = [
-        [radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x, mixed],
-        [mixed, radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x],
+        [radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x - 2.0 * s * x * y, mixed - s * (r2 + 2.0 * y * y)],
+        [mixed + s * (r2 + 2.0 * x * x), radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x + 2.0 * s * x * y],
     ];
-    let by_lens = [[x * r2, x * r2 * r2, 2.0 * x * y, r2 + 2.0 * x * x], [y * r2, y * r2 * r2, r2 + 2.0 * y * y, 2.0 * x * y]];
+    let by_lens = [
+        [x * r2, x * r2 * r2, 2.0 * x * y, r2 + 2.0 * x * x, -y * r2],
+        [y * r2, y * r2 * r2, r2 + 2.0 * y * y, 2.0 * x * y, x * r2],
+    ];
     Bent { at, by_point, by_lens }
 }
 
@@ -189,7 +192,7 @@ impl Residual for BeadImage {
         }
         if let Some(lens) = self.lens {
             let [x, y] = bent.by_lens;
-            let along = |row: [f64; 2]| -> [f64; 4] { std::array::from_fn(|n| row[0] * x[n] + row[1] * y[n]) };
+            let along = |row: [f64; 2]| -> [f64; 5] { std::array::from_fn(|n| row[0] * x[n] + row[1] * y[n]) };
             let (u, v) = (along([fx, skew]), along([0.0, fy]));
             rows(self.place_of(lens.id), [&u, &v]);
         }

@@ -79,6 +79,7 @@ impl Case<'_> {
         if let Some(refusal) = self.other_intrinsics(last) {
             return Err(refusal);
         }
+        self.check_lens(last, &mut cautions)?;
         self.check_radii(last, &mut cautions)?;
         self.check_second(last, hypothesis, unexplained, &mut cautions)?;
         self.check_prior(last, &mut cautions)?;

@@ -13,6 +13,7 @@ mod file;
 mod flat;
 mod intrinsics_file;
 mod judge;
+mod lens;
 mod on_panel;
 mod orientation;
 mod prior;

@@ -89,6 +89,14 @@ pub enum Refusal {
     /// Correspondences that cannot be kept.
     #[error("correspondences: {detail}")]
     Correspondences { detail: String },
+    /// The picture is not straight.
+    #[error(
+        "distorted: the beads agree to {bent_px:.2} px instead of {given_px:.2} px if the picture is distorted by {shift_px:.1} px at the outermost of them; calibrate the intensifier or lens (calibrate intensifier) and give --distortion"
+    )]
+    Distorted { given_px: f64, bent_px: f64, shift_px: f64 },
+    /// What the image intensifier did to the frame is not known.
+    #[error("distortion: {detail}")]
+    Distortion { detail: String },
     /// Hardly anything in the frame.
     #[error(
         "too_few_shadows: {found} bead-like shadows in the frame, {required} are needed; open the collimator, raise the dose, or check --bead-radius"

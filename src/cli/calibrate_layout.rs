@@ -7,7 +7,7 @@ use clap::Args;
 use super::calibrate_layout_error::CalibrateShotsError;
 use super::calibrate_layout_shots::{self, ShotsArgs};
 use crate::beads::{BeadsError, read_landmarks, read_markups};
-use crate::calibrate::layout::{LayoutScore, Planned, SelfMatch, score};
+use crate::calibrate::layout::{LayoutScore, Planned, SelfMatch, map, score};
 use crate::image::{ImageFileError, refuse_overwrite, write_atomically};
 use crate::pose::{IntrinsicsFile, PoseFileError};
 use crate::reporter::Reporter;
@@ -19,7 +19,7 @@ use crate::reporter::Reporter;
   sidecarm calibrate layout shot-*.dcm --joints joints.csv --calibration lab-3.json --distance bead-01 bead-09 120.4 --out phantom.mrk.json
   sidecarm calibrate layout a.dcm b.dcm c.dcm --prior a.json --prior b.json --prior c.json --intrinsics K.json --out phantom.mrk.json
   sidecarm calibrate layout --score beads.mrk.json
-  sidecarm calibrate layout --score beads.mrk.json --intrinsics K.json --orbital=-30,0,30,60,90 --angulation=-20,0,20 --json
+  sidecarm calibrate layout --score beads.mrk.json --intrinsics K.json --orbital=-30,0,30,60,90 --angulation=-20,0,20 --map map.svg
 
 SHOTS are three or more frames, better six to eight over 60 degrees or more, of one phantom that lies still. Which shadow is which bead is found out;
 roughly where the cameras were must be stated: the joints at the exposures, as `calibrate carm` takes them (frame,lift_mm,wig_wag_deg,
@@ -60,6 +60,9 @@ pub struct LayoutArgs {
     /// Points at which the uncertainty is wanted: a 3D Slicer point list
     #[arg(long, value_name = "L.mrk.json")]
     pub landmarks: Option<PathBuf>,
+    /// With --score and --intrinsics: the predictions over all planned views as a picture
+    #[arg(long, value_name = "MAP.svg", requires_all = ["score", "intrinsics"])]
+    pub map: Option<PathBuf>,
     /// Print the result as JSON instead of a table
     #[arg(long)]
     pub json: bool,
@@ -123,7 +126,7 @@ pub fn run(args: &LayoutArgs, reporter: &Reporter) -> Result<u8, CalibrateLayout
         )?);
     };
     let inputs: Vec<&PathBuf> = std::iter::once(layout).chain(&args.intrinsics).chain(&args.landmarks).collect();
-    refuse_overwrite(&args.out.iter().collect::<Vec<_>>(), &inputs)?;
+    refuse_overwrite(&args.out.iter().chain(&args.map).collect::<Vec<_>>(), &inputs)?;
     let limits = [
         ("--tolerance", args.tolerance, 0.0, 50.0, "above 0, at most 50 mm"),
         ("--isocentre", args.isocentre, 0.0, 1.0, "between 0 and 1"),
@@ -145,6 +148,9 @@ pub fn run(args: &LayoutArgs, reporter: &Reporter) -> Result<u8, CalibrateLayout
     let text = serde_json::to_string_pretty(&found).unwrap_or_default();
     if let Some(out) = &args.out {
         write_atomically(out, |file| file.write_all(format!("{text}\n").as_bytes()))?;
+    }
+    if let (Some(path), Some(svg)) = (&args.map, map(&found.views)) {
+        write_atomically(path, |file| file.write_all(svg.as_bytes()))?;
     }
     if args.json {
         println!("{text}");

@@ -1,8 +1,10 @@
 //! What a bead layout is worth before it is used: does it resemble itself, is it flat, how well will it fix a pose.
 
+mod map;
 mod predict;
 mod resemble;
 
+pub use map::map;
 pub use predict::{Planned, PlannedView, predict};
 pub use resemble::{SelfMatch, self_match};
 

@@ -10,7 +10,7 @@ use sidecarm::record::{read_log, topic};
 use crate::live_lab::{HANG_S, Lab, Live};
 
 /// The kit's frames as the console would store them.
-fn pictures(lab: &Lab) -> Vec<Image<f32>> {
+pub fn pictures(lab: &Lab) -> Vec<Image<f32>> {
     let mut files: Vec<_> = std::fs::read_dir(lab.frames()).expect("frames").flatten().map(|entry| entry.path()).collect();
     files.sort();
     let pictures = files.iter().map(|path| read_frame(path, None).expect("reads").pixels).collect();
@@ -18,7 +18,7 @@ fn pictures(lab: &Lab) -> Vec<Image<f32>> {
     pictures
 }
 
-fn write_png16(path: &Path, picture: &Image<f32>) {
+pub fn write_png16(path: &Path, picture: &Image<f32>) {
     let values: Vec<u16> = picture.pixels.iter().map(|v| v.round().clamp(0.0, 65_535.0) as u16).collect();
     let buffer = image::ImageBuffer::<image::Luma<u16>, _>::from_raw(picture.width as u32, picture.height as u32, values);
     buffer.expect("size").save(path).expect("written");
@@ -58,7 +58,7 @@ fn binned(picture: &Image<f32>) -> Image<f32> {
 }
 
 /// Runs a session on what lies in the folder; gives the poses of the log, the pairs, and what was said.
-fn session(lab: &Lab, seconds: &str, change: impl FnOnce(&mut Value)) -> (Vec<Value>, Vec<Value>, String) {
+pub fn session(lab: &Lab, seconds: &str, change: impl FnOnce(&mut Value)) -> (Vec<Value>, Vec<Value>, String) {
     let file = lab.session("declared.json", |value| {
         value["robot"] = Value::Null;
         change(value);
@@ -76,7 +76,7 @@ fn session(lab: &Lab, seconds: &str, change: impl FnOnce(&mut Value)) -> (Vec<Va
     (poses, pairs["pairs"].as_array().expect("a list").clone(), said)
 }
 
-fn rows(matrix: &Value) -> Vec<Vec<f64>> {
+pub fn rows(matrix: &Value) -> Vec<Vec<f64>> {
     let row = |row: &Value| row.as_array().expect("a row").iter().map(|v| v.as_f64().expect("a number")).collect();
     matrix.as_array().expect("a matrix").iter().map(row).collect()
 }
@@ -88,7 +88,7 @@ fn project(matrix: &[Vec<f64>], point: &[f64]) -> [f64; 2] {
 
 /// How far, in panel pixels, each pose's landmarks lie from those of the truth's nearest frame; `on_panel` takes a frame's pixel to the
 /// panel's.
-fn errors_px(lab: &Lab, poses: &[Value], on_panel: impl Fn([f64; 2]) -> [f64; 2]) -> Vec<(usize, f64)> {
+pub fn errors_px(lab: &Lab, poses: &[Value], on_panel: impl Fn([f64; 2]) -> [f64; 2]) -> Vec<(usize, f64)> {
     let truth: Value = serde_json::from_slice(&std::fs::read(lab.kit.join("truth.json")).expect("truth")).expect("JSON");
     let landmarks: Vec<Vec<f64>> =
         truth["landmarks"].as_array().expect("named").iter().map(|l| rows(&json!([l["lps_mm"]])).remove(0)).collect();
@@ -195,6 +195,10 @@ fn a_wrong_word_in_a_session_is_named_before_the_first_exposure() {
         ("console", json!({"zoom": -1}), "zoom is -1"),
         ("detector", json!("nowhere.json"), "detector names nowhere.json"),
         ("detector", json!("flat.json"), "columns_px"),
+        ("intensifier", json!("nowhere.json"), "intensifier names nowhere.json"),
+        ("intensifier", json!("flat.json"), "intensifier"),
+        ("tags", json!("nowhere.json"), "tags names nowhere.json"),
+        ("tags", json!("flat.json"), "family"),
     ] {
         let mut session = json!({"frames": {"folder": "frames"}, "scene": "scene.json"});
         session[key] = value;
@@ -203,14 +207,14 @@ fn a_wrong_word_in_a_session_is_named_before_the_first_exposure() {
         assert!(error.contains(says), "{key}: {error}");
         cases += 1;
     }
-    assert_eq!(cases, 13);
-    // Its frames would not be undistorted, its DRRs would be distorted.
+    assert_eq!(cases, 17);
+    // Its angles would be those of one frame.
     let scene = path.with_file_name("distorting.json");
     std::fs::write(&scene, json!({"detector": {"intensifier": {"calibration": "ii.json"}}}).to_string()).expect("written");
     let session = json!({"frames": {"folder": "frames"}, "scene": "distorting.json"});
     std::fs::write(&path, session.to_string()).expect("written");
     let error = sidecarm::session::file::Setup::load(&path).expect_err("distorts").to_string();
-    assert!(error.contains("detector.intensifier") && error.contains("--distortion"), "{error}");
+    assert!(error.contains("detector.intensifier") && error.contains("\"intensifier\": \"FILE.json\""), "{error}");
     let twice = json!({"frames": {"folder": "frames", "domain": "log"}, "scene": "scene.json", "domain": "linear"});
     std::fs::write(&path, twice.to_string()).expect("written");
     assert!(sidecarm::session::file::Setup::load(&path).expect_err("two domains").to_string().contains("frames.domain"));

@@ -300,6 +300,8 @@ pub struct Verdict {
     finite: bool,
     predicted_ms: f64,
     taken_ms: f64,
+    /// Of the last image, by stage.
+    stages_ms: String,
     parts: Vec<&'static str>,
 }
 
@@ -364,6 +366,7 @@ fn evaluate(seed: u64) -> Verdict {
         predicted_ms,
         // The system's books are some milliseconds behind: of short images only the wall clock knows.
         taken_ms: if cpu_ms > 10.0 { wall_ms.min(cpu_ms) } else { wall_ms },
+        stages_ms: image.stages.iter().map(|(stage, ms)| format!("{stage} {ms:.2}")).collect::<Vec<_>>().join(", "),
         parts,
     }
 }

@@ -114,6 +114,7 @@ mod live_lab;
 mod session_faults;
 mod session_kill;
 mod session_late;
+mod session_optics;
 mod session_names;
 mod session_signals;
 mod replay_bad_logs;

@@ -30,7 +30,7 @@ fn is_white(id: usize, column: i32, row: i32) -> bool {
 }
 
 /// Whether the plate is dark at (x, y) mm from its centre; `None` off the plate.
-fn dark(id: usize, size_mm: f64, x: f64, y: f64) -> Option<bool> {
+pub fn dark(id: usize, size_mm: f64, x: f64, y: f64) -> Option<bool> {
     let cell = |v: f64| ((v / size_mm + 0.5) * 8.0).floor() as i32;
     let (column, row) = (cell(x), cell(y));
     if !(-1..9).contains(&column) || !(-1..9).contains(&row) {

@@ -73,6 +73,13 @@ pub fn exposure_mas(tags: &FrameTags) -> Option<f64> {
 }
 
 impl Frame {
+    /// Whether every pixel of the panel is one of the frame, and the other way round, as far as anybody declared.
+    #[must_use]
+    pub fn shows_whole_panel(&self) -> bool {
+        let stored = self.correction.as_ref().and_then(|correction| correction.stored.as_ref());
+        stored.is_none_or(|stored| stored.console.window(stored.size_px) == PanelWindow::WHOLE)
+    }
+
     /// The frame as it lies on the panel: quarter turns and mirroring undone pixel by pixel, declared writing marked, and what the
     /// console left empty beside a panel of `panel_px`, where that is known.
     #[must_use]

@@ -122,8 +122,7 @@ impl Seen {
 
     /// What the image intensifier did to the frame.
     pub fn intensifier(&self, path: &Path, typed_deg: &[f64]) -> Result<Intensifier, RegisterError> {
-        let stored = self.frame.correction.as_ref().and_then(|correction| correction.stored.as_ref());
-        if stored.is_some_and(|stored| stored.console.window(stored.size_px) != PanelWindow::WHOLE) {
+        if !self.frame.shows_whole_panel() {
             return Err(RegisterError::DistortedAndCut);
         }
         let at = || {

@@ -188,12 +188,7 @@ impl Intensifier {
     /// # Errors
     /// When that is no other size of the same picture.
     pub fn for_size(&self, size_px: [u32; 2]) -> Result<Self, IntensifierError> {
-        let scale = f64::from(size_px[0]) / f64::from(self.size_px[0]);
-        let rows = f64::from(self.size_px[1]) * scale;
-        // Binning drops what is left over: less than a pixel.
-        if !(scale > 0.0 && (rows - f64::from(size_px[1])).abs() < 1.0) {
-            return Err(IntensifierError::Size { expected: self.size_px, found: size_px });
-        }
+        let scale = scale(self.size_px, size_px)?;
         Ok(Self {
             size_px,
             distortion: self.distortion.scaled(scale),
@@ -203,7 +198,24 @@ impl Intensifier {
     }
 }
 
+/// How much larger one size of a picture is than another.
+fn scale(expected: [u32; 2], found: [u32; 2]) -> Result<f64, IntensifierError> {
+    let scale = f64::from(found[0]) / f64::from(expected[0]);
+    let rows = f64::from(expected[1]) * scale;
+    // Binning drops what is left over: less than a pixel.
+    let same = scale > 0.0 && (rows - f64::from(found[1])).abs() < 1.0;
+    if same { Ok(scale) } else { Err(IntensifierError::Size { expected, found }) }
+}
+
 impl IntensifierCalibration {
+    /// Whether pictures of `size_px` are another size of those it was measured in.
+    ///
+    /// # Errors
+    /// When they are not.
+    pub fn check_size(&self, size_px: [u32; 2]) -> Result<(), IntensifierError> {
+        scale(self.size_px, size_px).map(drop)
+    }
+
     /// Reads a file, which errors leave to the caller to name.
     ///
     /// # Errors

@@ -10,6 +10,7 @@ use super::declared::Declared;
 use super::file::Setup;
 use super::posing::Posed;
 use crate::beads::{Bead, BeadLayout};
+use crate::calibrate::robot::{SeenTip, tip_in_frame};
 use crate::compare::{CompareInput, Compared, NullError, NullRenders, bead_marks, compare, tool_mask};
 use crate::geometry::View;
 use crate::image::{Image, sha256_bytes};
@@ -193,6 +194,25 @@ impl Bench {
         }
     }
 
+    /// Where the frame shows the drill's tip; a DRR that draws it elsewhere says so. Pictures of an intensifier are not measured: profiles
+    /// across the robot are those of the picture as it is acquired.
+    fn look_for_tip(&self, posed: &Posed, scene: &Scene, pair: &mut Pair) {
+        if scene.robot.is_none() || posed.intensifier.is_some() {
+            return;
+        }
+        let watch = Stopwatch::start();
+        match tip_in_frame(&posed.frame, &posed.pose, scene) {
+            Ok(tip) => pair.tip = tip,
+            Err(error) => pair.flags.push(format!("the drill's tip was not looked for: {error}")),
+        }
+        pair.stages_ms.add("tip", watch.ms());
+        if let Some(tip) = pair.tip.filter(SeenTip::is_elsewhere) {
+            let words = format!("the drill's tip is seen {:.1} mm from where the DRR draws it", tip.length_mm);
+            self.reporter.warn("drill's tip", format!("{}: {words}", posed.label()));
+            pair.flags.push(words);
+        }
+    }
+
     /// The scene at the exposure: view, bodies, robot shape. A body that the scene does not know stays as it was scanned, and `flags` say so.
     fn scene_at(&self, posed: &Posed, view: View, flags: &mut Vec<String>) -> Result<Scene, String> {
         let mut places = posed.pose.places();
@@ -204,6 +224,7 @@ impl Bench {
             moved = self.scene.with_bodies(&places);
         }
         let mut scene = moved.map_err(|error| error.to_string())?.with_view(view);
+        scene.detector.panel.intensifier = posed.intensifier.as_deref().cloned();
         // Pixels that the console binned or enlarged are not the panel's; the panel stays where it is.
         let panel_px_per_px = posed.frame.correction.as_ref().map_or(0.0, |correction| correction.panel_px_per_px);
         if panel_px_per_px > 0.0 {
@@ -256,6 +277,7 @@ impl Bench {
             Err(error) => developed.pair.flags.push(error.to_string()),
         }
         developed.pair.stages_ms.add("null", watch.ms());
+        self.look_for_tip(&developed.posed, &scene, &mut developed.pair);
         developed.strip = Arc::new(draw(&developed.posed, &developed.pair, Some(&compared), None));
         developed.compared = Some(Arc::new(compared));
         Some(developed)
@@ -307,6 +329,9 @@ fn row(posed: &Posed) -> Pair {
         (false, _) => PairStatus::Refused,
     };
     pair.flags.extend(posed.warnings.iter().chain(&posed.pose.cautions).cloned());
+    if posed.pose.is_accepted() && !posed.pose.beads.iter().any(|bead| bead.used) {
+        pair.flags.push("the pose is that of tags alone".to_owned());
+    }
     pair.flags.extend(posed.binding.flags.iter().map(ToString::to_string));
     pair.rms_px = posed.pose.rms_px.filter(|_| posed.pose.is_accepted());
     pair.rms_mm = posed.pose.rms_mm.filter(|_| posed.pose.is_accepted());

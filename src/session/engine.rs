@@ -14,6 +14,7 @@ use super::import::Import;
 use super::posing::{Bound, Known, PoseJob, Posed, Registered};
 use super::tie::SpecimenTie;
 use crate::acquire::Frame;
+use crate::beads::tags::TagLayout;
 use crate::beads::{BeadLayout, Landmark};
 use crate::geometry::Rigid;
 use crate::reporter::Reporter;
@@ -141,11 +142,12 @@ pub struct Engine {
 }
 
 impl Engine {
-    /// `layout` holds the specimen's beads; without them every frame falls back to telemetry.
+    /// `layout` holds the specimen's beads; without them and without tags every frame falls back to telemetry.
     #[must_use]
     pub fn new(setup: Arc<Setup>, layout: Option<Arc<BeadLayout>>, reporter: Reporter) -> Self {
         let rigid = |rows: Option<[[f64; 4]; 4]>| rows.and_then(|rows| Rigid::from_rows(&rows).ok());
-        let centre = layout.as_ref().map(|layout| layout.centroid_lps_mm()).unwrap_or_default();
+        let of_tags = setup.tags.as_ref().map(TagLayout::centre_lps_mm);
+        let centre = layout.as_ref().map(|layout| layout.centroid_lps_mm()).or(of_tags).unwrap_or_default();
         let tie = SpecimenTie::new(rigid(setup.session.world_from_lps), centre);
         let world_from_tracker = rigid(setup.session.world_from_tracker);
         let present = [(DeviceKind::Carm, setup.carm.is_some()), (DeviceKind::Robot, setup.robot.is_some())];

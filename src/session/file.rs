@@ -6,59 +6,13 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::declared::AirWord;
+pub use super::file_error::SessionFileError;
 use super::inputs::LoggedInput;
 use crate::acquire::{DetectorCalibration, Domain, Frame};
+use crate::beads::tags::{TagLayout, read_tags};
 use crate::beads::{Landmark, parse_landmarks};
 use crate::compare::Tone;
-use crate::geometry::{CarmCalibration, ConsoleGeometry, Rigid, RobotModel};
-
-/// Why a session cannot start.
-#[derive(Debug, thiserror::Error)]
-pub enum SessionFileError {
-    /// A file cannot be read.
-    #[error("{path}: {source}", path = path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// A file is not what it should be; `place` is the key.
-    #[error("{path}: at {place}: {detail}", path = path.display())]
-    Json {
-        /// The file.
-        path: PathBuf,
-        /// The key where it stands.
-        place: String,
-        /// What is wrong there.
-        detail: String,
-    },
-    /// A named file is nowhere.
-    #[error("{path}: {key} names {named}, which is neither beside the session file nor in the current folder", path = path.display())]
-    Missing {
-        /// The session file.
-        path: PathBuf,
-        /// The key.
-        key: &'static str,
-        /// What it names.
-        named: String,
-    },
-    /// The detector calibration.
-    #[error(transparent)]
-    Detector(#[from] crate::acquire::DetectorCalibrationError),
-    /// A value makes no sense.
-    #[error("{path}: {key} is {found}, expected {expected}", path = path.display())]
-    Value {
-        /// The file.
-        path: PathBuf,
-        /// The key.
-        key: &'static str,
-        /// What was found.
-        found: String,
-        /// What would be right.
-        expected: &'static str,
-    },
-}
+use crate::geometry::{CarmCalibration, ConsoleGeometry, IntensifierCalibration, PanelWindow, Rigid, RobotModel};
 
 /// The C-arm's line.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -149,6 +103,12 @@ pub struct SessionFile {
     /// The panel: a file of `calibrate detector`, or of `calibration/detector/`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub detector: Option<PathBuf>,
+    /// The image intensifier: a file of `calibrate intensifier`. K is that of the undistorted picture; DRRs are distorted as the frames are.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub intensifier: Option<PathBuf>,
+    /// AprilTags of the specimen, as `register --tags` reads them: they start the search for beads and are checked against it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tags: Option<PathBuf>,
 }
 
 /// Everything that decides what a session computes, embedded in its log without the names of folders ([`super::inputs`]): replay needs only
@@ -173,6 +133,12 @@ pub struct Setup {
     /// The detector calibration, maps included.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub detector: Option<Box<DetectorCalibration>>,
+    /// The image intensifier's calibration.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub intensifier: Option<Box<IntensifierCalibration>>,
+    /// The specimen's tags.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tags: Option<TagLayout>,
     /// In a log: the scene file and the files that it names, by the labels that stand in [`Setup::scene_json`].
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub inputs: Vec<LoggedInput>,
@@ -186,14 +152,14 @@ fn read_text(path: &Path) -> Result<String, SessionFileError> {
     std::fs::read_to_string(path).map_err(|source| SessionFileError::Io { path: path.to_owned(), source })
 }
 
-/// A distorted DRR beside poses that take the frame as straight would be wrong everywhere but in the middle.
+/// Angles of the scene's file would hold for one frame only.
 fn refuse_intensifier(scene: &Path, text: &str) -> Result<(), SessionFileError> {
     let distorts = |scene: serde_json::Value| scene.pointer("/detector/intensifier").is_some_and(|value| !value.is_null());
     if !serde_json::from_str(text).is_ok_and(distorts) {
         return Ok(());
     }
-    let detail = "a session does not undistort its frames in this version: leave it out of a session's scene, and give the calibration to \
-                  `register --distortion` and to the scene that `compare` gets";
+    let detail = "in a session the distortion follows the arm: leave it out of the scene and name the calibration in the session, \
+                  \"intensifier\": \"FILE.json\"";
     Err(SessionFileError::Json { path: scene.to_owned(), place: "detector.intensifier".to_owned(), detail: detail.to_owned() })
 }
 
@@ -275,8 +241,9 @@ impl Setup {
         };
         let scene_path = session.scene.clone();
         let (inputs, places) = Default::default();
+        let (landmarks, detector, intensifier, tags) = (None, None, None, None);
         let mut setup =
-            Self { session, carm, robot, scene_json, scene_path, beads, landmarks: None, detector: None, inputs, places };
+            Self { session, carm, robot, scene_json, scene_path, beads, landmarks, detector, intensifier, tags, inputs, places };
         setup.load_declared(path)?;
         Ok(setup)
     }
@@ -323,6 +290,27 @@ impl Setup {
             let found = locate(path, "detector", named)?;
             self.detector = Some(Box::new(DetectorCalibration::read(&found)?));
             session.detector = Some(found);
+        }
+        if let Some(named) = &session.intensifier {
+            let found = locate(path, "intensifier", named)?;
+            let read = IntensifierCalibration::read(&found);
+            let calibration = read.map_err(|error| place("intensifier", format!("{}: {error}", found.display())))?;
+            let of_carm = self.carm.as_ref().map(|carm| [carm.columns_px, carm.rows_px]);
+            let sized = of_carm.map_or(Ok(()), |size_px| calibration.check_size(size_px));
+            sized
+                .map_err(|error| place("intensifier", format!("{error}; the C-arm's calibration has columns_px and rows_px")))?;
+            if session.console.as_ref().is_some_and(|console| console.window(calibration.size_px) != PanelWindow::WHOLE) {
+                let detail = "a distortion is that of the whole picture, which this console crops, enlarges or turns; calibrate the \
+                              pictures as it stores them and leave \"console\" out";
+                return Err(place("intensifier", detail.to_owned()));
+            }
+            self.intensifier = Some(Box::new(calibration));
+            session.intensifier = Some(found);
+        }
+        if let Some(named) = &session.tags {
+            let found = locate(path, "tags", named)?;
+            self.tags = Some(read_tags(&found).map_err(|error| place("tags", error.to_string()))?);
+            session.tags = Some(found);
         }
         Ok(())
     }

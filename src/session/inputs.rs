@@ -50,6 +50,8 @@ impl InputNames {
             (session.carm.as_ref().map(|line| &line.calibration), "carm"),
             (session.robot.as_ref().map(|line| &line.model), "robot"),
             (session.detector.as_ref(), "detector"),
+            (session.intensifier.as_ref(), "intensifier"),
+            (session.tags.as_ref(), "tags"),
         ];
         let calibrations =
             calibrations.into_iter().filter_map(|(file, role)| file.map(|path| (path.as_path(), told(path, role))));
@@ -118,6 +120,8 @@ impl InputNames {
         session.beads = session.beads.as_deref().map(|path| told(path, "beads"));
         session.landmarks = session.landmarks.as_deref().map(|path| told(path, "landmarks"));
         session.detector = session.detector.as_deref().map(|path| told(path, "detector"));
+        session.intensifier = session.intensifier.as_deref().map(|path| told(path, "intensifier"));
+        session.tags = session.tags.as_deref().map(|path| told(path, "tags"));
         for (file, role) in [(&mut kept.beads, "beads"), (&mut kept.landmarks, "landmarks")] {
             if let Some((path, _)) = file {
                 *path = told(path, role);

@@ -189,6 +189,10 @@ impl SessionLog {
             let mark = |bead: &crate::pose::BeadResidual| {
                 let (projected_px, depth_mm) = projection.project(bead.lps_mm);
                 let detected_px = bead.image_px.map(glam::DVec2::from_array);
+                // On the picture as it was acquired.
+                let shown =
+                    |p: glam::DVec2| posed.intensifier.as_ref().map_or(Some(p), |through| through.distortion.distorted(p).ok());
+                let (projected_px, detected_px) = (shown(projected_px)?, detected_px.and_then(shown));
                 (depth_mm > 0.0).then(|| BeadMark { name: bead.name.clone(), detected_px, projected_px, radius_px: 4.0 })
             };
             let marks: Vec<BeadMark> = posed.pose.beads.iter().filter_map(mark).collect();

@@ -21,7 +21,9 @@ pub mod replay;
 mod background;
 mod develop;
 mod event;
+mod file_error;
 mod image_difference;
+mod intensifier;
 mod log;
 mod logged_frames;
 mod losses;
@@ -33,6 +35,7 @@ mod scribe;
 mod sources;
 mod stop;
 mod tie;
+mod told_field;
 mod tracks;
 mod workshop;
 

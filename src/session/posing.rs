@@ -5,10 +5,13 @@ use std::sync::Arc;
 use super::crosscheck::beam_at;
 use super::file::Setup;
 use super::import::Imported;
+use super::intensifier::seen_through;
 use super::tie::Disagreement;
+use super::told_field::told_field;
 use crate::acquire::Frame;
+use crate::beads::tags::find_tags;
 use crate::beads::{BeadLayout, Landmark};
-use crate::geometry::{CarmJoints, Intrinsics, Rigid, View};
+use crate::geometry::{CarmJoints, Intensifier, Intrinsics, Rigid, View};
 use crate::mask::{self, Masks};
 use crate::pose::{self, Pose, Prior, Refusal, Registration};
 use crate::report::PoseSource;
@@ -51,6 +54,8 @@ pub struct Posed {
     pub masks: Arc<Masks>,
     /// What the import had to say about the frame.
     pub warnings: Vec<String>,
+    /// What the image intensifier did to the frame; all places of the pose are those of the undistorted picture.
+    pub intensifier: Option<Arc<Intensifier>>,
     /// Which pose is used.
     pub pose_source: PoseSource,
     /// The view to render; absent without a pose.
@@ -181,6 +186,8 @@ pub struct PoseJob {
     development: u32,
     known: Known,
     warnings: Vec<String>,
+    /// What the intensifier did to the frame, or why that is not known.
+    intensifier: Option<Result<Arc<Intensifier>, String>>,
     pitch_mm: Option<f64>,
     intrinsics: Option<Intrinsics>,
     camera_from_world: Option<Rigid>,
@@ -200,9 +207,21 @@ impl PoseJob {
         let intrinsics = sized.as_ref().and_then(|carm| {
             carm.intrinsics(&bound.joints.unwrap_or(at_zero)).map_err(|error| reporter.warn("carm", error)).ok()
         });
-        let warnings = warnings.into_iter().map(|(_, detail)| detail).collect();
+        let mut warnings: Vec<String> = warnings.into_iter().map(|(_, detail)| detail).collect();
+        let calibration = known.setup.intensifier.as_deref();
+        let intensifier = calibration.map(|calibration| seen_through(calibration, &frame, bound.joints.as_ref()));
+        let note = match &intensifier {
+            Some(Err(reason)) => Some(format!("{}: {reason}", frame.name)),
+            Some(Ok(intensifier)) => intensifier.note.as_ref().map(|note| format!("{}: {note}", frame.name)),
+            None => None,
+        };
+        if let Some(note) = note {
+            reporter.warn("distortion", &note);
+            warnings.push(note);
+        }
         let pitch_mm = sized.map(|carm| carm.pitch_mm);
-        Self { bound: Bound { frame, ..bound }, development, known, warnings, pitch_mm, intrinsics, camera_from_world }
+        let bound = Bound { frame, ..bound };
+        Self { bound, development, known, warnings, intensifier, pitch_mm, intrinsics, camera_from_world }
     }
 
     /// Which frame.
@@ -215,7 +234,9 @@ impl PoseJob {
     #[must_use]
     pub fn run(self) -> Registered {
         let watch = Stopwatch::start();
-        let masks = mask::of_frame(&self.bound.frame);
+        let told = self.bound.beam.as_deref().zip(self.known.setup.carm.as_ref());
+        let told = told.map(|(beam, carm)| told_field(beam.field_mm, carm, &self.bound.frame)).unwrap_or_default();
+        let masks = mask::of_told_frame(&self.bound.frame, &told);
         self.register(masks, &watch)
     }
 
@@ -230,15 +251,36 @@ impl PoseJob {
             prior: prior.as_ref(),
             landmarks: &self.known.landmarks,
             bead_radius_mm: self.known.setup.session.bead_radius_mm,
+            distortion: self.intensifier.iter().flatten().next().map(|intensifier| &intensifier.distortion),
             ..Registration::new(size_px, layout)
         };
-        let mut pose = pose::register_masked(&registration, &self.bound.frame, &masks);
-        if self.known.layout.is_none() {
-            pose = pose.refused_for(Refusal::Layout { detail: "the session names no beads".to_owned() });
+        let mut pose = self.posed(&registration, &masks);
+        if let Some(Err(detail)) = &self.intensifier {
+            pose = pose.refused_for(Refusal::Distortion { detail: detail.clone() });
         }
         let mut stages = StageTimes::default();
         stages.add("register", watch.ms());
         Registered { job: self, pose, masks: Arc::new(masks), stages }
+    }
+
+    /// By the beads and tags that the session names.
+    fn posed(&self, registration: &Registration, masks: &Masks) -> Pose {
+        let frame = &self.bound.frame;
+        match (&self.known.setup.tags, self.known.layout.is_some()) {
+            (Some(tags), _) => match find_tags(frame, tags.family) {
+                Ok(seen) => pose::register_tagged(registration, frame, masks, tags, &seen),
+                Err(error) => {
+                    let mut pose = pose::register_masked(registration, frame, masks);
+                    pose.cautions.push(format!("tags were not looked for: {error}"));
+                    pose
+                }
+            },
+            (None, true) => pose::register_masked(registration, frame, masks),
+            (None, false) => {
+                let detail = "the session names no beads".to_owned();
+                pose::register_masked(registration, frame, masks).refused_for(Refusal::Layout { detail })
+            }
+        }
     }
 
     /// Camera in the specimen by telemetry alone.
@@ -266,8 +308,9 @@ impl Registered {
     /// A refusal in place of a result: running the job failed.
     #[must_use]
     pub fn failed(job: PoseJob, reason: &str) -> Self {
-        let known = Known { layout: None, ..job.known };
-        // Without beads and masks nothing is looked at again: whatever failed does not fail a second time.
+        let without_tags = Setup { tags: None, ..(*job.known.setup).clone() };
+        let known = Known { layout: None, setup: Arc::new(without_tags), ..job.known };
+        // Without beads, tags and masks nothing is looked at again: whatever failed does not fail a second time.
         let mut refused = PoseJob { known, ..job }.register(Masks::default(), &Stopwatch::start());
         refused.pose = refused.pose.refused_for(Refusal::Fault { detail: reason.to_owned() });
         refused
@@ -309,6 +352,7 @@ impl Registered {
             pose,
             masks,
             warnings: job.warnings,
+            intensifier: job.intensifier.and_then(Result::ok),
             pose_source,
             view,
             robot,

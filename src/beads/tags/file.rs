@@ -53,6 +53,15 @@ pub struct TagLayout {
     pub tags: Vec<Tag>,
 }
 
+impl TagLayout {
+    /// Mean of all corners.
+    #[must_use]
+    pub fn centre_lps_mm(&self) -> DVec3 {
+        let corners = self.tags.iter().flat_map(Tag::corners_lps_mm);
+        corners.sum::<DVec3>() / (CORNERS.len() * self.tags.len()).max(1) as f64
+    }
+}
+
 /// Why a file of tags is unusable.
 #[derive(Debug, thiserror::Error)]
 pub enum TagsFileError {

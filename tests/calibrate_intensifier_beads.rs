@@ -61,10 +61,7 @@ impl Lab {
         let mut normal = |s: f64| random.normal() * s;
         let turn = sidecarm::geometry::Rigid::exp(DVec3::new(normal(0.35), normal(0.35), normal(1.2)), DVec3::ZERO);
         let shift = DVec3::new(normal(12.0), normal(12.0), 690.0 + normal(25.0));
-        View {
-            camera_from_lps: sidecarm::geometry::Rigid::translation(shift) * turn,
-            ..synthetic::view(SIZE, SIZE, self.seed)
-        }
+        View { camera_from_lps: sidecarm::geometry::Rigid::translation(shift) * turn, ..synthetic::view(SIZE, SIZE, self.seed) }
     }
 
     fn pitch_mm(&self) -> f64 {
@@ -142,7 +139,10 @@ fn several_frames_of_one_phantom_straighten_the_picture() {
         println!("seed {seed}: held out {held_out_px:.3} px, law {law_px:.3} px up to {reach:.2} R, {spots} shadows");
         assert!(law_px <= LIMIT_PX && held_out_px <= 2.0 * LIMIT_PX, "seed {seed}: {law_px} {held_out_px}");
         assert!(reach > 0.8 && spots > 70 && calibration.order == 5, "seed {seed}: {reach} {spots}");
-        assert!(calibration.notes[0].starts_with(&format!("measured from 4 of 4 frames of a phantom of {beads}")), "{calibration:?}");
+        assert!(
+            calibration.notes[0].starts_with(&format!("measured from 4 of 4 frames of a phantom of {beads}")),
+            "{calibration:?}"
+        );
         // The frames' own gauge, without the similarity: the centre stays, and so do area and direction there.
         let distortion = calibration.at(None).expect("one view").distortion;
         let (centre, jacobian) = (distortion.centre_px(), distortion.jacobian(distortion.centre_px()));
@@ -161,10 +161,15 @@ fn frames_at_two_angles_give_two_distortions_and_a_frame_without_the_phantom_is_
     let turned = Law { s_rad: lab.law.s_rad + 0.03, ..lab.law };
     // Angles within a tenth of a degree are one.
     let at = |n: u64| [if n < 4 { 0.02 * n as f64 } else { 30.0 }, 0.0];
-    let mut frames: Vec<GridFrame> =
-        (0..8).map(|n| lab.frame(n, Some(at(n)), if n < 4 { &lab.law } else { &turned })).collect();
+    let mut frames: Vec<GridFrame> = (0..8).map(|n| lab.frame(n, Some(at(n)), if n < 4 { &lab.law } else { &turned })).collect();
     let mut blank = frames[0].clone();
-    blank.frame.pixels.pixels.iter_mut().enumerate().for_each(|(n, value)| *value = if *value > 0.0 { 900.0 + (n % 7) as f32 } else { 0.0 });
+    blank
+        .frame
+        .pixels
+        .pixels
+        .iter_mut()
+        .enumerate()
+        .for_each(|(n, value)| *value = if *value > 0.0 { 900.0 + (n % 7) as f32 } else { 0.0 });
     blank.frame.name = "blank".to_owned();
     frames.push(blank);
     let calibration = lab.calibrated(&frames).expect("two views");
@@ -173,7 +178,9 @@ fn frames_at_two_angles_give_two_distortions_and_a_frame_without_the_phantom_is_
     for (view, (own, other)) in [(&lab.law, &turned), (&turned, &lab.law)].into_iter().enumerate() {
         let (held_out_px, law_px, reach, spots) = judged(&calibration, own, view);
         let other_px = judged(&calibration, other, view).1;
-        println!("view {view}: held out {held_out_px:.3}, law {law_px:.3} px, other's law {other_px:.3} px, {reach:.2} R, {spots}");
+        println!(
+            "view {view}: held out {held_out_px:.3}, law {law_px:.3} px, other's law {other_px:.3} px, {reach:.2} R, {spots}"
+        );
         assert!(law_px <= LIMIT_PX && other_px > 2.0 * LIMIT_PX, "view {view}: {law_px} {other_px}");
     }
     let left_out = calibration.notes.iter().filter(|note| note.contains("is left out")).collect::<Vec<_>>();
@@ -235,7 +242,8 @@ fn a_specimen_is_registered_with_the_distortion_that_a_phantom_gave() {
     let k = json!({"intrinsics": view.intrinsics, "size_px": [SIZE, SIZE], "pitch_mm": lab.pitch_mm()});
     std::fs::write(folder.path().join("K.json"), k.to_string()).expect("written");
     let frames: Vec<&str> = names.iter().map(String::as_str).collect();
-    let calibrate = |more: &[&str]| sidecarm(&[&["calibrate", "intensifier"], frames.as_slice(), &["--domain", "linear"], more].concat());
+    let calibrate =
+        |more: &[&str]| sidecarm(&[&["calibrate", "intensifier"], frames.as_slice(), &["--domain", "linear"], more].concat());
     let phantom = ["--beads", "phantom.mrk.json", "--intrinsics", "K.json", "--out", "ii.json"];
     let made = calibrate(&[phantom.as_slice(), &["--json"]].concat());
     assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
@@ -259,7 +267,8 @@ fn a_specimen_is_registered_with_the_distortion_that_a_phantom_gave() {
         let output = sidecarm(&[&words, more, &["--out", "pose.json"]].concat());
         let pose = Pose::read(&folder.path().join("pose.json")).unwrap_or_else(|error| panic!("{error}: {}", said(&output)));
         let projection = pose.projection?;
-        let squares = specimen.beads.iter().map(|bead| projection.project(bead.lps_mm).0.distance_squared(truth.project(bead.lps_mm).0));
+        let squares =
+            specimen.beads.iter().map(|bead| projection.project(bead.lps_mm).0.distance_squared(truth.project(bead.lps_mm).0));
         Some((squares.sum::<f64>() / specimen.beads.len() as f64).sqrt())
     };
     let straightened = register(&["--distortion", "ii.json"]).expect("registered");
@@ -277,10 +286,13 @@ fn many_phantoms_straighten_the_picture() {
     let (mut over, mut worst, mut squares) = (Vec::new(), [0.0f64; 2], [0.0f64; 2]);
     for seed in first..first + count {
         let lab = Lab::new(seed, 24 + (seed % 7) as usize);
-        let found = lab.calibrated(&lab.frames(4)).map(|calibration| (judged(&calibration, &lab.law, 0), calibration.notes[0].clone()));
+        let found =
+            lab.calibrated(&lab.frames(4)).map(|calibration| (judged(&calibration, &lab.law, 0), calibration.notes[0].clone()));
         match found {
             Ok(((held_out_px, law_px, reach, spots), note)) => {
-                println!("seed {seed}: held out {held_out_px:.3} px, law {law_px:.3} px up to {reach:.2} R, {spots} shadows; {note}");
+                println!(
+                    "seed {seed}: held out {held_out_px:.3} px, law {law_px:.3} px up to {reach:.2} R, {spots} shadows; {note}"
+                );
                 for (n, px) in [held_out_px, law_px].into_iter().enumerate() {
                     worst[n] = worst[n].max(px);
                     squares[n] += px * px;

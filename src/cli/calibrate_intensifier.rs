@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde::Deserialize;
 
-use super::calibrate_intensifier_beads::{Phantom, phantom};
+use super::calibrate_intensifier_beads::phantom;
 use crate::acquire::{AcquireError, Domain, Frame, read_frame};
 use crate::beads::BeadsError;
 use crate::calibrate::intensifier::{

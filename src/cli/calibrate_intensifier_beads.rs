@@ -44,8 +44,11 @@ impl Phantom {
         let first = frames.first().map(|frame| &frame.frame);
         let found = first.map_or([0, 0], |frame| frame.size_px.map(|n| n as u32));
         let expected = file.size_px.unwrap_or(found);
-        let factor = whole_binning(expected, found)
-            .ok_or_else(|| CalibrateIntensifierError::Size { path: path.clone(), expected, found })?;
+        let factor = whole_binning(expected, found).ok_or_else(|| CalibrateIntensifierError::Size {
+            path: path.clone(),
+            expected,
+            found,
+        })?;
         let factor = f64::from(factor);
         let tagged_mm = first.and_then(|frame| frame.tags.pitch_mm).map(|pitch| pitch[0]);
         let pitch_mm = file.pitch_mm.map(|pitch| pitch * factor).or(tagged_mm);

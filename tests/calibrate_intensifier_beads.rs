@@ -210,6 +210,9 @@ fn what_the_beads_do_not_bear_is_refused() {
         let fault = with(&wrong, None).expect_err("not this phantom");
         assert!(matches!(fault, IntensifierFault::NotRecognised { frames: 1, beads: 28, .. }), "{fault}");
     }
+    let mut flat = lab.layout.clone();
+    flat.beads.iter_mut().for_each(|bead| bead.lps_mm.z *= 0.1);
+    assert!(matches!(with(&flat, None), Err(IntensifierFault::FlatLayout { .. })));
     let few = BeadLayout { beads: lab.layout.beads[..8].to_vec(), ..lab.layout.clone() };
     assert!(matches!(with(&few, None), Err(IntensifierFault::SmallLayout { found: 8, .. })));
     assert!(matches!(calibrate_phantom(&[], &lab.request(&lab.layout), &|| {}), Err(IntensifierFault::NoFrames)));

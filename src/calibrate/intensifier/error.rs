@@ -65,6 +65,18 @@ pub enum IntensifierFault {
         /// Needed.
         required: usize,
     },
+    /// The phantom is a plate.
+    #[error(
+        "the bead layout is flat: {third_mm:.1} mm deep (standard deviation) where it is {first_mm:.1} mm wide, {required_mm:.1} mm are needed: distortion cannot be told from its tilt; use beads in depth, or a square grid without --beads"
+    )]
+    FlatLayout {
+        /// Standard deviation along the longest axis.
+        first_mm: f64,
+        /// Along the shortest.
+        third_mm: f64,
+        /// Needed there.
+        required_mm: f64,
+    },
     /// No frame shows the phantom.
     #[error(
         "in none of {frames} frames were the {beads} beads of the layout recognised ({shadows} round shadows at most): are these frames of this phantom, and K and the pitch those of the undistorted picture? --prior POSE.json for each frame says where to look"

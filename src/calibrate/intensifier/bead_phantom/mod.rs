@@ -18,7 +18,7 @@ use super::spots::{self, Spot};
 use crate::beads::{BeadLayout, Detection, Expectation, detect};
 use crate::geometry::{AnglesFrom, DEFAULT_ORDER, Glare, IntensifierCalibration, IntensifierView, Intrinsics, term_count};
 use crate::mask::Disc;
-use crate::pose::Prior;
+use crate::pose::{Prior, extents_mm};
 use adjust::{Adjusted, KnownBead};
 use angles::{AtOneAngle, by_angle};
 use shift_field::ShiftField;
@@ -51,6 +51,8 @@ pub struct PhantomRequest<'a> {
 
 /// Order where beads do not suffice for the usual one.
 const FEWER_BEADS_ORDER: usize = 3;
+/// A phantom with less depth, as a share of its width, cannot tell its tilt from distortion.
+const LEAST_DEPTH: f64 = 0.1;
 /// Held-out beads further off than this share of the disc's radius speak against the layout, K or the names.
 const MOST_HELD_OUT: f64 = 0.01;
 
@@ -78,6 +80,10 @@ pub fn calibrate_phantom(
     let beads = known(request.layout);
     if beads.len() < LEAST_BEADS {
         return Err(IntensifierFault::SmallLayout { found: beads.len(), required: LEAST_BEADS });
+    }
+    let [first_mm, _, third_mm] = extents_mm(&beads.iter().map(|bead| bead.lps_mm).collect::<Vec<_>>());
+    if !(third_mm >= LEAST_DEPTH * first_mm) {
+        return Err(IntensifierFault::FlatLayout { first_mm, third_mm, required_mm: LEAST_DEPTH * first_mm });
     }
     let mut groups = by_angle(frames)?;
     let (disc, where_from) = spots::disc(frames, request.disc);

@@ -7,7 +7,7 @@ use crate::beads::{Bead, BeadLayout, Detection};
 use crate::calibrate::intensifier::spots::Spot;
 use crate::geometry::Intrinsics;
 use crate::mask::Disc;
-use crate::pose::{Prior, Registration, register_shadows};
+use crate::pose::{Prior, Registration, rough_pose};
 
 /// Rim shifts that are tried, in radii of the disc, and turns of the rim: the likeliest first.
 const PINCUSHIONS: [f64; 6] = [0.08, 0.04, 0.12, 0.0, -0.04, -0.08];
@@ -87,8 +87,7 @@ fn attempt(
         ..Registration::new(size_px, &layout)
     };
     let straight: Vec<Detection> = shadows.iter().map(|shadow| straightened(shadow, &distortion)).collect();
-    let pose = register_shadows(&registration, &straight);
-    let camera_from_lps = pose.camera_from_lps.filter(|_| pose.is_accepted())?;
+    let camera_from_lps = rough_pose(&registration, &straight)?;
     let spots = shadows.iter().map(Spot::of).collect();
     let shot = Shot { frame, shadows: spots, camera_from_lps, matches: Vec::new() };
     let mut alone = Adjusted { shots: vec![shot], field: trial.of_order(ORDER) };

@@ -9,9 +9,19 @@ use crate::geometry::Intrinsics;
 use crate::mask::Disc;
 use crate::pose::{Prior, Registration, rough_pose};
 
-/// Rim shifts that are tried, in radii of the disc, and turns of the rim: the likeliest first.
-const PINCUSHIONS: [f64; 6] = [0.08, 0.04, 0.12, 0.0, -0.04, -0.08];
-const TURNS_RAD: [f64; 3] = [0.0, 0.05, -0.05];
+/// Rim shifts in radii of the disc, and turns of the rim (rad), that are tried: the likeliest first.
+const TRIALS: [(f64, f64); 10] = [
+    (0.08, 0.0),
+    (0.04, 0.0),
+    (0.12, 0.0),
+    (0.0, 0.0),
+    (0.08, 0.05),
+    (0.08, -0.05),
+    (0.04, 0.05),
+    (0.04, -0.05),
+    (-0.04, 0.0),
+    (-0.08, 0.0),
+];
 /// A trial is off by this share of the radius; beads are taken to be placed so badly while it stands for the distortion.
 const TRIAL_OFF: f64 = 0.008;
 /// Share of the distance from source to detector at which a phantom stands, to tell millimetres from pixels.
@@ -37,8 +47,7 @@ pub struct Started {
 
 /// The distortions that are tried where none is known.
 pub fn ladder(disc: Disc) -> Vec<ShiftField> {
-    let turned = |turn: f64| PINCUSHIONS.map(|pincushion| ShiftField::trial(disc, pincushion, turn));
-    TURNS_RAD.into_iter().flat_map(turned).collect()
+    TRIALS.map(|(pincushion, turn_rad)| ShiftField::trial(disc, pincushion, turn_rad)).to_vec()
 }
 
 /// The pose and the distortion of one frame alone, under the best of `trials`; `None` where none explains it.

@@ -62,6 +62,7 @@ mod phantom_lab;
 mod phantom_layout;
 mod phantom_refused;
 mod calibrate_intensifier;
+mod calibrate_intensifier_beads;
 mod calibrate_robot;
 mod calibrate_robot_command;
 mod robot_drawn;

@@ -1,31 +1,54 @@
-//! `sidecarm calibrate intensifier`: the distortion of an image intensifier from frames of a grid.
+//! `sidecarm calibrate intensifier`: the distortion of an image intensifier from frames of a grid, or of a bead phantom.
 
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde::Deserialize;
 
+use super::calibrate_intensifier_beads::phantom;
 use crate::acquire::{AcquireError, Domain, Frame, read_frame};
-use crate::calibrate::intensifier::{GridFrame, GridOf, GridRequest, IntensifierFault, calibrate, disc_of, measure_glare};
-use crate::geometry::{AnglesDeg, AnglesFrom, DEFAULT_ORDER, IntensifierCalibration, ORDERS};
+use crate::beads::BeadsError;
+use crate::calibrate::intensifier::{
+    GridFrame, GridOf, GridRequest, IntensifierFault, calibrate, calibrate_phantom, disc_of, measure_glare,
+};
+use crate::geometry::{AnglesDeg, AnglesFrom, DEFAULT_ORDER, Glare, IntensifierCalibration, ORDERS};
 use crate::image::{ImageFileError, check_writable, refuse_overwrite, write_atomically};
 use crate::mask::Disc;
+use crate::pose::PoseFileError;
 use crate::reporter::Reporter;
 
-/// The distortion of an image intensifier from frames of a grid: pincushion and S by angle of the C-arm, round mask, veiling glare.
+/// The distortion of an image intensifier from frames of a grid, or of a bead phantom: pincushion and S by angle of the C-arm, round mask,
+/// veiling glare.
 #[derive(Clone, Debug, Args)]
 #[command(after_help = "Examples:
   sidecarm calibrate intensifier grid.dcm --pitch-mm 10 --out calibration/carm/lab-intensifier.json
   sidecarm calibrate intensifier grid-*.tif --holes --angles angles.json --opaque lead.tif --out lab-intensifier.json
+  sidecarm calibrate intensifier shot-*.dcm --beads phantom.mrk.json --intrinsics K.json --out lab-intensifier.json
 
 Fasten a plate with a square grid of beads (or holes, --holes) flat on the intensifier's input and leave it there for all angles; 42 spots
 and more, 100 are better, over the whole disc. Angles come from DICOM positioner angles, or from --angles: [{\"frame\": \"grid-1.tif\",
 \"orbital_deg\": 0, \"angulation_deg\": -30}, …]. register --distortion and \"intensifier\" of a scene's detector use the file. The figure
-is the rms over spots of fits that did not have them. Exit code 1: no grid was recognised (said why).")]
+is the rms over spots of fits that did not have them. Exit code 1: no grid was recognised (said why).
+
+With --beads the frames show one phantom whose bead places are known, not a grid: 24 beads and more, in depth, filling the disc. Turn and
+shift it between the frames and take three frames or more at each angle: they share one distortion (frames without angles all do). K is
+that of the undistorted picture, with pitch_mm. Frames in which the beads are not recognised are left out and named.")]
 pub struct IntensifierArgs {
-    /// Frames of the grid, one for each angle: DICOM, PNG or TIFF
-    #[arg(required = true, value_name = "GRID")]
+    /// Frames of the grid, one for each angle, or of the phantom of --beads: DICOM, PNG or TIFF
+    #[arg(required = true, value_name = "FRAME")]
     pub grid: Vec<PathBuf>,
+    /// The frames show a phantom with these beads instead of a grid: a 3D Slicer point list (.mrk.json or .fcsv)
+    #[arg(long, value_name = "BEADS", requires = "intrinsics", conflicts_with_all = ["holes", "pitch_mm", "plate_moved"])]
+    pub beads: Option<PathBuf>,
+    /// K of the undistorted picture: {"intrinsics": 3x3, "size_px": [columns, rows], "pitch_mm": p}
+    #[arg(long, value_name = "K.json", requires = "beads")]
+    pub intrinsics: Option<PathBuf>,
+    /// Where the phantom is expected: a pose file, once per frame, in their order
+    #[arg(long, value_name = "POSE.json", requires = "beads")]
+    pub prior: Vec<PathBuf>,
+    /// Radius of beads whose description gives none
+    #[arg(long, value_name = "MM", requires = "beads")]
+    pub bead_radius: Option<f64>,
     /// The grid is of holes in a metal plate, bright where beads are dark
     #[arg(long)]
     pub holes: bool,
@@ -44,9 +67,9 @@ pub struct IntensifierArgs {
     /// The round mask where the frames do not show it: column and row of its centre, radius, px
     #[arg(long, value_name = "U,V,R", value_delimiter = ',')]
     pub disc: Vec<f64>,
-    /// Order of the polynomials
-    #[arg(long, value_name = "N", default_value_t = DEFAULT_ORDER)]
-    pub order: usize,
+    /// Order of the polynomials; 5, with --beads 3 where beads do not suffice for it
+    #[arg(long, value_name = "N")]
+    pub order: Option<usize>,
     /// What the pixel values are: linear, log, display or unknown
     #[arg(long, value_name = "DOMAIN")]
     pub domain: Option<Domain>,
@@ -70,6 +93,39 @@ pub enum CalibrateIntensifierError {
     /// The frames give no calibration.
     #[error(transparent)]
     Intensifier(#[from] IntensifierFault),
+    /// The bead layout cannot be read.
+    #[error(transparent)]
+    Beads(#[from] BeadsError),
+    /// K or a prior cannot be read.
+    #[error(transparent)]
+    Pose(#[from] PoseFileError),
+    /// K is for other frames.
+    #[error(
+        "{path}: K is for {expected:?} px, the frames have {found:?} px, which is no whole binning of it: give K for frames of that size",
+        path = path.display()
+    )]
+    Size {
+        /// The file of K.
+        path: PathBuf,
+        /// What it says.
+        expected: [u32; 2],
+        /// The frames'.
+        found: [u32; 2],
+    },
+    /// Nobody knows the side of a pixel.
+    #[error("{path}: has no pitch_mm, and the frames do not state it: add the side of an undistorted pixel", path = path.display())]
+    NoPitch {
+        /// The file of K.
+        path: PathBuf,
+    },
+    /// Priors and frames do not pair.
+    #[error("{priors} priors are given for {frames} frames; give one --prior for each frame in its order, or none")]
+    Priors {
+        /// How many priors.
+        priors: usize,
+        /// How many frames.
+        frames: usize,
+    },
     /// The output.
     #[error(transparent)]
     Output(#[from] ImageFileError),
@@ -105,9 +161,10 @@ struct AngleRow {
 /// Calibrates, writes, prints; exit code 0.
 ///
 /// # Errors
-/// When a file cannot be read or written, an option makes no sense, or no grid is recognised.
+/// When a file cannot be read or written, an option makes no sense, or no grid or phantom is recognised.
 pub fn run(args: &IntensifierArgs, reporter: &Reporter) -> Result<u8, CalibrateIntensifierError> {
     let disc = check(args)?;
+    let phantom = phantom(args)?;
     let listed = args.angles.as_deref().map(read_angles).transpose()?;
     let progress = reporter.progress("reading", args.grid.len() as u64);
     let mut frames = Vec::new();
@@ -131,17 +188,15 @@ pub fn run(args: &IntensifierArgs, reporter: &Reporter) -> Result<u8, CalibrateI
     let dates: std::collections::BTreeSet<&str> = frames.iter().filter_map(|f| f.frame.tags.acquired_date.as_deref()).collect();
     let taken = dates.into_iter().collect::<Vec<_>>().join(", ");
     let taken = if taken.is_empty() { "date of the frames not stated".to_owned() } else { format!("frames of {taken}") };
-    let request = GridRequest {
-        grid: if args.holes { GridOf::Holes } else { GridOf::Beads },
-        pitch_mm: args.pitch_mm,
-        order: args.order,
-        plate_moved: args.plate_moved,
-        disc,
-        angles_from,
-        glare,
-        origin: format!("{said}; {taken}; calibrate intensifier of sidecarm {}", env!("CARGO_PKG_VERSION")),
+    let origin = format!("{said}; {taken}; calibrate intensifier of sidecarm {}", env!("CARGO_PKG_VERSION"));
+    let calibration = match &phantom {
+        Some(phantom) => {
+            let progress = reporter.progress("finding the beads", frames.len() as u64);
+            let request = phantom.request(args, &frames, (disc, angles_from, glare, origin))?;
+            calibrate_phantom(&frames, &request, &|| progress.advance(1))?
+        }
+        None => calibrate(&frames, &grid_request(args, disc, angles_from, glare, origin))?,
     };
-    let calibration = calibrate(&frames, &request)?;
     let text = serde_json::to_string_pretty(&calibration).unwrap_or_default();
     write_atomically(&args.out, |file| file.write_all(format!("{text}\n").as_bytes()))?;
     if args.json {
@@ -153,9 +208,29 @@ pub fn run(args: &IntensifierArgs, reporter: &Reporter) -> Result<u8, CalibrateI
     Ok(0)
 }
 
+fn grid_request(
+    args: &IntensifierArgs,
+    disc: Option<Disc>,
+    angles_from: AnglesFrom,
+    glare: Option<Glare>,
+    origin: String,
+) -> GridRequest {
+    GridRequest {
+        grid: if args.holes { GridOf::Holes } else { GridOf::Beads },
+        pitch_mm: args.pitch_mm,
+        order: args.order.unwrap_or(DEFAULT_ORDER),
+        plate_moved: args.plate_moved,
+        disc,
+        angles_from,
+        glare,
+        origin,
+    }
+}
+
 /// The disc that was typed, if any.
 fn check(args: &IntensifierArgs) -> Result<Option<Disc>, CalibrateIntensifierError> {
-    let inputs = args.grid.iter().chain(&args.angles).chain(&args.opaque);
+    let known = args.beads.iter().chain(&args.intrinsics).chain(&args.prior);
+    let inputs = args.grid.iter().chain(&args.angles).chain(&args.opaque).chain(known);
     refuse_overwrite(&[&args.out], &inputs.collect::<Vec<_>>())?;
     check_writable(&args.out)?;
     let wrong = |option, found: String, expected| Err(CalibrateIntensifierError::Option { option, found, expected });
@@ -163,8 +238,11 @@ fn check(args: &IntensifierArgs) -> Result<Option<Disc>, CalibrateIntensifierErr
         return wrong("--pitch-mm", found.to_string(), "0.1 to 200 mm");
     }
     // The polynomial's linear part is the grid's own.
-    if args.order < 2 || !ORDERS.contains(&args.order) {
-        return wrong("--order", args.order.to_string(), "2 to 9");
+    if let Some(found) = args.order.filter(|order| *order < 2 || !ORDERS.contains(order)) {
+        return wrong("--order", found.to_string(), "2 to 9");
+    }
+    if let Some(found) = args.bead_radius.filter(|radius| !(*radius > 0.0 && radius.is_finite())) {
+        return wrong("--bead-radius", found.to_string(), "a positive number of millimetres");
     }
     match args.disc.as_slice() {
         [] => Ok(None),

@@ -18,6 +18,7 @@ mod calibrate_robot_shots;
 pub mod calibrate_layout_error;
 pub mod calibrate_layout_shots;
 pub mod calibrate_intensifier;
+mod calibrate_intensifier_beads;
 pub mod check;
 pub mod compare;
 pub mod demo;

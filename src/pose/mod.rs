@@ -42,7 +42,7 @@ pub use orientation::{Panel, SolvedConsole, solve_console, whole_binning};
 pub use prior::Prior;
 pub use record::{BeadResidual, BodyPose, Covariance, DetectorPose, LandmarkUncertainty, Pose, Shadow, Status, TagResidual};
 pub use refusal::{IntrinsicsNumber, Points, Refusal, Rival};
-pub use register::{intrinsics_of, register, register_masked, register_shadows};
+pub use register::{intrinsics_of, register, register_masked, register_shadows, rough_pose};
 pub use request::Registration;
 pub use solve::{Free, IntrinsicsPrior};
 pub use together::{

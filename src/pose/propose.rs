@@ -18,6 +18,9 @@ const GUESS_SLACK_PX: (f64, f64) = (6.0, 1.0);
 const GUESS_SIGMA: (f64, f64, f64) = (8.0 * std::f64::consts::PI / 180.0, 30.0, 0.3);
 const GUESS_LIMIT: f64 = 20.0;
 
+/// Poses from three points in a search whose result others judge.
+const ROUGH_BUDGET: u64 = 400_000;
+
 /// A match with what the search knows of it.
 pub(super) struct Candidate {
     pub hypothesis: Hypothesis,
@@ -46,14 +49,26 @@ impl Case<'_> {
         3.0 * relative * 0.1 * 0.5 * width.hypot(height)
     }
 
+    /// Whether a match is so far beyond chance that no other is looked for.
+    fn is_enough(&self, best: &Hypothesis, tried: u64) -> bool {
+        let count = best.matches.len();
+        count >= 5 && 10 * count >= 7 * best.in_view && self.chance_of(best, tried) < 1e-6
+    }
+
+    /// The pose of the best match that a short search finds, near the prior if there is one; K is known. Nobody has judged it.
+    pub fn rough_pose(&self) -> Option<Rigid> {
+        let k = self.request.intrinsics?;
+        let targets = self.targets();
+        let gate = self.request.prior.map(|prior| self.gate(prior));
+        let search = Search { budget: ROUGH_BUDGET, ..self.search(&targets, self.detections, Some, &k, gate) };
+        let found = search.run(|best, tried| self.is_enough(best, tried));
+        found.hypotheses.first().map(|best| best.camera_from_lps)
+    }
+
     fn find(&self, k: &Intrinsics, slack_px: f64, gate: Option<Gate>) -> Option<Candidate> {
         let targets = self.targets();
         let search = Search { slack_px, ..self.search(&targets, self.detections, Some, k, gate) };
-        let enough = |best: &Hypothesis, tried: u64| {
-            let count = best.matches.len();
-            count >= 5 && 10 * count >= 7 * best.in_view && self.chance_of(best, tried) < 1e-6
-        };
-        let Found { hypotheses, tried, .. } = search.run(enough);
+        let Found { hypotheses, tried, .. } = search.run(|best, tried| self.is_enough(best, tried));
         let mut all = hypotheses.into_iter();
         let best = all.next()?;
         let mut others: Vec<Hypothesis> = all.collect();

@@ -67,9 +67,22 @@ pub fn register_shadows(request: &Registration, detections: &[Detection]) -> Pos
     }
 }
 
+/// The pose under which a short search explains most shadows, near the prior if there is one; K must be known. It is not judged: for
+/// callers who try many assumptions about one frame and tell by more than the pose which of them holds.
+#[must_use]
+pub fn rough_pose(request: &Registration, detections: &[Detection]) -> Option<Rigid> {
+    if request.fault().is_some() {
+        return None;
+    }
+    Case::new(request, &best_of(detections), None).ok()?.rough_pose()
+}
+
+fn best_of(detections: &[Detection]) -> Vec<Detection> {
+    detections.iter().filter(|d| d.image_px.is_finite() && d.sigma_px.is_finite()).take(MOST_DETECTIONS).copied().collect()
+}
+
 fn attempt(request: &Registration, detections: &[Detection], probe: Option<Probe>) -> Pose {
-    let detections: Vec<Detection> =
-        detections.iter().filter(|d| d.image_px.is_finite() && d.sigma_px.is_finite()).take(MOST_DETECTIONS).copied().collect();
+    let detections = best_of(detections);
     let one = |request: &Registration, detections: &[Detection]| match request.fault() {
         Some(fault) => request.refuse(&fault),
         None => match Case::new(request, detections, probe) {

@@ -1,6 +1,7 @@
-//! The distortion of an image intensifier from frames of a square grid of beads or holes on its input.
+//! The distortion of an image intensifier from frames of a square grid of beads or holes on its input, or of a phantom whose bead places
+//! are known (`bead_phantom`).
 //!
-//! Spots are found as bead shadows are (`spots`), named by the nodes of a square lattice that grows from the middle (`lattice`), and a
+//! A grid's spots are found as bead shadows are (`spots`), named by the nodes of a square lattice that grows from the middle (`lattice`), and a
 //! polynomial from places in the frame to places on the grid is fitted to them. What the frames leave open is settled by convention:
 //! the disc's centre stays where it is, and there a pixel keeps its area and its direction.
 
@@ -10,7 +11,9 @@ mod polynomial;
 mod lattice;
 mod held_out;
 mod glare;
+mod bead_phantom;
 
+pub use bead_phantom::{PhantomRequest, calibrate_phantom};
 pub use error::IntensifierFault;
 pub use glare::measure_glare;
 pub use spots::{GridOf, disc as disc_of};
@@ -23,7 +26,7 @@ use crate::mask::Disc;
 use held_out::ViewFit;
 use polynomial::{Gauge, Node, Polynomial};
 
-/// A frame of the grid.
+/// A frame of the grid, or of the phantom.
 #[derive(Clone, Debug)]
 pub struct GridFrame {
     /// As it was read.
@@ -56,6 +59,8 @@ pub struct GridRequest {
 /// Nodes that must lie within a quarter of a cell from where the first view has them, for the plate to count as unmoved.
 const UNMOVED_SHARE: f64 = 0.8;
 const UNMOVED_CELLS: f64 = 0.25;
+/// Frames whose angles differ by less on both axes were taken at one angle.
+const SAME_ANGLE_DEG: f64 = 0.1;
 
 /// Fits the distortion of every frame.
 ///
@@ -119,19 +124,23 @@ pub fn calibrate(frames: &[GridFrame], request: &GridRequest) -> Result<Intensif
     Ok(calibration)
 }
 
+fn check_sizes(frames: &[GridFrame]) -> Result<(), IntensifierFault> {
+    let of = |frame: &GridFrame| frame.frame.size_px;
+    match frames.iter().find(|frame| of(frame) != of(&frames[0])) {
+        Some(other) => {
+            Err(IntensifierFault::Sizes { frame: other.frame.name.clone(), found: of(other), expected: of(&frames[0]) })
+        }
+        None => Ok(()),
+    }
+}
+
 fn check(frames: &[GridFrame]) -> Result<(), IntensifierFault> {
+    check_sizes(frames)?;
     let name = |frame: &GridFrame| frame.frame.name.clone();
-    for (index, frame) in frames.iter().enumerate() {
-        let (found, expected) = (frame.frame.size_px, frames[0].frame.size_px);
-        if found != expected {
-            return Err(IntensifierFault::Sizes { frame: name(frame), found, expected });
-        }
-        if frames.len() == 1 {
-            continue;
-        }
+    for (index, frame) in frames.iter().enumerate().filter(|_| frames.len() > 1) {
         let angles_deg = frame.angles_deg.ok_or_else(|| IntensifierFault::NoAngle { frame: name(frame) })?;
         let near = |other: &&GridFrame| {
-            other.angles_deg.is_some_and(|other| (0..2).all(|axis| (other[axis] - angles_deg[axis]).abs() < 0.1))
+            other.angles_deg.is_some_and(|other| (0..2).all(|axis| (other[axis] - angles_deg[axis]).abs() < SAME_ANGLE_DEG))
         };
         if let Some(other) = frames[..index].iter().find(near) {
             return Err(IntensifierFault::SameAngle { frame: name(frame), other: name(other), angles_deg });

@@ -26,6 +26,13 @@ pub struct Spot {
     pub sigma_px: f64,
 }
 
+impl Spot {
+    /// Where a shadow lies.
+    pub fn of(shadow: &Detection) -> Self {
+        Self { image_px: shadow.image_px, sigma_px: shadow.sigma_px.max(LEAST_SIGMA_PX) }
+    }
+}
+
 /// Spots of one grid have radii within this factor of the median.
 const ALIKE: f64 = 1.7;
 /// A disc smaller than this share of the frame's shorter side is a hole, or the collimator's, and not the intensifier's.
@@ -65,11 +72,7 @@ pub fn disc(frames: &[GridFrame], given: Option<Disc>) -> (Disc, String) {
 /// The spots of `grid` inside `disc`.
 pub fn find(frame: &Frame, grid: GridOf, disc: &Disc) -> Vec<Spot> {
     let pixels = &frame.pixels;
-    let mut usable = Image::filled(pixels.width, pixels.height, false);
-    for (index, usable) in usable.pixels.iter_mut().enumerate() {
-        let at = DVec2::new((index % pixels.width) as f64, (index / pixels.width) as f64);
-        *usable = at.distance(disc.centre) <= disc.radius_px - 1.0;
-    }
+    let usable = inside(frame, disc);
     let expected = Expectation { radius_px: None, grid: true };
     let mut found = match grid {
         GridOf::Beads => detect(frame, Some(&usable), &expected).found,
@@ -83,5 +86,15 @@ pub fn find(frame: &Frame, grid: GridOf, disc: &Disc) -> Vec<Spot> {
     if let Some(median) = radii.get(radii.len() / 2) {
         found.retain(|spot| spot.radius_px < ALIKE * median && spot.radius_px * ALIKE > *median);
     }
-    found.iter().map(|spot| Spot { image_px: spot.image_px, sigma_px: spot.sigma_px.max(LEAST_SIGMA_PX) }).collect()
+    found.iter().map(Spot::of).collect()
+}
+
+/// Pixels of the frame inside `disc`, its rim left out.
+pub fn inside(frame: &Frame, disc: &Disc) -> Image<bool> {
+    let mut inside = frame.pixels.map(|_| false);
+    for (index, inside) in inside.pixels.iter_mut().enumerate() {
+        let at = DVec2::new((index % frame.pixels.width) as f64, (index / frame.pixels.width) as f64);
+        *inside = at.distance(disc.centre) <= disc.radius_px - 1.0;
+    }
+    inside
 }

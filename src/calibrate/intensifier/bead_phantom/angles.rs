@@ -1,0 +1,36 @@
+//! Which frames share a distortion: those taken at one angle of the C-arm.
+
+use crate::calibrate::intensifier::{GridFrame, IntensifierFault, SAME_ANGLE_DEG};
+use crate::geometry::AnglesDeg;
+
+/// Frames of one angle.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AtOneAngle {
+    /// That of the first of them.
+    pub angles_deg: Option<AnglesDeg>,
+    /// Among the frames given.
+    pub frames: Vec<usize>,
+}
+
+/// Groups of frames, in the order of their first; frames of which none states an angle are all taken at one.
+///
+/// # Errors
+/// When some frames state their angle and others do not.
+pub fn by_angle(frames: &[GridFrame]) -> Result<Vec<AtOneAngle>, IntensifierFault> {
+    let all = AtOneAngle { angles_deg: None, frames: (0..frames.len()).collect() };
+    if frames.iter().all(|frame| frame.angles_deg.is_none()) {
+        return Ok(vec![all]);
+    }
+    let mut groups: Vec<AtOneAngle> = Vec::new();
+    for (n, frame) in frames.iter().enumerate() {
+        let angles_deg = frame.angles_deg.ok_or_else(|| IntensifierFault::NoAngle { frame: frame.frame.name.clone() })?;
+        let near = |group: &&mut AtOneAngle| {
+            group.angles_deg.is_some_and(|other| (0..2).all(|axis| (other[axis] - angles_deg[axis]).abs() < SAME_ANGLE_DEG))
+        };
+        match groups.iter_mut().find(near) {
+            Some(group) => group.frames.push(n),
+            None => groups.push(AtOneAngle { angles_deg: Some(angles_deg), frames: vec![n] }),
+        }
+    }
+    Ok(groups)
+}

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde_json::json;
 use sidecarm::acquire::{Domain, Frame};
-use sidecarm::calibrate::robot::{Assumed, RobotFitError, calibrate};
+use sidecarm::calibrate::robot::{Assumed, RobotFitError, calibrate, tip_in_frame};
 use sidecarm::geometry::View;
 use sidecarm::gpu::DeviceChoice;
 use sidecarm::render::{Options, Renderer};
@@ -222,4 +222,26 @@ fn many_robots() {
     println!("tip of loaded shots off by mm: {:.3?}", quantiles(&mut loaded));
     println!("offsets' errors over their standard deviation, rms: {rms:.2}");
     assert!(refused.len() * 20 <= count as usize, "{refused:?}");
+}
+
+/// One frame tells where the tip is: a load has moved it as far as it is seen to be off, and where there is no robot there is no tip.
+#[test]
+fn a_frame_shows_the_tip_where_a_load_has_moved_it() {
+    let lab = Lab { load: Some((2, [0.2, 0.05])), ..SIX };
+    let drawn = lab.drawn();
+    for n in 0..drawn.eyes.len() {
+        let mut scene = drawn.scene_json();
+        let robot = &mut scene["objects"][0]["robot"];
+        robot["lps_from_base"] = json!(rigid(&drawn.base));
+        robot["control_angles_deg"] = json!(drawn.snakes[n].angles_deg);
+        let scene = load_text(&scene.to_string(), Path::new("scene.json"), false, &Reporter::silent()).expect("a scene");
+        let seen = |is_there: bool| tip_in_frame(&drawn.frame(&lab, n, is_there), &drawn.poses[n], &scene).expect("metals");
+        let tip = seen(true).unwrap_or_else(|| panic!("shot {n} shows the robot"));
+        let [u, v] = drawn.bent_mm(n);
+        let off_mm = (tip.off_mm[0] - u).hypot(tip.off_mm[1] - v);
+        println!("shot {n}: moved by {u:.2}, {v:.2} mm, seen {:?} ± {:?}", tip.off_mm, tip.sigma_mm);
+        assert!(off_mm < 0.3, "shot {n}: off by {off_mm}");
+        assert_eq!(tip.is_elsewhere(), n == 2, "shot {n}: {tip:?}");
+        assert!(seen(false).is_none(), "shot {n}");
+    }
 }

@@ -71,6 +71,12 @@ fn a_mocked_session_matches_its_frames_and_replays_byte_for_byte() {
         assert!(number(&pair["scores"]["zncc"]) > 0.99, "{}: {}", pair["frame"], pair["scores"]["zncc"]);
         assert_eq!(pair["binding"], "counter");
     }
+    // The mocked robot is where telemetry has it, and the frames show it there.
+    let tips: Vec<&serde_json::Value> = accepted.iter().map(|pair| &pair["tip"]).filter(|tip| tip.is_object()).collect();
+    assert!(tips.len() + 1 >= accepted.len(), "{} of {} frames show the tip", tips.len(), accepted.len());
+    for tip in tips {
+        assert!(tip["length_mm"].as_f64().is_some_and(|mm| mm < 0.6), "{tip}");
+    }
     // Once two frames have tied the specimen to the room, telemetry is measured against the beads of each.
     let turns: Vec<f64> = accepted.iter().filter_map(|pair| pair["innovation"]["turn_deg"].as_f64()).collect();
     assert!(turns.len() + 3 >= accepted.len() && turns.iter().all(|deg| *deg < 1.0), "{turns:?} of {} accepted", accepted.len());

@@ -227,7 +227,7 @@ fn many_robots() {
 /// One frame tells where the tip is: a load has moved it as far as it is seen to be off, and where there is no robot there is no tip.
 #[test]
 fn a_frame_shows_the_tip_where_a_load_has_moved_it() {
-    let lab = Lab { load: Some((2, [0.2, 0.05])), ..SIX };
+    let lab = Lab { load: Some((2, [0.4, 0.1])), ..SIX };
     let drawn = lab.drawn();
     for n in 0..drawn.eyes.len() {
         let mut scene = drawn.scene_json();
@@ -240,7 +240,7 @@ fn a_frame_shows_the_tip_where_a_load_has_moved_it() {
         let [u, v] = drawn.bent_mm(n);
         let off_mm = (tip.off_mm[0] - u).hypot(tip.off_mm[1] - v);
         println!("shot {n}: moved by {u:.2}, {v:.2} mm, seen {:?} ± {:?}", tip.off_mm, tip.sigma_mm);
-        assert!(off_mm < 0.3, "shot {n}: off by {off_mm}");
+        assert!(off_mm < 0.45, "shot {n}: off by {off_mm}");
         assert_eq!(tip.is_elsewhere(), n == 2, "shot {n}: {tip:?}");
         assert!(seen(false).is_none(), "shot {n}");
     }

@@ -123,6 +123,7 @@ pub struct Engine {
     import: Import,
     landmarks: Arc<[Landmark]>,
     layout: Option<Arc<BeadLayout>>,
+    tags: Option<Arc<TagLayout>>,
     links: BTreeMap<DeviceKind, Link>,
     line_watch: LineWatch,
     timeline: Timeline,
@@ -146,7 +147,8 @@ impl Engine {
     #[must_use]
     pub fn new(setup: Arc<Setup>, layout: Option<Arc<BeadLayout>>, reporter: Reporter) -> Self {
         let rigid = |rows: Option<[[f64; 4]; 4]>| rows.and_then(|rows| Rigid::from_rows(&rows).ok());
-        let of_tags = setup.tags.as_ref().map(TagLayout::centre_lps_mm);
+        let tags = setup.tag_layout().map(Arc::new);
+        let of_tags = tags.as_ref().map(|tags| tags.centre_lps_mm());
         let centre = layout.as_ref().map(|layout| layout.centroid_lps_mm()).or(of_tags).unwrap_or_default();
         let tie = SpecimenTie::new(rigid(setup.session.world_from_lps), centre);
         let world_from_tracker = rigid(setup.session.world_from_tracker);
@@ -157,6 +159,7 @@ impl Engine {
             landmarks: setup.landmark_points().into(),
             setup,
             layout,
+            tags,
             links,
             line_watch: LineWatch::default(),
             timeline: Timeline::new(),
@@ -348,6 +351,7 @@ impl Engine {
         let known = Known {
             setup: Arc::clone(&self.setup),
             layout: self.layout.clone(),
+            tags: self.tags.clone(),
             landmarks: Arc::clone(&self.landmarks),
             world_from_lps: self.tie.world_from_lps(),
         };

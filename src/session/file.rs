@@ -9,7 +9,7 @@ use super::declared::AirWord;
 pub use super::file_error::SessionFileError;
 use super::inputs::LoggedInput;
 use crate::acquire::{DetectorCalibration, Domain, Frame};
-use crate::beads::tags::{TagLayout, read_tags};
+use crate::beads::tags::{TagLayout, parse_tags};
 use crate::beads::{Landmark, parse_landmarks};
 use crate::compare::Tone;
 use crate::geometry::{CarmCalibration, ConsoleGeometry, IntensifierCalibration, PanelWindow, Rigid, RobotModel};
@@ -136,9 +136,9 @@ pub struct Setup {
     /// The image intensifier's calibration.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub intensifier: Option<Box<IntensifierCalibration>>,
-    /// The specimen's tags.
+    /// Text of the tags' file and its name: as text, they come back from a log bit for bit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub tags: Option<TagLayout>,
+    pub tags: Option<(PathBuf, String)>,
     /// In a log: the scene file and the files that it names, by the labels that stand in [`Setup::scene_json`].
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub inputs: Vec<LoggedInput>,
@@ -309,8 +309,10 @@ impl Setup {
         }
         if let Some(named) = &session.tags {
             let found = locate(path, "tags", named)?;
-            self.tags = Some(read_tags(&found).map_err(|error| place("tags", error.to_string()))?);
-            session.tags = Some(found);
+            let text = read_text(&found)?;
+            parse_tags(&found, text.as_bytes()).map_err(|error| place("tags", error.to_string()))?;
+            session.tags = Some(found.clone());
+            self.tags = Some((found, text));
         }
         Ok(())
     }
@@ -331,6 +333,12 @@ impl Setup {
     #[must_use]
     pub fn domain(&self) -> Option<Domain> {
         self.session.domain.or(self.session.frames.domain)
+    }
+
+    /// The specimen's tags, if the session names any.
+    #[must_use]
+    pub fn tag_layout(&self) -> Option<TagLayout> {
+        self.tags.as_ref().and_then(|(path, text)| parse_tags(path, text.as_bytes()).ok())
     }
 
     /// Points where uncertainty is wanted.

@@ -44,14 +44,13 @@ impl InputNames {
         }
         let session = &setup.session;
         let folder = (session.frames.folder.as_path(), told_folder(&session.frames.folder));
-        let files = [(setup.beads.as_ref(), "beads"), (setup.landmarks.as_ref(), "landmarks")];
+        let files = [(setup.beads.as_ref(), "beads"), (setup.landmarks.as_ref(), "landmarks"), (setup.tags.as_ref(), "tags")];
         let files = files.into_iter().filter_map(|(file, role)| file.map(|(path, _)| (path.as_path(), told(path, role))));
         let calibrations = [
             (session.carm.as_ref().map(|line| &line.calibration), "carm"),
             (session.robot.as_ref().map(|line| &line.model), "robot"),
             (session.detector.as_ref(), "detector"),
             (session.intensifier.as_ref(), "intensifier"),
-            (session.tags.as_ref(), "tags"),
         ];
         let calibrations =
             calibrations.into_iter().filter_map(|(file, role)| file.map(|path| (path.as_path(), told(path, role))));
@@ -122,7 +121,7 @@ impl InputNames {
         session.detector = session.detector.as_deref().map(|path| told(path, "detector"));
         session.intensifier = session.intensifier.as_deref().map(|path| told(path, "intensifier"));
         session.tags = session.tags.as_deref().map(|path| told(path, "tags"));
-        for (file, role) in [(&mut kept.beads, "beads"), (&mut kept.landmarks, "landmarks")] {
+        for (file, role) in [(&mut kept.beads, "beads"), (&mut kept.landmarks, "landmarks"), (&mut kept.tags, "tags")] {
             if let Some((path, _)) = file {
                 *path = told(path, role);
             }

@@ -9,7 +9,7 @@ use super::intensifier::seen_through;
 use super::tie::Disagreement;
 use super::told_field::told_field;
 use crate::acquire::Frame;
-use crate::beads::tags::find_tags;
+use crate::beads::tags::{TagLayout, find_tags};
 use crate::beads::{BeadLayout, Landmark};
 use crate::geometry::{CarmJoints, Intensifier, Intrinsics, Rigid, View};
 use crate::mask::{self, Masks};
@@ -173,6 +173,8 @@ pub struct Known {
     pub setup: Arc<Setup>,
     /// The specimen's beads.
     pub layout: Option<Arc<BeadLayout>>,
+    /// The specimen's tags.
+    pub tags: Option<Arc<TagLayout>>,
     /// Where uncertainty is wanted.
     pub landmarks: Arc<[Landmark]>,
     /// Where the specimen lies in the room.
@@ -266,7 +268,7 @@ impl PoseJob {
     /// By the beads and tags that the session names.
     fn posed(&self, registration: &Registration, masks: &Masks) -> Pose {
         let frame = &self.bound.frame;
-        match (&self.known.setup.tags, self.known.layout.is_some()) {
+        match (&self.known.tags, self.known.layout.is_some()) {
             (Some(tags), _) => match find_tags(frame, tags.family) {
                 Ok(seen) => pose::register_tagged(registration, frame, masks, tags, &seen),
                 Err(error) => {
@@ -308,8 +310,7 @@ impl Registered {
     /// A refusal in place of a result: running the job failed.
     #[must_use]
     pub fn failed(job: PoseJob, reason: &str) -> Self {
-        let without_tags = Setup { tags: None, ..(*job.known.setup).clone() };
-        let known = Known { layout: None, setup: Arc::new(without_tags), ..job.known };
+        let known = Known { layout: None, tags: None, ..job.known };
         // Without beads, tags and masks nothing is looked at again: whatever failed does not fail a second time.
         let mut refused = PoseJob { known, ..job }.register(Masks::default(), &Stopwatch::start());
         refused.pose = refused.pose.refused_for(Refusal::Fault { detail: reason.to_owned() });

@@ -111,8 +111,16 @@ pub enum TagsFileError {
 /// When it cannot be read, has another form or unknown keys, or a number in it cannot be.
 pub fn read_tags(path: &Path) -> Result<TagLayout, TagsFileError> {
     let bytes = std::fs::read(path).map_err(|source| TagsFileError::Read { path: path.to_owned(), source })?;
+    parse_tags(path, &bytes)
+}
+
+/// The tags of a file's `bytes`; `path` is for errors.
+///
+/// # Errors
+/// As [`read_tags`].
+pub fn parse_tags(path: &Path, bytes: &[u8]) -> Result<TagLayout, TagsFileError> {
     let form = |place: String, message: String| TagsFileError::Form { path: path.to_owned(), place, message };
-    let mut deserializer = serde_json::Deserializer::from_slice(&bytes);
+    let mut deserializer = serde_json::Deserializer::from_slice(bytes);
     let layout: TagLayout = serde_path_to_error::deserialize(&mut deserializer)
         .map_err(|error| form(error.path().to_string(), error.inner().to_string()))?;
     deserializer.end().map_err(|error| form("the end".to_owned(), error.to_string()))?;

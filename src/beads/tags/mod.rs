@@ -18,5 +18,5 @@ mod grey;
 mod seen;
 
 pub use family::Family;
-pub use file::{Tag, TagLayout, TagsFileError, read_tags};
+pub use file::{Tag, TagLayout, TagsFileError, parse_tags, read_tags};
 pub use seen::{CORNERS, SeenTag, TagsError, find_tags};

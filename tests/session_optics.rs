@@ -146,6 +146,14 @@ fn tags_start_a_session_s_beads_and_stand_alone_where_there_are_none() {
         started > 0 && poses.iter().all(|pose| pose["pose"]["tags"].as_array().is_some_and(|tags| !tags.is_empty())),
         "{poses:#?}"
     );
+    // The same tags, bit for bit, come back from the log.
+    let (log, again) = (lab.kit.join("out").join("session.mcap"), lab.kit.join("again"));
+    let mut replay = std::process::Command::new(env!("CARGO_BIN_EXE_sidecarm"));
+    let replayed = replay.arg("replay").arg(log).arg("--data").arg(&lab.kit).arg("--json").arg("--out").arg(again).output();
+    let replayed = replayed.expect("runs");
+    let found: Value = serde_json::from_slice(&replayed.stdout).unwrap_or_else(|_| panic!("{replayed:?}"));
+    let different = found["poses_different"].as_array().map(Vec::len);
+    assert_eq!((found["poses_identical"].as_u64(), different), (Some(poses.len() as u64), Some(0)), "{found:#}");
 
     put();
     std::fs::remove_dir_all(lab.kit.join("out")).expect("removed");

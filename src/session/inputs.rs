@@ -126,6 +126,11 @@ impl InputNames {
                 *path = told(path, role);
             }
         }
+        if let Some(intensifier) = &mut kept.intensifier {
+            // Names of the frames that it was measured in.
+            intensifier.views.iter_mut().for_each(|view| view.frame.clear());
+            intensifier.notes.clear();
+        }
         kept.inputs = self.labelled();
         let scene = kept.inputs.first().map_or_else(|| "scene.json".to_owned(), |scene| scene.label.clone());
         session.scene = PathBuf::from(&scene);

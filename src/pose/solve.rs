@@ -209,6 +209,14 @@ pub fn square_pixels(k: &Intrinsics) -> Freedom {
     Freedom::Along(DMatrix::from_row_slice(5, 3, &shares))
 }
 
+/// A match as a residual; the weights take `share` of σ_mm.
+pub(super) fn image_of(m: &Match, camera: PoseBlock, intrinsics: VectorBlock, share: f64) -> BeadImage {
+    let covariance_mm2 = DMat3::from_diagonal(DVec3::splat(m.sigma_mm.powi(2)));
+    let place = Place::Known { body_mm: m.lps_mm, covariance_mm2, share };
+    let variance = m.sigma_px.powi(2).max(1e-8);
+    BeadImage::new(camera, intrinsics, place, m.image_px, [variance, 0.0, variance])
+}
+
 /// The problem, with bead n as residual n and the priors behind them.
 fn problem<'a>(matches: &[Match], start: &Rigid, k: &Intrinsics, options: &Options) -> (Problem<'a>, PoseBlock, VectorBlock) {
     let mean_lps = matches.iter().map(|m| m.lps_mm).sum::<DVec3>() / matches.len().max(1) as f64;
@@ -221,10 +229,7 @@ fn problem<'a>(matches: &[Match], start: &Rigid, k: &Intrinsics, options: &Optio
     let intrinsics = problem.vector("intrinsics", &[k.fx, k.fy, k.skew, k.cx, k.cy], freedom);
     let loss = if options.loss.is_finite() { Loss::Cauchy(options.loss) } else { Loss::None };
     for m in matches {
-        let covariance_mm2 = DMat3::from_diagonal(DVec3::splat(m.sigma_mm.powi(2)));
-        let place = Place::Known { body_mm: m.lps_mm, covariance_mm2, share: options.sigma_mm_share };
-        let variance = m.sigma_px.powi(2).max(1e-8);
-        problem.add(BeadImage::new(camera, intrinsics, place, m.image_px, [variance, 0.0, variance]), loss);
+        problem.add(image_of(m, camera, intrinsics, options.sigma_mm_share), loss);
     }
     if let Some(measured) = &options.measured {
         problem.add(PosePrior::new(camera, measured.camera_from_lps, measured.information), Loss::None);

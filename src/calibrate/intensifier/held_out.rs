@@ -1,5 +1,6 @@
 //! The fit of one view: outliers out, residuals of spots held out.
 
+use super::outliers::limit_px;
 use super::polynomial::{Gauge, Node, Polynomial};
 use crate::mask::Disc;
 
@@ -12,15 +13,7 @@ pub struct ViewFit {
 
 /// Parts that are held out in turn.
 const FOLDS: i32 = 10;
-/// Spots further off than so many standard deviations, per axis and robustly measured, are left out …
-const OUTLIER: f64 = 5.0;
-/// … but none that are nearer than this: what the polynomial itself cannot follow at the rim belongs into the figure.
-const LEAST_OUTLIER_PX: f64 = 1.0;
-/// One in so many is left out at a time.
-const AT_A_TIME: usize = 50;
 const ROUNDS: usize = 40;
-/// Median length of a vector of two standard normals: √(2 ln 2).
-const MEDIAN_LENGTH: f64 = 1.177_410_022_515_474_6;
 
 impl ViewFit {
     /// Fits `nodes`, leaving out those that do not belong. `None` when the rest does not determine the polynomial.
@@ -41,12 +34,7 @@ impl ViewFit {
                     cell_px * polynomial.off(node).length() / (1.0 - pull).max(1e-6)
                 })
                 .collect();
-            let mut lengths: Vec<f64> = off_px.iter().zip(&kept).filter(|(_, kept)| **kept).map(|(off, _)| *off).collect();
-            lengths.sort_by(f64::total_cmp);
-            let sigma_px = lengths.get(lengths.len() / 2)? / MEDIAN_LENGTH;
-            let limit_px = (OUTLIER * sigma_px).max(LEAST_OUTLIER_PX);
-            let most = (lengths.len() / AT_A_TIME).max(1);
-            let limit_px = limit_px.max(lengths[lengths.len() - 1 - most]);
+            let limit_px = limit_px(off_px.iter().zip(&kept).filter(|(_, kept)| **kept).map(|(off, _)| *off))?;
             let next: Vec<bool> = off_px.iter().map(|off| *off <= limit_px).collect();
             if next == kept {
                 return Some(Self { polynomial, nodes: chosen().copied().collect() });

@@ -9,6 +9,7 @@ mod error;
 mod spots;
 mod polynomial;
 mod lattice;
+mod outliers;
 mod held_out;
 mod glare;
 mod bead_phantom;

@@ -1,20 +1,13 @@
 //! Names that settle, outliers that go, and what is left at beads that the fit has not seen.
 
 use super::adjust::{Adjusted, KnownBead, Weighing};
+use crate::calibrate::intensifier::outliers::limit_px;
 use crate::estimate::EstimateError;
 use crate::geometry::Intrinsics;
 
 /// Radii in which shadows are sought, in radii of the disc: the first after a frame's own start, the last while names settle.
 const SOUGHT: [f64; 4] = [0.02, 0.014, 0.01, 0.008];
 const ROUNDS: usize = 12;
-/// Shadows further off than so many standard deviations, per axis and robustly measured, are left out …
-const OUTLIER: f64 = 5.0;
-/// … but none that are nearer than this: what the polynomial itself cannot follow at the rim belongs into the figure.
-const LEAST_OUTLIER_PX: f64 = 1.0;
-/// One in so many is left out at a time.
-const AT_A_TIME: usize = 50;
-/// Median length of a vector of two standard normals: √(2 ln 2).
-const MEDIAN_LENGTH: f64 = 1.177_410_022_515_474_6;
 /// Parts of the beads that are held out in turn.
 const FOLDS: usize = 10;
 
@@ -48,12 +41,7 @@ impl Adjusted {
             let solved = equations.state(&estimate, &self);
             let off = |n: usize| estimate.left_out_linear(&covariance, n).map_or(f64::INFINITY, |left| left.offset.norm());
             let off_px: Vec<f64> = (0..self.count()).map(off).collect();
-            let mut sorted = off_px.clone();
-            sorted.sort_by(f64::total_cmp);
-            let Some(median_px) = sorted.get(sorted.len() / 2) else { return Ok(solved) };
-            let limit_px = (OUTLIER * median_px / MEDIAN_LENGTH).max(LEAST_OUTLIER_PX);
-            let most = (sorted.len() / AT_A_TIME).max(1);
-            let limit_px = limit_px.max(sorted[sorted.len() - 1 - most.min(sorted.len() - 1)]);
+            let Some(limit_px) = limit_px(off_px.iter().copied()) else { return Ok(solved) };
             let before = self.count();
             let mut off_px = off_px.into_iter();
             self = solved;

@@ -7,6 +7,7 @@ use sidecarm::acquire::{Domain, Frame};
 use sidecarm::calibrate::robot::{Assumed, RobotFitError, calibrate, tip_in_frame};
 use sidecarm::geometry::View;
 use sidecarm::gpu::DeviceChoice;
+use sidecarm::mask::of_frame;
 use sidecarm::render::{Options, Renderer};
 use sidecarm::reporter::Reporter;
 use sidecarm::scene::load_text;
@@ -235,7 +236,10 @@ fn a_frame_shows_the_tip_where_a_load_has_moved_it() {
         robot["lps_from_base"] = json!(rigid(&drawn.base));
         robot["control_angles_deg"] = json!(drawn.snakes[n].angles_deg);
         let scene = load_text(&scene.to_string(), Path::new("scene.json"), false, &Reporter::silent()).expect("a scene");
-        let seen = |is_there: bool| tip_in_frame(&drawn.frame(&lab, n, is_there), &drawn.poses[n], &scene).expect("metals");
+        let seen = |is_there: bool| {
+            let frame = drawn.frame(&lab, n, is_there);
+            tip_in_frame(&frame, &of_frame(&frame), &drawn.poses[n], &scene).expect("metals")
+        };
         let tip = seen(true).unwrap_or_else(|| panic!("shot {n} shows the robot"));
         let [u, v] = drawn.bent_mm(n);
         let off_mm = (tip.off_mm[0] - u).hypot(tip.off_mm[1] - v);

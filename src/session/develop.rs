@@ -201,7 +201,7 @@ impl Bench {
             return;
         }
         let watch = Stopwatch::start();
-        match tip_in_frame(&posed.frame, &posed.pose, scene) {
+        match tip_in_frame(&posed.frame, &posed.masks, &posed.pose, scene) {
             Ok(tip) => pair.tip = tip,
             Err(error) => pair.flags.push(format!("the drill's tip was not looked for: {error}")),
         }

@@ -3,7 +3,7 @@
 use glam::DVec3;
 use nalgebra::SMatrix;
 
-use super::chain::{OWN, State};
+use super::chain::{OWN, State, shape};
 use super::fit::{Fitting, LEAST_MARKS};
 use super::metal::Metal;
 use super::shot::Shot;
@@ -11,6 +11,7 @@ use super::tips::tip_px;
 use super::{Assumed, RobotFitError};
 use crate::acquire::Frame;
 use crate::geometry::Rigid;
+use crate::mask::Masks;
 use crate::pose::Pose;
 use crate::scene::Scene;
 
@@ -54,14 +55,15 @@ impl SeenTip {
     }
 }
 
-/// The tip in `frame`, as the robot of `scene` has it when its base, bend and picture are fitted to what is seen; `None` where the robot
+/// The tip in `frame`, whose masks are given, as the robot of `scene` has it when its base, bend and picture are fitted to what is seen; `None` where the robot
 /// is not seen, or the frame has no pose. `scene` is posed as the DRR was: robot and bodies at the exposure.
 ///
 /// # Errors
 /// When the scene has no robot, or its metals no attenuation.
-pub fn tip_in_frame(frame: &Frame, pose: &Pose, scene: &Scene) -> Result<Option<SeenTip>, RobotFitError> {
+pub fn tip_in_frame(frame: &Frame, masks: &Masks, pose: &Pose, scene: &Scene) -> Result<Option<SeenTip>, RobotFitError> {
     let robot = scene.robot.as_ref().ok_or(RobotFitError::NoRobot)?;
-    let Ok(shot) = Shot::of(&frame.name, frame, pose, robot.control_angles_deg, Rigid::IDENTITY) else { return Ok(None) };
+    let readings_deg = robot.control_angles_deg;
+    let Ok(shot) = Shot::masked(&frame.name, frame, masks, pose, readings_deg, Rigid::IDENTITY) else { return Ok(None) };
     let start =
         State { carrier_from_base: robot.lps_from_base, offsets_deg: robot.control_angle_offsets_deg, own_deg: vec![[0.0; OWN]] };
     let Some((drawn_px, _)) = tip_px(&robot.model, &shot, &start, &[0.0; OWN]) else { return Ok(None) };
@@ -78,8 +80,7 @@ pub fn tip_in_frame(frame: &Frame, pose: &Pose, scene: &Scene) -> Result<Option<
     let Some((found_px, depth_mm)) = at(state, &own) else { return Ok(None) };
     let seen_px = found_px + glam::DVec2::from_array(fitted.shift_px);
     let mut by = SMatrix::<f64, 2, UNKNOWNS>::zeros();
-    let tip = |own: &[f64; OWN]| super::chain::shape(&robot.model, &shot, &state.offsets_deg, own);
-    let Some(shape) = tip(&own) else { return Ok(None) };
+    let Some(shape) = shape(&robot.model, &shot, &state.offsets_deg, &own) else { return Ok(None) };
     let tip_in_lps = state.carrier_from_base.transform_point(shape.base_from_tip.translation_mm);
     let centre = state.carrier_from_base.transform_point(super::solve::middle(&robot.model));
     let in_camera = shot.view.camera_from_lps.transform_point(tip_in_lps);

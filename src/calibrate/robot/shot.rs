@@ -5,7 +5,7 @@ use glam::DVec2;
 use crate::acquire::{Domain, Frame};
 use crate::geometry::{Rigid, View};
 use crate::image::{Image, quantile};
-use crate::mask;
+use crate::mask::{self, Masks};
 use crate::pose::{Covariance, Pose};
 
 /// A frame in which the robot may be seen.
@@ -75,6 +75,18 @@ impl Shot {
     /// # Errors
     /// Why it is no shot.
     pub fn of(name: &str, frame: &Frame, pose: &Pose, readings_deg: [f64; 5], lps_from_carrier: Rigid) -> Result<Self, NoShot> {
+        Self::masked(name, frame, &mask::of_frame(frame), pose, readings_deg, lps_from_carrier)
+    }
+
+    /// [`Shot::of`] with the frame's masks, which are at hand.
+    pub(super) fn masked(
+        name: &str,
+        frame: &Frame,
+        masks: &Masks,
+        pose: &Pose,
+        readings_deg: [f64; 5],
+        lps_from_carrier: Rigid,
+    ) -> Result<Self, NoShot> {
         let (intrinsics, camera_from_lps) = pose.camera().ok_or(NoShot::Refused)?;
         let size_px = frame.size_px.map(|side| side as u32);
         let of_pose = pose.size_px.unwrap_or(size_px);
@@ -85,7 +97,7 @@ impl Shot {
             return Err(NoShot::Angle { index, value_deg: readings_deg[index] });
         }
         let [width, height] = frame.size_px;
-        let mut usable = mask::of_frame(frame).usable(width, height, &[]);
+        let mut usable = masks.usable(width, height, &[]);
         let seen = pose.shadows.iter().filter(|shadow| shadow.bead.is_some());
         let beads: Vec<(DVec2, f64)> =
             seen.map(|shadow| (DVec2::from_array(shadow.image_px), BEAD_MARGIN * shadow.radius_px)).collect();

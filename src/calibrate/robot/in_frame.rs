@@ -22,7 +22,8 @@ const ASSUMED: Assumed =
 const MOST_TIMES: f64 = 4.0;
 /// Step for the effect of a bend on the tip, degrees.
 const STEP_DEG: f64 = 1e-4;
-/// What background, scatter and the shape of the drill's end leave beside noise (0.3 to 0.6 px rms over frames of two labs with known tips), px.
+/// What background, scatter and the shape of the drill's end leave beside noise, px: frames of the tests' own drawing show the tip 0.4 px
+/// rms per axis from where it is.
 const PLACE_PX: f64 = 0.5;
 /// Base, own bend and the picture's shift.
 const UNKNOWNS: usize = 6 + OWN + 2;

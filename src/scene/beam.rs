@@ -1,11 +1,14 @@
 //! `beam` and `detector` of a scene file.
 
+use glam::DVec2;
+
 use super::SceneError;
-use super::file::{BeamFile, DetectorFile};
+use super::file::{BeamFile, DetectorFile, FieldFile, FocalSpotFile, IntensifierFile};
 use super::files::Files;
 use super::model::{Beam, Detector, Response};
-use super::optics_file;
+use super::optics::{BeamShape, BowTie, Fault, Field, Heel, Panel, Scintillator};
 use super::physics::{Material, PhysicsError, Spectrum};
+use crate::geometry::{Intensifier, IntensifierCalibration};
 use crate::reporter::Reporter;
 
 /// N₀ where the scene gives none: the paper's.
@@ -58,7 +61,7 @@ pub(super) fn beam(file: &BeamFile, files: &mut Files, reporter: &Reporter) -> R
         photons_per_pixel,
         "above 0, at most 1e15",
     )?;
-    let shape = optics_file::beam_shape(file, file.anode_angle_deg.unwrap_or(ANODE_ANGLE_DEG), files)?;
+    let shape = beam_shape(file, file.anode_angle_deg.unwrap_or(ANODE_ANGLE_DEG), files)?;
     Ok(Beam { spectrum, photons_per_pixel, shape })
 }
 
@@ -96,7 +99,7 @@ pub(super) fn detector(file: &DetectorFile, files: &mut Files) -> Result<Detecto
         readout_noise: file.readout_noise,
         gain,
         offset,
-        panel: optics_file::panel(file, files)?,
+        panel: panel(file, files)?,
     })
 }
 
@@ -105,4 +108,99 @@ fn check(good: bool, files: &Files, key: &str, found: f64, expected: &str) -> Re
         return Ok(());
     }
     Err(SceneError::Value { place: files.place(key), found: found.to_string(), expected: expected.to_owned() })
+}
+
+/// The intensifier's calibration at its angle.
+fn intensifier(file: &IntensifierFile, files: &mut Files) -> Result<Intensifier, SceneError> {
+    let key = "detector.intensifier";
+    let angles_deg = match (file.orbital_deg, file.angulation_deg) {
+        (Some(orbital), Some(angulation)) => Some([orbital, angulation]),
+        (None, None) => None,
+        _ => {
+            let detail = "orbital_deg and angulation_deg go together".to_owned();
+            return Err(SceneError::Keys { place: files.place(key), detail });
+        }
+    };
+    let calibration: IntensifierCalibration = files.read_json(&format!("{key}.calibration"), &file.calibration)?;
+    let at = calibration.check().and_then(|()| calibration.at(angles_deg));
+    at.map_err(|source| SceneError::Intensifier { place: files.place(key), source: Box::new(source) })
+}
+
+/// Heel, bow-tie, field and focal spot of `beam`, checked.
+fn beam_shape(file: &BeamFile, anode_angle_deg: f64, files: &Files) -> Result<BeamShape, SceneError> {
+    let heel = match (&file.heel, file.tube_kvp) {
+        (Some(heel), Some(tube_kvp)) => Some(Heel { tube_kvp, anode_angle_deg, anode_towards: heel.anode_towards }),
+        (Some(_), None) => {
+            return Err(SceneError::Keys {
+                place: files.place("beam.heel"),
+                detail: "goes with tube_kvp only: it is read from the tungsten spectra".to_owned(),
+            });
+        }
+        (None, _) => None,
+    };
+    let bowtie = file.bowtie.as_ref().map(|bowtie| {
+        let (material, density_g_per_cm3) = dense("beam.bowtie.material", &bowtie.material, bowtie.density_g_per_cm3, files)?;
+        Ok(BowTie { material, density_g_per_cm3, axis: bowtie.axis, thickness_mm: bowtie.thickness_mm.clone() })
+    });
+    let field = file.field.as_ref().map(|field| match field {
+        FieldFile::Rectangle(r) => Field::Rectangle {
+            size_mm: DVec2::from_array(r.size_mm),
+            centre_mm: DVec2::from_array(r.centre_mm),
+            rotation_deg: r.rotation_deg,
+        },
+        FieldFile::Circle(c) => Field::Circle { diameter_mm: c.diameter_mm, centre_mm: DVec2::from_array(c.centre_mm) },
+        FieldFile::Polygon(p) => {
+            Field::Polygon { corners_mm: p.corners_mm.iter().map(|corner| DVec2::from_array(*corner)).collect() }
+        }
+    });
+    let focal_spot_mm = match file.focal_spot_mm {
+        Some(FocalSpotFile::Round(width)) => [width, width],
+        Some(FocalSpotFile::Oval(widths)) => widths,
+        None => [0.0, 0.0],
+    };
+    let shape = BeamShape { bowtie: bowtie.transpose()?, heel, field, focal_spot_mm };
+    shape.check().map_err(|fault| refused(fault, files))?;
+    Ok(shape)
+}
+
+/// Scintillator, grid, blur, saturation and digits of `detector`, checked.
+fn panel(file: &DetectorFile, files: &mut Files) -> Result<Panel, SceneError> {
+    let intensifier = file.intensifier.as_ref().map(|file| intensifier(file, files)).transpose()?;
+    let scintillator = file.scintillator.as_ref().map(|layer| {
+        let (material, density_g_per_cm3) =
+            dense("detector.scintillator.material", &layer.material, layer.density_g_per_cm3, files)?;
+        Ok(Scintillator { material, density_g_per_cm3, thickness_mm: layer.thickness_mm })
+    });
+    let bits = match file.bits {
+        Some(bits) if bits.fract() == 0.0 && (1.0..=24.0).contains(&bits) => Some(bits as u32),
+        Some(value) => {
+            return Err(refused(Fault { key: "detector.bits", value, expected: "a whole number from 1 to 24" }, files));
+        }
+        None => None,
+    };
+    let panel = Panel {
+        scintillator: scintillator.transpose()?,
+        grid: file.grid,
+        blur_fwhm_mm: file.blur_fwhm_mm.unwrap_or(0.0),
+        saturation: file.saturation,
+        bits,
+        intensifier,
+    };
+    panel.check().map_err(|fault| refused(fault, files))?;
+    Ok(panel)
+}
+
+/// A material with its density: the one given, else the nominal one.
+fn dense(key: &str, name: &str, density: Option<f64>, files: &Files) -> Result<(Material, f64), SceneError> {
+    let physics = |source| SceneError::Physics { place: files.place(key), source };
+    let material = Material::parse(name).map_err(physics)?;
+    let density = match density {
+        Some(density) => density,
+        None => material.nominal_density_g_per_cm3().map_err(physics)?,
+    };
+    Ok((material, density))
+}
+
+fn refused(fault: Fault, files: &Files) -> SceneError {
+    SceneError::Value { place: files.place(fault.key), found: fault.value.to_string(), expected: fault.expected.to_owned() }
 }

@@ -2,6 +2,7 @@
 
 mod canvas;
 mod colour;
+mod files;
 mod html;
 mod html_exposures;
 mod html_parts;
@@ -13,11 +14,9 @@ mod strip;
 
 pub use canvas::{Align, Canvas, Rgb};
 pub use colour::{diverging, gray, window};
+pub use files::{ReportError, png_bytes, write_pairs, write_session};
 pub use html::html;
 pub use overlay::overlay;
 pub use pair::{Innovation, Pair, PairStatus, PoseSource, Standing, TruthError, score_words};
-pub use session::{
-    Counts, Gap, LinkReport, PairsFile, Provenance, ReportError, SessionReport, Track, counted, png_bytes, write_pairs,
-    write_session,
-};
+pub use session::{Counts, Gap, LinkReport, PairsFile, Provenance, SessionReport, Track, counted};
 pub use strip::{StripInput, strip};

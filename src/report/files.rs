@@ -1,0 +1,68 @@
+//! A session's report as files of its folder.
+
+use std::path::Path;
+
+use super::html;
+use super::pair::Pair;
+use super::session::{PairsFile, SessionReport};
+use crate::image::{Image, ImageFileError, write_atomically};
+
+/// Why a report could not be written.
+#[derive(Debug, thiserror::Error)]
+pub enum ReportError {
+    /// The file system refused.
+    #[error("report: {0}")]
+    File(#[from] ImageFileError),
+    /// The numbers could not be put into JSON.
+    #[error("report: pairs.json cannot be written ({detail})")]
+    Json {
+        /// What serde said.
+        detail: String,
+    },
+}
+
+/// Writes `pairs.json` and `report.html` into `folder`; each file is whole or absent. Strips that pairs name and `pictures` lacks are
+/// read from the folder; one that is not there is left out, and the report says so.
+///
+/// # Errors
+/// When the folder is not writable.
+pub fn write_session(folder: &Path, report: &SessionReport) -> Result<(), ReportError> {
+    write_pairs(&folder.join("pairs.json"), &report.pairs)?;
+    let mut with_pictures = report.clone();
+    for strip in report.pairs.iter().filter_map(|pair| pair.strip.as_ref()) {
+        if let (false, Ok(bytes)) = (report.pictures.contains_key(strip), std::fs::read(folder.join(strip))) {
+            with_pictures.pictures.insert(strip.clone(), bytes);
+        }
+    }
+    let text = html::html(&with_pictures);
+    write_atomically(&folder.join("report.html"), |file| file.write_all(text.as_bytes()))?;
+    Ok(())
+}
+
+/// Writes `pairs.json` alone, as a session does after each exposure.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write_pairs(path: &Path, pairs: &[Pair]) -> Result<(), ReportError> {
+    let file = PairsFile { pairs: pairs.to_vec() };
+    let text = serde_json::to_string_pretty(&file).map_err(|error| ReportError::Json { detail: error.to_string() })?;
+    write_atomically(path, |out| {
+        out.write_all(text.as_bytes())?;
+        out.write_all(b"\n")
+    })?;
+    Ok(())
+}
+
+/// A picture as the bytes of a PNG file; empty when the picture is.
+#[must_use]
+pub fn png_bytes(picture: &Image<[u8; 3]>) -> Vec<u8> {
+    let raw: Vec<u8> = picture.pixels.iter().flatten().copied().collect();
+    let mut bytes = Vec::new();
+    let encoder = image::codecs::png::PngEncoder::new(&mut bytes);
+    let (width, height) = (picture.width as u32, picture.height as u32);
+    match image::ImageEncoder::write_image(encoder, &raw, width, height, image::ExtendedColorType::Rgb8) {
+        Ok(()) => bytes,
+        // Writing to memory fails only for pictures without pixels.
+        Err(_) => Vec::new(),
+    }
+}

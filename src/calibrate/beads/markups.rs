@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use super::CtBead;
+use super::ct_bead::CtBead;
 
 const SCHEMA: &str = "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/markups-schema-v1.0.3.json#";
 

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use super::CtBead;
+use super::ct_bead::CtBead;
 use crate::beads::BeadLayout;
 
 /// Beads with names, in their final order.

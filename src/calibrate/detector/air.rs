@@ -1,9 +1,10 @@
 //! Which air frames agree with each other, and the signal that they give per mAs, pixel by pixel.
 
+use super::error::{DetectorError, kvp_words};
 use super::groups::{Group, median, median_and_deviation};
+use super::measurement::PanelFrame;
 use super::offset::Offset;
 use super::surface::Surface;
-use super::{DetectorError, PanelFrame, kvp_words};
 use crate::acquire::ExposureLevel;
 use crate::image::Image;
 

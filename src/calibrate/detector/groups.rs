@@ -1,6 +1,7 @@
 //! Air frames sorted by tube voltage and exposure.
 
-use super::{DetectorError, PanelFrame, kvp_words};
+use super::error::{DetectorError, kvp_words};
+use super::measurement::PanelFrame;
 use crate::acquire::ExposureLevel;
 
 /// Frames of one tube voltage; saturated levels are counted, not kept.

@@ -1,7 +1,8 @@
 //! The stored value without X-rays: from darks, pixel by pixel, else from where the signal of several exposures would vanish.
 
+use super::error::DetectorError;
 use super::groups::{Group, median, median_and_deviation};
-use super::{DetectorError, PanelFrame};
+use super::measurement::PanelFrame;
 use crate::image::Image;
 
 pub(super) struct Offset {

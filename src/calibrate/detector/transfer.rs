@@ -8,8 +8,9 @@
 use rayon::prelude::*;
 
 use super::air::Consistent;
+use super::error::{DetectorError, kvp_words};
+use super::measurement::PanelFrame;
 use super::offset::Offset;
-use super::{DetectorError, PanelFrame, kvp_words};
 use crate::image::Image;
 
 pub(super) struct Transfer {

@@ -6,6 +6,7 @@
 //! the disc's centre stays where it is, and there a pixel keeps its area and its direction.
 
 mod error;
+mod frames;
 mod spots;
 mod polynomial;
 mod lattice;
@@ -16,6 +17,7 @@ mod bead_phantom;
 
 pub use bead_phantom::{PhantomRequest, calibrate_phantom};
 pub use error::IntensifierFault;
+pub use frames::GridFrame;
 pub use glare::measure_glare;
 pub use spots::{GridOf, disc as disc_of};
 
@@ -26,15 +28,6 @@ use crate::geometry::{AnglesDeg, AnglesFrom, Glare, IntensifierCalibration, Inte
 use crate::mask::Disc;
 use held_out::ViewFit;
 use polynomial::{Gauge, Node, Polynomial};
-
-/// A frame of the grid, or of the phantom.
-#[derive(Clone, Debug)]
-pub struct GridFrame {
-    /// As it was read.
-    pub frame: Frame,
-    /// Orbital and angulation angle, if known.
-    pub angles_deg: Option<AnglesDeg>,
-}
 
 /// What is asked for.
 #[derive(Clone, Debug)]
@@ -60,8 +53,6 @@ pub struct GridRequest {
 /// Nodes that must lie within a quarter of a cell from where the first view has them, for the plate to count as unmoved.
 const UNMOVED_SHARE: f64 = 0.8;
 const UNMOVED_CELLS: f64 = 0.25;
-/// Frames whose angles differ by less on both axes were taken at one angle.
-const SAME_ANGLE_DEG: f64 = 0.1;
 
 /// Fits the distortion of every frame.
 ///
@@ -69,7 +60,7 @@ const SAME_ANGLE_DEG: f64 = 0.1;
 /// When sizes differ, angles are missing or given twice, no grid shows, or a distortion cannot be inverted.
 pub fn calibrate(frames: &[GridFrame], request: &GridRequest) -> Result<IntensifierCalibration, IntensifierFault> {
     let first = &frames.first().ok_or(IntensifierFault::NoFrames)?.frame;
-    check(frames)?;
+    frames::check(frames)?;
     let mut notes =
         vec!["the plate is taken to lie flat on the intensifier's input: a tilted plate shows as distortion".to_owned()];
     // One disc for all: it is the intensifier's own, and polynomials need one centre to be interpolated.
@@ -123,31 +114,6 @@ pub fn calibrate(frames: &[GridFrame], request: &GridRequest) -> Result<Intensif
     };
     calibration.check()?;
     Ok(calibration)
-}
-
-fn check_sizes(frames: &[GridFrame]) -> Result<(), IntensifierFault> {
-    let of = |frame: &GridFrame| frame.frame.size_px;
-    match frames.iter().find(|frame| of(frame) != of(&frames[0])) {
-        Some(other) => {
-            Err(IntensifierFault::Sizes { frame: other.frame.name.clone(), found: of(other), expected: of(&frames[0]) })
-        }
-        None => Ok(()),
-    }
-}
-
-fn check(frames: &[GridFrame]) -> Result<(), IntensifierFault> {
-    check_sizes(frames)?;
-    let name = |frame: &GridFrame| frame.frame.name.clone();
-    for (index, frame) in frames.iter().enumerate().filter(|_| frames.len() > 1) {
-        let angles_deg = frame.angles_deg.ok_or_else(|| IntensifierFault::NoAngle { frame: name(frame) })?;
-        let near = |other: &&GridFrame| {
-            other.angles_deg.is_some_and(|other| (0..2).all(|axis| (other[axis] - angles_deg[axis]).abs() < SAME_ANGLE_DEG))
-        };
-        if let Some(other) = frames[..index].iter().find(near) {
-            return Err(IntensifierFault::SameAngle { frame: name(frame), other: name(other), angles_deg });
-        }
-    }
-    Ok(())
 }
 
 /// `nodes` with the cells that the first view has there: quarter turns and whole steps apart. `None` when the plate lies otherwise.

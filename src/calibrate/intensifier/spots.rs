@@ -2,7 +2,7 @@
 
 use glam::DVec2;
 
-use super::GridFrame;
+use super::frames::GridFrame;
 use crate::acquire::Frame;
 use crate::beads::{Detection, Expectation, Signal, detect, detect_image};
 use crate::image::Image;

@@ -111,7 +111,7 @@ impl<'a> Adjustment<'a> {
                 blocks.images.push((bead, shot, problem.add(image, Loss::None)));
             }
         }
-        self.measured.add_to(&mut problem, &blocks);
+        self.measured.add_to(&mut problem, &blocks.points, &blocks.cameras);
         (problem, blocks)
     }
 

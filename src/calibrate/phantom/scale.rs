@@ -4,10 +4,9 @@ use glam::DVec3;
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
-use super::adjust::Blocks;
 use super::shot::PhantomShot;
 use super::structure::Structure;
-use crate::estimate::{Loss, Numeric, Problem, State, VectorBlock};
+use crate::estimate::{Loss, Numeric, PoseBlock, Problem, State, VectorBlock};
 
 /// A distance between two beads, measured otherwise.
 #[derive(Clone, Debug, PartialEq)]
@@ -91,9 +90,10 @@ impl Measured {
         Self { radii: Some(Radii { mean, sigma, of }), ..Self::default() }
     }
 
-    pub fn add_to(&self, problem: &mut Problem<'_>, blocks: &Blocks) {
+    /// Adds what was measured of beads at `points`, seen by `cameras`, shot by shot.
+    pub fn add_to(&self, problem: &mut Problem<'_>, points: &[VectorBlock], cameras: &[Option<PoseBlock>]) {
         for ([a, b], mm, sigma_mm) in &self.distances {
-            let (a, b) = (blocks.points[*a], blocks.points[*b]);
+            let (a, b) = (points[*a], points[*b]);
             let predict = move |state: &State, out: &mut [f64]| {
                 out[0] = state.point(a).distance(state.point(b));
                 true
@@ -103,7 +103,7 @@ impl Measured {
             problem.add(distance, Loss::None);
         }
         let Some(Radii { mean, sigma, of }) = &self.radii else { return };
-        let pairs: Vec<_> = of.iter().filter_map(|(bead, shot)| Some((blocks.points[*bead], blocks.cameras[*shot]?))).collect();
+        let pairs: Vec<_> = of.iter().filter_map(|(bead, shot)| Some((points[*bead], cameras[*shot]?))).collect();
         let mut ids: Vec<_> = pairs.iter().flat_map(|(point, camera)| [point.id(), camera.id()]).collect();
         ids.sort_unstable();
         ids.dedup();

@@ -1,6 +1,7 @@
 //! Which frames share a distortion: those taken at one angle of the C-arm.
 
-use crate::calibrate::intensifier::{GridFrame, IntensifierFault, SAME_ANGLE_DEG};
+use crate::calibrate::intensifier::error::IntensifierFault;
+use crate::calibrate::intensifier::frames::{GridFrame, SAME_ANGLE_DEG};
 use crate::geometry::AnglesDeg;
 
 /// Frames of one angle.

@@ -9,45 +9,23 @@ mod shift_field;
 mod residual;
 mod adjust;
 mod held_out;
+mod request;
 mod start;
 mod angles;
 
-use super::GridFrame;
+pub use request::PhantomRequest;
+
 use super::error::IntensifierFault;
+use super::frames::{GridFrame, check_sizes};
 use super::spots::{self, Spot};
 use crate::beads::{BeadLayout, Detection, Expectation, detect};
-use crate::geometry::{AnglesFrom, DEFAULT_ORDER, Glare, IntensifierCalibration, IntensifierView, Intrinsics, term_count};
+use crate::geometry::{DEFAULT_ORDER, IntensifierCalibration, IntensifierView, term_count};
 use crate::mask::Disc;
-use crate::pose::{Prior, extents_mm};
+use crate::pose::extents_mm;
 use adjust::{Adjusted, KnownBead};
 use angles::{AtOneAngle, by_angle};
 use shift_field::ShiftField;
-use start::{LEAST_BEADS, Started, ladder, start};
-
-/// What is known of the phantom, and asked for.
-#[derive(Clone, Debug)]
-pub struct PhantomRequest<'a> {
-    /// The beads.
-    pub layout: &'a BeadLayout,
-    /// K of the undistorted picture, for frames of the size given.
-    pub intrinsics: Intrinsics,
-    /// Side of a pixel, for the depths at which beads may lie.
-    pub pitch_mm: f64,
-    /// Where the phantom is expected: none, or one for each frame.
-    pub priors: &'a [Prior],
-    /// Radius of beads whose description gives none.
-    pub bead_radius_mm: Option<f64>,
-    /// Order of the polynomials; `None`: the usual one where beads suffice for it, else the third.
-    pub order: Option<usize>,
-    /// The round mask, where somebody knows it.
-    pub disc: Option<Disc>,
-    /// Where the angles come from.
-    pub angles_from: AnglesFrom,
-    /// Veiling glare, if it was measured.
-    pub glare: Option<Glare>,
-    /// Who measured, when, with what.
-    pub origin: String,
-}
+use start::{LEAST_BEADS, Seen, Started, ladder, start};
 
 /// Order where beads do not suffice for the usual one.
 const FEWER_BEADS_ORDER: usize = 3;
@@ -55,13 +33,6 @@ const FEWER_BEADS_ORDER: usize = 3;
 const LEAST_DEPTH: f64 = 0.1;
 /// Held-out beads further off than this share of the disc's radius speak against the layout, K or the names.
 const MOST_HELD_OUT: f64 = 0.01;
-
-/// Round shadows of a frame.
-struct Seen {
-    size_px: [u32; 2],
-    /// Of the polarity that most have, and of the other where it is not known.
-    shadows: Vec<Vec<Detection>>,
-}
 
 /// Fits the distortion at every angle at which the phantom was seen; `step` is called after each frame.
 ///
@@ -73,7 +44,7 @@ pub fn calibrate_phantom(
     step: &dyn Fn(),
 ) -> Result<IntensifierCalibration, IntensifierFault> {
     let size_px = frames.first().ok_or(IntensifierFault::NoFrames)?.frame.size_px;
-    super::check_sizes(frames)?;
+    check_sizes(frames)?;
     if let Some(detail) = &request.layout.refused {
         return Err(IntensifierFault::Layout { detail: detail.clone() });
     }

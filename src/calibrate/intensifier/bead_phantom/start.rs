@@ -1,8 +1,8 @@
 //! The first pose of a frame whose distortion nobody knows: trial distortions, until one explains the beads.
 
 use super::adjust::{Adjusted, KnownBead, Shot, Weighing};
+use super::request::PhantomRequest;
 use super::shift_field::ShiftField;
-use super::{PhantomRequest, Seen};
 use crate::beads::{Bead, BeadLayout, Detection};
 use crate::calibrate::intensifier::spots::Spot;
 use crate::geometry::Intrinsics;
@@ -36,6 +36,13 @@ const WELL_EXPLAINED: f64 = 0.9;
 pub const LEAST_BEADS: usize = 12;
 /// Order of the polynomial of one frame alone.
 const ORDER: usize = 3;
+
+/// Round shadows of a frame.
+pub struct Seen {
+    pub size_px: [u32; 2],
+    /// Of the polarity that most have, and of the other where it is not known.
+    pub shadows: Vec<Vec<Detection>>,
+}
 
 /// A frame that has found its beads.
 #[derive(Clone, Debug)]

@@ -2,9 +2,9 @@
 
 use std::ops::RangeInclusive;
 
-use super::binder::Pending;
 use super::evidence::{BindingHow, seconds};
 use super::judgement::{Judgement, Weighed};
+use super::known::Pending;
 use super::shots::{BATCH_US, PROMPT_US};
 
 /// Risk at which arrival alone still binds: that the exposure's own frame is missing and a stray came just then.
@@ -24,12 +24,12 @@ impl Weighed<'_> {
             words.push("without a usable stamp or counter a frame exported afterwards cannot be tied".to_owned());
             return Judgement::None(words);
         };
-        let unlearnt = said.console_us.is_some() || said.counter.is_some() && self.binder.counting.useless().is_none();
-        if self.binder.others_say_more(said) {
+        let unlearnt = said.console_us.is_some() || said.counter.is_some() && self.known.counting.useless().is_none();
+        if self.known.others_say_more(said) {
             words.push("it lacks the stamp or counter that other frames have".to_owned());
             return Judgement::None(words);
         }
-        if unlearnt && !self.binder.finished {
+        if unlearnt && !self.known.finished {
             words.push("what the console's clock and counter mean is not known yet: later frames will show it".to_owned());
             return Judgement::None(words);
         }
@@ -45,10 +45,10 @@ impl Weighed<'_> {
                 return Judgement::None(words);
             }
         };
-        if !self.binder.finished && self.now_us.saturating_sub(arrival_us) < BATCH_US {
+        if !self.known.finished && self.now_us.saturating_sub(arrival_us) < BATCH_US {
             return Judgement::Wait("waiting whether more frames come with it".to_owned());
         }
-        if self.binder.shots.get(at).prompt_frames > 1 || self.came_with_another(arrival_us) {
+        if self.known.shots.get(at).prompt_frames > 1 || self.came_with_another(arrival_us) {
             words.push(format!("several frames came after {}: ambiguous", self.label(at)));
             return Judgement::None(words);
         }
@@ -56,7 +56,7 @@ impl Weighed<'_> {
             words.push(blind);
             return Judgement::None(words);
         }
-        let late_us = arrival_us.saturating_sub(self.binder.shots.get(at).end_us);
+        let late_us = arrival_us.saturating_sub(self.known.shots.get(at).end_us);
         let Some(usual_us) = self.usual_delay_us() else {
             words.push("how soon frames come after their exposures is not known yet: later frames will show it".to_owned());
             return Judgement::None(words);
@@ -68,7 +68,7 @@ impl Weighed<'_> {
         }
         let (risk, lacking, count) = self.arrival_risk(arrival_us, usual_us.end().saturating_sub(*usual_us.start()));
         if !(risk <= ARRIVAL_RISK) {
-            let strays = self.binder.strays;
+            let strays = self.known.strays;
             words.push(format!(
                 "frames are missing or late here ({lacking} of the last {count} exposures had none promptly, {strays} frames came when none was near): arrival alone does not tell"
             ));
@@ -81,7 +81,7 @@ impl Weighed<'_> {
     /// Whether another picture came within the time of a batch.
     pub(super) fn came_with_another(&self, arrival_us: i64) -> bool {
         let said = &self.pending.evidence;
-        self.binder.frames.values().any(|other| {
+        self.known.frames.values().any(|other| {
             let apart_us = other.evidence.arrival_us.map_or(i64::MAX, |us| us.saturating_sub(arrival_us).saturating_abs());
             other.evidence.frame != said.frame && other.evidence.content != said.content && apart_us <= BATCH_US
         })
@@ -90,7 +90,7 @@ impl Weighed<'_> {
     /// How long after their exposures the other frames come, as far as one came alone after one exposure, or is bound to one: the shortest and
     /// the longest with a margin; `None` while too few are known.
     pub(super) fn usual_delay_us(&self) -> Option<RangeInclusive<i64>> {
-        let shots = &self.binder.shots;
+        let shots = &self.known.shots;
         let delay = |other: &Pending| {
             let prompt = other.prompt.as_deref()?;
             let bound = other.binding.exposure.as_ref().and_then(|exposure| shots.position(exposure.index));
@@ -102,7 +102,7 @@ impl Weighed<'_> {
             let (shot, arrival_us) = (shots.get(at), other.evidence.arrival_us?);
             (shot.whole && other.evidence.frame != self.pending.evidence.frame).then(|| arrival_us.saturating_sub(shot.end_us))
         };
-        let delays_us: Vec<i64> = self.binder.frames.values().filter_map(delay).collect();
+        let delays_us: Vec<i64> = self.known.frames.values().filter_map(delay).collect();
         let enough = delays_us.len() >= DELAYS;
         usual_us_of(delays_us).filter(|_| enough)
     }
@@ -111,7 +111,7 @@ impl Weighed<'_> {
     /// prompt frame (late ones come in runs), times rate of strays (before any was seen: one in ten minutes), times the length of the
     /// time in which frames usually come.
     fn arrival_risk(&self, arrival_us: i64, usual_us: i64) -> (f64, usize, usize) {
-        let shots = &self.binder.shots;
+        let shots = &self.known.shots;
         let settled_us = arrival_us.saturating_sub(PROMPT_US);
         let last: Vec<bool> = (0..shots.len())
             .rev()
@@ -123,7 +123,7 @@ impl Weighed<'_> {
         let lacking = last.iter().filter(|lacking| **lacking).count();
         let share = (lacking as f64 + 0.5) / (last.len() as f64 + 1.0);
         let elapsed_us = arrival_us.saturating_sub(shots.get(0).start_us).max(0).saturating_add(300_000_000);
-        let rate = (f64::from(self.binder.strays) + 0.5) / elapsed_us as f64;
+        let rate = (f64::from(self.known.strays) + 0.5) / elapsed_us as f64;
         (share * rate * usual_us as f64, lacking, last.len())
     }
 }

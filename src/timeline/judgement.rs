@@ -3,9 +3,9 @@
 use std::ops::RangeInclusive;
 
 use super::Timeline;
-use super::binder::{Binder, Pending};
 use super::counting::Firmness;
 use super::evidence::BindingHow;
+use super::known::{Known, Pending};
 use super::shots::BATCH_US;
 
 /// A first frame that comes later than this after the only exposure before it may be of something that was not seen.
@@ -29,7 +29,7 @@ pub(super) enum Judgement {
 
 /// A frame with all that bears on it.
 pub(super) struct Weighed<'a> {
-    pub binder: &'a Binder,
+    pub known: &'a Known,
     pub timeline: &'a Timeline,
     pub newest_us: Option<i64>,
     pub now_us: i64,
@@ -38,7 +38,7 @@ pub(super) struct Weighed<'a> {
 
 impl Weighed<'_> {
     pub(super) fn judge(&self) -> Judgement {
-        if self.binder.shots.len() == 0 {
+        if self.known.shots.len() == 0 {
             return none("telemetry recorded no exposure");
         }
         let Some(prompt) = &self.pending.prompt else {
@@ -56,7 +56,7 @@ impl Weighed<'_> {
                 }
                 self.with_stamp(&stamp, &candidates, prompt, words)
             }
-            None if self.pending.evidence.console_us.is_none() && self.binder.clock().is_some() => {
+            None if self.pending.evidence.console_us.is_none() && self.known.clock().is_some() => {
                 words.push("it lacks the stamp that other frames have".to_owned());
                 self.counted_and_prompt(&candidates, prompt, words)
             }
@@ -69,19 +69,19 @@ impl Weighed<'_> {
         let Some(counter) = self.pending.evidence.counter else {
             return (Vec::new(), Some("the frame carries no exposure counter".to_owned()));
         };
-        if let Some(reason) = self.binder.counting.useless() {
+        if let Some(reason) = self.known.counting.useless() {
             return (Vec::new(), Some(reason));
         }
-        let mut found = self.binder.counting.candidates(&self.binder.shots, counter, &|from, to| self.hidden(from, to));
+        let mut found = self.known.counting.candidates(&self.known.shots, counter, &|from, to| self.hidden(from, to));
         if let Some(arrival_us) = self.pending.evidence.arrival_us {
-            found.retain(|(at, _)| self.binder.shots.get(*at).start_us <= arrival_us);
+            found.retain(|(at, _)| self.known.shots.get(*at).start_us <= arrival_us);
         }
         (found, None)
     }
 
     /// Whether telemetry was silent between two exposures; a silence that hides the end of one may hide another exposure as well.
     fn hidden(&self, from: usize, to: usize) -> bool {
-        let (from, to) = (self.binder.shots.get(from), self.binder.shots.get(to));
+        let (from, to) = (self.known.shots.get(from), self.known.shots.get(to));
         self.timeline.exposure_tracker().blind_spot(from.over_us, to.begun_us.max(from.over_us)).is_some()
     }
 
@@ -90,7 +90,7 @@ impl Weighed<'_> {
     /// was stored.
     pub(super) fn decides(&self, at: usize, firmness: Firmness, several: &[usize]) -> bool {
         let said = &self.pending.evidence;
-        let mut rivals = several.iter().copied().filter(|other| self.binder.rival(said, at, *other));
+        let mut rivals = several.iter().copied().filter(|other| self.known.rival(said, at, *other));
         if firmness >= Firmness::OneSide && rivals.clone().next().is_none() {
             return true;
         }
@@ -98,7 +98,7 @@ impl Weighed<'_> {
         let usual_us = self.usual_delay_us();
         let usual = |at: usize| usual_us.as_ref().is_some_and(|usual_us| self.came_within(usual_us, at));
         firmness == Firmness::Enclosed
-            && self.binder.counting.counts_exposures(&self.binder.shots, &|from, to| self.hidden(from, to))
+            && self.known.counting.counts_exposures(&self.known.shots, &|from, to| self.hidden(from, to))
             && (usual(at) || !rivals.any(usual) && (usual_us.is_some() || said.console_us.is_some()))
     }
 
@@ -109,16 +109,16 @@ impl Weighed<'_> {
         let behind_us =
             said.console_us.zip(said.arrival_us).map(|(console_us, arrival_us)| arrival_us.saturating_sub(console_us));
         let beside_us = behind_us.map(|us| (us.saturating_add(ZONE_US / 2).rem_euclid(ZONE_US) - ZONE_US / 2).abs());
-        self.binder.finished || self.binder.counting.moves() || beside_us.is_some_and(|us| us <= BESIDE_US)
+        self.known.finished || self.known.counting.moves() || beside_us.is_some_and(|us| us <= BESIDE_US)
     }
 
     /// Whether the arrival may be an older frame's, from before the counter began anew: another frame with the same count came promptly
     /// after the exposure as well, or one of a batch whose counts name no exposure shortly before it.
     fn contested(&self, at: usize, counter: u32) -> bool {
-        let (said, shots) = (&self.pending.evidence, &self.binder.shots);
+        let (said, shots) = (&self.pending.evidence, &self.known.shots);
         let (Some(arrival_us), Some(number)) = (said.arrival_us, shots.number(at)) else { return false };
         let shift = i64::from(counter) - number;
-        self.binder.frames.values().filter(|other| other.evidence.frame != said.frame).any(|other| {
+        self.known.frames.values().filter(|other| other.evidence.frame != said.frame).any(|other| {
             let (Some(other_us), Some(count)) = (other.evidence.arrival_us, other.evidence.counter) else { return false };
             let prompt = other.prompt.as_deref().unwrap_or_default();
             let named = prompt.iter().any(|shot| shots.number(*shot) == Some(i64::from(count) - shift));
@@ -129,14 +129,14 @@ impl Weighed<'_> {
 
     /// Whether the frame came so long after the exposure, µs.
     pub(super) fn came_within(&self, delay_us: &RangeInclusive<i64>, at: usize) -> bool {
-        let end_us = self.binder.shots.get(at).end_us;
+        let end_us = self.known.shots.get(at).end_us;
         self.pending.evidence.arrival_us.is_some_and(|arrival_us| delay_us.contains(&arrival_us.saturating_sub(end_us)))
     }
 
     /// Whether the frame came no later after the exposure than others do, or soon where that is not known yet.
     fn timely(&self, at: usize) -> bool {
         let latest_us = self.usual_delay_us().map_or(SOON_US, |usual_us| *usual_us.end());
-        let end_us = self.binder.shots.get(at).end_us;
+        let end_us = self.known.shots.get(at).end_us;
         self.pending.evidence.arrival_us.is_none_or(|arrival_us| arrival_us.saturating_sub(end_us) <= latest_us)
     }
 
@@ -146,7 +146,7 @@ impl Weighed<'_> {
         match candidates {
             [(at, firmness)] if *firmness >= Firmness::OneSide && prompt.contains(at) => {
                 words.push(format!("counter and arrival name {}", self.label(*at)));
-                if !self.binder.finished {
+                if !self.known.finished {
                     words.push("until the end of the session a frame like the others may come for it".to_owned());
                     return Judgement::None(words);
                 }
@@ -161,11 +161,11 @@ impl Weighed<'_> {
 
     fn without_stamp(&self, candidates: &[(usize, Firmness)], prompt: &[usize], mut words: Vec<String>) -> Judgement {
         let said = &self.pending.evidence;
-        let free = |at: usize| self.binder.shots.get(at).frame.is_none();
+        let free = |at: usize| self.known.shots.get(at).frame.is_none();
         let open: Vec<(usize, Firmness)> = candidates.iter().filter(|(at, _)| free(*at)).copied().collect();
         if let ([(at, firmness)], Some(counter)) = (&open[..], said.counter) {
             // A value that came before may be one that does not move, or that began anew.
-            let fresh = self.binder.counting.times_seen(counter) <= 1;
+            let fresh = self.known.counting.times_seen(counter) <= 1;
             if *firmness == Firmness::Equal && !self.credible() {
                 words.push(
                     "a count that has not moved yet may be one that does not move, of a picture of something else".to_owned(),
@@ -184,24 +184,24 @@ impl Weighed<'_> {
             // An exposure right before the arrival competes: always, if the frame came promptly for either; else unless the counter is
             // known not to have begun anew by then.
             let competes = |other: usize| match prompt.contains(at) {
-                true => self.binder.rival(said, *at, other),
-                false => free(other) && other != *at && !self.binder.counting.passed(other),
+                true => self.known.rival(said, *at, other),
+                false => free(other) && other != *at && !self.known.counting.passed(other),
             };
             let rival = prompt.iter().find(|other| competes(**other));
-            let steady = self.binder.counting.steady(&self.binder.shots) && !self.binder.restless();
+            let steady = self.known.counting.steady(&self.known.shots) && !self.known.restless();
             let firm = steady && *firmness == Firmness::Enclosed;
             if let Some(rival) = rival.filter(|_| firm) {
                 words.push(format!("the counter names {}, the arrival {}: ambiguous", self.label(*at), self.label(*rival)));
                 return Judgement::None(words);
             }
-            let anew = self.binder.counting.may_have_begun_anew(&self.binder.shots, counter);
+            let anew = self.known.counting.may_have_begun_anew(&self.known.shots, counter);
             if firm && !anew && candidates.len() == 1 && fresh && said.console_us.is_none() {
                 words.push(format!("counter {counter} names {}, between frames with the same count", self.label(*at)));
                 return self.of(*at, BindingHow::Counter, words, false);
             }
         }
         if let ([(at, _)], [], Some(counter)) = (candidates, &open[..], said.counter)
-            && let Some(other) = self.binder.shots.get(*at).frame
+            && let Some(other) = self.known.shots.get(*at).frame
         {
             words.push(format!("counter {counter} names {}, which frame {other} has already", self.label(*at)));
             return Judgement::None(words);
@@ -211,7 +211,7 @@ impl Weighed<'_> {
 
     /// The verdict for one exposure, unless another frame has it.
     pub(super) fn of(&self, shot: usize, how: BindingHow, mut evidence: Vec<String>, teaches: bool) -> Judgement {
-        if let Some(other) = self.binder.shots.get(shot).frame {
+        if let Some(other) = self.known.shots.get(shot).frame {
             evidence.push(format!("{} has frame {other} already; one exposure has one frame", self.label(shot)));
             return Judgement::None(evidence);
         }
@@ -230,7 +230,7 @@ impl Weighed<'_> {
     }
 
     pub(super) fn label(&self, shot: usize) -> String {
-        let shot = self.binder.shots.get(shot);
+        let shot = self.known.shots.get(shot);
         match shot.counter {
             Some(counter) => format!("exposure {counter}"),
             None => format!("exposure #{} of the session", shot.index + 1),

@@ -6,9 +6,9 @@ use super::Timeline;
 use super::agreement::{Suggestion, Topic, agreement};
 use super::alignment::{Stamped, align};
 use super::arrival::usual_us_of;
-use super::binder::{Binder, KNOWN_FRAMES};
 use super::console::{ConsoleOffset, Pair};
-use super::evidence::{BindingHow, seconds};
+use super::evidence::{Binding, BindingHow, seconds};
+use super::known::{KNOWN_FRAMES, Known};
 
 /// Exposures farther apart than this have no common offset.
 const APART_US: i64 = 4_000_000;
@@ -19,7 +19,7 @@ const TIMED: usize = 8;
 /// Frames with two readings that show which of them is the more even.
 const COMMON: usize = 4;
 
-impl Binder {
+impl Known {
     /// What the latest prompt frames suggest, as far as it is not known already.
     fn suggestions(&self, topic: Topic) -> Vec<Suggestion> {
         let mut found = Vec::new();
@@ -128,15 +128,16 @@ impl Binder {
         enough
     }
 
-    /// Without stamps, prompt frames that agree on the counter's shift are bound by it.
-    pub(super) fn agree_on_shift(&mut self, timeline: &Timeline) {
+    /// Without stamps, prompt frames that agree on the counter's shift are bound by it: which, and how.
+    pub(super) fn agree_on_shift(&mut self, timeline: &Timeline) -> Vec<(u32, Binding)> {
+        let mut bound = Vec::new();
         if self.known_offsets().next().is_some() || self.counting.useless().is_some() {
-            return;
+            return bound;
         }
         let suggestions = self.suggestions(Topic::Shift);
         let unbound = |s: &Suggestion| self.open.contains(&s.frame);
         if !suggestions.iter().any(unbound) {
-            return;
+            return bound;
         }
         // Where the C-arm does not count, a silence may have swallowed or torn an exposure: numbers before and after do not compare.
         let tracker = timeline.exposure_tracker();
@@ -172,7 +173,7 @@ impl Binder {
             pairs.len() >= COMMON && spread_us(&mut pairs.iter().map(|(_, other_us)| *other_us)) < own_us
         };
         if rivals.into_iter().any(doubted) {
-            return;
+            return bound;
         }
         let delays_us: Vec<i64> = agreed.iter().map(delay_us).collect();
         let usual_us = usual_us_of(delays_us).filter(|_| agreed.len() >= TIMED);
@@ -199,7 +200,9 @@ impl Binder {
                     member.shift.unwrap_or(0)
                 ),
             ];
-            self.bind(member.frame, member.shot, exposure, BindingHow::Counter, evidence, true);
+            let binding = self.bind(member.frame, member.shot, exposure, BindingHow::Counter, evidence, true);
+            bound.extend(binding.map(|binding| (member.frame, binding)));
         }
+        bound
     }
 }

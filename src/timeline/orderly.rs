@@ -13,17 +13,17 @@ const EARLIER: usize = 12;
 impl Weighed<'_> {
     /// Whether the exposure at `at`, which the counter names, is the only one that the frame can have.
     pub(super) fn orderly(&self, at: usize, firmness: Firmness, prompt: &[usize]) -> bool {
-        let (said, shots) = (&self.pending.evidence, &self.binder.shots);
+        let (said, shots) = (&self.pending.evidence, &self.known.shots);
         let (Some(arrival_us), Some(counter), Some(number)) = (said.arrival_us, said.counter, shots.number(at)) else {
             return false;
         };
         let shift = i64::from(counter) - number;
         let known = match firmness {
             Firmness::Equal => true,
-            Firmness::Once | Firmness::OneSide => self.binder.counting.only(shift),
+            Firmness::Once | Firmness::OneSide => self.known.counting.only(shift),
             Firmness::Border | Firmness::Enclosed => false,
         };
-        if !known || self.binder.others_say_more(said) {
+        if !known || self.known.others_say_more(said) {
             return false;
         }
         let waits = |other: usize| shots.get(other).frame.is_none() && self.stamp_allows(other);
@@ -36,7 +36,7 @@ impl Weighed<'_> {
 
     /// Whether the stamp may be of the exposure, as far as the console's clock is known: from one frame as well.
     fn stamp_allows(&self, at: usize) -> bool {
-        let pair = self.binder.pair(&self.pending.evidence, at);
-        pair.is_none_or(|pair| self.binder.offsets.last().is_none_or(|offset| offset.allows(&pair)))
+        let pair = self.known.pair(&self.pending.evidence, at);
+        pair.is_none_or(|pair| self.known.offsets.last().is_none_or(|offset| offset.allows(&pair)))
     }
 }

@@ -1,9 +1,9 @@
 //! A frame whose stamp tells, once the console's offset is known: which exposures it fits, and whether it is to be believed.
 
-use super::binder::KNOWN_FRAMES;
 use super::counting::Firmness;
 use super::evidence::{BindingHow, FrameEvidence, seconds};
 use super::judgement::{Judgement, Weighed};
+use super::known::KNOWN_FRAMES;
 
 /// Telemetry must be this far past the moment that a stamp names, or another exposure may still come up there.
 const AFTER_STAMP_US: i64 = 500_000;
@@ -28,13 +28,13 @@ impl Weighed<'_> {
     /// other stamp, so a burst whose frames are all there may leave each only one place.
     pub(super) fn keep_order(&self, stamp: &mut ByStamp) {
         let Some(console_us) = self.pending.evidence.console_us else { return };
-        let near = self.binder.by_stamp.range(console_us.saturating_sub(ORDER_US)..=console_us.saturating_add(ORDER_US));
+        let near = self.known.by_stamp.range(console_us.saturating_sub(ORDER_US)..=console_us.saturating_add(ORDER_US));
         let mut places: Vec<(i64, Vec<usize>)> = Vec::new();
         for (other_us, frames) in near {
             let mut fitting: Vec<usize> = Vec::new();
-            for other in frames.iter().filter_map(|frame| self.binder.frames.get(frame)) {
+            for other in frames.iter().filter_map(|frame| self.known.frames.get(frame)) {
                 match &other.binding.exposure {
-                    Some(exposure) => fitting.extend(self.binder.shots.position(exposure.index)),
+                    Some(exposure) => fitting.extend(self.known.shots.position(exposure.index)),
                     None => fitting.extend(self.fitting(&other.evidence).map(|found| self.places(found)).unwrap_or_default()),
                 }
             }
@@ -65,13 +65,13 @@ impl Weighed<'_> {
     /// Why the stamp does not tell although it fits `at`: the clock may have been set since the frames that confirm its offset, because
     /// arrival or counter speak for another exposure, or because other stamps from there fit nothing.
     fn may_be_set(&self, at: usize, candidates: &[(usize, Firmness)], prompt: &[usize]) -> Option<String> {
-        let at_us = self.binder.shots.get(at).end_us;
-        let pair = self.binder.pair(&self.pending.evidence, at)?;
+        let at_us = self.known.shots.get(at).end_us;
+        let pair = self.known.pair(&self.pending.evidence, at)?;
         let spans: Vec<(i64, i64)> =
-            self.binder.known_offsets().filter(|offset| offset.allows(&pair)).filter_map(|offset| offset.span_us()).collect();
+            self.known.known_offsets().filter(|offset| offset.allows(&pair)).filter_map(|offset| offset.span_us()).collect();
         let confirmed = spans.iter().any(|(first_us, last_us)| (*first_us..=*last_us).contains(&at_us));
         // A counter that has kept its shift names the neighbour: had its own exposure no picture, the stamps after it would fit on.
-        let free = |other: usize| other != at && self.binder.shots.get(other).frame.is_none();
+        let free = |other: usize| other != at && self.known.shots.get(other).frame.is_none();
         let counted =
             candidates.iter().find(|(other, firmness)| *firmness >= Firmness::OneSide && prompt.contains(other) && free(*other));
         // Frames before or after a setting may fit the neighbours throughout, but come sooner or later after them than frames do. Where the
@@ -79,7 +79,7 @@ impl Weighed<'_> {
         let usual_us = self.usual_delay_us();
         let as_usual = |other: usize| usual_us.as_ref().map(|usual_us| self.came_within(usual_us, other));
         if prompt.contains(&at)
-            && !as_usual(at).unwrap_or(confirmed || !self.binder.finished)
+            && !as_usual(at).unwrap_or(confirmed || !self.known.finished)
             && let Some(other) = prompt.iter().find(|other| free(**other) && as_usual(**other).unwrap_or(true))
         {
             let (by_stamp, by_arrival) = (self.label(at), self.label(*other));
@@ -97,8 +97,8 @@ impl Weighed<'_> {
             ));
         }
         let (mut fitting, mut lost) = (0, 0);
-        for frame in &self.binder.open {
-            let Some(other) = self.binder.frames.get(frame).filter(|other| other.evidence.frame != self.pending.evidence.frame)
+        for frame in &self.known.open {
+            let Some(other) = self.known.frames.get(frame).filter(|other| other.evidence.frame != self.pending.evidence.frame)
             else {
                 continue;
             };
@@ -128,7 +128,7 @@ impl Weighed<'_> {
     /// Whether the counter, which has never begun anew, contradicts that the frame is of the exposure at `at`, and no frame shortly before or
     /// after has the same new count: it may be of another room whose console keeps the same time.
     fn of_another_count(&self, at: usize, candidates: &[(usize, Firmness)]) -> bool {
-        let (said, counting, shots) = (&self.pending.evidence, &self.binder.counting, &self.binder.shots);
+        let (said, counting, shots) = (&self.pending.evidence, &self.known.counting, &self.known.shots);
         let (Some(console_us), Some(counter), Some(number)) = (said.console_us, said.counter, shots.number(at)) else {
             return false;
         };
@@ -137,7 +137,7 @@ impl Weighed<'_> {
         }
         let shift = i64::from(counter) - number;
         let (before, after) =
-            (self.binder.by_stamp.range(..console_us).rev(), self.binder.by_stamp.range(console_us.saturating_add(1)..));
+            (self.known.by_stamp.range(..console_us).rev(), self.known.by_stamp.range(console_us.saturating_add(1)..));
         let near = before.take(WITNESSES).chain(after.take(WITNESSES)).flat_map(|(_, frames)| frames);
         let same = |other: &FrameEvidence| {
             let fits = |own: i64| {
@@ -146,7 +146,7 @@ impl Weighed<'_> {
             };
             other.counter.is_some_and(|own| fits(i64::from(own)))
         };
-        !near.filter_map(|frame| self.binder.frames.get(frame)).any(|other| same(&other.evidence))
+        !near.filter_map(|frame| self.known.frames.get(frame)).any(|other| same(&other.evidence))
     }
 
     /// Exposures of which a frame with this stamp must have one: none where telemetry was silent, for it may be of one that was not seen.
@@ -163,7 +163,7 @@ impl Weighed<'_> {
     fn fitting(&self, said: &FrameEvidence) -> Option<ByStamp> {
         let console_us = said.console_us?;
         let mut found: Option<ByStamp> = None;
-        for offset in self.binder.known_offsets() {
+        for offset in self.known.known_offsets() {
             // The offset barely drifts while exposures are looked up: a second round takes it where the stamp falls.
             let (first_us, last_us) = offset.span_us()?;
             let mut bounds = offset.bounds(first_us / 2 + last_us / 2)?;
@@ -172,16 +172,16 @@ impl Weighed<'_> {
                 bounds = offset.bounds(at_us)?;
             }
             let from_us = console_us.saturating_add(bounds.low_us).saturating_sub(150_000);
-            let resolution_us = self.binder.resolution_us(said);
+            let resolution_us = self.known.resolution_us(said);
             let to_us = console_us.saturating_add(resolution_us).saturating_add(bounds.high_us).saturating_add(150_000);
-            let near = self.binder.shots.touching(from_us, to_us);
+            let near = self.known.shots.touching(from_us, to_us);
             let causal = |at: &usize| {
-                let over_us = self.binder.shots.get(*at).over_us;
+                let over_us = self.known.shots.get(*at).over_us;
                 said.arrival_us.is_none_or(|arrival_us| over_us <= arrival_us)
             };
             let fitting: Vec<usize> = near
                 .filter(causal)
-                .filter(|at| self.binder.pair(said, *at).is_some_and(|pair| self.binder.allowed(&pair)))
+                .filter(|at| self.known.pair(said, *at).is_some_and(|pair| self.known.allowed(&pair)))
                 .collect();
             match &mut found {
                 Some(all) => {
@@ -201,7 +201,7 @@ impl Weighed<'_> {
         let said = &self.pending.evidence;
         let limit_us = said.arrival_us.map_or(until_us, |arrival_us| until_us.saturating_add(AFTER_STAMP_US).min(arrival_us));
         let gave_up = said.arrival_us.is_some_and(|arrival_us| self.now_us.saturating_sub(arrival_us) >= 2 * AFTER_STAMP_US);
-        self.binder.finished || gave_up || self.newest_us.is_some_and(|newest_us| newest_us >= limit_us)
+        self.known.finished || gave_up || self.newest_us.is_some_and(|newest_us| newest_us >= limit_us)
     }
 
     pub(super) fn with_stamp(
@@ -227,7 +227,7 @@ impl Weighed<'_> {
                     words.push(set);
                     return Judgement::None(words);
                 }
-                let free = |at: usize| self.binder.shots.get(at).frame.is_none();
+                let free = |at: usize| self.known.shots.get(at).frame.is_none();
                 let firm = candidates.iter().find(|(other, firmness)| *firmness == Firmness::Enclosed && free(*other));
                 if let Some((other, _)) = firm
                     && !prompt.contains(at)
@@ -265,7 +265,7 @@ impl Weighed<'_> {
     }
 
     fn offset_words(&self) -> String {
-        match self.binder.clock().filter(|clock| clock.frames >= KNOWN_FRAMES) {
+        match self.known.clock().filter(|clock| clock.frames >= KNOWN_FRAMES) {
             Some(clock) => format!(
                 " (its clock is {} ± {} behind the host's, from {} frames)",
                 seconds(clock.offset_us),

@@ -5,9 +5,8 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::declared::AirWord;
+use super::air_word::AirWord;
 pub use super::file_error::SessionFileError;
-use super::inputs::LoggedInput;
 use crate::acquire::{DetectorCalibration, Domain, Frame};
 use crate::beads::tags::{TagLayout, parse_tags};
 use crate::beads::{Landmark, parse_landmarks};
@@ -109,6 +108,17 @@ pub struct SessionFile {
     /// AprilTags of the specimen, as `register --tags` reads them: they start the search for beads and are checked against it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tags: Option<PathBuf>,
+}
+
+/// A file that went into a session's scene, as its log knows it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LoggedInput {
+    /// Its name in the log's scene.
+    pub label: String,
+    /// Lower-case hexadecimal.
+    pub sha256: String,
+    /// Its size.
+    pub bytes: u64,
 }
 
 /// Everything that decides what a session computes, embedded in its log without the names of folders ([`super::inputs`]): replay needs only

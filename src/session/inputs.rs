@@ -4,23 +4,12 @@
 
 use std::path::{Path, PathBuf};
 
-use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+pub use super::file::LoggedInput;
 use super::file::Setup;
 use crate::acquire::{hashed_input_label, input_label};
 use crate::scene::InputFile;
-
-/// A file that went into a session's scene, as its log knows it.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct LoggedInput {
-    /// Its name in the log's scene.
-    pub label: String,
-    /// Lower-case hexadecimal.
-    pub sha256: String,
-    /// Its size.
-    pub bytes: u64,
-}
 
 /// What is written in place of what.
 #[derive(Clone, Debug, Default)]

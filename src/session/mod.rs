@@ -18,6 +18,7 @@ pub mod inputs;
 pub mod live;
 pub mod replay;
 
+mod air_word;
 mod background;
 mod develop;
 mod event;

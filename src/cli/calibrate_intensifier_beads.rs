@@ -2,7 +2,8 @@
 
 use std::path::PathBuf;
 
-use super::calibrate_intensifier::{CalibrateIntensifierError, IntensifierArgs};
+use super::calibrate_intensifier_args::IntensifierArgs;
+use super::calibrate_intensifier_error::CalibrateIntensifierError;
 use crate::beads::{BeadLayout, read_markups};
 use crate::calibrate::intensifier::{GridFrame, PhantomRequest};
 use crate::geometry::{AnglesFrom, Glare};

@@ -1,6 +1,7 @@
 //! `sidecarm info FILE`: what a file is, and what this program makes of it.
 
 mod documents;
+mod found;
 mod frames;
 mod logs;
 mod volumes;
@@ -11,8 +12,9 @@ use serde_json::{Map, Value};
 
 use crate::acquire::{AcquireError, Fault};
 use crate::foreign::NotRegular;
-use crate::record::RecordError;
 use crate::reporter::{Reporter, printable};
+
+pub use found::InfoError;
 
 /// Exit code of a complete answer.
 const GOOD: u8 = 0;
@@ -33,47 +35,6 @@ pub struct InfoArgs {
     /// One JSON object on standard output instead of text.
     #[arg(long)]
     pub json: bool,
-}
-
-/// Why nothing can be said about a file.
-#[derive(Debug, thiserror::Error)]
-pub enum InfoError {
-    /// The operating system refused.
-    #[error("{path}: {source}", path = path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// A frame that cannot be read.
-    #[error(transparent)]
-    Frame(#[from] AcquireError),
-    /// A log that cannot be read.
-    #[error(transparent)]
-    Log(#[from] RecordError),
-    /// A file of a known kind that is damaged.
-    #[error("{path}: {kind} is damaged: {detail}", path = path.display())]
-    Damaged {
-        /// The file.
-        path: PathBuf,
-        /// What it should be.
-        kind: &'static str,
-        /// Where and what.
-        detail: String,
-    },
-    /// A file of no kind that is known here.
-    #[error(
-        "{path}: not a kind of file that is known here ({found}); expected DICOM, PNG, TIFF, MCAP, NIfTI, .mrk.json, .fcsv, STL or a \
-         JSON file of this program",
-        path = path.display()
-    )]
-    Unknown {
-        /// The file.
-        path: PathBuf,
-        /// What was found.
-        found: String,
-    },
 }
 
 /// What is known about a file.
@@ -140,16 +101,6 @@ pub fn examine(path: &Path) -> Result<Info, InfoError> {
         all.insert("losses".into(), losses.clone().into());
     }
     Ok(Info { facts: all, losses })
-}
-
-/// Kind, facts and losses.
-type Found = (&'static str, Map<String, Value>, Vec<String>);
-
-fn object(value: Value) -> Map<String, Value> {
-    match value {
-        Value::Object(map) => map,
-        other => Map::from_iter([("value".to_owned(), other)]),
-    }
 }
 
 fn head(path: &Path) -> std::io::Result<Vec<u8>> {

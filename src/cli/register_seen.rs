@@ -2,11 +2,13 @@
 
 use std::path::Path;
 
-use super::register::{Given, RegisterArgs};
+use super::register_args::{Given, RegisterArgs};
 use super::register_error::RegisterError;
 use crate::acquire::{DetectorCalibration, Frame};
 use crate::geometry::{AnglesFrom, ConsoleGeometry, Intensifier, IntensifierCalibration, Intrinsics, PanelWindow};
-use crate::pose::{IntrinsicsFile, IntrinsicsPrior, Panel, Pose, intrinsics_of, read_console, solve_console, whole_binning};
+use crate::pose::{
+    IntrinsicsFile, IntrinsicsPrior, Panel, Pose, Prior, Registration, intrinsics_of, read_console, solve_console, whole_binning,
+};
 
 /// What the console did.
 pub(super) struct Console {
@@ -34,7 +36,7 @@ impl Console {
             .and_then(|(file, prior)| Some(Panel { intrinsics: file.intrinsics, size_px: file.size_px?, prior: *prior }));
         let panel = panel.ok_or(RegisterError::SolveWhat)?;
         let as_stored = Seen::plain(stored.clone(), None, None, None);
-        let request = given.request(args, &as_stored, None);
+        let request = as_stored.request(args, given, None);
         Ok(match solve_console(&request, stored, &panel) {
             Ok(found) => {
                 notes.push(found.words);
@@ -118,6 +120,21 @@ impl Seen {
         let pitch_mm = file.pitch_mm.map(|pitch| pitch * factor).or(tagged_pitch_mm);
         let prior = file.prior().map(|prior| prior.binned(factor));
         Ok(Self { notes, ..Self::plain(frame, Some(file.intrinsics.binned(factor)), prior, pitch_mm) })
+    }
+
+    /// The request for one frame.
+    pub fn request<'a>(&self, args: &RegisterArgs, given: &'a Given, prior: Option<&'a Prior>) -> Registration<'a> {
+        Registration {
+            intrinsics: self.intrinsics,
+            intrinsics_prior: self.prior,
+            pitch_mm: self.pitch_mm,
+            prior,
+            ignore_prior: args.ignore_prior,
+            one_body: args.one_body,
+            landmarks: &given.landmarks,
+            bead_radius_mm: args.bead_radius,
+            ..Registration::new(self.frame.size_px.map(|n| n as u32), &given.layout)
+        }
     }
 
     /// What the image intensifier did to the frame.

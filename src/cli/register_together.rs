@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::register::{Given, RegisterArgs};
+use super::register_args::{Given, RegisterArgs};
 use super::register_error::RegisterError;
 use super::register_seen::{Console, Seen};
 use crate::acquire::read_frame;
@@ -48,7 +48,7 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
             return Err(RegisterError::Sizes { path: path.clone(), expected, found });
         }
         let prior = given.priors.get(number).map(|prior| prior.turned(seen.turn_rad));
-        let request = given.request(args, &seen, prior.as_ref());
+        let request = seen.request(args, &given, prior.as_ref());
         let mut pose = register_masked(&request, &seen.frame, &mask::of_frame(&seen.frame));
         pose.notes.extend(notes.into_iter().chain(seen.notes));
         if assumed > 0 {

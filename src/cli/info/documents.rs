@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde_json::{Map, Value, json};
 
-use super::{Found, InfoError, object};
+use super::found::{Found, InfoError, object};
 
 pub(super) fn examine(path: &Path, name: &str) -> Result<Found, InfoError> {
     let text = std::fs::read_to_string(path).map_err(|source| InfoError::Io { path: path.to_owned(), source })?;

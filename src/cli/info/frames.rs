@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use super::{Found, InfoError, object};
+use super::found::{Found, InfoError, object};
 use crate::acquire::{Frame, read_frames};
 
 /// Percentiles that are shown.

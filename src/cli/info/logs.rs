@@ -5,7 +5,7 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use super::{Found, InfoError, object};
+use super::found::{Found, InfoError, object};
 use crate::record::{LogReader, topic};
 
 #[derive(Default)]

@@ -6,7 +6,7 @@ use std::path::Path;
 use glam::DVec3;
 use serde_json::json;
 
-use super::{Found, InfoError, object};
+use super::found::{Found, InfoError, object};
 use crate::scene::{SceneError, Triangle, read_triangles, read_volume_facts};
 
 /// The scene's word on a file, as `info` says it.

@@ -4,7 +4,8 @@ use glam::DVec2;
 use nalgebra::{DMatrix, Matrix6};
 
 use super::case::Case;
-use super::record::{BeadResidual, BodyPose, Covariance, LandmarkUncertainty, Pose, Shadow, Status};
+use super::record::{BodyPose, Covariance, LandmarkUncertainty, Pose, Shadow, Status};
+use super::residual::BeadResidual;
 use super::settle::Settled;
 use super::solve::{Free, Solution, about, left_out};
 use super::unseen::Unseen;

@@ -8,9 +8,10 @@ use glam::DVec3;
 use nalgebra::{Matrix6, Vector6};
 
 use super::prior::Prior;
-use super::record::{BeadResidual, BodyPose, Pose};
+use super::record::{BodyPose, Pose};
 use super::refusal::Refusal;
 use super::request::Registration;
+use super::residual::BeadResidual;
 use super::solve::{about, deviation};
 use super::unseen::Unseen;
 use crate::beads::{Bead, BeadLayout, Correspondence, Detection};

@@ -22,6 +22,7 @@ mod record;
 mod refusal;
 mod register;
 mod request;
+mod residual;
 mod straighten;
 mod search;
 mod settle;
@@ -41,10 +42,11 @@ pub use intrinsics_file::{IntrinsicsFile, IntrinsicsSigma};
 pub use on_panel::read_console;
 pub use orientation::{Panel, SolvedConsole, solve_console, whole_binning};
 pub use prior::Prior;
-pub use record::{BeadResidual, BodyPose, Covariance, DetectorPose, LandmarkUncertainty, Pose, Shadow, Status, TagResidual};
+pub use record::{BodyPose, Covariance, DetectorPose, LandmarkUncertainty, Pose, Shadow, Status};
 pub use refusal::{IntrinsicsNumber, Points, Refusal, Rival};
 pub use register::{intrinsics_of, register, register_masked, register_shadows, rough_pose};
 pub use request::Registration;
+pub use residual::{BeadResidual, TagResidual};
 pub use solve::{Free, IntrinsicsPrior};
 pub use together::{
     Against, BeadVerdict, Bump, SeveralViews, SolvedBead, Together, TogetherRefusal, ViewAlone, register_together,

@@ -3,8 +3,9 @@
 use glam::{DVec2, DVec3};
 
 use super::prior::Prior;
-use super::record::{BeadResidual, Pose, Status};
+use super::record::{Pose, Status};
 use super::refusal::{Points, Refusal};
+use super::residual::BeadResidual;
 use super::solve::{Free, IntrinsicsPrior};
 use super::verdict::check_geometry;
 use crate::beads::{Bead, BeadLayout, Correspondence, Expectation, Landmark};

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::record::BeadResidual;
+use super::residual::BeadResidual;
 
 /// What an error was measured at.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

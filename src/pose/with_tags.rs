@@ -3,10 +3,11 @@
 use super::case::Case;
 use super::judge::MOST_SIGMA;
 use super::prior::Prior;
-use super::record::{BodyPose, Pose, TagResidual};
+use super::record::{BodyPose, Pose};
 use super::refusal::Refusal;
 use super::register::register_masked;
 use super::request::Registration;
+use super::residual::TagResidual;
 use super::settle::Settled;
 use super::solve::{Free, Options, Solution, about, deviation};
 use super::tagged::{CORNER_SIGMA_PX, TOLD_APART, TagPose, View, corners, estimate, off_by, views};

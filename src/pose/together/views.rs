@@ -10,7 +10,8 @@ use crate::beads::Landmark;
 use crate::estimate::{Covariance, Estimate, about};
 use crate::geometry::{Intrinsics, Projection, Rigid};
 use crate::pose::accept::{landmarks_of, rows_of};
-use crate::pose::record::{BeadResidual, BodyPose, Pose};
+use crate::pose::record::{BodyPose, Pose};
+use crate::pose::residual::BeadResidual;
 use crate::pose::solve::{Free, Solution};
 use crate::pose::unseen::Unseen;
 

@@ -1,0 +1,66 @@
+//! The part of each bead and each tag in a pose, and by how much the pose misses it.
+
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
+
+use crate::beads::tags::Family;
+
+/// A bead's part in a pose.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BeadResidual {
+    /// As in the layout.
+    pub name: String,
+    /// The rigid part it is fixed to.
+    pub body: String,
+    /// Its place in the layout.
+    pub lps_mm: DVec3,
+    /// Its projection as observed (bias of the shadow's centre corrected); absent when no shadow was matched.
+    pub image_px: Option<[f64; 2]>,
+    /// Where P puts it.
+    pub predicted_px: Option<[f64; 2]>,
+    /// Observed minus predicted.
+    pub residual_px: Option<[f64; 2]>,
+    /// Standard deviation of the observed centre per axis, from the image alone.
+    pub sigma_px: Option<f64>,
+    /// Observed minus predicted by the pose of all other used beads: what an unseen point would have shown.
+    pub left_out_px: Option<[f64; 2]>,
+    /// Of a bead without a shadow: the shadow next to its place that is no other's, minus predicted. The bead may have moved.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub beside_px: Option<[f64; 2]>,
+    /// Of `left_out_px` where P rests on the bead, of `residual_px` or `beside_px` elsewhere: how many standard deviations of observation,
+    /// place and prediction it is.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub off_sigmas: Option<f64>,
+    /// Whether P rests on it.
+    pub used: bool,
+    /// Why not, if not.
+    pub reason: Option<String>,
+    /// It has the role `check`.
+    #[serde(skip_serializing_if = "std::ops::Not::not", default)]
+    pub check: bool,
+}
+
+/// A tag's part in a pose.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TagResidual {
+    /// Number in its family.
+    pub id: u32,
+    /// The family.
+    pub family: Family,
+    /// Lower left, lower right, upper right, upper left of the tag as it is read.
+    pub corners_px: [[f64; 2]; 4],
+    /// Mean distance of its bits from the threshold, in 256 steps of the window.
+    pub margin: f64,
+    /// It is light where the printed tag is dark.
+    pub inverted: bool,
+    /// It reads only in the mirror image.
+    pub mirrored: bool,
+    /// √mean(dx² + dy²) of its corners against P; absent without a pose, or when the tag is not listed.
+    pub residual_px: Option<f64>,
+    /// Whether it started the search or P rests on it, and P agrees with it.
+    pub used: bool,
+    /// Why not, if not.
+    pub reason: Option<String>,
+}

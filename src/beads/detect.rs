@@ -5,8 +5,9 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::candidates::{self, Candidate, blur};
-use super::fit::{Fit, Model, fit, refit};
+use super::fit::{fit, refit};
 use super::flags::Flags;
+use super::model::{Fit, Model};
 use super::noise::Noise;
 use super::profile::SHAPES;
 use super::window::Field;

@@ -4,8 +4,8 @@
 //! aᵀRa with the noise's correlation R. Structure under a shadow is in part followed by the background and in part left in the residual;
 //! from either part something is known of its other part.
 
-use super::fit::{Fit, Model};
 use super::flags::Flags;
+use super::model::{Fit, Model};
 use super::shadow::{COUNT, CUBIC, Equations, Evaluated, Matrix, SHAPE, Vector, Weighing};
 use super::window::{Field, Window};
 

@@ -16,6 +16,7 @@ mod flags;
 mod layout;
 mod markups;
 mod markups_error;
+mod model;
 mod noise;
 mod probe;
 mod profile;

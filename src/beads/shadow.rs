@@ -5,7 +5,7 @@
 
 use nalgebra::{SMatrix, SVector};
 
-use super::fit::Model;
+use super::model::Model;
 use super::noise::Noise;
 use super::profile::Profile;
 use super::window::{BACKGROUND, Window};

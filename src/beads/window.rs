@@ -1,7 +1,7 @@
 //! The round window a shadow is fitted in: its usable pixels as columns of numbers, with what does not change during the fit.
 
 use super::correlation::REACH;
-use super::fit::{Fit, Model};
+use super::model::{Fit, Model};
 use super::noise::Noise;
 use super::profile::Profile;
 use crate::image::Image;

@@ -3,8 +3,8 @@
 #[cfg(feature = "vision")]
 use glam::DVec2;
 
-use super::seen::TagsError;
-use super::{Family, SeenTag};
+use super::family::Family;
+use super::seen::{SeenTag, TagsError};
 use crate::image::Image;
 
 /// Images smaller than this hold no tag, and the library's tiles do not fit into them.

@@ -14,9 +14,11 @@
 mod decoder;
 mod family;
 mod file;
+mod find;
 mod grey;
 mod seen;
 
 pub use family::Family;
 pub use file::{Tag, TagLayout, TagsFileError, parse_tags, read_tags};
-pub use seen::{CORNERS, SeenTag, TagsError, find_tags};
+pub use find::find_tags;
+pub use seen::{CORNERS, SeenTag, TagsError};

@@ -1,6 +1,6 @@
 //! Why a text is no camera.
 
-use super::Format;
+use super::format::Format;
 use crate::geometry::{CameraError, RigidError};
 
 /// Why a text is no camera, or a camera cannot be written in a format.

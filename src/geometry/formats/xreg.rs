@@ -15,33 +15,8 @@ use serde_json::{Map, Value, json};
 use super::json::{number, object, present, rows};
 use super::matrix::camera_of;
 use super::numbers::{determinant_of, matrix, positive, rigid, size};
-use super::{ExchangedCamera, Format, FormatError};
+use super::{ExchangedCamera, Format, FormatError, XregFrame};
 use crate::geometry::{Projection, Rigid};
-
-/// Where xReg puts the camera's origin and axes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum XregFrame {
-    /// Origin at the focal spot, +z to the detector.
-    DetectorPositiveZ,
-    /// Origin at the focal spot, the detector at negative z: xReg's default.
-    DetectorNegativeZ,
-    /// Origin on the detector, +z to the source.
-    OriginOnDetector,
-}
-
-impl XregFrame {
-    const ALL: [Self; 3] = [Self::DetectorPositiveZ, Self::DetectorNegativeZ, Self::OriginOnDetector];
-
-    /// As in xReg's files.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::DetectorPositiveZ => "origin-at-focal-pt-det-pos-z",
-            Self::DetectorNegativeZ => "origin-at-focal-pt-det-neg-z",
-            Self::OriginOnDetector => "origin-on-det",
-        }
-    }
-}
 
 const KEYS: [&str; 8] =
     ["xreg-type", "num-rows", "num-cols", "row-spacing", "col-spacing", "cam-coord-frame-type", "intrinsic", "extrinsic"];

@@ -3,7 +3,7 @@
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use super::Domain;
+use super::domain::Domain;
 use crate::foreign::open_regular;
 
 /// More than any description takes.

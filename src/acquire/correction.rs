@@ -7,49 +7,9 @@ use glam::DVec2;
 
 use super::detector_record::{AirBeam, DetectorCalibration, DetectorCalibrationError};
 use super::panel_maps::{AT_LOW_END, BURNED_IN, DEAD, HOT, SATURATED, UNSTABLE};
-use super::{Domain, Frame, FrameTags};
+use super::{Correction, Domain, Frame, FrameTags, Stored};
 use crate::geometry::{ConsoleGeometry, PanelWindow};
 use crate::image::Image;
-
-/// How a console stored a frame.
-#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct Stored {
-    /// What it did to the panel's picture.
-    pub console: ConsoleGeometry,
-    /// Columns and rows in the file.
-    pub size_px: [u32; 2],
-    /// Columns and rows of the panel, where they are known.
-    pub panel_px: Option<[u32; 2]>,
-}
-
-/// What was done to a frame after it was read, and what is known about its values since.
-#[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
-#[serde(default)]
-pub struct Correction {
-    /// What of the console's doing was undone, in words.
-    pub console: Vec<String>,
-    /// What the console did, as declared or solved.
-    pub stored: Option<Stored>,
-    /// Panel pixels per pixel of the frame; 0 when the console's geometry is not declared.
-    pub panel_px_per_px: f64,
-    /// Stored value without X-rays that was subtracted (median over the panel).
-    pub offset_value: Option<f64>,
-    /// What the unattenuated signal would be, offset subtracted; `None` when it is not known for this frame.
-    pub air_value: Option<f64>,
-    /// Standard deviation of `air_value` over its value.
-    pub air_relative_sigma: Option<f64>,
-    /// Why `air_value` is what it is.
-    pub air_evidence: String,
-    /// Stored value per detected quantum.
-    pub gain_value_per_quantum: Option<f64>,
-    /// Electronic noise of a pixel, stored value.
-    pub readout_sigma_value: Option<f64>,
-    /// Pixels that were interpolated.
-    pub bad_pixels: usize,
-    /// Flags of [`super::panel_maps`] by pixel.
-    #[serde(skip)]
-    pub flags: Option<Arc<Image<u8>>>,
-}
 
 /// Tube voltages this close are the same.
 const SAME_KVP: f64 = 1.0;

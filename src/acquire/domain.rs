@@ -7,7 +7,57 @@
 //! defines them. Else the habit of the modality decides: fluoroscopy (XA, RF and others) shows metal and bone dark, so larger is more
 //! X-rays in MONOCHROME2 and fewer in MONOCHROME1; radiographs (CR, DX, MG) show bone white like film, so it is the other way round.
 
-use super::{Domain, FrameTags};
+use super::tags::FrameTags;
+
+/// What a pixel value means.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Domain {
+    /// Proportional to the X-ray signal, up to gain and offset; larger is more signal.
+    Linear,
+    /// Proportional to the logarithm of the signal; larger is more attenuation. In nepers where [`super::Frame::unit`] says so.
+    Log,
+    /// Processed for eyes: monotone in the signal at best; larger is more signal.
+    Display,
+    /// What the values mean is not known. Larger is more signal where a header tells the direction, else values are as stored.
+    Unknown,
+}
+
+impl Domain {
+    /// The word used in files and on the command line.
+    #[must_use]
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Linear => "linear",
+            Self::Log => "log",
+            Self::Display => "display",
+            Self::Unknown => "unknown",
+        }
+    }
+
+    /// Whether the values are gray levels without a known relation to the signal.
+    #[must_use]
+    pub fn is_gray(self) -> bool {
+        matches!(self, Self::Display | Self::Unknown)
+    }
+}
+
+impl std::fmt::Display for Domain {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.as_str())
+    }
+}
+
+impl std::str::FromStr for Domain {
+    type Err = String;
+
+    fn from_str(word: &str) -> Result<Self, String> {
+        [Self::Linear, Self::Log, Self::Display, Self::Unknown]
+            .into_iter()
+            .find(|domain| domain.as_str() == word)
+            .ok_or_else(|| format!("domain '{word}' is not one of linear, log, display, unknown"))
+    }
+}
 
 /// What else in the header speaks for processing.
 #[derive(Clone, Copy, Debug, Default)]

@@ -5,6 +5,7 @@
 //! for that is in [`Frame::inverted`], and why is in [`Frame::domain_evidence`].
 
 mod beside;
+mod corrected;
 mod correction;
 mod detector_record;
 mod dicom;
@@ -30,11 +31,13 @@ mod whole;
 use crate::foreign::Limits;
 use crate::image::{Image, sha256_bytes};
 
-pub use correction::{Correction, Stored, exposure_mas};
+pub use corrected::{Correction, Stored};
+pub use correction::exposure_mas;
 pub use detector_record::{
     AirBeam, BadPixels, DetectorCalibration, DetectorCalibrationError, DetectorRecord, EdgeMtf, ExposureLevel, MapsFile,
     NoisePower, PanelResponse,
 };
+pub use domain::Domain;
 pub use error::{AcquireError, Fault};
 pub use label::{hashed_input_label, input_label};
 pub use log_form::Samples;
@@ -44,56 +47,6 @@ pub use tags::{FrameTags, KEPT_TAGS, KeptTag};
 pub use watch::FolderSource;
 
 use beside::Beside;
-
-/// What a pixel value means.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Domain {
-    /// Proportional to the X-ray signal, up to gain and offset; larger is more signal.
-    Linear,
-    /// Proportional to the logarithm of the signal; larger is more attenuation. In nepers where [`Frame::unit`] says so.
-    Log,
-    /// Processed for eyes: monotone in the signal at best; larger is more signal.
-    Display,
-    /// What the values mean is not known. Larger is more signal where a header tells the direction, else values are as stored.
-    Unknown,
-}
-
-impl Domain {
-    /// The word used in files and on the command line.
-    #[must_use]
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Linear => "linear",
-            Self::Log => "log",
-            Self::Display => "display",
-            Self::Unknown => "unknown",
-        }
-    }
-
-    /// Whether the values are gray levels without a known relation to the signal.
-    #[must_use]
-    pub fn is_gray(self) -> bool {
-        matches!(self, Self::Display | Self::Unknown)
-    }
-}
-
-impl std::fmt::Display for Domain {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(self.as_str())
-    }
-}
-
-impl std::str::FromStr for Domain {
-    type Err = String;
-
-    fn from_str(word: &str) -> Result<Self, String> {
-        [Self::Linear, Self::Log, Self::Display, Self::Unknown]
-            .into_iter()
-            .find(|domain| domain.as_str() == word)
-            .ok_or_else(|| format!("domain '{word}' is not one of linear, log, display, unknown"))
-    }
-}
 
 /// An acquired radiograph. Serialized (and printed with `{:?}`) without its pixels.
 #[derive(Clone, PartialEq, serde::Serialize, serde::Deserialize)]

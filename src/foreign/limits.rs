@@ -1,6 +1,6 @@
 //! What a helper process may take.
 
-use super::Kind;
+use super::kind::Kind;
 
 /// Limits of one helper and of what it may hand back.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]

@@ -8,6 +8,7 @@
 //! The open file is the child's standard input, so no path crosses over, and a file that is deleted meanwhile can still be read.
 
 mod helper;
+mod kind;
 mod limits;
 mod open;
 mod wire;
@@ -16,6 +17,7 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 pub use helper::{ForeignFault, run};
+pub use kind::Kind;
 pub use limits::{Limits, impose};
 pub use open::{FileStamp, NotRegular, OpenFault, OpenFile, has_hole, open_regular, standard_input};
 pub use wire::{MAX_JSON_BYTES, Message, Receiver, Sender, WireError};
@@ -30,20 +32,6 @@ pub struct Request {
     /// What else the decoder of this kind needs to know; never a name or a path.
     #[serde(default)]
     pub detail: serde_json::Value,
-}
-
-/// Kinds of foreign files.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Kind {
-    /// Radiographs: DICOM, PNG, TIFF.
-    Frames,
-    /// NIfTI: all voxels.
-    Volume,
-    /// NIfTI: what `info` says of it.
-    VolumeFacts,
-    /// STL: all triangles.
-    Mesh,
 }
 
 /// Opens foreign files: through a helper process, or (trusted files only) in this one.

@@ -1,8 +1,8 @@
 //! The input, checked and normalised.
 
+use super::asked::{EnergyBins, MOST_MATERIALS, QuadratureError, Region};
 use super::mixture::{Mixture, SUMS};
 use super::paths::Reach;
-use super::{EnergyBins, MOST_MATERIALS, QuadratureError, Region};
 
 /// The checked input: normalised, without empty bins, and only the materials that can lie in the beam.
 pub(super) struct Bins<'a> {

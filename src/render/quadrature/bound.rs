@@ -1,9 +1,8 @@
 //! How wrong nodes are: on given paths, and on those that a climb from the worst of them finds.
 
 use super::bins::Bins;
-use super::mixture::{Mixture, SUMS};
+use super::mixture::{Mixture, SUMS, worst};
 use super::paths::Paths;
-use super::worst;
 
 /// Climbs start from this many of the worst paths, and from the worst of each of so many runs of paths, which are other hills.
 const HIGHEST: usize = 8;

@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::mixture::{Mixture, SUMS};
+use super::mixture::{Mixture, SUMS, worst};
 use super::paths::Paths;
 
 /// Nodes as the fit moves them: W_n = exp(a_n) / Σ exp(a) and M_nm = exp(b_nm), so that weights are positive and air is exact.
@@ -87,7 +87,7 @@ impl State {
     }
 
     fn worst(&self) -> f64 {
-        super::worst(self.errors.iter().copied())
+        worst(self.errors.iter().copied())
     }
 
     /// Normal equations: JᵀVJ and JᵀVe.

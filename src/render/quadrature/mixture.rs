@@ -73,3 +73,8 @@ impl Mixture {
         }
     }
 }
+
+/// The largest magnitude; NaN if any is.
+pub(super) fn worst(errors: impl Iterator<Item = f64>) -> f64 {
+    errors.fold(0.0, |worst: f64, error| if error.is_nan() || worst.is_nan() { f64::NAN } else { worst.max(error.abs()) })
+}

@@ -1,11 +1,15 @@
 //! The fewest nodes that meet a tolerance: fit, exchange, judge, one node more.
 
+use super::asked::Tolerance;
 use super::bins::Bins;
 use super::bound::{errors, worst_nearby};
 use super::fit::{Nodes, Problem, refine};
-use super::mixture::{Mixture, SUMS};
+use super::found::{Quadrature, QuadratureNode};
+use super::mixture::{Mixture, SUMS, worst};
 use super::paths::Paths;
-use super::{MOST_NODES, Quadrature, QuadratureNode, Tolerance, worst};
+
+/// Most nodes a fit tries.
+pub const MOST_NODES: usize = 12;
 
 /// The judged worst error is multiplied by this to give the bound.
 const MARGIN: f64 = 1.4;

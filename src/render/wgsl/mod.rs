@@ -3,6 +3,7 @@
 pub mod layout;
 mod pass_times;
 mod pipelines;
+mod request;
 mod resident;
 mod sources;
 mod workspace;
@@ -10,6 +11,7 @@ mod workspace;
 use std::ops::Range;
 use std::sync::Arc;
 
+pub use request::{NoiseKey, Request};
 pub use sources::{STEMS, source};
 
 use self::pipelines::{Pipelines, dispatch, flat_groups};
@@ -18,7 +20,6 @@ use self::workspace::{Needs, Workspace, finish, wait};
 use super::cells::BRICK;
 use super::cpu::attenuate_spectrum::{Arriving, Signal};
 use super::prepared::{Prepared, Step};
-use super::spectrum::Bins;
 use crate::gpu::{Gpu, GpuError};
 use crate::scene::model::{Matter, Scene, Volume};
 
@@ -40,21 +41,6 @@ pub fn unsupported(scene: &Scene) -> Option<String> {
         return Some(format!("{} materials, the shader takes {MATERIALS}", scene.materials.len()));
     }
     (0..scene.materials.len()).any(|material| scene.is_air(material)).then(|| "kept air has no shader yet".to_owned())
-}
-
-/// What to render of a view.
-#[derive(Clone, Copy, Debug)]
-pub struct Request<'p> {
-    /// The scene, from the view.
-    pub prepared: &'p Prepared<'p>,
-    /// Energies; none for area densities alone.
-    pub bins: Option<&'p Bins>,
-    /// Noise to draw.
-    pub noise: Option<NoiseKey>,
-    /// g/cm² by material up to which the energies hold; empty where they hold everywhere.
-    pub fitted_up_to: &'p [f64],
-    /// Whether area densities are read back at once.
-    pub paths: bool,
 }
 
 /// What the shaders gave back.
@@ -80,17 +66,6 @@ pub struct Executed {
     pub overflows: u32,
     /// Bytes that came back.
     pub read_back_bytes: u64,
-}
-
-/// Noise to draw.
-#[derive(Clone, Copy, Debug)]
-pub struct NoiseKey {
-    /// Seed.
-    pub seed: u64,
-    /// Frame.
-    pub frame: u32,
-    /// N₀.
-    pub photons_per_pixel: f64,
 }
 
 /// Pipelines and resident volumes of one device.

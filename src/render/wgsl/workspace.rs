@@ -1,7 +1,8 @@
 //! Buffers of one view in flight; the next view of the same kind finds them there.
 
+use super::layout;
 use super::pass_times::PassTimes;
-use super::{Request, layout};
+use super::request::Request;
 use crate::gpu::{Gpu, GpuError};
 
 /// What a view needs room for.

@@ -20,6 +20,8 @@ pub const CUT: u8 = 252;
 pub const EMPTY_BRICK: u8 = 253;
 /// Cells along the edge of a brick.
 pub const BRICK: usize = 8;
+/// Axes (a, b, c) for each axis c across the slabs; a is contiguous.
+pub const AXES: [[usize; 3]; 3] = [[1, 2, 0], [0, 2, 1], [0, 1, 2]];
 
 /// Kinds of the (n+1)³ cells. Cell (i, j, k) spans `cell` coordinates [i, i+1]; `cell` = `voxel` + 1; matter lies in [½, n + ½].
 #[derive(Clone, Debug)]

@@ -4,7 +4,7 @@ use super::blur::{FWHM_PER_SIGMA, blur_signal, focal_blur};
 use super::cpu::attenuate_spectrum::Signal;
 use super::cpu::integrate_density::Density;
 use super::flood::{Flood, Weights, attenuate, flood};
-use super::plan::{Choice, Executor, Node};
+use super::plan_parts::{Choice, Executor, Node};
 use super::spectrum::Bins;
 use super::{Quantity, RenderError};
 use crate::geometry::View;

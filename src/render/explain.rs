@@ -4,7 +4,8 @@ use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
 
-use super::prepared::{Prepared, sphere_bounds};
+use super::bounds::sphere_bounds;
+use super::prepared::Prepared;
 use crate::geometry::View;
 use crate::scene::model::{Matter, Object, Scene, Volume};
 

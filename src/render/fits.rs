@@ -2,7 +2,7 @@
 
 use super::RenderError;
 use super::pilot::Pilot;
-use super::plan::{Fitted, Node, response};
+use super::plan_parts::{Fitted, Node, response};
 use super::quadrature::{self, NoiseWeights, Quadrature, QuadratureNode, Tolerance};
 use super::spectrum::whole_spectrum;
 use crate::scene::model::Scene;

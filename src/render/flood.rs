@@ -11,12 +11,12 @@ use super::RenderError;
 use super::cpu::attenuate_spectrum::{Arriving, Signal, exp_of_negative};
 use super::cpu::integrate_density::Density;
 use super::heel_table::HeelTable;
-use super::plan::{Node, response};
+use super::plan_parts::{Node, response};
+pub use super::spectrum::detected_bins;
 use super::spectrum::{Bins, LANES};
 use crate::geometry::View;
 use crate::scene::model::{Formation, Scene};
 use crate::scene::optics::BowTie;
-use crate::scene::physics::Bin;
 
 /// Pixels are sampled this often along each side where the edge of the field crosses them.
 const SAMPLES: i32 = 8;
@@ -73,20 +73,6 @@ impl Flood {
     pub fn open(&self, pixel: usize) -> f64 {
         self.open.get(pixel).map_or(1.0, |open| f64::from(*open))
     }
-}
-
-/// The spectrum as the panel detects it: φ times the absorption of the scintillator, Σ = 1; the beam's own for naive formation.
-#[must_use]
-pub fn detected_bins(scene: &Scene) -> Vec<Bin> {
-    let bins = &scene.beam.spectrum.bins;
-    let Some(scintillator) = scene.detector.panel.scintillator.as_ref().filter(|_| scene.model.formation == Formation::Deepdrr)
-    else {
-        return bins.clone();
-    };
-    // Outside the tables the share is NaN, which the sum over the spectrum refuses.
-    let detected = |bin: &Bin| bin.fluence * scintillator.absorption(bin.energy_kev).unwrap_or(f64::NAN);
-    let total: f64 = bins.iter().map(detected).sum();
-    bins.iter().map(|bin| Bin { energy_kev: bin.energy_kev, fluence: detected(bin) / total }).collect()
 }
 
 /// Whether the shaders' own N₀(u) (obliquity alone) is right for this scene.

@@ -3,7 +3,7 @@
 use glam::DVec3;
 
 use super::RenderError;
-use super::plan::Node;
+use super::plan_parts::Node;
 use crate::scene::optics::Heel;
 use crate::scene::physics::{ANODE_ANGLES_DEG, Spectrum};
 

@@ -5,7 +5,7 @@ use std::sync::{Arc, OnceLock};
 
 use glam::DVec3;
 
-use super::cpu::intersect_mesh::MeshTree;
+use super::mesh_tree::MeshTree;
 use crate::scene::model::Mesh;
 
 /// Faces that meet at an edge more sharply than this leave a line in the shadow from wherever it is seen; cosine of the angle of normals.

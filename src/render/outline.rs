@@ -2,9 +2,10 @@
 
 use glam::{DVec2, DVec3};
 
+use super::bounds::{Bounds, sphere_bounds};
 use super::cells::BRICK;
 use super::cpu::shapes::intersect;
-use super::prepared::{Bounds, Prepared, SeenMesh, SeenSolid, SeenVolume, sphere_bounds};
+use super::prepared::{Prepared, SeenMesh, SeenSolid, SeenVolume};
 use super::tiles::{TILE_PX, Tiles};
 use crate::scene::model::Shape;
 

@@ -3,7 +3,8 @@
 use super::costs::{Costs, Work};
 use super::fits::{Fits, nodes_of};
 use super::pilot::{self, Pilot};
-use super::plan::{ErrorParts, Executor, Node, Plan, Sampling, noise_applies, response};
+use super::plan::{ErrorParts, Executor, Node, Plan, Sampling, noise_applies};
+use super::plan_parts::response;
 use super::prepared::Prepared;
 use super::quadrature;
 use super::spectrum::{Bins, whole_spectrum};

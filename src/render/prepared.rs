@@ -5,35 +5,13 @@ use std::sync::Arc;
 use glam::{DAffine3, DMat3, DVec3};
 
 use super::RenderError;
+pub use super::bounds::Bounds;
+use super::bounds::sphere_bounds;
 use super::cells::Cells;
-use super::cpu::bundles::Rays;
 use super::meshes::MadeMesh;
 use super::slabs::Slabs;
 use crate::geometry::View;
 use crate::scene::model::{Matter, Mesh, Scene, Solid, Volume};
-
-/// Screen bounds: first and one past the last column and row.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Bounds {
-    /// First column and row.
-    pub from: [u32; 2],
-    /// One past the last.
-    pub to: [u32; 2],
-}
-
-impl Bounds {
-    /// Whether the two share a pixel.
-    #[must_use]
-    pub fn meets(&self, other: &Self) -> bool {
-        (0..2).all(|axis| self.from[axis] < other.to[axis] && other.from[axis] < self.to[axis])
-    }
-
-    /// Whether no pixel is inside.
-    #[must_use]
-    pub fn is_empty(&self) -> bool {
-        (0..2).any(|axis| self.from[axis] >= self.to[axis])
-    }
-}
 
 /// A shape as the camera sees it.
 #[derive(Clone, Debug)]
@@ -190,46 +168,6 @@ impl<'a> Prepared<'a> {
     }
 }
 
-impl Prepared<'_> {
-    /// Makes the copies of volumes that this view needs, rounded to 16 bits or not: one for each axis along which some ray mainly runs.
-    pub fn make_slabs(&self, rounded: bool) {
-        self.make_slabs_along(rounded, |seen| Rays::new(&self.view, &seen.cell_from_camera).axes(self.view.size_px));
-    }
-
-    /// Makes the copies that any view needs.
-    pub fn make_all_slabs(&self, rounded: bool) {
-        self.make_slabs_along(rounded, |_| [true; 3]);
-    }
-
-    fn make_slabs_along(&self, rounded: bool, axes_of: impl Fn(&SeenVolume) -> [bool; 3]) {
-        for seen in &self.volumes {
-            if let Some(slabs) = &seen.slabs {
-                let axes = axes_of(seen);
-                for axis in (0..3).filter(|axis| axes[*axis]) {
-                    if rounded {
-                        slabs.round(axis, seen.volume, &seen.cells);
-                    } else {
-                        slabs.prepare(axis, seen.volume, &seen.cells);
-                    }
-                }
-            }
-        }
-    }
-
-    /// The largest of 4, 2, 1 pixels between rays that fixed point has windows for; 0 where there is none, or a volume cannot be rounded.
-    #[must_use]
-    pub fn coarsest_rounded(&self) -> u32 {
-        let fits = |step_px: &u32| {
-            self.volumes.iter().all(|seen| {
-                let rays = Rays::new(&self.view, &seen.cell_from_camera);
-                let far_mm = far_mm(seen, self.detector_mm);
-                seen.slabs.as_ref().is_some_and(|slabs| slabs.rounds()) && rays.fit_windows(self.view.size_px, far_mm, *step_px)
-            })
-        };
-        [4, 2, 1].into_iter().find(fits).unwrap_or(0)
-    }
-}
-
 /// Depth at which a volume ends, at most that of the detector.
 #[must_use]
 pub fn far_mm(seen: &SeenVolume, detector_mm: f64) -> f64 {
@@ -285,34 +223,4 @@ fn see_mesh<'a>(mesh: &'a Mesh, made: Arc<MadeMesh>, view: &View) -> SeenMesh<'a
         lps_from_camera: DMat3::from_quat(lps_from_camera.rotation.normalize()),
         centre_in_camera,
     }
-}
-
-/// Pixels whose rays can meet a sphere; generous by a pixel.
-// In the x–z plane the tangents leave at θ ± α, θ = atan2(x, z), sin α = r / √(x² + z²); likewise in y–z. Where a tangent
-// points 90° or more away from the axis the image is unbounded on that side.
-pub(super) fn sphere_bounds(view: &View, centre: DVec3, radius_mm: f64) -> Bounds {
-    let k = &view.intrinsics;
-    let range = |across: f64| -> Option<(f64, f64)> {
-        let distance = across.hypot(centre.z);
-        if !(distance > radius_mm) {
-            return Some((f64::NEG_INFINITY, f64::INFINITY));
-        }
-        let (theta, alpha) = (across.atan2(centre.z), (radius_mm / distance).asin());
-        let right_angle = std::f64::consts::FRAC_PI_2;
-        if theta - alpha >= right_angle || theta + alpha <= -right_angle {
-            return None;
-        }
-        let low = if theta - alpha <= -right_angle { f64::NEG_INFINITY } else { (theta - alpha).tan() };
-        let high = if theta + alpha >= right_angle { f64::INFINITY } else { (theta + alpha).tan() };
-        Some((low, high))
-    };
-    let nothing = Bounds { from: [0, 0], to: [0, 0] };
-    let (Some(x), Some(y)) = (range(centre.x), range(centre.y)) else { return nothing };
-    let skewed = if k.skew == 0.0 { (0.0, 0.0) } else { (k.skew * y.0, k.skew * y.1) };
-    let u = (k.fx * x.0 + skewed.0.min(skewed.1) + k.cx, k.fx * x.1 + skewed.0.max(skewed.1) + k.cx);
-    let v = (k.fy * y.0 + k.cy, k.fy * y.1 + k.cy);
-    let first = |low: f64, n: u32| (low - 1.0).floor().clamp(0.0, f64::from(n)) as u32;
-    let last = |high: f64, n: u32| (high + 2.0).ceil().clamp(0.0, f64::from(n)) as u32;
-    let [width, height] = view.size_px;
-    Bounds { from: [first(u.0, width), first(v.0, height)], to: [last(u.1, width), last(v.1, height)] }
 }

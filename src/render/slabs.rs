@@ -4,12 +4,10 @@ use std::sync::OnceLock;
 
 use rayon::prelude::*;
 
+pub use super::cells::AXES;
 use super::cells::{BRICK, CUT, Cells, EMPTY, EMPTY_BRICK, MIXED, voxel_pair};
 use super::words::{self, Line, WORD_OF_DENSEST, Words};
 use crate::scene::model::Volume;
-
-/// Axes (a, b, c) for each axis c across the slabs; a is contiguous.
-pub const AXES: [[usize; 3]; 3] = [[1, 2, 0], [0, 2, 1], [0, 1, 2]];
 
 /// Bit of a brick in which matter borders on voxels of which nothing is known.
 pub const CUT_BIT: u8 = 0x80;

@@ -1,9 +1,9 @@
 //! The beam and the materials as tables of f32 that both executors read.
 
 use super::RenderError;
-use super::flood::detected_bins;
-use super::plan::{Fitted, Node, response};
+use super::plan_parts::{Fitted, Node, response};
 use crate::scene::model::{Formation, Scene};
+use crate::scene::physics::Bin;
 
 /// Bins are padded to a multiple of this; padding has no weight.
 pub const LANES: usize = 8;
@@ -103,6 +103,20 @@ impl Bins {
             mean_square_response: whole.mean_square_response,
         })
     }
+}
+
+/// The spectrum as the panel detects it: φ times the absorption of the scintillator, Σ = 1; the beam's own for naive formation.
+#[must_use]
+pub fn detected_bins(scene: &Scene) -> Vec<Bin> {
+    let bins = &scene.beam.spectrum.bins;
+    let Some(scintillator) = scene.detector.panel.scintillator.as_ref().filter(|_| scene.model.formation == Formation::Deepdrr)
+    else {
+        return bins.clone();
+    };
+    // Outside the tables the share is NaN, which the sum over the spectrum refuses.
+    let detected = |bin: &Bin| bin.fluence * scintillator.absorption(bin.energy_kev).unwrap_or(f64::NAN);
+    let total: f64 = bins.iter().map(detected).sum();
+    bins.iter().map(|bin| Bin { energy_kev: bin.energy_kev, fluence: detected(bin) / total }).collect()
 }
 
 /// Every bin in which photons are detected.

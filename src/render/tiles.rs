@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::prepared::Bounds;
+use super::bounds::Bounds;
 
 /// Edge of a tile in pixels; a multiple of every step between cast pixels.
 pub const TILE_PX: u32 = 16;

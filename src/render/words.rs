@@ -2,8 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::cells::Cells;
-use super::slabs::AXES;
+use super::cells::{AXES, Cells};
 use crate::scene::model::Volume;
 
 /// One material's densities as words, 0 where there is another: [`WORD_OF_DENSEST`] is its densest voxel.

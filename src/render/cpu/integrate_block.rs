@@ -9,7 +9,7 @@ use super::crossing::{Below, Crossing};
 use super::edges::BundleSums;
 use super::fixed_lanes::FixedLanes;
 use super::lanes::{LANES, Portable};
-use crate::render::prepared::Bounds;
+use crate::render::bounds::Bounds;
 use crate::render::slabs::{CUT_BIT, MOST_MATERIALS};
 
 /// Edge of the blocks of pixels that are laid out as bundles.

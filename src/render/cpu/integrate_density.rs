@@ -11,7 +11,7 @@ use super::integrate_block::{BLOCK, Block};
 use super::intervals::Intervals;
 use super::shapes::cuboid;
 use super::walk_cells::{CellRay, Field, Found, Pass};
-use crate::render::plan::Sampling;
+use crate::render::plan_parts::Sampling;
 use crate::render::prepared::{Bounds, Prepared, SeenVolume, Step};
 
 /// Area densities of an image.

@@ -15,7 +15,6 @@ pub mod fixed_lanes;
 pub mod fixed_windows;
 pub mod integrate_block;
 pub mod integrate_density;
-pub mod intersect_mesh;
 pub mod intervals;
 pub mod lanes;
 #[cfg(target_arch = "x86_64")]
@@ -25,3 +24,5 @@ pub mod shapes;
 pub mod walk_cells;
 pub mod window_places;
 pub mod windows;
+
+pub use super::mesh_tree as intersect_mesh;

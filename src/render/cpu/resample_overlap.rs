@@ -11,7 +11,7 @@ use crate::geometry::View;
 use crate::render::RenderError;
 use crate::render::cells::Cells;
 use crate::render::meshes::MadeMesh;
-use crate::render::plan::Sampling;
+use crate::render::plan_parts::Sampling;
 use crate::render::prepared::Prepared;
 use crate::scene::model::{Matter, Object, Scene, Shape, Solid, Volume};
 

@@ -173,7 +173,7 @@ mod tests {
                 let mut spans = Vec::new();
                 tree.inside(DVec3::ZERO, direction, &mut spans);
                 let found: f64 = spans.iter().map(|(a, b)| b - a).sum();
-                let expected = super::super::shapes::cuboid(
+                let expected = crate::render::cpu::shapes::cuboid(
                     DVec3::new(0.0, 0.0, -100.0),
                     direction,
                     DVec3::splat(-10.0),

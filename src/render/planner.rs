@@ -315,6 +315,8 @@ fn work(task: &Task, pilot: &Pilot, way: &Way, energies: usize) -> Work {
         materials,
         // Naive formation has one mean attenuation.
         energies: if task.scene.model.formation == Formation::Naive { energies.min(1) } else { energies },
+        shaped_energies: energies,
+        face_tests: pilot.face_tests,
         shaped: shaped(task.scene, task.quantity),
         noise: noise_applies(task.scene, task.quantity),
     }

@@ -91,6 +91,8 @@ impl Default for Costs {
 pub struct Work {
     /// Pixels of the image.
     pub pixels: f64,
+    /// Bands of its rows, of which cores take one at a time to cast.
+    pub bands: f64,
     /// Rays that are cast.
     pub rays: f64,
     /// Slabs that an average ray crosses.
@@ -124,8 +126,8 @@ pub struct Work {
 /// Costs are measured so many times.
 const ROUNDS: u32 = 3;
 
-/// Pixels that a core takes at a time, in all.
-const TILE_PX: f64 = 1024.0;
+/// Pixels that a core takes at a time once rays are cast.
+const CHUNK_PX: f64 = 512.0;
 
 impl Costs {
     /// Milliseconds that `work` takes with `sampling`.
@@ -158,10 +160,11 @@ impl Costs {
             + work.shaped * self.shaped_ns * shaped_blocks
             + if work.noise { self.noise_ns } else { 0.0 };
         let between = work.interpolated * self.between_ns * work.materials.max(1) as f64;
-        // The last round of tiles leaves cores idle; an image of one tile has one core.
-        let tiles = (work.pixels / TILE_PX).ceil().max(1.0);
-        let cores = tiles / (tiles / self.threads as f64).ceil();
-        (work.rays * ray + work.pixels * pixel + work.face_tests * self.face_ns + between) * 1e-6 / cores + self.image_ms
+        // The last round leaves cores idle; what comes in one piece has one core.
+        let cores = |pieces: f64| pieces / (pieces / self.threads as f64).ceil();
+        let cast = (work.rays * ray + work.face_tests * self.face_ns) / cores(work.bands.max(1.0));
+        let rest = (work.pixels * pixel + between) / cores((work.pixels / CHUNK_PX).ceil().max(1.0));
+        (cast + rest) * 1e-6 + self.image_ms
     }
 
     /// The costs of this machine: from the cache, else measured and cached. The first few programs that ask measure again, because others may
@@ -191,7 +194,8 @@ impl Costs {
     }
 
     fn all_mut(&mut self) -> impl Iterator<Item = &mut f64> {
-        let rays = [&mut self.walked_slab_ns, &mut self.solid_ns, &mut self.mesh_level_ns, &mut self.between_ns, &mut self.face_ns];
+        let rays =
+            [&mut self.walked_slab_ns, &mut self.solid_ns, &mut self.mesh_level_ns, &mut self.between_ns, &mut self.face_ns];
         let pixels = [&mut self.energies_ns, &mut self.shaped_ns, &mut self.noise_ns, &mut self.pixel_ns, &mut self.image_ms];
         rays.into_iter().chain(pixels).chain(&mut self.exact_slab_ns).chain(&mut self.fixed_slab_ns)
     }
@@ -237,7 +241,9 @@ fn measure() -> Costs {
     let Some(ns) = time(test_volume(2, 12), Sampling::ExactCells) else { return costs };
     costs.walked_slab_ns = ns;
     let faces = with_volume(&scene, cut_volume(), |prepared| {
-        let ms = fastest(|| drop(cut_faces::mark(prepared, &mut [1; EDGE * EDGE])));
+        let ms = fastest(|| {
+            std::hint::black_box(cut_faces::mark(prepared, &mut [1; EDGE * EDGE]));
+        });
         per(ms, cut_faces::tests(prepared) as f64)
     });
     let Some(ns) = faces else { return costs };
@@ -271,7 +277,11 @@ fn measure() -> Costs {
     costs.between_ns = per(fastest(|| drop(enlarge_density(&coarse, [129, 129], [256, 256], 2))), pixels as f64);
     let empty_ms = |view: View| {
         let scene = Scene { view: Some(view), ..scene.clone() };
-        Some(time_objects(&scene, Matter::Solids(Vec::new()), 1)? * view.size_px.iter().map(|n| f64::from(*n)).product::<f64>() * 1e-6)
+        Some(
+            time_objects(&scene, Matter::Solids(Vec::new()), 1)?
+                * view.size_px.iter().map(|n| f64::from(*n)).product::<f64>()
+                * 1e-6,
+        )
     };
     if let Some(view) = scene.view
         && let Some((whole_ms, small_ms)) = empty_ms(view).zip(empty_ms(View { size_px: [8; 2], ..view }))
@@ -415,13 +425,13 @@ fn test_volume(materials: usize, block: usize) -> Volume {
     }
 }
 
-/// A body that is round in every section and reaches all faces.
+/// A body from face to face.
 fn cut_volume() -> Volume {
     let mut volume = test_volume(1, 1);
     let from_middle = |index: usize| (index as f64 + 0.5) / EDGE as f64 - 0.5;
     for (voxel, density) in volume.density_g_per_cm3.iter_mut().enumerate() {
         let place = glam::DVec3::from_array([voxel % EDGE, voxel / EDGE % EDGE, voxel / (EDGE * EDGE)].map(from_middle));
-        if place.length() > 0.62 {
+        if place.truncate().length() > 0.46 {
             *density = 0.0;
         }
     }
@@ -453,10 +463,11 @@ mod tests {
         assert!(costs.predict_ms(&Work { energies: 120, ..work }, Sampling::ExactSlabs) > ms);
         assert!(costs.predict_ms(&Work { noise: true, ..work }, Sampling::ExactSlabs) > ms);
         assert!(costs.predict_ms(&Work { shaped: 1.0, shaped_energies: 8, ..work }, Sampling::ExactSlabs) > ms);
-        // Half a tile more than the cores take at a time: a second round.
-        let tiles = |count: f64| costs.predict_ms(&Work { pixels: count * TILE_PX, rays: 0.0, ..work }, Sampling::ExactSlabs);
+        // A piece more than the cores take at a time: a second round.
+        let chunks = |count: f64| costs.predict_ms(&Work { pixels: count * CHUNK_PX, rays: 0.0, ..work }, Sampling::ExactSlabs);
         let threads = costs.threads as f64;
-        assert!(tiles(threads + 1.0) - costs.image_ms > 1.2 * (tiles(threads) - costs.image_ms));
+        assert!(chunks(threads + 1.0) - costs.image_ms > 1.2 * (chunks(threads) - costs.image_ms));
+        assert!(costs.predict_ms(&Work { bands: 2.0, ..work }, Sampling::ExactSlabs) < 0.6 * ms);
         assert!(costs.predict_ms(&Work { filled_per_ray: 80.0, ..work }, Sampling::ExactSlabs) < ms);
         assert!(costs.predict_ms(&Work { rays: 2.5e4, ..work }, Sampling::ExactSlabs) < ms);
         assert!(costs.predict_ms(&Work { walked_share: 0.5, ..work }, Sampling::ExactSlabs) > 2.0 * ms);

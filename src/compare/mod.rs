@@ -41,7 +41,7 @@ use crate::image::{Image, block_means, quantile, zip};
 use crate::mask::{self, Cause, Masks, REQUIRED_SHARE};
 use correlation::{rank_ncc, ranks};
 use scores::{Scored, score};
-use seen::{Ground, Seen};
+use seen::{Ground, REACH_PX, Seen};
 
 /// A comparison, its pictures, and what a later null needs.
 #[derive(Clone, Debug)]
@@ -145,9 +145,13 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
     let of_tool = |tool: &Image<bool>| {
         let with_tool = masks.usable(width, height, &[Cause::Tool]);
         let on_tool = zip(&with_tool, tool, |usable, tool| *usable && *tool);
-        let acquired_ranks = &ranks(&common.acquired, &on_tool);
+        // Nothing further away than windows reach tells of the tool.
+        let near = around(tool, REACH_PX);
+        let [acquired, toned] = [&common.acquired, &toned].map(|image| image.part(&near));
+        let [with_tool, on_tool] = [&with_tool, &on_tool].map(|image| image.part(&near));
+        let acquired_ranks = &ranks(&acquired, &on_tool);
         let ground = Ground::of(with_tool);
-        let (acquired, simulated) = (&Seen::on(&ground, &common.acquired), &Seen::on(&ground, &toned));
+        let (acquired, simulated) = (&Seen::on(&ground, &acquired), &Seen::on(&ground, &toned));
         let edges = edges::of_both(&edges::maxima(acquired, &ground.usable), &edges::maxima(simulated, &ground.usable));
         let scored = Scored { acquired, acquired_ranks, simulated, ground: &ground, scored: &on_tool, ..base };
         score(&scored, (&edges.0, &edges.1))
@@ -308,6 +312,18 @@ fn gather_masks(input: &CompareInput, binning: usize) -> Result<Masks, CompareEr
         masks.add(Cause::Beads, mask::discs(width, height, input.beads));
     }
     Ok(masks)
+}
+
+/// Columns and rows that hold all of `marked`, and as many pixels around it as there are up to `margin`.
+fn around(marked: &Image<bool>, margin: usize) -> [std::ops::Range<usize>; 2] {
+    let (mut from, mut to) = ([marked.width, marked.height], [0; 2]);
+    for at in (0..marked.pixels.len()).filter(|at| marked.pixels[*at]) {
+        let place = [at % marked.width, at / marked.width];
+        from = [0, 1].map(|axis| from[axis].min(place[axis]));
+        to = [0, 1].map(|axis| to[axis].max(place[axis] + 1));
+    }
+    let size = [marked.width, marked.height];
+    [0, 1].map(|axis| from[axis].saturating_sub(margin).min(to[axis])..(to[axis] + margin).min(size[axis]))
 }
 
 /// Which of the usable pixels are scored: all without a tone, else those of the tiles it was not fitted on.

@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use super::correlation::{for_each_scored, rank_ncc, ranks, zncc};
 use super::domain::CommonDomain;
 use super::edges::{EdgeMap, median_distance_px};
-use super::filters::{TRUSTED_WEIGHT, noise};
-use super::seen::{Ground, Seen};
+use super::filters::{every, noise};
+use super::seen::{Ground, Seen, WINDOW_STRIDE_PX};
 use super::tone::Tone;
 use crate::image::{Image, quantile, zip};
 
@@ -14,6 +14,8 @@ use crate::image::{Image, quantile, zip};
 pub const SSIM_CONSTANTS: [f64; 2] = [0.01, 0.03];
 /// Fewer scored pixels than this score nothing.
 pub const FEWEST_PIXELS: usize = 200;
+/// As many windows as stand on so many pixels.
+const FEWEST_WINDOWS: f64 = (FEWEST_PIXELS / (WINDOW_STRIDE_PX * WINDOW_STRIDE_PX)) as f64;
 
 /// The scores of one comparison; `None` where a score does not exist, with the reason in `reasons`.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -24,9 +26,9 @@ pub struct Scores {
     pub rank_ncc: Option<f64>,
     /// Mean correlation of the two components of the gradient after smoothing with σ = 1.5 px, −1 to 1.
     pub gradient_ncc: Option<f64>,
-    /// Structural similarity, Gaussian window σ = 1.5 px, K = 0.01 and 0.03, up to 1.
+    /// Structural similarity, Gaussian windows σ = 1.5 px at every second pixel each way, K = 0.01 and 0.03, up to 1.
     pub ssim: Option<f64>,
-    /// Mean NCC in Gaussian windows of σ = 8 px of the band between σ = 1.5 and 6 px, where the simulation has structure, −1 to 1.
+    /// Mean NCC in Gaussian windows of σ = 8 px, at every second pixel each way, of the band between σ = 1.5 and 6 px, where the simulation has structure, −1 to 1.
     pub local_ncc: Option<f64>,
     /// Median symmetric distance of strong edges, px (12 at most).
     pub edge_distance_px: Option<f64>,
@@ -193,12 +195,12 @@ fn ssim(input: &Scored) -> Option<f64> {
     let mut of_simulated = (0.0, 0.0);
     for_each_scored(a, b, input.scored, |_, s| of_simulated = (of_simulated.0 + s, of_simulated.1 + 1.0));
     let middle = of_simulated.0 / of_simulated.1;
-    let weight = input.ground.fine_weight();
+    let scored = every(input.scored, WINDOW_STRIDE_PX);
     let cross = input.ground.in_fine_windows(&acquired.product(simulated));
     let (power_a, power_b) = (acquired.power(input.ground), simulated.power(input.ground));
     let [c1, c2] = SSIM_CONSTANTS.map(|k| (k * range).powi(2));
     let (mut sum, mut n) = (0.0, 0.0);
-    for at in (0..weight.pixels.len()).filter(|&at| input.scored.pixels[at] && weight.pixels[at] >= TRUSTED_WEIGHT) {
+    for at in (0..scored.pixels.len()).filter(|&at| scored.pixels[at] && input.ground.known.pixels[at]) {
         let value = |image: &Image<f32>| f64::from(image.pixels[at]);
         let (fine_a, fine_b) = (value(&acquired.fine), value(&simulated.fine));
         let (ma, mb) = (fine_a - f64::from(acquired.mean), fine_b - f64::from(simulated.mean));
@@ -208,11 +210,12 @@ fn ssim(input: &Scored) -> Option<f64> {
         sum += (2.0 * la * lb + c1) * (2.0 * cov + c2) / ((la * la + lb * lb + c1) * (va + vb + c2));
         n += 1.0;
     }
-    (n >= FEWEST_PIXELS as f64).then(|| sum / n)
+    (n >= FEWEST_WINDOWS).then(|| sum / n)
 }
 
 fn local_ncc(input: &Scored) -> Option<f64> {
     let known = &input.ground.known;
+    let scored = every(input.scored, WINDOW_STRIDE_PX);
     let (maa, mbb) = (&input.acquired.band_power, &input.simulated.band_power);
     let mab = input.ground.in_windows(&zip(&input.acquired.band, &input.simulated.band, |a, b| a * b));
     let (mut total, mut n) = (0.0, 0.0);
@@ -223,12 +226,12 @@ fn local_ncc(input: &Scored) -> Option<f64> {
     // Windows with less than a tenth of the mean power hold noise only, and would dilute the mean.
     let floor = 0.1 * total / f64::max(n, 1.0);
     let (mut sum, mut n) = (0.0, 0.0);
-    for at in (0..mbb.pixels.len()).filter(|&at| known.pixels[at] && input.scored.pixels[at]) {
+    for at in (0..mbb.pixels.len()).filter(|&at| known.pixels[at] && scored.pixels[at]) {
         let (aa, bb, ab) = (f64::from(maa.pixels[at]), f64::from(mbb.pixels[at]), f64::from(mab.pixels[at]));
         if bb > floor && aa > 0.0 {
             sum += ab / (aa * bb).sqrt();
             n += 1.0;
         }
     }
-    (n >= FEWEST_PIXELS as f64).then(|| sum / n)
+    (n >= FEWEST_WINDOWS).then(|| sum / n)
 }

@@ -67,6 +67,19 @@ impl<T> Image<T> {
     }
 }
 
+impl<T: Copy> Image<T> {
+    /// The given columns and rows, as far as the image has them.
+    #[must_use]
+    pub fn part(&self, [columns, rows]: &[std::ops::Range<usize>; 2]) -> Self {
+        let within =
+            |range: &std::ops::Range<usize>, end: usize| range.start.min(end)..range.end.min(end).max(range.start.min(end));
+        let (columns, rows) = (within(columns, self.width), within(rows, self.height));
+        let (width, height) = (columns.len(), rows.len());
+        let pixels = rows.flat_map(|row| &self.pixels[row * self.width..][columns.clone()]).copied().collect();
+        Self { width, height, pixels }
+    }
+}
+
 impl Image<f32> {
     /// Bilinear interpolation at continuous (`u_px`, `v_px`); `None` outside the outermost pixel centres.
     #[must_use]

@@ -7,7 +7,7 @@ use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
 use super::face_sums::{CutFace, across};
-use super::prepared::Prepared;
+use super::prepared::{Prepared, SeenVolume};
 
 /// Pixels along the side of a block of rays that is looked at as one.
 const BLOCK: usize = 16;
@@ -59,43 +59,83 @@ impl Seen<'_> {
     }
 }
 
+/// The faces of the truncated volumes that hold tissue, before the camera.
+fn faces<'p>(prepared: &'p Prepared) -> Vec<Seen<'p>> {
+    let truncated = prepared.volumes.iter().filter(|seen| seen.volume.truncated_at_faces);
+    let of_volume = |seen: &'p SeenVolume| {
+        seen.cells.cut_faces(seen.air_kind).iter().map(|face| Seen {
+            face,
+            plane: [
+                if face.high { seen.volume.size[face.axis] as f64 + 0.5 } else { 0.5 },
+                seen.volume.beyond_face_mm(face.axis) / seen.volume.lps_from_voxel.matrix3.col(face.axis).length(),
+            ],
+            p: seen.cell_from_camera.translation,
+            cell_from_camera: seen.cell_from_camera.matrix3,
+            detector_mm: prepared.detector_mm,
+        })
+    };
+    truncated.flat_map(of_volume).collect()
+}
+
+/// Rays of a camera in blocks.
+struct Blocks<'p> {
+    prepared: &'p Prepared<'p>,
+    size: [usize; 2],
+}
+
+impl<'p> Blocks<'p> {
+    fn new(prepared: &'p Prepared<'p>) -> Self {
+        Self { prepared, size: prepared.view.size_px.map(|n| n as usize) }
+    }
+
+    fn direction(&self, u: usize, v: usize) -> DVec3 {
+        self.prepared.view.intrinsics.unproject(DVec2::new(u as f64, v as f64))
+    }
+
+    /// First and last column and row of each block in one row of them.
+    fn of_row(&self, row: usize) -> impl Iterator<Item = [usize; 4]> {
+        let [width, height] = self.size;
+        let (v0, v1) = (row * BLOCK, (row * BLOCK + BLOCK).min(height) - 1);
+        (0..width).step_by(BLOCK).map(move |u0| [u0, (u0 + BLOCK).min(width) - 1, v0, v1])
+    }
+
+    fn corners(&self, [u0, u1, v0, v1]: [usize; 4]) -> [DVec3; 4] {
+        [(u0, v0), (u1, v0), (u0, v1), (u1, v1)].map(|(u, v)| self.direction(u, v))
+    }
+}
+
+/// How many times a ray is tried against a face by [`mark`].
+#[must_use]
+pub fn tests(prepared: &Prepared) -> usize {
+    let seen = faces(prepared);
+    let blocks = Blocks::new(prepared);
+    let in_block = |block: [usize; 4]| {
+        let corners = blocks.corners(block);
+        let [u0, u1, v0, v1] = block;
+        seen.iter().filter(|face| face.may_meet(&corners)).count() * (u1 + 1 - u0) * (v1 + 1 - v0)
+    };
+    if seen.is_empty() { 0 } else { (0..blocks.size[1].div_ceil(BLOCK)).flat_map(|row| blocks.of_row(row)).map(in_block).sum() }
+}
+
 /// Marks the pixels whose rays pass where a scan was cut off: `valid` becomes 0. Returns the longest unscanned path, mm (at most what the
 /// rays spend over the tissue's bounding rectangle).
 pub fn mark(prepared: &Prepared, valid: &mut [u8]) -> f32 {
-    let seen: Vec<Seen> = prepared
-        .volumes
-        .iter()
-        .filter(|seen| seen.volume.truncated_at_faces)
-        .flat_map(|seen| {
-            seen.cells.cut_faces(seen.air_kind).iter().map(|face| Seen {
-                face,
-                plane: [
-                    if face.high { seen.volume.size[face.axis] as f64 + 0.5 } else { 0.5 },
-                    seen.volume.beyond_face_mm(face.axis) / seen.volume.lps_from_voxel.matrix3.col(face.axis).length(),
-                ],
-                p: seen.cell_from_camera.translation,
-                cell_from_camera: seen.cell_from_camera.matrix3,
-                detector_mm: prepared.detector_mm,
-            })
-        })
-        .collect();
+    let seen = faces(prepared);
     if seen.is_empty() {
         return 0.0;
     }
-    let [width, height] = prepared.view.size_px.map(|n| n as usize);
-    let direction = |u: f64, v: f64| prepared.view.intrinsics.unproject(DVec2::new(u, v));
+    let blocks = Blocks::new(prepared);
+    let width = blocks.size[0];
     let rows_of_blocks = valid.par_chunks_mut(BLOCK * width).enumerate();
     let longest = rows_of_blocks.map(|(block_row, rows)| {
-        let v0 = block_row * BLOCK;
-        let v1 = (v0 + BLOCK).min(height) - 1;
         let mut longest = 0.0f64;
-        for u0 in (0..width).step_by(BLOCK) {
-            let u1 = (u0 + BLOCK).min(width) - 1;
-            let corners = [(u0, v0), (u1, v0), (u0, v1), (u1, v1)].map(|(u, v)| direction(u as f64, v as f64));
+        for block in blocks.of_row(block_row) {
+            let [u0, u1, v0, v1] = block;
+            let corners = blocks.corners(block);
             for face in seen.iter().filter(|face| face.may_meet(&corners)) {
                 for v in v0..=v1 {
                     for u in u0..=u1 {
-                        let ray = direction(u as f64, v as f64);
+                        let ray = blocks.direction(u, v);
                         if let Some(depth_mm) = face.missed(ray) {
                             rows[(v - v0) * width + u] = 0;
                             longest = longest.max(depth_mm * ray.length());

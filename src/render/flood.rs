@@ -21,6 +21,9 @@ use crate::scene::optics::BowTie;
 /// Pixels are sampled this often along each side where the edge of the field crosses them.
 const SAMPLES: i32 = 8;
 
+/// A core takes at least so many pixels at a time where all energies are summed.
+const FEWEST_PX: usize = 128;
+
 /// What the heel leaves of the photons is none at all below this share.
 const DARK: f32 = 1e-12;
 
@@ -254,7 +257,7 @@ pub fn flood(scene: &Scene, view: &View, weights: &Weights, photons: bool) -> Re
     };
     let found: Vec<Pixel> = (0..pixels)
         .into_par_iter()
-        .with_min_len(1024)
+        .with_min_len(FEWEST_PX)
         .map_init(|| weights.scratch(), |scratch, index| pixel(scratch, index))
         .collect();
     flood.photons = found.iter().map(|pixel| pixel.photons).collect();
@@ -336,7 +339,7 @@ pub fn attenuate(view: &View, density: &Density, bins: &Bins, weights: &Weights,
     };
     let (line_integral, arriving): (Vec<f32>, Vec<Arriving>) = (0..density.valid.len())
         .into_par_iter()
-        .with_min_len(1024)
+        .with_min_len(FEWEST_PX)
         .map_init(|| weights.scratch(), |scratch, index| pixel(scratch, index))
         .unzip();
     Signal { line_integral, arriving: if moments { arriving } else { Vec::new() } }

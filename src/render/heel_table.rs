@@ -12,6 +12,9 @@ use crate::scene::physics::{ANODE_ANGLES_DEG, Spectrum};
 pub(super) struct HeelTable {
     heel: Heel,
     rows: Vec<Vec<f64>>,
+    /// ln of how much more there is at the end of the first and the last whole degree than at its beginning, at least 0; NaN where there
+    /// was none.
+    rises: [Vec<f64>; 2],
 }
 
 impl HeelTable {
@@ -31,7 +34,12 @@ impl HeelTable {
             row.resize(padded, 0.0);
             rows.push(row);
         }
-        Ok(Self { heel, rows })
+        let rise = |first: usize| {
+            let pairs = rows[first].iter().zip(&rows[first + 1]);
+            pairs.map(|(low, high)| if *low > 0.0 { (high / low).max(1.0).ln() } else { f64::NAN }).collect()
+        };
+        let rises = [rise(0), rise(rows.len() - 2)];
+        Ok(Self { heel, rows, rises })
     }
 
     /// Factors for a ray of the camera; false where nothing comes out.
@@ -48,15 +56,19 @@ impl HeelTable {
         let below = (position as usize).min(self.rows.len() - 2);
         let (low, high) = (&self.rows[below], &self.rows[below + 1]);
         let weight = position - below as f64;
-        let outside = Self::is_outside(sine);
+        if !Self::is_outside(sine) {
+            for ((factor, low), high) in factors.iter_mut().zip(low).zip(high) {
+                *factor = (low + (high - low) * weight) as f32;
+            }
+            return true;
+        }
         let inverse_sine = |degrees: f64| 1.0 / degrees.to_radians().sin();
         let (a, b) = (first_deg + below as f64, first_deg + below as f64 + 1.0);
         let step = (1.0 / sine - inverse_sine(a)) / (inverse_sine(b) - inverse_sine(a));
-        for ((factor, low), high) in factors.iter_mut().zip(low).zip(high) {
-            let between = low + (high - low) * weight;
-            // The weight is 0 or 1 outside, so that `between` is the table's end.
-            let beyond = || between * (high / low).max(1.0).powf(step - weight);
-            *factor = if outside && *low > 0.0 { beyond() } else { between } as f32;
+        // The weight is 0 or 1 outside, so that the table's end is what goes on.
+        let (end, rises) = if weight > 0.5 { (high, &self.rises[1]) } else { (low, &self.rises[0]) };
+        for ((factor, end), rise) in factors.iter_mut().zip(end).zip(rises) {
+            *factor = if rise.is_nan() { *end } else { end * (rise * (step - weight)).exp() } as f32;
         }
         true
     }

@@ -7,6 +7,7 @@ use super::cpu::claims::occupied_depths;
 use super::cpu::integrate_density::{Density, around_one_volume, integrate_density, walked_share};
 use super::cpu::shapes::intersect;
 use super::cpu::walk_cells::CellRay;
+use super::cut_faces;
 use super::plan::Sampling;
 use super::prepared::{Prepared, Step};
 use super::survey::part;
@@ -45,6 +46,8 @@ pub struct Pilot {
     pub solids_per_ray: f64,
     /// Doublings of triangles in the meshes that an average ray is tried against.
     pub mesh_levels_per_ray: f64,
+    /// How many times a ray of the whole image is tried against a face where a scan was cut off.
+    pub face_tests: f64,
 }
 
 /// Casts pilot rays of `view`, sampling volumes as told; `prepare` looks at the scene from a view.
@@ -78,7 +81,9 @@ pub fn cast<'a>(
     pilot.displacing_per_ray /= blocks;
     pilot.solids_per_ray /= blocks;
     pilot.mesh_levels_per_ray /= blocks;
-    pilot.walked_share = walked_share(&prepare(view)?);
+    let whole = prepare(view)?;
+    pilot.walked_share = walked_share(&whole);
+    pilot.face_tests = cut_faces::tests(&whole) as f64;
     Ok(pilot)
 }
 

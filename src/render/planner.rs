@@ -1,6 +1,7 @@
 //! From a wish (an error, or a time) to the cheapest plan that grants it.
 
 use super::costs::{Costs, Work};
+use super::cpu::integrate_density::band_rows;
 use super::fits::{Fits, nodes_of};
 use super::pilot::{self, Pilot};
 use super::plan::{ErrorParts, Executor, Node, Plan, Sampling, noise_applies};
@@ -303,8 +304,10 @@ fn work(task: &Task, pilot: &Pilot, way: &Way, energies: usize) -> Work {
     let whole = way.tiles.as_ref().map_or(pixels, Tiles::pixels);
     // Rays around full tiles are cast for the tiles beside them.
     let between = (pixels - whole) / f64::from(way.step_px).powi(2) * if way.tiles.is_some() { 1.2 } else { 1.0 };
+    let height = task.view.size_px[1] as usize;
     Work {
         pixels,
+        bands: height.div_ceil(band_rows(height)) as f64,
         rays: whole + between,
         interpolated: pixels - whole,
         slabs_per_ray: pilot.slabs_per_ray,
@@ -316,6 +319,8 @@ fn work(task: &Task, pilot: &Pilot, way: &Way, energies: usize) -> Work {
         materials,
         // Naive formation has one mean attenuation.
         energies: if task.scene.model.formation == Formation::Naive { energies.min(1) } else { energies },
+        shaped_energies: energies,
+        face_tests: pilot.face_tests,
         shaped: shaped(task.scene, task.quantity),
         noise: noise_applies(task.scene, task.quantity),
     }

@@ -29,7 +29,7 @@ pub struct Arriving {
 /// Pixels that are attenuated side by side.
 const WIDE: usize = 16;
 /// Pixels that one thread takes at a time.
-const CHUNK: usize = 4096;
+const CHUNK: usize = 512;
 
 /// Attenuates every pixel; `moments` asks for what noise needs.
 // With d = min_k depth_k, Σ w_k exp(−depth_k) = exp(−d) Σ w_k exp(d − depth_k): the sum neither under- nor overflows and

@@ -28,7 +28,14 @@ pub struct Density {
 }
 
 const TILE_COLUMNS: usize = 32;
-const TILE_ROWS: usize = 4 * BLOCK;
+/// Images of fewer rows are cast in bands of one block, so that all cores have some.
+const FEW_ROWS: usize = 512;
+
+/// Rows of a tile, and of the bands that cores take, in an image of `height` rows.
+#[must_use]
+pub fn band_rows(height: usize) -> usize {
+    if height < FEW_ROWS { BLOCK } else { 4 * BLOCK }
+}
 
 /// Everything a ray needs to work in.
 struct Scratch {
@@ -69,9 +76,10 @@ pub fn integrate_blocks(
 pub fn walked_share(prepared: &Prepared) -> f64 {
     let [width, height] = prepared.view.size_px;
     let (mut with_volume, mut walked) = (0u64, 0u64);
-    for v in (0..height).step_by(TILE_ROWS) {
+    let band_rows = band_rows(height as usize);
+    for v in (0..height).step_by(band_rows) {
         for u in (0..width).step_by(TILE_COLUMNS) {
-            let to = [(u + TILE_COLUMNS as u32).min(width), (v + TILE_ROWS as u32).min(height)];
+            let to = [(u + TILE_COLUMNS as u32).min(width), (v + band_rows as u32).min(height)];
             let tile = Bounds { from: [u, v], to };
             let steps: Vec<Step> = prepared.steps.iter().filter(|step| seen_in(prepared, step, &tile)).copied().collect();
             let pixels = u64::from(to[0] - u) * u64::from(to[1] - v);
@@ -129,10 +137,11 @@ impl<'a> Integrator<'a> {
         let row = width * self.prepared.material_count;
         let mut nothing = vec![0.0f32; if row == 0 { density.valid.len() } else { 0 }];
         let (g_per_cm2, row) = if row == 0 { (&mut nothing, width) } else { (&mut density.g_per_cm2, row) };
-        let bands = g_per_cm2.par_chunks_mut(TILE_ROWS * row).zip(density.valid.par_chunks_mut(TILE_ROWS * width));
+        let band_rows = band_rows(self.prepared.view.size_px[1] as usize);
+        let bands = g_per_cm2.par_chunks_mut(band_rows * row).zip(density.valid.par_chunks_mut(band_rows * width));
         let worst = bands.enumerate().map(|(band, (g_per_cm2, valid))| {
             let mut worker = self.worker();
-            let first_row = band * TILE_ROWS;
+            let first_row = band * band_rows;
             let rows = valid.len() / width;
             let mut worst_mm = 0.0f32;
             for first_column in (0..width).step_by(TILE_COLUMNS) {

@@ -1,6 +1,6 @@
 //! Brings the acquired frame into the domain in which it can be compared: nepers where the domain and the air level allow it.
 
-use super::filters::median_and_spread;
+use super::filters::{erode, median_and_spread};
 use super::pedestal::{self, OffsetReport, OffsetRule};
 use crate::acquire::{Domain, Frame};
 use crate::image::Image;
@@ -264,23 +264,4 @@ fn open_air(pixels: &Image<f32>, simulated: &Image<f32>, usable: &Image<bool>, s
     }
     let spread = if signal { spread / level } else { spread };
     AirReport { rule: "open".into(), level: Some(level), pixels: Some(count), spread: Some(spread), reason: None, offset: None }
-}
-
-/// True where the whole (2·margin + 1)² neighbourhood is true; beyond the image counts as true.
-pub(super) fn erode(image: &Image<bool>, margin: usize) -> Image<bool> {
-    let (width, height) = (image.width, image.height);
-    let window = |at: usize, end: usize| at.saturating_sub(margin)..(at + margin + 1).min(end);
-    let mut across = image.clone();
-    for v in 0..height {
-        for u in 0..width {
-            across.pixels[v * width + u] = window(u, width).all(|column| image.pixels[v * width + column]);
-        }
-    }
-    let mut both = across.clone();
-    for v in 0..height {
-        for u in 0..width {
-            both.pixels[v * width + u] = window(v, height).all(|row| across.pixels[row * width + u]);
-        }
-    }
-    both
 }

@@ -120,6 +120,25 @@ pub(super) fn gradient(value: &Image<f32>, weight: &Image<f32>) -> Gradient {
     found
 }
 
+/// True where the whole (2·margin + 1)² neighbourhood is true; beyond the image counts as true.
+pub(super) fn erode(image: &Image<bool>, margin: usize) -> Image<bool> {
+    let (width, height) = (image.width, image.height);
+    let window = |at: usize, end: usize| at.saturating_sub(margin)..(at + margin + 1).min(end);
+    let mut across = image.clone();
+    for v in 0..height {
+        for u in 0..width {
+            across.pixels[v * width + u] = window(u, width).all(|column| image.pixels[v * width + column]);
+        }
+    }
+    let mut both = across.clone();
+    for v in 0..height {
+        for u in 0..width {
+            both.pixels[v * width + u] = window(v, height).all(|row| across.pixels[row * width + u]);
+        }
+    }
+    both
+}
+
 /// Median, and 1.4826 times the median absolute deviation (σ of a normal distribution).
 pub(super) fn median_and_spread(values: &mut [f32]) -> Option<(f64, f64)> {
     let median = quantile(values, 0.5)?;

@@ -113,7 +113,7 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
         flags.push(format!("tone {}: {note}", input.tone.as_str()));
     }
     let toned = fit.apply_to(simulated);
-    let scored = scored_pixels(&usable, input.tone, TILE_PX);
+    let scored = tone::scored_pixels(&usable, input.tone, TILE_PX);
     let mm_per_px = input.view.zip(input.centre_lps_mm).and_then(|(view, centre)| {
         let depth_mm = view.camera_from_lps.transform_point(centre).z;
         (depth_mm > 0.0).then(|| depth_mm / view.intrinsics.fx)
@@ -324,19 +324,6 @@ fn around(marked: &Image<bool>, margin: usize) -> [std::ops::Range<usize>; 2] {
     }
     let size = [marked.width, marked.height];
     [0, 1].map(|axis| from[axis].saturating_sub(margin).min(to[axis])..(to[axis] + margin).min(size[axis]))
-}
-
-/// Which of the usable pixels are scored: all without a tone, else those of the tiles it was not fitted on.
-fn scored_pixels(usable: &Image<bool>, tone: Tone, tile_px: usize) -> Image<bool> {
-    let mut scored = usable.clone();
-    if tone != Tone::None {
-        for v in 0..usable.height {
-            for u in 0..usable.width {
-                *scored.at_mut(u, v) &= !tone::is_fit_tile(u, v, tile_px);
-            }
-        }
-    }
-    scored
 }
 
 /// Gray values of unknown frames may run either way; it is found by rank correlation, and said.

@@ -263,7 +263,7 @@ fn score_small(
     };
     let renders: Vec<_> = renders.into_iter().map(place).collect();
     let standing = |usable: Image<bool>| {
-        let scored = super::scored_pixels(&usable, input.tone, tile_px);
+        let scored = tone::scored_pixels(&usable, input.tone, tile_px);
         let ground = Ground::of(usable);
         let seen = Seen::on(&ground, acquired);
         let (maxima, ranks) = (edges::maxima(&seen, &ground.usable), ranks(acquired, &scored));

@@ -4,7 +4,7 @@
 //! straight line through the shuttered pixels tells the two apart wherever the specimen varies there. Scatter that reaches the panel
 //! behind the blades cannot be told from a pedestal, and is counted in.
 
-use super::domain::erode;
+use super::filters::erode;
 use crate::image::{Image, quantile};
 
 /// What to take for the stored value without X-rays.

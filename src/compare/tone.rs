@@ -113,6 +113,19 @@ pub(super) fn is_fit_tile(u: usize, v: usize, tile_px: usize) -> bool {
     (u / tile_px + v / tile_px).is_multiple_of(2)
 }
 
+/// Which of the usable pixels are scored: all without a tone, else those of the tiles it was not fitted on.
+pub(super) fn scored_pixels(usable: &Image<bool>, tone: Tone, tile_px: usize) -> Image<bool> {
+    let mut scored = usable.clone();
+    if tone != Tone::None {
+        for v in 0..usable.height {
+            for u in 0..usable.width {
+                *scored.at_mut(u, v) &= !is_fit_tile(u, v, tile_px);
+            }
+        }
+    }
+    scored
+}
+
 /// Fits `tone` on the usable pixels of alternate tiles. `None` when they do not determine it.
 pub(super) fn fit(
     tone: Tone,

@@ -7,6 +7,7 @@ mod acquire_info;
 mod acquire_live;
 mod acquire_watch;
 mod architecture;
+mod architecture_inside;
 mod telemetry_devices;
 mod telemetry_frames;
 mod telemetry_port;

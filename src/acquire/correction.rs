@@ -7,7 +7,7 @@ use glam::DVec2;
 
 use super::detector_record::{AirBeam, DetectorCalibration, DetectorCalibrationError};
 use super::panel_maps::{AT_LOW_END, BURNED_IN, DEAD, HOT, SATURATED, UNSTABLE};
-use super::{Correction, Domain, Frame, FrameTags, Stored};
+use super::{Domain, Frame, FrameTags, Stored};
 use crate::geometry::{ConsoleGeometry, PanelWindow};
 use crate::image::Image;
 

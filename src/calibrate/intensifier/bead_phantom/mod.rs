@@ -18,7 +18,7 @@ pub use request::PhantomRequest;
 use super::error::IntensifierFault;
 use super::frames::{GridFrame, check_sizes};
 use super::spots::{self, Spot};
-use crate::beads::{BeadLayout, Detection, Expectation, detect};
+use crate::beads::{BeadLayout, Expectation, detect};
 use crate::geometry::{DEFAULT_ORDER, IntensifierCalibration, IntensifierView, term_count};
 use crate::mask::Disc;
 use crate::pose::extents_mm;

@@ -9,6 +9,7 @@ use super::model::Model;
 use super::noise::Noise;
 use super::profile::Profile;
 use super::window::{BACKGROUND, Window};
+use crate::image::on_widest_vectors;
 
 /// u, v, ln r, ln s, c.
 pub const SHAPE: usize = 5;
@@ -163,40 +164,11 @@ impl Equations {
         theta: &Vector,
         prior: &Prior,
     ) -> (Matrix, Vector) {
-        let count = window.len();
         self.columns.resize(COUNT + 1, Vec::new());
         for column in &mut self.columns {
-            column.resize(count, 0.0);
+            column.resize(window.len(), 0.0);
         }
-        // The residual's column holds the scale until it is no longer needed.
-        let (derivatives, last) = self.columns.split_at_mut(COUNT);
-        let residual = &mut last[0];
-        for ((scale, trust), sigma) in residual.iter_mut().zip(&weighing.trust).zip(&weighing.sigma) {
-            *scale = trust.sqrt() / sigma;
-        }
-        let (shape, background) = derivatives.split_at_mut(SHAPE);
-        for (column, derivative) in shape.iter_mut().zip(&at.shape) {
-            for n in 0..count {
-                column[n] = residual[n] * derivative[n];
-            }
-        }
-        for (column, term) in background.iter_mut().zip(&window.basis) {
-            for n in 0..count {
-                column[n] = residual[n] * at.factor[n] * term[n];
-            }
-        }
-        for ((residual, value), expected) in residual.iter_mut().zip(&window.value).zip(&at.value) {
-            *residual *= value - expected;
-        }
-        let (mut normal, mut right) = (Matrix::zeros(), Vector::zeros());
-        for i in 0..COUNT {
-            for j in i..COUNT {
-                let sum = dot(&self.columns[i], &self.columns[j]);
-                normal[(i, j)] = sum;
-                normal[(j, i)] = sum;
-            }
-            right[i] = dot(&self.columns[i], &self.columns[COUNT]);
-        }
+        let (mut normal, mut right) = on_widest_vectors(Products { columns: &mut self.columns, window, at, weighing });
         let blur_weight = BLUR_PRIOR.1.powi(-2);
         normal[(3, 3)] += blur_weight;
         right[3] += blur_weight * (BLUR_PRIOR.0.ln() - theta[3]);
@@ -227,7 +199,53 @@ impl Equations {
     }
 }
 
+/// Fills the columns of [`Equations`] and multiplies them with one another.
+struct Products<'a> {
+    columns: &'a mut [Vec<f64>],
+    window: &'a Window,
+    at: &'a Evaluated,
+    weighing: &'a Weighing,
+}
+
+impl pulp::NullaryFnOnce for Products<'_> {
+    type Output = (Matrix, Vector);
+
+    #[inline(always)]
+    fn call(self) -> Self::Output {
+        let Self { columns, window, at, weighing } = self;
+        // The residual's column holds the scale until it is no longer needed.
+        let (derivatives, last) = columns.split_at_mut(COUNT);
+        let residual = &mut last[0];
+        for ((scale, trust), sigma) in residual.iter_mut().zip(&weighing.trust).zip(&weighing.sigma) {
+            *scale = trust.sqrt() / sigma;
+        }
+        let (shape, background) = derivatives.split_at_mut(SHAPE);
+        for (column, derivative) in shape.iter_mut().zip(&at.shape) {
+            let scaled = residual.iter().zip(derivative).map(|(scale, derivative)| scale * derivative);
+            column.iter_mut().zip(scaled).for_each(|(column, value)| *column = value);
+        }
+        for (column, term) in background.iter_mut().zip(&window.basis) {
+            let scaled = residual.iter().zip(&at.factor).zip(term).map(|((scale, factor), term)| scale * factor * term);
+            column.iter_mut().zip(scaled).for_each(|(column, value)| *column = value);
+        }
+        for ((residual, value), expected) in residual.iter_mut().zip(&window.value).zip(&at.value) {
+            *residual *= value - expected;
+        }
+        let (mut normal, mut right) = (Matrix::zeros(), Vector::zeros());
+        for i in 0..COUNT {
+            for j in i..COUNT {
+                let sum = dot(&columns[i], &columns[j]);
+                normal[(i, j)] = sum;
+                normal[(j, i)] = sum;
+            }
+            right[i] = dot(&columns[i], &columns[COUNT]);
+        }
+        (normal, right)
+    }
+}
+
 /// Sum of products in eight strands, always in the same order.
+#[inline(always)]
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     let mut strands = [0.0f64; 8];
     let (a_chunks, b_chunks) = (a.chunks_exact(8), b.chunks_exact(8));

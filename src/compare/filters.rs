@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::image::{Image, quantile, zip};
+use crate::image::{Image, on_widest_vectors, quantile, zip};
 
 /// A pixel of a smoothed image is trusted when at least this share of its kernel lay on usable pixels.
 pub(super) const TRUSTED_WEIGHT: f32 = 0.75;
@@ -42,29 +42,64 @@ fn convolve(image: &Image<f32>, kernel: &[f32], stride: usize) -> Image<f32> {
                     lanes.iter().map(Vec::as_slice).collect()
                 }
             };
-            for (tap, weight) in kernel.iter().enumerate() {
-                // out[u] += w · row[stride · u + tap − radius], for the u where that exists.
-                let shift = tap as isize - radius;
-                let lane = lanes[shift.rem_euclid(stride as isize) as usize];
-                let first = shift.div_euclid(stride as isize);
-                let (skipped, from) = (first.max(0) as usize, (-first).max(0) as usize);
-                let (lane, out) = (lane.get(skipped..).unwrap_or_default(), out.get_mut(from..).unwrap_or_default());
-                out.iter_mut().zip(lane).for_each(|(o, r)| *o += weight * r);
-            }
+            on_widest_vectors(Across { out, lanes: &lanes, kernel });
         },
     );
     let mut down = vec![0.0f32; width * height];
     down.par_chunks_mut(width.max(1)).enumerate().for_each(|(v, out)| {
-        for (tap, weight) in kernel.iter().enumerate() {
-            let source = (v * stride + tap) as isize - radius;
-            if !(0..image.height as isize).contains(&source) {
-                continue;
-            }
-            let row = &across[source as usize * width..][..width];
-            out.iter_mut().zip(row).for_each(|(o, r)| *o += weight * r);
-        }
+        on_widest_vectors(Down { out, across: &across, kernel, first: (v * stride) as isize - radius });
     });
     Image { width, height, pixels: down }
+}
+
+/// A row of `out` from the lanes of a row: `lanes[phase][n]` is its value at column n · stride + phase.
+struct Across<'a> {
+    out: &'a mut [f32],
+    lanes: &'a [&'a [f32]],
+    kernel: &'a [f32],
+}
+
+impl pulp::NullaryFnOnce for Across<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let (stride, radius) = (self.lanes.len() as isize, (self.kernel.len() / 2) as isize);
+        for (tap, weight) in self.kernel.iter().enumerate() {
+            // out[u] += w · row[stride · u + tap − radius], for the u where that exists.
+            let shift = tap as isize - radius;
+            let lane = self.lanes[shift.rem_euclid(stride) as usize];
+            let first = shift.div_euclid(stride);
+            let (skipped, from) = (first.max(0) as usize, (-first).max(0) as usize);
+            let (lane, out) = (lane.get(skipped..).unwrap_or_default(), self.out.get_mut(from..).unwrap_or_default());
+            out.iter_mut().zip(lane).for_each(|(o, r)| *o += weight * r);
+        }
+    }
+}
+
+/// A row of `out` from the rows of `across`, as wide, from row `first` on.
+struct Down<'a> {
+    out: &'a mut [f32],
+    across: &'a [f32],
+    kernel: &'a [f32],
+    first: isize,
+}
+
+impl pulp::NullaryFnOnce for Down<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let width = self.out.len();
+        let rows = (self.across.len() / width.max(1)) as isize;
+        for (tap, weight) in self.kernel.iter().enumerate() {
+            let source = self.first + tap as isize;
+            if (0..rows).contains(&source) {
+                let row = &self.across[source as usize * width..][..width];
+                self.out.iter_mut().zip(row).for_each(|(o, r)| *o += weight * r);
+            }
+        }
+    }
 }
 
 impl Kernel {

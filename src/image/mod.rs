@@ -3,11 +3,14 @@
 mod files;
 pub mod plot;
 mod ticks;
+mod vectors;
 
 pub use files::{
     ImageFileError, cache_file, check_writable, read_tiff_f32, refuse_overwrite, sha256_bytes, sha256_file, write_atomically,
     write_png_rgb, write_tiff_f32,
 };
+
+pub use vectors::on_widest_vectors;
 
 /// A row-major raster; the index of pixel (column, row) is `row * width + column`.
 #[derive(Clone, Debug, PartialEq)]

@@ -2,10 +2,10 @@
 
 use glam::DVec2;
 
-/// A stretch shorter than this, in cells, lies in one cell.
-const SHORT: f64 = 1e-3;
+/// A step from cell to cell goes so much further than the border between them, in cells.
+const STEP: f64 = 1e-6;
 
-/// A face with tissue: cells of its layer, and how many of those in any rectangle hold matter.
+/// A face with tissue: cells of its layer, how many of those in any rectangle hold matter, and how far it is to the nearest that does.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CutFace {
     /// Axis of the normal.
@@ -16,6 +16,8 @@ pub struct CutFace {
     size: [usize; 2],
     /// Sums over [0, b) × [0, c), b fastest, (size + 1)² of them.
     sums: Vec<u32>,
+    /// Steps of a chess king from each cell to the nearest with matter, b fastest.
+    steps: Vec<u16>,
     /// First and one past the last cell that holds matter.
     bounds: [[usize; 2]; 2],
 }
@@ -54,7 +56,12 @@ impl CutFace {
                 sums[(y + 1) * width + x + 1] = sums[y * width + x + 1] + row;
             }
         }
-        (bounds[0][0] < bounds[1][0]).then_some(Self { axis, high, size, sums, bounds })
+        let matter = |x: usize, y: usize| {
+            let corner = |x: usize, y: usize| sums[y * width + x];
+            corner(x + 1, y + 1) + corner(x, y) != corner(x + 1, y) + corner(x, y + 1)
+        };
+        let steps = if bounds[0][0] < bounds[1][0] { king_steps(size, matter) } else { return None };
+        Some(Self { axis, high, size, sums, steps, bounds })
     }
 
     /// Depths within [`from`, `to`] at which a ray p + q·t is beyond the face at `plane`, at most `reach` from it.
@@ -87,18 +94,33 @@ impl CutFace {
     }
 
     /// Whether the straight line from `a` to `b`, in cells, meets matter.
+    // From a cell that is n steps of a king from matter, the line may leave the square of n − 1 cells around it before it is looked at again.
     #[must_use]
     pub fn meets(&self, a: DVec2, b: DVec2) -> bool {
-        let (low, high) = (a.min(b), a.max(b));
-        match self.count(low, high) {
-            (0, _) => false,
-            (found, all) if found == all => true,
-            _ if !(a.distance(b) > SHORT) => true,
-            _ => {
-                let middle = 0.5 * (a + b);
-                self.meets(a, middle) || self.meets(middle, b)
+        let [width, height] = self.size;
+        let d = b - a;
+        let nudge = STEP / d.length().max(STEP);
+        let mut along = 0.0;
+        // No line crosses more cells than this; one that is NaN is not known to miss anything.
+        for _ in 0..2 * (width + height) + 2 {
+            let at = a + d * along;
+            let cell = [at.x, at.y].map(|x| x.floor().max(0.0) as usize);
+            let (x, y) = (cell[0].min(width - 1), cell[1].min(height - 1));
+            let steps = self.steps[y * width + x];
+            if steps == 0 {
+                return true;
+            }
+            let reach = f64::from(steps - 1);
+            let leaves = |cell: usize, a: f64, d: f64| {
+                let border = if d > 0.0 { cell as f64 + 1.0 + reach } else { cell as f64 - reach };
+                if d == 0.0 { f64::INFINITY } else { (border - a) / d }
+            };
+            along = leaves(x, a.x, d.x).min(leaves(y, a.y, d.y)).max(along) + nudge;
+            if along > 1.0 {
+                return false;
             }
         }
+        true
     }
 
     /// The part of [`from`, `to`] in which a + d·t lies over the tissue's bounding rectangle.
@@ -119,5 +141,62 @@ impl CutFace {
             (low, high) = (low.max(t0.min(t1)), high.min(t0.max(t1)));
         }
         (low < high).then_some((low, high))
+    }
+}
+
+/// By cell, how many steps a king of chess is from the nearest that holds `matter`: two passes, each over the neighbours already passed.
+fn king_steps([width, height]: [usize; 2], matter: impl Fn(usize, usize) -> bool) -> Vec<u16> {
+    let mut steps: Vec<u16> = (0..width * height).map(|at| if matter(at % width, at / width) { 0 } else { u16::MAX }).collect();
+    let mut pass = |at: usize, dy: isize| {
+        let (x, y) = ((at % width) as isize, (at / width) as isize);
+        let inside = |x: isize, y: isize| (0..width as isize).contains(&x) && (0..height as isize).contains(&y);
+        let passed = [(x - 1, y + dy), (x, y + dy), (x + 1, y + dy), (x + dy, y)];
+        let nearest = passed.into_iter().filter(|(x, y)| inside(*x, *y)).map(|(x, y)| steps[y as usize * width + x as usize]);
+        steps[at] = nearest.min().map_or(steps[at], |nearest| steps[at].min(nearest.saturating_add(1)));
+    };
+    (0..width * height).for_each(|at| pass(at, -1));
+    (0..width * height).rev().for_each(|at| pass(at, 1));
+    steps
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::{Purpose, Stream};
+
+    /// Whether the line passes a cell with matter: every cell is asked by clipping the line to it.
+    fn crosses(matter: &[[bool; 9]; 7], a: DVec2, b: DVec2, grown: f64) -> bool {
+        let d = b - a;
+        (0..9 * 7).filter(|at| matter[at / 9][at % 9]).any(|at| {
+            let low = DVec2::new((at % 9) as f64, (at / 9) as f64) - grown;
+            let (mut from, mut to) = (0.0f64, 1.0f64);
+            for n in 0..2 {
+                let (s, t) = ((low[n] - a[n]) / d[n], (low[n] + 1.0 + 2.0 * grown - a[n]) / d[n]);
+                (from, to) = (from.max(s.min(t)), to.min(s.max(t)));
+            }
+            from <= to
+        })
+    }
+
+    #[test]
+    fn a_line_meets_matter_where_it_crosses_one_of_its_cells() {
+        let mut stream = Stream::new(5, 0, 0, Purpose::Evaluation);
+        let mut unit = move || f64::from(stream.next_u32()) / f64::from(u32::MAX);
+        let (mut met, mut missed) = (0, 0);
+        for _ in 0..4000 {
+            let share = unit().powi(2);
+            let matter: [[bool; 9]; 7] = std::array::from_fn(|_| std::array::from_fn(|_| unit() < share));
+            // Cells along x and y lie in the lowest layer along z.
+            let Some(face) = CutFace::new([9, 7, 3], &|cell: [usize; 3]| matter[cell[1]][cell[0]], 2, false) else { continue };
+            let (a, b) = (DVec2::new(9.0 * unit(), 7.0 * unit()), DVec2::new(9.0 * unit(), 7.0 * unit()));
+            // At corners and borders either answer is right.
+            let (least, most) = (crosses(&matter, a, b, -1e-5), crosses(&matter, a, b, 1e-5));
+            let found = face.meets(a, b);
+            assert!(!least || found, "{a} to {b} crosses {matter:?}");
+            assert!(most || !found, "{a} to {b} misses {matter:?}");
+            met += usize::from(found);
+            missed += usize::from(!found);
+        }
+        assert!(met > 1000 && missed > 500, "{met} {missed}");
     }
 }

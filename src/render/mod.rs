@@ -41,6 +41,7 @@ pub mod spectrum;
 pub mod steep;
 pub mod survey;
 pub mod tiles;
+mod timed_costs;
 pub mod trade;
 pub mod veil;
 mod view_slabs;

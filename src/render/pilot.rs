@@ -31,6 +31,8 @@ pub fn words_off(slabs: f64) -> f64 {
 pub struct Pilot {
     /// Largest area density of each material, g/cm².
     pub largest_g_per_cm2: Vec<f64>,
+    /// Volumes that an average ray may cross.
+    pub volumes_per_ray: f64,
     /// Slabs that hold something, crossed by an average ray.
     pub slabs_per_ray: f64,
     /// Those among them in bricks filled with one density.
@@ -76,6 +78,7 @@ pub fn cast<'a>(
         pilot.note(&prepared, &density);
     }
     let blocks = f64::from(across * down).max(1.0);
+    pilot.volumes_per_ray /= blocks;
     pilot.slabs_per_ray /= blocks;
     pilot.filled_per_ray /= blocks;
     pilot.displacing_per_ray /= blocks;
@@ -96,6 +99,7 @@ impl Pilot {
                 *largest = largest.max(f64::from(*path));
             }
         }
+        self.volumes_per_ray += prepared.volumes.iter().filter(|seen| !seen.bounds.is_empty()).count() as f64;
         let solids = prepared.solids.iter().filter(|seen| !seen.bounds.is_empty());
         self.solids_per_ray += solids.count() as f64;
         let meshes = prepared.meshes.iter().filter(|seen| !seen.bounds.is_empty());

@@ -11,6 +11,7 @@ use super::quadrature;
 use super::spectrum::{Bins, whole_spectrum};
 use super::survey;
 use super::tiles::Tiles;
+use super::timed_costs::of_this_machine;
 pub use super::ways::{Goal, Task};
 use super::ways::{Way, skipping_ways, whole_ways};
 use super::{Quantity, RenderError};
@@ -123,7 +124,7 @@ impl Planner {
 
     /// Measures what this machine costs, unless that is known: half a second when no other run has done it.
     pub fn calibrate(&mut self) {
-        self.costs.get_or_insert_with(Costs::of_this_machine);
+        self.costs.get_or_insert_with(of_this_machine);
     }
 
     /// Each way with all energies worth a look, and what it costs.
@@ -310,6 +311,7 @@ fn work(task: &Task, pilot: &Pilot, way: &Way, energies: usize) -> Work {
         bands: height.div_ceil(band_rows(height)) as f64,
         rays: whole + between,
         interpolated: pixels - whole,
+        volumes_per_ray: pilot.volumes_per_ray,
         slabs_per_ray: pilot.slabs_per_ray,
         filled_per_ray: pilot.filled_per_ray,
         walked_share: pilot.walked_share,
@@ -319,6 +321,7 @@ fn work(task: &Task, pilot: &Pilot, way: &Way, energies: usize) -> Work {
         materials,
         // Naive formation has one mean attenuation.
         energies: if task.scene.model.formation == Formation::Naive { energies.min(1) } else { energies },
+        heel: task.quantity != Quantity::AreaDensity && task.scene.beam.shape.heel.is_some(),
         shaped_energies: energies,
         face_tests: pilot.face_tests,
         shaped: shaped(task.scene, task.quantity),

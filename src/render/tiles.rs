@@ -36,14 +36,16 @@ impl TryFrom<Written> for Tiles {
     type Error = String;
 
     fn try_from(written: Written) -> Result<Self, String> {
-        let mut tiles = Self::none(written.size_px);
-        let (digits, expected) = (written.full.len(), tiles.full.len().div_ceil(4));
-        if written.tile_px != TILE_PX || digits != expected {
+        let tiles = written.size_px.map(|n| u64::from(n.div_ceil(TILE_PX)));
+        let (digits, expected) = (written.full.len(), (tiles[0] * tiles[1]).div_ceil(4));
+        if written.tile_px != TILE_PX || digits as u64 != expected {
             return Err(format!(
                 "full_tiles: {digits} digits for tiles of {} px, expected {expected} for tiles of {TILE_PX} px",
                 written.tile_px
             ));
         }
+        // Only now, when there are as many digits, is memory taken for so many tiles.
+        let mut tiles = Self::none(written.size_px);
         for (four, digit) in tiles.full.chunks_mut(4).zip(written.full.chars()) {
             let bits = digit.to_digit(16).ok_or_else(|| format!("full_tiles: '{digit}' is no hexadecimal digit"))?;
             four.iter_mut().enumerate().for_each(|(i, full)| *full = bits >> (3 - i) & 1 == 1);

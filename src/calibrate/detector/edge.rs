@@ -15,7 +15,7 @@ const LEAST_CONTRAST: f64 = 0.2;
 /// Frequencies of the answer.
 const FREQUENCIES: usize = 32;
 
-/// `flat`: offset and air map taken out. Errors are sentences.
+/// `flat`: offset and air map taken out, NaN where a pixel is bad. Errors are sentences.
 pub(super) fn mtf(flat: &Image<f32>, pitch_mm: f64) -> Result<EdgeMtf, String> {
     let columns = line_of_edge(flat);
     let turned = transposed(flat);
@@ -76,7 +76,10 @@ struct EdgeLine {
 
 /// Where each row crosses the middle between its two levels, and the straight line through these places.
 fn line_of_edge(image: &Image<f32>) -> Option<EdgeLine> {
-    let mut sorted = image.pixels.clone();
+    let mut sorted: Vec<f32> = image.pixels.iter().copied().filter(|value| value.is_finite()).collect();
+    if sorted.is_empty() {
+        return None;
+    }
     sorted.sort_unstable_by(f32::total_cmp);
     let level = |share: f64| f64::from(sorted[((sorted.len() - 1) as f64 * share) as usize]);
     let (low, high) = (level(0.02), level(0.98));
@@ -87,7 +90,11 @@ fn line_of_edge(image: &Image<f32>) -> Option<EdgeLine> {
     let mut places: Vec<[f64; 2]> = Vec::new();
     for row in 0..image.height {
         // Three columns smooth the noise enough to find the one crossing.
-        let smooth = |u: usize| (u - 1..=u + 1).map(|c| f64::from(*image.at(c, row))).sum::<f64>() / 3.0;
+        let smooth = |u: usize| {
+            let good = (u - 1..=u + 1).map(|c| f64::from(*image.at(c, row))).filter(|value| value.is_finite());
+            let (sum, count) = good.fold((0.0, 0.0), |(sum, count), value| (sum + value, count + 1.0));
+            sum / count
+        };
         let crossings: Vec<usize> =
             (1..image.width.saturating_sub(2)).filter(|&u| (smooth(u) < half) != (smooth(u + 1) < half)).collect();
         let (Some(&first), Some(&last)) = (crossings.first(), crossings.last()) else { continue };
@@ -133,8 +140,9 @@ fn line_spread(image: &Image<f32>, line: &EdgeLine) -> Result<Vec<f64>, String> 
         for column in from..to {
             let distance = (column as f64 - edge) * across;
             let bin = ((distance + REACH_PX) * OVERSAMPLING).floor();
-            if bin >= 0.0 && (bin as usize) < bins {
-                sums[bin as usize] += f64::from(*image.at(column, row));
+            let value = f64::from(*image.at(column, row));
+            if value.is_finite() && bin >= 0.0 && (bin as usize) < bins {
+                sums[bin as usize] += value;
                 counts[bin as usize] += 1.0;
             }
         }
@@ -156,4 +164,34 @@ fn line_spread(image: &Image<f32>, line: &EdgeLine) -> Result<Vec<f64>, String> 
         spread[at] = 0.5 * (profile[at + 1] - profile[at - 1]) * window;
     }
     Ok(spread)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A blurred edge turned by four degrees; `spoil` is asked for each pixel's value.
+    fn edge(spoil: impl Fn(usize, f32) -> f32) -> Image<f32> {
+        let value = |at: usize| {
+            let (u, v) = ((at % 160) as f64, (at / 160) as f64);
+            let distance = (u - 75.3 - 0.07 * v) / 0.9;
+            spoil(at, (500.0 + 4500.0 / (1.0 + (-distance).exp())) as f32)
+        };
+        Image { width: 160, height: 140, pixels: (0..160 * 140).map(value).collect() }
+    }
+
+    #[test]
+    fn bad_pixels_near_the_edge_do_not_change_its_mtf() {
+        let is_bad = |at: usize| at.is_multiple_of(97);
+        let [clean, left_out, dead] = [
+            edge(|_, value| value),
+            edge(|at, value| if is_bad(at) { f32::NAN } else { value }),
+            edge(|at, value| if is_bad(at) { 0.0 } else { value }),
+        ]
+        .map(|image| mtf(&image, 0.2).expect("an edge").mtf);
+        let away = |found: &[f64]| clean.iter().zip(found).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(away(&left_out) < 0.01, "{}", away(&left_out));
+        // The control: dead pixels that are not left out.
+        assert!(away(&dead) > 0.05, "{}", away(&dead));
+    }
 }

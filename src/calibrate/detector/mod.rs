@@ -26,6 +26,8 @@ use crate::acquire::{
     AirBeam, DetectorCalibration, DetectorRecord, EdgeMtf, ExposureLevel, PanelResponse, panel_maps::PanelMaps,
 };
 
+use crate::image::Image;
+
 pub use error::DetectorError;
 pub use measurement::{Measurement, PanelFrame};
 
@@ -60,7 +62,10 @@ pub fn calibrate(measurement: &Measurement) -> Result<DetectorCalibration, Detec
         maps.air_share.push(air.share);
     }
     let mtf = match &measurement.edge {
-        Some(edge) => Some(edge_mtf(edge, &offset, &maps, measurement.pitch_mm)?),
+        Some(edge) => {
+            let air = air_for(edge, &beams, &maps);
+            Some(edge_mtf(edge, &offset, air, &bad, measurement.pitch_mm)?)
+        }
         None => {
             notes.push("no MTF: no edge frame was given (--edge)".into());
             None
@@ -172,16 +177,29 @@ fn beam(measurement: &Measurement, group: &air::Consistent, air: &air::AirMap, t
     }
 }
 
+/// The air map of the tube voltage nearest to the edge's, of the first where none is known.
+fn air_for<'m>(edge: &PanelFrame, beams: &[AirBeam], maps: &'m PanelMaps) -> Option<&'m Image<f32>> {
+    let away = |beam: &AirBeam| match (beam.tube_kvp, edge.tube_kvp) {
+        (Some(air), Some(edge)) => (air - edge).abs(),
+        _ => f64::INFINITY,
+    };
+    let pairs = beams.iter().zip(&maps.air_share);
+    pairs.min_by(|a, b| away(a.0).total_cmp(&away(b.0))).map(|(_, map)| map)
+}
+
+/// Bad pixels are left out: each would turn up in the edge's profile, and twice in its derivative.
 fn edge_mtf(
     edge: &PanelFrame,
     offset: &offset::Offset,
-    maps: &PanelMaps,
+    air: Option<&Image<f32>>,
+    bad: &Image<u8>,
     pitch_mm: Option<f64>,
 ) -> Result<EdgeMtf, DetectorError> {
     let mut flat = edge.pixels.clone();
     for (at, value) in flat.pixels.iter_mut().enumerate() {
-        let share = maps.air_share.first().map_or(1.0, |map| map.pixels[at]);
-        *value = (f64::from(*value) - offset.at(at)) as f32 / if share > 0.0 { share } else { 1.0 };
+        let share = air.map_or(1.0, |map| map.pixels[at]);
+        let good = bad.pixels[at] == 0;
+        *value = if good { (f64::from(*value) - offset.at(at)) as f32 / if share > 0.0 { share } else { 1.0 } } else { f32::NAN };
     }
     edge::mtf(&flat, pitch_mm.unwrap_or(1.0)).map_err(|detail| DetectorError::Edge { label: edge.label.clone(), detail })
 }

@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 
 use super::integrate_density::Density;
+use crate::image::on_widest_vectors;
 use crate::render::spectrum::Bins;
 
 /// What reaches the detector, per pixel.
@@ -42,16 +43,7 @@ pub fn attenuate_spectrum(density: &Density, bins: &Bins, moments: bool) -> Sign
     let mut arriving = vec![Arriving::default(); if moments { pixels } else { 0 }];
     let work = |chunk: usize, line: &mut [f32], arriving: &mut [Arriving]| {
         let paths = &density.g_per_cm2[chunk * CHUNK * materials..][..line.len() * materials];
-        let chunk = Chunk { paths, materials, bins, line, arriving };
-        #[cfg(target_arch = "x86_64")]
-        if let Some(avx512) = pulp::x86::V4::try_new() {
-            return avx512.vectorize(chunk);
-        }
-        #[cfg(target_arch = "x86_64")]
-        if let Some(avx2) = pulp::x86::V3::try_new() {
-            return avx2.vectorize(chunk);
-        }
-        pulp::NullaryFnOnce::call(chunk);
+        on_widest_vectors(Chunk { paths, materials, bins, line, arriving });
     };
     if moments {
         let chunks = line_integral.par_chunks_mut(CHUNK).zip(arriving.par_chunks_mut(CHUNK)).enumerate();

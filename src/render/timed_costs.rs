@@ -1,0 +1,338 @@
+//! What the parts of rendering cost on this machine: measured in a second, kept in the user's cache folder.
+
+use std::sync::Arc;
+
+use super::cells::Cells;
+use super::chain;
+use super::costs::Costs;
+use super::cpu::add_noise::add_noise;
+use super::cpu::attenuate_spectrum::{Signal, attenuate_spectrum};
+use super::cpu::enlarge_density::enlarge_density;
+use super::cpu::fixed_lanes::is_fast;
+use super::cpu::integrate_density::{Density, integrate_density};
+use super::cut_faces;
+use super::meshes::MadeMesh;
+use super::plan::{Executor, Sampling};
+use super::prepared::Prepared;
+use super::slabs::Slabs;
+use super::spectrum::{Bins, LANES};
+use crate::geometry::{Intrinsics, Rigid, View};
+use crate::gpu::cpu_name;
+use crate::image::{cache_file, write_atomically};
+use crate::random::{Purpose, Stream};
+use crate::reporter::Reporter;
+use crate::scene::model::{Matter, Mesh, Object, Scene, Shape, Solid, Volume};
+use crate::time::Stopwatch;
+
+/// Goes up whenever an executor becomes faster or slower, so that no one trusts costs of the one before.
+const METHOD: u32 = 7;
+
+/// Costs are measured so many times.
+const ROUNDS: u32 = 3;
+
+/// The costs of this machine: from the cache, else measured and cached. The first few programs that ask measure again, because others may
+/// have used the machine at the first time. A cache that cannot be written is no error.
+#[must_use]
+pub fn of_this_machine() -> Costs {
+    let version = env!("CARGO_PKG_VERSION");
+    let machine = format!("{}, version {version}, method {METHOD}, debug {}", cpu_name(), cfg!(debug_assertions));
+    let path = cache_file("costs.json");
+    let cached =
+        path.as_ref().and_then(|path| std::fs::read(path).ok()).and_then(|text| serde_json::from_slice::<Costs>(&text).ok());
+    let cached = cached.filter(|costs| costs.machine == machine && costs.is_sound());
+    if let Some(costs) = cached.as_ref().filter(|costs| costs.rounds >= ROUNDS) {
+        return costs.clone();
+    }
+    let measured = Costs { machine, rounds: 1, ..measure() };
+    let measured = cached.map_or(measured.clone(), |cached| measured.least(&cached));
+    if let Some(path) = path
+        && let Some(folder) = path.parent()
+        && std::fs::create_dir_all(folder).is_ok()
+        && let Ok(text) = serde_json::to_vec_pretty(&measured)
+    {
+        // Without the file it is measured again next time.
+        let _ = write_atomically(&path, |file| file.write_all(&text));
+    }
+    measured
+}
+
+/// Voxels along the edge of the volume that is timed, and pixels along the edge of its image.
+const EDGE: usize = 96;
+/// Voxels along the edge of a volume that hardly takes longer than to enter it.
+const FEW: usize = 6;
+
+fn measure() -> Costs {
+    let threads = rayon::current_num_threads();
+    let mut costs = Costs { threads, ..Costs::default() };
+    let per = |ms: f64, count: f64| (ms * 1e6 * threads as f64 / count).max(1e-3);
+    let Some(scene) = test_scene("") else { return costs };
+    let rays = (EDGE * EDGE) as f64;
+    let time = |volume: Volume, sampling: Sampling| {
+        let ms = with_volume(&scene, volume, |prepared| {
+            prepared.make_slabs(sampling == Sampling::FixedSlabs);
+            fastest(|| drop(integrate_density(prepared, sampling)))
+        });
+        Some(per(ms?, rays))
+    };
+    // Of what a ray takes through many and through few slabs, what they do not account for.
+    let time_both = |materials: usize, block: usize, sampling: Sampling| {
+        let [many, few] = [EDGE, FEW];
+        let ns = time(test_volume(many, materials, block), sampling)?;
+        let few_ns = time(test_volume(few, materials, 1), sampling)?;
+        let slab_ns = ((ns - few_ns) / (many - few) as f64).max(1e-3);
+        Some([slab_ns, few_ns - slab_ns * few as f64])
+    };
+    for (column, materials) in [1, 2, 4].into_iter().enumerate() {
+        let Some([slab_ns, volume_ns]) = time_both(materials, 1, Sampling::ExactSlabs) else { return costs };
+        (costs.exact_slab_ns[column], costs.volume_ns[0]) = (slab_ns, volume_ns);
+        // Where it is not fast, no plan takes it, and to time it would take a minute.
+        if is_fast() {
+            let Some([slab_ns, volume_ns]) = time_both(materials, 1, Sampling::FixedSlabs) else { return costs };
+            (costs.fixed_slab_ns[column], costs.volume_ns[1]) = (slab_ns, volume_ns);
+        }
+    }
+    // Most cells of a scan hold one material.
+    let Some([slab_ns, volume_ns]) = time_both(2, 12, Sampling::ExactCells) else { return costs };
+    (costs.walked_slab_ns, costs.volume_ns[2]) = (slab_ns, volume_ns);
+    let faces = with_volume(&scene, cut_volume(), |prepared| {
+        let ms = fastest(|| {
+            std::hint::black_box(cut_faces::mark(prepared, &mut [1; EDGE * EDGE]));
+        });
+        per(ms, cut_faces::tests(prepared) as f64)
+    });
+    let Some(ns) = faces else { return costs };
+    costs.face_ns = ns;
+    let pixels = 1 << 16;
+    let nodes = super::spectrum::whole_spectrum(&scene);
+    if let Ok(bins) = Bins::new(&scene, &nodes) {
+        let count = scene.materials.len();
+        let g_per_cm2 = (0..pixels * count).map(|i| 0.5 + (i % 97) as f32 * 0.2).collect();
+        let density = Density { material_count: count, g_per_cm2, valid: vec![1; pixels], unscanned_mm: 0.0 };
+        let blocks = (bins.padded / LANES) as f64;
+        costs.energies_ns = per(fastest(|| drop(attenuate_spectrum(&density, &bins, false))), pixels as f64 * blocks);
+        if let (Some(heeled), Some(view)) = (test_scene(r#""heel": {"anode_towards": "+column"},"#), scene.view) {
+            let shape_ms = |size_px: [u32; 2]| {
+                let seen = size_px.iter().map(|n| *n as usize).product::<usize>();
+                let (g_per_cm2, valid) = (density.g_per_cm2[..seen * count].to_vec(), vec![1; seen]);
+                let density = Density { g_per_cm2, valid, ..density };
+                let made_by = (nodes.as_slice(), Executor::Cpu);
+                let view = View { size_px, ..view };
+                fastest(|| drop(chain::shape(&heeled, &view, made_by, &density, &bins, &mut Signal::default(), false)))
+            };
+            let (whole_ms, small_ms) = (shape_ms(view.size_px), shape_ms([1; 2]));
+            costs.shaped_ns = per((whole_ms - small_ms).max(0.0), (EDGE * EDGE) as f64 * (blocks + 1.0));
+            costs.heel_ms = small_ms;
+        }
+    }
+    if let Some(ns) = time_objects(&scene, timed_tubes(), threads) {
+        costs.solid_ns = ns / TUBES as f64;
+    }
+    let mesh = timed_mesh();
+    let levels = (1.0 + mesh.triangles.len() as f64).log2();
+    if let Some(ns) = time_objects(&scene, Matter::Mesh(Arc::new(mesh)), threads) {
+        costs.mesh_level_ns = ns / levels;
+    }
+    let coarse = Density { material_count: 1, g_per_cm2: vec![1.0; 129 * 129], valid: vec![1; 129 * 129], unscanned_mm: 0.0 };
+    costs.between_ns = per(fastest(|| drop(enlarge_density(&coarse, [129, 129], [256, 256], 2))), pixels as f64);
+    let empty_ms = |view: View, time: fn(&dyn Fn()) -> f64| {
+        let scene = Scene { view: Some(view), ..scene.clone() };
+        time_objects_by(&scene, Matter::Solids(Vec::new()), time)
+    };
+    if let Some(view) = scene.view {
+        let small = View { size_px: [8; 2], ..view };
+        if let (Some(whole_ms), Some(small_ms)) = (empty_ms(view, |work| fastest(work)), empty_ms(small, |work| fastest(work))) {
+            costs.pixel_ns = per((whole_ms - small_ms).max(0.0), rays);
+            costs.volume_ns = costs.volume_ns.map(|ns| (ns - costs.pixel_ns).max(1e-3));
+        }
+        if let Some(woken_ms) = empty_ms(small, after_a_rest) {
+            costs.image_ms = WAKES * woken_ms;
+        }
+    }
+    let expected: Vec<f32> = (0..pixels).map(|i| 10.0 + (i % 4096) as f32).collect();
+    costs.noise_ns = per(fastest(|| drop(add_noise(&expected, 1, 0))), pixels as f64);
+    costs
+}
+
+/// What `time` says of the scene with `volume` as all that is in it.
+fn with_volume<T>(scene: &Scene, volume: Volume, time: impl Fn(&Prepared) -> T) -> Option<T> {
+    let object = Object { name: "timed".to_owned(), body: String::new(), matter: Matter::Volume(Arc::new(volume)) };
+    let scene = Scene { objects: vec![object], ..scene.clone() };
+    let prepared = Prepared::new(
+        &scene,
+        scene.view?,
+        |volume, name| {
+            let none = || super::RenderError::Volume { name: name.to_owned(), detail: "no cells".to_owned() };
+            let cells = Arc::new(Cells::new(volume).ok_or_else(none)?);
+            let slabs = Slabs::new(volume, &cells).map(Arc::new);
+            Ok((cells, slabs))
+        },
+        |mesh| Arc::new(MadeMesh::new(mesh)),
+    );
+    prepared.ok().as_ref().map(time)
+}
+
+/// The shortest of at least three, ms; of more as long as they are short, because others use the machine as well.
+fn fastest(work: impl Fn()) -> f64 {
+    let all = Stopwatch::start();
+    let mut best = f64::INFINITY;
+    for round in 0..40 {
+        if round >= 3 && all.ms() > 60.0 {
+            break;
+        }
+        let watch = Stopwatch::start();
+        work();
+        best = best.min(watch.ms());
+    }
+    best
+}
+
+/// The median when cores have slept before, as they do between images, ms.
+fn after_a_rest(work: &dyn Fn()) -> f64 {
+    let once = |_| {
+        std::thread::sleep(std::time::Duration::from_millis(3));
+        let watch = Stopwatch::start();
+        work();
+        watch.ms()
+    };
+    let mut all: Vec<f64> = (0..9).map(once).collect();
+    all.sort_by(f64::total_cmp);
+    all[all.len() / 2]
+}
+
+/// Times that cores are woken for an image: to cast, to attenuate, to detect.
+const WAKES: f64 = 3.0;
+
+/// Tubes that every ray is tried against when shapes are timed.
+const TUBES: usize = 16;
+
+fn timed_tubes() -> Matter {
+    let tube = |index: usize| Solid {
+        shape: Shape::Cylinder { length_mm: 200.0, radius_mm: 60.0, inner_radius_mm: 55.0 },
+        lps_from_local: Rigid {
+            rotation: glam::DQuat::from_rotation_x(0.3 + 0.1 * index as f64),
+            translation_mm: glam::DVec3::new(0.0, 0.0, -100.0 + 10.0 * index as f64),
+        },
+        material: 0,
+        density_g_per_cm3: 1.0,
+    };
+    Matter::Solids((0..TUBES).map(tube).collect())
+}
+
+/// A ball of some thousand triangles.
+fn timed_mesh() -> Mesh {
+    const ROUND: u32 = 96;
+    const RINGS: u32 = 48;
+    let point = |index: u32| {
+        let (polar, azimuth) = (
+            std::f64::consts::PI * (0.5 + f64::from(index / ROUND)) / f64::from(RINGS),
+            std::f64::consts::TAU * f64::from(index % ROUND) / f64::from(ROUND),
+        );
+        60.0 * glam::DVec3::new(polar.sin() * azimuth.cos(), polar.sin() * azimuth.sin(), polar.cos())
+    };
+    let square = |index: u32| {
+        let (ring, place) = (index / ROUND, index % ROUND);
+        let next = (place + 1) % ROUND;
+        let [a, b, c, d] = [ring * ROUND + place, ring * ROUND + next, (ring + 1) * ROUND + next, (ring + 1) * ROUND + place];
+        [[a, c, b], [a, d, c]]
+    };
+    // The two holes at the poles are never looked through.
+    let triangles = (0..ROUND * (RINGS - 1)).flat_map(square).collect();
+    Mesh { vertices_lps_mm: (0..ROUND * RINGS).map(point).collect(), triangles, material: 0, density_g_per_cm3: 1.0 }
+}
+
+/// Nanoseconds of one core that a ray takes through `matter` alone.
+fn time_objects(scene: &Scene, matter: Matter, threads: usize) -> Option<f64> {
+    let pixels: f64 = scene.view?.size_px.iter().map(|n| f64::from(*n)).product();
+    Some((time_objects_by(scene, matter, |work| fastest(work))? * 1e6 * threads as f64 / pixels).max(1e-9))
+}
+
+/// Milliseconds that casting `matter` alone takes.
+fn time_objects_by(scene: &Scene, matter: Matter, time: fn(&dyn Fn()) -> f64) -> Option<f64> {
+    let object = Object { name: "timed".to_owned(), body: String::new(), matter };
+    let scene = Scene { objects: vec![object], ..scene.clone() };
+    let no_volume = |_: &Arc<Volume>, name: &str| {
+        Err(super::RenderError::Volume { name: name.to_owned(), detail: "there is none to time".to_owned() })
+    };
+    let prepared = Prepared::new(&scene, scene.view?, no_volume, |mesh| Arc::new(MadeMesh::new(mesh))).ok()?;
+    Some(time(&|| drop(integrate_density(&prepared, Sampling::None))))
+}
+
+/// Everything but the volume; `beam` is added to the beam's keys.
+fn test_scene(beam: &str) -> Option<Scene> {
+    let text = r#"{ "objects": [
+        {"sphere": {"centre_lps_mm": [0,0,0], "radius_mm": 1, "material": "water"}},
+        {"sphere": {"centre_lps_mm": [0,0,0], "radius_mm": 1, "material": "bone_cortical"}},
+        {"sphere": {"centre_lps_mm": [0,0,0], "radius_mm": 1, "material": "adipose"}},
+        {"sphere": {"centre_lps_mm": [0,0,0], "radius_mm": 1, "material": "titanium"}} ],
+        "beam": {BEAM "tube_kvp": 120, "anode_angle_deg": 12, "filtration_mm": {"aluminium": 4.3}, "photons_per_pixel": 1e5},
+        "detector": {"response": "energy", "pitch_mm": 2.0}, "model": {"formation": "deepdrr"} }"#;
+    let mut scene =
+        crate::scene::load_text(&text.replace("BEAM", beam), std::path::Path::new("timing"), false, &Reporter::silent()).ok()?;
+    let middle = 0.5 * (EDGE as f64 - 1.0);
+    // Half a voxel a pixel.
+    let intrinsics = Intrinsics { fx: 2000.0, fy: 2000.0, cx: middle, cy: middle, skew: 0.0 };
+    // A slanted look: axis-aligned rays flatter every rule.
+    let turn = glam::DQuat::from_rotation_y(0.3) * glam::DQuat::from_rotation_x(0.2);
+    let camera_from_lps = Rigid { rotation: turn, translation_mm: glam::DVec3::new(0.0, 0.0, 1000.0) };
+    scene.view = Some(View { size_px: [EDGE as u32; 2], intrinsics, camera_from_lps });
+    Some(scene)
+}
+
+/// Noise of so many materials in `edge`³ voxels, each in blocks of `block`³; [`EDGE`] mm wide.
+fn test_volume(edge: usize, materials: usize, block: usize) -> Volume {
+    let mut stream = Stream::new(1, 0, 0, Purpose::Evaluation);
+    let voxels = edge * edge * edge;
+    let (mut density, mut class) = (Vec::with_capacity(voxels), Vec::with_capacity(voxels));
+    let mut of_block = std::collections::HashMap::new();
+    for voxel in 0..voxels {
+        let random = stream.next_u32();
+        density.push(0.5 + (random % 1000) as f32 * 1e-3);
+        let drawn = (random / 1000 % materials as u32) as u8 + 1;
+        let at = [voxel % edge, voxel / edge % edge, voxel / (edge * edge)].map(|n| n / block);
+        class.push(*of_block.entry(at).or_insert(drawn));
+    }
+    let voxel_mm = EDGE as f64 / edge as f64;
+    let centre = glam::DVec3::splat(-0.5 * (EDGE as f64 - voxel_mm));
+    Volume {
+        size: [edge; 3],
+        lps_from_voxel: glam::DAffine3::from_scale_rotation_translation(
+            glam::DVec3::splat(voxel_mm),
+            glam::DQuat::IDENTITY,
+            centre,
+        ),
+        density_g_per_cm3: density,
+        class,
+        class_materials: (0..materials).collect(),
+        truncated_at_faces: false,
+        unknown: Vec::new(),
+    }
+}
+
+/// A body from face to face.
+fn cut_volume() -> Volume {
+    let mut volume = test_volume(EDGE, 1, 1);
+    let from_middle = |index: usize| (index as f64 + 0.5) / EDGE as f64 - 0.5;
+    for (voxel, density) in volume.density_g_per_cm3.iter_mut().enumerate() {
+        let place = glam::DVec3::from_array([voxel % EDGE, voxel / EDGE % EDGE, voxel / (EDGE * EDGE)].map(from_middle));
+        if place.truncate().length() > 0.46 {
+            *density = 0.0;
+        }
+    }
+    Volume { truncated_at_faces: true, ..volume }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn costs_measured_here_are_sound_and_nan_is_not() {
+        let costs = measure();
+        assert!(costs.is_sound(), "{costs:?}");
+        assert!(!Costs { noise_ns: f64::NAN, ..costs.clone() }.is_sound());
+        assert!(!Costs { threads: 0, ..costs.clone() }.is_sound());
+        let crowded = Costs { solid_ns: 9.0 * costs.solid_ns, noise_ns: 0.5 * costs.noise_ns, rounds: 1, ..costs.clone() };
+        let least = costs.clone().least(&crowded);
+        assert_eq!((least.solid_ns, least.noise_ns, least.rounds), (costs.solid_ns, crowded.noise_ns, costs.rounds + 1));
+    }
+}

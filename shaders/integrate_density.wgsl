@@ -13,7 +13,6 @@ struct Flags {
     overflows: atomic<u32>,          // rays on which intervals did not fit
     matter: atomic<u32>,             // 1 when any ray met some
     beyond: atomic<u32>,             // 1 when any path is longer than those that the energies were fitted to
-    unscanned_mm_bits: atomic<u32>,  // longest path outside a truncated scan: of floats >= 0 the bits are in order
 }
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -24,7 +23,7 @@ struct Flags {
 @group(0) @binding(5) var material_texture: texture_3d<u32>;              // 0, or kind of the voxel
 @group(0) @binding(6) var cell_texture: texture_3d<u32>;                  // kind of the cell
 @group(0) @binding(7) var<storage, read_write> density_g_per_cm2: array<f32>; // by pixel, then material
-@group(0) @binding(8) var<storage, read_write> invalid: array<atomic<u32>>; // a bit per pixel: cut off by a truncated scan
+@group(0) @binding(8) var<storage, read_write> invalid: array<atomic<u32>>; // a bit per pixel: matter borders on the unknown
 @group(0) @binding(9) var<storage, read_write> flags: Flags;
 
 var<private> sums: array<f32, 8>;
@@ -35,7 +34,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let direction = unproject(view, id.xy);
     let mm_per_depth = length(direction);
     for (var i = 0u; i < view.later_count; i += 1u) { claim_solid(i, id.xy, direction, false); }
-    var missing = -1.0;
+    var cut = false;
     if view.has_volume != 0u {
         let later = covered;
         let later_count = covered_count;
@@ -44,7 +43,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         covered_count = later_count;
         // Shapes were counted with the first part of the volume.
         if grid.adds != 0u { sums = array<f32, 8>(); }
-        missing = cross_volume(direction) * mm_per_depth;
+        cut = cross_volume(direction);
     }
     if overflow { atomicAdd(&flags.overflows, 1u); }
     var matter = false;
@@ -63,21 +62,18 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     if matter && atomicLoad(&flags.matter) == 0u { atomicStore(&flags.matter, 1u); }
     if beyond && atomicLoad(&flags.beyond) == 0u { atomicStore(&flags.beyond, 1u); }
-    if missing >= 0.0 {
-        atomicOr(&invalid[pixel / 32u], 1u << (pixel % 32u));
-        atomicMax(&flags.unscanned_mm_bits, bitcast<u32>(missing));
-    }
+    if cut { atomicOr(&invalid[pixel / 32u], 1u << (pixel % 32u)); }
 }
 
-// Integrates the volume where later solids leave room. Depth outside the scan when it is truncated there, else -1.
-fn cross_volume(direction: vec3<f32>) -> f32 {
+// Integrates the volume where later solids leave room. Whether it meets matter that borders on the unknown.
+fn cross_volume(direction: vec3<f32>) -> bool {
     let w = vec3<f32>(direction.xy * view.depth_ref_mm - grid.centre.xy, grid.centre.z);
     let p = vec3<f32>(dot(grid.row_x.xyz, w) + grid.row_x.w, dot(grid.row_y.xyz, w) + grid.row_y.w, dot(grid.row_z.xyz, w) + grid.row_z.w);
     let q = vec3<f32>(dot(grid.row_x.xyz, direction), dot(grid.row_y.xyz, direction), dot(grid.row_z.xyz, direction));
     let lo = vec3<f32>(0.5);
     let hi = vec3<f32>(grid.size) + 0.5;
     let inside = cuboid(p, q, lo, hi);
-    if !(inside.y > inside.x) { return -1.0; }
+    if !(inside.y > inside.x) { return false; }
     let seen = vec2<f32>(view.source_tau_mm, view.detector_tau_mm);
     let least = max(lo, vec3<f32>(grid.occupied_from.xy, max(grid.occupied_from.z, f32(grid.cells_from))));
     let most = min(hi, vec3<f32>(grid.occupied_to.xy, min(grid.occupied_to.z, f32(grid.cells_to))));
@@ -89,25 +85,7 @@ fn cross_volume(direction: vec3<f32>) -> f32 {
         cut = walk(p, q, gap) || cut;
         rest.x = gap.y;
     }
-    var outside = 0.0;
-    if grid.truncated != 0u {
-        if inside.x > seen.x && inside.x < seen.y && holds_matter(p + q * inside.x) {
-            cut = true;
-            outside += inside.x - seen.x;
-        }
-        if inside.y > seen.x && inside.y < seen.y && holds_matter(p + q * inside.y) {
-            cut = true;
-            outside += seen.y - inside.y;
-        }
-    }
-    return select(-1.0, outside, cut);
-}
-
-fn holds_matter(x: vec3<f32>) -> bool {
-    let cell = clamp(vec3<i32>(floor(x)), vec3<i32>(0), vec3<i32>(grid.size));
-    if cell.z < i32(grid.cells_from) || cell.z >= i32(grid.cells_to) { return false; }
-    let kind = kind_of(cell);
-    return kind != EMPTY && kind != EMPTY_BRICK;
+    return cut;
 }
 
 fn kind_of(cell: vec3<i32>) -> u32 {

@@ -79,7 +79,7 @@ fn structs_have_the_layout_the_shaders_read() {
     let solid = offsets!(Solid, row_x, row_y, row_z, centre, size, bounds, kind, material, density_g_per_cm3, root);
     assert_eq!(members("integrate_density", "Solid"), solid);
     assert_eq!(members("integrate_density", "Node"), offsets!(Node, lo, first, hi, count));
-    let flags = offsets!(Flags, overflows, matter, beyond, unscanned_mm_bits);
+    let flags = offsets!(Flags, overflows, matter, beyond);
     assert_eq!(members("integrate_density", "Flags"), flags);
     let grid = offsets!(
         Grid,
@@ -88,7 +88,7 @@ fn structs_have_the_layout_the_shaders_read() {
         row_z,
         centre,
         size,
-        truncated,
+        padding,
         occupied_from,
         occupied_to,
         cells_from,

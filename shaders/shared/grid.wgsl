@@ -12,7 +12,7 @@ struct Grid {
     row_z: vec4<f32>,
     centre: vec4<f32>,       // xy: in the camera, mm; z: depth_ref - depth of the centre
     size: vec3<u32>,         // voxels
-    truncated: u32,
+    padding: u32,
     occupied_from: vec4<f32>,
     occupied_to: vec4<f32>,
     cells_from: u32,         // cells along z that the textures hold: from here ...

@@ -104,7 +104,7 @@ impl Renderer {
         // The reference says so itself, ray by ray.
         if plan.executor != Executor::Reference {
             let unscanned_mm = stages.measure("cut_faces", || cut_faces::mark(&prepared, &mut cast.density.valid));
-            cast.density.unscanned_mm = cast.density.unscanned_mm.max(unscanned_mm);
+            cast.density.unscanned_mm = unscanned_mm;
         }
         note_invalid(&cast.density, &mut notes);
         if !cast.matter {
@@ -235,11 +235,11 @@ fn request<'r>(ready: &'r Ready<'r>) -> Request<'r> {
 }
 
 fn unpack(executed: Executed, ready: &Ready, adapter: &str) -> Cast {
-    let Executed { g_per_cm2, valid, unscanned_mm, matter, beyond, signal, deviates, pass_ms, read_back_bytes, .. } = executed;
+    let Executed { g_per_cm2, valid, matter, beyond, signal, deviates, pass_ms, read_back_bytes, .. } = executed;
     let mut gpu_ms = StageTimes::default();
     pass_ms.into_iter().for_each(|(pass, ms)| gpu_ms.add(pass, ms));
     Cast {
-        density: Density { material_count: ready.prepared.material_count, g_per_cm2, valid, unscanned_mm },
+        density: Density { material_count: ready.prepared.material_count, g_per_cm2, valid, unscanned_mm: 0.0 },
         matter,
         beyond: beyond && !ready.plan.fitted_up_to_g_per_cm2.is_empty(),
         signal,

@@ -100,7 +100,8 @@ impl CutFace {
         let [width, height] = self.size;
         let d = b - a;
         let nudge = STEP / d.length().max(STEP);
-        let mut along = 0.0;
+        // A line that begins on a border between cells is in the one that it enters.
+        let mut along = nudge;
         // No line crosses more cells than this; one that is NaN is not known to miss anything.
         for _ in 0..2 * (width + height) + 2 {
             let at = a + d * along;

@@ -6,7 +6,7 @@ use super::cross_slabs::cross;
 use super::edges::{BundleSums, Layers};
 use super::fixed_lanes::FixedLanes;
 use super::lanes::{LANES, Lanes};
-use crate::render::cells::{BRICK, CUT, EMPTY, EMPTY_BRICK};
+use crate::render::cells::{BRICK, CUT};
 use crate::render::prepared::{Prepared, SeenVolume, far_mm};
 use crate::render::slabs::{AXES, CUT_BIT, SlabGrid};
 
@@ -21,9 +21,8 @@ pub struct Crossing<'a> {
     grids: [Option<SlabGrid<'a>>; 3],
     /// Depth at which the volume ends, at most that of the detector.
     pub far_mm: f64,
-    /// Cells that hold matter, and the whole grid: first and end.
+    /// Cells that hold matter, as far as the grid goes: first and end.
     occupied: [[f64; 3]; 2],
-    whole: [[f64; 3]; 2],
     /// Whether rays are crossed in fixed point, thirty-two at a time.
     pub fixed: bool,
 }
@@ -35,20 +34,11 @@ impl<'a> Crossing<'a> {
         let seen = &prepared.volumes[index];
         let slabs = seen.slabs.as_ref().filter(|_| seen.air_kind.is_none())?;
         let far_mm = far_mm(seen, prepared.detector_mm);
-        let whole = [[0.5; 3], seen.volume.size.map(|n| n as f64 + 0.5)];
         let [first, end] = seen.cells.occupied.map(|cell| cell.map(|n| n as f64));
-        let occupied = [first.map(|n| n.max(0.5)), std::array::from_fn(|axis| end[axis].min(whole[1][axis]))];
+        let occupied =
+            [first.map(|n| n.max(0.5)), std::array::from_fn(|axis| end[axis].min(seen.volume.size[axis] as f64 + 0.5))];
         let grids = [0, 1, 2].map(|axis| if fixed { slabs.rounded_grid(axis) } else { slabs.grid(axis) });
-        Some(Self {
-            prepared,
-            seen,
-            rays: Rays::new(&prepared.view, &seen.cell_from_camera),
-            grids,
-            far_mm,
-            occupied,
-            whole,
-            fixed,
-        })
+        Some(Self { prepared, seen, rays: Rays::new(&prepared.view, &seen.cell_from_camera), grids, far_mm, occupied, fixed })
     }
 
     /// The rays of `pattern`; those that are not `seen` cross nothing.
@@ -189,60 +179,6 @@ impl<'c, 'a> Below<'c, 'a> {
 }
 
 impl Crossing<'_> {
-    /// Depth outside the grid of rays that enter or leave it through matter.
-    #[inline(always)]
-    #[must_use]
-    pub fn left_through_faces(&self, aimed: &Aimed) -> [f64; LANES] {
-        let mut missing = [0.0; LANES];
-        if !self.seen.volume.truncated_at_faces {
-            return missing;
-        }
-        let t = self.depths(&self.whole, &aimed.mm_per_cell);
-        let cells = [self.cells_at(&aimed.q, &t[0]), self.cells_at(&aimed.q, &t[1])];
-        for l in 0..LANES {
-            let (enter, leave) = (t[0][l], t[1][l]);
-            let (first, last) = (aimed.t[0][l], aimed.t[1][l]);
-            if !(last > first) {
-                continue;
-            }
-            // Matter lies between first and last: a face beyond them shows none.
-            if enter >= first && enter > 0.0 && enter < self.prepared.detector_mm && self.holds_matter(&cells[0], l) {
-                missing[l] += enter;
-            }
-            if leave <= last && leave > 0.0 && leave < self.prepared.detector_mm && self.holds_matter(&cells[1], l) {
-                missing[l] += self.prepared.detector_mm - leave;
-            }
-        }
-        missing
-    }
-
-    /// The cells at a depth of each ray, kept inside.
-    #[inline(always)]
-    fn cells_at(&self, q: &[[f64; LANES]; 3], t: &[f64; LANES]) -> [[i32; LANES]; 3] {
-        let mut cells = [[0; LANES]; 3];
-        let mut axis = 0;
-        while axis < 3 {
-            let last = self.seen.cells.size[axis] as f64 - 1.0;
-            let mut l = 0;
-            while l < LANES {
-                let x = self.rays.p[axis] + q[axis][l] * t[l];
-                let x = if x > 0.0 { x } else { 0.0 };
-                let x = if x < last { x } else { last };
-                // Down: on the border between cells either will do.
-                cells[axis][l] = whole(x - 0.5);
-                l += 1;
-            }
-            axis += 1;
-        }
-        cells
-    }
-
-    #[inline(always)]
-    fn holds_matter(&self, at: &[[i32; LANES]; 3], l: usize) -> bool {
-        let cells = &self.seen.cells;
-        !matches!(cells.kind[cells.index([at[0][l] as usize, at[1][l] as usize, at[2][l] as usize])], EMPTY | EMPTY_BRICK)
-    }
-
     /// Whether a ray of `aimed` crosses, between two depths, a cell in which matter borders on the unknown.
     #[inline(always)]
     #[must_use]

@@ -32,8 +32,8 @@ pub struct Block<'b> {
 }
 
 impl Crossing<'_> {
-    /// Fills a block; `walk` integrates one ray the slow way where bundles cannot. Returns the longest unscanned path in mm.
-    pub fn fill(&self, block: Block, claims: &mut [Claims; 2], walk: &mut dyn FnMut(DVec2, &mut [f32]) -> Option<f64>) -> f32 {
+    /// Fills a block; `walk` integrates one ray the slow way where bundles cannot, and says whether matter in it borders on the unknown.
+    pub fn fill(&self, block: Block, claims: &mut [Claims; 2], walk: &mut dyn FnMut(DVec2, &mut [f32]) -> bool) {
         let fill = Fill { crossing: self, block, claims, walk };
         #[cfg(target_arch = "x86_64")]
         if let Some(avx512) = pulp::x86::V4::try_new() {
@@ -51,17 +51,17 @@ struct Fill<'f, 'a, 'b> {
     crossing: &'f Crossing<'a>,
     block: Block<'b>,
     claims: &'f mut [Claims; 2],
-    walk: &'f mut dyn FnMut(DVec2, &mut [f32]) -> Option<f64>,
+    walk: &'f mut dyn FnMut(DVec2, &mut [f32]) -> bool,
 }
 
 /// A block on lanes of one kind, to be called where their instructions are allowed.
 struct On<'f, 'a, 'b, S>(Fill<'f, 'a, 'b>, S);
 
 impl<S: FixedLanes> pulp::NullaryFnOnce for On<'_, '_, '_, S> {
-    type Output = f32;
+    type Output = ();
     #[inline(always)]
-    fn call(self) -> f32 {
-        self.0.run(self.1)
+    fn call(self) {
+        self.0.run(self.1);
     }
 }
 
@@ -69,14 +69,13 @@ impl<S: FixedLanes> pulp::NullaryFnOnce for On<'_, '_, '_, S> {
 struct Shot {
     aimed: Aimed,
     seen: [bool; LANES],
-    missing: [f64; LANES],
     rounds: usize,
     sums: BundleSums,
 }
 
 impl Fill<'_, '_, '_> {
     #[inline(always)]
-    fn run<S: FixedLanes>(mut self, s: S) -> f32 {
+    fn run<S: FixedLanes>(mut self, s: S) {
         let crossing = self.crossing;
         let bounds = self.block.bounds;
         let [u0, v0] = bounds.from.map(|n| n as usize);
@@ -87,7 +86,6 @@ impl Fill<'_, '_, '_> {
         let last = [bounds.to[0] as f64 - 1.0, bounds.to[1] as f64 - 1.0];
         let corners = [[u0 as f64, v0 as f64], [last[0], v0 as f64], [u0 as f64, last[1]], last];
         let mut below = Below::new(crossing, corners);
-        let mut unscanned = 0.0f32;
         // Bundles two by two, the second below the first.
         for v in (v0..bounds.to[1] as usize).step_by(2 * rows) {
             for u in (u0..bounds.to[0] as usize).step_by(columns) {
@@ -119,11 +117,10 @@ impl Fill<'_, '_, '_> {
                     }
                 }
                 for half in 0..2 {
-                    unscanned = unscanned.max(self.write(half, &shots[half], met[half], lost, &below));
+                    self.write(half, &shots[half], met[half], lost, &below);
                 }
             }
         }
-        unscanned
     }
 
     /// Aims at a bundle; shapes and meshes claim their part of each ray; what is left comes in at most `rounds` pieces a ray.
@@ -136,18 +133,17 @@ impl Fill<'_, '_, '_> {
             l += 1;
         }
         let aimed = self.crossing.aim(pattern, &seen);
-        let missing = self.crossing.left_through_faces(&aimed);
         let mut rounds = usize::from(aimed.any);
         if !self.block.stack.is_bare() {
             rounds = self.claims[half].claim(self.crossing.prepared, self.block.stack, &pattern, &seen, &aimed.t);
         }
-        Shot { aimed, seen, missing, rounds, sums: [[0.0; LANES]; MOST_MATERIALS] }
+        Shot { aimed, seen, rounds, sums: [[0.0; LANES]; MOST_MATERIALS] }
     }
 
-    /// Writes a bundle's paths; returns the longest unscanned one in mm.
+    /// Writes a bundle's paths.
     #[inline(always)]
-    fn write(&mut self, half: usize, shot: &Shot, met: u8, lost: bool, below: &Below) -> f32 {
-        let Shot { aimed, seen, missing, sums, .. } = shot;
+    fn write(&mut self, half: usize, shot: &Shot, met: u8, lost: bool, below: &Below) {
+        let Shot { aimed, seen, sums, .. } = shot;
         let (crossing, block, claims) = (self.crossing, &mut self.block, &self.claims[half]);
         let materials = crossing.prepared.material_count;
         let cells = &crossing.seen.cells;
@@ -157,8 +153,7 @@ impl Fill<'_, '_, '_> {
             (v - block.first_row) * block.width + u
         };
         let scale = aimed.g_per_cm2();
-        let whole = missing.iter().all(|mm| *mm == 0.0);
-        if block.stack.is_bare() && !lost && met & CUT_BIT == 0 && whole {
+        if block.stack.is_bare() && !lost && met & CUT_BIT == 0 {
             // Nothing but paths to write.
             for (m, material) in cells.materials.iter().enumerate() {
                 for l in 0..LANES {
@@ -167,9 +162,8 @@ impl Fill<'_, '_, '_> {
                     }
                 }
             }
-            return 0.0;
+            return;
         }
-        let mut unscanned = 0.0f32;
         for l in 0..LANES {
             if !seen[l] {
                 continue;
@@ -177,10 +171,8 @@ impl Fill<'_, '_, '_> {
             let pixel = pixel(l);
             let out = &mut block.g_per_cm2[pixel * materials..(pixel + 1) * materials];
             if lost {
-                let missing = (self.walk)(DVec2::new(pattern.u[l], pattern.v[l]), out);
-                if let Some(missing_mm) = missing {
+                if (self.walk)(DVec2::new(pattern.u[l], pattern.v[l]), out) {
                     block.valid[pixel] = 0;
-                    unscanned = unscanned.max(missing_mm as f32);
                 }
                 continue;
             }
@@ -201,11 +193,6 @@ impl Fill<'_, '_, '_> {
                     block.valid[pixel] = 0;
                 }
             }
-            if missing[l] != 0.0 {
-                block.valid[pixel] = 0;
-                unscanned = unscanned.max((missing[l] * mm_per_depth) as f32);
-            }
         }
-        unscanned
     }
 }

@@ -9,7 +9,6 @@ use super::claims::{Claims, Stack, claim_solids, occupied_depths};
 use super::crossing::Crossing;
 use super::integrate_block::{BLOCK, Block};
 use super::intervals::Intervals;
-use super::shapes::cuboid;
 use super::walk_cells::{CellRay, Field, Found, Pass};
 use crate::render::plan_parts::Sampling;
 use crate::render::prepared::{Bounds, Prepared, SeenVolume, Step};
@@ -67,8 +66,7 @@ pub fn integrate_blocks(
     density: &mut Density,
     wanted: &(dyn Fn([u32; 2]) -> bool + Sync),
 ) {
-    let unscanned_mm = Integrator::new(prepared, sampling, wanted).run(density);
-    density.unscanned_mm = density.unscanned_mm.max(unscanned_mm);
+    Integrator::new(prepared, sampling, wanted).run(density);
 }
 
 /// Share of the pixels that see a volume whose rays cannot be crossed in bundles: another volume, or air that is kept, lies along them.
@@ -130,8 +128,7 @@ impl<'a> Integrator<'a> {
         Worker { scratch, claims: [Claims::new(materials), Claims::new(materials)], steps: Vec::new() }
     }
 
-    /// Returns the longest unscanned path in mm.
-    fn run(&self, density: &mut Density) -> f32 {
+    fn run(&self, density: &mut Density) {
         let width = self.prepared.view.size_px[0] as usize;
         // Scenes without materials have rows all the same.
         let row = width * self.prepared.material_count;
@@ -139,26 +136,23 @@ impl<'a> Integrator<'a> {
         let (g_per_cm2, row) = if row == 0 { (&mut nothing, width) } else { (&mut density.g_per_cm2, row) };
         let band_rows = band_rows(self.prepared.view.size_px[1] as usize);
         let bands = g_per_cm2.par_chunks_mut(band_rows * row).zip(density.valid.par_chunks_mut(band_rows * width));
-        let worst = bands.enumerate().map(|(band, (g_per_cm2, valid))| {
+        bands.enumerate().for_each(|(band, (g_per_cm2, valid))| {
             let mut worker = self.worker();
             let first_row = band * band_rows;
             let rows = valid.len() / width;
-            let mut worst_mm = 0.0f32;
             for first_column in (0..width).step_by(TILE_COLUMNS) {
                 let columns = TILE_COLUMNS.min(width - first_column);
                 let tile = Bounds {
                     from: [first_column as u32, first_row as u32],
                     to: [(first_column + columns) as u32, (first_row + rows) as u32],
                 };
-                worst_mm = worst_mm.max(self.fill(&mut worker, &tile, first_row, g_per_cm2, valid));
+                self.fill(&mut worker, &tile, first_row, g_per_cm2, valid);
             }
-            worst_mm
         });
-        worst.reduce(|| 0.0f32, f32::max)
     }
 
-    /// Integrates the wanted rays of a tile in the band of rows that begins at `first_row`; returns the longest unscanned path in mm.
-    fn fill(&self, worker: &mut Worker, tile: &Bounds, first_row: usize, density: &mut [f32], valid: &mut [u8]) -> f32 {
+    /// Integrates the wanted rays of a tile in the band of rows that begins at `first_row`.
+    fn fill(&self, worker: &mut Worker, tile: &Bounds, first_row: usize, density: &mut [f32], valid: &mut [u8]) {
         let prepared = self.prepared;
         let width = prepared.view.size_px[0] as usize;
         let materials = prepared.material_count;
@@ -166,7 +160,6 @@ impl<'a> Integrator<'a> {
         steps.clear();
         steps.extend(prepared.steps.iter().filter(|step| seen_in(prepared, step, tile)));
         let in_bundles = around_one_volume(steps).and_then(|stack| Some((self.crossings[stack.volume].as_ref()?, stack)));
-        let mut worst_mm = 0.0f32;
         for v in (tile.from[1]..tile.to[1]).step_by(BLOCK) {
             for u in (tile.from[0]..tile.to[0]).step_by(BLOCK) {
                 if !(self.wanted)([u, v]) {
@@ -184,30 +177,28 @@ impl<'a> Integrator<'a> {
                 }
                 if let Some((crossing, stack)) = in_bundles {
                     let mut walk = |at: DVec2, out: &mut [f32]| {
-                        let missing = integrate_ray(prepared, steps, at, scratch);
+                        let cut = integrate_ray(prepared, steps, at, scratch);
                         out.iter_mut().zip(&scratch.sums).for_each(|(out, sum)| *out = *sum as f32);
-                        missing
+                        cut
                     };
                     let block = Block { bounds: Bounds { from: [u, v], to }, first_row, stack, g_per_cm2: density, valid, width };
-                    worst_mm = worst_mm.max(crossing.fill(block, claims, &mut walk));
+                    crossing.fill(block, claims, &mut walk);
                     continue;
                 }
                 for row in v..to[1] {
                     for (pixel, column) in pixels(row).zip(u..) {
                         let at = DVec2::new(f64::from(column), f64::from(row));
-                        let missing_mm = integrate_ray(prepared, steps, at, scratch);
+                        let cut = integrate_ray(prepared, steps, at, scratch);
                         for (out, sum) in density[pixel * materials..].iter_mut().zip(&scratch.sums) {
                             *out = *sum as f32;
                         }
-                        if let Some(missing_mm) = missing_mm {
+                        if cut {
                             valid[pixel] = 0;
-                            worst_mm = worst_mm.max(missing_mm as f32);
                         }
                     }
                 }
             }
         }
-        worst_mm
     }
 }
 
@@ -238,15 +229,16 @@ fn group_of(prepared: &Prepared, step: &Step) -> Option<(usize, bool)> {
     }
 }
 
-/// Fills `scratch.sums` with g/cm²; returns the path outside the scan, if the ray left it through matter.
-fn integrate_ray(prepared: &Prepared, steps: &[Step], at: DVec2, scratch: &mut Scratch) -> Option<f64> {
+/// Fills `scratch.sums` with g/cm²; returns whether the ray meets matter that borders on the unknown. Where a scan was cut off at its faces is
+/// for [`super::super::cut_faces`] to say.
+fn integrate_ray(prepared: &Prepared, steps: &[Step], at: DVec2, scratch: &mut Scratch) -> bool {
     let direction = prepared.view.intrinsics.unproject(at);
     let mm_per_depth = direction.length();
     let Scratch { covered, gaps, own, pending, found, sums } = scratch;
     covered.clear();
     pending.clear();
     sums.fill(0.0);
-    let mut missing = None;
+    let mut cut = false;
     let mut group = None;
     for (order, step) in steps.iter().enumerate() {
         let is_last = order + 1 == steps.len();
@@ -265,21 +257,18 @@ fn integrate_ray(prepared: &Prepared, steps: &[Step], at: DVec2, scratch: &mut S
                 found.spans.clear();
                 found.collect = !is_last;
                 found.cut = false;
-                let left = cross_volume(prepared, seen, direction, pass, covered, gaps, sums, found);
+                cross_volume(prepared, seen, direction, pass, covered, gaps, sums, found);
                 pending.extend_from_slice(&found.spans);
-                if pass == Pass::Matter && (found.cut || left.is_some()) {
-                    let outside = left.unwrap_or(0.0) * mm_per_depth;
-                    missing = Some(missing.map_or(outside, |m: f64| m.max(outside)));
-                }
+                cut |= pass == Pass::Matter && found.cut;
             }
         }
     }
     // ρ dt is per mm of depth; the ray is `mm_per_depth` long in it, and there are 10 mm in a cm.
     sums.iter_mut().for_each(|sum| *sum *= 0.1 * mm_per_depth);
-    missing
+    cut
 }
 
-/// Integrates what is not covered; returns the depth range outside the grid when a truncated scan is entered or left through matter.
+/// Integrates what is not covered.
 #[expect(clippy::too_many_arguments, reason = "the scratch of a ray, borrowed apart")]
 fn cross_volume(
     prepared: &Prepared,
@@ -290,12 +279,9 @@ fn cross_volume(
     gaps: &mut Vec<(f64, f64)>,
     sums: &mut [f64],
     found: &mut Found,
-) -> Option<f64> {
+) {
     let field = Field { volume: seen.volume, cells: &seen.cells, air_kind: seen.air_kind };
     let ray = CellRay { p: seen.cell_from_camera.translation, q: seen.cell_from_camera.matrix3 * direction };
-    let size = DVec3::from_array(seen.volume.size.map(|n| n as f64));
-    let (lo, hi) = (DVec3::splat(0.5), size + 0.5);
-    let (enter, leave) = cuboid(ray.p, ray.q, lo, hi)?;
     if let Some((from, to)) = occupied_depths(seen, &ray) {
         let (from, to) = (from.max(0.0), to.min(prepared.detector_mm));
         if to > from && covered.is_empty() {
@@ -308,18 +294,4 @@ fn cross_volume(
             }
         }
     }
-    if !seen.volume.truncated_at_faces {
-        return None;
-    }
-    let mut outside = 0.0;
-    let mut cut = false;
-    if enter > 0.0 && enter < prepared.detector_mm && field.holds_matter_at(&ray, enter) {
-        cut = true;
-        outside += enter;
-    }
-    if leave < prepared.detector_mm && leave > 0.0 && field.holds_matter_at(&ray, leave) {
-        cut = true;
-        outside += prepared.detector_mm - leave;
-    }
-    cut.then_some(outside)
 }

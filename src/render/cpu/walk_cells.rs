@@ -52,15 +52,6 @@ impl Field<'_> {
         (self.air_kind == Some(kind)) == (pass == Pass::Air)
     }
 
-    /// Whether the ray meets matter at depth `t`.
-    #[must_use]
-    pub fn holds_matter_at(&self, ray: &CellRay, t: f64) -> bool {
-        let x = ray.p + ray.q * t;
-        let cell: [usize; 3] = std::array::from_fn(|axis| (x[axis].floor().max(0.0) as usize).min(self.cells.size[axis] - 1));
-        let kind = self.cells.kind[self.cells.index(cell)];
-        !matches!(kind, EMPTY | EMPTY_BRICK) && self.counts(kind, Pass::Matter)
-    }
-
     /// Adds ∫ρ_m dt over [`from`, `to`] (which must lie inside the grid) to `sums` (by scene material).
     // Along a straight piece m + s·h, s ∈ [−1, 1], a trilinear function has no pure quadratic terms; its mean is
     // f(m) + ⅓ (f_xy h_x h_y + f_yz h_y h_z + f_xz h_x h_z), exactly what two Gauss points give, for one evaluation.

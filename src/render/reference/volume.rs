@@ -6,6 +6,9 @@ use super::intervals::Intervals;
 use super::shapes::Ray;
 use crate::scene::model::{Scene, Volume, Voxels};
 
+/// A stretch beyond a face that is no longer than this is a touch: a ray that begins on a plane of voxel centres passes one side of it.
+const TOUCH_MM: f64 = 1e-9;
+
 /// A volume with what a ray asks of it.
 #[derive(Clone, Debug)]
 pub struct Grid<'a> {
@@ -132,7 +135,7 @@ impl<'a> Grid<'a> {
                 between: std::array::from_fn(between),
             })
         };
-        depths.windows(2).filter(|pair| pair[0] < pair[1]).filter_map(piece).collect()
+        depths.windows(2).filter(|pair| pair[1] - pair[0] > TOUCH_MM).filter_map(piece).collect()
     }
 
     fn in_voxels(&self, ray: &Ray) -> (DVec3, DVec3) {

@@ -41,7 +41,6 @@ pub struct Flags {
     pub overflows: u32,
     pub matter: u32,
     pub beyond: u32,
-    pub unscanned_mm_bits: u32,
 }
 
 /// `Solid` of `shared/solid.wgsl`.
@@ -82,7 +81,7 @@ pub struct Grid {
     pub row_z: [f32; 4],
     pub centre: [f32; 4],
     pub size: [u32; 3],
-    pub truncated: u32,
+    pub padding: u32,
     pub occupied_from: [f32; 4],
     pub occupied_to: [f32; 4],
     pub cells_from: u32,
@@ -271,7 +270,7 @@ fn pack_grid(seen: &SeenVolume, depth_ref_mm: f64) -> Grid {
         row_z,
         centre: about(centre_of(seen), depth_ref_mm),
         size: seen.volume.size.map(|n| n as u32),
-        truncated: u32::from(seen.volume.truncated_at_faces),
+        padding: 0,
         occupied_from: wide(first),
         occupied_to: wide(end),
         cells_from: 0,

@@ -50,8 +50,6 @@ pub struct Executed {
     pub g_per_cm2: Vec<f32>,
     /// 1 where the scan was complete along the ray.
     pub valid: Vec<u8>,
-    /// Longest path outside a truncated scan, mm.
-    pub unscanned_mm: f32,
     /// Whether any ray met matter.
     pub matter: bool,
     /// Whether any path is longer than those that the energies were fitted to, or no number.
@@ -154,12 +152,7 @@ impl WgslExecutor {
         }
         wait(gpu, &mapped, workspaces.len())?;
         let executed = workspaces.iter().zip(requests).map(|(workspace, request)| unpack(gpu, workspace, request));
-        let mut executed = executed.collect::<Result<Vec<_>, _>>()?;
-        if !parts.is_empty() {
-            // A ray enters and leaves a volume once; either end may lie in a part of its own.
-            executed.iter_mut().for_each(|executed| executed.unscanned_mm *= 2.0);
-        }
-        Ok(executed)
+        executed.collect()
     }
 
     /// Area densities of view `slot` of the last submission, g/cm² by pixel, then by material.
@@ -332,7 +325,6 @@ fn unpack(gpu: &Gpu, workspace: &Workspace, request: &Request) -> Result<Execute
     Ok(Executed {
         g_per_cm2: part(parts.paths).to_vec(),
         valid: (0..pixels).map(valid).collect(),
-        unscanned_mm: f32::from_bits(flags.unscanned_mm_bits),
         matter: flags.matter != 0,
         beyond: flags.beyond != 0,
         signal: Signal { line_integral, arriving },

@@ -3,9 +3,10 @@
 use std::path::Path;
 
 use clap::Parser;
+use sidecarm::cli::compare::{CompareArgs, run as run_compare};
 use sidecarm::cli::render::{RenderArgs, RenderCommandError, run};
 use sidecarm::gpu::{Device, DeviceChoice};
-use sidecarm::image::{ImageFileError, read_tiff_f32};
+use sidecarm::image::{Image, ImageFileError, read_tiff_f32, write_tiff_f32};
 use sidecarm::reporter::Reporter;
 
 #[derive(Parser)]
@@ -110,4 +111,45 @@ fn planning_is_booked_among_the_stages() {
     // Pilot rays and a fit of energies cannot be had for less.
     assert!(json["stages_ms"]["plan"].as_f64().expect("booked") > 0.05, "{}", json["stages_ms"]);
     assert!(json["stages_ms"]["prepare"].is_number(), "{}", json["stages_ms"]);
+}
+
+#[test]
+fn outputs_replace_neither_one_another_nor_what_is_no_file() {
+    let folder = tempfile::tempdir().expect("folder");
+    let same = folder.path().join("drr.tif").display().to_string();
+    let error = render(folder.path(), &["--png", &same]).expect_err("one name");
+    assert!(matches!(error, RenderCommandError::Picture(ImageFileError::NamedTwice { .. })), "{error}");
+    let pipe = folder.path().join("drr.png");
+    let made = std::process::Command::new("mkfifo").arg(&pipe).status().expect("mkfifo");
+    assert!(made.success());
+    let error = render(folder.path(), &["--png", &pipe.display().to_string()]).expect_err("a pipe");
+    assert!(matches!(error, RenderCommandError::Picture(ImageFileError::NoFile { .. })), "{error}");
+    assert!(!folder.path().join("drr.tif").exists());
+}
+
+#[derive(Parser)]
+struct TypedCompare {
+    #[command(flatten)]
+    args: CompareArgs,
+}
+
+/// A render that says that pixels are invalid is not compared without the mask that says which.
+#[test]
+fn a_render_without_its_mask_is_not_compared() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let line = |at: usize| 0.5 + ((at % 64) as f32 * 0.3).sin() * 0.2 + (at / 64) as f32 * 0.01;
+    let image = Image { width: 64, height: 48, pixels: (0..64 * 48).map(line).collect() };
+    write_tiff_f32(folder.path().join("drr.tif").as_path(), std::slice::from_ref(&image)).expect("writes");
+    write_tiff_f32(folder.path().join("frame.tif").as_path(), &[image.map(|line| 1000.0 * (-line).exp())]).expect("writes");
+    let compared = |share: f64| {
+        let described = serde_json::json!({"quantity": "line_integral", "share_invalid": share});
+        std::fs::write(folder.path().join("drr.tif.json"), described.to_string()).expect("writes");
+        let (frame, drr, out) = (path("frame.tif"), path("drr.tif"), path("out"));
+        let typed = ["compare", &frame, &drr, "--domain", "linear", "--air", "1000", "--offset", "none", "--out", &out];
+        run_compare(&TypedCompare::parse_from(typed).args, &Reporter::silent())
+    };
+    let error = compared(0.825).expect_err("its mask is missing");
+    assert!(error.to_string().contains("drr.tif.valid.png") && error.to_string().contains("82.5 %"), "{error}");
+    assert_eq!(compared(0.0).expect("all are valid"), 0);
 }

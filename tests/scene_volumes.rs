@@ -225,6 +225,15 @@ fn labels_pick_the_composition_and_nominal_the_density() {
     assert!((volume.density_g_per_cm3[1] - 1.0).abs() < 1e-6, "a label does not change the density");
     assert!((volume.density_g_per_cm3[4] - 4.54).abs() < 1e-6, "nominal does");
 
+    for (map, warnings) in [(labels.to_owned(), 0), (labels.replace(r#""10": "air""#, r#""77": "air""#), 1)] {
+        ct_scene(folder.path(), &map).expect("good");
+        let reporter = Reporter::silent();
+        scene::load(&folder.path().join("scene.json"), false, &reporter).expect("good");
+        let found = reporter.warnings();
+        assert_eq!(found.len(), warnings, "{found:?}");
+        assert!(warnings == 0 || format!("{found:?}").contains("no voxel has the labels 77"), "{found:?}");
+    }
+
     NiftiFile::int16([5, 1, 1], &[0; 5]).write(&folder.path().join("labels.nii"));
     assert!(ct_scene(folder.path(), labels).expect_err("size").contains("not on the grid"));
     let mut moved = NiftiFile::int16([6, 1, 1], &[0; 6]);

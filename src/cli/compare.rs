@@ -91,6 +91,14 @@ pub enum CompareCommandError {
     /// Refused.
     #[error(transparent)]
     Compare(#[from] CompareError),
+    /// A render that says of itself that pixels are invalid, without the mask that says which.
+    #[error("{path}: is not there, but {percent:.1} % of the simulated image are invalid; copy it along, or render again", path = path.display())]
+    NoValidity {
+        /// The mask.
+        path: PathBuf,
+        /// Share of invalid pixels.
+        percent: f64,
+    },
     /// A file that cannot be read.
     #[error("{path}: {source}", path = path.display())]
     Io {
@@ -155,6 +163,10 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
     }
     let simulated = read_simulated(&args.simulated, args.quantity.as_deref())?;
     let valid = read_flags(&beside(&args.simulated, "valid.png"))?;
+    let described = described(&args.simulated);
+    if let (None, Some(share)) = (&valid, described["share_invalid"].as_f64().filter(|share| *share > 0.0)) {
+        return Err(CompareCommandError::NoValidity { path: beside(&args.simulated, "valid.png"), percent: 100.0 * share });
+    }
     let extra = args.mask.as_deref().map(read_mask).transpose()?;
     let scene = args.scene.as_deref().map(|path| load(path, false, reporter)).transpose()?;
     if let (Some(path), Some(scene)) = (&args.scene, &scene) {
@@ -183,6 +195,12 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
         ..CompareInput::new(&frame, &simulated)
     };
     let mut compared = compare(&input)?;
+    if frame.unmirrored {
+        compared
+            .comparison
+            .flags
+            .push("the file says that the console had mirrored the frame: un-mirrored before comparing".into());
+    }
     if let Some(scene) = &posed_scene {
         add_null(&mut compared, scene, reporter)?;
     }
@@ -212,12 +230,15 @@ fn beside(path: &Path, suffix: &str) -> PathBuf {
     PathBuf::from(name)
 }
 
+/// What `render` wrote about an image; null where there is nothing.
+fn described(path: &Path) -> serde_json::Value {
+    let bytes = std::fs::read(beside(path, "json")).ok();
+    bytes.and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default()
+}
+
 /// The simulated line integral; what has no logarithm is NaN.
 fn read_simulated(path: &Path, quantity: Option<&str>) -> Result<Image<f32>, CompareCommandError> {
-    let described = std::fs::read(beside(path, "json")).ok().and_then(|bytes| {
-        let value: serde_json::Value = serde_json::from_slice(&bytes).ok()?;
-        value["quantity"].as_str().map(str::to_owned)
-    });
+    let described = described(path)["quantity"].as_str().map(str::to_owned);
     let found = quantity.map(str::to_owned).or(described).unwrap_or_else(|| "not known".into());
     let mut pages = read_tiff_f32(path)?;
     let image = match (pages.len(), pages.pop()) {

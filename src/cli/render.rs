@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::compare::posed_scene;
 use crate::geometry::View;
 use crate::gpu::DeviceChoice;
-use crate::image::{ImageFileError, check_writable, refuse_overwrite, sha256_file};
+use crate::image::{ImageFileError, check_writable, refuse_overwrite, refuse_twice, sha256_file};
 use crate::pose::{Pose, PoseFileError};
 use crate::render::{
     Goal, Options, Quantity, RenderError, Rendered, Renderer, guessed_share, write_image, write_picture, written_with,
@@ -177,6 +177,7 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
     }
     let outputs: Vec<PathBuf> = written_with(&args.out).into_iter().chain(args.png.clone()).collect();
     let inputs: Vec<PathBuf> = scene::input_files(&args.scene, &scene).into_iter().chain(args.pose.clone()).collect();
+    refuse_twice(&outputs)?;
     refuse_overwrite(&outputs, &inputs)?;
     // The yardstick runs on the CPU whatever else there is.
     let device = if args.reference { DeviceChoice::Cpu } else { args.device.into() };

@@ -33,6 +33,18 @@ pub enum ImageFileError {
         /// The folder.
         path: PathBuf,
     },
+    /// Two outputs have one name.
+    #[error("{path}: is named for two outputs; give each a name of its own", path = path.display())]
+    NamedTwice {
+        /// The name.
+        path: PathBuf,
+    },
+    /// An output has the name of a device, a pipe or a socket.
+    #[error("{path}: cannot be written: it is no file but a device or a pipe; name a file", path = path.display())]
+    NoFile {
+        /// What is there.
+        path: PathBuf,
+    },
     /// The operating system refused to write.
     #[error("{path}: cannot be written ({source})", path = path.display())]
     Write {
@@ -126,6 +138,18 @@ pub fn refuse_overwrite<O: AsRef<Path>, I: AsRef<Path>>(outputs: &[O], inputs: &
     Ok(())
 }
 
+/// Refuses outputs of which the later would replace an earlier one.
+///
+/// # Errors
+/// When two have the same name.
+pub fn refuse_twice<O: AsRef<Path>>(outputs: &[O]) -> Result<(), ImageFileError> {
+    let twice = |(index, output): (usize, &O)| outputs[..index].iter().any(|other| other.as_ref() == output.as_ref());
+    match (0..).zip(outputs).find(|pair| twice(*pair)) {
+        Some((_, output)) => Err(ImageFileError::NamedTwice { path: output.as_ref().to_owned() }),
+        None => Ok(()),
+    }
+}
+
 /// What a file is, rather than what it is called.
 #[cfg(unix)]
 #[derive(PartialEq)]
@@ -161,6 +185,10 @@ fn temporary_beside(path: &Path) -> Result<tempfile::NamedTempFile, ImageFileErr
     };
     if path.is_dir() {
         return Err(ImageFileError::IsFolder { path: path.to_owned() });
+    }
+    // What replaces it would be a file in its place.
+    if std::fs::metadata(path).is_ok_and(|found| !found.is_file()) {
+        return Err(ImageFileError::NoFile { path: path.to_owned() });
     }
     if !folder.is_dir() {
         return Err(ImageFileError::NoFolder { path: path.to_owned(), folder: folder.to_owned() });

@@ -1,6 +1,6 @@
 //! Volumes and surfaces are foreign files: a helper process decodes them, and what it hands over is checked here.
 
-use std::io::{Read, Write};
+use std::io::{BufRead, Read, Seek, Write};
 use std::path::Path;
 
 use glam::DAffine3;
@@ -172,16 +172,69 @@ fn decode_mesh(
     take: &mut dyn FnMut(&Triangle) -> Result<(), String>,
 ) -> Result<(), String> {
     let damaged = |error: std::io::Error| format!("not a readable STL ({error})");
+    let length = file.metadata().map_err(damaged)?.len();
     let mut reader = std::io::BufReader::new(file);
     let mut count = 0u64;
-    for triangle in stl_io::create_stl_reader(&mut reader).map_err(damaged)? {
-        count += 1;
-        if count > limits.file_pixels {
-            return Err(format!("more than {} triangles; simplify it", limits.file_pixels));
+    let mut solid = |mut reader: &mut dyn ReadSeek| {
+        for triangle in stl_io::create_stl_reader(&mut reader).map_err(damaged)? {
+            count += 1;
+            if count > limits.file_pixels {
+                return Err(format!("more than {} triangles; simplify it", limits.file_pixels));
+            }
+            take(&triangle.map_err(damaged)?.vertices.map(|vertex| vertex.0))?;
         }
-        take(&triangle.map_err(damaged)?.vertices.map(|vertex| vertex.0))?;
+        Ok(())
+    };
+    let mut head = [0u8; STL_HEAD];
+    let read = read_up_to(&mut reader, &mut head).map_err(damaged)?;
+    reader.rewind().map_err(damaged)?;
+    let triangles = u32::from_le_bytes([head[80], head[81], head[82], head[83]]);
+    let binary_length = STL_HEAD as u64 + STL_TRIANGLE * u64::from(triangles);
+    let is_text = head[..5].eq_ignore_ascii_case(b"solid") && !(read == STL_HEAD && length == binary_length);
+    if !is_text {
+        if length >= binary_length + STL_TRIANGLE {
+            let more = length - binary_length;
+            return Err(format!("says that it holds {triangles} triangles, but {more} bytes follow them; export it again"));
+        }
+        if u64::from(triangles) <= limits.file_pixels && head[..5].eq_ignore_ascii_case(b"solid") {
+            // The reader takes the word for that of a text.
+            let mut bytes = Vec::new();
+            reader.read_to_end(&mut bytes).map_err(damaged)?;
+            bytes[..5].fill(b' ');
+            return solid(&mut std::io::Cursor::new(bytes));
+        }
+        return solid(&mut reader);
     }
-    Ok(())
+    // A file may hold several solids, one after the other.
+    let (mut text, mut line) = (Vec::new(), Vec::new());
+    while reader.read_until(b'\n', &mut line).map_err(damaged)? > 0 {
+        text.append(&mut line.to_ascii_lowercase());
+        let ends = line.trim_ascii_start().get(..8).is_some_and(|word| word.eq_ignore_ascii_case(b"endsolid"));
+        line.clear();
+        if ends {
+            solid(&mut std::io::Cursor::new(std::mem::take(&mut text)))?;
+        }
+    }
+    if text.trim_ascii().is_empty() { Ok(()) } else { Err("ends before its last solid does: cut off?".into()) }
+}
+
+/// Bytes before the triangles of a binary STL, the last four their number; and those of each triangle.
+const STL_HEAD: usize = 84;
+const STL_TRIANGLE: u64 = 50;
+
+trait ReadSeek: Read + Seek {}
+impl<T: Read + Seek> ReadSeek for T {}
+
+/// Fills `bytes` as far as there are any; how many there were.
+fn read_up_to(reader: &mut impl Read, bytes: &mut [u8]) -> std::io::Result<usize> {
+    let mut read = 0;
+    while read < bytes.len() {
+        match reader.read(&mut bytes[read..])? {
+            0 => break,
+            count => read += count,
+        }
+    }
+    Ok(read)
 }
 
 /// The helper's work on volumes and meshes: header and numbers from `file` to `out`, then whether all went well.
@@ -268,5 +321,55 @@ fn receive_mesh(messages: &mut Receiver<impl Read>, most: usize) -> Result<Resul
                 return Ok(end.map(|()| numbers));
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Triangles of a file of these bytes, or why it is refused.
+    fn triangles(bytes: &[u8]) -> Result<usize, String> {
+        let mut file = tempfile::tempfile().expect("a temporary file");
+        file.write_all(bytes).and_then(|()| file.rewind()).expect("writes");
+        let mut count = 0;
+        decode_mesh(file, &Limits::of(Kind::Mesh), &mut |_| {
+            count += 1;
+            Ok(())
+        })?;
+        Ok(count)
+    }
+
+    fn text(name: &str) -> String {
+        let corners = "vertex 0 0 0\n vertex 1 0 0\n vertex 0 1 1.5E+0\n";
+        format!("solid {name}\n facet normal 0 0 1\n outer loop\n {corners} endloop\n endfacet\nendsolid {name}\n")
+    }
+
+    #[test]
+    fn every_solid_of_a_text_is_read_and_one_that_is_cut_off_is_refused() {
+        let two = text("guide") + &text("sleeve");
+        assert_eq!(triangles(text("one").as_bytes()), Ok(1));
+        assert_eq!(triangles(two.as_bytes()), Ok(2));
+        assert_eq!(triangles(two.to_ascii_uppercase().as_bytes()), Ok(2));
+        assert_eq!(triangles((two.clone() + "\n \n").as_bytes()), Ok(2));
+        let cut = &two[..two.len() - 30];
+        assert!(triangles(cut.as_bytes()).expect_err("cut off").contains("cut off"));
+    }
+
+    #[test]
+    fn a_binary_file_with_more_than_it_says_is_refused() {
+        let binary = |says: u32, holds: usize| {
+            let mut bytes = vec![0u8; 80];
+            bytes.extend(says.to_le_bytes());
+            bytes.extend(std::iter::repeat_n([0u8; 50], holds).flatten());
+            bytes
+        };
+        assert_eq!(triangles(&binary(3, 3)), Ok(3));
+        assert!(triangles(&binary(2, 3)).expect_err("one more").contains("2 triangles, but 50 bytes follow"));
+        assert!(triangles(&binary(4, 3)).is_err());
+        // Some programs begin the header of a binary file with the word of a text.
+        let mut named = binary(3, 3);
+        named[..11].copy_from_slice(b"solid robot");
+        assert_eq!(triangles(&named), Ok(3));
     }
 }

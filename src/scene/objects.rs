@@ -1,7 +1,7 @@
 //! Objects of a scene file become matter.
 
 use std::collections::HashMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
 use glam::{DAffine3, DMat3, DQuat, DVec3};
@@ -278,6 +278,7 @@ impl Builder<'_> {
                 inpaint_labels(&ct.grid(), &mut numbers, &inpainted);
                 self.labelled_bodies(file.body.as_deref().unwrap_or(BODY), labels, &numbers)?;
                 let (default, map) = self.label_classes(&mut local, labels)?;
+                self.warn_of_absent(&labels_path, &map, &numbers);
                 Classes::Labels { labels: numbers, default, map }
             }
         };
@@ -353,6 +354,18 @@ impl Builder<'_> {
             return Err(self.value("materials.map", format!("label {} twice", pair[0].0), "each label once"));
         }
         Ok((default, map))
+    }
+
+    /// Labels that are named but that no voxel has: another file's numbers?
+    fn warn_of_absent(&self, path: &Path, map: &[(u32, Option<Class>)], numbers: &[u32]) {
+        let held: std::collections::HashSet<u32> = numbers.iter().copied().collect();
+        let absent: Vec<String> =
+            map.iter().filter(|(number, _)| !held.contains(number)).map(|(number, _)| number.to_string()).collect();
+        if !absent.is_empty() {
+            let (labels, absent) = (path.display(), absent.join(", "));
+            let words = format!("{labels}: no voxel has the labels {absent} that materials.map names; are they another file's?");
+            self.reporter.warn("labels", words);
+        }
     }
 
     fn local_class(&self, local: &mut Vec<Material>, key: &str, name: &str, density: DensityFile) -> Result<Class, SceneError> {

@@ -109,6 +109,11 @@ impl Kernel {
         Self { taps, stride, weight }
     }
 
+    /// The same, of a kernel at every pixel, at every `stride`-th.
+    pub(super) fn at_every(&self, stride: usize) -> Self {
+        Self { taps: self.taps.clone(), stride, weight: every(&self.weight, stride) }
+    }
+
     /// Gaussian mean over usable pixels, the same as in [`Kernel::on`]; 0 where none is near. Values at unusable pixels (NaN included) are
     /// never read.
     pub(super) fn smooth(&self, image: &Image<f32>, usable: &Image<bool>) -> Image<f32> {

@@ -28,7 +28,8 @@ pub struct Scores {
     pub gradient_ncc: Option<f64>,
     /// Structural similarity, Gaussian windows σ = 1.5 px at every second pixel each way, K = 0.01 and 0.03, up to 1.
     pub ssim: Option<f64>,
-    /// Mean NCC in Gaussian windows of σ = 8 px, at every second pixel each way, of the band between σ = 1.5 and 6 px, where the simulation has structure, −1 to 1.
+    /// Mean NCC in Gaussian windows of σ = 8 px, at every second pixel each way, of the band between σ = 1.5 and 6 px, where the
+    /// simulation has structure, −1 to 1.
     pub local_ncc: Option<f64>,
     /// Median symmetric distance of strong edges, px (12 at most).
     pub edge_distance_px: Option<f64>,

@@ -13,7 +13,7 @@ pub const LOCAL_BAND_PX: [f64; 2] = [SCORE_SIGMA_PX, 6.0];
 pub const LOCAL_WINDOW_PX: f64 = 8.0;
 
 /// The windows of SSIM and local NCC stand at every second column and row: their neighbours hold nearly the same.
-pub const WINDOW_STRIDE_PX: usize = 2;
+pub(super) const WINDOW_STRIDE_PX: usize = 2;
 
 /// No score of a pixel hears of anything further away: a window, and the coarser smoothing of what it holds, out to 3 σ.
 pub(super) const REACH_PX: usize = (3.0 * (LOCAL_WINDOW_PX + LOCAL_BAND_PX[1])) as usize + 2;
@@ -33,7 +33,7 @@ impl Ground {
     pub(super) fn of(usable: Image<bool>) -> Self {
         let [fine_px, coarse_px] = LOCAL_BAND_PX;
         let fine = Kernel::on(&usable, fine_px, 1);
-        let fine_windows = Kernel::on(&usable, fine_px, WINDOW_STRIDE_PX);
+        let fine_windows = fine.at_every(WINDOW_STRIDE_PX);
         let coarse = Kernel::on(&usable, coarse_px, WINDOW_STRIDE_PX);
         let at_windows = every(&usable, WINDOW_STRIDE_PX);
         let known = zip(&fine_windows.weight, &at_windows, |weight, usable| *usable && *weight >= TRUSTED_WEIGHT);

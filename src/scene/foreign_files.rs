@@ -185,11 +185,12 @@ fn decode_mesh(
         }
         Ok(())
     };
-    let mut head = [0u8; STL_HEAD];
-    let read = read_up_to(&mut reader, &mut head).map_err(damaged)?;
+    let mut head = Vec::new();
+    let read = reader.by_ref().take(STL_HEAD).read_to_end(&mut head).map_err(damaged)? as u64;
+    head.resize(STL_HEAD as usize, 0);
     reader.rewind().map_err(damaged)?;
     let triangles = u32::from_le_bytes([head[80], head[81], head[82], head[83]]);
-    let binary_length = STL_HEAD as u64 + STL_TRIANGLE * u64::from(triangles);
+    let binary_length = STL_HEAD + STL_TRIANGLE * u64::from(triangles);
     let is_text = head[..5].eq_ignore_ascii_case(b"solid") && !(read == STL_HEAD && length == binary_length);
     if !is_text {
         if length >= binary_length + STL_TRIANGLE {
@@ -219,23 +220,11 @@ fn decode_mesh(
 }
 
 /// Bytes before the triangles of a binary STL, the last four their number; and those of each triangle.
-const STL_HEAD: usize = 84;
+const STL_HEAD: u64 = 84;
 const STL_TRIANGLE: u64 = 50;
 
 trait ReadSeek: Read + Seek {}
 impl<T: Read + Seek> ReadSeek for T {}
-
-/// Fills `bytes` as far as there are any; how many there were.
-fn read_up_to(reader: &mut impl Read, bytes: &mut [u8]) -> std::io::Result<usize> {
-    let mut read = 0;
-    while read < bytes.len() {
-        match reader.read(&mut bytes[read..])? {
-            0 => break,
-            count => read += count,
-        }
-    }
-    Ok(read)
-}
 
 /// The helper's work on volumes and meshes: header and numbers from `file` to `out`, then whether all went well.
 ///

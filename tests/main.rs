@@ -107,6 +107,7 @@ mod reference_siddon;
 mod reference_slabs;
 mod reference_shapes;
 mod reference_volumes;
+mod scene_air;
 mod scene_files;
 mod scene_optics;
 mod scene_support;

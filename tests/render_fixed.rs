@@ -110,7 +110,7 @@ fn check(volume: &Volume, slabs: &Slabs, axis: usize, rays: &([Bundle; 2], Corne
 }
 
 fn rounded(volume: &Volume) -> (Cells, Slabs) {
-    let cells = Cells::new(volume).expect("few materials");
+    let cells = Cells::new(volume, None).expect("few materials");
     let slabs = Slabs::new(volume, &cells).expect("small");
     (0..3).for_each(|axis| slabs.round(axis, volume, &cells));
     (cells, slabs)
@@ -268,7 +268,7 @@ fn what_cannot_be_rounded_is_crossed_exactly() {
     assert_eq!(sampling(&coarse), "exact_cells", "no window holds the bundles");
     let mut grid = volume([8, 8, 8], DAffine3::IDENTITY, &[0], |_| (1, 1.0));
     grid.density_g_per_cm3[77] = f32::NAN;
-    let cells = Cells::new(&grid).expect("one material");
+    let cells = Cells::new(&grid, None).expect("one material");
     let slabs = Slabs::new(&grid, &cells).expect("small");
     slabs.round(0, &grid, &cells);
     assert!(!slabs.rounds() && slabs.rounded_grid(0).is_none(), "a word cannot be NaN");

@@ -124,7 +124,7 @@ fn portable_lanes_wide_lanes_and_the_field_agree() {
     let mut stream = Stream::new(5, 0, 0, Purpose::Evaluation);
     let mut fits = Vec::new();
     for (name, volume) in [("lumpy", lumpy()), ("layered", layered())] {
-        let cells = Cells::new(&volume).expect("few materials");
+        let cells = Cells::new(&volume, None).expect("few materials");
         let slabs = Slabs::new(&volume, &cells).expect("small");
         let mut worst = 0.0f64;
         for axis in 0..3 {
@@ -161,7 +161,7 @@ fn portable_lanes_wide_lanes_and_the_field_agree() {
 #[test]
 fn windows_of_sixteen_columns_hold_what_is_wide_and_flat() {
     let volume = layered();
-    let cells = Cells::new(&volume).expect("few materials");
+    let cells = Cells::new(&volume, None).expect("few materials");
     let slabs = Slabs::new(&volume, &cells).expect("small");
     for axis in 0..3 {
         slabs.prepare(axis, &volume, &cells);
@@ -211,7 +211,7 @@ fn what_is_filled_with_one_density_is_crossed_at_once_and_right() {
     let mut stream = Stream::new(11, 0, 0, Purpose::Evaluation);
     for size in [[36, 36, 40], [120, 120, 112]] {
         let volume = filled_bricks(size);
-        let cells = Cells::new(&volume).expect("one material");
+        let cells = Cells::new(&volume, None).expect("one material");
         let slabs = Slabs::new(&volume, &cells).expect("small");
         let mut at_once = 0;
         for axis in 0..3 {

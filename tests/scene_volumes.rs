@@ -211,7 +211,7 @@ fn classes_without_voxels_leave_no_material() {
 #[test]
 fn labels_pick_the_composition_and_nominal_the_density() {
     let folder = folder();
-    NiftiFile::int16([6, 1, 1], &[0, 0, -850, -850, 3000, 0]).write(&folder.path().join("ct.nii"));
+    NiftiFile::int16([6, 1, 1], &[0, 0, -980, -850, 3000, 0]).write(&folder.path().join("ct.nii"));
     NiftiFile::int16([6, 1, 1], &[0, 7, 0, 8, 9, 10]).write(&folder.path().join("labels.nii"));
     let labels = r#"{"ct": {"path": "ct.nii", "materials": {"labels": "labels.nii", "default": "soft_tissue",
         "map": {"7": "Bone_Cortical", "8": "lung", "9": {"material": "titanium", "density": "nominal"}, "10": "air"}}}}"#;

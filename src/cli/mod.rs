@@ -31,6 +31,7 @@ pub mod info;
 pub mod keep_log;
 pub mod line_checks;
 pub mod live;
+pub mod materials;
 pub mod pose;
 pub mod read_foreign;
 pub mod register;
@@ -80,6 +81,7 @@ enum Command {
     Attach(attach::AttachArgs),
     Attenuation(attenuation::AttenuationArgs),
     Spectrum(spectrum::SpectrumArgs),
+    Materials(materials::MaterialsArgs),
     Devices(devices::DevicesArgs),
     Info(info::InfoArgs),
     ReadForeign(read_foreign::ReadForeignArgs),
@@ -117,6 +119,7 @@ fn dispatch(command: &Command, reporter: &Reporter) -> u8 {
         Command::Attach(args) => end(attach::run(args, reporter), reporter),
         Command::Attenuation(args) => end(attenuation::run(args, &mut std::io::stdout().lock()).map(|()| 0), reporter),
         Command::Spectrum(args) => end(spectrum::run(args, &mut std::io::stdout().lock()).map(|()| 0), reporter),
+        Command::Materials(args) => end(materials::run(args, &mut std::io::stdout().lock()).map(|()| 0), reporter),
         Command::Check(args) => check::run(args, reporter),
         Command::Devices(args) => match &args.check {
             Some(session) => {

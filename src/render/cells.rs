@@ -41,9 +41,10 @@ pub struct Cells {
 }
 
 impl Cells {
-    /// Classifies every cell; `None` when more than 250 materials occur in one volume.
+    /// Classifies every cell; `None` when more than 250 materials occur in one volume. `air`: which material is air that is kept; where
+    /// only air borders on the unknown, nothing is cut off.
     #[must_use]
-    pub fn new(volume: &Volume) -> Option<Self> {
+    pub fn new(volume: &Volume, air: Option<usize>) -> Option<Self> {
         let mut materials = Vec::new();
         let mut material_of_class = Vec::new();
         for &material in &volume.class_materials {
@@ -53,12 +54,13 @@ impl Cells {
             });
             material_of_class.push(u8::try_from(index).ok().filter(|index| *index < 250)?);
         }
+        let air_kind = materials.iter().position(|material| Some(*material) == air).map(|index| index as u8 + 1);
         let size = volume.size.map(|n| n + 1);
         let mut kind = vec![EMPTY; size[0] * size[1] * size[2]];
         kind.par_chunks_mut(size[0] * size[1]).enumerate().for_each(|(k, slice)| {
             for j in 0..size[1] {
                 for i in 0..size[0] {
-                    slice[i + size[0] * j] = classify(volume, &material_of_class, [i, j, k]);
+                    slice[i + size[0] * j] = classify(volume, &material_of_class, air_kind, [i, j, k]);
                 }
             }
         });
@@ -104,7 +106,7 @@ pub fn voxel_pair(cell: usize, n: usize) -> (usize, usize) {
     (lower, cell.min(n - 1) - lower)
 }
 
-fn classify(volume: &Volume, material_of_class: &[u8], cell: [usize; 3]) -> u8 {
+fn classify(volume: &Volume, material_of_class: &[u8], air_kind: Option<u8>, cell: [usize; 3]) -> u8 {
     let [(i, di), (j, dj), (k, dk)] = std::array::from_fn(|axis| voxel_pair(cell[axis], volume.size[axis]));
     let mut found = EMPTY;
     let mut unknown = false;
@@ -118,7 +120,7 @@ fn classify(volume: &Volume, material_of_class: &[u8], cell: [usize; 3]) -> u8 {
         let kind = material_of_class[class - 1] + 1;
         found = if found == EMPTY || found == kind { kind } else { MIXED };
     }
-    if unknown && found != EMPTY { CUT } else { found }
+    if unknown && found != EMPTY && Some(found) != air_kind { CUT } else { found }
 }
 
 fn mark_empty_bricks(kind: &mut [u8], size: [usize; 3]) -> [[usize; 3]; 2] {

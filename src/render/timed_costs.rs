@@ -162,7 +162,7 @@ fn with_volume<T>(scene: &Scene, volume: Volume, time: impl Fn(&Prepared) -> T) 
         scene.view?,
         |volume, name| {
             let none = || super::RenderError::Volume { name: name.to_owned(), detail: "no cells".to_owned() };
-            let cells = Arc::new(Cells::new(volume).ok_or_else(none)?);
+            let cells = Arc::new(Cells::new(volume, None).ok_or_else(none)?);
             let slabs = Slabs::new(volume, &cells).map(Arc::new);
             Ok((cells, slabs))
         },

@@ -40,15 +40,16 @@ impl VolumeCache {
     /// When a volume is not what its size says, or as [`Prepared::new`].
     pub fn prepare<'a>(&mut self, scene: &'a Scene, view: View, slabs: bool) -> Result<Prepared<'a>, RenderError> {
         let Self { held, meshes } = self;
-        Prepared::new(scene, view, |volume, name| make(held, volume, name, slabs), |mesh| meshes.make(mesh))
+        let air = (0..scene.materials.len()).find(|material| scene.is_air(*material));
+        Prepared::new(scene, view, |volume, name| make(held, volume, name, air, slabs), |mesh| meshes.make(mesh))
     }
 }
 
-fn make(all: &mut Vec<Held>, volume: &Arc<Volume>, name: &str, slabs: bool) -> Result<Made, RenderError> {
+fn make(all: &mut Vec<Held>, volume: &Arc<Volume>, name: &str, air: Option<usize>, slabs: bool) -> Result<Made, RenderError> {
     let index = match all.iter().position(|held| Arc::ptr_eq(&held.volume, volume)) {
         Some(index) => index,
         None => {
-            let cells = Arc::new(make_cells(volume, name)?);
+            let cells = Arc::new(make_cells(volume, name, air)?);
             all.push(Held { volume: volume.clone(), cells, slabs: None });
             all.len() - 1
         }
@@ -65,7 +66,7 @@ fn holds(scene: &Scene, is: impl Fn(&Matter) -> bool) -> bool {
     scene.objects.iter().any(|object| is(&object.matter))
 }
 
-fn make_cells(volume: &Volume, name: &str) -> Result<Cells, RenderError> {
+fn make_cells(volume: &Volume, name: &str, air: Option<usize>) -> Result<Cells, RenderError> {
     let wrong = |detail: String| RenderError::Volume { name: name.to_owned(), detail };
     let voxels = volume.size.iter().product::<usize>();
     if voxels == 0 || volume.density_g_per_cm3.len() != voxels || volume.class.len() != voxels {
@@ -79,5 +80,5 @@ fn make_cells(volume: &Volume, name: &str) -> Result<Cells, RenderError> {
     if !(volume.lps_from_voxel.matrix3.determinant().abs() > 0.0) {
         return Err(wrong("its affine is singular".to_owned()));
     }
-    Cells::new(volume).ok_or_else(|| wrong("more than 250 materials in one volume".to_owned()))
+    Cells::new(volume, air).ok_or_else(|| wrong("more than 250 materials in one volume".to_owned()))
 }

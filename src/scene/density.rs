@@ -12,7 +12,7 @@ pub struct DensityCurve {
     pub origin: String,
     /// Hounsfield number and density, ascending, at least two.
     pub knots_hu_g_per_cm3: Vec<[f64; 2]>,
-    /// Below this a voxel is air.
+    /// Below this a voxel is air, or lung.
     pub air_below_hu: f64,
     /// Above this it is bone, between the two soft tissue.
     pub bone_above_hu: f64,
@@ -23,8 +23,8 @@ pub struct DensityCurve {
 /// Class of a voxel by threshold.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ThresholdClass {
-    /// Nothing, unless air is kept.
-    Air,
+    /// Room air, or lung, airways and gas within the body.
+    Thin,
     /// Between the thresholds, both included.
     SoftTissue,
     /// Above the upper threshold.
@@ -58,7 +58,7 @@ impl DensityCurve {
     #[must_use]
     pub fn class(&self, hu: f64) -> ThresholdClass {
         if hu < self.air_below_hu {
-            ThresholdClass::Air
+            ThresholdClass::Thin
         } else if hu <= self.bone_above_hu {
             ThresholdClass::SoftTissue
         } else {
@@ -94,7 +94,7 @@ mod tests {
     fn thresholds_belong_to_soft_tissue() {
         let curve = DensityCurve::shipped();
         let cases = [
-            (-700.001, ThresholdClass::Air),
+            (-700.001, ThresholdClass::Thin),
             (-700.0, ThresholdClass::SoftTissue),
             (250.0, ThresholdClass::SoftTissue),
             (250.001, ThresholdClass::Bone),

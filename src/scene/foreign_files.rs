@@ -24,6 +24,8 @@ pub struct VolumeFile {
     pub placed_by: PlacedBy,
     /// Distance of voxel centres along i, j, k.
     pub spacing_mm: [f64; 3],
+    /// Numbers and names of labels, where the file has a table of them.
+    pub label_names: Vec<(u32, String)>,
 }
 
 impl VolumeFile {
@@ -79,8 +81,8 @@ pub fn read_volume(path: &Path, reporter: &Reporter) -> Result<VolumeFile, Scene
         )));
     }
     let spacing_mm = head.spacing_mm();
-    let VolumeHead { size, lps_from_voxel, placed_by, .. } = head;
-    Ok(VolumeFile { size, lps_from_voxel, values, placed_by, spacing_mm })
+    let VolumeHead { size, lps_from_voxel, placed_by, label_names, .. } = head;
+    Ok(VolumeFile { size, lps_from_voxel, values, placed_by, spacing_mm, label_names })
 }
 
 /// Header and range of a NIfTI-1 volume, whose voxels are decoded but not kept.

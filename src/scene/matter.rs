@@ -5,6 +5,7 @@ use std::path::Path;
 use rayon::prelude::*;
 
 use super::SceneError;
+use super::ambient::AmbientAir;
 use super::density::{DensityCurve, ThresholdClass};
 use super::foreign_files::VolumeFile;
 use super::model::Volume;
@@ -21,27 +22,37 @@ pub(super) struct Class {
 
 /// How voxels find their class.
 #[derive(Clone, Debug)]
-pub(super) enum Classes {
-    /// By Hounsfield number.
-    Threshold {
-        /// Between the thresholds.
-        soft_tissue: Class,
-        /// Above.
-        bone: Class,
-    },
-    /// By label.
-    Labels {
-        /// Label of each voxel.
-        labels: Vec<u32>,
-        /// Labels that are not named, where they are not air by threshold.
-        default: Class,
-        /// Named labels, ascending. A named label is what it is named whatever its Hounsfield number (lung is thin), `None`: nothing.
-        map: Vec<(u32, Option<Class>)>,
-    },
+pub(super) struct Classes {
+    /// Up to the upper threshold, lung and gas included; `None`: nothing.
+    pub soft_tissue: Option<Class>,
+    /// Above.
+    pub bone: Option<Class>,
+    /// Labels, which go before thresholds.
+    pub labelled: Option<Labelled>,
 }
 
-/// Turns a CT into densities and classes. Only classes that occur keep a number, in the order of `order`.
-/// `air`: the class of air that is kept as matter, `None` where air is nothing.
+/// Voxels whose class does not hang on their Hounsfield number.
+#[derive(Clone, Debug)]
+pub(super) struct Labelled {
+    /// Label of each voxel.
+    pub numbers: Vec<u32>,
+    /// Named labels, ascending. A named label is what it is named whatever its Hounsfield number (lung is thin), `None`: nothing.
+    pub map: Vec<(u32, Option<Class>)>,
+}
+
+/// What becomes of voxels below the air threshold that no label names.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Air {
+    /// All of them are nothing.
+    Drop,
+    /// Room air is nothing; what is within the body keeps its density, as soft tissue.
+    DropAmbient,
+    /// Room air is of this class.
+    Keep(Class),
+}
+
+/// Turns a CT into densities and classes; with it go the classes that occur, the only ones to keep a number, in the order in which they
+/// are given, and the number of slices whose room air is doubtful ([`AmbientAir::doubtful_slices`]).
 ///
 /// # Errors
 /// When there are more classes than fit.
@@ -49,47 +60,42 @@ pub(super) fn from_ct(
     place: &str,
     ct: VolumeFile,
     classes: &Classes,
-    air: Option<Class>,
-) -> Result<(Volume, Vec<Class>), SceneError> {
+    air: Air,
+) -> Result<(Volume, Vec<Class>, usize), SceneError> {
     let curve = DensityCurve::shipped();
-    let mut order: Vec<Class> = air.into_iter().collect();
-    match classes {
-        Classes::Threshold { soft_tissue, bone } => order.extend([*soft_tissue, *bone]),
-        Classes::Labels { default, map, .. } => {
-            for class in std::iter::once(*default).chain(map.iter().filter_map(|(_, class)| *class)) {
-                if !order.contains(&class) {
-                    order.push(class);
-                }
-            }
+    let kept_air = if let Air::Keep(class) = air { Some(class) } else { None };
+    let labels = classes.labelled.as_ref();
+    let named = labels.iter().flat_map(|labelled| labelled.map.iter().filter_map(|(_, class)| *class));
+    let mut order: Vec<Class> = Vec::new();
+    for class in [kept_air, classes.soft_tissue, classes.bone].into_iter().flatten().chain(named) {
+        if !order.contains(&class) {
+            order.push(class);
         }
     }
     if order.len() > 255 {
         return Err(SceneError::TooManyClasses { place: place.to_owned(), found: order.len() });
     }
-    let number = |class: Class| order.iter().position(|known| *known == class).map_or(0, |index| index as u8 + 1);
-    let air_number = air.map_or(0, number);
-    let by_threshold = |hu: f64, soft: u8, bone: u8| match curve.class(hu) {
-        ThresholdClass::Air => air_number,
-        ThresholdClass::SoftTissue => soft,
+    let number = |class: Option<Class>| {
+        class.and_then(|class| order.iter().position(|known| *known == class)).map_or(0, |index| index as u8 + 1)
+    };
+    let (air_number, soft, bone) = (number(kept_air), number(classes.soft_tissue), number(classes.bone));
+    let known: Vec<(u32, u8)> = labels
+        .iter()
+        .flat_map(|labelled| labelled.map.iter())
+        .map(|(label, class)| (*label, class.map_or(air_number, |class| number(Some(class)))))
+        .collect();
+    let named = |index: usize| {
+        let label = labels?.numbers[index];
+        known.binary_search_by_key(&label, |(known, _)| *known).ok().map(|at| known[at].1)
+    };
+    let ambient = (air != Air::Drop && ct.values.par_iter().any(|hu| curve.class(f64::from(*hu)) == ThresholdClass::Thin))
+        .then(|| AmbientAir::find(&ct.grid(), &ct.values, curve.air_below_hu, &|index| named(index).is_some()));
+    let by_threshold = |index: usize, hu: f64| match curve.class(hu) {
+        ThresholdClass::Thin if ambient.as_ref().is_none_or(|ambient| ambient.holds(index)) => air_number,
+        ThresholdClass::Thin | ThresholdClass::SoftTissue => soft,
         ThresholdClass::Bone => bone,
     };
-    let classify: Box<dyn Fn(usize, f64) -> u8 + Sync> = match classes {
-        Classes::Threshold { soft_tissue, bone } => {
-            let (soft, bone) = (number(*soft_tissue), number(*bone));
-            Box::new(move |_, hu| by_threshold(hu, soft, bone))
-        }
-        Classes::Labels { labels, default, map } => {
-            let default = number(*default);
-            let named: Vec<(u32, u8)> = map.iter().map(|(label, class)| (*label, class.map_or(air_number, number))).collect();
-            Box::new(move |index, hu| {
-                let label = labels[index];
-                match named.binary_search_by_key(&label, |(known, _)| *known) {
-                    Ok(at) => named[at].1,
-                    Err(_) => by_threshold(hu, default, default),
-                }
-            })
-        }
-    };
+    let classify = |index: usize, hu: f64| named(index).unwrap_or_else(|| by_threshold(index, hu));
     let mut class = vec![0u8; ct.values.len()];
     let mut density = ct.values;
     let is_unknown = |value: f32| f64::from(value) <= curve.unknown_at_most_hu;
@@ -108,7 +114,7 @@ pub(super) fn from_ct(
             Some(fixed) => fixed.unwrap_or_else(|| curve.density_g_per_cm3(hu)) as f32,
         };
     });
-    drop(classify);
+    let doubtful_slices = ambient.as_ref().map_or(0, |ambient| ambient.doubtful_slices);
     let order = keep_occurring(&mut class, order);
     let volume = Volume {
         size: ct.size,
@@ -119,7 +125,7 @@ pub(super) fn from_ct(
         truncated_at_faces: true,
         unknown,
     };
-    Ok((volume, order))
+    Ok((volume, order, doubtful_slices))
 }
 
 /// Drops classes without voxels and renumbers the others: a scene's materials are those that are there.

@@ -1,8 +1,11 @@
 //! What is in the beam: scene files, volumes, shapes, the robot, materials, the beam and the detector.
 
+mod ambient;
 mod beam;
 mod bodies;
+mod builder;
 mod crossings;
+mod ct;
 mod density;
 mod edit;
 mod error;
@@ -11,6 +14,8 @@ mod files;
 mod fill;
 mod foreign_files;
 mod inpaint;
+mod label_names;
+mod label_table;
 mod load;
 mod matter;
 mod mesh;

@@ -3,9 +3,12 @@
 use std::collections::BTreeMap;
 
 use serde::Deserialize;
-use serde::de::{Deserializer, MapAccess, Visitor, value::MapAccessDeserializer};
+use serde::de::{Deserializer, IntoDeserializer, MapAccess, Visitor, value::MapAccessDeserializer};
 
 use crate::geometry::Rigid;
+
+/// Default of `body`.
+pub const BODY: &str = "specimen";
 
 /// One object, named by its kind.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -38,7 +41,7 @@ pub struct CtFile {
     /// How voxels become materials, by threshold if absent.
     #[serde(default)]
     pub materials: MaterialsFile,
-    /// Whether air is left out (the default) or kept as matter.
+    /// What becomes of air.
     #[serde(default)]
     pub air: AirFile,
     /// Rigid part of the specimen.
@@ -46,15 +49,17 @@ pub struct CtFile {
     pub body: Option<String>,
 }
 
-/// What becomes of air in a CT.
+/// What becomes of air in a CT (DESIGN §5).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum AirFile {
-    /// Density 0.
+    /// Room air is nothing; lung, airways and gas within the body keep their density.
     #[default]
-    Vacuum,
-    /// The material `air` at the density of the curve.
+    Ambient,
+    /// Room air too, as the material `air` at the density of the curve.
     Keep,
+    /// All that is thinner than tissue is nothing.
+    Drop,
 }
 
 /// `"threshold"` or `{"labels": …}`.
@@ -67,22 +72,68 @@ pub enum MaterialsFile {
     Labels(LabelsFile),
 }
 
-/// Labels to materials.
+/// Labels to materials. Where a label is meant, its number or its name may stand.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LabelsFile {
     /// Label volume on the grid of the CT.
     pub labels: String,
-    /// Material of labels that `map` does not name, where it is not air by threshold; `soft_tissue` if absent.
-    #[serde(default = "soft_tissue")]
-    pub default: String,
-    /// Material by label number.
+    /// Names of labels, as CSV with the columns `id` and `structure`; if absent those that the label volume holds, else those of
+    /// `label-names.csv` beside it.
     #[serde(default)]
-    pub map: BTreeMap<String, LabelMaterialFile>,
+    pub names: Option<String>,
+    /// Material of labels that `map` does not name, where it is not air by threshold; `soft_tissue` if absent.
+    #[serde(default)]
+    pub default: Option<String>,
+    /// What takes the place of `default`.
+    #[serde(default, rename = "else")]
+    pub otherwise: Option<ElseFile>,
+    /// Material by label.
+    #[serde(default)]
+    pub map: MapFile,
+    /// Materials of labels that `map` does not name.
+    #[serde(default)]
+    pub preset: Option<PresetFile>,
     /// Labels of each rigid part that may have moved since the scan; all others are of the CT's own `body`.
     #[serde(default)]
-    pub bodies: BTreeMap<String, Vec<u32>>,
+    pub bodies: BTreeMap<String, Vec<LabelFile>>,
 }
+
+/// What labels are that nothing names.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ElseFile {
+    /// As without labels.
+    Threshold,
+}
+
+/// Materials of the labels of a well-known segmentation, by their names.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PresetFile {
+    /// TotalSegmentator, task `total`.
+    #[serde(rename = "totalsegmentator")]
+    TotalSegmentator,
+}
+
+/// The name of a preset, or materials by label.
+#[derive(Clone, Debug, PartialEq)]
+pub enum MapFile {
+    /// `"totalsegmentator"`
+    Preset(PresetFile),
+    /// `{"hip_left": "bone_cortical"}`
+    Own(BTreeMap<String, LabelMaterialFile>),
+}
+
+impl Default for MapFile {
+    fn default() -> Self {
+        Self::Own(BTreeMap::new())
+    }
+}
+
+/// A label's number or name.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LabelFile(pub String);
 
 /// `"bone_cortical"` or `{"material": "titanium", "density": "nominal"}`.
 #[derive(Clone, Debug, PartialEq)]
@@ -245,10 +296,6 @@ pub struct RobotFile {
     pub body: Option<String>,
 }
 
-fn soft_tissue() -> String {
-    "soft_tissue".to_owned()
-}
-
 fn identity() -> Rigid {
     Rigid::IDENTITY
 }
@@ -263,7 +310,7 @@ impl<'de> Deserialize<'de> for MaterialsFile {
         impl<'de> Visitor<'de> for Materials {
             type Value = MaterialsFile;
             fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-                f.write_str("\"threshold\" or {\"labels\": …, \"default\": …, \"map\": …, \"bodies\": …}")
+                f.write_str("\"threshold\" or {\"labels\": …, \"map\": …}")
             }
             fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<MaterialsFile, E> {
                 match text {
@@ -303,5 +350,43 @@ impl<'de> Deserialize<'de> for LabelMaterialFile {
             }
         }
         deserializer.deserialize_any(Entry)
+    }
+}
+
+impl<'de> Deserialize<'de> for MapFile {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Map;
+        impl<'de> Visitor<'de> for Map {
+            type Value = MapFile;
+            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str("a preset's name (\"totalsegmentator\") or materials by label")
+            }
+            fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<MapFile, E> {
+                PresetFile::deserialize(text.into_deserializer()).map(MapFile::Preset)
+            }
+            fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<MapFile, A::Error> {
+                BTreeMap::deserialize(MapAccessDeserializer::new(map)).map(MapFile::Own)
+            }
+        }
+        deserializer.deserialize_any(Map)
+    }
+}
+
+impl<'de> Deserialize<'de> for LabelFile {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Label;
+        impl Visitor<'_> for Label {
+            type Value = LabelFile;
+            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str("a label's number or name")
+            }
+            fn visit_u64<E: serde::de::Error>(self, number: u64) -> Result<LabelFile, E> {
+                Ok(LabelFile(number.to_string()))
+            }
+            fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<LabelFile, E> {
+                Ok(LabelFile(text.to_owned()))
+            }
+        }
+        deserializer.deserialize_any(Label)
     }
 }

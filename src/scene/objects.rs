@@ -1,31 +1,20 @@
 //! Objects of a scene file become matter.
 
-use std::collections::HashMap;
-use std::path::{Path, PathBuf};
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 
 use super::SceneError;
+use super::builder::Builder;
 use super::files::Files;
-use super::foreign_files::{VolumeFile, read_volume};
-use super::inpaint::{Ball, inpaint_labels, inpaint_metal, metal_balls};
-use super::matter::{self, Class, Classes};
+use super::foreign_files::read_volume;
+use super::inpaint::metal_balls;
+use super::matter;
 use super::mesh;
-use super::model::{LabelledBody, Matter, Object, Robot, Scene, Shape, Solid};
-use super::object_file::{
-    AirFile, BoxFile, CtFile, CylinderFile, DensityFile, EllipsoidFile, LabelsFile, MaterialsFile, MeshFile,
-};
-use super::object_file::{ObjectFile, RobotFile, SphereFile, VoxelsFile};
-use super::physics::Material;
+use super::model::{Matter, Object, Robot, Scene, Shape, Solid};
+use super::object_file::{BODY, BoxFile, CylinderFile, EllipsoidFile, MeshFile, ObjectFile, RobotFile, SphereFile, VoxelsFile};
 use crate::geometry::{Rigid, RobotCalibration, RobotModel};
 use crate::reporter::Reporter;
-
-/// Class of unlisted labels, and class per label; `None` is air.
-type LabelClasses = (Class, Vec<(u32, Option<Class>)>);
-
-/// Default of `body`.
-const BODY: &str = "specimen";
 
 /// Appends the objects to the scene, in order.
 pub(super) fn build(objects: &[ObjectFile], scene: &mut Scene, files: &mut Files, reporter: &Reporter) -> Result<(), SceneError> {
@@ -62,62 +51,7 @@ fn kind(object: &ObjectFile) -> &'static str {
     }
 }
 
-struct Builder<'a> {
-    scene: &'a mut Scene,
-    files: &'a mut Files,
-    reporter: &'a Reporter,
-    /// `objects[3].sphere`
-    key: String,
-}
-
 impl Builder<'_> {
-    fn place(&self, key: &str) -> String {
-        self.files.place(&format!("{}.{key}", self.key))
-    }
-
-    fn value(&self, key: &str, found: String, expected: &str) -> SceneError {
-        SceneError::Value { place: self.place(key), found, expected: expected.to_owned() }
-    }
-
-    fn material(&self, key: &str, name: &str) -> Result<Material, SceneError> {
-        Material::parse(name).map_err(|source| SceneError::Physics { place: self.place(key), source })
-    }
-
-    /// Scene index and density of a named material.
-    fn solid_material(&mut self, key: &str, name: &str, density: Option<f64>) -> Result<(usize, f64), SceneError> {
-        let material = self.material(key, name)?;
-        let density = match density {
-            Some(density) if density > 0.0 && density <= 50.0 => density,
-            Some(density) => return Err(self.value("density_g_per_cm3", density.to_string(), "above 0, at most 50 g/cm3")),
-            None => {
-                material.nominal_density_g_per_cm3().map_err(|source| SceneError::Physics { place: self.place(key), source })?
-            }
-        };
-        Ok((self.scene.material_index(material), density))
-    }
-
-    fn point(&self, key: &str, point: [f64; 3]) -> Result<DVec3, SceneError> {
-        let point = DVec3::from_array(point);
-        // A kilometre away is a mistake of units, and f32 could not place it.
-        if point.abs().max_element() <= 1e6 {
-            return Ok(point);
-        }
-        Err(self.value(key, format!("{point}"), "finite coordinates within 1e6 mm"))
-    }
-
-    /// A pose whose translation is that of something in the room.
-    fn pose(&self, key: &str, pose: &Rigid) -> Result<Rigid, SceneError> {
-        self.point(&format!("{key} (translation)"), pose.translation_mm.to_array())?;
-        Ok(*pose)
-    }
-
-    fn sizes(&self, key: &str, sizes: &[f64]) -> Result<(), SceneError> {
-        if sizes.iter().all(|size| *size > 0.0 && *size <= 1e6) {
-            return Ok(());
-        }
-        Err(self.value(key, format!("{sizes:?}"), "above 0, at most 1e6 mm"))
-    }
-
     fn rotation(&self, rows: &[[f64; 3]; 3]) -> Result<DQuat, SceneError> {
         let mut padded = [[0.0; 4]; 4];
         for (to, from) in padded.iter_mut().zip(rows) {
@@ -244,142 +178,5 @@ impl Builder<'_> {
         let moved = DAffine3 { matrix3: DMat3::from_quat(moved.rotation), translation: moved.translation_mm };
         volume.lps_from_voxel = moved * volume.lps_from_voxel;
         Ok(Matter::Volume(Arc::new(volume)))
-    }
-
-    fn find(&mut self, key: &str, name: &str) -> Result<PathBuf, SceneError> {
-        let key = format!("{}.{key}", self.key);
-        self.files.find(&key, name)
-    }
-
-    /// A CT without the metal of the beads that come after it, `balls`.
-    fn ct(&mut self, file: &CtFile, balls: &[Ball]) -> Result<Matter, SceneError> {
-        let path = self.find("path", &file.path)?;
-        if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("dcm")) {
-            return Err(SceneError::Unavailable { place: format!("{}: a CT from DICOM slices", self.place("path")) });
-        }
-        let mut ct = read_volume(&path, self.reporter)?;
-        matter::check_hounsfield(&path, &ct, self.reporter);
-        let inpainted = self.without_beads(&mut ct, balls);
-        // Materials are numbered apart first: only those that have voxels enter the scene.
-        let mut local = Vec::new();
-        let air = match file.air {
-            AirFile::Keep => Some(self.local_class(&mut local, "air", "air", DensityFile::Hu)?),
-            AirFile::Vacuum => None,
-        };
-        let classes = match &file.materials {
-            MaterialsFile::Threshold => Classes::Threshold {
-                soft_tissue: self.local_class(&mut local, "materials", "soft_tissue", DensityFile::Hu)?,
-                bone: self.local_class(&mut local, "materials", "bone_cortical", DensityFile::Hu)?,
-            },
-            MaterialsFile::Labels(labels) => {
-                let labels_path = self.find("materials.labels", &labels.labels)?;
-                let grid = read_volume(&labels_path, self.reporter)?;
-                let mut numbers = matter::labels_on_grid((&path, &ct), (&labels_path, grid))?;
-                inpaint_labels(&ct.grid(), &mut numbers, &inpainted);
-                self.labelled_bodies(file.body.as_deref().unwrap_or(BODY), labels, &numbers)?;
-                let (default, map) = self.label_classes(&mut local, labels)?;
-                self.warn_of_absent(&labels_path, &map, &numbers);
-                Classes::Labels { labels: numbers, default, map }
-            }
-        };
-        let (mut volume, order) = matter::from_ct(&self.files.place(&self.key), ct, &classes, air)?;
-        if order.is_empty() {
-            self.reporter.warn("empty CT", format_args!("{}: no voxel is matter: everything is air", path.display()));
-        }
-        let mut index_of: HashMap<usize, usize> = HashMap::new();
-        for class in &order {
-            let index = self.scene.material_index(local[class.material].clone());
-            index_of.insert(class.material, index);
-        }
-        volume.class_materials = order.iter().map(|class| index_of[&class.material]).collect();
-        Ok(Matter::Volume(Arc::new(volume)))
-    }
-
-    /// Takes the metal of `balls` out of the CT and says so; the voxels that changed, ascending.
-    fn without_beads(&self, ct: &mut VolumeFile, balls: &[Ball]) -> Vec<usize> {
-        let grid = ct.grid();
-        let inpainted = inpaint_metal(&grid, &mut ct.values, balls);
-        if inpainted.balls > 0 {
-            self.reporter.note(format_args!(
-                "{}: {} of {} beads that the scene draws are metal in the CT too: replaced there by what surrounds them ({} voxels, \
-                 halo up to {:.1} mm)",
-                self.files.place(&self.key),
-                inpainted.balls,
-                balls.len(),
-                inpainted.voxels.len(),
-                inpainted.halo_mm
-            ));
-        }
-        inpainted.voxels
-    }
-
-    /// Finds the voxels of the bodies that `file` makes of labels; `own` is that of all other voxels.
-    fn labelled_bodies(&mut self, own: &str, file: &LabelsFile, numbers: &[u32]) -> Result<(), SceneError> {
-        let mut taken: HashMap<u32, &str> = HashMap::new();
-        for (name, labels) in &file.bodies {
-            let key = format!("materials.bodies.{name}");
-            if name == own {
-                let expected = "another name than that of the CT's other voxels (its \"body\")";
-                return Err(self.value(&key, format!("the body '{name}'"), expected));
-            }
-            if let Some((label, other)) = labels.iter().find_map(|label| taken.insert(*label, name).map(|other| (label, other))) {
-                return Err(self.value(&key, format!("label {label}, which {other} has"), "each label once"));
-            }
-            let voxels: Vec<usize> = (0..numbers.len()).filter(|index| labels.contains(&numbers[*index])).collect();
-            if voxels.is_empty() {
-                return Err(self.value(
-                    &key,
-                    format!("labels {labels:?} without any voxel"),
-                    "labels that the label volume holds",
-                ));
-            }
-            let body = LabelledBody { name: name.clone(), object: self.key.clone(), voxels, filling: OnceLock::new() };
-            self.scene.bodies.labelled.push(Arc::new(body));
-        }
-        Ok(())
-    }
-
-    fn label_classes(&self, local: &mut Vec<Material>, file: &LabelsFile) -> Result<LabelClasses, SceneError> {
-        let default = self.local_class(local, "materials.default", &file.default, DensityFile::Hu)?;
-        let mut map = Vec::with_capacity(file.map.len());
-        for (label, entry) in &file.map {
-            let key = format!("materials.map.{label}");
-            let number: u32 =
-                label.trim().parse().map_err(|_| self.value(&key, format!("the label '{label}'"), "a whole number from 0 up"))?;
-            let class = self.local_class(local, &key, &entry.material, entry.density)?;
-            map.push((number, (local[class.material].name != "air").then_some(class)));
-        }
-        map.sort_by_key(|(number, _)| *number);
-        if let Some(pair) = map.windows(2).find(|pair| pair[0].0 == pair[1].0) {
-            return Err(self.value("materials.map", format!("label {} twice", pair[0].0), "each label once"));
-        }
-        Ok((default, map))
-    }
-
-    /// Labels that are named but that no voxel has: another file's numbers?
-    fn warn_of_absent(&self, path: &Path, map: &[(u32, Option<Class>)], numbers: &[u32]) {
-        let held: std::collections::HashSet<u32> = numbers.iter().copied().collect();
-        let absent: Vec<String> =
-            map.iter().filter(|(number, _)| !held.contains(number)).map(|(number, _)| number.to_string()).collect();
-        if !absent.is_empty() {
-            let (labels, absent) = (path.display(), absent.join(", "));
-            let words = format!("{labels}: no voxel has the labels {absent} that materials.map names; are they another file's?");
-            self.reporter.warn("labels", words);
-        }
-    }
-
-    fn local_class(&self, local: &mut Vec<Material>, key: &str, name: &str, density: DensityFile) -> Result<Class, SceneError> {
-        let material = self.material(key, name)?;
-        let density_g_per_cm3 = match density {
-            DensityFile::Hu => None,
-            DensityFile::Nominal => Some(
-                material.nominal_density_g_per_cm3().map_err(|source| SceneError::Physics { place: self.place(key), source })?,
-            ),
-        };
-        let index = local.iter().position(|known| *known == material).unwrap_or_else(|| {
-            local.push(material);
-            local.len() - 1
-        });
-        Ok(Class { material: index, density_g_per_cm3 })
     }
 }

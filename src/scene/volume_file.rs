@@ -6,6 +6,7 @@ use std::io::{BufRead, BufReader, Read};
 use ::nifti::{Endianness, NiftiHeader, NiftiType};
 use glam::{DAffine3, DMat3, DVec3};
 
+use super::label_table::label_names;
 use crate::foreign::Limits;
 use crate::memory;
 
@@ -24,6 +25,8 @@ pub(super) struct VolumeHead {
     pub unit: String,
     /// What a person should hear: a kind of warning, or none for a note, and the words.
     pub remarks: Vec<(Option<String>, String)>,
+    /// Numbers and names of labels, where the file has a table of them.
+    pub label_names: Vec<(u32, String)>,
 }
 
 impl VolumeHead {
@@ -122,14 +125,16 @@ pub(super) fn decode_volume(
     if voxels > limits.file_pixels {
         return Err(format!("{what} are {voxels}, at most {} are read; crop or resample it", limits.file_pixels));
     }
-    let head = describe(&header, size, kind)?;
-    start(&head)?;
-
+    let mut head = describe(&header, size, kind)?;
     let cut = |error: std::io::Error, at: u64| match error.kind() {
         std::io::ErrorKind::UnexpectedEof => format!("cut short: {voxels} voxels promised, it ends after {at}; copy it again"),
         _ => format!("damaged after {at} of {voxels} voxels ({error}); copy it again"),
     };
-    std::io::copy(&mut (&mut stream).take(skip), &mut std::io::sink()).map_err(|error| cut(error, 0))?;
+    let mut extensions = Vec::new();
+    (&mut stream).take(skip).read_to_end(&mut extensions).map_err(|error| cut(error, 0))?;
+    head.label_names = label_names(&extensions, header.endianness);
+    start(&head)?;
+
     let (slope, intercept) = scaling(&header)?;
     let mut summary = VoxelSummary { range: None, not_finite: 0 };
     let mut values: Vec<f32> = Vec::with_capacity(BLOCK);
@@ -168,7 +173,8 @@ fn describe(header: &NiftiHeader, size: [usize; 3], kind: NiftiType) -> Result<V
     let mut remarks = Vec::new();
     let (lps_from_voxel, placed_by) = placement(header, &mut remarks)?;
     let unit = header.xyzt_to_space().map(|unit| format!("{unit:?}").to_lowercase()).unwrap_or_else(|_| "unknown".into());
-    let mut head = VolumeHead { size, lps_from_voxel, placed_by, data_type: format!("{kind:?}"), unit, remarks };
+    let mut head =
+        VolumeHead { size, lps_from_voxel, placed_by, data_type: format!("{kind:?}"), unit, remarks, label_names: Vec::new() };
     let spacing_mm = head.spacing_mm();
     let (low, high) = PLAUSIBLE_SPACING_MM;
     if !spacing_mm.iter().all(|mm| (low..=high).contains(mm)) {

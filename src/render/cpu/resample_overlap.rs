@@ -76,7 +76,7 @@ fn integrate(scene: &Scene, view: &View, matters: Vec<Matter>) -> Result<Density
         |volume, name| {
             let too_many =
                 || RenderError::Volume { name: name.to_owned(), detail: "more than 250 materials in one volume".to_owned() };
-            Cells::new(volume).map(|cells| (Arc::new(cells), None)).ok_or_else(too_many)
+            Cells::new(volume, None).map(|cells| (Arc::new(cells), None)).ok_or_else(too_many)
         },
         |mesh| Arc::new(MadeMesh::new(mesh)),
     )?;

@@ -41,6 +41,12 @@ static TABLE: LazyLock<Vec<Material>> = LazyLock::new(|| {
     table
 });
 
+/// The materials table, in its order.
+#[must_use]
+pub fn materials() -> &'static [Material] {
+    &TABLE
+}
+
 /// Names of the materials table, in its order.
 pub fn material_names() -> impl Iterator<Item = &'static str> {
     TABLE.iter().map(|material| material.name.as_str())
@@ -111,9 +117,15 @@ fn unknown(text: &str, lower: &str) -> PhysicsError {
 
 /// The name of the table nearest to `lower`, if it is near at all.
 fn near(lower: &str) -> Option<&'static str> {
-    let contained = material_names().find(|name| lower.len() >= 3 && (name.contains(lower) || lower.contains(name)));
-    contained.or_else(|| {
-        let best = material_names().min_by_key(|name| edit_distance(lower, name))?;
+    nearest(lower, material_names())
+}
+
+/// Of `names` the one nearest to the lower-case `lower`, if one is near at all: part of it or the other way round, else two letters off.
+pub fn nearest<'a>(lower: &str, names: impl Iterator<Item = &'a str>) -> Option<&'a str> {
+    let names: Vec<&str> = names.collect();
+    let contained = names.iter().find(|name| lower.len() >= 3 && (name.contains(lower) || lower.contains(*name)));
+    contained.copied().or_else(|| {
+        let best = names.iter().min_by_key(|name| edit_distance(lower, name))?;
         (edit_distance(lower, best) <= 2 && lower.len() > 3).then_some(best)
     })
 }

@@ -6,7 +6,7 @@ mod materials;
 mod spectrum;
 
 pub use elements::{Coefficients, ELEMENT_COUNT, ENERGY_RANGE_KEV, element_attenuation, symbol, z_of};
-pub use materials::{Material, material_names};
+pub use materials::{Material, material_names, materials, nearest};
 pub use spectrum::{ANODE_ANGLES_DEG, Bin, KVP_RANGE, Spectrum};
 
 /// Why a physical quantity is not known.

@@ -1,0 +1,136 @@
+//! What the labels of a segmentation are called, and what the structures of a well-known one are made of.
+
+use std::collections::BTreeMap;
+
+use super::object_file::PresetFile;
+use super::physics::nearest;
+
+/// Numbers and names of labels.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct LabelNames {
+    /// The file that says them, as the scene names it.
+    source: String,
+    names: BTreeMap<u32, String>,
+}
+
+impl LabelNames {
+    /// As `source` says them.
+    pub fn new(source: &str, names: Vec<(u32, String)>) -> Self {
+        Self { source: source.to_owned(), names: names.into_iter().collect() }
+    }
+
+    /// Of a CSV file with a header: the number in a column `id` (or `label`, `index`), the name in `structure` (or `name`).
+    ///
+    /// # Errors
+    /// One sentence, when a column or a number is missing.
+    pub fn from_csv(source: &str, text: &str) -> Result<Self, String> {
+        let mut lines = text.trim_start_matches('\u{feff}').lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
+        let header: Vec<String> = lines.next().map(|(_, line)| cells(line).map(str::to_lowercase).collect()).unwrap_or_default();
+        let column = |names: &[&str]| {
+            let found = names.iter().find_map(|name| header.iter().position(|cell| cell == name));
+            found.ok_or_else(|| format!("no column {} in its first line; expected for example id,structure", names.join(" or ")))
+        };
+        let (id, name) = (column(&["id", "label", "index"])?, column(&["structure", "name"])?);
+        let mut names = Vec::new();
+        for (at, line) in lines {
+            let row: Vec<&str> = cells(line).collect();
+            let number = row.get(id).and_then(|cell| cell.parse().ok());
+            let (Some(number), Some(name)) = (number, row.get(name)) else {
+                return Err(format!("line {}: '{line}' is no number and name of a label", at + 1));
+            };
+            names.push((number, (*name).to_owned()));
+        }
+        Ok(Self::new(source, names))
+    }
+
+    /// All of them, ascending.
+    pub fn iter(&self) -> impl Iterator<Item = (u32, &str)> {
+        self.names.iter().map(|(number, name)| (*number, name.as_str()))
+    }
+
+    /// The number of the label that `text` names, or is.
+    ///
+    /// # Errors
+    /// What was expected instead, with the nearest name.
+    pub fn number(&self, text: &str) -> Result<u32, String> {
+        let text = text.trim();
+        if let Ok(number) = text.parse() {
+            return Ok(number);
+        }
+        let mut named = self.iter().filter(|(_, name)| name.eq_ignore_ascii_case(text));
+        match (named.next(), named.next()) {
+            (Some((number, _)), None) => Ok(number),
+            (Some((first, _)), Some((second, _))) => Err(format!("its number: both {first} and {second} are called so")),
+            (None, _) if self.names.is_empty() => Err(format!(
+                "a whole number from 0 up, or a name: but neither {} nor a label-names.csv beside it names labels",
+                self.source
+            )),
+            (None, _) => {
+                let near = nearest(&text.to_lowercase(), self.iter().map(|(_, name)| name));
+                let near = near.map_or_else(String::new, |name| format!(" (did you mean {name}?)"));
+                Err(format!("a name of {} or a whole number from 0 up{near}", self.source))
+            }
+        }
+    }
+}
+
+fn cells(line: &str) -> impl Iterator<Item = &str> {
+    line.split(',').map(|cell| cell.trim().trim_matches('"'))
+}
+
+/// What a structure is made of; `None` where the preset does not know it.
+pub(super) fn preset_material(preset: PresetFile, structure: &str) -> Option<&'static str> {
+    let PresetFile::TotalSegmentator = preset;
+    let rows = include_str!("../../calibration/materials/totalsegmentator.csv").lines().skip_while(|line| line.starts_with('#'));
+    let known = rows.skip(1).filter_map(|row| row.split_once(','));
+    known.filter(|(start, _)| structure.starts_with(start)).max_by_key(|(start, _)| start.len()).map(|(_, material)| material)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::physics::Material;
+
+    fn names() -> LabelNames {
+        let text =
+            "\u{feff}group,original_idx,structure,id\norgans,1,spleen,1\nbones,75,femur_left,80\nbones,76,\"Hip_Left\",77\n";
+        LabelNames::from_csv("label-names.csv", text).expect("good")
+    }
+
+    #[test]
+    fn a_label_is_found_by_number_and_by_name_whatever_the_columns() {
+        let found = names();
+        for (text, number) in [("femur_left", 80), ("80", 80), (" hip_left ", 77), ("9", 9)] {
+            assert_eq!(found.number(text), Ok(number), "{text}");
+        }
+        assert!(found.number("femur_lft").expect_err("misspelt").contains("did you mean femur_left?"));
+        assert!(LabelNames::new("seg.nii.gz", Vec::new()).number("femur_left").expect_err("no names").contains("seg.nii.gz"));
+        let twice = LabelNames::new("seg.nii.gz", vec![(1, "rib".into()), (2, "rib".into())]);
+        assert!(twice.number("rib").expect_err("twice").contains("1 and 2"));
+    }
+
+    #[test]
+    fn a_csv_without_its_columns_is_refused_with_the_line() {
+        assert!(LabelNames::from_csv("a", "number,structure\n1,spleen\n").expect_err("no id").contains("id or label"));
+        assert!(LabelNames::from_csv("a", "id,structure\n1,spleen\nx,liver\n").expect_err("no number").contains("line 3"));
+    }
+
+    #[test]
+    fn the_preset_knows_bones_lungs_and_organs() {
+        let cases = [
+            ("femur_left", Some("bone_cortical")),
+            ("vertebrae_L5", Some("bone_cortical")),
+            ("rib_left_7", Some("bone_cortical")),
+            ("lung_upper_lobe_left", Some("lung")),
+            ("aorta", Some("blood")),
+            ("gluteus_maximus_left", Some("muscle")),
+            ("liver", Some("soft_tissue")),
+            ("trachea", Some("soft_tissue")),
+            ("antler", None),
+        ];
+        for (structure, expected) in cases {
+            assert_eq!(preset_material(PresetFile::TotalSegmentator, structure), expected, "{structure}");
+            assert!(expected.is_none_or(|name| Material::parse(name).is_ok()), "{structure}");
+        }
+    }
+}

@@ -32,6 +32,8 @@ pub mod keep_log;
 pub mod line_checks;
 pub mod live;
 pub mod pose;
+mod pose_losses;
+mod read_aloud;
 pub mod read_foreign;
 pub mod register;
 mod register_args;

@@ -41,7 +41,7 @@ fn padding_is_masked_and_told() {
     assert!(black.altered.iter().any(|words| words.contains("1 pixels (12.50 %) are padding")), "{:?}", black.altered);
     assert!(!black.altered.iter().any(|words| words.contains("infinite")), "said once: {:?}", black.altered);
     assert!(black.notes.iter().any(|note| note.contains("(0028,0120)")), "{:?}", black.notes);
-    assert_eq!(black.clipping.black_share, 0.0, "what is masked is not clipped");
+    assert_eq!(black.clipping.black_at, Some(100.0), "what is masked is no end of the scale");
     assert_eq!(masked(&padded(&[(VALUE, VR::US, 150u16.into())])), [0usize; 0], "a value that no pixel has");
     assert_eq!(masked(&padded(&[(VALUE, VR::US, 400u16.into()), (LIMIT, VR::US, 200u16.into())])), [2, 3, 4]);
     let rescaled = [(VALUE, VR::US, 300u16.into()), (tags::RESCALE_SLOPE, VR::DS, PrimitiveValue::from("2"))];

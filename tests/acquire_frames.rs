@@ -261,7 +261,7 @@ fn pixels_that_are_not_finite_are_masked_and_told() {
         let image = Image { width: 2, height: 2, pixels: vec![0.0, 1.0, 2.0, bad] };
         write_tiff_f32(&path, &[image]).expect("written");
         let frame = read_frame(&path, None).expect("ordinary");
-        assert!(frame.notes.iter().any(|note| note.contains("1 pixels (25.00 %)")), "{:?}", frame.notes);
+        assert!(frame.altered.iter().any(|words| words.contains("1 pixels (25.00 %)")), "{:?}", frame.altered);
         let masks = sidecarm::mask::of_frame(&frame);
         assert_eq!(masks.usable(2, 2, &[]).pixels, [true, true, true, false]);
         write_tiff_f32(&path, &[Image::filled(2, 2, bad)]).expect("written");

@@ -1,6 +1,7 @@
 //! The integration tests: one binary.
 
 mod acquire_foreign;
+mod acquire_altered;
 mod acquire_frames;
 mod acquire_identity;
 mod acquire_info;

@@ -40,6 +40,8 @@ pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<Raw, Fault> {
         unmirrored: false,
         tags: FrameTags::default(),
         scale_ends: Some([0.0, 255.0]),
+        padded: 0,
+        altered: Vec::new(),
         notes: Vec::new(),
     })
 }

@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 
 use glam::{DVec2, DVec3};
 
-use crate::acquire::{AcquireError, DetectorCalibration, DetectorCalibrationError, Domain, Frame, read_frame};
+use super::read_aloud::frame_aloud;
+use crate::acquire::{AcquireError, DetectorCalibration, DetectorCalibrationError, Domain, Frame};
 use crate::compare::{
     AirLevel, CompareError, CompareInput, Compared, NULL_SCORES, NullRenders, OffsetRule, Tone, bead_marks, compare, elsewhere,
     posed_scene, tool_mask,
@@ -151,7 +152,7 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
     inputs.extend(["json", "valid.png", "guessed.png"].map(|suffix| beside(&args.simulated, suffix)));
     refuse_overwrite(&[&json_path, &strip_path], &inputs)?;
     let pose = args.pose.as_deref().map(Pose::read).transpose()?;
-    let mut frame = read_frame(&args.acquired, args.domain)?;
+    let mut frame = frame_aloud(&args.acquired, args.domain, reporter)?;
     let mut window = PanelWindow::WHOLE;
     // The pose is that of the picture with the console's doing undone.
     if let Some(console) = pose.as_ref().and_then(|pose| pose.console.as_ref()) {

@@ -33,6 +33,8 @@ pub mod line_checks;
 pub mod live;
 pub mod materials;
 pub mod pose;
+mod pose_losses;
+mod read_aloud;
 pub mod read_foreign;
 pub mod register;
 mod register_args;

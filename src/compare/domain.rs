@@ -3,7 +3,7 @@
 use super::filters::{erode, median_and_spread};
 use super::pedestal::{self, OffsetReport, OffsetRule};
 use crate::acquire::{Domain, Frame};
-use crate::image::Image;
+use crate::image::{Image, quantile};
 
 /// How the air level (the signal with nothing in the beam) is known.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -65,6 +65,21 @@ pub struct AirReport {
     pub offset: Option<OffsetReport>,
 }
 
+/// A declared air level that the frame itself contradicts.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "air level {level:?} is not the signal with nothing in the beam: the frame's own values are {low} to {high}; measure it without specimen, \
+     or leave it out"
+)]
+pub struct AirContradiction {
+    /// Declared, a stored value.
+    pub level: f64,
+    /// Smallest stored value of a usable pixel.
+    pub low: f32,
+    /// Largest stored value of a usable pixel.
+    pub high: f32,
+}
+
 /// Simulated line integrals below this are open air: intensity above 0.999.
 const OPEN_AIR_NEPERS: f32 = 1.0005e-3;
 /// An open-air level needs at least this many pixels…
@@ -95,17 +110,25 @@ pub(super) struct Evidence<'a> {
     pub offset: OffsetRule,
 }
 
-pub(super) fn into_common(frame: &Frame, pixels: &Image<f32>, simulated: &Image<f32>, evidence: &Evidence) -> Common {
+pub(super) fn into_common(
+    frame: &Frame,
+    pixels: &Image<f32>,
+    simulated: &Image<f32>,
+    evidence: &Evidence,
+) -> Result<Common, AirContradiction> {
     let Evidence { usable, air: rule, .. } = *evidence;
     let never = Image::filled(pixels.width, pixels.height, false);
-    match frame.domain {
+    Ok(match frame.domain {
         Domain::Linear => {
             let offset = offset_report(frame, pixels, simulated, evidence);
             let signal =
                 if offset.is_subtracted_here() { pixels.map(|&v| (f64::from(v) - offset.value) as f32) } else { pixels.clone() };
             // A declared air level is a stored value, as a person reads it; it stands on the same offset as the frame.
             let rule = match rule {
-                AirLevel::Value(value) => AirLevel::Value(value - offset.value),
+                AirLevel::Value(value) => {
+                    check_level(value, offset.value, &signal, usable)?;
+                    AirLevel::Value(value - offset.value)
+                }
                 other => other,
             };
             let mut air = linear_air(frame, &signal, simulated, usable, rule);
@@ -141,7 +164,27 @@ pub(super) fn into_common(frame: &Frame, pixels: &Image<f32>, simulated: &Image<
             air: unknown_air(&format!("domain is {}: gray values have no air level", frame.domain)),
             no_signal: never,
         },
+    })
+}
+
+/// Bright pixels behind nothing read as much as air does, but for heel, gain and scatter: never ten times as much.
+const BRIGHTER_THAN_AIR: f64 = 10.0;
+/// Behind twenty nepers not a photon of any exposure is left.
+const DARKER_THAN_AIR: f64 = 1e9;
+
+/// Refuses a declared air level, a stored value, that the frame's own pixels contradict; `offset` is subtracted from `signal`.
+fn check_level(declared: f64, offset: f64, signal: &Image<f32>, usable: &Image<bool>) -> Result<(), AirContradiction> {
+    let at_usable = signal.pixels.iter().zip(&usable.pixels).filter(|(value, usable)| **usable && **value > 0.0);
+    let mut values: Vec<f32> = at_usable.map(|(value, _)| *value).filter(|value| value.is_finite()).collect();
+    let Some(bright) = quantile(&mut values, 0.99) else { return Ok(()) };
+    let level = declared - offset;
+    // What is not positive has no logarithm, and is said so later.
+    if !(level > 0.0) || level * BRIGHTER_THAN_AIR >= bright && level <= bright * DARKER_THAN_AIR {
+        return Ok(());
     }
+    let [low, high] = values.iter().fold([f32::MAX, f32::MIN], |[low, high], value| [low.min(*value), high.max(*value)]);
+    let stored = |value: f32| (f64::from(value) + offset) as f32;
+    Err(AirContradiction { level: declared, low: stored(low), high: stored(high) })
 }
 
 fn unknown_air(reason: &str) -> AirReport {

@@ -24,7 +24,7 @@ use std::collections::BTreeMap;
 use glam::DVec3;
 
 pub use comparison::{Comparison, Pictures};
-pub use domain::{AirLevel, AirReport, CommonDomain};
+pub use domain::{AirContradiction, AirLevel, AirReport, CommonDomain};
 pub use elsewhere::{Elsewhere, elsewhere};
 pub use input::{CompareError, CompareInput};
 pub use matched::{NullRenders, bead_marks, posed_scene, tool_mask};
@@ -60,7 +60,7 @@ const TILE_PX: usize = 32;
 /// Compares.
 ///
 /// # Errors
-/// When the sizes do not fit, the tone is not permitted or not determined, or less than a quarter of the image is left.
+/// When the sizes do not fit, the tone is not permitted or not determined, the frame contradicts the declared air level, or less than a quarter of the image is left.
 pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
     let frame = input.acquired;
     permit(input.tone, frame.domain)?;
@@ -78,7 +78,7 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
         air: input.air,
         offset: input.offset,
     };
-    let mut common = domain::into_common(frame, &pixels, simulated, &evidence);
+    let mut common = domain::into_common(frame, &pixels, simulated, &evidence)?;
     masks.add(Cause::NoSignal, common.no_signal);
     let usable = masks.usable(width, height, &[]);
     let shares = masks.shares(width, height);

@@ -107,6 +107,7 @@ impl Renderer {
             cast.density.unscanned_mm = unscanned_mm;
         }
         note_invalid(&cast.density, &mut notes);
+        notes.extend(scene.model.noise_left_out().map(str::to_owned));
         if !cast.matter {
             let why = explain_empty(scene, &prepared);
             self.reporter.warn("empty image", &why);

@@ -126,5 +126,5 @@ fn raw(pixels: Image<f32>, scale_ends: Option<[f32; 2]>, settings: &Settings, mu
     }
     let domain = settings.domain.unwrap_or(beside.domain);
     let unit = if domain == beside.domain { beside.unit.clone() } else { None };
-    Raw { pixels, domain, evidence, unit, inverted: false, unmirrored: false, tags, scale_ends, notes }
+    Raw { pixels, domain, evidence, unit, turned_about: None, unmirrored: false, tags, scale_ends, notes }
 }

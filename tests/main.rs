@@ -72,6 +72,7 @@ mod intensifier_draw;
 mod calibrate_session;
 mod timeline_numbers;
 mod compare_command;
+mod compare_disagreement;
 mod compare_mirrored;
 mod compare_synthetic;
 mod report_files;

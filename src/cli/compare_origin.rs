@@ -115,7 +115,8 @@ pub(super) fn doubts(given: &Given) -> Result<Vec<String>, OriginError> {
     if let Some((path, _)) = given.pose
         && !is_input(&sha256_file(path)?)
     {
-        let rest = if rendered.is_some() { "its camera is the same; bodies were not compared" } else { "its camera is not known" };
+        let rest =
+            if rendered.is_some() { "its camera is the same; bodies were not compared" } else { "its camera is not known" };
         found.push(format!("{} is not the file that {name} was rendered from ({rest})", path.display()));
     }
     let others: Vec<&str> = given

@@ -172,7 +172,8 @@ pub(super) fn null(
         renders_made += 1;
         Ok((name, render))
     };
-    let at_pose = |name: String, camera_from_lps: Rigid| Hypothesis { name, view: View { camera_from_lps, ..small }, mirrored: false };
+    let at_pose =
+        |name: String, camera_from_lps: Rigid| Hypothesis { name, view: View { camera_from_lps, ..small }, mirrored: false };
     let stated_picture = render(at_pose("the stated pose".to_owned(), small.camera_from_lps))?;
     is_of_simulated(input, &stated_picture.1, binning as usize)?;
     let mut renders = vec![stated_picture];
@@ -183,15 +184,14 @@ pub(super) fn null(
         let least = if is_of_another_layout(name) { UNSEEN_LAYOUT } else { UNSEEN_STEP };
         change(&renders[0].1, picture, &usable).is_some_and(|change| change < least)
     };
-    let same_picture: Vec<String> =
-        renders[1..].iter().filter(|picture| unseen(picture)).map(|(name, _)| name.clone()).collect();
+    let same_picture: Vec<String> = renders[1..].iter().filter(|picture| unseen(picture)).map(|(name, _)| name.clone()).collect();
     // Renders use all cores one after the other; what they are scored with does not, so that happens side by side.
     let tile_px = (32 / binning as usize).max(8);
     let mut shifted = score_small(input, &acquired, &usable, renders, tile_px);
     let (_, stated) = shifted.remove(0);
     // A pose that is wrong in several directions is only half mended by any one of them: the optimum of each, taken together.
-    let best = optima(&stated, &shifted, centre_in_camera)
-        .map(|(name, motion)| render(at_pose(name, motion * small.camera_from_lps)));
+    let best =
+        optima(&stated, &shifted, centre_in_camera).map(|(name, motion)| render(at_pose(name, motion * small.camera_from_lps)));
     let best = best.into_iter().collect::<Result<Vec<_>, NullError>>()?;
     shifted.extend(score_small(input, &acquired, &usable, best, tile_px));
     let wrong = Wrong { shifted: &shifted, known_wrong, same_picture: &same_picture };

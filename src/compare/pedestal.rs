@@ -268,7 +268,7 @@ mod tests {
         assert!(report.rule == "shutters" && (report.value - 212.0).abs() < 1.5, "{report:?}");
         assert!((report.leak_value.expect("varies") - 50.0).abs() < 8.0, "{report:?}");
         let leak_only = found(0.0, 1e-3, varying);
-        assert!(leak_only.rule == "none" && leak_only.value == 0.0, "control: no pedestal, {leak_only:?}");
+        assert!(leak_only.rule == "none" && leak_only.value == 0.0 && leak_only.zero_seen, "control: no pedestal, {leak_only:?}");
     }
 
     /// Readout noise about zero is cut off at zero by unsigned pixels; its mean looked like a pedestal of 0.4 σ.
@@ -281,6 +281,8 @@ mod tests {
         let report =
             from_shutters(&noisy, &simulated, Some(&shuttered), &Image::filled(200, 160, true), &shuttered.map(|behind| !behind));
         assert!(report.rule == "none" && report.reason.as_deref().is_some_and(|why| why.contains("exactly 0")), "{report:?}");
+        assert!(report.zero_seen);
+        assert!(!OffsetReport::none("the frame shows no shuttered area").zero_seen, "control");
     }
 
     #[test]

@@ -52,7 +52,8 @@ pub(super) fn rank(name: &str, larger_is_better: bool, stated: &Scores, wrong: &
         same_picture: wrong.same_picture.contains(shift),
     };
     let shifts: Vec<ShiftedScore> = wrong.shifted.iter().map(shift).collect();
-    let ranked = || shifts[..wrong.known_wrong].iter().filter(|s| !s.same_picture).filter_map(|s| Some((s.shift.as_str(), s.value?)));
+    let ranked =
+        || shifts[..wrong.known_wrong].iter().filter(|s| !s.same_picture).filter_map(|s| Some((s.shift.as_str(), s.value?)));
     let mut best: Option<(&str, f64)> = None;
     let mut rank = 1;
     for (shift, value) in ranked() {
@@ -86,10 +87,10 @@ mod tests {
     /// A symmetric phantom looks the same mirrored; noise gave its mirror image the better score, and the pose counted as not told from others.
     #[test]
     fn what_draws_the_same_picture_is_listed_and_not_ranked() {
-        let shifted =
-            [("u +1 mm", 0.8), ("picture mirrored left-right", 0.91), ("half-turn about v", 0.4), ("best shift", 0.95)]
-                .map(|(name, zncc)| (name.to_owned(), at(zncc)));
-        let ranked = |same_picture: &[String]| rank("zncc", true, &at(0.9), &Wrong { shifted: &shifted, known_wrong: 3, same_picture });
+        let shifted = [("u +1 mm", 0.8), ("picture mirrored left-right", 0.91), ("half-turn about v", 0.4), ("best shift", 0.95)]
+            .map(|(name, zncc)| (name.to_owned(), at(zncc)));
+        let ranked =
+            |same_picture: &[String]| rank("zncc", true, &at(0.9), &Wrong { shifted: &shifted, known_wrong: 3, same_picture });
         let told = ranked(&[]);
         assert_eq!((told.rank, told.of, told.discriminating), (2, 4, false));
         assert_eq!(told.best_shift.as_deref(), Some("picture mirrored left-right"));

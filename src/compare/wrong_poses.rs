@@ -76,11 +76,8 @@ fn mirror_images(stated: &View, frame_columns: f64, centre_depth_mm: f64) -> Vec
     let (k, middle) = (stated.intrinsics, 0.5 * (frame_columns - 1.0));
     let to_centre = Rigid::translation(DVec3::Z * centre_depth_mm);
     let turned = to_centre * Rigid::rotation(DQuat::from_rotation_y(std::f64::consts::PI)) * to_centre.inverse();
-    let reversed = View {
-        intrinsics: Intrinsics { skew: -k.skew, ..k },
-        camera_from_lps: turned * stated.camera_from_lps,
-        ..*stated
-    };
+    let reversed =
+        View { intrinsics: Intrinsics { skew: -k.skew, ..k }, camera_from_lps: turned * stated.camera_from_lps, ..*stated };
     let mut found = vec![("left-right", *stated, middle), ("before it was registered", reversed, k.cx)];
     if (k.cx - middle).abs() > SAME_COLUMN_PX {
         found.push(("about the principal column", *stated, k.cx));

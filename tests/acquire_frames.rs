@@ -101,6 +101,11 @@ fn direction_and_scale_follow_the_header() {
     let (values, inverted, _) = pixels(with_text(tags::PHOTOMETRIC_INTERPRETATION, VR::CS, "MONOCHROME1"));
     assert!(inverted);
     assert_eq!(values[..2], [4095.0, 3995.0]);
+    let mut fewer = fluoroscopy();
+    fewer.put(DataElement::new(tags::PIXEL_INTENSITY_RELATIONSHIP_SIGN, VR::SS, PrimitiveValue::from(-1i16)));
+    let fewer = read_frame(&save(fewer, &path), None).expect("readable");
+    assert_eq!((fewer.inverted, fewer.turned_about, fewer.pixels.pixels[1]), (true, Some(4095.0), 3995.0));
+    assert!(fewer.notes.iter().any(|note| note.contains("12 bits stored, 0 and 4095")), "{:?}", fewer.notes);
     let (values, inverted, domain) = pixels(with_text(tags::PIXEL_INTENSITY_RELATIONSHIP, VR::CS, "LOG"));
     assert_eq!((inverted, domain), (true, Domain::Log), "log frames grow with attenuation");
     assert_eq!(values[..2], [4095.0, 3995.0]);

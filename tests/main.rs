@@ -73,6 +73,8 @@ mod intensifier_draw;
 mod calibrate_session;
 mod timeline_numbers;
 mod compare_command;
+mod compare_disagreement;
+mod compare_mirrored;
 mod compare_synthetic;
 mod report_files;
 mod viewer_window;

@@ -93,6 +93,12 @@ fn each(
         Domain::Log => verdict.larger_is_more_signal,
         Domain::Linear | Domain::Display | Domain::Unknown => !verdict.larger_is_more_signal,
     };
+    if inverted && verdict.domain == Domain::Linear {
+        notes.push(format!(
+            "turned round about the ends of {} bits stored, {} and {}: no attribute says at which value there is no signal",
+            layout.bits_stored, ends[0], ends[1]
+        ));
+    }
     let unmirrored = frame_tags.field_of_view_flipped == Some(true);
     for values in stored.chunks_exact(layout.frame_bytes()).take(layout.frames) {
         let mut padded = 0;
@@ -117,7 +123,7 @@ fn each(
             domain: verdict.domain,
             evidence: verdict.evidence.clone(),
             unit: None,
-            inverted,
+            turned_about: inverted.then_some(ends[0] + ends[1]),
             unmirrored,
             tags: frame_tags.clone(),
             scale_ends: Some([ends[0] as f32, ends[1] as f32]),

@@ -71,6 +71,9 @@ pub struct Frame {
     pub unit: Option<String>,
     /// The stored values were turned round (`low + high − value`) to give them the direction that `domain` promises.
     pub inverted: bool,
+    /// `low + high` of that: the ends of what can be stored, because no attribute says at which value there is no signal.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub turned_about: Option<f64>,
     /// The columns were reversed because the file says that the console had mirrored them.
     pub unmirrored: bool,
     /// What was kept of the file's header.
@@ -135,7 +138,7 @@ impl Frame {
             domain,
             evidence: vec![format!("declared: {domain}")],
             unit: None,
-            inverted: false,
+            turned_about: None,
             unmirrored: false,
             tags: FrameTags::default(),
             scale_ends: None,
@@ -160,7 +163,7 @@ struct Raw {
     domain: Domain,
     evidence: Vec<String>,
     unit: Option<String>,
-    inverted: bool,
+    turned_about: Option<f64>,
     unmirrored: bool,
     tags: FrameTags,
     /// The smallest and largest value that could have been stored, after conversion; `None` for floats.
@@ -203,7 +206,8 @@ impl Raw {
             domain: self.domain,
             domain_evidence: self.evidence,
             unit: self.unit,
-            inverted: self.inverted,
+            inverted: self.turned_about.is_some(),
+            turned_about: self.turned_about,
             unmirrored: self.unmirrored,
             tags: self.tags,
             sha256,

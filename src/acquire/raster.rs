@@ -161,7 +161,7 @@ fn raw(pixels: Image<f32>, scale_ends: Option<[f32; 2]>, settings: &Settings, mu
         domain,
         evidence,
         unit,
-        inverted: false,
+        turned_about: None,
         unmirrored: false,
         tags,
         scale_ends,

@@ -23,6 +23,8 @@ mod calibrate_intensifier_beads;
 mod calibrate_intensifier_error;
 pub mod check;
 pub mod compare;
+mod compare_origin;
+mod compare_table;
 pub mod demo;
 pub mod devices;
 pub mod hints;

@@ -126,12 +126,16 @@ pub(super) fn into_common(
             // A declared air level is a stored value, as a person reads it; it stands on the same offset as the frame.
             let rule = match rule {
                 AirLevel::Value(value) => {
+                    let value = as_turned(frame, value);
                     check_level(value, offset.value, &signal, usable)?;
                     AirLevel::Value(value - offset.value)
                 }
                 other => other,
             };
-            let mut air = linear_air(frame, &signal, simulated, usable, rule);
+            let mut air = match guessed_zero(frame, &offset, evidence.offset) {
+                Some(reason) => unknown_air(&reason),
+                None => linear_air(frame, &signal, simulated, usable, rule),
+            };
             air.offset = Some(offset);
             let pixels = &signal;
             let reference = air.level.unwrap_or(1.0);
@@ -191,6 +195,22 @@ fn unknown_air(reason: &str) -> AirReport {
     AirReport { rule: "unknown".into(), level: None, pixels: None, spread: None, reason: Some(reason.to_owned()), offset: None }
 }
 
+/// A stored value as the frame holds it: values that grow with attenuation were turned round at import.
+fn as_turned(frame: &Frame, stored: f64) -> f64 {
+    frame.turned_about.map_or(stored, |ends| ends - stored)
+}
+
+/// Why nobody knows at which value of a frame that was turned round there is no signal. Its logarithm hangs on that: 14 bits of data in 16
+/// bits stored would put it 49152 too high.
+fn guessed_zero(frame: &Frame, offset: &OffsetReport, asked: OffsetRule) -> Option<String> {
+    let is_known = offset.rule != "none" || offset.zero_seen || asked == OffsetRule::None;
+    (frame.inverted && frame.unit.is_none() && !is_known).then(|| {
+        "larger stored values mean fewer X-rays, and neither a tag nor a shuttered area says which of them means none; give that stored value \
+         as --offset VALUE, or --offset none where it is the largest that can be stored"
+            .to_owned()
+    })
+}
+
 /// The offset of a linear frame; a calibration's was subtracted at import.
 fn offset_report(frame: &Frame, pixels: &Image<f32>, simulated: &Image<f32>, evidence: &Evidence) -> OffsetReport {
     let calibrated = frame.correction.as_ref().and_then(|correction| correction.offset_value);
@@ -198,7 +218,7 @@ fn offset_report(frame: &Frame, pixels: &Image<f32>, simulated: &Image<f32>, evi
         return OffsetReport::known("calibration", value);
     }
     match evidence.offset {
-        OffsetRule::Value(value) => OffsetReport::known("value", value),
+        OffsetRule::Value(value) => OffsetReport::known("value", as_turned(frame, value)),
         OffsetRule::None => OffsetReport::none("declared: none"),
         OffsetRule::Shutters if frame.unit.is_some() => OffsetReport::none("the frame's unit says that its values start at zero"),
         OffsetRule::Shutters => pedestal::from_shutters(pixels, simulated, evidence.shuttered, evidence.clean, evidence.usable),

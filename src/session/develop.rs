@@ -144,6 +144,9 @@ impl Bench {
         let compared = match compare(&input) {
             Ok(compared) => {
                 pair.set_comparison(&compared.comparison);
+                for disagreement in &pair.disagreements {
+                    self.reporter.warn("images disagree", format!("{}: {disagreement}", posed.label()));
+                }
                 Some(Arc::new(compared))
             }
             Err(error) => {

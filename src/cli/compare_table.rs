@@ -1,0 +1,63 @@
+//! A comparison as the terminal shows it.
+
+use crate::compare::{Comparison, NULL_SCORES, elsewhere};
+
+/// Scores, each with its null; then masks, tone, air level and flags.
+pub(super) fn table(found: &Comparison) -> String {
+    let number = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |value| format!("{value:.4}"));
+    let mut text = format!("{:<18}{:>10}  {:>10}  {:>10}  {}\n", "score", "here", "null size", "best null", "rank");
+    for (name, _) in NULL_SCORES {
+        let (small, best, rank) = match found.null.get(name) {
+            Some(null) => {
+                let doubt = if null.discriminating { "" } else { ", not discriminating" };
+                let at = null.best_shift.as_deref().unwrap_or("nowhere");
+                (
+                    number(null.at_pose),
+                    number(null.best_shifted),
+                    format!("{} of {} (best wrong: {at}{doubt})", null.rank, null.of),
+                )
+            }
+            None => ("-".into(), "-".into(), found.scores.reasons.get(name).cloned().unwrap_or_default()),
+        };
+        text += format!("{name:<18}{:>10}  {small:>10}  {best:>10}  {rank}", number(found.scores.get(name))).trim_end();
+        text.push('\n');
+    }
+    for name in ["edge_distance_mm", "bias_nepers", "noise_nepers"] {
+        let reason = found.scores.reasons.get(name).map(String::as_str).unwrap_or_default();
+        text += format!("{name:<18}{:>10}  {reason}", number(found.scores.get(name))).trim_end();
+        text.push('\n');
+    }
+    let causes: Vec<String> =
+        found.masks.causes.iter().map(|(cause, share)| format!("{} {:.1} %", cause.words(), 100.0 * share)).collect();
+    text += &format!(
+        "masked {:.1} % ({})\n",
+        100.0 * found.masks.masked,
+        if causes.is_empty() { "nothing".into() } else { causes.join(", ") }
+    );
+    text += &format!(
+        "domain {}, tone {} with {} fitted numbers, ",
+        found.domain,
+        found.tone.tone.as_str(),
+        found.tone.degrees_of_freedom
+    );
+    text += &match found.air.level {
+        Some(level) => format!("air level {level:.6} ({})", found.air.rule),
+        None => "air level unknown".to_owned(),
+    };
+    if let Some(offset) = &found.air.offset {
+        text += &match offset.sigma {
+            Some(sigma) => format!(", offset {:.2} ± {sigma:.2} ({})", offset.value, offset.rule),
+            None => format!(", offset {:.2} ({})", offset.value, offset.rule),
+        };
+        text += &offset.reason.as_ref().map(|reason| format!(": {reason}")).unwrap_or_default();
+    }
+    text.push('\n');
+    if let (Some(seen), Some(expected)) = (found.scores.noise_nepers, found.noise_expected_nepers) {
+        text += &format!("noise {seen:.4} nepers, the detector calibration expects {expected:.4}\n");
+    }
+    if let Some(prefers) = elsewhere(&found.null) {
+        text += &format!("{prefers}\n");
+    }
+    found.flags.iter().for_each(|flag| text += &format!("note: {flag}\n"));
+    text
+}

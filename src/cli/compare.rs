@@ -29,7 +29,8 @@ use crate::scene::{SceneError, input_files, load};
   sidecarm compare frame.dcm drr.tif --scene scene.json --pose POSE.json --tone gain --out compared
 
 DIR/compare.json holds the numbers, DIR/strip.png acquired | matched DRR | signed difference | edges. With --scene and --pose each
-score is put against its null: the same score at +-1, 3, 10 mm and +-1, 3 degrees. Exit code 1: refused (too little left to score).")]
+score is put against its null: the same score at +-1, 3, 10 mm and +-1, 3 degrees, turned about, and mirrored. Exit code 1: refused (too
+little left to score, or a pose that SIMULATED was not rendered from).")]
 pub struct CompareArgs {
     /// The radiograph: DICOM, 16-bit PNG or TIFF, float TIFF
     pub acquired: PathBuf,
@@ -237,12 +238,22 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
     if let Some(scene) = &posed_scene {
         add_null(&mut compared, scene, reporter)?;
     }
+    let prefers = elsewhere(&compared.comparison.null);
+    if let Some(found) = &prefers {
+        reporter.warn("image disagrees", format!("{}: {found}", args.acquired.display()));
+    }
     std::fs::create_dir_all(&args.out).map_err(|source| CompareCommandError::Io { path: args.out.clone(), source })?;
     let result = serde_json::json!({
         "version": env!("CARGO_PKG_VERSION"),
-        "acquired": { "path": args.acquired.display().to_string(), "sha256": frame.sha256, "domain_evidence": frame.domain_evidence },
+        "acquired": {
+            "path": args.acquired.display().to_string(),
+            "sha256": frame.sha256,
+            "domain_evidence": frame.domain_evidence,
+            "notes": frame.notes,
+        },
         "simulated": { "path": args.simulated.display().to_string(), "sha256": sha256_file(&args.simulated)? },
         "comparison": compared.comparison,
+        "image_prefers": prefers,
     });
     let text = format!("{result:#}\n");
     write_atomically(&json_path, |file| file.write_all(text.as_bytes()))?;

@@ -62,7 +62,7 @@ pub(super) fn view_of(
 ) -> Result<Option<View>, OriginError> {
     let Some((intrinsics, camera_from_lps)) = pose.camera() else {
         let reason = pose.reason.as_deref().unwrap_or("no reason given");
-        reporter.warn("pose", format!("the pose is refused ({reason}): no distances in mm, no null"));
+        reporter.warn("pose", format!("the pose is refused ({reason}): no distances in mm, no null, beads and robot not masked"));
         return Ok(None);
     };
     let size_px = [simulated.width as u32, simulated.height as u32];

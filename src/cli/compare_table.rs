@@ -1,6 +1,13 @@
 //! A comparison as the terminal shows it.
 
-use crate::compare::{Comparison, NULL_SCORES, elsewhere};
+use crate::compare::{Comparison, NULL_SCORES, Scores, Tone, elsewhere};
+
+/// The scores that there are.
+fn in_a_line(scores: &Scores) -> String {
+    let shown = |(name, _): &(&str, bool)| scores.get(name).map(|value| format!("{name} {value:.4}"));
+    let shown: Vec<String> = NULL_SCORES.iter().filter_map(shown).collect();
+    if shown.is_empty() { "no score".to_owned() } else { shown.join(", ") }
+}
 
 /// Scores, each with its null; then masks, tone, air level and flags.
 pub(super) fn table(found: &Comparison) -> String {
@@ -27,6 +34,12 @@ pub(super) fn table(found: &Comparison) -> String {
         text += format!("{name:<18}{:>10}  {reason}", number(found.scores.get(name))).trim_end();
         text.push('\n');
     }
+    if found.tone.tone != Tone::None {
+        text += &format!("without tone: {}\n", in_a_line(&found.scores_without_tone));
+    }
+    if let Some(tool) = &found.scores_tool {
+        text += &format!("robot alone: {}\n", in_a_line(tool));
+    }
     let causes: Vec<String> =
         found.masks.causes.iter().map(|(cause, share)| format!("{} {:.1} %", cause.words(), 100.0 * share)).collect();
     text += &format!(
@@ -40,6 +53,10 @@ pub(super) fn table(found: &Comparison) -> String {
         found.tone.tone.as_str(),
         found.tone.degrees_of_freedom
     );
+    if found.tone.tone != Tone::None {
+        let knots: Vec<String> = found.tone.curve.iter().map(|[x, y]| format!("{x:.3} to {y:.3}")).collect();
+        text += &format!("curve {}, ", knots.join(", "));
+    }
     text += &match found.air.level {
         Some(level) => format!("air level {level:.6} ({})", found.air.rule),
         None => "air level unknown".to_owned(),
@@ -60,4 +77,33 @@ pub(super) fn table(found: &Comparison) -> String {
     }
     found.flags.iter().for_each(|flag| text += &format!("note: {flag}\n"));
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::acquire::{Domain, Frame};
+    use crate::compare::{CompareInput, compare};
+    use crate::image::Image;
+    use crate::mask::Masks;
+
+    /// What a tone absorbs and what the robot alone scores stood in the file only.
+    #[test]
+    fn a_fitted_tone_shows_its_curve_and_the_scores_without_it() {
+        let line = |at: usize| ((at % 160) as f32 * 0.07).sin() + (at / 160) as f32 * 0.01;
+        let simulated = Image { width: 160, height: 120, pixels: (0..160 * 120).map(line).collect() };
+        let frame = Frame::from_pixels("log", simulated.map(|l| 0.25 + 0.9 * l), Domain::Log).expect("finite");
+        let tool = Image { width: 160, height: 120, pixels: (0..160 * 120).map(|at| at % 160 < 30).collect() };
+        let unmasked = Masks::default();
+        let shown = |tone: Tone| {
+            let masks = Some(&unmasked);
+            let input = CompareInput { tone, masks, tool: Some(&tool), ..CompareInput::new(&frame, &simulated) };
+            table(&compare(&input).expect("comparable").comparison)
+        };
+        let fitted = shown(Tone::LogAffine);
+        for words in ["without tone: zncc 1.0000", "curve 0.000 to 0.250, 1.000 to 1.150", "robot alone: zncc 1.0000"] {
+            assert!(fitted.contains(words), "{words} is not in\n{fitted}");
+        }
+        assert!(!shown(Tone::None).contains("without tone"), "control");
+    }
 }

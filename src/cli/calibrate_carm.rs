@@ -10,6 +10,7 @@ use crate::calibrate::carm::{CarmFitError, CarmReport, Sensors, Shot, calibrate,
 use crate::geometry::{CarmCalibration, CarmJoints, JOINT_KEYS};
 use crate::image::plot::PlotError;
 use crate::image::{ImageFileError, check_writable, refuse_overwrite, write_atomically};
+use crate::json::parse_json;
 use crate::pose::{Pose, PoseFileError};
 use crate::record::RecordError;
 use crate::reporter::Reporter;
@@ -116,7 +117,7 @@ pub fn run(args: &CarmArgs, reporter: &Reporter) -> Result<u8, CalibrateCarmErro
     check_writable(&args.out)?;
     let wrong = |detail: String| CalibrateCarmError::Input { path: args.calibration.clone(), detail };
     let nominal = std::fs::read_to_string(&args.calibration).map_err(|error| wrong(error.to_string()))?;
-    let nominal: CarmCalibration = serde_json::from_str(&nominal).map_err(|error| wrong(error.to_string()))?;
+    let nominal: CarmCalibration = parse_json(nominal.as_bytes()).map_err(|fault| wrong(fault.to_string()))?;
     let shots = read_shots(args, reporter)?;
     let mut fit = calibrate(&shots, &nominal, &sensors)?;
     let said = args.origin.as_deref().unwrap_or("who, when and with what not stated (--origin)");
@@ -176,7 +177,7 @@ pub(super) fn read_joints(path: &Path) -> Result<BTreeMap<String, CarmJoints>, C
     let wrong = |detail: String| CalibrateCarmError::Input { path: path.to_owned(), detail };
     let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
     if is_json(path) {
-        return serde_json::from_str(&text).map_err(|error| wrong(error.to_string()));
+        return parse_json(text.as_bytes()).map_err(|fault| wrong(fault.to_string()));
     }
     let known = |key: &str| key == "frame" || JOINT_KEYS.iter().any(|(joint, _)| *joint == key);
     let check = |header: &[&str]| {

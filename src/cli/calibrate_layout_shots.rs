@@ -16,6 +16,7 @@ use crate::calibrate::phantom::{
 };
 use crate::geometry::{CarmCalibration, CarmJoints, Intrinsics};
 use crate::image::{check_writable, refuse_overwrite, write_atomically};
+use crate::json::parse_json;
 use crate::mask::{self, Cause};
 use crate::pose::{Covariance, IntrinsicsFile, Prior, intrinsics_of};
 use crate::reporter::Reporter;
@@ -156,7 +157,7 @@ impl RoughCameras {
         if let Some((joints, path)) = args.joints.as_ref().zip(args.calibration.as_ref()) {
             let wrong = |detail: String| CalibrateShotsError::Arm { path: path.clone(), detail };
             let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
-            let carm: CarmCalibration = serde_json::from_str(&text).map_err(|error| wrong(error.to_string()))?;
+            let carm: CarmCalibration = parse_json(text.as_bytes()).map_err(|fault| wrong(fault.to_string()))?;
             let stated = ArmSigma::of(&carm);
             let sigma = ArmSigma {
                 encoders: Sensors {

@@ -11,6 +11,7 @@ use super::shot_files::{csv_table, is_json, is_log, number, shot_name};
 use crate::acquire::{Domain, Frame, read_frame};
 use crate::calibrate::robot::{LoggedShot, NoShot, Shot, shots_of_log};
 use crate::geometry::Rigid;
+use crate::json::parse_json;
 use crate::pose::Pose;
 use crate::reporter::Reporter;
 use crate::scene::Scene;
@@ -107,7 +108,7 @@ impl Taken<'_> {
 fn read_tie(path: &Path) -> Result<Tie, CalibrateRobotError> {
     let wrong = |detail: String| CalibrateRobotError::Input { path: path.to_owned(), detail };
     let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
-    serde_json::from_str(&text).map_err(|error| wrong(error.to_string()))
+    parse_json(text.as_bytes()).map_err(|fault| wrong(fault.to_string()))
 }
 
 /// Rows by shot, their images from the table's folder: JSON by its ending, else CSV.
@@ -115,7 +116,7 @@ fn read_rows(path: &Path) -> Result<BTreeMap<String, Row>, CalibrateRobotError> 
     let wrong = |detail: String| CalibrateRobotError::Input { path: path.to_owned(), detail };
     let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
     let mut rows: BTreeMap<String, Row> = if is_json(path) {
-        serde_json::from_str(&text).map_err(|error| wrong(error.to_string()))?
+        parse_json(text.as_bytes()).map_err(|fault| wrong(fault.to_string()))?
     } else {
         parse_csv(&text).map_err(wrong)?
     };

@@ -6,6 +6,7 @@ use glam::DVec2;
 use serde::{Deserialize, Serialize};
 
 use super::distortion::{Distortion, DistortionError};
+use crate::json::{JsonFault, parse_json};
 
 /// Orbital and angulation angle of a C-arm, degrees.
 pub type AnglesDeg = [f64; 2];
@@ -222,11 +223,8 @@ impl IntensifierCalibration {
     /// When it cannot be read, holds unknown keys, or a number makes no sense.
     pub fn read(path: &Path) -> Result<Self, IntensifierError> {
         let bytes = std::fs::read(path).map_err(|source| IntensifierError::Read { source })?;
-        let json = |place: String, detail: String| IntensifierError::Json { place, detail };
-        let mut deserializer = serde_json::Deserializer::from_slice(&bytes);
-        let file: Self = serde_path_to_error::deserialize(&mut deserializer)
-            .map_err(|error| json(error.path().to_string(), error.inner().to_string()))?;
-        deserializer.end().map_err(|error| json("the end".to_owned(), error.to_string()))?;
+        let json = |JsonFault { place, detail }| IntensifierError::Json { place, detail };
+        let file: Self = parse_json(&bytes).map_err(json)?;
         file.check()?;
         Ok(file)
     }

@@ -101,12 +101,12 @@ impl Renderer {
         }
         let deviates = cast.deviates.as_deref().unwrap_or_default();
         let mut non_finite = options.count_non_finite.then(|| NonFinite::of(&cast.density, &cast.signal, deviates));
-        // The reference says so itself, ray by ray.
-        if plan.executor != Executor::Reference {
-            let unscanned_mm = stages.measure("cut_faces", || cut_faces::mark(&prepared, &mut cast.density.valid));
-            cast.density.unscanned_mm = unscanned_mm;
-        }
-        note_invalid(&cast.density, &mut notes);
+        // The reference marks its rays itself, one by one.
+        let unscanned_mm = match plan.executor {
+            Executor::Reference => 0.0,
+            _ => stages.measure("cut_faces", || cut_faces::mark(&prepared, &mut cast.density.valid)),
+        };
+        note_invalid(&cast.density.valid, unscanned_mm, &mut notes);
         if !cast.matter {
             let why = explain_empty(scene, &prepared);
             self.reporter.warn("empty image", &why);
@@ -239,7 +239,7 @@ fn unpack(executed: Executed, ready: &Ready, adapter: &str) -> Cast {
     let mut gpu_ms = StageTimes::default();
     pass_ms.into_iter().for_each(|(pass, ms)| gpu_ms.add(pass, ms));
     Cast {
-        density: Density { material_count: ready.prepared.material_count, g_per_cm2, valid, unscanned_mm: 0.0 },
+        density: Density { material_count: ready.prepared.material_count, g_per_cm2, valid },
         matter,
         beyond: beyond && !ready.plan.fitted_up_to_g_per_cm2.is_empty(),
         signal,
@@ -267,7 +267,6 @@ fn cast_reference(ready: &mut Ready) -> Result<Cast, RenderError> {
         material_count: scene.materials.len(),
         g_per_cm2: single(&traced.g_per_cm2),
         valid: traced.valid,
-        unscanned_mm: 0.0,
     };
     let mut signal = bins.as_ref().map(|bins| attenuate_spectrum(&density, bins, noisy)).unwrap_or_default();
     signal.line_integral = single(&traced.line_integral);

@@ -1,6 +1,7 @@
 //! From a plan to an image: what is prepared, what an executor casts, what detector and notes make of it.
 
 use super::cast::{Cast, area_pages, attenuate_beyond, cast_cpu, note_invalid};
+use super::chain::{self, Wanted};
 use super::checks::check_plan;
 use super::cpu::add_noise::add_noise;
 use super::cpu::attenuate_spectrum::attenuate_spectrum;
@@ -14,7 +15,7 @@ use super::renderer::{Options, Rendered, Renderer};
 use super::spectrum::Bins;
 use super::survey::every;
 use super::wgsl::{self, Executed, NoiseKey, Request, WgslExecutor};
-use super::{Quantity, RenderError, chain, cut_faces, flood, intensifier, reference};
+use super::{Quantity, RenderError, cut_faces, flood, intensifier, reference};
 use crate::geometry::View;
 use crate::gpu::{Device, cpu_name};
 use crate::image::Image;
@@ -45,7 +46,9 @@ impl Ready<'_> {
     fn cast_cpu(&mut self, plan: &Plan) -> Cast {
         let noisy = self.noisy();
         let coarse = self.coarse.as_ref().filter(|_| plan.step_px > 1);
-        cast_cpu(&self.prepared, coarse, plan, self.bins.as_ref(), noisy, &mut self.stages)
+        // Heel and bow-tie attenuate pixel by pixel, by the density alone.
+        let bins = self.bins.as_ref().filter(|_| !flood::shapes_spectrum(self.scene));
+        cast_cpu(&self.prepared, coarse, plan, bins, noisy, &mut self.stages)
     }
 }
 
@@ -118,11 +121,14 @@ impl Renderer {
             Some(bins) => {
                 let intensifier = intensifier::of_view(scene, &view)?;
                 let glares = intensifier.as_ref().is_some_and(|intensifier| intensifier.glare.is_some());
-                let photons = noisy || plan.quantity == Quantity::Counts || glares;
+                let wanted = Wanted { photons: noisy || plan.quantity == Quantity::Counts || glares, moments: noisy };
                 let made_by = (plan.energy_nodes.as_slice(), plan.executor);
                 let mut flood = stages.measure("shape_beam", || {
-                    chain::shape(scene, &view, made_by, &cast.density, bins, &mut cast.signal, photons)
+                    chain::shape(scene, &view, made_by, &cast.density, bins, &mut cast.signal, wanted)
                 })?;
+                if let Some(counts) = non_finite.as_mut().filter(|_| flood::shapes_spectrum(scene)) {
+                    counts.attenuate_spectrum += non_finite::count_signal(&cast.signal);
+                }
                 if let Some(intensifier) = &intensifier {
                     stages.measure("distort", || {
                         intensifier::distort(intensifier, &mut cast.signal, &mut flood, &mut valid.pixels)

@@ -41,6 +41,7 @@ mod pose_doubt;
 mod pose_evaluate;
 mod pose_registration;
 mod pose_intrinsics;
+mod pose_lens;
 mod pose_request;
 mod pose_synthetic;
 mod pose_together;

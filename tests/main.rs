@@ -65,6 +65,7 @@ mod phantom_layout;
 mod phantom_refused;
 mod calibrate_intensifier;
 mod calibrate_intensifier_beads;
+mod calibrate_intensifier_command;
 mod calibrate_robot;
 mod calibrate_robot_command;
 mod robot_drawn;

@@ -154,8 +154,8 @@ fn a_disk_that_stands_still_is_seen_and_blocks_no_telemetry() {
     assert!(health.behind_ms >= 500.0 && health.flushed == flushed, "what waits grows older: {health:?}");
     std::thread::scope(|scope| {
         let (recorder, disk) = (&recorder, &disk);
-        let large = scope
-            .spawn(move || (0..4).for_each(|index| recorder.drr("large", &noise(1536, 1536), index).expect("recorded")));
+        let large =
+            scope.spawn(move || (0..4).for_each(|index| recorder.drr("large", &noise(1536, 1536), index).expect("recorded")));
         std::thread::sleep(Duration::from_millis(1_000));
         assert!(!large.is_finished(), "36 MB of pictures wait for room");
         disk.stands_still.store(false, Ordering::Relaxed);
@@ -248,7 +248,8 @@ fn a_chunk_that_unpacks_to_gigabytes_is_one_loss() {
     let sound = std::fs::read(&path).expect("bytes");
     let zeros = zstd::encode_all(std::io::repeat(0).take(600 << 20), 1).expect("compressed");
     assert!(zeros.len() < 1 << 20, "{} bytes", zeros.len());
-    for (promised, words) in [(16u64, "unpacks to 17 bytes"), (3 << 30, "more than any chunk"), (u64::MAX, "more than any chunk")] {
+    for (promised, words) in [(16u64, "unpacks to 17 bytes"), (3 << 30, "more than any chunk"), (u64::MAX, "more than any chunk")]
+    {
         let mut chunk = vec![0u8; 16];
         chunk.extend(promised.to_le_bytes());
         chunk.extend(0u32.to_le_bytes());

@@ -18,7 +18,11 @@ fn a_second_interrupt_leaves_at_once_and_nothing_recorded_is_lost() {
     let first_us = live.signalled(Signal::INT);
     let unfinished = "Ctrl-C again leaves at once";
     let told = eventually(HANG_S, || (live.stderr().contains(unfinished) || live.program.end(0.0).is_some()).then_some(()));
-    assert!(told.is_some() && live.stderr().contains(unfinished), "it was heard before the images were finished: {}", live.stderr());
+    assert!(
+        told.is_some() && live.stderr().contains(unfinished),
+        "it was heard before the images were finished: {}",
+        live.stderr()
+    );
     live.program.signal(Signal::INT);
     let status = live.program.end(HANG_S);
     let words = live.stderr();

@@ -238,7 +238,8 @@ impl Case<'_> {
         let free = alone(Free::Square)?;
         let squares = |residuals: &[DVec2]| residuals.iter().map(|r| r.length_squared()).sum::<f64>();
         // A pose that a fused prior has drawn away would make another K look needed.
-        let given = if self.request.fuse { squares(&alone(Free::Pose)?.residuals_px) } else { squares(&last.solution.residuals_px) };
+        let given =
+            if self.request.fuse { squares(&alone(Free::Pose)?.residuals_px) } else { squares(&last.solution.residuals_px) };
         let freed = squares(&free.residuals_px);
         let ratio = ((given - freed) / 3.0) / (freed / degrees as f64);
         let focal_ratio = free.intrinsics.fx / k.fx;

@@ -269,11 +269,7 @@ fn cast_reference(ready: &mut Ready) -> Result<Cast, RenderError> {
     let Ready { scene, view, bins, stages, .. } = ready;
     let traced = stages.measure("reference", || reference::trace(scene, view, bins.is_some()))?;
     let single = |values: &[f64]| values.iter().map(|value| *value as f32).collect::<Vec<f32>>();
-    let density = Density {
-        material_count: scene.materials.len(),
-        g_per_cm2: single(&traced.g_per_cm2),
-        valid: traced.valid,
-    };
+    let density = Density { material_count: scene.materials.len(), g_per_cm2: single(&traced.g_per_cm2), valid: traced.valid };
     let mut signal = bins.as_ref().map(|bins| attenuate_spectrum(&density, bins, noisy)).unwrap_or_default();
     signal.line_integral = single(&traced.line_integral);
     Ok(Cast::of(density, signal, format!("f64 reference on {}", cpu_name())))

@@ -117,7 +117,9 @@ fn measure() -> Costs {
                 let density = Density { g_per_cm2, valid, ..density };
                 let made_by = (nodes.as_slice(), Executor::Cpu);
                 let view = View { size_px, ..view };
-                fastest(|| drop(chain::shape(&heeled, &view, made_by, &density, &bins, &mut Signal::default(), Wanted::default())))
+                fastest(|| {
+                    drop(chain::shape(&heeled, &view, made_by, &density, &bins, &mut Signal::default(), Wanted::default()))
+                })
             };
             let (whole_ms, small_ms) = (shape_ms(view.size_px), shape_ms([1; 2]));
             costs.shaped_ns = per((whole_ms - small_ms).max(0.0), (EDGE * EDGE) as f64 * (blocks + 1.0));

@@ -101,6 +101,11 @@ fn direction_and_scale_follow_the_header() {
     let (values, inverted, _) = pixels(with_text(tags::PHOTOMETRIC_INTERPRETATION, VR::CS, "MONOCHROME1"));
     assert!(inverted);
     assert_eq!(values[..2], [4095.0, 3995.0]);
+    let mut fewer = fluoroscopy();
+    fewer.put(DataElement::new(tags::PIXEL_INTENSITY_RELATIONSHIP_SIGN, VR::SS, PrimitiveValue::from(-1i16)));
+    let fewer = read_frame(&save(fewer, &path), None).expect("readable");
+    assert_eq!((fewer.inverted, fewer.turned_about, fewer.pixels.pixels[1]), (true, Some(4095.0), 3995.0));
+    assert!(fewer.notes.iter().any(|note| note.contains("12 bits stored, 0 and 4095")), "{:?}", fewer.notes);
     let (values, inverted, domain) = pixels(with_text(tags::PIXEL_INTENSITY_RELATIONSHIP, VR::CS, "LOG"));
     assert_eq!((inverted, domain), (true, Domain::Log), "log frames grow with attenuation");
     assert_eq!(values[..2], [4095.0, 3995.0]);
@@ -261,7 +266,7 @@ fn pixels_that_are_not_finite_are_masked_and_told() {
         let image = Image { width: 2, height: 2, pixels: vec![0.0, 1.0, 2.0, bad] };
         write_tiff_f32(&path, &[image]).expect("written");
         let frame = read_frame(&path, None).expect("ordinary");
-        assert!(frame.notes.iter().any(|note| note.contains("1 pixels (25.00 %)")), "{:?}", frame.notes);
+        assert!(frame.altered.iter().any(|words| words.contains("1 pixels (25.00 %)")), "{:?}", frame.altered);
         let masks = sidecarm::mask::of_frame(&frame);
         assert_eq!(masks.usable(2, 2, &[]).pixels, [true, true, true, false]);
         write_tiff_f32(&path, &[Image::filled(2, 2, bad)]).expect("written");

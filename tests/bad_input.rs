@@ -111,6 +111,57 @@ fn the_good_scene_renders() {
     assert_eq!(ran.stderr, "");
 }
 
+/// A TIFF was written under the name of a picture, which nothing opens, and into a file called `-`.
+#[test]
+fn names_that_are_none_for_a_tiff_are_a_usage_error() {
+    let folder = folder();
+    let mut refused = 0;
+    let cases: [(&str, &[&str], &str); 5] = [
+        ("x.png", &[], "--png x.png writes a picture"),
+        ("x.JPG", &[], "name it .tif"),
+        ("x.dcm", &[], "name it .tif"),
+        ("-", &[], "standard output takes no image"),
+        ("x.tif", &["--png", "-"], "standard output takes no image"),
+    ];
+    for (out, more, words) in cases {
+        let ran = render(folder.path(), &scene().to_string(), out, more);
+        assert_eq!(ran.code, Some(2), "{out}: {}", ran.stderr);
+        assert!(ran.stderr.contains(words), "{out}: {}", ran.stderr);
+        assert!(ran.stdout.is_empty() && ran.made.is_subset(&BTreeSet::from(["scene.json".to_owned()])), "{out}: {:?}", ran.made);
+        refused += 1;
+    }
+    assert_eq!(refused, 5);
+    let ran = render(folder.path(), &scene().to_string(), "x.tiff", &["--png", "x.png"]);
+    assert!(ran.code == Some(0) && ran.made.contains("x.png"), "control: {}", ran.stderr);
+}
+
+/// Noise that was asked for was left out of a naive image without a word.
+#[test]
+fn noise_that_a_naive_image_has_not_is_said() {
+    let folder = folder();
+    let rendered = |formation: &str, noise: Value| {
+        let mut scene = scene();
+        scene["model"] = json!({"formation": formation, "noise": noise});
+        let ran = render(folder.path(), &scene.to_string(), "drr.tif", &["--explain"]);
+        assert_eq!(ran.code, Some(0), "{}", ran.stderr);
+        let text = std::fs::read_to_string(folder.path().join("drr.tif.json")).expect("beside it");
+        (ran, serde_json::from_str::<Value>(&text).expect("JSON"))
+    };
+    let words = "naive formation (Eq. 8) has no noise: model.noise is left out";
+    for noise in [json!(true), json!("paper")] {
+        let (ran, json) = rendered("naive", noise);
+        assert_eq!(ran.stderr.matches(words).count(), 1, "a warning, said once: {}", ran.stderr);
+        assert!(ran.stderr.contains(&format!("warning: {words}")), "{}", ran.stderr);
+        assert!(ran.stdout.contains(&format!("quantum noise: {words}")), "{}", ran.stdout);
+        assert!(json["notes"].to_string().contains(words), "{}", json["notes"]);
+        assert_eq!(json["plan"]["noise"], "off");
+    }
+    for (formation, noise) in [("naive", json!(false)), ("deepdrr", json!(true))] {
+        let (ran, json) = rendered(formation, noise);
+        assert!(!ran.stderr.contains(words) && !json["notes"].to_string().contains(words), "control: {}", ran.stderr);
+    }
+}
+
 #[test]
 fn numbers_that_make_no_sense() {
     let rows = |m: [[f64; 4]; 4]| json!(m);

@@ -107,13 +107,23 @@ fn a_registered_pose_moves_the_bone_in_render_and_masks_the_guess_in_compare() {
     let mut shares = Vec::new();
     for more in [vec![out.as_str(), "--pose", &pose_path, "--scene", &scene_path], vec![other.as_str()]] {
         let typed = TypedCompare::parse_from(plain.iter().copied().chain(more.iter().copied()));
-        assert_eq!(run_compare(&typed.args, &Reporter::silent()).expect("compares"), 0);
+        let reporter = Reporter::silent();
+        assert_eq!(run_compare(&typed.args, &reporter).expect("compares"), 0);
+        assert!(!reporter.warnings().contains_key("not what was rendered"), "{:?}", reporter.warnings());
         let compared = json(Path::new(more[0]).join("compare.json"));
         shares.push(compared["comparison"]["masks"]["causes"]["filled"].as_f64().expect("a share"));
         let zncc = compared["comparison"]["scores"]["zncc"].as_f64().expect("a score");
         assert!(zncc > 0.999, "{zncc}");
     }
     assert!(shares.iter().all(|found| (found - share).abs() < 1e-9), "{shares:?} {share}");
+
+    // Another pose than the DRR's, by what `render` wrote of its view.
+    let away = Rigid::translation(DVec3::new(4.0, 0.0, 0.0)) * pose.camera_from_lps.expect("accepted");
+    Pose { camera_from_lps: Some(away), ..pose.clone() }.write(&folder.join("away.json")).expect("writes");
+    let (away, elsewhere) = (path("away.json"), path("elsewhere"));
+    let typed = TypedCompare::parse_from(plain.iter().copied().chain([elsewhere.as_str(), "--pose", &away]));
+    let error = run_compare(&typed.args, &Reporter::silent()).expect_err("another pose");
+    assert!(error.to_string().contains("rendered from another pose") && !Path::new(&elsewhere).exists(), "{error}");
 
     // The same name again, of an image in which nothing has moved: the mask of the earlier one goes.
     assert_eq!(render(folder, &scene, &as_scanned, "drr.tif").expect("renders"), 0);

@@ -2,9 +2,12 @@
 
 use std::path::Path;
 
+use glam::DVec3;
 use sidecarm::cli::compare::{CompareArgs, CompareCommandError, run};
 use sidecarm::compare::{AirLevel, CompareError, OffsetRule, Tone};
-use sidecarm::image::{Image, ImageFileError, write_png_rgb, write_tiff_f32};
+use sidecarm::geometry::Rigid;
+use sidecarm::image::{Image, ImageFileError, sha256_file, write_png_rgb, write_tiff_f32};
+use sidecarm::pose::{Pose, Status};
 use sidecarm::reporter::Reporter;
 
 use crate::compare_synthetic::{acquired, line_integral, view};
@@ -67,4 +70,75 @@ fn an_unknown_quantity_a_small_rest_and_overwriting_are_refused() {
 
     let over = CompareArgs { mask: Some(told.out.join("strip.png")), ..told };
     assert!(matches!(run(&over, &reporter), Err(CompareCommandError::Image(ImageFileError::WouldOverwrite { .. }))));
+}
+
+/// Scene and pose were taken for those of the simulated image, whatever it had been rendered from: numbers in millimetres and the null were of
+/// another picture.
+#[test]
+fn a_pose_that_is_not_the_simulated_image_s_is_refused_and_a_copy_of_it_is_said() {
+    let folder = tempfile::tempdir().expect("scratch");
+    let folder = folder.path();
+    write_inputs(folder);
+    let view = view();
+    let pose = |shift_mm: f64, size_px: [u32; 2]| Pose {
+        status: Status::Accepted,
+        intrinsics: Some(view.intrinsics),
+        camera_from_lps: Some(Rigid::translation(DVec3::X * shift_mm) * view.camera_from_lps),
+        size_px: Some(size_px),
+        ..Pose::default()
+    };
+    let path = folder.join("pose.json");
+    pose(0.0, [310, 240]).write(&path).expect("writes");
+    let camera = serde_json::json!({
+        "size_px": view.size_px, "intrinsics": view.intrinsics, "camera_from_lps": view.camera_from_lps
+    });
+    let inputs = serde_json::json!([{"path": "pose.json", "sha256": sha256_file(&path).expect("hash")}]);
+    let described = serde_json::json!({"quantity": "intensity", "view": camera, "inputs": inputs});
+    let with_pose = CompareArgs { pose: Some(path.clone()), ..args(folder) };
+    let compared = |described: &serde_json::Value| {
+        std::fs::write(folder.join("drr.tif.json"), described.to_string()).expect("writes");
+        let reporter = Reporter::silent();
+        let warned = || reporter.warnings().get("not what was rendered").map(|warning| warning.latest.clone());
+        run(&with_pose, &reporter).map(|_| warned())
+    };
+    assert_eq!(compared(&described).expect("its own pose"), None);
+    let silent = compared(&serde_json::json!({"quantity": "intensity"})).expect("compares");
+    assert!(silent.expect("a warning").contains("says what it was rendered from"));
+    // Written anew, or registered anew: nearly the same.
+    pose(0.01, [310, 240]).write(&path).expect("writes");
+    let copy = compared(&described).expect("compares").expect("a warning");
+    assert!(copy.contains("pose.json") && copy.contains("its camera is the same"), "{copy}");
+
+    let mut refused = 0;
+    for (shift_mm, size_px, words) in
+        [(3.0, [310, 240], "another pose"), (0.0, [620, 240], "[620, 240]"), (0.0, [300, 240], "whole fraction")]
+    {
+        pose(shift_mm, size_px).write(&path).expect("writes");
+        let error = compared(&described).expect_err("refused");
+        assert!(matches!(error, CompareCommandError::Origin(_)) && error.to_string().contains(words), "{error}");
+        refused += 1;
+    }
+    assert_eq!(refused, 3);
+}
+
+#[test]
+fn what_disagrees_is_counted_and_a_contradicted_quantity_is_refused() {
+    let folder = tempfile::tempdir().expect("scratch");
+    write_inputs(folder.path());
+    let plain = CompareArgs { air: AirLevel::Unknown, ..args(folder.path()) };
+    let disagreeing = || {
+        let reporter = Reporter::silent();
+        run(&plain, &reporter).expect("compares");
+        reporter.warnings().get("images disagree").map_or(0, |warning| warning.count)
+    };
+    assert_eq!(disagreeing(), 0, "control");
+    let frame = acquired(&line_integral(&view()), 0.01).pixels.map(|v| 1000.0 - 900.0 * v);
+    write_tiff_f32(&folder.path().join("frame.tif"), &[frame]).expect("writes");
+    assert_eq!(disagreeing(), 1);
+    let text = std::fs::read_to_string(plain.out.join("compare.json")).expect("written");
+    assert!(text.contains("inverted_contrast"), "{text}");
+
+    let contradicted = CompareArgs { quantity: Some("line_integral".into()), ..plain };
+    let error = run(&contradicted, &Reporter::silent()).expect_err("refused");
+    assert!(matches!(error, CompareCommandError::OtherQuantity { .. }), "{error}");
 }

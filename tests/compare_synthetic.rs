@@ -19,7 +19,7 @@ fn scatter(index: u32, salt: u32) -> f64 {
 }
 
 /// Centre (lps, mm), radius (mm) and attenuation (1/mm) of the spheres: a body and what is in it.
-fn spheres() -> Vec<(DVec3, f64, f64)> {
+pub fn spheres() -> Vec<(DVec3, f64, f64)> {
     let mut found = vec![(DVec3::new(0.0, 2.0, 0.0), 27.0, 0.022)];
     for i in 0..26 {
         let at = DVec3::new(scatter(i, 1), scatter(i, 2), scatter(i, 3)) * DVec3::new(20.0, 16.0, 20.0);
@@ -43,8 +43,12 @@ pub fn view() -> View {
 
 /// −ln of the intensity, exactly.
 pub fn line_integral(view: &View) -> Image<f32> {
+    line_integral_of(&spheres(), view)
+}
+
+/// The same of any spheres.
+pub fn line_integral_of(spheres: &[(DVec3, f64, f64)], view: &View) -> Image<f32> {
     let source = view.source_in_lps();
-    let spheres = spheres();
     let [width, height] = view.size_px.map(|n| n as usize);
     let pixels = (0..width * height)
         .map(|at| {
@@ -264,13 +268,14 @@ fn the_null_tells_a_right_pose_from_a_wrong_one() {
                 &|| false,
             )
             .expect("null");
-        assert_eq!(renders, 45);
+        // 45, without three half-turns of the layout that are as many negated axes, with two mirrored pictures.
+        assert_eq!(renders, 44);
         found.comparison
     };
     let right = with_null(&truth);
     for name in ["zncc", "gradient_ncc", "rmse_nepers", "local_ncc"] {
         let null = &right.null[name];
-        assert!(null.discriminating && null.rank == 1 && null.of == 43, "{name}: {null:?}");
+        assert!(null.discriminating && null.rank == 1 && null.of == 42, "{name}: {null:?}");
     }
     // Stated 3 mm off along u: the null finds the way back.
     let stated = View { camera_from_lps: Rigid::translation(DVec3::new(3.0, 0.0, 0.0)) * truth.camera_from_lps, ..truth };
@@ -299,7 +304,7 @@ fn a_null_can_be_cancelled_and_a_failing_render_is_named() {
         Ok(line_integral(small))
     };
     let cancelled = found.add_null(counted, &|| renders.get() == 7);
-    assert_eq!((cancelled, renders.get()), (Err(NullError::Cancelled { done: 7, total: 45 }), 7));
+    assert_eq!((cancelled, renders.get()), (Err(NullError::Cancelled { done: 7, total: 44 }), 7));
     let failed = found.add_null(&mut |_| Err("device lost".into()), &|| false);
     assert!(failed.is_err_and(|error| error.to_string().contains("device lost")));
     assert!(found.comparison.null.is_empty());

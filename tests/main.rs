@@ -1,6 +1,7 @@
 //! The integration tests: one binary.
 
 mod acquire_foreign;
+mod acquire_altered;
 mod acquire_frames;
 mod acquire_identity;
 mod acquire_info;
@@ -74,6 +75,8 @@ mod intensifier_draw;
 mod calibrate_session;
 mod timeline_numbers;
 mod compare_command;
+mod compare_disagreement;
+mod compare_mirrored;
 mod compare_synthetic;
 mod report_files;
 mod viewer_window;

@@ -139,3 +139,70 @@ fn a_pose_without_k_takes_it_from_the_option() {
     assert_eq!(out.status.code(), Some(0), "{out:?}");
     assert_eq!(String::from_utf8_lossy(&out.stdout).lines().filter(|line| !line.starts_with('#')).count(), 3);
 }
+
+/// The pose of a mirrored frame went out as if its columns ran as stored: every overlay was left-right reversed.
+#[test]
+fn what_another_format_has_no_word_for_is_said() {
+    let (folder, pose) = folder();
+    let changed = |key: &str, value: Value| {
+        let mut pose = pose.clone();
+        pose[key] = value;
+        std::fs::write(folder.path().join("other.json"), pose.to_string()).expect("written");
+        let out = convert(folder.path(), &["other.json", "--to", "opencv", "--json"]);
+        assert_eq!(out.status.code(), Some(0), "{out:?}");
+        let answer: Value = serde_json::from_slice(&out.stdout).expect("one JSON object");
+        (String::from_utf8_lossy(&out.stderr).into_owned(), answer["warnings"].as_array().expect("a list").len())
+    };
+    let (plain, none) = changed("mirrored", json!(false));
+    assert!(!plain.contains("warning: ") && none == 0, "control: {plain}");
+    let body = json!([{"name": "left femur", "lps_from_body": [[1,0,0,5],[0,1,0,0],[0,0,1,0],[0,0,0,1]], "beads": 5, "used": 5}]);
+    let cases = [
+        ("mirrored", json!(true), "warning: the frame is stored mirrored"),
+        ("console", json!({"rotation_deg": 90.0}), "console's doing undone (turned back by 90 degrees)"),
+        ("bodies", body, "where left femur moved since the scan is not kept"),
+        ("cautions", json!(["few beads"]), "not kept: few beads"),
+    ];
+    for (key, value, expected) in cases {
+        let (said, count) = changed(key, value);
+        assert!(said.contains(expected) && count == 1, "{key}: {said}");
+    }
+}
+
+/// One pitch beside a K of unequal focal lengths stood in files as if pixels were square; two that K contradicts were taken as well.
+#[test]
+fn pixels_that_are_not_square_are_said() {
+    let (folder, pose) = folder();
+    let pitch_mm: f64 = get(&pose, "pitch_mm");
+    let mut k: [[f64; 3]; 3] = get(&pose, "intrinsics");
+    let write = |name: &str, k: &[[f64; 3]; 3], pitch: Option<f64>| {
+        let pose =
+            json!({"intrinsics": k, "size_px": pose["size_px"], "pitch_mm": pitch, "camera_from_lps": pose["camera_from_lps"]});
+        std::fs::write(folder.path().join(name), pose.to_string()).expect("written");
+    };
+    write("square.json", &k, Some(pitch_mm));
+    k[1][1] *= 0.8;
+    write("oblong.json", &k, Some(pitch_mm));
+    write("bare.json", &k, None);
+    let answer = |words: &[&str]| {
+        let out = convert(folder.path(), &[words, &["--json"]].concat());
+        assert_eq!(out.status.code(), Some(0), "{words:?}: {out:?}");
+        let answer: Value = serde_json::from_slice(&out.stdout).expect("one JSON object");
+        (get::<[f64; 2]>(&answer, "pitch_mm"), String::from_utf8_lossy(&out.stderr).into_owned())
+    };
+    let ([_, rows_mm], said) = answer(&["square.json", "--to", "xreg"]);
+    assert!((rows_mm - pitch_mm).abs() < 1e-12 && !said.contains("warning: "), "control: {said}");
+    for format in ["xreg", "rtk", "deepdrr", "kr-json", "opencv"] {
+        let ([columns_mm, rows_mm], said) = answer(&["oblong.json", "--to", format]);
+        assert!((columns_mm - pitch_mm).abs() < 1e-12 && (rows_mm / pitch_mm - 1.25).abs() < 1e-9, "{format}: {rows_mm}");
+        assert!(said.contains("warning: pixels are not square by K"), "{format}: {said}");
+    }
+    let fitting = format!("0.2,{}", 0.2 * 1.25);
+    let ([_, rows_mm], said) = answer(&["bare.json", "--to", "kr-json", "--pitch", &fitting, "--out", "kr.json"]);
+    assert!((rows_mm - 0.25).abs() < 1e-12 && !said.contains("warning: "), "two that fit: {said}");
+    let (_, said) = answer(&["kr.json", "--to", "pose"]);
+    assert!(said.contains("a pose file keeps one pitch_mm, that between columns (0.2 mm)"), "{said}");
+    let (_, said) = answer(&["square.json", "--to", "xreg", "--pitch", "9"]);
+    assert!(said.contains("--pitch 9,9 is not used: POSE has its own"), "{said}");
+    let refused = complaint(&convert(folder.path(), &["bare.json", "--to", "xreg", "--pitch", "0.2,0.3"]));
+    assert!(refused.contains("pixels of 0.2 by 0.3 mm contradict K, by which rows are 0.250000 mm apart"), "{refused}");
+}

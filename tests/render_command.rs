@@ -133,23 +133,37 @@ struct TypedCompare {
     args: CompareArgs,
 }
 
-/// A render that says that pixels are invalid is not compared without the mask that says which.
+/// A render that says that pixels are invalid is not compared without the mask that says which, and no frame with an air level that its
+/// own pixels contradict.
 #[test]
-fn a_render_without_its_mask_is_not_compared() {
+fn what_makes_numbers_wrong_is_not_compared() {
     let folder = tempfile::tempdir().expect("folder");
     let path = |name: &str| folder.path().join(name).display().to_string();
     let line = |at: usize| 0.5 + ((at % 64) as f32 * 0.3).sin() * 0.2 + (at / 64) as f32 * 0.01;
     let image = Image { width: 64, height: 48, pixels: (0..64 * 48).map(line).collect() };
     write_tiff_f32(folder.path().join("drr.tif").as_path(), std::slice::from_ref(&image)).expect("writes");
     write_tiff_f32(folder.path().join("frame.tif").as_path(), &[image.map(|line| 1000.0 * (-line).exp())]).expect("writes");
-    let compared = |share: f64| {
+    let compared = |share: f64, air: &str| {
         let described = serde_json::json!({"quantity": "line_integral", "share_invalid": share});
         std::fs::write(folder.path().join("drr.tif.json"), described.to_string()).expect("writes");
         let (frame, drr, out) = (path("frame.tif"), path("drr.tif"), path("out"));
-        let typed = ["compare", &frame, &drr, "--domain", "linear", "--air", "1000", "--offset", "none", "--out", &out];
+        let typed = ["compare", &frame, &drr, "--domain", "linear", "--air", air, "--offset", "none", "--out", &out];
         run_compare(&TypedCompare::parse_from(typed).args, &Reporter::silent())
     };
-    let error = compared(0.825).expect_err("its mask is missing");
+    let error = compared(0.825, "1000").expect_err("its mask is missing");
     assert!(error.to_string().contains("drr.tif.valid.png") && error.to_string().contains("82.5 %"), "{error}");
-    assert_eq!(compared(0.0).expect("all are valid"), 0);
+    assert_eq!(compared(0.0, "1000").expect("all are valid"), 0);
+    // An air level far below every pixel gave numbers in nepers.
+    let values = |at: usize| 1000.0 * (-line(at)).exp();
+    let [low, high] = (0..64 * 48).map(values).fold([f32::MAX, 0.0], |[low, high], value| [low.min(value), high.max(value)]);
+    for air in ["1e-30", "7.0", "1e30"] {
+        let error = compared(0.0, air).expect_err("no air").to_string();
+        assert!(error.starts_with(&format!("air level {air} is not the signal with nothing in the beam")), "{error}");
+        let numbers: Vec<f32> = error.split([' ', ';']).filter_map(|word| word.parse().ok()).collect();
+        let [_, from, to] = numbers[..] else { panic!("{error}") };
+        assert!(low <= from && from < to && to <= high, "{error}: {low} to {high}");
+    }
+    for air in ["500", "100000"] {
+        assert_eq!(compared(0.0, air).expect("another exposure, or a thick patient"), 0);
+    }
 }

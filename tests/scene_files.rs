@@ -106,8 +106,7 @@ fn a_projection_and_joints_give_the_same_kind_of_view() {
     assert!(second.camera_from_lps.translation_mm.distance(first.camera_from_lps.translation_mm) < 1e-6);
 
     let mut by_joints = example();
-    by_joints["view"] =
-        json!({"carm": {"orbital_deg": 90}, "calibration": "calibration/carm/live-620x480.json", "world_from_lps": unit()});
+    by_joints["view"] = by_carm(json!({}));
     by_joints["detector"] = json!({});
     let scene = load(&by_joints).expect("good");
     let view = scene.view.expect("has one");
@@ -117,6 +116,51 @@ fn a_projection_and_joints_give_the_same_kind_of_view() {
     assert!(view.source_in_lps().distance(DVec3::new(800.0 - 631.8, 0.0, 1000.0)) < 1e-6, "{}", view.source_in_lps());
     by_joints["detector"] = json!({"pitch_mm": 0.2});
     assert!(load(&by_joints).expect_err("two pitches").contains("0.388"));
+}
+
+/// A view by joints, orbital at 90 degrees, with `changes`.
+fn by_carm(changes: Value) -> Value {
+    let mut carm = json!({
+        "lift_mm": 0, "wig_wag_deg": 0, "longitudinal_mm": 0, "angulation_deg": 0, "orbital_deg": 90, "detector_rotation_deg": 0,
+        "source_to_detector_mm": 1020
+    });
+    for (key, value) in changes.as_object().expect("joints") {
+        carm[key] = value.clone();
+    }
+    json!({"carm": carm, "calibration": "calibration/carm/live-620x480.json", "world_from_lps": unit()})
+}
+
+/// A joint that was left out stood at zero, the distance at the calibration's, and a thousand degrees went round: the picture of a view
+/// that nobody asked for.
+#[test]
+fn a_view_needs_every_joint_and_one_that_a_carm_has() {
+    let with = |view: Value| {
+        let mut scene = example();
+        scene["view"] = view;
+        scene["detector"] = json!({});
+        load(&scene).map(|scene| scene.view.expect("has one"))
+    };
+    let keys = ["lift_mm", "wig_wag_deg", "longitudinal_mm", "angulation_deg", "orbital_deg", "detector_rotation_deg"];
+    let mut refused = 0;
+    for key in keys.into_iter().chain(["source_to_detector_mm"]) {
+        let mut left_out = by_carm(json!({}));
+        left_out["carm"].as_object_mut().expect("joints").remove(key);
+        let absurd = if key.ends_with("_deg") { 1000.0 } else { 1e6 };
+        for view in [left_out, by_carm(json!({key: null})), by_carm(json!({key: absurd})), by_carm(json!({key: -absurd}))] {
+            let error = with(view).expect_err(key);
+            assert!(error.contains(&format!("view.carm.{key} is ")) && error.contains("all seven joints"), "{error}");
+            refused += 1;
+        }
+    }
+    assert_eq!(refused, 28);
+    for distance_mm in [-1020.0, 0.0, 1.02, 102.0] {
+        let error = with(by_carm(json!({"source_to_detector_mm": distance_mm}))).expect_err("no C-arm");
+        assert!(error.contains("expected 200 to 5000 mm"), "{error}");
+    }
+    for turn in [-360.0, 180.0, 360.0] {
+        with(by_carm(json!({"orbital_deg": turn}))).expect("a turn");
+    }
+    assert_eq!(with(by_carm(json!({"lift_mm": 300, "source_to_detector_mm": 900}))).expect("good").intrinsics.fx, 900.0 / 0.388);
 }
 
 #[test]

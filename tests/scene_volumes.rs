@@ -260,6 +260,26 @@ fn voxelised_tools_are_fractions_in_their_own_frame() {
     assert!(ct_scene(folder.path(), tool).expect_err("fraction").contains("outside 0 to 1"));
 }
 
+/// A NIfTI-2 file was called damaged, and nobody was told what to do.
+#[test]
+fn nifti_2_is_told_from_damage() {
+    let folder = folder();
+    let path = folder.path().join("x.nii");
+    let complaint = |size: [u8; 4], length: usize| {
+        let mut bytes = vec![0u8; length];
+        bytes[..4].copy_from_slice(&size);
+        bytes[4..8].copy_from_slice(b"n+2\0");
+        std::fs::write(&path, bytes).expect("writes");
+        read_volume(&path, &Reporter::silent()).expect_err("no volume").to_string()
+    };
+    for size in [540i32.to_le_bytes(), 540i32.to_be_bytes()] {
+        assert!(complaint(size, 600).contains("this is NIfTI-2; convert it to NIfTI-1"), "{}", complaint(size, 600));
+    }
+    for (size, length) in [(541i32.to_le_bytes(), 600), (540i32.to_le_bytes(), 300)] {
+        assert!(complaint(size, length).contains("no NIfTI-1 header"), "control: {}", complaint(size, length));
+    }
+}
+
 /// Real CTs, where they are at hand.
 #[test]
 fn real_cts_load_with_their_labels() {

@@ -7,6 +7,7 @@ use dicom_object::DefaultDicomObject;
 use dicom_pixeldata::PixelDecoder;
 
 use super::domain::{Traces, judge};
+use super::padding::Padding;
 use super::tag_reader::TagReader;
 use super::terms::is_term;
 use super::{Domain, Fault, Raw, whole};
@@ -83,9 +84,8 @@ fn each(
     if let Some(turned) = frame_tags.field_of_view_rotation_deg.filter(|&turned| turned != 0.0) {
         notes.push(format!("the console turned the image by {turned} degrees; this is not undone"));
     }
-    if object.get(tags::PIXEL_PADDING_VALUE).is_some() {
-        notes.push("a pixel padding value (0028,0120) is present; padded pixels are not marked".into());
-    }
+    let padding = Padding::of(object, layout.signed, &mut notes);
+    notes.extend(padding.map(|padding| padding.words()));
 
     let ends = mapping.ends(layout);
     // Linear and display frames promise "larger is more signal", log frames "larger is more attenuation".
@@ -93,12 +93,25 @@ fn each(
         Domain::Log => verdict.larger_is_more_signal,
         Domain::Linear | Domain::Display | Domain::Unknown => !verdict.larger_is_more_signal,
     };
+    if inverted && verdict.domain == Domain::Linear {
+        notes.push(format!(
+            "turned round about the ends of {} bits stored, {} and {}: no attribute says at which value there is no signal",
+            layout.bits_stored, ends[0], ends[1]
+        ));
+    }
     let unmirrored = frame_tags.field_of_view_flipped == Some(true);
     for values in stored.chunks_exact(layout.frame_bytes()).take(layout.frames) {
+        let mut padded = 0;
         let mut pixels: Vec<f32> = values
             .chunks_exact(layout.sample_bytes())
             .map(|sample| {
-                let value = mapping.apply(layout.value(sample));
+                let word = layout.word(sample);
+                // Padding may lie beyond the stored bits, where no measured value can be.
+                if padding.is_some_and(|padding| padding.holds(layout.value(word)) || padding.holds(layout.whole(word))) {
+                    padded += 1;
+                    return f32::NAN;
+                }
+                let value = mapping.apply(layout.value(word));
                 (if inverted { ends[0] + ends[1] - value } else { value }) as f32
             })
             .collect();
@@ -110,10 +123,12 @@ fn each(
             domain: verdict.domain,
             evidence: verdict.evidence.clone(),
             unit: None,
-            inverted,
+            turned_about: inverted.then_some(ends[0] + ends[1]),
             unmirrored,
             tags: frame_tags.clone(),
             scale_ends: Some([ends[0] as f32, ends[1] as f32]),
+            padded,
+            altered: Vec::new(),
             notes: notes.clone(),
         })?;
     }
@@ -217,11 +232,23 @@ impl Layout {
         self.rows * self.columns * self.sample_bytes()
     }
 
-    /// The stored value in `sample` (little-endian): overlay bits are masked off, the sign is extended.
-    fn value(&self, sample: &[u8]) -> i64 {
-        let raw = sample.iter().rev().fold(0u64, |word, &byte| word << 8 | u64::from(byte));
-        let bits = raw >> (self.high_bit + 1 - self.bits_stored) & ((1u64 << self.bits_stored) - 1);
-        if self.signed && bits >> (self.bits_stored - 1) == 1 { bits as i64 - (1i64 << self.bits_stored) } else { bits as i64 }
+    /// All bits of `sample` (little-endian).
+    fn word(&self, sample: &[u8]) -> u64 {
+        sample.iter().rev().fold(0, |word, &byte| word << 8 | u64::from(byte))
+    }
+
+    /// The stored value in `word`: overlay bits are masked off, the sign is extended.
+    fn value(&self, word: u64) -> i64 {
+        self.number(word >> (self.high_bit + 1 - self.bits_stored) & ((1u64 << self.bits_stored) - 1), self.bits_stored)
+    }
+
+    /// The value of the whole `word`, overlay bits and all.
+    fn whole(&self, word: u64) -> i64 {
+        self.number(word, self.bits_allocated as u32)
+    }
+
+    fn number(&self, bits: u64, count: u32) -> i64 {
+        if self.signed && bits >> (count - 1) == 1 { bits as i64 - (1i64 << count) } else { bits as i64 }
     }
 
     /// Smallest and largest value that can be stored.

@@ -121,8 +121,8 @@ pub enum Fault {
         /// The limit.
         limit: u64,
     },
-    /// Nothing but NaN and infinite pixels.
-    #[error("all {count} pixels are NaN or infinite; export the radiograph again")]
+    /// Nothing but NaN, infinite and padding pixels.
+    #[error("all {count} pixels are NaN, infinite or padding; export the radiograph again")]
     NotFinite {
         /// How many.
         count: u64,

@@ -17,6 +17,7 @@ mod listing;
 mod log_form;
 mod notices;
 mod offer;
+mod padding;
 pub mod panel_maps;
 mod photo;
 mod raster;
@@ -57,7 +58,7 @@ pub struct Frame {
     /// What people call the frame: the file's name without folders and ending where that is harmless (with `#0002` for the images of a file
     /// with several), else `frame-HASH`. A label, not an identity: two frames may share it.
     pub name: String,
-    /// Pixels; every one is finite.
+    /// Pixels; NaN where nothing was measured (not finite in the file, or padding), every other one is finite.
     #[serde(skip, default = "no_pixels")]
     pub pixels: Image<f32>,
     /// Columns and rows.
@@ -70,6 +71,9 @@ pub struct Frame {
     pub unit: Option<String>,
     /// The stored values were turned round (`low + high − value`) to give them the direction that `domain` promises.
     pub inverted: bool,
+    /// `low + high` of that: the ends of what can be stored, because no attribute says at which value there is no signal.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub turned_about: Option<f64>,
     /// The columns were reversed because the file says that the console had mirrored them.
     pub unmirrored: bool,
     /// What was kept of the file's header.
@@ -81,7 +85,10 @@ pub struct Frame {
     pub image_of_file: [usize; 2],
     /// Pixels clipped at either end of the scale.
     pub clipping: Clipping,
-    /// What a person should know: assumptions, ignored values, conversions.
+    /// Pixels that were masked, and pixels that were put elsewhere, at import, a sentence each: whoever uses the frame says them aloud.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub altered: Vec<String>,
+    /// What else a person should know: assumptions, ignored values, conversions.
     pub notes: Vec<String>,
     /// What was done to the pixels after they were read; `None` as long as they are the file's own.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -131,10 +138,12 @@ impl Frame {
             domain,
             evidence: vec![format!("declared: {domain}")],
             unit: None,
-            inverted: false,
+            turned_about: None,
             unmirrored: false,
             tags: FrameTags::default(),
             scale_ends: None,
+            padded: 0,
+            altered: Vec::new(),
             notes: Vec::new(),
         };
         raw.into_frame(name.to_owned(), sha256_bytes(&bytes), only_image())
@@ -154,11 +163,15 @@ struct Raw {
     domain: Domain,
     evidence: Vec<String>,
     unit: Option<String>,
-    inverted: bool,
+    turned_about: Option<f64>,
     unmirrored: bool,
     tags: FrameTags,
     /// The smallest and largest value that could have been stored, after conversion; `None` for floats.
     scale_ends: Option<[f32; 2]>,
+    /// Pixels that are NaN because the file calls them padding.
+    padded: usize,
+    /// See [`Frame::altered`]; masked pixels are added to it.
+    altered: Vec<String>,
     notes: Vec<String>,
 }
 
@@ -173,9 +186,15 @@ impl Raw {
         if blank == self.pixels.pixels.len() {
             return Err(Fault::NotFinite { count: blank as u64 });
         }
-        if blank > 0 {
-            let percent = 100.0 * blank as f64 / self.pixels.pixels.len() as f64;
-            self.notes.push(format!("{blank} pixels ({percent:.2} %) are NaN or infinite: they are masked"));
+        let percent = |count: usize| 100.0 * count as f64 / self.pixels.pixels.len() as f64;
+        if self.padded > 0 {
+            let share = percent(self.padded);
+            self.altered
+                .push(format!("{} pixels ({share:.2} %) are padding by the file's own word: they are masked", self.padded));
+        }
+        if blank > self.padded {
+            let lost = blank - self.padded;
+            self.altered.push(format!("{lost} pixels ({:.2} %) are NaN or infinite: they are masked", percent(lost)));
             self.pixels.pixels.iter_mut().filter(|value| !value.is_finite()).for_each(|value| *value = f32::NAN);
         }
         let clipping = clipping(&self.pixels, self.scale_ends, self.domain == Domain::Log);
@@ -187,12 +206,14 @@ impl Raw {
             domain: self.domain,
             domain_evidence: self.evidence,
             unit: self.unit,
-            inverted: self.inverted,
+            inverted: self.turned_about.is_some(),
+            turned_about: self.turned_about,
             unmirrored: self.unmirrored,
             tags: self.tags,
             sha256,
             image_of_file,
             clipping,
+            altered: self.altered,
             notes: self.notes,
             correction: None,
         })

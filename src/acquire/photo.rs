@@ -36,10 +36,12 @@ pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<Raw, Fault> {
         domain: Domain::Display,
         evidence: vec![format!("a photograph ({kind})")],
         unit: None,
-        inverted: false,
+        turned_about: None,
         unmirrored: false,
         tags: FrameTags::default(),
         scale_ends: Some([0.0, 255.0]),
+        padded: 0,
+        altered: Vec::new(),
         notes: Vec::new(),
     })
 }

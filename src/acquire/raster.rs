@@ -7,6 +7,7 @@ use tiff::tags::Tag;
 
 use super::{Fault, FrameTags, Raw, Settings, check_image, check_total, whole};
 use crate::foreign::Limits;
+use crate::geometry::{ConsoleGeometry, Flip};
 use crate::image::Image;
 
 /// Reads a grey PNG.
@@ -69,9 +70,38 @@ pub(super) fn read_tiff(
             _ => return Err(unsupported()),
         };
         let image = Image::from_pixels(width as usize, height as usize, pixels).ok_or_else(unsupported)?;
-        take(raw(image, ends, settings, Vec::new()))?;
+        let order = decoder.find_tag_unsigned::<u16>(Tag::Orientation).map_err(fault)?.unwrap_or(1);
+        let (image, altered) = as_shown(image, order);
+        take(Raw { altered, ..raw(image, ends, settings, Vec::new()) })?;
     }
     Ok(())
+}
+
+/// The picture that the file asks to be shown, of pixels stored in this order (TIFF 6.0, tag 274), and what was done for it: a picture's
+/// columns and rows are those that people, poses and a declared console speak of, not those in which some program wrote it down.
+fn as_shown(stored: Image<f32>, order: u16) -> (Image<f32>, Vec<String>) {
+    // Clockwise, then mirrored, from the picture to what is stored.
+    let (rotation_deg, flip, start) = match order {
+        1 => return (stored, Vec::new()),
+        2 => (0.0, Flip::Horizontal, "top right"),
+        3 => (180.0, Flip::None, "bottom right"),
+        4 => (0.0, Flip::Vertical, "bottom left"),
+        5 => (90.0, Flip::Horizontal, "top left, columns first"),
+        6 => (270.0, Flip::None, "top right, columns first"),
+        7 => (270.0, Flip::Horizontal, "bottom right, columns first"),
+        8 => (90.0, Flip::None, "bottom left, columns first"),
+        _ => {
+            let words =
+                format!("TIFF orientation (tag 274) is {order}, expected 1 to 8: the pixels were taken in the order of the file");
+            return (stored, vec![words]);
+        }
+    };
+    let words = format!(
+        "TIFF orientation (tag 274) is {order}, stored from the {start}: the pixels were put in the order in which the picture is shown, \
+         and columns and rows are counted there"
+    );
+    let console = ConsoleGeometry { rotation_deg, flip, ..ConsoleGeometry::default() };
+    (console.orient(&stored, false), vec![words])
 }
 
 /// Looks at all pages before any is decoded: how many, how large, and whether their strips are in the file.
@@ -126,5 +156,17 @@ fn raw(pixels: Image<f32>, scale_ends: Option<[f32; 2]>, settings: &Settings, mu
     }
     let domain = settings.domain.unwrap_or(beside.domain);
     let unit = if domain == beside.domain { beside.unit.clone() } else { None };
-    Raw { pixels, domain, evidence, unit, inverted: false, unmirrored: false, tags, scale_ends, notes }
+    Raw {
+        pixels,
+        domain,
+        evidence,
+        unit,
+        turned_about: None,
+        unmirrored: false,
+        tags,
+        scale_ends,
+        padded: 0,
+        altered: Vec::new(),
+        notes,
+    }
 }

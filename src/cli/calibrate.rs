@@ -10,8 +10,9 @@ use super::calibrate_intensifier::{self, CalibrateIntensifierError, IntensifierA
 use super::calibrate_layout::{self, CalibrateLayoutError, LayoutArgs};
 use super::calibrate_robot::{self, RobotArgs};
 use super::calibrate_robot_error::CalibrateRobotError;
+use super::read_aloud::frames_aloud;
 use super::spectrum::FilterArg;
-use crate::acquire::{AcquireError, DetectorCalibration, Domain, Frame, MapsFile, PanelResponse, exposure_mas, read_frames};
+use crate::acquire::{AcquireError, DetectorCalibration, Domain, Frame, MapsFile, PanelResponse, exposure_mas};
 use crate::calibrate::detector::{DetectorError, Measurement, PanelFrame, calibrate};
 use crate::image::{ImageFileError, check_writable, sha256_file, write_atomically, write_tiff_f32};
 use crate::reporter::Reporter;
@@ -162,7 +163,7 @@ fn detector(args: &DetectorArgs, reporter: &Reporter) -> Result<u8, CalibrateErr
         let mut frames = Vec::new();
         for path in paths {
             // Stored values are wanted as they are, whatever the header thinks of them.
-            frames.extend(read_frames(path, Some(Domain::Linear))?);
+            frames.extend(frames_aloud(path, Some(Domain::Linear), reporter)?);
             progress.advance(1);
         }
         Ok(frames)

@@ -7,7 +7,8 @@ use serde::Deserialize;
 pub use super::calibrate_intensifier_args::IntensifierArgs;
 use super::calibrate_intensifier_beads::phantom;
 pub use super::calibrate_intensifier_error::CalibrateIntensifierError;
-use crate::acquire::{Frame, read_frame};
+use super::read_aloud::frame_aloud;
+use crate::acquire::Frame;
 use crate::calibrate::intensifier::{GridFrame, GridOf, GridRequest, calibrate, calibrate_phantom, disc_of, measure_glare};
 use crate::geometry::{AnglesDeg, AnglesFrom, DEFAULT_ORDER, Glare, IntensifierCalibration, ORDERS};
 use crate::image::{check_writable, refuse_overwrite, write_atomically};
@@ -35,7 +36,7 @@ pub fn run(args: &IntensifierArgs, reporter: &Reporter) -> Result<u8, CalibrateI
     let progress = reporter.progress("reading", args.grid.len() as u64);
     let mut frames = Vec::new();
     for path in &args.grid {
-        let frame = read_frame(path, args.domain)?;
+        let frame = frame_aloud(path, args.domain, reporter)?;
         let angles_deg = match (&listed, &args.angles) {
             (Some(rows), Some(list)) => Some(listed_angles(rows, path, list)?),
             _ => frame.tags.primary_deg.zip(frame.tags.secondary_deg).map(|(primary, secondary)| [primary, secondary]),
@@ -48,7 +49,7 @@ pub fn run(args: &IntensifierArgs, reporter: &Reporter) -> Result<u8, CalibrateI
         (None, true) => AnglesFrom::Positioner,
         (None, false) => AnglesFrom::Unknown,
     };
-    let opaque: Option<Frame> = args.opaque.as_deref().map(|path| read_frame(path, args.domain)).transpose()?;
+    let opaque: Option<Frame> = args.opaque.as_deref().map(|path| frame_aloud(path, args.domain, reporter)).transpose()?;
     let glare = opaque.map(|frame| measure_glare(&frame, &disc.unwrap_or_else(|| disc_of(&frames, None).0))).transpose()?;
     let said = args.origin.as_deref().unwrap_or("who and with what not stated (--origin)");
     let dates: std::collections::BTreeSet<&str> = frames.iter().filter_map(|f| f.frame.tags.acquired_date.as_deref()).collect();

@@ -7,8 +7,9 @@ use clap::Args;
 
 use super::calibrate_carm::read_joints;
 use super::calibrate_layout_error::CalibrateShotsError;
+use super::read_aloud::frame_aloud;
 use super::shot_files::{pretty, shot_name};
-use crate::acquire::{Domain, Frame, read_frame};
+use crate::acquire::{Domain, Frame};
 use crate::beads::{Detection, Expectation, detect};
 use crate::calibrate::carm::Sensors;
 use crate::calibrate::phantom::{
@@ -89,7 +90,7 @@ pub fn run(
     let mut seen = Vec::new();
     let progress = reporter.progress("finding beads", shots.len() as u64);
     for (number, path) in shots.iter().enumerate() {
-        seen.push(rough.shot(number, path, args, file.as_ref())?);
+        seen.push(rough.shot(number, path, args, file.as_ref(), reporter)?);
         progress.advance(1);
     }
     let errors = rough.errors(args, file.as_ref(), seen.first());
@@ -213,8 +214,9 @@ impl RoughCameras {
         path: &Path,
         args: &ShotsArgs,
         file: Option<&IntrinsicsFile>,
+        reporter: &Reporter,
     ) -> Result<PhantomShot, CalibrateShotsError> {
-        let frame = read_frame(path, args.domain)?;
+        let frame = frame_aloud(path, args.domain, reporter)?;
         let name = shot_name(path);
         let size_px = frame.size_px.map(|n| n as u32);
         let fits = |of, expected: [u32; 2]| {

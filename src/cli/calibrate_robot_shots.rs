@@ -7,8 +7,9 @@ use std::sync::Arc;
 use serde::Deserialize;
 
 use super::calibrate_robot_error::CalibrateRobotError;
+use super::read_aloud::frame_aloud;
 use super::shot_files::{csv_table, is_json, is_log, number, shot_name};
-use crate::acquire::{Domain, Frame, read_frame};
+use crate::acquire::{Domain, Frame};
 use crate::calibrate::robot::{LoggedShot, NoShot, Shot, shots_of_log};
 use crate::geometry::Rigid;
 use crate::json::parse_json;
@@ -79,7 +80,7 @@ pub(super) fn read_shots(
         let pose = Pose::read(path)?;
         let name = shot_name(path);
         let row = rows.get(&name).ok_or_else(|| CalibrateRobotError::NoAngles { shot: name.clone() })?;
-        let mut frame = read_frame(&row.image, args.domain)?;
+        let mut frame = frame_aloud(&row.image, args.domain, reporter)?;
         // The pose is that of the picture with the console's doing undone.
         if let Some(console) = &pose.console {
             frame = frame.oriented(console, pose.detector.as_ref().and_then(|detector| detector.size_px));

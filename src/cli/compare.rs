@@ -4,10 +4,13 @@ use std::path::{Path, PathBuf};
 
 use glam::{DVec2, DVec3};
 
-use crate::acquire::{AcquireError, DetectorCalibration, DetectorCalibrationError, Domain, Frame, read_frame};
+use super::compare_origin::{Given, OriginError, doubts, view_of};
+use super::compare_table::table;
+use super::read_aloud::frame_aloud;
+use crate::acquire::{AcquireError, DetectorCalibration, DetectorCalibrationError, Domain, Frame};
 use crate::compare::{
-    AirLevel, CompareError, CompareInput, Compared, NULL_SCORES, NullRenders, OffsetRule, Tone, bead_marks, compare, elsewhere,
-    posed_scene, tool_mask,
+    AirLevel, CompareError, CompareInput, Compared, NullRenders, OffsetRule, Tone, bead_marks, compare, elsewhere, posed_scene,
+    tool_mask,
 };
 use crate::geometry::{PanelWindow, View};
 use crate::gpu::DeviceChoice;
@@ -26,7 +29,8 @@ use crate::scene::{SceneError, input_files, load};
   sidecarm compare frame.dcm drr.tif --scene scene.json --pose POSE.json --tone gain --out compared
 
 DIR/compare.json holds the numbers, DIR/strip.png acquired | matched DRR | signed difference | edges. With --scene and --pose each
-score is put against its null: the same score at +-1, 3, 10 mm and +-1, 3 degrees. Exit code 1: refused (too little left to score).")]
+score is put against its null: the same score at +-1, 3, 10 mm and +-1, 3 degrees, turned about, and mirrored. Exit code 1: refused (too
+little left to score, or a pose that SIMULATED was not rendered from).")]
 pub struct CompareArgs {
     /// The radiograph: DICOM, 16-bit PNG or TIFF, float TIFF
     pub acquired: PathBuf,
@@ -85,6 +89,9 @@ pub enum CompareCommandError {
     /// The scene.
     #[error(transparent)]
     Scene(#[from] SceneError),
+    /// A pose that is not the simulated image's.
+    #[error(transparent)]
+    Origin(#[from] OriginError),
     /// The renderer of the null.
     #[error(transparent)]
     Render(#[from] RenderError),
@@ -113,6 +120,16 @@ pub enum CompareCommandError {
         /// The simulated image.
         path: PathBuf,
         /// What was found.
+        found: String,
+    },
+    /// What is declared is not what was rendered.
+    #[error("--quantity {declared}: {path} says that it holds {found}; leave the flag out", path = path.display())]
+    OtherQuantity {
+        /// The simulated image.
+        path: PathBuf,
+        /// As typed.
+        declared: String,
+        /// By its description.
         found: String,
     },
     /// Several pages.
@@ -151,7 +168,7 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
     inputs.extend(["json", "valid.png", "guessed.png"].map(|suffix| beside(&args.simulated, suffix)));
     refuse_overwrite(&[&json_path, &strip_path], &inputs)?;
     let pose = args.pose.as_deref().map(Pose::read).transpose()?;
-    let mut frame = read_frame(&args.acquired, args.domain)?;
+    let mut frame = frame_aloud(&args.acquired, args.domain, reporter)?;
     let mut window = PanelWindow::WHOLE;
     // The pose is that of the picture with the console's doing undone.
     if let Some(console) = pose.as_ref().and_then(|pose| pose.console.as_ref()) {
@@ -172,7 +189,17 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
     if let (Some(path), Some(scene)) = (&args.scene, &scene) {
         refuse_overwrite(&[&json_path, &strip_path], &input_files(path, scene))?;
     }
-    let view = pose.as_ref().and_then(|pose| view_of(pose, &simulated, reporter));
+    let posed = args.pose.as_deref().zip(pose.as_ref());
+    let view = posed.map(|posed| view_of(posed, &simulated, reporter)).transpose()?.flatten();
+    let centre_lps_mm = pose.as_ref().and_then(|pose| centre(pose, scene.as_ref()));
+    let given = Given {
+        simulated: &args.simulated,
+        described: &described,
+        pose: args.pose.as_deref().map(|path| (path, view)),
+        scene: scene.as_ref(),
+        centre_lps_mm,
+    };
+    let doubts = doubts(&given)?;
     let beads = view.zip(pose.as_ref()).map(|(view, pose)| marks(pose, &view, scene.as_ref())).unwrap_or_default();
     let posed = scene.as_ref().zip(pose.as_ref()).zip(view).map(|((scene, pose), view)| posed_scene(scene, pose, view));
     let posed_scene = posed.transpose()?;
@@ -191,10 +218,17 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
         air: args.air,
         offset: args.offset,
         view: view.as_ref(),
-        centre_lps_mm: pose.as_ref().and_then(|pose| centre(pose, scene.as_ref())),
+        centre_lps_mm,
         ..CompareInput::new(&frame, &simulated)
     };
     let mut compared = compare(&input)?;
+    for disagreement in &compared.comparison.disagreements {
+        reporter.warn("images disagree", format!("{}: {disagreement}", args.acquired.display()));
+    }
+    for doubt in doubts {
+        reporter.warn("not what was rendered", &doubt);
+        compared.comparison.flags.push(doubt);
+    }
     if frame.unmirrored {
         compared
             .comparison
@@ -204,12 +238,22 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
     if let Some(scene) = &posed_scene {
         add_null(&mut compared, scene, reporter)?;
     }
+    let prefers = elsewhere(&compared.comparison.null);
+    if let Some(found) = &prefers {
+        reporter.warn("image disagrees", format!("{}: {found}", args.acquired.display()));
+    }
     std::fs::create_dir_all(&args.out).map_err(|source| CompareCommandError::Io { path: args.out.clone(), source })?;
     let result = serde_json::json!({
         "version": env!("CARGO_PKG_VERSION"),
-        "acquired": { "path": args.acquired.display().to_string(), "sha256": frame.sha256, "domain_evidence": frame.domain_evidence },
+        "acquired": {
+            "path": args.acquired.display().to_string(),
+            "sha256": frame.sha256,
+            "domain_evidence": frame.domain_evidence,
+            "notes": frame.notes,
+        },
         "simulated": { "path": args.simulated.display().to_string(), "sha256": sha256_file(&args.simulated)? },
         "comparison": compared.comparison,
+        "image_prefers": prefers,
     });
     let text = format!("{result:#}\n");
     write_atomically(&json_path, |file| file.write_all(text.as_bytes()))?;
@@ -217,7 +261,7 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
     if args.json {
         print!("{text}");
     } else {
-        print!("{}", table(&compared));
+        print!("{}", table(&compared.comparison));
     }
     Ok(0)
 }
@@ -239,6 +283,11 @@ fn described(path: &Path) -> serde_json::Value {
 /// The simulated line integral; what has no logarithm is NaN.
 fn read_simulated(path: &Path, quantity: Option<&str>) -> Result<Image<f32>, CompareCommandError> {
     let described = described(path)["quantity"].as_str().map(str::to_owned);
+    if let (Some(declared), Some(found)) = (quantity, described.clone())
+        && declared != found
+    {
+        return Err(CompareCommandError::OtherQuantity { path: path.to_owned(), declared: declared.to_owned(), found });
+    }
     let found = quantity.map(str::to_owned).or(described).unwrap_or_else(|| "not known".into());
     let mut pages = read_tiff_f32(path)?;
     let image = match (pages.len(), pages.pop()) {
@@ -268,26 +317,6 @@ fn read_mask(path: &Path) -> Result<Image<bool>, CompareCommandError> {
     let (width, height) = (decoded.width() as usize, decoded.height() as usize);
     let pixels = decoded.into_raw().into_iter().map(|value| value != 0).collect();
     Image::from_pixels(width, height, pixels).ok_or_else(|| unreadable("pixels are missing".into()))
-}
-
-/// The view of the simulated image: that of the pose, binned where the image is a whole fraction of it.
-fn view_of(pose: &Pose, simulated: &Image<f32>, reporter: &Reporter) -> Option<View> {
-    let Some((intrinsics, camera_from_lps)) = pose.camera() else {
-        let reason = pose.reason.as_deref().unwrap_or("no reason given");
-        reporter.warn("pose", format!("the pose is refused ({reason}): no distances in mm, no null"));
-        return None;
-    };
-    let size_px = [simulated.width as u32, simulated.height as u32];
-    let full = pose.size_px.unwrap_or(size_px);
-    let factor = full[0].checked_div(size_px[0]).unwrap_or(0);
-    if factor == 0 || full[0] / factor != size_px[0] || full[1] / factor != size_px[1] {
-        reporter.warn(
-            "pose",
-            format!("the pose is for images of {full:?} px, the simulated one has {size_px:?}: no distances in mm, no null"),
-        );
-        return None;
-    }
-    Some(View { size_px, intrinsics: intrinsics.binned(f64::from(factor)), camera_from_lps })
 }
 
 /// Beads by the pose's file; a matched shadow tells the size.
@@ -342,65 +371,4 @@ fn picture(frame: &Frame, compared: &Compared, pose: Option<&Pose>) -> Image<[u8
         scores: &score_words(&compared.comparison.scores, &compared.comparison.null),
         mm_per_px: compared.comparison.mm_per_px,
     })
-}
-
-/// Scores, each with its null; then masks, tone, air level and flags.
-fn table(compared: &Compared) -> String {
-    let found = &compared.comparison;
-    let number = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |value| format!("{value:.4}"));
-    let mut text = format!("{:<18}{:>10}  {:>10}  {:>10}  {}\n", "score", "here", "null size", "best null", "rank");
-    for (name, _) in NULL_SCORES {
-        let (small, best, rank) = match found.null.get(name) {
-            Some(null) => {
-                let doubt = if null.discriminating { "" } else { ", not discriminating" };
-                let at = null.best_shift.as_deref().unwrap_or("nowhere");
-                (
-                    number(null.at_pose),
-                    number(null.best_shifted),
-                    format!("{} of {} (best wrong: {at}{doubt})", null.rank, null.of),
-                )
-            }
-            None => ("-".into(), "-".into(), found.scores.reasons.get(name).cloned().unwrap_or_default()),
-        };
-        text += format!("{name:<18}{:>10}  {small:>10}  {best:>10}  {rank}", number(found.scores.get(name))).trim_end();
-        text.push('\n');
-    }
-    for name in ["edge_distance_mm", "bias_nepers", "noise_nepers"] {
-        let reason = found.scores.reasons.get(name).map(String::as_str).unwrap_or_default();
-        text += format!("{name:<18}{:>10}  {reason}", number(found.scores.get(name))).trim_end();
-        text.push('\n');
-    }
-    let causes: Vec<String> =
-        found.masks.causes.iter().map(|(cause, share)| format!("{} {:.1} %", cause.words(), 100.0 * share)).collect();
-    text += &format!(
-        "masked {:.1} % ({})\n",
-        100.0 * found.masks.masked,
-        if causes.is_empty() { "nothing".into() } else { causes.join(", ") }
-    );
-    text += &format!(
-        "domain {}, tone {} with {} fitted numbers, ",
-        found.domain,
-        found.tone.tone.as_str(),
-        found.tone.degrees_of_freedom
-    );
-    text += &match found.air.level {
-        Some(level) => format!("air level {level:.6} ({})", found.air.rule),
-        None => "air level unknown".to_owned(),
-    };
-    if let Some(offset) = &found.air.offset {
-        text += &match offset.sigma {
-            Some(sigma) => format!(", offset {:.2} ± {sigma:.2} ({})", offset.value, offset.rule),
-            None => format!(", offset {:.2} ({})", offset.value, offset.rule),
-        };
-        text += &offset.reason.as_ref().map(|reason| format!(": {reason}")).unwrap_or_default();
-    }
-    text.push('\n');
-    if let (Some(seen), Some(expected)) = (found.scores.noise_nepers, found.noise_expected_nepers) {
-        text += &format!("noise {seen:.4} nepers, the detector calibration expects {expected:.4}\n");
-    }
-    if let Some(prefers) = elsewhere(&found.null) {
-        text += &format!("{prefers}\n");
-    }
-    found.flags.iter().for_each(|flag| text += &format!("note: {flag}\n"));
-    text
 }

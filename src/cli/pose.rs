@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Subcommand;
 use serde_json::{Map, Value, json};
 
+use super::pose_losses::{PitchContradiction, settle_pitch, unkept};
 use crate::geometry::formats::{ExchangedCamera, Format, FormatError, Known, PatientAxes, read, recognise, write};
 use crate::geometry::{AngleConvention, CameraError, PatientPosition, View};
 use crate::image::{ImageFileError, refuse_overwrite, write_atomically};
@@ -153,6 +154,14 @@ pub enum ConvertError {
         /// Relative to the largest entry.
         difference: f64,
     },
+    /// Two pitches that K contradicts.
+    #[error("{path}: {source}", path = path.display())]
+    Pitch {
+        /// The file.
+        path: PathBuf,
+        /// Found and expected.
+        source: PitchContradiction,
+    },
     /// The text is not of its format, or holds no camera.
     #[error("{path}: {format}: {source}", path = path.display())]
     Format {
@@ -201,10 +210,13 @@ pub fn run(args: &PoseArgs, reporter: &Reporter) -> Result<u8, ConvertError> {
     let inputs: Vec<&PathBuf> = std::iter::once(&args.pose).chain(&args.intrinsics).collect();
     refuse_overwrite(&args.out.iter().collect::<Vec<_>>(), &inputs)?;
     let known = known(args)?;
-    let (from, camera) = load(args, &known)?;
+    let (from, mut camera, mut warnings) = load(args, &known)?;
     if from == Target::Pose && args.to == Target::Pose {
         return Err(ConvertError::Already { path: args.pose.clone() });
     }
+    let typed_mm = known.pitch_mm.filter(|_| !args.pitch.is_empty());
+    let settled = settle_pitch(&mut camera, typed_mm, args.to == Target::Pose);
+    warnings.extend(settled.map_err(|source| ConvertError::Pitch { path: args.pose.clone(), source })?);
     let text = match args.to {
         Target::Pose => serde_json::to_string_pretty(&pose_of(&camera, from))? + "\n",
         Target::Foreign(format) => {
@@ -223,10 +235,11 @@ pub fn run(args: &PoseArgs, reporter: &Reporter) -> Result<u8, ConvertError> {
     let convention = foreign(args.to).or(foreign(from)).map(Format::convention);
     let loses = foreign(args.to).and_then(Format::loses);
     if args.json {
-        println!("{:#}", answer(args, from, &camera, convention, loses, &text));
+        println!("{:#}", answer(args, from, &camera, convention, loses, &warnings, &text));
     } else if args.out.is_none() {
         print!("{text}");
     }
+    warnings.iter().for_each(|words| reporter.warn("conversion", words));
     let notes = camera.notes.iter().map(String::as_str).chain(convention).chain(loses);
     notes.for_each(|sentence| reporter.note(format!("note: {sentence}")));
     Ok(0)
@@ -256,8 +269,8 @@ fn known(args: &ConvertArgs) -> Result<Known, ConvertError> {
     Ok(Known { intrinsics: file.map(|file| file.intrinsics), size_px, pitch_mm })
 }
 
-/// The camera of `args.pose`, and the format it was in.
-fn load(args: &ConvertArgs, known: &Known) -> Result<(Target, ExchangedCamera), ConvertError> {
+/// The camera of `args.pose`, the format it was in, and what of it is lost on the way.
+fn load(args: &ConvertArgs, known: &Known) -> Result<(Target, ExchangedCamera, Vec<String>), ConvertError> {
     let path = &args.pose;
     let bytes = std::fs::read(path).map_err(|source| ConvertError::Read { path: path.clone(), source })?;
     let text = String::from_utf8_lossy(&bytes);
@@ -270,8 +283,13 @@ fn load(args: &ConvertArgs, known: &Known) -> Result<(Target, ExchangedCamera), 
             None => return Err(ConvertError::Unrecognised { path: path.clone() }),
         },
     };
+    let mut losses = Vec::new();
     let camera = match found {
-        Target::Pose => camera_of(&Pose::read(path)?, path, known)?,
+        Target::Pose => {
+            let pose = Pose::read(path)?;
+            losses = unkept(&pose, args.to.name());
+            camera_of(&pose, path, known)?
+        }
         Target::Foreign(format) => {
             let axes = args.axes.unwrap_or(format.usual_axes());
             read(format, &text, axes, known).map_err(|source| ConvertError::Format {
@@ -285,7 +303,7 @@ fn load(args: &ConvertArgs, known: &Known) -> Result<(Target, ExchangedCamera), 
         let view = View { size_px, intrinsics, camera_from_lps: camera.camera_from_lps };
         view.check().map_err(|source| ConvertError::Camera { path: path.clone(), source })?;
     }
-    Ok((found, camera))
+    Ok((found, camera, losses))
 }
 
 /// The camera of a pose file.
@@ -348,6 +366,7 @@ fn answer(
     camera: &ExchangedCamera,
     convention: Option<&str>,
     loses: Option<&str>,
+    warnings: &[String],
     text: &str,
 ) -> Value {
     let lps_from_camera = camera.camera_from_lps.rotation.conjugate();
@@ -368,6 +387,7 @@ fn answer(
     map.insert("angles_deg".to_owned(), Value::Object(Map::from_iter(angles)));
     map.insert("convention".to_owned(), json!(convention));
     map.insert("loses".to_owned(), json!(loses));
+    map.insert("warnings".to_owned(), json!(warnings));
     map.insert("notes".to_owned(), json!(camera.notes));
     match &args.out {
         Some(out) => map.insert("out".to_owned(), json!(out.display().to_string())),

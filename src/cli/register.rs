@@ -2,12 +2,12 @@
 
 use std::path::PathBuf;
 
+use super::read_aloud::frame_aloud;
 use super::register_args::Given;
 pub use super::register_args::RegisterArgs;
 use super::register_error::RegisterError;
 use super::register_seen::{Console, Seen};
 use super::register_together;
-use crate::acquire::read_frame;
 use crate::beads::read_correspondences;
 use crate::beads::tags::{find_tags, read_tags};
 use crate::image::write_png_rgb;
@@ -29,7 +29,7 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
     let given = Given::read(args, &outputs)?;
     let tags = args.tags.as_deref().map(read_tags).transpose()?;
     let correspondences = args.correspondences.as_deref().map(read_correspondences).transpose()?.unwrap_or_default();
-    let stored = read_frame(path, args.domain)?;
+    let stored = frame_aloud(path, args.domain, reporter)?;
     let mut notes = Vec::new();
     let declared = match Console::of(args, &given, &stored, &mut notes)? {
         Ok(declared) => declared,

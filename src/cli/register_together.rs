@@ -2,10 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
+use super::read_aloud::frame_aloud;
 use super::register_args::{Given, RegisterArgs};
 use super::register_error::RegisterError;
 use super::register_seen::{Console, Seen};
-use crate::acquire::read_frame;
 use crate::image::check_writable;
 use crate::mask;
 use crate::pose::{BeadVerdict, SeveralViews, Together, ViewAlone, register_masked, register_together};
@@ -31,7 +31,7 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
     let (mut views, mut intrinsics_prior, mut size_px) = (Vec::new(), None, None);
     let progress = reporter.progress("registering frames", args.frames.len() as u64);
     for (number, path) in args.frames.iter().enumerate() {
-        let stored = read_frame(path, args.domain)?;
+        let stored = frame_aloud(path, args.domain, reporter)?;
         let mut notes = Vec::new();
         let console = match Console::of(args, &given, &stored, &mut notes)? {
             Ok(console) => console,

@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use clap::builder::{PathBufValueParser, TypedValueParser};
+
 use crate::compare::posed_scene;
 use crate::geometry::View;
 use crate::gpu::DeviceChoice;
@@ -30,7 +32,7 @@ pub struct RenderArgs {
     /// The scene
     pub scene: PathBuf,
     /// The image, 32-bit float TIFF
-    #[arg(long, value_name = "IMAGE.tif")]
+    #[arg(long, value_name = "IMAGE.tif", value_parser = PathBufValueParser::new().try_map(image_name))]
     pub out: PathBuf,
     /// What the image holds
     #[arg(long, value_enum, default_value = "intensity")]
@@ -58,7 +60,7 @@ pub struct RenderArgs {
     #[arg(long)]
     pub explain: bool,
     /// An 8-bit picture for eyes as well
-    #[arg(long, value_name = "FILE.png")]
+    #[arg(long, value_name = "FILE.png", value_parser = PathBufValueParser::new().try_map(no_stream))]
     pub png: Option<PathBuf>,
     /// Print a summary as JSON
     #[arg(long)]
@@ -66,6 +68,29 @@ pub struct RenderArgs {
     /// Count NaN and infinity after every pass, into IMAGE.tif.json
     #[arg(long, hide = true)]
     pub count_non_finite: bool,
+}
+
+/// Endings of what people look at, and of what other tools write images to: a TIFF under such a name is opened by nothing.
+const OTHER_IMAGES: [&str; 11] = ["png", "jpg", "jpeg", "bmp", "gif", "webp", "exr", "dcm", "nii", "nrrd", "mha"];
+
+/// A name for the TIFF.
+fn image_name(path: PathBuf) -> Result<PathBuf, String> {
+    let ending = path.extension().map(|ending| ending.to_string_lossy().to_lowercase()).unwrap_or_default();
+    if OTHER_IMAGES.contains(&ending.as_str()) {
+        return Err(format!(
+            "a 32-bit float TIFF is written here, name it .tif; --png {} writes a picture for eyes",
+            path.with_extension("png").display()
+        ));
+    }
+    no_stream(path)
+}
+
+/// A name for a file.
+fn no_stream(path: PathBuf) -> Result<PathBuf, String> {
+    if path.as_os_str() == "-" {
+        return Err("standard output takes no image; name a file".to_owned());
+    }
+    Ok(path)
 }
 
 /// `--quantity`.

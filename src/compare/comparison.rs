@@ -2,8 +2,10 @@
 
 use std::collections::BTreeMap;
 
+use super::disagreement::Disagreement;
 use super::domain::{AirReport, CommonDomain};
-use super::null::{NullPlan, NullScore};
+use super::null::NullPlan;
+use super::ranking::NullScore;
 use super::scores::Scores;
 use super::tone::ToneFit;
 use crate::acquire::Domain;
@@ -34,6 +36,9 @@ pub struct Comparison {
     pub scores_without_tone: Scores,
     /// The robot or tool alone, with the tone; `None` without a tool mask.
     pub scores_tool: Option<Scores>,
+    /// What plainly disagrees, whatever the pose; each is also a flag.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub disagreements: Vec<Disagreement>,
     /// Each score against its null; empty until the null is made.
     pub null: BTreeMap<String, NullScore>,
     /// How the null was made.

@@ -3,7 +3,7 @@
 use super::filters::{erode, median_and_spread};
 use super::pedestal::{self, OffsetReport, OffsetRule};
 use crate::acquire::{Domain, Frame};
-use crate::image::Image;
+use crate::image::{Image, quantile};
 
 /// How the air level (the signal with nothing in the beam) is known.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -65,6 +65,21 @@ pub struct AirReport {
     pub offset: Option<OffsetReport>,
 }
 
+/// A declared air level that the frame itself contradicts.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "air level {level:?} is not the signal with nothing in the beam: the frame's own values are {low} to {high}; measure it without specimen, \
+     or leave it out"
+)]
+pub struct AirContradiction {
+    /// Declared, a stored value.
+    pub level: f64,
+    /// Smallest stored value of a usable pixel.
+    pub low: f32,
+    /// Largest stored value of a usable pixel.
+    pub high: f32,
+}
+
 /// Simulated line integrals below this are open air: intensity above 0.999.
 const OPEN_AIR_NEPERS: f32 = 1.0005e-3;
 /// An open-air level needs at least this many pixels…
@@ -95,20 +110,32 @@ pub(super) struct Evidence<'a> {
     pub offset: OffsetRule,
 }
 
-pub(super) fn into_common(frame: &Frame, pixels: &Image<f32>, simulated: &Image<f32>, evidence: &Evidence) -> Common {
+pub(super) fn into_common(
+    frame: &Frame,
+    pixels: &Image<f32>,
+    simulated: &Image<f32>,
+    evidence: &Evidence,
+) -> Result<Common, AirContradiction> {
     let Evidence { usable, air: rule, .. } = *evidence;
     let never = Image::filled(pixels.width, pixels.height, false);
-    match frame.domain {
+    Ok(match frame.domain {
         Domain::Linear => {
             let offset = offset_report(frame, pixels, simulated, evidence);
             let signal =
                 if offset.is_subtracted_here() { pixels.map(|&v| (f64::from(v) - offset.value) as f32) } else { pixels.clone() };
             // A declared air level is a stored value, as a person reads it; it stands on the same offset as the frame.
             let rule = match rule {
-                AirLevel::Value(value) => AirLevel::Value(value - offset.value),
+                AirLevel::Value(value) => {
+                    let value = as_turned(frame, value);
+                    check_level(value, offset.value, &signal, usable)?;
+                    AirLevel::Value(value - offset.value)
+                }
                 other => other,
             };
-            let mut air = linear_air(frame, &signal, simulated, usable, rule);
+            let mut air = match guessed_zero(frame, &offset, evidence.offset) {
+                Some(reason) => unknown_air(&reason),
+                None => linear_air(frame, &signal, simulated, usable, rule),
+            };
             air.offset = Some(offset);
             let pixels = &signal;
             let reference = air.level.unwrap_or(1.0);
@@ -141,11 +168,47 @@ pub(super) fn into_common(frame: &Frame, pixels: &Image<f32>, simulated: &Image<
             air: unknown_air(&format!("domain is {}: gray values have no air level", frame.domain)),
             no_signal: never,
         },
+    })
+}
+
+/// Bright pixels behind nothing read as much as air does, but for heel, gain and scatter: never ten times as much.
+const BRIGHTER_THAN_AIR: f64 = 10.0;
+/// Behind twenty nepers not a photon of any exposure is left.
+const DARKER_THAN_AIR: f64 = 1e9;
+
+/// Refuses a declared air level, a stored value, that the frame's own pixels contradict; `offset` is subtracted from `signal`.
+fn check_level(declared: f64, offset: f64, signal: &Image<f32>, usable: &Image<bool>) -> Result<(), AirContradiction> {
+    let at_usable = signal.pixels.iter().zip(&usable.pixels).filter(|(value, usable)| **usable && **value > 0.0);
+    let mut values: Vec<f32> = at_usable.map(|(value, _)| *value).filter(|value| value.is_finite()).collect();
+    let Some(bright) = quantile(&mut values, 0.99) else { return Ok(()) };
+    let level = declared - offset;
+    // What is not positive has no logarithm, and is said so later.
+    if !(level > 0.0) || level * BRIGHTER_THAN_AIR >= bright && level <= bright * DARKER_THAN_AIR {
+        return Ok(());
     }
+    let [low, high] = values.iter().fold([f32::MAX, f32::MIN], |[low, high], value| [low.min(*value), high.max(*value)]);
+    let stored = |value: f32| (f64::from(value) + offset) as f32;
+    Err(AirContradiction { level: declared, low: stored(low), high: stored(high) })
 }
 
 fn unknown_air(reason: &str) -> AirReport {
     AirReport { rule: "unknown".into(), level: None, pixels: None, spread: None, reason: Some(reason.to_owned()), offset: None }
+}
+
+/// A stored value as the frame holds it: values that grow with attenuation were turned round at import.
+fn as_turned(frame: &Frame, stored: f64) -> f64 {
+    frame.turned_about.map_or(stored, |ends| ends - stored)
+}
+
+/// Why nobody knows at which value of a frame that was turned round there is no signal. Its logarithm hangs on that: 14 bits of data in 16
+/// bits stored would put it 49152 too high.
+fn guessed_zero(frame: &Frame, offset: &OffsetReport, asked: OffsetRule) -> Option<String> {
+    let is_known = offset.rule != "none" || offset.zero_seen || asked == OffsetRule::None;
+    (frame.inverted && frame.unit.is_none() && !is_known).then(|| {
+        "larger stored values mean fewer X-rays, and neither a tag nor a shuttered area says which of them means none; give that stored value \
+         as --offset VALUE, or --offset none where it is the largest that can be stored"
+            .to_owned()
+    })
 }
 
 /// The offset of a linear frame; a calibration's was subtracted at import.
@@ -155,7 +218,7 @@ fn offset_report(frame: &Frame, pixels: &Image<f32>, simulated: &Image<f32>, evi
         return OffsetReport::known("calibration", value);
     }
     match evidence.offset {
-        OffsetRule::Value(value) => OffsetReport::known("value", value),
+        OffsetRule::Value(value) => OffsetReport::known("value", as_turned(frame, value)),
         OffsetRule::None => OffsetReport::none("declared: none"),
         OffsetRule::Shutters if frame.unit.is_some() => OffsetReport::none("the frame's unit says that its values start at zero"),
         OffsetRule::Shutters => pedestal::from_shutters(pixels, simulated, evidence.shuttered, evidence.clean, evidence.usable),

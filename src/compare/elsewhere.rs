@@ -6,7 +6,7 @@
 
 use std::collections::BTreeMap;
 
-use super::null::NullScore;
+use super::ranking::NullScore;
 use super::wrong_poses::is_of_another_layout;
 
 /// Scores that vote, each looking at something else: name, whether larger is better, and the least by which one must be better. A pose
@@ -17,7 +17,7 @@ const VOTERS: [(&str, bool, f64); 4] =
 const IN_PLACE_OF_ZNCC: &str = "rank_ncc";
 /// Of what is missing to a perfect score, the better pose must make up this share.
 const SHARE: f64 = 0.1;
-/// The same where all scores, and at least three, prefer one pose of a layout turned about, negated or mirrored. Scatter and noise that the simulation lacks
+/// The same where all scores, and at least three, prefer one pose of a layout turned about, negated or mirrored, or one mirrored picture. Scatter and noise that the simulation lacks
 /// make what is missing large at every pose; they do not make all scores agree on the same half-turn.
 const SHARE_OF_ANOTHER_LAYOUT: f64 = 0.05;
 const FEWEST_UNANIMOUS: usize = 3;
@@ -66,7 +66,7 @@ pub fn elsewhere(null: &BTreeMap<String, NullScore>) -> Option<Elsewhere> {
         return None;
     }
     let mut best: Option<(f64, Elsewhere)> = None;
-    for (index, shift) in voters[0].4.shifts.iter().enumerate() {
+    for (index, shift) in voters[0].4.shifts.iter().enumerate().filter(|(_, shift)| !shift.same_picture) {
         // The score, whether it is better there by more than noise, by how much, and what is missing here.
         let (mut told, mut gain) = (Vec::new(), 0.0);
         for (name, larger, least, here, score) in &voters {
@@ -98,7 +98,7 @@ mod tests {
     use crate::compare::ShiftedScore;
 
     fn null(scores: &[(&str, f64, [f64; 3])]) -> BTreeMap<String, NullScore> {
-        let shift = |(name, value): (&str, f64)| ShiftedScore { shift: name.to_owned(), value: Some(value) };
+        let shift = |(name, value): (&str, f64)| ShiftedScore { shift: name.to_owned(), value: Some(value), same_picture: false };
         let score = |(name, here, there): &(&str, f64, [f64; 3])| {
             let shifts = ["u +1 mm", "depth +3 mm", "turn about v +3 deg"].into_iter().zip(*there).map(shift).collect();
             let score = NullScore {
@@ -141,7 +141,7 @@ mod tests {
             null.values_mut().for_each(|score| score.shifts[1].shift = name.to_owned());
             elsewhere(&null).map(|found| (found.pose, found.preferring.len()))
         };
-        for name in ["half-turn about v", "y and z of lps negated", "x of lps mirrored"] {
+        for name in ["half-turn about v", "y and z of lps negated", "x of lps mirrored", "picture mirrored left-right"] {
             assert_eq!(leaning(name, 4), Some((name.to_owned(), 4)));
             assert_eq!(leaning(name, 2), None, "two agree by chance");
         }

@@ -2,7 +2,7 @@
 
 use glam::{DVec2, DVec3};
 
-use super::domain::AirLevel;
+use super::domain::{AirContradiction, AirLevel};
 use super::pedestal::OffsetRule;
 use super::tone::Tone;
 use crate::acquire::{Domain, Frame};
@@ -35,6 +35,9 @@ pub enum CompareError {
         /// Columns and rows.
         expected: [usize; 2],
     },
+    /// A declared air level that the frame itself contradicts.
+    #[error(transparent)]
+    AirLevel(#[from] AirContradiction),
     /// Too little is left to score.
     #[error("{left:.1} % of the image is left after masking, {required:.0} % are required ({causes})")]
     TooLittleLeft {

@@ -6,6 +6,8 @@
 
 mod comparison;
 mod correlation;
+mod disagreement;
+mod displacement;
 mod domain;
 mod edges;
 mod elsewhere;
@@ -14,6 +16,7 @@ mod input;
 mod matched;
 mod null;
 mod pedestal;
+mod ranking;
 mod scores;
 mod seen;
 mod tone;
@@ -24,12 +27,15 @@ use std::collections::BTreeMap;
 use glam::DVec3;
 
 pub use comparison::{Comparison, Pictures};
-pub use domain::{AirLevel, AirReport, CommonDomain};
+pub use disagreement::Disagreement;
+pub use displacement::farthest_apart_px;
+pub use domain::{AirContradiction, AirLevel, AirReport, CommonDomain};
 pub use elsewhere::{Elsewhere, elsewhere};
 pub use input::{CompareError, CompareInput};
 pub use matched::{NullRenders, bead_marks, posed_scene, tool_mask};
-pub use null::{NULL_WIDTH_PX, NullError, NullPlan, NullScore, Rerender, ShiftedScore};
+pub use null::{NULL_WIDTH_PX, NullError, NullPlan, Rerender};
 pub use pedestal::{OffsetReport, OffsetRule};
+pub use ranking::{NullScore, ShiftedScore};
 pub use scores::{FEWEST_PIXELS, NULL_SCORES, SSIM_CONSTANTS, Scores};
 pub use seen::{LOCAL_BAND_PX, LOCAL_WINDOW_PX, SCORE_SIGMA_PX};
 pub use tone::{Tone, ToneFit};
@@ -60,7 +66,7 @@ const TILE_PX: usize = 32;
 /// Compares.
 ///
 /// # Errors
-/// When the sizes do not fit, the tone is not permitted or not determined, or less than a quarter of the image is left.
+/// When the sizes do not fit, the tone is not permitted or not determined, the frame contradicts the declared air level, or less than a quarter of the image is left.
 pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
     let frame = input.acquired;
     permit(input.tone, frame.domain)?;
@@ -78,7 +84,7 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
         air: input.air,
         offset: input.offset,
     };
-    let mut common = domain::into_common(frame, &pixels, simulated, &evidence);
+    let mut common = domain::into_common(frame, &pixels, simulated, &evidence)?;
     masks.add(Cause::NoSignal, common.no_signal);
     let usable = masks.usable(width, height, &[]);
     let shares = masks.shares(width, height);
@@ -165,6 +171,8 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
             "noise is {seen:.4} nepers, the detector calibration expects {expected:.4}: processed by the console, or another gain mode?"
         ));
     }
+    let disagreements = disagreement::disagreements(&scores_without_tone);
+    flags.extend(disagreements.iter().map(ToString::to_string));
     let unit = match common.domain {
         CommonDomain::LineIntegral => "nepers",
         CommonDomain::RelativeLineIntegral => "nepers (offset unknown)",
@@ -181,6 +189,7 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
         scores,
         scores_without_tone,
         scores_tool,
+        disagreements,
         null: BTreeMap::new(),
         null_plan: None,
         masks: shares,
@@ -192,19 +201,21 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
 }
 
 impl Compared {
-    /// Puts every score against its null: [`NULL_RENDERS`] renders at most [`NULL_WIDTH_PX`] wide. May run after the pair was shown.
+    /// Puts every score against its null: at most [`NULL_RENDERS`] renders, each at most [`NULL_WIDTH_PX`] wide. May run after the pair was shown.
     /// `cancelled` is asked before each render.
     ///
     /// # Errors
-    /// When no view or centre was given, a render fails or has the wrong size, or it is cancelled; the comparison is unchanged then.
+    /// When no view or centre was given, a render fails, has the wrong size or is of another picture, or it is cancelled; the comparison is
+    /// unchanged then.
     pub fn add_null(&mut self, rerender: &mut Rerender, cancelled: &dyn Fn() -> bool) -> Result<(), NullError> {
         let view = self.view.as_ref().ok_or(NullError::NoView)?;
         let input = null::NullInput {
             acquired: &self.pictures.acquired,
+            simulated: &self.pictures.simulated,
             usable: &self.pictures.usable,
             domain: self.comparison.common_domain,
             air_reason: self.comparison.air.reason.as_deref(),
-            tone: self.comparison.tone.tone,
+            tone: &self.comparison.tone,
             view,
             centre_lps_mm: self.centre_lps_mm.ok_or(NullError::NoCentre)?,
         };
@@ -225,6 +236,11 @@ impl Compared {
             self.comparison
                 .flags
                 .push(format!("no null (the small render at the stated pose has no such score): {}", unknown.join(", ")));
+        }
+        if !plan.same_picture.is_empty() {
+            self.comparison
+                .flags
+                .push(format!("the picture does not tell the stated pose from: {} (not ranked)", plan.same_picture.join(", ")));
         }
         self.comparison.null = scores;
         self.comparison.null_plan = Some(plan);
@@ -326,7 +342,7 @@ fn around(marked: &Image<bool>, margin: usize) -> [std::ops::Range<usize>; 2] {
     [0, 1].map(|axis| from[axis].saturating_sub(margin).min(to[axis])..(to[axis] + margin).min(size[axis]))
 }
 
-/// Gray values of unknown frames may run either way; it is found by rank correlation, and said.
+/// Values of frames of unknown domain may run either way; it is found by rank correlation, and said.
 fn settle_polarity(
     domain: Domain,
     acquired: &mut Image<f32>,
@@ -334,16 +350,14 @@ fn settle_polarity(
     usable: &Image<bool>,
     flags: &mut Vec<String>,
 ) {
-    if !matches!(domain, Domain::Display | Domain::Unknown) {
+    if domain != Domain::Unknown {
         return;
     }
     let correlation = rank_ncc(&ranks(acquired, usable), &ranks(simulated, usable)).unwrap_or(0.0);
-    if domain == Domain::Unknown && correlation < 0.0 {
+    if correlation < 0.0 {
         acquired.pixels.iter_mut().for_each(|v| *v = -*v);
         flags.push(format!("domain unknown: larger values are taken as more attenuation (rank correlation {:.2})", -correlation));
-    } else if domain == Domain::Unknown {
+    } else {
         flags.push(format!("domain unknown: larger values are taken as more signal (rank correlation {correlation:.2})"));
-    } else if correlation < -0.2 {
-        flags.push(format!("gray values rise with attenuation (rank correlation {correlation:.2}): is the frame inverted?"));
     }
 }

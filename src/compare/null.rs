@@ -1,22 +1,26 @@
 //! The null: what each score would have been at poses that are known to be wrong.
 //!
 //! A score means something only if it is worse when the specimen is moved. Every score is computed again, at most 256 px wide, with the
-//! specimen moved by ±1, 3 and 10 mm along the camera's axes and turned by ±1 and 3° about them, always about the beads' centroid; and at
-//! the poses that would be right if the layout were turned about, had its axes negated, or were mirrored. The stated pose is rendered and
-//! scored in the same small way, so that nothing but the pose differs.
+//! specimen moved by ±1, 3 and 10 mm along the camera's axes and turned by ±1 and 3° about them, always about the beads' centroid; at
+//! the poses that would be right if the layout were turned about, had its axes negated, or were mirrored; and with the picture mirrored. The
+//! stated pose is rendered and scored in the same small way, so that nothing but the pose differs.
+//!
+//! What the specimen's symmetry hides is no wrong pose: where a hypothesis draws the picture of the stated pose once more, chance would decide
+//! between the two. It is named, and not ranked.
 
 use std::collections::BTreeMap;
 
 use glam::{DQuat, DVec3};
 use rayon::prelude::*;
 
-use super::correlation::ranks;
+use super::correlation::{for_each_scored, ranks, zncc};
 use super::domain::CommonDomain;
 use super::edges::{self, Maxima};
+use super::ranking::{NullScore, Wrong, rank};
 use super::scores::{NULL_SCORES, Scored, Scores, score};
 use super::seen::{Ground, Seen};
-use super::tone::{self, Tone};
-use super::wrong_poses::{NULL_RENDERS, SHIFTS_MM, TURNS_DEG, wrong_poses};
+use super::tone::{self, Tone, ToneFit};
+use super::wrong_poses::{Hypotheses, Hypothesis, SHIFTS_MM, TURNS_DEG, hypotheses, is_of_another_layout};
 use crate::geometry::{Rigid, View};
 use crate::image::{Image, block_means, zip};
 
@@ -24,7 +28,7 @@ use crate::image::{Image, block_means, zip};
 pub type Rerender<'r> = dyn FnMut(&View) -> Result<Image<f32>, String> + 'r;
 
 /// Why there is no null.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum NullError {
     /// The pose of the simulated image was not given.
     #[error("null: the view of the simulated image is not known")]
@@ -54,6 +58,17 @@ pub enum NullError {
         /// Columns and rows found.
         found: [usize; 2],
     },
+    /// The scene at the stated pose is not what the simulated image shows.
+    #[error(
+        "null: the scene at the stated pose correlates with the simulated image by {correlation:.2}, expected at least {required:.2}: another \
+         scene or pose than it was rendered from"
+    )]
+    AnotherPicture {
+        /// Of the two, at null size.
+        correlation: f64,
+        /// [`OWN_PICTURE`].
+        required: f64,
+    },
     /// Somebody cancelled.
     #[error("null: cancelled after {done} of {total} renders")]
     Cancelled {
@@ -73,33 +88,14 @@ const FEWEST_ROWS: u32 = 64;
 /// Optima are looked for no further away than this: mm and degrees.
 const FARTHEST: [f64; 2] = [12.0, 6.0];
 
-/// A score at one wrong pose.
-#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct ShiftedScore {
-    /// `u +1 mm`, `turn about v −3 deg` and the like; camera axes.
-    pub shift: String,
-    /// `None` where the score does not exist there.
-    pub value: Option<f64>,
-}
-
-/// One score against its null.
-#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct NullScore {
-    /// At the stated pose, at null size.
-    pub at_pose: Option<f64>,
-    /// The best at any wrong pose.
-    pub best_shifted: Option<f64>,
-    /// Where that is.
-    pub best_shift: Option<String>,
-    /// 1 when the stated pose is better than every wrong one.
-    pub rank: usize,
-    /// Poses compared, the stated one included.
-    pub of: usize,
-    /// Whether the best is at the stated pose. Where false, the score does not tell a right pose from a wrong one.
-    pub discriminating: bool,
-    /// All wrong poses, then the optima of all shifts and of all turns, which are not ranked.
-    pub shifts: Vec<ShiftedScore>,
-}
+/// The stated pose's render correlates with the simulated image at least this well, noise, blur and all.
+const OWN_PICTURE: f64 = 0.7;
+/// … if need be in the mean of so many pixels of the null, along each side.
+const NOISE_BLOCK: usize = 8;
+/// A shift or turn whose picture differs from the stated one by less than this share of its contrast is not seen in it …
+const UNSEEN_STEP: f64 = 5e-4;
+/// … and of two pictures of different layouts that differ by less than this, errors of the simulation pick one.
+const UNSEEN_LAYOUT: f64 = 1e-2;
 
 /// How the null was made.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -114,15 +110,23 @@ pub struct NullPlan {
     pub renders: usize,
     /// The tone, fitted anew at each pose.
     pub tone: Tone,
+    /// Poses of other layouts that are the stated one here: they were not asked about.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub same_pose: Vec<String>,
+    /// Hypotheses under which the specimen looks as at the stated pose, because it is symmetric: nothing was ranked against them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub same_picture: Vec<String>,
 }
 
 /// What the null needs of the comparison.
 pub(super) struct NullInput<'a> {
     pub acquired: &'a Image<f32>,
+    /// With the tone.
+    pub simulated: &'a Image<f32>,
     pub usable: &'a Image<bool>,
     pub domain: CommonDomain,
     pub air_reason: Option<&'a str>,
-    pub tone: Tone,
+    pub tone: &'a ToneFit,
     pub view: &'a View,
     pub centre_lps_mm: DVec3,
 }
@@ -147,49 +151,101 @@ pub(super) fn null(
     let binning = binning(input.view, centre_in_camera.z);
     let small = input.view.binned(binning);
     let (acquired, usable) = block_means(input.acquired, input.usable, binning as usize);
-    let mut done = 0;
-    // Renders use all cores one after the other; what they are scored with does not, so that happens side by side.
-    let mut at = |poses: Vec<(String, Rigid)>| -> Result<Vec<(String, Scores)>, NullError> {
-        let mut renders = Vec::with_capacity(poses.len());
-        for (name, camera_from_lps) in poses {
-            if cancelled() {
-                return Err(NullError::Cancelled { done, total: NULL_RENDERS });
-            }
-            let render = match rerender(&View { camera_from_lps, ..small }) {
-                Ok(render) => render,
-                Err(detail) => return Err(NullError::Render { shift: name, detail }),
-            };
-            if !render.same_size(&acquired) {
-                let (expected, found) = ([acquired.width, acquired.height], [render.width, render.height]);
-                return Err(NullError::Size { expected, found });
-            }
-            done += 1;
-            renders.push((name, render));
+    let frame_columns = f64::from(input.view.size_px[0]) / f64::from(binning);
+    let Hypotheses { asked, same_pose } = hypotheses(&small, frame_columns, input.centre_lps_mm);
+    let (known_wrong, total) = (asked.len(), asked.len() + 3);
+    let mut renders_made = 0;
+    let mut render = |asked: Hypothesis| -> Result<(String, Image<f32>), NullError> {
+        let Hypothesis { name, view, mirrored } = asked;
+        if cancelled() {
+            return Err(NullError::Cancelled { done: renders_made, total });
         }
-        Ok(score_small(input, &acquired, &usable, renders, (32 / binning as usize).max(8)))
+        let mut render = match rerender(&view) {
+            Ok(render) => render,
+            Err(detail) => return Err(NullError::Render { shift: name, detail }),
+        };
+        if !render.same_size(&acquired) {
+            let (expected, found) = ([acquired.width, acquired.height], [render.width, render.height]);
+            return Err(NullError::Size { expected, found });
+        }
+        if mirrored {
+            render.pixels.chunks_exact_mut(render.width.max(1)).for_each(<[f32]>::reverse);
+        }
+        renders_made += 1;
+        Ok((name, render))
     };
-    let mut poses = vec![("the stated pose".to_owned(), small.camera_from_lps)];
-    poses.extend(wrong_poses(&small.camera_from_lps, input.centre_lps_mm));
-    let mut shifted = at(poses)?;
+    let at_pose =
+        |name: String, camera_from_lps: Rigid| Hypothesis { name, view: View { camera_from_lps, ..small }, mirrored: false };
+    let stated_picture = render(at_pose("the stated pose".to_owned(), small.camera_from_lps))?;
+    is_of_simulated(input, &stated_picture.1, binning as usize)?;
+    let mut renders = vec![stated_picture];
+    for hypothesis in asked {
+        renders.push(render(hypothesis)?);
+    }
+    let unseen = |(name, picture): &(String, Image<f32>)| {
+        let least = if is_of_another_layout(name) { UNSEEN_LAYOUT } else { UNSEEN_STEP };
+        change(&renders[0].1, picture, &usable).is_some_and(|change| change < least)
+    };
+    let same_picture: Vec<String> = renders[1..].iter().filter(|picture| unseen(picture)).map(|(name, _)| name.clone()).collect();
+    // Renders use all cores one after the other; what they are scored with does not, so that happens side by side.
+    let tile_px = (32 / binning as usize).max(8);
+    let mut shifted = score_small(input, &acquired, &usable, renders, tile_px);
     let (_, stated) = shifted.remove(0);
-    let known_wrong = shifted.len();
     // A pose that is wrong in several directions is only half mended by any one of them: the optimum of each, taken together.
-    let centre_in_camera = small.camera_from_lps.transform_point(input.centre_lps_mm);
-    let best = optima(&stated, &shifted, centre_in_camera);
-    shifted.extend(at(best.map(|(name, motion)| (name, motion * small.camera_from_lps)).to_vec())?);
+    let best =
+        optima(&stated, &shifted, centre_in_camera).map(|(name, motion)| render(at_pose(name, motion * small.camera_from_lps)));
+    let best = best.into_iter().collect::<Result<Vec<_>, NullError>>()?;
+    shifted.extend(score_small(input, &acquired, &usable, best, tile_px));
+    let wrong = Wrong { shifted: &shifted, known_wrong, same_picture: &same_picture };
+    let scores = NULL_SCORES
+        .iter()
+        .filter(|(name, _)| stated.get(name).is_some())
+        .map(|(name, larger_is_better)| ((*name).to_owned(), rank(name, *larger_is_better, &stated, &wrong)))
+        .collect();
     let plan = NullPlan {
         size_px: small.size_px,
         binning,
         centre_lps_mm: input.centre_lps_mm.to_array(),
         renders: 1 + shifted.len(),
-        tone: input.tone,
+        tone: input.tone.tone,
+        same_pose,
+        same_picture,
     };
-    let scores = NULL_SCORES
-        .iter()
-        .filter(|(name, _)| stated.get(name).is_some())
-        .map(|(name, larger_is_better)| ((*name).to_owned(), rank(name, *larger_is_better, &stated, &shifted, known_wrong)))
-        .collect();
     Ok((scores, plan))
+}
+
+/// Refuses a null about another picture than the simulated image.
+fn is_of_simulated(input: &NullInput, stated: &Image<f32>, binning: usize) -> Result<(), NullError> {
+    let (simulated, known) = block_means(input.simulated, input.usable, binning);
+    let known = zip(&known, stated, |known, l| *known && l.is_finite());
+    let toned = input.tone.apply_to(stated);
+    let close = |correlation: f64| correlation >= OWN_PICTURE;
+    match zncc(&simulated, &toned, &known) {
+        Some(correlation) if !close(correlation) => {
+            // Noise of the simulated image, which null renders have less of or none, goes in the mean; another picture stays another.
+            let (simulated, _) = block_means(&simulated, &known, NOISE_BLOCK);
+            let (toned, known) = block_means(&toned, &known, NOISE_BLOCK);
+            match zncc(&simulated, &toned, &known) {
+                Some(coarse) if close(coarse) => Ok(()),
+                _ => Err(NullError::AnotherPicture { correlation, required: OWN_PICTURE }),
+            }
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Root mean square of what differs between two renders, as a share of the contrast of the first; `None` where they have nothing in common.
+fn change(stated: &Image<f32>, other: &Image<f32>, usable: &Image<bool>) -> Option<f64> {
+    let known = zip(&zip(stated, other, |a, b| a.is_finite() && b.is_finite()), usable, |known, usable| *known && *usable);
+    let (mut n, mut sum, mut squares, mut apart) = (0.0, 0.0, 0.0, 0.0);
+    for_each_scored(stated, other, &known, |a, b| {
+        n += 1.0;
+        sum += a;
+        squares += a * a;
+        apart += (a - b) * (a - b);
+    });
+    let variance = squares / n - (sum / n) * (sum / n);
+    (variance > 0.0).then(|| (apart / n / variance).sqrt())
 }
 
 /// How much is missing to a perfect agreement, relative to the stated pose, over the scores that both have; 1 at the stated pose.
@@ -263,7 +319,7 @@ fn score_small(
     };
     let renders: Vec<_> = renders.into_iter().map(place).collect();
     let standing = |usable: Image<bool>| {
-        let scored = tone::scored_pixels(&usable, input.tone, tile_px);
+        let scored = tone::scored_pixels(&usable, input.tone.tone, tile_px);
         let ground = Ground::of(usable);
         let seen = Seen::on(&ground, acquired);
         let (maxima, ranks) = (edges::maxima(&seen, &ground.usable), ranks(acquired, &scored));
@@ -276,7 +332,7 @@ fn score_small(
 
 fn score_one(input: &NullInput, standing: &Standing, render: &Image<f32>, tile_px: usize) -> Scores {
     let Standing { ground, scored, acquired, maxima, ranks } = standing;
-    let Some(fit) = tone::fit(input.tone, acquired.image, render, &ground.usable, tile_px) else {
+    let Some(fit) = tone::fit(input.tone.tone, acquired.image, render, &ground.usable, tile_px) else {
         return Scores::absent("the tone is not determined");
     };
     let toned = fit.apply_to(render);
@@ -290,40 +346,12 @@ fn score_one(input: &NullInput, standing: &Standing, render: &Image<f32>, tile_p
             ground,
             scored,
             domain: input.domain,
-            tone: input.tone,
+            tone: input.tone.tone,
             air_reason: input.air_reason,
             mm_per_px: None,
         },
         (&edges_a, &edges_s),
     )
-}
-
-fn rank(name: &str, larger_is_better: bool, stated: &Scores, shifted: &[(String, Scores)], known_wrong: usize) -> NullScore {
-    let at_pose = stated.get(name);
-    let better = |a: f64, b: f64| if larger_is_better { a > b } else { a < b };
-    let shifts: Vec<ShiftedScore> =
-        shifted.iter().map(|(shift, scores)| ShiftedScore { shift: shift.clone(), value: scores.get(name) }).collect();
-    let mut best: Option<(&str, f64)> = None;
-    let mut rank = 1;
-    // Optima may lie at the stated pose; they are no wrong poses to rank it against.
-    for (shift, value) in shifts[..known_wrong].iter().filter_map(|s| Some((s.shift.as_str(), s.value?))) {
-        if best.is_none_or(|(_, top)| better(value, top)) {
-            best = Some((shift, value));
-        }
-        // A tie does not count for the stated pose.
-        if !at_pose.is_some_and(|at_pose| better(at_pose, value)) {
-            rank += 1;
-        }
-    }
-    NullScore {
-        at_pose,
-        best_shifted: best.map(|(_, value)| value),
-        best_shift: best.map(|(shift, _)| shift.to_owned()),
-        rank,
-        of: 1 + shifts[..known_wrong].iter().filter(|s| s.value.is_some()).count(),
-        discriminating: rank == 1 && best.is_some(),
-        shifts,
-    }
 }
 
 #[cfg(test)]

@@ -49,6 +49,9 @@ pub struct OffsetReport {
     pub leak_value: Option<f64>,
     /// What to beware of, or why nothing was subtracted.
     pub reason: Option<String>,
+    /// Nothing was subtracted because the shuttered area reads zero.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub zero_seen: bool,
 }
 
 impl OffsetReport {
@@ -116,7 +119,8 @@ pub(super) fn from_shutters(
     }
     let at_zero = samples.iter().filter(|sample| sample[1] == 0.0).count() as f64 / samples.len() as f64;
     if at_zero > MOST_AT_ZERO {
-        return OffsetReport::none(&format!("no pedestal: {:.0} % of the shuttered pixels are exactly 0", 100.0 * at_zero));
+        let none = OffsetReport::none(&format!("no pedestal: {:.0} % of the shuttered pixels are exactly 0", 100.0 * at_zero));
+        return OffsetReport { zero_seen: true, ..none };
     }
     let mut open: Vec<f32> =
         pixels.pixels.iter().zip(&usable.pixels).filter(|(v, u)| **u && v.is_finite()).map(|(v, _)| *v).collect();
@@ -130,6 +134,7 @@ pub(super) fn from_shutters(
             sigma: Some(found.sigma),
             pixels: Some(samples.len()),
             leak_value: found.leak,
+            zero_seen: true,
             ..OffsetReport::none(&format!(
                 "no pedestal: the shuttered area reads {:.1} ± {:.1} without what the blades let through",
                 found.value, found.sigma
@@ -148,6 +153,7 @@ pub(super) fn from_shutters(
                      scatter"
                 .into(),
         }),
+        zero_seen: false,
     }
 }
 
@@ -262,7 +268,7 @@ mod tests {
         assert!(report.rule == "shutters" && (report.value - 212.0).abs() < 1.5, "{report:?}");
         assert!((report.leak_value.expect("varies") - 50.0).abs() < 8.0, "{report:?}");
         let leak_only = found(0.0, 1e-3, varying);
-        assert!(leak_only.rule == "none" && leak_only.value == 0.0, "control: no pedestal, {leak_only:?}");
+        assert!(leak_only.rule == "none" && leak_only.value == 0.0 && leak_only.zero_seen, "control: no pedestal, {leak_only:?}");
     }
 
     /// Readout noise about zero is cut off at zero by unsigned pixels; its mean looked like a pedestal of 0.4 σ.
@@ -275,6 +281,8 @@ mod tests {
         let report =
             from_shutters(&noisy, &simulated, Some(&shuttered), &Image::filled(200, 160, true), &shuttered.map(|behind| !behind));
         assert!(report.rule == "none" && report.reason.as_deref().is_some_and(|why| why.contains("exactly 0")), "{report:?}");
+        assert!(report.zero_seen);
+        assert!(!OffsetReport::none("the frame shows no shuttered area").zero_seen, "control");
     }
 
     #[test]

@@ -69,6 +69,14 @@ pub enum ImageFileError {
         /// What the decoder said.
         detail: String,
     },
+    /// The file shows its pixels in another order than it stores them.
+    #[error("{path}: TIFF orientation (tag 274) is {found}, expected 1; write its columns and rows as they are shown", path = path.display())]
+    Turned {
+        /// The file.
+        path: PathBuf,
+        /// What the tag says.
+        found: u16,
+    },
     /// The samples are not 32-bit float, or there are several per pixel.
     #[error("{path}: expected one 32-bit float per pixel, found {found}", path = path.display())]
     NotFloat {
@@ -240,7 +248,7 @@ pub fn write_tiff_f32(path: &Path, pages: &[Image<f32>]) -> Result<(), ImageFile
 /// Reads every page of a 32-bit float TIFF.
 ///
 /// # Errors
-/// When the file cannot be read, is damaged, or holds other samples.
+/// When the file cannot be read, is damaged, holds other samples, or shows them turned.
 pub fn read_tiff_f32(path: &Path) -> Result<Vec<Image<f32>>, ImageFileError> {
     let file = File::open(path).map_err(|source| ImageFileError::Io { path: path.to_owned(), source })?;
     let damaged = |error: tiff::TiffError| ImageFileError::Tiff { path: path.to_owned(), detail: error.to_string() };
@@ -249,6 +257,10 @@ pub fn read_tiff_f32(path: &Path) -> Result<Vec<Image<f32>>, ImageFileError> {
     loop {
         let (width, height) = decoder.dimensions().map_err(damaged)?;
         let colour = decoder.colortype().map_err(damaged)?;
+        if let Some(found) = decoder.find_tag_unsigned(tiff::tags::Tag::Orientation).map_err(damaged)?.filter(|order| *order != 1)
+        {
+            return Err(ImageFileError::Turned { path: path.to_owned(), found });
+        }
         let samples = decoder.read_image().map_err(damaged)?;
         let page = match samples {
             tiff::decoder::DecodingResult::F32(pixels) => Image::from_pixels(width as usize, height as usize, pixels),

@@ -110,6 +110,7 @@ impl Renderer {
             _ => stages.measure("cut_faces", || cut_faces::mark(&prepared, &mut cast.density.valid)),
         };
         note_invalid(&cast.density.valid, unscanned_mm, &mut notes);
+        notes.extend(scene.model.noise_left_out().map(str::to_owned));
         if !cast.matter {
             let why = explain_empty(scene, &prepared);
             self.reporter.warn("empty image", &why);

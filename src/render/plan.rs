@@ -145,7 +145,7 @@ impl Plan {
         } else if area {
             "area density is noise-free"
         } else {
-            "naive formation has no noise"
+            scene.model.noise_left_out().unwrap_or_default()
         };
         choose(
             "quantum noise",
@@ -242,5 +242,5 @@ fn bodies(scene: &Scene) -> Option<(bool, String)> {
 
 /// Whether random numbers are drawn.
 pub(super) fn noise_applies(scene: &Scene, quantity: Quantity) -> bool {
-    scene.model.noise != Noise::Off && quantity != Quantity::AreaDensity && scene.model.formation == Formation::Deepdrr
+    scene.model.noise != Noise::Off && quantity != Quantity::AreaDensity && scene.model.noise_left_out().is_none()
 }

@@ -98,6 +98,12 @@ fn description(rendered: &Rendered, scene: &Scene) -> serde_json::Value {
         "version": env!("CARGO_PKG_VERSION"),
         "adapter": rendered.adapter,
     });
+    if let (Some(view), Some(map)) = (&scene.view, json.as_object_mut()) {
+        let camera = serde_json::json!({
+            "size_px": view.size_px, "intrinsics": view.intrinsics, "camera_from_lps": view.camera_from_lps
+        });
+        map.insert("view".to_owned(), camera);
+    }
     if let (Some((plan, achieved)), Some(map)) = (&rendered.achieved, json.as_object_mut()) {
         let predicted = serde_json::json!({"error": plan.stated_error, "ms": plan.predicted_ms});
         map.insert("fast".to_owned(), serde_json::json!({"plan": plan, "predicted": predicted, "achieved": achieved}));

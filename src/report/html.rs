@@ -8,7 +8,6 @@ use super::pair::{Pair, PairStatus};
 use super::plots::{self, Dot, escape};
 use super::session::SessionReport;
 use super::strip::panel_rectangle;
-use crate::compare::NULL_RENDERS;
 
 /// Width of a tile of the contact sheet in CSS pixels.
 const TILE_PX: f64 = 220.0;
@@ -201,9 +200,8 @@ fn table(page: &mut String, report: &SessionReport) {
     }
     let _ = write!(
         page,
-        "</tbody></table></div><p class=\"dim\" style=\"margin-top:8px\">Best of its null: the highest ZNCC at {} other poses (±1, 3, 10 mm; ±1, 3°; where these point to; turned round, negated, mirrored), \
-        at reduced size; a score marked ? does not tell the stated pose from a wrong one.</p>",
-        NULL_RENDERS - 1
+        "</tbody></table></div><p class=\"dim\" style=\"margin-top:8px\">Best of its null: the highest ZNCC at other poses (±1, 3, 10 mm; ±1, 3°; turned round, negated, mirrored) and in mirrored pictures, \
+        at reduced size; a score marked ? does not tell the stated pose from a wrong one.</p>"
     );
 }
 

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use super::canvas::Rgb;
 use super::colour;
 use crate::calibrate::robot::SeenTip;
-use crate::compare::{AirReport, Comparison, Elsewhere, NullPlan, NullScore, Scores, ToneFit, elsewhere};
+use crate::compare::{AirReport, Comparison, Disagreement, Elsewhere, NullPlan, NullScore, Scores, ToneFit, elsewhere};
 use crate::mask::MaskShares;
 use crate::time::StageTimes;
 
@@ -159,6 +159,9 @@ pub struct Pair {
     pub tip: Option<SeenTip>,
     /// How the images agree.
     pub scores: Scores,
+    /// What plainly disagrees between the images, whatever the pose.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub disagreements: Vec<Disagreement>,
     /// Each score against its null; empty when it was not made.
     pub null: BTreeMap<String, NullScore>,
     /// How the null was made.
@@ -226,6 +229,7 @@ impl Pair {
             innovation: None,
             tip: None,
             scores: Scores::default(),
+            disagreements: Vec::new(),
             null: BTreeMap::new(),
             null_plan: None,
             image_prefers: None,
@@ -248,6 +252,7 @@ impl Pair {
     /// Takes over what a comparison found; flags are added to those there are.
     pub fn set_comparison(&mut self, comparison: &Comparison) {
         self.scores = comparison.scores.clone();
+        self.disagreements = comparison.disagreements.clone();
         self.null = comparison.null.clone();
         self.null_plan = comparison.null_plan.clone();
         self.masks = Some(comparison.masks.clone());

@@ -100,6 +100,9 @@ fn load_bytes(
         noise: file.model.noise.0,
         seed: file.model.seed.unwrap_or(1),
     };
+    if let Some(words) = model.noise_left_out() {
+        reporter.warn("noise", words);
+    }
     let mut scene = Scene {
         materials: Vec::new(),
         objects: Vec::new(),

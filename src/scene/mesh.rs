@@ -22,7 +22,8 @@ pub(super) struct Surface {
 }
 
 /// Reads an STL file (binary or ASCII, mm) and makes sure that it encloses something: equal vertices are welded, degenerate triangles
-/// dropped, faces turned so that they agree and point outward; what was repaired is reported, and so are faces that cross each other.
+/// dropped, faces turned so that they agree and point outward; what was repaired is reported, and so are faces that cross each other and
+/// a size that speaks for another unit.
 ///
 /// # Errors
 /// When the file is damaged, or the surface has holes.
@@ -40,6 +41,11 @@ pub(super) fn read_surface(path: &Path, reporter: &Reporter) -> Result<Surface, 
         return Err(wrong("no triangle with an area".to_owned()));
     }
     let surface = close(surface, path, reporter)?;
+    let first = surface.vertices_mm[0];
+    let fold = |pick: fn(DVec3, DVec3) -> DVec3| surface.vertices_mm.iter().fold(first, |found, p| pick(found, *p));
+    if let Some(words) = mesh_unit_doubt((fold(DVec3::max) - fold(DVec3::min)).max_element()) {
+        reporter.warn("mesh units", format_args!("{}: {words}", path.display()));
+    }
     if let Some((pairs, at)) = crossing_faces(&surface.vertices_mm, &surface.triangles) {
         reporter.warn(
             "mesh",
@@ -54,6 +60,20 @@ pub(super) fn read_surface(path: &Path, reporter: &Reporter) -> Result<Surface, 
         );
     }
     Ok(surface)
+}
+
+/// What speaks against millimetres in a mesh whose longest side has this length; nothing of the body or of a tool is so small or so large.
+#[must_use]
+pub fn mesh_unit_doubt(longest_mm: f64) -> Option<String> {
+    let (unit, factor) = match longest_mm {
+        side if side < 1.0 => ("metres", "1000"),
+        side if side > 5_000.0 => ("micrometres", "0.001"),
+        _ => return None,
+    };
+    Some(format!(
+        "its longest side is {longest_mm:.3e} mm, the coordinates look like {unit}; STL is read in mm: scale it by {factor} where it was \
+         made, if that is so (lps_from_mesh only turns and shifts)"
+    ))
 }
 
 /// Places a surface in the scene.
@@ -188,5 +208,42 @@ fn agree(surface: &mut Surface, users: &HashMap<(u32, u32), Vec<u32>>) -> Result
     match unbalanced(surface) {
         0 => Ok(turned),
         count => Err(count),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A tetrahedron with edges of this length along the axes, as ASCII.
+    fn tetrahedron(side: f64) -> String {
+        let corners = [[0.0, 0.0, 0.0], [side, 0.0, 0.0], [0.0, side, 0.0], [0.0, 0.0, side]];
+        let faces = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]];
+        let vertex = |at: usize| format!("vertex {:e} {:e} {:e}\n", corners[at][0], corners[at][1], corners[at][2]);
+        let facet = |face: &[usize; 3]| {
+            let corners: String = face.iter().map(|at| vertex(*at)).collect();
+            format!("facet normal 0 0 0\nouter loop\n{corners}endloop\nendfacet\n")
+        };
+        format!("solid t\n{}endsolid t\n", faces.iter().map(facet).collect::<String>())
+    }
+
+    /// A femur in metres was half a millimetre long, and the image empty of it without a word.
+    #[test]
+    fn a_mesh_in_another_unit_is_told() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("femur.stl");
+        let warned = |side: f64| {
+            std::fs::write(&path, tetrahedron(side)).expect("writes");
+            let reporter = Reporter::silent();
+            read_surface(&path, &reporter).expect("closed");
+            reporter.warnings().remove("mesh units").map(|counted| counted.latest)
+        };
+        for (side, words) in [(0.45, "look like metres"), (450_000.0, "look like micrometres")] {
+            let said = warned(side).unwrap_or_default();
+            assert!(said.contains(words) && said.contains("femur.stl") && said.contains("scale it by"), "{side}: {said}");
+        }
+        for side in [1.0, 450.0, 5_000.0] {
+            assert_eq!(warned(side), None, "control: {side}");
+        }
     }
 }

@@ -376,3 +376,12 @@ pub struct Model {
     /// Seed of the random numbers.
     pub seed: u64,
 }
+
+impl Model {
+    /// What to say where noise is asked of a formation that has none.
+    #[must_use]
+    pub fn noise_left_out(&self) -> Option<&'static str> {
+        (self.noise != Noise::Off && self.formation == Formation::Naive)
+            .then_some("naive formation (Eq. 8) has no noise: model.noise is left out; formation \"deepdrr\" has it")
+    }
+}

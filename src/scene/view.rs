@@ -3,7 +3,7 @@
 use super::SceneError;
 use super::file::ViewFile;
 use super::files::Files;
-use crate::geometry::{CarmCalibration, CarmJoints, View};
+use crate::geometry::{CarmCalibration, CarmJoints, JOINT_KEYS, View};
 
 /// Largest raster along one axis.
 const MAX_SIZE_PX: u32 = 32_768;
@@ -38,10 +38,7 @@ pub(super) fn resolve(file: &ViewFile, files: &mut Files) -> Result<Resolved, Sc
         (file.carm, &file.calibration, file.world_from_lps, keys.len())
     {
         let calibration: CarmCalibration = files.read_json("view.calibration", name)?;
-        // Joints that a scene leaves out stand at zero; the distance then comes from the calibration.
-        let mut values = joints.to_array();
-        values[..6].iter_mut().filter(|value| !value.is_finite()).for_each(|value| *value = 0.0);
-        let joints = CarmJoints::from_array(values);
+        check_joints(&joints, files)?;
         let carm = |source| SceneError::Carm { place: files.place("view.carm"), source };
         let camera_from_world = calibration.world_from_camera(&joints).map_err(carm)?.inverse();
         let intrinsics = calibration.intrinsics(&joints).map_err(carm)?;
@@ -78,6 +75,33 @@ pub(super) fn resolve(file: &ViewFile, files: &mut Files) -> Result<Resolved, Sc
     let (key, by_projection) = if file.projection.is_some() { ("view.projection", true) } else { ("view", false) };
     resolved.view.check().map_err(|source| SceneError::Camera { place: files.place(key), source })?;
     Ok(Resolved { by_projection, ..resolved })
+}
+
+/// Focal spot to panel of any C-arm; metres and centimetres lie outside.
+const DISTANCES_MM: (f64, f64) = (200.0, 5_000.0);
+/// A carriage goes no further from its zero.
+const TRAVEL_MM: (f64, f64) = (-10_000.0, 10_000.0);
+/// What rounding adds to a full turn between degrees and radians.
+const TURN_DEG: (f64, f64) = (-360.0 - 1e-9, 360.0 + 1e-9);
+
+/// All joints of a view are there, and each is one that a C-arm has: a joint that telemetry does not report can be asked for elsewhere,
+/// one that a scene leaves out would stand where nobody put it.
+fn check_joints(joints: &CarmJoints, files: &Files) -> Result<(), SceneError> {
+    for ((key, is_angle), value) in JOINT_KEYS.iter().zip(joints.to_array()) {
+        let ((low, high), unit) = match (*is_angle, *key) {
+            (true, _) => (TURN_DEG, "degrees"),
+            (false, "source_to_detector_mm") => (DISTANCES_MM, "mm"),
+            (false, _) => (TRAVEL_MM, "mm"),
+        };
+        let shown = if *is_angle { value.to_degrees() } else { value };
+        if shown >= low && shown <= high {
+            continue;
+        }
+        let found = if shown.is_nan() { "missing or null".to_owned() } else { format!("{shown:.6}") };
+        let expected = format!("{low:.0} to {high:.0} {unit}; a view needs all seven joints");
+        return Err(SceneError::Value { place: files.place(&format!("view.carm.{key}")), found, expected });
+    }
+    Ok(())
 }
 
 fn no_size(files: &Files) -> SceneError {

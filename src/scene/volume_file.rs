@@ -79,6 +79,9 @@ pub(super) struct VoxelSummary {
 
 /// What a voxel takes once it is rendered: density, class, whether it is known, and the kind of its cell.
 const BYTES_PER_VOXEL: u64 = 7;
+/// What the header takes in the file; NIfTI-2's is longer.
+const HEADER_BYTES: usize = 348;
+const NIFTI_2_BYTES: i32 = 540;
 /// Voxels are read in blocks of this many.
 const BLOCK: usize = 1 << 18;
 /// What may follow the voxels in a file.
@@ -104,16 +107,15 @@ pub(super) fn decode_volume(
     let zipped = buffered.fill_buf().map_err(unreadable)?.starts_with(&[0x1f, 0x8b]);
     let mut stream: Box<dyn Read> =
         if zipped { Box::new(flate2::bufread::MultiGzDecoder::new(buffered)) } else { Box::new(buffered) };
-    let header = NiftiHeader::from_reader(&mut stream)
-        .map_err(|error| format!("no NIfTI-1 header ({error}); expected a .nii or .nii.gz file"))?;
+    let header = header_of(&mut stream)?;
     let kind = check_kind(&header)?;
     let size = checked_size(&header)?;
     let voxels = size.iter().map(|n| *n as u64).product::<u64>();
     let offset = header.vox_offset;
-    if !(348.0..=1e6).contains(&offset) {
+    if !(HEADER_BYTES as f32..=1e6).contains(&offset) {
         return Err(format!("voxels start at byte {offset}, expected 348 to 1000000: the header is damaged"));
     }
-    let (skip, bytes_per_voxel) = (offset as u64 - 348, kind.size_of());
+    let (skip, bytes_per_voxel) = (offset as u64 - HEADER_BYTES as u64, kind.size_of());
     let needed = voxels * bytes_per_voxel as u64 + offset as u64;
     if !zipped && file_bytes < needed {
         return Err(format!("cut short: the header promises {needed} bytes, the file has {file_bytes}; copy it again"));
@@ -184,10 +186,20 @@ fn describe(header: &NiftiHeader, size: [usize; 3], kind: NiftiType) -> Result<V
     Ok(head)
 }
 
-fn check_kind(header: &NiftiHeader) -> Result<NiftiType, String> {
-    if header.sizeof_hdr == 540 || header.sizeof_hdr == 540i32.swap_bytes() {
+/// The header, and nothing more, from the start of `stream`.
+fn header_of(stream: &mut dyn Read) -> Result<NiftiHeader, String> {
+    let none = |error: &dyn std::fmt::Display| format!("no NIfTI-1 header ({error}); expected a .nii or .nii.gz file");
+    let mut bytes = [0u8; HEADER_BYTES];
+    stream.read_exact(&mut bytes).map_err(|error| none(&error))?;
+    // Its own size comes first, in either order of bytes; a parser of NIfTI-1 finds nothing but nonsense in the longer one.
+    let size = i32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
+    if size == NIFTI_2_BYTES || size.swap_bytes() == NIFTI_2_BYTES {
         return Err("this is NIfTI-2; convert it to NIfTI-1 (.nii or .nii.gz)".to_owned());
     }
+    NiftiHeader::from_reader(bytes.as_slice()).map_err(|error| none(&error))
+}
+
+fn check_kind(header: &NiftiHeader) -> Result<NiftiType, String> {
     if header.magic != *b"n+1\0" {
         return Err("header and voxels are not in one file (.hdr/.img); convert it to .nii or .nii.gz".to_owned());
     }

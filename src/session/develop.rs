@@ -144,6 +144,9 @@ impl Bench {
         let compared = match compare(&input) {
             Ok(compared) => {
                 pair.set_comparison(&compared.comparison);
+                for disagreement in &pair.disagreements {
+                    self.reporter.warn("images disagree", format!("{}: {disagreement}", posed.label()));
+                }
                 Some(Arc::new(compared))
             }
             Err(error) => {
@@ -328,7 +331,7 @@ fn row(posed: &Posed) -> Pair {
         (false, PoseSource::None) => PairStatus::NoPose,
         (false, _) => PairStatus::Refused,
     };
-    pair.flags.extend(posed.warnings.iter().chain(&posed.pose.cautions).cloned());
+    pair.flags.extend(posed.frame.altered.iter().chain(&posed.warnings).chain(&posed.pose.cautions).cloned());
     if posed.pose.is_accepted() && !posed.pose.beads.iter().any(|bead| bead.used) {
         pair.flags.push("the pose is that of tags alone".to_owned());
     }

@@ -7,7 +7,7 @@ use glam::DVec3;
 use serde_json::json;
 
 use super::found::{Found, InfoError, object};
-use crate::scene::{SceneError, Triangle, read_triangles, read_volume_facts};
+use crate::scene::{SceneError, Triangle, mesh_unit_doubt, read_triangles, read_volume_facts};
 
 /// The scene's word on a file, as `info` says it.
 fn damaged(path: &Path, kind: &'static str, error: SceneError) -> InfoError {
@@ -89,6 +89,7 @@ pub(super) fn stl(path: &Path) -> Result<Found, InfoError> {
             high[axis] = high[axis].max(vertex[axis]);
         }
     }
+    let longest_mm = (0..3).map(|axis| f64::from(high[axis] - low[axis])).fold(0.0, f64::max);
     let facts = json!({
         "format": "STL",
         "triangles": triangles.len(),
@@ -97,6 +98,7 @@ pub(super) fn stl(path: &Path) -> Result<Found, InfoError> {
         "to_mm": high,
         "watertight": open_edges == 0,
         "open_edges": open_edges,
+        "notes": mesh_unit_doubt(longest_mm).into_iter().collect::<Vec<String>>(),
     });
     Ok(("mesh", object(facts), Vec::new()))
 }

@@ -4,6 +4,7 @@ mod elements;
 mod formula;
 mod materials;
 mod spectrum;
+mod spectrum_file;
 
 pub use elements::{Coefficients, ELEMENT_COUNT, ENERGY_RANGE_KEV, element_attenuation, symbol, z_of};
 pub use materials::{Material, material_names, materials, nearest};

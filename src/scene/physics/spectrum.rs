@@ -1,6 +1,5 @@
 //! X-ray spectra: tungsten anodes at 40–140 kV, single energies, files; filtration by any material.
 
-use std::path::Path;
 use std::sync::LazyLock;
 
 use super::{Material, PhysicsError};
@@ -163,53 +162,6 @@ impl Spectrum {
     pub fn mono(energy_kev: f64) -> Result<Self, PhysicsError> {
         super::element_attenuation(1, energy_kev)?;
         Ok(Self { bins: vec![Bin { energy_kev, fluence: 1.0 }] })
-    }
-
-    /// A file with the columns `energy_kev,fluence` (photons per bin at its centre, equal spacing), Σφ = 1.
-    ///
-    /// # Errors
-    /// When the file cannot be read or a row is wrong; the message names the row.
-    pub fn from_csv(path: &Path) -> Result<Self, PhysicsError> {
-        let wrong = |detail: String| PhysicsError::SpectrumFile { path: path.display().to_string(), detail };
-        let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
-        let mut bins: Vec<Bin> = Vec::new();
-        let mut headed = false;
-        for (index, line) in text.lines().enumerate() {
-            let (row, line) = (index + 1, line.trim());
-            if line.is_empty() || line.starts_with('#') {
-                continue;
-            }
-            if !headed {
-                let header: String = line.split_whitespace().collect();
-                if header != "energy_kev,fluence" {
-                    return Err(wrong(format!("row {row} is '{line}', expected the header energy_kev,fluence")));
-                }
-                headed = true;
-                continue;
-            }
-            let numbers: Option<Vec<f64>> = line.split(',').map(|cell| cell.trim().parse().ok()).collect();
-            let Some([energy_kev, fluence]) = numbers.as_deref() else {
-                return Err(wrong(format!("row {row} is '{line}', expected two numbers")));
-            };
-            if !(*fluence >= 0.0 && fluence.is_finite()) {
-                return Err(wrong(format!("row {row}: fluence is {fluence}, expected 0 or more")));
-            }
-            super::element_attenuation(1, *energy_kev).map_err(|error| wrong(format!("row {row}: {error}")))?;
-            bins.push(Bin { energy_kev: *energy_kev, fluence: *fluence });
-        }
-        if let [first, second, ..] = bins.as_slice() {
-            let step_kev = second.energy_kev - first.energy_kev;
-            for (pair, row) in bins.windows(2).zip(2..) {
-                let found = pair[1].energy_kev - pair[0].energy_kev;
-                if !(step_kev > 0.0 && (found - step_kev).abs() <= 1e-3 * step_kev) {
-                    return Err(wrong(format!("value {row}: spacing is {found} keV, expected {step_kev} keV as at the start")));
-                }
-            }
-        }
-        if bins.is_empty() {
-            return Err(wrong("it has no values".to_owned()));
-        }
-        Self { bins }.normalised()
     }
 
     /// Behind `filtration`: each bin times exp(−Σ μ t).
@@ -378,23 +330,5 @@ mod tests {
         assert!(matches!(Spectrum::tungsten(80.0, 1.0, &[]), Err(PhysicsError::AnodeAngle { .. })));
         assert!(matches!(Spectrum::tungsten(80.0, 12.0, &aluminium(-1.0)), Err(PhysicsError::Filter { .. })));
         assert!(Spectrum::mono(0.0).is_err());
-    }
-
-    #[test]
-    fn bad_files_name_the_row() {
-        let folder = tempfile::tempdir().expect("temporary folder");
-        let path = folder.path().join("s.csv");
-        for (text, says) in [
-            ("energy_kev,fluence\n30,1\n31,-2\n", "row 3"),
-            ("energy_kev,fluence\n30,1\n31,2\n33,2\n", "spacing"),
-            ("kev,n\n30,1\n", "header"),
-            ("energy_kev,fluence\n30,NaN\n", "row 2"),
-        ] {
-            std::fs::write(&path, text).expect("written");
-            let error = Spectrum::from_csv(&path).expect_err(text).to_string();
-            assert!(error.contains(says), "{error}");
-        }
-        std::fs::write(&path, "energy_kev,fluence\n30,1\n31,3\n").expect("written");
-        assert!((Spectrum::from_csv(&path).expect("good").mean_kev() - 30.75).abs() < 1e-12);
     }
 }

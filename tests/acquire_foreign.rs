@@ -118,16 +118,22 @@ pub fn tiff_pages(pages: u32, width: u32, height: u32, strip_bytes: u32) -> Vec<
             (278, 4, height),
             (279, 4, strip_bytes),
         ];
-        bytes.extend((entries.len() as u16).to_le_bytes());
-        for (tag, kind, value) in entries {
-            bytes.extend(tag.to_le_bytes());
-            bytes.extend(kind.to_le_bytes());
-            bytes.extend(1u32.to_le_bytes());
-            bytes.extend(value.to_le_bytes());
-        }
-        let next = if page + 1 < pages { bytes.len() as u32 + 4 } else { 0 };
-        bytes.extend(next.to_le_bytes());
+        let behind = (bytes.len() + tiff_directory(&entries, 0).len()) as u32;
+        bytes.extend(tiff_directory(&entries, if page + 1 < pages { behind } else { 0 }));
     }
+    bytes
+}
+
+/// A directory of a classic TIFF: entries `(tag, type, value)` of one value each, and where the next directory is.
+pub fn tiff_directory(entries: &[(u16, u16, u32)], next: u32) -> Vec<u8> {
+    let mut bytes = (entries.len() as u16).to_le_bytes().to_vec();
+    for (tag, kind, value) in entries {
+        bytes.extend(tag.to_le_bytes());
+        bytes.extend(kind.to_le_bytes());
+        bytes.extend(1u32.to_le_bytes());
+        bytes.extend(value.to_le_bytes());
+    }
+    bytes.extend(next.to_le_bytes());
     bytes
 }
 

@@ -8,7 +8,7 @@ use clap::Args;
 use super::calibrate_carm::read_joints;
 use super::calibrate_layout_error::CalibrateShotsError;
 use super::read_aloud::frame_aloud;
-use super::shot_files::{pretty, shot_name};
+use super::shot_files::{pretty, read_json, shot_name};
 use crate::acquire::{Domain, Frame};
 use crate::beads::{Detection, Expectation, detect};
 use crate::calibrate::carm::Sensors;
@@ -17,7 +17,6 @@ use crate::calibrate::phantom::{
 };
 use crate::geometry::{CarmCalibration, CarmJoints, Intrinsics};
 use crate::image::{check_writable, refuse_overwrite, write_atomically};
-use crate::json::parse_json;
 use crate::mask::{self, Cause};
 use crate::pose::{Covariance, IntrinsicsFile, Prior, intrinsics_of};
 use crate::reporter::Reporter;
@@ -157,8 +156,7 @@ impl RoughCameras {
     fn read(shots: &[PathBuf], args: &ShotsArgs) -> Result<Self, CalibrateShotsError> {
         if let Some((joints, path)) = args.joints.as_ref().zip(args.calibration.as_ref()) {
             let wrong = |detail: String| CalibrateShotsError::Arm { path: path.clone(), detail };
-            let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
-            let carm: CarmCalibration = parse_json(text.as_bytes()).map_err(|fault| wrong(fault.to_string()))?;
+            let carm: CarmCalibration = read_json(path).map_err(wrong)?;
             let stated = ArmSigma::of(&carm);
             let sigma = ArmSigma {
                 encoders: Sensors {

@@ -40,14 +40,14 @@ fn a_fused_prior_is_taken_neither_for_distortion_nor_for_another_k() {
     let mut cases = 0;
     for seed in 0..10 {
         let view = synthetic::view(1024, 1024, seed);
-        let mut layout = synthetic::layout(10, 0.75, seed);
+        let mut layout = synthetic::layout(12, 0.75, seed);
         // Far better placed than is known: so much may the prior draw.
-        layout.beads.iter_mut().for_each(|bead| bead.sigma_mm = Some(0.6));
-        let found = shadows(&view, &layout, 0.6, 0.0, seed);
-        if found.len() < 10 {
+        layout.beads.iter_mut().for_each(|bead| bead.sigma_mm = Some(0.8));
+        let found = shadows(&view, &layout, 0.8, 0.0, seed);
+        if found.len() < 12 {
             continue;
         }
-        let prior = across(&view, &layout, 0.22, 1.0);
+        let prior = across(&view, &layout, 0.36, 1.75);
         let (drawn, free) = (fused(&view, &layout, &prior, &found), register_shadows(&matching(&view, &layout), &found));
         assert!(free.is_accepted(), "control, seed {seed}: {:?}", free.reason);
         assert!(drawn.is_accepted() && drawn.fused, "seed {seed}: {:?}", drawn.reason);

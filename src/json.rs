@@ -34,25 +34,28 @@ mod tests {
     #[derive(Debug, serde::Deserialize)]
     #[serde(deny_unknown_fields)]
     struct Arm {
-        _joints: Vec<Joint>,
+        joints: Vec<Joint>,
     }
 
     #[derive(Debug, serde::Deserialize)]
     #[serde(deny_unknown_fields)]
     struct Joint {
-        _orbital_deg: f64,
+        orbital_deg: f64,
     }
 
     #[test]
     fn a_fault_is_named_with_its_place() {
         let fault = |text: &str| parse_json::<Arm>(text.as_bytes()).expect_err("refused").to_string();
-        let right = r#"{"_joints": [{"_orbital_deg": 1.0}, {"_orbital_deg": 2.0}]}"#;
-        assert_eq!(parse_json::<Arm>(right.as_bytes()).expect("the control")._joints.len(), 2);
-        let unknown = fault(&right.replace("2.0", "2.0, \"tilt\": 3"));
-        assert!(unknown.starts_with("at _joints[1].tilt: unknown field `tilt`"), "{unknown}");
-        let word = fault(&right.replace("2.0", "\"two\""));
-        assert!(word.starts_with("at _joints[1]._orbital_deg: invalid type"), "{word}");
-        assert!(fault("{}").starts_with("at the top level: missing field `_joints`"), "{}", fault("{}"));
-        assert!(fault(&format!("{right} x")).starts_with("at the end: trailing characters"), "{}", fault(&format!("{right} x")));
+        let right = r#"{"joints": [{"orbital_deg": 1.0}, {"orbital_deg": 2.0}]}"#;
+        assert_eq!(parse_json::<Arm>(right.as_bytes()).expect("the control").joints[1].orbital_deg, 2.0);
+        for (text, place, words) in [
+            (right.replace("2.0", "2.0, \"tilt\": 3"), "at joints[1]", "unknown field `tilt`"),
+            (right.replace("2.0", "\"two\""), "at joints[1].orbital_deg: ", "invalid type"),
+            ("{}".to_owned(), "at the top level: ", "missing field `joints`"),
+            (format!("{right} x"), "at the end: ", "trailing characters"),
+        ] {
+            let said = fault(&text);
+            assert!(said.starts_with(place) && said.contains(words), "{said}");
+        }
     }
 }

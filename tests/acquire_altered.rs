@@ -9,6 +9,7 @@ use dicom_object::InMemDicomObject;
 use sidecarm::acquire::{Frame, read_frame, read_frames};
 use sidecarm::mask;
 
+use crate::acquire_foreign::tiff_directory;
 use crate::acquire_frames::{fluoroscopy, save};
 
 /// The made frame (0, 100, …, 600, 4095) with its padding, and perhaps more.
@@ -99,15 +100,8 @@ fn tiff(pages: &[(&[&[u8]], u16)]) -> Vec<u8> {
             (278, 4, height),
             (279, 4, width * height),
         ];
-        bytes.extend((entries.len() as u16).to_le_bytes());
-        for (tag, kind, value) in entries {
-            bytes.extend(tag.to_le_bytes());
-            bytes.extend(kind.to_le_bytes());
-            bytes.extend(1u32.to_le_bytes());
-            bytes.extend(value.to_le_bytes());
-        }
-        link = bytes.len();
-        bytes.extend([0; 4]);
+        bytes.extend(tiff_directory(&entries, 0));
+        link = bytes.len() - 4;
     }
     bytes
 }

@@ -9,9 +9,10 @@ use serde_json::json;
 use sidecarm::acquire::{Fault, Frame, read_frames, read_open};
 use sidecarm::foreign::{ForeignFault, ForeignReader, Kind, Limits, open_regular};
 use sidecarm::image::{Image, write_tiff_f32};
-use sidecarm::time::Stopwatch;
 
 use crate::acquire_frames::{fluoroscopy, save};
+#[cfg(unix)]
+use crate::live_lab::{HANG_S, eventually};
 use crate::scene_support::NiftiFile;
 
 fn helper() -> ForeignReader {
@@ -61,26 +62,6 @@ fn frames_come_through_a_helper_as_they_are() {
     assert_eq!(cases, 2);
 }
 
-/// A helper costs little beside a frame: printed; the bound is of a helper that waits for something.
-#[test]
-fn a_helper_costs_little() {
-    let folder = tempfile::tempdir().expect("folder");
-    let path = folder.path().join("x.tif");
-    let image = Image { width: 1024, height: 1024, pixels: (0..1 << 20).map(|i| i as f32).collect() };
-    write_tiff_f32(&path, &[image]).expect("written");
-    let best = |reader: &ForeignReader| {
-        let once = |_| {
-            let watch = Stopwatch::start();
-            assert_eq!(through(reader, &path).expect("readable").len(), 1);
-            watch.ms()
-        };
-        (0..5).map(once).fold(f64::INFINITY, f64::min)
-    };
-    let (alone, helped) = (best(&ForeignReader::in_process()), best(&helper()));
-    println!("1024 x 1024: {alone:.1} ms in process, {helped:.1} ms through a helper");
-    assert!(helped - alone < 5_000.0, "{helped} ms against {alone} ms");
-}
-
 #[cfg(unix)]
 fn script(folder: &Path, name: &str, body: &str) -> ForeignReader {
     use std::os::unix::fs::PermissionsExt;
@@ -101,9 +82,13 @@ fn whatever_a_helper_does_it_is_one_refused_file() {
         Err(Fault::Helper(fault)) => fault,
         other => panic!("{other:?}"),
     };
-    let watch = Stopwatch::start();
-    assert_eq!(fault(script(folder.path(), "hangs", "exec sleep 600")), ForeignFault::Time { limit_s: 0.5 });
-    assert!(watch.ms() < 20_000.0, "killed in time");
+    let pid = folder.path().join("pid");
+    let hangs = format!("echo $$ > {}; exec sleep 600", pid.display());
+    assert_eq!(fault(script(folder.path(), "hangs", &hangs)), ForeignFault::Time { limit_s: 0.5 });
+    // One that was killed before it wrote its number is gone as well.
+    let number = || std::fs::read_to_string(&pid).ok().and_then(|text| rustix::process::Pid::from_raw(text.trim().parse().ok()?));
+    let gone = || number().is_none_or(|pid| rustix::process::test_kill_process(pid).is_err()).then_some(());
+    assert!(eventually(HANG_S, gone).is_some(), "a helper that hangs is killed");
     assert_eq!(fault(script(folder.path(), "dies", "kill -SEGV $$")), ForeignFault::Crashed);
     assert_eq!(fault(script(folder.path(), "busy", "kill -XCPU $$")), ForeignFault::Time { limit_s: 15.0 });
     assert_eq!(
@@ -133,16 +118,22 @@ pub fn tiff_pages(pages: u32, width: u32, height: u32, strip_bytes: u32) -> Vec<
             (278, 4, height),
             (279, 4, strip_bytes),
         ];
-        bytes.extend((entries.len() as u16).to_le_bytes());
-        for (tag, kind, value) in entries {
-            bytes.extend(tag.to_le_bytes());
-            bytes.extend(kind.to_le_bytes());
-            bytes.extend(1u32.to_le_bytes());
-            bytes.extend(value.to_le_bytes());
-        }
-        let next = if page + 1 < pages { bytes.len() as u32 + 4 } else { 0 };
-        bytes.extend(next.to_le_bytes());
+        let behind = (bytes.len() + tiff_directory(&entries, 0).len()) as u32;
+        bytes.extend(tiff_directory(&entries, if page + 1 < pages { behind } else { 0 }));
     }
+    bytes
+}
+
+/// A directory of a classic TIFF: entries `(tag, type, value)` of one value each, and where the next directory is.
+pub fn tiff_directory(entries: &[(u16, u16, u32)], next: u32) -> Vec<u8> {
+    let mut bytes = (entries.len() as u16).to_le_bytes().to_vec();
+    for (tag, kind, value) in entries {
+        bytes.extend(tag.to_le_bytes());
+        bytes.extend(kind.to_le_bytes());
+        bytes.extend(1u32.to_le_bytes());
+        bytes.extend(value.to_le_bytes());
+    }
+    bytes.extend(next.to_le_bytes());
     bytes
 }
 
@@ -212,11 +203,11 @@ fn made_bombs_are_refused_with_their_reason() {
     for (name, bytes, words) in cases {
         let path = folder.path().join(name);
         std::fs::write(&path, bytes).expect("written");
-        let watch = Stopwatch::start();
-        let fault = through(&helper(), &path).map(|frames| frames.len()).expect_err(name).to_string();
-        println!("{name}: {fault} ({:.0} ms)", watch.ms());
+        let fault = through(&helper(), &path).map(|frames| frames.len()).expect_err(name);
+        assert!(!matches!(fault, Fault::Helper(ForeignFault::Time { .. })), "{name} is seen before its time is over");
+        let fault = fault.to_string();
+        println!("{name}: {fault}");
         assert!(fault.contains(words) && !fault.contains('\n'), "{name}: {fault}");
-        assert!(watch.ms() < 20_000.0, "{name} took {} ms", watch.ms());
         assert_one_sentence(name, &sidecarm(folder.path(), &["info", name]), words);
         refused += 1;
     }
@@ -261,11 +252,9 @@ fn the_bad_files_are_one_sentence_each() {
     let mut refused = 0;
     let frames = list.flatten().map(|entry| entry.path()).filter(|path| path.extension().is_some_and(|ending| ending != "mcap"));
     for path in frames.collect::<std::collections::BTreeSet<PathBuf>>() {
-        let watch = Stopwatch::start();
         let output = sidecarm(&shared, &["info", path.to_str().expect("text")]);
-        println!("{:.0} ms: {}", watch.ms(), String::from_utf8_lossy(&output.stderr).trim());
+        println!("{}", String::from_utf8_lossy(&output.stderr).trim());
         assert_one_sentence(&path.display().to_string(), &output, "");
-        assert!(watch.ms() < 20_000.0, "{} ms", watch.ms());
         refused += 1;
     }
     assert!(refused >= 8, "{refused}");
@@ -324,6 +313,22 @@ fn hostile_volumes_and_meshes_are_refused_by_render_and_info() {
     assert_eq!(cases, 5);
 }
 
+/// As [`sidecarm`]; a program that waits for something is ended, and is a failure.
+#[cfg(unix)]
+fn unless_it_hangs(folder: &Path, args: &[&str]) -> Output {
+    use std::process::Stdio;
+    let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
+    let piped = command.args(args).current_dir(folder).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut child = piped.spawn().expect("the program starts");
+    let ended = eventually(HANG_S, || child.try_wait().expect("a child can be asked"));
+    if ended.is_none() {
+        let _ = child.kill();
+    }
+    let output = child.wait_with_output().expect("its words");
+    assert!(ended.is_some(), "{args:?} hangs: {}", String::from_utf8_lossy(&output.stderr));
+    output
+}
+
 #[cfg(unix)]
 #[test]
 fn commands_do_not_wait_for_pipes_and_devices() {
@@ -336,13 +341,11 @@ fn commands_do_not_wait_for_pipes_and_devices() {
     std::fs::write(folder.path().join("beads.mrk.json"), markups).expect("written");
     let mut cases = 0;
     for (name, words) in [("pipe.dcm", "a named pipe"), ("zero.png", "a device")] {
-        let watch = Stopwatch::start();
-        assert_one_sentence(name, &sidecarm(folder.path(), &["info", name]), words);
         let register = ["register", name, "--beads", "beads.mrk.json", "--out", "pose.json"];
-        assert_one_sentence(name, &sidecarm(folder.path(), &register), words);
-        assert_one_sentence(name, &sidecarm(folder.path(), &["compare", name, name, "--out", "compared"]), words);
-        assert!(watch.ms() < 60_000.0);
-        cases += 1;
+        for args in [&["info", name][..], &register, &["compare", name, name, "--out", "compared"]] {
+            assert_one_sentence(name, &unless_it_hangs(folder.path(), args), words);
+            cases += 1;
+        }
     }
-    assert_eq!(cases, 2);
+    assert_eq!(cases, 6);
 }

@@ -351,9 +351,7 @@ fn what_is_no_file_is_said_once_and_never_opened() {
     std::os::unix::fs::symlink("nowhere", watched.path("old.png")).expect("link");
     std::fs::create_dir(watched.path("new.tif")).expect("folder");
     std::fs::create_dir(watched.path("series")).expect("an ordinary folder");
-    let watch = sidecarm::time::Stopwatch::start();
     watched.settle();
-    assert!(watch.ms() < 5000.0, "nothing is waited for");
     let mut kinds: Vec<NotRegular> = watched
         .troubles
         .iter()

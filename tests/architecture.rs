@@ -3,11 +3,12 @@
 use std::path::{Path, PathBuf};
 
 /// The data-flow order, as `lib.rs` declares it. `report` stands before `session`, because a session draws each strip as it goes.
-const ORDER: [&str; 28] = [
+const ORDER: [&str; 29] = [
     "units",
     "time",
     "random",
     "memory",
+    "json",
     "image",
     "reporter",
     "foreign",

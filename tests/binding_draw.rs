@@ -1,11 +1,10 @@
 //! What drawn sessions are made of: random numbers, frames with the truth, and the C-arm's samples.
 
-use sidecarm::geometry::CarmJoints;
 use sidecarm::random::{Purpose, Stream};
 use sidecarm::telemetry::CarmSample;
 use sidecarm::timeline::FrameEvidence;
 
-use crate::timeline_joints::T0_US;
+use crate::timeline_joints::{T0_US, carm_sample};
 
 /// Uniform numbers of one seed.
 pub struct Draw(Stream);
@@ -110,20 +109,7 @@ pub fn samples(
         }
         let begun = if on { index + 1 } else { index };
         let exposure_counter = counter.map(|counter| if begun == 0 { first_counter } else { counter(begun - 1) });
-        let sample = CarmSample {
-            device_us: us(7.0 + at_s * (1.0 + ppm)) as u64,
-            sequence: number,
-            joints: CarmJoints { orbital_rad: at_s * 1e-3, ..CarmJoints::ZERO },
-            tube_kvp: 74.0,
-            tube_ma: f64::NAN,
-            pulse_width_ms: 8.0,
-            filter_mm_al: 0.0,
-            filter_mm_cu: 0.0,
-            field_mm: [f64::NAN; 4],
-            xray_on: on,
-            exposure_counter,
-            status: 0,
-        };
+        let sample = carm_sample(number, us(7.0 + at_s * (1.0 + ppm)) as u64, at_s * 1e-3, on, exposure_counter);
         found.push((T0_US + us(at_s + 0.0015 - 0.0005 * draw.0.uniform().ln()), sample));
     }
     found

@@ -80,7 +80,7 @@ fn grids_of_beads_and_of_holes_are_straightened_to_a_fifth_of_a_pixel() {
 }
 
 /// The grid of `drawn` as an S that grows with the orbital angle shows it.
-fn turned(drawn: &Drawn, orbital_deg: f64) -> Drawn {
+pub fn turned(drawn: &Drawn, orbital_deg: f64) -> Drawn {
     let s_rad = drawn.law.s_rad + 0.04 * orbital_deg.to_radians().sin();
     Drawn { law: Law { s_rad, ..drawn.law }, seed: drawn.seed + orbital_deg.abs() as u64, ..drawn.clone() }
 }

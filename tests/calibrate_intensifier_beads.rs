@@ -16,26 +16,26 @@ use sidecarm::random::{Purpose, Stream};
 use crate::intensifier_draw::{Drawn, Law, rms_apart};
 use crate::pose_synthetic as synthetic;
 
-const SIZE: u32 = 512;
+pub const SIZE: u32 = 512;
 /// What global polynomials of the fifth order leave in published measurements.
-const LIMIT_PX: f64 = 0.2;
+pub const LIMIT_PX: f64 = 0.2;
 /// Standard deviation per axis with which the phantom's maker knows its beads.
 const PLACED_MM: f64 = 0.03;
 
 /// A phantom of beads in depth, an intensifier, and frames of it.
 #[derive(Clone)]
-struct Lab {
+pub struct Lab {
     seed: u64,
-    law: Law,
+    pub law: Law,
     /// As it is stated.
-    layout: BeadLayout,
+    pub layout: BeadLayout,
     /// As it is.
     built: BeadLayout,
 }
 
 impl Lab {
     /// `count` beads in a slab of 165 mm across and 90 mm deep, no two closer than 16 mm.
-    fn new(seed: u64, count: usize) -> Self {
+    pub fn new(seed: u64, count: usize) -> Self {
         let mut random = Stream::new(seed, 60, 0, Purpose::Evaluation);
         let mut places: Vec<DVec3> = Vec::new();
         while places.len() < count {
@@ -56,7 +56,7 @@ impl Lab {
     }
 
     /// How the phantom lies in frame `n`; K is the same in all.
-    fn view(&self, n: u64) -> View {
+    pub fn view(&self, n: u64) -> View {
         let mut random = Stream::new(self.seed, 61, n as u32, Purpose::Evaluation);
         let mut normal = |s: f64| random.normal() * s;
         let turn = sidecarm::geometry::Rigid::exp(DVec3::new(normal(0.35), normal(0.35), normal(1.2)), DVec3::ZERO);
@@ -64,12 +64,12 @@ impl Lab {
         View { camera_from_lps: sidecarm::geometry::Rigid::translation(shift) * turn, ..synthetic::view(SIZE, SIZE, self.seed) }
     }
 
-    fn pitch_mm(&self) -> f64 {
+    pub fn pitch_mm(&self) -> f64 {
         1020.0 / self.view(0).intrinsics.fx
     }
 
     /// Frame `n` as the intensifier shows it, with its noise.
-    fn pixels(&self, n: u64, law: &Law) -> Image<f32> {
+    pub fn pixels(&self, n: u64, law: &Law) -> Image<f32> {
         let mut radiograph = synthetic::radiograph(self.view(n), &self.built, 0.0, self.seed);
         (radiograph.anatomy, radiograph.metal) = (false, false);
         let straight = radiograph.draw();
@@ -120,7 +120,7 @@ fn off_px(found: &Distortion, law: &Law, reach: f64) -> f64 {
 }
 
 /// Rms of held-out beads, rms against the law within 0.9 of the beads' reach, that reach, shadows.
-fn judged(calibration: &IntensifierCalibration, law: &Law, view: usize) -> (f64, f64, f64, usize) {
+pub fn judged(calibration: &IntensifierCalibration, law: &Law, view: usize) -> (f64, f64, f64, usize) {
     let row = &calibration.views[view];
     let angles = row.orbital_deg.zip(row.angulation_deg).map(|(orbital, angulation)| [orbital, angulation]);
     let distortion = calibration.at(angles).expect("measured").distortion;
@@ -226,7 +226,7 @@ fn what_the_beads_do_not_bear_is_refused() {
     assert!(matches!(calibrate_phantom(&[], &lab.request(&lab.layout), &|| {}), Err(IntensifierFault::NoFrames)));
 }
 
-fn markups(folder: &Path, name: &str, layout: &BeadLayout) {
+pub fn markups(folder: &Path, name: &str, layout: &BeadLayout) {
     let point = |bead: &sidecarm::beads::Bead| {
         let (radius_mm, sigma_mm) = (bead.radius_mm.unwrap_or(1.0), bead.sigma_or_default_mm());
         json!({"label": bead.name, "description": format!("radius_mm={radius_mm} sigma_mm={sigma_mm}"), "position": bead.lps_mm.to_array()})

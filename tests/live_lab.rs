@@ -234,12 +234,13 @@ impl Live {
         before_us
     }
 
-    /// Sends a signal; gives milliseconds until the program has said that it heard it, and the host time of the signal.
-    pub fn signalled(&self, signal: Signal) -> (f64, i64) {
-        let (watch, signal_us) = (Stopwatch::start(), host_now_us());
+    /// Sends a signal and waits until the program has said that it heard it; gives the host time of the signal.
+    pub fn signalled(&self, signal: Signal) -> i64 {
+        let signal_us = host_now_us();
         self.program.signal(signal);
-        let heard = eventually(10.0, || self.stderr().contains("ending the session").then(|| watch.ms()));
-        (heard.unwrap_or(f64::INFINITY), signal_us)
+        let heard = eventually(HANG_S, || self.stderr().contains("ending the session").then_some(()));
+        assert!(heard.is_some(), "{signal:?} is not heard: {}", self.stderr());
+        signal_us
     }
 
     pub fn stdout(&self) -> String {

@@ -7,7 +7,7 @@ use sidecarm::acquire::{Domain, Frame, read_frame};
 use sidecarm::beads::{BeadLayout, Detection, read_markups};
 use sidecarm::geometry::{Intrinsics, Projection, Rigid, View};
 use sidecarm::image::Image;
-use sidecarm::pose::{IntrinsicsFile, Pose, Prior, Registration, register, register_shadows};
+use sidecarm::pose::{Covariance, IntrinsicsFile, Pose, Prior, Registration, register, register_shadows};
 
 use crate::pose_registration::{landmark_error_px, matching, reason, shadows};
 use crate::pose_synthetic as synthetic;
@@ -18,6 +18,17 @@ fn beside(view: &View, layout: &BeadLayout, turn_deg: f64, shift_mm: f64) -> Vie
     let turn = Rigid::exp(DVec3::new(0.3, 0.5, 0.8).normalize() * turn_deg.to_radians(), DVec3::ZERO);
     let about = Rigid::translation(centre + DVec3::new(shift_mm, 0.4 * shift_mm, 0.0)) * turn * Rigid::translation(-centre);
     View { camera_from_lps: about * view.camera_from_lps, ..*view }
+}
+
+/// Standard deviations of turns and shifts about `centre`, in `camera`, written for the camera's origin.
+pub fn covariance_about(centre: DVec3, turn_deg: [f64; 3], shift_mm: [f64; 3]) -> Covariance {
+    let mut local = nalgebra::Matrix6::<f64>::zeros();
+    (0..3).for_each(|n| (local[(n, n)], local[(n + 3, n + 3)]) = (turn_deg[n].to_radians().powi(2), shift_mm[n].powi(2)));
+    let mut shift = nalgebra::Matrix6::<f64>::identity();
+    let cross = nalgebra::Matrix3::new(0.0, -centre.z, centre.y, centre.z, 0.0, -centre.x, -centre.y, centre.x, 0.0);
+    shift.fixed_view_mut::<3, 3>(3, 0).copy_from(&cross);
+    let covariance = shift * local * shift.transpose();
+    std::array::from_fn(|i| std::array::from_fn(|j| covariance[(i, j)]))
 }
 
 /// A second set of the same beads, or their ghost, must be told, whichever of the two fits better.
@@ -49,14 +60,7 @@ fn a_wrong_k_or_scale_contradicts_a_prior_with_covariance() {
         let (view, layout) = (synthetic::view(1024, 1024, seed), synthetic::layout(9, 0.75, seed));
         let found = shadows(&view, &layout, 0.1, 0.05, seed);
         let centre = view.camera_from_lps.transform_point(layout.centroid_lps_mm());
-        // σ of 1° and 3 mm about the beads, written for the camera's origin.
-        let mut local = nalgebra::Matrix6::<f64>::zeros();
-        (0..3).for_each(|n| (local[(n, n)], local[(n + 3, n + 3)]) = (1f64.to_radians().powi(2), 9.0));
-        let mut shift = nalgebra::Matrix6::<f64>::identity();
-        let cross = nalgebra::Matrix3::new(0.0, -centre.z, centre.y, centre.z, 0.0, -centre.x, -centre.y, centre.x, 0.0);
-        shift.fixed_view_mut::<3, 3>(3, 0).copy_from(&cross);
-        let covariance = shift * local * shift.transpose();
-        let covariance = std::array::from_fn(|i| std::array::from_fn(|j| covariance[(i, j)]));
+        let covariance = covariance_about(centre, [1.0; 3], [3.0; 3]);
         let prior = Prior { camera_from_lps: view.camera_from_lps, covariance: Some(covariance) };
         let k = view.intrinsics;
         let longer = Intrinsics { fx: 1.15 * k.fx, fy: 1.15 * k.fy, ..k };

@@ -30,7 +30,7 @@ fn mu_per_mm(name: &str, kev: f64) -> f64 {
 }
 
 /// 5 to 40 mm of aluminium over 2.5 degrees to either side.
-fn bowtie() -> BowTie {
+pub fn bowtie() -> BowTie {
     let aluminium = material("aluminium");
     let density_g_per_cm3 = aluminium.nominal_density_g_per_cm3().expect("nominal");
     let thickness_mm = vec![[-2.5, 40.0], [0.0, 5.0], [2.5, 30.0]];

@@ -12,6 +12,7 @@ use sidecarm::scene::model::{Matter, Noise, Response, Shape};
 use sidecarm::scene::physics::{Material, Spectrum};
 use sidecarm::scene::{self, Scene};
 
+use crate::render_beam::bowtie;
 use crate::render_scenes::{
     With, cuboid, empty, obliquity, placed, render_on, software_vulkan, solid, solids, spectrum, sphere, volume, worst,
 };
@@ -238,6 +239,10 @@ fn a_poisoned_volume_is_counted_pass_by_pass() {
         clean.model.noise = Noise::Off;
         let counts = renderer.render(&clean, &options).expect("renders").non_finite.expect("asked for");
         assert!(counts.detect > 0 && counts.add_noise == 0, "{name}: {counts:?}");
+        // A bow-tie attenuates in place of the plain pass.
+        clean.beam.shape.bowtie = Some(bowtie());
+        let counts = renderer.render(&clean, &options).expect("renders").non_finite.expect("asked for");
+        assert!(counts.attenuate_spectrum > 0 && counts.detect > 0, "{name}, bow-tie: {counts:?}");
         let unasked = renderer.render(&scene, &Options { count_non_finite: false, ..options }).expect("renders");
         assert_eq!(unasked.non_finite, None);
         cases += 1;

@@ -6,11 +6,9 @@ use std::sync::Arc;
 use glam::{DAffine3, DQuat, DVec3};
 use sidecarm::geometry::{Intrinsics, Rigid, View};
 use sidecarm::scene::Scene;
-use sidecarm::scene::model::{
-    Beam, Bodies, Detector, Formation, Matter, Model, Noise, Object, Response, Shape, Solid, Volume, Voxels,
-};
-use sidecarm::scene::optics::{BeamShape, Panel};
-use sidecarm::scene::physics::{Material, Spectrum};
+use sidecarm::scene::model::{Detector, Matter, Object, Shape, Solid, Volume};
+
+use crate::render_scenes::empty;
 
 /// Numbers in [0, 1) that are the same in every run.
 pub struct Dice(u64);
@@ -55,29 +53,9 @@ pub fn scene(materials: &[&str], matters: Vec<Matter>) -> Scene {
         .enumerate()
         .map(|(index, matter)| Object { name: format!("objects[{index}]"), body: "specimen".to_owned(), matter })
         .collect();
-    Scene {
-        materials: materials.iter().map(|name| Material::parse(name).expect("known")).collect(),
-        objects,
-        view: None,
-        beam: Beam {
-            spectrum: Spectrum::mono(60.0).expect("inside the tables"),
-            photons_per_pixel: 5e5,
-            shape: BeamShape::default(),
-        },
-        detector: Detector {
-            response: Response::Energy,
-            pitch_mm: 0.2,
-            crosstalk: vec![vec![1.0]],
-            readout_noise: None,
-            gain: 1.0,
-            offset: 0.0,
-            panel: Panel::default(),
-        },
-        model: Model { formation: Formation::Deepdrr, voxels: Voxels::Trilinear, noise: Noise::Off, seed: 1 },
-        inputs: Vec::new(),
-        robot: None,
-        bodies: Bodies::default(),
-    }
+    let empty = empty(materials);
+    let detector = Detector { pitch_mm: 0.2, crosstalk: vec![vec![1.0]], ..empty.detector };
+    Scene { objects, view: None, detector, ..empty }
 }
 
 /// One shape of density 1 g/cm³.

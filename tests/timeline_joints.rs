@@ -43,10 +43,15 @@ impl std::ops::Deref for Fed {
 
 /// A C-arm sample at `device_us` with this orbital angle, beam and counter.
 pub fn carm(sequence: u32, device_us: u64, orbital_deg: f64, xray_on: bool, counter: Option<u32>) -> Sample {
-    Sample::Carm(CarmSample {
+    Sample::Carm(carm_sample(sequence, device_us, orbital_deg.to_radians(), xray_on, counter))
+}
+
+/// The same, by itself.
+pub fn carm_sample(sequence: u32, device_us: u64, orbital_rad: f64, xray_on: bool, counter: Option<u32>) -> CarmSample {
+    CarmSample {
         device_us,
         sequence,
-        joints: CarmJoints { orbital_rad: orbital_deg.to_radians(), ..CarmJoints::ZERO },
+        joints: CarmJoints { orbital_rad, ..CarmJoints::ZERO },
         tube_kvp: 74.0,
         tube_ma: f64::NAN,
         pulse_width_ms: 8.0,
@@ -56,7 +61,7 @@ pub fn carm(sequence: u32, device_us: u64, orbital_deg: f64, xray_on: bool, coun
         xray_on,
         exposure_counter: counter,
         status: 0,
-    })
+    }
 }
 
 /// A robot sample whose first control angle is `first_deg`.

@@ -6,7 +6,7 @@ use sidecarm::geometry::CarmJoints;
 use sidecarm::telemetry::{CarmSample, DeviceKind, Sample, SequenceTracker, Sequenced};
 use sidecarm::timeline::{Binder, ClockMap, DeviceClock, FrameEvidence};
 
-use crate::timeline_joints::{Fed, T0_US, robot};
+use crate::timeline_joints::{Fed, T0_US, carm_sample, robot};
 
 /// Ordinary, small, huge, and the edges in between.
 fn device_us() -> impl Strategy<Value = u64> {
@@ -64,18 +64,9 @@ fn message() -> impl Strategy<Value = Message> {
 
 fn carm(message: &Message) -> Sample {
     Sample::Carm(CarmSample {
-        device_us: message.device_us,
-        sequence: message.sequence,
         joints: CarmJoints { lift_mm: message.joint, orbital_rad: message.joint, ..CarmJoints::ZERO },
         tube_kvp: message.kvp,
-        tube_ma: f64::NAN,
-        pulse_width_ms: 8.0,
-        filter_mm_al: 0.0,
-        filter_mm_cu: 0.0,
-        field_mm: [f64::NAN; 4],
-        xray_on: message.on,
-        exposure_counter: message.counter,
-        status: 0,
+        ..carm_sample(message.sequence, message.device_us, message.joint, message.on, message.counter)
     })
 }
 

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::panel_maps::{MapsError, PanelMaps};
+use crate::json::{JsonFault, parse_json};
 
 /// What the panel adds up.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -254,11 +255,8 @@ impl DetectorCalibration {
     pub fn read(path: &Path) -> Result<Self, DetectorCalibrationError> {
         let text =
             std::fs::read_to_string(path).map_err(|source| DetectorCalibrationError::Io { path: path.to_owned(), source })?;
-        let mut deserializer = serde_json::Deserializer::from_str(&text);
-        let json = |place: String, detail: String| DetectorCalibrationError::Json { path: path.to_owned(), place, detail };
-        let record: DetectorRecord = serde_path_to_error::deserialize(&mut deserializer)
-            .map_err(|error| json(error.path().to_string(), error.inner().to_string()))?;
-        deserializer.end().map_err(|error| json("the end".into(), error.to_string()))?;
+        let json = |JsonFault { place, detail }| DetectorCalibrationError::Json { path: path.to_owned(), place, detail };
+        let record: DetectorRecord = parse_json(text.as_bytes()).map_err(json)?;
         record.check(path)?;
         let maps = match &record.maps {
             Some(maps) => {

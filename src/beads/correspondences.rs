@@ -5,6 +5,8 @@ use std::path::{Path, PathBuf};
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
 
+use crate::json::{JsonFault, parse_json};
+
 /// A bead and where its shadow is.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -50,9 +52,7 @@ pub fn read_correspondences(path: &Path) -> Result<Vec<Correspondence>, Correspo
     }
     let bytes = std::fs::read(path).map_err(|source| CorrespondencesError::Read { path: path.to_owned(), source })?;
     let form = |place: String, message: String| CorrespondencesError::Form { path: path.to_owned(), place, message };
-    let mut deserializer = serde_json::Deserializer::from_slice(&bytes);
-    let given: Given = serde_path_to_error::deserialize(&mut deserializer)
-        .map_err(|error| form(error.path().to_string(), error.inner().to_string()))?;
+    let given: Given = parse_json(&bytes).map_err(|JsonFault { place, detail }| form(place, detail))?;
     match given.correspondences.iter().find(|one| !one.image_px.is_finite()) {
         Some(bad) => Err(form("correspondences".to_owned(), format!("the place of {:?} is not finite", bad.bead))),
         None => Ok(given.correspondences),

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 
-use super::shot_files::{csv_table, is_json, is_log, number, pretty, shot_name};
+use super::shot_files::{OutOfRange, check_range, csv_table, is_json, is_log, number, pretty, read_json, shot_name};
 use crate::calibrate::carm::{CarmFitError, CarmReport, Sensors, Shot, calibrate, plot, shots_of_log};
 use crate::geometry::{CarmCalibration, CarmJoints, JOINT_KEYS};
 use crate::image::plot::PlotError;
@@ -78,15 +78,8 @@ pub enum CalibrateCarmError {
         shot: String,
     },
     /// A number that was typed.
-    #[error("{option} is {found}, expected above 0 and at most {most}")]
-    Option {
-        /// As typed.
-        option: &'static str,
-        /// Found.
-        found: f64,
-        /// Largest that makes sense.
-        most: f64,
-    },
+    #[error(transparent)]
+    Option(#[from] OutOfRange),
     /// The shots.
     #[error(transparent)]
     Fit(#[from] CarmFitError),
@@ -104,19 +97,13 @@ pub enum CalibrateCarmError {
 /// When a file cannot be read or written, an option makes no sense, or the shots do not determine the arm.
 pub fn run(args: &CarmArgs, reporter: &Reporter) -> Result<u8, CalibrateCarmError> {
     let sensors = Sensors { sigma_deg: args.encoder_sigma_deg, sigma_mm: args.encoder_sigma_mm };
-    for (option, found, most) in [("--encoder-sigma-deg", sensors.sigma_deg, 5.0), ("--encoder-sigma-mm", sensors.sigma_mm, 50.0)]
-    {
-        if !(found > 0.0 && found <= most) {
-            return Err(CalibrateCarmError::Option { option, found, most });
-        }
-    }
+    check_range([("--encoder-sigma-deg", sensors.sigma_deg, 5.0), ("--encoder-sigma-mm", sensors.sigma_mm, 50.0)])?;
     let outputs = [args.out.clone(), args.out.with_extension("report.json"), args.out.with_extension("svg")];
     let inputs: Vec<&Path> = args.shots.iter().chain(&args.joints).chain([&args.calibration]).map(PathBuf::as_path).collect();
     refuse_overwrite(&outputs.each_ref().map(PathBuf::as_path), &inputs)?;
     check_writable(&args.out)?;
     let wrong = |detail: String| CalibrateCarmError::Input { path: args.calibration.clone(), detail };
-    let nominal = std::fs::read_to_string(&args.calibration).map_err(|error| wrong(error.to_string()))?;
-    let nominal: CarmCalibration = serde_json::from_str(&nominal).map_err(|error| wrong(error.to_string()))?;
+    let nominal: CarmCalibration = read_json(&args.calibration).map_err(wrong)?;
     let shots = read_shots(args, reporter)?;
     let mut fit = calibrate(&shots, &nominal, &sensors)?;
     let said = args.origin.as_deref().unwrap_or("who, when and with what not stated (--origin)");
@@ -174,10 +161,10 @@ fn read_shots(args: &CarmArgs, reporter: &Reporter) -> Result<Vec<Shot>, Calibra
 /// Joints by shot: JSON by its ending, else CSV.
 pub(super) fn read_joints(path: &Path) -> Result<BTreeMap<String, CarmJoints>, CalibrateCarmError> {
     let wrong = |detail: String| CalibrateCarmError::Input { path: path.to_owned(), detail };
-    let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
     if is_json(path) {
-        return serde_json::from_str(&text).map_err(|error| wrong(error.to_string()));
+        return read_json(path).map_err(wrong);
     }
+    let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
     let known = |key: &str| key == "frame" || JOINT_KEYS.iter().any(|(joint, _)| *joint == key);
     let check = |header: &[&str]| {
         let is_right = header.first() == Some(&"frame") && header.iter().all(|key| known(key));

@@ -8,7 +8,7 @@ use clap::Args;
 use super::calibrate_carm::read_joints;
 use super::calibrate_layout_error::CalibrateShotsError;
 use super::read_aloud::frame_aloud;
-use super::shot_files::{pretty, shot_name};
+use super::shot_files::{pretty, read_json, shot_name};
 use crate::acquire::{Domain, Frame};
 use crate::beads::{Detection, Expectation, detect};
 use crate::calibrate::carm::Sensors;
@@ -156,8 +156,7 @@ impl RoughCameras {
     fn read(shots: &[PathBuf], args: &ShotsArgs) -> Result<Self, CalibrateShotsError> {
         if let Some((joints, path)) = args.joints.as_ref().zip(args.calibration.as_ref()) {
             let wrong = |detail: String| CalibrateShotsError::Arm { path: path.clone(), detail };
-            let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
-            let carm: CarmCalibration = serde_json::from_str(&text).map_err(|error| wrong(error.to_string()))?;
+            let carm: CarmCalibration = read_json(path).map_err(wrong)?;
             let stated = ArmSigma::of(&carm);
             let sigma = ArmSigma {
                 encoders: Sensors {

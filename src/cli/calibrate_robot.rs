@@ -6,7 +6,7 @@ use clap::Args;
 
 use super::calibrate_robot_error::CalibrateRobotError;
 use super::calibrate_robot_shots::{ShotFiles, read_shots};
-use super::shot_files::pretty;
+use super::shot_files::{check_range, pretty};
 use crate::acquire::Domain;
 use crate::calibrate::robot::{Assumed, RobotReport, calibrate, plot};
 use crate::image::{check_writable, refuse_overwrite, write_atomically};
@@ -74,17 +74,12 @@ pub struct RobotArgs {
 /// # Errors
 /// When a file cannot be read or written, an option makes no sense, or the shots do not determine the robot.
 pub fn run(args: &RobotArgs, reporter: &Reporter) -> Result<u8, CalibrateRobotError> {
-    let options = [
+    check_range([
         ("--guess-sigma-mm", args.guess_sigma_mm, 50.0),
         ("--guess-sigma-deg", args.guess_sigma_deg, 30.0),
         ("--offset-sigma-deg", args.offset_sigma_deg, 10.0),
         ("--reading-sigma-deg", args.reading_sigma_deg, 5.0),
-    ];
-    for (option, found, most) in options {
-        if !(found > 0.0 && found <= most) {
-            return Err(CalibrateRobotError::Option { option, found, most });
-        }
-    }
+    ])?;
     let assumed = Assumed {
         guess_sigma_mm: args.guess_sigma_mm,
         guess_sigma_deg: args.guess_sigma_deg,

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use super::shot_files::OutOfRange;
 use crate::acquire::AcquireError;
 use crate::calibrate::robot::RobotFitError;
 use crate::image::ImageFileError;
@@ -44,15 +45,8 @@ pub enum CalibrateRobotError {
         shot: String,
     },
     /// A number that was typed.
-    #[error("{option} is {found}, expected above 0 and at most {most}")]
-    Option {
-        /// As typed.
-        option: &'static str,
-        /// Found.
-        found: f64,
-        /// Largest that makes sense.
-        most: f64,
-    },
+    #[error(transparent)]
+    Option(#[from] OutOfRange),
     /// The shots.
     #[error(transparent)]
     Fit(#[from] RobotFitError),

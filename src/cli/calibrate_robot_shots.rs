@@ -8,7 +8,7 @@ use serde::Deserialize;
 
 use super::calibrate_robot_error::CalibrateRobotError;
 use super::read_aloud::frame_aloud;
-use super::shot_files::{csv_table, is_json, is_log, number, shot_name};
+use super::shot_files::{csv_table, is_json, is_log, number, read_json, shot_name};
 use crate::acquire::{Domain, Frame};
 use crate::calibrate::robot::{LoggedShot, NoShot, Shot, shots_of_log};
 use crate::geometry::Rigid;
@@ -107,17 +107,16 @@ impl Taken<'_> {
 
 fn read_tie(path: &Path) -> Result<Tie, CalibrateRobotError> {
     let wrong = |detail: String| CalibrateRobotError::Input { path: path.to_owned(), detail };
-    let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
-    serde_json::from_str(&text).map_err(|error| wrong(error.to_string()))
+    read_json(path).map_err(wrong)
 }
 
 /// Rows by shot, their images from the table's folder: JSON by its ending, else CSV.
 fn read_rows(path: &Path) -> Result<BTreeMap<String, Row>, CalibrateRobotError> {
     let wrong = |detail: String| CalibrateRobotError::Input { path: path.to_owned(), detail };
-    let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
     let mut rows: BTreeMap<String, Row> = if is_json(path) {
-        serde_json::from_str(&text).map_err(|error| wrong(error.to_string()))?
+        read_json(path).map_err(wrong)?
     } else {
+        let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
         parse_csv(&text).map_err(wrong)?
     };
     let folder = path.parent().unwrap_or(Path::new(""));

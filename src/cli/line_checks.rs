@@ -7,6 +7,7 @@ use serde::Serialize;
 use tokio::sync::mpsc;
 
 use crate::geometry::{CarmCalibration, RobotModel};
+use crate::json::parse_json;
 use crate::telemetry::{CarmSample, DeviceKind, Event, Health, Link, Metadata, PortConfig, PortEvent, Sample, hint, spawn_port};
 use crate::time::host_now_us;
 
@@ -291,6 +292,5 @@ fn look_at(file: &CheckFile) -> Result<String, String> {
 
 /// Parses JSON; an error names the key and the place.
 fn parse<T: serde::de::DeserializeOwned>(text: &str) -> Result<T, String> {
-    let deserializer = &mut serde_json::Deserializer::from_str(text);
-    serde_path_to_error::deserialize(deserializer).map_err(|error| format!("at `{}`: {}", error.path(), error.inner()))
+    parse_json(text.as_bytes()).map_err(|fault| fault.to_string())
 }

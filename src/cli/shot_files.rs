@@ -3,6 +3,8 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use crate::json::parse_json;
+
 /// A session's log, by its ending.
 pub(super) fn is_log(path: &Path) -> bool {
     has_ending(path, "mcap")
@@ -20,6 +22,30 @@ fn has_ending(path: &Path, ending: &str) -> bool {
 /// The file's name without its ending.
 pub(super) fn shot_name(path: &Path) -> String {
     path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// A typed number that makes no sense.
+#[derive(Debug, thiserror::Error)]
+#[error("{option} is {found}, expected above 0 and at most {most}")]
+pub struct OutOfRange {
+    /// As typed.
+    option: &'static str,
+    found: f64,
+    /// Largest that makes sense.
+    most: f64,
+}
+
+/// Whether each option's number is above 0 and at most what stands behind it.
+pub(super) fn check_range<const N: usize>(options: [(&'static str, f64, f64); N]) -> Result<(), OutOfRange> {
+    // NaN is out of every range.
+    let wrong = options.into_iter().find(|(_, found, most)| !(*found > 0.0 && found <= most));
+    wrong.map_or(Ok(()), |(option, found, most)| Err(OutOfRange { option, found, most }))
+}
+
+/// What a JSON file holds, or what is wrong with it and where.
+pub(super) fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, String> {
+    let bytes = std::fs::read(path).map_err(|error| error.to_string())?;
+    parse_json(&bytes).map_err(|fault| fault.to_string())
 }
 
 /// As it is written and printed.

@@ -6,11 +6,18 @@ use glam::DVec2;
 use serde::{Deserialize, Serialize};
 
 use super::distortion::{Distortion, DistortionError};
+use crate::json::{JsonFault, parse_json};
 
 /// Orbital and angulation angle of a C-arm, degrees.
 pub type AnglesDeg = [f64; 2];
-/// Views whose angle differs by less lie in one row.
-const SAME_ANGLE_DEG: f64 = 0.05;
+/// Angles that differ by less are one: no arm is read better.
+const SAME_ANGLE_DEG: f64 = 0.1;
+
+/// Whether both were taken at one angle of the C-arm.
+#[must_use]
+pub fn same_angle(a: AnglesDeg, b: AnglesDeg) -> bool {
+    (0..2).all(|axis| (a[axis] - b[axis]).abs() < SAME_ANGLE_DEG)
+}
 
 /// Why a calibration cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -222,11 +229,8 @@ impl IntensifierCalibration {
     /// When it cannot be read, holds unknown keys, or a number makes no sense.
     pub fn read(path: &Path) -> Result<Self, IntensifierError> {
         let bytes = std::fs::read(path).map_err(|source| IntensifierError::Read { source })?;
-        let json = |place: String, detail: String| IntensifierError::Json { place, detail };
-        let mut deserializer = serde_json::Deserializer::from_slice(&bytes);
-        let file: Self = serde_path_to_error::deserialize(&mut deserializer)
-            .map_err(|error| json(error.path().to_string(), error.inner().to_string()))?;
-        deserializer.end().map_err(|error| json("the end".to_owned(), error.to_string()))?;
+        let json = |JsonFault { place, detail }| IntensifierError::Json { place, detail };
+        let file: Self = parse_json(&bytes).map_err(json)?;
         file.check()?;
         Ok(file)
     }
@@ -291,8 +295,7 @@ impl IntensifierCalibration {
 
 /// Says by how much the angle asked for lies outside those measured.
 fn held_note(asked: AnglesDeg, held: AnglesDeg) -> Option<String> {
-    let off = (asked[0] - held[0]).abs().max((asked[1] - held[1]).abs());
-    (off > SAME_ANGLE_DEG).then(|| {
+    (!same_angle(asked, held)).then(|| {
         format!(
             "the distortion at orbital {:.1}°, angulation {:.1}° was not measured: that of {:.1}°, {:.1}° is used",
             asked[0], asked[1], held[0], held[1]

@@ -35,7 +35,9 @@ pub use carm::{CarmCalibration, CarmCalibrationError, JointOffsets};
 pub use console::{ConsoleError, ConsoleGeometry, Flip, homogeneous_rows, quarters_and_rest};
 pub use convert::{dicom_angles_deg, lps_from_ras, ras_from_lps};
 pub use distortion::{DEFAULT_ORDER, Distortion, DistortionError, ORDERS, term_count, terms};
-pub use intensifier::{AnglesDeg, AnglesFrom, Glare, Intensifier, IntensifierCalibration, IntensifierError, IntensifierView};
+pub use intensifier::{
+    AnglesDeg, AnglesFrom, Glare, Intensifier, IntensifierCalibration, IntensifierError, IntensifierView, same_angle,
+};
 pub use joints::{CarmJoints, JOINT_KEYS};
 pub use panel_window::{PanelWindow, seen_through, turned_camera};
 pub use rigid::{Rigid, RigidError};

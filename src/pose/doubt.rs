@@ -231,10 +231,16 @@ impl Case<'_> {
         let k = self.request.intrinsics?;
         let degrees = (2 * last.matches.len()).checked_sub(9)?;
         let (_, needed) = *SURE_RATIOS.iter().find(|(fewest, _)| degrees >= *fewest)?;
-        let options = Options { iterations: 60, ..Options::least_squares(Free::Square) };
-        let free = solve(&last.matches, &last.solution.camera_from_lps, &k, &options)?;
+        let alone = |free: Free| {
+            let options = Options { iterations: 60, ..Options::least_squares(free) };
+            solve(&last.matches, &last.solution.camera_from_lps, &k, &options)
+        };
+        let free = alone(Free::Square)?;
         let squares = |residuals: &[DVec2]| residuals.iter().map(|r| r.length_squared()).sum::<f64>();
-        let (given, freed) = (squares(&last.solution.residuals_px), squares(&free.residuals_px));
+        // A pose that a fused prior has drawn away would make another K look needed.
+        let given =
+            if self.request.fuse { squares(&alone(Free::Pose)?.residuals_px) } else { squares(&last.solution.residuals_px) };
+        let freed = squares(&free.residuals_px);
         let ratio = ((given - freed) / 3.0) / (freed / degrees as f64);
         let focal_ratio = free.intrinsics.fx / k.fx;
         let shift_px = DVec2::new(free.intrinsics.cx - k.cx, free.intrinsics.cy - k.cy).length();

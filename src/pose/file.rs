@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::image::{ImageFileError, write_atomically};
+use crate::json::{JsonFault, parse_json};
 
 /// Why a pose, prior or intrinsics file is unusable.
 #[derive(Debug, thiserror::Error)]
@@ -49,18 +50,8 @@ pub enum PoseFileError {
 /// Reads a JSON file; errors name the key.
 pub(super) fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, PoseFileError> {
     let bytes = std::fs::read(path).map_err(|source| PoseFileError::Read { path: path.to_owned(), source })?;
-    let mut deserializer = serde_json::Deserializer::from_slice(&bytes);
-    let value = serde_path_to_error::deserialize(&mut deserializer).map_err(|error| PoseFileError::Form {
-        path: path.to_owned(),
-        place: error.path().to_string(),
-        message: error.inner().to_string(),
-    })?;
-    deserializer.end().map_err(|error| PoseFileError::Form {
-        path: path.to_owned(),
-        place: "the end".to_owned(),
-        message: error.to_string(),
-    })?;
-    Ok(value)
+    let form = |JsonFault { place, detail }| PoseFileError::Form { path: path.to_owned(), place, message: detail };
+    parse_json(&bytes).map_err(form)
 }
 
 /// Writes a JSON file, all or nothing.

@@ -38,7 +38,7 @@ fn skip_pixels(prepared: &Prepared, coarse: &Prepared, plan: &Plan) -> Density {
     let cast_px = coarse.view.size_px.map(|n| n as usize);
     let materials = coarse.material_count;
     let (g_per_cm2, valid) = (vec![0.0f32; cast_px[0] * cast_px[1] * materials], vec![1u8; cast_px[0] * cast_px[1]]);
-    let mut thin = Density { material_count: materials, g_per_cm2, valid, unscanned_mm: 0.0 };
+    let mut thin = Density { material_count: materials, g_per_cm2, valid };
     // A cast pixel serves those up to the next ones around it.
     let serves = |[u, v]: [u32; 2]| {
         let last = |n: u32, axis: usize| (n + edge).min(coarse.view.size_px[axis]) * step;
@@ -68,7 +68,7 @@ pub(super) fn attenuate_beyond(scene: &Scene, plan: &Plan, cast: &mut Cast, nois
         return Ok(());
     }
     let g_per_cm2 = pixels.iter().flat_map(|pixel| paths(*pixel)).copied().collect();
-    let density = Density { material_count: materials, g_per_cm2, valid: vec![1; pixels.len()], unscanned_mm: 0.0 };
+    let density = Density { material_count: materials, g_per_cm2, valid: vec![1; pixels.len()] };
     let bins = Bins::new(scene, &whole_spectrum(scene))?;
     let signal = attenuate_spectrum(&density, &bins, noisy);
     for (index, pixel) in pixels.into_iter().enumerate() {
@@ -104,13 +104,13 @@ impl Cast {
     }
 }
 
-/// Says how many pixels the scan was incomplete for.
-pub(super) fn note_invalid(density: &Density, notes: &mut Vec<String>) {
-    let invalid = density.valid.iter().filter(|valid| **valid == 0).count();
+/// Says how many pixels the scan was incomplete for, and how long the longest path outside it is, where that is known.
+pub(super) fn note_invalid(valid: &[u8], unscanned_mm: f32, notes: &mut Vec<String>) {
+    let invalid = valid.iter().filter(|valid| **valid == 0).count();
     if invalid > 0 {
-        let share = 100.0 * invalid as f64 / density.valid.len() as f64;
-        let bound = if density.unscanned_mm > 0.0 {
-            format!("; at most {:.0} mm of their paths are unscanned", density.unscanned_mm)
+        let share = 100.0 * invalid as f64 / valid.len() as f64;
+        let bound = if unscanned_mm > 0.0 {
+            format!("; at most {unscanned_mm:.0} mm of their paths are unscanned")
         } else {
             String::new()
         };

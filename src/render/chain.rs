@@ -3,7 +3,7 @@
 use super::blur::{FWHM_PER_SIGMA, blur_signal, focal_blur};
 use super::cpu::attenuate_spectrum::Signal;
 use super::cpu::integrate_density::Density;
-use super::flood::{Flood, Weights, attenuate, flood};
+use super::flood::{Flood, Weights, attenuate, flood, shapes_spectrum};
 use super::plan_parts::{Choice, Executor, Node};
 use super::spectrum::Bins;
 use super::{Quantity, RenderError};
@@ -17,7 +17,17 @@ pub(super) fn check(scene: &Scene) -> Result<(), RenderError> {
     scene.beam.shape.check().and_then(|()| scene.detector.panel.check()).map_err(number)
 }
 
-/// Puts heel, bow-tie and focal spot into `signal`, and says what arrives without an object. `photons` asks for N₀(u).
+/// What is wanted besides line integrals.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Wanted {
+    /// N₀(u), which noise and counts need.
+    pub photons: bool,
+    /// What noise needs to know of the photons that arrive.
+    pub moments: bool,
+}
+
+/// Puts heel, bow-tie and focal spot into `signal`, and says what arrives without an object. Where heel or bow-tie shape the spectrum,
+/// `signal` may come empty.
 ///
 /// # Errors
 /// When an energy is outside the tables, or nothing arrives on the principal ray.
@@ -28,12 +38,12 @@ pub(super) fn shape(
     density: &Density,
     bins: &Bins,
     signal: &mut Signal,
-    photons: bool,
+    wanted: Wanted,
 ) -> Result<Flood, RenderError> {
     let weights = Weights::new(scene, nodes, bins)?;
-    let flood = flood(scene, view, &weights, photons)?;
-    if scene.beam.shape.varies() && scene.model.formation == Formation::Deepdrr {
-        let shaped = attenuate(view, density, bins, &weights, !signal.arriving.is_empty());
+    let flood = flood(scene, view, &weights, wanted.photons)?;
+    if shapes_spectrum(scene) {
+        let shaped = attenuate(view, density, bins, &weights, wanted.moments);
         signal.arriving = shaped.arriving;
         // The yardstick has its own heel and bow-tie, in f64.
         if executor != Executor::Reference {

@@ -96,7 +96,7 @@ pub struct Work {
     pub interpolated: f64,
     /// Materials of the volume.
     pub materials: usize,
-    /// Energies at which every pixel is evaluated.
+    /// Energies at which every pixel is evaluated; none where heel or bow-tie do it.
     pub energies: usize,
     /// Part of [`Costs::shaped_ns`] that beam shapes ask for at all energies of the spectrum; 0 where none varies from pixel to pixel.
     pub shaped: f64,

@@ -1,6 +1,7 @@
 //! From a plan to an image: what is prepared, what an executor casts, what detector and notes make of it.
 
 use super::cast::{Cast, area_pages, attenuate_beyond, cast_cpu, note_invalid};
+use super::chain::{self, Wanted};
 use super::checks::check_plan;
 use super::cpu::add_noise::add_noise;
 use super::cpu::attenuate_spectrum::attenuate_spectrum;
@@ -14,7 +15,7 @@ use super::renderer::{Options, Rendered, Renderer};
 use super::spectrum::Bins;
 use super::survey::every;
 use super::wgsl::{self, Executed, NoiseKey, Request, WgslExecutor};
-use super::{Quantity, RenderError, chain, cut_faces, flood, intensifier, reference};
+use super::{Quantity, RenderError, cut_faces, flood, intensifier, reference};
 use crate::geometry::View;
 use crate::gpu::{Device, cpu_name};
 use crate::image::Image;
@@ -45,7 +46,9 @@ impl Ready<'_> {
     fn cast_cpu(&mut self, plan: &Plan) -> Cast {
         let noisy = self.noisy();
         let coarse = self.coarse.as_ref().filter(|_| plan.step_px > 1);
-        cast_cpu(&self.prepared, coarse, plan, self.bins.as_ref(), noisy, &mut self.stages)
+        // Heel and bow-tie attenuate pixel by pixel, by the density alone.
+        let bins = self.bins.as_ref().filter(|_| !flood::shapes_spectrum(self.scene));
+        cast_cpu(&self.prepared, coarse, plan, bins, noisy, &mut self.stages)
     }
 }
 
@@ -101,12 +104,12 @@ impl Renderer {
         }
         let deviates = cast.deviates.as_deref().unwrap_or_default();
         let mut non_finite = options.count_non_finite.then(|| NonFinite::of(&cast.density, &cast.signal, deviates));
-        // The reference says so itself, ray by ray.
-        if plan.executor != Executor::Reference {
-            let unscanned_mm = stages.measure("cut_faces", || cut_faces::mark(&prepared, &mut cast.density.valid));
-            cast.density.unscanned_mm = unscanned_mm;
-        }
-        note_invalid(&cast.density, &mut notes);
+        // The reference marks its rays itself, one by one.
+        let unscanned_mm = match plan.executor {
+            Executor::Reference => 0.0,
+            _ => stages.measure("cut_faces", || cut_faces::mark(&prepared, &mut cast.density.valid)),
+        };
+        note_invalid(&cast.density.valid, unscanned_mm, &mut notes);
         notes.extend(scene.model.noise_left_out().map(str::to_owned));
         if !cast.matter {
             let why = explain_empty(scene, &prepared);
@@ -119,11 +122,14 @@ impl Renderer {
             Some(bins) => {
                 let intensifier = intensifier::of_view(scene, &view)?;
                 let glares = intensifier.as_ref().is_some_and(|intensifier| intensifier.glare.is_some());
-                let photons = noisy || plan.quantity == Quantity::Counts || glares;
+                let wanted = Wanted { photons: noisy || plan.quantity == Quantity::Counts || glares, moments: noisy };
                 let made_by = (plan.energy_nodes.as_slice(), plan.executor);
                 let mut flood = stages.measure("shape_beam", || {
-                    chain::shape(scene, &view, made_by, &cast.density, bins, &mut cast.signal, photons)
+                    chain::shape(scene, &view, made_by, &cast.density, bins, &mut cast.signal, wanted)
                 })?;
+                if let Some(counts) = non_finite.as_mut().filter(|_| flood::shapes_spectrum(scene)) {
+                    counts.attenuate_spectrum += non_finite::count_signal(&cast.signal);
+                }
                 if let Some(intensifier) = &intensifier {
                     stages.measure("distort", || {
                         intensifier::distort(intensifier, &mut cast.signal, &mut flood, &mut valid.pixels)
@@ -240,7 +246,7 @@ fn unpack(executed: Executed, ready: &Ready, adapter: &str) -> Cast {
     let mut gpu_ms = StageTimes::default();
     pass_ms.into_iter().for_each(|(pass, ms)| gpu_ms.add(pass, ms));
     Cast {
-        density: Density { material_count: ready.prepared.material_count, g_per_cm2, valid, unscanned_mm: 0.0 },
+        density: Density { material_count: ready.prepared.material_count, g_per_cm2, valid },
         matter,
         beyond: beyond && !ready.plan.fitted_up_to_g_per_cm2.is_empty(),
         signal,
@@ -264,12 +270,7 @@ fn cast_reference(ready: &mut Ready) -> Result<Cast, RenderError> {
     let Ready { scene, view, bins, stages, .. } = ready;
     let traced = stages.measure("reference", || reference::trace(scene, view, bins.is_some()))?;
     let single = |values: &[f64]| values.iter().map(|value| *value as f32).collect::<Vec<f32>>();
-    let density = Density {
-        material_count: scene.materials.len(),
-        g_per_cm2: single(&traced.g_per_cm2),
-        valid: traced.valid,
-        unscanned_mm: 0.0,
-    };
+    let density = Density { material_count: scene.materials.len(), g_per_cm2: single(&traced.g_per_cm2), valid: traced.valid };
     let mut signal = bins.as_ref().map(|bins| attenuate_spectrum(&density, bins, noisy)).unwrap_or_default();
     signal.line_integral = single(&traced.line_integral);
     Ok(Cast::of(density, signal, format!("f64 reference on {}", cpu_name())))

@@ -90,6 +90,12 @@ pub fn is_plain(scene: &Scene) -> bool {
         && panel.intensifier.is_none()
 }
 
+/// Whether heel or bow-tie change the spectrum from pixel to pixel, so that [`attenuate`] says what arrives.
+#[must_use]
+pub fn shapes_spectrum(scene: &Scene) -> bool {
+    scene.beam.shape.varies() && scene.model.formation == Formation::Deepdrr
+}
+
 /// Weights by energy of the detected photons, and what heel and bow-tie do to them.
 pub struct Weights<'a> {
     padded: usize,

@@ -20,10 +20,9 @@ impl NonFinite {
     /// Counts in what an executor gave back.
     #[must_use]
     pub fn of(density: &Density, signal: &Signal, deviates: &[f32]) -> Self {
-        let moments = signal.arriving.iter().flat_map(|a| [a.photon_fraction, a.mean_response, a.mean_square_response]);
         Self {
             integrate_density: count(&density.g_per_cm2),
-            attenuate_spectrum: count(&signal.line_integral) + moments.filter(|value| !value.is_finite()).count() as u64,
+            attenuate_spectrum: count_signal(signal),
             add_noise: count(deviates),
             detect: 0,
         }
@@ -34,6 +33,13 @@ impl NonFinite {
     pub fn total(&self) -> u64 {
         self.integrate_density + self.attenuate_spectrum + self.add_noise + self.detect
     }
+}
+
+/// NaN and infinities in line integrals and moments.
+#[must_use]
+pub fn count_signal(signal: &Signal) -> u64 {
+    let moments = signal.arriving.iter().flat_map(|a| [a.photon_fraction, a.mean_response, a.mean_square_response]);
+    count(&signal.line_integral) + moments.filter(|value| !value.is_finite()).count() as u64
 }
 
 /// NaN and infinities in `values`.

@@ -14,7 +14,7 @@ use super::tiles::Tiles;
 use super::timed_costs::of_this_machine;
 pub use super::ways::{Goal, Task};
 use super::ways::{Way, skipping_ways, whole_ways};
-use super::{Quantity, RenderError};
+use super::{Quantity, RenderError, flood};
 use crate::geometry::View;
 use crate::scene::model::{Formation, Scene};
 
@@ -319,8 +319,13 @@ fn work(task: &Task, pilot: &Pilot, way: &Way, energies: usize) -> Work {
         solids_per_ray: pilot.solids_per_ray,
         mesh_levels_per_ray: pilot.mesh_levels_per_ray,
         materials,
-        // Naive formation has one mean attenuation.
-        energies: if task.scene.model.formation == Formation::Naive { energies.min(1) } else { energies },
+        energies: match task.scene.model.formation {
+            // One mean attenuation.
+            Formation::Naive => energies.min(1),
+            // Heel and bow-tie attenuate in place of the plain pass.
+            Formation::Deepdrr if flood::shapes_spectrum(task.scene) => 0,
+            Formation::Deepdrr => energies,
+        },
         heel: task.quantity != Quantity::AreaDensity && task.scene.beam.shape.heel.is_some(),
         shaped_energies: energies,
         face_tests: pilot.face_tests,

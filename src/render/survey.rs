@@ -181,7 +181,7 @@ fn thinned(density: &Density, size_px: [u32; 2], step: usize) -> Density {
     };
     let g_per_cm2 = (0..coarse[0] * coarse[1]).flat_map(pick).copied().collect();
     let valid = vec![1; coarse[0] * coarse[1]];
-    let thin = Density { material_count: materials, g_per_cm2, valid, unscanned_mm: 0.0 };
+    let thin = Density { material_count: materials, g_per_cm2, valid };
     enlarge_density(&thin, coarse, [width, height], step)
 }
 

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::cells::Cells;
-use super::chain;
+use super::chain::{self, Wanted};
 use super::costs::Costs;
 use super::cpu::add_noise::add_noise;
 use super::cpu::attenuate_spectrum::{Signal, attenuate_spectrum};
@@ -107,7 +107,7 @@ fn measure() -> Costs {
     if let Ok(bins) = Bins::new(&scene, &nodes) {
         let count = scene.materials.len();
         let g_per_cm2 = (0..pixels * count).map(|i| 0.5 + (i % 97) as f32 * 0.2).collect();
-        let density = Density { material_count: count, g_per_cm2, valid: vec![1; pixels], unscanned_mm: 0.0 };
+        let density = Density { material_count: count, g_per_cm2, valid: vec![1; pixels] };
         let blocks = (bins.padded / LANES) as f64;
         costs.energies_ns = per(fastest(|| drop(attenuate_spectrum(&density, &bins, false))), pixels as f64 * blocks);
         if let (Some(heeled), Some(view)) = (test_scene(r#""heel": {"anode_towards": "+column"},"#), scene.view) {
@@ -117,7 +117,9 @@ fn measure() -> Costs {
                 let density = Density { g_per_cm2, valid, ..density };
                 let made_by = (nodes.as_slice(), Executor::Cpu);
                 let view = View { size_px, ..view };
-                fastest(|| drop(chain::shape(&heeled, &view, made_by, &density, &bins, &mut Signal::default(), false)))
+                fastest(|| {
+                    drop(chain::shape(&heeled, &view, made_by, &density, &bins, &mut Signal::default(), Wanted::default()))
+                })
             };
             let (whole_ms, small_ms) = (shape_ms(view.size_px), shape_ms([1; 2]));
             costs.shaped_ns = per((whole_ms - small_ms).max(0.0), (EDGE * EDGE) as f64 * (blocks + 1.0));
@@ -132,7 +134,7 @@ fn measure() -> Costs {
     if let Some(ns) = time_objects(&scene, Matter::Mesh(Arc::new(mesh)), threads) {
         costs.mesh_level_ns = ns / levels;
     }
-    let coarse = Density { material_count: 1, g_per_cm2: vec![1.0; 129 * 129], valid: vec![1; 129 * 129], unscanned_mm: 0.0 };
+    let coarse = Density { material_count: 1, g_per_cm2: vec![1.0; 129 * 129], valid: vec![1; 129 * 129] };
     costs.between_ns = per(fastest(|| drop(enlarge_density(&coarse, [129, 129], [256, 256], 2))), pixels as f64);
     let empty_ms = |view: View, time: fn(&dyn Fn()) -> f64| {
         let scene = Scene { view: Some(view), ..scene.clone() };

@@ -9,6 +9,7 @@ use super::SceneError;
 use super::model::InputFile;
 use crate::foreign::{Kind, Limits};
 use crate::image::{ImageFileError, sha256_bytes, sha256_file};
+use crate::json::{self, JsonFault};
 
 /// Calibration files that come with the program, so that a scene can name them wherever it lies.
 const BUILT_IN: [(&str, &str); 3] = [
@@ -118,16 +119,6 @@ pub(super) fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, SceneErro
 
 /// [`read_json`] for bytes at hand.
 pub(super) fn parse_json<T: DeserializeOwned>(path: &Path, bytes: &[u8]) -> Result<T, SceneError> {
-    let mut deserializer = serde_json::Deserializer::from_slice(bytes);
-    let value = serde_path_to_error::deserialize(&mut deserializer).map_err(|error| {
-        let place = error.path().to_string();
-        let place = if place == "." { "the file".to_owned() } else { place };
-        SceneError::Json { path: path.to_owned(), place, detail: error.into_inner().to_string() }
-    })?;
-    deserializer.end().map_err(|error| SceneError::Json {
-        path: path.to_owned(),
-        place: "the end".to_owned(),
-        detail: error.to_string(),
-    })?;
-    Ok(value)
+    let json = |JsonFault { place, detail }| SceneError::Json { path: path.to_owned(), place, detail };
+    json::parse_json(bytes).map_err(json)
 }

@@ -12,6 +12,7 @@ use crate::beads::tags::{TagLayout, parse_tags};
 use crate::beads::{Landmark, parse_landmarks};
 use crate::compare::Tone;
 use crate::geometry::{CarmCalibration, ConsoleGeometry, IntensifierCalibration, PanelWindow, Rigid, RobotModel};
+use crate::json::{JsonFault, parse_json};
 
 /// The C-arm's line.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -175,18 +176,8 @@ fn refuse_intensifier(scene: &Path, text: &str) -> Result<(), SessionFileError> 
 
 /// Parses JSON; the error names file and key.
 pub(super) fn parse<T: serde::de::DeserializeOwned>(path: &Path, text: &str) -> Result<T, SessionFileError> {
-    let mut deserializer = serde_json::Deserializer::from_str(text);
-    let value: T = serde_path_to_error::deserialize(&mut deserializer).map_err(|error| SessionFileError::Json {
-        path: path.to_owned(),
-        place: error.path().to_string(),
-        detail: error.inner().to_string(),
-    })?;
-    deserializer.end().map_err(|error| SessionFileError::Json {
-        path: path.to_owned(),
-        place: "the end".to_owned(),
-        detail: error.to_string(),
-    })?;
-    Ok(value)
+    let json = |JsonFault { place, detail }| SessionFileError::Json { path: path.to_owned(), place, detail };
+    parse_json(text.as_bytes()).map_err(json)
 }
 
 /// A path as a session file names it: beside the session file, else in the current folder.

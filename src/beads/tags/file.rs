@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::{CORNERS, Family};
 use crate::beads::{DEFAULT_BODY, DEFAULT_SIGMA_MM};
 use crate::geometry::Rigid;
+use crate::json::{JsonFault, parse_json};
 
 /// A tag on or in the specimen.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -119,11 +120,8 @@ pub fn read_tags(path: &Path) -> Result<TagLayout, TagsFileError> {
 /// # Errors
 /// As [`read_tags`].
 pub fn parse_tags(path: &Path, bytes: &[u8]) -> Result<TagLayout, TagsFileError> {
-    let form = |place: String, message: String| TagsFileError::Form { path: path.to_owned(), place, message };
-    let mut deserializer = serde_json::Deserializer::from_slice(bytes);
-    let layout: TagLayout = serde_path_to_error::deserialize(&mut deserializer)
-        .map_err(|error| form(error.path().to_string(), error.inner().to_string()))?;
-    deserializer.end().map_err(|error| form("the end".to_owned(), error.to_string()))?;
+    let form = |JsonFault { place, detail }| TagsFileError::Form { path: path.to_owned(), place, message: detail };
+    let layout: TagLayout = parse_json(bytes).map_err(form)?;
     if layout.tags.is_empty() {
         return Err(TagsFileError::Empty { path: path.to_owned() });
     }

@@ -2,7 +2,7 @@
 
 use super::error::IntensifierFault;
 use crate::acquire::Frame;
-use crate::geometry::AnglesDeg;
+use crate::geometry::{AnglesDeg, same_angle};
 
 /// A frame of the grid, or of the phantom.
 #[derive(Clone, Debug)]
@@ -12,9 +12,6 @@ pub struct GridFrame {
     /// Orbital and angulation angle, if known.
     pub angles_deg: Option<AnglesDeg>,
 }
-
-/// Frames whose angles differ by less on both axes were taken at one angle.
-pub const SAME_ANGLE_DEG: f64 = 0.1;
 
 /// Whether all are of one size.
 pub fn check_sizes(frames: &[GridFrame]) -> Result<(), IntensifierFault> {
@@ -33,9 +30,7 @@ pub fn check(frames: &[GridFrame]) -> Result<(), IntensifierFault> {
     let name = |frame: &GridFrame| frame.frame.name.clone();
     for (index, frame) in frames.iter().enumerate().filter(|_| frames.len() > 1) {
         let angles_deg = frame.angles_deg.ok_or_else(|| IntensifierFault::NoAngle { frame: name(frame) })?;
-        let near = |other: &&GridFrame| {
-            other.angles_deg.is_some_and(|other| (0..2).all(|axis| (other[axis] - angles_deg[axis]).abs() < SAME_ANGLE_DEG))
-        };
+        let near = |other: &&GridFrame| other.angles_deg.is_some_and(|other| same_angle(other, angles_deg));
         if let Some(other) = frames[..index].iter().find(near) {
             return Err(IntensifierFault::SameAngle { frame: name(frame), other: name(other), angles_deg });
         }

@@ -235,7 +235,7 @@ mod tests {
             mean_square_response: 30.0,
         };
         let g_per_cm2: Vec<f32> = (0..37).map(|i| if i % 3 == 0 { 0.0 } else { i as f32 }).collect();
-        let density = Density { material_count: 1, g_per_cm2, valid: vec![1; 37], unscanned_mm: 0.0 };
+        let density = Density { material_count: 1, g_per_cm2, valid: vec![1; 37] };
         let signal = attenuate_spectrum(&density, &bins, true);
         for (pixel, path) in density.g_per_cm2.iter().enumerate() {
             let depth = [0.3, 0.2].map(|mu| f64::from(*path) * mu);

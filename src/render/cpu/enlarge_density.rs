@@ -31,7 +31,7 @@ pub fn enlarge_density(density: &Density, coarse: [usize; 2], size: [usize; 2], 
             valid[u] = corners.iter().map(|corner| density.valid[*corner]).min().unwrap_or(1);
         }
     });
-    Density { material_count: materials, g_per_cm2, valid, unscanned_mm: density.unscanned_mm }
+    Density { material_count: materials, g_per_cm2, valid }
 }
 
 #[cfg(test)]
@@ -42,7 +42,7 @@ mod tests {
     fn a_plane_comes_back_as_it_was() {
         let coarse = [4, 3];
         let g_per_cm2 = (0..12).map(|i| (4 * (i % 4)) as f32 * 0.5 + (4 * (i / 4)) as f32 * 0.25).collect();
-        let density = Density { material_count: 1, g_per_cm2, valid: vec![1; 12], unscanned_mm: 0.0 };
+        let density = Density { material_count: 1, g_per_cm2, valid: vec![1; 12] };
         let large = enlarge_density(&density, coarse, [13, 9], 4);
         for (i, value) in large.g_per_cm2.iter().enumerate() {
             let expected = (i % 13) as f32 * 0.5 + (i / 13) as f32 * 0.25;

@@ -22,8 +22,6 @@ pub struct Density {
     pub g_per_cm2: Vec<f32>,
     /// 1 where the scan was complete along the ray.
     pub valid: Vec<u8>,
-    /// Longest path outside a truncated scan, over its invalid rays, mm.
-    pub unscanned_mm: f32,
 }
 
 const TILE_COLUMNS: usize = 32;
@@ -53,7 +51,7 @@ pub fn integrate_density(prepared: &Prepared, sampling: Sampling) -> Density {
     let [width, height] = prepared.view.size_px.map(|n| n as usize);
     let materials = prepared.material_count;
     let (g_per_cm2, valid) = (vec![0.0f32; width * height * materials], vec![1u8; width * height]);
-    let mut density = Density { material_count: materials, g_per_cm2, valid, unscanned_mm: 0.0 };
+    let mut density = Density { material_count: materials, g_per_cm2, valid };
     integrate_blocks(prepared, sampling, &mut density, &|_| true);
     density
 }

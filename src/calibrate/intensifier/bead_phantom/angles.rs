@@ -1,8 +1,8 @@
 //! Which frames share a distortion: those taken at one angle of the C-arm.
 
 use crate::calibrate::intensifier::error::IntensifierFault;
-use crate::calibrate::intensifier::frames::{GridFrame, SAME_ANGLE_DEG};
-use crate::geometry::AnglesDeg;
+use crate::calibrate::intensifier::frames::GridFrame;
+use crate::geometry::{AnglesDeg, same_angle};
 
 /// Frames of one angle.
 #[derive(Clone, Debug, PartialEq)]
@@ -25,9 +25,7 @@ pub fn by_angle(frames: &[GridFrame]) -> Result<Vec<AtOneAngle>, IntensifierFaul
     let mut groups: Vec<AtOneAngle> = Vec::new();
     for (n, frame) in frames.iter().enumerate() {
         let angles_deg = frame.angles_deg.ok_or_else(|| IntensifierFault::NoAngle { frame: frame.frame.name.clone() })?;
-        let near = |group: &&mut AtOneAngle| {
-            group.angles_deg.is_some_and(|other| (0..2).all(|axis| (other[axis] - angles_deg[axis]).abs() < SAME_ANGLE_DEG))
-        };
+        let near = |group: &&mut AtOneAngle| group.angles_deg.is_some_and(|other| same_angle(other, angles_deg));
         match groups.iter_mut().find(near) {
             Some(group) => group.frames.push(n),
             None => groups.push(AtOneAngle { angles_deg: Some(angles_deg), frames: vec![n] }),

@@ -1,0 +1,61 @@
+//! Our own JSON files, read: what is wrong in one is said with the place where it stands.
+
+use serde::de::DeserializeOwned;
+
+/// What is wrong in a file, and where; the reader of the file says which it is.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("at {place}: {detail}")]
+pub struct JsonFault {
+    /// Path of keys.
+    pub place: String,
+    /// What is wrong there.
+    pub detail: String,
+}
+
+/// The value that is all of `bytes`. Keys that a type with `deny_unknown_fields` does not know are faults.
+///
+/// # Errors
+/// Where it is no JSON, has another form, or goes on behind the value.
+pub fn parse_json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, JsonFault> {
+    let mut deserializer = serde_json::Deserializer::from_slice(bytes);
+    let value = serde_path_to_error::deserialize(&mut deserializer).map_err(|error| {
+        // No key leads to the outermost value.
+        let place = Some(error.path().to_string()).filter(|path| path != ".");
+        JsonFault { place: place.unwrap_or_else(|| "the top level".to_owned()), detail: error.into_inner().to_string() }
+    })?;
+    deserializer.end().map_err(|error| JsonFault { place: "the end".to_owned(), detail: error.to_string() })?;
+    Ok(value)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Debug, serde::Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Arm {
+        joints: Vec<Joint>,
+    }
+
+    #[derive(Debug, serde::Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Joint {
+        orbital_deg: f64,
+    }
+
+    #[test]
+    fn a_fault_is_named_with_its_place() {
+        let fault = |text: &str| parse_json::<Arm>(text.as_bytes()).expect_err("refused").to_string();
+        let right = r#"{"joints": [{"orbital_deg": 1.0}, {"orbital_deg": 2.0}]}"#;
+        assert_eq!(parse_json::<Arm>(right.as_bytes()).expect("the control").joints[1].orbital_deg, 2.0);
+        for (text, place, words) in [
+            (right.replace("2.0", "2.0, \"tilt\": 3"), "at joints[1]", "unknown field `tilt`"),
+            (right.replace("2.0", "\"two\""), "at joints[1].orbital_deg: ", "invalid type"),
+            ("{}".to_owned(), "at the top level: ", "missing field `joints`"),
+            (format!("{right} x"), "at the end: ", "trailing characters"),
+        ] {
+            let said = fault(&text);
+            assert!(said.starts_with(place) && said.contains(words), "{said}");
+        }
+    }
+}

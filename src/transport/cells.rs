@@ -1,0 +1,332 @@
+//! Super-voxels: boxes of space that say what may be inside them, so that a photon in tissue does not pay for a screw elsewhere.
+//!
+//! Planes parallel to the axes cut the scene's bounds into cells at most [`CELL_MM`] wide; faces of boxes and volumes that lie parallel to
+//! the axes are planes too. Each cell knows whether it is empty, holds one material of one density, or a mixture with a majorant and a
+//! minorant per material; neighbours with equal contents are merged into boxes, so that a slab of water is one box.
+
+use std::collections::HashMap;
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::bounds::{Held, Range, Region, held};
+use super::matter::{Body, Thing, bounds_of};
+
+/// Largest width of a cell: photons of 60 keV fly 50 mm in tissue.
+const CELL_MM: f64 = 8.0;
+
+/// At most so many cells along an axis.
+const MOST_CELLS: usize = 160;
+
+/// Planes of things are not nearer to each other than this.
+const NEAREST_PLANES_MM: f64 = 0.5;
+
+/// Densities of mixtures are bounded in steps of this factor, so that neighbours can be merged.
+const LADDER: f64 = 1.05;
+
+/// What a box of space holds.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Content {
+    /// Nothing.
+    Empty,
+    /// One material of one density, g/cm³, everywhere.
+    Uniform {
+        /// Scene material.
+        material: u32,
+        /// Its density.
+        density: f64,
+    },
+    /// Whatever the things have at a point.
+    Mixed(Mixture),
+}
+
+/// Things that may have matter in a box, and bounds of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Mixture {
+    /// Indices of things, the scene's last first.
+    pub things: Vec<u32>,
+    /// Whether air that is kept has to be asked for.
+    pub keeps_air: bool,
+    /// Attenuation at any point is at most the largest of `to` · μ/ρ, and, if there is matter everywhere, at least the smallest of
+    /// `from` · μ/ρ.
+    pub ranges: Vec<Range>,
+    /// Whether there is matter everywhere.
+    pub is_full: bool,
+}
+
+/// Cells from one plane to another along each axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CellBox {
+    /// First plane by axis.
+    pub low: [u16; 3],
+    /// Last plane by axis.
+    pub high: [u16; 3],
+    /// Index of its contents.
+    pub content: u32,
+}
+
+/// Planes along one axis, and where to begin to look for one.
+#[derive(Clone, Debug)]
+pub struct Planes {
+    /// Ascending, mm.
+    pub at: Vec<f64>,
+    /// By bucket of equal width, the cell in which it begins.
+    buckets: Vec<u16>,
+    per_mm: f64,
+}
+
+/// The scene in boxes.
+pub struct Cells {
+    /// Planes by axis.
+    pub planes: [Planes; 3],
+    /// Boxes; together they fill the scene's bounds.
+    pub boxes: Vec<CellBox>,
+    /// Contents.
+    pub contents: Vec<Content>,
+    /// Box of each cell.
+    box_of_cell: Vec<u32>,
+}
+
+impl Planes {
+    fn new(at: Vec<f64>) -> Self {
+        let (first, last) = (at[0], at[at.len() - 1]);
+        let count = 4 * at.len();
+        let per_mm = count as f64 / (last - first);
+        let cell = |n: usize| at.partition_point(|plane| *plane <= first + n as f64 / per_mm).clamp(1, at.len() - 1) - 1;
+        // A bucket's first cell is looked up a bucket early, so that rounding cannot begin past the right one.
+        let buckets = (0..count).map(|n| cell(n.saturating_sub(1)) as u16).collect();
+        Self { at, buckets, per_mm }
+    }
+
+    /// Number of cells.
+    #[must_use]
+    pub fn cells(&self) -> usize {
+        self.at.len() - 1
+    }
+
+    /// The cell with coordinate `x`; the first or the last beyond the ends.
+    #[inline]
+    #[must_use]
+    pub fn cell(&self, x: f64) -> usize {
+        let bucket = (((x - self.at[0]) * self.per_mm).max(0.0) as usize).min(self.buckets.len() - 1);
+        let mut cell = usize::from(self.buckets[bucket]);
+        while cell + 1 < self.cells() && self.at[cell + 1] <= x {
+            cell += 1;
+        }
+        cell
+    }
+}
+
+impl Cells {
+    /// Cuts the space of `things`; `None` where there is nothing at all.
+    #[must_use]
+    pub fn new(things: &[Thing]) -> Option<Self> {
+        let bounds: Vec<(DVec3, DVec3)> = things.iter().map(|thing| bounds_of(&thing.body)).collect();
+        let low = bounds.iter().fold(DVec3::INFINITY, |low, bound| low.min(bound.0));
+        let high = bounds.iter().fold(DVec3::NEG_INFINITY, |high, bound| high.max(bound.1));
+        if !low.cmplt(high).all() {
+            return None;
+        }
+        let planes: [Planes; 3] = std::array::from_fn(|axis| {
+            let faces = things.iter().zip(&bounds).filter(|(thing, _)| has_flat_faces(&thing.body));
+            Planes::new(cut(low[axis], high[axis], faces.flat_map(|(_, bound)| [bound.0[axis], bound.1[axis]]).collect()))
+        });
+        let size: [usize; 3] = std::array::from_fn(|axis| planes[axis].cells());
+        let mut contents = vec![Content::Empty];
+        let mut known: HashMap<Vec<u64>, u32> = HashMap::new();
+        let mut content_of_cell = Vec::with_capacity(size.iter().product());
+        for k in 0..size[2] {
+            let slab: Vec<Content> = (0..size[0] * size[1])
+                .into_par_iter()
+                .map(|cell| content(things, &bounds, &region(&planes, [cell % size[0], cell / size[0], k])))
+                .collect();
+            for content in slab {
+                let index = match content {
+                    Content::Empty => 0,
+                    content => *known.entry(key(&content)).or_insert_with(|| {
+                        contents.push(content);
+                        contents.len() as u32 - 1
+                    }),
+                };
+                content_of_cell.push(index);
+            }
+        }
+        let (boxes, box_of_cell) = merge(&content_of_cell, size);
+        Some(Self { planes, boxes, contents, box_of_cell })
+    }
+
+    /// The box of cell (i, j, k).
+    #[inline]
+    #[must_use]
+    pub fn box_of(&self, [i, j, k]: [usize; 3]) -> u32 {
+        self.box_of_cell[i + self.planes[0].cells() * (j + self.planes[1].cells() * k)]
+    }
+
+    /// Bounds of the scene.
+    #[must_use]
+    pub fn bounds(&self) -> Region {
+        let at = |pick: fn(&Planes) -> f64| DVec3::from_array(std::array::from_fn(|axis| pick(&self.planes[axis])));
+        Region { low: at(|planes| planes.at[0]), high: at(|planes| planes.at[planes.at.len() - 1]) }
+    }
+}
+
+/// Whether its bounds are faces of it: boxes and volumes whose axes are those of the room.
+fn has_flat_faces(body: &Body) -> bool {
+    let matrix = match body {
+        Body::Solid(body) => match body.solid.shape {
+            crate::scene::model::Shape::Cuboid { .. } => body.local_from_lps.matrix3,
+            _ => return false,
+        },
+        Body::Mesh(_) => return false,
+        Body::Volume(grid) => grid.voxel_from_lps.matrix3,
+    };
+    (0..3).all(|n| {
+        let axis = matrix.col(n).abs();
+        axis.max_element() > (1.0 - 1e-9) * axis.element_sum()
+    })
+}
+
+/// Planes from `low` to `high` that meet `faces` and leave no gap wider than a cell may be.
+fn cut(low: f64, high: f64, mut faces: Vec<f64>) -> Vec<f64> {
+    faces.extend([low, high]);
+    faces.sort_unstable_by(f64::total_cmp);
+    let nearest = NEAREST_PLANES_MM.max((high - low) / MOST_CELLS as f64 / 8.0);
+    let mut kept: Vec<f64> = vec![low];
+    for face in faces {
+        if face - kept[kept.len() - 1] > nearest && high - face > nearest && kept.len() < MOST_CELLS {
+            kept.push(face);
+        }
+    }
+    kept.push(high);
+    let width = CELL_MM.max((high - low) / MOST_CELLS as f64);
+    let mut planes = vec![low];
+    for pair in kept.windows(2) {
+        let count = ((pair[1] - pair[0]) / width).ceil().max(1.0);
+        planes.extend((1..count as usize).map(|n| pair[0] + (pair[1] - pair[0]) * n as f64 / count));
+        planes.push(pair[1]);
+    }
+    planes
+}
+
+fn region(planes: &[Planes; 3], cell: [usize; 3]) -> Region {
+    let at = |step: usize| DVec3::from_array(std::array::from_fn(|axis| planes[axis].at[cell[axis] + step]));
+    Region { low: at(0), high: at(1) }
+}
+
+/// What a region holds: the things that may have matter there, from the scene's last to the first that leaves nothing to others.
+fn content(things: &[Thing], bounds: &[(DVec3, DVec3)], region: &Region) -> Content {
+    let mut found: Vec<(u32, usize, Held)> = Vec::new();
+    let (mut covering, mut is_full, mut holds_air) = (usize::MAX, false, false);
+    for (index, (thing, bound)) in things.iter().zip(bounds).enumerate() {
+        // Parts that lie in one object add up, so a part that is full covers only what comes before the object.
+        if is_full && thing.own != covering {
+            break;
+        }
+        if bound.0.cmpgt(region.high).any() || bound.1.cmplt(region.low).any() {
+            continue;
+        }
+        let held = held(&thing.body, region);
+        if held.ranges.is_empty() {
+            continue;
+        }
+        if held.is_full {
+            (is_full, covering) = (true, thing.own);
+        }
+        holds_air |= held.holds_air;
+        found.push((index as u32, thing.own, held));
+    }
+    match found.as_slice() {
+        [] => return Content::Empty,
+        [(_, _, held)] if held.is_full || held.holds_air && held.ranges.len() == 1 && is_solid_air(things, &found, region) => {
+            if let [range] = held.ranges.as_slice()
+                && range.from == range.to
+            {
+                return Content::Uniform { material: range.material, density: range.to };
+            }
+        }
+        _ => {}
+    }
+    let mut ranges: Vec<Range> = Vec::new();
+    for (_, own, held) in &found {
+        let together = found.iter().filter(|(_, other, _)| other == own).count() as f64;
+        for range in &held.ranges {
+            let (from, to) = (step_below(range.from), step_above(range.to * together));
+            match ranges.iter_mut().find(|known| known.material == range.material) {
+                Some(known) => (known.from, known.to) = (known.from.min(from), known.to.max(to)),
+                None => ranges.push(Range { material: range.material, from, to }),
+            }
+        }
+    }
+    ranges.sort_unstable_by_key(|range| range.material);
+    let things = found.iter().map(|(index, ..)| *index).collect();
+    Content::Mixed(Mixture { things, keeps_air: holds_air, ranges, is_full })
+}
+
+/// Whether the one thing found is a solid of air that fills the region: nothing else is there to displace it.
+fn is_solid_air(things: &[Thing], found: &[(u32, usize, Held)], region: &Region) -> bool {
+    let [(index, ..)] = found else { return false };
+    match &things[*index as usize].body {
+        Body::Solid(body) => super::bounds::inside(body, region) == Some(true),
+        Body::Mesh(_) | Body::Volume(_) => false,
+    }
+}
+
+fn step_above(density: f64) -> f64 {
+    LADDER.powf((density.ln() / LADDER.ln()).ceil()).max(density) * (1.0 + 1e-9)
+}
+
+fn step_below(density: f64) -> f64 {
+    LADDER.powf((density.ln() / LADDER.ln()).floor()).min(density) * (1.0 - 1e-9)
+}
+
+/// Equal for equal contents only.
+fn key(content: &Content) -> Vec<u64> {
+    match content {
+        Content::Empty => Vec::new(),
+        Content::Uniform { material, density } => vec![u64::from(*material), density.to_bits()],
+        Content::Mixed(mixture) => {
+            let things = mixture.things.iter().map(|index| u64::from(*index));
+            let ranges = mixture.ranges.iter().flat_map(|r| [u64::from(r.material), r.from.to_bits(), r.to.to_bits()]);
+            let flags = u64::from(mixture.keeps_air) + 2 * u64::from(mixture.is_full);
+            [mixture.things.len() as u64, flags, u64::MAX].into_iter().chain(things).chain(ranges).collect()
+        }
+    }
+}
+
+/// Boxes of cells with equal contents: each grows along i, then j, then k as far as it finds nothing else.
+fn merge(content_of_cell: &[u32], size: [usize; 3]) -> (Vec<CellBox>, Vec<u32>) {
+    const NONE: u32 = u32::MAX;
+    let index = |i: usize, j: usize, k: usize| i + size[0] * (j + size[1] * k);
+    let mut box_of_cell = vec![NONE; content_of_cell.len()];
+    let mut boxes = Vec::new();
+    for k in 0..size[2] {
+        for j in 0..size[1] {
+            for i in 0..size[0] {
+                if box_of_cell[index(i, j, k)] != NONE {
+                    continue;
+                }
+                let content = content_of_cell[index(i, j, k)];
+                let free = |at: usize, box_of_cell: &[u32]| content_of_cell[at] == content && box_of_cell[at] == NONE;
+                let mut high = [i + 1, j + 1, k + 1];
+                while high[0] < size[0] && free(index(high[0], j, k), &box_of_cell) {
+                    high[0] += 1;
+                }
+                while high[1] < size[1] && (i..high[0]).all(|i| free(index(i, high[1], k), &box_of_cell)) {
+                    high[1] += 1;
+                }
+                while high[2] < size[2]
+                    && (j..high[1]).all(|j| (i..high[0]).all(|i| free(index(i, j, high[2]), &box_of_cell)))
+                {
+                    high[2] += 1;
+                }
+                for k in k..high[2] {
+                    for j in j..high[1] {
+                        box_of_cell[index(i, j, k)..index(high[0] - 1, j, k) + 1].fill(boxes.len() as u32);
+                    }
+                }
+                boxes.push(CellBox { low: [i, j, k].map(|n| n as u16), high: high.map(|n| n as u16), content });
+            }
+        }
+    }
+    (boxes, box_of_cell)
+}

@@ -1,0 +1,250 @@
+//! How far a photon flies, and how much of a beam arrives: box by box through the super-voxels.
+//!
+//! In a box of one material both are exact. In a mixture the flight is Woodcock's: tentative collisions at the box's majorant, each real
+//! with the share of what is at its point (unbiased wherever matter lies inside the box, so shapes are exact). The transmission is the
+//! residual ratio estimator (Novák et al. 2014): exp(−minorant · length) times the share that each tentative collision leaves.
+
+use glam::DVec3;
+
+use super::cells::{Cells, Content, Mixture};
+use super::matter::{Mix, Thing, mix_at};
+use super::stream::Stream;
+
+/// The matter of a scene, ready to fly through.
+pub struct Space<'a> {
+    things: Vec<Thing<'a>>,
+    cells: Cells,
+}
+
+/// A point on its way.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ray {
+    /// Where it is, lps mm.
+    pub position: DVec3,
+    /// Unit vector.
+    pub direction: DVec3,
+    /// The box that it is in.
+    pub in_box: u32,
+}
+
+/// How a flight ended.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum End {
+    /// In a collision with this scene material; the ray stands there.
+    Collision(u32),
+    /// At the end of its path.
+    Arrived,
+    /// Beyond everything.
+    Left,
+}
+
+/// Attenuation by scene material at the photon's energy, per mm at unit density, and scratch.
+#[derive(Clone, Debug, Default)]
+pub struct Medium {
+    /// By scene material.
+    pub per_mm: Vec<f64>,
+    mix: Mix,
+}
+
+/// A box in which a ray is, and the way out of it.
+struct Exit {
+    distance_mm: f64,
+    axis: usize,
+}
+
+impl<'a> Space<'a> {
+    /// Prepares `things`, the last of the scene first; `None` where there is nothing.
+    #[must_use]
+    pub fn new(things: Vec<Thing<'a>>) -> Option<Self> {
+        let cells = Cells::new(&things)?;
+        Some(Self { things, cells })
+    }
+
+    /// The boxes.
+    #[must_use]
+    pub fn cells(&self) -> &Cells {
+        &self.cells
+    }
+
+    /// Where a ray from `origin` first meets the scene's bounds, and after how many mm; `None` if it never does.
+    #[inline]
+    #[must_use]
+    pub fn enter(&self, origin: DVec3, direction: DVec3) -> Option<(Ray, f64)> {
+        let bounds = self.cells.bounds();
+        let inverse = inverse_of(direction);
+        let (a, b) = ((bounds.low - origin) * inverse, (bounds.high - origin) * inverse);
+        let (from, to) = (a.min(b).max_element().max(0.0), a.max(b).min_element());
+        if !(from < to) {
+            return None;
+        }
+        let position = (origin + direction * from).clamp(bounds.low, bounds.high);
+        let cell = std::array::from_fn(|axis| self.cells.planes[axis].cell(position[axis]));
+        Some((Ray { position, direction, in_box: self.cells.box_of(cell) }, from))
+    }
+
+    #[inline]
+    fn exit(&self, ray: &Ray, inverse: DVec3) -> Exit {
+        let cell_box = &self.cells.boxes[ray.in_box as usize];
+        let mut exit = Exit { distance_mm: f64::INFINITY, axis: 0 };
+        for axis in 0..3 {
+            let plane = if inverse[axis] > 0.0 { cell_box.high[axis] } else { cell_box.low[axis] };
+            let distance_mm = (self.cells.planes[axis].at[usize::from(plane)] - ray.position[axis]) * inverse[axis];
+            if distance_mm < exit.distance_mm {
+                exit = Exit { distance_mm, axis };
+            }
+        }
+        exit.distance_mm = exit.distance_mm.max(0.0);
+        exit
+    }
+
+    /// Steps across the face on `axis` that the ray has reached; false beyond the last box.
+    #[inline]
+    fn cross(&self, ray: &mut Ray, axis: usize, forwards: bool) -> bool {
+        let cell_box = &self.cells.boxes[ray.in_box as usize];
+        let mut cell = [0; 3];
+        for (n, index) in cell.iter_mut().enumerate() {
+            let (low, high) = (usize::from(cell_box.low[n]), usize::from(cell_box.high[n]));
+            *index = if n == axis {
+                if forwards {
+                    if high == self.cells.planes[n].cells() {
+                        return false;
+                    }
+                    high
+                } else if low == 0 {
+                    return false;
+                } else {
+                    low - 1
+                }
+            } else if high - low == 1 {
+                low
+            } else {
+                // Within the box's own range however the point was rounded, so that every step moves on.
+                self.cells.planes[n].cell(ray.position[n]).clamp(low, high - 1)
+            };
+        }
+        ray.in_box = self.cells.box_of(cell);
+        true
+    }
+
+    /// Flies until a collision, the end of the scene, or `path_mm`.
+    #[inline]
+    pub fn fly(&self, ray: &mut Ray, path_mm: f64, medium: &mut Medium, stream: &mut Stream) -> End {
+        let inverse = inverse_of(ray.direction);
+        let (mut left_mm, mut depth) = (path_mm, stream.exponential());
+        loop {
+            let exit = self.exit(ray, inverse);
+            let mut step_mm = exit.distance_mm.min(left_mm);
+            let arrives = left_mm <= exit.distance_mm;
+            match &self.cells.contents[self.cells.boxes[ray.in_box as usize].content as usize] {
+                Content::Empty => {}
+                Content::Uniform { material, density } => {
+                    let per_mm = density * medium.per_mm[*material as usize];
+                    if per_mm * step_mm > depth {
+                        ray.position += ray.direction * (depth / per_mm);
+                        return End::Collision(*material);
+                    }
+                    depth -= per_mm * step_mm;
+                }
+                Content::Mixed(mixture) => {
+                    let majorant = majorant(mixture, &medium.per_mm);
+                    while majorant * step_mm > depth {
+                        let flown_mm = depth / majorant;
+                        ray.position += ray.direction * flown_mm;
+                        (step_mm, left_mm) = (step_mm - flown_mm, left_mm - flown_mm);
+                        let per_mm = self.attenuation_at(mixture, ray.position, medium);
+                        let real = stream.uniform() * majorant;
+                        if real < per_mm {
+                            return End::Collision(struck(medium, real));
+                        }
+                        depth = stream.exponential();
+                    }
+                    depth -= majorant * step_mm;
+                }
+            }
+            ray.position += ray.direction * step_mm;
+            if arrives {
+                return End::Arrived;
+            }
+            left_mm -= step_mm;
+            if !self.cross(ray, exit.axis, inverse[exit.axis] > 0.0) {
+                return End::Left;
+            }
+        }
+    }
+
+    /// An unbiased estimate of the share that arrives after `path_mm`; the truth where all boxes on the way hold one material.
+    #[inline]
+    pub fn transmission(&self, mut ray: Ray, path_mm: f64, medium: &mut Medium, stream: &mut Stream) -> f64 {
+        let inverse = inverse_of(ray.direction);
+        let (mut left_mm, mut depth, mut share) = (path_mm, 0.0, 1.0);
+        loop {
+            let exit = self.exit(&ray, inverse);
+            let step_mm = exit.distance_mm.min(left_mm);
+            let start = ray.position;
+            ray.position += ray.direction * step_mm;
+            match &self.cells.contents[self.cells.boxes[ray.in_box as usize].content as usize] {
+                Content::Empty => {}
+                Content::Uniform { material, density } => depth += density * medium.per_mm[*material as usize] * step_mm,
+                Content::Mixed(mixture) => {
+                    let most = majorant(mixture, &medium.per_mm);
+                    let least = minorant(mixture, &medium.per_mm);
+                    depth += least * step_mm;
+                    let mut at_mm = 0.0;
+                    loop {
+                        at_mm += stream.exponential() / (most - least);
+                        if !(at_mm < step_mm) {
+                            break;
+                        }
+                        let per_mm = self.attenuation_at(mixture, start + ray.direction * at_mm, medium);
+                        share *= ((most - per_mm) / (most - least)).max(0.0);
+                    }
+                    if share == 0.0 {
+                        return 0.0;
+                    }
+                }
+            }
+            left_mm -= step_mm;
+            if !(left_mm > 0.0) || !self.cross(&mut ray, exit.axis, inverse[exit.axis] > 0.0) {
+                return share * (-depth).exp();
+            }
+        }
+    }
+
+    #[inline]
+    fn attenuation_at(&self, mixture: &Mixture, point: DVec3, medium: &mut Medium) -> f64 {
+        mix_at(&self.things, &mixture.things, mixture.keeps_air, point, &mut medium.mix);
+        medium.mix.parts.iter().map(|(material, density)| density * medium.per_mm[*material as usize]).sum()
+    }
+}
+
+/// Which of the materials at the point is struck where `real` lies in the sum of their attenuations.
+fn struck(medium: &Medium, mut real: f64) -> u32 {
+    let mut last = 0;
+    for (material, density) in &medium.mix.parts {
+        last = *material;
+        real -= density * medium.per_mm[*material as usize];
+        if real < 0.0 {
+            break;
+        }
+    }
+    last
+}
+
+#[inline]
+fn majorant(mixture: &Mixture, per_mm: &[f64]) -> f64 {
+    mixture.ranges.iter().fold(0.0, |most, range| f64::max(most, range.to * per_mm[range.material as usize]))
+}
+
+#[inline]
+fn minorant(mixture: &Mixture, per_mm: &[f64]) -> f64 {
+    if !mixture.is_full {
+        return 0.0;
+    }
+    mixture.ranges.iter().fold(f64::INFINITY, |least, range| f64::min(least, range.from * per_mm[range.material as usize]))
+}
+
+/// 1/direction; far instead of infinite along an axis, so that no 0 · ∞ arises on a face.
+#[inline]
+fn inverse_of(direction: DVec3) -> DVec3 {
+    DVec3::from_array(direction.to_array().map(|d| if d.abs() < 1e-200 { 1e200_f64.copysign(d) } else { 1.0 / d }))
+}

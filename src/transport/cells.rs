@@ -57,13 +57,25 @@ pub struct Mixture {
 /// Cells from one plane to another along each axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CellBox {
+    /// Lower corner, lps mm.
+    pub low: DVec3,
+    /// Upper corner.
+    pub high: DVec3,
     /// First plane by axis.
-    pub low: [u16; 3],
+    pub low_cell: [u16; 3],
     /// Last plane by axis.
-    pub high: [u16; 3],
+    pub high_cell: [u16; 3],
     /// Index of its contents.
     pub content: u32,
+    /// By axis the box across the lower and the upper face, or [`OUTSIDE`], or [`SEVERAL`].
+    pub neighbours: [[u32; 2]; 3],
 }
+
+/// No box: beyond the scene's bounds.
+pub const OUTSIDE: u32 = u32::MAX;
+
+/// More than one box.
+pub const SEVERAL: u32 = u32::MAX - 1;
 
 /// Planes along one axis, and where to begin to look for one.
 #[derive(Clone, Debug)]
@@ -118,9 +130,9 @@ impl Planes {
 }
 
 impl Cells {
-    /// Cuts the space of `things`; `None` where there is nothing at all.
+    /// Cuts the space of `things`, seen along `beam`; `None` where there is nothing at all.
     #[must_use]
-    pub fn new(things: &[Thing]) -> Option<Self> {
+    pub fn new(things: &[Thing], beam: DVec3) -> Option<Self> {
         let bounds: Vec<(DVec3, DVec3)> = things.iter().map(|thing| bounds_of(&thing.body)).collect();
         let low = bounds.iter().fold(DVec3::INFINITY, |low, bound| low.min(bound.0));
         let high = bounds.iter().fold(DVec3::NEG_INFINITY, |high, bound| high.max(bound.1));
@@ -151,7 +163,9 @@ impl Cells {
                 content_of_cell.push(index);
             }
         }
-        let (boxes, box_of_cell) = merge(&content_of_cell, size);
+        let mut order = [0, 1, 2];
+        order.sort_by(|a, b| beam[*b].abs().total_cmp(&beam[*a].abs()));
+        let (boxes, box_of_cell) = merge(&content_of_cell, &planes, order);
         Some(Self { planes, boxes, contents, box_of_cell })
     }
 
@@ -293,40 +307,53 @@ fn key(content: &Content) -> Vec<u64> {
     }
 }
 
-/// Boxes of cells with equal contents: each grows along i, then j, then k as far as it finds nothing else.
-fn merge(content_of_cell: &[u32], size: [usize; 3]) -> (Vec<CellBox>, Vec<u32>) {
+/// Boxes of cells with equal contents: each grows along the axes in this order as far as it finds nothing else. Long boxes along the beam
+/// are crossed by few faces.
+fn merge(content_of_cell: &[u32], planes: &[Planes; 3], order: [usize; 3]) -> (Vec<CellBox>, Vec<u32>) {
     const NONE: u32 = u32::MAX;
-    let index = |i: usize, j: usize, k: usize| i + size[0] * (j + size[1] * k);
+    let size: [usize; 3] = std::array::from_fn(|axis| planes[axis].cells());
+    let index = |cell: [usize; 3]| cell[0] + size[0] * (cell[1] + size[1] * cell[2]);
     let mut box_of_cell = vec![NONE; content_of_cell.len()];
     let mut boxes = Vec::new();
-    for k in 0..size[2] {
-        for j in 0..size[1] {
-            for i in 0..size[0] {
-                if box_of_cell[index(i, j, k)] != NONE {
-                    continue;
+    for first in cells_between([0; 3], size) {
+        if box_of_cell[index(first)] != NONE {
+            continue;
+        }
+        let content = content_of_cell[index(first)];
+        let mut end = first.map(|n| n + 1);
+        for axis in order {
+            while end[axis] < size[axis] {
+                // The next layer of cells along this axis.
+                let (mut from, mut to) = (first, end);
+                (from[axis], to[axis]) = (end[axis], end[axis] + 1);
+                let is_free = |cell| content_of_cell[index(cell)] == content && box_of_cell[index(cell)] == NONE;
+                if !cells_between(from, to).all(is_free) {
+                    break;
                 }
-                let content = content_of_cell[index(i, j, k)];
-                let free = |at: usize, box_of_cell: &[u32]| content_of_cell[at] == content && box_of_cell[at] == NONE;
-                let mut high = [i + 1, j + 1, k + 1];
-                while high[0] < size[0] && free(index(high[0], j, k), &box_of_cell) {
-                    high[0] += 1;
-                }
-                while high[1] < size[1] && (i..high[0]).all(|i| free(index(i, high[1], k), &box_of_cell)) {
-                    high[1] += 1;
-                }
-                while high[2] < size[2]
-                    && (j..high[1]).all(|j| (i..high[0]).all(|i| free(index(i, j, high[2]), &box_of_cell)))
-                {
-                    high[2] += 1;
-                }
-                for k in k..high[2] {
-                    for j in j..high[1] {
-                        box_of_cell[index(i, j, k)..index(high[0] - 1, j, k) + 1].fill(boxes.len() as u32);
-                    }
-                }
-                boxes.push(CellBox { low: [i, j, k].map(|n| n as u16), high: high.map(|n| n as u16), content });
+                end[axis] += 1;
             }
+        }
+        cells_between(first, end).for_each(|cell| box_of_cell[index(cell)] = boxes.len() as u32);
+        let place = |cell: [usize; 3]| DVec3::from_array(std::array::from_fn(|axis| planes[axis].at[cell[axis]]));
+        let [low_cell, high_cell] = [first, end].map(|cell| cell.map(|n| n as u16));
+        boxes.push(CellBox { low: place(first), high: place(end), low_cell, high_cell, content, neighbours: [[OUTSIDE; 2]; 3] });
+    }
+    for cell_box in &mut boxes {
+        for (axis, upper) in (0..3).flat_map(|axis| [(axis, 0), (axis, 1)]) {
+            let (mut from, mut to) = (cell_box.low_cell.map(usize::from), cell_box.high_cell.map(usize::from));
+            let layer = if upper == 1 { to[axis] } else { from[axis].wrapping_sub(1) };
+            if layer >= size[axis] {
+                continue;
+            }
+            (from[axis], to[axis]) = (layer, layer + 1);
+            let one = box_of_cell[index(from)];
+            let is_one = cells_between(from, to).all(|cell| box_of_cell[index(cell)] == one);
+            cell_box.neighbours[axis][upper] = if is_one { one } else { SEVERAL };
         }
     }
     (boxes, box_of_cell)
+}
+
+fn cells_between(from: [usize; 3], to: [usize; 3]) -> impl Iterator<Item = [usize; 3]> {
+    (from[2]..to[2]).flat_map(move |k| (from[1]..to[1]).flat_map(move |j| (from[0]..to[0]).map(move |i| [i, j, k])))
 }

@@ -1,5 +1,8 @@
 //! Why nothing was transported.
 
+use std::path::PathBuf;
+
+use crate::image::ImageFileError;
 use crate::render::RenderError;
 use crate::scene::physics::PhysicsError;
 
@@ -56,6 +59,17 @@ pub enum TransportError {
     RelError {
         /// Found.
         value: f64,
+    },
+    /// A file could not be written.
+    #[error(transparent)]
+    File(#[from] ImageFileError),
+    /// What was saved cannot be read.
+    #[error("{path}: no checkpoint of this program ({detail}); start anew with --fresh", path = path.display())]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        detail: String,
     },
     /// What was saved is of something else.
     #[error("checkpoint: {what} is {saved} there and {found} here; give the same command, or start anew with --fresh")]

@@ -4,9 +4,9 @@
 //! with the share of what is at its point (unbiased wherever matter lies inside the box, so shapes are exact). The transmission is the
 //! residual ratio estimator (Novák et al. 2014): exp(−minorant · length) times the share that each tentative collision leaves.
 
-use glam::DVec3;
+use glam::{BVec3, DVec3};
 
-use super::cells::{Cells, Content, Mixture};
+use super::cells::{CellBox, Cells, Content, Mixture, OUTSIDE, SEVERAL};
 use super::matter::{Mix, Thing, mix_at};
 use super::stream::Stream;
 
@@ -46,24 +46,34 @@ pub struct Medium {
     mix: Mix,
 }
 
-/// A box in which a ray is, and the way out of it.
+/// What a direction means for all boxes.
+struct Way {
+    /// 1/direction; far instead of infinite along an axis, so that no 0 · ∞ arises on a face.
+    inverse: DVec3,
+    forwards: BVec3,
+}
+
+impl Way {
+    #[inline]
+    fn new(direction: DVec3) -> Self {
+        let inverse = direction.to_array().map(|d| if d.abs() < 1e-200 { 1e200_f64.copysign(d) } else { 1.0 / d });
+        let inverse = DVec3::from_array(inverse);
+        Self { inverse, forwards: inverse.cmpgt(DVec3::ZERO) }
+    }
+}
+
+/// Where a ray leaves its box.
 struct Exit {
     distance_mm: f64,
     axis: usize,
 }
 
 impl<'a> Space<'a> {
-    /// Prepares `things`, the last of the scene first; `None` where there is nothing.
+    /// Prepares `things`, the last of the scene first, seen along `beam`; `None` where there is nothing.
     #[must_use]
-    pub fn new(things: Vec<Thing<'a>>) -> Option<Self> {
-        let cells = Cells::new(&things)?;
+    pub fn new(things: Vec<Thing<'a>>, beam: DVec3) -> Option<Self> {
+        let cells = Cells::new(&things, beam)?;
         Some(Self { things, cells })
-    }
-
-    /// The boxes.
-    #[must_use]
-    pub fn cells(&self) -> &Cells {
-        &self.cells
     }
 
     /// Where a ray from `origin` first meets the scene's bounds, and after how many mm; `None` if it never does.
@@ -71,7 +81,7 @@ impl<'a> Space<'a> {
     #[must_use]
     pub fn enter(&self, origin: DVec3, direction: DVec3) -> Option<(Ray, f64)> {
         let bounds = self.cells.bounds();
-        let inverse = inverse_of(direction);
+        let inverse = Way::new(direction).inverse;
         let (a, b) = ((bounds.low - origin) * inverse, (bounds.high - origin) * inverse);
         let (from, to) = (a.min(b).max_element().max(0.0), a.max(b).min_element());
         if !(from < to) {
@@ -83,56 +93,44 @@ impl<'a> Space<'a> {
     }
 
     #[inline]
-    fn exit(&self, ray: &Ray, inverse: DVec3) -> Exit {
+    fn exit(&self, ray: &Ray, way: &Way) -> Exit {
         let cell_box = &self.cells.boxes[ray.in_box as usize];
-        let mut exit = Exit { distance_mm: f64::INFINITY, axis: 0 };
-        for axis in 0..3 {
-            let plane = if inverse[axis] > 0.0 { cell_box.high[axis] } else { cell_box.low[axis] };
-            let distance_mm = (self.cells.planes[axis].at[usize::from(plane)] - ray.position[axis]) * inverse[axis];
-            if distance_mm < exit.distance_mm {
-                exit = Exit { distance_mm, axis };
-            }
-        }
-        exit.distance_mm = exit.distance_mm.max(0.0);
-        exit
+        let faces = DVec3::select(way.forwards, cell_box.high, cell_box.low);
+        let DVec3 { x, y, z } = (faces - ray.position) * way.inverse;
+        let (distance_mm, axis) = if x < y { (x, 0) } else { (y, 1) };
+        let (distance_mm, axis) = if z < distance_mm { (z, 2) } else { (distance_mm, axis) };
+        Exit { distance_mm: distance_mm.max(0.0), axis }
     }
 
     /// Steps across the face on `axis` that the ray has reached; false beyond the last box.
     #[inline]
-    fn cross(&self, ray: &mut Ray, axis: usize, forwards: bool) -> bool {
+    fn cross(&self, ray: &mut Ray, way: &Way, axis: usize) -> bool {
         let cell_box = &self.cells.boxes[ray.in_box as usize];
-        let mut cell = [0; 3];
-        for (n, index) in cell.iter_mut().enumerate() {
-            let (low, high) = (usize::from(cell_box.low[n]), usize::from(cell_box.high[n]));
-            *index = if n == axis {
-                if forwards {
-                    if high == self.cells.planes[n].cells() {
-                        return false;
-                    }
-                    high
-                } else if low == 0 {
-                    return false;
-                } else {
-                    low - 1
-                }
-            } else if high - low == 1 {
-                low
-            } else {
-                // Within the box's own range however the point was rounded, so that every step moves on.
-                self.cells.planes[n].cell(ray.position[n]).clamp(low, high - 1)
-            };
-        }
-        ray.in_box = self.cells.box_of(cell);
-        true
+        let forwards = way.forwards.test(axis);
+        let next = cell_box.neighbours[axis][usize::from(forwards)];
+        ray.in_box = if next == SEVERAL { self.across(cell_box, ray.position, axis, forwards) } else { next };
+        next != OUTSIDE
+    }
+
+    /// The box across a face at a point of it.
+    // Along the face the cell is looked for within the box's own range, however the point was rounded, so that every step moves on.
+    fn across(&self, cell_box: &CellBox, point: DVec3, axis: usize, forwards: bool) -> u32 {
+        let (low, high) = (cell_box.low_cell.map(usize::from), cell_box.high_cell.map(usize::from));
+        self.cells.box_of(std::array::from_fn(|n| match (n == axis, forwards) {
+            (true, true) => high[n],
+            (true, false) => low[n] - 1,
+            (false, _) if high[n] - low[n] == 1 => low[n],
+            (false, _) => self.cells.planes[n].cell(point[n]).clamp(low[n], high[n] - 1),
+        }))
     }
 
     /// Flies until a collision, the end of the scene, or `path_mm`.
     #[inline]
     pub fn fly(&self, ray: &mut Ray, path_mm: f64, medium: &mut Medium, stream: &mut Stream) -> End {
-        let inverse = inverse_of(ray.direction);
+        let way = Way::new(ray.direction);
         let (mut left_mm, mut depth) = (path_mm, stream.exponential());
         loop {
-            let exit = self.exit(ray, inverse);
+            let exit = self.exit(ray, &way);
             let mut step_mm = exit.distance_mm.min(left_mm);
             let arrives = left_mm <= exit.distance_mm;
             match &self.cells.contents[self.cells.boxes[ray.in_box as usize].content as usize] {
@@ -166,7 +164,7 @@ impl<'a> Space<'a> {
                 return End::Arrived;
             }
             left_mm -= step_mm;
-            if !self.cross(ray, exit.axis, inverse[exit.axis] > 0.0) {
+            if !self.cross(ray, &way, exit.axis) {
                 return End::Left;
             }
         }
@@ -175,10 +173,10 @@ impl<'a> Space<'a> {
     /// An unbiased estimate of the share that arrives after `path_mm`; the truth where all boxes on the way hold one material.
     #[inline]
     pub fn transmission(&self, mut ray: Ray, path_mm: f64, medium: &mut Medium, stream: &mut Stream) -> f64 {
-        let inverse = inverse_of(ray.direction);
+        let way = Way::new(ray.direction);
         let (mut left_mm, mut depth, mut share) = (path_mm, 0.0, 1.0);
         loop {
-            let exit = self.exit(&ray, inverse);
+            let exit = self.exit(&ray, &way);
             let step_mm = exit.distance_mm.min(left_mm);
             let start = ray.position;
             ray.position += ray.direction * step_mm;
@@ -204,7 +202,7 @@ impl<'a> Space<'a> {
                 }
             }
             left_mm -= step_mm;
-            if !(left_mm > 0.0) || !self.cross(&mut ray, exit.axis, inverse[exit.axis] > 0.0) {
+            if !(left_mm > 0.0) || !self.cross(&mut ray, &way, exit.axis) {
                 return share * (-depth).exp();
             }
         }
@@ -241,10 +239,4 @@ fn minorant(mixture: &Mixture, per_mm: &[f64]) -> f64 {
         return 0.0;
     }
     mixture.ranges.iter().fold(f64::INFINITY, |least, range| f64::min(least, range.from * per_mm[range.material as usize]))
-}
-
-/// 1/direction; far instead of infinite along an axis, so that no 0 · ∞ arises on a face.
-#[inline]
-fn inverse_of(direction: DVec3) -> DVec3 {
-    DVec3::from_array(direction.to_array().map(|d| if d.abs() < 1e-200 { 1e200_f64.copysign(d) } else { 1.0 / d }))
 }

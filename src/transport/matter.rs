@@ -193,12 +193,6 @@ impl<'a> Grid<'a> {
         Self { volume, voxel_from_lps: volume.lps_from_voxel.inverse(), classes, voxels: scene.model.voxels }
     }
 
-    /// Whether any voxel can be air that is kept.
-    #[must_use]
-    pub fn keeps_air(&self) -> bool {
-        self.classes.iter().any(|(_, air)| *air)
-    }
-
     /// Whether the field is constant within voxels.
     #[must_use]
     pub fn is_piecewise_constant(&self) -> bool {

@@ -21,12 +21,18 @@ mod source;
 mod tally;
 mod history;
 mod simulation;
+mod image;
+mod checkpoint;
+mod scatter;
 
 pub use attenuation::{Attenuation, Shares};
+pub use checkpoint::Checkpoint;
 pub use compton::{Compton, energy_ratio};
 pub use error::TransportError;
 pub use history::Estimator;
+pub use image::{ScatterImage, written_with};
 pub use rayleigh::Rayleigh;
 pub use simulation::{BATCH, Histories, Simulation};
+pub use scatter::scatter;
 pub use stream::Stream;
 pub use tally::{DETECTED, ESCAPED, Estimate, FATES, PAGE_NAMES, PAGES, Page, STARTED, Tally};

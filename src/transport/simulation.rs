@@ -80,7 +80,7 @@ impl<'a> Simulation<'a> {
             })
         };
         let materials = scene.materials.par_iter().map(material).collect::<Result<Vec<_>, TransportError>>()?;
-        let space = Space::new(things_of(scene));
+        let space = Space::new(things_of(scene), panel.axes[2]);
         let world = World { source, panel, space, materials, estimator: histories.estimator };
         Ok(Self { world, histories, unattenuated })
     }
@@ -113,6 +113,43 @@ impl<'a> Simulation<'a> {
     #[must_use]
     pub fn batches(&self) -> u64 {
         self.histories.count.div_ceil(BATCH)
+    }
+
+    /// Runs until all histories or the wanted precision are there, and says after every step how many batches are done.
+    ///
+    /// # Errors
+    /// What `after` says.
+    pub fn run<E>(&self, tally: &mut Tally, mut after: impl FnMut(&Tally) -> Result<(), E>) -> Result<(), E> {
+        while !self.is_done(tally) {
+            // Steps end at the same batches whether or not a run was interrupted: that is where precision is judged.
+            let step = self.batches_at_once();
+            let end = ((tally.batches / step + 1) * step).min(self.batches());
+            self.advance(tally, end - tally.batches);
+            after(tally)?;
+        }
+        Ok(())
+    }
+
+    /// Whether all histories or the wanted precision are there.
+    #[must_use]
+    pub fn is_done(&self, tally: &Tally) -> bool {
+        let is_precise = || self.histories.rel_error.is_some_and(|wanted| self.relative_error(tally) <= wanted);
+        tally.batches >= self.batches() || tally.batches.is_multiple_of(self.batches_at_once()) && is_precise()
+    }
+
+    /// Median over the pixels of the relative standard error of the scatter; infinite where most have none.
+    #[must_use]
+    pub fn relative_error(&self, tally: &Tally) -> f64 {
+        if tally.batches < 2 {
+            return f64::INFINITY;
+        }
+        let of_pixel = |pixel: usize| {
+            let found = tally.scatter(pixel, BATCH);
+            if found.mean > 0.0 { found.standard_error / found.mean } else { f64::INFINITY }
+        };
+        let mut errors: Vec<f64> = (0..self.unattenuated.len()).map(of_pixel).collect();
+        errors.sort_unstable_by(f64::total_cmp);
+        errors[errors.len() / 2]
     }
 
     /// Batches that run side by side: [`Simulation::advance`] takes at most so many.

@@ -16,6 +16,11 @@ pub enum Page {
     Multiple,
 }
 
+impl Page {
+    /// All, in their order.
+    pub const ALL: [Self; PAGES] = [Self::Primary, Self::Compton, Self::Rayleigh, Self::Multiple];
+}
+
 /// Pages of an image.
 pub const PAGES: usize = 4;
 
@@ -73,6 +78,8 @@ pub struct Tally {
     pub batches: u64,
     sums: Vec<f64>,
     squares: Vec<f64>,
+    /// By pixel, squares of what all pages but the primary add up to.
+    scatter_squares: Vec<f64>,
 }
 
 /// A mean over histories with its standard error.
@@ -89,7 +96,7 @@ impl Tally {
     #[must_use]
     pub fn new(pixels: usize, materials: usize) -> Self {
         let count = PAGES * pixels + materials + FATES;
-        Self { batches: 0, sums: vec![0.0; count], squares: vec![0.0; count] }
+        Self { batches: 0, sums: vec![0.0; count], squares: vec![0.0; count], scatter_squares: vec![0.0; pixels] }
     }
 
     /// Adds a batch. The order of batches decides the last bits, so it is that of their numbers.
@@ -99,27 +106,56 @@ impl Tally {
             *sum += value;
             *square += value * value;
         }
+        let pixels = self.scatter_squares.len();
+        for (pixel, square) in self.scatter_squares.iter_mut().enumerate() {
+            *square += (1..PAGES).map(|page| batch.sums[page * pixels + pixel]).sum::<f64>().powi(2);
+        }
     }
 
-    /// Number of sums.
+    /// Whether this has the sums of so many pixels and materials.
     #[must_use]
-    pub fn len(&self) -> usize {
-        self.sums.len()
+    pub fn fits(&self, pixels: usize, materials: usize) -> bool {
+        let count = PAGES * pixels + materials + FATES;
+        self.sums.len() == count && self.squares.len() == count && self.scatter_squares.len() == pixels
     }
 
-    /// Whether there are none.
+    fn pixels(&self) -> usize {
+        self.scatter_squares.len()
+    }
+
+    /// Signal per history in a pixel of a page.
     #[must_use]
-    pub fn is_empty(&self) -> bool {
-        self.sums.is_empty()
+    pub fn signal(&self, page: Page, pixel: usize, histories_per_batch: u64) -> Estimate {
+        let index = page as usize * self.pixels() + pixel;
+        self.estimate(self.sums[index], self.squares[index], histories_per_batch)
     }
 
-    /// Mean per history of sum number `index`.
+    /// Signal per history in a pixel, of all pages but the primary.
+    #[must_use]
+    pub fn scatter(&self, pixel: usize, histories_per_batch: u64) -> Estimate {
+        let sum = (1..PAGES).map(|page| self.sums[page * self.pixels() + pixel]).sum();
+        self.estimate(sum, self.scatter_squares[pixel], histories_per_batch)
+    }
+
+    /// Energy per history that a scene material absorbs, keV.
+    #[must_use]
+    pub fn absorbed(&self, material: usize, histories_per_batch: u64) -> Estimate {
+        let index = PAGES * self.pixels() + material;
+        self.estimate(self.sums[index], self.squares[index], histories_per_batch)
+    }
+
+    /// Energy per history that met a fate, keV.
+    #[must_use]
+    pub fn fate(&self, fate: usize, histories_per_batch: u64) -> Estimate {
+        let index = self.sums.len() - FATES + fate;
+        self.estimate(self.sums[index], self.squares[index], histories_per_batch)
+    }
+
     // A batch of n histories sums to B; the mean of N batches estimates E[B] with the standard error √((⟨B²⟩ − ⟨B⟩²)/(N − 1)).
-    #[must_use]
-    pub fn estimate(&self, index: usize, histories_per_batch: u64) -> Estimate {
+    fn estimate(&self, sum: f64, sum_of_squares: f64, histories_per_batch: u64) -> Estimate {
         let (batches, per_batch) = (self.batches as f64, histories_per_batch as f64);
-        let mean = self.sums[index] / batches;
-        let spread = (self.squares[index] / batches - mean * mean).max(0.0);
+        let mean = sum / batches;
+        let spread = (sum_of_squares / batches - mean * mean).max(0.0);
         let error = if self.batches > 1 { (spread / (batches - 1.0)).sqrt() } else { f64::NAN };
         Estimate { mean: mean / per_batch, standard_error: error / per_batch }
     }
@@ -137,9 +173,10 @@ mod tests {
             batch.detect(Page::Rayleigh, 0, value);
             tally.add(&batch);
         }
-        let found = tally.estimate(2, 10);
+        let found = tally.signal(Page::Rayleigh, 0, 10);
         // Mean 5, sample variance 13, standard error √(13/3); per history a tenth.
         assert!((found.mean - 0.5).abs() < 1e-15 && (found.standard_error - (13.0_f64 / 3.0).sqrt() / 10.0).abs() < 1e-12);
-        assert_eq!(tally.estimate(0, 10).mean, 0.0);
+        assert_eq!(tally.scatter(0, 10), found);
+        assert_eq!(tally.signal(Page::Primary, 0, 10).mean, 0.0);
     }
 }

@@ -43,6 +43,8 @@ pub struct Held {
     pub is_full: bool,
     /// Whether it may have air there.
     pub holds_air: bool,
+    /// Whether its density may fall to nothing within the region, as between a voxel with matter and one without.
+    pub fades: bool,
 }
 
 /// Bounds what `body` has inside `region`; what is uncertain counts as there and not full.
@@ -53,7 +55,7 @@ pub fn held(body: &Body, region: &Region) -> Held {
             let Some(is_inside) = inside(body, region) else { return Held::default() };
             let density = body.solid.density_g_per_cm3;
             let ranges = vec![Range { material: body.solid.material as u32, from: density, to: density }];
-            Held { ranges, is_full: is_inside && !body.is_air, holds_air: body.is_air }
+            Held { ranges, is_full: is_inside && !body.is_air, holds_air: body.is_air, fades: false }
         }
         Body::Mesh(body) => {
             let touches = body.touches(region.low, region.high);
@@ -62,7 +64,7 @@ pub fn held(body: &Body, region: &Region) -> Held {
             }
             let density = body.mesh.density_g_per_cm3;
             let ranges = vec![Range { material: body.mesh.material as u32, from: density, to: density }];
-            Held { ranges, is_full: !touches && !body.is_air, holds_air: body.is_air }
+            Held { ranges, is_full: !touches && !body.is_air, holds_air: body.is_air, fades: false }
         }
         Body::Volume(grid) => held_by_grid(grid, region),
     }
@@ -74,7 +76,9 @@ pub fn held(body: &Body, region: &Region) -> Held {
 pub fn inside(body: &SolidBody, region: &Region) -> Option<bool> {
     let (low, high) = around(&body.local_from_lps, region.low, region.high);
     let (shape_low, shape_high) = local_bounds(&body.solid.shape);
-    if low.cmpgt(shape_high).any() || high.cmplt(shape_low).any() {
+    // What only touches, as cells do whose planes are the shape's faces, is outside, however it was rounded.
+    let touch = 1e-9 * (shape_high - shape_low).max_element();
+    if low.cmpge(shape_high - touch).any() || high.cmple(shape_low + touch).any() {
         return None;
     }
     // Nearest and farthest from the axes or the centre, of the box around the region in the shape's frame.
@@ -122,12 +126,12 @@ fn held_by_grid(grid: &Grid, region: &Region) -> Held {
         };
         places[axis] = [from, to].map(|place| place.clamp(0.0, last as f64) as usize);
     }
-    let mut found = Held { ranges: Vec::new(), is_full: within, holds_air: false };
+    let mut found = Held { ranges: Vec::new(), is_full: within, holds_air: false, fades: false };
     for k in places[2][0]..=places[2][1] {
         for j in places[1][0]..=places[1][1] {
             for i in places[0][0]..=places[0][1] {
                 let Some((material, density, air)) = grid.voxel(volume.index(i, j, k)) else {
-                    found.is_full = false;
+                    (found.is_full, found.fades) = (false, true);
                     continue;
                 };
                 found.holds_air |= air;

@@ -50,7 +50,7 @@ pub struct Mixture {
     /// Attenuation at any point is at most the largest of `to` · μ/ρ, and, if there is matter everywhere, at least the smallest of
     /// `from` · μ/ρ.
     pub ranges: Vec<Range>,
-    /// Whether there is matter everywhere.
+    /// Whether there is matter everywhere, none of it fading.
     pub is_full: bool,
 }
 
@@ -273,6 +273,8 @@ fn content(things: &[Thing], bounds: &[(DVec3, DVec3)], region: &Region) -> Cont
     }
     ranges.sort_unstable_by_key(|range| range.material);
     let things = found.iter().map(|(index, ..)| *index).collect();
+    // Matter that fades displaces what lies under it, down to no density at all.
+    is_full &= found.iter().all(|(.., held)| !held.fades);
     Content::Mixed(Mixture { things, keeps_air: holds_air, ranges, is_full })
 }
 
@@ -356,4 +358,101 @@ fn merge(content_of_cell: &[u32], planes: &[Planes; 3], order: [usize; 3]) -> (V
 
 fn cells_between(from: [usize; 3], to: [usize; 3]) -> impl Iterator<Item = [usize; 3]> {
     (from[2]..to[2]).flat_map(move |k| (from[1]..to[1]).flat_map(move |j| (from[0]..to[0]).map(move |i| [i, j, k])))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::transport::fixture::everything;
+    use crate::transport::matter::{Mix, mix_at, things_of};
+    use crate::transport::stream::Stream;
+
+    /// Points drawn in the scene's bounds: what a box says of them is what the whole scene has there.
+    #[test]
+    fn a_box_knows_everything_in_it_and_bounds_it() {
+        let scene = everything();
+        let things = things_of(&scene);
+        let all: Vec<u32> = (0..things.len() as u32).collect();
+        let cells = Cells::new(&things, DVec3::Z).expect("there is matter");
+        let (bounds, mut stream, mut mix, mut here) = (cells.bounds(), Stream::new(1, 0), Mix::default(), Mix::default());
+        // μ/ρ by scene material, any numbers.
+        let per_mm = [0.02, 0.03, 0.12, 0.028, 0.07, 0.018];
+        let mu = |mix: &Mix| mix.parts.iter().map(|(material, density)| density * per_mm[*material as usize]).sum::<f64>();
+        let (mut kinds, mut tight) = ([0; 3], 0);
+        for _ in 0..200_000 {
+            let share = DVec3::new(stream.uniform(), stream.uniform(), stream.uniform());
+            let point = bounds.low + (bounds.high - bounds.low) * share;
+            let cell = std::array::from_fn(|axis| cells.planes[axis].cell(point[axis]));
+            let cell_box = &cells.boxes[cells.box_of(cell) as usize];
+            assert!(point.cmpge(cell_box.low).all() && point.cmple(cell_box.high).all());
+            mix_at(&things, &all, true, point, &mut mix);
+            match &cells.contents[cell_box.content as usize] {
+                Content::Empty => {
+                    assert!(mix.parts.is_empty(), "{point}");
+                    kinds[0] += 1;
+                }
+                Content::Uniform { material, density } => {
+                    assert_eq!(mix.parts, [(*material, *density)], "{point}");
+                    kinds[1] += 1;
+                }
+                Content::Mixed(mixture) => {
+                    mix_at(&things, &mixture.things, mixture.keeps_air, point, &mut here);
+                    assert_eq!(mix.parts, here.parts, "{point}");
+                    let most = mixture.ranges.iter().map(|range| range.to * per_mm[range.material as usize]).fold(0.0, f64::max);
+                    let least = mixture.ranges.iter().map(|range| range.from * per_mm[range.material as usize]);
+                    let least = if mixture.is_full { least.fold(f64::INFINITY, f64::min) } else { 0.0 };
+                    assert!(mu(&mix) <= most && mu(&mix) >= least, "{point}: {least} {} {most}", mu(&mix));
+                    // The control: bounds a fifth narrower are overstepped somewhere.
+                    tight += usize::from(mu(&mix) > 0.8 * most);
+                    kinds[2] += 1;
+                }
+            }
+        }
+        assert!(kinds.iter().all(|count| *count > 1000) && tight > 1000, "{kinds:?} {tight}");
+    }
+
+    #[test]
+    fn boxes_fill_the_scene_once_and_know_their_neighbours() {
+        let scene = everything();
+        let cells = Cells::new(&things_of(&scene), DVec3::new(0.1, 0.9, 0.2)).expect("there is matter");
+        let bounds = cells.bounds();
+        let volume = |low: DVec3, high: DVec3| (high - low).element_product();
+        let sum: f64 = cells.boxes.iter().map(|one| volume(one.low, one.high)).sum();
+        assert!((sum / volume(bounds.low, bounds.high) - 1.0).abs() < 1e-9);
+        let cell_count: usize = cells.planes.iter().map(Planes::cells).product();
+        assert!(cells.boxes.len() < cell_count, "some are merged");
+        let (mut outer, mut single) = (0, 0);
+        for (index, one) in cells.boxes.iter().enumerate() {
+            for (axis, upper) in (0..3).flat_map(|axis| [(axis, 0), (axis, 1)]) {
+                match one.neighbours[axis][upper] {
+                    OUTSIDE => outer += 1,
+                    SEVERAL => {}
+                    other => {
+                        let there = &cells.boxes[other as usize];
+                        let (here, faces) = ([one.low, one.high][upper][axis], [there.high, there.low][upper][axis]);
+                        assert!(here == faces && other as usize != index);
+                        single += 1;
+                    }
+                }
+            }
+        }
+        assert!(outer > 6 && single > 100, "{outer} {single}");
+    }
+
+    /// A slab, and one with air around it, are one box each: nothing slows a flight through them.
+    #[test]
+    fn what_is_the_same_is_one_box() {
+        use crate::scene::model::{Matter, Shape};
+        use crate::transport::fixture::{scene, solid};
+        let slab = |half: DVec3, material| {
+            solid(Shape::Cuboid { half_size_mm: half }, DVec3::ZERO, DVec3::ZERO, material, 1.0)
+        };
+        let half = DVec3::new(200.0, 200.0, 100.0);
+        let water = scene(&["water", "air"], vec![Matter::Solids(vec![slab(half, 0)])]);
+        assert_eq!(Cells::new(&things_of(&water), DVec3::Z).expect("matter").boxes.len(), 1);
+        let around = scene(&["water", "air"], vec![Matter::Solids(vec![slab(half * 2.0, 1), slab(half, 0)])]);
+        let cells = Cells::new(&things_of(&around), DVec3::Z).expect("matter");
+        let uniform = cells.boxes.iter().filter(|one| matches!(cells.contents[one.content as usize], Content::Uniform { .. }));
+        assert!(cells.boxes.len() <= 7 && uniform.count() == cells.boxes.len(), "{}", cells.boxes.len());
+    }
 }

@@ -240,3 +240,116 @@ fn minorant(mixture: &Mixture, per_mm: &[f64]) -> f64 {
     }
     mixture.ranges.iter().fold(f64::INFINITY, |least, range| f64::min(least, range.from * per_mm[range.material as usize]))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::model::{Matter, Shape};
+    use crate::transport::fixture::{everything, scene, solid};
+    use crate::transport::matter::things_of;
+
+    /// Largest distance of the distribution of free paths from the exponential one.
+    fn kolmogorov_smirnov(turn: DVec3, mean_mm: f64, draws: usize) -> f64 {
+        let cube = Shape::Cuboid { half_size_mm: DVec3::splat(2000.0) };
+        let scene = scene(&["water", "steel_316l"], vec![Matter::Solids(vec![
+            solid(cube, DVec3::ZERO, turn, 0, 1.0),
+            // Never reached, so that a mixture's majorant is above what is there.
+            solid(Shape::Ellipsoid { semi_axes_mm: DVec3::splat(1e-3) }, DVec3::new(0.0, 3.0, 0.0), turn, 1, 8.0),
+        ])]);
+        let space = Space::new(things_of(&scene), DVec3::Z).expect("matter");
+        let mut medium = Medium { per_mm: vec![1.0 / 48.57, 0.12], ..Medium::default() };
+        let mut paths: Vec<f64> = (0..draws)
+            .map(|draw| {
+                let mut stream = Stream::new(31, draw as u64);
+                let across = 0.2 * (stream.uniform() - 0.5);
+                let (ray, _) = space.enter(DVec3::ZERO, DVec3::new(across, 1.0, 0.1).normalize()).expect("inside");
+                let mut flown = ray;
+                assert_eq!(space.fly(&mut flown, f64::INFINITY, &mut medium, &mut stream), End::Collision(0));
+                flown.position.length()
+            })
+            .collect();
+        paths.sort_unstable_by(f64::total_cmp);
+        let distance = |(n, path): (usize, &f64)| {
+            let share = 1.0 - (-path / mean_mm).exp();
+            (share - n as f64 / draws as f64).abs().max((share - (n + 1) as f64 / draws as f64).abs())
+        };
+        paths.iter().enumerate().map(distance).fold(0.0, f64::max)
+    }
+
+    /// The Kolmogorov–Smirnov bound at 5 % is 1.36/√n; at 0.1 % it is 1.95/√n.
+    #[test]
+    fn free_paths_are_exponential_in_one_material_and_in_mixtures() {
+        let draws = 400_000;
+        let bound = 1.95 / (draws as f64).sqrt();
+        for turn in [DVec3::ZERO, DVec3::new(0.3, 0.2, 0.1)] {
+            let found = kolmogorov_smirnov(turn, 48.57, draws);
+            assert!(found < bound, "{turn}: {found}, bound {bound}");
+            let off = kolmogorov_smirnov(turn, 49.06, draws);
+            assert!(off > bound, "control: 1 % is told apart: {off}");
+        }
+    }
+
+    /// The transmission's mean over draws is exp(−∫μ), here summed in small steps, through everything that a scene can hold; so is the
+    /// share of flights that arrive.
+    #[test]
+    fn transmission_and_flight_agree_with_the_integral() {
+        let scene = everything();
+        let space = Space::new(things_of(&scene), DVec3::Z).expect("matter");
+        let mut medium = Medium { per_mm: vec![0.008, 0.012, 0.03, 0.012, 0.02, 0.006], ..Medium::default() };
+        let things = things_of(&scene);
+        let all: Vec<u32> = (0..things.len() as u32).collect();
+        let mut cases = 0;
+        for n in 0..24u32 {
+            let mut stream = Stream::new(41, u64::from(n));
+            let mut place = |reach: f64| (DVec3::new(stream.uniform(), stream.uniform(), stream.uniform()) - 0.5) * reach;
+            let (origin, to) = (place(60.0) + DVec3::new(0.0, 0.0, -150.0), place(60.0) + DVec3::new(0.0, 0.0, 150.0));
+            let (direction, length_mm) = ((to - origin).normalize(), (to - origin).length());
+            let (steps, mut mix) = (60_000, Mix::default());
+            let at = |step: u32| origin + direction * (length_mm * (f64::from(step) + 0.5) / f64::from(steps));
+            let mut depth = 0.0;
+            for step in 0..steps {
+                mix_at(&things, &all, true, at(step), &mut mix);
+                let per_mm = mix.parts.iter().map(|(material, density)| density * medium.per_mm[*material as usize]).sum::<f64>();
+                depth += per_mm * length_mm / f64::from(steps);
+            }
+            let (ray, gone_mm) = space.enter(origin, direction).expect("meets the scene");
+            let (draws, truth) = (20_000, (-depth).exp());
+            let (mut sum, mut squares, mut arrived) = (0.0, 0.0, 0.0);
+            for _ in 0..draws {
+                let share = space.transmission(ray, length_mm - gone_mm, &mut medium, &mut stream);
+                (sum, squares) = (sum + share, squares + share * share);
+                let end = space.fly(&mut ray.clone(), length_mm - gone_mm, &mut medium, &mut stream);
+                arrived += f64::from(u8::from(!matches!(end, End::Collision(_))));
+            }
+            let count = f64::from(draws);
+            let (mean, share) = (sum / count, arrived / count);
+            let error = ((squares / count - mean * mean) / count).sqrt() + 1e-3 * truth;
+            assert!((mean - truth).abs() < 4.5 * error, "ray {n}: {mean} ± {error}, {truth}");
+            assert!((share - truth).abs() < 4.5 * (truth * (1.0 - truth) / count).sqrt() + 1e-3 * truth, "ray {n}: {share}, {truth}");
+            let estimator_is_better = error < (truth * (1.0 - truth) / count).sqrt();
+            cases += usize::from(estimator_is_better && truth > 0.0);
+        }
+        assert!(cases > 16, "{cases}");
+    }
+
+    #[test]
+    fn rays_along_faces_edges_and_axes_end() {
+        let scene = everything();
+        let space = Space::new(things_of(&scene), DVec3::Z).expect("matter");
+        let mut medium = Medium { per_mm: vec![1e-6; 6], ..Medium::default() };
+        let bounds = space.cells.bounds();
+        let (mut stream, mut left) = (Stream::new(1, 0), 0);
+        for direction in [DVec3::X, DVec3::NEG_X, DVec3::Y, DVec3::NEG_Z, DVec3::new(1.0, -1.0, 0.0).normalize(), -DVec3::ONE.normalize()] {
+            for (i, j) in (0..8).flat_map(|i| (0..8).map(move |j| (i, j))) {
+                let plane = |axis: usize, n: usize| space.cells.planes[axis].at[n.min(space.cells.planes[axis].cells())];
+                let start = DVec3::new(plane(0, i), plane(1, j), plane(2, i + j));
+                let Some((ray, _)) = space.enter(start, direction) else { continue };
+                assert!(ray.position.cmpge(bounds.low).all() && ray.position.cmple(bounds.high).all());
+                left += usize::from(space.fly(&mut ray.clone(), f64::INFINITY, &mut medium, &mut stream) == End::Left);
+                let share = space.transmission(ray, 1e6, &mut medium, &mut stream);
+                assert!(share > 0.99 && share <= 1.0);
+            }
+        }
+        assert!(left > 100, "{left}");
+    }
+}

@@ -24,6 +24,8 @@ mod simulation;
 mod image;
 mod checkpoint;
 mod scatter;
+#[cfg(test)]
+mod fixture;
 
 pub use attenuation::{Attenuation, Shares};
 pub use checkpoint::Checkpoint;

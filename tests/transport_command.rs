@@ -67,8 +67,7 @@ fn the_same_command_goes_on_from_a_checkpoint_as_if_it_had_never_stopped() {
     // What a run leaves that was killed after its first step.
     let path = folder.path().join("scene.json");
     let scene = scene::load(&path, true, &Reporter::silent()).expect("loads");
-    let histories =
-        Histories { count: 1_500_000, seed: 7, grid_px: [8, 6], estimator: Estimator::Expected, rel_error: None };
+    let histories = Histories { count: 1_500_000, seed: 7, grid_px: [8, 6], estimator: Estimator::Expected, rel_error: None };
     let simulation = Simulation::new(&scene, &scene.view.expect("a view"), histories).expect("prepares");
     let mut tally = simulation.tally();
     simulation.advance(&mut tally, simulation.batches_at_once());
@@ -116,13 +115,9 @@ fn a_checkpoint_of_something_else_is_refused_and_fresh_starts_anew() {
 fn it_refuses_what_makes_no_sense() {
     let folder = tempfile::tempdir().expect("folder");
     let mut cases = 0;
-    for more in [
-        ["--histories", "0"],
-        ["--histories", "1e99"],
-        ["--histories", "nan"],
-        ["--histories", "1.5"],
-        ["--histories", "many"],
-    ] {
+    for more in
+        [["--histories", "0"], ["--histories", "1e99"], ["--histories", "nan"], ["--histories", "1.5"], ["--histories", "many"]]
+    {
         assert!(typed(folder.path(), &more).is_err(), "{more:?}");
         cases += 1;
     }

@@ -46,7 +46,13 @@ fn integral(from: f64, to: f64, f: impl Fn(f64) -> f64) -> f64 {
     let step = (high - low) / f64::from(count);
     let term = |n: i32| {
         let root = low + f64::from(n) * step;
-        let weight = if n == 0 || n == count { 1.0 } else if n % 2 == 1 { 4.0 } else { 2.0 };
+        let weight = if n == 0 || n == count {
+            1.0
+        } else if n % 2 == 1 {
+            4.0
+        } else {
+            2.0
+        };
         weight * f(1.0 - root * root) * 2.0 * root
     };
     step / 3.0 * (0..=count).map(term).sum::<f64>()
@@ -91,7 +97,8 @@ fn rayleigh_angles_follow_thomson_times_f_squared() {
         let rayleigh = Rayleigh::new(&material).expect("tabulated");
         let found = chi_squared(|| rayleigh.cosine(energy_kev, &mut stream), |c| rayleigh_by_angle(&material, energy_kev, c));
         assert!(found < CHI_SQUARED_39, "{name} at {energy_kev} keV: {found}");
-        let other = chi_squared(|| rayleigh.cosine(energy_kev, &mut stream), |c| rayleigh_by_angle(&material, 1.02 * energy_kev, c));
+        let other =
+            chi_squared(|| rayleigh.cosine(energy_kev, &mut stream), |c| rayleigh_by_angle(&material, 1.02 * energy_kev, c));
         assert!(other > CHI_SQUARED_39, "control: 2 % of energy are told apart in {name} at {energy_kev} keV: {other}");
         cases += 1;
     }
@@ -111,7 +118,8 @@ fn compton_energies_follow_from_the_angles() {
             compton_by_angle(&water, energy_kev, cosine) * 510.998_95 / (kept_kev * kept_kev)
         };
         let width = (energy_kev - least) / BINS as f64;
-        let of_bin = |n: usize| (0..100).map(|i| by_energy(least + width * (n as f64 + (f64::from(i) + 0.5) / 100.0))).sum::<f64>();
+        let of_bin =
+            |n: usize| (0..100).map(|i| by_energy(least + width * (n as f64 + (f64::from(i) + 0.5) / 100.0))).sum::<f64>();
         let expected: Vec<f64> = (0..BINS).map(of_bin).collect();
         let mut counts = [0.0; BINS];
         for _ in 0..DRAWS {
@@ -171,7 +179,8 @@ fn densities_integrate_to_one_and_are_those_of_the_samplers() {
         let material = material(name);
         let (compton, rayleigh) = (Compton::new(&material).expect("tabulated"), Rayleigh::new(&material).expect("tabulated"));
         let over_sphere = |f: &dyn Fn(f64) -> f64| std::f64::consts::TAU * integral(-1.0, 1.0, f);
-        let (one, another) = (over_sphere(&|c| compton.density(energy_kev, c)), over_sphere(&|c| rayleigh.density(energy_kev, c)));
+        let (one, another) =
+            (over_sphere(&|c| compton.density(energy_kev, c)), over_sphere(&|c| rayleigh.density(energy_kev, c)));
         assert!((one - 1.0).abs() < 1e-3 && (another - 1.0).abs() < 3e-3, "{name} at {energy_kev} keV: {one} {another}");
         let mut stream = Stream::new(5, cases);
         let found = chi_squared(|| rayleigh.cosine(energy_kev, &mut stream), |c| rayleigh_by_angle(&material, energy_kev, c));

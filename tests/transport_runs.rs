@@ -4,8 +4,8 @@
 use glam::{DVec2, DVec3};
 use sidecarm::geometry::{Rigid, View};
 use sidecarm::image::Image;
-use sidecarm::render::reference;
 use sidecarm::render::Quantity;
+use sidecarm::render::reference;
 use sidecarm::scene::Scene;
 use sidecarm::scene::model::{Matter, Response};
 use sidecarm::scene::optics::{Axis, BowTie, Field, Heel, Scintillator, Towards};
@@ -85,11 +85,8 @@ fn the_primary_is_right_for_tubes_spectra_and_counting_panels() {
         thickness_mm: vec![[-4.0, 12.0], [0.0, 1.0], [4.0, 12.0]],
     });
     scene.detector.response = Response::Counting;
-    scene.detector.panel.scintillator = Some(Scintillator {
-        material: Material::parse("CsI").expect("a formula"),
-        density_g_per_cm3: 4.51,
-        thickness_mm: 0.3,
-    });
+    scene.detector.panel.scintillator =
+        Some(Scintillator { material: Material::parse("CsI").expect("a formula"), density_g_per_cm3: 4.51, thickness_mm: 0.3 });
     let view = view(160, 120, 1000.0);
     let image = run(&scene, &view, histories(300_000, 3, GRID, Estimator::Expected));
     let found = against_caster(&scene, &view, &image, 0.0);

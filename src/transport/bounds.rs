@@ -103,8 +103,7 @@ pub fn inside(body: &SolidBody, region: &Region) -> Option<bool> {
     }
     // A face that lies on the shape's own is inside it, however it was rounded.
     let shrunk = |corner: DVec3| corner + (0.5 * (region.low + region.high) - corner) * 1e-9;
-    let corners_inside =
-        region.corners().all(|corner| contains(&shape, body.local_from_lps.transform_point3(shrunk(corner))));
+    let corners_inside = region.corners().all(|corner| contains(&shape, body.local_from_lps.transform_point3(shrunk(corner))));
     Some(clear_of_lumen && corners_inside)
 }
 

@@ -364,7 +364,7 @@ fn cells_between(from: [usize; 3], to: [usize; 3]) -> impl Iterator<Item = [usiz
 mod tests {
     use super::*;
     use crate::transport::fixture::everything;
-    use crate::transport::matter::{Mix, mix_at, things_of};
+    use crate::transport::matter::{Mix, draw_at, things_of};
     use crate::transport::stream::Stream;
 
     /// Points drawn in the scene's bounds: what a box says of them is what the whole scene has there.
@@ -385,7 +385,8 @@ mod tests {
             let cell = std::array::from_fn(|axis| cells.planes[axis].cell(point[axis]));
             let cell_box = &cells.boxes[cells.box_of(cell) as usize];
             assert!(point.cmpge(cell_box.low).all() && point.cmple(cell_box.high).all());
-            mix_at(&things, &all, true, point, &mut mix);
+            let mut again = stream.clone();
+            draw_at(&things, &all, true, point, &mut stream, &mut mix);
             match &cells.contents[cell_box.content as usize] {
                 Content::Empty => {
                     assert!(mix.parts.is_empty(), "{point}");
@@ -396,8 +397,8 @@ mod tests {
                     kinds[1] += 1;
                 }
                 Content::Mixed(mixture) => {
-                    mix_at(&things, &mixture.things, mixture.keeps_air, point, &mut here);
-                    assert_eq!(mix.parts, here.parts, "{point}");
+                    draw_at(&things, &mixture.things, mixture.keeps_air, point, &mut again, &mut here);
+                    assert_eq!(mu(&mix), mu(&here), "{point}");
                     let most = mixture.ranges.iter().map(|range| range.to * per_mm[range.material as usize]).fold(0.0, f64::max);
                     let least = mixture.ranges.iter().map(|range| range.from * per_mm[range.material as usize]);
                     let least = if mixture.is_full { least.fold(f64::INFINITY, f64::min) } else { 0.0 };
@@ -444,9 +445,7 @@ mod tests {
     fn what_is_the_same_is_one_box() {
         use crate::scene::model::{Matter, Shape};
         use crate::transport::fixture::{scene, solid};
-        let slab = |half: DVec3, material| {
-            solid(Shape::Cuboid { half_size_mm: half }, DVec3::ZERO, DVec3::ZERO, material, 1.0)
-        };
+        let slab = |half: DVec3, material| solid(Shape::Cuboid { half_size_mm: half }, DVec3::ZERO, DVec3::ZERO, material, 1.0);
         let half = DVec3::new(200.0, 200.0, 100.0);
         let water = scene(&["water", "air"], vec![Matter::Solids(vec![slab(half, 0)])]);
         assert_eq!(Cells::new(&things_of(&water), DVec3::Z).expect("matter").boxes.len(), 1);

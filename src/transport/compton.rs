@@ -88,7 +88,13 @@ impl Compton {
         let step = 2f64.sqrt() / f64::from(count);
         let term = |n: i32| {
             let root = f64::from(n) * step;
-            let weight = if n == 0 || n == count { 1.0 } else if n % 2 == 1 { 4.0 } else { 2.0 };
+            let weight = if n == 0 || n == count {
+                1.0
+            } else if n % 2 == 1 {
+                4.0
+            } else {
+                2.0
+            };
             weight * self.shape(energy_kev, 1.0 - root * root) * 2.0 * root
         };
         std::f64::consts::TAU * step / 3.0 * (0..=count).map(term).sum::<f64>()

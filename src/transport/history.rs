@@ -56,6 +56,13 @@ enum Kind {
     Rayleigh,
 }
 
+/// A way onto the image.
+struct Hit {
+    direction: DVec3,
+    path_mm: f64,
+    pixel: usize,
+}
+
 struct Photon {
     ray: Ray,
     energy_kev: f64,
@@ -130,7 +137,10 @@ impl World<'_> {
     }
 
     /// A collision with a material: false where the photon ends.
-    #[expect(clippy::too_many_arguments, reason = "a photon, what it is in, and what it is written into; a struct of them would be this call")]
+    #[expect(
+        clippy::too_many_arguments,
+        reason = "a photon, what it is in, and what it is written into; a struct of them would be this call"
+    )]
     fn collide(
         &self,
         space: &Space,
@@ -156,10 +166,11 @@ impl World<'_> {
         };
         let before_kev = photon.energy_kev;
         if self.estimator == Estimator::Expected {
-            let aim = self.panel.at_share(DVec2::new(stream.uniform(), stream.uniform()));
-            let way = self.panel.in_lps(aim) - photon.ray.position;
-            let direction = way.normalize();
-            self.expect(space, photon, material, kind, direction, (medium, aside), stream, batch);
+            let (aim, pixel) = self.panel.aim(DVec2::new(stream.uniform(), stream.uniform()));
+            let way = aim - photon.ray.position;
+            let path_mm = way.length();
+            let hit = Hit { direction: way / path_mm, path_mm, pixel };
+            self.expect(space, photon, material, kind, &hit, (medium, aside), stream, batch);
         }
         let cosine = match kind {
             Kind::Compton => material.compton.cosine(before_kev, stream),
@@ -167,7 +178,14 @@ impl World<'_> {
         };
         let direction = turned(photon.ray.direction, cosine, stream.direction());
         if self.estimator == Estimator::Expected {
-            self.expect(space, photon, material, kind, direction, (medium, aside), stream, batch);
+            let path_mm = self.path_to_plane_mm(&Ray { direction, ..photon.ray });
+            let point = photon.ray.position + direction * path_mm;
+            if path_mm < f64::INFINITY
+                && let Some(pixel) = self.panel.pixel(self.panel.on_plane(point))
+            {
+                let hit = Hit { direction, path_mm, pixel };
+                self.expect(space, photon, material, kind, &hit, (medium, aside), stream, batch);
+            }
         }
         photon.ray.direction = direction;
         if kind == Kind::Compton {
@@ -182,7 +200,7 @@ impl World<'_> {
         true
     }
 
-    /// Adds what a photon that is scattered into `direction` sends to the detector on average.
+    /// Adds what a photon that is scattered onto `hit` sends to the detector on average.
     // With f the density per solid angle of being scattered there and p = r²/(cos · area) that of the point on the image, a direction of
     // either kind counts f/(f + p): the sum of both expectations is ∫ f over the image, and no count exceeds 1.
     #[expect(clippy::too_many_arguments, reason = "as the collision that it belongs to")]
@@ -193,17 +211,12 @@ impl World<'_> {
         photon: &Photon,
         material: &Material,
         kind: Kind,
-        direction: DVec3,
+        hit: &Hit,
         (medium, aside): (&mut Medium, &mut Medium),
         stream: &mut Stream,
         batch: &mut Batch,
     ) {
-        let ray = Ray { direction, ..photon.ray };
-        let path_mm = self.path_to_plane_mm(&ray);
-        if path_mm == f64::INFINITY {
-            return;
-        }
-        let Some(pixel) = self.panel.pixel(self.panel.on_plane(ray.position + direction * path_mm)) else { return };
+        let Hit { direction, path_mm, pixel } = *hit;
         let cosine = photon.ray.direction.dot(direction).clamp(-1.0, 1.0);
         let (density, energy_kev, medium) = match kind {
             Kind::Compton => {
@@ -218,6 +231,7 @@ impl World<'_> {
         };
         let even = path_mm * path_mm / (direction.dot(self.panel.axes[2]) * self.panel.area_mm2);
         let signal = photon.weight * self.panel.response(energy_kev) * density / (density + even);
+        let ray = Ray { direction, ..photon.ray };
         batch.detect(photon.page, pixel, signal * space.transmission(ray, path_mm, medium, stream));
     }
 }
@@ -232,5 +246,5 @@ fn turned(direction: DVec3, cosine: f64, azimuth: DVec2) -> DVec3 {
     let b = x * y * a;
     let (first, second) = (DVec3::new(1.0 + sign * x * x * a, sign * b, -sign * x), DVec3::new(b, sign + y * y * a, -y));
     let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
-    (direction * cosine + first * (sine * azimuth.x) + second * (sine * azimuth.y)).normalize()
+    direction * cosine + first * (sine * azimuth.x) + second * (sine * azimuth.y)
 }

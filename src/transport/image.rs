@@ -68,8 +68,12 @@ impl Simulation<'_> {
     #[must_use]
     pub fn describe(&self, image: &ScatterImage, scene: &Scene) -> serde_json::Value {
         let asked = self.histories();
-        let absorbed: serde_json::Map<String, serde_json::Value> =
-            scene.materials.iter().zip(&image.absorbed_kev).map(|(material, found)| (material.name.clone(), json!(found))).collect();
+        let absorbed: serde_json::Map<String, serde_json::Value> = scene
+            .materials
+            .iter()
+            .zip(&image.absorbed_kev)
+            .map(|(material, found)| (material.name.clone(), json!(found)))
+            .collect();
         let errors = PAGE_NAMES.iter().map(|name| format!("{name}_standard_error"));
         json!({
             "quantity": "scatter",

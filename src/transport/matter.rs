@@ -4,6 +4,7 @@
 
 use glam::{DAffine3, DVec3};
 
+use super::stream::Stream;
 use crate::render::mesh_tree::MeshTree;
 use crate::scene::model::{Matter as ObjectMatter, Mesh, Scene, Shape, Solid, Volume, Voxels};
 
@@ -58,7 +59,7 @@ pub struct Grid<'a> {
     voxels: Voxels,
 }
 
-/// Densities by scene material at one point.
+/// Densities by scene material at one point, as drawn.
 #[derive(Clone, Debug, Default)]
 pub struct Mix {
     /// Scene material and g/cm³; a material may stand there more than once.
@@ -101,9 +102,10 @@ fn affine(rigid: &crate::geometry::Rigid) -> DAffine3 {
     DAffine3::from_rotation_translation(rigid.rotation, rigid.translation_mm)
 }
 
-/// Writes what `chosen` of `things`, the last of the scene first, have at `point` into `mix`.
-pub fn mix_at(things: &[Thing], chosen: &[u32], keeps_air: bool, point: DVec3, mix: &mut Mix) {
+/// Draws what `chosen` of `things`, the last of the scene first, have at `point` into `mix`; its expectation is what they have there.
+pub fn draw_at(things: &[Thing], chosen: &[u32], keeps_air: bool, point: DVec3, stream: &mut Stream, mix: &mut Mix) {
     mix.parts.clear();
+    let alone = chosen.len() == 1;
     for air in [false, true] {
         if air && !keeps_air {
             return;
@@ -114,7 +116,7 @@ pub fn mix_at(things: &[Thing], chosen: &[u32], keeps_air: bool, point: DVec3, m
                 return;
             }
             present = thing.own;
-            thing.body.add_at(point, air, mix);
+            thing.body.draw_at(point, air, alone, stream, mix);
         }
         if !mix.parts.is_empty() {
             return;
@@ -124,7 +126,7 @@ pub fn mix_at(things: &[Thing], chosen: &[u32], keeps_air: bool, point: DVec3, m
 
 impl Body<'_> {
     /// Adds what it has at `point`: its air if `air`, else its other matter.
-    fn add_at(&self, point: DVec3, air: bool, mix: &mut Mix) {
+    fn draw_at(&self, point: DVec3, air: bool, alone: bool, stream: &mut Stream, mix: &mut Mix) {
         match self {
             Self::Solid(body) if body.is_air == air => {
                 if contains(&body.solid.shape, body.local_from_lps.transform_point3(point)) {
@@ -136,7 +138,7 @@ impl Body<'_> {
                     mix.parts.push((body.mesh.material as u32, body.mesh.density_g_per_cm3));
                 }
             }
-            Self::Volume(grid) => grid.add_at(point, air, mix),
+            Self::Volume(grid) => grid.draw_at(point, air, alone, stream, mix),
             Self::Solid(_) | Self::Mesh(_) => {}
         }
     }
@@ -208,8 +210,11 @@ impl<'a> Grid<'a> {
         (density > 0.0).then_some((material, density, air))
     }
 
-    // A cell whose corners hold anything but air counts as matter with the air in it, one of air alone as air.
-    fn add_at(&self, point: DVec3, air: bool, mix: &mut Mix) {
+    /// Adds one of the voxels around a point, drawn by its weight in the trilinear field: its expectation is the field, and one voxel is
+    /// read instead of eight. `alone` says that nothing else can be there.
+    // A cell whose corners hold anything but air counts as matter with the air in it, one of air alone as air: what lies below is displaced
+    // even where an empty corner is drawn.
+    fn draw_at(&self, point: DVec3, air: bool, alone: bool, stream: &mut Stream, mix: &mut Mix) {
         let size = self.volume.size;
         let voxel = self.voxel_from_lps.transform_point3(point).to_array();
         let (mut low, mut upper) = ([0; 3], [0.0; 3]);
@@ -226,30 +231,29 @@ impl<'a> Grid<'a> {
             low[axis] = (x as usize).min(last.saturating_sub(1));
             upper[axis] = x - low[axis] as f64;
         }
-        let first = self.volume.index(low[0], low[1], low[2]);
-        let strides = [1, size[0], size[0] * size[1]];
-        let (before, mut holds_matter) = (mix.parts.len(), false);
-        for bits in 0..8usize {
-            let (mut weight, mut index) = (1.0, first);
-            for axis in 0..3 {
-                if bits >> axis & 1 == 1 {
-                    weight *= upper[axis];
-                    index += strides[axis];
-                } else {
-                    weight *= 1.0 - upper[axis];
-                }
-            }
-            // A voxel without weight may lie past the end.
-            if weight > 0.0
-                && let Some((material, density, is_air)) = self.voxel(index)
-            {
-                mix.parts.push((material, weight * density));
-                holds_matter |= !is_air;
-            }
+        let drawn: [usize; 3] = std::array::from_fn(|axis| low[axis] + usize::from(stream.uniform() < upper[axis]));
+        let found = self.voxel(self.volume.index(drawn[0], drawn[1], drawn[2]));
+        let holds_matter = match found {
+            Some((.., false)) => true,
+            _ if alone => !air,
+            _ => self.holds_matter(low, upper),
+        };
+        match found {
+            Some((material, density, _)) if holds_matter != air => mix.parts.push((material, density)),
+            // It displaces what lies below all the same.
+            None if holds_matter && !air => mix.parts.push((self.classes[0].0, 0.0)),
+            _ => {}
         }
-        if holds_matter == air {
-            mix.parts.truncate(before);
-        }
+    }
+
+    /// Whether a corner with weight holds anything but air.
+    fn holds_matter(&self, low: [usize; 3], upper: [f64; 3]) -> bool {
+        (0..8usize).any(|bits| {
+            let is_upper = |axis: usize| bits >> axis & 1 == 1;
+            let has_weight = (0..3).all(|axis| if is_upper(axis) { upper[axis] > 0.0 } else { upper[axis] < 1.0 });
+            let [i, j, k] = std::array::from_fn(|axis| low[axis] + usize::from(is_upper(axis)));
+            has_weight && matches!(self.voxel(self.volume.index(i, j, k)), Some((.., false)))
+        })
     }
 }
 

@@ -34,7 +34,7 @@ pub use error::TransportError;
 pub use history::Estimator;
 pub use image::{ScatterImage, written_with};
 pub use rayleigh::Rayleigh;
-pub use simulation::{BATCH, Histories, Simulation};
 pub use scatter::scatter;
+pub use simulation::{BATCH, Histories, Simulation};
 pub use stream::Stream;
 pub use tally::{DETECTED, ESCAPED, Estimate, FATES, PAGE_NAMES, PAGES, Page, STARTED, Tally};

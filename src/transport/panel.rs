@@ -100,6 +100,15 @@ impl Panel {
         self.view.intrinsics.unproject(share * size - 0.5).truncate() * self.distance_mm
     }
 
+    /// A point of the image by shares in (0, 1) of its width and height, in lps, and its pixel.
+    #[inline]
+    #[must_use]
+    pub fn aim(&self, share: DVec2) -> (DVec3, usize) {
+        let [columns, rows] = self.grid_px;
+        let (column, row) = ((share.x * columns as f64) as usize, (share.y * rows as f64) as usize);
+        (self.in_lps(self.at_share(share)), column.min(columns - 1) + columns * row.min(rows - 1))
+    }
+
     /// Pixel of the raster (row-major) that holds a point of the plane; `None` beside the image.
     #[inline]
     #[must_use]

@@ -7,9 +7,9 @@ use glam::{DVec2, DVec3};
 
 use super::alias::Alias;
 use super::beam_shape::Left;
+use super::error::TransportError;
 use super::panel::Panel;
 use super::stream::Stream;
-use super::error::TransportError;
 use crate::scene::model::Scene;
 use crate::scene::optics::Field;
 

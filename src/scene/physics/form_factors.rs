@@ -93,7 +93,9 @@ mod tests {
     fn hydrogen_follows_its_closed_form() {
         let table = form_factors(1).expect("tabulated");
         let closed = |q: f64| (1.0 + (2.0 * std::f64::consts::PI * 0.529_177 * q).powi(2)).powi(-2);
-        let worst = |scale: f64| (1..40).map(|n| 0.02 * f64::from(n)).map(|q| (table.form(q * scale) - closed(q)).abs()).fold(0.0, f64::max);
+        let worst = |scale: f64| {
+            (1..40).map(|n| 0.02 * f64::from(n)).map(|q| (table.form(q * scale) - closed(q)).abs()).fold(0.0, f64::max)
+        };
         assert!(worst(1.0) < 0.5 * worst(1.2), "{} {}", worst(1.0), worst(1.2));
         for q in [0.1, 0.3, 0.7] {
             assert!((table.incoherent(q) - (1.0 - table.form(q).powi(2))).abs() < 0.02, "{q}");

@@ -74,3 +74,31 @@ fn an_air_gap_and_a_narrow_field_lower_the_scatter() {
     assert!(near > 1.5 * far && near > 3.0 * narrow, "{near} {far} {narrow}");
     assert!((1.0..8.0).contains(&near), "20 cm of water in a wide field: {near}");
 }
+
+/// A grid of ratio 10 takes most of the scatter and none of the primary; strips across columns know nothing of slopes along rows.
+#[test]
+fn a_grid_takes_scatter_by_its_slope() {
+    use glam::{DVec2, DVec3};
+    use sidecarm::scene::optics::{Axis, Grid, Strips};
+    let strips = Strips { ratio: 10.0, across: Axis::Column };
+    let share =
+        |x_mm: f64, slope: [f64; 2]| strips.share(DVec2::new(x_mm, 50.0), DVec3::new(slope[0], slope[1], 1.0) * 0.9, 1000.0);
+    assert!((share(100.0, [0.1, 0.7]) - 1.0).abs() < 1e-12 && (share(100.0, [0.13, 0.0]) - 0.7).abs() < 1e-12);
+    assert_eq!(share(100.0, [0.21, 0.05]), 0.0);
+    let with = |strips: Option<Strips>, estimator: Estimator, seed: u64| {
+        let body = cuboid([0.0, 0.0, 700.0], [400.0, 400.0, 200.0], 0, 1.0);
+        let mut scene = scene_of(&["water"], vec![Matter::Solids(vec![body])]);
+        scene.detector.panel.grid = Some(Grid { primary_transmission: 0.7, strips });
+        run(&scene, &view(240, 240, 900.0), histories(150_000, seed, [4, 4], estimator))
+    };
+    let (none, expected) = (with(None, Estimator::Expected, 1), with(Some(strips), Estimator::Expected, 1));
+    let analogue = with(Some(strips), Estimator::Analogue, 2);
+    assert_eq!(none.pages[0].pixels.len(), expected.pages[0].pixels.len());
+    let sum = |image: &sidecarm::image::Image<f64>| image.pixels.iter().sum::<f64>();
+    assert!((sum(&none.pages[0]) / sum(&expected.pages[0]) - 1.0).abs() < 0.02, "the primary is what it was");
+    assert!(sum(&expected.scatter) < 0.4 * sum(&none.scatter), "{} {}", sum(&expected.scatter), sum(&none.scatter));
+    let error = |image: &sidecarm::image::Image<f64>| image.pixels.iter().map(|value| value * value).sum::<f64>().sqrt();
+    let apart =
+        (sum(&expected.scatter) - sum(&analogue.scatter)) / error(&expected.scatter_error).hypot(error(&analogue.scatter_error));
+    assert!(apart.abs() < 4.5, "{apart}");
+}

@@ -1,6 +1,6 @@
 //! Super-voxels: boxes of space that say what may be inside them, so that a photon in tissue does not pay for a screw elsewhere.
 //!
-//! Planes parallel to the axes cut the scene's bounds into cells at most [`CELL_MM`] wide; faces of boxes and volumes that lie parallel to
+//! Planes parallel to the axes cut the scene's bounds into cells a few millimetres wide; faces of boxes and volumes that lie parallel to
 //! the axes are planes too. Each cell knows whether it is empty, holds one material of one density, or a mixture with a majorant and a
 //! minorant per material; neighbours with equal contents are merged into boxes, so that a slab of water is one box.
 
@@ -11,15 +11,7 @@ use rayon::prelude::*;
 
 use super::bounds::{Held, Range, Region, held};
 use super::matter::{Body, Thing, bounds_of};
-
-/// Largest width of a cell: photons of 60 keV fly 50 mm in tissue.
-const CELL_MM: f64 = 8.0;
-
-/// At most so many cells along an axis.
-const MOST_CELLS: usize = 160;
-
-/// Planes of things are not nearer to each other than this.
-const NEAREST_PLANES_MM: f64 = 0.5;
+use super::planes::{Planes, cut};
 
 /// Densities of mixtures are bounded in steps of this factor, so that neighbours can be merged.
 const LADDER: f64 = 1.05;
@@ -77,16 +69,6 @@ pub const OUTSIDE: u32 = u32::MAX;
 /// More than one box.
 pub const SEVERAL: u32 = u32::MAX - 1;
 
-/// Planes along one axis, and where to begin to look for one.
-#[derive(Clone, Debug)]
-pub struct Planes {
-    /// Ascending, mm.
-    pub at: Vec<f64>,
-    /// By bucket of equal width, the cell in which it begins.
-    buckets: Vec<u16>,
-    per_mm: f64,
-}
-
 /// The scene in boxes.
 pub struct Cells {
     /// Planes by axis.
@@ -97,36 +79,6 @@ pub struct Cells {
     pub contents: Vec<Content>,
     /// Box of each cell.
     box_of_cell: Vec<u32>,
-}
-
-impl Planes {
-    fn new(at: Vec<f64>) -> Self {
-        let (first, last) = (at[0], at[at.len() - 1]);
-        let count = 4 * at.len();
-        let per_mm = count as f64 / (last - first);
-        let cell = |n: usize| at.partition_point(|plane| *plane <= first + n as f64 / per_mm).clamp(1, at.len() - 1) - 1;
-        // A bucket's first cell is looked up a bucket early, so that rounding cannot begin past the right one.
-        let buckets = (0..count).map(|n| cell(n.saturating_sub(1)) as u16).collect();
-        Self { at, buckets, per_mm }
-    }
-
-    /// Number of cells.
-    #[must_use]
-    pub fn cells(&self) -> usize {
-        self.at.len() - 1
-    }
-
-    /// The cell with coordinate `x`; the first or the last beyond the ends.
-    #[inline]
-    #[must_use]
-    pub fn cell(&self, x: f64) -> usize {
-        let bucket = (((x - self.at[0]) * self.per_mm).max(0.0) as usize).min(self.buckets.len() - 1);
-        let mut cell = usize::from(self.buckets[bucket]);
-        while cell + 1 < self.cells() && self.at[cell + 1] <= x {
-            cell += 1;
-        }
-        cell
-    }
 }
 
 impl Cells {
@@ -198,28 +150,6 @@ fn has_flat_faces(body: &Body) -> bool {
         let axis = matrix.col(n).abs();
         axis.max_element() > (1.0 - 1e-9) * axis.element_sum()
     })
-}
-
-/// Planes from `low` to `high` that meet `faces` and leave no gap wider than a cell may be.
-fn cut(low: f64, high: f64, mut faces: Vec<f64>) -> Vec<f64> {
-    faces.extend([low, high]);
-    faces.sort_unstable_by(f64::total_cmp);
-    let nearest = NEAREST_PLANES_MM.max((high - low) / MOST_CELLS as f64 / 8.0);
-    let mut kept: Vec<f64> = vec![low];
-    for face in faces {
-        if face - kept[kept.len() - 1] > nearest && high - face > nearest && kept.len() < MOST_CELLS {
-            kept.push(face);
-        }
-    }
-    kept.push(high);
-    let width = CELL_MM.max((high - low) / MOST_CELLS as f64);
-    let mut planes = vec![low];
-    for pair in kept.windows(2) {
-        let count = ((pair[1] - pair[0]) / width).ceil().max(1.0);
-        planes.extend((1..count as usize).map(|n| pair[0] + (pair[1] - pair[0]) * n as f64 / count));
-        planes.push(pair[1]);
-    }
-    planes
 }
 
 fn region(planes: &[Planes; 3], cell: [usize; 3]) -> Region {

@@ -132,7 +132,8 @@ impl World<'_> {
     fn arrive(&self, photon: &Photon, batch: &mut Batch) {
         let point = photon.ray.position + photon.ray.direction * self.path_to_plane_mm(&photon.ray);
         if let Some(pixel) = self.panel.pixel(self.panel.on_plane(point)) {
-            batch.detect(photon.page, pixel, photon.weight * self.panel.response(photon.energy_kev));
+            let passed = if photon.page == Page::Primary { 1.0 } else { self.panel.passed(point, photon.ray.direction) };
+            batch.detect(photon.page, pixel, passed * photon.weight * self.panel.response(photon.energy_kev));
         }
     }
 
@@ -217,6 +218,10 @@ impl World<'_> {
         batch: &mut Batch,
     ) {
         let Hit { direction, path_mm, pixel } = *hit;
+        let passed = self.panel.passed(photon.ray.position + direction * path_mm, direction);
+        if passed == 0.0 {
+            return;
+        }
         let cosine = photon.ray.direction.dot(direction).clamp(-1.0, 1.0);
         let (density, energy_kev, medium) = match kind {
             Kind::Compton => {
@@ -230,7 +235,7 @@ impl World<'_> {
             Kind::Rayleigh => (material.rayleigh.density(photon.energy_kev, cosine), photon.energy_kev, medium),
         };
         let even = path_mm * path_mm / (direction.dot(self.panel.axes[2]) * self.panel.area_mm2);
-        let signal = photon.weight * self.panel.response(energy_kev) * density / (density + even);
+        let signal = passed * photon.weight * self.panel.response(energy_kev) * density / (density + even);
         let ray = Ray { direction, ..photon.ray };
         batch.detect(photon.page, pixel, signal * space.transmission(ray, path_mm, medium, stream));
     }

@@ -90,7 +90,7 @@ impl Simulation<'_> {
                 "scoring": "each pixel covers its share of the image area; expected: at every start and scattering the expected signal, \
                             directions to an even point of the image and the photon's own weighed by the balance heuristic",
                 "left_out": ["fluorescence", "Doppler broadening", "interference between atoms", "matter behind the detector",
-                             "selectivity of the antiscatter grid"],
+                             "scattering and fluorescence in the antiscatter grid"],
             },
             "energy_kev_per_history": {
                 "started": image.started_kev,

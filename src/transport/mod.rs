@@ -12,6 +12,7 @@ mod compton;
 mod rayleigh;
 mod matter;
 mod bounds;
+mod planes;
 mod cells;
 mod flight;
 mod error;

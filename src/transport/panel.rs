@@ -5,6 +5,7 @@ use glam::{DVec2, DVec3};
 use super::error::TransportError;
 use crate::geometry::View;
 use crate::scene::model::{Response, Scene};
+use crate::scene::optics::Strips;
 use crate::scene::physics::ENERGY_RANGE_KEV;
 
 /// Rows of the response per keV.
@@ -25,6 +26,7 @@ pub struct Panel {
     /// Area of the image on the plane.
     pub area_mm2: f64,
     responses: Vec<f64>,
+    strips: Option<Strips>,
 }
 
 impl Panel {
@@ -58,7 +60,9 @@ impl Panel {
         };
         let responses = (0..count).map(response).collect::<Result<Vec<f64>, TransportError>>()?;
         let axes = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| lps_from_camera.transform_vector(axis));
-        Ok(Self { view: *view, grid_px, distance_mm, source: lps_from_camera.translation_mm, axes, area_mm2, responses })
+        let strips = scene.detector.panel.grid.and_then(|grid| grid.strips);
+        let source = lps_from_camera.translation_mm;
+        Ok(Self { view: *view, grid_px, distance_mm, source, axes, area_mm2, responses, strips })
     }
 
     /// Signal of one detected photon: keV or 1, times the share that the scintillator absorbs.
@@ -68,6 +72,14 @@ impl Panel {
         let position = ((energy_kev - ENERGY_RANGE_KEV.0) * ROWS_PER_KEV).max(0.0);
         let row = (position as usize).min(self.responses.len() - 2);
         self.responses[row] + (self.responses[row + 1] - self.responses[row]) * (position - row as f64)
+    }
+
+    /// Share of what the primary would pass that the antiscatter grid lets pass of photons in this direction at a point of the plane.
+    #[inline]
+    #[must_use]
+    pub fn passed(&self, point: DVec3, direction: DVec3) -> f64 {
+        let in_camera = || DVec3::from_array(self.axes.map(|axis| direction.dot(axis)));
+        self.strips.map_or(1.0, |strips| strips.share(self.on_plane(point), in_camera(), self.distance_mm))
     }
 
     /// Depth of a point below the plane, mm: negative behind the detector.

@@ -23,6 +23,7 @@ pub mod beads;
 pub mod pose;
 pub mod scene;
 pub mod render;
+pub mod transport;
 pub mod compare;
 pub mod record;
 pub mod calibrate;

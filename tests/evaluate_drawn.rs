@@ -222,7 +222,7 @@ impl Drawing {
             detector.panel.scintillator = Some(Scintillator { material: known("CsI"), density_g_per_cm3: 4.51, thickness_mm });
             self.parts.push("scintillator");
         }
-        detector.panel.grid = chance(0.2, draw).then(|| Grid { primary_transmission: draw.between(0.5, 0.9) });
+        detector.panel.grid = chance(0.2, draw).then(|| Grid { primary_transmission: draw.between(0.5, 0.9), strips: None });
         detector.panel.saturation = chance(0.2, draw).then(|| draw.between(0.3, 2.0));
         detector.panel.bits = chance(0.2, draw).then_some(14);
         if chance(0.2, draw) {

@@ -114,7 +114,7 @@ fn undetected_photons_make_noise() {
     {
         scene.detector.response = response;
         scene.detector.panel.scintillator = Some(layer(thickness_mm));
-        scene.detector.panel.grid = Some(Grid { primary_transmission: grid });
+        scene.detector.panel.grid = Some(Grid { primary_transmission: grid, strips: None });
         let n = [30.0, 90.0].map(|kev| 0.5 * 1e4 * grid * absorbed(kev, thickness_mm));
         let e = if response == Response::Energy { [30.0, 90.0] } else { [1.0, 1.0] };
         // Compound Poisson: relative variance Σ n e² / (Σ n e)².
@@ -219,7 +219,7 @@ fn full_chain() -> Scene {
     let panel = &mut scene.detector.panel;
     panel.scintillator = Some(layer(0.5));
     panel.blur_fwhm_mm = 1.2;
-    panel.grid = Some(Grid { primary_transmission: 0.7 });
+    panel.grid = Some(Grid { primary_transmission: 0.7, strips: None });
     panel.saturation = Some(1.1);
     panel.bits = Some(16);
     scene.detector.crosstalk = vec![vec![0.0, 0.05, 0.0], vec![0.05, 0.8, 0.05], vec![0.0, 0.05, 0.0]];
@@ -289,7 +289,9 @@ fn numbers_that_make_no_sense_are_refused_by_the_renderer_too() {
         ("detector.saturation", |s| s.detector.panel.saturation = Some(0.0)),
         ("detector.bits", |s| s.detector.panel.bits = Some(40)),
         ("detector.scintillator.thickness_mm", |s| s.detector.panel.scintillator = Some(layer(f64::INFINITY))),
-        ("detector.grid.primary_transmission", |s| s.detector.panel.grid = Some(Grid { primary_transmission: 0.0 })),
+        ("detector.grid.primary_transmission", |s| {
+            s.detector.panel.grid = Some(Grid { primary_transmission: 0.0, strips: None })
+        }),
     ];
     let mut renderer = Renderer::new(DeviceChoice::Cpu, &Reporter::silent()).expect("cpu");
     assert!(renderer.render(&full_chain(), &Options::default()).is_ok(), "unchanged it renders");

@@ -45,6 +45,7 @@ mod register_seen;
 pub mod register_together;
 pub mod render;
 pub mod replay;
+pub mod scatter;
 mod shot_files;
 pub mod spectrum;
 pub mod tags;
@@ -76,6 +77,7 @@ enum Command {
     Replay(replay::ReplayArgs),
     Render(render::RenderArgs),
     Trade(trade::TradeArgs),
+    Scatter(scatter::ScatterArgs),
     Time(time::TimeArgs),
     Register(register::RegisterArgs),
     Pose(pose::PoseArgs),
@@ -115,6 +117,7 @@ fn dispatch(command: &Command, reporter: &Reporter) -> u8 {
         Command::Render(args) => end(render::run(args, reporter), reporter),
         Command::Time(args) => end(time::run(args, reporter), reporter),
         Command::Trade(args) => end(trade::run(args, reporter), reporter),
+        Command::Scatter(args) => end(scatter::run(args, reporter), reporter),
         Command::Compare(args) => end(compare::run(args, reporter), reporter),
         Command::Calibrate(args) => end(calibrate::run(args, reporter), reporter),
         Command::Register(args) => end(register::run(args, reporter), reporter),

@@ -273,6 +273,8 @@ impl Panel {
         if let Some(grid) = &self.grid {
             let share = grid.primary_transmission;
             want(share > 0.0 && share <= 1.0, "detector.grid.primary_transmission", share, "above 0, at most 1")?;
+            let ratio = grid.strips.map_or(0.0, |strips| strips.ratio);
+            want((0.0..=100.0).contains(&ratio), "detector.grid.strips.ratio", ratio, "0 to 100")?;
         }
         let fwhm_mm = self.blur_fwhm_mm;
         want((0.0..=100.0).contains(&fwhm_mm), "detector.blur_fwhm_mm", fwhm_mm, "0 to 100 mm")?;
@@ -312,4 +314,32 @@ impl Scintillator {
 pub struct Grid {
     /// Share of the primary photons that it lets pass, at every energy and angle.
     pub primary_transmission: f64,
+    /// What keeps scatter out; without it scatter passes like the primary. Only the Monte Carlo asks.
+    #[serde(default)]
+    pub strips: Option<Strips>,
+}
+
+/// Thin opaque strips of an antiscatter grid, each in line with the focal spot.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Deserialize, serde::Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct Strips {
+    /// Height of the strips over their distance.
+    pub ratio: f64,
+    /// The direction along which strip follows strip.
+    pub across: Axis,
+}
+
+impl Strips {
+    /// Share of what the primary would pass that a photon passes which meets the plane at `on_plane_mm` from the principal point in this
+    /// direction of the camera, the detector being `sdd_mm` away.
+    // Between strips at distance D and of height h = ratio · D, a ray whose slope differs by Δ from that of the strips moves by h·Δ across the
+    // gap: the share 1 − ratio·|Δ| of such rays passes.
+    #[must_use]
+    pub fn share(&self, on_plane_mm: DVec2, direction: DVec3, sdd_mm: f64) -> f64 {
+        let (place_mm, slope) = match self.across {
+            Axis::Column => (on_plane_mm.x, direction.x / direction.z),
+            Axis::Row => (on_plane_mm.y, direction.y / direction.z),
+        };
+        (1.0 - self.ratio * (slope - place_mm / sdd_mm).abs()).max(0.0)
+    }
 }

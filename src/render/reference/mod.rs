@@ -20,6 +20,7 @@ mod volume;
 
 pub use intervals::Intervals;
 pub use shapes::Ray;
+pub use tube::left_of;
 
 use glam::DVec2;
 use rayon::prelude::*;

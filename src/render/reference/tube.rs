@@ -26,7 +26,7 @@ impl Output {
 
 /// exp(−μ a) of the bow-tie times the output at the ray's take-off angle over that at the anode angle, for each energy; all 0 behind the
 /// heel.
-pub(super) fn left_of(shape: &BeamShape, energies_kev: &[f64], ray: DVec3) -> Result<Vec<f64>, RenderError> {
+pub fn left_of(shape: &BeamShape, energies_kev: &[f64], ray: DVec3) -> Result<Vec<f64>, RenderError> {
     let mut left = vec![1.0; energies_kev.len()];
     if let Some(bowtie) = &shape.bowtie {
         let fan = match bowtie.axis {

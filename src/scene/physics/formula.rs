@@ -16,6 +16,12 @@ const ATOMIC_WEIGHTS: [f64; 92] = [
     208.9804, 209.0, 210.0, 222.0, 223.0, 226.0, 227.0, 232.0377, 231.03588, 238.02891,
 ];
 
+/// Standard atomic weight of element `z`, 1–92, u.
+#[must_use]
+pub fn atomic_weight(z: u8) -> Option<f64> {
+    ATOMIC_WEIGHTS.get(usize::from(z).checked_sub(1)?).copied()
+}
+
 /// Mass fractions of `formula`: element symbols with atom counts and nested parentheses, such as `H2O`, `Ca10(PO4)6(OH)2`,
 /// `Ti90Al6V4` (atoms, not weight per cent).
 ///

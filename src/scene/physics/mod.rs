@@ -1,12 +1,15 @@
 //! Attenuation, materials and spectra, from tables embedded in the binary (`calibration/materials`, `calibration/spectra`).
 
 mod elements;
+mod form_factors;
 mod formula;
 mod materials;
 mod spectrum;
 mod spectrum_file;
 
 pub use elements::{Coefficients, ELEMENT_COUNT, ENERGY_RANGE_KEV, element_attenuation, symbol, z_of};
+pub use form_factors::{FormFactors, form_factors};
+pub use formula::atomic_weight;
 pub use materials::{Material, material_names, materials, nearest};
 pub use spectrum::{ANODE_ANGLES_DEG, Bin, KVP_RANGE, Spectrum};
 

@@ -1,0 +1,172 @@
+//! `sidecarm scatter`: primary and scattered radiation of a scene by Monte Carlo.
+
+use std::path::{Path, PathBuf};
+
+use crate::image::{ImageFileError, check_writable, refuse_overwrite, sha256_file};
+use crate::reporter::Reporter;
+use crate::scene::{self, SceneError};
+use crate::time::{StageTimes, Stopwatch};
+use crate::transport::{BATCH, Checkpoint, Estimator, Histories, ScatterImage, Simulation, Tally, TransportError, written_with};
+
+/// An interrupted run loses no more than this.
+const CHECKPOINT_MS: f64 = 10_000.0;
+
+/// Follow photons through a scene: primary, Compton once, Rayleigh once and multiple scatter on a coarse detector.
+#[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Examples:
+  sidecarm scatter scene.json --histories 1e8 --out scatter.tif
+  sidecarm scatter scene.json --histories 1e10 --rel-error 0.01 --out scatter.tif --json
+
+SCATTER.tif has eight pages: primary, compton_once, rayleigh_once, multiple, then their standard errors, in units of the unattenuated
+signal. Beside it lies SCATTER.tif.json (energy absorbed by material, histories, seed, inputs). While it runs, SCATTER.tif.checkpoint is kept
+up to date: the same command goes on from there. Without beam.field in the scene the field is the image.")]
+pub struct ScatterArgs {
+    /// The scene
+    pub scene: PathBuf,
+    /// The image, 32-bit float TIFF
+    #[arg(long, value_name = "SCATTER.tif")]
+    pub out: PathBuf,
+    /// Photons to follow (1e8); rounded up to whole batches of 4096
+    #[arg(long, value_name = "N", value_parser = whole)]
+    pub histories: u64,
+    /// Stop earlier, once the median over the pixels of the scatter's relative standard error is no larger
+    #[arg(long, value_name = "REL")]
+    pub rel_error: Option<f64>,
+    /// Columns and rows of the detector grid
+    #[arg(long, value_name = "COLUMNSxROWS", default_value = "64x48", value_parser = grid)]
+    pub grid_px: [usize; 2],
+    /// Seed of the random numbers [default: the scene's]
+    #[arg(long, value_name = "SEED")]
+    pub seed: Option<u64>,
+    /// Count photons where they arrive, instead of what each would send to the detector on average: slower to converge
+    #[arg(long)]
+    pub analogue: bool,
+    /// Start anew where an interrupted run left a checkpoint
+    #[arg(long)]
+    pub fresh: bool,
+    /// Print a summary as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// A whole number that may be written as 1e8.
+fn whole(text: &str) -> Result<u64, String> {
+    let number: f64 = text.parse().map_err(|_| format!("'{text}' is no number"))?;
+    let is_whole = (1.0..=1e15).contains(&number) && number.fract() == 0.0;
+    if is_whole { Ok(number as u64) } else { Err(format!("{text}: expected a whole number from 1 to 1e15")) }
+}
+
+/// `64x48`.
+fn grid(text: &str) -> Result<[usize; 2], String> {
+    let parsed = text.split_once('x').and_then(|(columns, rows)| Some([columns.parse().ok()?, rows.parse().ok()?]));
+    parsed.ok_or_else(|| format!("'{text}': expected COLUMNSxROWS, as in 64x48"))
+}
+
+/// Why there is no scatter image.
+#[derive(Debug, thiserror::Error)]
+pub enum ScatterError {
+    /// The scene.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// The transport.
+    #[error(transparent)]
+    Transport(#[from] TransportError),
+    /// An output.
+    #[error(transparent)]
+    File(#[from] ImageFileError),
+    /// The scene has no view.
+    #[error("{}: has no view; scatter needs to know where the detector is", path.display())]
+    NoView {
+        /// The scene.
+        path: PathBuf,
+    },
+}
+
+/// Transports and writes; 0 on success.
+///
+/// # Errors
+/// When the scene is wrong, the checkpoint is of another run, or a file cannot be written.
+pub fn run(args: &ScatterArgs, reporter: &Reporter) -> Result<u8, ScatterError> {
+    check_writable(&args.out)?;
+    let scene = scene::load(&args.scene, true, reporter)?;
+    let outputs = written_with(&args.out);
+    let inputs = scene::input_files(&args.scene, &scene);
+    refuse_overwrite(&outputs, &inputs)?;
+    let view = scene.view.ok_or_else(|| ScatterError::NoView { path: args.scene.clone() })?;
+    let estimator = if args.analogue { Estimator::Analogue } else { Estimator::Expected };
+    let seed = args.seed.unwrap_or(scene.model.seed);
+    let histories = Histories { count: args.histories, seed, grid_px: args.grid_px, estimator, rel_error: args.rel_error };
+    let mut stages = StageTimes::default();
+    let simulation = stages.measure("prepare", || Simulation::new(&scene, &view, histories))?;
+    let hashes = hashes(&args.scene, &scene)?;
+    let [_, _, checkpoint] = &outputs;
+    let mut tally = match if args.fresh { None } else { Checkpoint::read(checkpoint)? } {
+        Some(saved) => {
+            let tally = saved.tally_for(&simulation, &hashes)?;
+            reporter.note(format_args!("going on after {} histories of {}", tally.batches * BATCH, checkpoint.display()));
+            tally
+        }
+        None => simulation.tally(),
+    };
+    let watch = Stopwatch::start();
+    let before = tally.batches;
+    transport(&simulation, &mut tally, &hashes, checkpoint, reporter)?;
+    stages.add("transport", watch.ms());
+    let image = simulation.image(&tally);
+    let mut json = simulation.describe(&image, &scene);
+    if let Some(map) = json.as_object_mut() {
+        map.insert("stages_ms".to_owned(), serde_json::json!(stages));
+    }
+    image.write(&args.out, &json)?;
+    if checkpoint.is_file() {
+        std::fs::remove_file(checkpoint).map_err(|source| ImageFileError::Io { path: checkpoint.clone(), source })?;
+    }
+    let per_second = ((tally.batches - before) * BATCH) as f64 / (1e-3 * watch.ms());
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&json).expect("plain data"));
+    } else {
+        println!("{}", line(args, &image, per_second));
+    }
+    Ok(0)
+}
+
+/// Runs to the end, keeping what is there so far on disk.
+fn transport(
+    simulation: &Simulation,
+    tally: &mut Tally,
+    hashes: &[String],
+    checkpoint: &Path,
+    reporter: &Reporter,
+) -> Result<(), TransportError> {
+    let progress = reporter.progress("histories", simulation.batches() * BATCH);
+    progress.advance(tally.batches * BATCH);
+    let (mut shown, mut saved) = (tally.batches, Stopwatch::start());
+    simulation.run(tally, |tally| {
+        progress.advance((tally.batches - shown) * BATCH);
+        shown = tally.batches;
+        if saved.ms() > CHECKPOINT_MS {
+            Checkpoint::new(simulation.histories(), hashes, tally).write(checkpoint)?;
+            saved = Stopwatch::start();
+        }
+        Ok(())
+    })
+}
+
+/// SHA-256 of the scene file and of what it names.
+fn hashes(path: &Path, scene: &crate::scene::Scene) -> Result<Vec<String>, ImageFileError> {
+    let named = scene.inputs.iter().map(|input| Ok(input.sha256.clone()));
+    std::iter::once(sha256_file(path)).chain(named).collect()
+}
+
+fn line(args: &ScatterArgs, image: &ScatterImage, per_second: f64) -> String {
+    let [columns, rows] = args.grid_px;
+    format!(
+        "{}: {columns} x {rows} px, {:.3e} histories, scatter to primary {:.3}, median standard error of scatter {:.2} %\n{:.2e} \
+         histories per second",
+        args.out.display(),
+        image.histories as f64,
+        image.scatter_to_primary(),
+        100.0 * image.relative_error,
+        per_second
+    )
+}

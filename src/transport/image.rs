@@ -1,0 +1,143 @@
+//! What a run found, as images in units of the unattenuated signal, and as a file.
+
+use std::path::{Path, PathBuf};
+
+use serde_json::json;
+
+use super::error::TransportError;
+use super::simulation::{BATCH, Simulation};
+use super::tally::{DETECTED, ESCAPED, Estimate, PAGE_NAMES, Page, STARTED, Tally};
+use crate::image::{Image, write_atomically, write_tiff_f32};
+use crate::scene::model::Scene;
+
+/// A radiograph in its parts, on the coarse raster of the transport.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ScatterImage {
+    /// By [`Page`]: signal over the unattenuated signal of the same pixel with all of the panel open.
+    pub pages: Vec<Image<f64>>,
+    /// Their standard errors.
+    pub errors: Vec<Image<f64>>,
+    /// All but the primary.
+    pub scatter: Image<f64>,
+    /// Its standard error.
+    pub scatter_error: Image<f64>,
+    /// Photons that were followed.
+    pub histories: u64,
+    /// Median over the pixels of the scatter's relative standard error; infinite where most have no scatter.
+    pub relative_error: f64,
+    /// Energy per history that stayed in each scene material, keV.
+    pub absorbed_kev: Vec<Estimate>,
+    /// Energy per history that started, keV: less than the spectrum's mean where heel or bow-tie take some.
+    pub started_kev: f64,
+    /// Energy per history that passed the plane of the detector, on the image or beside it, keV.
+    pub detected_kev: f64,
+    /// Energy per history that left elsewhere, keV.
+    pub escaped_kev: f64,
+}
+
+impl Simulation<'_> {
+    /// What `tally` says.
+    #[must_use]
+    pub fn image(&self, tally: &Tally) -> ScatterImage {
+        let [width, height] = self.histories().grid_px;
+        let image = |of_pixel: &dyn Fn(usize) -> f64| {
+            let scaled = |pixel: usize| match self.unattenuated()[pixel] {
+                open if open > 0.0 => of_pixel(pixel) / open,
+                // Behind the heel: no signal to measure by.
+                _ => 0.0,
+            };
+            Image { width, height, pixels: (0..width * height).map(scaled).collect() }
+        };
+        let page = |page: Page| image(&|pixel| tally.signal(page, pixel, BATCH).mean);
+        let error = |page: Page| image(&|pixel| tally.signal(page, pixel, BATCH).standard_error);
+        ScatterImage {
+            pages: Page::ALL.iter().map(|one| page(*one)).collect(),
+            errors: Page::ALL.iter().map(|one| error(*one)).collect(),
+            scatter: image(&|pixel| tally.scatter(pixel, BATCH).mean),
+            scatter_error: image(&|pixel| tally.scatter(pixel, BATCH).standard_error),
+            histories: tally.batches * BATCH,
+            relative_error: self.relative_error(tally),
+            absorbed_kev: (0..self.materials()).map(|material| tally.absorbed(material, BATCH)).collect(),
+            started_kev: tally.fate(STARTED, BATCH).mean,
+            detected_kev: tally.fate(DETECTED, BATCH).mean,
+            escaped_kev: tally.fate(ESCAPED, BATCH).mean,
+        }
+    }
+
+    /// What the numbers mean and where they come from, for `IMAGE.tif.json`.
+    #[must_use]
+    pub fn describe(&self, image: &ScatterImage, scene: &Scene) -> serde_json::Value {
+        let asked = self.histories();
+        let absorbed: serde_json::Map<String, serde_json::Value> = scene
+            .materials
+            .iter()
+            .zip(&image.absorbed_kev)
+            .map(|(material, found)| (material.name.clone(), json!(found)))
+            .collect();
+        let errors = PAGE_NAMES.iter().map(|name| format!("{name}_standard_error"));
+        json!({
+            "quantity": "scatter",
+            "unit": "1 (unattenuated signal)",
+            "pages": PAGE_NAMES.iter().map(|name| (*name).to_owned()).chain(errors).collect::<Vec<String>>(),
+            "size_px": asked.grid_px,
+            "histories": image.histories,
+            "seed": asked.seed,
+            "stated_error": finite(image.relative_error),
+            "plan": {
+                "estimator": asked.estimator,
+                "histories_per_batch": BATCH,
+                "stated_error": "median over the pixels of the relative standard error of all scatter",
+                "scoring": "each pixel covers its share of the image area; expected: at every start and scattering the expected signal, \
+                            directions to an even point of the image and the photon's own weighed by the balance heuristic",
+                "left_out": ["fluorescence", "Doppler broadening", "interference between atoms", "matter behind the detector",
+                             "scattering and fluorescence in the antiscatter grid"],
+            },
+            "energy_kev_per_history": {
+                "started": image.started_kev,
+                "absorbed": absorbed,
+                "detector_plane": image.detected_kev,
+                "escaped": image.escaped_kev,
+            },
+            "scatter_to_primary": finite(image.scatter_to_primary()),
+            "inputs": scene.inputs,
+            "version": env!("CARGO_PKG_VERSION"),
+            "adapter": "cpu",
+        })
+    }
+}
+
+/// JSON has no infinity.
+fn finite(value: f64) -> Option<f64> {
+    value.is_finite().then_some(value)
+}
+
+impl ScatterImage {
+    /// Mean scatter over mean primary.
+    #[must_use]
+    pub fn scatter_to_primary(&self) -> f64 {
+        self.scatter.pixels.iter().sum::<f64>() / self.pages[Page::Primary as usize].pixels.iter().sum::<f64>()
+    }
+
+    /// Writes the pages, then their standard errors, as 32-bit float TIFF, and `json` beside it.
+    ///
+    /// # Errors
+    /// When a file cannot be written.
+    pub fn write(&self, path: &Path, json: &serde_json::Value) -> Result<(), TransportError> {
+        let pages: Vec<Image<f32>> = self.pages.iter().chain(&self.errors).map(|page| page.map(|value| *value as f32)).collect();
+        write_tiff_f32(path, &pages)?;
+        let text = serde_json::to_string_pretty(json).expect("plain data");
+        write_atomically(&written_with(path)[1], |file| file.write_all(text.as_bytes()))?;
+        Ok(())
+    }
+}
+
+/// The files of a scatter image: itself, what it is, and what an interrupted run leaves.
+#[must_use]
+pub fn written_with(path: &Path) -> [PathBuf; 3] {
+    let beside = |suffix: &str| {
+        let mut name = path.as_os_str().to_owned();
+        name.push(suffix);
+        PathBuf::from(name)
+    };
+    [path.to_owned(), beside(".json"), beside(".checkpoint")]
+}

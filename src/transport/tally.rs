@@ -1,0 +1,182 @@
+//! Sums over histories. Histories come in batches of fixed size, and the spread between batches gives the standard error, whatever one
+//! history adds to how many pixels.
+
+use serde::{Deserialize, Serialize};
+
+/// What a photon did before it was detected; the pages of a scatter image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Page {
+    /// Nothing.
+    Primary,
+    /// One Compton scattering.
+    Compton,
+    /// One Rayleigh scattering.
+    Rayleigh,
+    /// More than one scattering.
+    Multiple,
+}
+
+impl Page {
+    /// All, in their order.
+    pub const ALL: [Self; PAGES] = [Self::Primary, Self::Compton, Self::Rayleigh, Self::Multiple];
+}
+
+/// Pages of an image.
+pub const PAGES: usize = 4;
+
+/// Names of the pages, in their order.
+pub const PAGE_NAMES: [&str; PAGES] = ["primary", "compton_once", "rayleigh_once", "multiple"];
+
+/// Where the energy went, keV, besides what materials absorbed.
+pub const FATES: usize = 3;
+/// Started.
+pub const STARTED: usize = 0;
+/// Through the detector plane, on the image or beside it.
+pub const DETECTED: usize = 1;
+/// Out of the scene elsewhere.
+pub const ESCAPED: usize = 2;
+
+/// One batch: page by page the signal in each pixel, then energy absorbed by each scene material, then [`FATES`].
+#[derive(Clone, Debug)]
+pub struct Batch {
+    /// Sums.
+    pub sums: Vec<f64>,
+    pixels: usize,
+    materials: usize,
+}
+
+impl Batch {
+    /// Nothing yet.
+    #[must_use]
+    pub fn new(pixels: usize, materials: usize) -> Self {
+        Self { sums: vec![0.0; PAGES * pixels + materials + FATES], pixels, materials }
+    }
+
+    /// A photon (or its expectation) on the detector.
+    #[inline]
+    pub fn detect(&mut self, page: Page, pixel: usize, signal: f64) {
+        self.sums[page as usize * self.pixels + pixel] += signal;
+    }
+
+    /// Energy that stays in a scene material.
+    #[inline]
+    pub fn absorb(&mut self, material: u32, energy_kev: f64) {
+        self.sums[PAGES * self.pixels + material as usize] += energy_kev;
+    }
+
+    /// Energy that meets a fate.
+    #[inline]
+    pub fn book(&mut self, fate: usize, energy_kev: f64) {
+        self.sums[PAGES * self.pixels + self.materials + fate] += energy_kev;
+    }
+}
+
+/// Sums of batches and of their squares.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Tally {
+    /// Batches so far.
+    pub batches: u64,
+    sums: Vec<f64>,
+    squares: Vec<f64>,
+    /// By pixel, squares of what all pages but the primary add up to.
+    scatter_squares: Vec<f64>,
+}
+
+/// A mean over histories with its standard error.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Estimate {
+    /// Per history.
+    pub mean: f64,
+    /// Its standard error; NaN after a single batch.
+    pub standard_error: f64,
+}
+
+impl Tally {
+    /// Nothing yet.
+    #[must_use]
+    pub fn new(pixels: usize, materials: usize) -> Self {
+        let count = PAGES * pixels + materials + FATES;
+        Self { batches: 0, sums: vec![0.0; count], squares: vec![0.0; count], scatter_squares: vec![0.0; pixels] }
+    }
+
+    /// Adds a batch. The order of batches decides the last bits, so it is that of their numbers.
+    pub fn add(&mut self, batch: &Batch) {
+        self.batches += 1;
+        for ((sum, square), value) in self.sums.iter_mut().zip(&mut self.squares).zip(&batch.sums) {
+            *sum += value;
+            *square += value * value;
+        }
+        let pixels = self.scatter_squares.len();
+        for (pixel, square) in self.scatter_squares.iter_mut().enumerate() {
+            *square += (1..PAGES).map(|page| batch.sums[page * pixels + pixel]).sum::<f64>().powi(2);
+        }
+    }
+
+    /// Whether this has the sums of so many pixels and materials.
+    #[must_use]
+    pub fn fits(&self, pixels: usize, materials: usize) -> bool {
+        let count = PAGES * pixels + materials + FATES;
+        self.sums.len() == count && self.squares.len() == count && self.scatter_squares.len() == pixels
+    }
+
+    fn pixels(&self) -> usize {
+        self.scatter_squares.len()
+    }
+
+    /// Signal per history in a pixel of a page.
+    #[must_use]
+    pub fn signal(&self, page: Page, pixel: usize, histories_per_batch: u64) -> Estimate {
+        let index = page as usize * self.pixels() + pixel;
+        self.estimate(self.sums[index], self.squares[index], histories_per_batch)
+    }
+
+    /// Signal per history in a pixel, of all pages but the primary.
+    #[must_use]
+    pub fn scatter(&self, pixel: usize, histories_per_batch: u64) -> Estimate {
+        let sum = (1..PAGES).map(|page| self.sums[page * self.pixels() + pixel]).sum();
+        self.estimate(sum, self.scatter_squares[pixel], histories_per_batch)
+    }
+
+    /// Energy per history that a scene material absorbs, keV.
+    #[must_use]
+    pub fn absorbed(&self, material: usize, histories_per_batch: u64) -> Estimate {
+        let index = PAGES * self.pixels() + material;
+        self.estimate(self.sums[index], self.squares[index], histories_per_batch)
+    }
+
+    /// Energy per history that met a fate, keV.
+    #[must_use]
+    pub fn fate(&self, fate: usize, histories_per_batch: u64) -> Estimate {
+        let index = self.sums.len() - FATES + fate;
+        self.estimate(self.sums[index], self.squares[index], histories_per_batch)
+    }
+
+    // A batch of n histories sums to B; the mean of N batches estimates E[B] with the standard error √((⟨B²⟩ − ⟨B⟩²)/(N − 1)).
+    fn estimate(&self, sum: f64, sum_of_squares: f64, histories_per_batch: u64) -> Estimate {
+        let (batches, per_batch) = (self.batches as f64, histories_per_batch as f64);
+        let mean = sum / batches;
+        let spread = (sum_of_squares / batches - mean * mean).max(0.0);
+        let error = if self.batches > 1 { (spread / (batches - 1.0)).sqrt() } else { f64::NAN };
+        Estimate { mean: mean / per_batch, standard_error: error / per_batch }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_spread_of_batches_gives_the_textbook_error() {
+        let mut tally = Tally::new(1, 1);
+        for value in [2.0, 4.0, 9.0] {
+            let mut batch = Batch::new(1, 1);
+            batch.detect(Page::Rayleigh, 0, value);
+            tally.add(&batch);
+        }
+        let found = tally.signal(Page::Rayleigh, 0, 10);
+        // Mean 5, sample variance 13, standard error √(13/3); per history a tenth.
+        assert!((found.mean - 0.5).abs() < 1e-15 && (found.standard_error - (13.0_f64 / 3.0).sqrt() / 10.0).abs() < 1e-12);
+        assert_eq!(tally.scatter(0, 10), found);
+        assert_eq!(tally.signal(Page::Primary, 0, 10).mean, 0.0);
+    }
+}

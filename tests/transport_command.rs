@@ -1,0 +1,155 @@
+//! `sidecarm scatter`: files, refusals, and what an interrupted run leaves.
+
+use std::path::Path;
+
+use clap::Parser;
+use sidecarm::cli::scatter::{ScatterArgs, ScatterError, run};
+use sidecarm::image::{ImageFileError, read_tiff_f32, sha256_file};
+use sidecarm::reporter::Reporter;
+use sidecarm::scene;
+use sidecarm::transport::{Checkpoint, Estimator, Histories, Simulation, TransportError};
+
+#[derive(Parser)]
+struct Typed {
+    #[command(flatten)]
+    args: ScatterArgs,
+}
+
+const SCENE: &str = r#"{
+    "objects": [{"box": {"centre_lps_mm": [0, 0, 0], "size_mm": [200, 200, 200], "material": "water"}},
+                {"cylinder": {"from_lps_mm": [-20, 0, 0], "to_lps_mm": [20, 5, 0], "radius_mm": 2, "material": "titanium"}}],
+    "view": {"size_px": [64, 48], "intrinsics": [[250, 0, 31.5], [0, 250, 23.5], [0, 0, 1]],
+             "camera_from_lps": [[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 600], [0, 0, 0, 1]]},
+    "beam": {"tube_kvp": 80, "anode_angle_deg": 12, "filtration_mm": {"aluminium": 3}, "photons_per_pixel": 1e5},
+    "detector": {"response": "energy", "pitch_mm": 4.0},
+    "model": {"formation": "deepdrr", "noise": false, "seed": 7}
+}"#;
+
+fn typed(folder: &Path, more: &[&str]) -> Result<ScatterArgs, clap::Error> {
+    let path = folder.join("scene.json");
+    if !path.is_file() {
+        std::fs::write(&path, SCENE).expect("writes");
+    }
+    let (scene, out) = (path.display().to_string(), folder.join("scatter.tif").display().to_string());
+    let words = ["scatter", &scene, "--out", &out].into_iter().chain(more.iter().copied());
+    Typed::try_parse_from(words).map(|typed| typed.args)
+}
+
+fn transport(folder: &Path, more: &[&str]) -> Result<u8, ScatterError> {
+    run(&typed(folder, more).expect("parses"), &Reporter::silent())
+}
+
+#[test]
+fn it_writes_pages_their_errors_and_what_they_are() {
+    let folder = tempfile::tempdir().expect("folder");
+    assert_eq!(transport(folder.path(), &["--histories", "3e4", "--grid-px", "8x6"]).expect("transports"), 0);
+    let pages = read_tiff_f32(&folder.path().join("scatter.tif")).expect("a TIFF");
+    assert_eq!((pages.len(), pages[0].width, pages[0].height), (8, 8, 6));
+    assert!(pages.iter().all(|page| page.pixels.iter().all(|value| value.is_finite() && *value >= 0.0)));
+    assert!(pages[0].pixels[20] > 0.0 && pages[4].pixels[20] > 0.0 && pages[3].pixels[20] > 0.0);
+    let text = std::fs::read_to_string(folder.path().join("scatter.tif.json")).expect("beside it");
+    let json: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    assert_eq!(json["quantity"], "scatter");
+    assert_eq!((json["histories"].as_u64(), json["seed"].as_u64()), (Some(32_768), Some(7)));
+    assert_eq!(json["pages"].as_array().map(Vec::len), Some(8));
+    assert!(json["energy_kev_per_history"]["absorbed"]["water"]["mean"].as_f64().expect("a number") > 10.0);
+    assert!(json["stated_error"].as_f64().expect("a number") > 0.0);
+    assert!(!folder.path().join("scatter.tif.checkpoint").exists(), "nothing is left to go on from");
+}
+
+#[test]
+fn the_same_command_goes_on_from_a_checkpoint_as_if_it_had_never_stopped() {
+    let folder = tempfile::tempdir().expect("folder");
+    let more = ["--histories", "1500000", "--grid-px", "8x6"];
+    transport(folder.path(), &more).expect("transports");
+    let (out, json) = (folder.path().join("scatter.tif"), folder.path().join("scatter.tif.json"));
+    let straight = std::fs::read(&out).expect("reads");
+    // What a run leaves that was killed after its first step.
+    let path = folder.path().join("scene.json");
+    let scene = scene::load(&path, true, &Reporter::silent()).expect("loads");
+    let histories = Histories { count: 1_500_000, seed: 7, grid_px: [8, 6], estimator: Estimator::Expected, rel_error: None };
+    let simulation = Simulation::new(&scene, &scene.view.expect("a view"), histories).expect("prepares");
+    let mut tally = simulation.tally();
+    simulation.advance(&mut tally, simulation.batches_at_once());
+    let inputs: Vec<String> = std::iter::once(sha256_file(&path).expect("hashes"))
+        .chain(scene.inputs.iter().map(|input| input.sha256.clone()))
+        .collect();
+    let checkpoint = folder.path().join("scatter.tif.checkpoint");
+    Checkpoint::new(&histories, &inputs, &tally).write(&checkpoint).expect("writes");
+    std::fs::remove_file(&out).expect("removed");
+    transport(folder.path(), &more).expect("goes on");
+    assert!(std::fs::read(&out).expect("reads") == straight, "bit for bit");
+    assert!(json.is_file() && !checkpoint.exists());
+    // The control: a checkpoint with other sums gives another image, so it is read.
+    let mut twice = simulation.tally();
+    simulation.advance(&mut twice, simulation.batches_at_once());
+    let again = Simulation::new(&scene, &scene.view.expect("a view"), Histories { seed: 8, ..histories }).expect("prepares");
+    let mut other = again.tally();
+    again.advance(&mut other, again.batches_at_once());
+    Checkpoint::new(&histories, &inputs, &other).write(&checkpoint).expect("writes");
+    transport(folder.path(), &more).expect("goes on");
+    assert!(std::fs::read(&out).expect("reads") != straight, "control");
+}
+
+#[test]
+fn a_checkpoint_of_something_else_is_refused_and_fresh_starts_anew() {
+    let folder = tempfile::tempdir().expect("folder");
+    let checkpoint = folder.path().join("scatter.tif.checkpoint");
+    std::fs::write(&checkpoint, "{}").expect("writes");
+    let more = ["--histories", "8192", "--grid-px", "4x3"];
+    let error = transport(folder.path(), &more).expect_err("no checkpoint").to_string();
+    assert!(error.contains("--fresh") && error.contains("checkpoint"), "{error}");
+    let path = folder.path().join("scene.json");
+    let scene = scene::load(&path, true, &Reporter::silent()).expect("loads");
+    let histories = Histories { count: 8192, seed: 8, grid_px: [4, 3], ..Histories::default() };
+    let simulation = Simulation::new(&scene, &scene.view.expect("a view"), histories).expect("prepares");
+    Checkpoint::new(&histories, &[], &simulation.tally()).write(&checkpoint).expect("writes");
+    let error = transport(folder.path(), &more).expect_err("another seed");
+    assert!(matches!(&error, ScatterError::Transport(TransportError::Checkpoint { what: "the seed", .. })), "{error}");
+    let fresh = ["--histories", "8192", "--grid-px", "4x3", "--fresh"];
+    assert_eq!(transport(folder.path(), &fresh).expect("starts anew"), 0);
+    assert!(!checkpoint.exists());
+}
+
+#[test]
+fn it_refuses_what_makes_no_sense() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut cases = 0;
+    for more in
+        [["--histories", "0"], ["--histories", "1e99"], ["--histories", "nan"], ["--histories", "1.5"], ["--histories", "many"]]
+    {
+        assert!(typed(folder.path(), &more).is_err(), "{more:?}");
+        cases += 1;
+    }
+    assert!(typed(folder.path(), &[]).is_err() && typed(folder.path(), &["--histories", "10", "--grid-px", "64"]).is_err());
+    for (more, says) in [
+        (["--histories", "10", "--rel-error", "nan"], "positive"),
+        (["--histories", "10", "--rel-error", "0"], "positive"),
+        (["--histories", "10", "--grid-px", "0x4"], "1 to 1024"),
+        (["--histories", "10", "--grid-px", "4x99999"], "1 to 1024"),
+    ] {
+        let error = transport(folder.path(), &more).expect_err("refused").to_string();
+        assert!(error.contains(says), "{more:?}: {error}");
+        cases += 1;
+    }
+    assert_eq!(cases, 9);
+    std::fs::write(folder.path().join("scene.json"), SCENE.replace(r#", "pitch_mm": 4.0"#, "")).expect("writes");
+    let error = transport(folder.path(), &["--histories", "10"]).expect_err("no detector geometry").to_string();
+    assert!(error.contains("pitch_mm"), "{error}");
+}
+
+#[test]
+fn it_does_not_write_over_its_inputs() {
+    let folder = tempfile::tempdir().expect("folder");
+    let args = typed(folder.path(), &["--histories", "10"]).expect("parses");
+    let scene = folder.path().join("scene.json");
+    for out in ["scene.json", "linked.tif"] {
+        // IMAGE.tif.json is an output too.
+        if out == "linked.tif" {
+            std::fs::hard_link(&scene, folder.path().join("linked.tif.json")).expect("links");
+        }
+        let error = run(&ScatterArgs { out: folder.path().join(out), ..args.clone() }, &Reporter::silent()).expect_err(out);
+        assert!(matches!(error, ScatterError::File(ImageFileError::WouldOverwrite { .. })), "{error}");
+    }
+    assert_eq!(std::fs::read_to_string(&scene).expect("reads"), SCENE);
+}

@@ -74,3 +74,33 @@ impl Left {
         share
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::optics::{Axis, Towards};
+    use crate::scene::physics::Material;
+    use crate::transport::stream::Stream;
+
+    /// Heel and bow-tie cancel in the image, so that only a direct comparison sees them.
+    #[test]
+    fn what_is_left_is_what_the_yardstick_leaves() {
+        let energies_kev = [25.5, 40.5, 57.5, 80.5];
+        let heel = Heel { tube_kvp: 90.0, anode_angle_deg: 12.0, anode_towards: Towards::PlusColumn };
+        let aluminium = Material::parse("aluminium").expect("known");
+        let thickness_mm = vec![[-6.0, 12.0], [0.0, 1.0], [6.0, 9.0]];
+        let bowtie = BowTie { material: aluminium, density_g_per_cm3: 2.7, axis: Axis::Row, thickness_mm };
+        let shape = BeamShape { heel: Some(heel), bowtie: Some(bowtie), ..BeamShape::default() };
+        let (left, mut stream, mut far) = (Left::new(&shape, &energies_kev).expect("inside"), Stream::new(1, 0), 0);
+        for _ in 0..40 {
+            let ray = DVec3::new(0.3 * (stream.uniform() - 0.5), 0.3 * (stream.uniform() - 0.5), 1.0);
+            let expected = left_of(&shape, &energies_kev, ray).expect("inside");
+            for (bin, expected) in expected.iter().enumerate() {
+                let found = left.share(bin, ray);
+                assert!((found - expected).abs() < 0.01 * expected + 1e-4, "{ray} {bin}: {found} {expected}");
+                far += usize::from((expected - 1.0).abs() > 0.1);
+            }
+        }
+        assert!(far > 100 && !left.is_everything(), "{far}");
+    }
+}

@@ -14,6 +14,9 @@ use crate::pose::{Pose, PoseFileError};
 use crate::record::RecordError;
 use crate::reporter::Reporter;
 
+/// Squares in standard deviations over degrees of freedom above this are no luck.
+const POOR_FIT: f64 = 4.0;
+
 /// A C-arm from a few bead shots: offsets, source to isocentre, detector, axes and gravity sag.
 #[derive(Clone, Debug, Args)]
 #[command(after_help = "Examples:
@@ -123,6 +126,14 @@ pub fn run(args: &CarmArgs, reporter: &Reporter) -> Result<u8, CalibrateCarmErro
         print!("{}", texts[1]);
     } else {
         print!("{}", table(&report));
+    }
+    if !(fit.chi2_per_dof <= POOR_FIT) {
+        let words = format!(
+            "the shots disagree with their joints {:.1} times as much as encoders and beads allow: are pitch, source-to-detector distance and \
+             the table of joints those of these shots?",
+            fit.chi2_per_dof.sqrt()
+        );
+        reporter.warn("poor fit", words);
     }
     for shot in &report.left_out {
         reporter.warn(

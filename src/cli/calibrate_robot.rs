@@ -13,6 +13,9 @@ use crate::image::{check_writable, refuse_overwrite, write_atomically};
 use crate::reporter::Reporter;
 use crate::scene::{input_files, load};
 
+/// Load and friction bend the tip of this robot, 39 mm long, by a few millimetres.
+const MOST_LOAD_MM: f64 = 5.0;
+
 /// The snake robot's base and control-angle offsets from frames in which it is seen; load bend as the tip's discrepancy in mm.
 #[derive(Clone, Debug, Args)]
 #[command(after_help = "Examples:
@@ -118,6 +121,19 @@ pub fn run(args: &RobotArgs, reporter: &Reporter) -> Result<u8, CalibrateRobotEr
     }
     for shot in &report.left_out {
         reporter.warn("shot left out", format_args!("{}: {}", shot.shot, shot.why));
+    }
+    let bent = report
+        .shots
+        .iter()
+        .filter_map(|shot| Some((shot, shot.tip.as_ref()?)))
+        .max_by(|a, b| a.1.length_mm.total_cmp(&b.1.length_mm));
+    if let Some((shot, tip)) = bent.filter(|(_, tip)| !(tip.length_mm <= MOST_LOAD_MM)) {
+        let words = format!(
+            "the tip of {} is {:.1} mm from where its readings put it, a load bends by up to {MOST_LOAD_MM} mm: are the angles of another sign, \
+             unit or shot?",
+            shot.shot, tip.length_mm
+        );
+        reporter.warn("tip far off", words);
     }
     if !report.undetermined_offsets.is_empty() {
         let angles = report.undetermined_offsets.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");

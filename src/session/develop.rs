@@ -233,10 +233,18 @@ impl Bench {
         if panel_px_per_px > 0.0 {
             scene.detector.pitch_mm *= panel_px_per_px;
         }
-        match posed.robot.as_ref().filter(|_| scene.robot.is_some()) {
-            Some(robot) => scene.with_robot(robot.control_angles_deg, robot.lps_from_base).map_err(|error| error.to_string()),
-            None => Ok(scene),
+        if let Some(robot) = posed.robot.as_ref().filter(|_| scene.robot.is_some()) {
+            scene = scene.with_robot(robot.control_angles_deg, robot.lps_from_base).map_err(|error| error.to_string())?;
+            if let Some(bent) = scene.robot.as_ref().filter(|robot| robot.clamped > 0) {
+                let words = format!(
+                    "{} notches of the robot were clamped to {} deg: its reported angles {:.1?} are beyond what it can bend",
+                    bent.clamped, bent.model.max_bend_deg, robot.control_angles_deg
+                );
+                self.reporter.warn("robot bend", format!("{}: {words}", posed.label()));
+                flags.push(words);
+            }
         }
+        Ok(scene)
     }
 
     fn centre(&self) -> Option<DVec3> {

@@ -188,7 +188,10 @@ impl Session {
         match output {
             Output::Sample { device, host_us, sample } => {
                 self.log.sample(device, host_us, &sample);
-                self.tracks.sample(host_us, &sample);
+                if let Some(words) = self.tracks.sample(host_us, &sample) {
+                    self.reporter.warn("device status", &words);
+                    self.log.event(Level::Warning, host_us, &words);
+                }
             }
             Output::Fault { device, host_us, detail } => {
                 self.faults_this_tick += 1;

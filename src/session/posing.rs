@@ -117,7 +117,7 @@ impl Bound {
             .filter(|answer| answer.gap_us <= MAX_GAP_US && answer.support == Support::Between)
             .or_else(|| exposure.and_then(|exposure| exposure.joints).filter(|answer| answer.gap_us <= MAX_GAP_US));
         let robot = mid_us.and_then(|mid_us| robot_state(timeline, mid_us)).or_else(|| {
-            let answer = exposure?.control_angles_deg?;
+            let answer = exposure?.control_angles_deg.filter(|answer| answer.value.iter().all(|angle| angle.is_finite()))?;
             Some(RobotState {
                 control_angles_deg: answer.value,
                 lps_from_base: None,

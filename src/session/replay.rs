@@ -237,7 +237,8 @@ impl Replay<'_> {
             let engine = &mut self.engine;
             let mut sink = |output| outputs.push_back(output);
             match output {
-                Output::Sample { host_us, sample, .. } => self.tracks.sample(host_us, &sample),
+                // What a device says of itself was said when it was recorded.
+                Output::Sample { host_us, sample, .. } => drop(self.tracks.sample(host_us, &sample)),
                 // A log that keeps no order registered each frame when it was bound.
                 Output::Bound { number } if !self.recorded.has_order => engine.push(Input::Develop { number }, &mut sink),
                 Output::Fault { .. } | Output::Bound { .. } | Output::BoundLate { .. } => {}

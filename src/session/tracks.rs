@@ -12,6 +12,10 @@ const TRACK_STEP_US: i64 = 100_000;
 /// Samples kept of a track; when there are more, every second one goes and the step doubles.
 const MOST_SAMPLES: usize = 20_000;
 
+/// What the bits of a status word say, the lowest first (the devices' protocol).
+const CARM_STATUS: [&str; 2] = ["fault", "emergency stop"];
+const ROBOT_STATUS: [&str; 3] = ["fault", "emergency stop", "homing"];
+
 /// Values at a bounded number of times.
 #[derive(Debug)]
 struct Thinned<T> {
@@ -46,11 +50,13 @@ pub(super) struct Tracks {
     links: BTreeMap<DeviceKind, LinkReport>,
     joints: Thinned<CarmJoints>,
     angles: Thinned<[f64; 5]>,
+    /// The latest status words.
+    status: BTreeMap<DeviceKind, u32>,
 }
 
 impl Tracks {
     pub(super) fn new() -> Self {
-        Self { links: BTreeMap::new(), joints: Thinned::new(), angles: Thinned::new() }
+        Self { links: BTreeMap::new(), joints: Thinned::new(), angles: Thinned::new(), status: BTreeMap::new() }
     }
 
     fn link(&mut self, device: DeviceKind) -> &mut LinkReport {
@@ -76,21 +82,31 @@ impl Tracks {
         }
     }
 
-    pub(super) fn sample(&mut self, host_us: i64, sample: &Sample) {
-        let device = match sample {
+    /// Takes a sample; what its status word says that the one before did not, in words.
+    pub(super) fn sample(&mut self, host_us: i64, sample: &Sample) -> Option<String> {
+        let (device, status) = match sample {
             Sample::Carm(carm) => {
                 self.joints.push(host_us, carm.joints);
-                DeviceKind::Carm
+                (DeviceKind::Carm, carm.status)
             }
             Sample::Robot(robot) => {
                 self.angles.push(host_us, robot.control_angles_deg().0);
-                DeviceKind::Robot
+                (DeviceKind::Robot, robot.status)
             }
-            Sample::Metadata(_) => return,
+            Sample::Metadata(_) => return None,
         };
         let link = self.link(device);
         link.first_us.get_or_insert(host_us);
         link.last_us = Some(host_us);
+        self.news_of(device, status)
+    }
+
+    fn news_of(&mut self, device: DeviceKind, status: u32) -> Option<String> {
+        let raised = status & !self.status.insert(device, status).unwrap_or(0);
+        let names: &[&str] = if device == DeviceKind::Carm { &CARM_STATUS } else { &ROBOT_STATUS };
+        let word = |bit: usize| names.get(bit).map_or_else(|| format!("status bit {bit}"), |name| (*name).to_owned());
+        let words: Vec<String> = (0..32).filter(|bit| raised >> bit & 1 == 1).map(word).collect();
+        (!words.is_empty()).then(|| format!("the {device} reports {}", words.join(", ")))
     }
 
     /// Host time of the latest sample.
@@ -144,5 +160,17 @@ mod tests {
         assert!(track.values.len() <= MOST_SAMPLES && track.values.len() > MOST_SAMPLES / 4, "{}", track.values.len());
         assert_eq!(track.values[0].1, 0);
         assert!(track.values.last().is_some_and(|(_, index)| *index > 490_000));
+    }
+
+    #[test]
+    fn a_status_bit_is_said_when_it_rises_and_again_when_it_has_fallen_between() {
+        let mut tracks = Tracks::new();
+        let mut said = |device, status| tracks.news_of(device, status);
+        assert_eq!(said(DeviceKind::Carm, 0), None);
+        assert_eq!(said(DeviceKind::Carm, 0b11).as_deref(), Some("the C-arm reports fault, emergency stop"));
+        assert_eq!(said(DeviceKind::Carm, 0b11), None, "said already");
+        assert_eq!(said(DeviceKind::Carm, 0b10), None);
+        assert_eq!(said(DeviceKind::Carm, 0b11).as_deref(), Some("the C-arm reports fault"));
+        assert_eq!(said(DeviceKind::Robot, 0b10_0100).as_deref(), Some("the robot reports homing, status bit 5"));
     }
 }

@@ -157,7 +157,8 @@ fn priors_say_where_the_phantom_is_in_each_frame() {
         sidecarm(folder.path(), &[&words[..], frames, &priors, more].concat())
     };
     let frames = ["shot-0.dcm", "shot-1.dcm", "shot-2.dcm"];
-    let near = calibrate(&frames, &["near-0.json", "near-1.json", "near-2.json"], &["--opaque", "lead.tif"]);
+    let near =
+        calibrate(&frames, &["near-0.json", "near-1.json", "near-2.json"], &["--opaque", "lead.tif", "--domain", "linear"]);
     let made = calibration(&near);
     assert!(made.notes[0].starts_with("measured from 3 of 3 frames of a phantom of 34"), "{:?}", made.notes);
     assert_eq!((made.angles_from, made.views.len()), (AnglesFrom::Positioner, 1));

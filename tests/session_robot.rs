@@ -1,0 +1,26 @@
+//! What the robot's line says that cannot be, through `live`.
+
+use serde_json::Value;
+
+use crate::live_lab::{HANG_S, Lab, Live};
+
+/// Angles beyond what the robot can bend were drawn at its limit without a word.
+#[test]
+fn a_robot_that_reports_more_than_it_can_bend_is_said() {
+    let Some(lab) = Lab::start(&["--duration-s", "16", "--faults", "none", "--exposures", "2"]) else { return };
+    // The same room with a robot that bends less than its line reports.
+    let model = lab.kit.join("robot.json");
+    let mut robot: Value = serde_json::from_slice(&std::fs::read(&model).expect("the model")).expect("JSON");
+    let limit = robot["max_bend_deg"].as_f64().expect("a limit");
+    robot["max_bend_deg"] = (0.01 * limit).into();
+    std::fs::write(&model, robot.to_string()).expect("written");
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let out = folder.path().join("out");
+    let mut live = Live::launch(&lab.kit.join("session.json"), &out, &["--seconds", "18"]);
+    live.program.end(HANG_S).expect("it ends");
+    let pairs: Value = serde_json::from_slice(&std::fs::read(out.join("pairs.json")).expect("pairs")).expect("JSON");
+    let flags = pairs["pairs"].to_string();
+    let words = "notches of the robot were clamped";
+    assert!(flags.contains(words), "{flags}\n{}", live.stderr());
+    assert!(live.stderr().contains(words), "it is a warning too: {}", live.stderr());
+}

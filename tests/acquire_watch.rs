@@ -116,6 +116,22 @@ fn frames_arrive_once_after_they_have_settled() {
     assert!(watched.troubles.is_empty() && watched.refused.is_empty(), "{:?}", watched.troubles);
 }
 
+/// A session takes seconds to start; what is exported meanwhile is its own.
+#[test]
+fn what_comes_between_the_beginning_and_the_first_look_is_new() {
+    let folder = tempfile::tempdir().expect("folder");
+    for (name, content) in [("old.dcm", 1), ("b.dcm", 2)] {
+        std::fs::write(folder.path().join(name), frame_bytes(content)).expect("written");
+    }
+    let mut watched = Watched::of(folder, false);
+    std::fs::write(watched.path("new.dcm"), frame_bytes(3)).expect("written");
+    std::fs::remove_file(watched.path("b.dcm")).expect("removed");
+    std::fs::write(watched.path("b.dcm"), frame_bytes(4)).expect("written");
+    watched.settle();
+    assert_eq!(watched.names(), ["b", "new"]);
+    assert!(watched.troubles.is_empty() && watched.refused.is_empty(), "{:?}", watched.troubles);
+}
+
 #[test]
 fn existing_files_come_when_asked_for() {
     let folder = tempfile::tempdir().expect("folder");

@@ -63,8 +63,8 @@ pub struct FolderSource {
     folder: PathBuf,
     domain: Option<Domain>,
     reader: ForeignReader,
-    /// Files of the first look are passed over.
-    skip_existing: bool,
+    /// Files that the first look passes over; all that it finds where the folder could not be read when the watch began.
+    existing: Option<BTreeMap<OsString, FileStamp>>,
     lost: bool,
     entries: BTreeMap<OsString, Entry>,
     not_files: BTreeMap<OsString, NotRegular>,
@@ -79,8 +79,8 @@ pub struct FolderSource {
 }
 
 impl FolderSource {
-    /// Watches `folder` and reads through `reader`. `domain` is the person's word on what the values mean. Files that are there at the first
-    /// look are delivered only with `include_existing`.
+    /// Watches `folder` from now on and reads through `reader`. `domain` is the person's word on what the values mean. Files that are there
+    /// already are delivered only with `include_existing`; what comes before the first look is new.
     #[must_use]
     pub fn new(folder: &Path, domain: Option<Domain>, include_existing: bool, reader: ForeignReader) -> Self {
         let held = HeldCount::default();
@@ -88,7 +88,7 @@ impl FolderSource {
             folder: folder.to_owned(),
             domain,
             reader,
-            skip_existing: !include_existing,
+            existing: if include_existing { Some(BTreeMap::new()) } else { list(folder).ok().map(|listing| listing.files) },
             lost: false,
             entries: BTreeMap::new(),
             not_files: BTreeMap::new(),
@@ -368,11 +368,12 @@ impl FrameSource for FolderSource {
             found.push(Sighting::Trouble(Trouble::Vanished { label: self.label(&name, self.seen) }));
         }
         self.depart(&listing.files, now_us, &mut found);
-        let skip = std::mem::take(&mut self.skip_existing);
+        let existing = self.existing.replace(BTreeMap::new());
         for (name, stamp) in listing.files {
             match self.entries.get(&name).map(|entry| entry.stamp) {
                 None => {
                     self.add(name.clone(), stamp, now_us);
+                    let skip = existing.as_ref().is_none_or(|files| files.get(&name) == Some(&stamp));
                     let known = self.departed.iter().find(|(known, _)| *known == stamp).map(|(_, earlier)| earlier.clone());
                     if let Some(entry) = self.entries.get_mut(&name)
                         && (skip || known.is_some())

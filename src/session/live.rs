@@ -28,6 +28,8 @@ use super::sources::{Frames, Lines};
 use super::stop::Stop;
 use super::tracks::Tracks;
 use super::workshop::Workshop;
+use crate::acquire::FolderSource;
+use crate::foreign;
 use crate::gpu::DeviceChoice;
 use crate::record::Level;
 use crate::reporter::{Progress, Reporter};
@@ -65,6 +67,8 @@ const FLUSH: Duration = Duration::from_millis(500);
 pub fn run(setup: Setup, options: &LiveOptions, board: &Board, reporter: &Reporter) -> Result<Folder, SessionError> {
     loops_stand_back();
     let setup = Arc::new(setup);
+    // Before anything that takes time: a frame that arrives meanwhile is the session's.
+    let folder = FolderSource::new(&setup.session.frames.folder, setup.domain(), options.include_existing, foreign::installed());
     let mut workshop = Workshop::open(&setup, DeviceChoice::Auto, reporter)?;
     places::remember(workshop.names());
     let started_us = host_now_us();
@@ -77,7 +81,7 @@ pub fn run(setup: Setup, options: &LiveOptions, board: &Board, reporter: &Report
     workshop.start(true, move |developed| pairs.send(developed).is_ok())?;
     let jobs = start_registrar(Arc::clone(&log))?;
     let lines = Lines::open(&setup, &log, board, reporter)?;
-    let frames = Frames::watch(&setup, options.include_existing, &log, board, reporter)?;
+    let frames = Frames::watch(folder, &log, board, reporter)?;
     let session = Session {
         engine,
         log,

@@ -12,7 +12,6 @@ use super::event::{Event, Source};
 use super::file::Setup;
 use super::log::SessionLog;
 use crate::acquire::{Arrival, FolderSource, Frame, FrameSource, Reading, Sighting};
-use crate::foreign;
 use crate::record::Level;
 use crate::reporter::Reporter;
 use crate::telemetry::{DeviceKind, PortConfig, PortEvent, PortTask, spawn_port};
@@ -144,14 +143,12 @@ pub(super) struct Frames {
 impl Frames {
     /// Watches the folder of a session; frames are numbered, recorded and go to the engine.
     pub(super) fn watch(
-        setup: &Setup,
-        include_existing: bool,
+        folder: FolderSource,
         log: &Arc<SessionLog>,
         board: &Board,
         reporter: &Reporter,
     ) -> Result<Self, SessionError> {
         let closing = Arc::new(AtomicBool::new(false));
-        let folder = FolderSource::new(&setup.session.frames.folder, setup.domain(), include_existing, foreign::installed());
         let mut intake = FrameIntake {
             source: Box::new(folder),
             log: Arc::clone(log),

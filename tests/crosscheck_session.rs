@@ -275,7 +275,7 @@ fn faults_of_ports_and_telemetry_are_each_named_with_their_remedy() {
 
 /// Runs `live` on a mocked laboratory whose files `spoil` has changed; the pairs, the report and what was printed.
 fn live(folder: &Path, options: &[&str], spoil: impl FnOnce(&Path)) -> (Vec<Value>, String, String) {
-    let mut all = vec!["--duration-s", "8", "--exposures", "3", "--faults", "none", "--start-delay-s", "6", "--linger-s", "1"];
+    let mut all = vec!["--duration-s", "8", "--exposures", "3", "--faults", "none", "--start-delay-s", "1", "--linger-s", "1"];
     all.extend(options);
     let mock = Mock::start(folder, &all);
     spoil(&mock.lab);

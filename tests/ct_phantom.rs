@@ -41,12 +41,14 @@ pub struct Phantom {
     pub hu: Vec<f64>,
     /// σ of the scanner's point spread.
     pub blur_mm: f64,
+    /// Where a ball is seen along a slice's normal, in slice spacings from its middle, all alike; a box where there are none.
+    pub slice_profile: Vec<f64>,
 }
 
 impl Phantom {
     /// Tissue as `hu_at` has it at the voxels' centres (already blurred).
     pub fn new(size: [usize; 3], lps_from_voxel: DAffine3, blur_mm: f64, hu_at: impl Fn(DVec3) -> f64) -> Self {
-        let mut phantom = Self { size, lps_from_voxel, hu: Vec::new(), blur_mm };
+        let mut phantom = Self { size, lps_from_voxel, hu: Vec::new(), blur_mm, slice_profile: Vec::new() };
         phantom.hu = (0..size.iter().product()).map(|index| hu_at(phantom.place(index))).collect();
         phantom
     }
@@ -66,6 +68,16 @@ impl Phantom {
         let along = |n: usize| (n as f64 + 0.5) / per_axis as f64 - 0.5;
         (0..per_axis.pow(3))
             .map(|n| DVec3::new(along(n % per_axis), along(n / per_axis % per_axis), along(n / per_axis / per_axis)))
+            .map(|offset| self.lps_from_voxel.matrix3 * offset)
+            .collect()
+    }
+
+    /// Offsets in the plane of a slice, as `slice_profile` has them along its normal.
+    fn seen_along_slices(&self) -> Vec<DVec3> {
+        let along = |n: usize| (n as f64 + 0.5) / 4.0 - 0.5;
+        let plane = (0..16).map(|n| DVec3::new(along(n % 4), along(n / 4), 0.0));
+        plane
+            .flat_map(|offset| self.slice_profile.iter().map(move |z| offset.with_z(*z)))
             .map(|offset| self.lps_from_voxel.matrix3 * offset)
             .collect()
     }
@@ -90,8 +102,9 @@ impl Phantom {
             let (Some(a), Some(b)) = (profile.get(n), profile.get(n + 1)) else { return 0.0 };
             a + (b - a) * at.fract()
         };
-        let inside = self.inside(5);
-        let far = reach + self.lps_from_voxel.matrix3.to_cols_array().iter().map(|x| x * x).sum::<f64>().sqrt();
+        let inside = if self.slice_profile.is_empty() { self.inside(5) } else { self.seen_along_slices() };
+        let longest = self.slice_profile.iter().fold(1.0f64, |most, z| most.max(2.0 * z.abs()));
+        let far = reach + longest * self.lps_from_voxel.matrix3.to_cols_array().iter().map(|x| x * x).sum::<f64>().sqrt();
         for index in 0..self.hu.len() {
             let away = self.place(index) - centre;
             if away.length_squared() < far * far {

@@ -130,6 +130,7 @@ mod session_late;
 mod session_optics;
 mod session_names;
 mod session_robot;
+mod session_silence;
 mod session_signals;
 mod replay_bad_logs;
 mod wire_corruption;

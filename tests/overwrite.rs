@@ -56,6 +56,28 @@ fn run(folder: &Path, args: &[&str]) -> (Option<i32>, String) {
     (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
 }
 
+/// A shot or a frame that was named twice counted twice: twice the certainty, and a gain measured from noise that is not there.
+#[test]
+fn what_would_count_twice_is_refused() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    for (name, text) in [("a.json", "{}"), ("b.json", "{}"), ("c.json", "[]")] {
+        std::fs::write(folder.path().join(name), text).expect("writes");
+    }
+    let cases: [&[&str]; 5] = [
+        &["calibrate", "carm", "c.json", "a.json", "b.json", "--calibration", "c.json", "--out", "new.json"],
+        &["calibrate", "layout", "a.json", "c.json", "b.json", "--prior", "c.json", "--out", "new.mrk.json"],
+        &["calibrate", "detector", "a.json", "c.json", "--dark", "b.json", "--out", "new.json"],
+        &["calibrate", "intensifier", "a.json", "b.json", "--pitch-mm", "10", "--out", "new.json"],
+        &["calibrate", "robot", "a.json", "c.json", "b.json", "--scene", "c.json", "--out", "new.json"],
+    ];
+    for args in cases {
+        let (code, words) = run(folder.path(), args);
+        assert_eq!(code, Some(1), "{args:?}: {words}");
+        assert!(words.contains("b.json: has the same content as a.json"), "{args:?}: {words}");
+        assert!(!folder.path().join("new.json").exists());
+    }
+}
+
 #[test]
 fn no_command_writes_over_its_inputs() {
     let folder = folder();

@@ -58,6 +58,22 @@ fn matter_at(scene: &Scene, x: usize, y: usize) -> (&str, f32) {
     (name, volume.density_g_per_cm3[index])
 }
 
+/// A voxel of 1e30 HU has a density that no number of the image could hold.
+#[test]
+fn numbers_beyond_any_metal_are_no_ct() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut file = NiftiFile::int16([2, 2, 2], &[40; 8]);
+    for (highest, is_ct) in [(60_000f32, true), (1e30, false)] {
+        (file.datatype, file.voxels) = (16, [40.0, highest, 40.0, 40.0, 40.0, 40.0, 40.0, 40.0].map(f32::to_le_bytes).concat());
+        file.write(&folder.path().join("ct.nii"));
+        let (scene, _) = load(folder.path(), &json!({"path": "ct.nii"}));
+        match scene {
+            Ok(_) => assert!(is_ct, "{highest} HU are taken"),
+            Err(words) => assert!(!is_ct && words.contains("1.000e30 HU"), "{words}"),
+        }
+    }
+}
+
 #[test]
 fn room_air_is_nothing_and_lung_keeps_its_density() {
     let folder = tempfile::tempdir().expect("folder");

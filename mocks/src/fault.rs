@@ -22,7 +22,7 @@ use serde::{Deserialize, Serialize};
 use crate::MockError;
 use crate::pty::Line;
 
-/// What goes wrong on a line. Every kind but `Delay` and `Unplug` concerns one packet.
+/// What goes wrong on a line: with one packet, for a while (`Delay`, `Unplug`), or for good (`Mute`, `Gone`, `Freeze`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FaultKind {
@@ -40,11 +40,28 @@ pub enum FaultKind {
     Delay,
     /// The plug is pulled; [`Channel::unplugged_s`] later there is another pseudo-terminal behind the same link.
     Unplug,
+    /// The line stays open, and nothing is sent any more.
+    Mute,
+    /// The plug is pulled and stays out.
+    Gone,
+    /// The device's clock stands still; packets go on.
+    Freeze,
 }
 
 impl FaultKind {
     /// All of them.
-    pub const ALL: [Self; 7] = [Self::Drop, Self::Flip, Self::Tear, Self::Duplicate, Self::Reorder, Self::Delay, Self::Unplug];
+    pub const ALL: [Self; 10] = [
+        Self::Drop,
+        Self::Flip,
+        Self::Tear,
+        Self::Duplicate,
+        Self::Reorder,
+        Self::Delay,
+        Self::Unplug,
+        Self::Mute,
+        Self::Gone,
+        Self::Freeze,
+    ];
 
     /// The kind's name in files, events and on the command line.
     #[must_use]
@@ -57,6 +74,9 @@ impl FaultKind {
             Self::Reorder => "reorder",
             Self::Delay => "delay",
             Self::Unplug => "unplug",
+            Self::Mute => "mute",
+            Self::Gone => "gone",
+            Self::Freeze => "freeze",
         }
     }
 }
@@ -85,6 +105,7 @@ pub struct Channel {
     /// How long an unplugged line stays away.
     pub unplugged_s: f64,
     due: VecDeque<FaultKind>,
+    muted: bool,
     held: Held,
     plug_at_s: Option<f64>,
 }
@@ -93,7 +114,7 @@ impl Channel {
     /// A faultless channel on `line`.
     #[must_use]
     pub fn new(line: Line) -> Self {
-        Self { line, unplugged_s: 1.0, due: VecDeque::new(), held: Held::Nothing, plug_at_s: None }
+        Self { line, unplugged_s: 1.0, due: VecDeque::new(), muted: false, held: Held::Nothing, plug_at_s: None }
     }
 
     /// Lets `kind` befall the next packet that is not under the spell of an earlier fault.
@@ -121,6 +142,9 @@ impl Channel {
     /// As [`Channel::tick`].
     pub fn send(&mut self, packet: &[u8], at_s: f64, random: &mut impl Rng) -> Result<(), MockError> {
         self.tick(at_s)?;
+        if self.muted {
+            return Ok(());
+        }
         match std::mem::replace(&mut self.held, Held::Nothing) {
             Held::Nothing => {}
             Held::Behind(earlier) => {
@@ -139,7 +163,8 @@ impl Channel {
             }
         }
         match self.due.pop_front() {
-            None => self.line.write(packet),
+            // A clock is the device's, not the line's.
+            None | Some(FaultKind::Freeze) => self.line.write(packet),
             Some(FaultKind::Drop) => {}
             Some(FaultKind::Flip) => self.line.write(&flipped(packet, random)),
             Some(FaultKind::Tear) => self.line.write(&packet[..packet.len() / 2]),
@@ -153,6 +178,8 @@ impl Channel {
                 self.line.unplug();
                 self.plug_at_s = Some(at_s + self.unplugged_s);
             }
+            Some(FaultKind::Mute) => self.muted = true,
+            Some(FaultKind::Gone) => self.line.unplug(),
         }
         Ok(())
     }

@@ -37,7 +37,10 @@ struct Args {
     /// Length of the session in seconds.
     #[arg(long, default_value_t = 20.0)]
     duration_s: f64,
-    /// Seconds between `ready` and the first packet.
+    /// Waits at most so many seconds until somebody reads one of the ports.
+    #[arg(long, default_value_t = 60.0)]
+    await_reader_s: f64,
+    /// Seconds between that and the first packet.
     #[arg(long, default_value_t = 1.0)]
     start_delay_s: f64,
     /// Seconds between the last packet and the lines' end.
@@ -48,7 +51,7 @@ struct Args {
     exposures: usize,
     /// `default`, `none`, or a list of KIND (those of the script), DEVICE:KIND or DEVICE:KIND@SHARE of the session.
     ///
-    /// Kinds: drop, flip, tear, duplicate, reorder, delay, unplug; devices: carm, robot.
+    /// Kinds: drop, flip, tear, duplicate, reorder, delay, unplug, mute (silent for good), gone (unplugged for good), freeze (its clock); devices: carm, robot.
     #[arg(long, default_value = "default", value_name = "LIST")]
     faults: String,
     /// Packets per second, relative to 100 Hz (robot) and 30 Hz (C-arm).
@@ -106,6 +109,7 @@ fn run(args: &Args) -> Result<(), MockError> {
         false => Err(MockError::Data { what: what.to_owned(), detail: format!("{value}, expected {low} to {high}") }),
     };
     within("--duration-s", args.duration_s, 5.0, 86_400.0)?;
+    within("--await-reader-s", args.await_reader_s, 0.0, 3600.0)?;
     within("--start-delay-s", args.start_delay_s, 0.0, 3600.0)?;
     within("--linger-s", args.linger_s, 0.0, 3600.0)?;
     within("--rate", args.rate, 0.01, 100.0)?;
@@ -143,6 +147,7 @@ fn run(args: &Args) -> Result<(), MockError> {
     let robot = open(!args.no_robot, Device::Robot, "ttyROBOT")?;
     say(&json!({"event": "ready", "session": session, "carm_port": carm, "robot_port": robot, "exposures": frames.len()}));
     let performance = Performance {
+        await_reader_s: args.await_reader_s,
         start_delay_s: args.start_delay_s,
         linger_s: args.linger_s,
         rate: args.rate,
@@ -191,7 +196,8 @@ fn choose(list: &str, scripted: &[Fault]) -> Result<Vec<Fault>, MockError> {
             None => (None, item_without_share),
         };
         let known = FaultKind::ALL.into_iter().find(|known| known.name() == kind);
-        let kind = known.ok_or_else(|| wrong("not one of drop, flip, tear, duplicate, reorder, delay, unplug"))?;
+        let kind =
+            known.ok_or_else(|| wrong("not one of drop, flip, tear, duplicate, reorder, delay, unplug, mute, gone, freeze"))?;
         match (device, share) {
             (Some(device), Some(at)) => out.push(Fault { device, at, kind }),
             (None, Some(_)) => return Err(wrong("a share needs a device, as in robot:unplug@0.5")),

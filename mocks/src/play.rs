@@ -9,7 +9,7 @@ use serde_json::json;
 
 use crate::MockError;
 use crate::dicom::{FrameTags, deliver, encode};
-use crate::fault::Channel;
+use crate::fault::{Channel, FaultKind};
 use crate::lab::{Device, Fault};
 use crate::pty::Line;
 use crate::script::{Script, carm_metadata, robot_metadata};
@@ -18,7 +18,9 @@ use crate::wire::{Stamp, encode_carm, encode_metadata, encode_robot};
 /// What is played besides the script.
 #[derive(Clone, Debug)]
 pub struct Performance {
-    /// Wait before the first packet, so that a reader can open the ports.
+    /// Waits at most this long until somebody reads the lines.
+    pub await_reader_s: f64,
+    /// Wait before the first packet, once the lines are read.
     pub start_delay_s: f64,
     /// How long the lines stay open after the last packet.
     pub linger_s: f64,
@@ -77,6 +79,7 @@ pub fn play(
     for sender in &mut senders {
         sender.channel.line.write(&[0]);
     }
+    await_reader(&senders, performance.await_reader_s)?;
     std::thread::sleep(Duration::from_secs_f64(performance.start_delay_s));
     let mut files = Files { script, frames, delivered: 0, half: None, started_us: now_us() };
     let mut faults = performance.faults.clone();
@@ -88,7 +91,10 @@ pub fn play(
         let now_s = elapsed_s.min(script.end_s());
         for fault in faults.extract_if(.., |fault| fault.at * script.duration_s <= now_s) {
             if let Some(sender) = senders.iter_mut().find(|sender| sender.device == fault.device) {
-                sender.channel.inject(fault.kind);
+                match fault.kind {
+                    FaultKind::Freeze => sender.frozen_s = Some(now_s),
+                    kind => sender.channel.inject(kind),
+                }
                 tell(json!({"event": "fault", "device": fault.device, "kind": fault.kind, "at_s": now_s}));
             }
         }
@@ -118,6 +124,20 @@ pub fn play(
     Ok(())
 }
 
+/// Returns once one of the lines is read, so that the session starts with its listener, however long that takes to start.
+fn await_reader(senders: &[Sender], limit_s: f64) -> Result<(), MockError> {
+    let start = Instant::now();
+    while !senders.is_empty() && start.elapsed().as_secs_f64() < limit_s {
+        for sender in senders {
+            if sender.channel.line.is_read()? {
+                return Ok(());
+            }
+        }
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    Ok(())
+}
+
 fn now_us() -> i64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_micros() as i64)
 }
@@ -138,6 +158,8 @@ struct Sender {
     missing_random: ChaCha8Rng,
     missed: u64,
     garbage: bool,
+    /// When the clock stopped.
+    frozen_s: Option<f64>,
 }
 
 /// The list of what was sent.
@@ -187,11 +209,13 @@ impl Sender {
             missing_random,
             missed: 0,
             garbage,
+            frozen_s: None,
         }
     }
 
     fn stamp(&mut self, at_s: f64) -> Stamp {
-        let device_us = self.epoch_us + (at_s * 1e6 * (1.0 + self.ppm * 1e-6)) as u64;
+        let clock_s = self.frozen_s.map_or(at_s, |frozen_s| at_s.min(frozen_s));
+        let device_us = self.epoch_us + (clock_s * 1e6 * (1.0 + self.ppm * 1e-6)) as u64;
         let stamp = Stamp { sequence: self.sequence, device_us };
         self.sequence = self.sequence.wrapping_add(1);
         stamp

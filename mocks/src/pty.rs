@@ -21,7 +21,7 @@ pub struct Line {
 struct Plugged {
     master: OwnedFd,
     /// Held open so that the line does not hang up between readers.
-    _slave: OwnedFd,
+    slave: OwnedFd,
 }
 
 impl Line {
@@ -67,8 +67,18 @@ impl Line {
         rustix::fs::fcntl_setfl(&master, status | rustix::fs::OFlags::NONBLOCK).map_err(failed)?;
         let _ = std::fs::remove_file(&self.link);
         std::os::unix::fs::symlink(&path, &self.link).map_err(MockError::io(self.link.display()))?;
-        self.plugged = Some(Plugged { master, _slave: slave });
+        self.plugged = Some(Plugged { master, slave: slave });
         Ok(())
+    }
+
+    /// Whether everything that was written has been read.
+    ///
+    /// # Errors
+    /// When the system does not say.
+    pub fn is_read(&self) -> Result<bool, MockError> {
+        let Some(plugged) = &self.plugged else { return Ok(false) };
+        let failed = |errno: rustix::io::Errno| MockError::Io { what: self.link.display().to_string(), source: errno.into() };
+        Ok(rustix::io::ioctl_fionread(&plugged.slave).map_err(failed)? == 0)
     }
 
     /// Pulls the plug: the link goes, readers get an end of file or an error, and what they had not read is gone.

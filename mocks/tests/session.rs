@@ -17,6 +17,7 @@ fn play_two_seconds(name: &str, faults: Vec<Fault>) -> (Heard, Heard, Vec<serde_
 fn play_two_seconds_with(name: &str, change: impl FnOnce(&mut Performance)) -> (Heard, Heard, Vec<serde_json::Value>) {
     let folder = folder(name);
     let mut performance = Performance {
+        await_reader_s: 0.0,
         start_delay_s: 0.0,
         linger_s: 0.0,
         rate: 1.0,

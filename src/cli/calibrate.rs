@@ -14,7 +14,9 @@ use super::read_aloud::frames_aloud;
 use super::spectrum::FilterArg;
 use crate::acquire::{AcquireError, DetectorCalibration, Domain, Frame, MapsFile, PanelResponse, exposure_mas};
 use crate::calibrate::detector::{DetectorError, Measurement, PanelFrame, calibrate};
-use crate::image::{ImageFileError, check_writable, sha256_file, write_atomically, write_tiff_f32};
+use crate::image::{
+    ImageFileError, check_writable, refuse_overwrite, refuse_same_content, sha256_file, write_atomically, write_tiff_f32,
+};
 use crate::reporter::Reporter;
 use crate::scene::physics::{Material, Spectrum};
 
@@ -128,12 +130,6 @@ pub enum CalibrateError {
         /// What would be right.
         expected: String,
     },
-    /// The result would replace an input.
-    #[error("{path}: would overwrite an input; choose another --out", path = path.display())]
-    Overwrite {
-        /// The file.
-        path: PathBuf,
-    },
 }
 
 /// Calibrates; exit code 0.
@@ -153,7 +149,10 @@ pub fn run(args: &CalibrateArgs, reporter: &Reporter) -> Result<u8, CalibrateErr
 
 fn detector(args: &DetectorArgs, reporter: &Reporter) -> Result<u8, CalibrateError> {
     let maps_path = args.out.with_extension("tif");
-    refuse_overwriting(args, [&args.out, &maps_path])?;
+    let frames: Vec<&PathBuf> = args.air.iter().chain(&args.dark).collect();
+    refuse_overwrite(&[&args.out, &maps_path], &frames.iter().copied().chain(&args.edge).collect::<Vec<_>>())?;
+    // A pair of equal frames has no noise, which is what the gain is measured by.
+    refuse_same_content(&frames)?;
     check_writable(&args.out)?;
     check_number("--kvp", args.kvp, 20.0..=200.0, "20 to 200 kV")?;
     check_number("--pitch-mm", args.pitch_mm, 0.01..=5.0, "0.01 to 5 mm")?;
@@ -216,17 +215,6 @@ fn check_number(
         Some(found) => Err(CalibrateError::Option { option, found: found.to_string(), expected: expected.to_owned() }),
         None => Ok(()),
     }
-}
-
-fn refuse_overwriting(args: &DetectorArgs, outputs: [&Path; 2]) -> Result<(), CalibrateError> {
-    for output in outputs {
-        let Ok(real) = output.canonicalize() else { continue };
-        let mut inputs = args.air.iter().chain(&args.dark).chain(&args.edge);
-        if inputs.any(|input| input.canonicalize().is_ok_and(|input| input == real)) {
-            return Err(CalibrateError::Overwrite { path: output.to_owned() });
-        }
-    }
-    Ok(())
 }
 
 /// What was said, and when the frames were taken, as far as they say it.

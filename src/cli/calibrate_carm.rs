@@ -9,7 +9,7 @@ use super::shot_files::{OutOfRange, check_range, csv_table, is_json, is_log, num
 use crate::calibrate::carm::{CarmFitError, CarmReport, Sensors, Shot, calibrate, plot, shots_of_log};
 use crate::geometry::{CarmCalibration, CarmJoints, JOINT_KEYS};
 use crate::image::plot::PlotError;
-use crate::image::{ImageFileError, check_writable, refuse_overwrite, write_atomically};
+use crate::image::{ImageFileError, check_writable, refuse_overwrite, refuse_same_content, write_atomically};
 use crate::pose::{Pose, PoseFileError};
 use crate::record::RecordError;
 use crate::reporter::Reporter;
@@ -104,6 +104,7 @@ pub fn run(args: &CarmArgs, reporter: &Reporter) -> Result<u8, CalibrateCarmErro
     let outputs = [args.out.clone(), args.out.with_extension("report.json"), args.out.with_extension("svg")];
     let inputs: Vec<&Path> = args.shots.iter().chain(&args.joints).chain([&args.calibration]).map(PathBuf::as_path).collect();
     refuse_overwrite(&outputs.each_ref().map(PathBuf::as_path), &inputs)?;
+    refuse_same_content(&args.shots)?;
     check_writable(&args.out)?;
     let wrong = |detail: String| CalibrateCarmError::Input { path: args.calibration.clone(), detail };
     let nominal: CarmCalibration = read_json(&args.calibration).map_err(wrong)?;

@@ -11,7 +11,7 @@ use super::read_aloud::frame_aloud;
 use crate::acquire::Frame;
 use crate::calibrate::intensifier::{GridFrame, GridOf, GridRequest, calibrate, calibrate_phantom, disc_of, measure_glare};
 use crate::geometry::{AnglesDeg, AnglesFrom, DEFAULT_ORDER, Glare, IntensifierCalibration, ORDERS};
-use crate::image::{check_writable, refuse_overwrite, write_atomically};
+use crate::image::{check_writable, refuse_overwrite, refuse_same_content, write_atomically};
 use crate::json::parse_json;
 use crate::mask::Disc;
 use crate::reporter::Reporter;
@@ -99,6 +99,7 @@ fn check(args: &IntensifierArgs) -> Result<Option<Disc>, CalibrateIntensifierErr
     let known = args.beads.iter().chain(&args.intrinsics).chain(&args.prior);
     let inputs = args.grid.iter().chain(&args.angles).chain(&args.opaque).chain(known);
     refuse_overwrite(&[&args.out], &inputs.collect::<Vec<_>>())?;
+    refuse_same_content(&args.grid)?;
     check_writable(&args.out)?;
     let wrong = |option, found: String, expected| Err(CalibrateIntensifierError::Option { option, found, expected });
     if let Some(found) = args.pitch_mm.filter(|pitch| !(*pitch > 0.1 && *pitch < 200.0)) {

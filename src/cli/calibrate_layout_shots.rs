@@ -16,7 +16,7 @@ use crate::calibrate::phantom::{
     ArmSigma, Asked, CameraErrors, Cameras, Distance, Phantom, PhantomShot, ShotShadow, markups, measure,
 };
 use crate::geometry::{CarmCalibration, CarmJoints, Intrinsics};
-use crate::image::{check_writable, refuse_overwrite, write_atomically};
+use crate::image::{check_writable, refuse_overwrite, refuse_same_content, write_atomically};
 use crate::mask::{self, Cause};
 use crate::pose::{Covariance, IntrinsicsFile, Prior, intrinsics_of};
 use crate::reporter::Reporter;
@@ -82,6 +82,7 @@ pub fn run(
     let named = args.joints.iter().chain(&args.calibration).map(PathBuf::as_path).chain(intrinsics);
     let inputs: Vec<&Path> = shots.iter().chain(&args.prior).map(PathBuf::as_path).chain(named).collect();
     refuse_overwrite(&outputs.each_ref().map(PathBuf::as_path), &inputs)?;
+    refuse_same_content(shots)?;
     check_writable(out)?;
     let distances = distances(args)?;
     let rough = RoughCameras::read(shots, args)?;

@@ -9,7 +9,7 @@ use super::calibrate_robot_shots::{ShotFiles, read_shots};
 use super::shot_files::{check_range, pretty};
 use crate::acquire::Domain;
 use crate::calibrate::robot::{Assumed, RobotReport, calibrate, plot};
-use crate::image::{check_writable, refuse_overwrite, write_atomically};
+use crate::image::{check_writable, refuse_overwrite, refuse_same_content, write_atomically};
 use crate::reporter::Reporter;
 use crate::scene::{input_files, load};
 
@@ -94,6 +94,7 @@ pub fn run(args: &RobotArgs, reporter: &Reporter) -> Result<u8, CalibrateRobotEr
     let outputs = outputs.each_ref().map(PathBuf::as_path);
     let inputs: Vec<&Path> = args.shots.iter().chain(&args.angles).chain(&args.tracker).map(PathBuf::as_path).collect();
     refuse_overwrite(&outputs, &inputs)?;
+    refuse_same_content(&args.shots)?;
     check_writable(&args.out)?;
     let scene = load(&args.scene, false, reporter)?;
     refuse_overwrite(&outputs, &input_files(&args.scene, &scene))?;
@@ -101,6 +102,7 @@ pub fn run(args: &RobotArgs, reporter: &Reporter) -> Result<u8, CalibrateRobotEr
         ShotFiles { shots: &args.shots, angles: args.angles.as_deref(), tracker: args.tracker.as_deref(), domain: args.domain };
     let (shots, frames) = read_shots(&files, &scene, reporter)?;
     refuse_overwrite(&outputs, &frames)?;
+    refuse_same_content(&frames)?;
     let mut fit = calibrate(&shots, &scene, &assumed)?;
     let said = args.origin.as_deref().unwrap_or("who, when and with what not stated (--origin)");
     fit.calibration.origin = format!(

@@ -61,6 +61,14 @@ pub enum ImageFileError {
         /// The input, as it was named.
         input: PathBuf,
     },
+    /// Two inputs that each count hold the same bytes.
+    #[error("{again}: has the same content as {first}, and would count twice; name each only once", again = again.display(), first = first.display())]
+    SameContent {
+        /// The input named first.
+        first: PathBuf,
+        /// The other one.
+        again: PathBuf,
+    },
     /// The file is not a TIFF, or a damaged one.
     #[error("{path}: not a readable TIFF ({detail})", path = path.display())]
     Tiff {
@@ -141,6 +149,21 @@ pub fn refuse_overwrite<O: AsRef<Path>, I: AsRef<Path>>(outputs: &[O], inputs: &
         let Some(identity) = Identity::of(output) else { continue };
         if let Some((input, _)) = known.iter().find(|(_, input)| *input == identity) {
             return Err(ImageFileError::WouldOverwrite { path: output.to_owned(), input: input.to_path_buf() });
+        }
+    }
+    Ok(())
+}
+
+/// Refuses inputs of the same content where each counts as a measurement of its own. What cannot be read is left to whoever reads it.
+///
+/// # Errors
+/// When two are the same.
+pub fn refuse_same_content<I: AsRef<Path>>(inputs: &[I]) -> Result<(), ImageFileError> {
+    let mut seen = std::collections::BTreeMap::new();
+    for path in inputs.iter().map(AsRef::as_ref) {
+        let Ok(hash) = sha256_file(path) else { continue };
+        if let Some(first) = seen.insert(hash, path) {
+            return Err(ImageFileError::SameContent { first: first.to_owned(), again: path.to_owned() });
         }
     }
     Ok(())

@@ -14,6 +14,9 @@ use super::model::{LabelledBody, Matter};
 use super::object_file::{AirFile, BODY, CtFile, DensityFile, ElseFile, LabelMaterialFile, LabelsFile, MapFile, MaterialsFile};
 use super::physics::Material;
 
+/// Beyond any metal: tantalum is 60 000 to 100 000 HU on an extended scale.
+const MOST_HU: f32 = 2e5;
+
 impl Builder<'_> {
     /// A CT without the metal of the beads that come after it, `balls`.
     pub fn ct(&mut self, file: &CtFile, balls: &[Ball]) -> Result<Matter, SceneError> {
@@ -22,7 +25,14 @@ impl Builder<'_> {
             return Err(SceneError::Unavailable { place: format!("{}: a CT from DICOM slices", self.place("path")) });
         }
         let mut ct = read_volume(&path, self.reporter)?;
-        matter::check_hounsfield(&path, &ct, self.reporter);
+        let highest_hu = matter::check_hounsfield(&path, &ct, self.reporter);
+        if !(highest_hu <= MOST_HU) {
+            return Err(self.value(
+                "path",
+                format!("a CT with {highest_hu:.3e} HU"),
+                "at most 200000 HU, twice the densest metal",
+            ));
+        }
         let inpainted = self.without_beads(&mut ct, balls);
         // Materials are numbered apart first: only those that have voxels enter the scene.
         let mut local = Vec::new();
@@ -134,7 +144,10 @@ impl Builder<'_> {
         let (name, path): (&str, Option<PathBuf>) = match &file.names {
             Some(name) => (name, Some(self.find("materials.names", name)?)),
             None if !own.is_empty() => return Ok(LabelNames::new(&file.labels, own.to_vec())),
-            None => (&beside, self.find("materials.labels", &beside).ok()),
+            None => match self.find("materials.labels", &beside) {
+                Err(SceneError::Missing { .. }) => (&beside, None),
+                found => (&beside, Some(found?)),
+            },
         };
         let Some(path) = path else { return Ok(LabelNames::new(&file.labels, Vec::new())) };
         let text = std::fs::read_to_string(&path).map_err(|source| SceneError::Io { path: path.clone(), source })?;

@@ -65,9 +65,9 @@ pub(super) fn from_ct(
     let curve = DensityCurve::shipped();
     let kept_air = if let Air::Keep(class) = air { Some(class) } else { None };
     let labels = classes.labelled.as_ref();
-    let named = labels.iter().flat_map(|labelled| labelled.map.iter().filter_map(|(_, class)| *class));
+    let mapped = labels.iter().flat_map(|labelled| labelled.map.iter().filter_map(|(_, class)| *class));
     let mut order: Vec<Class> = Vec::new();
-    for class in [kept_air, classes.soft_tissue, classes.bone].into_iter().flatten().chain(named) {
+    for class in [kept_air, classes.soft_tissue, classes.bone].into_iter().flatten().chain(mapped) {
         if !order.contains(&class) {
             order.push(class);
         }
@@ -212,8 +212,8 @@ pub(super) fn labels_on_grid(
     Ok(labels.values.par_iter().map(|value| *value as u32).collect())
 }
 
-/// Warns where numbers hardly are Hounsfield units.
-pub(super) fn check_hounsfield(path: &Path, ct: &VolumeFile, reporter: &Reporter) {
+/// Warns where numbers hardly are Hounsfield units; the highest.
+pub(super) fn check_hounsfield(path: &Path, ct: &VolumeFile, reporter: &Reporter) -> f32 {
     let (low, high) = ct
         .values
         .par_iter()
@@ -228,4 +228,5 @@ pub(super) fn check_hounsfield(path: &Path, ct: &VolumeFile, reporter: &Reporter
     } else if low >= 0.0 && high > 900.0 {
         reporter.warn("not HU", format_args!("{shown}: no value below 0 HU (up to {high}): was the rescale of -1024 left out?"));
     }
+    high
 }

@@ -10,7 +10,9 @@ use std::sync::Arc;
 
 use super::crosscheck::LineWatch;
 use super::file::Setup;
+use super::hearing::Hearing;
 use super::import::Import;
+use super::losses::line_losses;
 use super::posing::{Bound, Known, PoseJob, Posed, Registered};
 use super::tie::SpecimenTie;
 use crate::acquire::Frame;
@@ -126,6 +128,7 @@ pub struct Engine {
     tags: Option<Arc<TagLayout>>,
     links: BTreeMap<DeviceKind, Link>,
     line_watch: LineWatch,
+    hearing: Hearing,
     timeline: Timeline,
     tie: SpecimenTie,
     world_from_tracker: Option<Rigid>,
@@ -134,8 +137,8 @@ pub struct Engine {
     unbound: BTreeMap<u32, Unbound>,
     /// How often each frame that was posed again was handed on before.
     developments: BTreeMap<u32, u32>,
-    /// No more telemetry will come.
-    ended: bool,
+    /// When the telemetry ended.
+    ended_us: Option<i64>,
     /// Latest host time of any input.
     now_us: i64,
     bound: BTreeMap<u32, Bound>,
@@ -153,7 +156,8 @@ impl Engine {
         let tie = SpecimenTie::new(rigid(setup.session.world_from_lps), centre);
         let world_from_tracker = rigid(setup.session.world_from_tracker);
         let present = [(DeviceKind::Carm, setup.carm.is_some()), (DeviceKind::Robot, setup.robot.is_some())];
-        let links = present.into_iter().filter(|(_, there)| *there).map(|(device, _)| (device, Link::new(device))).collect();
+        let present: Vec<DeviceKind> = present.into_iter().filter(|(_, there)| *there).map(|(device, _)| device).collect();
+        let links = present.iter().map(|device| (*device, Link::new(*device))).collect();
         Self {
             import: Import::of(&setup),
             landmarks: setup.landmark_points().into(),
@@ -162,6 +166,7 @@ impl Engine {
             tags,
             links,
             line_watch: LineWatch::default(),
+            hearing: Hearing::new(present),
             timeline: Timeline::new(),
             tie,
             world_from_tracker,
@@ -169,7 +174,7 @@ impl Engine {
             pending: BTreeMap::new(),
             unbound: BTreeMap::new(),
             developments: BTreeMap::new(),
-            ended: false,
+            ended_us: None,
             now_us: i64::MIN,
             bound: BTreeMap::new(),
             reporter,
@@ -197,6 +202,19 @@ impl Engine {
     /// Frames that wait to be registered, by number.
     pub fn bound(&self) -> impl DoubleEndedIterator<Item = u32> + '_ {
         self.bound.keys().copied()
+    }
+
+    /// What the lines have lost, a sentence each.
+    #[must_use]
+    pub fn line_losses(&self) -> Vec<String> {
+        let packets = self.links.iter().filter_map(|(device, link)| line_losses(*device, link.health()));
+        packets.chain(self.hearing.losses(self.ended_us.unwrap_or(self.now_us))).collect()
+    }
+
+    /// Lines that have fallen silent since this was last asked, a sentence each.
+    pub fn silent_lines(&mut self) -> Vec<String> {
+        let Self { hearing, links, now_us, .. } = self;
+        hearing.look(*now_us, |device| links.get(&device).map(|link| *link.health()))
     }
 
     /// Takes one input; `sink` gets what came of it, in order.
@@ -227,13 +245,14 @@ impl Engine {
             }
         };
         self.now_us = self.now_us.max(now_us);
+        self.hearing.advance(self.now_us);
         self.settle(sink);
     }
 
     /// No more telemetry will come: binds what waits, and frames that still come, with what there is.
     pub fn finish(&mut self, now_us: i64, sink: &mut dyn FnMut(Output)) {
         self.now_us = self.now_us.max(now_us);
-        self.ended = true;
+        self.ended_us.get_or_insert(self.now_us);
         self.settle(sink);
     }
 
@@ -255,11 +274,14 @@ impl Engine {
     }
 
     fn take_bytes(&mut self, device: DeviceKind, epoch: u32, host_us: i64, bytes: &[u8], sink: &mut dyn FnMut(Output)) {
-        let Self { links, timeline, line_watch, setup, reporter, .. } = self;
+        let Self { links, timeline, line_watch, hearing, setup, reporter, .. } = self;
         let Some(link) = links.get_mut(&device) else { return };
         link.feed(host_us, epoch, bytes, &mut |received| match received.event {
             Event::Sample(sample, sequenced) => {
                 line_watch.take(setup, &sample, reporter);
+                if let Some(words) = hearing.sample(device, host_us, &sample) {
+                    reporter.warn("device clock", words);
+                }
                 timeline.push_sample(device, host_us, epoch, sequenced, sample.clone());
                 sink(Output::Sample { device, host_us, sample: Box::new(sample) });
             }
@@ -269,7 +291,7 @@ impl Engine {
 
     /// Hands on the frames that telemetry has reached or that have waited long enough.
     fn settle(&mut self, sink: &mut dyn FnMut(Output)) {
-        let changed = match self.ended {
+        let changed = match self.ended_us.is_some() {
             true => self.binder.finish(&self.timeline),
             false => self.binder.update(&self.timeline, self.now_us),
         };
@@ -281,7 +303,7 @@ impl Engine {
                 self.bind_late(number, unbound, binding, sink);
             }
         }
-        let waits_at_all = self.setup.carm.is_some() && !self.ended;
+        let waits_at_all = self.setup.carm.is_some() && self.ended_us.is_none();
         let ready = |(number, pending): (&u32, &Pending)| {
             let binding = self.binder.binding(*number).cloned().unwrap_or_default();
             let waited = self.now_us.saturating_sub(pending.host_us);
@@ -294,7 +316,9 @@ impl Engine {
             if binding.exposure.is_none() {
                 self.keep_unbound(number, &frame, host_us);
             }
-            self.bound.insert(number, Bound::new(frame, host_us, binding, &self.timeline));
+            let bound = Bound::new(frame, host_us, binding, &self.timeline);
+            self.hearing.bound(number, host_us, &bound);
+            self.bound.insert(number, bound);
             sink(Output::Bound { number });
         }
     }
@@ -304,6 +328,9 @@ impl Engine {
         let label = binding.exposure.as_ref().map(|exposure| exposure.label()).unwrap_or_default();
         let Unbound { frame, host_us } = unbound;
         let bound = frame.map(|frame| Bound::new(frame, host_us, binding, &self.timeline));
+        if let Some(bound) = &bound {
+            self.hearing.bound(number, host_us, bound);
+        }
         // Not developed yet: nothing was made without the exposure.
         if let (Some(waiting), Some(bound)) = (self.bound.get_mut(&number), &bound) {
             *waiting = bound.clone();

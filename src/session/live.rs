@@ -19,7 +19,6 @@ use super::event::{Event, Source};
 use super::file::Setup;
 use super::folder::{Collector, Folder, Times};
 use super::log::SessionLog;
-use super::losses::line_losses;
 use super::places;
 use super::posing::{PoseJob, Posed};
 use super::registrar::start_registrar;
@@ -268,16 +267,17 @@ impl Session {
 
     /// Lost telemetry and a log that fails reach the person while there is something to be done.
     fn tell_losses(&mut self) {
-        let mut lost = 0;
-        let mut words = Vec::new();
-        for device in DeviceKind::ALL {
-            let Some(health) = self.engine.health(device) else { continue };
-            lost += health.lost_in_all();
-            words.extend(line_losses(device, &health));
-        }
+        let healths = DeviceKind::ALL.into_iter().filter_map(|device| self.engine.health(device));
+        let lost: u64 = healths.map(|health| health.lost_in_all()).sum();
         if lost > self.told_losses {
             self.told_losses = lost;
-            self.reporter.warn("telemetry lost", words.join("; "));
+            self.reporter.warn("telemetry lost", self.engine.line_losses().join("; "));
+        }
+        if matches!(self.stage, Stage::Open { .. }) {
+            for words in self.engine.silent_lines() {
+                self.reporter.warn("line silent", &words);
+                self.log.event(Level::Warning, host_now_us(), &words);
+            }
         }
         let recorder = self.log.health();
         if recorder.keepers_lost > self.told_keepers_lost {
@@ -375,10 +375,7 @@ impl Session {
 
     fn report(mut self) -> Folder {
         self.finishing = None;
-        for device in DeviceKind::ALL {
-            let lost = self.engine.health(device).and_then(|health| line_losses(device, &health));
-            lost.into_iter().for_each(|lost| self.log.lose(lost));
-        }
+        self.engine.line_losses().into_iter().for_each(|lost| self.log.lose(lost));
         self.publish(host_now_us());
         self.board.update(|state| state.finished = true);
         self.log.finish();

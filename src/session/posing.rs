@@ -16,7 +16,7 @@ use crate::mask::{self, Masks};
 use crate::pose::{self, Pose, Prior, Refusal, Registration};
 use crate::report::PoseSource;
 use crate::reporter::Reporter;
-use crate::telemetry::{AngleSource, CarmSample};
+use crate::telemetry::{AngleSource, CarmSample, DeviceKind};
 use crate::time::{StageTimes, Stopwatch};
 use crate::timeline::{Binding, Support, Timeline};
 
@@ -149,6 +149,15 @@ impl Bound {
     #[must_use]
     pub fn frame(&self) -> &Arc<Frame> {
         &self.frame
+    }
+
+    /// Whether this device's telemetry says how it stood at the exposure.
+    #[must_use]
+    pub fn is_known_to(&self, device: DeviceKind) -> bool {
+        match device {
+            DeviceKind::Carm => self.binding.exposure.is_some(),
+            DeviceKind::Robot => self.robot.as_ref().is_some_and(|robot| !robot.stale),
+        }
     }
 }
 

@@ -14,7 +14,6 @@ use super::folder::{Collector, Folder, Times};
 pub use super::image_difference::ImageDifference;
 use super::image_difference::difference;
 use super::log::{CLOCK_TOPIC, DISAGREES_TOPIC, END_TOPIC, ORDER_TOPIC, PoseRecord};
-use super::losses::line_losses;
 use super::places;
 use super::posing::Posed;
 use super::recorded::{Development, Recorded, drrs_of};
@@ -332,10 +331,7 @@ impl Replay<'_> {
         let missing = self.recorded.poses.keys().filter(|development| !self.seen.contains(development));
         self.report.poses_missing = missing.map(|(number, _)| *number).collect();
         self.report.losses.extend(self.tolerance.losses().into_iter().filter(|loss| !self.recorded.losses.contains(loss)));
-        for device in DeviceKind::ALL {
-            let lost = self.engine.health(device).and_then(|health| line_losses(device, &health));
-            self.report.session_losses.extend(lost);
-        }
+        self.report.session_losses.extend(self.engine.line_losses());
         self.board.update(|state| state.finished = true);
         let losses = self.report.losses.iter().chain(&self.report.session_losses).cloned().collect();
         let folder = self.collector.finish(&self.engine, self.tracks, losses, reporter, None);

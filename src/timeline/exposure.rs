@@ -5,9 +5,9 @@ use std::collections::VecDeque;
 use serde::Serialize;
 
 use super::track::{Answer, Stamps};
+use super::travel::Travel;
 use crate::geometry::{CarmJoints, Rigid};
 use crate::telemetry::CarmSample;
-use crate::units::wrap_rad;
 
 /// Intervals kept: a long day at the C-arm.
 const KEPT: usize = 10_000;
@@ -53,7 +53,7 @@ pub struct ExposureInterval {
     pub tube_ma: f64,
     /// Joints at the middle; `None` while open, or when no sample is near.
     pub joints: Option<Answer<CarmJoints>>,
-    /// How far each joint moved while the beam was on (order of [`CarmJoints::to_array`], mm and rad).
+    /// How far each joint moved while the beam was on, beyond its encoder's noise (order of [`CarmJoints::to_array`], mm and rad).
     pub joint_range: [f64; 7],
     /// Robot's control angles in degrees at the middle, once the robot's samples have reached it.
     pub control_angles_deg: Option<Answer<[f64; 5]>>,
@@ -102,9 +102,7 @@ struct Seen {
 struct Open {
     interval: ExposureInterval,
     last_on: Seen,
-    first_joints: [f64; 7],
-    low: [f64; 7],
-    high: [f64; 7],
+    travel: Travel,
     kvp: (f64, u32),
     ma: (f64, u32),
 }
@@ -226,7 +224,6 @@ impl ExposureTracker {
             Some(off) => between(off.device_us, now.device_us).0,
             None => now.device_us,
         };
-        let joints = sample.joints.to_array();
         let interval = ExposureInterval {
             index: self.next_index,
             counter: now.counter,
@@ -250,7 +247,7 @@ impl ExposureTracker {
         };
         self.next_index += 1;
         let mut open =
-            Open { interval, last_on: now, first_joints: joints, low: [0.0; 7], high: [0.0; 7], kvp: (0.0, 0), ma: (0.0, 0) };
+            Open { interval, last_on: now, travel: Travel::new(sample.joints.to_array()), kvp: (0.0, 0), ma: (0.0, 0) };
         open.extend(sample, now);
         self.open = Some(open);
     }
@@ -324,14 +321,7 @@ impl ExposureTracker {
 
 impl Open {
     fn extend(&mut self, sample: &CarmSample, now: Seen) {
-        let joints = sample.joints.to_array();
-        for (i, value) in joints.iter().enumerate() {
-            let is_angle = matches!(i, 1 | 3 | 4 | 5);
-            let moved = value - self.first_joints[i];
-            let moved = if is_angle { wrap_rad(moved) } else { moved };
-            self.low[i] = self.low[i].min(moved);
-            self.high[i] = self.high[i].max(moved);
-        }
+        self.travel.push(sample.joints.to_array());
         for (sum, value) in [(&mut self.kvp, sample.tube_kvp), (&mut self.ma, sample.tube_ma)] {
             if value.is_finite() {
                 *sum = (sum.0 + value, sum.1 + 1);
@@ -344,8 +334,7 @@ impl Open {
         self.interval.end_uncertainty_us = now.uncertainty_us;
         self.interval.tube_kvp = mean(self.kvp);
         self.interval.tube_ma = mean(self.ma);
-        self.interval.joint_range =
-            std::array::from_fn(|i| if self.first_joints[i].is_nan() { f64::NAN } else { self.high[i] - self.low[i] });
+        self.interval.joint_range = self.travel.range();
         self.last_on = now;
     }
 }

@@ -21,6 +21,7 @@ mod series;
 mod shots;
 mod stamped;
 mod track;
+mod travel;
 
 pub use binder::Binder;
 pub use clock::{ClockEstimate, ClockMap, LEAST_DELAY_US, MAX_DRIFT};

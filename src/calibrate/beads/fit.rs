@@ -117,6 +117,8 @@ pub(super) struct Fitted {
     pub rms_hu: f64,
     /// Root mean square of what the model misses where ball or data stand out, as a share of the ball there.
     pub missed_share: f64,
+    /// Root mean square of what the model misses there, in σ of the white noise.
+    pub missed_sigmas: f64,
     /// Clipped voxels.
     pub clipped: usize,
 }
@@ -292,7 +294,8 @@ impl Problem<'_> {
             (sum / count.max(1) as f64).sqrt()
         };
         let strong = || seen.iter().filter(|(.., stands_out)| *stands_out >= STANDS_OUT * highest);
-        let missed_share = rms(&mut strong().map(|(missed, ..)| *missed)) / rms(&mut strong().map(|(_, ball, _)| *ball));
+        let missed_hu = rms(&mut strong().map(|(missed, ..)| *missed));
+        let missed_share = missed_hu / rms(&mut strong().map(|(_, ball, _)| *ball));
         // A clipped voxel whose model is above the clip says nothing of a misfit.
         let rms_hu = rms(&mut seen
             .iter()
@@ -309,6 +312,7 @@ impl Problem<'_> {
             blur_sigma_ln: covariance[(5, 5)].max(0.0).sqrt(),
             rms_hu,
             missed_share,
+            missed_sigmas: missed_hu / self.noise_hu,
             clipped: rows.iter().filter(|row| row.clipped).count(),
         })
     }

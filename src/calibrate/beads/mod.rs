@@ -6,8 +6,8 @@
 //! ```
 //! A ball blooms: the scanner blurs it by 0.5 to 1.5 mm, averages it over voxels, and most stored CTs end at 3071 HU, far below steel.
 //! The model is the ball convolved with a Gaussian and averaged over each voxel, on the harmonic continuation of its surroundings;
-//! clipped voxels are censored. The covariance of a centre holds the voxels' white noise and the misfit that neighbours share, which is
-//! measured from what the model misses. Contrast, radius and point spread are stated with their σ: a small or a clipped ball tells
+//! clipped voxels are censored. The covariance of a centre holds the voxels' white noise, the misfit that neighbours share, which is
+//! measured from what the model misses, and the doubt about the profile of the slices. Contrast, radius and point spread are stated with their σ: a small or a clipped ball tells
 //! their combination only.
 
 mod check;
@@ -18,6 +18,7 @@ mod lumps;
 mod markups;
 mod names;
 mod search;
+mod slices;
 mod sphere;
 mod window;
 
@@ -102,6 +103,20 @@ pub fn find_beads(grid: &VoxelGrid, hu: &[f32], known: &Known, step: &(dyn Fn(us
     let mut notes = Vec::new();
     if found.left_out > 0 {
         notes.push(format!("{} more lumps above {} HU were not looked at", found.left_out, lumps::METAL_HU));
+    }
+    if let Some((given_mm, found_mm)) = found.contradicted_radius {
+        notes.push(format!(
+            "the beads are said to have a radius of {given_mm} mm, and look like {:.2} ± {:.2} mm: are they of that size?",
+            found_mm.expected,
+            found_mm.expected * found_mm.sigma_ln
+        ));
+    }
+    // A box as wide as the slices are apart has the deviation that is expected.
+    if (found.slice_sigma / slices::EXPECTED_SIGMA).ln().abs() > 0.2 {
+        notes.push(format!(
+            "the slices average over {:.1} times their distance, as their beads show",
+            found.slice_sigma / slices::EXPECTED_SIGMA
+        ));
     }
     let not_beads: Vec<OtherMetal> = found.others.iter().map(other_metal).collect();
     if found.beads.is_empty() {

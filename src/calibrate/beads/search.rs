@@ -1,4 +1,4 @@
-//! From lumps to beads: candidates, fits, judgement, and once more with the point spread that the beads share.
+//! From lumps to beads: candidates, fits, judgement, and once more with the slice profile and the point spread that the beads share.
 
 use std::collections::BTreeSet;
 
@@ -8,7 +8,8 @@ use rayon::prelude::*;
 use super::fit::{Ball, Fitted, Prior, Priors, Problem};
 use super::judge::{NotBead, at_sight, of_fit};
 use super::lumps::{Lump, METAL_HU, lumps, summits};
-use super::sphere::VoxelPoints;
+use super::slices::{ASKED, Trial, choose, doubt, slice_axis};
+use super::sphere::{SliceProfile, VoxelPoints};
 use super::window::{Candidate, Window, window};
 use crate::scene::VoxelGrid;
 
@@ -29,6 +30,11 @@ const MISFIT_OF_STRUCTURE: f64 = 0.7;
 const MOST_SUMMITS: usize = 6;
 /// More lumps than this are not fitted, only counted: dense bone breaks into thousands.
 const MOST_FITTED: usize = 1500;
+/// A given radius is contradicted when the beads' own differs by more than this share, and by so many of its σ.
+const CONTRADICTED: f64 = 0.15;
+const CONTRADICTED_SIGMAS: f64 = 3.0;
+/// About so often each candidate is fitted.
+const FITS_EACH: usize = 8;
 /// Summits of one lump are beads only where the value between them falls below this share of the lower one's.
 const DIP: f64 = 0.8;
 
@@ -53,6 +59,10 @@ pub(super) struct Search {
     pub others: Vec<Other>,
     /// Lumps beyond those that are fitted.
     pub left_out: usize,
+    /// A radius that was given and that the CT contradicts: given, and as the CT has it with σ of its logarithm.
+    pub contradicted_radius: Option<(f64, Prior)>,
+    /// Standard deviation of the slices' profile, in slice spacings.
+    pub slice_sigma: f64,
 }
 
 /// Looks for beads in `hu`, clipped at `clip_hu`; `step` hears of every fit, and about how many there are.
@@ -68,39 +78,36 @@ pub(super) fn search(
     let left_out = lumps.len().saturating_sub(MOST_FITTED);
     let mut verdicts: Vec<Option<NotBead>> = lumps.iter().map(|lump| at_sight(lump, grid.spacing_mm())).collect();
     let candidates = candidates(grid, hu, &lumps, &mut verdicts);
-    let fitter = Fitter { grid, hu, clip_hu, points: VoxelPoints::new(grid.lps_from_voxel.matrix3), radius_mm, step };
-    let alone = |lump: usize| candidates.iter().filter(|candidate| candidate.lump == lump).count() == 1;
-    let mut fits: Vec<Option<Fitted>> = vec![None; candidates.len()];
-    let mut blur = BLUR_MM;
-    // The second round knows which lumps are no beads, the third what beads add to their neighbours and how wide the point spread is.
-    for round in 0..3 {
-        let live: Vec<usize> = (0..candidates.len()).filter(|at| verdicts[candidates[*at].lump].is_none()).collect();
-        let foreign: BTreeSet<usize> = lumps
-            .iter()
-            .zip(&verdicts)
-            .filter(|(_, verdict)| verdict.is_some())
-            .flat_map(|(lump, _)| lump.voxels.iter().copied())
-            .collect();
-        let left: Vec<Candidate> = live.iter().map(|at| candidates[*at].clone()).collect();
-        let known: Vec<Option<Ball>> = live.iter().map(|at| fits[*at].as_ref().map(|fitted| fitted.ball)).collect();
-        let refit = |at: usize| fitter.fit(&left, at, &known, &foreign, blur);
-        let refits: Vec<Option<(Fitted, f64)>> = (0..left.len()).into_par_iter().map(refit).collect();
-        for (at, refit) in live.into_iter().zip(refits) {
-            let lump = candidates[at].lump;
-            let verdict = match &refit {
-                Some((fitted, middle_hu)) => of_fit(grid, &lumps[lump], alone(lump), fitted, *middle_hu),
-                None => Some(NotBead::Surrounded),
-            };
-            if verdicts[lump].is_none() {
-                verdicts[lump] = verdict;
-            }
-            fits[at] = refit.map(|(fitted, _)| fitted);
-        }
-        if round >= 1 {
-            let beads = candidates.iter().zip(&fits).filter(|(candidate, _)| verdicts[candidate.lump].is_none());
-            blur = shared_blur(beads.filter_map(|(_, fitted)| fitted.as_ref())).unwrap_or(blur);
-        }
+    let slices = slice_axis(grid);
+    let points = |profile| VoxelPoints::new(grid.lps_from_voxel.matrix3, slices, profile);
+    let mut rounds = Rounds {
+        fitter: Fitter { grid, hu, clip_hu, points: points(SliceProfile::BOX), radius_mm, step },
+        alone: (0..lumps.len()).map(|lump| candidates.iter().filter(|candidate| candidate.lump == lump).count() == 1).collect(),
+        fits: vec![None; candidates.len()],
+        candidates: &candidates,
+        lumps: &lumps,
+        verdicts,
+        blur: BLUR_MM,
+    };
+    let at_first = rounds.verdicts.clone();
+    rounds.round();
+    let asked = rounds.most_certain(ASKED);
+    let trials = choose(|profile| rounds.trial(&asked, points(profile)));
+    let profile = trials.first().map_or(SliceProfile::BOX, |trial| trial.profile);
+    if profile != SliceProfile::BOX {
+        // What did not look like a ball under the wrong profile may be one.
+        (rounds.verdicts, rounds.fitter.points) = (at_first, points(profile));
+        rounds.round();
     }
+    // The next round knows which lumps are no beads, the last what beads add to their neighbours and how wide the point spread is.
+    for _ in 0..2 {
+        rounds.round();
+        rounds.share_blur();
+    }
+    rounds.doubt(&trials[1.min(trials.len())..], points);
+    let contradicted_radius = rounds.contradicted_radius();
+    let slice_sigma = profile.deviation();
+    let Rounds { fits, verdicts, .. } = rounds;
     let beads = candidates
         .iter()
         .zip(fits)
@@ -108,7 +115,131 @@ pub(super) fn search(
         .filter_map(|(candidate, fitted)| Some(Found { fitted: fitted?, peak_hu: lumps[candidate.lump].peak_hu }))
         .collect();
     let others = lumps.into_iter().zip(verdicts).take(MOST_FITTED);
-    Search { beads, others: others.filter_map(|(lump, why)| Some(Other { lump, why: why? })).collect(), left_out }
+    Search {
+        beads,
+        others: others.filter_map(|(lump, why)| Some(Other { lump, why: why? })).collect(),
+        left_out,
+        contradicted_radius,
+        slice_sigma,
+    }
+}
+
+/// Fits and judgements, round by round.
+struct Rounds<'a> {
+    fitter: Fitter<'a>,
+    candidates: &'a [Candidate],
+    lumps: &'a [Lump],
+    /// Of each lump: whether it has one summit.
+    alone: Vec<bool>,
+    verdicts: Vec<Option<NotBead>>,
+    fits: Vec<Option<Fitted>>,
+    blur: Prior,
+}
+
+impl Rounds<'_> {
+    /// Candidates whose lump may still be beads.
+    fn live(&self) -> Vec<usize> {
+        (0..self.candidates.len()).filter(|at| self.verdicts[self.candidates[*at].lump].is_none()).collect()
+    }
+
+    /// Fits the candidates of number `which` among all `live` ones.
+    fn refits(&self, live: &[usize], which: &[usize], fitter: &Fitter, blur: Prior) -> Vec<Option<(Fitted, f64)>> {
+        let foreign: BTreeSet<usize> = self
+            .lumps
+            .iter()
+            .zip(&self.verdicts)
+            .filter(|(_, verdict)| verdict.is_some())
+            .flat_map(|(lump, _)| lump.voxels.iter().copied())
+            .collect();
+        let left: Vec<Candidate> = live.iter().map(|at| self.candidates[*at].clone()).collect();
+        let known: Vec<Option<Ball>> = live.iter().map(|at| self.fits[*at].as_ref().map(|fitted| fitted.ball)).collect();
+        let place = |at: &usize| live.binary_search(at).ok();
+        let refit = |at: &usize| place(at).and_then(|at| fitter.fit(&left, at, &known, &foreign, blur));
+        which.par_iter().map(refit).collect()
+    }
+
+    /// Fits every live candidate and judges it.
+    fn round(&mut self) {
+        let live = self.live();
+        let refits = self.refits(&live, &live, &self.fitter, self.blur);
+        for (at, refit) in live.into_iter().zip(refits) {
+            let lump = self.candidates[at].lump;
+            let verdict = match &refit {
+                Some((fitted, middle_hu)) => of_fit(self.fitter.grid, &self.lumps[lump], self.alone[lump], fitted, *middle_hu),
+                None => Some(NotBead::Surrounded),
+            };
+            if self.verdicts[lump].is_none() {
+                self.verdicts[lump] = verdict;
+            }
+            self.fits[at] = refit.map(|(fitted, _)| fitted);
+        }
+    }
+
+    fn share_blur(&mut self) {
+        let live = self.live();
+        self.blur = shared_blur(live.iter().filter_map(|at| self.fits[*at].as_ref())).unwrap_or(self.blur);
+    }
+
+    /// The beads whose centres are known best, at most `count`; where none is, what looks most like one.
+    fn most_certain(&self, count: usize) -> Vec<usize> {
+        let live = self.live();
+        let shaped = |at: &usize| matches!(self.verdicts[self.candidates[*at].lump], Some(NotBead::Shape { .. }));
+        let mut asked = if live.is_empty() { (0..self.candidates.len()).filter(shaped).collect() } else { live };
+        asked.retain(|at| self.fits[*at].is_some());
+        let missed = |at: &usize| self.fits[*at].as_ref().map_or(f64::INFINITY, |fitted| fitted.missed_share);
+        asked.sort_by(|a, b| missed(a).total_cmp(&missed(b)));
+        asked.truncate(count);
+        asked.sort_unstable();
+        asked
+    }
+
+    /// Fits of `asked` with voxels that average as `points` say, each with a point spread of its own.
+    fn trial(&self, asked: &[usize], points: VoxelPoints) -> Vec<Option<Fitted>> {
+        let fitter = Fitter { points, ..self.fitter };
+        let mut live = self.live();
+        if live.is_empty() {
+            live = asked.to_vec();
+        }
+        self.refits(&live, asked, &fitter, BLUR_MM).into_iter().map(|fit| fit.map(|(fitted, _)| fitted)).collect()
+    }
+
+    /// A given radius that the beads contradict, and what they say instead; most beads are of one size.
+    fn contradicted_radius(&self) -> Option<(f64, Prior)> {
+        let live = self.live();
+        let unknown = |_: DVec3| None;
+        let fitter = Fitter { radius_mm: &unknown, points: self.fitter.points.clone(), ..self.fitter };
+        let given = |at: usize| (self.fitter.radius_mm)(self.candidates[at].centre_lps_mm);
+        let given: Vec<usize> = live.iter().copied().filter(|at| given(*at).is_some()).collect();
+        let fits = self.refits(&live, &given, &fitter, self.blur);
+        let mut off: Vec<(f64, f64, &Fitted)> = given
+            .iter()
+            .zip(&fits)
+            .filter_map(|(at, fit)| {
+                let (fitted, _) = fit.as_ref()?;
+                let radius_mm = (self.fitter.radius_mm)(self.candidates[*at].centre_lps_mm)?;
+                Some(((fitted.ball.radius_mm / radius_mm).ln(), radius_mm, fitted))
+            })
+            .collect();
+        off.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let (ln_ratio, given_mm, fitted) = off.get(off.len() / 2)?;
+        let sigma_ln = fitted.radius_sigma_ln.max(CONTRADICTED / CONTRADICTED_SIGMAS);
+        let contradicted = ln_ratio.abs() > CONTRADICTED_SIGMAS * sigma_ln;
+        contradicted.then_some((*given_mm, Prior { expected: fitted.ball.radius_mm, sigma_ln }))
+    }
+
+    /// Adds what doubt about the profile leaves to the covariances.
+    fn doubt(&mut self, others: &[Trial], points: impl Fn(SliceProfile) -> VoxelPoints) {
+        let live = self.live();
+        let trials: Vec<(f64, Vec<Option<Fitted>>)> =
+            others.iter().map(|other| (other.weight, self.trial(&live, points(other.profile)))).collect();
+        for (place, at) in live.into_iter().enumerate() {
+            let of_bead: Vec<(f64, Fitted)> =
+                trials.iter().filter_map(|(weight, fits)| Some((*weight, fits[place].clone()?))).collect();
+            if let Some(fitted) = &mut self.fits[at] {
+                doubt(fitted, &of_bead);
+            }
+        }
+    }
 }
 
 /// The places to fit; lumps that cannot be a few balls get their verdict.
@@ -176,7 +307,7 @@ impl Fitter<'_> {
         blur: Prior,
     ) -> Option<(Fitted, f64)> {
         let window = window(self.grid, self.hu, all, at, foreign);
-        (self.step)(3 * all.len());
+        (self.step)(FITS_EACH * all.len());
         let mut window = window?;
         let own = &all[at];
         let near_mm = 2.0 * own.window_mm(self.points.half_diagonal_mm) + 4.0;

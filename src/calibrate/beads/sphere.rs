@@ -46,6 +46,53 @@ pub(super) fn error_function(x: f64, exp: f64) -> f64 {
     (1.0 - sum * exp).copysign(x)
 }
 
+/// How a slice averages along its normal: a box convolved with a Gaussian, both in slice spacings. A file does not say; reconstructions
+/// overlap, leave gaps, and have profiles from nearly a box (axial) to nearly a Gaussian (helical).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct SliceProfile {
+    /// The box's width.
+    pub width: f64,
+    /// The Gaussian's σ.
+    pub sigma: f64,
+}
+
+impl SliceProfile {
+    /// Each slice is as thick as the slices are apart.
+    pub const BOX: Self = Self { width: 1.0, sigma: 0.0 };
+
+    /// Standard deviation, in slice spacings.
+    pub fn deviation(self) -> f64 {
+        (self.width * self.width / 12.0 + self.sigma * self.sigma).sqrt()
+    }
+
+    /// Nodes in slice spacings, and weights that add up to 1; `spacing_mm` says how many are needed.
+    fn nodes(self, spacing_mm: f64) -> Vec<(f64, f64)> {
+        if self.sigma == 0.0 {
+            let nodes = gauss_legendre(node_count(self.width * spacing_mm));
+            return nodes.into_iter().map(|(x, weight)| (0.5 * self.width * x, 0.5 * weight)).collect();
+        }
+        // Evenly spaced nodes integrate what is as smooth as a blurred ball: the step is below its σ.
+        let half = 0.5 * self.width + 3.0 * self.sigma;
+        let count = ((half * spacing_mm / NODE_MM).ceil() as i32).max(3);
+        let phi = |x: f64| error_function(x, (-0.5 * x * x).exp());
+        let density = |x: f64| match self.width > 0.0 {
+            true => phi((x + 0.5 * self.width) / self.sigma) - phi((x - 0.5 * self.width) / self.sigma),
+            false => (-0.5 * (x / self.sigma).powi(2)).exp(),
+        };
+        let nodes: Vec<(f64, f64)> =
+            (-count..=count).map(|n| half * f64::from(n) / f64::from(count)).map(|x| (x, density(x))).collect();
+        let sum: f64 = nodes.iter().map(|(_, weight)| weight).sum();
+        nodes.into_iter().map(|(x, weight)| (x, weight / sum)).collect()
+    }
+}
+
+/// Distance of nodes that is exact enough for a point spread of σ = 0.3 mm.
+const NODE_MM: f64 = 0.3;
+
+fn node_count(length_mm: f64) -> usize {
+    ((length_mm / NODE_MM).round() as usize).clamp(2, 8)
+}
+
 /// Points inside a voxel at which a smooth function averages to its mean over the voxel, by Gauss and Legendre.
 #[derive(Clone, Debug)]
 pub(super) struct VoxelPoints {
@@ -53,32 +100,37 @@ pub(super) struct VoxelPoints {
     points: Vec<(DVec3, f64)>,
     /// From the voxel's centre to a corner.
     pub half_diagonal_mm: f64,
+    /// From the voxel's centre to the farthest point.
+    reach_mm: f64,
 }
 
 impl VoxelPoints {
-    /// For voxels with the edges that are the columns of `edges_mm`.
-    pub fn new(edges_mm: DMat3) -> Self {
+    /// For voxels with the edges that are the columns of `edges_mm`; along the edge of number `slices` they average as `profile` says.
+    pub fn new(edges_mm: DMat3, slices: usize, profile: SliceProfile) -> Self {
         let edges = [edges_mm.x_axis, edges_mm.y_axis, edges_mm.z_axis];
-        // Exact enough for a point spread of σ = 0.3 mm: about a node for every 0.3 mm.
-        let nodes = edges.map(|edge| gauss_legendre(((edge.length() / 0.3).round() as usize).clamp(2, 8)));
+        let nodes = [0, 1, 2].map(|axis| {
+            let of_axis = if axis == slices { profile } else { SliceProfile::BOX };
+            of_axis.nodes(edges[axis].length())
+        });
         let mut points = Vec::new();
         for (z, along_z) in &nodes[2] {
             for (y, along_y) in &nodes[1] {
                 for (x, along_x) in &nodes[0] {
-                    let offset = 0.5 * (edges[0] * *x + edges[1] * *y + edges[2] * *z);
-                    points.push((offset, 0.125 * along_x * along_y * along_z));
+                    let offset = edges[0] * *x + edges[1] * *y + edges[2] * *z;
+                    points.push((offset, along_x * along_y * along_z));
                 }
             }
         }
         let corner = |bits: usize| (0..3).map(|axis| edges[axis] * if bits >> axis & 1 == 1 { 0.5 } else { -0.5 }).sum::<DVec3>();
         let half_diagonal_mm = (0..8).map(|bits| corner(bits).length()).fold(0.0, f64::max);
-        Self { points, half_diagonal_mm }
+        let reach_mm = points.iter().map(|(offset, _)| offset.length()).fold(half_diagonal_mm, f64::max);
+        Self { points, half_diagonal_mm, reach_mm }
     }
 
     /// Mean share over the voxel whose centre lies at `offset_mm` from the ball's, and its derivatives by that offset, the radius and σ.
     pub fn mean_share(&self, offset_mm: DVec3, radius_mm: f64, blur_mm: f64) -> (f64, DVec3, f64, f64) {
         let (mut value, mut by_place, mut by_radius, mut by_blur) = (0.0, DVec3::ZERO, 0.0, 0.0);
-        if offset_mm.length() - self.half_diagonal_mm > radius_mm + 6.0 * blur_mm {
+        if offset_mm.length() - self.reach_mm > radius_mm + 6.0 * blur_mm {
             return (value, by_place, by_radius, by_blur);
         }
         for (inside, weight) in &self.points {
@@ -153,7 +205,7 @@ mod tests {
 
     #[test]
     fn points_in_a_voxel_average_a_thick_slice() {
-        let points = VoxelPoints::new(DMat3::from_diagonal(DVec3::new(0.7, 0.6, 2.5)));
+        let points = VoxelPoints::new(DMat3::from_diagonal(DVec3::new(0.7, 0.6, 2.5)), 2, SliceProfile::BOX);
         let mut sum = 0.0;
         let n = 40;
         let offset = DVec3::new(0.5, -0.3, 1.1);

@@ -20,6 +20,10 @@ const MEDIAN: f64 = 1.386;
 /// A bead so many times worse known than most is left out.
 const WORSE: f64 = 6.0;
 const WORSE_MM: f64 = 0.3;
+/// Shadows that miss a point by so many times what most beads' do, and by so much, are not those of a ball: the end of a rod has no
+/// centre that all views share.
+const MISSED: f64 = 8.0;
+const MISSED_PX: f64 = 0.3;
 
 /// What is left, and what was left out.
 #[derive(Clone, Debug)]
@@ -57,6 +61,10 @@ pub(super) fn pruned(shots: &[PhantomShot], structure: Structure, errors: Camera
         } else if let Some(bead) = worst_bead(&blocks, &next, &covariance) {
             let shots = next.shadows_of(bead).count();
             left.beads.push((next.points[bead], shots, "its beams are too much alike"));
+            next.tracks[bead].fill(None);
+        } else if let Some(bead) = worst_fitting(&blocks, &estimate, next.points.len()) {
+            let shots = next.shadows_of(bead).count();
+            left.beads.push((next.points[bead], shots, "its shadows are not those of one point: is it a ball?"));
             next.tracks[bead].fill(None);
         } else {
             let squares: f64 = blocks.images.iter().flat_map(|(.., n)| estimate.offset(*n)).map(|px| px * px).sum();
@@ -96,6 +104,21 @@ fn worst_bead(blocks: &Blocks, structure: &Structure, covariance: &Covariance) -
     let usual = sigmas.get(sigmas.len() / 2).copied().unwrap_or(0.0);
     let worst = (0..shape.len()).max_by(|a, b| worst_mm(&shape[*a]).total_cmp(&worst_mm(&shape[*b])))?;
     (worst_mm(&shape[worst]) > (WORSE * usual).max(WORSE_MM)).then_some(worst)
+}
+
+/// The bead whose shadows miss it by far more than most beads' do.
+fn worst_fitting(blocks: &Blocks, estimate: &Estimate, beads: usize) -> Option<usize> {
+    let mut squares = vec![(0.0, 0usize); beads];
+    for (bead, _, n) in &blocks.images {
+        squares[*bead].0 += estimate.offset(*n).iter().map(|px| px * px).sum::<f64>();
+        squares[*bead].1 += 1;
+    }
+    let rms: Vec<f64> = squares.into_iter().map(|(sum, count)| (sum / count.max(1) as f64).sqrt()).collect();
+    let mut sorted = rms.clone();
+    sorted.sort_by(f64::total_cmp);
+    let usual = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
+    let worst = (0..beads).max_by(|a, b| rms[*a].total_cmp(&rms[*b]))?;
+    (rms[worst] > (MISSED * usual).max(MISSED_PX)).then_some(worst)
 }
 
 /// The whole problem once more, with evidence of the size.

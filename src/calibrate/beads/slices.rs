@@ -1,0 +1,90 @@
+//! How the slices of a CT average along their normal, found from its beads. The files do not say; a bead of 1.5 mm in slices of 2 mm is
+//! seen in two or three of them, and where its centre is follows from their ratio, which is the profile's.
+
+use glam::DVec3;
+
+use super::fit::Fitted;
+use super::sphere::SliceProfile;
+use crate::scene::VoxelGrid;
+
+/// What is tried: thin slices with gaps, boxes as wide as their distance, overlapping ones, triangles, Gaussians.
+const PROFILES: [SliceProfile; 12] = [
+    SliceProfile::BOX,
+    SliceProfile { width: 0.5, sigma: 0.0 },
+    SliceProfile { width: 1.5, sigma: 0.0 },
+    SliceProfile { width: 2.0, sigma: 0.0 },
+    SliceProfile { width: 1.0, sigma: 0.25 },
+    SliceProfile { width: 1.0, sigma: 0.4 },
+    SliceProfile { width: 1.5, sigma: 0.4 },
+    SliceProfile { width: 0.0, sigma: 0.2 },
+    SliceProfile { width: 0.0, sigma: 0.3 },
+    SliceProfile { width: 0.0, sigma: 0.42 },
+    SliceProfile { width: 0.0, sigma: 0.55 },
+    SliceProfile { width: 0.0, sigma: 0.7 },
+];
+/// Standard deviation of a box as wide as the slices are apart: 1/√12.
+pub(super) const EXPECTED_SIGMA: f64 = 0.288_675_134_594_812_9;
+/// Beads that are asked, the ones that stand out most.
+pub(super) const ASKED: usize = 16;
+/// A profile whose misfit is larger than the best one's by this share counts e⁻¹: no profile of a scanner is exactly one of these.
+const DOUBT: f64 = 0.25;
+/// Profiles that count less are left out.
+const LEAST_WEIGHT: f64 = 0.02;
+
+/// The axis along which the slices follow each other: the longest edge of a voxel, the last of equals.
+pub(super) fn slice_axis(grid: &VoxelGrid) -> usize {
+    let spacing = grid.spacing_mm();
+    (0..3).fold(2, |best, axis| if spacing[axis] > 1.01 * spacing[best] { axis } else { best })
+}
+
+/// A profile with how much it counts beside the best one, which counts 1.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Trial {
+    pub profile: SliceProfile,
+    pub weight: f64,
+}
+
+/// The profiles that the beads agree with, the best first. `fit` gives the fits of the same beads under a profile.
+pub(super) fn choose(fit: impl Fn(SliceProfile) -> Vec<Option<Fitted>>) -> Vec<Trial> {
+    let fits: Vec<Vec<Option<Fitted>>> = PROFILES.iter().map(|profile| fit(*profile)).collect();
+    let beads = fits.first().map_or(0, Vec::len);
+    let in_all: Vec<usize> = (0..beads).filter(|bead| fits.iter().all(|fits| fits[*bead].is_some())).collect();
+    // Per bead the least misfit under any profile counts 1: a bead on a bone's edge has as much say as one in muscle.
+    let missed =
+        |fits: &[Option<Fitted>], bead: usize| fits[bead].as_ref().map_or(f64::INFINITY, |fitted| fitted.missed_sigmas.max(1.0));
+    let excess: Vec<f64> = fits
+        .iter()
+        .map(|of_profile| {
+            let logs = in_all.iter().map(|bead| {
+                let least = fits.iter().map(|fits| missed(fits, *bead)).fold(f64::INFINITY, f64::min);
+                (missed(of_profile, *bead) / least).ln()
+            });
+            logs.sum::<f64>() / in_all.len().max(1) as f64
+        })
+        .collect();
+    let least = excess.iter().copied().fold(f64::INFINITY, f64::min);
+    let trial = |(profile, excess): (SliceProfile, f64)| {
+        let over = ((excess - least).exp() - 1.0) / DOUBT;
+        Trial { profile, weight: (-over * over).exp() }
+    };
+    let mut trials: Vec<Trial> =
+        PROFILES.into_iter().zip(excess).map(trial).filter(|trial| trial.weight >= LEAST_WEIGHT).collect();
+    // Stable: of equals the plainest stays first.
+    trials.sort_by(|a, b| b.weight.total_cmp(&a.weight));
+    trials
+}
+
+/// Adds to the covariance of `fitted` what the doubt about the profile makes of its centre; `others` are its fits under other profiles,
+/// with how much these count beside its own.
+pub(super) fn doubt(fitted: &mut Fitted, others: &[(f64, Fitted)]) {
+    let total = 1.0 + others.iter().map(|(weight, _)| weight).sum::<f64>();
+    let centre = fitted.ball.centre_lps_mm;
+    for (weight, other) in others {
+        let away: DVec3 = other.ball.centre_lps_mm - centre;
+        for (row, covariance) in fitted.covariance_mm2.iter_mut().enumerate() {
+            for (column, value) in covariance.iter_mut().enumerate() {
+                *value += weight / total * away[row] * away[column];
+            }
+        }
+    }
+}

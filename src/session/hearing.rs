@@ -1,0 +1,148 @@
+//! Whether each line can still be heard. A device that falls silent while its port is open, a port that does not come back, a clock that
+//! stands still: each reaches the person while something can be done, and the report where frames went without telemetry for it.
+
+use std::collections::BTreeMap;
+
+use super::posing::Bound;
+use crate::telemetry::{DeviceKind, Health, Sample};
+
+/// A line from which nothing could be used for so long is silent, µs.
+const SILENT_US: i64 = 3_000_000;
+/// A clock that shows the same time for so long stands still, µs.
+const STILL_US: i64 = 1_000_000;
+/// A frame takes at most this long from its exposure into the folder when it is exported at once, µs.
+const PROMPT_US: i64 = 2_000_000;
+
+/// A time without a sample that could be used, host time.
+#[derive(Clone, Copy, Debug)]
+struct Silence {
+    start_us: i64,
+    end_us: i64,
+}
+
+/// One device.
+#[derive(Debug)]
+struct Line {
+    /// The latest sample, or the session's first input.
+    last_us: Option<i64>,
+    ever: bool,
+    told: bool,
+    silences: Vec<Silence>,
+    /// What the device's clock shows, and since when.
+    clock: Option<(u64, i64)>,
+    clock_told: bool,
+    still_us: i64,
+}
+
+impl Line {
+    /// The silence that has lasted until `now_us`, if it is one.
+    fn silence_until(&self, now_us: i64) -> Option<Silence> {
+        let start_us = self.last_us?;
+        (now_us.saturating_sub(start_us) > SILENT_US).then_some(Silence { start_us, end_us: now_us })
+    }
+}
+
+/// See the module.
+#[derive(Debug)]
+pub(super) struct Hearing {
+    lines: BTreeMap<DeviceKind, Line>,
+    /// Arrival of each frame, and the devices that say nothing of its exposure.
+    frames: BTreeMap<u32, (i64, Vec<DeviceKind>)>,
+}
+
+impl Hearing {
+    pub(super) fn new(devices: impl IntoIterator<Item = DeviceKind>) -> Self {
+        let line = || Line {
+            last_us: None,
+            ever: false,
+            told: false,
+            silences: Vec::new(),
+            clock: None,
+            clock_told: false,
+            still_us: 0,
+        };
+        Self { lines: devices.into_iter().map(|device| (device, line())).collect(), frames: BTreeMap::new() }
+    }
+
+    /// Takes a sample; what there is to say about the device's clock.
+    pub(super) fn sample(&mut self, device: DeviceKind, host_us: i64, sample: &Sample) -> Option<String> {
+        let line = self.lines.get_mut(&device)?;
+        line.silences.extend(line.silence_until(host_us));
+        (line.last_us, line.ever, line.told) = (Some(host_us), true, false);
+        let device_us = sample.device_us();
+        let since_us = match line.clock {
+            Some((shown_us, since_us)) if shown_us == device_us => since_us,
+            _ => {
+                (line.clock, line.clock_told) = (Some((device_us, host_us)), false);
+                return None;
+            }
+        };
+        let still_us = host_us.saturating_sub(since_us);
+        if still_us < STILL_US {
+            return None;
+        }
+        line.still_us = line.still_us.max(still_us);
+        (!std::mem::replace(&mut line.clock_told, true))
+            .then(|| format!("the {device}'s clock stands still: nothing it says can be tied to an exposure; restart the device"))
+    }
+
+    /// Time has come to `now_us`; the session begins with the first call.
+    pub(super) fn advance(&mut self, now_us: i64) {
+        self.lines.values_mut().filter(|line| line.last_us.is_none()).for_each(|line| line.last_us = Some(now_us));
+    }
+
+    /// Takes a frame with what telemetry knows of its exposure.
+    pub(super) fn bound(&mut self, number: u32, arrived_us: i64, bound: &Bound) {
+        let unknown = self.lines.keys().copied().filter(|device| !bound.is_known_to(*device)).collect();
+        self.frames.insert(number, (arrived_us, unknown));
+    }
+
+    /// What there is to say, once per silence, about lines that cannot be heard.
+    pub(super) fn look(&mut self, now_us: i64, health: impl Fn(DeviceKind) -> Option<Health>) -> Vec<String> {
+        let mut words = Vec::new();
+        for (device, line) in self.lines.iter_mut().filter(|(_, line)| !line.told && line.silence_until(now_us).is_some()) {
+            line.told = true;
+            let health = health(*device).unwrap_or_default();
+            let useless = health.lost_in_all() + health.duplicate;
+            let why = match (line.ever, health.bytes > 0) {
+                (true, _) => "check the device, its cable and its port".to_owned(),
+                (false, false) => "nothing ever came: is it on, and is this its port?".to_owned(),
+                (false, true) => {
+                    format!(
+                        "bytes come ({}, {useless} packets of no use): is the baud rate right, and is this its port?",
+                        health.bytes
+                    )
+                }
+            };
+            let silent_s = SILENT_US as f64 * 1e-6;
+            words.push(format!(
+                "nothing to be used from the {device} for {silent_s:.0} s, frames that come now have no telemetry of it; {why}"
+            ));
+        }
+        words
+    }
+
+    /// What silence and clocks have cost, a sentence each. A device that is switched off after the last frame has cost nothing.
+    pub(super) fn losses(&self, end_us: i64) -> Vec<String> {
+        let mut words = Vec::new();
+        for (device, line) in &self.lines {
+            let silences: Vec<Silence> = line.silences.iter().copied().chain(line.silence_until(end_us)).collect();
+            let in_silence =
+                |at_us: i64| silences.iter().any(|s| (s.start_us..s.end_us.saturating_add(PROMPT_US)).contains(&at_us));
+            let without = self.frames.values().filter(|(at_us, unknown)| unknown.contains(device) && in_silence(*at_us)).count();
+            let silent_s = silences.iter().map(|s| s.end_us.saturating_sub(s.start_us)).sum::<i64>() as f64 * 1e-6;
+            match (line.ever, without) {
+                (false, _) if !silences.is_empty() => words.push(format!("{device}: not one packet in {silent_s:.0} s")),
+                (_, 1..) => words.push(format!(
+                    "{device}: silent for {silent_s:.0} s in all; {without} frames that came meanwhile have no telemetry of it"
+                )),
+                _ => {}
+            }
+            if line.still_us > 0 {
+                let still_s = line.still_us as f64 * 1e-6;
+                words.push(format!("{device}: its clock stood still for {still_s:.0} s; what it said then has no time"));
+            }
+        }
+        words
+    }
+}

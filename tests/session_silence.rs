@@ -1,0 +1,56 @@
+//! Devices that can no longer be heard, through `live`: what has cost frames their telemetry is a loss, and is said while it happens.
+
+use crate::live_lab::{HANG_S, Lab, Live};
+
+/// Plays a session with `faults`; the exit code, what was printed, the report.
+fn played(faults: &str) -> Option<(Option<i32>, String, String)> {
+    let lab = Lab::start(&["--duration-s", "16", "--faults", faults, "--exposures", "4", "--linger-s", "5"])?;
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let mut live = Live::launch(&lab.kit.join("session.json"), &folder.path().join("out"), &["--seconds", "20"]);
+    let code = live.program.end(HANG_S).expect("it ends").code();
+    Some((code, live.stderr(), live.report()))
+}
+
+/// Frames stayed unbound, the report said that nothing was lost, and the program ended with 0.
+#[test]
+fn a_device_that_cannot_be_heard_is_said_at_once_and_costs_what_it_costs() {
+    // What is played, what is said while it happens, what the report says was lost.
+    let cases = [
+        (
+            "carm:mute@0.3",
+            Some("nothing to be used from the C-arm for 3 s"),
+            Some("frames that came meanwhile have no telemetry of it"),
+        ),
+        (
+            "carm:gone@0.3",
+            Some("nothing to be used from the C-arm for 3 s"),
+            Some("frames that came meanwhile have no telemetry of it"),
+        ),
+        ("carm:freeze@0.3", Some("the C-arm's clock stands still"), Some("C-arm: its clock stood still for")),
+        ("robot:mute@0.3", Some("nothing to be used from the robot for 3 s"), Some("robot: silent for")),
+        ("robot:mute@0.99", None, None),
+        ("none", None, None),
+    ];
+    // Two at a time: three labs on two cores would hear each other.
+    cases.chunks(2).for_each(|cases| {
+        std::thread::scope(|scope| {
+            let runs: Vec<_> = cases.iter().map(|case| (case, scope.spawn(move || played(case.0)))).collect();
+            for ((faults, said, lost), run) in runs {
+                let Some((code, words, report)) = run.join().expect("played") else { return };
+                let all = format!("{faults}: exit code {code:?}\n{words}");
+                match said {
+                    Some(said) => assert!(words.contains(said), "{all}"),
+                    None => assert!(!words.contains("nothing to be used") && !words.contains("stands still"), "{all}"),
+                }
+                match lost {
+                    Some(lost) => assert!(code == Some(3) && report.contains(lost), "{all}\n{report}"),
+                    // A crowded machine may lose packets, which is said as such.
+                    None => {
+                        let silent = ["silent for", "not one packet", "stood still"].iter().any(|words| report.contains(words));
+                        assert!(!silent && report.contains("Losses"), "{all}\n{report}");
+                    }
+                }
+            }
+        })
+    });
+}

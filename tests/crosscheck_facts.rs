@@ -9,9 +9,11 @@ use sidecarm::image::Image;
 use sidecarm::report::Innovation;
 use sidecarm::reporter::Reporter;
 use sidecarm::scene::{self, Scene};
-use sidecarm::session::crosscheck::{ExposureFacts, Finding, Level, check_exposure, check_line, check_session, innovation};
+use sidecarm::session::crosscheck::{
+    ExposureFacts, Finding, Level, LineWatch, check_exposure, check_line, check_session, innovation,
+};
 use sidecarm::session::file::Setup;
-use sidecarm::telemetry::{CarmSample, DeviceKind, Limit, Metadata};
+use sidecarm::telemetry::{CarmSample, DeviceKind, Limit, Metadata, Sample};
 
 const SCENE: &str = r#"{"objects": [{"box": {"centre_lps_mm": [0, 0, 0], "size_mm": [100, 80, 60], "material": "water"}}],
     "beam": {"tube_kvp": 90, "filtration_mm": {"aluminium": 4.3}}, "detector": {"pitch_mm": 0.388}}"#;
@@ -187,6 +189,38 @@ fn a_line_is_held_against_the_session_s_models() {
     assert_eq!(named(&Metadata { units: "m,rad".into(), ..robot.clone() }, &sample()), ["units on the wire"]);
     assert_eq!(named(&robot, &CarmSample { tube_kvp: 120.0, ..sample() }), ["kVp"]);
     assert_eq!(named(&robot, &CarmSample { field_mm: [-120.0, -93.0, 120.0, 93.0], ..sample() }), ["panel size"]);
+}
+
+/// An arm whose encoder has slipped reports what it says itself that it cannot reach; that was taken as it came.
+#[test]
+fn joints_beyond_the_arm_s_own_ranges_are_told_once() {
+    let ranges = [[0.0, 400.0], [-10.0, 10.0], [0.0, 200.0], [-190.0, 190.0], [-90.0, 90.0], [-180.0, 180.0], [900.0, 1200.0]];
+    let arm = Metadata {
+        device_us: 0,
+        sequence: 0,
+        device: DeviceKind::Carm,
+        schema: 0,
+        serial_number: String::new(),
+        firmware: String::new(),
+        calibration_id: String::new(),
+        units: "mm,deg".to_owned(),
+        limits: ranges.map(|[min, max]| Limit { min, max }).to_vec(),
+    };
+    let setup = setup(SCENE, calibration());
+    let (reporter, mut watch) = (Reporter::silent(), LineWatch::default());
+    let at = |orbital_deg: f64, lift_mm: f64| {
+        let joints = CarmJoints { orbital_rad: orbital_deg.to_radians(), lift_mm, ..sample().joints };
+        Sample::Carm(CarmSample { joints, ..sample() })
+    };
+    watch.take(&setup, &at(120.0, 0.0), &reporter);
+    assert!(reporter.warnings().is_empty(), "nothing is known of the arm's reach yet");
+    watch.take(&setup, &Sample::Metadata(arm), &reporter);
+    watch.take(&setup, &at(90.9, f64::NAN), &reporter);
+    assert!(reporter.warnings().is_empty(), "{:?}", reporter.warnings());
+    (0..3).for_each(|_| watch.take(&setup, &at(120.0, -50.0), &reporter));
+    let said = format!("{:?}", reporter.warnings());
+    assert!(said.contains("orbital_deg 120.0") && said.contains("lift_mm -50.0"), "{said}");
+    assert_eq!(reporter.warnings().values().map(|warning| warning.count).sum::<u64>(), 2, "{said}");
 }
 
 #[test]

@@ -125,6 +125,17 @@ fn a_finished_log_has_a_summary_for_other_tools() {
 }
 
 #[test]
+fn what_stands_behind_the_end_of_a_log_is_said() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let bytes = std::fs::read(recorded(folder.path())).expect("the log");
+    let twice = contents(&[bytes.clone(), bytes.clone()].concat()).expect("the first of the two opens");
+    assert_eq!(twice.entries.len(), contents(&bytes).expect("opens").entries.len());
+    let said: Vec<&str> = twice.losses.iter().map(|loss| loss.reason.as_str()).collect();
+    assert!(said.len() == 1 && said[0].contains("two logs in one file"), "{said:?}");
+    assert_eq!(twice.losses[0].at_byte, bytes.len() as u64);
+}
+
+#[test]
 fn a_log_cut_at_any_byte_gives_what_came_before() {
     let folder = tempfile::tempdir().expect("folder");
     let bytes = std::fs::read(recorded(folder.path())).expect("bytes");

@@ -244,6 +244,12 @@ impl LogReader {
             if self.read_up_to(mcap::MAGIC.len() as u64) != mcap::MAGIC {
                 self.lose(start, "the closing bytes are cut; all messages are there".into());
             }
+            if self.at_byte < self.length {
+                let behind = self.length - self.at_byte;
+                let reason =
+                    format!("{behind} bytes stand behind the end of the log and were not read: is it two logs in one file?");
+                self.lose(self.at_byte, reason);
+            }
             self.ended = true;
             return;
         }

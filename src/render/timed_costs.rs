@@ -1,6 +1,8 @@
 //! What the parts of rendering cost on this machine: measured in a second, kept in the user's cache folder.
 
+use std::path::PathBuf;
 use std::sync::Arc;
+use std::time::Duration;
 
 use super::cells::Cells;
 use super::chain::{self, Wanted};
@@ -27,20 +29,29 @@ use crate::time::Stopwatch;
 /// Goes up whenever an executor becomes faster or slower, so that no one trusts costs of the one before.
 const METHOD: u32 = 7;
 
-/// Costs are measured so many times.
+/// Costs are measured so many times at first.
 const ROUNDS: u32 = 3;
+/// And once more when the last time is so long ago: a machine that was crowded all through the first times is not so forever.
+const AGAIN: Duration = Duration::from_secs(3600);
 
-/// The costs of this machine: from the cache, else measured and cached. The first few programs that ask measure again, because others may
-/// have used the machine at the first time. A cache that cannot be written is no error.
+/// The costs of this machine: from the cache, else measured and cached, the least of all times. The first few programs that ask measure
+/// again, and one an hour, because others may have used the machine before. A cache that cannot be written is no error.
 #[must_use]
 pub fn of_this_machine() -> Costs {
+    // Two builds of the program beside each other do not forget what the other one knows.
+    let name = if cfg!(debug_assertions) { "costs-debug.json" } else { "costs.json" };
+    kept_in(cache_file(name))
+}
+
+fn kept_in(path: Option<PathBuf>) -> Costs {
     let version = env!("CARGO_PKG_VERSION");
     let machine = format!("{}, version {version}, method {METHOD}, debug {}", cpu_name(), cfg!(debug_assertions));
-    let path = cache_file("costs.json");
     let cached =
         path.as_ref().and_then(|path| std::fs::read(path).ok()).and_then(|text| serde_json::from_slice::<Costs>(&text).ok());
     let cached = cached.filter(|costs| costs.machine == machine && costs.is_sound());
-    if let Some(costs) = cached.as_ref().filter(|costs| costs.rounds >= ROUNDS) {
+    let age = path.as_ref().and_then(|path| path.metadata().ok()?.modified().ok()?.elapsed().ok());
+    let is_old = age.is_some_and(|age| age > AGAIN);
+    if let Some(costs) = cached.as_ref().filter(|costs| costs.rounds >= ROUNDS && !is_old) {
         return costs.clone();
     }
     let measured = Costs { machine, rounds: 1, ..measure() };
@@ -326,6 +337,21 @@ fn cut_volume() -> Volume {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn costs_of_a_crowded_hour_do_not_stay() {
+        let folder = tempfile::tempdir().expect("temporary folder");
+        let path = folder.path().join("costs.json");
+        let measured = kept_in(Some(path.clone()));
+        assert_eq!(measured.rounds, 1);
+        let crowded = Costs { solid_ns: 1e6 * measured.solid_ns, rounds: ROUNDS, ..measured.clone() };
+        let file = std::fs::File::create(&path).expect("written");
+        serde_json::to_writer(&file, &crowded).expect("written");
+        assert_eq!(kept_in(Some(path.clone())).solid_ns, crowded.solid_ns, "what was measured just now is taken as it is");
+        file.set_modified(std::time::SystemTime::now() - AGAIN - Duration::from_secs(9)).expect("a time");
+        let again = kept_in(Some(path));
+        assert!(again.solid_ns < 1e-2 * crowded.solid_ns && again.rounds == ROUNDS + 1, "{again:?}");
+    }
 
     #[test]
     fn costs_measured_here_are_sound_and_nan_is_not() {

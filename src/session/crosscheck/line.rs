@@ -5,13 +5,16 @@ use std::collections::BTreeSet;
 use super::exposure::against_scene;
 use super::finding::{Finding, Level, tell};
 use super::units::sid;
+use crate::geometry::JOINT_KEYS;
 use crate::reporter::Reporter;
 use crate::scene::Scene;
 use crate::session::file::Setup;
-use crate::telemetry::{CarmSample, DeviceKind, Metadata, Sample};
+use crate::telemetry::{CarmSample, DeviceKind, Limit, Metadata, Sample};
 
 /// Limits that differ by more than this are of another robot.
 const BEND_TOLERANCE_DEG: f64 = 0.05;
+/// Joints may be beyond their range by this share of it: encoders are noisy at the end stop.
+const RANGE_SLACK: f64 = 0.01;
 /// A field wider than the panel by more than this share is another panel's.
 const PANEL_SHARE: f64 = 0.02;
 
@@ -19,14 +22,24 @@ const PANEL_SHARE: f64 = 0.02;
 #[derive(Default)]
 pub struct LineWatch {
     told: BTreeSet<String>,
+    /// Ranges of the arm's joints, as it stated them last.
+    ranges: Vec<Limit>,
 }
 
 impl LineWatch {
     /// Takes a sample of any line.
     pub fn take(&mut self, setup: &Setup, sample: &Sample, reporter: &Reporter) {
         let findings = match sample {
-            Sample::Metadata(metadata) => check_line(setup, None, Some(metadata), None),
-            Sample::Carm(sample) => check_line(setup, None, None, Some(sample)),
+            Sample::Metadata(metadata) => {
+                if metadata.device == DeviceKind::Carm {
+                    self.ranges.clone_from(&metadata.limits);
+                }
+                check_line(setup, None, Some(metadata), None)
+            }
+            Sample::Carm(sample) => {
+                let beyond = check_joints(&self.ranges, sample);
+                beyond.into_iter().chain(check_line(setup, None, None, Some(sample))).collect()
+            }
             Sample::Robot(_) => return,
         };
         // By what was checked: a length that jitters is one disagreement.
@@ -63,6 +76,26 @@ pub fn check_line(
         }
     }
     found
+}
+
+/// Joints beyond the ranges that the arm itself states.
+fn check_joints(ranges: &[Limit], sample: &CarmSample) -> Vec<Finding> {
+    let joints = JOINT_KEYS.iter().zip(sample.joints.to_array()).zip(ranges);
+    let beyond = joints.filter_map(|(((joint, is_angle), value), range)| {
+        let value = if *is_angle { value.to_degrees() } else { value };
+        let slack = RANGE_SLACK * (range.max - range.min);
+        // A joint without an encoder, or a range that is none, is not judged.
+        let is_beyond = value < range.min - slack || value > range.max + slack;
+        is_beyond.then(|| {
+            let detail = format!("the arm reports {joint} {value:.1}, and that it reaches {} to {}", range.min, range.max);
+            Finding::warn(
+                &format!("{joint} out of range"),
+                detail,
+                "an encoder is off: home the arm, or do without its telemetry",
+            )
+        })
+    });
+    beyond.collect()
 }
 
 fn check_units(metadata: &Metadata) -> Option<Finding> {

@@ -77,7 +77,7 @@ pub(super) fn maxima(seen: &Seen, usable: &Image<bool>) -> Maxima {
             }
             let (nu, nv) = (du.pixels[at] / here, dv.pixels[at] / here);
             // One step along the gradient, on the grid: the neighbour in the nearest of eight directions.
-            let (su, sv) = ((nu * 1.3).round() as i64, (nv * 1.3).round() as i64);
+            let (su, sv) = (step_along(nu), step_along(nv));
             let step = sv * width as i64 + su;
             let (ahead, behind) = ((at as i64 + step) as usize, (at as i64 - step) as usize);
             if !(known.pixels[ahead] && known.pixels[behind]) {
@@ -95,6 +95,11 @@ pub(super) fn maxima(seen: &Seen, usable: &Image<bool>) -> Maxima {
     // White noise of σ becomes a gradient of σ / (s² √(8π)) per component after a Gaussian of s.
     let of_noise = noise(seen.image, usable).unwrap_or(0.0) / (SCORE_SIGMA_PX.powi(2) * (8.0 * std::f64::consts::PI).sqrt());
     Maxima { width, height, found, noise: (ABOVE_NOISE * of_noise) as f32 }
+}
+
+/// `component` of a unit vector times 1.3, rounded: of eight directions the nearest.
+fn step_along(component: f32) -> i64 {
+    i64::from(component * 1.3 >= 0.5) - i64::from(component * 1.3 <= -0.5)
 }
 
 impl Maxima {

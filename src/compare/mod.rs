@@ -128,10 +128,11 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
     let (acquired_seen, toned_seen) = rayon::join(|| Seen::on(&ground, &common.acquired), || Seen::on(&ground, &toned));
     let (found_acquired, found_simulated) =
         rayon::join(|| edges::maxima(&acquired_seen, &usable), || edges::maxima(&toned_seen, &usable));
-    let edges = edges::of_both(&found_acquired, &found_simulated);
+    let (edges, acquired_ranks) =
+        rayon::join(|| edges::of_both(&found_acquired, &found_simulated), || ranks(&common.acquired, &scored));
     let base = Scored {
         acquired: &acquired_seen,
-        acquired_ranks: &ranks(&common.acquired, &scored),
+        acquired_ranks: &acquired_ranks,
         simulated: &toned_seen,
         ground: &ground,
         scored: &scored,

@@ -140,16 +140,19 @@ pub(super) fn score(input: &Scored, edges: (&EdgeMap, &EdgeMap)) -> Scores {
         ["rmse_nepers", "bias_nepers", "noise_nepers"].iter().for_each(|name| missing(name, reason));
     }
     debug_assert!(!(relative && absolute_reason.is_none()));
-    if !toned_gray {
-        scores.zncc = zncc(acquired, simulated, input.scored);
-    }
-    scores.rank_ncc = rank_ncc(input.acquired_ranks, &ranks(simulated, input.scored));
-    scores.gradient_ncc = gradient_ncc(input);
-    if ssim_reason.is_none() {
-        scores.ssim = ssim(input);
-    }
-    scores.local_ncc = local_ncc(input);
-    scores.edge_distance_px = median_distance_px(edges.0, edges.1, input.scored);
+    // What takes longest, the sort behind the ranks, beside what filters.
+    let ((of_ranks, of_gradient, of_edges), (of_all, of_windows, of_bands)) = rayon::join(
+        || {
+            let of_ranks = rank_ncc(input.acquired_ranks, &ranks(simulated, input.scored));
+            (of_ranks, gradient_ncc(input), median_distance_px(edges.0, edges.1, input.scored))
+        },
+        || {
+            let of_all = (!toned_gray).then(|| zncc(acquired, simulated, input.scored)).flatten();
+            (of_all, ssim_reason.is_none().then(|| ssim(input)).flatten(), local_ncc(input))
+        },
+    );
+    (scores.zncc, scores.rank_ncc, scores.gradient_ncc) = (of_all, of_ranks, of_gradient);
+    (scores.ssim, scores.local_ncc, scores.edge_distance_px) = (of_windows, of_bands, of_edges);
     scores.edge_distance_mm = scores.edge_distance_px.zip(input.mm_per_px).map(|(px, mm)| px * mm);
     if absolute_reason.is_none() {
         let (mut sum, mut squares) = (0.0, 0.0);

@@ -165,6 +165,27 @@ fn a_shadow_that_is_off_is_rejected_and_named_strays_are_counted() {
     assert!(Compared::new(&phantom, &lab.beads).shape_mm < 0.05);
 }
 
+/// The end of a rod was made a bead, its shadows fifty times as far from one point as the others'.
+#[test]
+fn shadows_that_are_not_those_of_one_point_make_no_bead() {
+    let lab = Lab { missing: 0.0, ..Lab::new(140) };
+    let mut shots = lab.all();
+    let mut wandering = 0;
+    for (n, shot) in shots.iter_mut().enumerate().filter(|(_, shot)| shot.shadows.len() == lab.beads.len() + lab.false_shadows) {
+        let rod = shot.shadows.last_mut().expect("shadows");
+        // It says itself that it is not known well, so that no shadow of it is a stray.
+        rod.image_px += 0.6 * DVec2::from_angle(2.4 * n as f64);
+        rod.sigma_px = 0.5;
+        wandering += 1;
+    }
+    assert!(wandering >= 4, "{wandering} shots show it");
+    let phantom = lab.measured(&shots).expect("measured");
+    assert_eq!(phantom.beads.len(), lab.beads.len() - 1, "{:?}", phantom.beads);
+    let reasons: Vec<&str> = phantom.left_out_beads.iter().map(|bead| bead.reason.as_str()).collect();
+    assert!(reasons.iter().any(|reason| reason.contains("is it a ball")), "{reasons:?}");
+    assert!(Compared::new(&phantom, &lab.beads).shape_mm < 0.05);
+}
+
 #[test]
 fn a_distance_or_the_radii_tell_the_scale_and_contradictions_are_refused() {
     let mut vague = Lab::new(150);

@@ -67,7 +67,7 @@ impl Line {
         rustix::fs::fcntl_setfl(&master, status | rustix::fs::OFlags::NONBLOCK).map_err(failed)?;
         let _ = std::fs::remove_file(&self.link);
         std::os::unix::fs::symlink(&path, &self.link).map_err(MockError::io(self.link.display()))?;
-        self.plugged = Some(Plugged { master, slave: slave });
+        self.plugged = Some(Plugged { master, slave });
         Ok(())
     }
 

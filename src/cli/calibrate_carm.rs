@@ -136,6 +136,13 @@ pub fn run(args: &CarmArgs, reporter: &Reporter) -> Result<u8, CalibrateCarmErro
         );
         reporter.warn("poor fit", words);
     }
+    for parameter in report.parameters.iter().filter(|parameter| parameter.is_far()) {
+        let words = format!(
+            "{} came out as {:.2}, and {:.2} ± {:.2} is what arms have: an encoder's scale, the layout's or another arm's joints would do that",
+            parameter.key, parameter.value, parameter.nominal, parameter.prior_sigma
+        );
+        reporter.warn("unlike an arm", words);
+    }
     for shot in &report.left_out {
         reporter.warn(
             "shot left out",
@@ -213,5 +220,13 @@ fn table(report: &CarmReport) -> String {
         let undetermined = if parameter.determined { "" } else { "  not determined by these shots" };
         text += &format!("{:<42} {:>10.3} ± {:<8.3}{undetermined}\n", parameter.key, parameter.value, parameter.sigma);
     }
+    let largest = |table: &str| {
+        let of_table = report.parameters.iter().filter(|parameter| parameter.key.starts_with(&format!("gravity_sag.{table}")));
+        of_table.map(|parameter| parameter.value.abs()).fold(0.0, f64::max)
+    };
+    let [source_mm, rotation_deg, detector_mm] = ["source_mm", "rotation_deg", "detector_mm"].map(largest);
+    text += &format!(
+        "gravity sag, largest coefficients: {source_mm:.2} mm at the source, {rotation_deg:.2} degrees, {detector_mm:.2} mm at the detector\n"
+    );
     text
 }

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use mcap::records::{Record, op};
 
 use super::RecordError;
-use super::unpack::{Unpacked, unpack};
+use super::unpack::{Unpacked, has_checksum, unpack};
 
 /// Opcode and length in front of every record.
 const RECORD_HEADER_BYTES: u64 = 9;
@@ -298,6 +298,9 @@ impl LogReader {
     }
 
     fn record(&mut self, start: u64, opcode: u8, body: &[u8]) {
+        if opcode == op::ATTACHMENT && !has_checksum(body) {
+            return self.lose(start, "attachment is cut short and was skipped".into());
+        }
         let record = match mcap::parse_record(opcode, body) {
             Ok(record) => record,
             Err(error) => return self.lose(start, format!("record of kind {opcode:#04x} is damaged and was skipped: {error}")),

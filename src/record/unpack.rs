@@ -62,3 +62,14 @@ pub(super) fn unpack(body: &[u8], whole: bool) -> Unpacked {
     records.truncate(limit as usize);
     Unpacked { records, damage }
 }
+
+/// Whether four bytes are left behind the head of an attachment (two times, name, media type, length): mcap 0.26 counts on them.
+pub(super) fn has_checksum(body: &[u8]) -> bool {
+    let mut at = 16usize;
+    for _ in 0..2 {
+        let length = body.get(at..).and_then(|rest| rest.first_chunk::<4>()).map(|bytes| u32::from_le_bytes(*bytes) as usize);
+        let Some(after) = length.and_then(|length| at.checked_add(4)?.checked_add(length)) else { return false };
+        at = after;
+    }
+    at.checked_add(8 + 4).is_some_and(|end| end <= body.len())
+}

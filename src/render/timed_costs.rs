@@ -348,7 +348,8 @@ mod tests {
         let file = std::fs::File::create(&path).expect("written");
         serde_json::to_writer(&file, &crowded).expect("written");
         assert_eq!(kept_in(Some(path.clone())).solid_ns, crowded.solid_ns, "what was measured just now is taken as it is");
-        file.set_modified(std::time::SystemTime::now() - AGAIN - Duration::from_secs(9)).expect("a time");
+        let written = file.metadata().and_then(|metadata| metadata.modified()).expect("a time");
+        file.set_modified(written - AGAIN - Duration::from_secs(9)).expect("a time");
         let again = kept_in(Some(path));
         assert!(again.solid_ns < 1e-2 * crowded.solid_ns && again.rounds == ROUNDS + 1, "{again:?}");
     }

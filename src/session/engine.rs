@@ -5,14 +5,14 @@
 //! frame at a time, in an order that whoever drives the engine chooses ([`Input::Develop`]) and a log keeps: the state that it rests on,
 //! where the specimen lies in the room, changes only with [`Engine::registered`].
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use super::crosscheck::LineWatch;
 use super::file::Setup;
 use super::hearing::Hearing;
 use super::import::Import;
-use super::losses::line_losses;
+use super::losses::{line_losses, without_frame};
 use super::posing::{Bound, Known, PoseJob, Posed, Registered};
 use super::tie::SpecimenTie;
 use crate::acquire::Frame;
@@ -137,6 +137,8 @@ pub struct Engine {
     unbound: BTreeMap<u32, Unbound>,
     /// How often each frame that was posed again was handed on before.
     developments: BTreeMap<u32, u32>,
+    /// Exposures of which a frame came.
+    shown: BTreeSet<u64>,
     /// When the telemetry ended.
     ended_us: Option<i64>,
     /// Latest host time of any input.
@@ -174,6 +176,7 @@ impl Engine {
             pending: BTreeMap::new(),
             unbound: BTreeMap::new(),
             developments: BTreeMap::new(),
+            shown: BTreeSet::new(),
             ended_us: None,
             now_us: i64::MIN,
             bound: BTreeMap::new(),
@@ -209,6 +212,12 @@ impl Engine {
     pub fn line_losses(&self) -> Vec<String> {
         let packets = self.links.iter().filter_map(|(device, link)| line_losses(*device, link.health()));
         packets.chain(self.hearing.losses(self.ended_us.unwrap_or(self.now_us))).collect()
+    }
+
+    /// Exposures that telemetry tells of and no frame came of, in words.
+    #[must_use]
+    pub fn exposures_without_frame(&self) -> Option<String> {
+        without_frame(&self.timeline.exposures(), &self.shown)
     }
 
     /// Lines that have fallen silent since this was last asked, a sentence each.
@@ -318,6 +327,7 @@ impl Engine {
             }
             let bound = Bound::new(frame, host_us, binding, &self.timeline);
             self.hearing.bound(number, host_us, &bound);
+            self.shown.extend(bound.exposure_index());
             self.bound.insert(number, bound);
             sink(Output::Bound { number });
         }
@@ -327,6 +337,7 @@ impl Engine {
     fn bind_late(&mut self, number: u32, unbound: Unbound, binding: Binding, sink: &mut dyn FnMut(Output)) {
         let label = binding.exposure.as_ref().map(|exposure| exposure.label()).unwrap_or_default();
         let Unbound { frame, host_us } = unbound;
+        self.shown.extend(binding.exposure.as_ref().map(|exposure| exposure.index));
         let bound = frame.map(|frame| Bound::new(frame, host_us, binding, &self.timeline));
         if let Some(bound) = &bound {
             self.hearing.bound(number, host_us, bound);

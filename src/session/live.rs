@@ -376,6 +376,10 @@ impl Session {
     fn report(mut self) -> Folder {
         self.finishing = None;
         self.engine.line_losses().into_iter().for_each(|lost| self.log.lose(lost));
+        if let Some(words) = self.engine.exposures_without_frame() {
+            self.reporter.warn("exposures without a frame", &words);
+            self.log.event(Level::Warning, host_now_us(), &words);
+        }
         self.publish(host_now_us());
         self.board.update(|state| state.finished = true);
         self.log.finish();

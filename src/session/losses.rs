@@ -1,6 +1,12 @@
-//! What a line has lost, in a sentence; counters alone do not reach anybody.
+//! What was lost, in a sentence; counters alone do not reach anybody.
+
+use std::collections::BTreeSet;
 
 use crate::telemetry::{DeviceKind, Health};
+use crate::timeline::ExposureInterval;
+
+/// So many exposures are named.
+const NAMED: usize = 8;
 
 /// `None` when nothing was lost.
 pub(super) fn line_losses(device: DeviceKind, health: &Health) -> Option<String> {
@@ -19,4 +25,19 @@ pub(super) fn line_losses(device: DeviceKind, health: &Health) -> Option<String>
         words.push(format!("{} bytes and not one packet of it", health.bytes));
     }
     (!words.is_empty()).then(|| format!("{device}: {}", words.join(", ")))
+}
+
+/// Exposures that are not among those that frames show; `None` where each has one.
+pub(super) fn without_frame(exposures: &[ExposureInterval], shown: &BTreeSet<u64>) -> Option<String> {
+    let alone: Vec<String> =
+        exposures.iter().filter(|exposure| !shown.contains(&exposure.index)).map(ExposureInterval::label).collect();
+    let more = if alone.len() > NAMED { ", …" } else { "" };
+    let named = alone.iter().take(NAMED).cloned().collect::<Vec<_>>().join(", ");
+    (!alone.is_empty()).then(|| {
+        let count = exposures.len();
+        format!(
+            "{} of {count} exposures have no frame ({named}{more}); where they were saved, export them: `sidecarm attach` ties them to the log",
+            alone.len()
+        )
+    })
 }

@@ -151,6 +151,12 @@ impl Bound {
         &self.frame
     }
 
+    /// Number of its exposure.
+    #[must_use]
+    pub fn exposure_index(&self) -> Option<u64> {
+        self.binding.exposure.as_ref().map(|exposure| exposure.index)
+    }
+
     /// Whether this device's telemetry says how it stood at the exposure.
     #[must_use]
     pub fn is_known_to(&self, device: DeviceKind) -> bool {

@@ -88,6 +88,8 @@ impl std::fmt::Display for NotBead {
                 100.0 * missed_share,
                 100.0 * limit_share
             ),
+            // Beyond any bead the number itself says nothing.
+            Self::Uncertain { sigma_mm } if !(*sigma_mm < LARGEST_MM) => f.write_str("nothing tells where its centre is"),
             Self::Uncertain { sigma_mm } => write!(f, "its centre is known to {sigma_mm:.1} mm only"),
             Self::Border => f.write_str("its centre is cut off by the end of the scan"),
             Self::Surrounded => f.write_str("nothing but metal around it"),

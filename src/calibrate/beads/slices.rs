@@ -8,7 +8,7 @@ use super::sphere::SliceProfile;
 use crate::scene::VoxelGrid;
 
 /// What is tried: thin slices with gaps, boxes as wide as their distance, overlapping ones, triangles, Gaussians.
-const PROFILES: [SliceProfile; 12] = [
+const PROFILES: [SliceProfile; 15] = [
     SliceProfile::BOX,
     SliceProfile { width: 0.5, sigma: 0.0 },
     SliceProfile { width: 1.5, sigma: 0.0 },
@@ -17,10 +17,13 @@ const PROFILES: [SliceProfile; 12] = [
     SliceProfile { width: 1.0, sigma: 0.4 },
     SliceProfile { width: 1.5, sigma: 0.4 },
     SliceProfile { width: 0.0, sigma: 0.2 },
-    SliceProfile { width: 0.0, sigma: 0.3 },
+    SliceProfile { width: 0.0, sigma: 0.27 },
+    SliceProfile { width: 0.0, sigma: 0.34 },
     SliceProfile { width: 0.0, sigma: 0.42 },
-    SliceProfile { width: 0.0, sigma: 0.55 },
-    SliceProfile { width: 0.0, sigma: 0.7 },
+    SliceProfile { width: 0.0, sigma: 0.5 },
+    SliceProfile { width: 0.0, sigma: 0.58 },
+    SliceProfile { width: 0.0, sigma: 0.66 },
+    SliceProfile { width: 0.0, sigma: 0.76 },
 ];
 /// Standard deviation of a box as wide as the slices are apart: 1/√12.
 pub(super) const EXPECTED_SIGMA: f64 = 0.288_675_134_594_812_9;

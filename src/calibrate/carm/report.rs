@@ -26,6 +26,17 @@ pub struct FittedParameter {
     pub determined: bool,
 }
 
+/// So many of the standard deviations that were assumed from nominal is far.
+const FAR_SIGMAS: f64 = 3.0;
+
+impl FittedParameter {
+    /// Whether the shots have moved it to where no arm was expected.
+    #[must_use]
+    pub fn is_far(&self) -> bool {
+        !((self.value - self.nominal).abs() <= FAR_SIGMAS * self.prior_sigma)
+    }
+}
+
 /// A shot that the arm rests on.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -125,4 +136,22 @@ pub fn plot(report: &CarmReport) -> Result<String, PlotError> {
         ..Plot::default()
     };
     drawing.svg()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_parameter_is_far_beyond_three_of_what_was_assumed_and_when_it_is_no_number() {
+        let with = |value: f64| FittedParameter {
+            key: "gravity_sag.source_mm[0][1]".to_owned(),
+            nominal: 1.0,
+            value,
+            sigma: 0.1,
+            prior_sigma: 5.0,
+            determined: true,
+        };
+        assert_eq!([1.0, 15.9, -13.9, 16.1, f64::NAN].map(|value| with(value).is_far()), [false, false, false, true, true]);
+    }
 }

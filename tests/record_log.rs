@@ -98,6 +98,29 @@ fn everything_comes_back_bit_for_bit() {
     }
 }
 
+/// A replay took whatever pixels stood in the log: with a right checksum, other pixels gave other scores and not a word.
+#[test]
+fn pixels_that_were_not_recorded_are_no_frame() {
+    let folder = tempfile::tempdir().expect("folder");
+    let log = read_log(&recorded(folder.path())).expect("readable");
+    let mut refused = 0;
+    let mut assembler = FrameAssembler::default();
+    for mut entry in log.entries {
+        let is_pixels = &*entry.topic == topic::FRAME_PIXELS;
+        if is_pixels && let Some(byte) = entry.data.last_mut() {
+            *byte ^= 1;
+        }
+        match assembler.push(&entry) {
+            Ok(frame) => assert!(frame.is_none(), "{frame:?}"),
+            Err(error) => {
+                assert!(is_pixels, "{error}");
+                refused += usize::from(error.to_string().contains("not those that were recorded"));
+            }
+        }
+    }
+    assert_eq!(refused, 2);
+}
+
 /// serde_json's default parser may be off by one unit in the last place; replay needs the very same bits.
 #[test]
 fn floats_in_json_come_back_bit_for_bit() {

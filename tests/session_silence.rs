@@ -6,7 +6,7 @@ use crate::live_lab::{HANG_S, Lab, Live};
 fn played(faults: &str) -> Option<(Option<i32>, String, String)> {
     let lab = Lab::start(&["--duration-s", "16", "--faults", faults, "--exposures", "4", "--linger-s", "5"])?;
     let folder = tempfile::tempdir().expect("temporary folder");
-    let mut live = Live::launch(&lab.kit.join("session.json"), &folder.path().join("out"), &["--seconds", "20"]);
+    let mut live = Live::launch(&lab.kit.join("session.json"), &folder.path().join("out"), &["--seconds", "18"]);
     let code = live.program.end(HANG_S).expect("it ends").code();
     Some((code, live.stderr(), live.report()))
 }

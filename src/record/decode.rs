@@ -5,7 +5,7 @@ use foxglove::messages as fg;
 
 use super::{LogEntry, RecordError, topic};
 use crate::acquire::{Frame, Samples};
-use crate::image::Image;
+use crate::image::{Image, sha256_bytes};
 
 /// One read from a serial line, as it was recorded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -74,24 +74,33 @@ impl LogEntry {
 /// Joins the two messages that an acquired frame is logged as.
 #[derive(Debug, Default)]
 pub struct FrameAssembler {
-    tags: Option<Frame>,
+    tags: Option<(Frame, MessageHash)>,
+}
+
+/// What the tags say of the message with the pixels; nothing in logs of earlier versions.
+#[derive(Debug, serde::Deserialize)]
+struct MessageHash {
+    message_sha256: Option<String>,
 }
 
 impl FrameAssembler {
     /// Takes any entry in log order; gives the frame once its pixels have come, bit for bit as it was acquired.
     ///
     /// # Errors
-    /// When tags or pixels are damaged, pixels come without tags, or their sizes differ.
+    /// When tags or pixels are damaged, pixels come without tags or are not those that were recorded, or their sizes differ.
     pub fn push(&mut self, entry: &LogEntry) -> Result<Option<Frame>, RecordError> {
         match &*entry.topic {
             topic::FRAME_TAGS => {
                 // Damaged tags must not leave earlier ones for these pixels.
                 self.tags = None;
-                self.tags = Some(entry.json()?);
+                self.tags = Some((entry.json()?, entry.json()?));
                 Ok(None)
             }
             topic::FRAME_PIXELS => {
-                let mut frame = self.tags.take().ok_or_else(|| entry.wrong("pixels without their tags".into()))?;
+                let (mut frame, hash) = self.tags.take().ok_or_else(|| entry.wrong("pixels without their tags".into()))?;
+                if hash.message_sha256.is_some_and(|recorded| recorded != sha256_bytes(&entry.data)) {
+                    return Err(entry.wrong(format!("the pixels of frame {} are not those that were recorded", frame.number)));
+                }
                 let pixels = entry.image()?.ok_or_else(|| entry.wrong(format!("schema {} is no image", entry.schema)))?;
                 if frame.size_px != [pixels.width, pixels.height] {
                     let [width, height] = frame.size_px;

@@ -4,7 +4,7 @@ use foxglove::Encode;
 use foxglove::messages as fg;
 use glam::DVec2;
 
-use crate::acquire::Samples;
+use crate::acquire::{Frame, Samples};
 use crate::geometry::View;
 
 /// How much an event matters.
@@ -29,6 +29,15 @@ pub struct BeadMark {
     pub projected_px: DVec2,
     /// Radius of its shadow.
     pub radius_px: f64,
+}
+
+/// The tags of a frame, and the hash of the message with its pixels, which follows: what the file held is gone when the log is read.
+#[derive(serde::Serialize)]
+pub(super) struct TagsOf<'a> {
+    #[serde(flatten)]
+    pub frame: &'a Frame,
+    /// SHA-256 of that message, lower-case hexadecimal.
+    pub message_sha256: String,
 }
 
 pub(super) fn encoded<M: Encode>(message: &M) -> Vec<u8> {

@@ -19,7 +19,7 @@ use super::writer::{Summary, write_until_finished};
 use super::{Provenance, RecordError, topic};
 use crate::acquire::{Frame, Samples};
 use crate::geometry::View;
-use crate::image::Image;
+use crate::image::{Image, sha256_bytes};
 
 /// Records a session. All methods take `&self`; several threads may record at once, and the log keeps the order of their calls.
 ///
@@ -155,10 +155,11 @@ impl Recorder {
     /// # Errors
     /// When the tags have no JSON form.
     pub fn prepare_frame(&self, frame: &Frame, host_us: i64) -> Result<Prepared, RecordError> {
-        let tags = as_json(topic::FRAME_TAGS, frame)?;
         let samples = Samples::from_pixels(&frame.pixels.pixels);
         let image = messages::raw_image(&samples, frame.pixels.width, frame.pixels.height, "camera", host_us);
-        let chunk = self.chunk_of(topic::FRAME_PIXELS, host_us, &messages::encoded(&image));
+        let image = messages::encoded(&image);
+        let tags = as_json(topic::FRAME_TAGS, &messages::TagsOf { frame, message_sha256: sha256_bytes(&image) })?;
+        let chunk = self.chunk_of(topic::FRAME_PIXELS, host_us, &image);
         let before = (topic::FRAME_TAGS, nanoseconds(host_us), tags);
         Ok(Prepared { before, before_kind: Kind::json(topic::FRAME_TAGS), chunk })
     }

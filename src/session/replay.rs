@@ -256,6 +256,11 @@ impl Replay<'_> {
         match self.recorded.poses.get(&development) {
             Some(then) if *then == now => self.report.poses_identical += 1,
             Some(_) => self.report.poses_different.push(number),
+            None if self.recorded.plans.contains_key(&development) => {
+                self.report
+                    .losses
+                    .push(format!("the pose of frame {number} is gone from the log; what was made with it is there"));
+            }
             None => self.report.not_in_log.push(format!("pose of frame {number}")),
         }
         let plan = self.recorded.plans.get(&development).cloned();

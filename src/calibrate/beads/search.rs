@@ -33,8 +33,8 @@ const MOST_FITTED: usize = 1500;
 /// A given radius is contradicted when the beads' own differs by more than this share, and by so many of its σ.
 const CONTRADICTED: f64 = 0.15;
 const CONTRADICTED_SIGMAS: f64 = 3.0;
-/// About so often each candidate is fitted.
-const FITS_EACH: usize = 8;
+/// So often each of a few candidates is fitted: fifteen profiles, four rounds, and the doubt.
+const FITS_EACH: usize = 22;
 /// Summits of one lump are beads only where the value between them falls below this share of the lower one's.
 const DIP: f64 = 0.8;
 

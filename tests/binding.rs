@@ -179,3 +179,16 @@ fn odd_consoles_have_no_wrong_binding() {
 fn thousand_oddities() {
     judge_odd(long_run());
 }
+
+#[test]
+#[ignore = "an aid: prints the sessions of SIDECARM_FIRST_SEED frame by frame"]
+fn story() {
+    let seed = long_run().start;
+    let played = usual(seed).into_iter().chain(odd(seed));
+    for (_, kind, score) in played {
+        println!("== {kind}");
+        for line in &score.told {
+            println!("{line}");
+        }
+    }
+}

@@ -30,22 +30,22 @@ fn played_with(
     resolution_us: i64,
     stamp: &dyn Fn(f64) -> Option<i64>,
 ) -> Score {
-    played_beside(exposures_s, holes, counted, came, (resolution_us, None), stamp)
+    played_at(exposures_s, holes, counted, came, (resolution_us, None, 25.0), stamp)
 }
 
-/// The same; pictures of something else have the second stamp.
-fn played_beside(
+/// The same; pictures of something else have the second stamp, the C-arm sends at the third number, Hz.
+fn played_at(
     exposures_s: &[(f64, f64)],
     holes: &[(f64, f64)],
     counted: bool,
     came: &[Came],
-    (resolution_us, foreign): (i64, Option<i64>),
+    (resolution_us, foreign, rate_hz): (i64, Option<i64>, f64),
     stamp: &dyn Fn(f64) -> Option<i64>,
 ) -> Score {
     let mut draw = Draw::new(1, 0);
     let counter = |index: usize| index as u32 + 1;
     let end_s = exposures_s.iter().fold(0.0f64, |end, exposure| end.max(exposure.1)) + 30.0;
-    let samples = samples(&mut draw, exposures_s, end_s, 25.0, counted.then_some(&counter), 0, holes);
+    let samples = samples(&mut draw, exposures_s, end_s, rate_hz, counted.then_some(&counter), 0, holes);
     let exposures = exposures_s.iter().enumerate().map(|(index, (start, end))| Exposed {
         start_us: us(*start),
         end_us: us(*end),
@@ -295,7 +295,7 @@ fn a_count_of_one_that_has_not_moved_is_no_exposures_number() {
     let mut came: Vec<Came> = (0..8).map(|i| (Truth::Of(i), exposures[i].1 + 1.5, Some(1))).collect();
     came.push((Truth::Foreign, exposures[0].1 + 0.3, Some(1)));
     let stamp = |at_s: f64| Some(us((at_s + AHEAD_S).floor()));
-    let score = played_beside(&exposures, &[], true, &came, (1_000_000, stamp(-1800.0)), &stamp);
+    let score = played_at(&exposures, &[], true, &came, (1_000_000, stamp(-1800.0), 25.0), &stamp);
     assert!(score.wrong.is_empty() && score.bound == 8, "{} bound, {:#?}", score.bound, score.wrong);
 }
 
@@ -308,7 +308,7 @@ fn a_picture_of_another_room_is_told_by_its_count() {
     came.push((Truth::Foreign, exposures[9].1 + 1.2, Some(71)));
     came.push((Truth::Of(9), exposures[9].1 + 1.9, Some(15)));
     let stamp = |at_s: f64| Some(us((at_s + AHEAD_S).floor()));
-    let score = played_beside(&exposures, &[], true, &came, (1_000_000, stamp(exposures[9].0)), &stamp);
+    let score = played_at(&exposures, &[], true, &came, (1_000_000, stamp(exposures[9].0), 25.0), &stamp);
     assert!(score.wrong.is_empty() && score.bound == 14, "{} bound, {:#?}", score.bound, score.wrong);
 }
 
@@ -328,5 +328,37 @@ fn stamps_that_name_a_series_are_not_used() {
         let score = played_with(&exposures, &[], true, &came, 1_000_000, &stamp);
         assert!(score.wrong.is_empty(), "{counter:?}: {:#?}", score.wrong);
         assert!(counter.is_none() || score.bound >= 20, "{} of {} bound", score.bound, score.frames);
+    }
+}
+
+#[test]
+fn an_even_rhythm_does_not_keep_a_console_that_agrees_with_the_carm_from_being_believed() {
+    // Exposures every two seconds: what each frame says fits the exposure before as well, with another offset and another count.
+    let exposures: Vec<(f64, f64)> = (0..6).map(|i| 12.0 + 2.0 * f64::from(i)).map(|at| (at, at + 0.2)).collect();
+    let frame = |i: usize| (Truth::Of(i), exposures[i].1 + 0.3, Some(i as u32 + 1));
+    let host = |at_s: f64| Some(us(at_s));
+    for missing in 0..3 {
+        // One exposure has no frame; then one has a picture without stamp and count.
+        let came: Vec<Came> = (0..6).filter(|i| *i != missing).map(frame).collect();
+        let score = played_with(&exposures, &[], true, &came, 1000, &host);
+        assert!(score.wrong.is_empty() && score.bound == 5, "{missing}: {} bound, {:#?}", score.bound, score.wrong);
+        let mut with_foreign = came.clone();
+        with_foreign.push((Truth::Foreign, exposures[missing].1 + 0.3, None));
+        let score = played_with(&exposures, &[], true, &with_foreign, 1000, &host);
+        assert!(score.wrong.is_empty() && score.bound == 5, "{missing}: {} bound, {:#?}", score.bound, score.wrong);
+    }
+    // A console that stores one picture less and whose clock is an exposure behind: its own count and time are those of the exposure before.
+    let came: Vec<Came> = (1..6).map(|i| (Truth::Of(i), exposures[i].1 + 0.3, Some(i as u32))).collect();
+    let score = played_with(&exposures, &[], true, &came, 1000, &|at_s| Some(us(at_s - 2.0)));
+    assert!(score.wrong.is_empty(), "{:#?}", score.wrong);
+}
+
+#[test]
+fn slow_telemetry_that_counts_is_enough() {
+    for rate_hz in [1.5, 2.0, 5.0] {
+        let exposures: Vec<(f64, f64)> = (0..6).map(|i| 12.1 + 3.0 * f64::from(i)).map(|at| (at, at + 0.2)).collect();
+        let came: Vec<Came> = (0..6).map(|i| (Truth::Of(i), exposures[i].1 + 0.6, Some(i as u32 + 1))).collect();
+        let score = played_at(&exposures, &[], true, &came, (1000, None, rate_hz), &|at_s| Some(us(at_s)));
+        assert!(score.wrong.is_empty() && score.bound == 6, "{rate_hz} Hz: {} bound, {:#?}", score.bound, score.wrong);
     }
 }

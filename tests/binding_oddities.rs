@@ -29,9 +29,12 @@ pub enum Oddity {
     OtherRoom,
     /// Pictures are exported again: re-coded, under another name, some with the time of the export.
     ExportedAgain,
+    /// Exposures follow each other like a clock's ticks, some without a picture, while telemetry may be slow and the console off by just
+    /// one of them, in its clock, in its count, or in both.
+    Rhythm,
 }
 
-const ODDITIES: [Oddity; 10] = [
+const ODDITIES: [Oddity; 11] = [
     Oddity::SeriesStamp,
     Oddity::SeriesCount,
     Oddity::SummerTime,
@@ -42,6 +45,7 @@ const ODDITIES: [Oddity; 10] = [
     Oddity::NoPicture,
     Oddity::OtherRoom,
     Oddity::ExportedAgain,
+    Oddity::Rhythm,
 ];
 
 pub fn oddity_of(seed: u64) -> Oddity {
@@ -60,6 +64,11 @@ struct Shot {
 
 fn shots(draw: &mut Draw, oddity: Oddity) -> Vec<Shot> {
     let mut at_s = draw.between(5.0, 30.0);
+    if oddity == Oddity::Rhythm {
+        let (count, period_s, length_s) = (4 + draw.below(20), draw.between(1.2, 4.5), draw.between(0.1, 0.5));
+        let begins_s = (0..count).map(|i| at_s + period_s * i as f64);
+        return begins_s.map(|start_s| Shot { start_s, end_s: start_s + length_s, series: 0, images: 1 }).collect();
+    }
     let mut found: Vec<Shot> = Vec::new();
     for series in 0..8 + draw.below(8) {
         let count = if oddity == Oddity::HalfSecond { 2 } else { 1 + draw.below(5) };
@@ -97,11 +106,17 @@ pub fn odd_session(seed: u64, oddity: Oddity) -> Session {
     let first = if draw.chance(0.4) { 0 } else { draw.below(80) as u32 };
     let arm_counter = |index: usize| first + index as u32 + 1;
     let times: Vec<(f64, f64)> = shots.iter().map(|shot| (shot.start_s, shot.end_s)).collect();
-    let rate_hz = draw.between(18.0, 30.0);
+    let rhythm = oddity == Oddity::Rhythm;
+    let rate_hz = if rhythm { draw.pick(&[2.0, 5.0, 10.0, 30.0]) } else { draw.between(18.0, 30.0) };
     let samples = samples(&mut draw, &times, end_s, rate_hz, counts.then_some(&arm_counter), first, &[]);
 
     // The console.
-    let ahead_s = draw.pick(&[0.0, 0.0, 3600.0, -18000.0]) + draw.between(-300.0, 300.0);
+    let period_s = times[1].0 - times[0].0;
+    let off_s = match oddity {
+        Oddity::Rhythm => draw.pick(&[0.0, 0.0, 0.0, period_s, -period_s, 170.0]) + draw.between(-0.3, 0.3),
+        _ => draw.between(-300.0, 300.0),
+    };
+    let ahead_s = draw.pick(&[0.0, 0.0, 3600.0, -18000.0]) + off_s;
     let drift = draw.between(-200e-6, 200e-6);
     let resolution_s = if oddity == Oddity::HalfSecond { 1.0 } else { draw.pick(&[1.0, 1.0, 1.0, 0.1, 0.001]) };
     let set_at_s = times[draw.below(times.len())].0 + draw.between(-3.0, 3.0);
@@ -117,9 +132,13 @@ pub fn odd_session(seed: u64, oddity: Oddity) -> Session {
     };
     // What its counter counts: nothing, always 1, the exposures like the C-arm or from elsewhere, the stored pictures.
     let numbering = draw.below(5);
-    let shift = draw.below(200) as u32;
+    let shift = if rhythm { first + draw.below(3) as u32 } else { draw.below(200) as u32 };
     let marks_end = draw.chance(0.25);
-    let lacks = if oddity == Oddity::NoPicture { 0.33 } else { draw.pick(&[0.0, 0.02]) };
+    let lacks = match oddity {
+        Oddity::NoPicture => 0.33,
+        Oddity::Rhythm => draw.pick(&[0.0, 0.1, 0.3]),
+        _ => draw.pick(&[0.0, 0.02]),
+    };
     let (delay_s, jitter_s) = (draw.between(0.3, 1.5), draw.pick(&[0.1, 0.5, 1.0]));
     let late_share = draw.pick(&[0.0, 0.0, 0.1]);
     let mut stored = 0;

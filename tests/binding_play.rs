@@ -25,6 +25,8 @@ pub struct Score {
     pub wrong: Vec<String>,
     /// Why frames were left unbound, digits taken out.
     pub reasons: BTreeMap<String, usize>,
+    /// What became of each frame.
+    pub told: Vec<String>,
     /// Changes of a binding that had been given.
     pub taken_back: usize,
 }
@@ -133,6 +135,15 @@ pub fn play(session: &Session) -> Score {
         let frame = sent.evidence.frame;
         let binding = binder.binding(frame).expect("every frame has its binding");
         assert!(binding.settled && !binding.evidence.is_empty(), "frame {frame} of {} is open at the end", session.described);
+        score.told.push(format!(
+            "frame {frame} {:?} counter {:?} stamp {:?} came {:.3} s: {:?} {}",
+            sent.truth,
+            sent.evidence.counter,
+            sent.evidence.console_us.map(|us| (us - T0_US) as f64 * 1e-6),
+            (sent.evidence.arrival_us.unwrap_or(i64::MAX) - T0_US) as f64 * 1e-6,
+            binding.exposure.as_ref().map(|x| ((x.start_us - T0_US) as f64 * 1e-6, x.counter)),
+            binding.evidence.join("; ")
+        ));
         let right = match sent.truth {
             Truth::Of(index) | Truth::SecondOf(index) => is_of(binding, &session.exposures[index]),
             Truth::Copy | Truth::Foreign => false,

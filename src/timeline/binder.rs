@@ -126,6 +126,7 @@ impl Binder {
     /// Finds the exposures shortly before frames whose arrival telemetry has reached.
     fn meet(&mut self, timeline: &Timeline, newest_us: Option<i64>, now_us: i64) {
         let open: Vec<u32> = self.known.open.iter().copied().collect();
+        let lags = self.known.shots.lags(timeline.exposure_tracker());
         for frame in open {
             let before = frame.checked_sub(1).and_then(|before| self.known.frames.get(&before));
             let before_us = before.and_then(|before| before.evidence.arrival_us);
@@ -134,7 +135,7 @@ impl Binder {
                 pending.prompt = Some(Vec::new());
                 continue;
             };
-            let reached = newest_us.is_some_and(|newest_us| newest_us >= arrival_us);
+            let reached = !lags && newest_us.is_some_and(|newest_us| newest_us >= arrival_us);
             let patient = now_us.saturating_sub(arrival_us) < PATIENCE_US;
             if pending.prompt.is_some() || !reached && patient {
                 continue;

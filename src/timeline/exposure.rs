@@ -196,8 +196,10 @@ impl ExposureTracker {
     fn note_silence(&mut self, now: &Seen) {
         let Some(previous) = self.previous else { return };
         let silent = now.mapped_us.saturating_sub(previous.mapped_us) > HIDING_SILENCE_US;
-        // Equal counters on both sides prove that nothing was missed.
-        let counted = previous.counter.is_some() && previous.counter == now.counter;
+        // Counters on both sides prove that nothing was missed but what they count, as long as neither they nor the clock began anew.
+        let ahead = previous.counter.zip(now.counter).map(|(before, after)| after.wrapping_sub(before));
+        let kept = previous.epoch == now.epoch && previous.segment == now.segment;
+        let counted = ahead.is_some_and(|ahead| ahead == 0 || kept && ahead <= MOST_UNSEEN);
         if silent && !counted {
             self.silences.push_back(Silence { from_us: previous.mapped_us, to_us: now.mapped_us });
             if self.silences.len() > SILENCES_KEPT {

@@ -12,7 +12,7 @@ use super::shots::BATCH_US;
 const SOON_US: i64 = 4_000_000;
 
 /// Time zones are this far apart, but for a few.
-const ZONE_US: i64 = 3_600_000_000;
+pub(super) const ZONE_US: i64 = 3_600_000_000;
 /// A console whose clock is kept is not farther off than this.
 const BESIDE_US: i64 = 300_000_000;
 
@@ -140,6 +140,14 @@ impl Weighed<'_> {
         self.pending.evidence.arrival_us.is_none_or(|arrival_us| arrival_us.saturating_sub(end_us) <= latest_us)
     }
 
+    /// Whether the frame came as long after another exposure as frames do, and not so after this one: one picture too few and one too many
+    /// have all between them count on as if they were of the exposure before, whose frame each of them then takes.
+    fn came_as_after_another(&self, at: usize, prompt: &[usize]) -> bool {
+        let usual_us = self.usual_delay_us();
+        let usual = |other: usize| usual_us.as_ref().is_some_and(|usual_us| self.came_within(usual_us, other));
+        !usual(at) && prompt.iter().any(|other| usual(*other))
+    }
+
     /// A frame unlike the others is bound only where counter and arrival name the same exposure, and last of all: the exposure's own frame
     /// may still come.
     fn counted_and_prompt(&self, candidates: &[(usize, Firmness)], prompt: &[usize], mut words: Vec<String>) -> Judgement {
@@ -174,7 +182,8 @@ impl Weighed<'_> {
             }
             // Where nothing is known yet, an equal number proves little beside a second exposure, or an earlier one that waits for its frame.
             let waits = |other: usize| *firmness == Firmness::Equal && free(other);
-            let proved = self.decides(*at, *firmness, prompt) && (*firmness == Firmness::Enclosed || self.timely(*at))
+            let timed = *firmness == Firmness::Enclosed || self.timely(*at);
+            let proved = self.decides(*at, *firmness, prompt) && timed && !self.came_as_after_another(*at, prompt)
                 || fresh && prompt.len() == 1 && self.timely(*at) && !(0..*at).any(waits)
                 || fresh && self.orderly(*at, *firmness, prompt);
             if prompt.contains(at) && proved && !self.contested(*at, counter) {

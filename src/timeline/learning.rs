@@ -6,8 +6,9 @@ use super::Timeline;
 use super::agreement::{Suggestion, Topic, agreement};
 use super::alignment::{Stamped, align};
 use super::arrival::usual_us_of;
-use super::console::{ConsoleOffset, Pair};
+use super::console::{Bounds, ConsoleOffset, Pair};
 use super::evidence::{Binding, BindingHow, seconds};
+use super::judgement::ZONE_US;
 use super::known::{KNOWN_FRAMES, Known};
 
 /// Exposures farther apart than this have no common offset.
@@ -16,6 +17,12 @@ const APART_US: i64 = 4_000_000;
 const LATER_US: i64 = 2_000_000;
 /// Frames from whose agreement it is known how soon frames come.
 const TIMED: usize = 8;
+/// A console that keeps the host's time is not farther off than this.
+const KEPT_US: i64 = 500_000;
+/// Bounds of its offset wider than this say nothing.
+const SHARP_US: i64 = 3_000_000;
+/// Frames that must show that it does.
+const KEPT_FRAMES: usize = 3;
 /// Frames with two readings that show which of them is the more even.
 const COMMON: usize = 4;
 
@@ -91,9 +98,32 @@ impl Known {
         let known = self.known_offsets().next().is_some();
         let suggestions = self.suggestions(Topic::Offset);
         let learnt = agreement(Topic::Offset, &suggestions).is_some_and(|members| self.learn_offset(&members, known, false));
-        if let (false, false, Some(members)) = (learnt, known, agreement(Topic::Both, &suggestions)) {
+        if learnt || known {
+            return;
+        }
+        let members = agreement(Topic::Both, &suggestions).or_else(|| self.kept_by_both(&suggestions));
+        if let Some(members) = members {
             self.learn_offset(&members, known, true);
         }
+    }
+
+    /// Where exposures follow each other evenly, stamps and counts agree with the exposure before as well. Then only a console that keeps the
+    /// host's time, but for the zone, and counts as the C-arm does is believed: all frames that came carry number and time of the exposure
+    /// that ended last before them. A console that has neither would have to be off by one exposure in both.
+    fn kept_by_both(&self, suggestions: &[Suggestion]) -> Option<Vec<Suggestion>> {
+        let voters: BTreeSet<u32> = suggestions.iter().filter(|s| s.offset.is_some() && s.shift.is_some()).map(|s| s.frame).collect();
+        let kept = |s: &&Suggestion| {
+            let sharp = |bounds: &Bounds| bounds.high_us.saturating_sub(bounds.low_us) <= SHARP_US;
+            let zoned = |bounds: Bounds| {
+                let zone_us = (bounds.low_us / 2 + bounds.high_us / 2 + ZONE_US / 2).div_euclid(ZONE_US).saturating_mul(ZONE_US);
+                bounds.low_us <= zone_us.saturating_add(KEPT_US) && bounds.high_us >= zone_us.saturating_sub(KEPT_US)
+            };
+            self.shots.counted && s.shift == Some(0) && s.latest == Some(s.shot) && s.offset.filter(sharp).is_some_and(zoned)
+        };
+        let members: Vec<Suggestion> = suggestions.iter().filter(kept).copied().collect();
+        let frames: BTreeSet<u32> = members.iter().map(|member| member.frame).collect();
+        let shots: BTreeSet<usize> = members.iter().map(|member| member.shot).collect();
+        (frames == voters && shots.len() == frames.len() && frames.len() >= KEPT_FRAMES).then_some(members)
     }
 
     /// Takes the offset that `members` agree on, unless they are too few; `counted`: their counters agree as well.

@@ -28,7 +28,8 @@ impl Weighed<'_> {
         }
         let waits = |other: usize| shots.get(other).frame.is_none() && self.stamp_allows(other);
         let rival = prompt.iter().any(|other| *other != at && waits(*other));
-        let lacking = (at.saturating_sub(EARLIER)..at).any(|other| shots.get(other).frame.is_none());
+        // An exposure without a frame is none that it can have if it fits the stamps of those that are bound and the count does not.
+        let lacking = (at.saturating_sub(EARLIER)..at).any(waits);
         let from_us = at.checked_sub(1).map_or(shots.get(at).start_us, |before| shots.get(before).start_us);
         let blind = self.timeline.exposure_tracker().blind_spot(from_us, arrival_us).is_some();
         prompt.contains(&at) && !rival && !lacking && !blind && self.stamp_allows(at) && !self.came_with_another(arrival_us)

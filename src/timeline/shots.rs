@@ -14,8 +14,11 @@ pub(super) const BATCH_US: i64 = 800_000;
 /// An exposure of which only the counter tells may still turn out to be the one that begins now.
 const UNSEEN_GRACE_US: i64 = 500_000;
 
-/// Ends known worse than this teach nothing.
-const SHARP_US: f64 = 100_000.0;
+/// What the end of an exposure may lie earlier than the sample without X-rays that shows it, at usual rates.
+const SLACK_US: i64 = 60_000;
+
+/// Ends known worse than this teach nothing: where the C-arm counts, and where it does not, so that another exposure may hide there.
+const SHARP_US: [f64; 2] = [300_000.0, 100_000.0];
 
 /// What binding needs of an exposure.
 #[derive(Clone, Copy, Debug)]
@@ -29,7 +32,7 @@ pub(super) struct Shot {
     /// The latest that it can have begun.
     pub begun_us: i64,
     pub counter: Option<u32>,
-    /// Both ends were seen: its times can teach the console's offset.
+    /// Both ends are known well enough: its times can teach the console's offset.
     pub whole: bool,
     /// The frame that has it.
     pub frame: Option<u32>,
@@ -88,7 +91,10 @@ impl Shots {
                 interval.start_us.saturating_add(start_uncertainty_us),
             ),
         };
-        let sharp = interval.start_uncertainty_us.max(interval.end_uncertainty_us) < SHARP_US;
+        let sharp_us = SHARP_US[usize::from(interval.counter.is_none())];
+        let sharp = interval.start_uncertainty_us.max(interval.end_uncertainty_us) < sharp_us;
+        // Telemetry that is too slow to see an exposure still tells between which two samples it was.
+        let seen = interval.start_seen && interval.end_seen || interval.samples == 0 && interval.counter.is_some();
         self.longest_us = self.longest_us.max(end_us.saturating_sub(start_us));
         self.list.push(Shot {
             index: interval.index,
@@ -97,7 +103,7 @@ impl Shots {
             over_us,
             begun_us,
             counter: interval.counter,
-            whole: interval.start_seen && interval.end_seen && sharp,
+            whole: seen && sharp,
             frame: None,
             prompt_frames: 0,
         });
@@ -142,6 +148,14 @@ impl Shots {
     /// Positions of exposures after which an arrival at `arrival_us` is prompt.
     pub(super) fn prompt(&self, arrival_us: i64) -> Vec<usize> {
         let (from_us, to_us) = (arrival_us.saturating_sub(PROMPT_US), arrival_us.saturating_sub(LEAST_DELAY_US));
-        self.touching(from_us, to_us).filter(|at| (from_us..=to_us).contains(&self.list[*at].end_us)).collect()
+        // Slow telemetry may show the end of an exposure only after its frame came.
+        let ended = |shot: &Shot| shot.end_us >= from_us && shot.end_us.min(shot.over_us.saturating_add(SLACK_US)) <= to_us;
+        self.touching(from_us, to_us).filter(|at| ended(&self.list[*at])).collect()
+    }
+
+    /// Whether an exposure of which only the counter tells is still to be taken.
+    pub(super) fn lags(&self, tracker: &ExposureTracker) -> bool {
+        let last = tracker.closed().back();
+        last.is_some_and(|last| last.samples == 0 && self.list.last().is_none_or(|shot| shot.index < last.index))
     }
 }

@@ -181,7 +181,7 @@ fn thousand_oddities() {
 }
 
 #[test]
-#[ignore = "an aid: prints the sessions of SIDECARM_FIRST_SEED frame by frame"]
+#[ignore = "an aid: scripts/evaluate story prints the sessions of a seed frame by frame"]
 fn story() {
     let seed = long_run().start;
     let played = usual(seed).into_iter().chain(odd(seed));

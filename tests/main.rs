@@ -133,6 +133,7 @@ mod session_robot;
 mod session_silence;
 mod session_signals;
 mod replay_bad_logs;
+mod replay_meddled;
 mod wire_corruption;
 mod overwrite;
 mod fuzz_smoke;

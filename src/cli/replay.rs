@@ -55,6 +55,7 @@ pub fn run(args: &ReplayArgs, reporter: &Reporter) -> Result<u8, SessionError> {
         println!("{} frames replayed into {}", report.frames, folder.path.display());
         println!("poses: {} identical, {} different", report.poses_identical, report.poses_different.len());
         println!("images: {} identical, {} different", report.images_identical, report.images_different.len());
+        println!("scores: {} identical, {} different", report.scores_identical, report.scores_different.len());
         for found in &report.images_different {
             let largest = found.largest_nepers.map_or("not finite".to_owned(), |largest| format!("{largest:.3e} nepers"));
             let detail = found.detail.as_ref().map(|detail| format!(" ({detail})")).unwrap_or_default();
@@ -68,6 +69,12 @@ pub fn run(args: &ReplayArgs, reporter: &Reporter) -> Result<u8, SessionError> {
         }
         for number in &report.poses_missing {
             println!("  frame {number}: the log has a pose, but no frame for it");
+        }
+        for number in &report.scores_different {
+            println!("  frame {number}: pose and DRR are those of the log, its scores are not");
+        }
+        if report.samples_different > 0 {
+            println!("  {} samples of the devices are not what the log's bytes say", report.samples_different);
         }
         for missing in &report.not_in_log {
             println!("  not in the log: {missing}");

@@ -10,6 +10,7 @@ use std::time::Duration;
 use serde_json::json;
 
 use super::SessionError;
+use super::against_log::topic_of;
 use super::engine::Input;
 use super::event::Event;
 use super::file::Setup;
@@ -174,12 +175,7 @@ impl SessionLog {
     }
 
     pub(super) fn sample(&self, device: DeviceKind, host_us: i64, sample: &Sample) {
-        let topic = match (device, sample) {
-            (_, Sample::Metadata(_)) => "/devices/metadata",
-            (DeviceKind::Carm, _) => topic::CARM_JOINTS,
-            (DeviceKind::Robot, _) => topic::ROBOT_JOINTS,
-        };
-        self.check(self.recorder.json(topic, host_us, sample));
+        self.check(self.recorder.json(topic_of(device, sample), host_us, sample));
     }
 
     pub(super) fn pose(&self, posed: &Posed) {

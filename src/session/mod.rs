@@ -18,7 +18,9 @@ pub mod import;
 pub mod inputs;
 pub mod live;
 pub mod replay;
+mod replay_report;
 
+mod against_log;
 mod air_word;
 mod background;
 mod develop;

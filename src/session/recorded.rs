@@ -24,6 +24,8 @@ pub(super) struct Recorded {
     pub(super) plans: BTreeMap<Development, Plan>,
     /// Of the last DRR of each frame.
     pub(super) hashes: BTreeMap<u32, String>,
+    /// The last word of the log on each pair.
+    pub(super) scores: BTreeMap<u32, serde_json::Value>,
     /// The log says in which order frames were registered.
     pub(super) has_order: bool,
     /// The session's inputs came to their end.
@@ -93,14 +95,25 @@ impl Recorded {
                     }
                 }
                 topic::DRR => drr = tolerance.take(entry.image()).flatten().map(|image| sha256_of(&image)),
+                topic::SCORES => {
+                    let pair: Option<serde_json::Value> = tolerance.take(entry.json());
+                    let number = pair.as_ref().and_then(|pair| pair.get("number")).and_then(serde_json::Value::as_u64);
+                    if let (Some(number), Some(pair)) = (number.and_then(|number| u32::try_from(number).ok()), pair) {
+                        found.scores.insert(number, pair);
+                    }
+                }
                 DRR_HASH_TOPIC => {
                     let hash: Option<HashRecord> = tolerance.take(entry.json());
                     let of = found.of(&entry, &mut tolerance, |found, number| found.hashes.contains_key(&number));
                     if let (Some((number, _)), Some(HashRecord { sha256 })) = (of, hash) {
-                        if drr.take().is_some_and(|of_pixels| of_pixels != sha256) {
-                            found
+                        match drr.take() {
+                            Some(of_pixels) if of_pixels != sha256 => found
                                 .losses
-                                .push(format!("the DRR of frame {number} in the log is not the one that its own hash names"));
+                                .push(format!("the DRR of frame {number} in the log is not the one that its own hash names")),
+                            Some(_) => {}
+                            None => {
+                                found.losses.push(format!("the DRR of frame {number} is gone from the log; its hash is there"))
+                            }
                         }
                         found.hashes.insert(number, sha256);
                     }

@@ -7,16 +7,17 @@ use std::sync::mpsc::{Receiver, sync_channel};
 use std::time::Duration;
 
 use super::SessionError;
+use super::against_log::{Samples, same_scores};
 use super::board::Board;
 use super::develop::Developed;
 use super::engine::{Engine, Input, Output};
 use super::folder::{Collector, Folder, Times};
-pub use super::image_difference::ImageDifference;
-use super::image_difference::difference;
+use super::image_difference::{ImageDifference, difference};
 use super::log::{CLOCK_TOPIC, DISAGREES_TOPIC, END_TOPIC, ORDER_TOPIC, PoseRecord};
 use super::places;
 use super::posing::Posed;
 use super::recorded::{Development, Recorded, drrs_of};
+pub use super::replay_report::ReplayReport;
 use super::tracks::Tracks;
 use super::workshop::Workshop;
 use crate::acquire::Frame;
@@ -36,42 +37,6 @@ pub struct ReplayOptions {
     pub data: Option<PathBuf>,
     /// Speed against the recorded clock; `None` is as fast as possible.
     pub rate: Option<f64>,
-}
-
-/// What a replay found against the log. Frames are named by their number of arrival.
-#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
-pub struct ReplayReport {
-    /// Frames replayed.
-    pub frames: usize,
-    /// Poses that are the same, byte for byte.
-    pub poses_identical: usize,
-    /// Frames whose pose differs from the log.
-    pub poses_different: Vec<u32>,
-    /// Poses of the log that no frame of it gives now.
-    pub poses_missing: Vec<u32>,
-    /// DRRs with the same hash.
-    pub images_identical: usize,
-    /// Frames whose DRR differs.
-    pub images_different: Vec<ImageDifference>,
-    /// Frames with a DRR in the log that could not be rendered now.
-    pub images_missing: Vec<u32>,
-    /// Poses and DRRs that the log does not hold.
-    pub not_in_log: Vec<String>,
-    /// What the log has lost.
-    pub losses: Vec<String>,
-    /// What the session had lost on its lines; the log holds it as it was.
-    pub session_losses: Vec<String>,
-}
-
-impl ReplayReport {
-    /// Whether everything that the log holds came out the same (images within their plan's bound).
-    #[must_use]
-    pub fn is_faithful(&self) -> bool {
-        self.poses_different.is_empty()
-            && self.poses_missing.is_empty()
-            && self.images_missing.is_empty()
-            && self.images_different.iter().all(|found| found.largest_nepers.is_some_and(|largest| largest <= found.bound))
-    }
 }
 
 /// Frames that wait for the workshop hold their pixels: more make the replay wait.
@@ -117,6 +82,7 @@ pub fn run(
         report: ReplayReport { losses: recorded.losses.clone(), ..ReplayReport::default() },
         seen: BTreeSet::new(),
         rendered: BTreeMap::new(),
+        samples: Samples::default(),
         tolerance: Tolerance::default(),
         recorded,
     };
@@ -147,6 +113,7 @@ struct Replay<'a> {
     seen: BTreeSet<Development>,
     /// The last DRR of each frame against the log's.
     rendered: BTreeMap<u32, AgainstLog>,
+    samples: Samples,
     tolerance: Tolerance,
 }
 
@@ -169,6 +136,9 @@ impl Replay<'_> {
         let mut numbered = 0;
         for entry in LogReader::open(log)? {
             progress.advance(1);
+            if self.samples.says(&entry) {
+                continue;
+            }
             let is_input = matches!(&*entry.topic, topic::CARM_RAW | topic::ROBOT_RAW | topic::FRAME_PIXELS | CLOCK_TOPIC);
             if is_input {
                 pace.wait_for(entry.host_us);
@@ -237,7 +207,10 @@ impl Replay<'_> {
             let mut sink = |output| outputs.push_back(output);
             match output {
                 // What a device says of itself was said when it was recorded.
-                Output::Sample { host_us, sample, .. } => drop(self.tracks.sample(host_us, &sample)),
+                Output::Sample { device, host_us, sample } => {
+                    self.samples.decoded(device, host_us, &sample);
+                    drop(self.tracks.sample(host_us, &sample));
+                }
                 // A log that keeps no order registered each frame when it was bound.
                 Output::Bound { number } if !self.recorded.has_order => engine.push(Input::Develop { number }, &mut sink),
                 Output::Fault { .. } | Output::Bound { .. } | Output::BoundLate { .. } => {}
@@ -292,6 +265,7 @@ impl Replay<'_> {
             };
             self.rendered.insert(number, against_log);
         }
+        self.compare_scores(&developed);
         let picture = developed.picture();
         self.board.update(|state| state.show(picture));
         for failure in self.collector.take(developed) {
@@ -299,6 +273,22 @@ impl Replay<'_> {
             if self.report.losses.len() < 20 {
                 self.report.losses.push(failure);
             }
+        }
+    }
+
+    /// Scores of a pair whose pose and DRR are the log's: they follow from these.
+    fn compare_scores(&mut self, developed: &Developed) {
+        let number = developed.posed.number;
+        let is_same =
+            matches!(self.rendered.get(&number), Some(AgainstLog::Same)) && !self.report.poses_different.contains(&number);
+        let Some(then) = self.recorded.scores.get(&number).filter(|_| developed.complete && is_same) else { return };
+        let again = (number, 1);
+        let once = !self.recorded.poses.contains_key(&again) && !self.seen.contains(&again);
+        self.report.scores_different.retain(|other| *other != number);
+        if same_scores(then, &developed.pair, once) {
+            self.report.scores_identical += 1;
+        } else {
+            self.report.scores_different.push(number);
         }
     }
 
@@ -314,6 +304,10 @@ impl Replay<'_> {
             match against_log {
                 AgainstLog::Same => self.report.images_identical += 1,
                 AgainstLog::Different { bound } => _ = to_compare.insert(*number, *bound),
+                // A plan is written behind its DRR and before the DRR's hash.
+                AgainstLog::NotInLog if self.recorded.plans.keys().any(|(of, _)| of == number) => {
+                    self.report.losses.push(format!("the hash of frame {number}'s DRR is gone from the log; its plan is there"));
+                }
                 AgainstLog::NotInLog => self.report.not_in_log.push(format!("DRR of frame {number}")),
             }
         }
@@ -333,6 +327,7 @@ impl Replay<'_> {
         }
         self.report.images_missing =
             self.recorded.hashes.keys().filter(|number| !self.rendered.contains_key(number)).copied().collect();
+        self.report.samples_different = self.samples.different(self.recorded.has_end);
         let missing = self.recorded.poses.keys().filter(|development| !self.seen.contains(development));
         self.report.poses_missing = missing.map(|(number, _)| *number).collect();
         self.report.losses.extend(self.tolerance.losses().into_iter().filter(|loss| !self.recorded.losses.contains(loss)));
@@ -360,18 +355,5 @@ impl Pace {
         if early_ms > 1.0 {
             std::thread::sleep(Duration::from_secs_f64(early_ms.min(60_000.0) * 1e-3));
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_difference_that_is_not_finite_is_not_faithful() {
-        let unknown = ImageDifference { number: 1, largest_nepers: None, bound: 1.0, detail: None };
-        assert!(ReplayReport::default().is_faithful());
-        let report = ReplayReport { images_different: vec![unknown], ..ReplayReport::default() };
-        assert!(!report.is_faithful());
     }
 }

@@ -9,7 +9,7 @@ use super::arrival::usual_us_of;
 use super::console::{Bounds, ConsoleOffset, Pair};
 use super::evidence::{Binding, BindingHow, seconds};
 use super::judgement::ZONE_US;
-use super::known::{KNOWN_FRAMES, Known};
+use super::known::{KNOWN_FRAMES, Known, Pending};
 
 /// Exposures farther apart than this have no common offset.
 const APART_US: i64 = 4_000_000;
@@ -21,16 +21,31 @@ const TIMED: usize = 8;
 const KEPT_US: i64 = 500_000;
 /// Bounds of its offset wider than this say nothing.
 const SHARP_US: i64 = 3_000_000;
-/// Frames that must show that it does.
-const KEPT_FRAMES: usize = 3;
+/// The latest frames are asked whether it does.
+const KEPT_LOOKED_AT: usize = 24;
+/// Exposures whose frames must show that it does.
+const KEPT_SHOTS: usize = 3;
 /// Frames with two readings that show which of them is the more even.
 const COMMON: usize = 4;
 
 impl Known {
     /// What the latest prompt frames suggest, as far as it is not known already.
     fn suggestions(&self, topic: Topic) -> Vec<Suggestion> {
+        let mut found = self.suggested_by(self.voters.iter().filter_map(|frame| self.frames.get(frame)));
+        if topic == Topic::Offset && self.known_offsets().next().is_some() {
+            // Only frames that no known offset explains can show that the clock was set.
+            let explained: BTreeSet<u32> =
+                found.iter().filter(|s| self.pair_of(s).is_some_and(|pair| self.allowed(&pair))).map(|s| s.frame).collect();
+            let last_us = self.offsets.last().and_then(ConsoleOffset::span_us).map_or(i64::MIN, |(_, last_us)| last_us);
+            found.retain(|s| !explained.contains(&s.frame) && s.at_us > last_us);
+        }
+        found
+    }
+
+    /// What these frames suggest.
+    fn suggested_by<'a>(&self, frames: impl Iterator<Item = &'a Pending>) -> Vec<Suggestion> {
         let mut found = Vec::new();
-        for pending in self.voters.iter().filter_map(|frame| self.frames.get(frame)) {
+        for pending in frames {
             let said = &pending.evidence;
             for shot in pending.prompt.iter().flatten().copied() {
                 let at = self.shots.get(shot);
@@ -49,13 +64,6 @@ impl Known {
                     shift: said.counter.zip(number).map(|(counter, number)| i64::from(counter) - number),
                 });
             }
-        }
-        if topic == Topic::Offset && self.known_offsets().next().is_some() {
-            // Only frames that no known offset explains can show that the clock was set.
-            let explained: BTreeSet<u32> =
-                found.iter().filter(|s| self.pair_of(s).is_some_and(|pair| self.allowed(&pair))).map(|s| s.frame).collect();
-            let last_us = self.offsets.last().and_then(ConsoleOffset::span_us).map_or(i64::MIN, |(_, last_us)| last_us);
-            found.retain(|s| !explained.contains(&s.frame) && s.at_us > last_us);
         }
         found
     }
@@ -101,7 +109,7 @@ impl Known {
         if learnt || known {
             return;
         }
-        let members = agreement(Topic::Both, &suggestions).or_else(|| self.kept_by_both(&suggestions));
+        let members = agreement(Topic::Both, &suggestions).or_else(|| self.kept_by_both());
         if let Some(members) = members {
             self.learn_offset(&members, known, true);
         }
@@ -109,9 +117,12 @@ impl Known {
 
     /// Where exposures follow each other evenly, stamps and counts agree with the exposure before as well. Then only a console that keeps the
     /// host's time, but for the zone, and counts as the C-arm does is believed: all frames that came carry number and time of the exposure
-    /// that ended last before them. A console that has neither would have to be off by one exposure in both.
-    fn kept_by_both(&self, suggestions: &[Suggestion]) -> Option<Vec<Suggestion>> {
-        let voters: BTreeSet<u32> = suggestions.iter().filter(|s| s.offset.is_some() && s.shift.is_some()).map(|s| s.frame).collect();
+    /// that ended last before them. A console that has neither would have to be off by one exposure in both. What telemetry did not see
+    /// does not matter here, so that the first frames of a session speak as well.
+    fn kept_by_both(&self) -> Option<Vec<Suggestion>> {
+        let suggestions = self.suggested_by(self.frames.values().rev().take(KEPT_LOOKED_AT));
+        let voters: BTreeSet<u32> =
+            suggestions.iter().filter(|s| s.offset.is_some() && s.shift.is_some()).map(|s| s.frame).collect();
         let kept = |s: &&Suggestion| {
             let sharp = |bounds: &Bounds| bounds.high_us.saturating_sub(bounds.low_us) <= SHARP_US;
             let zoned = |bounds: Bounds| {
@@ -123,7 +134,7 @@ impl Known {
         let members: Vec<Suggestion> = suggestions.iter().filter(kept).copied().collect();
         let frames: BTreeSet<u32> = members.iter().map(|member| member.frame).collect();
         let shots: BTreeSet<usize> = members.iter().map(|member| member.shot).collect();
-        (frames == voters && shots.len() == frames.len() && frames.len() >= KEPT_FRAMES).then_some(members)
+        (frames == voters && shots.len() >= KEPT_SHOTS).then_some(members)
     }
 
     /// Takes the offset that `members` agree on, unless they are too few; `counted`: their counters agree as well.

@@ -114,3 +114,29 @@ fn a_refusal_says_what_was_expected_and_what_was_found() {
     let frame = Frame::from_pixels("drawn", pixels, Domain::Linear).expect("finite");
     assert!(register(&matching(&view, &layout), &frame).is_accepted(), "the control");
 }
+
+/// With K or layout as given, σ speaks of the beads' shadows alone; how far a wrong one moves the specimen is said, and is so.
+#[test]
+fn what_sigma_leaves_out_is_said_and_true() {
+    let (view, layout) = (synthetic::view(1024, 1024, 3), synthetic::layout(9, 0.75, 3));
+    let found = shadows(&view, &layout, 0.1, 0.0, 3);
+    let at = |pose: &Pose| pose.camera_from_lps.expect("accepted").transform_point(pose.centroid_lps_mm.expect("beads"));
+    let right = register_shadows(&matching(&view, &layout), &found);
+    let words = right.beyond_sigma().expect("K is given");
+    let number = |before: &str| -> f64 {
+        let from = words.find(before).unwrap_or_else(|| panic!("{before} is not in {words}")) + before.len();
+        words[from..].split(' ').next().expect("a number").parse().expect("a number")
+    };
+    let (along_mm, across_mm) = (number("moves the specimen "), number("wrong by 10 px "));
+    let with = |k: sidecarm::geometry::Intrinsics| {
+        let pose = register_shadows(&Registration { intrinsics: Some(k), ..matching(&view, &layout) }, &found);
+        assert!(pose.is_accepted(), "{:?}", pose.reason);
+        at(&pose) - at(&right)
+    };
+    let k = view.intrinsics;
+    let longer = with(sidecarm::geometry::Intrinsics { fx: 1.01 * k.fx, fy: 1.01 * k.fy, ..k });
+    assert!((longer.z - along_mm).abs() < 0.15 * along_mm, "{longer} for {along_mm} mm");
+    let aside = with(sidecarm::geometry::Intrinsics { cx: k.cx + 10.0, ..k });
+    assert!((aside.x.abs() - across_mm).abs() < 0.15 * across_mm, "{aside} for {across_mm} mm");
+    assert!(Pose::default().beyond_sigma().is_none());
+}

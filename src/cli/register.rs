@@ -63,6 +63,7 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
         pose.notes.push(format!("all places are those of the picture undistorted by {}", path.display()));
         pose.notes.extend(intensifier.note.clone());
     }
+    pose.notes.extend(pose.beyond_sigma());
     let drawn = request.distortion.map(|distortion| pose.drawn_on_distorted(distortion));
     if let Some(path) = &args.overlay {
         write_png_rgb(path, &report::overlay(&seen.frame, drawn.as_ref().unwrap_or(&pose), &masks))?;

@@ -251,6 +251,19 @@ impl Pose {
         Some((self.intrinsics?, self.camera_from_lps?))
     }
 
+    /// What the stated σ leave out where K and the layout were taken as stated: how far one wrong by so much moves the specimen, which the
+    /// beads do not show. `None` where K was solved for, or nothing was accepted.
+    #[must_use]
+    pub fn beyond_sigma(&self) -> Option<String> {
+        let (k, camera_from_lps) = self.camera().filter(|_| self.intrinsics_sigma_px.is_none())?;
+        let depth_mm = camera_from_lps.transform_point(self.centroid_lps_mm?).z;
+        Some(format!(
+            "the stated sigma hold for K and the layout of the beads as given: f, or the layout's scale, wrong by 1 % moves the specimen {:.1} mm along the beam, a principal point wrong by 10 px {:.1} mm across",
+            0.01 * depth_mm,
+            10.0 * depth_mm / k.fx
+        ))
+    }
+
     /// Reads a file.
     ///
     /// # Errors

@@ -8,6 +8,7 @@ use crate::calibrate::robot::SeenTip;
 use crate::compare::{AirReport, Comparison, Disagreement, Elsewhere, NullPlan, NullScore, Scores, ToneFit, elsewhere};
 use crate::mask::MaskShares;
 use crate::time::StageTimes;
+use crate::timeline::NO_EXPOSURE;
 
 /// Where the pose that was rendered came from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -289,7 +290,13 @@ impl Pair {
     /// What to say of the robot's shape where telemetry does not tell it.
     #[must_use]
     pub fn robot_words(&self) -> Option<&'static str> {
-        (self.robot_source.as_deref() == Some("scene")).then_some("robot drawn as in the scene file: no telemetry")
+        let untold = self.robot_source.as_deref() == Some("scene");
+        // Telemetry may well be there: which of its exposures the frame is of is not known.
+        let unbound = self.binding == "none" && self.binding_evidence.iter().any(|words| words != NO_EXPOSURE);
+        untold.then_some(match unbound {
+            true => "robot drawn as in the scene file: the frame is bound to no exposure",
+            false => "robot drawn as in the scene file: no telemetry covers the exposure",
+        })
     }
 
     /// Whether P rests on beads, agreed with by the image or not.

@@ -138,7 +138,7 @@ pub fn counted(pairs: &[Pair]) -> String {
     }
     let as_in_scene = count(&|pair| pair.robot_words().is_some());
     if as_in_scene > 0 {
-        words += &format!(", {as_in_scene} with the robot drawn as in the scene file (no telemetry)");
+        words += &format!(", {as_in_scene} with the robot drawn as in the scene file (no telemetry of their exposures)");
     }
     words
 }

@@ -185,7 +185,7 @@ impl Bench {
         pair.innovation = innovation(&facts);
         let findings = check_exposure(&facts);
         if let (Some(words), Some(_)) = (pair.robot_words(), &self.setup.robot) {
-            self.reporter.warn("robot not told", format!("{}: {words} covers the exposure", posed.label()));
+            self.reporter.warn("robot not told", format!("{}: {words}", posed.label()));
         }
         for finding in findings {
             self.reporter.warn(&format!("check: {}", finding.check), format!("{}: {finding}", posed.label()));

@@ -16,6 +16,9 @@ pub(super) const ZONE_US: i64 = 3_600_000_000;
 /// A console whose clock is kept is not farther off than this.
 const BESIDE_US: i64 = 300_000_000;
 
+/// Why no frame is bound where there is nothing to bind it to.
+pub const NO_EXPOSURE: &str = "telemetry recorded no exposure";
+
 /// What came of it.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Judgement {
@@ -39,7 +42,7 @@ pub(super) struct Weighed<'a> {
 impl Weighed<'_> {
     pub(super) fn judge(&self) -> Judgement {
         if self.known.shots.len() == 0 {
-            return none("telemetry recorded no exposure");
+            return none(NO_EXPOSURE);
         }
         let Some(prompt) = &self.pending.prompt else {
             return Judgement::Wait("telemetry has not yet reached the frame's arrival".to_owned());

@@ -183,3 +183,27 @@ fn the_file_of_k_may_state_how_sure_it_is() {
         assert!(error.contains(expected), "{error}");
     }
 }
+
+/// A K that is off by less than what is refused moves the specimen by centimetres along the beam all the same.
+#[test]
+fn a_given_k_that_is_slightly_off_is_said() {
+    let (mut cases, mut said) = (0, 0);
+    for seed in 0..12 {
+        let (view, layout) = (synthetic::view(1024, 1024, seed), beads(14, seed));
+        let found = shadows(&view, &layout, 0.03, 0.0, seed);
+        if found.len() < 12 {
+            continue;
+        }
+        let with = |k: Intrinsics| register_shadows(&Registration { intrinsics: Some(k), ..matching(&view, &layout) }, &found);
+        let doubted = |k: Intrinsics| {
+            let pose = with(k);
+            !pose.is_accepted() || pose.cautions.iter().any(|caution| caution.contains("with K as given"))
+        };
+        let k = view.intrinsics;
+        assert!(!doubted(k), "seed {seed}, the control: {:?}", with(k).cautions);
+        said += usize::from(doubted(Intrinsics { fx: 1.025 * k.fx, fy: 1.025 * k.fy, ..k }));
+        said += usize::from(doubted(Intrinsics { cx: k.cx + 40.0, ..k }));
+        cases += 2;
+    }
+    assert!(cases >= 8 && 10 * said >= 9 * cases, "{said} of {cases}");
+}

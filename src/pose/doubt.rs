@@ -50,12 +50,20 @@ const BUDGET: u64 = 400_000;
 /// Degrees of freedom that are left with K free, and how many times more than chance each of its three numbers must then explain
 /// (quantiles of F beyond 0.9999).
 const SURE_RATIOS: [(usize, f64); 4] = [(11, 20.0), (7, 40.0), (5, 90.0), (3, 700.0)];
-/// K is another from this relative difference of the focal length on, or this shift of the principal point as a share of the width; less
-/// is an ordinary calibration.
-const OTHER_FOCAL: f64 = 0.03;
-const OTHER_CENTRE: f64 = 0.05;
+/// Relative differences of the focal length from which on another K is said, and refused …
+const OTHER_FOCAL: (f64, f64) = (0.01, 0.03);
+/// … and shifts of the principal point, as a share of the width.
+const OTHER_CENTRE: (f64, f64) = (0.02, 0.05);
 /// Residuals below this are nobody's concern.
 const LEAST_RMS_PX: f64 = 0.15;
+
+/// A K that fits the beads better than the one given.
+struct OtherK {
+    given_px: f64,
+    freed_px: f64,
+    focal_ratio: f64,
+    shift_px: f64,
+}
 
 impl Case<'_> {
     /// Refuses a match although it fits, or gives the cautions that a person should look at.
@@ -76,9 +84,7 @@ impl Case<'_> {
             return Err(Refusal::Missing { matched, missing, unexplained });
         }
         self.check_residual(last, displaced, &mut cautions)?;
-        if let Some(refusal) = self.other_intrinsics(last) {
-            return Err(refusal);
-        }
+        self.check_given_intrinsics(last, &mut cautions)?;
         self.check_lens(last, &mut cautions)?;
         self.check_radii(last, &mut cautions)?;
         self.check_second(last, hypothesis, unexplained, &mut cautions)?;
@@ -225,9 +231,28 @@ impl Case<'_> {
         both.try_inverse().is_none_or(|information| !((off.transpose() * information * off)[(0, 0)] <= GATE.0))
     }
 
-    /// That the beads fit far better with another K than with the one given: a wrong focal length or principal point is made up for by depth
+    /// The beads may fit far better with another K than with the one given: a wrong focal length or principal point is made up for by depth
     /// and turn, but not without a trace.
-    fn other_intrinsics(&self, last: &Settled) -> Option<Refusal> {
+    fn check_given_intrinsics(&self, last: &Settled, cautions: &mut Vec<String>) -> Result<(), Refusal> {
+        let Some(OtherK { given_px, freed_px, focal_ratio, shift_px }) = self.other_intrinsics(last) else { return Ok(()) };
+        let focal_off = (focal_ratio - 1.0).abs();
+        let width_px = f64::from(self.request.size_px[0]);
+        let beyond = |focal: f64, centre: f64| focal_off > focal || shift_px > centre * width_px;
+        if beyond(OTHER_FOCAL.1, OTHER_CENTRE.1) && given_px > LEAST_RMS_PX {
+            return Err(Refusal::Intrinsics { given_px, freed_px, focal_ratio, shift_px });
+        }
+        if beyond(OTHER_FOCAL.0, OTHER_CENTRE.0) {
+            let way = if focal_ratio < 1.0 { "shorter" } else { "longer" };
+            cautions.push(format!(
+                "the beads fit to {given_px:.3} px with K as given, to {freed_px:.3} px with a focal length {:.1} % {way} and the principal point {shift_px:.0} px away: check K, SID and pitch",
+                100.0 * focal_off
+            ));
+        }
+        Ok(())
+    }
+
+    /// The K that explains the beads better than chance would.
+    fn other_intrinsics(&self, last: &Settled) -> Option<OtherK> {
         let k = self.request.intrinsics?;
         let degrees = (2 * last.matches.len()).checked_sub(9)?;
         let (_, needed) = *SURE_RATIOS.iter().find(|(fewest, _)| degrees >= *fewest)?;
@@ -244,15 +269,9 @@ impl Case<'_> {
         let ratio = ((given - freed) / 3.0) / (freed / degrees as f64);
         let focal_ratio = free.intrinsics.fx / k.fx;
         let shift_px = DVec2::new(free.intrinsics.cx - k.cx, free.intrinsics.cy - k.cy).length();
-        let elsewhere = (focal_ratio - 1.0).abs() > OTHER_FOCAL || shift_px > OTHER_CENTRE * f64::from(self.request.size_px[0]);
         let rms = |squares: f64| (squares / last.matches.len() as f64).sqrt();
-        let (given_px, freed_px) = (rms(given), rms(freed));
-        (ratio > needed && elsewhere && given_px > LEAST_RMS_PX).then_some(Refusal::Intrinsics {
-            given_px,
-            freed_px,
-            focal_ratio,
-            shift_px,
-        })
+        let found = OtherK { given_px: rms(given), freed_px: rms(freed), focal_ratio, shift_px };
+        (ratio > needed).then_some(found)
     }
 
     /// A match of the shadows that are left, far beyond chance: the layout, or one like it, stands in the frame a second time.

@@ -384,6 +384,25 @@ fn what_is_no_file_is_said_once_and_never_opened() {
 }
 
 #[test]
+fn what_comes_into_a_folder_below_is_said_once() {
+    let mut watched = Watched::new(true);
+    std::fs::create_dir(watched.path("yesterday")).expect("folder");
+    std::fs::write(watched.path("yesterday/a.dcm"), b"old").expect("file");
+    watched.settle();
+    std::fs::create_dir(watched.path("empty")).expect("folder");
+    watched.settle();
+    assert!(watched.troubles.is_empty(), "what was there, and what is empty: {:?}", watched.troubles);
+    std::fs::create_dir_all(watched.path("2026/run")).expect("folder");
+    std::fs::write(watched.path("yesterday/b.dcm"), b"new").expect("file");
+    watched.settle();
+    std::fs::write(watched.path("yesterday/c.dcm"), b"new").expect("file");
+    watched.settle();
+    assert_eq!(watched.troubles.len(), 2, "once a folder: {:?}", watched.troubles);
+    assert!(watched.troubles.iter().all(|trouble| matches!(trouble, Trouble::SubFolder { .. })), "{:?}", watched.troubles);
+    assert!(!watched.troubles.iter().any(|trouble| trouble.to_string().contains("yesterday")), "names are labels");
+}
+
+#[test]
 fn a_folder_that_is_gone_is_said_once_and_so_is_its_return() {
     let folder = tempfile::tempdir().expect("folder");
     let below = folder.path().join("frames");

@@ -22,7 +22,8 @@ pub(super) fn is_suspicious(name: &OsStr, kind: NotRegular) -> bool {
 /// What lies in a folder, by name.
 pub(super) struct Listing {
     pub(super) files: BTreeMap<OsString, FileStamp>,
-    pub(super) others: BTreeMap<OsString, NotRegular>,
+    /// What is none, with its stamp unless it cannot be told.
+    pub(super) others: BTreeMap<OsString, (NotRegular, Option<FileStamp>)>,
 }
 
 /// Lists `folder`: regular files (and links to such) with their stamps, and what is none.
@@ -37,11 +38,11 @@ pub(super) fn list(folder: &Path) -> std::io::Result<Listing> {
         match std::fs::metadata(entry.path()) {
             Ok(metadata) => match NotRegular::of(&metadata) {
                 None => drop(listing.files.insert(name, FileStamp::of(&metadata))),
-                Some(kind) => drop(listing.others.insert(name, kind)),
+                Some(kind) => drop(listing.others.insert(name, (kind, Some(FileStamp::of(&metadata))))),
             },
             // Gone between listing and looking, unless it is a link that leads nowhere.
             Err(_) if std::fs::symlink_metadata(entry.path()).is_ok() => {
-                listing.others.insert(name, NotRegular::Other);
+                listing.others.insert(name, (NotRegular::Other, None));
             }
             Err(_) => {}
         }

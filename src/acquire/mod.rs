@@ -19,6 +19,7 @@ mod notices;
 mod offer;
 mod padding;
 pub mod panel_maps;
+mod passed_over;
 mod photo;
 mod raster;
 mod read;

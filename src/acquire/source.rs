@@ -51,6 +51,14 @@ pub enum Trouble {
         /// What it is.
         kind: NotRegular,
     },
+    /// Something came into a folder below the watched one.
+    #[error(
+        "{label}: something came into this sub-folder of the watched folder, and sub-folders are not read; let the console write into the watched folder itself, or name the sub-folder in the session"
+    )]
+    SubFolder {
+        /// The folder.
+        label: String,
+    },
     /// Did not become whole for a long time. Should it be completed later, it becomes a frame.
     #[error("{label}: the file has not been completed: {fault}")]
     Unfinished {
@@ -69,6 +77,7 @@ impl Trouble {
             Self::Vanished { .. } => "frame deleted before it was read",
             Self::Overwritten { .. } => "frame overwritten before it was read",
             Self::NotAFile { .. } => "not a file",
+            Self::SubFolder { .. } => "sub-folder not read",
             Self::Unfinished { .. } => "unfinished frame",
         }
     }

@@ -9,12 +9,13 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, Sender, channel};
 
 use super::label;
-use super::listing::{is_suspicious, is_wanted, list};
+use super::listing::{is_wanted, list};
 use super::notices::{Held, HeldCount, Notice, Notices};
 use super::offer::{Offer, Outcome, Told};
+use super::passed_over::PassedOver;
 use super::source::{FrameSource, Sighting, Trouble};
 use super::{Domain, Fault};
-use crate::foreign::{FileStamp, ForeignReader, NotRegular};
+use crate::foreign::{FileStamp, ForeignReader};
 
 /// A file lies still when its stamp was the same for this long.
 const SETTLE_US: i64 = 100_000;
@@ -57,7 +58,7 @@ struct Entry {
     take_holes: bool,
 }
 
-/// Watches one folder (not those below it). Hidden files and names that end in `.tmp`, `.part`, `.partial`, `.json` are passed over.
+/// Watches one folder, not those below it: that something came into one is said. Hidden files and names that end in `.tmp`, `.part`, `.partial`, `.json` are passed over.
 #[derive(Debug)]
 pub struct FolderSource {
     folder: PathBuf,
@@ -67,7 +68,7 @@ pub struct FolderSource {
     existing: Option<BTreeMap<OsString, FileStamp>>,
     lost: bool,
     entries: BTreeMap<OsString, Entry>,
-    not_files: BTreeMap<OsString, NotRegular>,
+    passed_over: PassedOver,
     departed: VecDeque<(FileStamp, Option<String>)>,
     /// Versions that were said to have vanished before they were read: a notice of them may come later.
     vanished: VecDeque<FileStamp>,
@@ -91,7 +92,7 @@ impl FolderSource {
             existing: if include_existing { Some(BTreeMap::new()) } else { list(folder).ok().map(|listing| listing.files) },
             lost: false,
             entries: BTreeMap::new(),
-            not_files: BTreeMap::new(),
+            passed_over: PassedOver::default(),
             departed: VecDeque::new(),
             vanished: VecDeque::new(),
             notices: Notices::of(folder, &held, is_wanted),
@@ -352,17 +353,16 @@ impl FrameSource for FolderSource {
         if std::mem::take(&mut self.lost) {
             found.push(Sighting::FolderBack);
         }
-        for (name, kind) in &listing.others {
-            if self.not_files.insert(name.clone(), *kind) != Some(*kind) && is_suspicious(name, *kind) {
-                self.seen += 1;
-                let label = self.label(name, self.seen);
-                found.push(Sighting::Trouble(Trouble::NotAFile { label, kind: *kind }));
-            }
-        }
-        self.not_files.retain(|name, _| listing.others.contains_key(name));
         // Completed, and gone before it could be opened. What was seen settling is reported when it departs.
         missed.retain(|name| !listing.files.contains_key(name) && !listing.others.contains_key(name));
         missed.retain(|name| self.entries.get(name).is_none_or(|entry| entry.state == State::Done));
+        let seen = &mut self.seen;
+        let mut label = |name: &OsStr| {
+            *seen += 1;
+            label::of_unread(Path::new(name), *seen)
+        };
+        let passed_over = self.passed_over.look(&self.folder, listing.others, &mut label);
+        found.extend(passed_over.into_iter().map(Sighting::Trouble));
         for name in missed {
             self.seen += 1;
             found.push(Sighting::Trouble(Trouble::Vanished { label: self.label(&name, self.seen) }));

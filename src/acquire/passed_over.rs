@@ -1,0 +1,52 @@
+//! What lies in the watched folder and is never read: pipes, devices, and folders, of which a person must hear once something comes into
+//! them.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::ffi::{OsStr, OsString};
+use std::path::Path;
+
+use super::listing::{is_suspicious, is_wanted};
+use super::source::Trouble;
+use crate::foreign::{FileStamp, NotRegular};
+
+/// See the module.
+#[derive(Debug, Default)]
+pub(super) struct PassedOver {
+    known: BTreeMap<OsString, (NotRegular, Option<FileStamp>)>,
+    /// Folders that were spoken of.
+    told: BTreeSet<OsString>,
+    /// The first look is over: what comes into a folder from now on is of this session.
+    begun: bool,
+}
+
+impl PassedOver {
+    /// What is new among `others` in `folder`; `label` names it without giving its name away.
+    pub(super) fn look(
+        &mut self,
+        folder: &Path,
+        others: BTreeMap<OsString, (NotRegular, Option<FileStamp>)>,
+        label: &mut dyn FnMut(&OsStr) -> String,
+    ) -> Vec<Trouble> {
+        let mut found = Vec::new();
+        for (name, now) in &others {
+            let before = self.known.get(name);
+            let kind = now.0;
+            if before.map(|(kind, _)| *kind) != Some(kind) && is_suspicious(name, kind) {
+                found.push(Trouble::NotAFile { label: label(name), kind });
+            } else if self.begun && kind == NotRegular::Folder && before != Some(now) && holds_something(&folder.join(name)) {
+                // Once is enough for every file that comes into it.
+                if self.told.insert(name.clone()) {
+                    found.push(Trouble::SubFolder { label: label(name) });
+                }
+            }
+        }
+        self.begun = true;
+        self.known = others;
+        found
+    }
+}
+
+/// Whether there is a file or a folder that could hold frames.
+fn holds_something(folder: &Path) -> bool {
+    std::fs::read_dir(folder).is_ok_and(|entries| entries.flatten().any(|entry| is_wanted(&entry.file_name())))
+}

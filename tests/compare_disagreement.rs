@@ -1,9 +1,11 @@
 //! Images that plainly do not show the same thing, and values that cannot be nepers.
 
 use sidecarm::acquire::{Domain, Frame};
+use sidecarm::compare::Scores;
 use sidecarm::compare::{AirLevel, CommonDomain, CompareInput, Comparison, Disagreement, OffsetRule, Tone, compare};
 use sidecarm::image::Image;
-use sidecarm::mask::Masks;
+use sidecarm::mask::{Cause, MaskShares, Masks};
+use sidecarm::report::{Pair, PairStatus, PoseSource};
 
 use crate::compare_synthetic::{acquired, line_integral, view};
 
@@ -61,6 +63,15 @@ fn values_nepers_apart_and_unrelated_images_are_said_and_scatter_is_not() {
     let found = compared(&CompareInput { masks: Some(&unmasked), ..CompareInput::new(&other, &simulated) });
     assert!(matches!(found.disagreements[..], [Disagreement::Unrelated { .. }]), "{:?}", found.disagreements);
     assert!(found.flags.iter().any(|flag| flag.contains("hardly correlate")), "{:?}", found.flags);
+    // A pair of which the beads are sure is not plainly accepted then.
+    let mut pair = Pair::unmatched("a", "");
+    (pair.status, pair.pose_source) = (PairStatus::Accepted, PoseSource::Beads);
+    pair.judge_image();
+    assert_eq!(pair.status, PairStatus::Accepted, "the control");
+    pair.set_comparison(&found);
+    pair.judge_image();
+    assert_eq!(pair.status, PairStatus::AcceptedImageDisagrees);
+    assert!(pair.reason.is_some_and(|reason| reason.contains("hardly correlate")));
 }
 
 /// Fourteen bits of data in sixteen bits stored, larger meaning fewer X-rays: turned round about 65535, its dark level lay at 49152, and
@@ -87,4 +98,19 @@ fn a_linear_frame_that_was_turned_round_has_no_nepers_until_its_dark_level_is_kn
     // Without the turn the same values are ordinary.
     let plain = Frame { inverted: false, turned_about: None, ..frame.clone() };
     assert!(compared(&CompareInput::new(&plain, &simulated)).air.level.is_some(), "control");
+}
+
+/// A robot drawn 20 to 300 mm beside its place was accepted without a word: its tip was sought near by only.
+#[test]
+fn a_robot_that_is_not_where_it_is_drawn_is_said() {
+    let with = |drawn: f64, zncc: Option<f64>| {
+        let mut pair = Pair::unmatched("a", "");
+        let masks = MaskShares { causes: [(Cause::Tool, drawn)].into(), ..MaskShares::default() };
+        (pair.masks, pair.scores_tool) = (Some(masks), Some(Scores { zncc, ..Scores::default() }));
+        pair.robot_unseen()
+    };
+    assert!(Pair::unmatched("a", "").robot_unseen().is_none(), "nothing was compared");
+    assert!(with(0.014, Some(0.98)).is_none() && with(0.014, None).is_none());
+    assert!(with(0.014, Some(-0.22)).is_some_and(|(_, words)| words.contains("does not show the robot")));
+    assert!(with(0.0, None).is_some_and(|(kind, _)| kind.contains("outside")));
 }

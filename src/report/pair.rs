@@ -6,7 +6,7 @@ use super::canvas::Rgb;
 use super::colour;
 use crate::calibrate::robot::SeenTip;
 use crate::compare::{AirReport, Comparison, Disagreement, Elsewhere, NullPlan, NullScore, Scores, ToneFit, elsewhere};
-use crate::mask::MaskShares;
+use crate::mask::{Cause, MaskShares};
 use crate::time::StageTimes;
 use crate::timeline::NO_EXPOSURE;
 
@@ -122,6 +122,9 @@ pub struct Innovation {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sigmas: Option<f64>,
 }
+
+/// Where the robot is drawn, frame and DRR correlate better than this if it is there: 0.98 in drawn frames, up to 0.55 where it is not.
+const SEEN_ZNCC: f64 = 0.6;
 
 /// One exposure.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -268,14 +271,20 @@ impl Pair {
         }
     }
 
-    /// Turns an accepted pair into one whose image disagrees, where its null says so.
+    /// Turns an accepted pair into one whose image disagrees, where its null says so, or nothing of one image is seen in the other.
     pub fn judge_image(&mut self) {
-        if self.is_from_beads()
-            && let Some(found) = elsewhere(&self.null)
-        {
+        if !self.is_from_beads() {
+            return;
+        }
+        let another =
+            |found: &&Disagreement| matches!(found, Disagreement::Unrelated { .. } | Disagreement::InvertedContrast { .. });
+        if let Some(found) = elsewhere(&self.null) {
             self.status = PairStatus::AcceptedImageDisagrees;
             self.reason = Some(found.to_string());
             self.image_prefers = Some(found);
+        } else if let Some(found) = self.disagreements.iter().find(another) {
+            self.status = PairStatus::AcceptedImageDisagrees;
+            self.reason = Some(found.to_string());
         }
     }
 
@@ -285,6 +294,21 @@ impl Pair {
             self.status = PairStatus::AcceptedTelemetryDisagrees;
             self.reason = Some(reason.to_owned());
         }
+    }
+
+    /// That the frame does not show the robot where the DRR draws it, by the scores of that place: the kind of warning, and its words.
+    #[must_use]
+    pub fn robot_unseen(&self) -> Option<(&'static str, String)> {
+        let drawn = self.masks.as_ref()?.causes.get(&Cause::Tool).copied().unwrap_or(0.0);
+        if !(drawn > 0.0) {
+            let words = "the robot is drawn outside what the frame shows: nothing tells whether it is there";
+            return Some(("robot outside the frame", words.to_owned()));
+        }
+        let zncc = self.scores_tool.as_ref()?.zncc?;
+        let words = format!(
+            "the frame does not show the robot where the DRR draws it (correlation there {zncc:.2}): check its base, its tracking and its angles"
+        );
+        (zncc < SEEN_ZNCC).then_some(("robot not seen", words))
     }
 
     /// What to say of the robot's shape where telemetry does not tell it.

@@ -81,5 +81,5 @@ pub(super) fn same_scores(then: &Value, now: &Pair, once: bool) -> bool {
     let same = |key: &&str| then.get(*key) == now.get(*key);
     let has_null = |pair: &Value| pair.get("null").and_then(Value::as_object).is_some_and(|null| !null.is_empty());
     let comparable = once && has_null(then) && has_null(&now) && then.get("null_plan") == now.get("null_plan");
-    FROM_IMAGES.iter().all(|key| same(&key)) && (!comparable || WITH_NULL.iter().all(|key| same(&key)))
+    FROM_IMAGES.iter().all(same) && (!comparable || WITH_NULL.iter().all(same))
 }

@@ -20,7 +20,7 @@ use crate::report::{self, Pair, PairStatus, PoseSource, StripInput};
 use crate::reporter::Reporter;
 use crate::scene::Scene;
 use crate::time::Stopwatch;
-use crate::timeline::{Binding, BindingHow};
+use crate::timeline::{Binding, BindingFlag, BindingHow};
 
 /// A pair as far as it has come; it is delivered once when it can be shown and once more with its null.
 #[derive(Clone, Debug)]
@@ -144,6 +144,7 @@ impl Bench {
         let compared = match compare(&input) {
             Ok(compared) => {
                 pair.set_comparison(&compared.comparison);
+                pair.judge_image();
                 for disagreement in &pair.disagreements {
                     self.reporter.warn("images disagree", format!("{}: {disagreement}", posed.label()));
                 }
@@ -187,6 +188,11 @@ impl Bench {
         if let (Some(words), Some(_)) = (pair.robot_words(), &self.setup.robot) {
             self.reporter.warn("robot not told", format!("{}: {words}", posed.label()));
         }
+        for flag in &posed.binding.flags {
+            if matches!(flag, BindingFlag::Moved { .. }) {
+                self.reporter.warn("moved during the exposure", format!("{}: {flag}", posed.label()));
+            }
+        }
         for finding in findings {
             self.reporter.warn(&format!("check: {}", finding.check), format!("{}: {finding}", posed.label()));
             // What P rests on besides the beads.
@@ -200,7 +206,9 @@ impl Bench {
     /// Where the frame shows the drill's tip; a DRR that draws it elsewhere says so. Pictures of an intensifier are not measured: profiles
     /// across the robot are those of the picture as it is acquired.
     fn look_for_tip(&self, posed: &Posed, scene: &Scene, pair: &mut Pair) {
-        if scene.robot.is_none() || posed.intensifier.is_some() {
+        // A robot that is drawn as in the scene file for want of its angles is nowhere in particular.
+        let placeholder = posed.robot.is_none() && self.setup.robot.is_some();
+        if scene.robot.is_none() || posed.intensifier.is_some() || placeholder {
             return;
         }
         let watch = Stopwatch::start();
@@ -212,6 +220,11 @@ impl Bench {
         if let Some(tip) = pair.tip.filter(SeenTip::is_elsewhere) {
             let words = format!("the drill's tip is seen {:.1} mm from where the DRR draws it", tip.length_mm);
             self.reporter.warn("drill's tip", format!("{}: {words}", posed.label()));
+            pair.flags.push(words);
+        } else if pair.tip.is_none()
+            && let Some((kind, words)) = pair.robot_unseen()
+        {
+            self.reporter.warn(kind, format!("{}: {words}", posed.label()));
             pair.flags.push(words);
         }
     }

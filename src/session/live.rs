@@ -192,7 +192,9 @@ impl Session {
             Output::Sample { device, host_us, sample } => {
                 self.log.sample(device, host_us, &sample);
                 if let Some(words) = self.tracks.sample(host_us, &sample) {
-                    self.reporter.warn("device status", &words);
+                    // One status must not hide another; what bits without a meaning say is counted together.
+                    let kind = if words.contains("status bit") { "device status" } else { words.as_str() };
+                    self.reporter.warn(kind, &words);
                     self.log.event(Level::Warning, host_us, &words);
                 }
             }

@@ -7,6 +7,8 @@
 //! Consoles stamp the beginning of an exposure or its end, always the same. Either reading is followed beside the general one until frames
 //! contradict it; the readings that many frames have left alive tell exposures apart that follow each other within a second.
 
+use std::collections::BTreeSet;
+
 use serde::Serialize;
 
 /// Fastest drift of console against host that is believed.
@@ -133,11 +135,18 @@ pub(super) struct ConsoleOffset {
     /// If stamps name beginnings, or ends; `None` once frames have contradicted it.
     ends: [Option<Chain>; 2],
     frames: u32,
+    /// Middles of their exposures: a frame may teach more than once.
+    exposures: BTreeSet<i64>,
 }
 
 impl Default for ConsoleOffset {
     fn default() -> Self {
-        Self { any: Chain::default(), ends: [Some(Chain::default()), Some(Chain::default())], frames: 0 }
+        Self {
+            any: Chain::default(),
+            ends: [Some(Chain::default()), Some(Chain::default())],
+            frames: 0,
+            exposures: BTreeSet::new(),
+        }
     }
 }
 
@@ -171,6 +180,7 @@ impl ConsoleOffset {
             return false;
         }
         self.frames += 1;
+        self.exposures.insert(pair.any.at_us);
         for (chain, bounds) in self.ends.iter_mut().zip(&pair.ends) {
             if chain.as_mut().is_some_and(|chain| !chain.learn(bounds)) {
                 *chain = None;
@@ -190,7 +200,7 @@ impl ConsoleOffset {
         Some(ConsoleClock {
             offset_us: bounds.low_us.saturating_add(half_us),
             uncertainty_us: half_us.saturating_abs(),
-            frames: self.frames,
+            frames: self.exposures.len() as u32,
         })
     }
 }

@@ -6,6 +6,8 @@ use crate::units::wrap_rad;
 const ANGLES: [usize; 4] = [1, 3, 4, 5];
 /// The range of ten to sixty readings of a joint that stands still is 3 to 4.7 of their standard deviations, now and then 6.
 const RANGE_OF_NOISE: f64 = 6.0;
+/// No encoder is so noisy, in mm and rad: what shakes more is shaken.
+const MOST_NOISE: [f64; 2] = [0.5, 0.25 * std::f64::consts::PI / 180.0];
 /// With fewer second differences than this the noise is not known, and counts as none.
 const FEWEST_BENDS: u32 = 4;
 
@@ -58,6 +60,7 @@ impl Travel {
             let Joint { low, high, bends: sum, .. } = self.joints[n];
             // White noise of σ has second differences of 6 σ².
             let sigma = if bends >= FEWEST_BENDS { (sum / (6.0 * f64::from(bends))).sqrt() } else { 0.0 };
+            let sigma = sigma.min(MOST_NOISE[usize::from(ANGLES.contains(&n))]);
             if self.first[n].is_nan() { f64::NAN } else { (high - low - RANGE_OF_NOISE * sigma).max(0.0) }
         })
     }
@@ -90,6 +93,17 @@ mod tests {
             assert!(moved > 1.0, "{n} readings over 3 mm: {moved}");
         }
         assert!(largest(3, 0.0, 2.0)[0] > 1.99, "few readings count as they are");
+    }
+
+    #[test]
+    fn what_shakes_more_than_any_encoder_is_motion() {
+        let swing = |amplitude: f64| {
+            let mut travel = Travel::new([0.0; 7]);
+            (0..10).for_each(|k| travel.push([amplitude * f64::from(1 - 2 * (k % 2)); 7]));
+            travel.range()
+        };
+        assert!(swing(3.0_f64.to_radians())[4] > 4.0_f64.to_radians() && swing(5.0)[0] > 6.0, "{:?}", swing(5.0));
+        assert!(swing(0.1_f64.to_radians())[4] == 0.0 && swing(0.3)[0] == 0.0);
     }
 
     #[test]

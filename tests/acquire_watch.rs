@@ -390,6 +390,7 @@ fn what_comes_into_a_folder_below_is_said_once() {
     std::fs::write(watched.path("yesterday/a.dcm"), b"old").expect("file");
     watched.settle();
     std::fs::create_dir(watched.path("empty")).expect("folder");
+    std::fs::create_dir_all(watched.path("@eaDir/thumbnail")).expect("a file server's own");
     watched.settle();
     assert!(watched.troubles.is_empty(), "what was there, and what is empty: {:?}", watched.troubles);
     std::fs::create_dir_all(watched.path("2026/run")).expect("folder");

@@ -33,17 +33,26 @@ impl PassedOver {
             let kind = now.0;
             if before.map(|(kind, _)| *kind) != Some(kind) && is_suspicious(name, kind) {
                 found.push(Trouble::NotAFile { label: label(name), kind });
-            } else if self.begun && kind == NotRegular::Folder && before != Some(now) && holds_something(&folder.join(name)) {
-                // Once is enough for every file that comes into it.
-                if self.told.insert(name.clone()) {
-                    found.push(Trouble::SubFolder { label: label(name) });
-                }
+            } else if self.begun
+                && kind == NotRegular::Folder
+                && before != Some(now)
+                && !is_servers_own(name)
+                && holds_something(&folder.join(name))
+                // Once is enough for all that comes into it.
+                && self.told.insert(name.clone())
+            {
+                found.push(Trouble::SubFolder { label: label(name) });
             }
         }
         self.begun = true;
         self.known = others;
         found
     }
+}
+
+/// Whether a file server keeps thumbnails, snapshots or deleted files there.
+fn is_servers_own(name: &OsStr) -> bool {
+    name.to_string_lossy().starts_with(['@', '#', '$'])
 }
 
 /// Whether there is a file or a folder that could hold frames.

@@ -19,6 +19,8 @@ pub(super) fn topic_of(device: DeviceKind, sample: &Sample) -> &'static str {
     }
 }
 
+/// The lines are read by a thread each: at the end of a log their samples may be out of order by as much.
+const TAIL_US: i64 = 200_000;
 /// What devices say of themselves.
 const METADATA_TOPIC: &str = "/devices/metadata";
 
@@ -26,10 +28,10 @@ const METADATA_TOPIC: &str = "/devices/metadata";
 /// not grow with the log.
 #[derive(Debug, Default)]
 pub(super) struct Samples {
-    /// Of each sample by its hash: how often it was decoded, less how often the log says it.
-    balance: HashMap<u64, i64>,
-    /// The log holds samples at all.
-    recorded: bool,
+    /// Of each sample by its hash: how often it was decoded, less how often the log says it; and its time.
+    balance: HashMap<u64, (i64, i64)>,
+    /// Time of the latest sample that the log says.
+    last_said_us: Option<i64>,
 }
 
 impl Samples {
@@ -42,7 +44,7 @@ impl Samples {
     pub(super) fn says(&mut self, entry: &LogEntry) -> bool {
         let is_sample = matches!(&*entry.topic, topic::CARM_JOINTS | topic::ROBOT_JOINTS | METADATA_TOPIC);
         if is_sample {
-            self.recorded = true;
+            self.last_said_us = self.last_said_us.max(Some(entry.host_us));
             self.weigh(&entry.topic, entry.host_us, &entry.data, -1);
         }
         is_sample
@@ -52,19 +54,26 @@ impl Samples {
         let mut hasher = DefaultHasher::new();
         (topic, host_us, data).hash(&mut hasher);
         let key = hasher.finish();
-        let balance = self.balance.entry(key).or_insert(0);
+        let (balance, _) = self.balance.entry(key).or_insert((0, host_us));
         *balance += by;
         if *balance == 0 {
             self.balance.remove(&key);
         }
     }
 
-    /// Samples in the log that its bytes do not give, and those that its bytes give and it does not say. A session that was cut short had
-    /// decoded more than it had written.
-    pub(super) fn different(&self, is_whole: bool) -> u64 {
-        let said_only = self.balance.values().filter(|balance| **balance < 0).map(|balance| balance.unsigned_abs()).sum::<u64>();
-        let given_only = self.balance.values().filter(|balance| **balance > 0).map(|balance| balance.unsigned_abs()).sum::<u64>();
-        if is_whole && self.recorded { said_only.max(given_only) } else { said_only }
+    /// Samples in the log that its bytes do not give, or those that its bytes give and it does not say, whichever are more. A session that
+    /// was cut short, or left at once, had more bytes than it had come to decode: its last samples do not count.
+    pub(super) fn different(&self) -> u64 {
+        let until_us = self.last_said_us.map_or(i64::MIN, |last_us| last_us.saturating_sub(TAIL_US));
+        let (mut said_only, mut given_only) = (0, 0);
+        for (balance, host_us) in self.balance.values() {
+            match *balance {
+                said if said < 0 => said_only += said.unsigned_abs(),
+                given if *host_us < until_us => given_only += given.unsigned_abs(),
+                _ => {}
+            }
+        }
+        said_only.max(given_only)
     }
 }
 

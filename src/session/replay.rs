@@ -327,7 +327,7 @@ impl Replay<'_> {
         }
         self.report.images_missing =
             self.recorded.hashes.keys().filter(|number| !self.rendered.contains_key(number)).copied().collect();
-        self.report.samples_different = self.samples.different(self.recorded.has_end);
+        self.report.samples_different = self.samples.different();
         let missing = self.recorded.poses.keys().filter(|development| !self.seen.contains(development));
         self.report.poses_missing = missing.map(|(number, _)| *number).collect();
         self.report.losses.extend(self.tolerance.losses().into_iter().filter(|loss| !self.recorded.losses.contains(loss)));

@@ -83,12 +83,36 @@ const FROM_IMAGES: [&str; 9] =
 /// What follows from these and all other poses, unless the null was left out.
 const WITH_NULL: [&str; 7] = ["null", "status", "binding", "pose_source", "time_us", "innovation", "tip"];
 
-/// Whether the log's word on a pair is that of the replay, whose DRR and pose are the same. `once`: its frame was posed once in both.
-pub(super) fn same_scores(then: &Value, now: &Pair, once: bool) -> bool {
-    // Through text, so that both were rounded alike.
-    let Ok(now) = serde_json::to_vec(now).and_then(|text| serde_json::from_slice::<Value>(&text)) else { return false };
-    let same = |key: &&str| then.get(*key) == now.get(*key);
-    let has_null = |pair: &Value| pair.get("null").and_then(Value::as_object).is_some_and(|null| !null.is_empty());
-    let comparable = once && has_null(then) && has_null(&now) && then.get("null_plan") == now.get("null_plan");
-    FROM_IMAGES.iter().all(same) && (!comparable || WITH_NULL.iter().all(same))
+/// What a pair says, in little: a log may hold thousands.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct PairDigest {
+    from_images: u64,
+    with_null: u64,
+    /// Of how the null was made; `None` where there is no null.
+    null_plan: Option<u64>,
+}
+
+impl PairDigest {
+    /// Of a pair as the log has it.
+    pub(super) fn of(pair: &Value) -> Self {
+        let digest = |keys: &[&str]| {
+            let mut hasher = DefaultHasher::new();
+            keys.iter().for_each(|key| pair.get(*key).map(Value::to_string).hash(&mut hasher));
+            hasher.finish()
+        };
+        let has_null = pair.get("null").and_then(Value::as_object).is_some_and(|null| !null.is_empty());
+        let null_plan = has_null.then(|| digest(&["null_plan"]));
+        Self { from_images: digest(&FROM_IMAGES), with_null: digest(&WITH_NULL), null_plan }
+    }
+
+    /// Whether the replay, whose DRR and pose are the same, says the same. `once`: the frame was posed once in both.
+    pub(super) fn agrees(&self, now: &Pair, once: bool) -> bool {
+        // Through text, so that both were rounded alike.
+        let now = serde_json::to_vec(now).and_then(|text| serde_json::from_slice::<Value>(&text));
+        now.is_ok_and(|now| {
+            let now = Self::of(&now);
+            let comparable = once && self.null_plan.is_some() && self.null_plan == now.null_plan;
+            self.from_images == now.from_images && (!comparable || self.with_null == now.with_null)
+        })
+    }
 }

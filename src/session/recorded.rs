@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::SessionError;
+use super::against_log::PairDigest;
 use super::file::Setup;
 use super::log::{DRR_HASH_TOPIC, END_TOPIC, ORDER_TOPIC, SETUP_TOPIC};
 use crate::image::{Image, sha256_bytes};
@@ -25,7 +26,7 @@ pub(super) struct Recorded {
     /// Of the last DRR of each frame.
     pub(super) hashes: BTreeMap<u32, String>,
     /// The last word of the log on each pair.
-    pub(super) scores: BTreeMap<u32, serde_json::Value>,
+    pub(super) scores: BTreeMap<u32, PairDigest>,
     /// The log says in which order frames were registered.
     pub(super) has_order: bool,
     /// The session's inputs came to their end.
@@ -99,7 +100,7 @@ impl Recorded {
                     let pair: Option<serde_json::Value> = tolerance.take(entry.json());
                     let number = pair.as_ref().and_then(|pair| pair.get("number")).and_then(serde_json::Value::as_u64);
                     if let (Some(number), Some(pair)) = (number.and_then(|number| u32::try_from(number).ok()), pair) {
-                        found.scores.insert(number, pair);
+                        found.scores.insert(number, PairDigest::of(&pair));
                     }
                 }
                 DRR_HASH_TOPIC => {

@@ -7,7 +7,7 @@ use std::sync::mpsc::{Receiver, sync_channel};
 use std::time::Duration;
 
 use super::SessionError;
-use super::against_log::{Samples, same_scores};
+use super::against_log::Samples;
 use super::board::Board;
 use super::develop::Developed;
 use super::engine::{Engine, Input, Output};
@@ -285,7 +285,7 @@ impl Replay<'_> {
         let again = (number, 1);
         let once = !self.recorded.poses.contains_key(&again) && !self.seen.contains(&again);
         self.report.scores_different.retain(|other| *other != number);
-        if same_scores(then, &developed.pair, once) {
+        if then.agrees(&developed.pair, once) {
             self.report.scores_identical += 1;
         } else {
             self.report.scores_different.push(number);

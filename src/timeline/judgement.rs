@@ -12,7 +12,7 @@ use super::shots::BATCH_US;
 const SOON_US: i64 = 4_000_000;
 
 /// Time zones are this far apart, but for a few.
-pub(super) const ZONE_US: i64 = 3_600_000_000;
+const ZONE_US: i64 = 3_600_000_000;
 /// A console whose clock is kept is not farther off than this.
 const BESIDE_US: i64 = 300_000_000;
 
@@ -111,7 +111,7 @@ impl Weighed<'_> {
         let said = &self.pending.evidence;
         let behind_us =
             said.console_us.zip(said.arrival_us).map(|(console_us, arrival_us)| arrival_us.saturating_sub(console_us));
-        let beside_us = behind_us.map(|us| (us.saturating_add(ZONE_US / 2).rem_euclid(ZONE_US) - ZONE_US / 2).abs());
+        let beside_us = behind_us.map(|us| off_zone_us(us).abs());
         self.known.finished || self.known.counting.moves() || beside_us.is_some_and(|us| us <= BESIDE_US)
     }
 
@@ -248,6 +248,11 @@ impl Weighed<'_> {
             None => format!("exposure #{} of the session", shot.index + 1),
         }
     }
+}
+
+/// What an offset is beside whole time zones.
+pub(super) fn off_zone_us(offset_us: i64) -> i64 {
+    offset_us.saturating_add(ZONE_US / 2).rem_euclid(ZONE_US) - ZONE_US / 2
 }
 
 fn none(reason: &str) -> Judgement {

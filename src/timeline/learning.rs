@@ -8,7 +8,7 @@ use super::alignment::{Stamped, align};
 use super::arrival::usual_us_of;
 use super::console::{Bounds, ConsoleOffset, Pair};
 use super::evidence::{Binding, BindingHow, seconds};
-use super::judgement::ZONE_US;
+use super::judgement::off_zone_us;
 use super::known::{KNOWN_FRAMES, Known, Pending};
 
 /// Exposures farther apart than this have no common offset.
@@ -19,8 +19,8 @@ const LATER_US: i64 = 2_000_000;
 const TIMED: usize = 8;
 /// A console that keeps the host's time is not farther off than this.
 const KEPT_US: i64 = 500_000;
-/// Bounds of its offset wider than this say nothing.
-const SHARP_US: i64 = 3_000_000;
+/// An offset known no better than this, either way, says nothing.
+const WIDE_US: i64 = 1_500_000;
 /// The latest frames are asked whether it does.
 const KEPT_LOOKED_AT: usize = 24;
 /// Exposures whose frames must show that it does.
@@ -124,12 +124,11 @@ impl Known {
         let voters: BTreeSet<u32> =
             suggestions.iter().filter(|s| s.offset.is_some() && s.shift.is_some()).map(|s| s.frame).collect();
         let kept = |s: &&Suggestion| {
-            let sharp = |bounds: &Bounds| bounds.high_us.saturating_sub(bounds.low_us) <= SHARP_US;
             let zoned = |bounds: Bounds| {
-                let zone_us = (bounds.low_us / 2 + bounds.high_us / 2 + ZONE_US / 2).div_euclid(ZONE_US).saturating_mul(ZONE_US);
-                bounds.low_us <= zone_us.saturating_add(KEPT_US) && bounds.high_us >= zone_us.saturating_sub(KEPT_US)
+                let half_us = bounds.high_us.saturating_sub(bounds.low_us) / 2;
+                half_us <= WIDE_US && off_zone_us(bounds.low_us.saturating_add(half_us)).abs() <= half_us + KEPT_US
             };
-            self.shots.counted && s.shift == Some(0) && s.latest == Some(s.shot) && s.offset.filter(sharp).is_some_and(zoned)
+            self.shots.counted && s.shift == Some(0) && s.latest == Some(s.shot) && s.offset.is_some_and(zoned)
         };
         let members: Vec<Suggestion> = suggestions.iter().filter(kept).copied().collect();
         let frames: BTreeSet<u32> = members.iter().map(|member| member.frame).collect();

@@ -1,8 +1,8 @@
 //! A frame that is bound when it comes, although console and counter are hardly known yet: where every exposure has had its frame, in
 //! order, and counter, stamp and arrival name the one that just ended.
 //!
-//! Such a frame cannot be of an earlier exposure: each has a frame with another count. It cannot be of one that telemetry missed: there
-//! was no silence. A picture of something else would have to carry the very next number, at the right moment.
+//! Such a frame cannot be of an earlier exposure: each has a frame with another count, or does not fit its stamp. It cannot be of one that
+//! telemetry missed: there was no silence. A picture of something else would have to carry the very next number, at the right moment.
 
 use super::counting::Firmness;
 use super::judgement::Weighed;
@@ -28,7 +28,7 @@ impl Weighed<'_> {
         }
         let waits = |other: usize| shots.get(other).frame.is_none() && self.stamp_allows(other);
         let rival = prompt.iter().any(|other| *other != at && waits(*other));
-        // An exposure without a frame is none that it can have if it fits the stamps of those that are bound and the count does not.
+        // One that still waits may be this frame's, unless the stamp excludes it.
         let lacking = (at.saturating_sub(EARLIER)..at).any(waits);
         let from_us = at.checked_sub(1).map_or(shots.get(at).start_us, |before| shots.get(before).start_us);
         let blind = self.timeline.exposure_tracker().blind_spot(from_us, arrival_us).is_some();

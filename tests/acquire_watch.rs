@@ -14,6 +14,8 @@ struct Watched {
     source: FolderSource,
     now_us: i64,
     frames: Vec<(String, String, Option<String>)>,
+    /// Frames of which an earlier version was delivered unfinished.
+    unfinished: Vec<String>,
     troubles: Vec<Trouble>,
     refused: Vec<String>,
     other: Vec<String>,
@@ -28,7 +30,7 @@ impl Watched {
     fn of(folder: tempfile::TempDir, include_existing: bool) -> Self {
         let source = FolderSource::new(folder.path(), None, include_existing, ForeignReader::in_process());
         let (frames, troubles, refused, other) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-        Self { folder, source, now_us: host_now_us(), frames, troubles, refused, other }
+        Self { folder, source, now_us: host_now_us(), frames, unfinished: Vec::new(), troubles, refused, other }
     }
 
     fn path(&self, name: &str) -> std::path::PathBuf {
@@ -52,7 +54,10 @@ impl Watched {
             Sighting::Ready(arrival) => match arrival.read() {
                 Reading::Frames { frames, earlier } => {
                     for frame in frames {
-                        self.frames.push((frame.name, frame.sha256, earlier.clone()));
+                        let before = earlier.as_ref().map(|earlier| earlier.sha256.clone());
+                        self.unfinished
+                            .extend(earlier.iter().filter(|earlier| earlier.was_unfinished).map(|_| frame.name.clone()));
+                        self.frames.push((frame.name, frame.sha256, before));
                     }
                 }
                 Reading::Refused(error) => self.refused.push(error.to_string()),
@@ -67,7 +72,7 @@ impl Watched {
 
     /// Steps until nothing more can come of what is there.
     fn settle(&mut self) {
-        for _ in 0..4 {
+        for _ in 0..6 {
             self.step(120_000);
         }
     }
@@ -331,6 +336,65 @@ fn a_file_with_holes_waits_until_it_is_filled() {
     drop(file);
     watched.settle();
     assert_eq!(watched.names(), ["x"]);
+}
+
+/// Size first, content later, without holes: half an image looks whole.
+#[cfg(target_os = "linux")]
+#[test]
+fn zeros_at_the_end_are_waited_for_while_the_file_is_open_and_taken_back_otherwise() {
+    use std::os::unix::fs::FileExt;
+    let whole = {
+        let folder = tempfile::tempdir().expect("folder");
+        let values: Vec<u16> = (0..64 * 64).map(|n| 100 + n % 900).collect();
+        use dicom_core::{DataElement, PrimitiveValue, VR};
+        use dicom_dictionary_std::tags;
+        let mut object = fluoroscopy();
+        object.put(DataElement::new(tags::ROWS, VR::US, PrimitiveValue::from(64u16)));
+        object.put(DataElement::new(tags::COLUMNS, VR::US, PrimitiveValue::from(64u16)));
+        object.put(DataElement::new(tags::PIXEL_DATA, VR::OW, PrimitiveValue::U16(values.into())));
+        std::fs::read(save(object, &folder.path().join("x.dcm"))).expect("bytes")
+    };
+    let mut torn = whole.clone();
+    torn[whole.len() / 2..].fill(0);
+
+    // Open: nothing is delivered before it is closed, and at once then.
+    let mut watched = Watched::new(true);
+    let file = std::fs::File::create(watched.path("b.dcm")).expect("file");
+    file.write_all_at(&torn, 0).expect("size and half");
+    watched.step(1);
+    std::thread::sleep(std::time::Duration::from_millis(100));
+    (0..30).for_each(|_| watched.step(120_000));
+    assert!(watched.frames.is_empty(), "half an image was delivered");
+    file.write_all_at(&whole, 0).expect("all");
+    drop(file);
+    std::thread::sleep(std::time::Duration::from_millis(100));
+    watched.settle();
+    assert_eq!((watched.names(), watched.unfinished.len()), (vec!["b"], 0));
+
+    // Closed: it may be all black below, and is delivered; the whole one says that it was not.
+    let mut watched = Watched::new(true);
+    std::fs::write(watched.path("c.dcm"), &torn).expect("written");
+    std::thread::sleep(std::time::Duration::from_millis(100));
+    watched.settle();
+    assert_eq!(watched.names(), ["c"]);
+    let modified = std::fs::metadata(watched.path("c.dcm")).and_then(|metadata| metadata.modified()).expect("a time");
+    let file = std::fs::File::options().write(true).open(watched.path("c.dcm")).expect("file");
+    file.write_all_at(&whole, 0).expect("all");
+    // Neither size nor time of change tell.
+    file.set_modified(modified).expect("time is set");
+    drop(file);
+    std::thread::sleep(std::time::Duration::from_millis(100));
+    watched.settle();
+    assert_eq!((watched.names(), watched.unfinished.clone()), (vec!["c", "c"], vec!["c".to_owned()]));
+
+    // The control: another picture under the same name.
+    let mut another = whole.clone();
+    let last = another.len() - 10;
+    another[last] ^= 1;
+    std::fs::write(watched.path("c.dcm"), &another).expect("written");
+    std::thread::sleep(std::time::Duration::from_millis(100));
+    watched.settle();
+    assert_eq!((watched.names().len(), watched.unfinished.len()), (3, 1));
 }
 
 #[test]

@@ -66,6 +66,7 @@ fn played_at(
             console_resolution_us: resolution_us,
             arrival_us: Some(us(*arrival_s)),
             frame_time_us: None,
+            completes: None,
         },
         truth: *truth,
         late: false,

@@ -138,6 +138,7 @@ mod wire_corruption;
 mod overwrite;
 mod fuzz_smoke;
 mod session_soak;
+mod session_unfinished;
 mod ct_phantom;
 mod crosscheck_facts;
 mod crosscheck_image;

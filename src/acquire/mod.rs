@@ -10,6 +10,7 @@ mod correction;
 mod detector_record;
 mod dicom;
 mod domain;
+mod entry;
 mod error;
 mod identity;
 mod label;
@@ -44,7 +45,7 @@ pub use error::{AcquireError, Fault};
 pub use label::{hashed_input_label, input_label};
 pub use log_form::Samples;
 pub use read::{read_frame, read_frames, read_open, read_photo, serve};
-pub use source::{Arrival, FrameSource, QueuedFrames, Reading, Sighting, Trouble};
+pub use source::{Arrival, Earlier, FrameSource, QueuedFrames, Reading, Sighting, Trouble};
 pub use tags::{FrameTags, KEPT_TAGS, KeptTag};
 pub use watch::FolderSource;
 
@@ -84,6 +85,9 @@ pub struct Frame {
     /// Index of this image in its file, and how many images that has. With `sha256` it identifies the content.
     #[serde(default = "only_image")]
     pub image_of_file: [usize; 2],
+    /// Number of the frame that was this image while its file was not yet finished.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub completes: Option<u32>,
     /// Pixels clipped at either end of the scale.
     pub clipping: Clipping,
     /// Pixels that were masked, and pixels that were put elsewhere, at import, a sentence each: whoever uses the frame says them aloud.
@@ -213,6 +217,7 @@ impl Raw {
             tags: self.tags,
             sha256,
             image_of_file,
+            completes: None,
             clipping,
             altered: self.altered,
             notes: self.notes,

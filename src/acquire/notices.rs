@@ -1,5 +1,5 @@
-//! The system's own word that a file was closed or moved into the folder: the file is opened at once, so that it can be read even if it is
-//! deleted a moment later. Polling sees what the system does not tell (network shares).
+//! The system's own word that a file is being written, was closed or moved into the folder. A file that is complete is opened at once, so
+//! that it can be read even if it is deleted a moment later. Polling sees what the system does not tell (network shares).
 
 use std::ffi::OsString;
 use std::path::Path;
@@ -46,18 +46,29 @@ impl HeldCount {
     }
 }
 
-/// A file that its writer has closed, or that was moved into the folder.
+/// What happened to a file.
+#[derive(Debug)]
+pub(super) enum What {
+    /// Its writer has closed it, or it was moved into the folder. `None` when it was gone again, or could not be opened.
+    Completed(Option<Held>),
+    /// Somebody has it open and has written to it.
+    Written,
+    /// More happened than the system could tell.
+    Untold,
+}
+
+/// Of which file.
 #[derive(Debug)]
 pub(super) struct Notice {
+    /// Nothing for [`What::Untold`].
     pub(super) name: OsString,
-    /// `None` when it was gone again, or could not be opened.
-    pub(super) held: Option<Held>,
+    pub(super) what: What,
 }
 
 /// The thread that listens; it ends when this is dropped.
 #[derive(Debug)]
 pub(super) struct Notices {
-    notices: Receiver<Notice>,
+    notices: Receiver<Vec<Notice>>,
     stop: Arc<AtomicBool>,
 }
 
@@ -91,7 +102,7 @@ impl Notices {
 
     /// What has come since the last call.
     pub(super) fn take(&self) -> Vec<Notice> {
-        self.notices.try_iter().collect()
+        self.notices.try_iter().flatten().collect()
     }
 }
 
@@ -109,7 +120,7 @@ mod linux {
     use rustix::event::{PollFd, PollFlags, Timespec, poll};
     use rustix::fs::inotify::{CreateFlags, ReadFlags, Reader, WatchFlags, add_watch, init};
 
-    use super::{HeldCount, Notice};
+    use super::{HeldCount, Notice, What};
 
     /// How often the thread looks whether it should end, and whether a folder that was gone is back.
     const WAKE_MS: u64 = 100;
@@ -120,7 +131,7 @@ mod linux {
         folder: &Path,
         held: &HeldCount,
         wanted: fn(&OsStr) -> bool,
-        sender: &Sender<Notice>,
+        sender: &Sender<Vec<Notice>>,
         stop: &AtomicBool,
     ) {
         while !stop.load(Ordering::Relaxed) {
@@ -133,7 +144,8 @@ mod linux {
 
     pub(super) fn watch(folder: &Path) -> Option<OwnedFd> {
         let inotify = init(CreateFlags::NONBLOCK | CreateFlags::CLOEXEC).ok()?;
-        let flags = WatchFlags::CLOSE_WRITE | WatchFlags::MOVED_TO | WatchFlags::DELETE_SELF | WatchFlags::MOVE_SELF;
+        let of_files = WatchFlags::MODIFY | WatchFlags::CLOSE_WRITE | WatchFlags::MOVED_TO;
+        let flags = of_files | WatchFlags::DELETE_SELF | WatchFlags::MOVE_SELF;
         add_watch(&inotify, folder, flags | WatchFlags::ONLYDIR).ok()?;
         Some(inotify)
     }
@@ -144,29 +156,42 @@ mod linux {
         folder: &Path,
         held: &HeldCount,
         wanted: fn(&OsStr) -> bool,
-        sender: &Sender<Notice>,
+        sender: &Sender<Vec<Notice>>,
         stop: &AtomicBool,
     ) {
         let wake = Timespec { tv_sec: 0, tv_nsec: WAKE_MS as i64 * 1_000_000 };
+        let mut written_last = OsString::new();
         while !stop.load(Ordering::Relaxed) {
             if !matches!(poll(&mut [PollFd::new(inotify, PollFlags::IN)], Some(&wake)), Ok(1..)) {
                 continue;
             }
             let mut buffer = [MaybeUninit::uninit(); 1 << 14];
             let mut reader = Reader::new(inotify, &mut buffer);
+            let mut batch = Vec::new();
             while let Ok(event) = reader.next() {
                 if event.events().intersects(ReadFlags::DELETE_SELF | ReadFlags::MOVE_SELF | ReadFlags::IGNORED) {
                     return;
                 }
-                let Some(name) = event.file_name() else { continue };
-                let name: OsString = OsStr::from_bytes(name.to_bytes()).to_owned();
-                if !wanted(&name) {
+                let name: OsString =
+                    event.file_name().map(|name| OsStr::from_bytes(name.to_bytes()).to_owned()).unwrap_or_default();
+                let what = if event.events().contains(ReadFlags::QUEUE_OVERFLOW) {
+                    What::Untold
+                } else if !wanted(&name) {
                     continue;
-                }
-                let notice = Notice { held: held.hold(&folder.join(&name)), name };
-                if sender.send(notice).is_err() {
-                    return;
-                }
+                } else if !event.events().contains(ReadFlags::MODIFY) {
+                    What::Completed(held.hold(&folder.join(&name)))
+                } else if written_last == name {
+                    // A large file is written in many pieces.
+                    continue;
+                } else {
+                    What::Written
+                };
+                written_last = if matches!(what, What::Written) { name.clone() } else { OsString::new() };
+                batch.push(Notice { name, what });
+            }
+            // Together, so that nobody hears of the writing and not yet of the end.
+            if sender.send(batch).is_err() {
+                return;
             }
         }
     }

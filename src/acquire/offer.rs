@@ -5,17 +5,38 @@ use std::path::PathBuf;
 use std::sync::mpsc::Sender;
 
 use super::notices::Held;
-use super::source::{Arrival, Reading};
+use super::source::{Arrival, Earlier, Reading};
 use super::{AcquireError, Domain, Fault, read_open};
-use crate::foreign::{self, FileStamp, ForeignReader, Kind, OpenFault, OpenFile};
+use crate::foreign::{self, FileStamp, ForeignReader, Kind, OpenFault, OpenFile, Written};
+
+/// A version that became frames.
+#[derive(Clone, Debug)]
+pub(super) struct Delivered {
+    sha256: String,
+    /// What comes before the zeros at its end.
+    written: Option<Written>,
+}
+
+/// What zeros may be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Zeros {
+    /// Holes in the file and zeros at its end may yet be written.
+    Unwritten,
+    /// Only holes.
+    HolesUnwritten,
+    /// All are content.
+    Content,
+}
 
 /// How reading ended.
 #[derive(Debug)]
 pub(super) enum Outcome {
-    /// Delivered; the file's hash.
-    Frames(String),
+    /// Delivered.
+    Frames(Delivered),
     /// The content that was delivered before.
-    Same(String),
+    Same(Delivered),
+    /// Whole, but it ends in zeros that may yet be written.
+    Blank,
     /// Cannot be used.
     Refused,
     /// Not whole.
@@ -49,9 +70,9 @@ pub(super) struct Offer {
     pub(super) label: String,
     pub(super) stamp: FileStamp,
     pub(super) held: Option<Held>,
-    pub(super) earlier: Option<String>,
+    pub(super) earlier: Option<Delivered>,
     pub(super) gone: bool,
-    pub(super) take_holes: bool,
+    pub(super) zeros: Zeros,
     pub(super) domain: Option<Domain>,
     pub(super) reader: ForeignReader,
     pub(super) told: Sender<Told>,
@@ -101,7 +122,7 @@ impl Offer {
     }
 
     fn read(self) -> (Outcome, Reading) {
-        let Self { path, label, stamp, held, earlier, take_holes, domain, reader, .. } = self;
+        let Self { path, label, stamp, held, earlier, zeros, domain, reader, .. } = self;
         let refused = |fault: Fault| (Outcome::Refused, Reading::Refused(AcquireError::Refused { file: label.clone(), fault }));
         let limit = reader.limits(Kind::Frames).file_bytes;
         let opened = match &held {
@@ -129,9 +150,16 @@ impl Offer {
             return (outcome, Reading::Later);
         }
         let holes = foreign::has_hole(&watched, stamp.bytes);
-        if holes && !take_holes {
+        if holes && zeros != Zeros::Content {
             return (Outcome::Unfinished(Fault::Unwritten), Reading::Later);
         }
+        let written = Written::before_zeros(&watched, stamp.bytes);
+        if written.is_some() && zeros == Zeros::Unwritten {
+            return (Outcome::Blank, Reading::Later);
+        }
+        let goes_on =
+            |earlier: &Delivered| earlier.written.as_ref().is_some_and(|before| before.goes_on_in(&watched, stamp.bytes));
+        let earlier = earlier.map(|earlier| Earlier { was_unfinished: goes_on(&earlier), sha256: earlier.sha256 });
         let read = read_open(&reader, open, &path, domain);
         if let Some(outcome) = changed() {
             return (outcome, Reading::Later);
@@ -139,14 +167,15 @@ impl Offer {
         match read {
             Ok(mut frames) => {
                 let sha256 = frames.first().map(|frame| frame.sha256.clone()).unwrap_or_default();
-                if earlier.as_deref() == Some(sha256.as_str()) {
-                    return (Outcome::Same(sha256.clone()), Reading::Same { sha256 });
+                let delivered = Delivered { sha256: sha256.clone(), written };
+                if earlier.as_ref().is_some_and(|earlier| earlier.sha256 == sha256) {
+                    return (Outcome::Same(delivered), Reading::Same { sha256 });
                 }
                 if holes {
                     let note = "parts of the file were never written and are read as zeros";
                     frames.iter_mut().for_each(|frame| frame.notes.push(note.to_owned()));
                 }
-                (Outcome::Frames(sha256), Reading::Frames { frames, earlier })
+                (Outcome::Frames(delivered), Reading::Frames { frames, earlier })
             }
             Err(fault) if fault.may_be_unfinished() => (Outcome::Unfinished(fault), Reading::Later),
             Err(fault) => refused(fault),

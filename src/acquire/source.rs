@@ -83,6 +83,15 @@ impl Trouble {
     }
 }
 
+/// A version of a file that was delivered before another.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Earlier {
+    /// SHA-256 of its content.
+    pub sha256: String,
+    /// It ended in zeros where the later version goes on: it was delivered unfinished.
+    pub was_unfinished: bool,
+}
+
 /// How reading ended.
 #[derive(Debug)]
 pub enum Reading {
@@ -90,8 +99,8 @@ pub enum Reading {
     Frames {
         /// The images of the file, in order.
         frames: Vec<Frame>,
-        /// SHA-256 of the version of this file that was delivered before.
-        earlier: Option<String>,
+        /// The version of this file that was delivered before.
+        earlier: Option<Earlier>,
     },
     /// Rewritten with the content that was delivered before: no new frame.
     Same {

@@ -8,55 +8,18 @@ use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, Sender, channel};
 
+use super::entry::{Entry, PATIENCE_US, State};
 use super::label;
 use super::listing::{is_wanted, list};
-use super::notices::{Held, HeldCount, Notice, Notices};
-use super::offer::{Offer, Outcome, Told};
+use super::notices::{Held, HeldCount, Notice, Notices, What};
+use super::offer::{Delivered, Offer, Outcome, Told, Zeros};
 use super::passed_over::PassedOver;
 use super::source::{FrameSource, Sighting, Trouble};
 use super::{Domain, Fault};
 use crate::foreign::{FileStamp, ForeignReader};
 
-/// A file lies still when its stamp was the same for this long.
-const SETTLE_US: i64 = 100_000;
-/// A file that is not whole may still be being written for this long after its last growth.
-const PATIENCE_US: i64 = 10_000_000;
 /// Versions that are remembered after their name is gone, so that a renamed file is not taken for a new one.
 const REMEMBERED: usize = 4096;
-
-/// Where a version stands.
-#[derive(Debug, PartialEq)]
-enum State {
-    /// Not still for long enough.
-    Settling,
-    /// Offered; the outcome of this offer is awaited.
-    Offered(u64),
-    /// Read, and not whole.
-    Unfinished(Fault),
-    /// Delivered, refused, reported, or there from the start.
-    Done,
-}
-
-/// What is known of a name.
-#[derive(Debug)]
-struct Entry {
-    /// This version was said to have vanished.
-    said_gone: bool,
-    /// The version.
-    stamp: FileStamp,
-    /// Host clock when this version was first seen.
-    since_us: i64,
-    state: State,
-    /// The version that its writer completed: closed or moved into place.
-    closed: Option<FileStamp>,
-    held: Option<Held>,
-    /// Hash of the version delivered before.
-    earlier: Option<String>,
-    /// The how-manieth file that was seen, for a label that gives nothing away.
-    number: u64,
-    /// Patience is over: holes in the file are content.
-    take_holes: bool,
-}
 
 /// Watches one folder, not those below it: that something came into one is said. Hidden files and names that end in `.tmp`, `.part`, `.partial`, `.json` are passed over.
 #[derive(Debug)]
@@ -68,8 +31,10 @@ pub struct FolderSource {
     existing: Option<BTreeMap<OsString, FileStamp>>,
     lost: bool,
     entries: BTreeMap<OsString, Entry>,
+    /// Files that somebody has begun to write and not closed yet, as far as the system tells.
+    being_written: BTreeSet<OsString>,
     passed_over: PassedOver,
-    departed: VecDeque<(FileStamp, Option<String>)>,
+    departed: VecDeque<(FileStamp, Option<Delivered>)>,
     /// Versions that were said to have vanished before they were read: a notice of them may come later.
     vanished: VecDeque<FileStamp>,
     held: HeldCount,
@@ -92,6 +57,7 @@ impl FolderSource {
             existing: if include_existing { Some(BTreeMap::new()) } else { list(folder).ok().map(|listing| listing.files) },
             lost: false,
             entries: BTreeMap::new(),
+            being_written: BTreeSet::new(),
             passed_over: PassedOver::default(),
             departed: VecDeque::new(),
             vanished: VecDeque::new(),
@@ -112,7 +78,7 @@ impl FolderSource {
         let told: Vec<Told> = self.told.1.try_iter().collect();
         for Told { offer, name, label, gone, outcome } in told {
             let trouble = match (&outcome, gone) {
-                (Outcome::Missing, _) | (Outcome::Unfinished(_), true) => Some(Trouble::Vanished { label }),
+                (Outcome::Missing, _) | (Outcome::Unfinished(_) | Outcome::Blank, true) => Some(Trouble::Vanished { label }),
                 (Outcome::Overwritten, _) => Some(Trouble::Overwritten { label }),
                 _ => None,
             };
@@ -121,8 +87,8 @@ impl FolderSource {
             let offered = self.entries.iter().find(|(_, entry)| entry.state == State::Offered(offer));
             let name = offered.map_or(name, |(name, _)| name.clone());
             let Some(entry) = self.entries.get_mut(&name) else { continue };
-            if let Outcome::Frames(sha256) | Outcome::Same(sha256) = &outcome {
-                entry.earlier = Some(sha256.clone());
+            if let Outcome::Frames(delivered) | Outcome::Same(delivered) = &outcome {
+                entry.earlier = Some(delivered.clone());
             }
             if entry.state != State::Offered(offer) {
                 continue;
@@ -131,6 +97,7 @@ impl FolderSource {
                 // Whatever takes the place of an overwritten version is a new one.
                 Outcome::Frames(_) | Outcome::Same(_) | Outcome::Refused | Outcome::Missing | Outcome::Overwritten => State::Done,
                 Outcome::Unfinished(fault) => State::Unfinished(fault),
+                Outcome::Blank => State::Blank,
                 Outcome::Changed => {
                     entry.closed = None;
                     entry.since_us = now_us;
@@ -164,6 +131,10 @@ impl FolderSource {
         }
         if let Some(entry) = self.entries.get_mut(&name) {
             entry.closed = Some(stamp);
+            // Zeros at its end are content after all.
+            if entry.state == State::Blank {
+                (entry.state, entry.since_us) = (State::Settling, now_us);
+            }
             if entry.state == State::Settling {
                 entry.held = Some(held);
             }
@@ -179,18 +150,7 @@ impl FolderSource {
     fn add(&mut self, name: OsString, stamp: FileStamp, now_us: i64) {
         self.seen += 1;
         let said_gone = self.vanished.contains(&stamp);
-        let entry = Entry {
-            said_gone,
-            stamp,
-            since_us: now_us,
-            state: State::Settling,
-            closed: None,
-            held: None,
-            earlier: None,
-            number: self.seen,
-            take_holes: false,
-        };
-        self.entries.insert(name, entry);
+        self.entries.insert(name, Entry { said_gone, ..Entry::new(stamp, now_us, self.seen) });
     }
 
     /// The file `name` has a new version. The one before is read if it is held open, and reported if it is lost.
@@ -201,7 +161,7 @@ impl FolderSource {
         let same_file = before.inode == stamp.inode;
         entry.stamp = stamp;
         entry.since_us = now_us;
-        entry.take_holes = false;
+        entry.take_zeros = false;
         entry.said_gone = false;
         // That a version which was read has been completed says nothing about the next one.
         if !same_file || stamp.bytes != before.bytes || !matches!(entry.state, State::Settling) {
@@ -217,7 +177,7 @@ impl FolderSource {
         match held {
             // The old content is still there behind its own inode.
             Some(held) => {
-                let offer = self.offer(name, before, now_us, Some(held), earlier, label, true, false);
+                let offer = self.offer(name, before, now_us, Some(held), earlier, label, true, Zeros::HolesUnwritten);
                 found.push(offer);
             }
             // A file that grew is a copy that goes on; one whose time alone changed, may be.
@@ -235,10 +195,10 @@ impl FolderSource {
         stamp: FileStamp,
         since_us: i64,
         held: Option<Held>,
-        earlier: Option<String>,
+        earlier: Option<Delivered>,
         label: String,
         gone: bool,
-        take_holes: bool,
+        zeros: Zeros,
     ) -> Sighting {
         self.offers += 1;
         let offer = Offer {
@@ -250,7 +210,7 @@ impl FolderSource {
             held,
             earlier,
             gone,
-            take_holes,
+            zeros,
             domain: self.domain,
             reader: self.reader.clone(),
             told: self.told.0.clone(),
@@ -266,19 +226,23 @@ impl FolderSource {
         };
         let next = self.offers + 1;
         let Some(entry) = self.entries.get_mut(name) else { return };
-        let modified_us = (entry.stamp.modified_ns / 1000) as i64;
-        let waited_us = (now_us - entry.since_us).max(if modified_us < now_us { now_us - modified_us } else { 0 });
+        let is_written = self.being_written.contains(name);
+        let waited_us = entry.waited_us(now_us);
         match &entry.state {
-            State::Settling if now_us - entry.since_us >= SETTLE_US => {
+            State::Settling if now_us - entry.since_us >= entry.settle_us(is_written) => {
                 entry.state = State::Offered(next);
                 let (stamp, since_us, held) = (entry.stamp, entry.since_us, entry.held.take());
-                let (earlier, take_holes) = (entry.earlier.clone(), entry.take_holes);
-                let offer = self.offer(name, stamp, since_us, held, earlier, label, false, take_holes);
+                let (earlier, zeros) = (entry.earlier.clone(), entry.zeros(is_written));
+                let offer = self.offer(name, stamp, since_us, held, earlier, label, false, zeros);
                 found.push(offer);
+            }
+            State::Blank if waited_us >= entry.blank_patience_us(is_written) => {
+                entry.take_zeros = true;
+                entry.state = State::Settling;
             }
             State::Unfinished(Fault::Unwritten) if waited_us >= PATIENCE_US => {
                 // Written by a program that leaves holes where all is zero.
-                entry.take_holes = true;
+                entry.take_zeros = true;
                 entry.state = State::Settling;
             }
             State::Unfinished(fault) if waited_us >= PATIENCE_US => {
@@ -305,11 +269,12 @@ impl FolderSource {
             match (entry.state, entry.held) {
                 (State::Settling, Some(held)) => {
                     let stamp = held.open.file.metadata().map_or(entry.stamp, |metadata| FileStamp::of(&metadata));
-                    let offer =
-                        self.offer(&name, stamp, now_us, Some(held), entry.earlier, label, !entry.said_gone, entry.take_holes);
+                    // What is gone is not written any further.
+                    let zeros = if entry.take_zeros { Zeros::Content } else { Zeros::HolesUnwritten };
+                    let offer = self.offer(&name, stamp, now_us, Some(held), entry.earlier, label, !entry.said_gone, zeros);
                     found.push(offer);
                 }
-                (State::Settling | State::Unfinished(_), _) => {
+                (State::Settling | State::Unfinished(_) | State::Blank, _) => {
                     if !entry.said_gone {
                         found.push(Sighting::Trouble(Trouble::Vanished { label }));
                         self.vanished.push_back(entry.stamp);
@@ -335,10 +300,21 @@ impl FrameSource for FolderSource {
         let mut found = Vec::new();
         self.hear(now_us, &mut found);
         let mut missed = BTreeSet::new();
-        for Notice { name, held } in self.notices.take() {
-            match held {
-                Some(held) => self.notice(name, held, now_us, &mut found),
-                None => drop(missed.insert(name)),
+        for Notice { name, what } in self.notices.take() {
+            match what {
+                What::Written => {
+                    self.being_written.insert(name);
+                    continue;
+                }
+                What::Untold => {
+                    self.being_written.clear();
+                    continue;
+                }
+                What::Completed(_) => self.being_written.remove(&name),
+            };
+            match what {
+                What::Completed(Some(held)) => self.notice(name, held, now_us, &mut found),
+                _ => drop(missed.insert(name)),
             }
         }
         let listing = match list(&self.folder) {
@@ -367,10 +343,11 @@ impl FrameSource for FolderSource {
             self.seen += 1;
             found.push(Sighting::Trouble(Trouble::Vanished { label: self.label(&name, self.seen) }));
         }
+        self.being_written.retain(|name| listing.files.contains_key(name));
         self.depart(&listing.files, now_us, &mut found);
         let existing = self.existing.replace(BTreeMap::new());
         for (name, stamp) in listing.files {
-            match self.entries.get(&name).map(|entry| entry.stamp) {
+            match self.entries.get_mut(&name) {
                 None => {
                     self.add(name.clone(), stamp, now_us);
                     let skip = existing.as_ref().is_none_or(|files| files.get(&name) == Some(&stamp));
@@ -382,7 +359,13 @@ impl FrameSource for FolderSource {
                         entry.earlier = known.flatten();
                     }
                 }
-                Some(before) if before != stamp => self.replace(&name, stamp, now_us, &mut found),
+                Some(entry) if entry.stamp != stamp => self.replace(&name, stamp, now_us, &mut found),
+                // What was delivered is looked at again; the same content is no new frame.
+                Some(entry)
+                    if entry.stamp.touched_ns != stamp.touched_ns && entry.earlier.is_some() && entry.state == State::Done =>
+                {
+                    entry.look_again(stamp, now_us);
+                }
                 Some(_) => {}
             }
             if let Some(entry) = self.entries.get_mut(&name)

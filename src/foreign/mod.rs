@@ -7,6 +7,7 @@
 //! ```
 //! The open file is the child's standard input, so no path crosses over, and a file that is deleted meanwhile can still be read.
 
+mod blank;
 mod helper;
 mod kind;
 mod limits;
@@ -16,6 +17,7 @@ mod wire;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
+pub use blank::Written;
 pub use helper::{ForeignFault, run};
 pub use kind::Kind;
 pub use limits::{Limits, impose};

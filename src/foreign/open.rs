@@ -5,7 +5,7 @@ use std::io;
 use std::path::Path;
 
 /// What tells one version of a file from another: size, time of change, and the file itself where the system numbers files.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug)]
 pub struct FileStamp {
     /// Size.
     pub bytes: u64,
@@ -13,7 +13,18 @@ pub struct FileStamp {
     pub modified_ns: i128,
     /// Device and inode; zeros where there are none.
     pub inode: (u64, u64),
+    /// When content, owner, mode or name changed last, nanoseconds since the Unix epoch; 0 where the system does not say. Not compared: a
+    /// rename changes it and makes no new version. No program can set it, so it tells of content whose time was set back.
+    pub touched_ns: i128,
 }
+
+impl PartialEq for FileStamp {
+    fn eq(&self, other: &Self) -> bool {
+        (self.bytes, self.modified_ns, self.inode) == (other.bytes, other.modified_ns, other.inode)
+    }
+}
+
+impl Eq for FileStamp {}
 
 impl FileStamp {
     /// The stamp in `metadata`.
@@ -23,8 +34,24 @@ impl FileStamp {
             Ok(since) => since.as_nanos() as i128,
             Err(before) => -(before.duration().as_nanos() as i128),
         };
-        Self { bytes: metadata.len(), modified_ns: metadata.modified().map_or(0, since_epoch), inode: inode(metadata) }
+        Self {
+            bytes: metadata.len(),
+            modified_ns: metadata.modified().map_or(0, since_epoch),
+            inode: inode(metadata),
+            touched_ns: touched_ns(metadata),
+        }
     }
+}
+
+#[cfg(unix)]
+fn touched_ns(metadata: &Metadata) -> i128 {
+    use std::os::unix::fs::MetadataExt;
+    i128::from(metadata.ctime()) * 1_000_000_000 + i128::from(metadata.ctime_nsec())
+}
+
+#[cfg(not(unix))]
+fn touched_ns(_metadata: &Metadata) -> i128 {
+    0
 }
 
 #[cfg(unix)]

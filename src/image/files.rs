@@ -314,6 +314,19 @@ pub fn write_png_rgb(path: &Path, image: &Image<[u8; 3]>) -> Result<(), ImageFil
     })
 }
 
+/// Reads an 8-bit RGB PNG of our own.
+///
+/// # Errors
+/// When the file cannot be read.
+pub fn read_png_rgb(path: &Path) -> Result<Image<[u8; 3]>, ImageFileError> {
+    let io = |source| ImageFileError::Io { path: path.to_owned(), source };
+    let read =
+        image::ImageReader::open(path).map_err(io)?.decode().map_err(|error| io(std::io::Error::other(error)))?.into_rgb8();
+    let (width, height) = (read.width() as usize, read.height() as usize);
+    let pixels = read.pixels().map(|pixel| pixel.0).collect();
+    Image::from_pixels(width, height, pixels).ok_or_else(|| io(std::io::Error::other("its size is not that of its pixels")))
+}
+
 /// SHA-256 of `bytes`, lower-case hexadecimal.
 #[must_use]
 pub fn sha256_bytes(bytes: &[u8]) -> String {

@@ -29,8 +29,14 @@ impl Canvas {
     /// `width` × `height` pixels of `background`.
     #[must_use]
     pub fn new(width: usize, height: usize, background: Rgb) -> Self {
+        Self::over(Image::filled(width, height, background))
+    }
+
+    /// To draw on `image`.
+    #[must_use]
+    pub fn over(image: Image<Rgb>) -> Self {
         let font = FontRef::try_from_slice(epaint_default_fonts::UBUNTU_LIGHT).expect("the embedded font is a font");
-        Self { image: Image::filled(width, height, background), font }
+        Self { image, font }
     }
 
     /// Blends `colour` over the pixel with `opacity` in 0..=1; outside the canvas nothing happens.

@@ -19,4 +19,4 @@ pub use html::html;
 pub use overlay::overlay;
 pub use pair::{Innovation, Pair, PairStatus, PoseSource, Standing, TruthError, score_words};
 pub use session::{Counts, Gap, LinkReport, PairsFile, Provenance, SessionReport, Track, counted};
-pub use strip::{StripInput, strip};
+pub use strip::{StripInput, restated, strip};

@@ -311,6 +311,16 @@ impl Pair {
         (zncc < SEEN_ZNCC).then_some(("robot not seen", words))
     }
 
+    /// Takes back what was said of a picture that was not finished: `by` is the whole one, and has the exposure.
+    pub fn replace_by(&mut self, by: u32) {
+        let reason = format!("the file was not finished when it was read: frame {by} is the whole picture");
+        self.status = PairStatus::Refused;
+        self.reason = Some(reason.clone());
+        self.binding = "none".to_owned();
+        self.binding_evidence = vec![reason];
+        (self.rms_px, self.rms_mm, self.innovation, self.tip) = (None, None, None, None);
+    }
+
     /// What to say of the robot's shape where telemetry does not tell it.
     #[must_use]
     pub fn robot_words(&self) -> Option<&'static str> {

@@ -52,7 +52,8 @@ pub fn strip(input: &StripInput) -> Image<Rgb> {
     let width = 2 * MARGIN + PANELS * panel_width + (PANELS - 1) * GAP;
     let height = HEADER + TITLE + panel_height + SCALE + MARGIN / 2;
     let mut canvas = Canvas::new(width as usize, height as usize, BACKGROUND);
-    header(&mut canvas, input, width);
+    let StripInput { standing, status, scores, .. } = *input;
+    header(&mut canvas, &Header { name: &input.acquired.name, standing, status, scores }, width);
     let top = HEADER + TITLE;
     let place = |index: i64| MARGIN + index * (panel_width + GAP);
     let bar = input.mm_per_px.map(|mm| mm / scale);
@@ -86,7 +87,25 @@ fn alone(frame: &Frame) -> (Image<f32>, String) {
     }
 }
 
-fn header(canvas: &mut Canvas, input: &StripInput, width: i64) {
+/// Writes a new status over the header of a strip that was drawn before.
+#[must_use]
+pub fn restated(strip: Image<Rgb>, name: &str, standing: Standing, status: &str) -> Image<Rgb> {
+    let width = strip.width as i64;
+    let mut canvas = Canvas::over(strip);
+    canvas.fill(0, 0, width, HEADER, BACKGROUND);
+    header(&mut canvas, &Header { name, standing, status, scores: &[] }, width);
+    canvas.image
+}
+
+/// The line above the pictures.
+struct Header<'a> {
+    name: &'a str,
+    standing: Standing,
+    status: &'a str,
+    scores: &'a [String],
+}
+
+fn header(canvas: &mut Canvas, input: &Header, width: i64) {
     let (left, right) = (MARGIN as f32, (width - MARGIN) as f32);
     let baseline = 37.0;
     canvas.disc(left + 6.0, baseline - 6.0, 5.5, input.standing.colour());
@@ -95,7 +114,7 @@ fn header(canvas: &mut Canvas, input: &StripInput, width: i64) {
     let scores = input.scores.join("    ");
     let scores_width = canvas.text_width(&scores, 17.0);
     canvas.text(right, baseline, &scores, 17.0, TEXT, Align::Right);
-    let name = canvas.fitted(&input.acquired.name, 19.0, (0.3 * (right - left)).max(120.0));
+    let name = canvas.fitted(input.name, 19.0, (0.3 * (right - left)).max(120.0));
     canvas.text(pen, baseline, &name, 19.0, TEXT, Align::Left);
     pen += canvas.text_width(&name, 19.0) + 14.0;
     let status = canvas.fitted(input.status, 17.0, right - scores_width - 24.0 - pen);

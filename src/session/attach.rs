@@ -1,5 +1,6 @@
 //! Frames exported after a session, tied to the exposures that its log recorded. The log is read, never written.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
@@ -164,6 +165,8 @@ struct Recorded {
     frames_in_log: u32,
     taken: u32,
     carm_bytes: u64,
+    /// What the log calls its frames.
+    numbers: BTreeMap<u32, u32>,
     losses: Vec<String>,
 }
 
@@ -182,7 +185,9 @@ impl Recorded {
                             self.frames_in_log += 1;
                             let (image_of_file, arrival_us) = (image_of(&frame), Some(entry.host_us));
                             let evidence = FrameEvidence::of(number, &frame.tags, &frame.sha256, image_of_file, arrival_us);
-                            self.binder.push(evidence);
+                            self.numbers.insert(frame.number, number);
+                            let completes = frame.completes.and_then(|before| self.numbers.get(&before).copied());
+                            self.binder.push(FrameEvidence { completes, ..evidence });
                             self.binder.update(&self.timeline, entry.host_us);
                         }
                         Err(error) => self.losses.push(error.to_string()),

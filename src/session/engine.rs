@@ -12,94 +12,17 @@ use super::crosscheck::LineWatch;
 use super::file::Setup;
 use super::hearing::Hearing;
 use super::import::Import;
+use super::input::{Input, Output};
 use super::losses::{line_losses, without_frame};
-use super::posing::{Bound, Known, PoseJob, Posed, Registered};
+use super::posing::{Bound, Known, PoseJob, Registered};
 use super::tie::SpecimenTie;
 use crate::acquire::Frame;
 use crate::beads::tags::TagLayout;
 use crate::beads::{BeadLayout, Landmark};
 use crate::geometry::Rigid;
 use crate::reporter::Reporter;
-use crate::telemetry::{DeviceKind, Event, Health, Link, Sample};
+use crate::telemetry::{DeviceKind, Event, Health, Link};
 use crate::timeline::{Binder, Binding, FrameEvidence, Timeline};
-
-/// One thing that happened, with its host time.
-#[derive(Clone, Debug)]
-pub enum Input {
-    /// Bytes from a serial line.
-    Bytes {
-        /// Which line.
-        device: DeviceKind,
-        /// Increases with every opening of the port.
-        epoch: u32,
-        /// Arrival.
-        host_us: i64,
-        /// As read.
-        bytes: Vec<u8>,
-    },
-    /// A frame was found in the folder.
-    Frame {
-        /// Its pixels and tags; [`Frame::number`] is given.
-        frame: Arc<Frame>,
-        /// Arrival.
-        host_us: i64,
-    },
-    /// Time passes while nothing happens.
-    Tick {
-        /// Now.
-        host_us: i64,
-    },
-    /// A frame that was announced with [`Output::Bound`] is registered now.
-    Develop {
-        /// Which.
-        number: u32,
-    },
-    /// The image of an accepted frame prefers another pose: it says nothing about where the specimen lies.
-    ImageDisagrees {
-        /// Which.
-        number: u32,
-    },
-}
-
-/// What came out of an input.
-#[derive(Clone, Debug)]
-pub enum Output {
-    /// A decoded sample.
-    Sample {
-        /// Which line.
-        device: DeviceKind,
-        /// Arrival of the bytes that completed it.
-        host_us: i64,
-        /// The sample.
-        sample: Box<Sample>,
-    },
-    /// A fault in the byte stream.
-    Fault {
-        /// Which line.
-        device: DeviceKind,
-        /// Arrival.
-        host_us: i64,
-        /// In words.
-        detail: String,
-    },
-    /// All that telemetry will say about a frame is known: it can be registered.
-    Bound {
-        /// Which.
-        number: u32,
-    },
-    /// A frame that was handed on without an exposure has got one; where its pixels are still there, [`Output::Bound`] follows and it is
-    /// developed again.
-    BoundLate {
-        /// Which.
-        number: u32,
-        /// For a person.
-        words: String,
-    },
-    /// A registration to be run; its result goes to [`Engine::registered`] before the next [`Input::Develop`].
-    Job(Box<PoseJob>),
-    /// A frame is ready to be rendered and compared.
-    Posed(Box<Posed>),
-}
 
 /// A frame that waits for the telemetry of its exposure.
 struct Pending {
@@ -144,6 +67,8 @@ pub struct Engine {
     /// Latest host time of any input.
     now_us: i64,
     bound: BTreeMap<u32, Bound>,
+    /// Frames of unfinished files, whose whole pictures came later.
+    replaced: BTreeSet<u32>,
     reporter: Reporter,
 }
 
@@ -180,6 +105,7 @@ impl Engine {
             ended_us: None,
             now_us: i64::MIN,
             bound: BTreeMap::new(),
+            replaced: BTreeSet::new(),
             reporter,
         }
     }
@@ -235,16 +161,18 @@ impl Engine {
             }
             Input::Frame { frame, host_us } => {
                 let image = frame.image_of_file.map(|n| n as u32);
-                self.binder.push(FrameEvidence::of(frame.number, &frame.tags, &frame.sha256, image, Some(host_us)));
+                let evidence = FrameEvidence::of(frame.number, &frame.tags, &frame.sha256, image, Some(host_us));
+                self.binder.push(FrameEvidence { completes: frame.completes, ..evidence });
+                if let Some(before) = frame.completes {
+                    self.replaced.insert(before);
+                    self.retract(before, "this frame, on which the tie rested, was not finished");
+                }
                 self.pending.insert(frame.number, Pending { frame, host_us });
                 host_us
             }
             Input::Tick { host_us } => host_us,
             Input::ImageDisagrees { number } => {
-                if let Some(words) = self.tie.retract(number) {
-                    self.reporter.warn("specimen in the room", format!("frame {number}: {words}"));
-                }
-                return;
+                return self.retract(number, "the image of this frame, on which the tie rested, prefers another pose");
             }
             Input::Develop { number } => {
                 if let Some(bound) = self.bound.remove(&number) {
@@ -269,7 +197,7 @@ impl Engine {
     pub fn registered(&mut self, registered: Registered, sink: &mut dyn FnMut(Output)) {
         let number = registered.number();
         let (posed, world_from_lps) = registered.into_posed(self.world_from_tracker);
-        let posed = match world_from_lps {
+        let posed = match world_from_lps.filter(|_| !self.replaced.contains(&number)) {
             Some(world_from_lps) => {
                 let verdict = self.tie.observe(number, world_from_lps);
                 if let Some(words) = &verdict.words {
@@ -280,6 +208,13 @@ impl Engine {
             None => posed,
         };
         sink(Output::Posed(Box::new(posed)));
+    }
+
+    /// The frame says nothing about where the specimen lies.
+    fn retract(&mut self, number: u32, because: &str) {
+        if let Some(words) = self.tie.retract(number, because) {
+            self.reporter.warn("specimen in the room", format!("frame {number}: {words}"));
+        }
     }
 
     fn take_bytes(&mut self, device: DeviceKind, epoch: u32, host_us: i64, bytes: &[u8], sink: &mut dyn FnMut(Output)) {

@@ -1,6 +1,6 @@
 //! What the session's own thread is told.
 
-use super::engine::Input;
+use super::input::Input;
 use super::posing::Registered;
 use crate::telemetry::DeviceKind;
 

@@ -9,9 +9,9 @@ use super::engine::Engine;
 use super::inputs::InputNames;
 use super::tracks::Tracks;
 use super::workshop::Workshop;
-use crate::image::{write_atomically, write_png_rgb};
+use crate::image::{read_png_rgb, write_atomically, write_png_rgb};
 use crate::render::write_image_without_times;
-use crate::report::{Pair, Provenance, SessionReport, write_pairs, write_session};
+use crate::report::{Pair, Provenance, SessionReport, restated, write_pairs, write_session};
 use crate::reporter::Reporter;
 use crate::time::{StageTimes, Stopwatch};
 
@@ -48,6 +48,8 @@ pub(super) struct Collector {
     /// Of each row, how often its frame was posed before.
     developments: BTreeMap<u32, u32>,
     views: BTreeMap<u32, crate::geometry::View>,
+    /// Frames of unfinished files, and those that are the whole pictures.
+    replaced: BTreeMap<u32, u32>,
     report: SessionReport,
     timings: BTreeMap<u32, StageTimes>,
     /// Files that could not be written, and why the latest could not.
@@ -97,6 +99,7 @@ impl Collector {
             rows: BTreeMap::new(),
             developments: BTreeMap::new(),
             views: BTreeMap::new(),
+            replaced: BTreeMap::new(),
             report,
             timings: BTreeMap::new(),
             unwritten: BTreeMap::new(),
@@ -136,9 +139,26 @@ impl Collector {
             pair.stages_ms = StageTimes::default();
         }
         self.rows.insert(number, pair);
+        let before = developed.posed.frame.completes;
+        self.replaced.extend(before.map(|before| (before, number)));
+        for unfinished in [Some(number), before].into_iter().flatten() {
+            failures.extend(self.take_back(unfinished));
+        }
         self.pairs_are_old = true;
         failures.extend(self.write_pairs_if_due());
         failures
+    }
+
+    /// What was said of a picture that was not finished is taken back, in its row and its strip.
+    fn take_back(&mut self, number: u32) -> Option<String> {
+        let by = *self.replaced.get(&number)?;
+        let pair = self.rows.get_mut(&number)?;
+        pair.replace_by(by);
+        let name = pair.strip.clone()?;
+        let (frame, standing, status) = (pair.frame.clone(), pair.standing(), pair.status_line());
+        let path = self.path.join(&name);
+        let written = read_png_rgb(&path).and_then(|strip| write_png_rgb(&path, &restated(strip, &frame, standing, &status)));
+        self.note(&name, written)
     }
 
     /// Writes `pairs.json` unless it was written just now.

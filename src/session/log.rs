@@ -11,9 +11,9 @@ use serde_json::json;
 
 use super::SessionError;
 use super::against_log::topic_of;
-use super::engine::Input;
 use super::event::Event;
 use super::file::Setup;
+use super::input::Input;
 use super::inputs::InputNames;
 use super::posing::Posed;
 use super::workshop::Workshop;

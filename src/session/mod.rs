@@ -15,6 +15,7 @@ pub mod file;
 pub mod folder;
 mod hearing;
 pub mod import;
+mod input;
 pub mod inputs;
 pub mod live;
 pub mod replay;

@@ -7,9 +7,9 @@ use std::time::Duration;
 
 use super::SessionError;
 use super::board::{Board, Link};
-use super::engine::Input;
 use super::event::{Event, Source};
 use super::file::Setup;
+use super::input::Input;
 use super::log::SessionLog;
 use crate::acquire::{Arrival, FolderSource, Frame, FrameSource, Reading, Sighting};
 use crate::record::Level;
@@ -193,7 +193,7 @@ struct FrameIntake {
     held: Vec<Weak<Frame>>,
     numbered: u32,
     /// Of each content the number of its first image.
-    numbers_of: HashMap<String, u32>,
+    numbers_of: HashMap<String, Vec<u32>>,
 }
 
 impl FrameIntake {
@@ -255,13 +255,27 @@ impl FrameIntake {
         let Seen { number, host_us, arrival } = seen;
         match arrival.read() {
             Reading::Frames { frames, earlier } => {
-                if let Some(earlier) = earlier.and_then(|sha256| self.numbers_of.get(&sha256).copied()) {
-                    let words = format!("frame {number}: its file was rewritten; an earlier version of it was frame {earlier}");
-                    self.say("frame rewritten", &words);
+                let before =
+                    earlier.and_then(|earlier| Some((self.numbers_of.get(&earlier.sha256)?.clone(), earlier.was_unfinished)));
+                if let Some((numbers, was_unfinished)) = &before {
+                    let was = numbers.first().copied().unwrap_or_default();
+                    let (kind, words) = match was_unfinished {
+                        true => (
+                            "frame delivered unfinished",
+                            format!(
+                                "frame {number}: frame {was} was the same file before it was written to its end, and is replaced; let the console write under another name and rename"
+                            ),
+                        ),
+                        false => (
+                            "frame rewritten",
+                            format!("frame {number}: its file was rewritten; an earlier version of it was frame {was}"),
+                        ),
+                    };
+                    self.say(kind, &words);
                 }
-                if let Some(first) = frames.first() {
-                    self.numbers_of.entry(first.sha256.clone()).or_insert(number);
-                }
+                let unfinished = before.filter(|(_, was_unfinished)| *was_unfinished).map(|(numbers, _)| numbers);
+                let sha256 = frames.first().map(|frame| frame.sha256.clone()).unwrap_or_default();
+                let mut numbers = Vec::with_capacity(frames.len());
                 for (image, frame) in frames.into_iter().enumerate() {
                     let number = match image {
                         0 => number,
@@ -270,11 +284,14 @@ impl FrameIntake {
                             self.numbered
                         }
                     };
-                    let frame = Arc::new(Frame { number, ..frame });
+                    numbers.push(number);
+                    let completes = unfinished.as_ref().and_then(|numbers| numbers.get(image).copied());
+                    let frame = Arc::new(Frame { number, completes, ..frame });
                     self.held.push(Arc::downgrade(&frame));
                     self.board.update(|state| state.frames_seen += 1);
                     self.log.input(Input::Frame { frame, host_us });
                 }
+                self.numbers_of.entry(sha256).or_insert(numbers);
             }
             Reading::Refused(error) => {
                 self.log.lose(format!("unreadable frame {error}"));

@@ -114,17 +114,14 @@ impl SpecimenTie {
     }
 
     /// A frame turned out to be wrong: what rests on it is given up. Returns what changed, for a person.
-    pub fn retract(&mut self, number: u32) -> Option<String> {
+    pub fn retract(&mut self, number: u32, because: &str) -> Option<String> {
         self.dissenting.retain(|(other, _)| *other != number);
         if self.declared || !self.tied_by.contains(&number) {
             return None;
         }
         self.tied = None;
         self.tied_by.clear();
-        Some(
-            "the specimen is no longer tied to the room: the image of this frame, on which the tie rested, prefers another pose"
-                .to_owned(),
-        )
+        Some(format!("the specimen is no longer tied to the room: {because}"))
     }
 }
 
@@ -160,8 +157,8 @@ mod tests {
         assert_eq!(tie.world_from_lps(), Some(at(1.0)), "the outlier before an agreeing frame does not count");
         assert!(tie.observe(6, at(172.0)).words.is_some());
         assert_eq!(tie.world_from_lps(), Some(at(172.0)));
-        assert_eq!(tie.retract(1), None, "an old frame no longer matters");
-        assert!(tie.retract(5).is_some());
+        assert_eq!(tie.retract(1, "why"), None, "an old frame no longer matters");
+        assert!(tie.retract(5, "why").is_some());
         assert_eq!(tie.world_from_lps(), None);
     }
 

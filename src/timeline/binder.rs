@@ -48,6 +48,9 @@ impl Binder {
         let (frame, image) = (evidence.frame, evidence.image_of_file[0]);
         self.fresh = true;
         self.changed.insert(frame);
+        if evidence.completes.is_some_and(|before| self.take_place(before, &evidence)) {
+            return;
+        }
         if let Some((first, images)) = self.known.contents.get_mut(&evidence.content) {
             let first = *first;
             if let Some(same) = images.get(&image).copied() {
@@ -85,6 +88,40 @@ impl Binder {
         }
         self.known.open.insert(frame);
         self.known.frames.insert(frame, Pending { evidence, prompt: None, binding: waiting(), images: Vec::new() });
+    }
+
+    /// The frame takes the place of `before`, which was the same picture, unfinished: whatever that one is bound to, this one is. False
+    /// where the two say different things of when they were taken.
+    fn take_place(&mut self, before: u32, evidence: &FrameEvidence) -> bool {
+        let first = self.stands_for.get(&before).map_or(before, |(first, _)| *first);
+        let is_copy = self.binding(before).is_some_and(|binding| {
+            binding.flags.iter().any(|flag| matches!(flag, BindingFlag::Duplicate { .. } | BindingFlag::Unfinished { .. }))
+        });
+        let Some(pending) = self.known.frames.get_mut(&first).filter(|_| !is_copy) else { return false };
+        let of = |said: &FrameEvidence| (said.counter, said.console_us, said.image_of_file[1]);
+        let known = self.known.contents.get(&evidence.content);
+        let is_known = known.is_some_and(|(_, images)| images.contains_key(&evidence.image_of_file[0]));
+        if of(&pending.evidence) != of(evidence) || is_known {
+            return false;
+        }
+        let frame = evidence.frame;
+        pending.images.retain(|image| *image != before);
+        pending.images.push(frame);
+        let own = within_run(&pending.binding, evidence);
+        let images = &mut self.known.contents.entry(evidence.content.clone()).or_insert((first, BTreeMap::new())).1;
+        images.insert(evidence.image_of_file[0], frame);
+        self.stands_for.insert(frame, (first, own));
+        let place = Pending { evidence: evidence.clone(), prompt: None, binding: Binding::default(), images: Vec::new() };
+        self.known.frames.insert(frame, place);
+        let replaced = Binding {
+            evidence: vec![format!("the file was not finished: frame {frame} is the whole picture and has its exposure")],
+            settled: true,
+            flags: vec![BindingFlag::Unfinished { replaced_by: frame }],
+            ..Binding::default()
+        };
+        self.stands_for.insert(before, (first, replaced));
+        self.changed.insert(before);
+        true
     }
 
     /// Looks at what `timeline` has learnt; `now_us` is the host time. Returns the frames whose binding changed.

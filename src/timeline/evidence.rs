@@ -24,6 +24,9 @@ pub struct FrameEvidence {
     pub arrival_us: Option<i64>,
     /// Time from image to image of a run, where the file says it.
     pub frame_time_us: Option<i64>,
+    /// The frame that was this image while its file was not yet finished.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub completes: Option<u32>,
 }
 
 impl FrameEvidence {
@@ -39,6 +42,7 @@ impl FrameEvidence {
             console_resolution_us: resolution_us(tags.acquired_time.as_deref().unwrap_or_default()),
             arrival_us,
             frame_time_us: None,
+            completes: None,
         }
     }
 }
@@ -105,6 +109,11 @@ pub enum BindingFlag {
         /// That frame.
         of: u32,
     },
+    /// The file was not finished when it was read; the whole picture, which has the exposure, came later.
+    Unfinished {
+        /// As that frame.
+        replaced_by: u32,
+    },
 }
 
 impl std::fmt::Display for BindingFlag {
@@ -117,6 +126,7 @@ impl std::fmt::Display for BindingFlag {
             Self::Late { by_us } => write!(f, "came {} after its exposure", seconds(*by_us)),
             Self::Run { image, count } => write!(f, "image {} of {count} of one run", image + 1),
             Self::Duplicate { of } => write!(f, "the same file as frame {of}"),
+            Self::Unfinished { replaced_by } => write!(f, "the file was not finished: frame {replaced_by} is the whole picture"),
         }
     }
 }

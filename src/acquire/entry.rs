@@ -1,0 +1,98 @@
+//! What is known of one name in the watched folder, and how long its version is given.
+
+use super::Fault;
+use super::notices::Held;
+use super::offer::{Delivered, Zeros};
+use crate::foreign::FileStamp;
+
+/// A file lies still when its stamp was the same for this long.
+const SETTLE_US: i64 = 100_000;
+/// The same for one that its writer has not closed.
+const SETTLE_OPEN_US: i64 = 500_000;
+/// A file that is not whole may still be being written for this long after its last growth.
+pub(super) const PATIENCE_US: i64 = 10_000_000;
+/// The same for one that is whole but ends in zeros, where nothing tells whether its writer has closed it: the lower border of a picture
+/// may be black.
+const BLANK_PATIENCE_US: i64 = 2_000_000;
+
+/// Where a version stands.
+#[derive(Debug, PartialEq)]
+pub(super) enum State {
+    /// Not still for long enough.
+    Settling,
+    /// Offered; the outcome of this offer is awaited.
+    Offered(u64),
+    /// Read, and not whole.
+    Unfinished(Fault),
+    /// It ends in zeros, and its writer has not closed it.
+    Blank,
+    /// Delivered, refused, reported, or there from the start.
+    Done,
+}
+
+/// What is known of a name.
+#[derive(Debug)]
+pub(super) struct Entry {
+    /// This version was said to have vanished.
+    pub(super) said_gone: bool,
+    /// The version.
+    pub(super) stamp: FileStamp,
+    /// Host clock when this version was first seen.
+    pub(super) since_us: i64,
+    pub(super) state: State,
+    /// The version that its writer completed: closed or moved into place.
+    pub(super) closed: Option<FileStamp>,
+    pub(super) held: Option<Held>,
+    /// The version delivered before.
+    pub(super) earlier: Option<Delivered>,
+    /// The how-manieth file that was seen, for a label that gives nothing away.
+    pub(super) number: u64,
+    /// Patience is over: holes in the file, and zeros at its end, are content.
+    pub(super) take_zeros: bool,
+}
+
+impl Entry {
+    pub(super) fn new(stamp: FileStamp, now_us: i64, number: u64) -> Self {
+        Self {
+            said_gone: false,
+            stamp,
+            since_us: now_us,
+            state: State::Settling,
+            closed: None,
+            held: None,
+            earlier: None,
+            number,
+            take_zeros: false,
+        }
+    }
+
+    /// How long the version must lie still.
+    pub(super) fn settle_us(&self, is_being_written: bool) -> i64 {
+        if is_being_written { SETTLE_OPEN_US } else { SETTLE_US }
+    }
+
+    /// How long a version that ends in zeros is waited for.
+    pub(super) fn blank_patience_us(&self, is_being_written: bool) -> i64 {
+        if is_being_written { PATIENCE_US } else { BLANK_PATIENCE_US }
+    }
+
+    /// How long nothing has come to this version.
+    pub(super) fn waited_us(&self, now_us: i64) -> i64 {
+        let modified_us = (self.stamp.modified_ns / 1000) as i64;
+        (now_us - self.since_us).max(if modified_us < now_us { now_us - modified_us } else { 0 })
+    }
+
+    /// What zeros in this version are.
+    pub(super) fn zeros(&self, is_being_written: bool) -> Zeros {
+        match (self.take_zeros, self.closed == Some(self.stamp) && !is_being_written) {
+            (true, _) => Zeros::Content,
+            (false, true) => Zeros::HolesUnwritten,
+            (false, false) => Zeros::Unwritten,
+        }
+    }
+
+    /// This version is looked at anew: it was rewritten and its time set back.
+    pub(super) fn look_again(&mut self, stamp: FileStamp, now_us: i64) {
+        (self.stamp, self.since_us, self.state, self.take_zeros) = (stamp, now_us, State::Settling, false);
+    }
+}

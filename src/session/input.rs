@@ -1,0 +1,85 @@
+//! What a session takes in, and what comes of it.
+
+use std::sync::Arc;
+
+use super::posing::{PoseJob, Posed};
+use crate::acquire::Frame;
+use crate::telemetry::{DeviceKind, Sample};
+
+/// One thing that happened, with its host time.
+#[derive(Clone, Debug)]
+pub enum Input {
+    /// Bytes from a serial line.
+    Bytes {
+        /// Which line.
+        device: DeviceKind,
+        /// Increases with every opening of the port.
+        epoch: u32,
+        /// Arrival.
+        host_us: i64,
+        /// As read.
+        bytes: Vec<u8>,
+    },
+    /// A frame was found in the folder.
+    Frame {
+        /// Its pixels and tags; [`Frame::number`] is given.
+        frame: Arc<Frame>,
+        /// Arrival.
+        host_us: i64,
+    },
+    /// Time passes while nothing happens.
+    Tick {
+        /// Now.
+        host_us: i64,
+    },
+    /// A frame that was announced with [`Output::Bound`] is registered now.
+    Develop {
+        /// Which.
+        number: u32,
+    },
+    /// The image of an accepted frame prefers another pose: it says nothing about where the specimen lies.
+    ImageDisagrees {
+        /// Which.
+        number: u32,
+    },
+}
+
+/// What came out of an input.
+#[derive(Clone, Debug)]
+pub enum Output {
+    /// A decoded sample.
+    Sample {
+        /// Which line.
+        device: DeviceKind,
+        /// Arrival of the bytes that completed it.
+        host_us: i64,
+        /// The sample.
+        sample: Box<Sample>,
+    },
+    /// A fault in the byte stream.
+    Fault {
+        /// Which line.
+        device: DeviceKind,
+        /// Arrival.
+        host_us: i64,
+        /// In words.
+        detail: String,
+    },
+    /// All that telemetry will say about a frame is known: it can be registered.
+    Bound {
+        /// Which.
+        number: u32,
+    },
+    /// A frame that was handed on without an exposure has got one; where its pixels are still there, [`Output::Bound`] follows and it is
+    /// developed again.
+    BoundLate {
+        /// Which.
+        number: u32,
+        /// For a person.
+        words: String,
+    },
+    /// A registration to be run; its result goes to [`Engine::registered`] before the next [`Input::Develop`].
+    Job(Box<PoseJob>),
+    /// A frame is ready to be rendered and compared.
+    Posed(Box<Posed>),
+}

@@ -1,0 +1,116 @@
+//! Files that get their size before their content, through `live`: what is still open is waited for, what was delivered too early is
+//! taken back when the whole picture comes.
+#![cfg(target_os = "linux")]
+
+use std::collections::BTreeSet;
+use std::fs::File;
+use std::os::unix::fs::FileExt;
+use std::path::Path;
+use std::time::Duration;
+
+use serde_json::{Value, json};
+
+use crate::live_lab::{HANG_S, Lab, Live, eventually};
+
+/// How a frame gets into the watched folder.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Way {
+    /// Under another name, then renamed.
+    Whole,
+    /// Size and a third of the content at once, the rest 2 s later; open all the time.
+    KeptOpen,
+    /// The same, closed in between.
+    Closed,
+    /// The same, and the time of change is set back afterwards.
+    ClosedAndSetBack,
+}
+
+fn relay(from: &Path, to: &Path, way: Way) {
+    // The mocked detector itself copies one of its frames in two parts.
+    let mut whole = Vec::new();
+    while whole.is_empty() || std::fs::metadata(from).expect("a frame").len() != whole.len() as u64 {
+        whole = std::fs::read(from).expect("a frame");
+        std::thread::sleep(Duration::from_millis(1200));
+    }
+    if way == Way::Whole {
+        let beside = to.with_extension("part");
+        std::fs::write(&beside, &whole).expect("written");
+        return std::fs::rename(beside, to).expect("renamed");
+    }
+    let file = File::create(to).expect("created");
+    let mut torn = whole.clone();
+    torn[whole.len() / 3..].fill(0);
+    file.write_all_at(&torn, 0).expect("size and first part");
+    let modified = file.metadata().expect("metadata").modified().expect("a time");
+    let file = if way == Way::KeptOpen {
+        file
+    } else {
+        drop(file);
+        std::thread::sleep(Duration::from_millis(1500));
+        File::options().write(true).open(to).expect("opened again")
+    };
+    std::thread::sleep(Duration::from_millis(500));
+    file.write_all_at(&whole, 0).expect("all");
+    if way == Way::ClosedAndSetBack {
+        file.set_modified(modified).expect("time is set");
+    }
+}
+
+#[test]
+fn a_frame_that_is_not_finished_is_waited_for_or_taken_back() {
+    let Some(lab) = Lab::start(&["--duration-s", "24", "--faults", "none"]) else { return };
+    let relayed = lab.kit.join("relayed");
+    std::fs::create_dir(&relayed).expect("a folder");
+    let session = lab.session("session-relayed.json", |session| session["frames"]["folder"] = json!(relayed));
+    let home = tempfile::tempdir().expect("a folder");
+    let mut live = Live::launch(&session, &home.path().join("session"), &["--seconds", "32"]);
+    let ways = [Way::Whole, Way::KeptOpen, Way::Closed, Way::Whole, Way::ClosedAndSetBack, Way::Whole];
+    let mut seen = BTreeSet::new();
+    let ended = eventually(HANG_S, || {
+        for entry in std::fs::read_dir(lab.frames()).expect("listed").flatten() {
+            let path = entry.path();
+            if path.extension().is_some_and(|extension| extension == "dcm") && seen.insert(entry.file_name()) {
+                let way = ways.get(seen.len() - 1).copied().unwrap_or(Way::Whole);
+                let to = relayed.join(entry.file_name());
+                std::thread::spawn(move || relay(&path, &to, way));
+            }
+        }
+        live.program.end(0.02)
+    });
+    assert!(ended.is_some_and(|status| matches!(status.code(), Some(0 | 3))), "{}", live.stderr());
+    assert!(seen.len() >= 6, "{} frames: {}", seen.len(), live.stderr());
+
+    let read = |folder: &Path| -> Vec<Value> {
+        let text = std::fs::read(folder.join("pairs.json")).expect("pairs");
+        serde_json::from_slice::<Value>(&text).expect("JSON")["pairs"].as_array().expect("a list").clone()
+    };
+    let pairs = read(&live.out);
+    let torn: Vec<&Value> = pairs.iter().filter(|pair| said(pair).contains("not finished")).collect();
+    assert_eq!((pairs.len(), torn.len()), (seen.len() + 2, 2), "two were closed unfinished: {}", live.stderr());
+    for pair in &torn {
+        assert!(pair["status"] == "refused" && pair["binding"] == "none", "{pair:#}");
+        let flags = pair["flags"].to_string() + &said(pair);
+        let by = pairs.iter().find(|other| said(pair).contains(&format!("frame {} is", other["number"])));
+        let by = by.unwrap_or_else(|| panic!("no frame replaces it: {flags}"));
+        assert!(by["frame"] == pair["frame"] && by["binding"] != "none" && by["status"] != "refused", "{by:#}");
+    }
+    // Whatever was relayed whole, and what was waited for, is bound and has its pose, but for the one with too few beads.
+    let unbound = |pair: &&Value| !said(pair).contains("not finished") && pair["binding"] == "none";
+    assert_eq!(pairs.iter().filter(unbound).count(), 0, "{}", live.stderr());
+    let refused = pairs.iter().filter(|pair| pair["status"] == "refused" && !said(pair).contains("not finished"));
+    assert!(refused.clone().count() <= 1 && refused.clone().all(|pair| pair["frame"] == "frame-007"), "{}", live.stderr());
+    assert!(live.stderr().contains("before it was written to its end"), "{}", live.stderr());
+
+    let again = home.path().join("again");
+    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_sidecarm"));
+    let output = command.arg("replay").arg(&live.log).arg("--out").arg(&again).output().expect("starts");
+    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+    let of = |pairs: &[Value]| -> Vec<[String; 3]> {
+        pairs.iter().map(|pair| [&pair["number"], &pair["status"], &pair["binding"]].map(Value::to_string)).collect()
+    };
+    assert_eq!(of(&read(&again)), of(&pairs), "a replay tells the same");
+}
+
+fn said(pair: &Value) -> String {
+    pair["reason"].as_str().unwrap_or_default().to_owned()
+}

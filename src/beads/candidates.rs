@@ -3,6 +3,8 @@
 //! An edge or a wire has one strong and one weak curvature; a sphere's shadow has two strong ones. The response at scale σ is
 //! q = −σ² λ_max of the Hessian of the Gaussian-smoothed image (scale-normalised, Lindeberg 1998), on a pyramid with two scales an octave.
 
+use rayon::prelude::*;
+
 use crate::image::Image;
 
 /// A blob that may be a bead.
@@ -105,45 +107,46 @@ fn find_at_scale(image: &Image<f32>, usable: &Image<bool>, sigma: f64, step: usi
     let scale = (sigma * sigma) as f32;
     let mut response = Image::filled(w, h, 0.0f32);
     let mut trace = Image::filled(w, h, 0.0f32);
-    for row in 1..h - 1 {
+    let rows = response.pixels.par_chunks_mut(w).zip(trace.pixels.par_chunks_mut(w)).enumerate();
+    rows.filter(|(row, _)| (1..h - 1).contains(row)).for_each(|(row, (response, trace))| {
+        let [above, own, below] = [row - 1, row, row + 1].map(|row| &image.pixels[row * w..(row + 1) * w]);
         for column in 1..w - 1 {
-            let at = |dc: usize, dr: usize| image.pixels[(row + dr - 1) * w + column + dc - 1];
-            let xx = at(0, 1) - 2.0 * at(1, 1) + at(2, 1);
-            let yy = at(1, 0) - 2.0 * at(1, 1) + at(1, 2);
-            let xy = 0.25 * (at(0, 0) + at(2, 2) - at(2, 0) - at(0, 2));
+            let xx = own[column - 1] - 2.0 * own[column] + own[column + 1];
+            let yy = above[column] - 2.0 * own[column] + below[column];
+            let xy = 0.25 * (above[column - 1] + below[column + 1] - above[column + 1] - below[column - 1]);
             let half = 0.5 * (xx + yy);
             let largest = half + (0.25 * (xx - yy) * (xx - yy) + xy * xy).sqrt();
-            response.pixels[row * w + column] = -largest * scale;
-            trace.pixels[row * w + column] = half.abs() * scale;
+            response[column] = -largest * scale;
+            trace[column] = half.abs() * scale;
         }
-    }
+    });
     let (tiles_across, tiles_down) = (w.div_ceil(TILE), h.div_ceil(TILE));
-    let mut medians = Vec::with_capacity(tiles_across * tiles_down);
-    for tile_row in 0..tiles_down {
-        for tile_column in 0..tiles_across {
-            let mut inside: Vec<f32> = Vec::with_capacity(TILE * TILE);
-            for row in tile_row * TILE..((tile_row + 1) * TILE).min(h) {
-                for column in tile_column * TILE..((tile_column + 1) * TILE).min(w) {
-                    let at = (row * step).min(usable.height - 1) * usable.width + (column * step).min(usable.width - 1);
-                    if usable.pixels[at] {
-                        inside.push(trace.pixels[row * w + column]);
-                    }
+    let median_of = |tile: usize| {
+        let (tile_row, tile_column) = (tile / tiles_across, tile % tiles_across);
+        let mut inside: Vec<f32> = Vec::with_capacity(TILE * TILE);
+        for row in tile_row * TILE..((tile_row + 1) * TILE).min(h) {
+            for column in tile_column * TILE..((tile_column + 1) * TILE).min(w) {
+                let at = (row * step).min(usable.height - 1) * usable.width + (column * step).min(usable.width - 1);
+                if usable.pixels[at] {
+                    inside.push(trace.pixels[row * w + column]);
                 }
             }
-            let middle = inside.len() / 2;
-            let median = if inside.is_empty() { 0.0 } else { *inside.select_nth_unstable_by(middle, f32::total_cmp).1 };
-            medians.push(median / 0.6745);
         }
-    }
+        let middle = inside.len() / 2;
+        let median = if inside.is_empty() { 0.0 } else { *inside.select_nth_unstable_by(middle, f32::total_cmp).1 };
+        median / 0.6745
+    };
+    let medians: Vec<f32> = (0..tiles_across * tiles_down).into_par_iter().map(median_of).collect();
     let mut sorted: Vec<f32> = medians.iter().copied().filter(|m| *m > 0.0).collect();
     sorted.sort_by(f32::total_cmp);
     let typical = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
-    for row in 1..h - 1 {
-        for column in 1..w - 1 {
+    let peaks = (1..h - 1).into_par_iter().flat_map_iter(|row| {
+        let (response, medians) = (&response, &medians);
+        (1..w - 1).filter_map(move |column| {
             let value = response.pixels[row * w + column];
             let noise = medians[row / TILE * tiles_across + column / TILE].max(0.3 * typical).max(f32::MIN_POSITIVE);
             if !(value > 2.5 * noise) {
-                continue;
+                return None;
             }
             let is_peak = (0..9).filter(|n| *n != 4).all(|n| {
                 let other = response.pixels[(row + n / 3 - 1) * w + column + n % 3 - 1];
@@ -151,17 +154,16 @@ fn find_at_scale(image: &Image<f32>, usable: &Image<bool>, sigma: f64, step: usi
             });
             let (full_column, full_row) = (column * step, row * step);
             let in_frame = full_column < usable.width && full_row < usable.height;
-            if is_peak && in_frame && usable.pixels[full_row * usable.width + full_column] {
-                found.push(Candidate {
-                    u_px: full_column as f64,
-                    v_px: full_row as f64,
-                    radius_px: sigma * step as f64 * RADIUS_PER_SIGMA,
-                    strength: f64::from(value / noise),
-                    response: f64::from(value),
-                });
-            }
-        }
-    }
+            (is_peak && in_frame && usable.pixels[full_row * usable.width + full_column]).then(|| Candidate {
+                u_px: full_column as f64,
+                v_px: full_row as f64,
+                radius_px: sigma * step as f64 * RADIUS_PER_SIGMA,
+                strength: f64::from(value / noise),
+                response: f64::from(value),
+            })
+        })
+    });
+    found.par_extend(peaks);
 }
 
 /// Every second pixel of every second row; pixel (i, j) of the result lies at (2i, 2j).
@@ -179,9 +181,8 @@ pub fn blur(image: &Image<f32>, sigma_px: f64) -> Image<f32> {
     kernel.iter_mut().for_each(|weight| *weight /= sum);
     let (w, h) = (image.width, image.height);
     let mut across = vec![0.0f32; w * h];
-    for row in 0..h {
-        let line = &image.pixels[row * w..(row + 1) * w];
-        for (column, out) in across[row * w..(row + 1) * w].iter_mut().enumerate() {
+    across.par_chunks_mut(w.max(1)).zip(image.pixels.par_chunks(w.max(1))).for_each(|(across, line)| {
+        for (column, out) in across.iter_mut().enumerate() {
             *out = kernel[0] * line[column];
             if column >= reach && column + reach < w {
                 for (n, weight) in kernel.iter().enumerate().skip(1) {
@@ -193,10 +194,9 @@ pub fn blur(image: &Image<f32>, sigma_px: f64) -> Image<f32> {
                 }
             }
         }
-    }
+    });
     let mut pixels = vec![0.0f32; w * h];
-    for row in 0..h {
-        let out = &mut pixels[row * w..(row + 1) * w];
+    pixels.par_chunks_mut(w.max(1)).enumerate().for_each(|(row, out)| {
         for (n, weight) in kernel.iter().enumerate() {
             let (above, below) = (row.saturating_sub(n) * w, (row + n).min(h - 1) * w);
             let share = if n == 0 { 0.5 } else { 1.0 } * weight;
@@ -204,6 +204,6 @@ pub fn blur(image: &Image<f32>, sigma_px: f64) -> Image<f32> {
                 *value += share * (across[above + column] + across[below + column]);
             }
         }
-    }
+    });
     Image { width: w, height: h, pixels }
 }

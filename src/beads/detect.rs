@@ -216,14 +216,15 @@ fn beside(candidates: &[Candidate], usable: &Image<bool>) -> Image<bool> {
 
 /// −ln of slightly smoothed transmission; values without quanta are held at a third of the lowest that occur.
 fn line_integral(transmission: &Image<f32>) -> Image<f32> {
-    let smooth = blur(transmission, 0.7);
+    let mut smooth = blur(transmission, 0.7);
     let mut positive: Vec<f32> = smooth.pixels.iter().copied().filter(|value| *value > 0.0).step_by(7).collect();
     if positive.is_empty() {
         return smooth.map(|_| 0.0);
     }
     let low = positive.len() / 500;
     let floor = (*positive.select_nth_unstable_by(low, f32::total_cmp).1 / 3.0).max(f32::MIN_POSITIVE);
-    smooth.map(|value| -value.max(floor).ln())
+    smooth.pixels.par_iter_mut().for_each(|value| *value = -value.max(floor).ln());
+    smooth
 }
 
 fn find(field: &Field, bright: &Image<f32>, models: &[Model], radius_px: (f64, f64), most: usize) -> Vec<Detection> {

@@ -36,11 +36,11 @@ fn tables() -> &'static [Table] {
 }
 
 /// The profile of one shape and blur, ready for many distances.
-#[derive(Clone, Copy)]
+#[derive(Clone)]
 pub struct Profile {
-    low: &'static [f64],
-    high: &'static [f64],
-    fraction: f64,
+    /// At the table's distances, with one more before the first: it is even about 0.
+    value: [f64; RHO_COUNT + 1],
+    by_ln_beta: [f64; RHO_COUNT + 1],
 }
 
 impl Profile {
@@ -50,29 +50,35 @@ impl Profile {
         let y = ((beta / BETA_FIRST).ln() / BETA_RATIO.ln()).clamp(0.0, (BETA_COUNT - 1) as f64 - 1e-9);
         let row = (y as usize).min(BETA_COUNT - 2);
         let line = |row: usize| &table[row * RHO_COUNT..(row + 1) * RHO_COUNT];
-        Self { low: line(row), high: line(row + 1), fraction: y - row as f64 }
+        let (low, high, fraction) = (line(row), line(row + 1), y - row as f64);
+        // Linear along ln β.
+        let between = |n: usize| {
+            let at = if n == 0 { 1 } else { n - 1 };
+            (low[at] + fraction * (high[at] - low[at]), (high[at] - low[at]) * (1.0 / LN_BETA_RATIO))
+        };
+        Self { value: std::array::from_fn(|n| between(n).0), by_ln_beta: std::array::from_fn(|n| between(n).1) }
     }
 
     /// G and its derivatives at distance `rho`, in radii.
+    #[inline]
     pub fn at(&self, rho: f64) -> Value {
-        let x = rho / RHO_STEP;
+        let x = rho * (1.0 / RHO_STEP);
         if !(x < (RHO_COUNT - 3) as f64) {
             return Value::default();
         }
         let i = x as usize;
         let f = x - i as f64;
-        // Catmull–Rom along ρ (even about 0), linear along ln β.
-        let before = if i == 0 { 1 } else { i - 1 };
-        let along = |line: &[f64]| {
-            let [a, b, c, d] = [line[before], line[i], line[i + 1], line[i + 2]];
-            let (p, q, r) = (0.5 * (c - a), a - 2.5 * b + 2.0 * c - 0.5 * d, 0.5 * (d - a) + 1.5 * (b - c));
-            (b + f * (p + f * (q + f * r)), (p + f * (2.0 * q + 3.0 * f * r)) / RHO_STEP)
+        // Catmull–Rom along ρ.
+        let cubic = |line: &[f64; RHO_COUNT + 1]| {
+            let [a, b, c, d] = [line[i], line[i + 1], line[i + 2], line[i + 3]];
+            (b, 0.5 * (c - a), a - 2.5 * b + 2.0 * c - 0.5 * d, 0.5 * (d - a) + 1.5 * (b - c))
         };
-        let ((low, low_slope), (high, high_slope)) = (along(self.low), along(self.high));
+        let (value, p, q, r) = cubic(&self.value);
+        let (blur, blur_p, blur_q, blur_r) = cubic(&self.by_ln_beta);
         Value {
-            value: low + self.fraction * (high - low),
-            by_rho: low_slope + self.fraction * (high_slope - low_slope),
-            by_ln_beta: (high - low) * (1.0 / LN_BETA_RATIO),
+            value: value + f * (p + f * (q + f * r)),
+            by_rho: (p + f * (2.0 * q + 3.0 * f * r)) * (1.0 / RHO_STEP),
+            by_ln_beta: blur + f * (blur_p + f * (blur_q + f * blur_r)),
         }
     }
 }

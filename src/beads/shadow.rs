@@ -9,7 +9,7 @@ use super::model::Model;
 use super::noise::Noise;
 use super::profile::Profile;
 use super::window::{BACKGROUND, Window};
-use crate::image::on_widest_vectors;
+use crate::image::{exp, on_widest_vectors};
 
 /// u, v, ln r, ln s, c.
 pub const SHAPE: usize = 5;
@@ -66,32 +66,84 @@ impl Evaluated {
             }
         }
         let [by_u, by_v, by_ln_r, by_ln_s, by_c] = &mut self.shape;
-        let contrast = theta[4];
         for n in 0..count {
             let (du, dv) = (window.dx[n] - theta[0], window.dy[n] - theta[1]);
-            let distance = (du * du + dv * dv).sqrt();
-            let rho = distance / radius;
+            let rho = (du * du + dv * dv).sqrt() / radius;
             let g = profile.at(rho);
-            let (sign, factor) = match model {
-                Model::Transmission => {
-                    let value = (self.value[n] - contrast * g.value).clamp(-60.0, 60.0).exp() * window.others[n];
-                    self.value[n] = value;
-                    (-1.0, value)
-                }
-                Model::Additive { sign, .. } => {
-                    self.value[n] += sign * contrast * g.value + window.others[n];
-                    (sign, 1.0)
-                }
-            };
-            let depth = factor * sign * contrast;
-            let slope = if distance > 1e-9 { depth * g.by_rho / (radius * distance) } else { 0.0 };
-            by_u[n] = -slope * du;
-            by_v[n] = -slope * dv;
-            by_ln_r[n] = depth * (-g.by_rho * rho - g.by_ln_beta);
-            by_ln_s[n] = depth * g.by_ln_beta;
-            by_c[n] = factor * sign * g.value;
-            self.factor[n] = factor;
             self.rho[n] = rho;
+            (by_c[n], by_ln_r[n], by_ln_s[n]) = (g.value, g.by_rho, g.by_ln_beta);
+        }
+        on_widest_vectors(Shapes {
+            model,
+            theta,
+            window,
+            value: &mut self.value,
+            factor: &mut self.factor,
+            rho: &self.rho,
+            by_u,
+            by_v,
+            by_ln_r,
+            by_ln_s,
+            by_c,
+        });
+    }
+}
+
+/// Turns what the profile says (its value in `by_c`, its derivatives in `by_ln_r` and `by_ln_s`) and the background (in `value`) into
+/// expected values and their derivatives.
+struct Shapes<'a> {
+    model: Model,
+    theta: &'a Vector,
+    window: &'a Window,
+    value: &'a mut [f64],
+    factor: &'a mut [f64],
+    rho: &'a [f64],
+    by_u: &'a mut [f64],
+    by_v: &'a mut [f64],
+    by_ln_r: &'a mut [f64],
+    by_ln_s: &'a mut [f64],
+    by_c: &'a mut [f64],
+}
+
+impl pulp::NullaryFnOnce for Shapes<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Self { model, theta, window, value, factor, rho, by_u, by_v, by_ln_r, by_ln_s, by_c } = self;
+        let (contrast, radius) = (theta[4], theta[2].exp());
+        let sign = match model {
+            Model::Transmission => {
+                for ((value, factor), (g, others)) in value.iter_mut().zip(factor.iter_mut()).zip(by_c.iter().zip(&window.others))
+                {
+                    *value = exp((*value - contrast * g).clamp(-60.0, 60.0)) * others;
+                    *factor = *value;
+                }
+                -1.0
+            }
+            Model::Additive { sign, .. } => {
+                for ((value, factor), (g, others)) in value.iter_mut().zip(factor.iter_mut()).zip(by_c.iter().zip(&window.others))
+                {
+                    *value += sign * contrast * g + others;
+                    *factor = 1.0;
+                }
+                sign
+            }
+        };
+        let count = value.len();
+        let (by_u, by_v, by_ln_r, by_ln_s, by_c) =
+            (&mut by_u[..count], &mut by_v[..count], &mut by_ln_r[..count], &mut by_ln_s[..count], &mut by_c[..count]);
+        let (factor, rho, dx, dy) = (&factor[..count], &rho[..count], &window.dx[..count], &window.dy[..count]);
+        for n in 0..count {
+            let depth = factor[n] * sign * contrast;
+            let by_rho = by_ln_r[n];
+            // ∂ρ/∂u = −du/(radius² ρ); the profile is flat in its middle.
+            let slope = depth * by_rho / (radius * radius * rho[n].max(1e-9));
+            by_u[n] = -slope * (dx[n] - theta[0]);
+            by_v[n] = -slope * (dy[n] - theta[1]);
+            by_ln_r[n] = depth * (-by_rho * rho[n] - by_ln_s[n]);
+            by_ln_s[n] *= depth;
+            by_c[n] *= factor[n] * sign;
         }
     }
 }

@@ -10,7 +10,7 @@ pub use files::{
     sha256_bytes, sha256_file, write_atomically, write_png_rgb, write_tiff_f32,
 };
 
-pub use vectors::on_widest_vectors;
+pub use vectors::{exp, on_widest_vectors};
 
 /// A row-major raster; the index of pixel (column, row) is `row * width + column`.
 #[derive(Clone, Debug, PartialEq)]

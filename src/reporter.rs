@@ -4,6 +4,8 @@ use std::collections::BTreeMap;
 use std::io::IsTerminal;
 use std::sync::{Arc, Mutex, PoisonError};
 
+use crate::time::Stopwatch;
+
 /// Counts warnings by kind and prints them; cheap to clone, every clone shares the counts.
 #[derive(Clone, Debug)]
 pub struct Reporter {
@@ -14,6 +16,8 @@ pub struct Reporter {
 #[derive(Debug, Default)]
 struct State {
     warnings: BTreeMap<String, Counted>,
+    /// When a kind was printed last.
+    printed: BTreeMap<String, Stopwatch>,
     bars: Option<indicatif::MultiProgress>,
 }
 
@@ -26,8 +30,9 @@ pub struct Counted {
     pub latest: String,
 }
 
-/// After this many of one kind, further messages are counted but not printed.
+/// After this many of one kind, further messages are counted, and no more than one in so long is printed.
 const PRINTED_PER_KIND: u64 = 3;
+const REMINDED_MS: f64 = 60e3;
 
 impl Reporter {
     /// Prints to standard error.
@@ -45,18 +50,25 @@ impl Reporter {
     /// Something went less well than it should: counted under `kind`, the first few of a kind are printed.
     pub fn warn(&self, kind: &str, message: impl std::fmt::Display) {
         let message = message.to_string();
-        let count = {
+        let (count, reminds) = {
             let mut state = self.lock();
+            let reminds = state.printed.get(kind).is_none_or(|printed| printed.ms() >= REMINDED_MS);
             let counted = state.warnings.entry(kind.to_owned()).or_insert(Counted { count: 0, latest: String::new() });
             counted.count += 1;
             counted.latest = printable(&message).into_owned();
-            counted.count
-        };
-        if count <= PRINTED_PER_KIND {
-            self.print(&format!("warning: {message}"));
-            if count == PRINTED_PER_KIND {
-                self.print(&format!("warning: further '{kind}' warnings are counted, not printed"));
+            let count = counted.count;
+            if count <= PRINTED_PER_KIND || reminds {
+                state.printed.insert(kind.to_owned(), Stopwatch::start());
             }
+            (count, reminds)
+        };
+        match count {
+            ..=PRINTED_PER_KIND => self.print(&format!("warning: {message}")),
+            _ if reminds => self.print(&format!("warning: {message} ({count} of '{kind}' so far)")),
+            _ => {}
+        }
+        if count == PRINTED_PER_KIND {
+            self.print(&format!("warning: further '{kind}' warnings are counted, and one a minute is printed"));
         }
     }
 

@@ -21,6 +21,9 @@ use super::shots::{BATCH_US, PROMPT_US};
 const VOTERS: usize = 48;
 /// A frame whose telemetry has not come after this long is judged without it.
 const PATIENCE_US: i64 = 1_000_000;
+/// Frames without an exposure that are looked at as a batch, and how many more there must be until that is done again.
+const ALIGNED: usize = 12;
+const ALIGN_STEP: usize = 4;
 
 /// Binds frames to the exposures of a [`Timeline`].
 #[derive(Clone, Debug, Default)]
@@ -31,6 +34,8 @@ pub struct Binder {
     series: SeriesStamps,
     changed: BTreeSet<u32>,
     fresh: bool,
+    /// The batch of open frames is looked at as a whole when there are so many.
+    align_at: usize,
 }
 
 impl Binder {
@@ -221,8 +226,9 @@ impl Binder {
 
     /// Judges until nothing more follows.
     fn settle(&mut self, timeline: &Timeline, newest_us: Option<i64>, now_us: i64) {
-        if self.known.finished {
+        if self.known.finished || self.known.open.len() >= self.align_at.max(ALIGNED) {
             self.known.align(timeline);
+            self.align_at = self.known.open.len() + ALIGN_STEP;
         }
         loop {
             self.known.agree_on_offset();

@@ -141,4 +141,5 @@ mod session_soak;
 mod ct_phantom;
 mod crosscheck_facts;
 mod crosscheck_image;
+mod crosscheck_robot;
 mod crosscheck_session;

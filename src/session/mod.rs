@@ -35,6 +35,7 @@ mod places;
 mod posing;
 mod recorded;
 mod registrar;
+mod robot_state;
 mod scribe;
 mod sources;
 mod stop;
@@ -45,7 +46,8 @@ mod workshop;
 
 pub use develop::Developed;
 pub use logged_frames::logged_frames;
-pub use posing::{PoseJob, Posed, Registered, RobotState};
+pub use posing::{PoseJob, Posed, Registered};
+pub use robot_state::{RobotCaution, RobotState};
 pub use stop::Stop;
 pub use tie::Disagreement;
 pub use workshop::Workshop;

@@ -18,11 +18,11 @@ use sidecarm::telemetry::{CarmSample, DeviceKind, Limit, Metadata, Sample};
 const SCENE: &str = r#"{"objects": [{"box": {"centre_lps_mm": [0, 0, 0], "size_mm": [100, 80, 60], "material": "water"}}],
     "beam": {"tube_kvp": 90, "filtration_mm": {"aluminium": 4.3}}, "detector": {"pitch_mm": 0.388}}"#;
 
-fn scene(text: &str) -> Scene {
+pub fn scene(text: &str) -> Scene {
     scene::load_text(text, Path::new("scene.json"), false, &Reporter::silent()).expect("loads")
 }
 
-fn calibration() -> CarmCalibration {
+pub fn calibration() -> CarmCalibration {
     serde_json::from_value(serde_json::json!({
         "origin": "test", "columns_px": 62, "rows_px": 48, "pitch_mm": 0.388, "source_to_isocentre_mm": 630.0,
         "source_to_detector_mm": 1020.0, "column_to_isocentre_mm": [800.0, 0.0, 1000.0]
@@ -38,7 +38,7 @@ fn frame() -> Frame {
     frame
 }
 
-fn sample() -> CarmSample {
+pub fn sample() -> CarmSample {
     CarmSample {
         device_us: 0,
         sequence: 0,
@@ -148,7 +148,7 @@ fn an_exposure_in_which_all_agrees_is_silent_and_each_disagreement_is_named() {
     assert_eq!(exposure(|_, _, n, _| n.translation_mm.z = f64::NAN).len(), 1, "a pose that is no number does not agree");
 }
 
-fn setup(scene_json: &str, carm: CarmCalibration) -> Setup {
+pub fn setup(scene_json: &str, carm: CarmCalibration) -> Setup {
     let robot: serde_json::Value = serde_json::from_str(include_str!("../calibration/robot/cdm.json")).expect("a model");
     let mut setup: Setup = serde_json::from_value(serde_json::json!({
         "session": {

@@ -19,7 +19,7 @@ fn write(path: &Path, value: &Value) {
 }
 
 /// A copy of the kit's small files in a folder beside it; the CT and the frames are linked.
-fn copy(lab: &Path, name: &str) -> PathBuf {
+pub fn copy(lab: &Path, name: &str) -> PathBuf {
     let to = lab.with_file_name(name);
     std::fs::create_dir(&to).expect("new");
     for file in ["beads.mrk.json", "carm.json", "robot.json", "scene.json", "session.json"] {
@@ -31,7 +31,7 @@ fn copy(lab: &Path, name: &str) -> PathBuf {
     to
 }
 
-fn edit(folder: &Path, file: &str, change: impl FnOnce(&mut Value)) {
+pub fn edit(folder: &Path, file: &str, change: impl FnOnce(&mut Value)) {
     let path = folder.join(file);
     let mut content = json(&path);
     change(&mut content);
@@ -51,7 +51,7 @@ fn move_beads(folder: &Path, change: impl Fn([f64; 3]) -> [f64; 3]) {
 }
 
 /// What `sidecarm check --json` says, and its exit code.
-fn check(folder: &Path) -> (Vec<(String, String, String)>, i32) {
+pub fn check(folder: &Path) -> (Vec<(String, String, String)>, i32) {
     let session = folder.join("session.json");
     let run = Command::new(env!("CARGO_BIN_EXE_sidecarm"))
         .arg("check")
@@ -183,13 +183,13 @@ fn faults_of_files_are_each_named_with_their_remedy() {
 }
 
 /// The mocked laboratory in real time; stopped when dropped.
-struct Mock {
+pub struct Mock {
     child: Child,
-    lab: PathBuf,
+    pub lab: PathBuf,
 }
 
 impl Mock {
-    fn start(folder: &Path, options: &[&str]) -> Self {
+    pub fn start(folder: &Path, options: &[&str]) -> Self {
         let program =
             Path::new(env!("CARGO_BIN_EXE_sidecarm")).with_file_name(format!("mock-lab{}", std::env::consts::EXE_SUFFIX));
         let lab = folder.join("lab");
@@ -274,7 +274,7 @@ fn faults_of_ports_and_telemetry_are_each_named_with_their_remedy() {
 }
 
 /// Runs `live` on a mocked laboratory whose files `spoil` has changed; the pairs, the report and what was printed.
-fn live(folder: &Path, options: &[&str], spoil: impl FnOnce(&Path)) -> (Vec<Value>, String, String) {
+pub fn live(folder: &Path, options: &[&str], spoil: impl FnOnce(&Path)) -> (Vec<Value>, String, String) {
     let mut all = vec!["--duration-s", "8", "--exposures", "3", "--faults", "none", "--start-delay-s", "1", "--linger-s", "1"];
     all.extend(options);
     let mock = Mock::start(folder, &all);

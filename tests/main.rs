@@ -142,4 +142,5 @@ mod session_unfinished;
 mod ct_phantom;
 mod crosscheck_facts;
 mod crosscheck_image;
+mod crosscheck_robot;
 mod crosscheck_session;

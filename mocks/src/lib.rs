@@ -18,6 +18,7 @@ pub mod dicom;
 pub mod detector;
 pub mod kit;
 pub mod script;
+pub mod oddity;
 pub mod play;
 
 /// Why the mock cannot go on.

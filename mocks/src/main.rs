@@ -12,6 +12,7 @@ use mock_lab::fault::FaultKind;
 use mock_lab::kinematics::camera_from_lps;
 use mock_lab::kit::{arm, frame_name, true_world_from_lps, write};
 use mock_lab::lab::{Device, Fault, Lab};
+use mock_lab::oddity::Oddity;
 use mock_lab::phantom::Phantom;
 use mock_lab::play::{Drawn, Performance, play, say};
 use mock_lab::pty::Line;
@@ -66,6 +67,10 @@ struct Args {
     /// Lines that carry random bytes instead of packets: carm, robot or both.
     #[arg(long, value_delimiter = ',', value_parser = device)]
     garbage: Vec<Device>,
+    /// What the devices say oddly in packets that are well formed: carm-stopped, copper, robot-homing, tracked, tracked-at-first,
+    /// sensed-at-first, apart, swaying.
+    #[arg(long, value_delimiter = ',', value_parser = oddity)]
+    odd: Vec<Oddity>,
     /// Writes for every packet that leaves a device: host time in µs, device, sequence, bytes.
     #[arg(long, value_name = "FILE.csv")]
     sent: Option<PathBuf>,
@@ -91,6 +96,11 @@ fn device(name: &str) -> Result<Device, String> {
         .into_iter()
         .find(|known| known.name() == name)
         .ok_or_else(|| "expected carm or robot".to_owned())
+}
+
+fn oddity(name: &str) -> Result<Oddity, String> {
+    let known = Oddity::ALL.into_iter().find(|known| known.name() == name);
+    known.ok_or_else(|| format!("expected one of {}", Oddity::ALL.map(Oddity::name).join(", ")))
 }
 
 fn main() -> ExitCode {
@@ -154,6 +164,7 @@ fn run(args: &Args) -> Result<(), MockError> {
         faults,
         missing: args.missing,
         garbage: args.garbage.clone(),
+        oddities: args.odd.clone(),
         sent: args.sent.clone(),
         seed: args.seed,
     };

@@ -11,6 +11,7 @@ use crate::MockError;
 use crate::dicom::{FrameTags, deliver, encode};
 use crate::fault::{Channel, FaultKind};
 use crate::lab::{Device, Fault};
+use crate::oddity::Oddity;
 use crate::pty::Line;
 use crate::script::{Script, carm_metadata, robot_metadata};
 use crate::wire::{Stamp, encode_carm, encode_metadata, encode_robot};
@@ -32,6 +33,8 @@ pub struct Performance {
     pub missing: f64,
     /// Lines that carry random bytes instead of packets.
     pub garbage: Vec<Device>,
+    /// What the devices say oddly.
+    pub oddities: Vec<Oddity>,
     /// Where every packet that leaves a device is noted: host time in µs, device, sequence, bytes.
     pub sent: Option<PathBuf>,
     /// Seed of encoders and faults.
@@ -158,6 +161,7 @@ struct Sender {
     missing_random: ChaCha8Rng,
     missed: u64,
     garbage: bool,
+    oddities: Vec<Oddity>,
     /// When the clock stopped.
     frozen_s: Option<f64>,
 }
@@ -209,6 +213,7 @@ impl Sender {
             missing_random,
             missed: 0,
             garbage,
+            oddities: performance.oddities.clone(),
             frozen_s: None,
         }
     }
@@ -246,8 +251,17 @@ impl Sender {
             }
             let stamp = self.stamp(at_s);
             let packet = match self.device {
-                Device::Carm => encode_carm(stamp, &script.carm(at_s, &mut self.random)),
-                Device::Robot => encode_robot(stamp, &script.robot(at_s, &mut self.random)),
+                Device::Carm => {
+                    let mut message = script.carm(at_s, &mut self.random);
+                    self.oddities.iter().for_each(|oddity| oddity.befall_carm(&mut message));
+                    encode_carm(stamp, &message)
+                }
+                Device::Robot => {
+                    let mut message = script.robot(at_s, &mut self.random);
+                    let share = at_s / script.duration_s;
+                    self.oddities.iter().for_each(|oddity| oddity.befall_robot(at_s, share, &mut message));
+                    encode_robot(stamp, &message)
+                }
             };
             self.send(stamp, packet, at_s, notes)?;
         }

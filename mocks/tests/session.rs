@@ -25,6 +25,7 @@ fn play_two_seconds_with(name: &str, change: impl FnOnce(&mut Performance)) -> (
         seed: 1,
         missing: 0.0,
         garbage: Vec::new(),
+        oddities: Vec::new(),
         sent: None,
     };
     change(&mut performance);

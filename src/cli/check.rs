@@ -12,7 +12,7 @@ use crate::render::Renderer;
 use crate::reporter::Reporter;
 use crate::scene::{self, Scene};
 use crate::session::crosscheck::{
-    ExposureFacts, Finding, Level, check_disk, check_exposure, check_line, check_session, rehearse,
+    ExposureFacts, Finding, Level, check_disk, check_exposure, check_listened, check_session, rehearse,
 };
 use crate::session::file::Setup;
 use crate::telemetry::{DeviceKind, PortConfig};
@@ -115,9 +115,7 @@ fn work(args: &CheckArgs, reporter: &Reporter, found: &Sender<Finding>) {
     let mut loaded = Loaded { setup, scene: None, layout: None };
     load(&mut loaded, &tell);
     for line in lines.iter().filter(|line| line.ok && line.rate_hz.is_some()) {
-        check_line(&loaded.setup, loaded.scene.as_ref(), line.metadata.as_ref(), line.latest.as_deref())
-            .into_iter()
-            .for_each(tell);
+        check_listened(&loaded.setup, loaded.scene.as_ref(), &line.listened).into_iter().for_each(tell);
     }
     let Some(scene) = &loaded.scene else { return };
     check_session(&loaded.setup, scene, loaded.layout.as_ref()).into_iter().for_each(tell);

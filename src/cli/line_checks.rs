@@ -8,7 +8,8 @@ use tokio::sync::mpsc;
 
 use crate::geometry::{CarmCalibration, RobotModel};
 use crate::json::parse_json;
-use crate::telemetry::{CarmSample, DeviceKind, Event, Health, Link, Metadata, PortConfig, PortEvent, Sample, hint, spawn_port};
+use crate::session::crosscheck::Listened;
+use crate::telemetry::{DeviceKind, Event, Health, Link, Metadata, PortConfig, PortEvent, Sample, hint, spawn_port};
 use crate::time::host_now_us;
 
 /// How long each port is listened to.
@@ -77,12 +78,9 @@ pub struct CheckLine {
     /// Counters; ports only.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub health: Option<Health>,
-    /// What the device says of itself; ports only.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub metadata: Option<Metadata>,
-    /// The C-arm's latest sample.
+    /// What the device said; ports only.
     #[serde(skip)]
-    pub latest: Option<Box<CarmSample>>,
+    pub listened: Box<Listened>,
 }
 
 /// The verdicts, ports first. Ports are listened to for 1.5 s, together.
@@ -102,8 +100,7 @@ struct Heard {
     link: Link,
     /// The same bytes as the other device would mean them: swapped ports show here.
     as_other: Link,
-    metadata: Option<Metadata>,
-    latest: Option<Box<CarmSample>>,
+    listened: Listened,
     samples: u64,
     first_last_us: Option<(i64, i64)>,
     /// Why the port is not open now.
@@ -121,17 +118,13 @@ impl Heard {
             PortEvent::Opened { .. } => self.closed = None,
             PortEvent::Bytes { .. } => {}
         }
-        let Self { link, as_other, metadata, latest, samples, first_last_us, .. } = self;
+        let Self { link, as_other, listened, samples, first_last_us, .. } = self;
         as_other.handle(event, &mut |_| {});
         link.handle(event, &mut |received| {
             let Event::Sample(sample, _) = received.event else { return };
-            match sample {
-                Sample::Metadata(found) => {
-                    *metadata = Some(found);
-                    return;
-                }
-                Sample::Carm(sample) => *latest = Some(Box::new(sample)),
-                Sample::Robot(_) => {}
+            listened.take(&sample);
+            if matches!(sample, Sample::Metadata(_)) {
+                return;
             }
             *samples += 1;
             *first_last_us = Some((first_last_us.map_or(received.host_us, |(first, _)| first), received.host_us));
@@ -166,7 +159,7 @@ impl Heard {
             );
             (false, detail)
         } else {
-            let about = self.metadata.as_ref().map_or("no metadata yet".to_owned(), Metadata::summary);
+            let about = self.listened.metadata.as_ref().map_or("no metadata yet".to_owned(), Metadata::summary);
             (true, format!("{rate_hz:.1} Hz, {health}; {about}"))
         };
         CheckLine {
@@ -176,8 +169,7 @@ impl Heard {
             detail,
             rate_hz: Some(rate_hz),
             health: Some(health),
-            metadata: self.metadata,
-            latest: self.latest,
+            listened: Box::new(self.listened),
         }
     }
 }
@@ -191,8 +183,7 @@ fn listen(ports: &[&PortConfig]) -> std::io::Result<Vec<Heard>> {
                 DeviceKind::Carm => DeviceKind::Robot,
                 DeviceKind::Robot => DeviceKind::Carm,
             }),
-            metadata: None,
-            latest: None,
+            listened: Listened::default(),
             samples: 0,
             first_last_us: None,
             closed: None,
@@ -237,8 +228,7 @@ fn bad_port(config: &PortConfig, detail: String) -> CheckLine {
         detail,
         rate_hz: None,
         health: None,
-        metadata: None,
-        latest: None,
+        listened: Box::default(),
     }
 }
 
@@ -254,8 +244,7 @@ fn check_file(file: &CheckFile) -> CheckLine {
         detail,
         rate_hz: None,
         health: None,
-        metadata: None,
-        latest: None,
+        listened: Box::default(),
     }
 }
 

@@ -118,6 +118,7 @@ fn circumstances(page: &mut String, pair: &Pair, standing: Standing) {
     if let Some(robot) = &pair.robot_source {
         item(pair.robot_words().map_or_else(|| format!("robot shape: {robot}"), str::to_owned));
     }
+    pair.robot_cautions.iter().for_each(|words| item(words.clone()));
     if let Some(tone) = &pair.tone {
         item(format!(
             "tone {}: {} fitted numbers, {} px fitted, {} px scored",

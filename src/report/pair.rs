@@ -195,6 +195,9 @@ pub struct Pair {
     /// Where the robot's shape came from: `sensed`, `commanded`, `scene` or `none`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub robot_source: Option<String>,
+    /// Why the robot may be otherwise than it is drawn, though telemetry tells of it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub robot_cautions: Vec<String>,
     /// Largest gap between telemetry samples that an interpolated answer spans, µs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gap_us: Option<i64>,
@@ -244,6 +247,7 @@ impl Pair {
             air: None,
             flags: Vec::new(),
             robot_source: None,
+            robot_cautions: Vec::new(),
             gap_us: None,
             render_error: None,
             truth: None,
@@ -361,6 +365,7 @@ impl Pair {
             parts.push(format!("rms {px:.3} px{mm}"));
         }
         parts.extend(self.robot_words().map(str::to_owned));
+        parts.extend(self.robot_cautions.iter().cloned());
         parts.extend(self.reason.clone());
         parts.join(" · ")
     }

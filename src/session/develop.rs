@@ -102,6 +102,7 @@ impl Bench {
         let mut pair = row(&posed);
         if self.scene.robot.is_none() {
             pair.robot_source = Some("none".to_owned());
+            pair.robot_cautions.clear();
         }
         let Some(view) = posed.view else {
             return self.without(posed, pair, "no pose: nothing to render");
@@ -187,6 +188,10 @@ impl Bench {
         let findings = check_exposure(&facts);
         if let (Some(words), Some(_)) = (pair.robot_words(), &self.setup.robot) {
             self.reporter.warn("robot not told", format!("{}: {words}", posed.label()));
+        }
+        let drawn = posed.robot.as_ref().filter(|_| self.scene.robot.is_some());
+        for caution in drawn.iter().flat_map(|robot| &robot.cautions) {
+            self.reporter.warn(caution.kind(), format!("{}: {caution}; {}", posed.label(), caution.remedy()));
         }
         for flag in &posed.binding.flags {
             if matches!(flag, BindingFlag::Moved { .. }) {
@@ -363,6 +368,7 @@ fn row(posed: &Posed) -> Pair {
         Some(robot) => robot.source.clone(),
         None => "scene".to_owned(),
     });
+    pair.robot_cautions = posed.robot.iter().flat_map(|robot| &robot.cautions).map(ToString::to_string).collect();
     if posed.robot.as_ref().is_some_and(|robot| robot.stale) {
         pair.flags.push("robot: telemetry is stale at the exposure".to_owned());
     }

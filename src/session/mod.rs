@@ -36,6 +36,7 @@ mod places;
 mod posing;
 mod recorded;
 mod registrar;
+mod robot_state;
 mod scribe;
 mod sources;
 mod stop;
@@ -46,7 +47,8 @@ mod workshop;
 
 pub use develop::Developed;
 pub use logged_frames::logged_frames;
-pub use posing::{PoseJob, Posed, Registered, RobotState};
+pub use posing::{PoseJob, Posed, Registered};
+pub use robot_state::{RobotCaution, RobotState};
 pub use stop::Stop;
 pub use tie::Disagreement;
 pub use workshop::Workshop;

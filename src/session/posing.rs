@@ -6,6 +6,7 @@ use super::crosscheck::beam_at;
 use super::file::Setup;
 use super::import::Imported;
 use super::intensifier::seen_through;
+use super::robot_state::{BoundRobot, MAX_GAP_US, RobotState};
 use super::tie::Disagreement;
 use super::told_field::told_field;
 use crate::acquire::Frame;
@@ -16,24 +17,9 @@ use crate::mask::{self, Masks};
 use crate::pose::{self, Pose, Prior, Refusal, Registration};
 use crate::report::PoseSource;
 use crate::reporter::Reporter;
-use crate::telemetry::{AngleSource, CarmSample, DeviceKind};
+use crate::telemetry::{CarmSample, DeviceKind};
 use crate::time::{StageTimes, Stopwatch};
 use crate::timeline::{Binding, Support, Timeline};
-
-/// The robot's shape at the exposure.
-#[derive(Clone, Debug, PartialEq)]
-pub struct RobotState {
-    /// The five control angles, degrees.
-    pub control_angles_deg: [f64; 5],
-    /// Pose of the robot's base, when it is tracked and the tracker is tied to the specimen.
-    pub lps_from_base: Option<Rigid>,
-    /// `sensed` or `commanded`.
-    pub source: String,
-    /// Span of the samples that were interpolated.
-    pub gap_us: i64,
-    /// Too old to be trusted at the exposure.
-    pub stale: bool,
-}
 
 /// A frame with everything known about when and where it was taken.
 #[derive(Clone, Debug)]
@@ -89,9 +75,6 @@ impl Posed {
     }
 }
 
-/// Robot or C-arm samples further apart than this around an exposure are stale.
-const MAX_GAP_US: i64 = 500_000;
-
 /// A frame with what telemetry says about it, fixed when it was bound.
 #[derive(Clone, Debug)]
 pub struct Bound {
@@ -100,9 +83,7 @@ pub struct Bound {
     binding: Binding,
     joints: Option<CarmJoints>,
     carm_gap_us: Option<i64>,
-    /// Everything but the base in `lps`, which the tie to the room decides.
-    robot: Option<RobotState>,
-    tracker_from_base: Option<Rigid>,
+    robot: Option<BoundRobot>,
     beam: Option<Box<CarmSample>>,
 }
 
@@ -116,21 +97,7 @@ impl Bound {
             .and_then(|mid_us| timeline.joints_at(mid_us))
             .filter(|answer| answer.gap_us <= MAX_GAP_US && answer.support == Support::Between)
             .or_else(|| exposure.and_then(|exposure| exposure.joints).filter(|answer| answer.gap_us <= MAX_GAP_US));
-        let robot = mid_us.and_then(|mid_us| robot_state(timeline, mid_us)).or_else(|| {
-            let answer = exposure?.control_angles_deg.filter(|answer| answer.value.iter().all(|angle| angle.is_finite()))?;
-            Some(RobotState {
-                control_angles_deg: answer.value,
-                lps_from_base: None,
-                source: "stored with the exposure".to_owned(),
-                gap_us: answer.gap_us,
-                stale: answer.gap_us > MAX_GAP_US,
-            })
-        });
-        let tracker_from_base = mid_us
-            .and_then(|mid_us| timeline.tracker_from_base_at(mid_us))
-            .or_else(|| exposure.and_then(|exposure| exposure.tracker_from_base))
-            .filter(|answer| answer.gap_us <= MAX_GAP_US)
-            .map(|answer| answer.value);
+        let robot = mid_us.and_then(|mid_us| BoundRobot::at(timeline, mid_us, &binding));
         Self {
             frame,
             time_us: mid_us.unwrap_or(arrival_us),
@@ -139,7 +106,6 @@ impl Bound {
             beam: mid_us.and_then(|mid_us| beam_at(timeline, mid_us)).map(Box::new),
             binding,
             robot,
-            tracker_from_base,
         }
     }
 }
@@ -162,23 +128,9 @@ impl Bound {
     pub fn is_known_to(&self, device: DeviceKind) -> bool {
         match device {
             DeviceKind::Carm => self.binding.exposure.is_some(),
-            DeviceKind::Robot => self.robot.as_ref().is_some_and(|robot| !robot.stale),
+            DeviceKind::Robot => self.robot.as_ref().is_some_and(|robot| !robot.is_stale()),
         }
     }
-}
-
-fn robot_state(timeline: &Timeline, mid_us: i64) -> Option<RobotState> {
-    let (answer, source) = timeline.robot_and_source_at(mid_us)?;
-    if !answer.value.iter().all(|angle| angle.is_finite()) {
-        return None;
-    }
-    let stale = !(answer.gap_us <= MAX_GAP_US && answer.support == Support::Between);
-    let source = match source {
-        AngleSource::Sensed => "sensed",
-        AngleSource::Commanded => "commanded",
-    };
-    let source = source.to_owned();
-    Some(RobotState { control_angles_deg: answer.value, lps_from_base: None, source, gap_us: answer.gap_us, stale })
 }
 
 /// What is known about a session when a frame is registered.
@@ -351,14 +303,8 @@ impl Registered {
         let size_px = [pixels.width as u32, pixels.height as u32];
         let view = camera.map(|(intrinsics, camera_from_lps)| View { size_px, intrinsics, camera_from_lps });
         let nominal = job.nominal();
-        let Bound { frame, time_us, binding, joints, carm_gap_us, robot, tracker_from_base, beam } = job.bound;
-        let lps_from_base = match (tracker_from_base, world_from_tracker, job.known.world_from_lps) {
-            (Some(base), Some(world_from_tracker), Some(world_from_lps)) => {
-                Some(world_from_lps.inverse() * world_from_tracker * base)
-            }
-            _ => None,
-        };
-        let robot = robot.map(|robot| RobotState { lps_from_base, ..robot });
+        let Bound { frame, time_us, binding, joints, carm_gap_us, robot, beam } = job.bound;
+        let robot = robot.map(|robot| robot.in_lps(world_from_tracker, job.known.world_from_lps));
         let posed = Posed {
             number: frame.number,
             development: job.development,

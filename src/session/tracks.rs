@@ -5,16 +5,12 @@ use std::collections::BTreeMap;
 use super::engine::Engine;
 use crate::geometry::CarmJoints;
 use crate::report::{Gap, LinkReport, Track};
-use crate::telemetry::{DeviceKind, Sample};
+use crate::telemetry::{DeviceKind, Sample, status_words};
 
 /// Tracks are drawn with at most one sample per this, at first.
 const TRACK_STEP_US: i64 = 100_000;
 /// Samples kept of a track; when there are more, every second one goes and the step doubles.
 const MOST_SAMPLES: usize = 20_000;
-
-/// What the bits of a status word say, the lowest first (the devices' protocol).
-const CARM_STATUS: [&str; 2] = ["fault", "emergency stop"];
-const ROBOT_STATUS: [&str; 3] = ["fault", "emergency stop", "homing"];
 
 /// Values at a bounded number of times.
 #[derive(Debug)]
@@ -103,9 +99,7 @@ impl Tracks {
 
     fn news_of(&mut self, device: DeviceKind, status: u32) -> Option<String> {
         let raised = status & !self.status.insert(device, status).unwrap_or(0);
-        let names: &[&str] = if device == DeviceKind::Carm { &CARM_STATUS } else { &ROBOT_STATUS };
-        let word = |bit: usize| names.get(bit).map_or_else(|| format!("status bit {bit}"), |name| (*name).to_owned());
-        let words: Vec<String> = (0..32).filter(|bit| raised >> bit & 1 == 1).map(word).collect();
+        let words = status_words(device, raised);
         (!words.is_empty()).then(|| format!("the {device} reports {}", words.join(", ")))
     }
 

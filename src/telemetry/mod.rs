@@ -10,6 +10,7 @@ mod link;
 mod port;
 mod sample;
 mod sequence;
+mod status;
 mod wire;
 
 pub use decoder::{DecodeFault, Decoder, Event};
@@ -19,4 +20,5 @@ pub use link::{ByteSource, Link, Received, STALE_SILENCE_US};
 pub use port::{FIRST_BACKOFF, LONGEST_BACKOFF, PortError, PortEvent, PortTask, hint, spawn_port};
 pub use sample::{AngleSource, CarmSample, Limit, Metadata, RobotSample, Sample, Tendon};
 pub use sequence::{SequenceTracker, Sequenced};
+pub use status::status_words;
 pub use wire::{FrameFault, MAX_ENCODED_BYTES, SCHEMA_HASH, VERSION};

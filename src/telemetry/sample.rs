@@ -87,6 +87,16 @@ impl RobotSample {
             None => (self.commanded_deg, AngleSource::Commanded),
         }
     }
+
+    /// Where sensed and commanded angles differ most: the control point, from 0, and sensed minus commanded in degrees. `None` where not
+    /// all of both are known.
+    #[must_use]
+    pub fn sensed_from_commanded_deg(&self) -> Option<(usize, f64)> {
+        let sensed_deg = self.sensed_deg?;
+        let apart_deg: [f64; 5] = std::array::from_fn(|point| sensed_deg[point] - self.commanded_deg[point]);
+        let largest = apart_deg.into_iter().enumerate().max_by(|(_, a), (_, b)| a.abs().total_cmp(&b.abs()));
+        largest.filter(|_| apart_deg.iter().all(|apart| apart.is_finite()))
+    }
 }
 
 /// Range of a joint, in the unit of the wire (mm, deg).

@@ -102,7 +102,7 @@ struct Seen {
 struct Open {
     interval: ExposureInterval,
     last_on: Seen,
-    travel: Travel,
+    travel: Travel<7>,
     kvp: (f64, u32),
     ma: (f64, u32),
 }
@@ -249,7 +249,7 @@ impl ExposureTracker {
         };
         self.next_index += 1;
         let mut open =
-            Open { interval, last_on: now, travel: Travel::new(sample.joints.to_array()), kvp: (0.0, 0), ma: (0.0, 0) };
+            Open { interval, last_on: now, travel: Travel::of_arm(sample.joints.to_array()), kvp: (0.0, 0), ma: (0.0, 0) };
         open.extend(sample, now);
         self.open = Some(open);
     }

@@ -32,6 +32,8 @@ pub use judgement::NO_EXPOSURE;
 pub use segments::{DeviceClock, Placed, Segment, SegmentStart, SegmentSummary};
 pub use track::{Answer, Bracket, Entry, Retention, Stamps, Support, Track};
 
+use travel::Travel;
+
 use serde::{Deserialize, Serialize};
 
 use crate::geometry::{CarmJoints, Rigid};
@@ -197,6 +199,25 @@ impl Timeline {
         };
         let angles_deg = std::array::from_fn(|i| lerp(left_deg[i], right_deg[i], bracket.fraction));
         Some((bracket.answer(angles_deg), source))
+    }
+
+    /// How far each of the robot's control angles moved between two host times, beyond its sensors' noise, degrees; `None` without a
+    /// sample between them.
+    #[must_use]
+    pub fn robot_travel_deg(&self, from_us: i64, to_us: i64) -> Option<[f64; 5]> {
+        let during = self.robot.entries().rev().map(|entry| (self.robot.mapped(entry).0, &entry.value));
+        let during = during.skip_while(|(at_us, _)| *at_us > to_us).take_while(|(at_us, _)| *at_us >= from_us);
+        let mut travel = None;
+        for (_, sample) in during {
+            let (angles_deg, source) = sample.control_angles_deg();
+            let readings = angles_deg.map(f64::to_radians);
+            let (first_source, travel) = travel.get_or_insert_with(|| (source, Travel::of_angles(readings)));
+            // From commanded to sensed is no motion.
+            if *first_source == source {
+                travel.push(readings);
+            }
+        }
+        travel.map(|(_, travel)| travel.range().map(f64::to_degrees))
     }
 
     /// Tracked robot base at a host time, along the geodesic; `None` unless both samples around it have it.

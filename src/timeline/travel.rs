@@ -2,8 +2,16 @@
 
 use crate::units::wrap_rad;
 
-/// Joints that are angles: see [`crate::geometry::CarmJoints::to_array`].
-const ANGLES: [usize; 4] = [1, 3, 4, 5];
+/// What a joint measures.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Measure {
+    Millimetres,
+    Radians,
+}
+use Measure::{Millimetres, Radians};
+
+/// Of the C-arm: see [`crate::geometry::CarmJoints::to_array`].
+const ARM: [Measure; 7] = [Millimetres, Radians, Millimetres, Radians, Radians, Radians, Millimetres];
 /// The range of ten to sixty readings of a joint that stands still is 3 to 4.7 of their standard deviations, now and then 6.
 const RANGE_OF_NOISE: f64 = 6.0;
 /// No encoder is so noisy, in mm and rad: what shakes more is shaken.
@@ -22,24 +30,37 @@ struct Joint {
     bends: f64,
 }
 
-/// Seven joints.
+/// All joints of a device.
 #[derive(Clone, Debug)]
-pub(super) struct Travel {
-    first: [f64; 7],
-    joints: [Joint; 7],
+pub(super) struct Travel<const N: usize> {
+    measures: [Measure; N],
+    first: [f64; N],
+    joints: [Joint; N],
     readings: u32,
 }
 
-impl Travel {
-    pub(super) fn new(first: [f64; 7]) -> Self {
-        Self { first, joints: [Joint::default(); 7], readings: 0 }
+impl Travel<7> {
+    /// Of the C-arm's joints, from its first reading.
+    pub(super) fn of_arm(first: [f64; 7]) -> Self {
+        Self::new(ARM, first)
+    }
+}
+
+impl<const N: usize> Travel<N> {
+    /// Of joints that are angles, rad.
+    pub(super) fn of_angles(first: [f64; N]) -> Self {
+        Self::new([Radians; N], first)
     }
 
-    pub(super) fn push(&mut self, readings: [f64; 7]) {
+    fn new(measures: [Measure; N], first: [f64; N]) -> Self {
+        Self { measures, first, joints: [Joint::default(); N], readings: 0 }
+    }
+
+    pub(super) fn push(&mut self, readings: [f64; N]) {
         self.readings = self.readings.saturating_add(1);
         for (n, (joint, reading)) in self.joints.iter_mut().zip(readings).enumerate() {
             let moved = reading - self.first[n];
-            let moved = if ANGLES.contains(&n) { wrap_rad(moved) } else { moved };
+            let moved = if self.measures[n] == Radians { wrap_rad(moved) } else { moved };
             // A reading that is missing leaves the range as it is.
             joint.low = joint.low.min(moved);
             joint.high = joint.high.max(moved);
@@ -54,13 +75,13 @@ impl Travel {
     }
 
     /// How far each joint moved, less what noise alone would make of it; NaN for joints without an encoder.
-    pub(super) fn range(&self) -> [f64; 7] {
+    pub(super) fn range(&self) -> [f64; N] {
         let bends = self.readings.saturating_sub(2);
         std::array::from_fn(|n| {
             let Joint { low, high, bends: sum, .. } = self.joints[n];
             // White noise of σ has second differences of 6 σ².
             let sigma = if bends >= FEWEST_BENDS { (sum / (6.0 * f64::from(bends))).sqrt() } else { 0.0 };
-            let sigma = sigma.min(MOST_NOISE[usize::from(ANGLES.contains(&n))]);
+            let sigma = sigma.min(MOST_NOISE[usize::from(self.measures[n] == Radians)]);
             if self.first[n].is_nan() { f64::NAN } else { (high - low - RANGE_OF_NOISE * sigma).max(0.0) }
         })
     }
@@ -77,7 +98,7 @@ mod tests {
         let draws = (0..200).map(|_| {
             let mut readings = (0..n).map(|k| moves * k as f64 / (n - 1) as f64 + sigma * random.normal());
             let first = readings.next().unwrap_or(0.0);
-            let mut travel = Travel::new([first; 7]);
+            let mut travel = Travel::of_arm([first; 7]);
             std::iter::once(first).chain(readings).for_each(|reading| travel.push([reading; 7]));
             travel.range()[0]
         });
@@ -98,7 +119,7 @@ mod tests {
     #[test]
     fn what_shakes_more_than_any_encoder_is_motion() {
         let swing = |amplitude: f64| {
-            let mut travel = Travel::new([0.0; 7]);
+            let mut travel = Travel::of_arm([0.0; 7]);
             (0..10).for_each(|k| travel.push([amplitude * f64::from(1 - 2 * (k % 2)); 7]));
             travel.range()
         };
@@ -108,7 +129,7 @@ mod tests {
 
     #[test]
     fn a_joint_without_an_encoder_has_no_travel_and_a_missing_reading_no_effect() {
-        let mut travel = Travel::new([0.0, f64::NAN, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        let mut travel = Travel::of_arm([0.0, f64::NAN, 0.0, 0.0, 0.0, 0.0, 0.0]);
         for k in 0..10 {
             let reading = if k == 4 { f64::NAN } else { f64::from(k) };
             travel.push([reading, f64::NAN, 0.0, 0.0, 0.0, 0.0, 0.0]);

@@ -19,8 +19,13 @@ const SCENE_KVP_TOLERANCE: f64 = 5.0;
 const COPPER_MM: f64 = 0.05;
 /// Aluminium beyond what the scene has in all.
 const ALUMINIUM_MM: f64 = 0.3;
+/// A tube, its housing and its collimator have at most this of their own, as aluminium.
+const OWN_ALUMINIUM_MM: f64 = 4.0;
+/// What tubes of C-arms can do, and filters that are put before them.
+const TUBE_KVP: (f64, f64) = (20.0, 160.0);
+const MOST_FILTER_MM: (f64, f64) = (30.0, 3.0);
 /// Distances of tags and telemetry differ by rounding at most.
-const SID_TOLERANCE_MM: f64 = 6.0;
+pub(super) const SID_TOLERANCE_MM: f64 = 6.0;
 /// Shutters are found to within their penumbra.
 const FIELD_SHARE: f64 = 0.15;
 /// Sag and an uncalibrated arm explain this much: degrees, mm across, mm in depth.
@@ -150,18 +155,42 @@ pub(super) fn against_scene(check: &str, whose: &str, seen_kvp: f64, scene: &Sce
 }
 
 fn check_filter(facts: &ExposureFacts) -> Option<Finding> {
-    let beam = facts.beam?;
+    filter_against_scene(facts.beam?, facts.scene_json)
+}
+
+/// The filter that telemetry reports against the one that is rendered.
+pub(super) fn filter_against_scene(beam: &CarmSample, scene_json: &str) -> Option<Finding> {
     // The scene's filtration holds the tube's own as well, which telemetry does not count: less aluminium there is ordinary.
-    let rendered = |names: &[&str]| filtration_mm(facts.scene_json, names);
+    let rendered = |names: &[&str]| filtration_mm(scene_json, names);
     let (aluminium_mm, copper_mm) = (rendered(&["aluminium", "aluminum", "al"])?, rendered(&["copper", "cu"])?);
+    let more_mm = beam.filter_mm_al - aluminium_mm;
     let wrong = [
         ("copper", beam.filter_mm_cu, copper_mm, (beam.filter_mm_cu - copper_mm).abs() > COPPER_MM),
-        ("aluminium", beam.filter_mm_al, aluminium_mm, beam.filter_mm_al > aluminium_mm + ALUMINIUM_MM),
+        ("aluminium", beam.filter_mm_al, aluminium_mm, more_mm > ALUMINIUM_MM || more_mm < -OWN_ALUMINIUM_MM),
     ];
     // A filter that was not measured is NaN and compares as false.
     let (name, told_mm, scene_mm, _) = wrong.into_iter().find(|(.., wrong)| *wrong)?;
     let detail = format!("telemetry says {told_mm:.2} mm of {name} in the beam, the scene renders {scene_mm:.2} mm");
-    Some(Finding::warn("filter", detail, format!("correct beam.filtration_mm.{name} of the scene")))
+    Some(Finding::warn("filter", detail, format!("correct beam.filtration_mm.{name} of the scene, or the filter at the console")))
+}
+
+/// Numbers of a beam that no tube has. What is not measured is NaN on the wire, not zero.
+pub(super) fn plausible_beam(beam: &CarmSample) -> Vec<Finding> {
+    let (low_kvp, high_kvp) = TUBE_KVP;
+    let (most_al_mm, most_cu_mm) = MOST_FILTER_MM;
+    let told = [
+        ("kVp", "a tube voltage", beam.tube_kvp, low_kvp, high_kvp, "kVp"),
+        ("filter", "a filter", beam.filter_mm_al, 0.0, most_al_mm, "mm of aluminium"),
+        ("filter", "a filter", beam.filter_mm_cu, 0.0, most_cu_mm, "mm of copper"),
+    ];
+    let wrong = told.into_iter().filter(|(_, _, value, low, high, _)| !value.is_nan() && !(value >= low && value <= high));
+    wrong
+        .map(|(check, what, value, low, high, unit)| {
+            let detail = format!("telemetry says {what} of {value:.2} {unit}, expected {low} to {high}");
+            let remedy = "set the technique at the console; what the arm does not measure it has to send as NaN, not as a number";
+            Finding::warn(check, detail, remedy)
+        })
+        .collect()
 }
 
 /// Thickness of a filter in the scene's file, 0 where it has none; `None` where the beam is not that of a tube.

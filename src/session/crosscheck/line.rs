@@ -2,8 +2,9 @@
 
 use std::collections::BTreeSet;
 
-use super::exposure::against_scene;
+use super::exposure::{SID_TOLERANCE_MM, against_scene};
 use super::finding::{Finding, Level, tell};
+use super::robot_watch::RobotWatch;
 use super::units::sid;
 use crate::geometry::JOINT_KEYS;
 use crate::reporter::Reporter;
@@ -24,6 +25,7 @@ pub struct LineWatch {
     told: BTreeSet<String>,
     /// Ranges of the arm's joints, as it stated them last.
     ranges: Vec<Limit>,
+    robot: RobotWatch,
 }
 
 impl LineWatch {
@@ -40,7 +42,8 @@ impl LineWatch {
                 let beyond = check_joints(&self.ranges, sample);
                 beyond.into_iter().chain(check_line(setup, None, None, Some(sample))).collect()
             }
-            Sample::Robot(_) => return,
+            // It tells each loss once by itself, and again when what was lost has been back.
+            Sample::Robot(sample) => return tell(&self.robot.take(setup, sample), reporter),
         };
         // By what was checked: a length that jitters is one disagreement.
         let new: Vec<Finding> = findings
@@ -69,7 +72,8 @@ pub fn check_line(
     }
     if let Some(sample) = sample {
         let distance_mm = sample.joints.source_to_detector_mm;
-        found.extend((distance_mm.is_finite()).then(|| sid("SID", "telemetry's source to detector", distance_mm)).flatten());
+        let implausible = distance_mm.is_finite().then(|| sid("SID", "telemetry's source to detector", distance_mm)).flatten();
+        found.extend(implausible.or_else(|| check_distance(setup, distance_mm)));
         found.extend(check_panel(setup, sample));
         if let Some(scene) = scene.filter(|_| sample.tube_kvp > 0.0) {
             found.extend(against_scene("kVp", "by telemetry", sample.tube_kvp, scene));
@@ -133,6 +137,21 @@ fn check_distance_range(setup: &Setup, metadata: &Metadata) -> Option<Finding> {
         limit.min, limit.max
     );
     Some(Finding::warn("SID", detail, "correct source_to_detector_mm in the calibration (in millimetres)"))
+}
+
+/// The distance that telemetry says against the one that the calibration was made for. Telemetry's is used.
+fn check_distance(setup: &Setup, told_mm: f64) -> Option<Finding> {
+    let nominal_mm = setup.carm.as_ref()?.source_to_detector_mm?;
+    // An arm that does not measure it is NaN here, and the calibration's holds.
+    if !((told_mm - nominal_mm).abs() > SID_TOLERANCE_MM.max(0.01 * nominal_mm)) {
+        return None;
+    }
+    let detail = format!(
+        "telemetry says {told_mm:.0} mm from focal spot to detector, the calibration {nominal_mm:.0} mm; telemetry's is used"
+    );
+    let remedy =
+        "correct the one that is wrong; for an arm whose detector moves, leave source_to_detector_mm out of the calibration";
+    Some(Finding::warn("SID", detail, remedy))
 }
 
 fn check_panel(setup: &Setup, sample: &CarmSample) -> Option<Finding> {

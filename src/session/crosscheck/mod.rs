@@ -9,8 +9,11 @@ mod disk;
 mod exposure;
 mod finding;
 mod line;
+mod listened;
 mod metal;
 mod rehearsal;
+mod robot;
+mod robot_watch;
 mod units;
 
 use glam::DVec3;
@@ -20,7 +23,9 @@ pub use disk::check_disk;
 pub use exposure::{ExposureFacts, PoseDifference, beam_at, check_exposure, innovation, pose_difference};
 pub use finding::{Finding, Level, refusal, tell};
 pub use line::{LineWatch, check_line};
+pub use listened::{Listened, check_listened};
 pub use rehearsal::{choose_view, rehearse};
+pub use robot::APART_DEG;
 
 use super::file::Setup;
 use crate::beads::BeadLayout;
@@ -36,30 +41,6 @@ pub fn check_session(setup: &Setup, scene: &Scene, layout: Option<&BeadLayout>) 
     found.extend(units::check_scene_detector(setup, scene));
     let centre = layout.map(BeadLayout::centroid_lps_mm).or_else(|| scene.bounds().map(|(centre, _): (DVec3, f64)| centre));
     found.extend(units::check_room(setup, centre));
-    found.extend(check_robot(setup, scene));
+    found.extend(robot::check_robot(setup, scene));
     found
-}
-
-/// A robot that is drawn without telemetry, or reported and not drawn.
-fn check_robot(setup: &Setup, scene: &Scene) -> Option<Finding> {
-    const CHECK: &str = "robot";
-    Some(match (&setup.robot, &scene.robot) {
-        (None, None) => return None,
-        (Some(line), Some(drawn)) if line != drawn.model.as_ref() => Finding::warn(
-            CHECK,
-            "the session's robot model is not the one that the scene draws",
-            "name the same model file in both",
-        ),
-        (Some(_), Some(_)) => Finding::pass(CHECK, "drawn as telemetry says"),
-        (None, Some(_)) => Finding::warn(
-            CHECK,
-            "robot drawn as in the scene file: no telemetry",
-            "add the robot's line to the session, or take the robot out of the scene",
-        ),
-        (Some(_), None) => Finding::warn(
-            CHECK,
-            "the session has a robot, the scene has none: it is not drawn",
-            "add {\"robot\": …} to the scene's objects",
-        ),
-    })
 }

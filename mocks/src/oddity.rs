@@ -13,9 +13,9 @@ pub enum Oddity {
     RobotHoming,
     /// The robot's base is tracked.
     Tracked,
-    /// The robot's base is tracked during the first half.
+    /// The robot's base is tracked during the first fifth.
     TrackedAtFirst,
-    /// The robot's angles are sensed during the first half.
+    /// The robot's angles are sensed during the first fifth.
     SensedAtFirst,
     /// The robot is commanded 3 degrees more than it goes.
     Apart,
@@ -27,6 +27,8 @@ pub enum Oddity {
 const TRACKED: ([f64; 3], [f64; 4]) = ([100.5, -20.25, 1500.0], [0.0, 0.0, 0.0, 1.0]);
 /// Of [`Oddity::Apart`].
 const APART_DEG: f32 = 3.0;
+/// What is so at first only ends after this share of the session: between the second of the lab's exposures and the third.
+const AT_FIRST: f64 = 0.22;
 /// Of [`Oddity::Swaying`]: up and down once in this time, by this much either way.
 const SWAY_S: f64 = 4.0;
 const SWAY_DEG: f64 = 4.0;
@@ -73,8 +75,8 @@ impl Oddity {
         match self {
             Self::RobotHoming => message.status |= 0b100,
             Self::Tracked => message.tracker_from_base = Some(TRACKED),
-            Self::TrackedAtFirst => message.tracker_from_base = Some(TRACKED).filter(|_| share < 0.5),
-            Self::SensedAtFirst => message.sensed_deg = message.sensed_deg.filter(|_| share < 0.5),
+            Self::TrackedAtFirst => message.tracker_from_base = Some(TRACKED).filter(|_| share < AT_FIRST),
+            Self::SensedAtFirst => message.sensed_deg = message.sensed_deg.filter(|_| share < AT_FIRST),
             Self::Apart => message.commanded_deg = message.commanded_deg.map(|angle| angle + APART_DEG),
             Self::Swaying => {
                 let phase = (at_s / SWAY_S).rem_euclid(1.0);

@@ -269,7 +269,10 @@ mod tests {
         let commanded = bound(|ms, robot| robot.sensed_deg = robot.sensed_deg.filter(|_| ms < 900)).state;
         assert_eq!((commanded.source.as_str(), &commanded.cautions[..]), ("commanded", &[RobotCaution::Commanded][..]));
         let apart = bound(|_, robot| robot.commanded_deg[2] += 3.0).state.cautions;
-        assert!(matches!(apart[..], [RobotCaution::Apart { point: 2, apart_deg }] if (apart_deg + 3.0).abs() < 0.01), "{apart:?}");
+        assert!(
+            matches!(apart[..], [RobotCaution::Apart { point: 2, apart_deg }] if (apart_deg + 3.0).abs() < 0.01),
+            "{apart:?}"
+        );
         assert!(apart[0].to_string().contains("-3.0 degrees more than was commanded at control point 3"), "{}", apart[0]);
         assert_eq!(bound(|_, robot| robot.commanded_deg[2] += 1.8).state.cautions, []);
     }
@@ -285,7 +288,10 @@ mod tests {
             cautions.state.cautions
         };
         let during = bends(1000, 1400, 1.5);
-        assert!(matches!(during[..], [RobotCaution::Bent { point: 3, moved_deg }] if (1.0..1.7).contains(&moved_deg)), "{during:?}");
+        assert!(
+            matches!(during[..], [RobotCaution::Bent { point: 3, moved_deg }] if (1.0..1.7).contains(&moved_deg)),
+            "{during:?}"
+        );
         assert_eq!(bends(200, 900, 6.0), []);
         assert_eq!(bends(1500, 1900, 6.0), []);
         assert_eq!(bends(1000, 1400, 0.3), []);

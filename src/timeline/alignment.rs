@@ -56,8 +56,14 @@ fn explained(stamps: &[Stamped], shots: &Shots, middle_us: i64, offset_us: i64) 
 }
 
 /// Pairs of stamp and exposure of which the offset can be learnt: positions in `stamps` and `shots`. Empty while two readings are possible.
-/// `blind`: whether telemetry was silent within two host times.
-pub(super) fn align(stamps: &mut [Stamped], shots: &Shots, blind: &dyn Fn(i64, i64) -> bool) -> Vec<(Stamped, usize)> {
+/// `blind`: whether telemetry was silent within two host times. `whole`: whether no frame will follow; until then one reading must stand out
+/// further, because later frames may yet contradict it.
+pub(super) fn align(
+    stamps: &mut [Stamped],
+    shots: &Shots,
+    blind: &dyn Fn(i64, i64) -> bool,
+    whole: bool,
+) -> Vec<(Stamped, usize)> {
     if shots.len() == 0 || stamps.len().saturating_mul(shots.len()) > MOST_PAIRS {
         return Vec::new();
     }
@@ -99,7 +105,8 @@ pub(super) fn align(stamps: &mut [Stamped], shots: &Shots, blind: &dyn Fn(i64, i
     let second = elsewhere.map(|(count, _)| *count).max().unwrap_or(0);
     let mut different: Vec<i64> = stamps.iter().map(|stamped| stamped.console_us).collect();
     different.dedup();
-    if best < 3 || 2 * best < different.len() || best < second + (best / 5).max(3) {
+    let margin = if whole { (best / 5).max(3) } else { (best / 2).max(4) };
+    if best < 3 || 2 * best < different.len() || best < second + margin {
         return Vec::new();
     }
     // Stamps that fit nothing, but many of them with one other offset: the clock was set in between, and either part fits exposures of

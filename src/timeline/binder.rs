@@ -22,7 +22,7 @@ const VOTERS: usize = 48;
 /// A frame whose telemetry has not come after this long is judged without it.
 const PATIENCE_US: i64 = 1_000_000;
 /// Frames without an exposure that are looked at as a batch, and how many more there must be until that is done again.
-const ALIGNED: usize = 12;
+const ALIGNED: usize = 8;
 const ALIGN_STEP: usize = 4;
 
 /// Binds frames to the exposures of a [`Timeline`].

@@ -73,7 +73,7 @@ impl Known {
         suggestion.offset.and_then(|_| self.pair(&self.frames.get(&suggestion.frame)?.evidence, suggestion.shot))
     }
 
-    /// At the end, with no offset known from prompt frames: the one at which the whole batch falls into place, if there is only one.
+    /// With no offset known from prompt frames: the one at which the whole batch falls into place, if there is only one.
     pub(super) fn align(&mut self, timeline: &Timeline) {
         if self.known_offsets().next().is_some() {
             return;
@@ -85,7 +85,7 @@ impl Known {
         };
         let mut stamps: Vec<Stamped> = self.open.iter().filter_map(stamped).collect();
         let blind = |from_us: i64, to_us: i64| timeline.exposure_tracker().blind_spot(from_us, to_us).is_some();
-        let pairs = align(&mut stamps, &self.shots, &blind);
+        let pairs = align(&mut stamps, &self.shots, &blind, self.finished);
         // A frame that came after the next exposure as well may be of that one, if the clock was set: it teaches only where there is no
         // other.
         let alone = |(stamped, at): &(Stamped, usize)| {

@@ -98,7 +98,8 @@ impl Case<'_> {
         let notes = self.request.layout.notes.clone();
         let (found, required) = (self.detections.len(), self.request.fewest());
         if found < required {
-            return self.refuse(&Refusal::TooFewShadows { found, required }, notes);
+            let prior_puts_into_frame = self.request.prior_puts_into_frame();
+            return self.refuse(&Refusal::TooFewShadows { found, required, prior_puts_into_frame }, notes);
         }
         let near = self.propose(self.request.prior).map(|candidate| self.judge(&candidate, notes.clone()));
         // A match that accident explains, or that the frame speaks against, is as good as none: the prior may be of another specimen, or of

@@ -48,13 +48,7 @@ impl Case<'_> {
         let points: Vec<DVec3> = settled.matches.iter().map(|m| m.lps_mm).collect();
         check_geometry(&points, self.request.intrinsics.is_some(), Points::Matched)?;
         let [first_mm, _, third_mm] = extents_mm(&points);
-        if self.request.prior.is_none() && !(third_mm > PLATE * first_mm) {
-            notes.push(
-                "the beads lie in a plane: from them alone nobody can tell whether the picture is mirrored, and the pose with it; give \
-                 --prior, or a bead out of the plane"
-                    .to_owned(),
-            );
-        }
+        let is_plate = !(third_mm > PLATE * first_mm);
         let hypothesis = Hypothesis {
             camera_from_lps: settled.solution.camera_from_lps,
             rms_px: settled.rms_px(),
@@ -71,6 +65,13 @@ impl Case<'_> {
         self.check_twins(candidate, &settled, &hypothesis)?;
         let mut cautions = self.doubt(&settled, &hypothesis)?;
         cautions.extend(off_intrinsics);
+        if is_plate && (self.request.prior.is_none() || self.without_prior) {
+            cautions.push(
+                "the beads lie in a plane: from them alone nobody can tell whether the picture is mirrored, and the pose with it; give \
+                 --prior, or a bead out of the plane"
+                    .to_owned(),
+            );
+        }
         let covariance = &settled.solution.covariance * settled.chi2_per_dof.max(1.0);
         self.check_uncertainty(&settled, &covariance, notes)?;
         if settled.chi2_per_dof > 1.5 {

@@ -134,6 +134,9 @@ impl Case<'_> {
         if !self.gate_excludes(&(found.hypothesis.camera_from_lps * half_turn)) {
             return Some(self.refuse(&Refusal::Axes { matched: found.hypothesis.matches.len() }, notes.to_vec()));
         }
+        if let Some(refusal) = self.mirrored_near(found.hypothesis.matches.len()) {
+            return Some(self.refuse(&refusal, notes.to_vec()));
+        }
         self.without_prior = true;
         // Who states a covariance means it.
         if prior.covariance.is_some() && !self.request.ignore_prior {

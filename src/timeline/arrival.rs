@@ -30,7 +30,7 @@ impl Weighed<'_> {
             return Judgement::None(words);
         }
         if unlearnt && !self.known.finished {
-            words.push("what the console's clock and counter mean is not known yet: later frames will show it".to_owned());
+            words.push("what the console's clock and counter mean was not known when this frame was judged".to_owned());
             return Judgement::None(words);
         }
         let at = match prompt {
@@ -58,7 +58,7 @@ impl Weighed<'_> {
         }
         let late_us = arrival_us.saturating_sub(self.known.shots.get(at).end_us);
         let Some(usual_us) = self.usual_delay_us() else {
-            words.push("how soon frames come after their exposures is not known yet: later frames will show it".to_owned());
+            words.push("how soon frames come after their exposures was not known when this frame was judged".to_owned());
             return Judgement::None(words);
         };
         if !usual_us.contains(&late_us) {

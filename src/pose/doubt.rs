@@ -37,8 +37,9 @@ const LOOSE_CHI2_OF_SEVERAL: f64 = 2.25;
 const UNEASY_CHI2: f64 = 1.5;
 /// Fitted over true radius of a bead: blur of the intensity makes thick metal's shadow smaller than that of its line integral.
 const USUAL_RADIUS: f64 = 0.97;
-/// Relative differences of the radius from which on it is said, and refused.
-const OTHER_RADIUS: (f64, f64) = (0.08, 0.15);
+/// Relative differences of the radius from which on it is said, and refused. Of grey values of unknown scale it is only said: their curve
+/// changes what half the depth is.
+const OTHER_RADIUS: (f64, f64) = (0.10, 0.15);
 /// Squared standard deviations from the prior (six degrees of freedom) beyond which it is said, and for so few beads refused.
 const FAR_FROM_PRIOR: f64 = 14.0;
 const FEW: usize = 5;
@@ -137,23 +138,10 @@ impl Case<'_> {
     /// The size of the shadows against depth and size of the beads: the same pose of a larger layout is farther away. Only values that
     /// are proportional to quanta, or their logarithms, show the size of what is in the beam.
     fn check_radii(&self, last: &Settled, cautions: &mut Vec<String>) -> Result<(), Refusal> {
-        if !self.probe.as_ref().is_some_and(Probe::is_quantitative) {
-            return Ok(());
-        }
-        let (pose, k) = (last.solution.camera_from_lps, last.solution.intrinsics);
-        let ratio = |m: &Match| {
-            let radius_mm = self.request.layout.radius_mm(m.bead, self.request.bead_radius_mm)?;
-            let expected_px = k.fx * radius_mm / pose.transform_point(m.lps_mm).z;
-            Some(self.detections.get(m.detection)?.radius_px / expected_px)
-        };
-        let mut ratios: Vec<f64> = last.matches.iter().filter_map(ratio).collect();
-        if ratios.len() < 4 {
-            return Ok(());
-        }
-        ratios.sort_by(f64::total_cmp);
-        let ratio = ratios[ratios.len() / 2] / USUAL_RADIUS;
+        let Some(quantitative) = self.probe.as_ref().map(Probe::is_quantitative) else { return Ok(()) };
+        let Some(ratio) = self.radius_ratio(last) else { return Ok(()) };
         let off = (ratio - 1.0).abs();
-        if !(off <= OTHER_RADIUS.1) {
+        if quantitative && !(off <= OTHER_RADIUS.1) {
             return Err(Refusal::Radii { ratio });
         }
         if off > OTHER_RADIUS.0 {
@@ -164,6 +152,22 @@ impl Case<'_> {
             ));
         }
         Ok(())
+    }
+
+    /// Fitted over stated radius of the matched beads, the median; `None` where fewer than four radii are known.
+    fn radius_ratio(&self, last: &Settled) -> Option<f64> {
+        let (pose, k) = (last.solution.camera_from_lps, last.solution.intrinsics);
+        let ratio = |m: &Match| {
+            let radius_mm = self.request.layout.radius_mm(m.bead, self.request.bead_radius_mm)?;
+            let expected_px = k.fx * radius_mm / pose.transform_point(m.lps_mm).z;
+            Some(self.detections.get(m.detection)?.radius_px / expected_px)
+        };
+        let mut ratios: Vec<f64> = last.matches.iter().filter_map(ratio).collect();
+        if ratios.len() < 4 {
+            return None;
+        }
+        ratios.sort_by(f64::total_cmp);
+        Some(ratios[ratios.len() / 2] / USUAL_RADIUS)
     }
 
     /// A second reading of the shadows that are left.

@@ -152,6 +152,17 @@ impl Engine {
         without_frame(&self.timeline.exposures(), &self.shown, self.without_exposure())
     }
 
+    /// Where not one frame was tied to an exposure although there were both, in words.
+    #[must_use]
+    pub fn nothing_bound(&self) -> Option<String> {
+        let (exposures, frames) = (self.timeline.exposures().len(), self.without_exposure());
+        (exposures > 0 && frames > 0 && self.shown.is_empty()).then(|| {
+            format!(
+                "not one of {frames} frames could be tied to one of {exposures} exposures: no pair has joints, robot or beam of telemetry"
+            )
+        })
+    }
+
     /// Frames that may be of an exposure and are bound to none: no copies, and no pictures that were taken back.
     fn without_exposure(&self) -> usize {
         let stands_for_another = |number: &u32| {

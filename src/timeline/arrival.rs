@@ -21,7 +21,12 @@ impl Weighed<'_> {
     pub(super) fn by_arrival(&self, prompt: &[usize], mut words: Vec<String>) -> Judgement {
         let said = &self.pending.evidence;
         let Some(arrival_us) = said.arrival_us else {
-            words.push("without a usable stamp or counter a frame exported afterwards cannot be tied".to_owned());
+            words.push(match said.console_us.is_some() || said.counter.is_some() {
+                true => "too few frames agree on what the console's stamps and counter mean, or the exposures follow each other too evenly for \
+                         them to tell one from the next"
+                    .to_owned(),
+                false => "without a stamp or counter a frame exported afterwards cannot be tied".to_owned(),
+            });
             return Judgement::None(words);
         };
         let unlearnt = said.console_us.is_some() || said.counter.is_some() && self.known.counting.useless().is_none();

@@ -14,11 +14,11 @@ fn scene() -> Value {
     json!({
         "objects": [
             {"sphere": {"centre_lps_mm": [0, 0, 0], "radius_mm": 20, "material": "water"}},
+            {"ct": {"path": "ct.nii"}},
             {"robot": {"model": "calibration/robot/cdm.json",
                        "lps_from_base": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}},
             {"mesh": {"path": "tool.stl", "material": "titanium",
-                      "lps_from_mesh": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}},
-            {"ct": {"path": "ct.nii"}}],
+                      "lps_from_mesh": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}}],
         "view": {"size_px": [16, 12], "intrinsics": [[500, 0, 7.5], [0, 500, 5.5], [0, 0, 1]],
                  "camera_from_lps": [[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 600], [0, 0, 0, 1]]},
         "beam": {"tube_kvp": 80, "filtration_mm": {"aluminium": 3}, "photons_per_pixel": 1e5},
@@ -169,8 +169,8 @@ fn numbers_that_make_no_sense() {
     let sheared = rows([[1.0, 0.3, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]);
     let reflected = rows([[-1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]);
     let far = rows([[1.0, 0.0, 0.0, 1e12], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]);
-    let mesh = "/objects/2/mesh/lps_from_mesh";
-    let base = "/objects/1/robot/lps_from_base";
+    let mesh = "/objects/3/mesh/lps_from_mesh";
+    let base = "/objects/2/robot/lps_from_base";
     let k = |row: usize, column: usize| format!("/view/intrinsics/{row}/{column}");
     let cases: Vec<(String, Value, Vec<&str>)> = vec![
         ("/beam/filtration_mm/aluminium".into(), json!(-1), vec!["beam.filtration_mm.aluminium", "-1", "0 or more"]),
@@ -183,14 +183,14 @@ fn numbers_that_make_no_sense() {
         ("/objects/0/sphere/radius_mm".into(), json!("1e999"), vec!["objects[0].sphere.radius_mm"]),
         ("/objects/0/sphere/centre_lps_mm/1".into(), json!("1e999"), vec!["objects[0].sphere.centre_lps_mm[1]"]),
         ("/objects/0/sphere/centre_lps_mm/1".into(), json!(1e12), vec!["objects[0].sphere.centre_lps_mm", "1e6 mm"]),
-        (mesh.into(), scaled.clone(), vec!["objects[2].mesh.lps_from_mesh", "not rigid", "determinant 8"]),
-        (mesh.into(), sheared.clone(), vec!["objects[2].mesh.lps_from_mesh", "not rigid"]),
-        (mesh.into(), reflected.clone(), vec!["objects[2].mesh.lps_from_mesh", "not rigid", "determinant -1"]),
-        (mesh.into(), far.clone(), vec!["objects[2].mesh.lps_from_mesh", "1e6 mm"]),
-        (base.into(), scaled, vec!["objects[1].robot.lps_from_base", "not rigid"]),
-        (base.into(), sheared, vec!["objects[1].robot.lps_from_base", "not rigid"]),
-        (base.into(), reflected, vec!["objects[1].robot.lps_from_base", "not rigid"]),
-        (base.into(), far, vec!["objects[1].robot.lps_from_base", "1e6 mm"]),
+        (mesh.into(), scaled.clone(), vec!["objects[3].mesh.lps_from_mesh", "not rigid", "determinant 8"]),
+        (mesh.into(), sheared.clone(), vec!["objects[3].mesh.lps_from_mesh", "not rigid"]),
+        (mesh.into(), reflected.clone(), vec!["objects[3].mesh.lps_from_mesh", "not rigid", "determinant -1"]),
+        (mesh.into(), far.clone(), vec!["objects[3].mesh.lps_from_mesh", "1e6 mm"]),
+        (base.into(), scaled, vec!["objects[2].robot.lps_from_base", "not rigid"]),
+        (base.into(), sheared, vec!["objects[2].robot.lps_from_base", "not rigid"]),
+        (base.into(), reflected, vec!["objects[2].robot.lps_from_base", "not rigid"]),
+        (base.into(), far, vec!["objects[2].robot.lps_from_base", "1e6 mm"]),
         ("/view/camera_from_lps/2/3".into(), json!(1e12), vec!["view", "focal spot lies 1.000e12 mm", "1e6 mm"]),
         ("/view/camera_from_lps/2/3".into(), json!("1e999"), vec!["view.camera_from_lps"]),
         (k(0, 0), json!(0), vec!["view.intrinsics", "focal length is (0, 500) px", "positive"]),
@@ -202,11 +202,11 @@ fn numbers_that_make_no_sense() {
         (k(1, 1), json!(1e-300), vec!["view", "pixel (0, 0)"]),
         (k(1, 1), json!(1e300), vec!["view", "focal lengths", "square"]),
         ("/detector/pitch_mm".into(), json!(1e-9), vec!["source-to-detector", "pitch"]),
-        ("/objects/2/mesh/path".into(), json!("none.stl"), vec!["objects[2].mesh.path", "none.stl", "not there"]),
-        ("/objects/3/ct/path".into(), json!("none.nii.gz"), vec!["objects[3].ct.path", "none.nii.gz", "not there"]),
-        ("/objects/1/robot/model".into(), json!("none.json"), vec!["objects[1].robot.model", "none.json", "not there"]),
+        ("/objects/3/mesh/path".into(), json!("none.stl"), vec!["objects[3].mesh.path", "none.stl", "not there"]),
+        ("/objects/1/ct/path".into(), json!("none.nii.gz"), vec!["objects[1].ct.path", "none.nii.gz", "not there"]),
+        ("/objects/2/robot/model".into(), json!("none.json"), vec!["objects[2].robot.model", "none.json", "not there"]),
         (
-            "/objects/1/robot".into(),
+            "/objects/2/robot".into(),
             json!({"model": "calibration/robot/cdm.json", "control_angles_deg": [0, 0, "1e999", 0, 0]}),
             vec!["control_angles_deg[2]"],
         ),

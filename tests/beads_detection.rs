@@ -1,6 +1,8 @@
 //! Beads are found in drawn radiographs of every dose, size and sense, and their centres are good to a known fraction of a pixel.
 
+use glam::DVec3;
 use sidecarm::beads::{Detections, Expectation, Polarity, Signal, detect_image};
+use sidecarm::random::{Purpose, Stream};
 
 use crate::pose_synthetic as synthetic;
 
@@ -173,4 +175,45 @@ fn figures() {
             }
         }
     }
+}
+
+/// Writing and dead pixels are hundreds of strong blobs; beads that were far clearer than they had to be were not looked at.
+#[test]
+fn hundreds_of_dead_pixels_do_not_crowd_out_the_beads() {
+    let frame = drawn(4, 0.75, 2000.0);
+    let centres = frame.centres();
+    let mut image = frame.draw();
+    let mut random = Stream::new(4, 77, 0, Purpose::Evaluation);
+    let mut dead = 0;
+    while dead < 400 {
+        let (column, row) = ((random.uniform() * 600.0) as usize + 10, (random.uniform() * 460.0) as usize + 10);
+        let place = glam::DVec2::new(column as f64, row as f64);
+        if centres.iter().all(|centre| centre.distance(place) > 14.0) {
+            *image.at_mut(column, row) = 0.0;
+            dead += 1;
+        }
+    }
+    let found = detect_image(&image, Signal::Transmission, None, &Expectation::default()).found;
+    let seen = centres.iter().filter(|centre| found.iter().any(|shadow| shadow.image_px.distance(**centre) < 0.5)).count();
+    assert_eq!((seen, centres.len()), (8, 8), "{} shadows", found.len());
+}
+
+/// Centres of shadows at one radius from each other were stated ten times too well.
+#[test]
+fn shadows_that_lie_over_each_other_state_a_larger_uncertainty() {
+    let view = synthetic::view(620, 480, 3);
+    let middle = DVec3::new(3.0, -4.0, 0.0);
+    let toward = view.camera_from_lps.inverse().transform_vector(DVec3::X);
+    let sigma = |places: &[DVec3]| {
+        let frame = synthetic::radiograph(view, &synthetic::layout_of(places, 1.5), 5000.0, 3);
+        let found = detect_image(&frame.draw(), Signal::Transmission, None, &Expectation::default()).found;
+        let (at, _) = view.projection().project(middle);
+        let own = found.iter().min_by(|a, b| a.image_px.distance(at).total_cmp(&b.image_px.distance(at))).expect("found");
+        (own.sigma_px, own.radius_px, own.image_px.distance(at))
+    };
+    let far = [DVec3::new(40.0, 0.0, 10.0), DVec3::new(-40.0, 10.0, -10.0), DVec3::new(0.0, 40.0, 0.0)];
+    let (alone_px, ..) = sigma(&[&[middle][..], &far].concat());
+    let (beside_px, radius_px, off_px) = sigma(&[&[middle, middle + toward * 2.2][..], &far].concat());
+    assert!(alone_px < 0.02 * radius_px && beside_px > 0.05 * radius_px, "{alone_px} {beside_px} {radius_px}");
+    assert!(off_px < 4.0 * beside_px, "{off_px} at {beside_px}");
 }

@@ -122,6 +122,7 @@ mod scene_files;
 mod scene_optics;
 mod scene_support;
 mod scene_volumes;
+mod session_copies;
 mod session_demo;
 mod live_lab;
 mod session_faults;

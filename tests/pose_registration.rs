@@ -173,6 +173,62 @@ fn degenerate_layouts_are_refused_each_for_its_reason() {
     assert!(reason(&pose).starts_with("behind_source"));
 }
 
+/// From a plate of beads alone, a frame and its mirror image are seen alike.
+#[test]
+fn a_plate_without_a_prior_is_accepted_with_a_caution_only() {
+    let plate: Vec<DVec3> = [(-30.0, -20.0), (25.0, -28.0), (31.0, 14.0), (-8.0, 30.0), (-26.0, 12.0), (4.0, -6.0), (12.0, 22.0)]
+        .map(|(x, y)| DVec3::new(x, y, 0.0))
+        .to_vec();
+    let (layout, view) = (synthetic::layout_of(&plate, 0.75), synthetic::view(620, 480, 8));
+    let found = shadows(&view, &layout, 0.05, 0.0, 1);
+    let pose = register_shadows(&matching(&view, &layout), &found);
+    assert!(pose.is_accepted() && pose.cautions.iter().any(|caution| caution.contains("plane")), "{:?}", pose.cautions);
+    let prior = Prior { camera_from_lps: view.camera_from_lps, covariance: None };
+    let request = Registration { prior: Some(&prior), ..matching(&view, &layout) };
+    assert_eq!(register_shadows(&request, &found).cautions, [""; 0]);
+    let mirrored: Vec<Detection> = found
+        .iter()
+        .map(|shadow| Detection { image_px: DVec2::new(619.0 - shadow.image_px.x, shadow.image_px.y), ..*shadow })
+        .collect();
+    assert!(reason(&register_shadows(&request, &mirrored)).starts_with("mirrored"));
+}
+
+/// Four beads, one of which has moved by 2.5 mm, fitted each other to 0.6 px.
+#[test]
+fn four_beads_are_accepted_with_a_caution_and_only_where_they_agree() {
+    let (truth, view) = (synthetic::layout(4, 0.75, 5), synthetic::view(620, 480, 8));
+    let found = shadows(&view, &truth, 0.1, 0.0, 1);
+    let prior = Prior { camera_from_lps: view.camera_from_lps, covariance: None };
+    let pose = |layout: &BeadLayout| register_shadows(&Registration { prior: Some(&prior), ..matching(&view, layout) }, &found);
+    let sound = pose(&truth);
+    assert!(sound.is_accepted() && sound.cautions.iter().any(|caution| caution.contains("no more than 4")), "{:?}", sound.reason);
+    let mut moved = truth.clone();
+    moved.beads[0].lps_mm += DVec3::new(1.5, 1.5, 1.5);
+    let moved = pose(&moved);
+    assert!(!moved.is_accepted(), "rms {:?} px, chi2 {:?}", moved.rms_px, moved.chi2_per_dof);
+    let five = synthetic::layout(5, 0.75, 5);
+    let found = shadows(&view, &five, 0.1, 0.0, 1);
+    let pose = register_shadows(&Registration { prior: Some(&prior), ..matching(&view, &five) }, &found);
+    assert!(pose.is_accepted() && pose.cautions.is_empty(), "{:?} {:?}", pose.reason, pose.cautions);
+}
+
+/// With a radius twice as large as the beads have, the match was sought at half the depth and chance was blamed.
+#[test]
+fn a_radius_that_all_shadows_contradict_is_named() {
+    let (truth, view) = (synthetic::layout(10, 0.75, 5), synthetic::view(620, 480, 8));
+    let found = shadows(&view, &truth, 0.1, 0.0, 1);
+    let with_radius = |radius_mm: f64| {
+        let mut layout = truth.clone();
+        layout.beads.iter_mut().for_each(|bead| bead.radius_mm = Some(radius_mm));
+        register_shadows(&matching(&view, &layout), &found)
+    };
+    assert!(with_radius(0.75).is_accepted());
+    for (radius_mm, way) in [(1.5, "smaller"), (0.375, "larger")] {
+        let pose = with_radius(radius_mm);
+        assert!(reason(&pose).starts_with("radii") && reason(&pose).contains(way), "{}", reason(&pose));
+    }
+}
+
 /// The collimator was blamed where telemetry had the beads 400 mm beside the beam.
 #[test]
 fn where_the_prior_puts_no_beads_into_the_frame_it_is_to_be_checked() {

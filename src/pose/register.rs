@@ -93,7 +93,8 @@ fn attempt(request: &Registration, detections: &[Detection], probe: Option<Probe
     };
     let pose = bodies::apart(request, &detections, one(request, &detections), &one);
     match wrong_radius(request, &pose, &|request| one(request, &detections)) {
-        Some(refusal) => pose.refused_for(refusal),
+        // The other match is no match, and what was said of it means nothing.
+        Some(refusal) => Pose { cautions: Vec::new(), ..pose }.refused_for(refusal),
         None => pose,
     }
 }

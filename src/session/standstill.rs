@@ -45,7 +45,10 @@ impl Standstill {
         let (joints, world_from_lps) = posed.joints.zip(world_from_lps)?;
         let covariance = posed.pose.covariance_at_centroid?;
         let sigma_mm = (3..6).map(|n| covariance[n][n]).sum::<f64>().sqrt();
-        let now = Stand { number: posed.number, joints, world_from_lps, sigma_mm };
+        self.take(Stand { number: posed.number, joints, world_from_lps, sigma_mm })
+    }
+
+    fn take(&mut self, now: Stand) -> Option<String> {
         let words =
             self.stands.iter().rev().find(|before| is_same(&before.joints, &now.joints)).and_then(|b| self.moved(b, &now));
         self.stands.push_back(now);
@@ -59,7 +62,7 @@ impl Standstill {
         let at = |stand: &Stand| stand.world_from_lps.transform_point(self.centre_lps_mm);
         let (mm, deg) = (at(before).distance(at(now)), before.world_from_lps.angle_to_rad(&now.world_from_lps).to_degrees());
         let allowed_mm = MOVED_MM + SIGMAS * before.sigma_mm.hypot(now.sigma_mm);
-        (mm > allowed_mm || deg > MOVED_DEG).then(|| {
+        (!(mm <= allowed_mm) || !(deg <= MOVED_DEG)).then(|| {
             format!(
                 "the specimen lies {mm:.1} mm and {deg:.1} degrees from where frame {} shows it, with the arm in the same place: specimen, \
                  table or the arm's base was moved, or an encoder jumped",
@@ -80,4 +83,27 @@ fn is_same(a: &CarmJoints, b: &CarmJoints) -> bool {
         && turned(a.angulation_rad, b.angulation_rad)
         && turned(a.orbital_rad, b.orbital_rad)
         && turned(a.detector_rotation_rad, b.detector_rotation_rad)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn stand(number: u32, orbital_deg: f64, shift_mm: f64, sigma_mm: f64) -> Stand {
+        let joints = CarmJoints { orbital_rad: orbital_deg.to_radians(), lift_mm: f64::NAN, ..CarmJoints::ZERO };
+        Stand { number, joints, world_from_lps: Rigid::translation(DVec3::new(0.0, shift_mm, 0.0)), sigma_mm }
+    }
+
+    #[test]
+    fn a_specimen_that_slides_under_a_standing_arm_is_said_and_what_an_arm_explains_is_not() {
+        let mut standstill = Standstill::new(DVec3::ZERO);
+        assert_eq!(standstill.take(stand(1, 30.0, 0.0, 0.3)), None);
+        assert_eq!(standstill.take(stand(2, 30.3, 1.0, 0.3)), None, "sensors");
+        let words = standstill.take(stand(3, 29.8, 9.5, 0.3)).expect("8.5 mm");
+        assert!(words.contains("8.5 mm") && words.contains("frame 2"), "{words}");
+        assert_eq!(standstill.take(stand(4, 30.0, 9.0, 0.3)), None, "it is said once");
+        assert_eq!(standstill.take(stand(5, 75.0, 22.0, 0.3)), None, "the arm sags as it turns");
+        assert_eq!(standstill.take(stand(6, 30.0, 18.0, 1.5)), None, "poses that are known to 1.5 mm each");
+        assert!(standstill.take(stand(7, 75.0, f64::NAN, 0.3)).is_some(), "NaN is no place");
+    }
 }

@@ -1,0 +1,107 @@
+//! Pictures that come a second time in another file, and sessions in which nothing ties a frame to its exposure, through `live`.
+#![cfg(unix)]
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use dicom_core::{DataElement, PrimitiveValue, Tag, VR};
+use dicom_dictionary_std::tags;
+use serde_json::{Value, json};
+
+use crate::live_lab::{HANG_S, Lab, Live, eventually};
+
+/// A file that did not change for so long is whole.
+const WRITTEN: Duration = Duration::from_millis(1300);
+
+fn pairs(folder: &Path) -> Vec<Value> {
+    let text = std::fs::read(folder.join("pairs.json")).expect("pairs");
+    serde_json::from_slice::<Value>(&text).expect("JSON")["pairs"].as_array().expect("a list").clone()
+}
+
+/// Frames that the mocked detector has written to their end: it copies some in two parts.
+fn whole_frames(lab: &Lab) -> Vec<PathBuf> {
+    let mut files: Vec<PathBuf> = std::fs::read_dir(lab.frames()).expect("frames").flatten().map(|entry| entry.path()).collect();
+    let is_old =
+        |path: &PathBuf| path.metadata().is_ok_and(|m| m.modified().is_ok_and(|t| t.elapsed().is_ok_and(|age| age > WRITTEN)));
+    files.retain(|path| path.extension().is_some_and(|extension| extension == "dcm") && is_old(path));
+    files.sort();
+    files
+}
+
+/// The frame at `from` under other identifiers and without what `removed` names.
+fn export(from: &Path, to: &Path, uid: &str, removed: &[Tag]) {
+    let mut object = dicom_object::open_file(from).expect("a frame");
+    object.put(DataElement::new(tags::SOP_INSTANCE_UID, VR::UI, PrimitiveValue::from(uid)));
+    for tag in removed {
+        object.remove_element(*tag);
+    }
+    let part = to.with_extension("part");
+    object.write_to_file(&part).expect("written");
+    std::fs::rename(part, to).expect("renamed");
+}
+
+/// The same picture exported twice under new identifiers was a second frame: posed without its joints, its robot drawn as in the scene file,
+/// and not a word.
+#[test]
+fn the_same_picture_exported_again_is_said_to_be_a_copy() {
+    let Some(lab) = Lab::start(&["--duration-s", "14", "--faults", "none"]) else { return };
+    let exported = lab.kit.join("exported");
+    std::fs::create_dir(&exported).expect("a folder");
+    let session = lab.session("copies.json", |session| session["frames"]["folder"] = json!(exported));
+    let out = lab.kit.with_file_name("session");
+    let mut live = Live::launch(&session, &out, &["--seconds", "24"]);
+    let mut seen = BTreeSet::new();
+    let ended = eventually(HANG_S, || {
+        for path in whole_frames(&lab) {
+            if seen.insert(path.clone()) {
+                let name = path.file_name().expect("a name");
+                std::fs::copy(&path, exported.join(name).with_extension("part")).expect("copied");
+                std::fs::rename(exported.join(name).with_extension("part"), exported.join(name)).expect("renamed");
+                if seen.len() == 3 {
+                    std::thread::sleep(Duration::from_millis(700));
+                    export(&path, &exported.join("again.dcm"), "2.25.987654321", &[]);
+                }
+            }
+        }
+        live.program.end(0.02)
+    });
+    assert!(ended.is_some_and(|status| matches!(status.code(), Some(0 | 3))), "{}", live.stderr());
+    let pairs = pairs(&out);
+    assert_eq!(pairs.len(), seen.len() + 1, "{}", live.stderr());
+    let copies: Vec<&Value> =
+        pairs.iter().filter(|pair| pair["flags"].to_string().contains("the same picture as frame")).collect();
+    assert!(copies.len() == 1 && copies[0]["binding"] == "none", "{copies:#?}");
+    assert!(live.stderr().contains("the same picture as frame"), "{}", live.stderr());
+}
+
+/// Nothing tied a frame to its exposure, every robot was drawn as in the scene file, and the session ended with "nothing was lost".
+#[test]
+fn a_session_in_which_no_frame_is_tied_to_an_exposure_ends_with_loss() {
+    let Some(mut lab) = Lab::start(&["--duration-s", "10", "--faults", "none", "--no-counter"]) else { return };
+    let exported = lab.kit.join("exported");
+    std::fs::create_dir(&exported).expect("a folder");
+    let session = lab.session("untied.json", |session| session["frames"]["folder"] = json!(exported));
+    let out = lab.kit.with_file_name("session");
+    let mut live = Live::launch(&session, &out, &["--seconds", "34"]);
+    assert!(lab.mock.end(HANG_S).is_some());
+    std::thread::sleep(Duration::from_secs(7));
+    let times = [
+        tags::ACQUISITION_NUMBER,
+        tags::ACQUISITION_DATE,
+        tags::ACQUISITION_TIME,
+        tags::ACQUISITION_DATE_TIME,
+        tags::CONTENT_DATE,
+        tags::CONTENT_TIME,
+        tags::INSTANCE_NUMBER,
+    ];
+    for (n, path) in whole_frames(&lab).iter().take(3).enumerate() {
+        export(path, &exported.join(format!("f{n}.dcm")), &format!("2.25.{n}77"), &times);
+    }
+    assert_eq!(live.program.end(HANG_S).and_then(|status| status.code()), Some(3), "{}", live.stderr());
+    let pairs = pairs(&out);
+    assert!(pairs.len() == 3 && pairs.iter().all(|pair| pair["binding"] == "none"), "{pairs:#?}");
+    assert!(live.stderr().contains("not one of 3 frames could be tied"), "{}", live.stderr());
+    let report = std::fs::read_to_string(out.join("report.html")).expect("a report");
+    assert!(report.contains("not one of 3 frames could be tied"));
+}

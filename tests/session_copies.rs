@@ -101,7 +101,7 @@ fn a_session_in_which_no_frame_is_tied_to_an_exposure_ends_with_loss() {
     assert_eq!(live.program.end(HANG_S).and_then(|status| status.code()), Some(3), "{}", live.stderr());
     let pairs = pairs(&out);
     assert!(pairs.len() == 3 && pairs.iter().all(|pair| pair["binding"] == "none"), "{pairs:#?}");
-    assert!(live.stderr().contains("not one of 3 frames could be tied"), "{}", live.stderr());
+    assert!(live.stdout().contains("not one of 3 frames could be tied"), "{}", live.stdout());
     let report = std::fs::read_to_string(out.join("report.html")).expect("a report");
     assert!(report.contains("not one of 3 frames could be tied"));
 }

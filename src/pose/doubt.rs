@@ -138,7 +138,7 @@ impl Case<'_> {
     /// The size of the shadows against depth and size of the beads: the same pose of a larger layout is farther away. Only values that
     /// are proportional to quanta, or their logarithms, show the size of what is in the beam.
     fn check_radii(&self, last: &Settled, cautions: &mut Vec<String>) -> Result<(), Refusal> {
-        let Some(quantitative) = self.probe.as_ref().map(Probe::is_quantitative) else { return Ok(()) };
+        let quantitative = self.probe.as_ref().is_some_and(Probe::is_quantitative);
         let Some(ratio) = self.radius_ratio(last) else { return Ok(()) };
         let off = (ratio - 1.0).abs();
         if quantitative && !(off <= OTHER_RADIUS.1) {

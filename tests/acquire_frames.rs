@@ -122,6 +122,25 @@ fn direction_and_scale_follow_the_header() {
     assert_eq!(pixels(overlay).0[0], 100.0, "bits above the high bit are overlays");
 }
 
+/// A console that writes fourteen bits and says twelve: what is brightest becomes dark.
+#[test]
+fn what_does_not_fit_the_stored_bits_is_said() {
+    let folder = folder();
+    let path = folder.path().join("bits.dcm");
+    let altered = |words: [u16; 8], signed: u16| {
+        let mut object = fluoroscopy();
+        object.put(DataElement::new(tags::PIXEL_REPRESENTATION, VR::US, PrimitiveValue::from(signed)));
+        object.put(DataElement::new(tags::PIXEL_DATA, VR::OW, PrimitiveValue::U16(words.to_vec().into())));
+        read_frame(&save(object, &path), None).expect("readable").altered
+    };
+    let beyond = altered([1, 2, 3, 4, 5, 6, 5000, 4096], 0);
+    assert!(beyond.len() == 1 && beyond[0].starts_with("2 pixels hold more than the 12 bits"), "{beyond:?}");
+    assert_eq!(altered([1, 2, 3, 4, 5, 6, 4095, 0], 0), [""; 0]);
+    // A sign may be carried on to the allocated bits or not.
+    assert_eq!(altered([1, 2, 3, 4, 5, 6, 0xfff0, 0x0ff0], 1), [""; 0]);
+    assert_eq!(altered([1, 2, 3, 4, 5, 6, 0xf7f0, 0x17f0], 1).len(), 1);
+}
+
 #[test]
 fn eight_bits_and_several_frames() {
     let folder = folder();

@@ -173,6 +173,20 @@ fn degenerate_layouts_are_refused_each_for_its_reason() {
     assert!(reason(&pose).starts_with("behind_source"));
 }
 
+/// The collimator was blamed where telemetry had the beads 400 mm beside the beam.
+#[test]
+fn where_the_prior_puts_no_beads_into_the_frame_it_is_to_be_checked() {
+    let (layout, view) = (synthetic::layout(8, 0.75, 5), synthetic::view(620, 480, 8));
+    let empty = |shift_mm: f64| {
+        let camera_from_lps = Rigid::translation(DVec3::new(shift_mm, 0.0, 0.0)) * view.camera_from_lps;
+        let prior = Prior { camera_from_lps, covariance: None };
+        reason(&register_shadows(&Registration { prior: Some(&prior), ..matching(&view, &layout) }, &[])).to_owned()
+    };
+    let beside = empty(400.0);
+    assert!(beside.starts_with("too_few_shadows") && beside.contains("only 0 of the 8 beads"), "{beside}");
+    assert!(empty(0.0).contains("open the collimator"), "{}", empty(0.0));
+}
+
 #[test]
 fn a_symmetric_layout_is_ambiguous_until_a_prior_breaks_it() {
     // A box looks the same after half a turn about each of its axes.

@@ -9,6 +9,8 @@ use sidecarm::reporter::Reporter;
 use sidecarm::scene::model::{Matter, Noise, Response, Shape};
 use sidecarm::scene::{self, Scene};
 
+use super::scene_support::NiftiFile;
+
 fn load(value: &Value) -> Result<Scene, String> {
     load_with(value, true, &Reporter::silent())
 }
@@ -319,6 +321,24 @@ fn meshes_are_closed_turned_outward_or_refused() {
     assert!(error.contains("holes") && error.contains("box.stl") && error.contains("3 open edges"), "{error}");
     std::fs::write(&path, b"solid nothing").expect("temporary folder");
     assert!(scene::load_text(&scene_text(), &scene_path, true, &Reporter::silent()).is_err());
+}
+
+#[test]
+fn a_ct_that_is_listed_after_a_tool_erases_it_and_that_is_said() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    NiftiFile::int16([2, 2, 2], &[40; 8]).write(&folder.path().join("ct.nii"));
+    let (ct, robot) = (json!({"ct": {"path": "ct.nii", "materials": "threshold"}}), example()["objects"][4].clone());
+    let ball = example()["objects"][0].clone();
+    let words = |objects: Value| {
+        let mut scene = example();
+        scene["objects"] = objects;
+        let reporter = Reporter::silent();
+        scene::load_text(&scene.to_string(), &folder.path().join("scene.json"), true, &reporter).expect("good");
+        reporter.warnings().get("order of objects").map(|counted| counted.latest.clone())
+    };
+    let said = words(json!([ball, robot, ct])).expect("said");
+    assert!(said.contains("objects[2].ct comes after objects[1].robot"), "{said}");
+    assert_eq!(words(json!([ct, robot, ball])), None);
 }
 
 fn scene_text() -> String {

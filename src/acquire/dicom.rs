@@ -98,7 +98,7 @@ fn each(
     }
     let unmirrored = frame_tags.field_of_view_flipped == Some(true);
     for values in stored.chunks_exact(layout.frame_bytes()).take(layout.frames) {
-        let mut padded = 0;
+        let (mut padded, mut beyond) = (0, 0u64);
         let mut pixels: Vec<f32> = values
             .chunks_exact(layout.sample_bytes())
             .map(|sample| {
@@ -108,10 +108,17 @@ fn each(
                     padded += 1;
                     return f32::NAN;
                 }
+                beyond += u64::from(layout.holds_more(word));
                 let value = mapping.apply(layout.value(word));
                 (if inverted { ends[0] + ends[1] - value } else { value }) as f32
             })
             .collect();
+        let altered = (beyond > 0).then(|| {
+            format!(
+                "{beyond} pixels hold more than the {} bits that are stored (0028,0101): the rest was cut off, as overlays are; if they are bright, their values have wrapped round",
+                layout.bits_stored
+            )
+        });
         if unmirrored {
             pixels.chunks_exact_mut(layout.columns).for_each(<[f32]>::reverse);
         }
@@ -125,7 +132,7 @@ fn each(
             tags: frame_tags.clone(),
             scale_ends: Some([ends[0] as f32, ends[1] as f32]),
             padded,
-            altered: Vec::new(),
+            altered: altered.into_iter().collect(),
             notes: notes.clone(),
         })?;
     }
@@ -249,6 +256,13 @@ impl Layout {
     /// The value of the whole `word`, overlay bits and all.
     pub(super) fn whole(&self, word: u64) -> i64 {
         self.number(word, self.bits_allocated as u32)
+    }
+
+    /// Whether there is anything but a sign above the stored bits of `word`.
+    fn holds_more(&self, word: u64) -> bool {
+        let above = self.high_bit + 1;
+        let (rest, all) = (word >> above, (1u64 << (self.bits_allocated as u32 - above)) - 1);
+        rest != 0 && !(self.signed && rest == all && self.value(word) < 0)
     }
 
     fn number(&self, bits: u64, count: u32) -> i64 {

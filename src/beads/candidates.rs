@@ -27,7 +27,12 @@ const RADIUS_PER_SIGMA: f64 = 1.8;
 /// Side of the tiles in which responses are compared, in pixels of the octave.
 const TILE: usize = 32;
 
-/// Bright blobs of `image` whose radius may lie in `radius_px`, the `most` strongest, strongest first. Pixels that are not `usable` yield
+/// Blobs so strong are looked at beyond the number that is usual, up to so many more: writing and dead pixels are hundreds of them, and a bead
+/// is no less clear for that.
+const STRONG: f64 = 10.0;
+const MOST_BESIDES: usize = 480;
+
+/// Bright blobs of `image` whose radius may lie in `radius_px`, the `most` strongest and other strong ones, strongest first. Pixels that are not `usable` yield
 /// none.
 pub fn find(image: &Image<f32>, usable: &Image<bool>, radius_px: (f64, f64), most: usize) -> Vec<Candidate> {
     let mut found = Vec::new();
@@ -61,7 +66,8 @@ pub fn find(image: &Image<f32>, usable: &Image<bool>, radius_px: (f64, f64), mos
         }
     }
     kept.sort_by(|a, b| b.strength.total_cmp(&a.strength));
-    kept.truncate(most);
+    let strong = kept.iter().take_while(|candidate| candidate.strength >= STRONG).count();
+    kept.truncate(strong.clamp(most, most + MOST_BESIDES));
     kept
 }
 

@@ -29,8 +29,6 @@ pub struct Besides {
 
 impl Case<'_> {
     pub fn besides(&self, last: &Settled) -> Besides {
-        // Without the picture nobody knows what the masks hide.
-        let Some(probe) = &self.probe else { return Besides::default() };
         let own = |m: &Match| self.detections.get(m.detection).copied();
         let mut contrasts: Vec<f64> = last.matches.iter().filter_map(own).map(|detection| detection.contrast).collect();
         contrasts.sort_by(f64::total_cmp);
@@ -58,6 +56,9 @@ impl Case<'_> {
             };
             taken || last.matches.iter().any(beside) || layout.checks.iter().any(of_check)
         };
+        besides.unexplained = (0..self.detections.len()).filter(|n| alike(&self.detections[*n]) && !explained(*n)).collect();
+        // Without the picture nobody knows what the masks hide.
+        let Some(probe) = &self.probe else { return besides };
         besides.displaced.extend(last.left_out.iter().map(|(m, _)| layout.beads[m.bead].name.clone()));
         for (index, bead) in layout.beads.iter().enumerate() {
             let p = pose.transform_point(bead.lps_mm);
@@ -85,7 +86,6 @@ impl Case<'_> {
                 besides.missing.push(bead.name.clone());
             }
         }
-        besides.unexplained = (0..self.detections.len()).filter(|n| alike(&self.detections[*n]) && !explained(*n)).collect();
         besides
     }
 }

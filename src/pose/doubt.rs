@@ -37,8 +37,9 @@ const LOOSE_CHI2_OF_SEVERAL: f64 = 2.25;
 const UNEASY_CHI2: f64 = 1.5;
 /// Fitted over true radius of a bead: blur of the intensity makes thick metal's shadow smaller than that of its line integral.
 const USUAL_RADIUS: f64 = 0.97;
-/// Relative differences of the radius from which on it is said, and refused.
-const OTHER_RADIUS: (f64, f64) = (0.08, 0.15);
+/// Relative differences of the radius from which on it is said, and refused. Of grey values of unknown scale it is only said: their curve
+/// changes what half the depth is.
+const OTHER_RADIUS: (f64, f64) = (0.10, 0.15);
 /// Squared standard deviations from the prior (six degrees of freedom) beyond which it is said, and for so few beads refused.
 const FAR_FROM_PRIOR: f64 = 14.0;
 const FEW: usize = 5;
@@ -72,7 +73,11 @@ impl Case<'_> {
         let besides = self.besides(last);
         let Besides { missing, displaced, unexplained } = &besides;
         let mut cautions = Vec::new();
-        let strays = missing.len() + displaced.len() >= ORDINARY && unexplained.len() + displaced.len() >= ORDINARY;
+        let strays = match &self.probe {
+            Some(_) => missing.len() + displaced.len() >= ORDINARY && unexplained.len() + displaced.len() >= ORDINARY,
+            // Without the picture nobody knows whether a bead is hidden, nor whether a shadow is like a bead's.
+            None => hypothesis.in_view >= matched + ORDINARY && self.detections.len() >= matched + ORDINARY,
+        };
         if (strays || last.chi2_per_dof > UNEASY_CHI2)
             && let Some(refusal) = self.mirrored(&last.solution.intrinsics, matched, Some(last.rms_px()))
         {
@@ -133,23 +138,10 @@ impl Case<'_> {
     /// The size of the shadows against depth and size of the beads: the same pose of a larger layout is farther away. Only values that
     /// are proportional to quanta, or their logarithms, show the size of what is in the beam.
     fn check_radii(&self, last: &Settled, cautions: &mut Vec<String>) -> Result<(), Refusal> {
-        if !self.probe.as_ref().is_some_and(Probe::is_quantitative) {
-            return Ok(());
-        }
-        let (pose, k) = (last.solution.camera_from_lps, last.solution.intrinsics);
-        let ratio = |m: &Match| {
-            let radius_mm = self.request.layout.radius_mm(m.bead, self.request.bead_radius_mm)?;
-            let expected_px = k.fx * radius_mm / pose.transform_point(m.lps_mm).z;
-            Some(self.detections.get(m.detection)?.radius_px / expected_px)
-        };
-        let mut ratios: Vec<f64> = last.matches.iter().filter_map(ratio).collect();
-        if ratios.len() < 4 {
-            return Ok(());
-        }
-        ratios.sort_by(f64::total_cmp);
-        let ratio = ratios[ratios.len() / 2] / USUAL_RADIUS;
+        let Some(quantitative) = self.probe.as_ref().map(Probe::is_quantitative) else { return Ok(()) };
+        let Some(ratio) = self.radius_ratio(last) else { return Ok(()) };
         let off = (ratio - 1.0).abs();
-        if !(off <= OTHER_RADIUS.1) {
+        if quantitative && !(off <= OTHER_RADIUS.1) {
             return Err(Refusal::Radii { ratio });
         }
         if off > OTHER_RADIUS.0 {
@@ -160,6 +152,22 @@ impl Case<'_> {
             ));
         }
         Ok(())
+    }
+
+    /// Fitted over stated radius of the matched beads, the median; `None` where fewer than four radii are known.
+    fn radius_ratio(&self, last: &Settled) -> Option<f64> {
+        let (pose, k) = (last.solution.camera_from_lps, last.solution.intrinsics);
+        let ratio = |m: &Match| {
+            let radius_mm = self.request.layout.radius_mm(m.bead, self.request.bead_radius_mm)?;
+            let expected_px = k.fx * radius_mm / pose.transform_point(m.lps_mm).z;
+            Some(self.detections.get(m.detection)?.radius_px / expected_px)
+        };
+        let mut ratios: Vec<f64> = last.matches.iter().filter_map(ratio).collect();
+        if ratios.len() < 4 {
+            return None;
+        }
+        ratios.sort_by(f64::total_cmp);
+        Some(ratios[ratios.len() / 2] / USUAL_RADIUS)
     }
 
     /// A second reading of the shadows that are left.
@@ -213,11 +221,36 @@ impl Case<'_> {
         if (matched <= FEW || self.contradicts(last, prior)) && !self.request.ignore_prior {
             return Err(Refusal::PriorContradicted { matched, rms_px: last.rms_px(), angle_deg, shift_mm });
         }
+        if let Some(refusal) = self.better_elsewhere(last) {
+            return Err(refusal);
+        }
         cautions.push(format!(
             "{angle_deg:.1}° and {shift_mm:.1} mm from the prior, {:.1} standard deviations: check K, SID, the layout's scale, and the prior",
             squares.sqrt()
         ));
         Ok(())
+    }
+
+    /// That a pose which the prior excludes explains more of the shadows: of a layout that resembles itself, a prior that is turned finds a
+    /// wrong match close by.
+    fn better_elsewhere(&self, last: &Settled) -> Option<Refusal> {
+        let matched = last.matches.len();
+        let found = self.search_all(self.detections, Some, &last.solution.intrinsics, None);
+        let other = found.hypotheses.into_iter().next()?;
+        if other.matches.len() < matched + ORDINARY || !(self.chance_of(&other, found.tried) < RIVAL_CHANCE) {
+            return None;
+        }
+        let (angle_deg, shift_mm) = self.distance(&other.camera_from_lps, &last.solution.camera_from_lps);
+        Some(Refusal::Ambiguous {
+            rival: Rival::OtherNames,
+            angle_deg,
+            shift_mm,
+            matched,
+            fit: last.rms_px(),
+            other_matched: other.matches.len(),
+            other_fit: other.rms_px,
+            prior_given: true,
+        })
     }
 
     /// Whether a pose that was solved with K is outside a stated covariance, widened by its own: no gate has held it.
@@ -300,10 +333,8 @@ impl Case<'_> {
     /// That the layout fits the frame's mirror image as well as beads should, with at least two beads more than the `matched` of the frame
     /// itself, or with as many far better than their `rms_px`; and the frame itself nowhere as well.
     pub fn mirrored(&self, k: &Intrinsics, matched: usize, rms_px: Option<f64>) -> Option<Refusal> {
-        let end = f64::from(self.request.size_px[0]) - 1.0;
-        let turned = |d: &Detection| Detection { image_px: DVec2::new(end - d.image_px.x, d.image_px.y), ..*d };
-        let shadows: Vec<Detection> = self.detections.iter().map(turned).collect();
-        let found = self.reading(&shadows, Some, &Intrinsics { cx: end - k.cx, ..*k }, false)?;
+        let (shadows, mirrored_k) = self.mirror_image(k);
+        let found = self.reading(&shadows, Some, &mirrored_k, false)?;
         let mirrored = found.matches.len();
         let depth_mm = found.camera_from_lps.transform_point(self.request.layout.centroid_lps_mm()).z;
         let allowed_px = |m: &Match| 2.0 * ((m.sigma_mm * k.fx / depth_mm).powi(2) + m.sigma_px.powi(2));
@@ -319,6 +350,22 @@ impl Case<'_> {
             .first()
             .is_some_and(|itself| itself.matches.len() + 1 >= mirrored && itself.rms_px < MIRROR_FIT * found.rms_px);
         (!as_well).then_some(Refusal::Mirrored { mirrored, rms_px: found.rms_px, matched })
+    }
+
+    /// That the mirror image fits near the prior, where the frame itself does not, with at least the `matched` beads that it has elsewhere: a
+    /// flat layout is seen as well from behind.
+    pub fn mirrored_near(&self, matched: usize) -> Option<Refusal> {
+        let (shadows, mirrored_k) = self.mirror_image(&self.request.intrinsics?);
+        let found = self.reading(&shadows, Some, &mirrored_k, true)?;
+        let mirrored = found.matches.len();
+        (mirrored >= matched).then_some(Refusal::Mirrored { mirrored, rms_px: found.rms_px, matched })
+    }
+
+    /// The shadows in the frame's mirror image, and its K.
+    fn mirror_image(&self, k: &Intrinsics) -> (Vec<Detection>, Intrinsics) {
+        let end = f64::from(self.request.size_px[0]) - 1.0;
+        let turned = |d: &Detection| Detection { image_px: DVec2::new(end - d.image_px.x, d.image_px.y), ..*d };
+        (self.detections.iter().map(turned).collect(), Intrinsics { cx: end - k.cx, ..*k })
     }
 
     /// The best match of `shadows`, if it is beyond chance; `own` tells which each is among all.

@@ -18,6 +18,8 @@ use crate::beads::DEFAULT_SIGMA_MM;
 const MOST_CHANCE: f64 = 0.01;
 /// χ² per degree of freedom, at most, of an accepted match: residuals three times what image noise and bead uncertainty allow.
 pub(super) const MOST_CHI2_PER_DOF: f64 = 9.0;
+/// The same for so few beads that an outlier among them cannot be told.
+const MOST_CHI2_OF_FEW: (usize, f64) = (5, 4.0);
 /// Relative standard deviation of a solved focal length beyond which K is refused, and beyond which it is mentioned.
 const FOCAL_SIGMA: (f64, f64) = (0.10, 0.02);
 /// Standard deviations from what is stated of K beyond which it is said, and refused.
@@ -48,13 +50,7 @@ impl Case<'_> {
         let points: Vec<DVec3> = settled.matches.iter().map(|m| m.lps_mm).collect();
         check_geometry(&points, self.request.intrinsics.is_some(), Points::Matched)?;
         let [first_mm, _, third_mm] = extents_mm(&points);
-        if self.request.prior.is_none() && !(third_mm > PLATE * first_mm) {
-            notes.push(
-                "the beads lie in a plane: from them alone nobody can tell whether the picture is mirrored, and the pose with it; give \
-                 --prior, or a bead out of the plane"
-                    .to_owned(),
-            );
-        }
+        let is_plate = !(third_mm > PLATE * first_mm);
         let hypothesis = Hypothesis {
             camera_from_lps: settled.solution.camera_from_lps,
             rms_px: settled.rms_px(),
@@ -64,19 +60,33 @@ impl Case<'_> {
         let chance = self.check_chance(candidate, &settled, &hypothesis)?;
         let (matched, rms_px) = (settled.matches.len(), hypothesis.rms_px);
         let off_intrinsics = self.check_intrinsics(&settled)?;
-        if !(settled.chi2_per_dof <= MOST_CHI2_PER_DOF) {
-            let (times, limit) = (settled.chi2_per_dof.sqrt(), MOST_CHI2_PER_DOF.sqrt());
+        let (few, limit_of_few) = MOST_CHI2_OF_FEW;
+        let limit = if matched <= few { limit_of_few } else { MOST_CHI2_PER_DOF };
+        if !(settled.chi2_per_dof <= limit) {
+            let (times, limit) = (settled.chi2_per_dof.sqrt(), limit.sqrt());
             return Err(Refusal::Residual { matched, rms_px, times, limit });
         }
         self.check_twins(candidate, &settled, &hypothesis)?;
         let mut cautions = self.doubt(&settled, &hypothesis)?;
         cautions.extend(off_intrinsics);
+        if is_plate && (self.request.prior.is_none() || self.without_prior) {
+            cautions.push(
+                "the beads lie in a plane: from them alone nobody can tell whether the picture is mirrored, and the pose with it; give \
+                 --prior, or a bead out of the plane"
+                    .to_owned(),
+            );
+        }
         let covariance = &settled.solution.covariance * settled.chi2_per_dof.max(1.0);
         self.check_uncertainty(&settled, &covariance, notes)?;
         if settled.chi2_per_dof > 1.5 {
             notes.push(format!(
                 "residuals are {:.1} times what was expected; all uncertainties are scaled up by that",
                 settled.chi2_per_dof.sqrt()
+            ));
+        }
+        if matched == fewest_that_check(self.request.intrinsics.is_some()) - 1 {
+            cautions.push(format!(
+                "no more than {matched} beads carry the pose: if one of them has moved, nothing here can tell; bring more into view"
             ));
         }
         let off_plane = off_plane(&settled.solution, &settled.matches, &covariance);
@@ -117,7 +127,7 @@ impl Case<'_> {
         // With K unknown the search was not held to the prior.
         let others: Vec<Hypothesis> =
             candidate.others.iter().filter(|other| !self.gate_excludes(&other.camera_from_lps)).cloned().collect();
-        if let Some(other) = rival(&candidate.hypothesis, &others, scale) {
+        if let Some(other) = rival(&candidate.hypothesis, &others, scale, !prior_given || self.without_prior) {
             let (angle_deg, shift_mm) = self.distance(&other.camera_from_lps, &hypothesis.camera_from_lps);
             return Err(Refusal::Ambiguous {
                 rival: Rival::OtherNames,
@@ -207,6 +217,11 @@ impl Case<'_> {
         }
         Ok(())
     }
+}
+
+/// How many beads it takes for one that has moved to contradict the others.
+fn fewest_that_check(intrinsics_known: bool) -> usize {
+    if intrinsics_known { 5 } else { 7 }
 }
 
 /// A match that nothing speaks against.

@@ -99,9 +99,15 @@ pub enum Refusal {
     Distortion { detail: String },
     /// Hardly anything in the frame.
     #[error(
-        "too_few_shadows: {found} bead-like shadows in the frame, {required} are needed; open the collimator, raise the dose, or check --bead-radius"
+        "too_few_shadows: {found} bead-like shadows in the frame, {required} are needed; {remedy}", remedy = more_shadows(prior_puts_into_frame.as_ref())
     )]
-    TooFewShadows { found: usize, required: usize },
+    TooFewShadows {
+        found: usize,
+        required: usize,
+        /// How many beads the prior puts into the frame, and how many there are; absent without a prior or K.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        prior_puts_into_frame: Option<[usize; 2]>,
+    },
     /// Nothing matches.
     #[error("no_match: {shadows} bead-like shadows, but no pose puts four of the {beads} beads on them")]
     NoMatch { shadows: usize, beads: usize },
@@ -243,6 +249,15 @@ pub enum Refusal {
 
 fn others_seen(others: &[u32]) -> String {
     if others.is_empty() { String::new() } else { format!("; others do: {others:?}") }
+}
+
+fn more_shadows(prior_puts_into_frame: Option<&[usize; 2]>) -> String {
+    match prior_puts_into_frame {
+        Some([inside, all]) if inside * 2 < *all => format!(
+            "by the prior (or telemetry) only {inside} of the {all} beads lie in the frame: aim at the beads, or check where the prior, or world_from_lps, puts them"
+        ),
+        _ => "open the collimator, raise the dose, or check --bead-radius".to_owned(),
+    }
 }
 
 fn has(points: Points) -> &'static str {

@@ -8,6 +8,7 @@ use super::prior::Prior;
 use super::record::Pose;
 use super::refusal::Refusal;
 use super::request::Registration;
+use super::residual::BeadResidual;
 use crate::acquire::Frame;
 use crate::beads::{Detection, Detections, Polarity, Probe, detect};
 use crate::geometry::{Intrinsics, Rigid};
@@ -90,7 +91,32 @@ fn attempt(request: &Registration, detections: &[Detection], probe: Option<Probe
             Err(refusal) => request.refuse(&refusal),
         },
     };
-    bodies::apart(request, &detections, one(request, &detections), &one)
+    let pose = bodies::apart(request, &detections, one(request, &detections), &one);
+    match wrong_radius(request, &pose, &|request| one(request, &detections)) {
+        Some(refusal) => pose.refused_for(refusal),
+        None => pose,
+    }
+}
+
+/// That the frame gives a pose once the beads' stated radius, which bounds their depth, is left out, and how far that radius is off.
+fn wrong_radius(request: &Registration, pose: &Pose, register: &dyn Fn(&Registration) -> Pose) -> Option<Refusal> {
+    let could_be = matches!(pose.refusal, Some(Refusal::Chance { .. } | Refusal::NoMatch { .. }));
+    let stated = |index: usize| request.layout.radius_mm(index, request.bead_radius_mm);
+    let beads = request.layout.beads.len();
+    let intrinsics = request.intrinsics.filter(|_| could_be && beads > 0 && (0..beads).all(|index| stated(index).is_some()))?;
+    let mut layout = request.layout.clone();
+    layout.beads.iter_mut().for_each(|bead| bead.radius_mm = None);
+    let without = register(&Registration { layout: &layout, bead_radius_mm: None, ..*request });
+    let camera_from_lps = without.camera_from_lps.filter(|_| without.is_accepted())?;
+    let ratio = |(index, bead): (usize, &BeadResidual)| {
+        let shadow = without.shadows.iter().find(|shadow| shadow.bead.as_deref() == Some(bead.name.as_str()))?;
+        let depth_mm = camera_from_lps.transform_point(bead.lps_mm).z;
+        Some(shadow.radius_px * depth_mm / (intrinsics.fx * stated(index)?))
+    };
+    let mut ratios: Vec<f64> = without.beads.iter().enumerate().filter(|(_, bead)| bead.used).filter_map(ratio).collect();
+    ratios.sort_by(f64::total_cmp);
+    let ratio = *ratios.get(ratios.len() / 2)?;
+    (!(0.8..=1.25).contains(&ratio)).then_some(Refusal::Radii { ratio })
 }
 
 impl Case<'_> {
@@ -98,7 +124,8 @@ impl Case<'_> {
         let notes = self.request.layout.notes.clone();
         let (found, required) = (self.detections.len(), self.request.fewest());
         if found < required {
-            return self.refuse(&Refusal::TooFewShadows { found, required }, notes);
+            let prior_puts_into_frame = self.request.prior_puts_into_frame();
+            return self.refuse(&Refusal::TooFewShadows { found, required, prior_puts_into_frame }, notes);
         }
         let near = self.propose(self.request.prior).map(|candidate| self.judge(&candidate, notes.clone()));
         // A match that accident explains, or that the frame speaks against, is as good as none: the prior may be of another specimen, or of
@@ -132,6 +159,9 @@ impl Case<'_> {
         let half_turn = Rigid::exp(DVec3::Z * std::f64::consts::PI, DVec3::ZERO);
         if !self.gate_excludes(&(found.hypothesis.camera_from_lps * half_turn)) {
             return Some(self.refuse(&Refusal::Axes { matched: found.hypothesis.matches.len() }, notes.to_vec()));
+        }
+        if let Some(refusal) = self.mirrored_near(found.hypothesis.matches.len()) {
+            return Some(self.refuse(&refusal, notes.to_vec()));
         }
         self.without_prior = true;
         // Who states a covariance means it.

@@ -69,6 +69,19 @@ impl<'a> Registration<'a> {
         if self.intrinsics.is_some() { 4 } else { 6 }
     }
 
+    /// How many beads the prior puts into the frame, and how many there are.
+    pub(super) fn prior_puts_into_frame(&self) -> Option<[usize; 2]> {
+        let (prior, intrinsics) = self.prior.zip(self.intrinsics)?;
+        let [width, height] = self.size_px.map(f64::from);
+        let inside = |lps_mm: DVec3| {
+            let in_camera = prior.camera_from_lps.transform_point(lps_mm);
+            let at = intrinsics.project(in_camera);
+            in_camera.z > 0.0 && (0.0..width).contains(&at.x) && (0.0..height).contains(&at.y)
+        };
+        let beads = &self.layout.beads;
+        Some([beads.iter().filter(|bead| inside(bead.lps_mm)).count(), beads.len()])
+    }
+
     /// What of K is solved.
     pub(super) fn free(&self) -> Free {
         match (self.intrinsics, self.intrinsics_prior) {

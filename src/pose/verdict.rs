@@ -81,8 +81,9 @@ fn choose(n: usize, k: usize) -> f64 {
 }
 
 /// A different pose that explains the frame (nearly) as well as `best`, if one is among `others`. `scale` ≥ 1 is χ² per degree of
-/// freedom of the best.
-pub fn rival<'a>(best: &Hypothesis, others: &'a [Hypothesis], scale: f64) -> Option<&'a Hypothesis> {
+/// freedom of the best. One bead, which may have moved, does not decide between two readings of which nothing else is known (`anywhere`), nor
+/// among few.
+pub fn rival<'a>(best: &Hypothesis, others: &'a [Hypothesis], scale: f64, anywhere: bool) -> Option<&'a Hypothesis> {
     let centroid = best.matches.iter().map(|m| m.lps_mm).sum::<DVec3>() / best.matches.len().max(1) as f64;
     let count = best.matches.len();
     others.iter().find(|other| {
@@ -93,8 +94,10 @@ pub fn rival<'a>(best: &Hypothesis, others: &'a [Hypothesis], scale: f64) -> Opt
         }
         let margin = 12.0 * scale;
         let same_count = other.matches.len() >= count && other.score < best.score + margin;
-        let one_less =
-            count <= 6 && other.matches.len() + 1 == count && shared + 2 < count && other.score < best.score + margin + MISSED;
+        let one_less = (count <= 6 || anywhere)
+            && other.matches.len() + 1 == count
+            && shared + 2 < count
+            && other.score < best.score + margin + MISSED;
         same_count || one_less
     })
 }

@@ -21,6 +21,14 @@ pub(super) fn build(objects: &[ObjectFile], scene: &mut Scene, files: &mut Files
     for (index, object) in objects.iter().enumerate() {
         let kind = kind(object);
         builder.key = format!("objects[{index}].{kind}");
+        if let (ObjectFile::Ct(_), Some(tool)) = (object, objects[..index].iter().position(is_tool)) {
+            let words = format_args!(
+                "{} comes after objects[{tool}].{}, which it displaces wherever it has matter; list the CT first, unless that is meant",
+                builder.files.place(&builder.key),
+                self::kind(&objects[tool])
+            );
+            reporter.warn("order of objects", words);
+        }
         let (matter, body) = match object {
             ObjectFile::Ct(file) => (builder.ct(file, &metal_balls(&objects[index + 1..]))?, &file.body),
             ObjectFile::Mesh(file) => (builder.mesh(file)?, &file.body),
@@ -35,6 +43,11 @@ pub(super) fn build(objects: &[ObjectFile], scene: &mut Scene, files: &mut Files
         builder.scene.objects.push(Object { name: builder.key.clone(), body, matter });
     }
     Ok(())
+}
+
+/// What is put into a body, and not around it.
+fn is_tool(object: &ObjectFile) -> bool {
+    matches!(object, ObjectFile::Mesh(_) | ObjectFile::Voxels(_) | ObjectFile::Robot(_))
 }
 
 fn kind(object: &ObjectFile) -> &'static str {

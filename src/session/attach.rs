@@ -221,20 +221,20 @@ impl Recorded {
 
     fn next_frame(&mut self) -> u32 {
         self.taken += 1;
-        self.taken - 1
+        self.taken
     }
 
     /// A frame's binding; a frame that the log holds already has the binding that it has there.
     fn binding(&self, frame: u32) -> Binding {
         let own = self.binder.binding(frame).cloned().unwrap_or_default();
         let original = own.flags.iter().find_map(|flag| match flag {
-            BindingFlag::Duplicate { of } if *of < self.frames_in_log => Some(*of),
+            BindingFlag::Duplicate { of } if *of <= self.frames_in_log => Some(*of),
             _ => None,
         });
         match original.and_then(|of| self.binder.binding(of)) {
             Some(there) => {
                 let mut binding = there.clone();
-                binding.evidence.push("the log holds this very frame".to_owned());
+                binding.evidence.insert(0, "the log holds this very frame".to_owned());
                 binding.flags.extend(own.flags);
                 binding
             }

@@ -82,6 +82,8 @@ impl Developed {
     }
 }
 
+/// Share of a picture from which on writing is said to be in it: a mark of a few pixels names nobody.
+const WRITING_SHARE: f64 = 1e-3;
 /// Stands in a pair until its null is made.
 const UNCHECKED: &str = "the image has not been put against other poses yet";
 
@@ -158,6 +160,7 @@ impl Bench {
         };
         pair.stages_ms.add("compare", watch.ms());
         self.cross_check(&posed, &mut pair);
+        self.look_for_writing(&posed, &mut pair);
         let watch = Stopwatch::start();
         let without = compared.is_none().then(|| pair.flags.last().cloned().unwrap_or_default());
         let strip = Arc::new(draw(&posed, &pair, compared.as_deref(), without.as_deref()));
@@ -194,8 +197,12 @@ impl Bench {
             self.reporter.warn(caution.kind(), format!("{}: {caution}; {}", posed.label(), caution.remedy()));
         }
         for flag in &posed.binding.flags {
-            if matches!(flag, BindingFlag::Moved { .. }) {
-                self.reporter.warn("moved during the exposure", format!("{}: {flag}", posed.label()));
+            match flag {
+                BindingFlag::Moved { .. } => {
+                    self.reporter.warn("moved during the exposure", format!("{}: {flag}", posed.label()));
+                }
+                BindingFlag::Duplicate { .. } => self.reporter.warn("same picture", format!("{}: {flag}", posed.label())),
+                _ => {}
             }
         }
         for finding in findings {
@@ -206,6 +213,21 @@ impl Bench {
             }
             pair.flags.push(finding.to_string());
         }
+    }
+
+    /// Writing in a picture may be a name, and it goes wherever the picture goes.
+    fn look_for_writing(&self, posed: &Posed, pair: &mut Pair) {
+        let share = pair.masks.as_ref().and_then(|masks| masks.causes.get(&Cause::BurnedIn)).copied().unwrap_or(0.0);
+        if !(share >= WRITING_SHARE) {
+            return;
+        }
+        let words = format!(
+            "{:.1} % of the picture is masked as writing that is burned in; log, strips and report show it as it is: export without overlays \
+             if it names anyone",
+            100.0 * share
+        );
+        self.reporter.warn("burned-in writing", format!("{}: {words}", posed.label()));
+        pair.flags.push(words);
     }
 
     /// Where the frame shows the drill's tip; a DRR that draws it elsewhere says so. Pictures of an intensifier are not measured: profiles

@@ -14,15 +14,17 @@ use super::hearing::Hearing;
 use super::import::Import;
 use super::input::{Input, Output};
 use super::losses::{line_losses, without_frame};
+use super::pictures::Pictures;
 use super::posing::{Bound, Known, PoseJob, Registered};
+use super::standstill::Standstill;
 use super::tie::SpecimenTie;
 use crate::acquire::Frame;
 use crate::beads::tags::TagLayout;
 use crate::beads::{BeadLayout, Landmark};
 use crate::geometry::Rigid;
 use crate::reporter::Reporter;
-use crate::telemetry::{DeviceKind, Event, Health, Link};
-use crate::timeline::{Binder, Binding, FrameEvidence, Timeline};
+use crate::telemetry::{DeviceKind, Event, Health, Link, Sequenced};
+use crate::timeline::{Binder, Binding, BindingFlag, FrameEvidence, Timeline};
 
 /// A frame that waits for the telemetry of its exposure.
 struct Pending {
@@ -54,6 +56,7 @@ pub struct Engine {
     hearing: Hearing,
     timeline: Timeline,
     tie: SpecimenTie,
+    standstill: Standstill,
     world_from_tracker: Option<Rigid>,
     binder: Binder,
     pending: BTreeMap<u32, Pending>,
@@ -69,6 +72,7 @@ pub struct Engine {
     bound: BTreeMap<u32, Bound>,
     /// Frames of unfinished files, whose whole pictures came later.
     replaced: BTreeSet<u32>,
+    pictures: Pictures,
     reporter: Reporter,
 }
 
@@ -96,6 +100,7 @@ impl Engine {
             hearing: Hearing::new(present),
             timeline: Timeline::new(),
             tie,
+            standstill: Standstill::new(centre),
             world_from_tracker,
             binder: Binder::default(),
             pending: BTreeMap::new(),
@@ -106,6 +111,7 @@ impl Engine {
             now_us: i64::MIN,
             bound: BTreeMap::new(),
             replaced: BTreeSet::new(),
+            pictures: Pictures::default(),
             reporter,
         }
     }
@@ -143,7 +149,27 @@ impl Engine {
     /// Exposures that telemetry tells of and no frame came of, in words.
     #[must_use]
     pub fn exposures_without_frame(&self) -> Option<String> {
-        without_frame(&self.timeline.exposures(), &self.shown)
+        without_frame(&self.timeline.exposures(), &self.shown, self.without_exposure())
+    }
+
+    /// Where not one frame was tied to an exposure although there were both, in words.
+    #[must_use]
+    pub fn nothing_bound(&self) -> Option<String> {
+        let (exposures, frames) = (self.timeline.exposures().len(), self.without_exposure());
+        (exposures > 0 && frames > 0 && self.shown.is_empty()).then(|| {
+            format!(
+                "not one of {frames} frames could be tied to one of {exposures} exposures: no pair has joints, robot or beam of telemetry"
+            )
+        })
+    }
+
+    /// Frames that may be of an exposure and are bound to none: no copies, and no pictures that were taken back.
+    fn without_exposure(&self) -> usize {
+        let stands_for_another = |number: &u32| {
+            let flags = self.binder.binding(*number).map_or(&[][..], |binding| &binding.flags);
+            flags.iter().any(|flag| matches!(flag, BindingFlag::Duplicate { .. } | BindingFlag::Unfinished { .. }))
+        };
+        self.unbound.keys().filter(|number| !stands_for_another(number)).count()
     }
 
     /// Lines that have fallen silent since this was last asked, a sentence each.
@@ -161,7 +187,9 @@ impl Engine {
             }
             Input::Frame { frame, host_us } => {
                 let image = frame.image_of_file.map(|n| n as u32);
-                let evidence = FrameEvidence::of(frame.number, &frame.tags, &frame.sha256, image, Some(host_us));
+                // The same picture in another file, with other identifiers and stamps, is no other exposure.
+                let content = self.pictures.first_of(&frame);
+                let evidence = FrameEvidence::of(frame.number, &frame.tags, &content, image, Some(host_us));
                 self.binder.push(FrameEvidence { completes: frame.completes, ..evidence });
                 if let Some(before) = frame.completes {
                     self.replaced.insert(before);
@@ -196,7 +224,11 @@ impl Engine {
     /// Takes the result of a job: ties the specimen to the room, chooses the pose that is used.
     pub fn registered(&mut self, registered: Registered, sink: &mut dyn FnMut(Output)) {
         let number = registered.number();
-        let (posed, world_from_lps) = registered.into_posed(self.world_from_tracker);
+        let (mut posed, world_from_lps) = registered.into_posed(self.world_from_tracker);
+        if let Some(words) = self.standstill.observe(&posed, world_from_lps).filter(|_| !self.replaced.contains(&number)) {
+            self.reporter.warn("specimen moved", format!("{}: {words}", posed.label()));
+            posed.warnings.push(words);
+        }
         let posed = match world_from_lps.filter(|_| !self.replaced.contains(&number)) {
             Some(world_from_lps) => {
                 let verdict = self.tie.observe(number, world_from_lps);
@@ -223,6 +255,12 @@ impl Engine {
         link.feed(host_us, epoch, bytes, &mut |received| match received.event {
             Event::Sample(sample, sequenced) => {
                 line_watch.take(setup, &sample, reporter);
+                if sequenced == Sequenced::Reset {
+                    let words = format!(
+                        "the {device} began anew, with its clock and all that it counts: exposures before and after may have the same number"
+                    );
+                    reporter.warn("device restarted", words);
+                }
                 if let Some(words) = hearing.sample(device, host_us, &sample) {
                     reporter.warn("device clock", words);
                 }

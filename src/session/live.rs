@@ -228,6 +228,9 @@ impl Session {
             }
         };
         self.reporter.note(format!("{}: {outcome}", posed.label()));
+        for caution in posed.pose.cautions.iter().filter(|_| posed.pose.is_accepted()) {
+            self.reporter.warn("doubtful pose", format!("{}: {caution}", posed.label()));
+        }
     }
 
     /// The newest frame that is bound is registered next; the log keeps the order.
@@ -379,6 +382,7 @@ impl Session {
     fn report(mut self) -> Folder {
         self.finishing = None;
         self.engine.line_losses().into_iter().for_each(|lost| self.log.lose(lost));
+        self.engine.nothing_bound().into_iter().for_each(|words| self.log.lose(words));
         if let Some(words) = self.engine.exposures_without_frame() {
             self.reporter.warn("exposures without a frame", &words);
             self.log.event(Level::Warning, host_now_us(), &words);

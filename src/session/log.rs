@@ -121,6 +121,11 @@ impl SessionLog {
         }
     }
 
+    /// Whether recording has stopped.
+    pub(super) fn has_failed(&self) -> bool {
+        self.failed.load(Ordering::Relaxed)
+    }
+
     /// Something is lost: it stands in the report, and the exit code is 3.
     pub(super) fn lose(&self, what: String) {
         let mut losses = self.losses.lock().unwrap_or_else(PoisonError::into_inner);

@@ -27,17 +27,23 @@ pub(super) fn line_losses(device: DeviceKind, health: &Health) -> Option<String>
     (!words.is_empty()).then(|| format!("{device}: {}", words.join(", ")))
 }
 
-/// Exposures that are not among those that frames show; `None` where each has one.
-pub(super) fn without_frame(exposures: &[ExposureInterval], shown: &BTreeSet<u64>) -> Option<String> {
+/// Exposures that are not among those that frames show, and how many frames (`unbound`) may be of them; `None` where each has one.
+pub(super) fn without_frame(exposures: &[ExposureInterval], shown: &BTreeSet<u64>, unbound: usize) -> Option<String> {
     let alone: Vec<String> =
         exposures.iter().filter(|exposure| !shown.contains(&exposure.index)).map(ExposureInterval::label).collect();
     let more = if alone.len() > NAMED { ", …" } else { "" };
     let named = alone.iter().take(NAMED).cloned().collect::<Vec<_>>().join(", ");
     (!alone.is_empty()).then(|| {
-        let count = exposures.len();
-        format!(
-            "{} of {count} exposures have no frame ({named}{more}); where they were saved, export them: `sidecarm attach` ties them to the log",
-            alone.len()
-        )
+        let (alone, count) = (alone.len(), exposures.len());
+        match unbound {
+            0 => format!(
+                "{alone} of {count} exposures have no frame ({named}{more}); where they were saved, export them: `sidecarm attach` ties them \
+                 to the log"
+            ),
+            _ => format!(
+                "{alone} of {count} exposures have no frame ({named}{more}), and {unbound} frames no exposure: which belongs to which is not \
+                 certain, so their pairs have no joints, robot or beam of telemetry; `binding_evidence` of each pair says why"
+            ),
+        }
     })
 }

@@ -123,8 +123,11 @@ impl Work {
 
     fn say(&self, failure: Option<String>) {
         if let Some(failure) = failure {
-            self.reporter
-                .warn("file not written", format!("{failure}; the log goes on, and a replay of it makes the file again"));
+            let then = match self.log.has_failed() {
+                false => "the log goes on, and a replay of it makes the file again",
+                true => "the log has stopped as well: the file cannot be made again",
+            };
+            self.reporter.warn("file not written", format!("{failure}; {then}"));
         }
     }
 }

@@ -21,7 +21,12 @@ impl Weighed<'_> {
     pub(super) fn by_arrival(&self, prompt: &[usize], mut words: Vec<String>) -> Judgement {
         let said = &self.pending.evidence;
         let Some(arrival_us) = said.arrival_us else {
-            words.push("without a usable stamp or counter a frame exported afterwards cannot be tied".to_owned());
+            words.push(match said.console_us.is_some() || said.counter.is_some() {
+                true => "too few frames agree on what the console's stamps and counter mean, or the exposures follow each other too evenly for \
+                         them to tell one from the next"
+                    .to_owned(),
+                false => "without a stamp or counter a frame exported afterwards cannot be tied".to_owned(),
+            });
             return Judgement::None(words);
         };
         let unlearnt = said.console_us.is_some() || said.counter.is_some() && self.known.counting.useless().is_none();
@@ -30,7 +35,7 @@ impl Weighed<'_> {
             return Judgement::None(words);
         }
         if unlearnt && !self.known.finished {
-            words.push("what the console's clock and counter mean is not known yet: later frames will show it".to_owned());
+            words.push("what the console's clock and counter mean was not known when this frame was judged".to_owned());
             return Judgement::None(words);
         }
         let at = match prompt {
@@ -58,7 +63,7 @@ impl Weighed<'_> {
         }
         let late_us = arrival_us.saturating_sub(self.known.shots.get(at).end_us);
         let Some(usual_us) = self.usual_delay_us() else {
-            words.push("how soon frames come after their exposures is not known yet: later frames will show it".to_owned());
+            words.push("how soon frames come after their exposures was not known when this frame was judged".to_owned());
             return Judgement::None(words);
         };
         if !usual_us.contains(&late_us) {

@@ -60,7 +60,7 @@ impl Binder {
             let first = *first;
             if let Some(same) = images.get(&image).copied() {
                 let binding = Binding {
-                    evidence: vec![format!("the content is that of frame {same}: a copy of its file, not another exposure")],
+                    evidence: vec![format!("the picture is that of frame {same}: a copy, not another exposure")],
                     settled: true,
                     flags: vec![BindingFlag::Duplicate { of: same }],
                     ..Binding::default()

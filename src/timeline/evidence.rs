@@ -104,7 +104,7 @@ pub enum BindingFlag {
         /// Of how many.
         count: u32,
     },
-    /// The same content as an earlier frame, which has the exposure.
+    /// The same picture as an earlier frame, which has the exposure.
     Duplicate {
         /// That frame.
         of: u32,
@@ -125,7 +125,7 @@ impl std::fmt::Display for BindingFlag {
             Self::Unseen => f.write_str("telemetry missed the exposure; only its counter tells of it"),
             Self::Late { by_us } => write!(f, "came {} after its exposure", seconds(*by_us)),
             Self::Run { image, count } => write!(f, "image {} of {count} of one run", image + 1),
-            Self::Duplicate { of } => write!(f, "the same file as frame {of}"),
+            Self::Duplicate { of } => write!(f, "the same picture as frame {of}, exported again"),
             Self::Unfinished { replaced_by } => write!(f, "the file was not finished: frame {replaced_by} is the whole picture"),
         }
     }

@@ -164,11 +164,12 @@ pub(super) fn filter_against_scene(beam: &CarmSample, scene_json: &str) -> Optio
     let rendered = |names: &[&str]| filtration_mm(scene_json, names);
     let (aluminium_mm, copper_mm) = (rendered(&["aluminium", "aluminum", "al"])?, rendered(&["copper", "cu"])?);
     let more_mm = beam.filter_mm_al - aluminium_mm;
+    // A filter that was not measured is NaN, and no filter.
+    let other_aluminium = !more_mm.is_nan() && !(-OWN_ALUMINIUM_MM..=ALUMINIUM_MM).contains(&more_mm);
     let wrong = [
         ("copper", beam.filter_mm_cu, copper_mm, (beam.filter_mm_cu - copper_mm).abs() > COPPER_MM),
-        ("aluminium", beam.filter_mm_al, aluminium_mm, more_mm > ALUMINIUM_MM || more_mm < -OWN_ALUMINIUM_MM),
+        ("aluminium", beam.filter_mm_al, aluminium_mm, other_aluminium),
     ];
-    // A filter that was not measured is NaN and compares as false.
     let (name, told_mm, scene_mm, _) = wrong.into_iter().find(|(.., wrong)| *wrong)?;
     let detail = format!("telemetry says {told_mm:.2} mm of {name} in the beam, the scene renders {scene_mm:.2} mm");
     Some(Finding::warn("filter", detail, format!("correct beam.filtration_mm.{name} of the scene, or the filter at the console")))
@@ -183,7 +184,7 @@ pub(super) fn plausible_beam(beam: &CarmSample) -> Vec<Finding> {
         ("filter", "a filter", beam.filter_mm_al, 0.0, most_al_mm, "mm of aluminium"),
         ("filter", "a filter", beam.filter_mm_cu, 0.0, most_cu_mm, "mm of copper"),
     ];
-    let wrong = told.into_iter().filter(|(_, _, value, low, high, _)| !value.is_nan() && !(value >= low && value <= high));
+    let wrong = told.into_iter().filter(|(_, _, value, low, high, _)| !(value.is_nan() || (*low..=*high).contains(value)));
     wrong
         .map(|(check, what, value, low, high, unit)| {
             let detail = format!("telemetry says {what} of {value:.2} {unit}, expected {low} to {high}");

@@ -137,7 +137,7 @@ fn other_files_of_the_folder_are_left_out_and_one_of_two_series_is_chosen_by_a_s
     let others = of_another_series(&slices()[..3]);
     others.iter().enumerate().for_each(|(index, slice)| save(slice, &folder.path().join(format!("Mueller {index}"))));
     let error = read(folder.path()).expect_err("two series");
-    for words in ["2 series", "number 3: 5 slices of 7 x 6, IM_0003", "number 4: 3 slices", "name one file"] {
+    for words in ["2 series", "number 3: 5 slices of 7 x 6, as IM_0003", "number 4: 3 slices", "name one file"] {
         assert!(error.contains(words), "{words}: {error}");
     }
     assert!(!error.contains("Mueller") && error.contains("file 6 by name"), "{error}");
@@ -194,12 +194,18 @@ fn every_slice_has_its_own_scale_and_padding_is_not_reconstructed() {
     assert_eq!(volume.values, expected);
 
     put(&mut slices[0], tags::RESCALE_TYPE, VR::LO, "MGML");
+    // Seven bits do not hold what is stored in sixteen.
+    number(&mut slices[0], tags::BITS_STORED, 7);
+    number(&mut slices[0], tags::HIGH_BIT, 6);
+    slices[0].put(DataElement::new(tags::PIXEL_DATA, VR::OW, PrimitiveValue::U16(vec![0x85; slice].into())));
     slices[4].take(tags::RESCALE_SLOPE);
     slices[4].take(tags::RESCALE_INTERCEPT);
     save_series(&slices, folder.path());
     let reporter = Reporter::silent();
     let volume = read_volume(folder.path(), &reporter).expect("good");
     assert_eq!(volume.values[4 * slice], 24.0, "as stored");
+    assert_eq!(volume.values[0], 5.0 - 1024.0, "overlays are cut off");
+    assert!(reporter.warnings()["stored bits"].latest.contains("42 voxels hold more"));
     assert_eq!(reporter.warnings().get("not HU").map(|counted| counted.count), Some(2));
 }
 

@@ -259,7 +259,7 @@ impl Layout {
     }
 
     /// Whether there is anything but a sign above the stored bits of `word`.
-    fn holds_more(&self, word: u64) -> bool {
+    pub(super) fn holds_more(&self, word: u64) -> bool {
         let above = self.high_bit + 1;
         let (rest, all) = (word >> above, (1u64 << (self.bits_allocated as u32 - above)) - 1);
         rest != 0 && !(self.signed && rest == all && self.value(word) < 0)

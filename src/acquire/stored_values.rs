@@ -22,6 +22,17 @@ pub fn parse_dicom(bytes: &[u8], until: Option<Tag>) -> Result<DefaultDicomObjec
     parse(bytes, until)
 }
 
+/// One pixel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct StoredValue {
+    /// What is stored.
+    pub value: i64,
+    /// It is padding by the file's own word.
+    pub is_padding: bool,
+    /// There is more above the stored bits than a sign: overlays, or a value that has wrapped round.
+    pub holds_more: bool,
+}
+
 /// Pixels of a file as they are stored: decompressed, overlays cut off, signs extended, not rescaled.
 pub struct StoredValues {
     layout: Layout,
@@ -52,8 +63,8 @@ impl StoredValues {
         self.layout.frames
     }
 
-    /// The values of one image row by row, and whether each is padding by the file's own word.
-    pub fn image(&self, number: usize) -> impl Iterator<Item = (i64, bool)> + '_ {
+    /// The pixels of one image row by row.
+    pub fn image(&self, number: usize) -> impl Iterator<Item = StoredValue> + '_ {
         let image_bytes = self.layout.frame_bytes();
         let bytes = self.bytes.get(number * image_bytes..(number + 1) * image_bytes).unwrap_or_default();
         bytes.chunks_exact(self.layout.sample_bytes()).map(|sample| {
@@ -61,7 +72,7 @@ impl StoredValues {
             let value = self.layout.value(word);
             // Padding may lie beyond the stored bits, where no measured value can be.
             let is_padding = self.padding.is_some_and(|padding| padding.holds(value) || padding.holds(self.layout.whole(word)));
-            (value, is_padding)
+            StoredValue { value, is_padding, holds_more: !is_padding && self.layout.holds_more(word) }
         })
     }
 }

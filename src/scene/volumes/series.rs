@@ -26,6 +26,8 @@ const OFF_GRID_SHARE: f64 = 0.05;
 const OFF_GRID_SAID_MM: f64 = 0.01;
 /// Slices that are stacked at a slant of more than this, and more than [`OFF_GRID_MM`] from first to last, are those of a tilted gantry.
 const TILT_DEG: f64 = 0.1;
+/// Series of a folder that are listed.
+const MOST_LISTED: usize = 6;
 /// Slices agree in direction and pitch within this.
 const AGREE: f64 = 1e-4;
 
@@ -111,9 +113,10 @@ fn only_series<'a>(files: &'a [FileHead], names: &dyn Fn(usize) -> String) -> Re
                 let number = head.series_number.map_or("without a number".to_owned(), |number| format!("number {number}"));
                 let size = head.slices.as_ref().ok().and_then(|slices| slices.first()).map(|slice| slice.size_px);
                 let size = size.map_or(String::new(), |[columns, rows]| format!(" of {columns} x {rows}"));
-                format!("{number}: {slices} slices{size}, {} and others", names(*first))
+                format!("{number}: {slices} slices{size}, as {}", names(*first))
             };
-            let listed: Vec<String> = series.iter().map(one).collect();
+            let mut listed: Vec<String> = series.iter().take(MOST_LISTED).map(one).collect();
+            listed.extend((series.len() > MOST_LISTED).then(|| format!("and {} more", series.len() - MOST_LISTED)));
             Err(format!("the folder holds {} series ({}); name one file of the wanted one", series.len(), listed.join("; ")))
         }
     }

@@ -5,7 +5,7 @@ use dicom_object::InMemDicomObject;
 
 use super::ct_slice::group;
 use super::head::{VolumeHead, VoxelSummary};
-use crate::acquire::{StoredValues, parse_dicom};
+use crate::acquire::{StoredValue, StoredValues, parse_dicom};
 use crate::foreign::Limits;
 use crate::scene::density::DensityCurve;
 
@@ -54,7 +54,7 @@ pub(super) fn decode_slices(
         for slice in slices {
             let scale = Scale::of(&object, *slice).map_err(&of)?;
             values.clear();
-            values.extend(stored.image(*slice).map(|(value, is_padding)| reading.value(&scale, value, is_padding)));
+            values.extend(stored.image(*slice).map(|pixel| reading.value(&scale, pixel)));
             reading.note(&scale);
             take(&values)?;
             done += 1;
@@ -101,15 +101,17 @@ impl Scale {
 struct Reading {
     summary: VoxelSummary,
     padding: u64,
+    beyond: u64,
     absent: u64,
     other_unit: u64,
     other: Vec<String>,
 }
 
 impl Reading {
-    fn value(&mut self, scale: &Scale, stored: i64, is_padding: bool) -> f32 {
-        let mut hu = stored as f64 * scale.slope + scale.intercept;
-        if is_padding {
+    fn value(&mut self, scale: &Scale, stored: StoredValue) -> f32 {
+        let mut hu = stored.value as f64 * scale.slope + scale.intercept;
+        self.beyond += u64::from(stored.holds_more);
+        if stored.is_padding {
             self.padding += 1;
             // Nothing was reconstructed there, and the scene knows that by the number alone.
             if !(hu <= DensityCurve::shipped().unknown_at_most_hu) {
@@ -129,6 +131,14 @@ impl Reading {
     fn summary(self) -> VoxelSummary {
         let mut summary = self.summary;
         let warning = |words: String| (Some("not HU".to_owned()), words);
+        if self.beyond > 0 {
+            let words = format!(
+                "{} voxels hold more than the bits that are stored (0028,0101): the rest was cut off, as overlays are; if they are \
+                 bright, their values have wrapped round",
+                self.beyond
+            );
+            summary.remarks.push((Some("stored bits".to_owned()), words));
+        }
         if self.absent > 0 {
             let words = format!("{} slices have no rescale slope and intercept: stored values are taken for HU", self.absent);
             summary.remarks.push(warning(words));

@@ -57,7 +57,7 @@ fn what_is_not_known_is_said() {
         let error = examine(&write(folder.path(), name, text)).expect_err(name).to_string();
         assert!(error.contains(words) && error.contains(name), "{name}: {error}");
     }
-    assert!(matches!(examine(folder.path()), Err(InfoError::Unknown { .. })));
+    assert!(matches!(examine(folder.path()), Err(InfoError::NoVolume { .. })));
     assert!(matches!(examine(&folder.path().join("none")), Err(InfoError::Io { .. })));
 }
 

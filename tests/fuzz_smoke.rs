@@ -14,9 +14,12 @@ mod targets;
 
 type Target = (&'static str, fn(&[u8]));
 
-const TARGETS: [Target; 8] = [
+const TARGETS: [Target; 11] = [
     ("decoder", targets::decoder),
     ("nifti", targets::nifti),
+    ("nrrd", targets::nrrd),
+    ("metaimage", targets::metaimage),
+    ("slices", targets::slices),
     ("dicom", targets::dicom),
     ("stl", targets::stl),
     ("markups", targets::markups),

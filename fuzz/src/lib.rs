@@ -43,6 +43,30 @@ pub fn nifti(data: &[u8]) {
     as_file(data, suffix, |path| drop(read_volume(path, &Reporter::silent())));
 }
 
+/// A volume with a header of text and its voxels after it.
+pub fn nrrd(data: &[u8]) {
+    as_file(data, ".nrrd", |path| drop(read_volume(path, &Reporter::silent())));
+}
+
+/// A volume with a header of text and its voxels after it.
+pub fn metaimage(data: &[u8]) {
+    as_file(data, ".mha", |path| drop(read_volume(path, &Reporter::silent())));
+}
+
+/// A folder of DICOM slices. The bytes hold the files one after the other, each beginning with its preamble.
+pub fn slices(data: &[u8]) {
+    let parent = if Path::new("/dev/shm").is_dir() { Path::new("/dev/shm") } else { Path::new(".") };
+    let folder = tempfile::Builder::new().tempdir_in(parent).expect("a temporary folder");
+    let marks = data.windows(4).enumerate().filter(|(at, word)| word == b"DICM" && *at >= 128);
+    let mut starts: Vec<usize> = marks.map(|(at, _)| at - 128).collect();
+    starts.push(data.len());
+    for (number, range) in starts.windows(2).take(16).enumerate() {
+        let bytes = data.get(range[0]..range[1]).unwrap_or_default();
+        std::fs::write(folder.path().join(number.to_string()), bytes).expect("written");
+    }
+    let _ = read_volume(folder.path(), &Reporter::silent());
+}
+
 /// A frame: DICOM, PNG or TIFF.
 pub fn dicom(data: &[u8]) {
     let suffix = match data {

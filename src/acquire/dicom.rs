@@ -28,10 +28,7 @@ pub(super) struct DicomImages {
 impl DicomImages {
     /// Parses and decodes.
     pub(super) fn open(bytes: &[u8], declared: Option<Domain>, limits: &Limits) -> Result<Self, Fault> {
-        let object = dicom_object::OpenFileOptions::new()
-            .read_preamble(dicom_object::file::ReadPreamble::Always)
-            .from_reader(bytes)
-            .map_err(|error| where_parsing_stopped(&error))?;
+        let object = parse(bytes, None)?;
         let layout = Layout::of(&object, limits)?;
         let stored = stored_bytes(&object, &layout)?;
         Ok(Self { object, layout, stored, declared })
@@ -142,6 +139,13 @@ fn each(
     Ok(())
 }
 
+/// The data set in the bytes of a file, the elements from `until` on left out.
+pub(super) fn parse(bytes: &[u8], until: Option<Tag>) -> Result<DefaultDicomObject, Fault> {
+    let options = dicom_object::OpenFileOptions::new().read_preamble(dicom_object::file::ReadPreamble::Always);
+    let options = if let Some(tag) = until { options.read_until(tag) } else { options };
+    options.from_reader(bytes).map_err(|error| where_parsing_stopped(&error))
+}
+
 /// Where the parser stopped. Its own words are not passed on, because they may repeat what the file says.
 fn where_parsing_stopped(error: &dicom_object::ReadError) -> Fault {
     use dicom_object::ReadError;
@@ -167,18 +171,18 @@ fn transfer_syntax(object: &DefaultDicomObject) -> &str {
 }
 
 /// How samples lie in the pixel data.
-struct Layout {
-    columns: usize,
-    rows: usize,
-    frames: usize,
+pub(super) struct Layout {
+    pub(super) columns: usize,
+    pub(super) rows: usize,
+    pub(super) frames: usize,
     bits_allocated: usize,
     bits_stored: u32,
     high_bit: u32,
-    signed: bool,
+    pub(super) signed: bool,
 }
 
 impl Layout {
-    fn of(object: &DefaultDicomObject, limits: &Limits) -> Result<Self, Fault> {
+    pub(super) fn of(object: &DefaultDicomObject, limits: &Limits) -> Result<Self, Fault> {
         let attribute = |tag: &str, found: String, expected: &str| Fault::Attribute {
             tag: tag.to_owned(),
             found,
@@ -231,31 +235,31 @@ impl Layout {
         })
     }
 
-    fn sample_bytes(&self) -> usize {
+    pub(super) fn sample_bytes(&self) -> usize {
         self.bits_allocated / 8
     }
 
-    fn frame_bytes(&self) -> usize {
+    pub(super) fn frame_bytes(&self) -> usize {
         self.rows * self.columns * self.sample_bytes()
     }
 
     /// All bits of `sample` (little-endian).
-    fn word(&self, sample: &[u8]) -> u64 {
+    pub(super) fn word(&self, sample: &[u8]) -> u64 {
         sample.iter().rev().fold(0, |word, &byte| word << 8 | u64::from(byte))
     }
 
     /// The stored value in `word`: overlay bits are masked off, the sign is extended.
-    fn value(&self, word: u64) -> i64 {
+    pub(super) fn value(&self, word: u64) -> i64 {
         self.number(word >> (self.high_bit + 1 - self.bits_stored) & ((1u64 << self.bits_stored) - 1), self.bits_stored)
     }
 
     /// The value of the whole `word`, overlay bits and all.
-    fn whole(&self, word: u64) -> i64 {
+    pub(super) fn whole(&self, word: u64) -> i64 {
         self.number(word, self.bits_allocated as u32)
     }
 
     /// Whether there is anything but a sign above the stored bits of `word`.
-    fn holds_more(&self, word: u64) -> bool {
+    pub(super) fn holds_more(&self, word: u64) -> bool {
         let above = self.high_bit + 1;
         let (rest, all) = (word >> above, (1u64 << (self.bits_allocated as u32 - above)) - 1);
         rest != 0 && !(self.signed && rest == all && self.value(word) < 0)
@@ -276,7 +280,7 @@ impl Layout {
 }
 
 /// All frames' samples, little-endian.
-fn stored_bytes(object: &DefaultDicomObject, layout: &Layout) -> Result<Vec<u8>, Fault> {
+pub(super) fn stored_bytes(object: &DefaultDicomObject, layout: &Layout) -> Result<Vec<u8>, Fault> {
     let Some(element) = object.get(tags::PIXEL_DATA) else {
         return Err(Fault::Attribute {
             tag: "pixel data (7FE0,0010)".into(),

@@ -25,6 +25,7 @@ mod photo;
 mod raster;
 mod read;
 mod source;
+mod stored_values;
 mod tag_reader;
 mod tags;
 mod terms;
@@ -46,6 +47,7 @@ pub use label::{hashed_input_label, input_label};
 pub use log_form::Samples;
 pub use read::{read_frame, read_frames, read_open, read_photo, serve};
 pub use source::{Arrival, Earlier, FrameSource, QueuedFrames, Reading, Sighting, Trouble};
+pub use stored_values::{StoredValue, StoredValues, is_dicom, parse_dicom};
 pub use tags::{FrameTags, KEPT_TAGS, KeptTag};
 pub use watch::FolderSource;
 

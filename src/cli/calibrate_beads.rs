@@ -25,7 +25,7 @@ why. Beads are named bead-01 and on from the feet up, or as the nearest point of
 BEADS.mrk.json opens in 3D Slicer, where points can be renamed, moved and deleted; sigma_mm in a description is the standard deviation
 of the centre per axis. Thin slices help: voxels of 4 mm and more are refused. Exit code 1: no bead was found (said why).")]
 pub struct BeadsArgs {
-    /// The CT in Hounsfield units: NIfTI
+    /// The CT in Hounsfield units: NIfTI, NRRD, MetaImage, or the folder (or one slice) of a DICOM series
     #[arg(value_name = "CT")]
     pub ct: PathBuf,
     /// Radius of the beads, mm; measured where the CT tells it, if absent

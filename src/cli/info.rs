@@ -10,10 +10,12 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Map, Value};
 
-use crate::acquire::{AcquireError, Fault};
+use crate::acquire::{AcquireError, Fault, is_dicom};
 use crate::foreign::NotRegular;
 use crate::reporter::{Reporter, printable};
+use crate::scene::is_ct_slice;
 
+use found::Found;
 pub use found::InfoError;
 
 /// Exit code of a complete answer.
@@ -23,7 +25,8 @@ const LOSS: u8 = 3;
 
 /// Says what a file is and what is in it.
 ///
-/// Knows frames (DICOM, PNG, TIFF), logs (MCAP), volumes (NIfTI), beads and landmarks (.mrk.json, .fcsv), meshes (STL), and this
+/// Knows frames (DICOM, PNG, TIFF), logs (MCAP), volumes (NIfTI, NRRD, MetaImage, the folder or one slice of a DICOM
+/// series), beads and landmarks (.mrk.json, .fcsv), meshes (STL), and this
 /// program's own JSON files. Patient data are never shown.
 #[derive(Debug, clap::Args)]
 #[command(
@@ -71,19 +74,24 @@ pub fn run(args: &InfoArgs, reporter: &Reporter) -> Result<u8, InfoError> {
 pub fn examine(path: &Path) -> Result<Info, InfoError> {
     let io = |source| InfoError::Io { path: path.to_owned(), source };
     let metadata = std::fs::metadata(path).map_err(io)?;
+    if metadata.is_dir() {
+        return Ok(whole(path, None, volumes::examine(path)?));
+    }
     if let Some(other) = NotRegular::of(&metadata) {
         return Err(InfoError::Unknown { path: path.to_owned(), found: other.words().into() });
     }
     let head = head(path).map_err(io)?;
     let name = path.file_name().map(|name| name.to_string_lossy().to_lowercase()).unwrap_or_default();
-    let (kind, mut facts, losses) = if mcap::MAGIC.starts_with(&head[..head.len().min(8)]) && !head.is_empty() {
+    let found = if mcap::MAGIC.starts_with(&head[..head.len().min(8)]) && !head.is_empty() {
         logs::examine(path)?
-    } else if name.ends_with(".nii") || name.ends_with(".nii.gz") {
-        volumes::nifti(path)?
+    } else if [".nii", ".nii.gz", ".mha", ".mhd"].iter().any(|ending| name.ends_with(ending)) || head.starts_with(b"NRRD000") {
+        volumes::examine(path)?
     } else if name.ends_with(".stl") {
         volumes::stl(path)?
     } else if name.ends_with(".fcsv") || name.ends_with(".json") || head.trim_ascii_start().starts_with(b"{") {
         documents::examine(path, &name)?
+    } else if is_dicom(&head) && is_ct_slice(path) {
+        volumes::of_slice(path)?
     } else {
         match frames::examine(path) {
             Err(InfoError::Frame(AcquireError::Refused { fault: Fault::NotAnImage { found }, .. })) => {
@@ -92,15 +100,19 @@ pub fn examine(path: &Path) -> Result<Info, InfoError> {
             other => other?,
         }
     };
+    Ok(whole(path, Some(metadata.len()), found))
+}
+
+fn whole(path: &Path, bytes: Option<u64>, (kind, mut facts, losses): Found) -> Info {
     let mut all = Map::new();
     all.insert("kind".into(), kind.into());
     all.insert("path".into(), path.display().to_string().into());
-    all.insert("bytes".into(), metadata.len().into());
+    all.extend(bytes.map(|bytes| ("bytes".to_owned(), bytes.into())));
     all.append(&mut facts);
     if !losses.is_empty() {
         all.insert("losses".into(), losses.clone().into());
     }
-    Ok(Info { facts: all, losses })
+    Info { facts: all, losses }
 }
 
 fn head(path: &Path) -> std::io::Result<Vec<u8>> {

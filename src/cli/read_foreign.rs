@@ -33,7 +33,7 @@ pub fn run(args: &ReadForeignArgs) -> Result<u8, ReadForeignError> {
     let out = std::io::stdout().lock();
     match request.kind {
         Kind::Frames => acquire::serve(&request, file, out)?,
-        Kind::Volume | Kind::VolumeFacts | Kind::Mesh => scene::serve(&request, file, out)?,
+        Kind::Volume | Kind::VolumeFacts | Kind::VolumeHeader | Kind::Slices | Kind::Mesh => scene::serve(&request, file, out)?,
     }
     Ok(0)
 }

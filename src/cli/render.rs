@@ -276,7 +276,7 @@ fn posed(scene: &Scene, path: &Path) -> Result<Scene, RenderCommandError> {
     let size_px = size_px.ok_or_else(|| says("has no size_px, and the scene has no view; add either".to_owned()))?;
     let mut scene = posed_scene(scene, &pose, View { size_px, intrinsics, camera_from_lps })?;
     let sha256 = sha256_file(path)?;
-    scene.inputs.push(InputFile { path: path.display().to_string(), sha256, place: Some(path.to_owned()) });
+    scene.inputs.push(InputFile { path: path.display().to_string(), sha256, place: Some(path.to_owned()), parts: Vec::new() });
     Ok(scene)
 }
 

@@ -1,6 +1,5 @@
 //! Starting a helper, listening to it, and telling how it ended.
 
-use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 use std::process::{Child, ChildStdout, Command, ExitStatus, Stdio};
@@ -8,6 +7,7 @@ use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use super::feed::{Input, feed};
 use super::{Receiver, Request, WireError};
 
 /// Why a helper gave no answer. Nothing in here comes from the file.
@@ -37,6 +37,12 @@ pub enum ForeignFault {
     /// A panic or a crash in the decoder.
     #[error("the decoder broke down on it, so the file is damaged; copy it again")]
     Crashed,
+    /// One of the files that it was to be given.
+    #[error("one of its files cannot be read ({detail})")]
+    Fed {
+        /// What the system said.
+        detail: String,
+    },
     /// The helper's answer was not understood.
     #[error("the helper process gave no proper answer ({detail})")]
     Answer {
@@ -48,18 +54,24 @@ pub enum ForeignFault {
 /// Bytes of a helper's standard error that are looked at, for the kind of its end; nothing of it is ever shown.
 const ERROR_BYTES: u64 = 4096;
 
-/// Runs a helper on `file` (from its start) and gives its messages to `receive`, on a thread of its own.
+/// Runs a helper on `input` and gives its messages to `receive`, on a thread of its own.
 ///
 /// # Errors
 /// When the helper does not start, crashes, runs out of memory or time, or `receive` does not understand it.
 pub fn run<T: Send + 'static>(
     program: &Path,
     request: &Request,
-    mut file: File,
+    input: impl Into<Input>,
     receive: impl FnOnce(&mut Receiver<ChildStdout>) -> Result<T, WireError> + Send + 'static,
 ) -> Result<T, ForeignFault> {
     let start = |error: std::io::Error| ForeignFault::Start { detail: error.kind().to_string() };
-    std::io::Seek::rewind(&mut file).map_err(start)?;
+    let (stdin, files) = match input.into() {
+        Input::One(mut file) => {
+            std::io::Seek::rewind(&mut file).map_err(start)?;
+            (Stdio::from(file), None)
+        }
+        Input::Many(files) => (Stdio::piped(), Some(files)),
+    };
     let argument = serde_json::to_string(request).map_err(|error| start(error.into()))?;
     let mut command = Command::new(program);
     command
@@ -68,7 +80,7 @@ pub fn run<T: Send + 'static>(
         .env("RAYON_NUM_THREADS", "2")
         // Address space that the allocator reserves before the limit is imposed would escape it.
         .env("MIMALLOC_ARENA_RESERVE", "32MiB")
-        .stdin(Stdio::from(file))
+        .stdin(stdin)
         .stdout(Stdio::piped())
         .stderr(Stdio::piped());
     // Ctrl-C in the terminal is meant for the session, which then finishes the file at hand.
@@ -80,6 +92,11 @@ pub fn run<T: Send + 'static>(
     };
     #[cfg(target_os = "linux")]
     let _ = rustix::pipe::fcntl_setpipe_size(&out, 1 << 20);
+    let feeder = files.zip(child.stdin.take()).map(|(files, into)| {
+        #[cfg(target_os = "linux")]
+        let _ = rustix::pipe::fcntl_setpipe_size(&into, 1 << 20);
+        std::thread::spawn(move || feed(files, into))
+    });
     let child = Arc::new(Mutex::new(child));
     let (sender, outcome) = channel();
     let limits = request.limits.clone();
@@ -103,7 +120,11 @@ pub fn run<T: Send + 'static>(
         return Err(start(error));
     }
     match outcome.recv_timeout(wall) {
-        Ok(result) => result,
+        // A file that could not be given explains whatever the helper makes of the others.
+        Ok(result) => match feeder.map(std::thread::JoinHandle::join) {
+            Some(Ok(Err(error))) => Err(ForeignFault::Fed { detail: error.to_string() }),
+            _ => result,
+        },
         Err(RecvTimeoutError::Timeout) => {
             kill(&child);
             Err(ForeignFault::Time { limit_s: request.limits.wall_s })

@@ -6,10 +6,14 @@
 pub enum Kind {
     /// Radiographs: DICOM, PNG, TIFF.
     Frames,
-    /// NIfTI: all voxels.
+    /// Volumes: all voxels.
     Volume,
-    /// NIfTI: what `info` says of it.
+    /// Volumes: what `info` says of them.
     VolumeFacts,
+    /// Headers of text (NRRD, MetaImage): where and how the voxels are stored.
+    VolumeHeader,
+    /// Headers of DICOM files: which slices they hold.
+    Slices,
     /// STL: all triangles.
     Mesh,
 }

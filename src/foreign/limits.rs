@@ -35,7 +35,7 @@ impl Limits {
                 file_pixels: 1 << 28,
                 images: 4096,
             },
-            Kind::Volume | Kind::VolumeFacts => Self {
+            Kind::Volume | Kind::VolumeFacts | Kind::VolumeHeader | Kind::Slices => Self {
                 file_bytes: 9 << 30,
                 memory_bytes: 3 << 30,
                 cpu_s: 180,

@@ -5,9 +5,11 @@
 //! parent: open (regular files only) ─ spawn ─ messages in, checked ─ wall clock, exit status
 //! child:  limits ─ decode standard input ─ messages out on standard output
 //! ```
-//! The open file is the child's standard input, so no path crosses over, and a file that is deleted meanwhile can still be read.
+//! The open file is the child's standard input, so no path crosses over, and a file that is deleted meanwhile can still be read. Where
+//! several files are one thing (the slices of a CT), their contents come one after the other on it.
 
 mod blank;
+mod feed;
 mod helper;
 mod kind;
 mod limits;
@@ -18,6 +20,7 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 pub use blank::Written;
+pub use feed::{Fed, Input};
 pub use helper::{ForeignFault, run};
 pub use kind::Kind;
 pub use limits::{Limits, impose};

@@ -8,6 +8,7 @@ use super::SceneError;
 use super::files::Files;
 use super::model::Scene;
 use super::physics::Material;
+use super::volumes::VolumeSource;
 use crate::geometry::Rigid;
 use crate::reporter::Reporter;
 
@@ -32,6 +33,11 @@ impl Builder<'_> {
     pub fn find(&mut self, key: &str, name: &str) -> Result<PathBuf, SceneError> {
         let key = format!("{}.{key}", self.key);
         self.files.find(&key, name)
+    }
+
+    pub fn find_volume(&mut self, key: &str, name: &str) -> Result<VolumeSource, SceneError> {
+        let key = format!("{}.{key}", self.key);
+        self.files.find_volume(&key, name)
     }
 
     pub fn material(&self, key: &str, name: &str) -> Result<Material, SceneError> {

@@ -6,13 +6,13 @@ use std::sync::{Arc, OnceLock};
 
 use super::SceneError;
 use super::builder::Builder;
-use super::foreign_files::{VolumeFile, read_volume};
 use super::inpaint::{Ball, inpaint_labels, inpaint_metal};
 use super::label_names::{LabelNames, preset_material};
 use super::matter::{self, Air, Class, Classes, Labelled};
 use super::model::{LabelledBody, Matter};
 use super::object_file::{AirFile, BODY, CtFile, DensityFile, ElseFile, LabelMaterialFile, LabelsFile, MapFile, MaterialsFile};
 use super::physics::Material;
+use super::volumes::VolumeFile;
 
 /// Beyond any metal: tantalum is 60 000 to 100 000 HU on an extended scale.
 const MOST_HU: f32 = 2e5;
@@ -20,11 +20,9 @@ const MOST_HU: f32 = 2e5;
 impl Builder<'_> {
     /// A CT without the metal of the beads that come after it, `balls`.
     pub fn ct(&mut self, file: &CtFile, balls: &[Ball]) -> Result<Matter, SceneError> {
-        let path = self.find("path", &file.path)?;
-        if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("dcm")) {
-            return Err(SceneError::Unavailable { place: format!("{}: a CT from DICOM slices", self.place("path")) });
-        }
-        let mut ct = read_volume(&path, self.reporter)?;
+        let source = self.find_volume("path", &file.path)?;
+        let path = source.path().to_owned();
+        let mut ct = source.read_voxels(self.reporter)?;
         let highest_hu = matter::check_hounsfield(&path, &ct, self.reporter);
         if !(highest_hu <= MOST_HU) {
             return Err(self.value(
@@ -102,8 +100,9 @@ impl Builder<'_> {
         ct: &VolumeFile,
         inpainted: &[usize],
     ) -> Result<Classes, SceneError> {
-        let labels_path = self.find("materials.labels", &file.labels)?;
-        let grid = read_volume(&labels_path, self.reporter)?;
+        let source = self.find_volume("materials.labels", &file.labels)?;
+        let labels_path = source.path().to_owned();
+        let grid = source.read_voxels(self.reporter)?;
         let names = self.names(file, &grid.label_names)?;
         let mut numbers = matter::labels_on_grid((path, ct), (&labels_path, grid))?;
         inpaint_labels(&ct.grid(), &mut numbers, inpainted);

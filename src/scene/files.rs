@@ -7,6 +7,7 @@ use serde::de::DeserializeOwned;
 
 use super::SceneError;
 use super::model::InputFile;
+use super::volumes::{VolumeContent, VolumeSource};
 use crate::foreign::{Kind, Limits};
 use crate::image::{ImageFileError, sha256_bytes, sha256_file};
 use crate::json::{self, JsonFault};
@@ -47,20 +48,7 @@ impl Files {
 
     /// The file `name`: where it is known to lie, absolute, or in the scene's folder, or (for `calibration/…`) in the current folder.
     pub(super) fn find(&mut self, key: &str, name: &str) -> Result<PathBuf, SceneError> {
-        let beside = self.folder.join(name);
-        let mut looked = vec![shown_folder(&self.folder)];
-        let found = if let Some(place) = self.places.get(name) {
-            Some(place.clone())
-        } else if beside.is_file() {
-            Some(beside)
-        } else if name.starts_with("calibration/") {
-            looked.push("the current folder".to_owned());
-            Some(PathBuf::from(name)).filter(|path| path.is_file())
-        } else {
-            None
-        };
-        let missing = || SceneError::Missing { place: self.place(key), path: name.to_owned(), looked: looked.join(" and ") };
-        let path = found.ok_or_else(missing)?;
+        let path = self.locate(key, name, &Path::is_file)?;
         // A file that is too large for anything a scene names is not read to its end for a hash.
         let (bytes, limit) = (path.metadata().map_or(0, |metadata| metadata.len()), Limits::of(Kind::Volume).file_bytes);
         if bytes > limit {
@@ -70,6 +58,32 @@ impl Files {
         let sha256 = sha256_file(&path).map_err(|error| io_error(&path, error))?;
         self.remember(name, sha256, Some(&path));
         Ok(path)
+    }
+
+    /// The volume `name`: a file as in [`Files::find`], or the folder of a DICOM series.
+    pub(super) fn find_volume(&mut self, key: &str, name: &str) -> Result<VolumeSource, SceneError> {
+        let path = self.locate(key, name, &|path| path.is_file() || path.is_dir())?;
+        let source = VolumeSource::open(&path)?;
+        let VolumeContent { sha256, parts } = source.content()?;
+        self.note(InputFile { path: name.to_owned(), sha256, place: Some(path), parts });
+        Ok(source)
+    }
+
+    fn locate(&self, key: &str, name: &str, is_there: &dyn Fn(&Path) -> bool) -> Result<PathBuf, SceneError> {
+        let beside = self.folder.join(name);
+        let mut looked = vec![shown_folder(&self.folder)];
+        let found = if let Some(place) = self.places.get(name) {
+            Some(place.clone())
+        } else if is_there(&beside) {
+            Some(beside)
+        } else if name.starts_with("calibration/") {
+            looked.push("the current folder".to_owned());
+            Some(PathBuf::from(name)).filter(|path| is_there(path))
+        } else {
+            None
+        };
+        let missing = || SceneError::Missing { place: self.place(key), path: name.to_owned(), looked: looked.join(" and ") };
+        found.ok_or_else(missing)
     }
 
     /// Reads one of our JSON files that the scene names; those that come with the program are found anywhere.
@@ -89,7 +103,10 @@ impl Files {
 
     /// Notes an input once.
     pub(super) fn remember(&mut self, name: &str, sha256: String, place: Option<&Path>) {
-        let input = InputFile { path: name.to_owned(), sha256, place: place.map(Path::to_owned) };
+        self.note(InputFile { path: name.to_owned(), sha256, place: place.map(Path::to_owned), parts: Vec::new() });
+    }
+
+    fn note(&mut self, input: InputFile) {
         if !self.inputs.contains(&input) {
             self.inputs.push(input);
         }

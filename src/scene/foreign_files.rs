@@ -1,100 +1,13 @@
-//! Volumes and surfaces are foreign files: a helper process decodes them, and what it hands over is checked here.
+//! Surfaces are foreign files: a helper process decodes them, and what it hands over is checked here. So are volumes ([`super::volumes`]).
 
 use std::io::{BufRead, Read, Seek, Write};
 use std::path::Path;
 
-use glam::DAffine3;
-
-use super::SceneError;
-use super::volume_file::{PlacedBy, VolumeHead, VoxelSummary, decode_volume};
-use super::voxel_grid::VoxelGrid;
+use super::{SceneError, volumes};
 use crate::foreign::{self, ForeignFault, Kind, Limits, Message, OpenFault, OpenFile, Receiver, Request, Sender, WireError};
-use crate::reporter::Reporter;
-
-/// A volume as its file has it, in `lps` and mm.
-#[derive(Clone, Debug)]
-pub struct VolumeFile {
-    /// Voxels along i, j, k.
-    pub size: [usize; 3],
-    /// Continuous voxel index to `lps`.
-    pub lps_from_voxel: DAffine3,
-    /// Scaled values, i fastest.
-    pub values: Vec<f32>,
-    /// Which form placed it.
-    pub placed_by: PlacedBy,
-    /// Distance of voxel centres along i, j, k.
-    pub spacing_mm: [f64; 3],
-    /// Numbers and names of labels, where the file has a table of them.
-    pub label_names: Vec<(u32, String)>,
-}
-
-impl VolumeFile {
-    /// Its size and place.
-    #[must_use]
-    pub fn grid(&self) -> VoxelGrid {
-        VoxelGrid { size: self.size, lps_from_voxel: self.lps_from_voxel }
-    }
-}
-
-/// What `info` says of a volume.
-#[derive(Clone, Debug)]
-pub struct VolumeFacts {
-    /// Voxels along i, j, k.
-    pub size: [usize; 3],
-    /// Continuous voxel index to `lps`.
-    pub lps_from_voxel: DAffine3,
-    /// Distance of voxel centres along i, j, k.
-    pub spacing_mm: [f64; 3],
-    /// Which form placed it.
-    pub placed_by: PlacedBy,
-    /// Type of the stored values.
-    pub data_type: String,
-    /// Unit of length in the header.
-    pub unit: String,
-    /// Smallest and largest finite value.
-    pub range: Option<[f32; 2]>,
-    /// Voxels that are NaN or infinite.
-    pub not_finite: u64,
-}
 
 /// A triangle: three corners of three coordinates, mm.
 pub type Triangle = [[f32; 3]; 3];
-
-/// Reads a NIfTI-1 volume (`.nii` or `.nii.gz`), see [`super::volume_file`], and reports what is odd about it.
-///
-/// # Errors
-/// When the file cannot be read, is damaged or cut short, is no single volume of numbers, holds NaN or infinity, or lies nowhere.
-pub fn read_volume(path: &Path, reporter: &Reporter) -> Result<VolumeFile, SceneError> {
-    let wrong = |detail: String| SceneError::Volume { path: path.to_owned(), detail };
-    let (head, values, summary) = volume(path, Kind::Volume)?;
-    for (kind, words) in &head.remarks {
-        match kind {
-            Some(kind) => reporter.warn(kind, format_args!("{}: {words}", path.display())),
-            None => reporter.note(format_args!("{}: {words}", path.display())),
-        }
-    }
-    if summary.not_finite > 0 {
-        return Err(wrong(format!(
-            "{} of {} voxels are NaN or infinite; replace them (air is -1000 HU) and try again",
-            summary.not_finite,
-            head.voxels()
-        )));
-    }
-    let spacing_mm = head.spacing_mm();
-    let VolumeHead { size, lps_from_voxel, placed_by, label_names, .. } = head;
-    Ok(VolumeFile { size, lps_from_voxel, values, placed_by, spacing_mm, label_names })
-}
-
-/// Header and range of a NIfTI-1 volume, whose voxels are decoded but not kept.
-///
-/// # Errors
-/// As [`read_volume`], but NaN and infinity are counted.
-pub fn read_volume_facts(path: &Path) -> Result<VolumeFacts, SceneError> {
-    let (head, _, VoxelSummary { range, not_finite }) = volume(path, Kind::VolumeFacts)?;
-    let spacing_mm = head.spacing_mm();
-    let VolumeHead { size, lps_from_voxel, placed_by, data_type, unit, .. } = head;
-    Ok(VolumeFacts { size, lps_from_voxel, spacing_mm, placed_by, data_type, unit, range, not_finite })
-}
 
 /// All triangles of an STL file (binary or ASCII), as they stand there.
 ///
@@ -130,42 +43,6 @@ fn open(path: &Path, limits: &Limits, wrong: &dyn Fn(String) -> SceneError) -> R
         OpenFault::Io(source) => SceneError::Io { path: path.to_owned(), source },
         other => wrong(other.to_string()),
     })
-}
-
-type Volume = (VolumeHead, Vec<f32>, VoxelSummary);
-
-fn volume(path: &Path, kind: Kind) -> Result<Volume, SceneError> {
-    let wrong = |detail: String| SceneError::Volume { path: path.to_owned(), detail };
-    let reader = foreign::installed();
-    let limits = reader.limits(kind);
-    let open = open(path, &limits, &wrong)?;
-    match reader.program() {
-        Some(program) => {
-            let request = Request { kind, limits: limits.clone(), detail: serde_json::Value::Null };
-            let most = limits.file_pixels;
-            foreign::run(program, &request, open.file, move |messages| receive_volume(messages, kind, most))
-                .map_err(|fault: ForeignFault| wrong(fault.to_string()))?
-        }
-        None => {
-            let (mut head, mut values) = (None, Vec::new());
-            let mut start = |found: &VolumeHead| {
-                head = Some(found.clone());
-                Ok(())
-            };
-            let mut take = |block: &[f32]| keep(kind, block, &mut values);
-            let summary = decode_volume(open.file, &limits, &mut start, &mut take);
-            summary.and_then(|summary| Ok((head.ok_or("no header")?, values, summary)))
-        }
-    }
-    .map_err(wrong)
-}
-
-fn keep(kind: Kind, block: &[f32], values: &mut Vec<f32>) -> Result<(), String> {
-    if kind == Kind::Volume {
-        values.try_reserve(block.len()).map_err(|_| "its voxels do not fit the memory".to_owned())?;
-        values.extend_from_slice(block);
-    }
-    Ok(())
 }
 
 fn decode_mesh(
@@ -233,71 +110,30 @@ impl<T: Read + Seek> ReadSeek for T {}
 /// # Errors
 /// When the parent has gone.
 pub fn serve(request: &Request, file: std::fs::File, out: impl Write) -> std::io::Result<()> {
-    let sender = std::cell::RefCell::new(Sender::new(out));
-    let gone = std::cell::RefCell::new(None);
-    let sent = |outcome: std::io::Result<()>| {
-        outcome.map_err(|error| {
-            *gone.borrow_mut() = Some(error);
+    if request.kind != Kind::Mesh {
+        return volumes::serve(request, file, out);
+    }
+    let (mut sender, mut gone) = (Sender::new(out), None);
+    let mut send = |block: &[f32]| {
+        sender.numbers(block).map_err(|error| {
+            gone = Some(error);
             String::new()
         })
     };
-    let end = if request.kind == Kind::Mesh {
-        let mut block: Vec<f32> = Vec::new();
-        let decoded = decode_mesh(file, &request.limits, &mut |triangle| {
-            block.extend_from_slice(triangle.as_flattened());
-            if block.len() < 1 << 16 {
-                return Ok(());
-            }
-            let outcome = sent(sender.borrow_mut().numbers(&block));
-            block.clear();
-            outcome
-        });
-        let outcome = decoded.and_then(|()| sent(sender.borrow_mut().numbers(&block)));
-        serde_json::to_value(outcome)?
-    } else {
-        let mut start = |head: &VolumeHead| sent(sender.borrow_mut().json(head));
-        let mut take = |block: &[f32]| {
-            if request.kind == Kind::Volume { sent(sender.borrow_mut().numbers(block)) } else { Ok(()) }
-        };
-        serde_json::to_value(decode_volume(file, &request.limits, &mut start, &mut take))?
-    };
-    match gone.take() {
-        Some(error) => Err(error),
-        None => sender.borrow_mut().end(&end),
-    }
-}
-
-fn receive_volume(messages: &mut Receiver<impl Read>, kind: Kind, most: u64) -> Result<Result<Volume, String>, WireError> {
-    let mut head: Option<VolumeHead> = None;
-    let mut values = Vec::new();
-    loop {
-        match messages.receive()? {
-            Message::Json(bytes) => {
-                let found: VolumeHead = serde_json::from_slice(bytes).map_err(|_| WireError::Garbled("not a volume"))?;
-                if head.is_some() || found.size.contains(&0) || found.voxels() > most || !found.lps_from_voxel.is_finite() {
-                    return Err(WireError::Garbled("not a volume within the limits"));
-                }
-                if kind == Kind::Volume && values.try_reserve_exact(found.voxels() as usize).is_err() {
-                    return Ok(Err("its voxels do not fit the memory".to_owned()));
-                }
-                head = Some(found);
-            }
-            Message::Numbers(bytes) => {
-                let head = head.as_ref().ok_or(WireError::Garbled("voxels without a header"))?;
-                Message::append(bytes, &mut values, head.voxels() as usize)?;
-            }
-            Message::End(bytes) => {
-                let end: Result<VoxelSummary, String> =
-                    serde_json::from_slice(bytes).map_err(|_| WireError::Garbled("not an outcome"))?;
-                return match (end, head) {
-                    (Err(detail), _) => Ok(Err(detail)),
-                    (Ok(summary), Some(head)) if kind != Kind::Volume || values.len() as u64 == head.voxels() => {
-                        Ok(Ok((head, values, summary)))
-                    }
-                    _ => Err(WireError::Garbled("fewer voxels than announced")),
-                };
-            }
+    let mut block: Vec<f32> = Vec::new();
+    let decoded = decode_mesh(file, &request.limits, &mut |triangle| {
+        block.extend_from_slice(triangle.as_flattened());
+        if block.len() < 1 << 16 {
+            return Ok(());
         }
+        let outcome = send(&block);
+        block.clear();
+        outcome
+    });
+    let end = decoded.and_then(|()| send(&block));
+    match gone {
+        Some(error) => Err(error),
+        None => sender.end(&end),
     }
 }
 

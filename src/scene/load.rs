@@ -56,7 +56,8 @@ pub fn load_text_with(
 pub fn input_files(path: &Path, scene: &Scene) -> Vec<PathBuf> {
     let folder = path.parent().map_or_else(PathBuf::new, Path::to_owned);
     let named = scene.inputs.iter().flat_map(|input| [folder.join(&input.path), PathBuf::from(&input.path)]);
-    std::iter::once(path.to_owned()).chain(named).collect()
+    let parts = scene.inputs.iter().flat_map(|input| input.parts.iter().map(|part| part.path.clone()));
+    std::iter::once(path.to_owned()).chain(named).chain(parts).collect()
 }
 
 fn load_bytes(

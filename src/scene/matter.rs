@@ -7,8 +7,8 @@ use rayon::prelude::*;
 use super::SceneError;
 use super::ambient::AmbientAir;
 use super::density::{DensityCurve, ThresholdClass};
-use super::foreign_files::VolumeFile;
 use super::model::Volume;
+use super::volumes::VolumeFile;
 use crate::reporter::Reporter;
 
 /// A class of voxels: what its voxels are made of, and where their density comes from.

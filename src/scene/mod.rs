@@ -15,7 +15,6 @@ mod fill;
 mod foreign_files;
 mod inpaint;
 mod label_names;
-mod label_table;
 mod load;
 mod matter;
 mod mesh;
@@ -23,7 +22,7 @@ pub mod object_file;
 mod objects;
 mod optics_file;
 mod view;
-mod volume_file;
+mod volumes;
 mod voxel_grid;
 
 pub mod model;
@@ -33,10 +32,12 @@ pub mod physics;
 pub use density::{DensityCurve, ThresholdClass};
 pub use error::SceneError;
 pub use fill::fill_harmonic;
-pub use foreign_files::{Triangle, VolumeFacts, VolumeFile, read_triangles, read_volume, read_volume_facts, serve};
+pub use foreign_files::{Triangle, read_triangles, serve};
 pub use inpaint::{Ball, Inpainted, inpaint_labels, inpaint_metal};
 pub use load::{input_files, load, load_text, load_text_with};
 pub use mesh::mesh_unit_doubt;
 pub use model::{InputFile, Scene};
-pub use volume_file::PlacedBy;
+pub use volumes::{
+    PlacedBy, VolumeContent, VolumeFacts, VolumeFile, VolumeFormat, VolumeSource, is_ct_slice, read_volume, read_volume_facts,
+};
 pub use voxel_grid::VoxelGrid;

@@ -130,6 +130,20 @@ pub struct InputFile {
     /// Where it lay when it was read; `None` for files that come with the program.
     #[serde(skip)]
     pub place: Option<PathBuf>,
+    /// The files that it consists of, where they are several (then `sha256` is that of their hashes) or DICOM.
+    #[serde(skip)]
+    pub parts: Vec<InputPart>,
+}
+
+/// A file of a volume that has several.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct InputPart {
+    /// Where it lay.
+    pub path: PathBuf,
+    /// Lower-case hexadecimal.
+    pub sha256: String,
+    /// Its size.
+    pub bytes: u64,
 }
 
 /// One object of the scene file; a robot is one object made of many solids.

@@ -36,7 +36,7 @@ pub enum ObjectFile {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CtFile {
-    /// NIfTI volume.
+    /// NIfTI, NRRD or MetaImage volume, or a DICOM series: its folder, or one of its slices.
     pub path: String,
     /// How voxels become materials, by threshold if absent.
     #[serde(default)]
@@ -178,7 +178,7 @@ pub struct MeshFile {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct VoxelsFile {
-    /// NIfTI volume of fractions 0–1.
+    /// Volume of fractions 0–1.
     pub path: String,
     /// What it is made of.
     pub material: String,

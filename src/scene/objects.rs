@@ -7,7 +7,6 @@ use glam::{DAffine3, DMat3, DQuat, DVec3};
 use super::SceneError;
 use super::builder::Builder;
 use super::files::Files;
-use super::foreign_files::read_volume;
 use super::inpaint::metal_balls;
 use super::matter;
 use super::mesh;
@@ -184,9 +183,9 @@ impl Builder<'_> {
 
     fn voxels(&mut self, file: &VoxelsFile) -> Result<Matter, SceneError> {
         let (material, density_g_per_cm3) = self.solid_material("material", &file.material, file.density_g_per_cm3)?;
-        let path = self.find("path", &file.path)?;
-        let volume = read_volume(&path, self.reporter)?;
-        let mut volume = matter::from_fractions(&path, volume, material, density_g_per_cm3)?;
+        let source = self.find_volume("path", &file.path)?;
+        let volume = source.read_voxels(self.reporter)?;
+        let mut volume = matter::from_fractions(source.path(), volume, material, density_g_per_cm3)?;
         let moved = self.pose("lps_from_voxels_frame", &file.lps_from_voxels_frame)?;
         let moved = DAffine3 { matrix3: DMat3::from_quat(moved.rotation), translation: moved.translation_mm };
         volume.lps_from_voxel = moved * volume.lps_from_voxel;

@@ -118,6 +118,18 @@ pub struct LoggedInput {
     pub label: String,
     /// Lower-case hexadecimal.
     pub sha256: String,
+    /// Its size, that of all its files together.
+    pub bytes: u64,
+    /// One of its files, where they are several or DICOM: by it they are found.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub part: Option<LoggedPart>,
+}
+
+/// A file of an input that has several.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LoggedPart {
+    /// Lower-case hexadecimal.
+    pub sha256: String,
     /// Its size.
     pub bytes: u64,
 }

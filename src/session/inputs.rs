@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 
 pub use super::file::LoggedInput;
-use super::file::Setup;
+use super::file::{LoggedPart, Setup};
 use crate::acquire::{hashed_input_label, input_label};
 use crate::scene::InputFile;
 
@@ -59,18 +59,28 @@ impl InputNames {
 
     fn logged(&self, input: &InputFile) -> LoggedInput {
         let Some(place) = &input.place else {
-            return LoggedInput { label: input.path.clone(), sha256: input.sha256.clone(), bytes: 0 };
+            return LoggedInput { label: input.path.clone(), sha256: input.sha256.clone(), bytes: 0, part: None };
         };
-        let label = input_label(place, &input.sha256);
+        // Slices and their folders are called after persons and numbers of examinations more often than not.
+        let is_header = place.extension().is_some_and(|ending| ending == "nhdr" || ending == "mhd");
+        let is_dicom = !input.parts.is_empty() && !is_header;
+        let label = if is_dicom { hashed_input_label("", &input.sha256) } else { input_label(place, &input.sha256) };
         let taken = self.inputs.iter().any(|(_, known)| known.label == label && known.sha256 != input.sha256);
         let label = if taken { hashed_input_label(&label, &input.sha256) } else { label };
-        LoggedInput { label, sha256: input.sha256.clone(), bytes: place.metadata().map_or(0, |metadata| metadata.len()) }
+        // A header leads to its voxels, not the other way round.
+        let part = input.parts.iter().find(|part| part.path == *place).or(input.parts.first());
+        let part = part.map(|part| LoggedPart { sha256: part.sha256.clone(), bytes: part.bytes });
+        let bytes = match &input.parts[..] {
+            [] => place.metadata().map_or(0, |metadata| metadata.len()),
+            parts => parts.iter().map(|part| part.bytes).sum(),
+        };
+        LoggedInput { label, sha256: input.sha256.clone(), bytes, part }
     }
 
     /// The scene's inputs under the names that may be shown.
     #[must_use]
     pub fn shown(&self) -> Vec<InputFile> {
-        let shown = |logged: LoggedInput| InputFile { path: logged.label, sha256: logged.sha256, place: None };
+        let shown = |logged: LoggedInput| InputFile { path: logged.label, sha256: logged.sha256, place: None, parts: Vec::new() };
         self.labelled().into_iter().map(shown).collect()
     }
 

@@ -10,6 +10,7 @@ use super::SessionError;
 use super::file::Setup;
 use super::inputs::{InputNames, LoggedInput};
 use crate::image::{cache_file, sha256_file, write_atomically};
+use crate::scene::VolumeSource;
 
 /// Files remembered: the latest.
 const MOST: usize = 500;
@@ -77,7 +78,11 @@ pub(super) fn find(setup: &mut Setup, log: &Path, data: Option<&Path>) -> Result
 }
 
 fn place_of(input: &LoggedInput, near: &[(PathBuf, usize)], known: &Known) -> Option<PathBuf> {
-    let below = |folder: &Path, depth: usize| same_size(folder, depth, input.bytes).into_iter().find(|path| is(path, input));
+    // Of what has several files, one that is found leads to the others: a header, or any slice of a series.
+    let bytes = input.part.as_ref().map_or(input.bytes, |part| part.bytes);
+    let has_part = |path: &Path| input.part.as_ref().is_none_or(|part| has(path, part.bytes, &part.sha256));
+    let below =
+        |folder: &Path, depth: usize| same_size(folder, depth, bytes).into_iter().find(|path| has_part(path) && is(path, input));
     let remembered = || {
         let same = known.files.iter().filter(|file| file.sha256 == input.sha256);
         same.map(|file| file.path.clone()).find(|path| is(path, input))
@@ -86,8 +91,16 @@ fn place_of(input: &LoggedInput, near: &[(PathBuf, usize)], known: &Known) -> Op
 }
 
 fn is(path: &Path, input: &LoggedInput) -> bool {
-    path.metadata().is_ok_and(|metadata| metadata.is_file() && metadata.len() == input.bytes)
-        && sha256_file(path).is_ok_and(|sha256| sha256 == input.sha256)
+    if input.part.is_none() {
+        return has(path, input.bytes, &input.sha256);
+    }
+    let content = VolumeSource::open(path).and_then(|source| source.content());
+    content.is_ok_and(|content| content.sha256 == input.sha256)
+}
+
+fn has(path: &Path, bytes: u64, sha256: &str) -> bool {
+    path.metadata().is_ok_and(|metadata| metadata.is_file() && metadata.len() == bytes)
+        && sha256_file(path).is_ok_and(|found| found == sha256)
 }
 
 /// Files of `bytes` bytes in `folder` and those below it.
@@ -114,6 +127,7 @@ fn same_size(folder: &Path, depth: usize, bytes: u64) -> Vec<PathBuf> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::file::LoggedPart;
     use super::*;
     use crate::image::sha256_bytes;
 
@@ -125,7 +139,7 @@ mod tests {
         let sha256 = sha256_bytes(content);
         let paths = [near.path().join("robot.json"), other.path().join("robot.json")];
         paths.iter().for_each(|path| std::fs::write(path, content).expect("written"));
-        let input = LoggedInput { label: "robot".to_owned(), sha256: sha256.clone(), bytes: content.len() as u64 };
+        let input = LoggedInput { label: "robot".to_owned(), sha256: sha256.clone(), bytes: content.len() as u64, part: None };
         let known = Known { files: vec![KnownFile { sha256, path: paths[1].clone() }] };
         let folders = [(near.path().to_owned(), 1)];
         assert_eq!(place_of(&input, &folders, &known).as_ref(), Some(&paths[0]));
@@ -133,5 +147,29 @@ mod tests {
         assert_eq!(place_of(&input, &folders, &known).as_ref(), Some(&paths[1]));
         std::fs::remove_file(&paths[1]).expect("removed");
         assert_eq!(place_of(&input, &folders, &known), None);
+    }
+
+    /// A header leads to its voxels, whatever the two are called by now and whichever of them has the smaller hash.
+    #[test]
+    fn a_volume_of_several_files_is_found_by_one_of_them_and_checked_whole() {
+        let (before, now) = (tempfile::tempdir().expect("a folder"), tempfile::tempdir().expect("a folder"));
+        let header = "NRRD0004\ntype: uchar\ndimension: 3\nspace: LPS\nsizes: 2 2 2\nspace directions: (1,0,0) (0,1,0) (0,0,1)\n\
+                      encoding: raw\nspace origin: (0,0,0)\ndata file: ct.raw\n";
+        std::fs::write(before.path().join("ct.nhdr"), header).expect("written");
+        std::fs::write(before.path().join("ct.raw"), [7; 8]).expect("written");
+        let place = before.path().join("ct.nhdr");
+        let content = VolumeSource::open(&place).and_then(|source| source.content()).expect("a volume");
+        let part = content.parts.iter().find(|part| part.path == place).expect("the header is a part");
+        let part = Some(LoggedPart { sha256: part.sha256.clone(), bytes: part.bytes });
+        let input = LoggedInput { label: "ct.nhdr".to_owned(), sha256: content.sha256, bytes: 0, part };
+        let (known, folders) = (Known::default(), [(now.path().to_owned(), 1)]);
+        assert_eq!(place_of(&input, &folders, &known), None, "not there yet");
+        std::fs::write(now.path().join("moved.nhdr"), header).expect("written");
+        std::fs::write(now.path().join("ct.raw"), [8; 8]).expect("written");
+        assert_eq!(place_of(&input, &folders, &known), None, "other voxels");
+        std::fs::write(now.path().join("ct.raw"), [7; 8]).expect("written");
+        assert_eq!(place_of(&input, &folders, &known), Some(now.path().join("moved.nhdr")));
+        let known = Known { files: vec![KnownFile { sha256: input.sha256.clone(), path: place.clone() }] };
+        assert_eq!(place_of(&input, &[], &known), Some(place), "where it was");
     }
 }

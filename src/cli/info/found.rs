@@ -45,10 +45,18 @@ pub enum InfoError {
         /// Where and what.
         detail: String,
     },
+    /// DICOM slices that make no volume.
+    #[error("{path}: no volume: {detail}", path = path.display())]
+    NoVolume {
+        /// The folder, or one of the slices.
+        path: PathBuf,
+        /// Why not, and what to do.
+        detail: String,
+    },
     /// A file of no kind that is known here.
     #[error(
-        "{path}: not a kind of file that is known here ({found}); expected DICOM, PNG, TIFF, MCAP, NIfTI, .mrk.json, .fcsv, STL or a \
-         JSON file of this program",
+        "{path}: not a kind of file that is known here ({found}); expected DICOM, PNG, TIFF, MCAP, NIfTI, NRRD, MetaImage, .mrk.json, \
+         .fcsv, STL, a JSON file of this program or the folder of a DICOM series",
         path = path.display()
     )]
     Unknown {

@@ -7,6 +7,7 @@ use glam::DVec3;
 use serde_json::json;
 
 use super::found::{Found, InfoError, object};
+use super::frames;
 use crate::scene::{SceneError, Triangle, mesh_unit_doubt, read_triangles, read_volume_facts};
 
 /// The scene's word on a file, as `info` says it.
@@ -19,8 +20,24 @@ fn damaged(path: &Path, kind: &'static str, error: SceneError) -> InfoError {
     }
 }
 
-pub(super) fn nifti(path: &Path) -> Result<Found, InfoError> {
-    let facts = read_volume_facts(path).map_err(|error| damaged(path, "NIfTI volume", error))?;
+/// A CT slice: the volume that it is a part of, else what it is by itself.
+pub(super) fn of_slice(path: &Path) -> Result<Found, InfoError> {
+    match examine(path) {
+        Err(InfoError::NoVolume { detail, .. }) => {
+            let (kind, facts, mut losses) = frames::examine(path)?;
+            losses.push(format!("no volume: {detail}"));
+            Ok((kind, facts, losses))
+        }
+        other => other,
+    }
+}
+
+/// A volume of any format: a file, or the folder of a series.
+pub(super) fn examine(path: &Path) -> Result<Found, InfoError> {
+    let facts = read_volume_facts(path).map_err(|error| match (error, kind_by_name(path)) {
+        (SceneError::Volume { detail, .. }, None) => InfoError::NoVolume { path: path.to_owned(), detail },
+        (error, kind) => damaged(path, kind.unwrap_or("volume"), error),
+    })?;
     let matrix = facts.lps_from_voxel;
     // NIfTI is RAS; `lps` negates x and y.
     let ras = |axis: DVec3| DVec3::new(-axis.x, -axis.y, axis.z);
@@ -28,8 +45,10 @@ pub(super) fn nifti(path: &Path) -> Result<Found, InfoError> {
     let handed = axes[0].cross(axes[1]).dot(axes[2]);
     let row = |index: usize| [axes[0], axes[1], axes[2], matrix.translation].map(|column| column[index] + 0.0);
     let [low, high] = facts.range.unwrap_or([f32::NAN, f32::NAN]);
+    let mut notes = notes(low, high, facts.not_finite, &facts.spacing_mm, &facts.unit);
+    notes.extend(facts.remarks);
     let found = json!({
-        "format": "NIfTI",
+        "format": facts.format.words(),
         "size": facts.size,
         "spacing_mm": facts.spacing_mm,
         "orientation": orientation(&axes.map(ras)),
@@ -40,9 +59,20 @@ pub(super) fn nifti(path: &Path) -> Result<Found, InfoError> {
         "not_finite": facts.not_finite,
         "transform_from": facts.placed_by.words(),
         "lps_from_voxel": [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]],
-        "notes": notes(low, high, facts.not_finite, &facts.spacing_mm, &facts.unit),
+        "notes": notes,
     });
     Ok(("volume", object(found), Vec::new()))
+}
+
+/// What a volume should be by the ending of its name; `None` for folders and slices.
+fn kind_by_name(path: &Path) -> Option<&'static str> {
+    let ending = path.extension().filter(|_| !path.is_dir())?.to_ascii_lowercase();
+    match ending.to_str()? {
+        "nii" | "gz" => Some("NIfTI volume"),
+        "nrrd" | "nhdr" => Some("NRRD volume"),
+        "mha" | "mhd" => Some("MetaImage volume"),
+        _ => None,
+    }
 }
 
 /// What looks odd for a CT.

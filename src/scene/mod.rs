@@ -37,6 +37,6 @@ pub use foreign_files::{Triangle, VolumeFacts, VolumeFile, read_triangles, read_
 pub use inpaint::{Ball, Inpainted, inpaint_labels, inpaint_metal};
 pub use load::{input_files, load, load_text, load_text_with};
 pub use mesh::mesh_unit_doubt;
-pub use model::{InputFile, Scene};
+pub use model::{InputFile, Robot, Scene};
 pub use volume_file::PlacedBy;
 pub use voxel_grid::VoxelGrid;

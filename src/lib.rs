@@ -28,6 +28,7 @@ pub mod compare;
 pub mod record;
 pub mod calibrate;
 pub mod report;
+pub mod igtl;
 pub mod session;
 #[cfg(feature = "viewer")]
 pub mod viewer;

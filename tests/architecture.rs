@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 /// The data-flow order, as `lib.rs` declares it. `report` stands before `session`, because a session draws each strip as it goes.
-const ORDER: [&str; 29] = [
+const ORDER: [&str; 30] = [
     "units",
     "time",
     "random",
@@ -30,6 +30,7 @@ const ORDER: [&str; 29] = [
     "record",
     "calibrate",
     "report",
+    "igtl",
     "session",
     "viewer",
     "cli",

@@ -131,6 +131,10 @@ mod session_demo;
 mod live_lab;
 mod session_faults;
 mod session_kill;
+mod igtl_client;
+mod igtl_server;
+#[cfg(unix)]
+mod igtl_session;
 mod session_late;
 mod session_optics;
 mod session_names;

@@ -12,7 +12,7 @@ use crate::render::Renderer;
 use crate::reporter::Reporter;
 use crate::scene::{self, Scene};
 use crate::session::crosscheck::{
-    ExposureFacts, Finding, Level, check_disk, check_exposure, check_listened, check_session, rehearse,
+    ExposureFacts, Finding, Level, check_disk, check_exposure, check_listened, check_ports, check_session, rehearse,
 };
 use crate::session::file::Setup;
 use crate::telemetry::{DeviceKind, PortConfig};
@@ -108,6 +108,7 @@ fn work(args: &CheckArgs, reporter: &Reporter, found: &Sender<Finding>) {
     };
     tell(Finding::pass("session file", args.session.display().to_string()));
     check_disk(&out_folder(args, &setup)).into_iter().for_each(tell);
+    check_ports(&setup).into_iter().for_each(tell);
     reporter.note("check: listening to the ports, reading files");
     let lines = check_lines(&check_list(&setup));
     lines.iter().map(of_line).for_each(tell);

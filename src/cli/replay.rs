@@ -6,6 +6,7 @@ use crate::reporter::Reporter;
 use crate::session::SessionError;
 use crate::session::board::Board;
 use crate::session::replay::{ReplayOptions, run as replay};
+use crate::session::servers::IgtlServer;
 
 /// Replay a log: the same poses byte for byte, the same images.
 #[derive(Clone, Debug, clap::Args)]
@@ -22,6 +23,9 @@ pub struct ReplayArgs {
     /// Folder for strips, DRRs, pairs and report; LOG.replay beside the log when absent.
     #[arg(long)]
     pub out: Option<PathBuf>,
+    /// Send what is replayed over OpenIGTLink as well, on this port of this machine; best with --rate 1.
+    #[arg(long, value_name = "PORT")]
+    pub igtl: Option<u16>,
     /// Print JSON.
     #[arg(long)]
     pub json: bool,
@@ -47,7 +51,7 @@ fn rate(text: &str) -> Result<Rate, String> {
 /// When the log or the scene's files cannot be read.
 pub fn run(args: &ReplayArgs, reporter: &Reporter) -> Result<u8, SessionError> {
     let out = args.out.clone().unwrap_or_else(|| args.log.with_extension("replay"));
-    let options = ReplayOptions { out, data: args.data.clone(), rate: args.rate.0 };
+    let options = ReplayOptions { out, data: args.data.clone(), rate: args.rate.0, igtl: args.igtl.map(IgtlServer::on_port) };
     let (folder, report) = replay(&args.log, &options, &Board::default(), reporter)?;
     if args.json {
         println!("{}", serde_json::to_string_pretty(&report).unwrap_or_default());

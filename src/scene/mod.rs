@@ -36,7 +36,7 @@ pub use foreign_files::{Triangle, read_triangles, serve};
 pub use inpaint::{Ball, Inpainted, inpaint_labels, inpaint_metal};
 pub use load::{input_files, load, load_text, load_text_with};
 pub use mesh::mesh_unit_doubt;
-pub use model::{InputFile, Scene};
+pub use model::{InputFile, Robot, Scene};
 pub use volumes::{
     PlacedBy, VolumeContent, VolumeFacts, VolumeFile, VolumeFormat, VolumeSource, is_ct_slice, read_volume, read_volume_facts,
 };

@@ -50,6 +50,12 @@ impl Developed {
         self
     }
 
+    /// Side of a pixel at the detector, if it is known.
+    pub(super) fn pitch_mm(&self) -> Option<f64> {
+        let of_scene = || self.drr.as_ref().map(|(_, scene)| scene.detector.pitch_mm);
+        self.posed.pose.pitch_mm.or_else(of_scene)
+    }
+
     /// What the window shows.
     #[must_use]
     pub fn picture(&self) -> PairView {

@@ -128,6 +128,12 @@ impl Engine {
         &self.timeline
     }
 
+    /// Where the specimen lies in the room, as far as it is known now.
+    #[must_use]
+    pub fn world_from_lps(&self) -> Option<Rigid> {
+        self.tie.world_from_lps()
+    }
+
     /// Frames that wait for telemetry.
     #[must_use]
     pub fn waiting(&self) -> usize {

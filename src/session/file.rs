@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::air_word::AirWord;
 pub use super::file_error::SessionFileError;
+use super::servers::IgtlServer;
 use crate::acquire::{DetectorCalibration, Domain, Frame};
 use crate::beads::tags::{TagLayout, parse_tags};
 use crate::beads::{Landmark, parse_landmarks};
@@ -109,6 +110,9 @@ pub struct SessionFile {
     /// AprilTags of the specimen, as `register --tags` reads them: they start the search for beads and are checked against it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tags: Option<PathBuf>,
+    /// OpenIGTLink, if others are to hear of poses and pictures.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub igtl: Option<IgtlServer>,
 }
 
 /// A file that went into a session's scene, as its log knows it.

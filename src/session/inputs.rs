@@ -115,6 +115,8 @@ impl InputNames {
         }
         session.frames.folder = told_folder(&session.frames.folder);
         session.out = None;
+        // Nothing that is computed depends on who listens.
+        session.igtl = None;
         session.beads = session.beads.as_deref().map(|path| told(path, "beads"));
         session.landmarks = session.landmarks.as_deref().map(|path| told(path, "landmarks"));
         session.detector = session.detector.as_deref().map(|path| told(path, "detector"));

@@ -14,6 +14,7 @@ use std::time::Duration;
 use super::SessionError;
 use super::background::loops_stand_back;
 use super::board::Board;
+use super::broadcast::Broadcast;
 use super::engine::Engine;
 use super::event::{Event, Source};
 use super::file::Setup;
@@ -21,7 +22,7 @@ use super::folder::{Collector, Folder, Times};
 use super::input::{Input, Output};
 use super::log::SessionLog;
 use super::places;
-use super::posing::{PoseJob, Posed};
+use super::posing::PoseJob;
 use super::registrar::start_registrar;
 use super::scribe::Scribe;
 use super::sources::{Frames, Lines};
@@ -74,10 +75,11 @@ pub fn run(setup: Setup, options: &LiveOptions, board: &Board, reporter: &Report
     let started_us = host_now_us();
     let (events, inbox) = channel();
     SessionLog::refuse_occupied(&options.out)?;
+    let broadcast = Arc::new(Broadcast::open(setup.session.igtl.as_ref(), &setup, workshop.robot(), reporter)?);
     let collector = Collector::create(&options.out, started_us, Times::Told, &workshop)?;
     let log = Arc::new(SessionLog::create(&options.out, &setup, &workshop, events, reporter)?);
     let engine = Engine::new(Arc::clone(&setup), workshop.layout().cloned(), reporter.clone());
-    let (scribe, pairs) = Scribe::start(collector, Arc::clone(&log), board.clone(), reporter)?;
+    let (scribe, pairs) = Scribe::start(collector, Arc::clone(&log), board.clone(), Arc::clone(&broadcast), reporter)?;
     workshop.start(true, move |developed| pairs.send(developed).is_ok())?;
     let jobs = start_registrar(Arc::clone(&log))?;
     let lines = Lines::open(&setup, &log, board, reporter)?;
@@ -87,6 +89,7 @@ pub fn run(setup: Setup, options: &LiveOptions, board: &Board, reporter: &Report
         log,
         jobs,
         workshop,
+        broadcast,
         scribe,
         tracks: Tracks::new(),
         board: board.clone(),
@@ -121,6 +124,7 @@ struct Session {
     log: Arc<SessionLog>,
     jobs: Sender<PoseJob>,
     workshop: Workshop,
+    broadcast: Arc<Broadcast>,
     scribe: Scribe,
     tracks: Tracks,
     board: Board,
@@ -192,6 +196,7 @@ impl Session {
         match output {
             Output::Sample { device, host_us, sample } => {
                 self.log.sample(device, host_us, &sample);
+                self.broadcast.sample(host_us, &sample, self.engine.world_from_lps());
                 if let Some(words) = self.tracks.sample(host_us, &sample) {
                     // One status must not hide another; what bits without a meaning say is counted together.
                     let kind = if words.contains("status bit") { "device status" } else { words.as_str() };
@@ -212,24 +217,15 @@ impl Session {
                 let _ = self.jobs.send(*job);
             }
             Output::Posed(posed) => {
-                self.announce(&posed);
+                let words = posed.announcement();
+                self.reporter.note(&words);
+                for caution in posed.pose.cautions.iter().filter(|_| posed.pose.is_accepted()) {
+                    self.reporter.warn("doubtful pose", format!("{}: {caution}", posed.label()));
+                }
                 self.log.pose(&posed);
+                self.broadcast.posed(&posed, &words);
                 self.workshop.submit(*posed, None);
             }
-        }
-    }
-
-    fn announce(&self, posed: &Posed) {
-        let outcome = match &posed.pose.reason {
-            Some(reason) => format!("refused, {reason}"),
-            None => {
-                let unseen = posed.pose.unseen.as_ref().map(|unseen| format!(", unseen beads {:.3} px", unseen.rms_px));
-                format!("accepted, rms {:.3} px{}", posed.pose.rms_px.unwrap_or(f64::NAN), unseen.unwrap_or_default())
-            }
-        };
-        self.reporter.note(format!("{}: {outcome}", posed.label()));
-        for caution in posed.pose.cautions.iter().filter(|_| posed.pose.is_accepted()) {
-            self.reporter.warn("doubtful pose", format!("{}: {caution}", posed.label()));
         }
     }
 

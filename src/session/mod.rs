@@ -3,6 +3,7 @@
 //! ```text
 //! ports, folder ─ live ─── log (first) ─ engine ─ workshop ─ folder: strips, DRRs, pairs, report
 //! log ────────── replay ──────────────── engine ─ workshop ─ folder
+//!                                       └─────────┴─ broadcast: OpenIGTLink
 //! ```
 //! The [`engine`] reads no clock and no device, so a replay computes what the session computed.
 
@@ -19,11 +20,13 @@ mod input;
 pub mod inputs;
 pub mod live;
 pub mod replay;
+pub mod servers;
 mod replay_report;
 
 mod against_log;
 mod air_word;
 mod background;
+mod broadcast;
 mod develop;
 mod event;
 mod file_error;
@@ -78,6 +81,9 @@ pub enum SessionError {
     /// The log.
     #[error(transparent)]
     Record(#[from] crate::record::RecordError),
+    /// OpenIGTLink.
+    #[error(transparent)]
+    Igtl(#[from] crate::igtl::IgtlError),
     /// Report, strips or DRRs.
     #[error(transparent)]
     Report(#[from] crate::report::ReportError),

@@ -70,6 +70,19 @@ impl Posed {
         format!("frame {} ({}){again}", self.number, self.frame.name)
     }
 
+    /// What became of its registration, in a line.
+    #[must_use]
+    pub fn announcement(&self) -> String {
+        let outcome = match &self.pose.reason {
+            Some(reason) => format!("refused, {reason}"),
+            None => {
+                let unseen = self.pose.unseen.as_ref().map(|unseen| format!(", unseen beads {:.3} px", unseen.rms_px));
+                format!("accepted, rms {:.3} px{}", self.pose.rms_px.unwrap_or(f64::NAN), unseen.unwrap_or_default())
+            }
+        };
+        format!("{}: {outcome}", self.label())
+    }
+
     pub(super) fn with_telemetry_disagreement(self, telemetry_disagreement: Option<Disagreement>) -> Self {
         Self { telemetry_disagreement, ..self }
     }

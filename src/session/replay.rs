@@ -9,6 +9,7 @@ use std::time::Duration;
 use super::SessionError;
 use super::against_log::Samples;
 use super::board::Board;
+use super::broadcast::Broadcast;
 use super::develop::Developed;
 use super::engine::Engine;
 use super::folder::{Collector, Folder, Times};
@@ -19,6 +20,7 @@ use super::places;
 use super::posing::Posed;
 use super::recorded::{Development, Recorded, drrs_of};
 pub use super::replay_report::ReplayReport;
+use super::servers::IgtlServer;
 use super::tracks::Tracks;
 use super::workshop::Workshop;
 use crate::acquire::Frame;
@@ -38,6 +40,8 @@ pub struct ReplayOptions {
     pub data: Option<PathBuf>,
     /// Speed against the recorded clock; `None` is as fast as possible.
     pub rate: Option<f64>,
+    /// Who else is to hear it.
+    pub igtl: Option<IgtlServer>,
 }
 
 /// Frames that wait for the workshop hold their pixels: more make the replay wait.
@@ -70,12 +74,14 @@ pub fn run(
     }
     let mut workshop = Workshop::open(&setup, DeviceChoice::Auto, reporter)?;
     let collector = Collector::create(&options.out, recorded.started_us, Times::Apart, &workshop)?;
+    let broadcast = Broadcast::open(options.igtl.as_ref(), &setup, workshop.robot(), reporter)?;
     let (pairs, developed) = sync_channel(MOST_OPEN);
     workshop.start(false, move |pair| pairs.send(pair).is_ok())?;
     let engine = Engine::new(Arc::clone(&setup), workshop.layout().cloned(), reporter.clone());
     let replay = Replay {
         engine,
         workshop,
+        broadcast,
         collector,
         developed,
         tracks: Tracks::new(),
@@ -104,6 +110,7 @@ fn refuse_own_folder(log: &Path, out: &Path) -> Result<(), SessionError> {
 struct Replay<'a> {
     engine: Engine,
     workshop: Workshop,
+    broadcast: Broadcast,
     collector: Collector,
     developed: Receiver<Developed>,
     tracks: Tracks,
@@ -210,6 +217,7 @@ impl Replay<'_> {
                 // What a device says of itself was said when it was recorded.
                 Output::Sample { device, host_us, sample } => {
                     self.samples.decoded(device, host_us, &sample);
+                    self.broadcast.sample(host_us, &sample, engine.world_from_lps());
                     drop(self.tracks.sample(host_us, &sample));
                 }
                 // A log that keeps no order registered each frame when it was bound.
@@ -237,6 +245,7 @@ impl Replay<'_> {
             }
             None => self.report.not_in_log.push(format!("pose of frame {number}")),
         }
+        self.broadcast.posed(&posed, &posed.announcement());
         let plan = self.recorded.plans.get(&development).cloned();
         self.workshop.submit(posed, plan);
     }
@@ -267,6 +276,7 @@ impl Replay<'_> {
             self.rendered.insert(number, against_log);
         }
         self.compare_scores(&developed);
+        self.broadcast.developed(&developed, !self.collector.knows(&developed));
         let picture = developed.picture();
         self.board.update(|state| state.show(picture));
         for failure in self.collector.take(developed) {

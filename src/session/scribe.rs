@@ -9,6 +9,7 @@ use std::time::Duration;
 use super::SessionError;
 use super::background::stand_back;
 use super::board::Board;
+use super::broadcast::Broadcast;
 use super::develop::Developed;
 use super::folder::Collector;
 use super::input::Input;
@@ -34,6 +35,7 @@ impl Scribe {
         collector: Collector,
         log: Arc<SessionLog>,
         board: Board,
+        broadcast: Arc<Broadcast>,
         reporter: &Reporter,
     ) -> Result<(Self, SyncSender<Developed>), SessionError> {
         let (sender, inbox) = sync_channel(QUEUE);
@@ -42,6 +44,7 @@ impl Scribe {
             collector,
             log,
             board,
+            broadcast,
             reporter: reporter.clone(),
             complete: Arc::clone(&complete),
             completed: BTreeSet::new(),
@@ -80,6 +83,7 @@ struct Work {
     collector: Collector,
     log: Arc<SessionLog>,
     board: Board,
+    broadcast: Arc<Broadcast>,
     reporter: Reporter,
     complete: Arc<AtomicUsize>,
     completed: BTreeSet<u32>,
@@ -104,7 +108,8 @@ impl Work {
         let (number, time_us, complete) = (developed.posed.number, developed.posed.time_us, developed.complete);
         let picture = developed.picture();
         self.board.update(|state| state.show(picture));
-        if let (Some((drr, _)), Some(sha256), false) = (&developed.drr, &developed.drr_sha256, self.collector.knows(&developed)) {
+        let is_new = !self.collector.knows(&developed);
+        if let (Some((drr, _)), Some(sha256), true) = (&developed.drr, &developed.drr_sha256, is_new) {
             self.log.drr(&developed.posed, drr, sha256);
         }
         if complete {
@@ -113,6 +118,8 @@ impl Work {
         if developed.pair.status == PairStatus::AcceptedImageDisagrees {
             self.log.input(Input::ImageDisagrees { number });
         }
+        // What is recorded comes first.
+        self.broadcast.developed(&developed, is_new);
         let failures = self.collector.take(developed);
         failures.into_iter().for_each(|failure| self.say(Some(failure)));
         if complete {

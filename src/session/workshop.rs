@@ -17,7 +17,7 @@ use crate::beads::{BeadLayout, parse_markups};
 use crate::gpu::DeviceChoice;
 use crate::render::{Plan, Renderer};
 use crate::reporter::Reporter;
-use crate::scene;
+use crate::scene::{self, Robot};
 
 /// A frame, and the plan to execute where a log has one.
 struct Job {
@@ -64,6 +64,7 @@ pub struct Workshop {
     shared: Arc<Shared>,
     thread: Option<std::thread::JoinHandle<()>>,
     layout: Option<Arc<BeadLayout>>,
+    robot: Option<Robot>,
     adapter: String,
     names: InputNames,
 }
@@ -93,9 +94,10 @@ impl Workshop {
         let renderer = Renderer::new(device, reporter)?;
         let adapter = renderer.adapter();
         let declared = Declared::of(setup);
+        let robot = scene.robot.clone();
         let bench = Bench { scene, setup: setup.clone(), declared, layout: layout.clone(), renderer, reporter: reporter.clone() };
         let layout = layout.map(Arc::new);
-        Ok(Self { bench: Some(bench), shared: Arc::default(), thread: None, layout, adapter, names })
+        Ok(Self { bench: Some(bench), shared: Arc::default(), thread: None, layout, robot, adapter, names })
     }
 
     /// Starts the thread, which first warms up where `warm` says so; `sink` gets each pair when it can be shown and once more with its null, and says whether it wants more.
@@ -123,6 +125,12 @@ impl Workshop {
     #[must_use]
     pub fn layout(&self) -> Option<&Arc<BeadLayout>> {
         self.layout.as_ref()
+    }
+
+    /// The robot as the scene has it.
+    #[must_use]
+    pub fn robot(&self) -> Option<&Robot> {
+        self.robot.as_ref()
     }
 
     /// What renders.

@@ -11,6 +11,7 @@ mod finding;
 mod line;
 mod listened;
 mod metal;
+mod ports;
 mod rehearsal;
 mod robot;
 mod robot_watch;
@@ -24,6 +25,7 @@ pub use exposure::{ExposureFacts, PoseDifference, beam_at, check_exposure, innov
 pub use finding::{Finding, Level, refusal, tell};
 pub use line::{LineWatch, check_line};
 pub use listened::{Listened, check_listened};
+pub use ports::check_ports;
 pub use rehearsal::{choose_view, rehearse};
 pub use robot::APART_DEG;
 

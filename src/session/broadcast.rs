@@ -1,0 +1,226 @@
+//! What a session says over OpenIGTLink.
+//!
+//! | device | type | says | when |
+//! |---|---|---|---|
+//! | `LpsToCamera` | TRANSFORM | `camera_from_lps`: patient (LPS, mm) to camera | each accepted frame |
+//! | `CameraToRas` | TRANSFORM | its inverse into RAS, the world of 3D Slicer: above `Acquired` and `Drr` it lays them on the detector | each accepted frame |
+//! | `CameraToWorld` | TRANSFORM | `world_from_camera`, nominal, of the panel's own axes | each C-arm sample |
+//! | `BaseToLps`, `TipToLps` | TRANSFORM | `lps_from_base`, `lps_from_tip` | each robot sample whose base is known |
+//! | `Tip` | POSITION | the drill's tip in LPS, mm, with its orientation | as `TipToLps` |
+//! | `TipCommandedToLps`, `TipCommanded` | | the same by angles that were commanded and not sensed | in place of those |
+//! | `Acquired`, `Drr` | IMAGE | the newest pair: the frame as it is registered, the DRR's line integral in nepers | each pair |
+//! | `Frame` | STRING | the terminal's line | each frame; again when its image or telemetry disagrees |
+//! | `Sidecarm` | STATUS | the same in a code: 1 accepted, 2 refused or doubted, 13 no frame yet, 19 leaving | each frame, once a second, when asked |
+//!
+//! `AToB` takes points from A to B. Stamps are those of the exposure (its middle), of telemetry those of its arrival. A frame without an
+//! accepted pose gives no transform, and its pictures lie nowhere: pixels 1 apart, the first at the origin. Those of an accepted one lie on
+//! the detector in the camera's frame. Of frames that are developed late, the newer one's transforms and pictures stand.
+
+use std::collections::BTreeSet;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use glam::DQuat;
+
+use super::SessionError;
+use super::develop::Developed;
+use super::file::Setup;
+use super::posing::Posed;
+use super::servers::IgtlServer;
+use crate::geometry::{CarmCalibration, Rigid};
+use crate::igtl::{Content, Message, Picture, Placement, Server, Status};
+use crate::image::Image;
+use crate::report::{PoseSource, Standing};
+use crate::reporter::Reporter;
+use crate::scene::Robot;
+use crate::telemetry::{AngleSource, CarmSample, RobotSample, Sample};
+
+/// The name under which the status is sent.
+const DEVICE: &str = "Sidecarm";
+/// [`crate::geometry::ras_from_lps`] as a motion: a half turn about z.
+const RAS_FROM_LPS: Rigid = Rigid::rotation(DQuat::from_xyzw(0.0, 0.0, 1.0, 0.0));
+
+/// Times of the newest exposure of which each was sent.
+struct Newest {
+    pose_us: i64,
+    pictures_us: i64,
+    status_us: i64,
+    /// Frames of which it was said that they are doubted.
+    doubted: BTreeSet<u32>,
+}
+
+/// See the module; without a server it says nothing.
+pub(super) struct Broadcast {
+    server: Option<Server>,
+    carm: Option<CarmCalibration>,
+    robot: Option<Robot>,
+    world_from_tracker: Option<Rigid>,
+    newest: Mutex<Newest>,
+}
+
+impl Broadcast {
+    /// Listens where `server` says, if anywhere; `robot` is the scene's.
+    pub(super) fn open(
+        server: Option<&IgtlServer>,
+        setup: &Setup,
+        robot: Option<&Robot>,
+        reporter: &Reporter,
+    ) -> Result<Self, SessionError> {
+        let words = "no frame has come yet".to_owned();
+        let waiting = Status { code: Status::NOT_READY, frame: 0, name: "no frame yet".to_owned(), words };
+        let open = |server: &IgtlServer| Server::open(server.bind, server.port, DEVICE, waiting, reporter);
+        let server = server.map(open).transpose()?;
+        if let Some(server) = &server {
+            let address = server.address();
+            let whom = if address.ip().is_loopback() { "" } else { "; whoever reaches this address sees poses and pictures" };
+            reporter.note(format!("OpenIGTLink listens on {address}{whom}"));
+        }
+        let newest = Newest { pose_us: i64::MIN, pictures_us: i64::MIN, status_us: i64::MIN, doubted: BTreeSet::new() };
+        let world_from_tracker = setup.session.world_from_tracker.and_then(|rows| Rigid::from_rows(&rows).ok());
+        Ok(Self { server, carm: setup.carm.clone(), robot: robot.cloned(), world_from_tracker, newest: Mutex::new(newest) })
+    }
+
+    /// Where somebody listens.
+    fn heard(&self) -> Option<&Server> {
+        self.server.as_ref().filter(|server| server.clients() > 0)
+    }
+
+    fn newest(&self) -> MutexGuard<'_, Newest> {
+        self.newest.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A sample of either device; `world_from_lps` is what is known of the specimen now.
+    pub(super) fn sample(&self, host_us: i64, sample: &Sample, world_from_lps: Option<Rigid>) {
+        let Some(server) = self.heard() else { return };
+        match sample {
+            Sample::Carm(sample) => self.carm_sample(server, host_us, sample),
+            Sample::Robot(sample) => self.robot_sample(server, host_us, sample, world_from_lps),
+            Sample::Metadata(_) => {}
+        }
+    }
+
+    fn carm_sample(&self, server: &Server, time_us: i64, sample: &CarmSample) {
+        // Joints without encoders have no pose; that is said with each frame.
+        let world_from_camera = self.carm.as_ref().and_then(|carm| carm.world_from_camera(&sample.joints).ok());
+        if let Some(world_from_camera) = world_from_camera {
+            server.send(transform("CameraToWorld", time_us, world_from_camera));
+        }
+    }
+
+    fn robot_sample(&self, server: &Server, time_us: i64, sample: &RobotSample, world_from_lps: Option<Rigid>) {
+        let Some(robot) = &self.robot else { return };
+        let Some(lps_from_base) = lps_from_base(robot, sample, self.world_from_tracker, world_from_lps) else { return };
+        server.send(transform("BaseToLps", time_us, lps_from_base));
+        let (angles_deg, source) = sample.control_angles_deg();
+        let angles_deg = std::array::from_fn(|point| angles_deg[point] + robot.control_angle_offsets_deg[point]);
+        let Ok(shape) = robot.model.shape(&angles_deg) else { return };
+        let lps_from_tip = lps_from_base * shape.base_from_tip;
+        let (name, place) = match source {
+            AngleSource::Sensed => ("TipToLps", "Tip"),
+            AngleSource::Commanded => ("TipCommandedToLps", "TipCommanded"),
+        };
+        server.send(transform(name, time_us, lps_from_tip));
+        server.send(Message { device: place.to_owned(), time_us, content: Content::Position(lps_from_tip) });
+    }
+
+    /// A frame that was registered, and what the terminal says of it.
+    pub(super) fn posed(&self, posed: &Posed, words: &str) {
+        let Some(server) = &self.server else { return };
+        let time_us = posed.time_us;
+        server.send(Message { device: "Frame".to_owned(), time_us, content: Content::Text(words.to_owned()) });
+        let mut newest = self.newest();
+        if time_us >= newest.status_us {
+            newest.status_us = time_us;
+            server.set_status(status_of(posed, words));
+        }
+        let accepted = posed.view.filter(|_| posed.pose.is_accepted() && posed.pose_source == PoseSource::Beads);
+        if let Some(view) = accepted.filter(|_| time_us >= newest.pose_us) {
+            newest.pose_us = time_us;
+            server.send(transform("LpsToCamera", time_us, view.camera_from_lps));
+            server.send(transform("CameraToRas", time_us, RAS_FROM_LPS * view.camera_from_lps.inverse()));
+        }
+    }
+
+    /// A pair; `is_new` when it can be shown for the first time.
+    pub(super) fn developed(&self, developed: &Developed, is_new: bool) {
+        let Some(server) = &self.server else { return };
+        let (posed, standing) = (&developed.posed, developed.pair.standing());
+        let mut newest = self.newest();
+        let is_doubted = matches!(standing, Standing::ImageDisagrees | Standing::TelemetryDisagrees);
+        if is_doubted && newest.doubted.insert(posed.number) {
+            let words = format!("{}: {}: {}", posed.label(), standing.word().to_lowercase(), developed.pair.status_line());
+            let content = Content::Text(words.clone());
+            server.send(Message { device: "Frame".to_owned(), time_us: posed.time_us, content });
+            if posed.time_us >= newest.status_us {
+                let name = standing.short().to_owned();
+                server.set_status(Status { code: Status::ERROR, frame: i64::from(posed.number), name, words });
+            }
+        }
+        if is_new && posed.time_us >= newest.pictures_us && server.clients() > 0 {
+            newest.pictures_us = posed.time_us;
+            drop(newest);
+            self.pictures(server, developed);
+        }
+    }
+
+    fn pictures(&self, server: &Server, developed: &Developed) {
+        let posed = &developed.posed;
+        let placed = match (posed.pose.camera(), developed.pitch_mm()) {
+            (Some((k, _)), Some(pitch_mm)) => Placement::on_detector(&k, pitch_mm),
+            _ => None,
+        };
+        let placement = placed.unwrap_or(Placement::PIXELS);
+        let send = |device: &str, image: &Image<f32>| {
+            if let Some(picture) = Picture::of(image, placement) {
+                server.send(Message { device: device.to_owned(), time_us: posed.time_us, content: Content::Image(picture) });
+            }
+        };
+        send("Acquired", &posed.frame.pixels);
+        if let Some((drr, _)) = &developed.drr {
+            send("Drr", &drr.pages[0]);
+        }
+    }
+}
+
+fn transform(device: &str, time_us: i64, transform: Rigid) -> Message {
+    Message { device: device.to_owned(), time_us, content: Content::Transform(transform) }
+}
+
+/// The base by this sample alone: tracked, or the scene's where nothing is tracked. A base that the tracker does not see now, or that is
+/// not tied to the specimen, is nowhere.
+fn lps_from_base(
+    robot: &Robot,
+    sample: &RobotSample,
+    world_from_tracker: Option<Rigid>,
+    world_from_lps: Option<Rigid>,
+) -> Option<Rigid> {
+    match (sample.tracker_from_base, world_from_tracker) {
+        (None, None) => Some(robot.lps_from_base),
+        (Some(tracker_from_marker), Some(world_from_tracker)) => {
+            Some(world_from_lps?.inverse() * world_from_tracker * tracker_from_marker * robot.marker_from_base)
+        }
+        _ => None,
+    }
+}
+
+fn status_of(posed: &Posed, words: &str) -> Status {
+    let (code, name) = match (posed.pose.is_accepted(), posed.telemetry_disagreement) {
+        (true, None) => (Status::OK, Standing::Accepted.short()),
+        (true, Some(_)) => (Status::ERROR, Standing::TelemetryDisagrees.short()),
+        (false, _) => (Status::ERROR, Standing::Refused.short()),
+    };
+    Status { code, frame: i64::from(posed.number), name: name.to_owned(), words: words.to_owned() }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::*;
+    use crate::geometry::ras_from_lps;
+
+    #[test]
+    fn the_half_turn_takes_lps_to_ras() {
+        let p_in_lps = DVec3::new(1.0, 2.0, 3.0);
+        assert_eq!(RAS_FROM_LPS.transform_point(p_in_lps), ras_from_lps(p_in_lps));
+    }
+}

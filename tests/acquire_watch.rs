@@ -66,6 +66,7 @@ impl Watched {
             },
             Sighting::Trouble(trouble) => self.troubles.push(trouble),
             Sighting::FolderLost { .. } => self.other.push("lost".into()),
+            Sighting::Said { words, .. } => self.other.push(words),
             Sighting::FolderBack => self.other.push("back".into()),
         }
     }

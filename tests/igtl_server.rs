@@ -1,5 +1,7 @@
 //! The OpenIGTLink server against clients that behave, stand still, or send what is no message.
 
+#![cfg(unix)]
+
 use std::net::{IpAddr, Ipv4Addr};
 
 use glam::{DQuat, DVec3};

@@ -131,6 +131,7 @@ mod session_demo;
 mod live_lab;
 mod session_faults;
 mod session_kill;
+mod dicom_received;
 mod igtl_client;
 mod igtl_server;
 #[cfg(unix)]

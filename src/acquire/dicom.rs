@@ -309,6 +309,11 @@ pub(super) fn stored_bytes(object: &DefaultDicomObject, layout: &Layout) -> Resu
     Ok(bytes)
 }
 
+/// Whether pixels of this transfer syntax are read.
+pub(super) fn is_readable(transfer_syntax: &str) -> bool {
+    dicom_transfer_syntax(transfer_syntax).is_some_and(|(_, is_decoded)| is_decoded)
+}
+
 /// Name of a transfer syntax, and whether its pixels can be decoded.
 fn dicom_transfer_syntax(uid: &str) -> Option<(&'static str, bool)> {
     let syntax = dicom_transfer_syntax_registry::TransferSyntaxRegistry.get(uid)?;

@@ -10,6 +10,9 @@ use crate::foreign::NotRegular;
 pub trait FrameSource: Send {
     /// What is new. Decodes nothing and waits for nothing; call it every 20 to 100 ms. `now_us` is the host clock.
     fn look(&mut self, now_us: i64) -> Vec<Sighting>;
+
+    /// Nothing new is let in from now on; what is there is still seen by a few looks.
+    fn close(&mut self) {}
 }
 
 /// What a look found.
@@ -26,6 +29,13 @@ pub enum Sighting {
     },
     /// The folder can be listed again; said once.
     FolderBack,
+    /// Something that a person should know, and that costs no frame.
+    Said {
+        /// The kind of warning that this is.
+        kind: &'static str,
+        /// In words.
+        words: String,
+    },
 }
 
 /// A file from which no frame came, or not every version of which became one.
@@ -67,6 +77,24 @@ pub enum Trouble {
         /// What is missing.
         fault: Fault,
     },
+    /// A sender went away in the middle of an object.
+    #[error(
+        "half a DICOM object: its sender went away after {bytes} bytes (association {association}); nothing of it is taken, send it again"
+    )]
+    HalfReceived {
+        /// The sender's connection, counted from 1.
+        association: u64,
+        /// What had come of it.
+        bytes: u64,
+    },
+    /// An object that came over DICOM was refused, and its sender was told so.
+    #[error("an object that came over DICOM is not taken: {detail} (association {association})")]
+    NotReceived {
+        /// The sender's connection, counted from 1.
+        association: u64,
+        /// Why.
+        detail: String,
+    },
 }
 
 impl Trouble {
@@ -79,6 +107,8 @@ impl Trouble {
             Self::NotAFile { .. } => "not a file",
             Self::SubFolder { .. } => "sub-folder not read",
             Self::Unfinished { .. } => "unfinished frame",
+            Self::HalfReceived { .. } => "half a DICOM object",
+            Self::NotReceived { .. } => "DICOM object not taken",
         }
     }
 }

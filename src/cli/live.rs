@@ -12,6 +12,7 @@ use crate::session::{SessionError, Stop};
 /// Ride along: telemetry and frames in, matched DRRs, log and report out. Ends with Ctrl-C.
 ///
 /// With "igtl": {"port": 18944} in the session file, 3D Slicer and others hear poses, pictures and lines over OpenIGTLink meanwhile.
+/// With "dicom": {"port": 11112} under "frames", consoles may send frames (C-STORE to SIDECARM); they are kept in the watched folder.
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Example:\n  sidecarm check session.json && sidecarm live session.json --out run-1")]
 pub struct LiveArgs {

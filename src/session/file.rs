@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::air_word::AirWord;
 pub use super::file_error::SessionFileError;
-use super::servers::IgtlServer;
+use super::servers::{DicomServer, IgtlServer};
 use crate::acquire::{DetectorCalibration, Domain, Frame};
 use crate::beads::tags::{TagLayout, parse_tags};
 use crate::beads::{Landmark, parse_landmarks};
@@ -54,6 +54,9 @@ pub struct FrameSource {
     /// As the session's `domain`, which is the better place.
     #[serde(default)]
     pub domain: Option<Domain>,
+    /// DICOM storage into that folder, if frames are also sent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub dicom: Option<DicomServer>,
 }
 
 /// A session file as typed.
@@ -271,6 +274,10 @@ impl Setup {
         let place =
             |place: &str, detail: String| SessionFileError::Json { path: path.to_owned(), place: place.to_owned(), detail };
         let session = &mut self.session;
+        if let Some(title) = session.frames.dicom.as_ref().and_then(DicomServer::wrong_title) {
+            let expected = "AE titles of 1 to 16 ASCII characters, no backslash, no space at either end";
+            return Err(wrong("frames.dicom", format!("{title:?}"), expected));
+        }
         if let (Some(of_session), Some(of_frames)) = (session.domain, session.frames.domain)
             && of_session != of_frames
         {

@@ -115,8 +115,9 @@ impl InputNames {
         }
         session.frames.folder = told_folder(&session.frames.folder);
         session.out = None;
-        // Nothing that is computed depends on who listens.
+        // Nothing that is computed depends on who listens, or on how frames came into the folder.
         session.igtl = None;
+        session.frames.dicom = None;
         session.beads = session.beads.as_deref().map(|path| told(path, "beads"));
         session.landmarks = session.landmarks.as_deref().map(|path| told(path, "landmarks"));
         session.detector = session.detector.as_deref().map(|path| told(path, "detector"));

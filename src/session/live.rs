@@ -25,12 +25,10 @@ use super::places;
 use super::posing::PoseJob;
 use super::registrar::start_registrar;
 use super::scribe::Scribe;
-use super::sources::{Frames, Lines};
+use super::sources::{Frames, Lines, frame_source};
 use super::stop::Stop;
 use super::tracks::Tracks;
 use super::workshop::Workshop;
-use crate::acquire::FolderSource;
-use crate::foreign;
 use crate::gpu::DeviceChoice;
 use crate::record::Level;
 use crate::reporter::{Progress, Reporter};
@@ -69,7 +67,7 @@ pub fn run(setup: Setup, options: &LiveOptions, board: &Board, reporter: &Report
     loops_stand_back();
     let setup = Arc::new(setup);
     // Before anything that takes time: a frame that arrives meanwhile is the session's.
-    let folder = FolderSource::new(&setup.session.frames.folder, setup.domain(), options.include_existing, foreign::installed());
+    let source = frame_source(&setup, options.include_existing, reporter)?;
     let mut workshop = Workshop::open(&setup, DeviceChoice::Auto, reporter)?;
     places::remember(workshop.names());
     let started_us = host_now_us();
@@ -83,7 +81,7 @@ pub fn run(setup: Setup, options: &LiveOptions, board: &Board, reporter: &Report
     workshop.start(true, move |developed| pairs.send(developed).is_ok())?;
     let jobs = start_registrar(Arc::clone(&log))?;
     let lines = Lines::open(&setup, &log, board, reporter)?;
-    let frames = Frames::watch(folder, &log, board, reporter)?;
+    let frames = Frames::watch(source, &log, board, reporter)?;
     let session = Session {
         engine,
         log,

@@ -1,7 +1,7 @@
 //! The live pipeline and its replay.
 //!
 //! ```text
-//! ports, folder ─ live ─── log (first) ─ engine ─ workshop ─ folder: strips, DRRs, pairs, report
+//! ports, folder, DICOM ─ live ─── log (first) ─ engine ─ workshop ─ folder: strips, DRRs, pairs, report
 //! log ────────── replay ──────────────── engine ─ workshop ─ folder
 //!                                       └─────────┴─ broadcast: OpenIGTLink
 //! ```
@@ -84,6 +84,9 @@ pub enum SessionError {
     /// OpenIGTLink.
     #[error(transparent)]
     Igtl(#[from] crate::igtl::IgtlError),
+    /// Frames over DICOM.
+    #[error(transparent)]
+    Receiver(#[from] crate::acquire::ReceiverError),
     /// Report, strips or DRRs.
     #[error(transparent)]
     Report(#[from] crate::report::ReportError),

@@ -11,7 +11,8 @@ use super::event::{Event, Source};
 use super::file::Setup;
 use super::input::Input;
 use super::log::SessionLog;
-use crate::acquire::{Arrival, FolderSource, Frame, FrameSource, Reading, Sighting};
+use crate::acquire::{Arrival, FolderSource, Frame, FrameSource, Reading, ReceivedSource, Sighting};
+use crate::foreign;
 use crate::record::Level;
 use crate::reporter::Reporter;
 use crate::telemetry::{DeviceKind, PortConfig, PortEvent, PortTask, spawn_port};
@@ -135,22 +136,37 @@ impl LineIntake {
     }
 }
 
+/// Where a session's frames come from, from now on: its folder, and what is sent into that over DICOM.
+pub(super) fn frame_source(
+    setup: &Setup,
+    include_existing: bool,
+    reporter: &Reporter,
+) -> Result<Box<dyn FrameSource>, SessionError> {
+    let path = &setup.session.frames.folder;
+    let folder = FolderSource::new(path, setup.domain(), include_existing, foreign::installed());
+    let Some(dicom) = &setup.session.frames.dicom else { return Ok(Box::new(folder)) };
+    let received = ReceivedSource::open(folder, path, dicom.options())?;
+    let whom = if dicom.bind.is_loopback() { "" } else { "; whoever reaches this address may send" };
+    reporter.note(format!("DICOM storage {:?} listens on {}{whom}", dicom.ae_title, received.address()));
+    Ok(Box::new(received))
+}
+
 /// The frames.
 pub(super) struct Frames {
     closing: Arc<AtomicBool>,
 }
 
 impl Frames {
-    /// Watches the folder of a session; frames are numbered, recorded and go to the engine.
+    /// Watches a source of frames; they are numbered, recorded and go to the engine.
     pub(super) fn watch(
-        folder: FolderSource,
+        source: Box<dyn FrameSource>,
         log: &Arc<SessionLog>,
         board: &Board,
         reporter: &Reporter,
     ) -> Result<Self, SessionError> {
         let closing = Arc::new(AtomicBool::new(false));
         let mut intake = FrameIntake {
-            source: Box::new(folder),
+            source,
             log: Arc::clone(log),
             board: board.clone(),
             reporter: reporter.clone(),
@@ -170,7 +186,7 @@ impl Frames {
         Ok(Self { closing })
     }
 
-    /// Reads what is in the folder, then ends.
+    /// Reads what is there, then ends.
     pub(super) fn close(&self) {
         self.closing.store(true, Ordering::Relaxed);
     }
@@ -202,6 +218,9 @@ impl FrameIntake {
         let mut last_looks = LAST_LOOKS;
         loop {
             let is_closing = closing.load(Ordering::Relaxed);
+            if is_closing {
+                self.source.close();
+            }
             self.look();
             let has_room = is_closing || self.held_bytes() <= MOST_PIXEL_BYTES;
             if has_room && let Some(seen) = self.next() {
@@ -232,6 +251,7 @@ impl FrameIntake {
                     let words = format!("the frame folder cannot be listed ({detail}); check that it is there and mounted");
                     self.say("frame folder", &words);
                 }
+                Sighting::Said { kind, words } => self.say(kind, &words),
                 Sighting::FolderBack => self.say("frame folder", "the frame folder is back"),
             }
         }

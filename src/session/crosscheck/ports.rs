@@ -9,7 +9,8 @@ use super::finding::Finding;
 #[must_use]
 pub fn check_ports(setup: &Setup) -> Vec<Finding> {
     let igtl = setup.session.igtl.as_ref().map(|server| listening("OpenIGTLink", server.bind, server.port));
-    igtl.into_iter().collect()
+    let dicom = setup.session.frames.dicom.as_ref().map(|server| listening("DICOM", server.bind, server.port));
+    igtl.into_iter().chain(dicom).collect()
 }
 
 fn listening(check: &str, bind: IpAddr, port: u16) -> Finding {

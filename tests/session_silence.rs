@@ -58,11 +58,11 @@ fn a_device_that_cannot_be_heard_is_said_at_once_and_costs_what_it_costs() {
 /// Two of four frames were never exported, and the report said that nothing was lost.
 #[test]
 fn exposures_without_a_frame_are_said() {
-    let Some(lab) = Lab::start(&["--duration-s", "8", "--faults", "none", "--exposures", "2", "--linger-s", "5"]) else { return };
+    let Some(lab) = Lab::start(&["--duration-s", "8", "--faults", "none", "--exposures", "2", "--linger-s", "12"]) else { return };
     std::fs::create_dir(lab.kit.join("elsewhere")).expect("made");
     let session = lab.session("elsewhere.json", |session| session["frames"]["folder"] = "elsewhere".into());
     let folder = tempfile::tempdir().expect("temporary folder");
-    let mut live = Live::launch(&session, &folder.path().join("out"), &["--seconds", "10"]);
+    let mut live = Live::launch(&session, &folder.path().join("out"), &["--seconds", "16"]);
     let code = live.program.end(HANG_S).expect("it ends").code();
     let words = live.stderr();
     assert!(words.contains("2 of 2 exposures have no frame (exposure 1, exposure 2)"), "{code:?} {words}");

@@ -58,7 +58,9 @@ fn a_device_that_cannot_be_heard_is_said_at_once_and_costs_what_it_costs() {
 /// Two of four frames were never exported, and the report said that nothing was lost.
 #[test]
 fn exposures_without_a_frame_are_said() {
-    let Some(lab) = Lab::start(&["--duration-s", "8", "--faults", "none", "--exposures", "2", "--linger-s", "12"]) else { return };
+    let Some(lab) = Lab::start(&["--duration-s", "8", "--faults", "none", "--exposures", "2", "--linger-s", "12"]) else {
+        return;
+    };
     std::fs::create_dir(lab.kit.join("elsewhere")).expect("made");
     let session = lab.session("elsewhere.json", |session| session["frames"]["folder"] = "elsewhere".into());
     let folder = tempfile::tempdir().expect("temporary folder");

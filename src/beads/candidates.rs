@@ -32,8 +32,8 @@ const TILE: usize = 32;
 const STRONG: f64 = 10.0;
 const MOST_BESIDES: usize = 480;
 
-/// Bright blobs of `image` whose radius may lie in `radius_px`, the `most` strongest and other strong ones, strongest first. Pixels that are not `usable` yield
-/// none.
+/// Bright blobs of `image` whose radius may lie in `radius_px`, the `most` strongest and other strong ones, strongest first. Pixels that are
+/// not `usable` yield none.
 pub fn find(image: &Image<f32>, usable: &Image<bool>, radius_px: (f64, f64), most: usize) -> Vec<Candidate> {
     let mut found = Vec::new();
     let mut level = blur(image, (1.0f64 - 0.25).sqrt());

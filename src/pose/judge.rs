@@ -84,7 +84,7 @@ impl Case<'_> {
                 settled.chi2_per_dof.sqrt()
             ));
         }
-        if matched == fewest_that_check(self.request.intrinsics.is_some()) - 1 {
+        if matched == self.request.fewest() {
             cautions.push(format!(
                 "no more than {matched} beads carry the pose: if one of them has moved, nothing here can tell; bring more into view"
             ));
@@ -217,11 +217,6 @@ impl Case<'_> {
         }
         Ok(())
     }
-}
-
-/// How many beads it takes for one that has moved to contradict the others.
-fn fewest_that_check(intrinsics_known: bool) -> usize {
-    if intrinsics_known { 5 } else { 7 }
 }
 
 /// A match that nothing speaks against.

@@ -231,11 +231,13 @@ impl Engine {
     pub fn registered(&mut self, registered: Registered, sink: &mut dyn FnMut(Output)) {
         let number = registered.number();
         let (mut posed, world_from_lps) = registered.into_posed(self.world_from_tracker);
-        if let Some(words) = self.standstill.observe(&posed, world_from_lps).filter(|_| !self.replaced.contains(&number)) {
+        // A picture that was torn says nothing of where the specimen lies.
+        let world_from_lps = world_from_lps.filter(|_| !self.replaced.contains(&number));
+        if let Some(words) = self.standstill.observe(&posed, world_from_lps) {
             self.reporter.warn("specimen moved", format!("{}: {words}", posed.label()));
             posed.warnings.push(words);
         }
-        let posed = match world_from_lps.filter(|_| !self.replaced.contains(&number)) {
+        let posed = match world_from_lps {
             Some(world_from_lps) => {
                 let verdict = self.tie.observe(number, world_from_lps);
                 if let Some(words) = &verdict.words {

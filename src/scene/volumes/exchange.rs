@@ -6,7 +6,7 @@ use std::io::{Read, Write};
 
 use super::ct_slice::{FileHead, file_head};
 use super::head::{VolumeHead, VoxelSummary};
-use super::header_file::{HeaderPlan, decode_planned};
+use super::header_file::{HeaderPlan, decode_planned, plan_of_file};
 use super::metaimage::plan_metaimage;
 use super::nifti::decode_nifti;
 use super::nrrd::plan_nrrd;
@@ -159,8 +159,8 @@ fn decode_many(
 
 fn plan(format: HeaderFormat, file: File, limits: &Limits) -> Result<HeaderPlan, String> {
     match format {
-        HeaderFormat::Nrrd => plan_nrrd(file, limits),
-        HeaderFormat::MetaImage => plan_metaimage(file, limits),
+        HeaderFormat::Nrrd => plan_of_file(file, limits, plan_nrrd),
+        HeaderFormat::MetaImage => plan_of_file(file, limits, plan_metaimage),
     }
 }
 

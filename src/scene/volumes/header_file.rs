@@ -6,6 +6,7 @@ use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
 
 use super::head::{VolumeHead, VoxelSummary};
 use super::voxels::{Encoding, VoxelLayout, cut_short, read_voxels};
+use crate::foreign::Limits;
 
 /// What a header says: enough to read the voxels.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -37,16 +38,24 @@ const MOST_SHOWN: usize = 24;
 /// Bytes after the voxels that nothing is said about: padding to a block.
 const PADDING_BYTES: u64 = 4096;
 
-/// The start of `file`, where its header is, and the file's size.
+/// What the header of `file` says, as `plan_of` reads it.
 ///
 /// # Errors
-/// When it cannot be read.
-pub(super) fn header_bytes(file: &mut File) -> Result<(Vec<u8>, u64), String> {
+/// One sentence, when it cannot be read, the header is none, or the file is too short for what it promises.
+pub(super) fn plan_of_file(
+    mut file: File,
+    limits: &Limits,
+    plan_of: fn(&[u8], &Limits) -> Result<HeaderPlan, String>,
+) -> Result<HeaderPlan, String> {
     let unreadable = |error: std::io::Error| format!("cannot be read ({error})");
-    let bytes = file.metadata().map_err(unreadable)?.len();
-    let mut head = Vec::new();
-    file.take(MOST_HEADER_BYTES).read_to_end(&mut head).map_err(unreadable)?;
-    Ok((head, bytes))
+    let file_bytes = file.metadata().map_err(unreadable)?.len();
+    let mut bytes = Vec::new();
+    (&mut file).take(MOST_HEADER_BYTES).read_to_end(&mut bytes).map_err(unreadable)?;
+    let mut plan = plan_of(&bytes, limits)?;
+    if plan.data.file.is_none() {
+        check_fits(&mut plan, file_bytes)?;
+    }
+    Ok(plan)
 }
 
 /// A line of a header at `at`, without its end; `at` moves past it. `None` at the end of what was read. The last line of a file needs no end.
@@ -81,7 +90,7 @@ pub(super) fn numbers<T: std::str::FromStr>(key: &str, text: &str, count: usize)
 ///
 /// # Errors
 /// One sentence.
-pub(super) fn check_fits(plan: &mut HeaderPlan, file_bytes: u64) -> Result<(), String> {
+fn check_fits(plan: &mut HeaderPlan, file_bytes: u64) -> Result<(), String> {
     if plan.layout.encoding != Encoding::Raw {
         return Ok(());
     }

@@ -1,30 +1,23 @@
 //! MetaImage (`.mha`, or `.mhd` beside its voxels): the header, read as ITK reads it.
 
 use std::collections::BTreeMap;
-use std::fs::File;
 
 use glam::{DAffine3, DMat3, DVec3};
 
 use super::head::{PlacedBy, Remark, VolumeFormat, VolumeHead, check_place, check_size};
-use super::header_file::{DataPlace, HeaderPlan, check_fits, header_bytes, next_line, numbers, shown};
+use super::header_file::{DataPlace, HeaderPlan, next_line, numbers, shown};
 use super::voxels::{ByteOrder, Encoding, NumberType, VoxelLayout};
 use crate::foreign::Limits;
 
 /// Keys that a header may begin with.
 pub(super) const FIRST_KEYS: [&[u8]; 3] = [b"ObjectType", b"NDims", b"Comment"];
 
-/// Reads the header of `file`.
+/// What the header at the start of `bytes` says.
 ///
 /// # Errors
 /// One sentence, when it is damaged, no single volume of numbers, or too large.
-pub(super) fn plan_metaimage(mut file: File, limits: &Limits) -> Result<HeaderPlan, String> {
-    let (bytes, file_bytes) = header_bytes(&mut file)?;
-    let header = Header::of(&bytes)?;
-    let mut plan = plan_of(&header, limits)?;
-    if plan.data.file.is_none() {
-        check_fits(&mut plan, file_bytes)?;
-    }
-    Ok(plan)
+pub(super) fn plan_metaimage(bytes: &[u8], limits: &Limits) -> Result<HeaderPlan, String> {
+    plan_of(&Header::of(bytes)?, limits)
 }
 
 struct Header {

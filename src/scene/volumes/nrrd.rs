@@ -1,12 +1,11 @@
 //! NRRD (`.nrrd`, or `.nhdr` beside its voxels): the header, by the definition of the format at teem.sourceforge.net/nrrd/format.html.
 
 use std::collections::BTreeMap;
-use std::fs::File;
 
 use glam::{DAffine3, DMat3, DVec3};
 
 use super::head::{PlacedBy, VolumeFormat, VolumeHead, check_place, check_size};
-use super::header_file::{DataPlace, HeaderPlan, check_fits, header_bytes, next_line, numbers, shown};
+use super::header_file::{DataPlace, HeaderPlan, next_line, numbers, shown};
 use super::voxels::{ByteOrder, Encoding, NumberType, VoxelLayout};
 use crate::foreign::Limits;
 
@@ -16,18 +15,12 @@ pub(super) const MAGIC: &[u8] = b"NRRD000";
 /// Axes that a file may have; those beyond three must have one sample.
 const MOST_AXES: usize = 16;
 
-/// Reads the header of `file`.
+/// What the header at the start of `bytes` says.
 ///
 /// # Errors
 /// One sentence, when it is damaged, no single volume of numbers, too large, or does not say where its voxels lie.
-pub(super) fn plan_nrrd(mut file: File, limits: &Limits) -> Result<HeaderPlan, String> {
-    let (bytes, file_bytes) = header_bytes(&mut file)?;
-    let header = Header::of(&bytes)?;
-    let mut plan = plan_of(&header, limits)?;
-    if plan.data.file.is_none() {
-        check_fits(&mut plan, file_bytes)?;
-    }
-    Ok(plan)
+pub(super) fn plan_nrrd(bytes: &[u8], limits: &Limits) -> Result<HeaderPlan, String> {
+    plan_of(&Header::of(bytes)?, limits)
 }
 
 /// Fields by their name in lower case without blanks: some are written both ways.

@@ -119,6 +119,29 @@ fn a_regular_rhythm_leaves_the_clock_unknown_and_nothing_is_guessed() {
     assert_eq!((tied, &json["console"]), (0, &Value::Null), "{json:#}");
 }
 
+/// Where the console keeps the time, six exposures in an even rhythm and their six frames leave one reading; a frame less, and there are two.
+#[test]
+fn a_console_that_keeps_the_time_is_believed_where_first_and_last_exposure_have_their_frames() {
+    let folder = tempfile::tempdir().expect("folder");
+    let starts_s: Vec<f64> = (0..6).map(|i| 10.0 + 2.2 * f64::from(i)).collect();
+    let log = log(folder.path(), &starts_s);
+    let exported = folder.path().join("export");
+    std::fs::create_dir(&exported).expect("folder");
+    for (index, start_s) in starts_s.iter().enumerate() {
+        export(&exported, &format!("img{:03}.dcm", 9 - index), *start_s, 0.0, index as u16);
+    }
+    let indices = |json: &Value| -> Vec<Option<u64>> {
+        let frames = json["frames"].as_array().expect("frames").iter();
+        frames.map(|frame| frame["binding"]["exposure"]["index"].as_u64()).collect()
+    };
+    let (code, json, words) = attach(&log, &exported, &[]);
+    let tied: Vec<Option<u64>> = (0..6).rev().map(Some).collect();
+    assert!(code == Some(0) && indices(&json) == tied, "{words} {json:#}");
+    std::fs::remove_file(exported.join("img004.dcm")).expect("removed");
+    let (code, json, words) = attach(&log, &exported, &[]);
+    assert!(code == Some(3) && indices(&json) == [None; 5], "{words} {json:#}");
+}
+
 #[test]
 fn what_is_no_log_and_what_would_overwrite_an_input_is_refused() {
     let folder = tempfile::tempdir().expect("folder");

@@ -13,7 +13,7 @@ fn us(seconds: f64) -> i64 {
     T0_US + (seconds * 1e6).round() as i64
 }
 
-/// A frame: what it is, arrival (s), the console's counter; its stamp in whole seconds follows from its exposure, a stray has none.
+/// A frame: what it is, arrival (s; infinite: exported afterwards), the console's counter; its stamp in whole seconds follows from its exposure, a stray has none.
 type Came = (Truth, f64, Option<u32>);
 
 /// A session by hand; the C-arm counts from 1 if `counted`, frames have stamps if `stamped`.
@@ -64,7 +64,8 @@ fn played_at(
                 Truth::Copy | Truth::Foreign => foreign,
             },
             console_resolution_us: resolution_us,
-            arrival_us: Some(us(*arrival_s)),
+            // What never came was exported afterwards.
+            arrival_us: arrival_s.is_finite().then(|| us(*arrival_s)),
             frame_time_us: None,
             completes: None,
         },
@@ -352,6 +353,50 @@ fn an_even_rhythm_does_not_keep_a_console_that_agrees_with_the_carm_from_being_b
     let came: Vec<Came> = (1..6).map(|i| (Truth::Of(i), exposures[i].1 + 0.3, Some(i as u32))).collect();
     let score = played_with(&exposures, &[], true, &came, 1000, &|at_s| Some(us(at_s - 2.0)));
     assert!(score.wrong.is_empty(), "{:#?}", score.wrong);
+}
+
+#[test]
+fn a_few_late_frames_of_a_console_that_keeps_the_time_find_their_exposures() {
+    // Six exposures in an even rhythm, every frame after the next two or three; the last one shows that the console is not behind.
+    let exposures: Vec<(f64, f64)> = (0..6).map(|i| 8.0 + 2.2 * f64::from(i)).map(|at| (at, at + 0.3)).collect();
+    let mut left = [0; 2];
+    for late_s in [5.7, 6.5, 30.0, f64::INFINITY] {
+        let came = |counted: bool| -> Vec<Came> {
+            (0..6).map(|i| (Truth::Of(i), exposures[i].1 + late_s, counted.then_some(i as u32 + 1))).collect()
+        };
+        for (counted, zone_s, resolution_us) in
+            [(true, 0.0, 1000), (true, 7200.0, 1_000_000), (false, 0.0, 1000), (false, -18000.0, 1_000_000)]
+        {
+            let stamp =
+                |at_s: f64| Some(us(((at_s + zone_s) * 1e6 / resolution_us as f64).floor() * resolution_us as f64 * 1e-6));
+            let score = played_with(&exposures, &[], true, &came(counted), resolution_us, &stamp);
+            let all = score.wrong.is_empty() && score.bound == 6;
+            assert!(all, "{late_s} s, {counted}, {zone_s}: {} bound, {:#?} {:#?}", score.bound, score.wrong, score.told);
+            // The same pictures if the clock is an exposure ahead or behind and the first or the last exposure has none.
+            for (behind, missing) in [(1, 0), (-1, 5)] {
+                let came: Vec<Came> = (0..6usize)
+                    .filter(|i| *i != missing)
+                    .map(|i| (Truth::Of(i), exposures[i].1 + late_s, counted.then_some((i as i32 + 1 - behind) as u32)))
+                    .collect();
+                let off = |at_s: f64| stamp(at_s - 2.2 * f64::from(behind));
+                let score = played_with(&exposures, &[], true, &came, resolution_us, &off);
+                left[usize::from(behind < 0)] += score.bound;
+                let ahead = behind < 0 && counted && late_s.is_finite();
+                assert!(ahead || score.wrong.is_empty(), "{late_s} s, {counted}, {behind}: {:#?}", score.wrong);
+            }
+        }
+    }
+}
+
+#[test]
+fn pictures_of_another_day_do_not_keep_a_console_from_being_believed() {
+    // Two of yesterday's among the late ones, with the same counts.
+    let exposures: Vec<(f64, f64)> = (0..8).map(|i| 8.0 + 2.2 * f64::from(i)).map(|at| (at, at + 0.3)).collect();
+    let mut came: Vec<Came> = (0..8).map(|i| (Truth::Of(i), exposures[i].1 + 6.5, Some(i as u32 + 1))).collect();
+    came.extend([(Truth::Foreign, 20.0, Some(1)), (Truth::Foreign, 21.5, Some(2))]);
+    let yesterday = Some(us(-86_400.0 + 11.0));
+    let score = played_at(&exposures, &[], true, &came, (1000, yesterday, 25.0), &|at_s| Some(us(at_s)));
+    assert!(score.wrong.is_empty() && score.bound == 8, "{} bound, {:#?} {:#?}", score.bound, score.wrong, score.told);
 }
 
 #[test]

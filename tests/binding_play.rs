@@ -66,6 +66,8 @@ pub fn play(session: &Session) -> Score {
     let mut binder = Binder::default();
     let mut score = Score::default();
     let mut samples = session.samples.iter().peekable();
+    // What was exported afterwards comes when telemetry is over.
+    let end_us = session.samples.last().map_or(T0_US, |(host_us, _)| *host_us) + 1;
     let mut given: Vec<Option<u64>> = vec![None; session.frames.len()];
     let (mut in_time, mut soon) = (vec![None; session.frames.len()], vec![false; session.frames.len()]);
     let mut waiting: BTreeSet<u32> = BTreeSet::new();
@@ -78,13 +80,13 @@ pub fn play(session: &Session) -> Score {
                 score.taken_back += 1;
             }
             *slot = index;
-            let arrival_us = session.frames[frame as usize].evidence.arrival_us.expect("drawn frames arrive");
+            let arrival_us = session.frames[frame as usize].evidence.arrival_us.unwrap_or(end_us);
             soon[frame as usize] |= index.is_some() && now_us - arrival_us <= 1_500_000;
         }
         // The engine develops a frame once its binding is settled, or after a second as it stands.
         waiting.extend(new);
         waiting.retain(|frame| {
-            let arrival_us = session.frames[*frame as usize].evidence.arrival_us.expect("drawn frames arrive");
+            let arrival_us = session.frames[*frame as usize].evidence.arrival_us.unwrap_or(end_us);
             let binding = binder.binding(*frame).expect("a waiting frame is known");
             let developed = binding.settled || now_us - arrival_us >= 1_000_000;
             if developed {
@@ -95,7 +97,7 @@ pub fn play(session: &Session) -> Score {
     };
     let mut clock_us = T0_US;
     for sent in &session.frames {
-        let arrival_us = sent.evidence.arrival_us.expect("drawn frames arrive");
+        let arrival_us = sent.evidence.arrival_us.unwrap_or(end_us);
         // Ticks of 100 ms while telemetry flows, sparser ones when hours pass.
         while clock_us < arrival_us {
             let step_us = if samples.peek().is_some() { 100_000 } else { 1_000_000 };

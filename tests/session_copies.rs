@@ -29,10 +29,11 @@ fn whole_frames(lab: &Lab) -> Vec<PathBuf> {
     files
 }
 
-/// The frame at `from` under other identifiers and without what `removed` names.
+/// The frame at `from` under other identifiers, of another study, and without what `removed` names.
 fn export(from: &Path, to: &Path, uid: &str, removed: &[Tag]) {
     let mut object = dicom_object::open_file(from).expect("a frame");
     object.put(DataElement::new(tags::SOP_INSTANCE_UID, VR::UI, PrimitiveValue::from(uid)));
+    object.put(DataElement::new(tags::STUDY_INSTANCE_UID, VR::UI, PrimitiveValue::from(uid)));
     for tag in removed {
         object.remove_element(*tag);
     }
@@ -73,6 +74,8 @@ fn the_same_picture_exported_again_is_said_to_be_a_copy() {
         pairs.iter().filter(|pair| pair["flags"].to_string().contains("the same picture as frame")).collect();
     assert!(copies.len() == 1 && copies[0]["binding"] == "none", "{copies:#?}");
     assert!(live.stderr().contains("the same picture as frame"), "{}", live.stderr());
+    let others: Vec<&Value> = pairs.iter().filter(|pair| pair["warnings"].to_string().contains("of another study")).collect();
+    assert!(others.len() == 1 && live.stderr().contains("is of another study than frame 1"), "{others:#?} {}", live.stderr());
 }
 
 /// Nothing tied a frame to its exposure, every robot was drawn as in the scene file, and the session ended with "nothing was lost".

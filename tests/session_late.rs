@@ -3,7 +3,7 @@
 
 use std::path::Path;
 use std::process::Command;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
@@ -61,4 +61,39 @@ fn frames_bound_at_the_end_get_the_telemetry_of_their_exposure() {
     assert_eq!((&found["poses_identical"], &found["images_identical"]), (&16.into(), &8.into()), "{found}");
     let bindings = |folder: &Path| pairs(folder).iter().map(|pair| pair["binding"].clone()).collect::<Vec<_>>();
     assert_eq!(bindings(&again), bindings(&out));
+}
+
+/// A console that exports every picture seven seconds after its exposure, when two or three others have been taken: counts and stamps were right
+/// and nothing was bound, live and afterwards by `attach`.
+#[test]
+fn frames_that_come_after_the_next_exposures_are_bound_by_count_and_stamp() {
+    let Some(lab) = Lab::start(&["--duration-s", "14", "--faults", "none"]) else { return };
+    let folder = lab.kit.join("exported");
+    std::fs::create_dir_all(&folder).expect("a folder");
+    let session = lab.session("slow.json", |session| session["frames"]["folder"] = folder.to_str().expect("UTF-8").into());
+    let out = lab.kit.with_file_name("session");
+    let mut live = Live::start(&session, &out, &[]);
+    let mut waiting: Vec<(std::path::PathBuf, Instant)> = Vec::new();
+    let mut copied = 0;
+    let all = eventually(HANG_S, || {
+        let files = std::fs::read_dir(lab.frames()).expect("frames").flatten().map(|entry| entry.path());
+        for file in files.filter(|file| file.extension().is_some_and(|extension| extension == "dcm")) {
+            if waiting.iter().all(|(known, _)| *known != file) {
+                waiting.push((file, Instant::now()));
+            }
+        }
+        for (file, _) in waiting.iter().skip(copied).filter(|(_, seen)| seen.elapsed() > Duration::from_secs_f64(6.5)) {
+            let name = file.file_name().expect("a name");
+            std::fs::copy(file, folder.join(name).with_extension("part")).expect("copied");
+            std::fs::rename(folder.join(name).with_extension("part"), folder.join(name)).expect("renamed");
+            copied += 1;
+        }
+        (lab.delivered().len() == 8 && copied == 8).then_some(())
+    });
+    assert!(all.is_some(), "{copied} of {} frames", lab.delivered().len());
+    assert!(eventually(HANG_S, || (live.pairs() == 8).then_some(())).is_some(), "{} pairs", live.pairs());
+    live.signalled(Signal::INT);
+    assert!(live.program.end(HANG_S).is_some_and(|status| status.success()), "{}", live.stderr());
+    let bound: Vec<Value> = pairs(&out).iter().map(|pair| pair["binding"].clone()).collect();
+    assert!(bound.iter().filter(|binding| **binding == "counter").count() >= 7, "{bound:?} {}", live.stderr());
 }

@@ -6,6 +6,7 @@ use dicom_object::InMemDicomObject;
 
 use super::tags::FrameTags;
 use super::terms::is_term;
+use crate::image::sha256_bytes;
 
 /// Reads attributes one by one and refuses what does not look as the standard says; a refused value is noted without being repeated.
 pub(super) struct TagReader<'a> {
@@ -167,6 +168,7 @@ impl<'a> TagReader<'a> {
             exposure_uas: self.positive(tags::EXPOSURE_INU_AS).or(exposure_mas.map(|mas| mas * 1000.0)),
             exposure_counter: self.counter(tags::ACQUISITION_NUMBER),
             instance_number: self.counter(tags::INSTANCE_NUMBER),
+            study: self.texts(tags::STUDY_INSTANCE_UID).first().map(|uid| study_hash(uid)),
             acquired_date: date,
             acquired_time: time,
             timezone_offset_min: zone.as_deref().and_then(minutes_from_zone),
@@ -184,6 +186,10 @@ impl<'a> TagReader<'a> {
             window: centre.zip(width).filter(|(_, width)| *width > 0.0).map(|(centre, width)| [centre, width]),
         }
     }
+}
+
+fn study_hash(uid: &str) -> String {
+    sha256_bytes(format!("sidecarm study {uid}").as_bytes()).chars().take(12).collect()
 }
 
 /// Whether `text` is `YYYYMMDD` in the time of digital radiography.

@@ -20,7 +20,7 @@ const fn kept(tag: Tag, field: &'static str, reason: &'static str) -> KeptTag {
 
 /// The whitelist. Whatever is not here never leaves the import: names, identifiers, institutions, comments, private groups. Dates and
 /// times of the acquisition itself are kept, because they bind a frame to telemetry; birth, study and series dates are not.
-pub const KEPT_TAGS: [KeptTag; 31] = [
+pub const KEPT_TAGS: [KeptTag; 32] = [
     kept(tags::MODALITY, "modality", "decides how a console presents the image"),
     kept(tags::IMAGE_TYPE, "image_type", "ORIGINAL or DERIVED: evidence of processing"),
     kept(tags::ACQUISITION_DATE, "acquired_date", "binds the frame to telemetry"),
@@ -46,6 +46,7 @@ pub const KEPT_TAGS: [KeptTag; 31] = [
     kept(tags::PRESENTATION_INTENT_TYPE, "presentation_intent", "FOR PROCESSING or FOR PRESENTATION"),
     kept(tags::ACQUISITION_NUMBER, "exposure_counter", "binds the frame to an exposure"),
     kept(tags::INSTANCE_NUMBER, "instance_number", "order of export"),
+    kept(tags::STUDY_INSTANCE_UID, "study", "tells the session's pictures from others in its folder; hashed"),
     kept(tags::PHOTOMETRIC_INTERPRETATION, "photometric", "direction of the values"),
     kept(tags::BITS_STORED, "bits_stored", "ends of the scale"),
     kept(tags::BURNED_IN_ANNOTATION, "burned_in_annotation", "text in the pixels must be masked"),
@@ -94,6 +95,9 @@ pub struct FrameTags {
     /// Instance number (0020,0013).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub instance_number: Option<u32>,
+    /// Hash of the study's identifier, from which it cannot be read: 12 hexadecimal digits.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub study: Option<String>,
     /// `YYYYMMDD` by the console's clock.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub acquired_date: Option<String>,

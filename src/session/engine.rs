@@ -17,6 +17,7 @@ use super::losses::{line_losses, without_frame};
 use super::pictures::Pictures;
 use super::posing::{Bound, Known, PoseJob, Registered};
 use super::standstill::Standstill;
+use super::studies::Studies;
 use super::tie::SpecimenTie;
 use crate::acquire::Frame;
 use crate::beads::tags::TagLayout;
@@ -73,6 +74,7 @@ pub struct Engine {
     /// Frames of unfinished files, whose whole pictures came later.
     replaced: BTreeSet<u32>,
     pictures: Pictures,
+    studies: Studies,
     reporter: Reporter,
 }
 
@@ -112,6 +114,7 @@ impl Engine {
             bound: BTreeMap::new(),
             replaced: BTreeSet::new(),
             pictures: Pictures::default(),
+            studies: Studies::default(),
             reporter,
         }
     }
@@ -197,6 +200,9 @@ impl Engine {
                 let content = self.pictures.first_of(&frame);
                 let evidence = FrameEvidence::of(frame.number, &frame.tags, &content, image, Some(host_us));
                 self.binder.push(FrameEvidence { completes: frame.completes, ..evidence });
+                if let Some(words) = self.studies.meet(frame.number, frame.tags.study.as_deref()) {
+                    self.reporter.warn("another study", words);
+                }
                 if let Some(before) = frame.completes {
                     self.replaced.insert(before);
                     self.retract(before, "this frame, on which the tie rested, was not finished");
@@ -233,6 +239,7 @@ impl Engine {
         let (mut posed, world_from_lps) = registered.into_posed(self.world_from_tracker);
         // A picture that was torn says nothing of where the specimen lies.
         let world_from_lps = world_from_lps.filter(|_| !self.replaced.contains(&number));
+        posed.warnings.extend(self.studies.of(number));
         if let Some(words) = self.standstill.observe(&posed, world_from_lps) {
             self.reporter.warn("specimen moved", format!("{}: {words}", posed.label()));
             posed.warnings.push(words);

@@ -45,6 +45,7 @@ mod scribe;
 mod sources;
 mod standstill;
 mod stop;
+mod studies;
 mod tie;
 mod told_field;
 mod tracks;

@@ -231,7 +231,7 @@ impl Binder {
             self.align_at = self.known.open.len() + ALIGN_STEP;
         }
         loop {
-            self.known.agree_on_offset();
+            self.known.agree_on_offset(timeline);
             for (frame, binding) in self.known.agree_on_shift(timeline) {
                 self.tell(frame, binding);
             }

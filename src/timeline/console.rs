@@ -48,7 +48,7 @@ impl Bounds {
     }
 
     /// What both allow, at this one's time; empty (low above high) where they contradict.
-    fn and(&self, other: &Self) -> Self {
+    pub(super) fn and(&self, other: &Self) -> Self {
         let other = other.at(self.at_us);
         Self { at_us: self.at_us, low_us: self.low_us.max(other.low_us), high_us: self.high_us.min(other.high_us) }
     }
@@ -189,9 +189,9 @@ impl ConsoleOffset {
         true
     }
 
-    /// First and last time it was confirmed.
+    /// Middles of the first and the last exposure that confirm it.
     pub(super) fn span_us(&self) -> Option<(i64, i64)> {
-        Some((self.any.buckets.first()?.at_us, self.any.buckets.last()?.at_us))
+        Some((*self.exposures.first()?, *self.exposures.last()?))
     }
 
     pub(super) fn summary(&self) -> Option<ConsoleClock> {

@@ -6,9 +6,8 @@ use super::Timeline;
 use super::agreement::{Suggestion, Topic, agreement};
 use super::alignment::{Stamped, align};
 use super::arrival::usual_us_of;
-use super::console::{Bounds, ConsoleOffset, Pair};
+use super::console::{ConsoleOffset, Pair};
 use super::evidence::{Binding, BindingHow, seconds};
-use super::judgement::off_zone_us;
 use super::known::{KNOWN_FRAMES, Known, Pending};
 
 /// Exposures farther apart than this have no common offset.
@@ -17,14 +16,6 @@ const APART_US: i64 = 4_000_000;
 const LATER_US: i64 = 2_000_000;
 /// Frames from whose agreement it is known how soon frames come.
 const TIMED: usize = 8;
-/// A console that keeps the host's time is not farther off than this.
-const KEPT_US: i64 = 500_000;
-/// An offset known no better than this, either way, says nothing.
-const WIDE_US: i64 = 1_500_000;
-/// The latest frames are asked whether it does.
-const KEPT_LOOKED_AT: usize = 24;
-/// Exposures whose frames must show that it does.
-const KEPT_SHOTS: usize = 3;
 /// Frames with two readings that show which of them is the more even.
 const COMMON: usize = 4;
 
@@ -43,7 +34,7 @@ impl Known {
     }
 
     /// What these frames suggest.
-    fn suggested_by<'a>(&self, frames: impl Iterator<Item = &'a Pending>) -> Vec<Suggestion> {
+    pub(super) fn suggested_by<'a>(&self, frames: impl Iterator<Item = &'a Pending>) -> Vec<Suggestion> {
         let mut found = Vec::new();
         for pending in frames {
             let said = &pending.evidence;
@@ -83,9 +74,9 @@ impl Known {
             let (console_us, resolution_us) = (said.console_us?, self.resolution_us(said));
             Some(Stamped { console_us, resolution_us, arrival_us: said.arrival_us })
         };
-        let mut stamps: Vec<Stamped> = self.open.iter().filter_map(stamped).collect();
+        let stamps: Vec<Stamped> = self.open.iter().filter_map(stamped).collect();
         let blind = |from_us: i64, to_us: i64| timeline.exposure_tracker().blind_spot(from_us, to_us).is_some();
-        let pairs = align(&mut stamps, &self.shots, &blind, self.finished);
+        let pairs = align(stamps, &self.shots, &blind, self.finished);
         // A frame that came after the next exposure as well may be of that one, if the clock was set: it teaches only where there is no
         // other.
         let alone = |(stamped, at): &(Stamped, usize)| {
@@ -102,38 +93,17 @@ impl Known {
         }
     }
 
-    pub(super) fn agree_on_offset(&mut self) {
+    pub(super) fn agree_on_offset(&mut self, timeline: &Timeline) {
         let known = self.known_offsets().next().is_some();
         let suggestions = self.suggestions(Topic::Offset);
         let learnt = agreement(Topic::Offset, &suggestions).is_some_and(|members| self.learn_offset(&members, known, false));
         if learnt || known {
             return;
         }
-        let members = agreement(Topic::Both, &suggestions).or_else(|| self.kept_by_both());
+        let members = agreement(Topic::Both, &suggestions).or_else(|| self.kept(timeline));
         if let Some(members) = members {
             self.learn_offset(&members, known, true);
         }
-    }
-
-    /// Where exposures follow each other evenly, stamps and counts agree with the exposure before as well. Then only a console that keeps the
-    /// host's time, but for the zone, and counts as the C-arm does is believed: all frames that came carry number and time of the exposure
-    /// that ended last before them. A console that has neither would have to be off by one exposure in both. What telemetry did not see
-    /// does not matter here, so that the first frames of a session speak as well.
-    fn kept_by_both(&self) -> Option<Vec<Suggestion>> {
-        let suggestions = self.suggested_by(self.frames.values().rev().take(KEPT_LOOKED_AT));
-        let voters: BTreeSet<u32> =
-            suggestions.iter().filter(|s| s.offset.is_some() && s.shift.is_some()).map(|s| s.frame).collect();
-        let kept = |s: &&Suggestion| {
-            let zoned = |bounds: Bounds| {
-                let half_us = bounds.high_us.saturating_sub(bounds.low_us) / 2;
-                half_us <= WIDE_US && off_zone_us(bounds.low_us.saturating_add(half_us)).abs() <= half_us + KEPT_US
-            };
-            self.shots.counted && s.shift == Some(0) && s.latest == Some(s.shot) && s.offset.is_some_and(zoned)
-        };
-        let members: Vec<Suggestion> = suggestions.iter().filter(kept).copied().collect();
-        let frames: BTreeSet<u32> = members.iter().map(|member| member.frame).collect();
-        let shots: BTreeSet<usize> = members.iter().map(|member| member.shot).collect();
-        (frames == voters && shots.len() >= KEPT_SHOTS).then_some(members)
     }
 
     /// Takes the offset that `members` agree on, unless they are too few; `counted`: their counters agree as well.

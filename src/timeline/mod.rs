@@ -13,6 +13,7 @@ mod counting;
 mod evidence;
 mod exposure;
 mod judgement;
+mod kept;
 mod known;
 mod learning;
 mod orderly;

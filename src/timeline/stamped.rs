@@ -69,7 +69,7 @@ impl Weighed<'_> {
         let pair = self.known.pair(&self.pending.evidence, at)?;
         let spans: Vec<(i64, i64)> =
             self.known.known_offsets().filter(|offset| offset.allows(&pair)).filter_map(|offset| offset.span_us()).collect();
-        let confirmed = spans.iter().any(|(first_us, last_us)| (*first_us..=*last_us).contains(&at_us));
+        let confirmed = spans.iter().any(|(first_us, last_us)| (*first_us..=*last_us).contains(&pair.any.at_us));
         // A counter that has kept its shift names the neighbour: had its own exposure no picture, the stamps after it would fit on.
         let free = |other: usize| other != at && self.known.shots.get(other).frame.is_none();
         let counted =

@@ -137,6 +137,7 @@ fn a_console_that_keeps_the_time_is_believed_where_first_and_last_exposure_have_
     let (code, json, words) = attach(&log, &exported, &[]);
     let tied: Vec<Option<u64>> = (0..6).rev().map(Some).collect();
     assert!(code == Some(0) && indices(&json) == tied, "{words} {json:#}");
+    assert!(!words.contains("another study"), "{words}");
     std::fs::remove_file(exported.join("img004.dcm")).expect("removed");
     let (code, json, words) = attach(&log, &exported, &[]);
     assert!(code == Some(3) && indices(&json) == [None; 5], "{words} {json:#}");

@@ -187,6 +187,13 @@ fn a_kept_log_that_is_moved_goes_on_and_one_that_is_deleted_is_said() {
     assert!(failure.contains("deleted"), "{failure}");
     assert!(recorder.raw_bytes("robot", 1, 1, &[1; 158]).is_err());
     assert!(matches!(recorder.finish(), Err(RecordError::Stopped { .. })));
+
+    let (recorder, _) = kept(&path, &program());
+    recorder.flush_now(Duration::from_secs(30)).expect("flushed");
+    std::fs::OpenOptions::new().write(true).open(&path).and_then(|log| log.set_len(20)).expect("cut");
+    let failure = eventually(HANG_S, || recorder.health().failure).expect("said");
+    assert!(failure.contains("cut short"), "{failure}");
+    assert!(matches!(recorder.finish(), Err(RecordError::Stopped { .. })));
 }
 
 /// No program, and one that is no keeper: the log is written all the same, and it is known why by whom.

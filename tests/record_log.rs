@@ -218,6 +218,54 @@ fn a_damaged_chunk_is_skipped_and_the_rest_is_read() {
     assert!(log.losses[1].reason.contains("had been recorded"), "{:?}", log.losses);
 }
 
+/// Where each record of the file begins, with its kind.
+fn records(bytes: &[u8]) -> Vec<(usize, u8)> {
+    let mut at = mcap::MAGIC.len();
+    let mut found = Vec::new();
+    while let Some(head) = bytes.get(at..at + 9) {
+        found.push((at, head[0]));
+        at += 9 + u64::from_le_bytes(head[1..].try_into().expect("eight")) as usize;
+        if head[0] == mcap::records::op::FOOTER {
+            break;
+        }
+    }
+    found
+}
+
+/// One page of zeros, or one that is gone, over the head of a chunk: all that came behind it was lost although it was whole.
+#[test]
+fn behind_a_page_that_is_gone_the_log_is_read_on() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("pages.mcap");
+    let recorder = Recorder::create(&path, &provenance()).expect("created");
+    let noise: Vec<f32> = (0..1_500_000u32).map(|i| f32::from_bits(0x3f00_0000 | (i.wrapping_mul(2_654_435_761) >> 9))).collect();
+    for index in 0..5 {
+        let image = Image { width: 1500, height: 1000, pixels: noise.clone() };
+        recorder.drr(&format!("{index}"), &image, index).expect("recorded");
+    }
+    recorder.finish().expect("finished");
+    let bytes = std::fs::read(&path).expect("bytes");
+    let chunks: Vec<usize> =
+        records(&bytes).into_iter().filter(|(_, kind)| *kind == mcap::records::op::CHUNK).map(|(at, _)| at).collect();
+    assert!(chunks.len() >= 5, "{chunks:?}");
+    let images = |bytes: &[u8]| {
+        let log = contents(bytes).expect("readable");
+        (log.entries.iter().filter(|entry| &*entry.topic == topic::DRR).count(), log.losses)
+    };
+    assert_eq!(images(&bytes), (5, Vec::new()));
+    let page = chunks[2] - 2000..chunks[2] + 2096;
+    let mut zeroed = bytes.clone();
+    zeroed[page.clone()].fill(0);
+    let cut = [&bytes[..page.start], &bytes[page.end..]].concat();
+    let mut long = bytes.clone();
+    long[chunks[2] + 4] ^= 1;
+    for (what, damaged, least) in [("zeros", &zeroed, 3), ("gone", &cut, 3), ("a length", &long, 4)] {
+        let (found, losses) = images(damaged);
+        assert!(found >= least && !losses.is_empty() && losses.len() < 8, "{what}: {found} images, {losses:#?}");
+        assert!(losses.iter().any(|loss| loss.reason.contains("up to the next whole chunk")), "{what}: {losses:#?}");
+    }
+}
+
 #[test]
 fn what_is_older_than_the_flush_interval_survives_a_kill() {
     let folder = tempfile::tempdir().expect("folder");

@@ -156,6 +156,22 @@ fn a_folder_that_is_deleted_is_said_while_the_session_goes_on() {
     assert!(!live.stderr().contains("panicked"), "{}", live.stderr());
 }
 
+/// Another program cut the log short, the session ended with 0, and a replay found no frame.
+#[test]
+fn a_log_that_is_cut_short_is_said_while_the_session_goes_on() {
+    let Some(lab) = Lab::start(&["--duration-s", "30", "--faults", "none", "--exposures", "0"]) else { return };
+    let out = lab.kit.with_file_name("session");
+    let mut live = Live::start(&lab.kit.join("session.json"), &out, &[]);
+    let recorded = eventually(HANG_S, || std::fs::metadata(&live.log).is_ok_and(|log| log.len() > 20_000).then_some(()));
+    assert!(recorded.is_some(), "{}", live.stderr());
+    std::fs::OpenOptions::new().write(true).open(&live.log).and_then(|log| log.set_len(10_000)).expect("cut");
+    let said = eventually(HANG_S, || live.stderr().contains("cut short while it was being written").then_some(()));
+    assert!(said.is_some(), "nobody said that the log was cut: {}", live.stderr());
+    live.program.signal(Signal::INT);
+    let status = live.program.end(HANG_S).unwrap_or_else(|| panic!("hangs: {}", live.stderr()));
+    assert_eq!(status.code(), Some(3), "{}", live.stderr());
+}
+
 /// Where strips should be there is a file: pairs cannot be written, recording goes on to its end, and the loss is said.
 #[test]
 fn strips_that_cannot_be_written_do_not_end_the_recording() {

@@ -39,7 +39,8 @@ fn renamed(lab: &Lab) -> PathBuf {
     })
 }
 
-fn replay(log: &Path, data: Option<&Path>, cache: &Path, out: &Path) -> (Option<i32>, String) {
+/// A replay that remembers nothing but what lies in `cache`: its exit code and all that it printed.
+pub fn replay(log: &Path, data: Option<&Path>, cache: &Path, out: &Path) -> (Option<i32>, String) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
     command.arg("replay").arg(log).arg("--json").arg("--out").arg(out).env("XDG_CACHE_HOME", cache);
     if let Some(data) = data {
@@ -48,6 +49,14 @@ fn replay(log: &Path, data: Option<&Path>, cache: &Path, out: &Path) -> (Option<
     let output = command.output().expect("starts");
     let words = [output.stdout, output.stderr].concat();
     (output.status.code(), String::from_utf8_lossy(&words).into_owned())
+}
+
+/// A copy of the log in a folder from which nothing leads back to the session's files.
+pub fn far_copy(log: &Path, home: &Path) -> PathBuf {
+    let far = home.join("far/away/from/anything/session.mcap");
+    std::fs::create_dir_all(far.parent().expect("folders")).expect("folders");
+    std::fs::copy(log, &far).expect("copied");
+    far
 }
 
 #[test]
@@ -71,9 +80,7 @@ fn a_session_writes_no_name_of_its_files_and_a_replay_finds_them_by_content() {
 
     // Where nothing is remembered and the CT lies far away, a replay asks for it; by content it finds it under another name.
     let (elsewhere, nothing) = (tempfile::tempdir().expect("a folder"), tempfile::tempdir().expect("a folder"));
-    let log = home.path().join("far/away/from/anything/session.mcap");
-    std::fs::create_dir_all(log.parent().expect("folders")).expect("folders");
-    std::fs::copy(&live.log, &log).expect("copied");
+    let log = far_copy(&live.log, home.path());
     let (code, words) = replay(&log, None, nothing.path(), &elsewhere.path().join("none"));
     assert!(code == Some(1) && words.contains("--data") && words.contains(&sha256), "{code:?}: {words}");
     let data = elsewhere.path().join("data/below");

@@ -2,7 +2,6 @@
 #![cfg(unix)]
 
 use std::path::Path;
-use std::process::Command;
 
 use dicom_dictionary_std::tags;
 use serde_json::{Value, json};
@@ -11,6 +10,7 @@ use sidecarm::scene::{VolumeSource, read_volume};
 
 use crate::acquire_identity::{hits, written};
 use crate::live_lab::{HANG_S, Lab, Live, eventually};
+use crate::session_names::{far_copy, replay};
 use crate::volume_files::{Sample, number, save_series};
 
 /// The patient of the slices, their study, and what the folder is called.
@@ -26,14 +26,6 @@ fn as_series(ct: &Path, folder: &Path) {
         number(slice, tags::HIGH_BIT, 15);
     }
     save_series(&slices, folder);
-}
-
-fn replay(log: &Path, data: &Path, cache: &Path, out: &Path) -> (Option<i32>, String) {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
-    command.arg("replay").arg(log).args(["--json", "--out"]).arg(out).arg("--data").arg(data).env("XDG_CACHE_HOME", cache);
-    let output = command.output().expect("starts");
-    let words = [output.stdout, output.stderr].concat();
-    (output.status.code(), String::from_utf8_lossy(&words).into_owned())
 }
 
 #[test]
@@ -63,17 +55,15 @@ fn a_session_with_a_series_says_nothing_of_its_patient_and_replays() {
     assert!(hits(&outputs, &sha256).len() >= 3, "{:?}", hits(&outputs, &sha256));
 
     let (elsewhere, nothing) = (tempfile::tempdir().expect("a folder"), tempfile::tempdir().expect("a folder"));
-    let log = home.path().join("far/away/from/anything/session.mcap");
-    std::fs::create_dir_all(log.parent().expect("folders")).expect("folders");
-    std::fs::copy(&live.log, &log).expect("copied");
+    let log = far_copy(&live.log, home.path());
     let data = elsewhere.path().join("data/below");
     std::fs::create_dir_all(&data).expect("folders");
     std::fs::copy(lab.kit.join("robot.json"), elsewhere.path().join("robot.json")).expect("copied");
-    let (code, words) = replay(&log, elsewhere.path(), nothing.path(), &elsewhere.path().join("none"));
+    let (code, words) = replay(&log, Some(elsewhere.path()), nothing.path(), &elsewhere.path().join("none"));
     assert!(code == Some(1) && words.contains(&sha256), "the slices are not there yet, {code:?}: {words}");
     for (index, file) in std::fs::read_dir(&series).expect("slices").flatten().enumerate() {
         std::fs::copy(file.path(), data.join(format!("{index}"))).expect("copied");
     }
-    let (code, words) = replay(&log, elsewhere.path(), nothing.path(), &elsewhere.path().join("one"));
+    let (code, words) = replay(&log, Some(elsewhere.path()), nothing.path(), &elsewhere.path().join("one"));
     assert!(code == Some(0), "{code:?}: {words}");
 }

@@ -149,7 +149,8 @@ fn other_versions_messages_schemas_and_lengths_are_told_apart() {
         frame(2, 2, 0, 1, 1, &payload),
         frame(1, 9, 0, 2, 2, &payload),
         frame(1, 2, 0, 3, 3, &payload[..99]),
-        frame(1, 2, 0, 3, 3, &[0; 101]),
+        frame(1, 2, 0, 4, 4, &[0; 101]),
+        frame(1, 2, 0, 4, 4, &[0; 101]),
         frame_of_schema(0xDEAD_BEEF, 1, 3, 0, 4, 4, &metadata),
         frame_of_schema(0xDEAD_BEEF, 1, 2, 0, 5, 5, &payload),
         frame_of_schema(0x1234_5678, 1, 2, 0, 5, 5, &payload),
@@ -160,7 +161,8 @@ fn other_versions_messages_schemas_and_lengths_are_told_apart() {
     let (events, decoder) = decode(DeviceKind::Carm, &stream, 50);
     let health = decoder.health();
     assert_eq!(health.version_mismatch, 1);
-    assert_eq!(health.malformed, 2);
+    assert_eq!((health.malformed, health.duplicate), (2, 1), "what makes no sense twice is a copy");
+    assert_eq!(health.lost, 4, "from 4 to 9: packets that make no sense came all the same");
     assert_eq!(health.schema_mismatch, 2, "announced by metadata, then recognised");
     assert_eq!(health.corrupt, 1, "an unknown schema is indistinguishable from damage");
     assert_eq!(health.unknown_message, 1, "message 9");
@@ -196,6 +198,7 @@ fn lost_duplicate_reordered_and_reset_are_counted() {
     assert_eq!((health.lost, health.duplicate, health.reordered, health.resets), (2, 1, 1, 1));
     assert_eq!(samples(&events).len(), 9);
     assert!(events.contains(&Event::Fault(DecodeFault::Lost { count: 3, while_closed: false })));
+    assert!(events.contains(&Event::Fault(DecodeFault::Reset { sequence: 0 })));
 }
 
 #[test]

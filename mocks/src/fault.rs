@@ -22,7 +22,7 @@ use serde::{Deserialize, Serialize};
 use crate::MockError;
 use crate::pty::Line;
 
-/// What goes wrong on a line: with one packet, for a while (`Delay`, `Unplug`), or for good (`Mute`, `Gone`, `Freeze`).
+/// What goes wrong on a line: with one packet, for a while (`Delay`, `Unplug`), or for good (`Mute`, `Gone`, `Freeze`, `Restart`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FaultKind {
@@ -46,11 +46,13 @@ pub enum FaultKind {
     Gone,
     /// The device's clock stands still; packets go on.
     Freeze,
+    /// The device begins anew: its clock and the numbers of its packets start at zero.
+    Restart,
 }
 
 impl FaultKind {
     /// All of them.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::Drop,
         Self::Flip,
         Self::Tear,
@@ -61,6 +63,7 @@ impl FaultKind {
         Self::Mute,
         Self::Gone,
         Self::Freeze,
+        Self::Restart,
     ];
 
     /// The kind's name in files, events and on the command line.
@@ -77,6 +80,7 @@ impl FaultKind {
             Self::Mute => "mute",
             Self::Gone => "gone",
             Self::Freeze => "freeze",
+            Self::Restart => "restart",
         }
     }
 }
@@ -164,7 +168,7 @@ impl Channel {
         }
         match self.due.pop_front() {
             // A clock is the device's, not the line's.
-            None | Some(FaultKind::Freeze) => self.line.write(packet),
+            None | Some(FaultKind::Freeze | FaultKind::Restart) => self.line.write(packet),
             Some(FaultKind::Drop) => {}
             Some(FaultKind::Flip) => self.line.write(&flipped(packet, random)),
             Some(FaultKind::Tear) => self.line.write(&packet[..packet.len() / 2]),

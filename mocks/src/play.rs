@@ -96,6 +96,7 @@ pub fn play(
             if let Some(sender) = senders.iter_mut().find(|sender| sender.device == fault.device) {
                 match fault.kind {
                     FaultKind::Freeze => sender.frozen_s = Some(now_s),
+                    FaultKind::Restart => (sender.began_s, sender.epoch_us, sender.sequence) = (now_s, 0, 0),
                     kind => sender.channel.inject(kind),
                 }
                 tell(json!({"event": "fault", "device": fault.device, "kind": fault.kind, "at_s": now_s}));
@@ -164,6 +165,8 @@ struct Sender {
     oddities: Vec<Oddity>,
     /// When the clock stopped.
     frozen_s: Option<f64>,
+    /// When it was switched on.
+    began_s: f64,
 }
 
 /// The list of what was sent.
@@ -215,11 +218,14 @@ impl Sender {
             garbage,
             oddities: performance.oddities.clone(),
             frozen_s: None,
+            began_s: 0.0,
         }
     }
 
     fn stamp(&mut self, at_s: f64) -> Stamp {
         let clock_s = self.frozen_s.map_or(at_s, |frozen_s| at_s.min(frozen_s));
+        // What is sent late is of before the start.
+        let clock_s = (clock_s - self.began_s).max(0.0);
         let device_us = self.epoch_us + (clock_s * 1e6 * (1.0 + self.ppm * 1e-6)) as u64;
         let stamp = Stamp { sequence: self.sequence, device_us };
         self.sequence = self.sequence.wrapping_add(1);

@@ -1,5 +1,8 @@
 //! One registration under way: the request, the shadows, and what every step asks of them.
 
+use std::cell::RefCell;
+use std::sync::Arc;
+
 use glam::{DVec2, DVec3};
 use nalgebra::{Matrix2, Matrix6, Vector2};
 
@@ -7,7 +10,7 @@ use super::prior::Prior;
 use super::record::{Pose, Shadow};
 use super::refusal::Refusal;
 use super::request::Registration;
-use super::search::{Gate, Hypothesis, Search, Target, information_about};
+use super::search::{Found, Gate, Hypothesis, Search, Target, information_about};
 use super::solve::{deviation, image_by_point, point_by_pose};
 use super::verdict::chance;
 use crate::beads::{Detection, Probe};
@@ -31,6 +34,8 @@ pub(super) struct Case<'a> {
     pub probe: Option<Probe<'a>>,
     /// Nothing matched near the prior: it no longer gates.
     pub without_prior: bool,
+    /// What all shadows give wherever the camera is, for the K that it was last asked of.
+    pub everywhere: RefCell<Option<(Intrinsics, Arc<Found>)>>,
 }
 
 impl<'a> Case<'a> {
@@ -55,7 +60,7 @@ impl<'a> Case<'a> {
             }
             pinned.push((bead, shadow));
         }
-        Ok(Self { request, detections, pinned, probe, without_prior: false })
+        Ok(Self { request, detections, pinned, probe, without_prior: false, everywhere: RefCell::default() })
     }
 
     /// The answer that there is no pose, with what the frame shows.

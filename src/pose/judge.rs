@@ -11,7 +11,7 @@ use super::refusal::{Points, Refusal, Rival};
 use super::search::Hypothesis;
 use super::settle::Settled;
 use super::solve::{Free, Options, solve};
-use super::verdict::{check_geometry, extents_mm, mirrored, rival};
+use super::verdict::{check_geometry, extents_mm, is_plate, mirrored, rival};
 use crate::beads::DEFAULT_SIGMA_MM;
 
 /// Accidents expected, at most, behind an accepted match.
@@ -26,8 +26,6 @@ const FOCAL_SIGMA: (f64, f64) = (0.10, 0.02);
 const OFF_INTRINSICS: (f64, f64) = (3.3, 5.0);
 /// Share of a prior's variance that the beads must take away before they can contradict it.
 const LEAST_GAIN: f64 = 0.02;
-/// Third extent over the first below which beads and their mirror image are seen alike.
-const PLATE: f64 = 0.02;
 /// Standard deviations at the bead centroid, at most: rotation (degrees), shift across the beam, shift along it (mm).
 pub(super) const MOST_SIGMA: [f64; 3] = [3.0, 3.0, 40.0];
 
@@ -49,8 +47,7 @@ impl Case<'_> {
         let settled = self.settle(candidate).ok_or(Refusal::Unsolved)?;
         let points: Vec<DVec3> = settled.matches.iter().map(|m| m.lps_mm).collect();
         check_geometry(&points, self.request.intrinsics.is_some(), Points::Matched)?;
-        let [first_mm, _, third_mm] = extents_mm(&points);
-        let is_plate = !(third_mm > PLATE * first_mm);
+        let is_plate = is_plate(extents_mm(&points));
         let hypothesis = Hypothesis {
             camera_from_lps: settled.solution.camera_from_lps,
             rms_px: settled.rms_px(),

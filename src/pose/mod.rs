@@ -18,6 +18,7 @@ mod on_panel;
 mod orientation;
 mod prior;
 mod propose;
+mod readings;
 mod record;
 mod refusal;
 mod register;

@@ -179,6 +179,11 @@ pub enum Refusal {
         "mirrored: {mirrored} beads fit the frame's mirror image to {rms_px:.2} px, {matched} the frame itself; un-mirror it at the console, state the console's geometry in the session, or correct the layout if its axes are negated"
     )]
     Mirrored { mirrored: usize, rms_px: f64, matched: usize },
+    /// A plate from its other side.
+    #[error(
+        "seen_from_behind: the beads lie in a plane, and {matched} of them match, {angle_deg:.1}° and {shift_mm:.1} mm from the prior, only as seen from the other side than it says; a mirrored picture and a layout with a negated axis look just so: check console, layout and prior, or leave the prior out (--ignore-prior)"
+    )]
+    SeenFromBehind { matched: usize, angle_deg: f64, shift_mm: f64 },
     /// No way of turning and mirroring the picture gives a pose.
     #[error(
         "console: the picture gives no pose however it is turned, neither as it is stored ({as_stored}) nor mirrored ({mirrored}); state what the console did"

@@ -164,6 +164,10 @@ impl Case<'_> {
         if let Some(refusal) = self.mirrored_near(found.hypothesis.matches.len()) {
             return Some(self.refuse(&refusal, notes.to_vec()));
         }
+        if !self.request.ignore_prior && self.is_seen_from_behind(&found.hypothesis, &prior.camera_from_lps) {
+            let matched = found.hypothesis.matches.len();
+            return Some(self.refuse(&Refusal::SeenFromBehind { matched, angle_deg, shift_mm }, notes.to_vec()));
+        }
         self.without_prior = true;
         // Who states a covariance means it.
         if prior.covariance.is_some() && !self.request.ignore_prior {

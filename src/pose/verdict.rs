@@ -25,6 +25,15 @@ pub fn spread(points: &[DVec3]) -> ([f64; 3], DVec3) {
     (order.map(|n| eigen.eigenvalues[n].max(0.0).sqrt()), DVec3::new(axis[0], axis[1], axis[2]))
 }
 
+/// Third extent over the first below which beads and their mirror image are seen alike.
+const PLATE: f64 = 0.02;
+
+/// Whether points of such extents (mm, largest first) and their mirror image are seen alike.
+#[must_use]
+pub fn is_plate([first_mm, _, third_mm]: [f64; 3]) -> bool {
+    !(third_mm > PLATE * first_mm)
+}
+
 /// Standard deviations of points along their principal axes, largest first.
 #[must_use]
 pub fn extents_mm(points: &[DVec3]) -> [f64; 3] {

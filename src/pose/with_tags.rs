@@ -68,7 +68,14 @@ impl Tags<'_> {
     }
 
     fn case(&self) -> Case<'_> {
-        Case { request: self.request, detections: &[], pinned: Vec::new(), probe: None, without_prior: false }
+        Case {
+            request: self.request,
+            detections: &[],
+            pinned: Vec::new(),
+            probe: None,
+            without_prior: false,
+            everywhere: Default::default(),
+        }
     }
 
     /// Those that read only in the mirror image.

@@ -20,7 +20,7 @@ pub enum RecordError {
         path: PathBuf,
     },
     /// Writing failed (disk full, folder gone). What was recorded before stays readable.
-    #[error("{path}: recording stopped after {recorded} messages: {reason}; free disk space, then start a new session", path = path.display())]
+    #[error("{path}: recording stopped after {recorded} messages: {reason}; start a new session, on a full disk after making room", path = path.display())]
     Stopped {
         /// The log.
         path: PathBuf,

@@ -19,7 +19,7 @@ use std::time::Duration;
 use rustix::fs::{FallocateFlags, MemfdFlags, fallocate, memfd_create};
 
 use super::keeper::Told;
-use super::place::{DELETED, Place};
+use super::place::{CUT, DELETED, Place};
 use super::queue::Queue;
 use super::sink::Sink;
 
@@ -202,6 +202,7 @@ impl Shared {
                     self.queue.in_file(end);
                 }
                 Told::Placed(Place::Deleted) => return Some(DELETED.to_owned()),
+                Told::Placed(Place::Cut) => return Some(CUT.to_owned()),
                 Told::Placed(place) => self.queue.placed(place == Place::Moved),
                 Told::Failed(0) => return Some("the process that writes the log cannot write it".to_owned()),
                 Told::Failed(code) => return Some(Error::from_raw_os_error(code).to_string()),

@@ -45,6 +45,7 @@ impl Told {
             Self::Placed(Place::There) => (2, 0),
             Self::Placed(Place::Moved) => (2, 1),
             Self::Placed(Place::Deleted) => (2, 2),
+            Self::Placed(Place::Cut) => (2, 3),
             Self::Failed(code) => (3, u64::from(code.unsigned_abs())),
         };
         let mut bytes = [kind; Self::BYTES];
@@ -61,6 +62,7 @@ impl Told {
             (2, 0) => Some(Self::Placed(Place::There)),
             (2, 1) => Some(Self::Placed(Place::Moved)),
             (2, 2) => Some(Self::Placed(Place::Deleted)),
+            (2, 3) => Some(Self::Placed(Place::Cut)),
             (3, code) => i32::try_from(code).ok().map(Self::Failed),
             _ => None,
         }
@@ -123,18 +125,19 @@ fn write_announced(
             Err(RecvTimeoutError::Timeout) => at,
             Err(RecvTimeoutError::Disconnected) => return Ok(()),
         };
+        // Looked at before more is written, which would fill up what was cut off. Whether anybody listens makes no difference to what is to be
+        // written.
+        let found = watched.place(path, at);
+        if found != place {
+            place = found;
+            let _ = parent.write_all(&Told::Placed(place).bytes());
+        }
         let mut piece = vec![0; end.saturating_sub(at).min(PIECE_BYTES) as usize];
         while at < end {
             let part = &mut piece[..(end - at).min(PIECE_BYTES) as usize];
             memory.read_exact_at(part, at)?;
             log.write_all_at(part, at)?;
             at += part.len() as u64;
-        }
-        // Whether anybody listens makes no difference to what is to be written.
-        let found = watched.place(path);
-        if found != place {
-            place = found;
-            let _ = parent.write_all(&Told::Placed(place).bytes());
         }
         let _ = parent.write_all(&Told::InFile(at).bytes());
     }

@@ -46,6 +46,7 @@ mod reader;
 mod recorder;
 mod sink;
 mod tolerance;
+mod resync;
 mod unpack;
 mod writer;
 

@@ -9,12 +9,11 @@ use std::sync::Arc;
 use mcap::records::{Record, op};
 
 use super::RecordError;
-use super::unpack::{Unpacked, has_checksum, unpack};
+use super::resync::{MAX_RECORD_BYTES, next_chunk};
+use super::unpack::{Unpacked, has_checksum, is_head, unpack};
 
 /// Opcode and length in front of every record.
 const RECORD_HEADER_BYTES: u64 = 9;
-/// No record of ours is larger; a damaged length shows here before memory runs out.
-const MAX_RECORD_BYTES: u64 = 512 << 20;
 /// So many losses are kept one by one; further ones are counted.
 const MAX_LOSSES: usize = 1000;
 
@@ -229,6 +228,16 @@ impl LogReader {
         self.ended = true;
     }
 
+    /// Goes on at the next whole chunk; without one the log ends here.
+    fn skip_damage(&mut self, start: u64, reason: String) {
+        let Some(next) = next_chunk(&mut self.source, start + 1, self.length) else { return self.end(start, reason) };
+        if self.source.seek(SeekFrom::Start(next)).is_err() {
+            return self.end(start, reason);
+        }
+        self.at_byte = next;
+        self.lose(start, format!("{reason}; {} bytes were skipped up to the next whole chunk", next - start));
+    }
+
     /// Says how many losses were counted only.
     fn close(&mut self) {
         if let more @ 1.. = std::mem::take(&mut self.more_losses) {
@@ -263,18 +272,24 @@ impl LogReader {
         let length = length.iter().rev().fold(0u64, |value, &byte| value << 8 | u64::from(byte));
         let left = self.length.saturating_sub(self.at_byte);
         if length > MAX_RECORD_BYTES {
-            return self.end(start, format!("record of {length} bytes is larger than any; the log is damaged from here on"));
+            return self.skip_damage(start, format!("record of {length} bytes is larger than any"));
         }
         let body = self.read_up_to(length);
         let whole = body.len() as u64 == length;
         match opcode {
+            // Where its own lengths disagree, that of the record may be wrong as well, and what follows is inside.
+            op::CHUNK if whole && !is_head(&body, length) => {
+                self.skip_damage(start, "the head of a chunk makes no sense".into());
+            }
             op::CHUNK => {
                 self.chunk(start, &body, whole);
                 if !whole {
-                    self.end(start, format!("cut within a chunk: {left} of {length} bytes are there"));
+                    self.skip_damage(start, format!("cut within a chunk: {left} of {length} bytes are there"));
                 }
             }
-            _ if !whole => self.end(start, format!("cut within a record: {left} of {length} bytes are there")),
+            _ if !whole => self.skip_damage(start, format!("cut within a record: {left} of {length} bytes are there")),
+            // No record is of this kind, but a stretch of zeros looks like many.
+            0 => self.skip_damage(start, "no record begins here".into()),
             _ => self.record(start, opcode, &body),
         }
     }

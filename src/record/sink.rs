@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use super::place::{DELETED, Place, Watched};
+use super::place::{CUT, DELETED, Place, Watched};
 use super::queue::Queue;
 
 /// Where a log goes: a file, or something else that can be written (tests).
@@ -23,6 +23,8 @@ pub(super) struct OwnFile {
     pub(super) watched: Option<Watched>,
     pub(super) path: PathBuf,
     pub(super) queue: Arc<Queue>,
+    /// Bytes that are in the file.
+    pub(super) delivered: u64,
 }
 
 impl Write for OwnFile {
@@ -37,9 +39,12 @@ impl Write for OwnFile {
 
 impl Sink for OwnFile {
     fn deliver(&mut self, end: u64) -> std::io::Result<()> {
+        let place = self.watched.as_ref().map_or(Place::There, |watched| watched.place(&self.path, self.delivered));
         self.flush()?;
-        match self.watched.as_ref().map_or(Place::There, |watched| watched.place(&self.path)) {
+        self.delivered = end;
+        match place {
             Place::Deleted => return Err(std::io::Error::other(DELETED)),
+            Place::Cut => return Err(std::io::Error::other(CUT)),
             place => self.queue.placed(place == Place::Moved),
         }
         self.queue.in_file(end);

@@ -19,7 +19,15 @@ struct Head<'a> {
     unpacked_bytes: u64,
     crc: u32,
     compression: &'a [u8],
+    packed_bytes: u64,
     packed: &'a [u8],
+}
+
+/// Whether `start`, the first bytes of something that is `body_bytes` long, is the head of a chunk: its lengths agree.
+pub(super) fn is_head(start: &[u8], body_bytes: u64) -> bool {
+    head(start, false).is_some_and(|head| {
+        (16 + 8 + 4 + 4 + head.compression.len() as u64 + 8).checked_add(head.packed_bytes) == Some(body_bytes)
+    })
 }
 
 fn head(body: &[u8], whole: bool) -> Option<Head<'_>> {
@@ -29,9 +37,10 @@ fn head(body: &[u8], whole: bool) -> Option<Head<'_>> {
     let (length, rest) = rest.split_first_chunk::<4>()?;
     let (compression, rest) = rest.split_at_checked(u32::from_le_bytes(*length) as usize)?;
     let (length, packed) = rest.split_first_chunk::<8>()?;
-    let fits = !whole || u64::from_le_bytes(*length) == packed.len() as u64;
+    let packed_bytes = u64::from_le_bytes(*length);
+    let fits = !whole || packed_bytes == packed.len() as u64;
     let (unpacked_bytes, crc) = (u64::from_le_bytes(*unpacked_bytes), u32::from_le_bytes(*crc));
-    fits.then_some(Head { unpacked_bytes, crc, compression, packed })
+    fits.then_some(Head { unpacked_bytes, crc, compression, packed_bytes, packed })
 }
 
 /// Unpacks the body of a chunk record; of one that is cut (not `whole`) as much as there is, unchecked.

@@ -136,6 +136,12 @@ pub fn counted(pairs: &[Pair]) -> String {
             words += &format!(", {doubtful} accepted but {what} disagrees");
         }
     }
+    for (status, what) in [(PairStatus::Refused, "refused"), (PairStatus::NoPose, "without a pose")] {
+        let left = count(&|pair| pair.status == status);
+        if left > 0 {
+            words += &format!(", {left} {what}");
+        }
+    }
     let as_in_scene = count(&|pair| pair.robot_words().is_some());
     if as_in_scene > 0 {
         words += &format!(", {as_in_scene} with the robot drawn as in the scene file (no telemetry of their exposures)");

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
+use super::studies::Studies;
 use crate::acquire::{Fault, Frame, read_frames};
 use crate::record::{LogReader, RecordError, topic};
 use crate::reporter::Reporter;
@@ -105,7 +106,11 @@ pub fn attach(log: &Path, named: &[PathBuf], reporter: &Reporter) -> Result<Atta
     if read.is_empty() && session.losses.is_empty() {
         return Err(AttachError::NoFrames);
     }
-    for (number, frame, image_of_file) in &read {
+    let mut studies = Studies::default();
+    for (place, (number, frame, image_of_file)) in read.iter().enumerate() {
+        if let Some(words) = studies.meet(place as u32 + 1, frame.tags.study.as_deref()) {
+            reporter.warn("another study", words);
+        }
         session.binder.push(FrameEvidence::of(*number, &frame.tags, &frame.sha256, *image_of_file, None));
     }
     session.binder.finish(&session.timeline);

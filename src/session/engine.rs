@@ -13,7 +13,7 @@ use super::file::Setup;
 use super::hearing::Hearing;
 use super::import::Import;
 use super::input::{Input, Output};
-use super::losses::{line_losses, without_frame};
+use super::losses::{few_bound, line_losses, without_frame};
 use super::pictures::Pictures;
 use super::posing::{Bound, Known, PoseJob, Registered};
 use super::standstill::Standstill;
@@ -161,15 +161,10 @@ impl Engine {
         without_frame(&self.timeline.exposures(), &self.shown, self.without_exposure())
     }
 
-    /// Where not one frame was tied to an exposure although there were both, in words.
+    /// Where no more frames were tied to exposures than were not, in words: the session has lost what telemetry knew of them.
     #[must_use]
-    pub fn nothing_bound(&self) -> Option<String> {
-        let (exposures, frames) = (self.timeline.exposures().len(), self.without_exposure());
-        (exposures > 0 && frames > 0 && self.shown.is_empty()).then(|| {
-            format!(
-                "not one of {frames} frames could be tied to one of {exposures} exposures: no pair has joints, robot or beam of telemetry"
-            )
-        })
+    pub fn hardly_bound(&self) -> Option<String> {
+        few_bound(self.timeline.exposures().len(), self.without_exposure(), self.shown.len())
     }
 
     /// Frames that may be of an exposure and are bound to none: no copies, and no pictures that were taken back.

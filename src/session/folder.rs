@@ -203,12 +203,12 @@ impl Collector {
         write_atomically(&self.path.join("timings.json"), |file| file.write_all(text.as_bytes()))
     }
 
-    /// Writes the report; what could not be written at all is a loss.
+    /// Writes the report; what could not be written at all is a loss. `again`: how it is had all the same.
     pub(super) fn finish(
         mut self,
         engine: &Engine,
         tracks: Tracks,
-        losses: Vec<String>,
+        (losses, again): (Vec<String>, &str),
         reporter: &Reporter,
         log: Option<PathBuf>,
     ) -> Folder {
@@ -225,13 +225,13 @@ impl Collector {
                 1 => String::new(),
                 count => format!(" and {} other files", count - 1),
             };
-            let sentence = format!("{file}{others} could not be written ({reason}); a replay of the log makes them again");
+            let sentence = format!("{file}{others} could not be written ({reason}); {again}");
             self.report.losses.push(sentence);
         }
         self.hide_names();
         if let Err(error) = write_session(&self.path, &self.report) {
             reporter.warn("report not written", &error);
-            self.report.losses.push(format!("{error}; a replay of the log makes the report again"));
+            self.report.losses.push(format!("{error}; {again}"));
         }
         Folder { path: self.path, log, pairs: self.report.pairs, views: self.views, losses: self.report.losses }
     }

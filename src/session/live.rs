@@ -330,8 +330,8 @@ impl Session {
             Stage::Closing { .. } if self.end_is_logged && self.frames_ended => {
                 let (frames, complete) = (self.frames(), self.scribe.complete());
                 if complete < frames {
-                    self.reporter
-                        .note(format!("finishing {complete} of {frames}; Ctrl-C again leaves at once, the log is complete"));
+                    let log = if self.log.has_failed() { "what is not finished is lost" } else { "the log is complete" };
+                    self.reporter.note(format!("finishing {complete} of {frames}; Ctrl-C again leaves at once, {log}"));
                 }
                 let progress = self.reporter.progress("finishing", frames as u64);
                 progress.advance(complete as u64);
@@ -351,7 +351,7 @@ impl Session {
     fn close(mut self) -> Result<Folder, SessionError> {
         let died = self.workshop.join().is_err();
         if died {
-            self.log.lose("the rendering thread died: some frames have no DRR; a replay of the log makes them".to_owned());
+            self.log.lose(format!("the rendering thread died: some frames have no DRR; {}", self.log.again()));
         }
         Ok(self.report())
     }
@@ -368,7 +368,7 @@ impl Session {
         self.workshop.abandon();
         self.scribe.leave();
         if open > 0 {
-            self.log.lose(format!("left at once: {open} frames were not finished; a replay of the log finishes them"));
+            self.log.lose(format!("left at once: {open} frames were not finished; {}", self.log.again()));
         }
         self.report()
     }
@@ -376,7 +376,7 @@ impl Session {
     fn report(mut self) -> Folder {
         self.finishing = None;
         self.engine.line_losses().into_iter().for_each(|lost| self.log.lose(lost));
-        self.engine.nothing_bound().into_iter().for_each(|words| self.log.lose(words));
+        self.engine.hardly_bound().into_iter().for_each(|words| self.log.lose(words));
         if let Some(words) = self.engine.exposures_without_frame() {
             self.reporter.warn("exposures without a frame", &words);
             self.log.event(Level::Warning, host_now_us(), &words);
@@ -386,9 +386,12 @@ impl Session {
         self.log.finish();
         let path = self.log.path().to_owned();
         match self.scribe.join() {
-            Some(collector) => collector.finish(&self.engine, self.tracks, self.log.losses(), &self.reporter, Some(path)),
+            Some(collector) => {
+                let (losses, again) = (self.log.losses(), self.log.again());
+                collector.finish(&self.engine, self.tracks, (losses, again), &self.reporter, Some(path))
+            }
             None => {
-                self.log.lose("the thread that writes files died: a replay of the log makes them again".to_owned());
+                self.log.lose(format!("the thread that writes files died; {}", self.log.again()));
                 let folder = path.parent().map(PathBuf::from).unwrap_or_default();
                 Folder { path: folder, log: Some(path), pairs: Vec::new(), views: Default::default(), losses: self.log.losses() }
             }

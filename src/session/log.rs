@@ -126,6 +126,14 @@ impl SessionLog {
         self.failed.load(Ordering::Relaxed)
     }
 
+    /// How what was derived and is gone is had again.
+    pub(super) fn again(&self) -> &'static str {
+        match self.has_failed() {
+            false => "a replay of the log makes what is missing",
+            true => "the log has stopped as well: what is missing cannot be made again",
+        }
+    }
+
     /// Something is lost: it stands in the report, and the exit code is 3.
     pub(super) fn lose(&self, what: String) {
         let mut losses = self.losses.lock().unwrap_or_else(PoisonError::into_inner);

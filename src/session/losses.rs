@@ -47,3 +47,33 @@ pub(super) fn without_frame(exposures: &[ExposureInterval], shown: &BTreeSet<u64
         }
     })
 }
+
+/// That `unbound` frames could not be tied to one of `exposures`, and no more (`bound`) could; `None` where most could.
+pub(super) fn few_bound(exposures: usize, unbound: usize, bound: usize) -> Option<String> {
+    if exposures == 0 || unbound == 0 || bound > unbound {
+        return None;
+    }
+    Some(match bound {
+        0 => format!(
+            "not one of {unbound} frames could be tied to one of {exposures} exposures: no pair has joints, robot or beam of telemetry"
+        ),
+        _ => format!(
+            "{unbound} of {} frames could not be tied to one of {exposures} exposures: their pairs have no joints, robot or beam of telemetry",
+            unbound + bound
+        ),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_session_that_ties_no_more_frames_than_it_leaves_has_lost_them() {
+        assert!(few_bound(8, 4, 4).is_some_and(|words| words.contains("4 of 8 frames")));
+        assert!(few_bound(8, 3, 0).is_some_and(|words| words.contains("not one of 3")));
+        for (exposures, unbound, bound) in [(8, 3, 5), (0, 3, 0), (8, 0, 0), (8, 0, 8)] {
+            assert_eq!(few_bound(exposures, unbound, bound), None);
+        }
+    }
+}

@@ -345,7 +345,8 @@ impl Replay<'_> {
         self.report.session_losses.extend(self.engine.line_losses());
         self.board.update(|state| state.finished = true);
         let losses = self.report.losses.iter().chain(&self.report.session_losses).cloned().collect();
-        let folder = self.collector.finish(&self.engine, self.tracks, losses, reporter, None);
+        let folder =
+            self.collector.finish(&self.engine, self.tracks, (losses, "another replay makes what is missing"), reporter, None);
         Ok((folder, self.report))
     }
 }

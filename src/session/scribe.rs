@@ -130,11 +130,7 @@ impl Work {
 
     fn say(&self, failure: Option<String>) {
         if let Some(failure) = failure {
-            let then = match self.log.has_failed() {
-                false => "the log goes on, and a replay of it makes the file again",
-                true => "the log has stopped as well: the file cannot be made again",
-            };
-            self.reporter.warn("file not written", format!("{failure}; {then}"));
+            self.reporter.warn("file not written", format!("{failure}; {}", self.log.again()));
         }
     }
 }

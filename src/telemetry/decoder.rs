@@ -6,7 +6,7 @@ use super::device::DeviceKind;
 use super::health::Health;
 use super::sample::Sample;
 use super::sequence::{SequenceTracker, Sequenced};
-use super::wire::{self, FrameFault};
+use super::wire::{self, FrameFault, Stamp, Unread};
 
 /// What the decoder found.
 #[derive(Clone, Debug, PartialEq)]
@@ -148,8 +148,16 @@ impl Decoder {
         self.buffer.clear();
         match outcome {
             Ok(sample) => self.deliver(sample, sink),
-            Err(FrameFault::Corrupt { .. } | FrameFault::Stuffing { .. }) if may_be_cut => self.health.partial_at_open += 1,
-            Err(fault) => {
+            Err(Unread { fault: FrameFault::Corrupt { .. } | FrameFault::Stuffing { .. }, .. }) if may_be_cut => {
+                self.health.partial_at_open += 1;
+            }
+            Err(Unread { fault, stamp }) => {
+                // It makes no sense, but it was not lost on the way.
+                let own = stamp
+                    .filter(|_| !matches!(&fault, FrameFault::Malformed { id, .. } if wire::is_of_another(*id, self.device)));
+                if own.is_some_and(|stamp| self.count(stamp, sink).is_none()) {
+                    return;
+                }
                 if let FrameFault::SchemaMismatch { found, .. } = fault {
                     self.foreign_schema = Some(found);
                 }
@@ -173,8 +181,17 @@ impl Decoder {
             sink(Event::Fault(DecodeFault::WrongDevice { expected: self.device, found }));
             return;
         }
-        let sequence = sample.sequence();
-        let sequenced = self.sequence.take(sequence, sample.device_us());
+        let stamp = Stamp { sequence: sample.sequence(), device_us: sample.device_us() };
+        if let Some(sequenced) = self.count(stamp, sink) {
+            self.health.frames += 1;
+            sink(Event::Sample(sample, sequenced));
+        }
+    }
+
+    /// What the number of an intact packet says; `None` for one that was here before.
+    fn count(&mut self, stamp: Stamp, sink: &mut dyn FnMut(Event)) -> Option<Sequenced> {
+        let sequence = stamp.sequence;
+        let sequenced = self.sequence.take(sequence, stamp.device_us);
         let fault = match sequenced {
             Sequenced::Next => None,
             Sequenced::Gap(count) => {
@@ -188,7 +205,7 @@ impl Decoder {
             Sequenced::Duplicate => {
                 self.health.duplicate += 1;
                 sink(Event::Fault(DecodeFault::Duplicate { sequence }));
-                return;
+                return None;
             }
             Sequenced::Reordered => {
                 self.health.reordered += 1;
@@ -204,7 +221,6 @@ impl Decoder {
         if let Some(fault) = fault {
             sink(Event::Fault(fault));
         }
-        self.health.frames += 1;
-        sink(Event::Sample(sample, sequenced));
+        Some(sequenced)
     }
 }

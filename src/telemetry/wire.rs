@@ -75,13 +75,26 @@ pub enum FrameFault {
     },
 }
 
+/// A frame that is no sample. Where it came intact, its number and device time count all the same.
+#[derive(Debug)]
+pub(super) struct Unread {
+    pub fault: FrameFault,
+    pub stamp: Option<Stamp>,
+}
+
+impl From<FrameFault> for Unread {
+    fn from(fault: FrameFault) -> Self {
+        Self { fault, stamp: None }
+    }
+}
+
 /// Unstuffs (in place), checks and reads one frame without its delimiter. `foreign` is another schema that this device has announced.
-pub fn read_frame(stuffed: &mut [u8], foreign: Option<u32>) -> Result<Sample, FrameFault> {
+pub(super) fn read_frame(stuffed: &mut [u8], foreign: Option<u32>) -> Result<Sample, Unread> {
     let bytes = stuffed.len();
     let length = cobs::decode_in_place(stuffed).map_err(|_| FrameFault::Stuffing { bytes })?;
     let packet = &stuffed[..length];
     if length < HEADER_BYTES + CRC_BYTES {
-        return Err(FrameFault::Stuffing { bytes });
+        return Err(FrameFault::Stuffing { bytes }.into());
     }
     let (body, crc) = packet.split_at(length - CRC_BYTES);
     let found_crc = u32::from_le_bytes([crc[0], crc[1], crc[2], crc[3]]);
@@ -91,7 +104,8 @@ pub fn read_frame(stuffed: &mut [u8], foreign: Option<u32>) -> Result<Sample, Fr
         return Err(match stated {
             Some(found) => FrameFault::SchemaMismatch { expected: SCHEMA_HASH, found },
             None => FrameFault::Corrupt { expected_crc, found_crc },
-        });
+        }
+        .into());
     }
     read_packet(body)
 }
@@ -111,15 +125,28 @@ fn stated_schema(body: &[u8]) -> Option<u32> {
     Some(u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]))
 }
 
-fn read_packet(body: &[u8]) -> Result<Sample, FrameFault> {
+/// Whether a message is one that only the other device sends.
+pub(super) fn is_of_another(id: u8, device: DeviceKind) -> bool {
+    match id {
+        ROBOT => device != DeviceKind::Robot,
+        CARM => device != DeviceKind::Carm,
+        _ => false,
+    }
+}
+
+fn read_packet(body: &[u8]) -> Result<Sample, Unread> {
     let (version, id) = (body[0], body[1]);
     if version != VERSION {
-        return Err(FrameFault::VersionMismatch { expected: VERSION, found: version });
+        return Err(FrameFault::VersionMismatch { expected: VERSION, found: version }.into());
     }
     let mut header = Fields { id, rest: &body[2..HEADER_BYTES] };
     let flags = header.u16()?;
     let stamp = Stamp { sequence: header.u32()?, device_us: header.u64()? };
-    let mut fields = Fields { id, rest: &body[HEADER_BYTES..] };
+    read_payload(id, flags, stamp, &body[HEADER_BYTES..]).map_err(|fault| Unread { fault, stamp: Some(stamp) })
+}
+
+fn read_payload(id: u8, flags: u16, stamp: Stamp, payload: &[u8]) -> Result<Sample, FrameFault> {
+    let mut fields = Fields { id, rest: payload };
     let sample = match id {
         ROBOT => Sample::Robot(fields.robot(flags, stamp)?),
         CARM => Sample::Carm(fields.carm(flags, stamp)?),
@@ -132,9 +159,11 @@ fn read_packet(body: &[u8]) -> Result<Sample, FrameFault> {
     }
 }
 
-struct Stamp {
-    sequence: u32,
-    device_us: u64,
+/// Number and device time of a packet.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Stamp {
+    pub sequence: u32,
+    pub device_us: u64,
 }
 
 /// Takes fields off the front of a payload.

@@ -126,16 +126,16 @@ impl<'a> Stamps<'a> {
         coarsest_us.saturating_add(APART_US).min(SAME_US)
     }
 
-    /// Whether a frame with this stamp may be of an exposure that was not seen, with this offset.
-    fn unseen(stamped: &Stamped, offset_us: i64, blind: &dyn Fn(i64, i64) -> bool) -> bool {
+    /// Whether a frame with this stamp may be of an exposure that was not seen, with an offset that is known to `within_us`.
+    fn unseen(stamped: &Stamped, offset_us: i64, within_us: i64, blind: &dyn Fn(i64, i64) -> bool) -> bool {
         let from_us = stamped.console_us.saturating_add(offset_us);
         let to_us = from_us.saturating_add(stamped.resolution_us);
-        blind(from_us.saturating_sub(SAME_US / 2), to_us.saturating_add(SAME_US / 2).min(stamped.arrival_us.unwrap_or(i64::MAX)))
+        blind(from_us.saturating_sub(within_us), to_us.saturating_add(within_us).min(stamped.arrival_us.unwrap_or(i64::MAX)))
     }
 
     /// Whether another offset than `own` explains as many stamps, a few perhaps by exposures that were not seen (`blind`: whether telemetry was
-    /// silent within two host times). `later`: only offsets that make the pictures younger count.
-    pub(super) fn has_rival(&self, own: &Bounds, later: bool, blind: &dyn Fn(i64, i64) -> bool) -> bool {
+    /// silent within two host times).
+    pub(super) fn has_rival(&self, own: &Bounds, blind: &dyn Fn(i64, i64) -> bool) -> bool {
         let own = own.at(self.middle_us);
         let Reading { count, lost, .. } = self.read(&self.list, own.low_us / 2 + own.high_us / 2);
         // What falls out of the session with either offset tells nothing.
@@ -144,10 +144,11 @@ impl<'a> Stamps<'a> {
             || self.tried.iter().any(|reading| {
                 let after = reading.offset_us > own.high_us.saturating_add(APART_US);
                 let before = reading.offset_us < own.low_us.saturating_sub(APART_US);
-                let hidden =
-                    |stamped: &&Stamped| !lost.contains(&stamped.console_us) && Self::unseen(stamped, reading.offset_us, blind);
+                let hidden = |stamped: &&Stamped| {
+                    !lost.contains(&stamped.console_us) && Self::unseen(stamped, reading.offset_us, APART_US, blind)
+                };
                 let unseen = reading.lost.iter().filter(hidden).count();
-                (after || before && !later) && reading.count + unseen.min((count / UNSEEN).max(1)) >= count
+                (after || before) && reading.count + unseen.min((count / UNSEEN).max(1)) >= count
             })
     }
 }
@@ -181,7 +182,7 @@ pub(super) fn align(stamps: Vec<Stamped>, shots: &Shots, blind: &dyn Fn(i64, i64
         return Vec::new();
     }
     // A frame that may be of an exposure that was not seen has no place in the order.
-    let seen = |stamped: &&Stamped| !Stamps::unseen(stamped, offset_us, blind);
+    let seen = |stamped: &&Stamped| !Stamps::unseen(stamped, offset_us, SAME_US / 2, blind);
     let seen: Vec<Stamped> = stamps.list.iter().filter(seen).copied().collect();
     pairs_in_order(&seen, shots, middle_us, offset_us)
 }

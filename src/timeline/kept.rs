@@ -17,6 +17,8 @@ use super::known::{Known, Pending};
 const KEPT_US: i64 = 500_000;
 /// An offset known no better than this, either way, says nothing.
 const WIDE_US: i64 = 1_500_000;
+/// Frames that come so soon after an exposure are hardly of the one before.
+const AT_ONCE_US: i64 = 1_500_000;
 /// The farthest zone, either way.
 const FARTHEST_US: i64 = 14 * 3_600_000_000;
 /// The latest frames are asked whether it does.
@@ -43,8 +45,9 @@ impl Known {
     }
 
     /// A console that keeps the host's time and counts as the C-arm does: all frames that came carry number and time of the exposure that
-    /// ended last before them. A console that has neither would have to be off by one exposure in both. What telemetry did not see does not
-    /// matter here, so that the first frames of a session speak as well.
+    /// ended last before them. A console that has neither would have to be off by one exposure in both; where frames do not come at once, it is
+    /// believed only if they do not fit the exposures before as well. What telemetry did not see does not matter here, so that the first frames
+    /// of a session speak as well.
     fn kept_by_both(&self) -> Option<Vec<Suggestion>> {
         let suggestions = self.suggested_by(self.frames.values().rev().take(KEPT_LOOKED_AT));
         let voters: BTreeSet<u32> =
@@ -55,7 +58,24 @@ impl Known {
         let members: Vec<Suggestion> = suggestions.iter().filter(kept).copied().collect();
         let frames: BTreeSet<u32> = members.iter().map(|member| member.frame).collect();
         let shots: BTreeSet<usize> = members.iter().map(|member| member.shot).collect();
-        (frames == voters && shots.len() >= KEPT_SHOTS).then_some(members)
+        let late_us = |member: &Suggestion| {
+            let arrival_us = self.frames.get(&member.frame).and_then(|pending| pending.evidence.arrival_us);
+            arrival_us.map_or(0, |arrival_us| arrival_us.saturating_sub(member.at_us))
+        };
+        let at_once = members.iter().all(|member| late_us(member) <= AT_ONCE_US);
+        (frames == voters && shots.len() >= KEPT_SHOTS && (at_once || !self.fit_the_exposures_before(&members)))
+            .then_some(members)
+    }
+
+    /// Whether one other offset makes each of the frames one of the exposure before its own.
+    fn fit_the_exposures_before(&self, members: &[Suggestion]) -> bool {
+        let before = |member: &Suggestion| {
+            let pending = self.frames.get(&member.frame)?;
+            Some(self.pair(&pending.evidence, member.shot.checked_sub(1)?)?.any)
+        };
+        let offsets: Option<Vec<Bounds>> = members.iter().map(before).collect();
+        let common = offsets.and_then(|offsets| offsets.into_iter().reduce(|all, own| all.and(&own)));
+        common.is_some_and(|common| common.low_us <= common.high_us)
     }
 
     /// The same of frames that come late, or were exported afterwards: all that fall into the session carry time (and number, where the
@@ -78,10 +98,10 @@ impl Known {
         if alike {
             members.iter_mut().for_each(|near| near.retain(|s| s.shift == Some(0)));
         }
-        let enough = 4 * strangers <= members.len() && (alike || self.finished);
+        let enough = 4 * strangers <= members.len();
         let single: Vec<Suggestion> = members.iter().filter(|near| near.len() == 1).flatten().copied().collect();
         let shots: BTreeSet<usize> = single.iter().map(|member| member.shot).collect();
-        let least = if alike { KEPT_SHOTS } else { KEPT_BY_STAMP };
+        let least = if alike { KEPT_SHOTS } else { KEPT_BY_STAMP + usize::from(!self.finished) };
         if !enough || shots.len() < least || shots.len() < single.len() || single.iter().any(|member| self.contradicted(member)) {
             return None;
         }
@@ -95,10 +115,8 @@ impl Known {
             Some(Stamped { console_us: said.console_us?, resolution_us, arrival_us: said.arrival_us })
         };
         let stamps: Vec<Stamped> = frames.iter().filter_map(stamped).collect();
-        // Pictures that come as they are taken are none of exposures still earlier than their own count and time say.
-        let arrived = alike && stamps.iter().all(|stamped| stamped.arrival_us.is_some());
         let stamps = Stamps::new(stamps, &self.shots, false);
-        (!stamps.has_rival(&common, arrived, &blind)).then_some(single)
+        (!stamps.has_rival(&common, &blind)).then_some(single)
     }
 
     /// For each frame that has any, the exposures that it may be of in the zone that most frames agree on. `None` while telemetry may yet show

@@ -16,6 +16,8 @@ const APART_US: i64 = 4_000_000;
 const LATER_US: i64 = 2_000_000;
 /// Frames from whose agreement it is known how soon frames come.
 const TIMED: usize = 8;
+/// Beside the offset's bounds, an exposure is still looked for.
+const BESIDE_US: i64 = 500_000;
 /// Frames with two readings that show which of them is the more even.
 const COMMON: usize = 4;
 
@@ -96,20 +98,21 @@ impl Known {
     pub(super) fn agree_on_offset(&mut self, timeline: &Timeline) {
         let known = self.known_offsets().next().is_some();
         let suggestions = self.suggestions(Topic::Offset);
-        let learnt = agreement(Topic::Offset, &suggestions).is_some_and(|members| self.learn_offset(&members, known, false));
+        let learnt =
+            agreement(Topic::Offset, &suggestions).is_some_and(|members| self.learn_offset(timeline, &members, known, false));
         if learnt || known {
             return;
         }
         let members = agreement(Topic::Both, &suggestions).or_else(|| self.kept(timeline));
         if let Some(members) = members {
-            self.learn_offset(&members, known, true);
+            self.learn_offset(timeline, &members, known, true);
         }
     }
 
     /// Takes the offset that `members` agree on, unless they are too few; `counted`: their counters agree as well.
-    fn learn_offset(&mut self, members: &[Suggestion], known: bool, counted: bool) -> bool {
+    fn learn_offset(&mut self, timeline: &Timeline, members: &[Suggestion], known: bool, counted: bool) -> bool {
         let frames: BTreeSet<u32> = members.iter().map(|member| member.frame).collect();
-        if known && frames.len() < 3 {
+        if known && frames.len() < 3 || !known && self.outvoted(members, timeline) {
             return false;
         }
         let mut offset = ConsoleOffset::default();
@@ -136,6 +139,31 @@ impl Known {
             self.offsets.push(offset);
         }
         enough
+    }
+
+    /// Whether more of the other frames contradict what `members` agree on than support it: with the offset that follows, their stamps fit no
+    /// exposure, at times that telemetry has seen.
+    fn outvoted(&self, members: &[Suggestion], timeline: &Timeline) -> bool {
+        let Some(common) = members.iter().filter_map(|member| member.offset).reduce(|all, own| all.and(&own)) else {
+            return false;
+        };
+        let (mut fitting, mut lost) = (members.len(), 0);
+        for pending in self.frames.values().filter(|pending| pending.prompt.is_some()) {
+            let said = &pending.evidence;
+            let Some(console_us) = said.console_us.filter(|_| members.iter().all(|member| member.frame != said.frame)) else {
+                continue;
+            };
+            let from_us = console_us.saturating_add(common.low_us).saturating_sub(BESIDE_US);
+            let to_us =
+                console_us.saturating_add(common.high_us).saturating_add(self.resolution_us(said)).saturating_add(BESIDE_US);
+            let meets = |at: usize| self.pair(said, at).is_some_and(|pair| pair.any.meets(&common));
+            if self.shots.touching(from_us, to_us).any(meets) {
+                fitting += 1;
+            } else if timeline.exposure_tracker().blind_spot(from_us, to_us).is_none() {
+                lost += 1;
+            }
+        }
+        lost > fitting
     }
 
     /// Without stamps, prompt frames that agree on the counter's shift are bound by it: which, and how.
@@ -166,6 +194,9 @@ impl Known {
         // One that came much later than the others came for something else, or is of a later exposure.
         let agreed: Vec<Suggestion> =
             agreed.into_iter().filter(|member| delay_us(member) <= usual_us.saturating_add(LATER_US)).collect();
+        if self.outvoted(&agreed, timeline) {
+            return bound;
+        }
         // One missing picture moves every later count to the exposure before; then those come after theirs at more even times.
         let rivals: BTreeSet<i64> = suggestions.iter().filter_map(|s| s.shift).collect();
         let doubted = |shift: i64| {

@@ -359,7 +359,6 @@ fn an_even_rhythm_does_not_keep_a_console_that_agrees_with_the_carm_from_being_b
 fn a_few_late_frames_of_a_console_that_keeps_the_time_find_their_exposures() {
     // Six exposures in an even rhythm, every frame after the next two or three; the last one shows that the console is not behind.
     let exposures: Vec<(f64, f64)> = (0..6).map(|i| 8.0 + 2.2 * f64::from(i)).map(|at| (at, at + 0.3)).collect();
-    let mut left = [0; 2];
     for late_s in [5.7, 6.5, 30.0, f64::INFINITY] {
         let came = |counted: bool| -> Vec<Came> {
             (0..6).map(|i| (Truth::Of(i), exposures[i].1 + late_s, counted.then_some(i as u32 + 1))).collect()
@@ -380,9 +379,7 @@ fn a_few_late_frames_of_a_console_that_keeps_the_time_find_their_exposures() {
                     .collect();
                 let off = |at_s: f64| stamp(at_s - 2.2 * f64::from(behind));
                 let score = played_with(&exposures, &[], true, &came, resolution_us, &off);
-                left[usize::from(behind < 0)] += score.bound;
-                let ahead = behind < 0 && counted && late_s.is_finite();
-                assert!(ahead || score.wrong.is_empty(), "{late_s} s, {counted}, {behind}: {:#?}", score.wrong);
+                assert!(score.wrong.is_empty(), "{late_s} s, {counted}, {behind}: {:#?}", score.wrong);
             }
         }
     }

@@ -1,7 +1,7 @@
 //! The decoder against the golden frames, damage and random bytes.
 
 use proptest::prelude::*;
-use sidecarm::telemetry::{DecodeFault, Decoder, DeviceKind, Event, FrameFault, MAX_ENCODED_BYTES, Sample};
+use sidecarm::telemetry::{DecodeFault, Decoder, DeviceKind, Event, FrameFault, MAX_ENCODED_BYTES, Sample, Sequenced};
 
 use crate::telemetry_frames::{GOLDEN_CARM, GOLDEN_METADATA, GOLDEN_ROBOT, bytes, carm, decode, frame, frame_of_schema, plain};
 
@@ -199,6 +199,20 @@ fn lost_duplicate_reordered_and_reset_are_counted() {
     assert_eq!(samples(&events).len(), 9);
     assert!(events.contains(&Event::Fault(DecodeFault::Lost { count: 3, while_closed: false })));
     assert!(events.contains(&Event::Fault(DecodeFault::Reset { sequence: 0 })));
+}
+
+/// The first packet of a device that began anew has an unknown message: that it began anew is said all the same.
+#[test]
+fn a_restart_that_begins_with_what_cannot_be_read_is_one() {
+    let begun: Vec<u8> = (500..520).flat_map(|n| carm(n, 1_000_000 + u64::from(n) * 33_333, [0.0; 7], false, None)).collect();
+    let stream = [begun, frame(1, 9, 0, 0, 1_000, &[0; 100]), carm(1, 34_333, [0.0; 7], false, None)].concat();
+    let (events, decoder) = decode(DeviceKind::Carm, &stream, 200);
+    assert_eq!((decoder.health().resets, decoder.health().lost), (1, 0));
+    let last = events.iter().rev().find_map(|event| match event {
+        Event::Sample(_, sequenced) => Some(*sequenced),
+        Event::Fault(_) => None,
+    });
+    assert_eq!(last, Some(Sequenced::Reset));
 }
 
 #[test]

@@ -46,7 +46,7 @@ pub const KEPT_TAGS: [KeptTag; 32] = [
     kept(tags::PRESENTATION_INTENT_TYPE, "presentation_intent", "FOR PROCESSING or FOR PRESENTATION"),
     kept(tags::ACQUISITION_NUMBER, "exposure_counter", "binds the frame to an exposure"),
     kept(tags::INSTANCE_NUMBER, "instance_number", "order of export"),
-    kept(tags::STUDY_INSTANCE_UID, "study", "tells the session's pictures from others in its folder; hashed"),
+    kept(tags::STUDY_INSTANCE_UID, "study", "tells the session's pictures from others in its folder; only its hash is kept"),
     kept(tags::PHOTOMETRIC_INTERPRETATION, "photometric", "direction of the values"),
     kept(tags::BITS_STORED, "bits_stored", "ends of the scale"),
     kept(tags::BURNED_IN_ANNOTATION, "burned_in_annotation", "text in the pixels must be masked"),
@@ -95,7 +95,7 @@ pub struct FrameTags {
     /// Instance number (0020,0013).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub instance_number: Option<u32>,
-    /// Hash of the study's identifier, from which it cannot be read: 12 hexadecimal digits.
+    /// Hash of the study's identifier, 12 hexadecimal digits: who knows the identifier can tell that it is this one, nobody can read it from it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub study: Option<String>,
     /// `YYYYMMDD` by the console's clock.

@@ -53,12 +53,16 @@ impl Case<'_> {
     pub fn better_elsewhere(&self, last: &Settled, hypothesis: &Hypothesis, margin: f64) -> Option<Refusal> {
         let matched = last.matches.len();
         let found = self.everywhere(&last.solution.intrinsics);
-        let other = found.hypotheses.iter().find(|other| self.is_elsewhere(&other.camera_from_lps, last))?;
-        let more = other.matches.len() >= matched + ORDINARY;
-        let far_better = other.matches.len() >= matched && other.score + margin < hypothesis.score;
-        if !(more || far_better) || !(self.chance_of(other, found.tried) < RIVAL_CHANCE) {
-            return None;
-        }
+        // Where K is solved as well, squares of another K do not compare.
+        let k_known = self.request.intrinsics.is_some();
+        let counts = |other: &&Hypothesis| {
+            let more = other.matches.len() >= matched + ORDINARY;
+            let as_good = k_known && other.matches.len() >= matched && other.score + margin < hypothesis.score;
+            (more || as_good)
+                && self.is_elsewhere(&other.camera_from_lps, last)
+                && self.chance_of(other, found.tried) < RIVAL_CHANCE
+        };
+        let other = found.hypotheses.iter().find(counts)?;
         let (angle_deg, shift_mm) = self.distance(&other.camera_from_lps, &last.solution.camera_from_lps);
         Some(Refusal::Ambiguous {
             rival: Rival::OtherNames,

@@ -131,6 +131,9 @@ fn write_announced(
         if found != place {
             place = found;
             let _ = parent.write_all(&Told::Placed(place).bytes());
+            if place == Place::Cut {
+                return Ok(());
+            }
         }
         let mut piece = vec![0; end.saturating_sub(at).min(PIECE_BYTES) as usize];
         while at < end {

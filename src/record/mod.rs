@@ -44,9 +44,9 @@ mod place;
 mod queue;
 mod reader;
 mod recorder;
+mod resync;
 mod sink;
 mod tolerance;
-mod resync;
 mod unpack;
 mod writer;
 

@@ -230,12 +230,23 @@ impl LogReader {
 
     /// Goes on at the next whole chunk; without one the log ends here.
     fn skip_damage(&mut self, start: u64, reason: String) {
-        let Some(next) = next_chunk(&mut self.source, start + 1, self.length) else { return self.end(start, reason) };
+        let Some(next) = next_chunk(&mut self.source, start + 1, self.length, self.length) else {
+            return self.end(start, reason);
+        };
         if self.source.seek(SeekFrom::Start(next)).is_err() {
             return self.end(start, reason);
         }
         self.at_byte = next;
         self.lose(start, format!("{reason}; {} bytes were skipped up to the next whole chunk", next - start));
+    }
+
+    /// Where bytes are missing, a whole chunk may begin within what looks like the record before it.
+    fn look_inside(&mut self, start: u64) {
+        let next = next_chunk(&mut self.source, start + 1, self.at_byte, self.length).unwrap_or(self.at_byte);
+        if let Err(error) = self.source.seek(SeekFrom::Start(next)) {
+            return self.end(start, format!("reading failed: {error}"));
+        }
+        self.at_byte = next;
     }
 
     /// Says how many losses were counted only.
@@ -298,7 +309,8 @@ impl LogReader {
     fn chunk(&mut self, start: u64, body: &[u8], whole: bool) {
         let Unpacked { records, damage } = unpack(body, whole);
         if let (Some(damage), true) = (&damage, whole) {
-            return self.lose(start, format!("chunk of {} bytes is damaged and was skipped: {damage}", body.len()));
+            self.lose(start, format!("chunk of {} bytes is damaged and was skipped: {damage}", body.len()));
+            return self.look_inside(start);
         }
         let mut rest = records.as_slice();
         while let Some((&[opcode, a, b, c, d, e, f, g, h], later)) = rest.split_first_chunk::<9>() {
@@ -357,7 +369,10 @@ impl LogReader {
             }
             Record::Statistics(statistics) => self.check_counts(start, &statistics),
             Record::Footer(_) => self.finished = true,
-            Record::Unknown { opcode, .. } => self.lose(start, format!("record of unknown kind {opcode:#04x} was skipped")),
+            Record::Unknown { opcode, .. } => {
+                self.lose(start, format!("record of unknown kind {opcode:#04x} was skipped"));
+                self.look_inside(start);
+            }
             _ => {}
         }
     }

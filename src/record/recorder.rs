@@ -93,7 +93,8 @@ impl Recorder {
     /// When `provenance` cannot be written as JSON or the thread cannot be started.
     pub fn to_target(path: &Path, target: Box<dyn LogTarget>, provenance: &Provenance) -> Result<Self, RecordError> {
         let queue = Arc::new(Queue::new(path));
-        let sink = OwnFile { target, watched: None, path: path.to_owned(), queue: Arc::clone(&queue), delivered: 0 };
+        let sink =
+            OwnFile { target, watched: None, path: path.to_owned(), queue: Arc::clone(&queue), delivered: 0, at_rest: false };
         Self::start(path, &queue, Box::new(sink), provenance)
     }
 
@@ -299,7 +300,14 @@ fn new_file(path: &Path) -> Result<File, RecordError> {
 
 fn own_file(path: &Path, file: File, queue: &Arc<Queue>) -> Result<OwnFile, RecordError> {
     let watched = Watched::new(&file).map_err(|source| RecordError::Io { path: path.to_owned(), source })?;
-    Ok(OwnFile { target: Box::new(file), watched: Some(watched), path: path.to_owned(), queue: Arc::clone(queue), delivered: 0 })
+    Ok(OwnFile {
+        target: Box::new(file),
+        watched: Some(watched),
+        path: path.to_owned(),
+        queue: Arc::clone(queue),
+        delivered: 0,
+        at_rest: false,
+    })
 }
 
 #[cfg(target_os = "linux")]

@@ -13,18 +13,21 @@ const CHUNK_HEAD: usize = RECORD_HEAD + 64;
 /// Bytes that are looked at together.
 const WINDOW: usize = 1 << 20;
 
-/// Where in a file of `length` bytes the next chunk begins, from `from` on, whose checksum is right. Chance hardly makes one: the lengths in
-/// its head must agree.
-pub(super) fn next_chunk(source: &mut (impl Read + Seek), from: u64, length: u64) -> Option<u64> {
-    let mut at = from;
-    while at + (CHUNK_HEAD as u64) < length {
+/// Where in a file of `length` bytes the next chunk whose checksum is right begins, in `from..until`. Chance hardly makes one: the lengths in
+/// its head must agree. Of what only looks like chunks no more is read than the file is long.
+pub(super) fn next_chunk(source: &mut (impl Read + Seek), from: u64, until: u64, length: u64) -> Option<u64> {
+    let (mut at, mut readable) = (from, length);
+    while at < until && at + (CHUNK_HEAD as u64) < length {
         source.seek(SeekFrom::Start(at)).ok()?;
         let mut window = Vec::with_capacity(WINDOW);
         source.by_ref().take(WINDOW as u64).read_to_end(&mut window).ok()?;
         let last = window.len().checked_sub(CHUNK_HEAD)?;
         for offset in (0..=last).filter(|offset| window[*offset] == mcap::records::op::CHUNK) {
             let place = at + offset as u64;
-            if is_chunk(source, &window[offset..], place, length) {
+            if place >= until || readable == 0 {
+                return None;
+            }
+            if is_chunk(source, &window[offset..], place, length, &mut readable) {
                 return Some(place);
             }
         }
@@ -34,7 +37,7 @@ pub(super) fn next_chunk(source: &mut (impl Read + Seek), from: u64, length: u64
 }
 
 /// Whether a whole chunk begins at `place`, of which `start` holds the first bytes.
-fn is_chunk(source: &mut (impl Read + Seek), start: &[u8], place: u64, length: u64) -> bool {
+fn is_chunk(source: &mut (impl Read + Seek), start: &[u8], place: u64, length: u64, readable: &mut u64) -> bool {
     let Some((bytes, rest)) = start[1..].split_first_chunk::<8>() else { return false };
     let body_bytes = u64::from_le_bytes(*bytes);
     let fits =
@@ -42,6 +45,7 @@ fn is_chunk(source: &mut (impl Read + Seek), start: &[u8], place: u64, length: u
     if !fits || body_bytes > MAX_RECORD_BYTES || !is_head(rest, body_bytes) {
         return false;
     }
+    *readable = readable.saturating_sub(body_bytes);
     let mut body = Vec::new();
     let read = source
         .seek(SeekFrom::Start(place + RECORD_HEAD as u64))

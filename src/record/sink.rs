@@ -25,10 +25,18 @@ pub(super) struct OwnFile {
     pub(super) queue: Arc<Queue>,
     /// Bytes that are in the file.
     pub(super) delivered: u64,
+    /// Nothing was written since.
+    pub(super) at_rest: bool,
 }
 
 impl Write for OwnFile {
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        // Before anything is written behind what was cut off.
+        if std::mem::take(&mut self.at_rest)
+            && self.watched.as_ref().is_some_and(|watched| watched.place(&self.path, self.delivered) == Place::Cut)
+        {
+            return Err(std::io::Error::other(CUT));
+        }
         self.target.write(bytes)
     }
 
@@ -41,7 +49,7 @@ impl Sink for OwnFile {
     fn deliver(&mut self, end: u64) -> std::io::Result<()> {
         let place = self.watched.as_ref().map_or(Place::There, |watched| watched.place(&self.path, self.delivered));
         self.flush()?;
-        self.delivered = end;
+        (self.delivered, self.at_rest) = (end, true);
         match place {
             Place::Deleted => return Err(std::io::Error::other(DELETED)),
             Place::Cut => return Err(std::io::Error::other(CUT)),

@@ -26,7 +26,12 @@ struct Head<'a> {
 /// Whether `start`, the first bytes of something that is `body_bytes` long, is the head of a chunk: its lengths agree.
 pub(super) fn is_head(start: &[u8], body_bytes: u64) -> bool {
     head(start, false).is_some_and(|head| {
-        (16 + 8 + 4 + 4 + head.compression.len() as u64 + 8).checked_add(head.packed_bytes) == Some(body_bytes)
+        let agree = match head.compression {
+            b"" => head.packed_bytes == head.unpacked_bytes,
+            compression => compression == b"zstd",
+        };
+        let head_bytes = 16 + 8 + 4 + 4 + head.compression.len() as u64 + 8;
+        agree && head_bytes.checked_add(head.packed_bytes) == Some(body_bytes)
     })
 }
 

@@ -66,6 +66,8 @@ pub struct Engine {
     developments: BTreeMap<u32, u32>,
     /// Exposures of which a frame came.
     shown: BTreeSet<u64>,
+    /// Frames that have one.
+    tied: BTreeSet<u32>,
     /// When the telemetry ended.
     ended_us: Option<i64>,
     /// Latest host time of any input.
@@ -109,6 +111,7 @@ impl Engine {
             unbound: BTreeMap::new(),
             developments: BTreeMap::new(),
             shown: BTreeSet::new(),
+            tied: BTreeSet::new(),
             ended_us: None,
             now_us: i64::MIN,
             bound: BTreeMap::new(),
@@ -164,7 +167,7 @@ impl Engine {
     /// Where no more frames were tied to exposures than were not, in words: the session has lost what telemetry knew of them.
     #[must_use]
     pub fn hardly_bound(&self) -> Option<String> {
-        few_bound(self.timeline.exposures().len(), self.without_exposure(), self.shown.len())
+        few_bound(self.timeline.exposures().len(), self.without_exposure(), self.tied.len())
     }
 
     /// Frames that may be of an exposure and are bound to none: no copies, and no pictures that were taken back.
@@ -311,6 +314,7 @@ impl Engine {
             let bound = Bound::new(frame, host_us, binding, &self.timeline);
             self.hearing.bound(number, host_us, &bound);
             self.shown.extend(bound.exposure_index());
+            self.tied.extend(bound.exposure_index().map(|_| number));
             self.bound.insert(number, bound);
             sink(Output::Bound { number });
         }
@@ -321,6 +325,7 @@ impl Engine {
         let label = binding.exposure.as_ref().map(|exposure| exposure.label()).unwrap_or_default();
         let Unbound { frame, host_us } = unbound;
         self.shown.extend(binding.exposure.as_ref().map(|exposure| exposure.index));
+        self.tied.insert(number);
         let bound = frame.map(|frame| Bound::new(frame, host_us, binding, &self.timeline));
         if let Some(bound) = &bound {
             self.hearing.bound(number, host_us, bound);

@@ -81,6 +81,8 @@ pub struct Decoder {
     /// No delimiter yet since the port was opened: the frame may be cut.
     may_be_cut: bool,
     sequence: SequenceTracker,
+    /// The device began anew with a packet that could not be read.
+    began_anew: bool,
     /// Another schema that the device's metadata announced.
     foreign_schema: Option<u32>,
     health: Health,
@@ -96,6 +98,7 @@ impl Decoder {
             overflowing: false,
             may_be_cut: true,
             sequence: SequenceTracker::default(),
+            began_anew: false,
             foreign_schema: None,
             health: Health::default(),
         }
@@ -155,8 +158,10 @@ impl Decoder {
                 // It makes no sense, but it was not lost on the way.
                 let own = stamp
                     .filter(|_| !matches!(&fault, FrameFault::Malformed { id, .. } if wire::is_of_another(*id, self.device)));
-                if own.is_some_and(|stamp| self.count(stamp, sink).is_none()) {
-                    return;
+                match own.map(|stamp| self.count(stamp, sink)) {
+                    Some(None) => return,
+                    Some(Some(Sequenced::Reset)) => self.began_anew = true,
+                    Some(Some(_)) | None => {}
                 }
                 if let FrameFault::SchemaMismatch { found, .. } = fault {
                     self.foreign_schema = Some(found);
@@ -183,6 +188,8 @@ impl Decoder {
         }
         let stamp = Stamp { sequence: sample.sequence(), device_us: sample.device_us() };
         if let Some(sequenced) = self.count(stamp, sink) {
+            // The packet that began the new count could not be read: this is the first of it.
+            let sequenced = if std::mem::take(&mut self.began_anew) { Sequenced::Reset } else { sequenced };
             self.health.frames += 1;
             sink(Event::Sample(sample, sequenced));
         }

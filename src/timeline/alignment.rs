@@ -18,8 +18,8 @@ const APART_US: i64 = 300_000;
 /// More pairs than this are not compared (4000 frames with 1000 exposures).
 const MOST_PAIRS: usize = 4_000_000;
 
-/// One in so many stamps may be of an exposure that was not seen.
-const UNSEEN: usize = 4;
+/// One in so many stamps of a reading may be of exposures that were not seen.
+const UNSEEN: usize = 2;
 /// So many stamps that fit only another offset show that the clock was set.
 const MOST_LOST: usize = 3;
 

@@ -1,4 +1,4 @@
-//! A console that keeps the host's time, but for the zone: believed where nothing else explains what came.
+//! A console that keeps the host's time, but for a zone of whole hours: believed where nothing else explains what came.
 //!
 //! Where exposures follow each other evenly, stamps and counts agree with the exposure before or after as well, and where frames come late
 //! nothing is prompt. A console whose clock is off by just the time between exposures is rare, but it exists; it leaves a mark: its first or
@@ -26,8 +26,9 @@ const KEPT_LOOKED_AT: usize = 24;
 /// Exposures whose frames must show that it does, and where their counts do not say the same.
 const KEPT_SHOTS: usize = 3;
 const KEPT_BY_STAMP: usize = 4;
-/// Readings of more pairs of frame and exposure than this are not compared while a session runs.
+/// Readings of more pairs of frame and exposure than this are not compared, while a session runs and when it is over.
 const MOST_PAIRS: usize = 20_000;
+const MOST_PAIRS_AT_END: usize = 1_000_000;
 
 /// The zone (its offset, µs) that an offset within these bounds may be, if any.
 fn zone_of(bounds: Bounds) -> Option<i64> {
@@ -35,7 +36,8 @@ fn zone_of(bounds: Bounds) -> Option<i64> {
     let middle_us = bounds.low_us.saturating_add(half_us);
     let off_us = off_zone_us(middle_us);
     let zone_us = middle_us.saturating_sub(off_us);
-    (half_us <= WIDE_US && off_us.abs() <= half_us + KEPT_US && zone_us.abs() <= FARTHEST_US).then_some(zone_us)
+    (half_us <= WIDE_US && off_us.saturating_abs() <= half_us + KEPT_US && zone_us.saturating_abs() <= FARTHEST_US)
+        .then_some(zone_us)
 }
 
 impl Known {
@@ -85,10 +87,12 @@ impl Known {
             let said = &pending.evidence;
             said.console_us.is_some() && self.contents.get(&said.content).is_some_and(|(first, _)| *first == said.frame)
         };
-        let frames: Vec<&Pending> = self.frames.values().filter(stands).collect();
-        if self.shots.len() == 0 || !self.finished && frames.len().saturating_mul(self.shots.len()) > MOST_PAIRS {
+        let stamped = (self.whole_minutes + self.other_stamps) as usize;
+        let most = if self.finished { MOST_PAIRS_AT_END } else { MOST_PAIRS };
+        if self.shots.len() == 0 || stamped.saturating_mul(self.shots.len()) > most {
             return None;
         }
+        let frames: Vec<&Pending> = self.frames.values().filter(stands).collect();
         let blind = |from_us: i64, to_us: i64| timeline.exposure_tracker().blind_spot(from_us, to_us).is_some();
         let mut members = self.of_one_zone(&frames, &blind)?;
         let strangers = frames.len() - members.len();

@@ -109,7 +109,7 @@ impl Known {
         }
     }
 
-    /// Takes the offset that `members` agree on, unless they are too few; `counted`: their counters agree as well.
+    /// Takes the offset that `members` agree on, unless they are too few; `counted`: more than their stamps says which exposure each has.
     fn learn_offset(&mut self, timeline: &Timeline, members: &[Suggestion], known: bool, counted: bool) -> bool {
         let frames: BTreeSet<u32> = members.iter().map(|member| member.frame).collect();
         if known && frames.len() < 3 || !known && self.outvoted(members, timeline) {
@@ -147,6 +147,10 @@ impl Known {
         let Some(common) = members.iter().filter_map(|member| member.offset).reduce(|all, own| all.and(&own)) else {
             return false;
         };
+        // Stamps that contradict each other name no offset.
+        if common.low_us > common.high_us {
+            return false;
+        }
         let (mut fitting, mut lost) = (members.len(), 0);
         for pending in self.frames.values().filter(|pending| pending.prompt.is_some()) {
             let said = &pending.evidence;

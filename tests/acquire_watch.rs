@@ -9,47 +9,47 @@ use sidecarm::time::host_now_us;
 use crate::acquire_frames::{fluoroscopy, save};
 
 /// A watched folder and what came of it.
-struct Watched {
-    folder: tempfile::TempDir,
-    source: FolderSource,
-    now_us: i64,
-    frames: Vec<(String, String, Option<String>)>,
+pub struct Watched {
+    pub folder: tempfile::TempDir,
+    pub source: FolderSource,
+    pub now_us: i64,
+    pub frames: Vec<(String, String, Option<String>)>,
     /// Frames of which an earlier version was delivered unfinished.
-    unfinished: Vec<String>,
-    troubles: Vec<Trouble>,
-    refused: Vec<String>,
-    other: Vec<String>,
+    pub unfinished: Vec<String>,
+    pub troubles: Vec<Trouble>,
+    pub refused: Vec<String>,
+    pub other: Vec<String>,
 }
 
 impl Watched {
-    fn new(include_existing: bool) -> Self {
+    pub fn new(include_existing: bool) -> Self {
         let folder = tempfile::tempdir().expect("folder");
         Self::of(folder, include_existing)
     }
 
-    fn of(folder: tempfile::TempDir, include_existing: bool) -> Self {
+    pub fn of(folder: tempfile::TempDir, include_existing: bool) -> Self {
         let source = FolderSource::new(folder.path(), None, include_existing, ForeignReader::in_process());
         let (frames, troubles, refused, other) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         Self { folder, source, now_us: host_now_us(), frames, unfinished: Vec::new(), troubles, refused, other }
     }
 
-    fn path(&self, name: &str) -> std::path::PathBuf {
+    pub fn path(&self, name: &str) -> std::path::PathBuf {
         self.folder.path().join(name)
     }
 
-    fn look(&mut self, later_us: i64) -> Vec<Sighting> {
+    pub fn look(&mut self, later_us: i64) -> Vec<Sighting> {
         self.now_us += later_us;
         self.source.look(self.now_us)
     }
 
     /// Looks and reads everything.
-    fn step(&mut self, later_us: i64) {
+    pub fn step(&mut self, later_us: i64) {
         for sighting in self.look(later_us) {
             self.take(sighting);
         }
     }
 
-    fn take(&mut self, sighting: Sighting) {
+    pub fn take(&mut self, sighting: Sighting) {
         match sighting {
             Sighting::Ready(arrival) => match arrival.read() {
                 Reading::Frames { frames, earlier } => {
@@ -72,19 +72,19 @@ impl Watched {
     }
 
     /// Steps until nothing more can come of what is there.
-    fn settle(&mut self) {
+    pub fn settle(&mut self) {
         for _ in 0..6 {
             self.step(120_000);
         }
     }
 
-    fn names(&self) -> Vec<&str> {
+    pub fn names(&self) -> Vec<&str> {
         self.frames.iter().map(|(name, _, _)| name.as_str()).collect()
     }
 }
 
 /// A fluoroscopy frame whose first pixel is `first`.
-fn frame_bytes(first: u16) -> Vec<u8> {
+pub fn frame_bytes(first: u16) -> Vec<u8> {
     use dicom_core::{DataElement, PrimitiveValue, VR};
     let folder = tempfile::tempdir().expect("folder");
     let mut object = fluoroscopy();
@@ -93,7 +93,7 @@ fn frame_bytes(first: u16) -> Vec<u8> {
     std::fs::read(save(object, &folder.path().join("x.dcm"))).expect("bytes")
 }
 
-fn age(path: &Path, seconds: u64) {
+pub fn age(path: &Path, seconds: u64) {
     let file = std::fs::File::options().append(true).open(path).expect("file");
     let modified = file.metadata().expect("metadata").modified().expect("time of change");
     file.set_modified(modified - std::time::Duration::from_secs(seconds)).expect("time is set");
@@ -241,168 +241,6 @@ fn a_file_that_is_deleted_before_it_was_whole_is_said() {
     watched.settle();
     assert!(watched.frames.is_empty());
     assert_eq!(watched.troubles, [Trouble::Vanished { label: "x".into() }]);
-}
-
-#[test]
-fn a_half_written_file_waits_is_reported_after_its_patience_and_read_when_whole() {
-    let mut watched = Watched::new(true);
-    let whole = frame_bytes(1);
-    std::fs::write(watched.path("x.dcm"), &whole[..whole.len() - 5]).expect("half");
-    for _ in 0..30 {
-        watched.step(300_000);
-    }
-    assert!(watched.frames.is_empty() && watched.troubles.is_empty() && watched.refused.is_empty(), "nine seconds are no reason");
-    for _ in 0..10 {
-        watched.step(300_000);
-    }
-    assert!(matches!(watched.troubles.as_slice(), [Trouble::Unfinished { .. }]), "said once: {:?}", watched.troubles);
-    std::fs::write(watched.path("x.dcm"), &whole).expect("whole");
-    watched.settle();
-    assert_eq!(watched.names(), ["x"]);
-}
-
-/// A TIFF whose table of strips comes first and whose strips come last, as scanners write them.
-fn tiff_with_strips_last() -> Vec<u8> {
-    let (width, rows, strips) = (64u32, 8u32, 4u32);
-    let strip_bytes = width * rows;
-    let entries: [(u16, u16, u32, u32); 8] = [
-        (256, 4, 1, width),
-        (257, 4, 1, rows * strips),
-        (258, 3, 1, 8),
-        (259, 3, 1, 1),
-        (262, 3, 1, 1),
-        (273, 4, strips, 110),
-        (278, 4, 1, rows),
-        (279, 4, strips, 110 + 4 * strips),
-    ];
-    let mut bytes = b"II*\0\x08\0\0\0".to_vec();
-    bytes.extend((entries.len() as u16).to_le_bytes());
-    for (tag, kind, count, value) in entries {
-        bytes.extend(tag.to_le_bytes());
-        bytes.extend(kind.to_le_bytes());
-        bytes.extend(count.to_le_bytes());
-        bytes.extend(value.to_le_bytes());
-    }
-    bytes.extend([0; 4]);
-    assert_eq!(bytes.len(), 110);
-    let data = 110 + 8 * strips;
-    (0..strips).for_each(|strip| bytes.extend((data + strip * strip_bytes).to_le_bytes()));
-    (0..strips).for_each(|_| bytes.extend(strip_bytes.to_le_bytes()));
-    bytes.extend((0..strips * strip_bytes).map(|index| (index % 250) as u8 + 1));
-    bytes
-}
-
-/// A copy that pauses over 100 ms was delivered half zero and its completion ignored.
-#[test]
-fn a_copy_that_pauses_is_never_delivered_half() {
-    let png = {
-        let folder = tempfile::tempdir().expect("folder");
-        let path = folder.path().join("x.png");
-        let noise: Vec<u16> = (0..64 * 64u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 16) as u16).collect();
-        image::ImageBuffer::<image::Luma<u16>, _>::from_raw(64, 64, noise).expect("size").save(&path).expect("png");
-        std::fs::read(path).expect("bytes")
-    };
-    let mut cases = 0;
-    for (name, whole) in [("run.dcm", frame_bytes(5)), ("run.tif", tiff_with_strips_last()), ("run.png", png)] {
-        for eighths in 1..8 {
-            let mut watched = Watched::new(true);
-            let cut = whole.len() * eighths / 8;
-            std::fs::write(watched.path(name), &whole[..cut]).expect("part");
-            watched.settle();
-            assert!(watched.frames.is_empty(), "{name}: {eighths}/8 were delivered");
-            let mut file = std::fs::File::options().append(true).open(watched.path(name)).expect("file");
-            std::io::Write::write_all(&mut file, &whole[cut..]).expect("rest");
-            drop(file);
-            watched.settle();
-            assert_eq!(watched.frames.len(), 1, "{name}: {:?} {:?}", watched.troubles, watched.refused);
-            cases += 1;
-        }
-    }
-    assert_eq!(cases, 21);
-}
-
-/// The whole size is reserved first, the content comes later: zeros that were never written are no image.
-#[cfg(target_os = "linux")]
-#[test]
-fn a_file_with_holes_waits_until_it_is_filled() {
-    let mut watched = Watched::new(true);
-    let image = sidecarm::image::Image { width: 256, height: 256, pixels: (0..65536).map(|i| 1.0 + i as f32).collect() };
-    let beside = tempfile::tempdir().expect("folder");
-    sidecarm::image::write_tiff_f32(&beside.path().join("x.tif"), &[image]).expect("written");
-    let whole = std::fs::read(beside.path().join("x.tif")).expect("bytes");
-    let path = watched.path("x.tif");
-    let mut file = std::fs::File::create(&path).expect("file");
-    file.set_len(whole.len() as u64).expect("reserved");
-    // Header and the table at the end are there, the middle is not.
-    use std::os::unix::fs::FileExt;
-    file.write_all_at(&whole[..4096], 0).expect("start");
-    file.write_all_at(&whole[whole.len() - 4096..], whole.len() as u64 - 4096).expect("end");
-    std::io::Write::flush(&mut file).expect("flushed");
-    watched.settle();
-    assert!(watched.frames.is_empty(), "half an image was delivered");
-    file.write_all_at(&whole, 0).expect("all");
-    drop(file);
-    watched.settle();
-    assert_eq!(watched.names(), ["x"]);
-}
-
-/// Size first, content later, without holes: half an image looks whole.
-#[cfg(target_os = "linux")]
-#[test]
-fn zeros_at_the_end_are_waited_for_while_the_file_is_open_and_taken_back_otherwise() {
-    use std::os::unix::fs::FileExt;
-    let whole = {
-        let folder = tempfile::tempdir().expect("folder");
-        let values: Vec<u16> = (0..64 * 64).map(|n| 100 + n % 900).collect();
-        use dicom_core::{DataElement, PrimitiveValue, VR};
-        use dicom_dictionary_std::tags;
-        let mut object = fluoroscopy();
-        object.put(DataElement::new(tags::ROWS, VR::US, PrimitiveValue::from(64u16)));
-        object.put(DataElement::new(tags::COLUMNS, VR::US, PrimitiveValue::from(64u16)));
-        object.put(DataElement::new(tags::PIXEL_DATA, VR::OW, PrimitiveValue::U16(values.into())));
-        std::fs::read(save(object, &folder.path().join("x.dcm"))).expect("bytes")
-    };
-    let mut torn = whole.clone();
-    torn[whole.len() / 2..].fill(0);
-
-    // Open: nothing is delivered before it is closed, and at once then.
-    let mut watched = Watched::new(true);
-    let file = std::fs::File::create(watched.path("b.dcm")).expect("file");
-    file.write_all_at(&torn, 0).expect("size and half");
-    watched.step(1);
-    std::thread::sleep(std::time::Duration::from_millis(100));
-    (0..30).for_each(|_| watched.step(120_000));
-    assert!(watched.frames.is_empty(), "half an image was delivered");
-    file.write_all_at(&whole, 0).expect("all");
-    drop(file);
-    std::thread::sleep(std::time::Duration::from_millis(100));
-    watched.settle();
-    assert_eq!((watched.names(), watched.unfinished.len()), (vec!["b"], 0));
-
-    // Closed: it may be all black below, and is delivered; the whole one says that it was not.
-    let mut watched = Watched::new(true);
-    std::fs::write(watched.path("c.dcm"), &torn).expect("written");
-    std::thread::sleep(std::time::Duration::from_millis(100));
-    watched.settle();
-    assert_eq!(watched.names(), ["c"]);
-    let modified = std::fs::metadata(watched.path("c.dcm")).and_then(|metadata| metadata.modified()).expect("a time");
-    let file = std::fs::File::options().write(true).open(watched.path("c.dcm")).expect("file");
-    file.write_all_at(&whole, 0).expect("all");
-    // Neither size nor time of change tell.
-    file.set_modified(modified).expect("time is set");
-    drop(file);
-    std::thread::sleep(std::time::Duration::from_millis(100));
-    watched.settle();
-    assert_eq!((watched.names(), watched.unfinished.clone()), (vec!["c", "c"], vec!["c".to_owned()]));
-
-    // The control: another picture under the same name.
-    let mut another = whole.clone();
-    let last = another.len() - 10;
-    another[last] ^= 1;
-    std::fs::write(watched.path("c.dcm"), &another).expect("written");
-    std::thread::sleep(std::time::Duration::from_millis(100));
-    watched.settle();
-    assert_eq!((watched.names().len(), watched.unfinished.len()), (3, 1));
 }
 
 #[test]

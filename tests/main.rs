@@ -6,6 +6,7 @@ mod acquire_frames;
 mod acquire_identity;
 mod acquire_info;
 mod acquire_live;
+mod acquire_unwhole;
 mod acquire_watch;
 mod architecture;
 mod architecture_inside;

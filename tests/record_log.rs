@@ -195,19 +195,24 @@ fn damage_anywhere_neither_panics_nor_passes_unsaid() {
     assert!(said > flips / 4 && flips > 500, "{said} of {flips}");
 }
 
-/// Several chunks, the middle one damaged: the others stay.
-#[test]
-fn a_damaged_chunk_is_skipped_and_the_rest_is_read() {
+/// A log of so many images, each in a chunk of its own.
+fn images_in_chunks(count: i64) -> Vec<u8> {
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path().join("chunks.mcap");
     let recorder = Recorder::create(&path, &provenance()).expect("created");
     let noise: Vec<f32> = (0..1_500_000u32).map(|i| f32::from_bits(0x3f00_0000 | (i.wrapping_mul(2_654_435_761) >> 9))).collect();
-    for index in 0..3 {
+    for index in 0..count {
         let image = Image { width: 1500, height: 1000, pixels: noise.clone() };
         recorder.drr(&format!("{index}"), &image, index).expect("recorded");
     }
     recorder.finish().expect("finished");
-    let mut bytes = std::fs::read(&path).expect("bytes");
+    std::fs::read(&path).expect("bytes")
+}
+
+/// Several chunks, the middle one damaged: the others stay.
+#[test]
+fn a_damaged_chunk_is_skipped_and_the_rest_is_read() {
+    let mut bytes = images_in_chunks(3);
     let middle = bytes.len() / 2;
     bytes[middle] ^= 0xff;
     let log = contents(&bytes).expect("readable");
@@ -235,16 +240,7 @@ fn records(bytes: &[u8]) -> Vec<(usize, u8)> {
 /// One page of zeros, or one that is gone, over the head of a chunk: all that came behind it was lost although it was whole.
 #[test]
 fn behind_a_page_that_is_gone_the_log_is_read_on() {
-    let folder = tempfile::tempdir().expect("folder");
-    let path = folder.path().join("pages.mcap");
-    let recorder = Recorder::create(&path, &provenance()).expect("created");
-    let noise: Vec<f32> = (0..1_500_000u32).map(|i| f32::from_bits(0x3f00_0000 | (i.wrapping_mul(2_654_435_761) >> 9))).collect();
-    for index in 0..5 {
-        let image = Image { width: 1500, height: 1000, pixels: noise.clone() };
-        recorder.drr(&format!("{index}"), &image, index).expect("recorded");
-    }
-    recorder.finish().expect("finished");
-    let bytes = std::fs::read(&path).expect("bytes");
+    let bytes = images_in_chunks(5);
     let chunks: Vec<usize> =
         records(&bytes).into_iter().filter(|(_, kind)| *kind == mcap::records::op::CHUNK).map(|(at, _)| at).collect();
     assert!(chunks.len() >= 5, "{chunks:?}");

@@ -17,6 +17,10 @@ pub struct JsonFault {
 /// # Errors
 /// Where it is no JSON, has another form, or goes on behind the value.
 pub fn parse_json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, JsonFault> {
+    if bytes.starts_with("\u{feff}".as_bytes()) {
+        let detail = "a byte order mark stands before the JSON: save the file as UTF-8 without one".to_owned();
+        return Err(JsonFault { place: "the beginning".to_owned(), detail });
+    }
     let mut deserializer = serde_json::Deserializer::from_slice(bytes);
     let value = serde_path_to_error::deserialize(&mut deserializer).map_err(|error| {
         // No key leads to the outermost value.
@@ -53,6 +57,7 @@ mod tests {
             (right.replace("2.0", "\"two\""), "at joints[1].orbital_deg: ", "invalid type"),
             ("{}".to_owned(), "at the top level: ", "missing field `joints`"),
             (format!("{right} x"), "at the end: ", "trailing characters"),
+            (format!("\u{feff}{right}"), "at the beginning: ", "byte order mark"),
         ] {
             let said = fault(&text);
             assert!(said.starts_with(place) && said.contains(words), "{said}");

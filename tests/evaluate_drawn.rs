@@ -436,8 +436,9 @@ fn a_drawn_scene_beyond_its_bound_is_seen() {
 #[test]
 #[ignore = "minutes long: scripts/evaluate drawn runs it"]
 fn many_drawn_scenes_stay_within_their_stated_error() {
-    let count = std::env::var("SIDECARM_SCENES").ok().and_then(|count| count.parse().ok()).unwrap_or(400);
-    let verdicts = table(0..count);
+    let number = |name: &str, default: u64| std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(default);
+    let (first, count) = (number("SIDECARM_FIRST_SEED", 0), number("SIDECARM_SCENES", 400));
+    let verdicts = table(first..first + count);
     let broken: Vec<&Verdict> = verdicts.iter().filter(|verdict| !verdict.holds()).collect();
     assert!(!verdicts.is_empty() && broken.is_empty(), "{broken:#?}");
     let timed: Vec<&Verdict> = verdicts.iter().filter(|v| v.taken_ms.max(v.predicted_ms) >= LEAST_MS).collect();

@@ -167,7 +167,7 @@ fn mm_per_unit(path: &Path, place: &str, units: &Value) -> Result<f64, BeadsErro
 }
 
 fn read_json(path: &Path, bytes: &[u8]) -> Result<(Points, usize), BeadsError> {
-    let document: Value = serde_json::from_slice(bytes).map_err(|source| BeadsError::Json { path: path.to_owned(), source })?;
+    let document: Value = crate::json::parse_json(bytes).map_err(|source| BeadsError::Json { path: path.to_owned(), source })?;
     let form = |place: String, found: &Value, expected| {
         let mut found = found.to_string();
         if found.chars().count() > 60 {

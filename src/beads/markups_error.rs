@@ -24,8 +24,8 @@ pub enum BeadsError {
     Json {
         /// The file.
         path: PathBuf,
-        /// Line and column.
-        source: serde_json::Error,
+        /// What is wrong, and where.
+        source: crate::json::JsonFault,
     },
     /// JSON or a table, but not of this form.
     #[error("{path}: {place} is {found}, expected {expected}", path = path.display())]

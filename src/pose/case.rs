@@ -6,12 +6,13 @@ use std::sync::Arc;
 use glam::{DVec2, DVec3};
 use nalgebra::{Matrix2, Matrix6, Vector2};
 
+use super::gate::{Gate, information_about};
 use super::prior::Prior;
 use super::record::{Pose, Shadow};
 use super::refusal::Refusal;
 use super::request::Registration;
-use super::search::{Found, Gate, Hypothesis, Search, Target, information_about};
-use super::solve::{deviation, image_by_point, point_by_pose};
+use super::search::{Found, Hypothesis, Search, Target};
+use super::solve::{image_by_point, point_by_pose};
 use super::verdict::chance;
 use crate::beads::{Detection, Probe};
 use crate::geometry::{Intrinsics, Rigid};
@@ -94,8 +95,7 @@ impl<'a> Case<'a> {
     /// prior that holds.
     pub fn off_prior(&self, pose: &Rigid) -> Option<(f64, f64)> {
         let gate = self.gate(self.request.prior.filter(|_| !self.without_prior)?);
-        let r = deviation(pose, &gate.camera_from_lps);
-        Some(((r.transpose() * gate.information * r)[(0, 0)], gate.limit))
+        Some((gate.squares(pose), gate.limit))
     }
 
     /// Whether the prior, if it holds, says that the pose cannot be.

@@ -66,12 +66,16 @@ impl Case<'_> {
         self.check_twins(candidate, &settled, &hypothesis)?;
         let mut cautions = self.doubt(&settled, &hypothesis)?;
         cautions.extend(off_intrinsics);
-        if is_plate && (self.request.prior.is_none() || self.without_prior) {
-            cautions.push(
-                "the beads lie in a plane: from them alone nobody can tell whether the picture is mirrored, and the pose with it; give \
-                 --prior, or a bead out of the plane"
-                    .to_owned(),
-            );
+        let alone = self.request.prior.is_none() || self.without_prior;
+        if alone && (is_plate || self.has_mirror_twin(&settled)) {
+            let (why, remedy) = if is_plate {
+                ("the beads lie in a plane", "a bead out of the plane")
+            } else {
+                ("the layout resembles its own mirror image", "a bead that no mirror puts onto another")
+            };
+            cautions.push(format!(
+                "{why}: from the beads alone nobody can tell whether the picture is mirrored, and the pose with it; give --prior, or {remedy}"
+            ));
         }
         let covariance = &settled.solution.covariance * settled.chi2_per_dof.max(1.0);
         self.check_uncertainty(&settled, &covariance, notes)?;

@@ -1,8 +1,9 @@
 //! The match that explains most of the frame, and what else was found on the way.
 
 use super::case::Case;
+use super::gate::{Gate, information_about_each};
 use super::prior::Prior;
-use super::search::{Found, Gate, Hypothesis, Search, information_about_each};
+use super::search::{Found, Hypothesis, Search};
 use super::solve::{Free, Match, Options, Solution, solve};
 use super::transform;
 use crate::beads::Detection;

@@ -7,8 +7,10 @@ use glam::{DVec2, DVec3};
 use super::besides::Besides;
 use super::case::Case;
 use super::doubt::{LEAST_RMS_PX, ORDINARY};
+use super::gate::{Gate, information_about};
+use super::mirror_twin::mirrored_k;
 use super::refusal::{Refusal, Rival};
-use super::search::{Found, Gate, Hypothesis, Search, information_about};
+use super::search::{Found, Hypothesis, Search};
 use super::settle::Settled;
 use super::solve::Match;
 use super::verdict::{is_plate, spread};
@@ -160,7 +162,7 @@ impl Case<'_> {
     fn mirror_image(&self, k: &Intrinsics) -> (Vec<Detection>, Intrinsics) {
         let end = f64::from(self.request.size_px[0]) - 1.0;
         let turned = |d: &Detection| Detection { image_px: DVec2::new(end - d.image_px.x, d.image_px.y), ..*d };
-        (self.detections.iter().map(turned).collect(), Intrinsics { cx: end - k.cx, ..*k })
+        (self.detections.iter().map(turned).collect(), mirrored_k(k, end))
     }
 
     /// The best match of `shadows`, if it is beyond chance; `own` tells which each is among all.

@@ -4,10 +4,11 @@
 //! first, in batches whose order does not depend on threads, until a match is far beyond chance or the budget is spent.
 
 use glam::{DVec2, DVec3};
-use nalgebra::Matrix6;
 use rayon::prelude::*;
 
-use super::solve::{Free, Match, Options, Solution, about, deviation, solve};
+use super::gate::Gate;
+use super::occupancy::Occupancy;
+use super::solve::{Free, Match, Options, Solution, solve};
 use super::triangle;
 use crate::beads::Detection;
 use crate::geometry::{Intrinsics, Rigid};
@@ -18,14 +19,6 @@ pub struct Target {
     pub lps_mm: DVec3,
     pub sigma_mm: f64,
     pub radius_mm: Option<f64>,
-}
-
-/// Where the pose must lie: squared deviation from `camera_from_lps` at most `limit` under `information` (ξ in `camera`).
-#[derive(Clone, Copy, Debug)]
-pub struct Gate {
-    pub camera_from_lps: Rigid,
-    pub information: Matrix6<f64>,
-    pub limit: f64,
 }
 
 /// The task.
@@ -75,6 +68,15 @@ pub const BUDGET: u64 = 3_000_000;
 const BATCH: usize = 48;
 const KEPT_PER_BATCH: usize = 40;
 
+/// What every triple asks, once for all.
+struct Tables {
+    /// Of the shadows, on the plane z = 1.
+    rays: Vec<DVec2>,
+    /// Between beads, row by row.
+    apart_mm: Vec<f64>,
+    shadows: Occupancy,
+}
+
 struct Raw {
     pose: Rigid,
     worth: f64,
@@ -85,13 +87,12 @@ impl Search<'_> {
     /// Runs the search over all detections, stopping early once `enough` says so of the best hypothesis so far.
     pub fn run(&self, enough: impl Fn(&Hypothesis, u64) -> bool) -> Found {
         let triples = self.triples();
-        let rays: Vec<DVec2> =
-            self.detections.iter().map(|d| self.intrinsics.unproject(d.image_px)).map(|p| DVec2::new(p.x, p.y)).collect();
+        let tables = self.tables();
         let mut best: Vec<Hypothesis> = Vec::new();
         let (mut tried, mut solved, mut cut_short) = (0u64, 0u64, false);
         for (batch, chunk) in triples.chunks(BATCH).enumerate() {
             let results: Vec<(Vec<Raw>, u64, u64)> =
-                chunk.par_iter().enumerate().map(|(n, triple)| self.try_triple(batch * BATCH + n, *triple, &rays)).collect();
+                chunk.par_iter().enumerate().map(|(n, triple)| self.try_triple(batch * BATCH + n, *triple, &tables)).collect();
             let mut raws: Vec<Raw> = Vec::new();
             for (list, verified, count) in results {
                 raws.extend(list);
@@ -111,6 +112,23 @@ impl Search<'_> {
             }
         }
         Found { hypotheses: best, tried, cut_short }
+    }
+
+    fn tables(&self) -> Tables {
+        let ray = |d: &Detection| {
+            let p = self.intrinsics.unproject(d.image_px);
+            DVec2::new(p.x, p.y)
+        };
+        let place = |target: &Target| target.lps_mm;
+        let apart_mm = self.targets.iter().flat_map(|a| self.targets.iter().map(move |b| place(a).distance(place(b)))).collect();
+        let widest_px = self.targets.iter().map(|target| self.reach_px(target, self.depth_mm.0)).fold(0.0, f64::max);
+        let rays = self.detections.iter().map(ray).collect();
+        Tables { rays, apart_mm, shadows: Occupancy::new(self.detections, widest_px) }
+    }
+
+    /// How far from where a pose from three shadows puts a bead its shadow may be: errors of three shadows and three beads, extrapolated.
+    fn reach_px(&self, target: &Target, depth_mm: f64) -> f64 {
+        4.0 + self.slack_px + 8.0 * target.sigma_mm * self.intrinsics.fx / depth_mm
     }
 
     /// Whether a bead and a shadow may belong together by what a person has pinned.
@@ -134,8 +152,8 @@ impl Search<'_> {
         triples
     }
 
-    fn try_triple(&self, number: usize, triple: [usize; 3], rays: &[DVec2]) -> (Vec<Raw>, u64, u64) {
-        let images = triple.map(|n| rays[n]);
+    fn try_triple(&self, number: usize, triple: [usize; 3], tables: &Tables) -> (Vec<Raw>, u64, u64) {
+        let images = triple.map(|n| tables.rays[n]);
         let (e01, e02, e12) = (images[0].distance(images[1]), images[0].distance(images[2]), images[1].distance(images[2]));
         let area = (images[1] - images[0]).perp_dot(images[2] - images[0]).abs();
         let longest = e01.max(e02).max(e12);
@@ -149,22 +167,20 @@ impl Search<'_> {
             |bead: usize, n: usize| self.allowed[bead * self.detections.len() + triple[n]] && self.may_pair(bead, triple[n]);
         let (mut raws, mut tried, mut solved) = (Vec::new(), 0u64, 0u64);
         let count = self.targets.len();
+        let apart_mm = |i: usize, j: usize| tables.apart_mm[i * count + j];
         for i in 0..count {
             if !allowed(i, 0) {
                 continue;
             }
             for j in 0..count {
-                if j == i || !allowed(j, 1) || !fits(e01, self.targets[i].lps_mm.distance(self.targets[j].lps_mm)) {
+                if j == i || !allowed(j, 1) || !fits(e01, apart_mm(i, j)) {
                     continue;
                 }
                 for k in 0..count {
-                    if k == i || k == j || !allowed(k, 2) {
+                    if k == i || k == j || !fits(e02, apart_mm(i, k)) || !fits(e12, apart_mm(j, k)) || !allowed(k, 2) {
                         continue;
                     }
                     let points = [i, j, k].map(|n| self.targets[n].lps_mm);
-                    if !fits(e02, points[0].distance(points[2])) || !fits(e12, points[1].distance(points[2])) {
-                        continue;
-                    }
                     solved += 1;
                     for pose in triangle::poses(&points, &images).into_iter().flatten() {
                         let depth = pose.transform_point(points[0]).z;
@@ -176,7 +192,7 @@ impl Search<'_> {
                             continue;
                         }
                         tried += 1;
-                        if let Some(worth) = self.support(&pose, [i, j, k], triple, depth) {
+                        if let Some(worth) = self.support(&pose, [i, j, k], triple, depth, &tables.shadows) {
                             raws.push(Raw { pose, worth, order: (number, raws.len()) });
                         }
                     }
@@ -190,10 +206,7 @@ impl Search<'_> {
 
     /// Whether the pose is inside the gate, widened by `factor`.
     fn inside_gate(&self, pose: &Rigid, factor: f64) -> bool {
-        self.gate.as_ref().is_none_or(|gate| {
-            let r = deviation(pose, &gate.camera_from_lps);
-            (r.transpose() * gate.information * r)[(0, 0)] <= gate.limit * factor
-        })
+        self.gate.as_ref().is_none_or(|gate| gate.squares(pose) <= gate.limit * factor)
     }
 
     /// Whether a shadow has the radius that bead would have there.
@@ -210,8 +223,7 @@ impl Search<'_> {
     }
 
     /// Worth of the other beads' agreement with the pose; `None` when too few agree.
-    fn support(&self, pose: &Rigid, beads: [usize; 3], triple: [usize; 3], depth_mm: f64) -> Option<f64> {
-        let px_per_mm = self.intrinsics.fx / depth_mm;
+    fn support(&self, pose: &Rigid, beads: [usize; 3], triple: [usize; 3], depth_mm: f64, shadows: &Occupancy) -> Option<f64> {
         let (mut worth, mut agreeing) = (0.0, 0);
         for (bead, target) in self.targets.iter().enumerate() {
             if beads.contains(&bead) {
@@ -222,8 +234,10 @@ impl Search<'_> {
                 return None;
             }
             let at = self.intrinsics.project(p);
-            // Errors of three shadows and three beads, extrapolated.
-            let limit = 4.0 + self.slack_px + 8.0 * target.sigma_mm * px_per_mm;
+            if !shadows.may_be_near(at) {
+                continue;
+            }
+            let limit = self.reach_px(target, depth_mm);
             let mut nearest = limit * limit;
             for (n, detection) in self.detections.iter().enumerate() {
                 let d2 = detection.image_px.distance_squared(at);
@@ -356,22 +370,6 @@ fn distinct(mut all: Vec<Hypothesis>) -> Vec<Hypothesis> {
         }
     }
     kept
-}
-
-/// Information about ξ in `camera` from standard deviations about `centre`.
-pub fn information_about(centre: DVec3, rotation_rad: f64, shift_mm: f64) -> Matrix6<f64> {
-    information_about_each(centre, rotation_rad, [shift_mm; 3])
-}
-
-/// [`information_about`] with shifts along x, y and z of their own.
-pub fn information_about_each(centre: DVec3, rotation_rad: f64, shift_mm: [f64; 3]) -> Matrix6<f64> {
-    let mut local = Matrix6::zeros();
-    for n in 0..3 {
-        local[(n, n)] = rotation_rad.powi(-2);
-        local[(n + 3, n + 3)] = shift_mm[n].powi(-2);
-    }
-    let t = about(centre);
-    t.transpose() * local * t
 }
 
 #[cfg(test)]

@@ -235,7 +235,7 @@ impl Tags<'_> {
                 Some(_) => gate.information,
                 None => {
                     let (turn, shift) = super::PRIOR_SIGMA;
-                    super::search::information_about(prior.camera_from_lps.transform_point(centre), turn, shift)
+                    super::gate::information_about(prior.camera_from_lps.transform_point(centre), turn, shift)
                 }
             };
             if !((apart.transpose() * information * apart)[(0, 0)] <= gate.limit) {

@@ -18,6 +18,8 @@ pub struct Costs {
     pub exact_slab_ns: [f64; 3],
     /// The same in fixed point.
     pub fixed_slab_ns: [f64; 3],
+    /// A ray and a slab of one material, exact and in fixed point, where the rays are [`FAR_CELLS`] apart: they share no cells.
+    pub far_slab_ns: [f64; 2],
     /// A ray and a slab, walked cell by cell.
     pub walked_slab_ns: f64,
     /// A ray and a volume, however few its slabs: exact, fixed, walked.
@@ -28,7 +30,7 @@ pub struct Costs {
     pub mesh_level_ns: f64,
     /// A pixel and a material, interpolated.
     pub between_ns: f64,
-    /// A pixel and eight energies.
+    /// A pixel and eight energies, in a scene of [`TIMED_MATERIALS`].
     pub energies_ns: f64,
     /// A pixel and eight energies behind a heel: with and without the object. The ray's own share of heel or bow-tie is as much again.
     pub shaped_ns: f64,
@@ -53,6 +55,7 @@ impl Default for Costs {
             threads: 1,
             exact_slab_ns: [1.3, 2.0, 3.4],
             fixed_slab_ns: [0.7, 1.3, 2.5],
+            far_slab_ns: [2.6, 1.4],
             walked_slab_ns: 28.0,
             volume_ns: [20.0, 20.0, 100.0],
             solid_ns: 12.0,
@@ -78,6 +81,12 @@ pub struct Work {
     pub bands: f64,
     /// Rays that are cast.
     pub rays: f64,
+    /// Share of them that is `step_px` pixels from the next one; the others are one pixel from it.
+    pub spread: f64,
+    /// Pixels between rays where some are skipped.
+    pub step_px: f64,
+    /// Cells between the rays of neighbouring pixels.
+    pub cells_apart: f64,
     /// Volumes that an average ray may cross.
     pub volumes_per_ray: f64,
     /// Slabs that an average ray crosses.
@@ -102,6 +111,8 @@ pub struct Work {
     pub shaped: f64,
     /// Whether there is a heel.
     pub heel: bool,
+    /// Materials of the scene, met or not: the spectrum is attenuated by all.
+    pub listed: usize,
     /// Energies of the beam, at which its shapes are evaluated.
     pub shaped_energies: usize,
     /// How many times a ray is tried against a face where a scan was cut off.
@@ -109,6 +120,16 @@ pub struct Work {
     /// Whether noise is drawn.
     pub noise: bool,
 }
+
+/// Cells between rays with which slabs are timed first, and between rays that share none.
+pub(super) const NEAR_CELLS: f64 = 0.5;
+pub(super) const FAR_CELLS: f64 = 3.0;
+
+/// Materials of the scene that is timed.
+pub(super) const TIMED_MATERIALS: f64 = 4.0;
+
+/// Slabs of the volume that is timed for what it costs to enter one.
+pub(super) const FEW_SLABS: f64 = 6.0;
 
 /// Pixels that a core takes at a time once rays are cast.
 const CHUNK_PX: f64 = 512.0;
@@ -130,16 +151,25 @@ impl Costs {
                 + self.walked_slab_ns * work.displacing_per_ray;
             (1.0 - work.walked_share) * bundled + work.walked_share * by_cell
         };
+        // How much more a slab costs whose cells fewer rays share.
+        let sparse = |far_ns: f64, near_ns: f64| {
+            let times = (far_ns / near_ns).max(1.0);
+            let at =
+                |apart: f64| 1.0 + (times - 1.0) * ((apart / NEAR_CELLS).ln() / (FAR_CELLS / NEAR_CELLS).ln()).clamp(0.0, 1.0);
+            at(work.cells_apart) * (1.0 - work.spread) + at(work.cells_apart * work.step_px) * work.spread
+        };
+        let [exact, fixed] = [self.exact_slab_ns, self.fixed_slab_ns];
         let volume = match sampling {
-            Sampling::ExactSlabs => in_slabs(self.exact_slab_ns[column], self.volume_ns[0]),
-            Sampling::FixedSlabs => in_slabs(self.fixed_slab_ns[column], self.volume_ns[1]),
+            Sampling::ExactSlabs => in_slabs(exact[column] * sparse(self.far_slab_ns[0], exact[0]), self.volume_ns[0]),
+            Sampling::FixedSlabs => in_slabs(fixed[column] * sparse(self.far_slab_ns[1], fixed[0]), self.volume_ns[1]),
             Sampling::ExactCells | Sampling::PiecewiseConstant => by_cell,
             Sampling::None => 0.0,
         };
         let ray = volume + self.solid_ns * work.solids_per_ray + self.mesh_level_ns * work.mesh_levels_per_ray;
         let [blocks, shaped_blocks] = [work.energies, work.shaped_energies].map(|energies| energies.div_ceil(LANES) as f64);
+        let listed = work.listed.max(1) as f64 / TIMED_MATERIALS;
         let pixel = self.pixel_ns
-            + self.energies_ns * blocks
+            + self.energies_ns * blocks * listed
             + work.shaped * self.shaped_ns * (shaped_blocks + 1.0)
             + if work.noise { self.noise_ns } else { 0.0 };
         let between = work.interpolated * self.between_ns * work.materials.max(1) as f64;
@@ -161,13 +191,22 @@ impl Costs {
             &mut self.image_ms,
             &mut self.heel_ms,
         ];
-        rays.into_iter().chain(pixels).chain(&mut self.exact_slab_ns).chain(&mut self.fixed_slab_ns).chain(&mut self.volume_ns)
+        let slabs = self.exact_slab_ns.iter_mut().chain(&mut self.fixed_slab_ns).chain(&mut self.far_slab_ns);
+        rays.into_iter().chain(pixels).chain(slabs).chain(&mut self.volume_ns)
     }
 
     /// Whatever of the two is less, cost by cost.
     pub(super) fn least(mut self, other: &Self) -> Self {
         self.rounds += other.rounds;
+        // What a volume costs was found as what its few slabs leave of a time: the least time counts, not the least of such differences.
+        let few_ns = |costs: &Self| {
+            let slabs = [costs.exact_slab_ns[0], costs.fixed_slab_ns[0], costs.walked_slab_ns];
+            [0, 1, 2].map(|way: usize| costs.volume_ns[way] + FEW_SLABS * slabs[way])
+        };
+        let (mine_ns, other_ns) = (few_ns(&self), few_ns(other));
         self.all_mut().zip(other.clone().all_mut()).for_each(|(mine, other)| *mine = mine.min(*other));
+        let slabs = [self.exact_slab_ns[0], self.fixed_slab_ns[0], self.walked_slab_ns];
+        self.volume_ns = [0, 1, 2].map(|way: usize| (mine_ns[way].min(other_ns[way]) - FEW_SLABS * slabs[way]).max(1e-3));
         self
     }
 
@@ -184,9 +223,10 @@ mod tests {
     #[test]
     fn more_work_costs_more() {
         let costs = Costs { threads: 2, ..Costs::default() };
-        let work = Work { pixels: 1e5, rays: 1e5, slabs_per_ray: 100.0, materials: 2, energies: 8, ..Work::default() };
+        let work = Work { pixels: 1e5, rays: 1e5, slabs_per_ray: 100.0, materials: 2, listed: 2, energies: 8, ..Work::default() };
         let ms = costs.predict_ms(&work, Sampling::ExactSlabs);
         assert!(ms > 0.0);
+        assert!(costs.predict_ms(&Work { listed: 9, ..work }, Sampling::ExactSlabs) > ms);
         assert!(costs.predict_ms(&Work { energies: 120, ..work }, Sampling::ExactSlabs) > ms);
         assert!(costs.predict_ms(&Work { noise: true, ..work }, Sampling::ExactSlabs) > ms);
         assert!(costs.predict_ms(&Work { shaped: 1.0, shaped_energies: 8, ..work }, Sampling::ExactSlabs) > ms);
@@ -199,6 +239,9 @@ mod tests {
         assert!(costs.predict_ms(&Work { rays: 2.5e4, ..work }, Sampling::ExactSlabs) < ms);
         assert!(costs.predict_ms(&Work { walked_share: 0.5, ..work }, Sampling::ExactSlabs) > 2.0 * ms);
         assert!(costs.predict_ms(&Work { displacing_per_ray: 50.0, ..work }, Sampling::ExactSlabs) > ms);
+        let sparse = Work { spread: 1.0, step_px: 4.0, cells_apart: 0.6, ..work };
+        assert!(costs.predict_ms(&sparse, Sampling::ExactSlabs) > ms);
+        assert!(costs.predict_ms(&Work { cells_apart: f64::NAN, ..sparse }, Sampling::ExactSlabs).is_nan());
         assert!(costs.predict_ms(&Work { mesh_levels_per_ray: 16.0, ..work }, Sampling::ExactSlabs) > ms);
         assert!(costs.predict_ms(&Work { face_tests: 1e5, ..work }, Sampling::ExactSlabs) > ms);
         assert!(costs.predict_ms(&Work { interpolated: 1e6, ..work }, Sampling::ExactSlabs) > ms);

@@ -1,15 +1,17 @@
 //! A few small blocks of an image, cast before planning: how long the paths are, and what lies along the rays.
 
+use glam::{DVec2, DVec3};
+
 use super::RenderError;
 use super::cells::{EMPTY, EMPTY_BRICK};
 use super::cpu::bundles::Rays;
 use super::cpu::claims::occupied_depths;
 use super::cpu::integrate_density::{Density, around_one_volume, integrate_density, walked_share};
-use super::cpu::shapes::intersect;
+use super::cpu::shapes::{cuboid, intersect};
 use super::cpu::walk_cells::CellRay;
 use super::cut_faces;
 use super::plan::Sampling;
-use super::prepared::{Prepared, Step};
+use super::prepared::{Prepared, SeenMesh, Step};
 use super::survey::part;
 use crate::geometry::View;
 use crate::random::{Purpose, Stream};
@@ -37,6 +39,8 @@ pub struct Pilot {
     pub slabs_per_ray: f64,
     /// Those among them in bricks filled with one density.
     pub filled_per_ray: f64,
+    /// Cells between the rays of neighbouring pixels in an average slab.
+    pub cells_apart: f64,
     /// Along the rays in the middle and at the corners of each block, by material of the scene: what [`words_off`] amounts to, and the path;
     /// g/cm².
     pub rounding_g_per_cm2: Vec<Vec<[f64; 2]>>,
@@ -78,6 +82,7 @@ pub fn cast<'a>(
         pilot.note(&prepared, &density);
     }
     let blocks = f64::from(across * down).max(1.0);
+    pilot.cells_apart /= pilot.slabs_per_ray.max(1e-9);
     pilot.volumes_per_ray /= blocks;
     pilot.slabs_per_ray /= blocks;
     pilot.filled_per_ray /= blocks;
@@ -102,8 +107,9 @@ impl Pilot {
         self.volumes_per_ray += prepared.volumes.iter().filter(|seen| !seen.bounds.is_empty()).count() as f64;
         let solids = prepared.solids.iter().filter(|seen| !seen.bounds.is_empty());
         self.solids_per_ray += solids.count() as f64;
+        let middle = prepared.view.size_px.map(|n| 0.5 * (f64::from(n) - 1.0));
         let meshes = prepared.meshes.iter().filter(|seen| !seen.bounds.is_empty());
-        self.mesh_levels_per_ray += meshes.map(|seen| (1.0 + seen.mesh.triangles.len() as f64).log2()).sum::<f64>();
+        self.mesh_levels_per_ray += meshes.map(|seen| levels(seen, prepared, middle)).sum::<f64>();
         let [width, height] = prepared.view.size_px.map(|n| n as usize);
         let (right, bottom) = (width - 1, height - 1);
         for [u, v] in [[0, 0], [right, 0], [0, bottom], [right, bottom], [width / 2, height / 2]] {
@@ -113,23 +119,38 @@ impl Pilot {
             slabs_of_ray(prepared, [u as f64, v as f64], &mut rounding);
             self.rounding_g_per_cm2.push(rounding);
         }
-        let middle = prepared.view.size_px.map(|n| 0.5 * (f64::from(n) - 1.0));
-        let [slabs, filled] = slabs_of_ray(prepared, middle, &mut vec![[0.0; 2]; materials]);
+        let [slabs, filled, apart] = slabs_of_ray(prepared, middle, &mut vec![[0.0; 2]; materials]);
         self.slabs_per_ray += slabs;
         self.filled_per_ray += filled;
+        self.cells_apart += apart;
         self.displacing_per_ray += displacing(prepared, middle);
     }
 }
 
-/// Slabs that hold something along a ray, and those in bricks filled with one density; adds to the first of each material's two.
-fn slabs_of_ray(prepared: &Prepared, [u, v]: [f64; 2], rounding: &mut [[f64; 2]]) -> [f64; 2] {
-    let (mut slabs, mut filled) = (0.0, 0.0);
+/// Doublings of its triangles where a ray meets the box around a mesh; one step where it passes by.
+fn levels(seen: &SeenMesh, prepared: &Prepared, [u, v]: [f64; 2]) -> f64 {
+    let direction = seen.lps_from_camera * prepared.view.intrinsics.unproject(DVec2::new(u, v));
+    let meets = |([low, high], ..): ([DVec3; 2], usize, usize)| cuboid(seen.source_in_lps, direction, low, high).is_some();
+    if seen.made.tree.nodes().next().is_some_and(meets) { (1.0 + seen.mesh.triangles.len() as f64).log2() } else { 1.0 }
+}
+
+/// Slabs that hold something along a ray, those in bricks filled with one density, and the sum over all of the cells between neighbouring
+/// rays; adds to the first of each material's two.
+fn slabs_of_ray(prepared: &Prepared, [u, v]: [f64; 2], rounding: &mut [[f64; 2]]) -> [f64; 3] {
+    let (mut slabs, mut filled, mut apart) = (0.0, 0.0, 0.0);
     for seen in &prepared.volumes {
         let before = slabs;
         let rays = Rays::new(&prepared.view, &seen.cell_from_camera);
         let q = rays.direction(u, v);
         let axis = Rays::dominant(q);
         let cells = &seen.cells;
+        // What a pixel moves the ray by in the slab, at depth 1.
+        let moved = |to: [f64; 3]| {
+            let by = DVec3::from_array(to) - DVec3::from_array(q);
+            by - DVec3::from_array(q) * (by[axis] / q[axis])
+        };
+        let [right, down] = [moved(rays.direction(u + 1.0, v)), moved(rays.direction(u, v + 1.0))];
+        let pixel = right.cross(down).length().sqrt();
         for slab in 0..cells.size[axis] {
             let t = (slab as f64 + 0.5 - rays.p[axis]) / q[axis];
             if !(t > 0.0 && t < prepared.detector_mm) {
@@ -143,25 +164,26 @@ fn slabs_of_ray(prepared: &Prepared, [u, v]: [f64; 2], rounding: &mut [[f64; 2]]
             });
             if inside && !matches!(cells.kind[cells.index(cell)], EMPTY_BRICK | EMPTY) {
                 slabs += 1.0;
+                apart += pixel * t;
                 if seen.slabs.as_ref().is_some_and(|slabs| slabs.is_filled(cell)) {
                     filled += 1.0;
                 }
             }
         }
         let Some(made) = &seen.slabs else { continue };
-        let slab_cm = 0.1 * prepared.view.intrinsics.unproject(glam::DVec2::new(u, v)).length() / q[axis].abs();
+        let slab_cm = 0.1 * prepared.view.intrinsics.unproject(DVec2::new(u, v)).length() / q[axis].abs();
         let words = words_off(slabs - before);
         for (material, word) in cells.materials.iter().zip(made.word_g_per_cm3()) {
             rounding[*material][0] += words * slab_cm * f64::from(word);
         }
     }
-    [slabs, filled]
+    [slabs, filled, apart]
 }
 
 /// Slabs of the volume along a ray where something lies that the volume displaces.
 fn displacing(prepared: &Prepared, [u, v]: [f64; 2]) -> f64 {
     let Some(stack) = around_one_volume(&prepared.steps) else { return 0.0 };
-    let direction = prepared.view.intrinsics.unproject(glam::DVec2::new(u, v));
+    let direction = prepared.view.intrinsics.unproject(DVec2::new(u, v));
     let seen = &prepared.volumes[stack.volume];
     let ray = CellRay { p: seen.cell_from_camera.translation, q: seen.cell_from_camera.matrix3 * direction };
     let Some((enter, leave)) = occupied_depths(seen, &ray) else { return 0.0 };

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use super::cells::Cells;
 use super::chain::{self, Wanted};
-use super::costs::Costs;
+use super::costs::{Costs, FAR_CELLS, NEAR_CELLS};
 use super::cpu::add_noise::add_noise;
 use super::cpu::attenuate_spectrum::{Signal, attenuate_spectrum};
 use super::cpu::enlarge_density::enlarge_density;
@@ -27,15 +27,15 @@ use crate::scene::model::{Matter, Mesh, Object, Scene, Shape, Solid, Volume};
 use crate::time::Stopwatch;
 
 /// Goes up whenever an executor becomes faster or slower, so that no one trusts costs of the one before.
-const METHOD: u32 = 7;
+const METHOD: u32 = 9;
 
-/// Costs are measured so many times at first.
-const ROUNDS: u32 = 3;
-/// And once more when the last time is so long ago: a machine that was crowded all through the first times is not so forever.
-const AGAIN: Duration = Duration::from_secs(3600);
+/// Costs are measured once more when the last time is so long ago, and twice as long after each time: others may have used the machine
+/// before, for a minute or for an hour.
+const AGAIN: Duration = Duration::from_secs(10);
+/// At the most.
+const AT_LAST: Duration = Duration::from_secs(3600);
 
-/// The costs of this machine: from the cache, else measured and cached, the least of all times. The first few programs that ask measure
-/// again, and one an hour, because others may have used the machine before. A cache that cannot be written is no error.
+/// The costs of this machine: from the cache, else measured and cached, the least of all times. A cache that cannot be written is no error.
 #[must_use]
 pub fn of_this_machine() -> Costs {
     // Two builds of the program beside each other do not forget what the other one knows.
@@ -50,8 +50,8 @@ fn kept_in(path: Option<PathBuf>) -> Costs {
         path.as_ref().and_then(|path| std::fs::read(path).ok()).and_then(|text| serde_json::from_slice::<Costs>(&text).ok());
     let cached = cached.filter(|costs| costs.machine == machine && costs.is_sound());
     let age = path.as_ref().and_then(|path| path.metadata().ok()?.modified().ok()?.elapsed().ok());
-    let is_old = age.is_some_and(|age| age > AGAIN);
-    if let Some(costs) = cached.as_ref().filter(|costs| costs.rounds >= ROUNDS && !is_old) {
+    let is_recent = |costs: &&Costs| age.is_none_or(|age| age <= AT_LAST.min(AGAIN * (1 << (costs.rounds.clamp(1, 10) - 1))));
+    if let Some(costs) = cached.as_ref().filter(is_recent) {
         return costs.clone();
     }
     let measured = Costs { machine, rounds: 1, ..measure() };
@@ -69,8 +69,10 @@ fn kept_in(path: Option<PathBuf>) -> Costs {
 
 /// Voxels along the edge of the volume that is timed, and pixels along the edge of its image.
 const EDGE: usize = 96;
+/// Pixels along the edge of the same image with rays far apart.
+const FAR_EDGE: usize = 32;
 /// Voxels along the edge of a volume that hardly takes longer than to enter it.
-const FEW: usize = 6;
+const FEW: usize = super::costs::FEW_SLABS as usize;
 
 fn measure() -> Costs {
     let threads = rayon::current_num_threads();
@@ -85,22 +87,41 @@ fn measure() -> Costs {
         });
         Some(per(ms?, rays))
     };
+    let far_scene = seen_from_afar(&scene);
+    let time_far = |sampling: Sampling| {
+        let few_ns = time(test_volume(FEW, 1, 1), sampling)?;
+        let ms = with_volume(&far_scene, test_volume(EDGE, 1, 1), |prepared| {
+            prepared.make_slabs(sampling == Sampling::FixedSlabs);
+            fastest(|| drop(integrate_density(prepared, sampling)))
+        });
+        Some(((per(ms?, (FAR_EDGE * FAR_EDGE) as f64) - few_ns) / (EDGE - FEW) as f64).max(1e-3))
+    };
     // Of what a ray takes through many and through few slabs, what they do not account for.
     let time_both = |materials: usize, block: usize, sampling: Sampling| {
         let [many, few] = [EDGE, FEW];
         let ns = time(test_volume(many, materials, block), sampling)?;
-        let few_ns = time(test_volume(few, materials, 1), sampling)?;
+        let few_ns = time(test_volume(few, materials, block.min(few)), sampling)?;
         let slab_ns = ((ns - few_ns) / (many - few) as f64).max(1e-3);
         Some([slab_ns, few_ns - slab_ns * few as f64])
     };
     for (column, materials) in [1, 2, 4].into_iter().enumerate() {
         let Some([slab_ns, volume_ns]) = time_both(materials, 1, Sampling::ExactSlabs) else { return costs };
-        (costs.exact_slab_ns[column], costs.volume_ns[0]) = (slab_ns, volume_ns);
+        costs.exact_slab_ns[column] = slab_ns;
+        if column == 0 {
+            costs.volume_ns[0] = volume_ns;
+        }
         // Where it is not fast, no plan takes it, and to time it would take a minute.
         if is_fast() {
             let Some([slab_ns, volume_ns]) = time_both(materials, 1, Sampling::FixedSlabs) else { return costs };
-            (costs.fixed_slab_ns[column], costs.volume_ns[1]) = (slab_ns, volume_ns);
+            costs.fixed_slab_ns[column] = slab_ns;
+            if column == 0 {
+                costs.volume_ns[1] = volume_ns;
+            }
         }
+    }
+    costs.far_slab_ns[0] = time_far(Sampling::ExactSlabs).unwrap_or(costs.exact_slab_ns[0]);
+    if is_fast() {
+        costs.far_slab_ns[1] = time_far(Sampling::FixedSlabs).unwrap_or(costs.fixed_slab_ns[0]);
     }
     // Most cells of a scan hold one material.
     let Some([slab_ns, volume_ns]) = time_both(2, 12, Sampling::ExactCells) else { return costs };
@@ -157,7 +178,8 @@ fn measure() -> Costs {
             costs.pixel_ns = per((whole_ms - small_ms).max(0.0), rays);
             costs.volume_ns = costs.volume_ns.map(|ns| (ns - costs.pixel_ns).max(1e-3));
         }
-        if let Some(woken_ms) = empty_ms(small, after_a_rest) {
+        let shared = View { size_px: [32; 2], ..view };
+        if let Some(woken_ms) = empty_ms(shared, after_a_rest) {
             costs.image_ms = WAKES * woken_ms;
         }
     }
@@ -212,8 +234,8 @@ fn after_a_rest(work: &dyn Fn()) -> f64 {
     all[all.len() / 2]
 }
 
-/// Times that cores are woken for an image: to cast, to attenuate, to detect.
-const WAKES: f64 = 3.0;
+/// Times that cores are woken for an image: to cast, to attenuate, to mark cut faces, to detect.
+const WAKES: f64 = 4.0;
 
 /// Tubes that every ray is tried against when shapes are timed.
 const TUBES: usize = 16;
@@ -282,13 +304,25 @@ fn test_scene(beam: &str) -> Option<Scene> {
     let mut scene =
         crate::scene::load_text(&text.replace("BEAM", beam), std::path::Path::new("timing"), false, &Reporter::silent()).ok()?;
     let middle = 0.5 * (EDGE as f64 - 1.0);
-    // Half a voxel a pixel.
-    let intrinsics = Intrinsics { fx: 2000.0, fy: 2000.0, cx: middle, cy: middle, skew: 0.0 };
+    let f_px = 1000.0 / NEAR_CELLS;
+    let intrinsics = Intrinsics { fx: f_px, fy: f_px, cx: middle, cy: middle, skew: 0.0 };
     // A slanted look: axis-aligned rays flatter every rule.
     let turn = glam::DQuat::from_rotation_y(0.3) * glam::DQuat::from_rotation_x(0.2);
     let camera_from_lps = Rigid { rotation: turn, translation_mm: glam::DVec3::new(0.0, 0.0, 1000.0) };
     scene.view = Some(View { size_px: [EDGE as u32; 2], intrinsics, camera_from_lps });
     Some(scene)
+}
+
+/// The scene with fewer pixels of the same middle, so that their rays share no cells.
+fn seen_from_afar(scene: &Scene) -> Scene {
+    let middle = 0.5 * (FAR_EDGE as f64 - 1.0);
+    let f_px = 1000.0 / FAR_CELLS;
+    let intrinsics = Intrinsics { fx: f_px, fy: f_px, cx: middle, cy: middle, skew: 0.0 };
+    let view = scene.view.map(|view| View { size_px: [FAR_EDGE as u32; 2], intrinsics, ..view });
+    let mut far = Scene { view, ..scene.clone() };
+    // The detector stays behind the volume.
+    far.detector.pitch_mm *= FAR_CELLS / NEAR_CELLS;
+    far
 }
 
 /// Noise of so many materials in `edge`³ voxels, each in blocks of `block`³; [`EDGE`] mm wide.
@@ -344,14 +378,22 @@ mod tests {
         let path = folder.path().join("costs.json");
         let measured = kept_in(Some(path.clone()));
         assert_eq!(measured.rounds, 1);
-        let crowded = Costs { solid_ns: 1e6 * measured.solid_ns, rounds: ROUNDS, ..measured.clone() };
-        let file = std::fs::File::create(&path).expect("written");
-        serde_json::to_writer(&file, &crowded).expect("written");
-        assert_eq!(kept_in(Some(path.clone())).solid_ns, crowded.solid_ns, "what was measured just now is taken as it is");
-        let written = file.metadata().and_then(|metadata| metadata.modified()).expect("a time");
-        file.set_modified(written - AGAIN - Duration::from_secs(9)).expect("a time");
-        let again = kept_in(Some(path));
-        assert!(again.solid_ns < 1e-2 * crowded.solid_ns && again.rounds == ROUNDS + 1, "{again:?}");
+        let keep = |rounds: u32, age_s: u64| {
+            let crowded = Costs { solid_ns: 1e6 * measured.solid_ns, rounds, ..measured.clone() };
+            let file = std::fs::File::create(&path).expect("written");
+            serde_json::to_writer(&file, &crowded).expect("written");
+            let written = file.metadata().and_then(|metadata| metadata.modified()).expect("a time");
+            file.set_modified(written - Duration::from_secs(age_s)).expect("a time");
+            (crowded.solid_ns, kept_in(Some(path.clone())))
+        };
+        for (rounds, age_s) in [(1, 1), (4, 70), (30, 3000)] {
+            let (crowded_ns, taken) = keep(rounds, age_s);
+            assert_eq!(taken.solid_ns, crowded_ns, "what was measured {age_s} s ago is taken as it is");
+        }
+        for (rounds, age_s) in [(1, 20), (4, 100), (30, 4000)] {
+            let (crowded_ns, again) = keep(rounds, age_s);
+            assert!(again.solid_ns < 1e-2 * crowded_ns && again.rounds == rounds + 1, "{again:?}");
+        }
     }
 
     #[test]

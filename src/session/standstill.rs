@@ -1,5 +1,9 @@
-//! A specimen that moves while the arm stands still: what sag and an uncalibrated arm explain is the same for both frames, so far less is
-//! allowed than between any two.
+//! A frame against the earlier ones of its session: a specimen that moves while the arm stands still, and a picture whose magnification is
+//! not that of the others.
+//!
+//! What sag and an uncalibrated arm explain is the same for two frames of one stand, so far less is allowed than between any two. Along
+//! the beam sensors hardly tell and sag is small, so a depth apart from all others is no arm's, but that of another focal length: a picture
+//! that was enlarged or cropped on its way.
 
 use std::collections::VecDeque;
 
@@ -14,6 +18,14 @@ const SAME_RAD: f64 = 2.0 * std::f64::consts::PI / 180.0;
 /// Sensors of ±0.2° in three joints, 630 mm away, twice.
 const MOVED_MM: f64 = 6.0;
 const MOVED_DEG: f64 = 1.5;
+/// Along the beam, at one stand.
+const NEARER_MM: f64 = 3.0;
+/// Along the beam, between stands, with so many robust standard deviations of how far the others lie apart.
+const OTHER_DEPTH: (f64, f64) = (4.0, 3.0);
+/// A mobile arm sags by 16 mm, differently at every angle: so much more for each degree between the beams.
+const SAG_MM_PER_DEG: f64 = 0.1;
+/// So many others, those with the nearest beams, tell what is usual.
+const USUAL: usize = 4;
 /// Standard deviations of both poses that are added to it.
 const SIGMAS: f64 = 4.0;
 /// Frames that are remembered.
@@ -24,7 +36,12 @@ struct Stand {
     number: u32,
     joints: CarmJoints,
     world_from_lps: Rigid,
+    /// Along +z of the camera.
+    beam_in_world: DVec3,
+    /// Of the specimen from the focal spot.
+    depth_mm: f64,
     sigma_mm: f64,
+    sigma_depth_mm: f64,
 }
 
 /// See the module.
@@ -40,17 +57,27 @@ impl Standstill {
         Self { centre_lps_mm, stands: VecDeque::new() }
     }
 
-    /// Takes a posed frame and where its beads put the specimen; words where a frame at the same stand put it elsewhere.
+    /// Takes a posed frame and where its beads put the specimen; words where the earlier frames contradict it.
     pub(super) fn observe(&mut self, posed: &Posed, world_from_lps: Option<Rigid>) -> Option<String> {
         let (joints, world_from_lps) = posed.joints.zip(world_from_lps)?;
-        let covariance = posed.pose.covariance_at_centroid?;
-        let sigma_mm = (3..6).map(|n| covariance[n][n]).sum::<f64>().sqrt();
-        self.take(Stand { number: posed.number, joints, world_from_lps, sigma_mm })
+        let (camera_from_lps, covariance) = posed.pose.camera_from_lps.zip(posed.pose.covariance_at_centroid)?;
+        let variance = |from: usize| (from..6).map(|n| covariance[n][n]).sum::<f64>();
+        let world_from_camera = world_from_lps * camera_from_lps.inverse();
+        self.take(Stand {
+            number: posed.number,
+            joints,
+            world_from_lps,
+            beam_in_world: world_from_camera.transform_vector(DVec3::Z),
+            depth_mm: camera_from_lps.transform_point(self.centre_lps_mm).z,
+            sigma_mm: variance(3).sqrt(),
+            sigma_depth_mm: variance(5).sqrt(),
+        })
     }
 
     fn take(&mut self, now: Stand) -> Option<String> {
         let words =
             self.stands.iter().rev().find(|before| is_same(&before.joints, &now.joints)).and_then(|b| self.moved(b, &now));
+        let words = words.or_else(|| self.enlarged(&now));
         self.stands.push_back(now);
         if self.stands.len() > KEPT {
             self.stands.pop_front();
@@ -59,17 +86,66 @@ impl Standstill {
     }
 
     fn moved(&self, before: &Stand, now: &Stand) -> Option<String> {
-        let at = |stand: &Stand| stand.world_from_lps.transform_point(self.centre_lps_mm);
-        let (mm, deg) = (at(before).distance(at(now)), before.world_from_lps.angle_to_rad(&now.world_from_lps).to_degrees());
+        let deg = before.world_from_lps.angle_to_rad(&now.world_from_lps).to_degrees();
+        let shift_mm = self.place(now) - self.place(before);
+        let (mm, depth_mm) = (shift_mm.length(), shift_mm.dot(now.beam_in_world));
         let allowed_mm = MOVED_MM + SIGMAS * before.sigma_mm.hypot(now.sigma_mm);
-        (!(mm <= allowed_mm) || !(deg <= MOVED_DEG)).then(|| {
+        let allowed_depth_mm = NEARER_MM + SIGMAS * before.sigma_depth_mm.hypot(now.sigma_depth_mm);
+        if mm <= allowed_mm && deg <= MOVED_DEG && depth_mm.abs() <= allowed_depth_mm {
+            return None;
+        }
+        Some(format!(
+            "the specimen lies {mm:.1} mm and {deg:.1} degrees from where frame {} shows it, with the arm in the same place: specimen, \
+             table or the arm's base was moved, or an encoder jumped{}",
+            before.number,
+            if depth_mm.abs() > allowed_depth_mm { enlargement(depth_mm, now.depth_mm) } else { String::new() }
+        ))
+    }
+
+    /// Words where the specimen is nearer, or farther away, than the frames from similar directions have it.
+    fn enlarged(&self, now: &Stand) -> Option<String> {
+        let turn_deg = |stand: &Stand| stand.beam_in_world.angle_between(now.beam_in_world).to_degrees();
+        let mut others: Vec<&Stand> = self.stands.iter().collect();
+        others.sort_by(|a, b| turn_deg(a).total_cmp(&turn_deg(b)));
+        others.truncate(USUAL);
+        if others.len() < USUAL {
+            return None;
+        }
+        let depths_mm = others.iter().map(|stand| (self.place(now) - self.place(stand)).dot(now.beam_in_world));
+        let usual_mm = median(depths_mm.clone().collect());
+        let spread_mm = 1.4826 * median(depths_mm.map(|mm| (mm - usual_mm).abs()).collect());
+        let sigma_mm = median(others.iter().map(|stand| stand.sigma_depth_mm).collect());
+        let sag_mm = SAG_MM_PER_DEG * median(others.iter().map(|stand| turn_deg(stand)).collect());
+        let allowed_mm = OTHER_DEPTH.0 + OTHER_DEPTH.1 * spread_mm + SIGMAS * sigma_mm.hypot(now.sigma_depth_mm) + sag_mm;
+        (!(usual_mm.abs() <= allowed_mm)).then(|| {
+            let (mm, nearer) = (usual_mm.abs(), if usual_mm < 0.0 { "nearer to the source" } else { "farther from the source" });
             format!(
-                "the specimen lies {mm:.1} mm and {deg:.1} degrees from where frame {} shows it, with the arm in the same place: specimen, \
-                 table or the arm's base was moved, or an encoder jumped",
-                before.number
+                "the specimen is {mm:.0} mm {nearer} than the {} frames from the nearest directions have it{}; or specimen or arm was moved",
+                others.len(),
+                enlargement(usual_mm, now.depth_mm)
             )
         })
     }
+
+    /// Where the specimen is, in `world`.
+    fn place(&self, stand: &Stand) -> DVec3 {
+        stand.world_from_lps.transform_point(self.centre_lps_mm)
+    }
+}
+
+/// What a picture would look like in which nothing but the magnification differs.
+fn enlargement(farther_mm: f64, depth_mm: f64) -> String {
+    let share = -farther_mm / depth_mm;
+    let way = if share > 0.0 { "enlarged" } else { "reduced" };
+    format!(
+        ": a picture {way} by {:.1} % on its way looks so as well (zoom, crop, source-to-detector distance, pitch)",
+        100.0 * share.abs()
+    )
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
 }
 
 /// Whether two readings are one stand of the arm; joints without an encoder are NaN in both.
@@ -90,8 +166,14 @@ mod tests {
     use super::*;
 
     fn stand(number: u32, orbital_deg: f64, shift_mm: f64, sigma_mm: f64) -> Stand {
+        at(number, orbital_deg, DVec3::new(0.0, shift_mm, 0.0), sigma_mm)
+    }
+
+    fn at(number: u32, orbital_deg: f64, place_mm: DVec3, sigma_mm: f64) -> Stand {
         let joints = CarmJoints { orbital_rad: orbital_deg.to_radians(), lift_mm: f64::NAN, ..CarmJoints::ZERO };
-        Stand { number, joints, world_from_lps: Rigid::translation(DVec3::new(0.0, shift_mm, 0.0)), sigma_mm }
+        let turn = Rigid::exp(DVec3::Y * orbital_deg.to_radians(), DVec3::ZERO);
+        let (beam_in_world, world_from_lps) = (turn.transform_vector(DVec3::Z), Rigid::translation(place_mm));
+        Stand { number, joints, world_from_lps, beam_in_world, depth_mm: 700.0, sigma_mm, sigma_depth_mm: sigma_mm }
     }
 
     #[test]
@@ -105,5 +187,36 @@ mod tests {
         assert_eq!(standstill.take(stand(5, 75.0, 22.0, 0.3)), None, "the arm sags as it turns");
         assert_eq!(standstill.take(stand(6, 30.0, 18.0, 1.5)), None, "poses that are known to 1.5 mm each");
         assert!(standstill.take(stand(7, 75.0, f64::NAN, 0.3)).is_some(), "NaN is no place");
+    }
+
+    #[test]
+    fn a_picture_that_was_enlarged_in_mid_session_is_said_and_an_arm_that_sags_is_not() {
+        // 2 % larger: 14 mm nearer, along whatever beam.
+        let along =
+            |orbital_deg: f64, mm: f64| DVec3::new(orbital_deg.to_radians().sin(), 0.0, orbital_deg.to_radians().cos()) * mm;
+        let turned = [0.0, 40.0, -30.0, 75.0, 20.0];
+        let mut sound = Standstill::new(DVec3::ZERO);
+        for (number, deg) in (1..).zip(turned) {
+            assert_eq!(sound.take(at(number, deg, along(deg, 0.3 * f64::from(number % 3)), 0.3)), None);
+        }
+        let words = sound.clone().take(at(6, 55.0, along(55.0, -14.0), 0.3)).expect("2 %");
+        assert!(words.contains("14 mm nearer") && words.contains("enlarged by 2.0 %"), "{words}");
+        assert_eq!(sound.clone().take(at(6, 55.0, along(55.0, -14.0), 3.0)), None, "depths that are known to 3 mm each");
+        assert_eq!(sound.clone().take(at(6, -160.0, along(-160.0, -14.0), 0.3)), None, "an arm from the other side may sag so");
+        assert!(sound.clone().take(at(6, 55.0, DVec3::NAN, 0.3)).is_some(), "NaN is no place");
+        // At a stand of the session already one frame tells.
+        let words = sound.take(at(6, 75.3, along(75.3, -5.6), 0.3)).expect("0.8 %");
+        assert!(words.contains("frame 4") && words.contains("enlarged by 0.8 %"), "{words}");
+
+        let mut sagging = Standstill::new(DVec3::ZERO);
+        for (number, (deg, mm)) in (1..).zip(turned.into_iter().zip([0.0, 6.0, 4.0, 11.0, 2.0])) {
+            assert_eq!(sagging.take(at(number, deg, along(deg, mm), 0.3)), None);
+        }
+        assert_eq!(sagging.take(at(6, 90.0, along(90.0, 14.0), 0.3)), None, "as far apart as the others");
+        let mut still = Standstill::new(DVec3::ZERO);
+        for number in 1..6 {
+            still.take(at(number, 0.0, DVec3::ZERO, 0.3));
+        }
+        assert_eq!(still.take(at(6, 90.0, along(90.0, 12.0), 0.3)), None, "all the others from one direction");
     }
 }

@@ -8,9 +8,9 @@ use super::setup::{Blocks, Segment, Setup, scale_of};
 use crate::estimate::{BlockId, Covariance, Estimate, PoseBlock, about, deviation};
 use crate::geometry::Rigid;
 use crate::pose::bodies::{FEWEST, LEAST_MOTION, MOVED, names};
+use crate::pose::gate::information_about;
 use crate::pose::prior::Prior;
 use crate::pose::record::Pose;
-use crate::pose::search::information_about;
 
 /// 6×6: ξ about the origin of `a` from ξ about the origin of `b`, for T = a_from_b: exp(ξ̂_a) T = T exp(ξ̂_b).
 pub fn adjoint(a_from_b: &Rigid) -> Matrix6<f64> {

@@ -193,11 +193,10 @@ const SHOWN: usize = 40;
 fn difference(a: &Value, b: &Value, at: &str) -> Option<String> {
     match (a, b) {
         (Value::Object(a), Value::Object(b)) => {
-            let keys = a.keys().chain(b.keys().filter(|key| !a.contains_key(*key)));
+            let mut keys = a.keys().chain(b.keys().filter(|key| !a.contains_key(*key)));
             let none = Value::Null;
             let inside = |key: &String| if at.is_empty() { key.clone() } else { format!("{at}.{key}") };
-            keys.into_iter()
-                .find_map(|key| difference(a.get(key).unwrap_or(&none), b.get(key).unwrap_or(&none), &inside(key)))
+            keys.find_map(|key| difference(a.get(key).unwrap_or(&none), b.get(key).unwrap_or(&none), &inside(key)))
         }
         (Value::Array(a), Value::Array(b)) if a.len() == b.len() => {
             (0..).zip(a.iter().zip(b)).find_map(|(index, (a, b)): (usize, _)| difference(a, b, &format!("{at}[{index}]")))

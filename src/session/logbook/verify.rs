@@ -216,7 +216,7 @@ impl Check {
                 self.samples.cut(cut.from_us, cut.to_us);
             }
             RESTART_TOPIC => {
-                self.end(entry.host_us, at_byte);
+                self.end(Some(entry.host_us), at_byte);
                 self.samples.begin_anew();
                 self.frames.piece += 1;
             }
@@ -280,10 +280,10 @@ impl Check {
     }
 
     /// The end of a session, or of one of the logs that were joined.
-    fn end(&mut self, time_us: i64, at_byte: u64) {
+    fn end(&mut self, time_us: Option<i64>, at_byte: u64) {
         if self.has_session && !std::mem::take(&mut self.has_end) {
             let what = "the session's inputs have no end here: it was cut short".to_owned();
-            self.add(Fault { at_byte, topic: Some(END_TOPIC.to_owned()), time_us: Some(time_us), what });
+            self.add(Fault { at_byte, topic: Some(END_TOPIC.to_owned()), time_us, what });
         }
     }
 
@@ -295,7 +295,7 @@ impl Check {
             .map(|loss| Fault { at_byte: loss.at_byte, topic: None, time_us: None, what: loss.reason.clone() })
             .collect();
         of_file.into_iter().for_each(|fault| self.add(fault));
-        self.end(self.verdict.start_us, reader.length());
+        self.end(None, reader.length());
         self.missing_messages();
         self.missing_frames();
         if self.samples.different() > 0 {

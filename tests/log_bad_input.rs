@@ -209,7 +209,10 @@ fn a_damaged_byte_is_found_wherever_it_is() {
         let told = ran.json();
         assert_eq!(ran.code, Some(3), "byte {at}: {told:#}");
         let faults = told["faults"].as_array().expect("a list");
-        assert!(faults.iter().any(|fault| fault["at_byte"].as_u64().is_some_and(|of| of <= bytes.len() as u64)), "byte {at}: {told:#}");
+        assert!(
+            faults.iter().any(|fault| fault["at_byte"].as_u64().is_some_and(|of| of <= bytes.len() as u64)),
+            "byte {at}: {told:#}"
+        );
         found += 1;
     }
     assert!(found >= 20, "{found}");

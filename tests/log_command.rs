@@ -64,11 +64,48 @@ fn a_whole_log_is_whole_and_each_change_is_a_fault_with_its_place() {
     type Change = (&'static str, &'static str, fn(&mut Vec<u8>) -> bool, &'static str);
     let changes: [Change; 7] = [
         ("a read", "/carm/raw", |_| false, "is missing before this"),
-        ("letters in a read", "/robot/raw", |data| data.iter_mut().skip(20).take(4).all(|byte| { *byte ^= 0x11; true }), "samples of the devices"),
-        ("a pixel", "/frames/acquired", |data| data.last_mut().is_some_and(|byte| { *byte ^= 1; true }), "not those that were recorded"),
+        (
+            "letters in a read",
+            "/robot/raw",
+            |data| {
+                data.iter_mut().skip(20).take(4).all(|byte| {
+                    *byte ^= 0x11;
+                    true
+                })
+            },
+            "samples of the devices",
+        ),
+        (
+            "a pixel",
+            "/frames/acquired",
+            |data| {
+                data.last_mut().is_some_and(|byte| {
+                    *byte ^= 1;
+                    true
+                })
+            },
+            "not those that were recorded",
+        ),
         ("a frame's tags", "/frames/tags", |_| false, "pixels without their tags"),
-        ("a DRR", "/frames/drr", |data| data.last_mut().is_some_and(|byte| { *byte ^= 1; true }), "is not the one that its hash names"),
-        ("a pose", "/pose", |data| { data.truncate(40); true }, "EOF while parsing"),
+        (
+            "a DRR",
+            "/frames/drr",
+            |data| {
+                let middle = data.len() / 2;
+                data[middle] ^= 1;
+                true
+            },
+            "is not the one that its hash names",
+        ),
+        (
+            "a pose",
+            "/pose",
+            |data| {
+                data.truncate(40);
+                true
+            },
+            "EOF while parsing",
+        ),
         ("the end", "/session/end", |_| false, "it was cut short"),
     ];
     let mut seen = 0;
@@ -117,7 +154,7 @@ fn a_part_of_a_log_replays_to_the_same_poses() {
     let to = sidecarm::time::rfc3339_from_us(to_us);
     let ran = sidecarm(&["log", "cut", text(log), "--from", &from, "--to", &to, "--out", text(&out)]);
     assert_eq!(ran.code, Some(0), "{}{}", ran.stdout, ran.stderr);
-    assert!(ran.stdout.contains("rests on them: 1, 2") || ran.stdout.contains("rests on them"), "{}", ran.stdout);
+    assert!(ran.stdout.contains("rests on them"), "{}", ran.stdout);
     assert!(ran.stdout.contains(&format!("come before or after: {}", late.0)), "{}", ran.stdout);
 
     let part = entries(&out);
@@ -219,7 +256,10 @@ fn logs_that_do_not_belong_together_are_not_joined() {
     let ran = sidecarm(&["log", "cut", text(first), "--from", "0", "--to", "4", "--out", text(&part)]);
     assert_eq!(ran.code, Some(0), "{}", ran.stderr);
     let cases: [(PathBuf, &str); 4] = [
-        (other("calibration.mcap", "\"source_to_isocentre_mm\":631.8", "\"source_to_isocentre_mm\":632.8"), "carm.source_to_isocentre_mm"),
+        (
+            other("calibration.mcap", "\"source_to_isocentre_mm\":631.8", "\"source_to_isocentre_mm\":632.8"),
+            "carm.source_to_isocentre_mm",
+        ),
         (other("scene.mcap", "\"sha256\":\"", "\"sha256\":\"0"), "sha256"),
         (part, "ends"),
         (first.clone(), "same"),
@@ -286,7 +326,10 @@ fn tables_hold_what_the_log_holds() {
         let bound = bound.unwrap_or_else(|| panic!("{frame}"));
         assert_eq!(bound["counter"], frame["pose"]["exposure_counter"].to_string());
         assert!(number(bound, "tube_kvp") > 20.0 && number(bound, "source_to_detector_mm") > 900.0, "{bound:?}");
-        assert!(bound["binding"] == "counter" && bound["start_utc"].ends_with('Z') && number(bound, "segment") >= 0.0, "{bound:?}");
+        assert!(
+            bound["binding"] == "counter" && bound["start_utc"].ends_with('Z') && number(bound, "segment") >= 0.0,
+            "{bound:?}"
+        );
     }
     let beads = table(&out.join("beads.csv"));
     assert!(beads.len() >= 6 * frames.len(), "{}", beads.len());
@@ -299,7 +342,10 @@ fn tables_hold_what_the_log_holds() {
     let scores = table(&out.join("scores.csv"));
     assert_eq!(scores.len(), frames.len());
     let accepted: Vec<_> = scores.iter().filter(|row| row["status"] == "accepted").collect();
-    assert!(accepted.iter().any(|row| number(row, "gradient_ncc") > 0.5 && number(row, "gradient_ncc_null_margin") > 0.0), "{scores:?}");
+    assert!(
+        accepted.iter().any(|row| number(row, "gradient_ncc") > 0.5 && number(row, "gradient_ncc_null_margin") > 0.0),
+        "{scores:?}"
+    );
     // Nothing is written over.
     let ran = sidecarm(&["log", "csv", text(log), "--out", text(&out)]);
     assert!(ran.code == Some(1) && ran.stderr.contains("exists already"), "{}", ran.stderr);
@@ -327,17 +373,15 @@ fn a_redacted_log_tells_no_names_and_replays_to_the_same_poses() {
     let ran = sidecarm(&["log", "redact", text(log), "--out", text(&out)]);
     assert_eq!(ran.code, Some(0), "{}{}", ran.stdout, ran.stderr);
     let (before, after) = (outputs(log), outputs(&out));
-    let labels = ["frame-001", "frame-002", "beads.mrk.json\"", "linux", "ttyCARM", "telemetry from"];
+    // Of a label, a port, a machine and an origin as well.
+    let others = ["frame-001", "frame-002", "ttycarm", "\"linux ", "measured by"];
     let mut planted = 0;
-    for word in CANARIES.iter().chain(&SERIAL_NUMBERS).map(|word| word.to_lowercase()) {
+    for word in CANARIES.iter().chain(&SERIAL_NUMBERS).chain(&others).map(|word| word.to_lowercase()) {
         assert!(!hits(&before, &word).is_empty(), "the control: {word} is in the log");
         assert!(hits(&after, &word).is_empty(), "{word}: {:?}", hits(&after, &word));
         planted += 1;
     }
-    assert_eq!(planted, 7);
-    for word in &labels[..2] {
-        assert!(!hits(&before, word).is_empty() && hits(&after, word).is_empty(), "{word}: {:?}", hits(&after, word));
-    }
+    assert_eq!(planted, 12);
     let events = |log: &Path| entries(log).iter().filter_map(|entry| entry.event().expect("sound")).collect::<Vec<_>>();
     assert!(events(log).iter().any(|event| !event.starts_with("DRR of frame ")), "the control: events were told");
     assert!(events(&out).iter().all(|event| event.starts_with("DRR of frame ")), "{:?}", events(&out));

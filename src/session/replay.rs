@@ -12,9 +12,9 @@ use super::board::Board;
 use super::broadcast::Broadcast;
 use super::develop::Developed;
 use super::engine::Engine;
+use super::file::Setup;
 use super::folder::{Collector, Folder, Times};
 use super::image_difference::{ImageDifference, difference};
-use super::file::Setup;
 use super::input::{Input, Output};
 use super::log::{CLOCK_TOPIC, END_TOPIC, PoseRecord};
 use super::log_inputs::LogInputs;
@@ -348,7 +348,8 @@ impl Replay<'_> {
         self.report.poses_missing = missing.map(|(number, _)| *number).filter(has_pixels).collect();
         let posed = self.without_pixels.iter().filter(|number| self.recorded.poses.contains_key(&(**number, 0))).count();
         if posed > 0 {
-            let words = "were left out of this log on purpose (log redact --no-pixels): their poses and images cannot be made again";
+            let words =
+                "were left out of this log on purpose (log redact --no-pixels): their poses and images cannot be made again";
             self.report.losses.push(format!("the pixels of {posed} frames {words}"));
         }
         self.report.losses.extend(self.inputs.tolerance.losses().into_iter().filter(|loss| !self.recorded.losses.contains(loss)));

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::say;
+use super::outcome::say;
 use crate::reporter::Reporter;
 use crate::session::logbook::{LogbookError, write_tables};
 

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::{counted, listed, say};
+use super::outcome::{counted, listed, say};
 use crate::reporter::Reporter;
 use crate::session::logbook::{LogbookError, Moment, cut};
 

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::{GOOD, LOSS, counted};
+use super::outcome::{GOOD, LOSS, counted};
 use crate::reporter::{Reporter, printable};
 use crate::session::logbook::{FrameTold, Inventory, LogbookError, Pixels, take_inventory};
 use crate::time::rfc3339_from_us;
@@ -56,7 +56,11 @@ fn text(told: &Inventory) -> String {
     }
     if let Some(cut) = &told.cut {
         let at = |key: &str| cut[key].as_i64().map_or(f64::NAN, seconds);
-        lines.push(format!("cut to {:.3} s … {:.3} s; the bytes of the devices from before are there", at("from_us"), at("to_us")));
+        lines.push(format!(
+            "cut to {:.3} s … {:.3} s; the bytes of the devices from before are there",
+            at("from_us"),
+            at("to_us")
+        ));
     }
     if told.redacted.is_some() {
         lines.push("redacted: names, serial numbers and free text were taken out".to_owned());

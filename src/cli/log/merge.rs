@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::{counted, say};
+use super::outcome::{counted, say};
 use crate::reporter::Reporter;
 use crate::session::logbook::{LogbookError, merge};
 
@@ -31,7 +31,8 @@ pub fn run(args: &MergeArgs, reporter: &Reporter) -> Result<u8, LogbookError> {
     let mut end_us: Option<i64> = None;
     for log in &report.logs {
         let length_s = log.end_us.saturating_sub(log.start_us) as f64 * 1e-6;
-        let after = end_us.map(|end_us| format!(", {:.3} s after the one before", log.start_us.saturating_sub(end_us) as f64 * 1e-6));
+        let after =
+            end_us.map(|end_us| format!(", {:.3} s after the one before", log.start_us.saturating_sub(end_us) as f64 * 1e-6));
         let numbers = match (log.frames, log.numbers_from) {
             (0, _) | (_, 0) => String::new(),
             (_, from) => format!(", numbered from {} on", from + 1),

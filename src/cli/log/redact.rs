@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::{counted, say};
+use super::outcome::{counted, say};
 use crate::reporter::Reporter;
 use crate::session::logbook::{LogbookError, RedactOptions, redact};
 

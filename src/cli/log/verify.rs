@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::{GOOD, LOSS, counted};
+use super::outcome::{GOOD, LOSS, counted};
 use crate::reporter::{Reporter, printable};
 use crate::session::logbook::{Fault, LogbookError, Verdict, verify};
 

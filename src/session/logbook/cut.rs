@@ -45,7 +45,8 @@ impl std::str::FromStr for Moment {
     fn from_str(text: &str) -> Result<Self, String> {
         let seconds = text.parse::<f64>().ok().filter(|s| s.is_finite() && *s >= 0.0).map(|s| Self::SinceStart { s });
         seconds.or_else(|| us_from_rfc3339(text).map(|host_us| Self::At { host_us })).ok_or_else(|| {
-            "expected seconds from the start of the log (12.5), or a time as 2026-11-21T10:00:00Z (RFC 3339, with its zone)".to_owned()
+            "expected seconds from the start of the log (12.5), or a time as 2026-11-21T10:00:00Z (RFC 3339, with its zone)"
+                .to_owned()
         })
     }
 }

@@ -130,8 +130,7 @@ impl Frames {
         let number = if frame.number > 0 { frame.number } else { self.by_number.len() as u32 + 1 };
         self.without_numbers |= frame.number == 0;
         let Frame { name: label, sha256, size_px, completes, .. } = frame;
-        let told =
-            FrameTold { number, label, sha256, size_px, arrival_us, pixels, completes, pose: None, times_us: Vec::new() };
+        let told = FrameTold { number, label, sha256, size_px, arrival_us, pixels, completes, pose: None, times_us: Vec::new() };
         self.by_number.insert(number, told);
         self.waiting = (pixels == Pixels::Missing).then_some(number);
         number

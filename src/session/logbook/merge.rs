@@ -243,9 +243,7 @@ mod tests {
 
     #[test]
     fn sessions_differ_where_they_do_and_ports_do_not_matter() {
-        let setup = |port: &str, sha: &str| {
-            json!({"session": {"carm": {"port": port, "baud": 9600}, "frames": {"folder": port}}, "inputs": [{"sha256": sha}]})
-        };
+        let setup = |port: &str, sha: &str| json!({"session": {"carm": {"port": port, "baud": 9600}, "frames": {"folder": port}}, "inputs": [{"sha256": sha}]});
         let [a, b, c] = [setup("0", "ab"), setup("1", "ab"), setup("0", "cd")].map(comparable);
         assert_eq!(difference(&a, &b, ""), None);
         assert_eq!(difference(&a, &c, "").as_deref(), Some("`inputs[0].sha256` (\"ab\" and \"cd\")"));

@@ -174,7 +174,8 @@ impl Names {
                 for (key, value) in fields {
                     match value {
                         Value::Object(bodies) if key == "bodies" => {
-                            *bodies = std::mem::take(bodies).into_iter().map(|(name, labels)| (self.word(&name), labels)).collect();
+                            *bodies =
+                                std::mem::take(bodies).into_iter().map(|(name, labels)| (self.word(&name), labels)).collect();
                         }
                         other => self.rename_bodies(other),
                     }

@@ -123,7 +123,9 @@ pub fn write_tables(log: &Path, folder: &Path, reporter: &Reporter) -> Result<Ta
         let piece = lines.piece();
         tolerance.take(lines.take(&entry, &mut |heard| {
             let written = match heard.event {
-                Event::Sample(Sample::Carm(sample), sequenced) => carm.row(carm_row(piece, entry.host_us, &heard, *sequenced, sample)),
+                Event::Sample(Sample::Carm(sample), sequenced) => {
+                    carm.row(carm_row(piece, entry.host_us, &heard, *sequenced, sample))
+                }
                 Event::Sample(Sample::Robot(sample), sequenced) => {
                     robot.row(robot_row(piece, entry.host_us, &heard, *sequenced, sample))
                 }
@@ -173,16 +175,17 @@ fn robot_columns() -> Vec<String> {
     let tendon = |n: u32| ["position_mm", "velocity_mm_per_s", "tension_n", "current_a"].map(|what| format!("tendon_{n}_{what}"));
     let base = ["base_x_mm", "base_y_mm", "base_z_mm", "base_qx", "base_qy", "base_qz", "base_qw"].map(str::to_owned);
     let state = ["drill_rpm", "status"].map(str::to_owned);
-    of_sample()
-        .chain(angles.into_iter().flatten())
-        .chain(tendon(1))
-        .chain(tendon(2))
-        .chain(base)
-        .chain(state)
-        .collect()
+    of_sample().chain(angles.into_iter().flatten()).chain(tendon(1)).chain(tendon(2)).chain(base).chain(state).collect()
 }
 
-fn sample_cells(piece: u32, arrival_us: i64, heard: &Heard<'_>, sequenced: Sequenced, number: u32, device_us: u64) -> Vec<String> {
+fn sample_cells(
+    piece: u32,
+    arrival_us: i64,
+    heard: &Heard<'_>,
+    sequenced: Sequenced,
+    number: u32,
+    device_us: u64,
+) -> Vec<String> {
     let follows = match sequenced {
         Sequenced::Next => "next".to_owned(),
         Sequenced::Gap(lost) => format!("after a gap of {lost}"),

@@ -193,6 +193,31 @@ fn a_plate_without_a_prior_is_accepted_with_a_caution_only() {
     assert!(reason(&register_shadows(&request, &mirrored)).starts_with("mirrored"));
 }
 
+/// Beads in pairs on either side of a plane: their picture and its mirror image are seen alike, by other names.
+#[test]
+fn a_layout_like_its_mirror_image_without_a_prior_is_accepted_with_a_caution_only() {
+    let sides = [(22.0, -25.0, 14.0), (31.0, 8.0, -20.0), (12.0, 29.0, 6.0), (27.0, -9.0, 33.0)];
+    let places: Vec<DVec3> = sides.into_iter().flat_map(|(x, y, z)| [x, -x].map(|x| DVec3::new(x, y, z))).collect();
+    let view = synthetic::view(620, 480, 8);
+    let cautions = |moved_mm: f64, prior: Option<&Prior>| {
+        let mut places = places.clone();
+        places[0].y += moved_mm;
+        let layout = synthetic::layout_of(&places, 0.75);
+        let found = shadows(&view, &layout, 0.05, 0.0, 1);
+        let pose = register_shadows(&Registration { prior, ..matching(&view, &layout) }, &found);
+        assert!(pose.is_accepted(), "{moved_mm} mm: {:?}", pose.reason);
+        pose.cautions
+    };
+    let alone = cautions(0.0, None);
+    assert!(alone.iter().any(|caution| caution.contains("its own mirror image")), "{alone:?}");
+    // One of a pair out of its place, by so little that it still falls on its mirror image, and by much.
+    for moved_mm in [0.9, 8.0] {
+        assert_eq!(cautions(moved_mm, None), [""; 0], "{moved_mm} mm");
+    }
+    let prior = Prior { camera_from_lps: view.camera_from_lps, covariance: None };
+    assert_eq!(cautions(0.0, Some(&prior)), [""; 0]);
+}
+
 /// Four beads, one of which has moved by 2.5 mm, fitted each other to 0.6 px.
 #[test]
 fn four_beads_are_accepted_with_a_caution_and_only_where_they_agree() {

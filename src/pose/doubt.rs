@@ -22,7 +22,7 @@ pub(super) const ORDINARY: usize = 2;
 /// Another reading of as many shadows counts where its squared standard deviations are less by so much, and where nothing else tells the two
 /// apart, unless they are more by so much.
 const FAR_BETTER: f64 = 15.0;
-const ALIKE: f64 = 12.0;
+pub(super) const ALIKE: f64 = 12.0;
 /// A second reading is nearer the prior from this difference of squared standard deviations on.
 const NEARER: f64 = 12.0;
 /// χ² per degree of freedom beyond which residuals are a reason for doubt, where one shadow lies beside its bead's place, and where more do.

@@ -3,13 +3,12 @@
 use glam::{DQuat, DVec2, DVec3};
 
 use super::case::Case;
+use super::doubt::ALIKE;
 use super::settle::Settled;
 use super::solve::{Free, Match, Options, solve};
 use super::triangle::align;
 use crate::geometry::{Intrinsics, Rigid};
 
-/// Two readings whose squared standard deviations differ by less cannot be told apart.
-const ALIKE: f64 = 12.0;
 /// Standard deviations of a bead's place, and mm at least, within which a bead may fall on another: along the beam the picture hardly tells.
 const ON_ANOTHER: (f64, f64) = (10.0, 1.0);
 

@@ -246,4 +246,17 @@ mod tests {
         assert!(costs.predict_ms(&Work { face_tests: 1e5, ..work }, Sampling::ExactSlabs) > ms);
         assert!(costs.predict_ms(&Work { interpolated: 1e6, ..work }, Sampling::ExactSlabs) > ms);
     }
+
+    /// Of two times 19 and 40 ns through six slabs, with slabs of 3 and 2 ns, the lesser is left by slabs of 2 ns.
+    #[test]
+    fn a_volume_costs_what_the_least_time_leaves() {
+        let round = |slab_ns: f64, volume_ns: f64| Costs {
+            exact_slab_ns: [slab_ns; 3],
+            volume_ns: [volume_ns, 20.0, 100.0],
+            rounds: 1,
+            ..Costs::default()
+        };
+        let least = round(3.0, 1.0).least(&round(2.0, 28.0));
+        assert_eq!((least.exact_slab_ns[0], least.volume_ns), (2.0, [7.0, 20.0, 100.0]));
+    }
 }

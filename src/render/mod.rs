@@ -42,6 +42,7 @@ pub mod steep;
 pub mod survey;
 pub mod tiles;
 mod timed_costs;
+mod timed_scenes;
 pub mod trade;
 pub mod veil;
 mod view_slabs;

@@ -122,7 +122,7 @@ impl Planner {
         Ok(plan)
     }
 
-    /// Measures what this machine costs, unless that is known: a second in each of the first few programs.
+    /// Measures what this machine costs, unless that is known: a second, now and then again.
     pub fn calibrate(&mut self) {
         self.costs.get_or_insert_with(of_this_machine);
     }

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use super::cells::Cells;
 use super::chain::{self, Wanted};
-use super::costs::{Costs, FAR_CELLS, NEAR_CELLS};
+use super::costs::Costs;
 use super::cpu::add_noise::add_noise;
 use super::cpu::attenuate_spectrum::{Signal, attenuate_spectrum};
 use super::cpu::enlarge_density::enlarge_density;
@@ -18,12 +18,11 @@ use super::plan::{Executor, Sampling};
 use super::prepared::Prepared;
 use super::slabs::Slabs;
 use super::spectrum::{Bins, LANES};
-use crate::geometry::{Intrinsics, Rigid, View};
+use super::timed_scenes::{EDGE, FAR_EDGE, TUBES, cut_volume, seen_from_afar, test_scene, test_volume, timed_mesh, timed_tubes};
+use crate::geometry::View;
 use crate::gpu::cpu_name;
 use crate::image::{cache_file, write_atomically};
-use crate::random::{Purpose, Stream};
-use crate::reporter::Reporter;
-use crate::scene::model::{Matter, Mesh, Object, Scene, Shape, Solid, Volume};
+use crate::scene::model::{Matter, Object, Scene, Volume};
 use crate::time::Stopwatch;
 
 /// Goes up whenever an executor becomes faster or slower, so that no one trusts costs of the one before.
@@ -67,10 +66,6 @@ fn kept_in(path: Option<PathBuf>) -> Costs {
     measured
 }
 
-/// Voxels along the edge of the volume that is timed, and pixels along the edge of its image.
-const EDGE: usize = 96;
-/// Pixels along the edge of the same image with rays far apart.
-const FAR_EDGE: usize = 32;
 /// Voxels along the edge of a volume that hardly takes longer than to enter it.
 const FEW: usize = super::costs::FEW_SLABS as usize;
 
@@ -237,44 +232,6 @@ fn after_a_rest(work: &dyn Fn()) -> f64 {
 /// Times that cores are woken for an image: to cast, to attenuate, to mark cut faces, to detect.
 const WAKES: f64 = 4.0;
 
-/// Tubes that every ray is tried against when shapes are timed.
-const TUBES: usize = 16;
-
-fn timed_tubes() -> Matter {
-    let tube = |index: usize| Solid {
-        shape: Shape::Cylinder { length_mm: 200.0, radius_mm: 60.0, inner_radius_mm: 55.0 },
-        lps_from_local: Rigid {
-            rotation: glam::DQuat::from_rotation_x(0.3 + 0.1 * index as f64),
-            translation_mm: glam::DVec3::new(0.0, 0.0, -100.0 + 10.0 * index as f64),
-        },
-        material: 0,
-        density_g_per_cm3: 1.0,
-    };
-    Matter::Solids((0..TUBES).map(tube).collect())
-}
-
-/// A ball of some thousand triangles.
-fn timed_mesh() -> Mesh {
-    const ROUND: u32 = 96;
-    const RINGS: u32 = 48;
-    let point = |index: u32| {
-        let (polar, azimuth) = (
-            std::f64::consts::PI * (0.5 + f64::from(index / ROUND)) / f64::from(RINGS),
-            std::f64::consts::TAU * f64::from(index % ROUND) / f64::from(ROUND),
-        );
-        60.0 * glam::DVec3::new(polar.sin() * azimuth.cos(), polar.sin() * azimuth.sin(), polar.cos())
-    };
-    let square = |index: u32| {
-        let (ring, place) = (index / ROUND, index % ROUND);
-        let next = (place + 1) % ROUND;
-        let [a, b, c, d] = [ring * ROUND + place, ring * ROUND + next, (ring + 1) * ROUND + next, (ring + 1) * ROUND + place];
-        [[a, c, b], [a, d, c]]
-    };
-    // The two holes at the poles are never looked through.
-    let triangles = (0..ROUND * (RINGS - 1)).flat_map(square).collect();
-    Mesh { vertices_lps_mm: (0..ROUND * RINGS).map(point).collect(), triangles, material: 0, density_g_per_cm3: 1.0 }
-}
-
 /// Nanoseconds of one core that a ray takes through `matter` alone.
 fn time_objects(scene: &Scene, matter: Matter, threads: usize) -> Option<f64> {
     let pixels: f64 = scene.view?.size_px.iter().map(|n| f64::from(*n)).product();
@@ -290,82 +247,6 @@ fn time_objects_by(scene: &Scene, matter: Matter, time: fn(&dyn Fn()) -> f64) ->
     };
     let prepared = Prepared::new(&scene, scene.view?, no_volume, |mesh| Arc::new(MadeMesh::new(mesh))).ok()?;
     Some(time(&|| drop(integrate_density(&prepared, Sampling::None))))
-}
-
-/// Everything but the volume; `beam` is added to the beam's keys.
-fn test_scene(beam: &str) -> Option<Scene> {
-    let text = r#"{ "objects": [
-        {"sphere": {"centre_lps_mm": [0,0,0], "radius_mm": 1, "material": "water"}},
-        {"sphere": {"centre_lps_mm": [0,0,0], "radius_mm": 1, "material": "bone_cortical"}},
-        {"sphere": {"centre_lps_mm": [0,0,0], "radius_mm": 1, "material": "adipose"}},
-        {"sphere": {"centre_lps_mm": [0,0,0], "radius_mm": 1, "material": "titanium"}} ],
-        "beam": {BEAM "tube_kvp": 120, "anode_angle_deg": 12, "filtration_mm": {"aluminium": 4.3}, "photons_per_pixel": 1e5},
-        "detector": {"response": "energy", "pitch_mm": 2.0}, "model": {"formation": "deepdrr"} }"#;
-    let mut scene =
-        crate::scene::load_text(&text.replace("BEAM", beam), std::path::Path::new("timing"), false, &Reporter::silent()).ok()?;
-    let middle = 0.5 * (EDGE as f64 - 1.0);
-    let f_px = 1000.0 / NEAR_CELLS;
-    let intrinsics = Intrinsics { fx: f_px, fy: f_px, cx: middle, cy: middle, skew: 0.0 };
-    // A slanted look: axis-aligned rays flatter every rule.
-    let turn = glam::DQuat::from_rotation_y(0.3) * glam::DQuat::from_rotation_x(0.2);
-    let camera_from_lps = Rigid { rotation: turn, translation_mm: glam::DVec3::new(0.0, 0.0, 1000.0) };
-    scene.view = Some(View { size_px: [EDGE as u32; 2], intrinsics, camera_from_lps });
-    Some(scene)
-}
-
-/// The scene with fewer pixels of the same middle, so that their rays share no cells.
-fn seen_from_afar(scene: &Scene) -> Scene {
-    let middle = 0.5 * (FAR_EDGE as f64 - 1.0);
-    let f_px = 1000.0 / FAR_CELLS;
-    let intrinsics = Intrinsics { fx: f_px, fy: f_px, cx: middle, cy: middle, skew: 0.0 };
-    let view = scene.view.map(|view| View { size_px: [FAR_EDGE as u32; 2], intrinsics, ..view });
-    let mut far = Scene { view, ..scene.clone() };
-    // The detector stays behind the volume.
-    far.detector.pitch_mm *= FAR_CELLS / NEAR_CELLS;
-    far
-}
-
-/// Noise of so many materials in `edge`³ voxels, each in blocks of `block`³; [`EDGE`] mm wide.
-fn test_volume(edge: usize, materials: usize, block: usize) -> Volume {
-    let mut stream = Stream::new(1, 0, 0, Purpose::Evaluation);
-    let voxels = edge * edge * edge;
-    let (mut density, mut class) = (Vec::with_capacity(voxels), Vec::with_capacity(voxels));
-    let mut of_block = std::collections::HashMap::new();
-    for voxel in 0..voxels {
-        let random = stream.next_u32();
-        density.push(0.5 + (random % 1000) as f32 * 1e-3);
-        let drawn = (random / 1000 % materials as u32) as u8 + 1;
-        let at = [voxel % edge, voxel / edge % edge, voxel / (edge * edge)].map(|n| n / block);
-        class.push(if block == 1 { drawn } else { *of_block.entry(at).or_insert(drawn) });
-    }
-    let voxel_mm = EDGE as f64 / edge as f64;
-    let centre = glam::DVec3::splat(-0.5 * (EDGE as f64 - voxel_mm));
-    Volume {
-        size: [edge; 3],
-        lps_from_voxel: glam::DAffine3::from_scale_rotation_translation(
-            glam::DVec3::splat(voxel_mm),
-            glam::DQuat::IDENTITY,
-            centre,
-        ),
-        density_g_per_cm3: density,
-        class,
-        class_materials: (0..materials).collect(),
-        truncated_at_faces: false,
-        unknown: Vec::new(),
-    }
-}
-
-/// A body from face to face.
-fn cut_volume() -> Volume {
-    let mut volume = test_volume(EDGE, 1, 1);
-    let from_middle = |index: usize| (index as f64 + 0.5) / EDGE as f64 - 0.5;
-    for (voxel, density) in volume.density_g_per_cm3.iter_mut().enumerate() {
-        let place = glam::DVec3::from_array([voxel % EDGE, voxel / EDGE % EDGE, voxel / (EDGE * EDGE)].map(from_middle));
-        if place.truncate().length() > 0.46 {
-            *density = 0.0;
-        }
-    }
-    Volume { truncated_at_faces: true, ..volume }
 }
 
 #[cfg(test)]

@@ -2,8 +2,8 @@
 //! not that of the others.
 //!
 //! What sag and an uncalibrated arm explain is the same for two frames of one stand, so far less is allowed than between any two. Along
-//! the beam sensors hardly tell and sag is small, so a depth apart from all others is no arm's, but that of another focal length: a picture
-//! that was enlarged or cropped on its way.
+//! the beam sensors hardly tell: a depth that differs from that of similar directions by more than sag does is another focal length, a
+//! picture that was enlarged or cropped on its way, if nothing was moved.
 
 use std::collections::VecDeque;
 

@@ -71,7 +71,7 @@ pub fn check(folder: &Path) -> (Vec<(String, String, String)>, i32) {
 type Fault = (&'static str, fn(&Path), &'static str, &'static str, &'static [&'static str]);
 
 /// Faults of files: name, how, the check that names it, its level, words that it uses.
-const FILE_FAULTS: [Fault; 13] = [
+const FILE_FAULTS: [Fault; 15] = [
     (
         "ras",
         |lab| edit(lab, "beads.mrk.json", |b| b["markups"][0]["coordinateSystem"] = value!("RAS")),
@@ -144,6 +144,20 @@ const FILE_FAULTS: [Fault; 13] = [
         "disk",
         "fail",
         &["cannot be written", "choose another --out"],
+    ),
+    (
+        "among frames",
+        |lab| edit(lab, "session.json", |s| s["out"] = value!("frames/run")),
+        "own folder",
+        "warn",
+        &["lies in the folder in which frames are looked for", "choose another --out"],
+    ),
+    (
+        "frames' folder",
+        |lab| edit(lab, "session.json", |s| s["out"] = value!("frames/../frames")),
+        "own folder",
+        "fail",
+        &["is the folder in which frames are looked for", "choose another --out"],
     ),
 ];
 
@@ -286,7 +300,7 @@ pub fn live(folder: &Path, options: &[&str], spoil: impl FnOnce(&Path)) -> (Vec<
         .args(["--headless", "--seconds", "13", "--include-existing"])
         .output()
         .expect("runs");
-    let words = String::from_utf8_lossy(&run.stdout).into_owned() + &String::from_utf8_lossy(&run.stderr);
+    let words = format!("{}{}{}", String::from_utf8_lossy(&run.stdout), String::from_utf8_lossy(&run.stderr), run.status);
     let out = mock.lab.join("session");
     assert!(out.join("session.mcap").exists(), "{words}");
     let pairs = json(&out.join("pairs.json"))["pairs"].as_array().expect("a list").clone();
@@ -318,6 +332,9 @@ fn beads_that_say_ras_but_hold_lps_are_refused_in_a_live_session() {
         assert_eq!(pair["robot_source"], "scene");
     }
     assert!(words.contains("0 accepted") && words.contains("check: beads and spheres"), "{words}");
+    // Not one pose is what the session was for.
+    assert!(words.contains("lost: not one of 3 frames gave a pose by its beads") && words.contains("exit status: 3"), "{words}");
+    assert!(report.contains("not one of 3 frames gave a pose by its beads"));
     assert!(!words.contains("tied to the room"), "{words}");
     let robot = "robot drawn as in the scene file: no telemetry";
     assert!(

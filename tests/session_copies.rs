@@ -42,6 +42,31 @@ fn export(from: &Path, to: &Path, uid: &str, removed: &[Tag]) {
     std::fs::rename(part, to).expect("renamed");
 }
 
+/// The frame at `from` as an archive keeps it: under other identifiers, without a number or a time, in 256 grey values that follow a curve.
+fn archive(from: &Path, to: &Path) {
+    export(from, to, "2.25.123456789", &TIMES);
+    let mut object = dicom_object::open_file(to).expect("a frame");
+    let white = (1u32 << object.element(tags::BITS_STORED).expect("there").to_int::<u32>().expect("a number")) - 1;
+    let values = object.element(tags::PIXEL_DATA).expect("pixels").to_multi_int::<u16>().expect("words");
+    let of_256 = |value: &u16| (255.0 * (f64::from(*value) / f64::from(white)).powf(0.6)).round() as u16;
+    let values: Vec<u16> = values.iter().map(of_256).collect();
+    object.put(DataElement::new(tags::PIXEL_DATA, VR::OW, PrimitiveValue::U16(values.into())));
+    let part = to.with_extension("part");
+    object.write_to_file(&part).expect("written");
+    std::fs::rename(part, to).expect("renamed");
+}
+
+/// Whatever numbers or dates a frame.
+const TIMES: [Tag; 7] = [
+    tags::ACQUISITION_NUMBER,
+    tags::ACQUISITION_DATE,
+    tags::ACQUISITION_TIME,
+    tags::ACQUISITION_DATE_TIME,
+    tags::CONTENT_DATE,
+    tags::CONTENT_TIME,
+    tags::INSTANCE_NUMBER,
+];
+
 /// The frame at `from` with letters of 5 × 7 dots at the end of its scale, as a console writes them into a corner.
 fn write_upon(from: &Path, to: &Path) {
     let mut object = dicom_object::open_file(from).expect("a frame");
@@ -88,16 +113,22 @@ fn the_same_picture_exported_again_is_said_to_be_a_copy() {
                     std::thread::sleep(Duration::from_millis(700));
                     export(&path, &exported.join("again.dcm"), "2.25.987654321", &[]);
                 }
+                if seen.len() == 4 {
+                    std::thread::sleep(Duration::from_millis(700));
+                    let kept = lab.kit.join("kept.dcm");
+                    archive(&path, &kept);
+                    std::fs::rename(kept, exported.join("kept.dcm")).expect("renamed");
+                }
             }
         }
         live.program.end(0.02)
     });
     assert!(ended.is_some_and(|status| matches!(status.code(), Some(0 | 3))), "{}", live.stderr());
     let pairs = pairs(&out);
-    assert_eq!(pairs.len(), seen.len() + 1, "{}", live.stderr());
+    assert_eq!(pairs.len(), seen.len() + 2, "{}", live.stderr());
     let copies: Vec<&Value> =
         pairs.iter().filter(|pair| pair["flags"].to_string().contains("the same picture as frame")).collect();
-    assert!(copies.len() == 1 && copies[0]["binding"] == "none", "{copies:#?}");
+    assert!(copies.len() == 2 && copies.iter().all(|copy| copy["binding"] == "none"), "{copies:#?}");
     assert!(live.stderr().contains("the same picture as frame"), "{}", live.stderr());
     // Frames whose shutters are in the picture are among them, and no writing is in those.
     let written: Vec<&Value> = pairs.iter().filter(|pair| pair["flags"].to_string().contains("masked as writing")).collect();
@@ -109,7 +140,28 @@ fn the_same_picture_exported_again_is_said_to_be_a_copy() {
     );
     assert!(live.stderr().contains("burned in"), "{}", live.stderr());
     let others: Vec<&Value> = pairs.iter().filter(|pair| pair["flags"].to_string().contains("of another study")).collect();
-    assert!(others.len() == 1 && live.stderr().contains("is of another study than frame 1"), "{others:#?} {}", live.stderr());
+    assert!(others.len() == 2 && live.stderr().contains("is of another study than frame 1"), "{others:#?} {}", live.stderr());
+
+    // Exported for the archive afterwards, frames that the log holds keep the exposures that they have there, and none takes another's.
+    let afterwards = lab.kit.join("afterwards");
+    std::fs::create_dir(&afterwards).expect("a folder");
+    let whole = whole_frames(&lab);
+    for path in &whole {
+        archive(path, &afterwards.join(path.file_name().expect("a name")));
+    }
+    let output = std::process::Command::new(env!("CARGO_BIN_EXE_sidecarm"))
+        .arg("attach")
+        .arg(&live.log)
+        .arg(&afterwards)
+        .arg("--json")
+        .output()
+        .expect("runs");
+    let json: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let frames = json["frames"].as_array().expect("a list");
+    assert_eq!(frames.len(), whole.len(), "{json:#}");
+    for frame in frames {
+        assert!(frame["binding"]["evidence"].to_string().contains("the log holds this very frame"), "{frame:#}");
+    }
 }
 
 /// Nothing tied a frame to its exposure, every robot was drawn as in the scene file, and the session ended with "nothing was lost".
@@ -123,17 +175,8 @@ fn a_session_in_which_no_frame_is_tied_to_an_exposure_ends_with_loss() {
     let mut live = Live::launch(&session, &out, &["--seconds", "34"]);
     assert!(lab.mock.end(HANG_S).is_some());
     std::thread::sleep(Duration::from_secs(7));
-    let times = [
-        tags::ACQUISITION_NUMBER,
-        tags::ACQUISITION_DATE,
-        tags::ACQUISITION_TIME,
-        tags::ACQUISITION_DATE_TIME,
-        tags::CONTENT_DATE,
-        tags::CONTENT_TIME,
-        tags::INSTANCE_NUMBER,
-    ];
     for (n, path) in whole_frames(&lab).iter().take(3).enumerate() {
-        export(path, &exported.join(format!("f{n}.dcm")), &format!("2.25.{n}77"), &times);
+        export(path, &exported.join(format!("f{n}.dcm")), &format!("2.25.{n}77"), &TIMES);
     }
     assert_eq!(live.program.end(HANG_S).and_then(|status| status.code()), Some(3), "{}", live.stderr());
     let pairs = pairs(&out);

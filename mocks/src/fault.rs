@@ -22,7 +22,7 @@ use serde::{Deserialize, Serialize};
 use crate::MockError;
 use crate::pty::Line;
 
-/// What goes wrong on a line: with one packet, for a while (`Delay`, `Unplug`), or for good (`Mute`, `Gone`, `Freeze`, `Restart`).
+/// What goes wrong on a line: with one packet, for a while (`Delay`, `Unplug`), or for good (`Mute`, `Gone`, `Freeze`, `Restart`, `Jump`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FaultKind {
@@ -48,11 +48,13 @@ pub enum FaultKind {
     Freeze,
     /// The device begins anew: its clock and the numbers of its packets start at zero.
     Restart,
+    /// The device's clock is set 5 s ahead; the numbers of its packets go on.
+    Jump,
 }
 
 impl FaultKind {
     /// All of them.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::Drop,
         Self::Flip,
         Self::Tear,
@@ -64,6 +66,7 @@ impl FaultKind {
         Self::Gone,
         Self::Freeze,
         Self::Restart,
+        Self::Jump,
     ];
 
     /// The kind's name in files, events and on the command line.
@@ -81,6 +84,7 @@ impl FaultKind {
             Self::Gone => "gone",
             Self::Freeze => "freeze",
             Self::Restart => "restart",
+            Self::Jump => "jump",
         }
     }
 }
@@ -168,7 +172,7 @@ impl Channel {
         }
         match self.due.pop_front() {
             // A clock is the device's, not the line's.
-            None | Some(FaultKind::Freeze | FaultKind::Restart) => self.line.write(packet),
+            None | Some(FaultKind::Freeze | FaultKind::Restart | FaultKind::Jump) => self.line.write(packet),
             Some(FaultKind::Drop) => {}
             Some(FaultKind::Flip) => self.line.write(&flipped(packet, random)),
             Some(FaultKind::Tear) => self.line.write(&packet[..packet.len() / 2]),

@@ -57,6 +57,9 @@ const HALVED: usize = 1;
 /// Pause between the halves.
 const HALF_PAUSE_S: f64 = 0.4;
 
+/// What [`FaultKind::Jump`] adds to a device's clock.
+const JUMP_US: u64 = 5_000_000;
+
 /// Prints one event as a line of JSON.
 pub fn say(event: &serde_json::Value) {
     use std::io::Write;
@@ -97,6 +100,7 @@ pub fn play(
                 match fault.kind {
                     FaultKind::Freeze => sender.frozen_s = Some(now_s),
                     FaultKind::Restart => (sender.began_s, sender.epoch_us, sender.sequence) = (now_s, 0, 0),
+                    FaultKind::Jump => sender.epoch_us += JUMP_US,
                     kind => sender.channel.inject(kind),
                 }
                 tell(json!({"event": "fault", "device": fault.device, "kind": fault.kind, "at_s": now_s}));

@@ -107,7 +107,7 @@ fn work(args: &CheckArgs, reporter: &Reporter, found: &Sender<Finding>) {
         Err(error) => return tell(Finding::fail("session file", error.to_string(), "correct the key that is named")),
     };
     tell(Finding::pass("session file", args.session.display().to_string()));
-    check_disk(&out_folder(args, &setup)).into_iter().for_each(tell);
+    check_disk(&out_folder(args, &setup), &setup.session.frames.folder).into_iter().for_each(tell);
     check_ports(&setup).into_iter().for_each(tell);
     reporter.note("check: listening to the ports, reading files");
     let lines = check_lines(&check_list(&setup));

@@ -5,9 +5,10 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
+use super::pictures::Pictures;
 use super::studies::Studies;
 use crate::acquire::{Fault, Frame, read_frames};
-use crate::record::{LogReader, RecordError, topic};
+use crate::record::{FrameAssembler, LogReader, RecordError, Tolerance, topic};
 use crate::reporter::Reporter;
 use crate::telemetry::{DeviceKind, Event, Link};
 use crate::timeline::{Binder, Binding, BindingFlag, ConsoleClock, FrameEvidence, Timeline};
@@ -85,13 +86,15 @@ pub fn attach(log: &Path, named: &[PathBuf], reporter: &Reporter) -> Result<Atta
     }
     let files = files(named)?;
     let progress = reporter.progress("reading frames", files.len() as u64);
-    let mut read: Vec<(u32, Frame, [u32; 2])> = Vec::new();
+    let mut read: Vec<(u32, Frame, [u32; 2], String)> = Vec::new();
     for (place, file) in files.iter().enumerate() {
         match read_frames(file, None) {
             Ok(frames) => {
                 for frame in frames {
                     let image_of_file = image_of(&frame);
-                    read.push((session.next_frame(), without_pixels(frame), image_of_file));
+                    // A picture that the log holds may come again in another file, and in other grey values.
+                    let content = session.pictures.first_of(&frame);
+                    read.push((session.next_frame(), without_pixels(frame), image_of_file, content));
                 }
             }
             // A folder holds other things beside frames; what looks like one and is damaged is said, without its name.
@@ -107,14 +110,14 @@ pub fn attach(log: &Path, named: &[PathBuf], reporter: &Reporter) -> Result<Atta
         return Err(AttachError::NoFrames);
     }
     let mut studies = Studies::default();
-    for (place, (number, frame, image_of_file)) in read.iter().enumerate() {
+    for (place, (number, frame, image_of_file, content)) in read.iter().enumerate() {
         if let Some(words) = studies.meet(place as u32 + 1, frame.tags.study.as_deref()) {
             reporter.warn("another study", words);
         }
-        session.binder.push(FrameEvidence::of(*number, &frame.tags, &frame.sha256, *image_of_file, None));
+        session.binder.push(FrameEvidence::of(*number, &frame.tags, content, *image_of_file, None));
     }
     session.binder.finish(&session.timeline);
-    let attached = |(number, frame, image_of_file): &(u32, Frame, [u32; 2])| Attached {
+    let attached = |(number, frame, image_of_file, _): &(u32, Frame, [u32; 2], String)| Attached {
         label: frame.name.clone(),
         sha256: frame.sha256.clone(),
         image_of_file: *image_of_file,
@@ -172,12 +175,14 @@ struct Recorded {
     carm_bytes: u64,
     /// What the log calls its frames.
     numbers: BTreeMap<u32, u32>,
+    pictures: Pictures,
     losses: Vec<String>,
 }
 
 impl Recorded {
     fn read(&mut self, log: &Path) -> Result<(), AttachError> {
         let mut links = DeviceKind::ALL.map(Link::new);
+        let contents = self.contents(log)?;
         let mut reader = LogReader::open(log)?;
         for entry in reader.by_ref() {
             let device = match &*entry.topic {
@@ -189,7 +194,9 @@ impl Recorded {
                             let number = self.next_frame();
                             self.frames_in_log += 1;
                             let (image_of_file, arrival_us) = (image_of(&frame), Some(entry.host_us));
-                            let evidence = FrameEvidence::of(number, &frame.tags, &frame.sha256, image_of_file, arrival_us);
+                            let content =
+                                contents.get(self.frames_in_log as usize - 1).and_then(Option::as_ref).unwrap_or(&frame.sha256);
+                            let evidence = FrameEvidence::of(number, &frame.tags, content, image_of_file, arrival_us);
                             self.numbers.insert(frame.number, number);
                             let completes = frame.completes.and_then(|before| self.numbers.get(&before).copied());
                             self.binder.push(FrameEvidence { completes, ..evidence });
@@ -222,6 +229,23 @@ impl Recorded {
         }
         self.losses.extend(reader.losses().iter().map(|loss| format!("at byte {} of the log: {}", loss.at_byte, loss.reason)));
         Ok(())
+    }
+
+    /// What each frame of the log shows, in order: the content of the first one that showed it; `None` where its pixels are damaged.
+    fn contents(&mut self, log: &Path) -> Result<Vec<Option<String>>, AttachError> {
+        let (mut assembler, mut tolerance) = (FrameAssembler::default(), Tolerance::default());
+        let mut contents = Vec::new();
+        for entry in LogReader::open(log)? {
+            if *entry.topic == *topic::FRAME_TAGS && entry.json::<Frame>().is_ok() {
+                contents.push(None);
+            }
+            if let Some(Some(frame)) = tolerance.take(assembler.push(&entry))
+                && let Some(content) = contents.last_mut()
+            {
+                *content = Some(self.pictures.first_of(&frame));
+            }
+        }
+        Ok(contents)
     }
 
     fn next_frame(&mut self) -> u32 {

@@ -158,6 +158,12 @@ impl Engine {
         packets.chain(self.hearing.losses(self.ended_us.unwrap_or(self.now_us))).collect()
     }
 
+    /// Whether frames are expected to give poses by beads or tags.
+    #[must_use]
+    pub fn seeks_beads(&self) -> bool {
+        self.layout.is_some() || self.tags.is_some()
+    }
+
     /// Exposures that telemetry tells of and no frame came of, in words.
     #[must_use]
     pub fn exposures_without_frame(&self) -> Option<String> {
@@ -278,6 +284,9 @@ impl Engine {
                     reporter.warn("device clock", words);
                 }
                 timeline.push_sample(device, host_us, epoch, sequenced, sample.clone());
+                if let Some(words) = hearing.clock(device, timeline.clock_stretch(device)) {
+                    reporter.warn("device clock", words);
+                }
                 sink(Output::Sample { device, host_us, sample: Box::new(sample) });
             }
             Event::Fault(fault) => sink(Output::Fault { device, host_us, detail: fault.to_string() }),

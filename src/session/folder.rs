@@ -7,6 +7,7 @@ use super::SessionError;
 use super::develop::Developed;
 use super::engine::Engine;
 use super::inputs::InputNames;
+use super::losses::none_accepted;
 use super::tracks::Tracks;
 use super::workshop::Workshop;
 use crate::image::{read_png_rgb, write_atomically, write_png_rgb};
@@ -218,6 +219,7 @@ impl Collector {
         (self.report.links, self.report.tracks) = tracks.links(engine);
         self.report.pairs = std::mem::take(&mut self.rows).into_values().collect();
         self.report.losses = losses;
+        self.report.losses.extend(none_accepted(&self.report.pairs).filter(|_| engine.seeks_beads()));
         self.report.warnings = reporter.warnings();
         self.unwritten.remove("pairs.json");
         if let Some((file, reason)) = self.unwritten.iter().next_back() {

@@ -32,6 +32,8 @@ struct Line {
     clock: Option<(u64, i64)>,
     clock_told: bool,
     still_us: i64,
+    /// The stretch of its clock that was looked at last.
+    stretch: Option<u32>,
 }
 
 impl Line {
@@ -60,6 +62,7 @@ impl Hearing {
             clock: None,
             clock_told: false,
             still_us: 0,
+            stretch: None,
         };
         Self { lines: devices.into_iter().map(|device| (device, line())).collect(), frames: BTreeMap::new() }
     }
@@ -84,6 +87,21 @@ impl Hearing {
         line.still_us = line.still_us.max(still_us);
         (!std::mem::replace(&mut line.clock_told, true))
             .then(|| format!("the {device}'s clock stands still: nothing it says can be tied to an exposure; restart the device"))
+    }
+
+    /// Takes the number of the running stretch of the device's clock, and by how much the clock jumped at its beginning; what there is to say
+    /// about it.
+    pub(super) fn clock(&mut self, device: DeviceKind, stretch: Option<(u32, Option<i64>)>) -> Option<String> {
+        let line = self.lines.get_mut(&device)?;
+        let (number, step_us) = stretch?;
+        if line.stretch.replace(number) == Some(number) {
+            return None;
+        }
+        let step_us = step_us?;
+        Some(format!(
+            "the {device}'s clock jumped by {:+.3} s: its times are mapped anew from there, and what it said across the jump is less certain",
+            step_us as f64 * 1e-6
+        ))
     }
 
     /// Time has come to `now_us`; the session begins with the first call.

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 
+use crate::report::{Pair, PoseSource};
 use crate::telemetry::{DeviceKind, Health};
 use crate::timeline::ExposureInterval;
 
@@ -62,6 +63,15 @@ pub(super) fn few_bound(exposures: usize, unbound: usize, bound: usize) -> Optio
             unbound + bound
         ),
     })
+}
+
+/// That `pairs` are there and not one has a pose by its beads; `None` where one has.
+pub(super) fn none_accepted(pairs: &[Pair]) -> Option<String> {
+    let has_pose = |pair: &Pair| pair.pose_source == PoseSource::Beads;
+    let latest = pairs.last().filter(|_| !pairs.iter().any(has_pose))?;
+    let reason = latest.reason.as_deref().unwrap_or("no reason given");
+    let count = pairs.len();
+    Some(format!("not one of {count} frames gave a pose by its beads; of the last one: {reason}"))
 }
 
 #[cfg(test)]

@@ -4,6 +4,8 @@
 const WINDOW: usize = 1024;
 /// A frame may be late by so many; one that is later begins a new count.
 const REORDER_DEPTH: u32 = 1000;
+/// A count may begin with packets in disorder: one from before the first is late by at most so many.
+const EARLIER_DEPTH: u32 = 8;
 /// Larger gaps are no losses but another count.
 const LARGEST_GAP: u32 = 1 << 16;
 /// So many known frames in a row, in order, are no duplicates but a device that started over and repeats itself exactly.
@@ -72,7 +74,12 @@ impl SequenceTracker {
                 return Sequenced::Reset;
             }
             Sequenced::Reset => self.restart(sequence, device_us),
-            Sequenced::Reordered => self.seen[sequence as usize % WINDOW] = Some((sequence, device_us)),
+            Sequenced::Reordered => {
+                self.seen[sequence as usize % WINDOW] = Some((sequence, device_us));
+                if self.first.wrapping_sub(sequence) < EARLIER_DEPTH {
+                    self.first = sequence;
+                }
+            }
             Sequenced::Next | Sequenced::Gap(_) | Sequenced::GapWhileClosed(_) => {
                 self.seen[sequence as usize % WINDOW] = Some((sequence, device_us));
                 self.last = Some((sequence, device_us));
@@ -106,10 +113,22 @@ impl SequenceTracker {
                 {
                     return Sequenced::Reordered;
                 }
+                None if self.is_from_before_the_first(sequence, device_us, last) => return Sequenced::Reordered,
                 _ => {}
             }
         }
         Sequenced::Reset
+    }
+
+    /// Whether the packet was sent shortly before the first one that came: packets that come in disorder do so at the start as well.
+    fn is_from_before_the_first(&self, sequence: u32, device_us: u64, last: u32) -> bool {
+        let seen = |(_, time_us): &(u32, u64)| *time_us;
+        let oldest_us = self.seen.iter().flatten().map(seen).min();
+        let before = self.first.wrapping_sub(sequence);
+        before > 0
+            && before < EARLIER_DEPTH
+            && last.wrapping_sub(sequence) <= EARLIER_DEPTH
+            && oldest_us.is_some_and(|us| device_us <= us)
     }
 
     /// Whether the time lies after that of the nearest earlier frame that was seen.
@@ -142,6 +161,18 @@ mod tests {
         use Sequenced::{Duplicate, Gap, Next, Reordered};
         let seen = verdicts(&[(5, 50), (6, 60), (6, 60), (9, 90), (7, 70), (10, 100), (7, 70)]);
         assert_eq!(seen, [Next, Next, Duplicate, Gap(2), Reordered, Next, Duplicate]);
+    }
+
+    #[test]
+    fn packets_that_come_in_disorder_at_the_start_are_late_and_no_restart() {
+        use Sequenced::{Gap, Next, Reordered, Reset};
+        assert_eq!(verdicts(&[(6, 60), (5, 50), (7, 70)]), [Next, Reordered, Next]);
+        assert_eq!(verdicts(&[(8, 80), (6, 60), (9, 90), (7, 70), (5, 50)]), [Next, Reordered, Next, Reordered, Reordered]);
+        assert_eq!(verdicts(&[(1, 10), (0, 0), (3, 30)]), [Next, Reordered, Gap(1)]);
+        // Around the wrap.
+        assert_eq!(verdicts(&[(0, 60), (u32::MAX, 50), (1, 70)]), [Next, Reordered, Next]);
+        // A time that does not lie before is another count's.
+        assert_eq!(verdicts(&[(6, 60), (5, 61), (6, 71)]), [Next, Reset, Next]);
     }
 
     #[test]

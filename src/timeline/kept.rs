@@ -1,4 +1,4 @@
-//! A console that keeps the host's time, but for a zone of whole hours: believed where nothing else explains what came.
+//! A console that keeps the host's time, but for its zone: believed where nothing else explains what came.
 //!
 //! Where exposures follow each other evenly, stamps and counts agree with the exposure before or after as well, and where frames come late
 //! nothing is prompt. A console whose clock is off by just the time between exposures is rare, but it exists; it leaves a mark: its first or

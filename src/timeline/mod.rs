@@ -172,6 +172,16 @@ impl Timeline {
         }
     }
 
+    /// The running stretch of a device's clock: its number, and for one that began with a step by how much the clock jumped, µs.
+    #[must_use]
+    pub fn clock_stretch(&self, device: DeviceKind) -> Option<(u32, Option<i64>)> {
+        let clock = match device {
+            DeviceKind::Carm => self.carm.clock(),
+            DeviceKind::Robot => self.robot.clock(),
+        };
+        clock.latest().map(|segment| (segment.id, (segment.start == SegmentStart::Step).then_some(segment.step_us)))
+    }
+
     /// Joints at a host time: linear, angles the short way round; NaN where a joint was not measured on either side.
     /// After the newest sample that one is held, before the oldest there is no answer.
     #[must_use]

@@ -17,9 +17,9 @@ const AMPLE_BYTES: u64 = 10 << 30;
 const SLOW_MB_PER_S: f64 = 20.0;
 const TOO_SLOW_MB_PER_S: f64 = 1.0;
 
-/// Checks the folder that a session would create; nothing stays behind.
+/// Checks the folder that a session would create, whose frames come into `frames`; nothing stays behind.
 #[must_use]
-pub fn check_disk(out: &Path) -> Vec<Finding> {
+pub fn check_disk(out: &Path, frames: &Path) -> Vec<Finding> {
     if out.join("session.mcap").exists() {
         let detail = format!("{}: there is a session in this folder already", out.display());
         return vec![Finding::fail(CHECK, detail, "choose another --out; logs are never written over")];
@@ -28,7 +28,26 @@ pub fn check_disk(out: &Path) -> Vec<Finding> {
         let detail = format!("{}: lies in no folder", out.display());
         return vec![Finding::fail(CHECK, detail, "choose another --out")];
     };
-    vec![writing(out, &folder), space(&folder)]
+    vec![among_frames(out, &folder, frames), writing(out, &folder), space(&folder)]
+}
+
+/// Whether the session would write into the folder in which it looks for frames; `folder` is the part of `out` that exists.
+fn among_frames(out: &Path, folder: &Path, frames: &Path) -> Finding {
+    const CHECK: &str = "own folder";
+    const REMEDY: &str =
+        "choose another --out: a folder that a console or a share fills may be emptied or copied away with all that is in it";
+    let whole = |path: &Path| std::fs::canonicalize(path).ok();
+    let rest = std::path::absolute(out).ok().and_then(|out| out.strip_prefix(folder).map(Path::to_owned).ok());
+    let (Some(out), Some(frames)) = (whole(folder).zip(rest).map(|(folder, rest)| folder.join(rest)), whole(frames)) else {
+        return Finding::pass(CHECK, "the frames' folder is not there yet");
+    };
+    match out.strip_prefix(&frames) {
+        Ok(below) if below.as_os_str().is_empty() => {
+            Finding::fail(CHECK, format!("{}: is the folder in which frames are looked for", out.display()), REMEDY)
+        }
+        Ok(_) => Finding::warn(CHECK, format!("{}: lies in the folder in which frames are looked for", out.display()), REMEDY),
+        Err(_) => Finding::pass(CHECK, "apart from the frames' folder"),
+    }
 }
 
 /// The folder itself, or the one in which it would be created; a file in its place is returned as it is, and writing fails there.

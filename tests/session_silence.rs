@@ -56,6 +56,8 @@ fn a_device_that_cannot_be_heard_is_said_at_once_and_costs_what_it_costs() {
                     Some(lost) => assert!(code == Some(3) && report.contains(lost), "{all}\n{report}"),
                     // A crowded machine may lose packets, which is said as such.
                     None => {
+                        let jumped = faults.contains("jump");
+                        assert_eq!(steps_of(&report, "carm"), Some(u64::from(jumped)), "{all}\n{report}");
                         let silent = ["silent for", "not one packet", "stood still"].iter().any(|words| report.contains(words));
                         assert!(!silent && report.contains("Losses"), "{all}\n{report}");
                     }
@@ -63,6 +65,14 @@ fn a_device_that_cannot_be_heard_is_said_at_once_and_costs_what_it_costs() {
             }
         })
     });
+}
+
+/// Steps of the device's clock, as the report's table of links has them.
+fn steps_of(report: &str, device: &str) -> Option<u64> {
+    let head = report.split("<th class=\"l\">link</th>").nth(1)?;
+    let column = head.split("</tr>").next()?.split("<th>").position(|name| name.starts_with("clock_steps"))?;
+    let row = head.split(&format!("<td class=\"l\">{device}</td>")).nth(1)?;
+    row.split("<td>").nth(column)?.split('<').next()?.parse().ok()
 }
 
 /// Two of four frames were never exported, and the report said that nothing was lost.

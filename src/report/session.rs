@@ -25,7 +25,7 @@ pub struct LinkReport {
     pub first_us: Option<i64>,
     /// Host time of the last sample, µs.
     pub last_us: Option<i64>,
-    /// `frames`, `corrupt`, `lost`, `duplicate`, `reordered`, `stale`, in that order.
+    /// `frames`, `corrupt`, `lost`, `duplicate`, `reordered`, `stale` and the others of the link, then `clock_steps`.
     pub counters: Vec<(String, u64)>,
     /// When it was down.
     pub gaps: Vec<Gap>,

@@ -6,6 +6,7 @@
 //! where the specimen lies in the room, changes only with [`Engine::registered`].
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
 use std::sync::Arc;
 
 use super::crosscheck::LineWatch;
@@ -19,6 +20,7 @@ use super::posing::{Bound, Known, PoseJob, Registered};
 use super::standstill::Standstill;
 use super::studies::Studies;
 use super::tie::SpecimenTie;
+use super::waiting::Waiting;
 use crate::acquire::Frame;
 use crate::beads::tags::TagLayout;
 use crate::beads::{BeadLayout, Landmark};
@@ -72,7 +74,7 @@ pub struct Engine {
     ended_us: Option<i64>,
     /// Latest host time of any input.
     now_us: i64,
-    bound: BTreeMap<u32, Bound>,
+    bound: Waiting,
     /// Frames of unfinished files, whose whole pictures came later.
     replaced: BTreeSet<u32>,
     pictures: Pictures,
@@ -114,12 +116,17 @@ impl Engine {
             tied: BTreeSet::new(),
             ended_us: None,
             now_us: i64::MIN,
-            bound: BTreeMap::new(),
+            bound: Waiting::new(reporter.clone()),
             replaced: BTreeSet::new(),
             pictures: Pictures::default(),
             studies: Studies::default(),
             reporter,
         }
+    }
+
+    /// Pictures of the many frames of a burst wait in `folder` from now on.
+    pub fn park_in(&mut self, folder: &Path) {
+        self.bound.park_in(folder);
     }
 
     /// Counters of a line.
@@ -148,7 +155,7 @@ impl Engine {
 
     /// Frames that wait to be registered, by number.
     pub fn bound(&self) -> impl DoubleEndedIterator<Item = u32> + '_ {
-        self.bound.keys().copied()
+        self.bound.numbers()
     }
 
     /// What the lines have lost, a sentence each.
@@ -219,7 +226,7 @@ impl Engine {
                 return self.retract(number, "the image of this frame, on which the tie rested, prefers another pose");
             }
             Input::Develop { number } => {
-                if let Some(bound) = self.bound.remove(&number) {
+                if let Some(bound) = self.bound.take(number) {
                     sink(Output::Job(Box::new(self.job(bound))));
                 }
                 return;
@@ -340,9 +347,8 @@ impl Engine {
             self.hearing.bound(number, host_us, bound);
         }
         // Not developed yet: nothing was made without the exposure.
-        if let (Some(waiting), Some(bound)) = (self.bound.get_mut(&number), &bound) {
-            *waiting = bound.clone();
-            return;
+        if let (true, Some(bound)) = (self.bound.has(number), &bound) {
+            return self.bound.insert(number, bound.clone());
         }
         let remedy = match bound {
             Some(_) => "it is posed again, with that exposure's telemetry",

@@ -56,6 +56,8 @@ const LOOK: Duration = Duration::from_millis(5);
 const TELL_LOSSES_US: i64 = 1_000_000;
 /// Faults of a line that are logged one by one within a tick; the counters hold all.
 const FAULTS_PER_TICK: u32 = 10;
+/// So many frames may be posed and wait for their DRR; the others wait to be posed.
+const MOST_OPEN: usize = 8;
 /// Whoever leaves at once waits this long for the log.
 const FLUSH: Duration = Duration::from_millis(500);
 
@@ -76,7 +78,8 @@ pub fn run(setup: Setup, options: &LiveOptions, board: &Board, reporter: &Report
     let broadcast = Arc::new(Broadcast::open(setup.session.igtl.as_ref(), &setup, workshop.robot(), reporter)?);
     let collector = Collector::create(&options.out, started_us, Times::Told, &workshop)?;
     let log = Arc::new(SessionLog::create(&options.out, &setup, &workshop, events, reporter)?);
-    let engine = Engine::new(Arc::clone(&setup), workshop.layout().cloned(), reporter.clone());
+    let mut engine = Engine::new(Arc::clone(&setup), workshop.layout().cloned(), reporter.clone());
+    engine.park_in(&options.out);
     let (scribe, pairs) = Scribe::start(collector, Arc::clone(&log), board.clone(), Arc::clone(&broadcast), reporter)?;
     workshop.start(true, move |developed| pairs.send(developed).is_ok())?;
     let jobs = start_registrar(Arc::clone(&log))?;
@@ -229,7 +232,9 @@ impl Session {
 
     /// The newest frame that is bound is registered next; the log keeps the order.
     fn register_next(&mut self) {
-        if self.registering {
+        // Posed frames wait with all that is known of them; those before are lighter.
+        let crowded = self.workshop.open_jobs() >= MOST_OPEN && !self.workshop.has_ended();
+        if self.registering || crowded {
             return;
         }
         let newest = self.engine.bound().next_back();

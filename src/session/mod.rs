@@ -35,8 +35,9 @@ mod intensifier;
 mod log;
 mod logged_frames;
 mod losses;
-mod places;
+mod park;
 mod pictures;
+mod places;
 mod posing;
 mod recorded;
 mod registrar;
@@ -49,6 +50,7 @@ mod studies;
 mod tie;
 mod told_field;
 mod tracks;
+mod waiting;
 mod workshop;
 
 pub use develop::Developed;

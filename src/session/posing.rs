@@ -13,6 +13,7 @@ use crate::acquire::Frame;
 use crate::beads::tags::{TagLayout, find_tags};
 use crate::beads::{BeadLayout, Landmark};
 use crate::geometry::{CarmJoints, Intensifier, Intrinsics, Rigid, View};
+use crate::image::Image;
 use crate::mask::{self, Masks};
 use crate::pose::{self, Pose, Prior, Refusal, Registration};
 use crate::report::PoseSource;
@@ -128,6 +129,11 @@ impl Bound {
     #[must_use]
     pub fn frame(&self) -> &Arc<Frame> {
         &self.frame
+    }
+
+    /// Gives the frame other pixels; whoever else holds it keeps the old ones.
+    pub(super) fn set_pixels(&mut self, pixels: Image<f32>) {
+        Arc::make_mut(&mut self.frame).pixels = pixels;
     }
 
     /// Number of its exposure.

@@ -114,7 +114,10 @@ impl Tracks {
             let Some(health) = engine.health(device) else { continue };
             let counters = serde_json::to_value(health).unwrap_or_default();
             let counters = counters.as_object().cloned().unwrap_or_default();
-            self.link(device).counters = counters.into_iter().filter_map(|(name, count)| Some((name, count.as_u64()?))).collect();
+            let steps = engine.timeline().summaries().into_iter().filter(|track| track.device == device);
+            let counted = counters.into_iter().filter_map(|(name, count)| Some((name, count.as_u64()?)));
+            self.link(device).counters =
+                counted.chain(steps.map(|track| ("clock_steps".to_owned(), track.clock_steps))).collect();
         }
         let tracks = drawn(&self.joints.values, &self.angles.values);
         (self.links.into_values().collect(), tracks)

@@ -259,6 +259,10 @@ pub(super) fn off_zone_us(offset_us: i64) -> i64 {
     beside_broken_us.fold(beside_hours_us, |best, beside| if beside.saturating_abs() < best.abs() { beside } else { best })
 }
 
+fn none(reason: &str) -> Judgement {
+    Judgement::None(vec![reason.to_owned()])
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -282,8 +286,4 @@ mod tests {
         }
         assert!(off_zone_us(i64::MAX).abs() <= ZONE_US / 2 && off_zone_us(i64::MIN).abs() <= ZONE_US / 2);
     }
-}
-
-fn none(reason: &str) -> Judgement {
-    Judgement::None(vec![reason.to_owned()])
 }

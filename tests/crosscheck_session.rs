@@ -71,7 +71,7 @@ pub fn check(folder: &Path) -> (Vec<(String, String, String)>, i32) {
 type Fault = (&'static str, fn(&Path), &'static str, &'static str, &'static [&'static str]);
 
 /// Faults of files: name, how, the check that names it, its level, words that it uses.
-const FILE_FAULTS: [Fault; 15] = [
+const FILE_FAULTS: [Fault; 16] = [
     (
         "ras",
         |lab| edit(lab, "beads.mrk.json", |b| b["markups"][0]["coordinateSystem"] = value!("RAS")),
@@ -151,6 +151,16 @@ const FILE_FAULTS: [Fault; 15] = [
         "own folder",
         "warn",
         &["lies in the folder in which frames are looked for", "choose another --out"],
+    ),
+    (
+        "frames among strips",
+        |lab| {
+            std::fs::create_dir_all(lab.join("session/strips")).expect("a folder");
+            edit(lab, "session.json", |s| s["frames"]["folder"] = value!("session/strips"));
+        },
+        "own folder",
+        "fail",
+        &["among what the session writes", "choose another --out"],
     ),
     (
         "frames' folder",

@@ -92,8 +92,10 @@ pub fn attach(log: &Path, named: &[PathBuf], reporter: &Reporter) -> Result<Atta
             Ok(frames) => {
                 for frame in frames {
                     let image_of_file = image_of(&frame);
-                    // A picture that the log holds may come again in another file, and in other grey values.
-                    let content = session.pictures.first_of(&frame);
+                    // A picture that the log holds may come again in another file, and in other grey values; what it says of its
+                    // exposure counts first.
+                    let told = frame.tags.exposure_counter.is_some() || frame.tags.acquired_time.is_some();
+                    let content = if told { frame.sha256.clone() } else { session.pictures.first_of(&frame) };
                     read.push((session.next_frame(), without_pixels(frame), image_of_file, content));
                 }
             }

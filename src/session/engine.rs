@@ -342,13 +342,14 @@ impl Engine {
         let Unbound { frame, host_us } = unbound;
         self.shown.extend(binding.exposure.as_ref().map(|exposure| exposure.index));
         self.tied.insert(number);
-        let bound = frame.map(|frame| Bound::new(frame, host_us, binding, &self.timeline));
+        let timeline = &self.timeline;
+        // Not developed yet: nothing was made without the exposure.
+        if let Some(bound) = self.bound.rebind(number, |frame| Bound::new(frame, host_us, binding.clone(), timeline)) {
+            return self.hearing.bound(number, host_us, bound);
+        }
+        let bound = frame.map(|frame| Bound::new(frame, host_us, binding, timeline));
         if let Some(bound) = &bound {
             self.hearing.bound(number, host_us, bound);
-        }
-        // Not developed yet: nothing was made without the exposure.
-        if let (true, Some(bound)) = (self.bound.has(number), &bound) {
-            return self.bound.insert(number, bound.clone());
         }
         let remedy = match bound {
             Some(_) => "it is posed again, with that exposure's telemetry",

@@ -58,6 +58,8 @@ const TELL_LOSSES_US: i64 = 1_000_000;
 const FAULTS_PER_TICK: u32 = 10;
 /// So many frames may be posed and wait for their DRR; the others wait to be posed.
 const MOST_OPEN: usize = 8;
+/// Frames that are newer than all of those are posed meanwhile, until so many wait.
+const MOST_POSED: usize = 24;
 /// Whoever leaves at once waits this long for the log.
 const FLUSH: Duration = Duration::from_millis(500);
 
@@ -100,6 +102,7 @@ pub fn run(setup: Setup, options: &LiveOptions, board: &Board, reporter: &Report
         frames_ended: false,
         end_is_logged: false,
         registering: false,
+        newest_posed: 0,
         faults_this_tick: 0,
         next_tick_us: started_us,
         tell_losses_us: started_us,
@@ -135,6 +138,8 @@ struct Session {
     frames_ended: bool,
     end_is_logged: bool,
     registering: bool,
+    /// Number of the newest frame that was handed to be posed.
+    newest_posed: u32,
     faults_this_tick: u32,
     next_tick_us: i64,
     tell_losses_us: i64,
@@ -232,16 +237,15 @@ impl Session {
 
     /// The newest frame that is bound is registered next; the log keeps the order.
     fn register_next(&mut self) {
+        let Some(newest) = self.engine.bound().next_back() else { return };
         // Posed frames wait with all that is known of them; those before are lighter.
-        let crowded = self.workshop.open_jobs() >= MOST_OPEN && !self.workshop.has_ended();
-        if self.registering || crowded {
+        let most = if newest > self.newest_posed { MOST_POSED } else { MOST_OPEN };
+        if self.registering || self.workshop.open_jobs() >= most && !self.workshop.has_ended() {
             return;
         }
-        let newest = self.engine.bound().next_back();
-        if let Some(number) = newest {
-            self.registering = true;
-            self.log.input(Input::Develop { number });
-        }
+        self.newest_posed = self.newest_posed.max(newest);
+        self.registering = true;
+        self.log.input(Input::Develop { number: newest });
     }
 
     fn tick(&mut self, now_us: i64) {

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use crate::report::{Pair, PoseSource};
+use crate::report::Pair;
 use crate::telemetry::{DeviceKind, Health};
 use crate::timeline::ExposureInterval;
 
@@ -67,8 +67,7 @@ pub(super) fn few_bound(exposures: usize, unbound: usize, bound: usize) -> Optio
 
 /// That `pairs` are there and not one has a pose by its beads; `None` where one has.
 pub(super) fn none_accepted(pairs: &[Pair]) -> Option<String> {
-    let has_pose = |pair: &Pair| pair.pose_source == PoseSource::Beads;
-    let latest = pairs.last().filter(|_| !pairs.iter().any(has_pose))?;
+    let latest = pairs.last().filter(|_| !pairs.iter().any(Pair::is_from_beads))?;
     let reason = latest.reason.as_deref().unwrap_or("no reason given");
     let count = pairs.len();
     Some(format!("not one of {count} frames gave a pose by its beads; of the last one: {reason}"))
@@ -77,6 +76,20 @@ pub(super) fn none_accepted(pairs: &[Pair]) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::report::PairStatus;
+
+    #[test]
+    fn a_session_without_one_pose_by_beads_has_lost_what_it_was_for() {
+        let refused = || Pair::unmatched("a", "no beads");
+        assert!(none_accepted(&[refused(), refused()]).is_some_and(|words| words.contains("not one of 2 frames")));
+        let accepted = Pair { status: PairStatus::AcceptedImageDisagrees, ..refused() };
+        assert_eq!(none_accepted(&[accepted.clone(), refused()]), None);
+        // A pose of a torn picture is taken back.
+        let mut torn = accepted;
+        torn.replace_by(2);
+        assert!(none_accepted(&[torn, refused()]).is_some());
+        assert_eq!(none_accepted(&[]), None);
+    }
 
     #[test]
     fn a_session_that_ties_no_more_frames_than_it_leaves_has_lost_them() {

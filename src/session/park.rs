@@ -4,6 +4,7 @@ use std::fs::File;
 use std::io::{Error, ErrorKind};
 use std::path::{Path, PathBuf};
 
+use super::crosscheck::free_bytes;
 use crate::image::Image;
 
 /// Where a picture lies.
@@ -26,12 +27,16 @@ pub(super) struct Park {
     file: Option<File>,
     end_byte: u64,
     free: Vec<Slot>,
+    taken: usize,
 }
+
+/// So much of the disk is left to the log.
+const LEFT_BYTES: u64 = 2 << 30;
 
 impl Park {
     /// Nothing is written before the first picture.
     pub(super) fn new(folder: &Path) -> Self {
-        Self { folder: folder.to_owned(), file: None, end_byte: 0, free: Vec::new() }
+        Self { folder: folder.to_owned(), file: None, end_byte: 0, free: Vec::new(), taken: 0 }
     }
 
     /// Writes a picture.
@@ -40,6 +45,9 @@ impl Park {
     /// When the file cannot be made or written; nothing is taken then.
     pub(super) fn put(&mut self, image: &Image<f32>) -> std::io::Result<Slot> {
         let size_px = [image.width, image.height];
+        if free_bytes(&self.folder).is_some_and(|free| free < LEFT_BYTES) {
+            return Err(Error::other("less than 2 GB are free"));
+        }
         let file = match &mut self.file {
             Some(file) => file,
             none => none.insert(tempfile::tempfile_in(&self.folder)?),
@@ -51,12 +59,8 @@ impl Park {
             Some(place) => drop(self.free.swap_remove(place)),
             None => self.end_byte += slot.bytes(),
         }
+        self.taken += 1;
         Ok(slot)
-    }
-
-    /// A picture that nobody wants any more.
-    pub(super) fn release(&mut self, slot: Slot) {
-        self.free.push(slot);
     }
 
     /// Reads a picture back, bit for bit; its place is free then, readable or not.
@@ -66,10 +70,17 @@ impl Park {
     pub(super) fn take(&mut self, slot: Slot) -> std::io::Result<Image<f32>> {
         let [width, height] = slot.size_px;
         let file = self.file.as_mut().ok_or_else(|| Error::from(ErrorKind::NotFound))?;
-        self.free.push(slot);
         let mut image = Image::filled(width, height, 0.0f32);
-        read_at(file, bytemuck::cast_slice_mut(&mut image.pixels), slot.at_byte)?;
-        Ok(image)
+        let read = read_at(file, bytemuck::cast_slice_mut(&mut image.pixels), slot.at_byte);
+        self.free.push(slot);
+        self.taken = self.taken.saturating_sub(1);
+        if self.taken == 0 {
+            // The disk has it back; where it cannot, the places are used again.
+            self.free.clear();
+            self.end_byte = 0;
+            file.set_len(0)?;
+        }
+        read.map(|()| image)
     }
 }
 
@@ -112,6 +123,7 @@ mod tests {
         for (slot, expected) in [(slots[1], &images[1]), (slots[2], &images[2]), (again, &image([7, 5], 4))] {
             assert_eq!(bits(&park.take(slot).expect("read")), bits(expected));
         }
+        assert_eq!(park.file.as_ref().expect("a file").metadata().expect("metadata").len(), 0, "nothing waits");
         assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 0, "the file has no name");
         let gone = folder.path().join("none");
         assert!(Park::new(&gone).put(&images[0]).is_err());

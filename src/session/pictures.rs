@@ -13,22 +13,36 @@ type Digest = ([usize; 2], u64, u32);
 const SITES: usize = 16_384;
 /// Two pictures are compared where both rise or fall at so many places at least.
 const LEAST_DECIDED: u32 = 1024;
+/// Parts of a picture, and the least places in one that count.
+const BANDS: usize = 16;
+const LEAST_IN_BAND: u32 = 64;
 /// Share of the places at which one picture in two grey scales may differ: writing comes into a corner. The signs of two exposures agree so well
 /// only where a pattern of the panel is 45 times as strong as the quanta (disagreement is arccos ρ / π).
 const DIFFERING_SHARE: f64 = 0.01;
-/// Least share of the places in which a picture with quanta turns from rising to falling within three pixels. White noise turns in two
-/// thirds of them, noise that was smoothed over a pixel in a third, a picture without noise at its edges only.
+/// Least share of the places in which a picture with quanta turns from rising to falling within five pixels. White noise turns in two
+/// thirds of them, a picture without noise at its edges only.
 const TURNING_SHARE: f64 = 0.15;
 
 /// The content that first showed each picture.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Pictures {
     first: BTreeMap<Digest, String>,
-    grains: Vec<([usize; 2], Grain, String)>,
+    grains: Vec<Known>,
+}
+
+/// A picture that is no copy.
+#[derive(Clone, Debug)]
+struct Known {
+    size_px: [usize; 2],
+    grain: Grain,
+    content: String,
+    /// It says which exposure it is of.
+    told: bool,
 }
 
 impl Pictures {
-    /// The content that `frame` is a copy of, or its own. Images of a run are told by their file; blank pictures are all alike.
+    /// The content that `frame` is a copy of, or its own. Images of a run are told by their file; blank pictures are all alike. What says of
+    /// which exposure it is, is no copy of a picture in another grey scale that does not.
     pub(super) fn first_of(&mut self, frame: &Frame) -> String {
         let pixels = &frame.pixels.pixels;
         let is_blank = pixels.windows(2).all(|pair| pair[0].to_bits() == pair[1].to_bits());
@@ -46,18 +60,30 @@ impl Pictures {
             return first.clone();
         }
         let grain = Grain::of(&frame.pixels);
-        let same = |(size_px, other, _): &&([usize; 2], Grain, String)| {
-            *size_px == frame.size_px && grain.as_ref().is_some_and(|grain| grain.is_of_one_exposure(other))
+        let told = frame.tags.exposure_counter.is_some() || frame.tags.acquired_time.is_some();
+        let same = |known: &&Known| {
+            known.size_px == frame.size_px
+                && (known.told || !told)
+                // The whole picture takes the place of the unfinished one, however little of that was missing.
+                && frame.completes.is_none()
+                && grain.as_ref().is_some_and(|grain| grain.is_of_one_exposure(&known.grain))
         };
-        let first = self.grains.iter().find(same).map_or_else(|| frame.sha256.clone(), |(_, _, first)| first.clone());
+        let first = match self.grains.iter().find(same) {
+            Some(known) => known.content.clone(),
+            None => {
+                let content = frame.sha256.clone();
+                let known = |grain| Known { size_px: frame.size_px, grain, content: content.clone(), told };
+                self.grains.extend(grain.map(known));
+                content
+            }
+        };
         self.first.insert(digest, first.clone());
-        self.grains.extend(grain.map(|grain| (frame.size_px, grain, first.clone())));
         first
     }
 }
 
-/// Where a picture rises and where it falls from one pixel to the next: its quanta decide that, and no grey scale changes it but to turn all
-/// round or to make neighbours equal.
+/// Where a picture rises and where it falls from one pixel to the next but one (odd and even columns may be read out apart): its quanta decide
+/// that, and no grey scale changes it but to turn all round or to make neighbours equal.
 #[derive(Clone, Debug)]
 struct Grain {
     rising: Vec<u64>,
@@ -67,7 +93,7 @@ struct Grain {
 impl Grain {
     /// `None` for a picture without noise: two exposures of one scene look alike there.
     fn of(image: &Image<f32>) -> Option<Self> {
-        let within = image.width.checked_sub(2).filter(|within| *within > 0)?;
+        let within = image.width.checked_sub(4).filter(|within| *within > 0)?;
         let places = within * image.height;
         let sites = SITES.min(places);
         let mut grain = Self { rising: vec![0; sites.div_ceil(64)], falling: vec![0; sites.div_ceil(64)] };
@@ -75,7 +101,7 @@ impl Grain {
         for site in 0..sites {
             let place = (site as u128 * places as u128 / sites as u128) as usize;
             let at = place / within * image.width + place % within;
-            let [first, second, third] = [0, 1, 2].map(|n| image.pixels[at + n]);
+            let [first, second, third] = [0, 2, 4].map(|n| image.pixels[at + n]);
             let bit = 1u64 << (site % 64);
             if second > first {
                 grain.rising[site / 64] |= bit;
@@ -90,12 +116,27 @@ impl Grain {
         (decided >= LEAST_DECIDED && f64::from(turning) >= TURNING_SHARE * f64::from(decided)).then_some(grain)
     }
 
+    /// Places that rise or fall, by parts of the picture from top to bottom.
+    fn bands(&self) -> impl Iterator<Item = impl Iterator<Item = u64> + Clone> {
+        let words = self.rising.len().div_ceil(BANDS).max(1);
+        let part =
+            |(rising, falling): (&'_ [u64], &'_ [u64])| -> Vec<u64> { rising.iter().zip(falling).map(|(a, b)| a | b).collect() };
+        self.rising.chunks(words).zip(self.falling.chunks(words)).map(part).map(Vec::into_iter)
+    }
+
     fn is_of_one_exposure(&self, other: &Self) -> bool {
         let common = |a: &[u64], b: &[u64]| a.iter().zip(b).map(|(a, b)| (a & b).count_ones()).sum::<u32>();
         let alike = common(&self.rising, &other.rising) + common(&self.falling, &other.falling);
         let opposed = common(&self.rising, &other.falling) + common(&self.falling, &other.rising);
         let decided = alike + opposed;
-        decided >= LEAST_DECIDED && f64::from(alike.min(opposed)) <= DIFFERING_SHARE * f64::from(decided)
+        // Where one has quanta and the other none, one of them is torn, or shuttered by the console.
+        let bands = self.bands().zip(other.bands());
+        let whole = bands.into_iter().all(|(mine, theirs)| {
+            let both = mine.clone().zip(theirs.clone()).map(|(a, b)| (a & b).count_ones()).sum::<u32>();
+            let most = mine.map(u64::count_ones).sum::<u32>().max(theirs.map(u64::count_ones).sum());
+            most < LEAST_IN_BAND || 4 * both >= most
+        });
+        whole && decided >= LEAST_DECIDED && f64::from(alike.min(opposed)) <= DIFFERING_SHARE * f64::from(decided)
     }
 }
 
@@ -154,6 +195,33 @@ mod tests {
             assert_eq!(pictures.first_of(&framed(scene(3, 2.0, smoothed), "e")), "e");
             assert_eq!(pictures.first_of(&framed(scene(4, 2.0, smoothed), "f")), "f");
         }
+        // A picture that is torn is not the whole one, and the whole one no copy of it.
+        let mut torn = scene(9, 12.0, false);
+        torn.pixels[160 * 70..].fill(0.0);
+        let mut pictures = Pictures::default();
+        assert_eq!(pictures.first_of(&framed(torn, "t")), "t");
+        assert_eq!(pictures.first_of(&framed(scene(9, 12.0, false), "w")), "w");
+        // Odd and even columns are read out apart.
+        let uneven = |seed: u64| {
+            let mut image = scene(seed, 12.0, false);
+            image.pixels.iter_mut().enumerate().filter(|(n, _)| n % 2 == 1).for_each(|(_, pixel)| *pixel += 100.0);
+            image
+        };
+        let mut pictures = Pictures::default();
+        assert_eq!(pictures.first_of(&framed(uneven(6), "i")), "i");
+        assert_eq!(pictures.first_of(&framed(uneven(7), "j")), "j");
+        assert_eq!(pictures.first_of(&framed(uneven(6).map(|p| p.sqrt()), "k")), "i");
+        // A preview that says nothing of its exposure does not swallow the frame that does; the other way round it is a copy.
+        let told = |image: Image<f32>, sha256: &str| {
+            let mut frame = framed(image, sha256);
+            frame.tags.exposure_counter = Some(3);
+            frame
+        };
+        let mut pictures = Pictures::default();
+        assert_eq!(pictures.first_of(&framed(scene(8, 12.0, false), "l")), "l");
+        assert_eq!(pictures.first_of(&told(scene(8, 12.0, false).map(|p| p.sqrt()), "m")), "m");
+        assert_eq!(pictures.first_of(&framed(scene(8, 12.0, false).map(|p| p * p), "n")), "l");
+        assert_eq!(pictures.first_of(&told(scene(8, 12.0, false).map(|p| p * p * p), "o")), "m");
         // Nothing tells two exposures without noise from one in two grey scales.
         let mut pictures = Pictures::default();
         assert_eq!(pictures.first_of(&framed(scene(5, 0.0, false), "g")), "g");

@@ -77,7 +77,8 @@ pub fn run(
     let broadcast = Broadcast::open(options.igtl.as_ref(), &setup, workshop.robot(), reporter)?;
     let (pairs, developed) = sync_channel(MOST_OPEN);
     workshop.start(false, move |pair| pairs.send(pair).is_ok())?;
-    let engine = Engine::new(Arc::clone(&setup), workshop.layout().cloned(), reporter.clone());
+    let mut engine = Engine::new(Arc::clone(&setup), workshop.layout().cloned(), reporter.clone());
+    engine.park_in(&options.out);
     let replay = Replay {
         engine,
         workshop,

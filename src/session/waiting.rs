@@ -2,9 +2,11 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::sync::Arc;
 
 use super::park::{Park, Slot};
 use super::posing::Bound;
+use crate::acquire::Frame;
 use crate::image::Image;
 use crate::reporter::Reporter;
 
@@ -36,18 +38,16 @@ impl Waiting {
         self.frames.keys().copied()
     }
 
-    /// Whether this frame waits.
-    pub(super) fn has(&self, number: u32) -> bool {
-        self.frames.contains_key(&number)
+    /// Binds a frame that waits anew, wherever its picture is; `None` where it does not wait.
+    pub(super) fn rebind(&mut self, number: u32, bind: impl FnOnce(Arc<Frame>) -> Bound) -> Option<&Bound> {
+        let (bound, _) = self.frames.get_mut(&number)?;
+        *bound = bind(Arc::clone(bound.frame()));
+        Some(bound)
     }
 
-    /// Takes a frame, in place of one of the same number.
+    /// Takes a frame.
     pub(super) fn insert(&mut self, number: u32, bound: Bound) {
-        if let Some((_, Some(slot))) = self.frames.insert(number, (bound, None))
-            && let Some(park) = &mut self.park
-        {
-            park.release(slot);
-        }
+        self.frames.insert(number, (bound, None));
         let Self { frames, park, most_bytes, reporter } = self;
         let mut kept_bytes = 0;
         for (bound, slot) in frames.values_mut().rev() {
@@ -87,10 +87,8 @@ impl Waiting {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
     use super::*;
-    use crate::acquire::{Domain, Frame};
+    use crate::acquire::Domain;
     use crate::timeline::{Binding, Timeline};
 
     fn bound(value: f32) -> Bound {
@@ -115,8 +113,12 @@ mod tests {
             there.map(|(number, _)| *number).collect()
         };
         assert_eq!(in_memory(&waiting), [4, 5], "48 bytes each");
-        // One that is bound anew has its new picture.
-        waiting.insert(2, bound(7.0));
+        // One that is bound anew keeps its picture, on the disk as well.
+        for number in [2, 5] {
+            let again = waiting.rebind(number, |frame| Bound::new(frame, 77, Binding::default(), &Timeline::new()));
+            assert!(again.is_some());
+        }
+        assert!(waiting.rebind(9, |frame| Bound::new(frame, 0, Binding::default(), &Timeline::new())).is_none());
         let firsts: Vec<f32> = [5, 2, 1, 3, 4]
             .into_iter()
             .map(|number| {
@@ -125,7 +127,7 @@ mod tests {
                 frame.pixels.pixels[0]
             })
             .collect();
-        assert_eq!(firsts, [500.0, 7.0, 100.0, 300.0, 400.0]);
+        assert_eq!(firsts, [500.0, 200.0, 100.0, 300.0, 400.0]);
         assert!(waiting.take(1).is_none() && waiting.numbers().next().is_none());
     }
 

@@ -220,6 +220,11 @@ impl Decoder {
                 self.health.lost = self.health.lost.saturating_sub(1);
                 Some(DecodeFault::Reordered { sequence })
             }
+            Sequenced::Early(missing) => {
+                self.health.reordered += 1;
+                self.health.lost += u64::from(missing);
+                Some(DecodeFault::Reordered { sequence })
+            }
             Sequenced::Reset => {
                 self.health.resets += 1;
                 Some(DecodeFault::Reset { sequence })

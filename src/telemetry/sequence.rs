@@ -24,6 +24,8 @@ pub enum Sequenced {
     Duplicate,
     /// Fills an earlier gap.
     Reordered,
+    /// Was sent shortly before all that came so far; so many between them and it are missing (yet).
+    Early(u32),
     /// The device counts anew.
     Reset,
 }
@@ -74,11 +76,10 @@ impl SequenceTracker {
                 return Sequenced::Reset;
             }
             Sequenced::Reset => self.restart(sequence, device_us),
-            Sequenced::Reordered => {
+            Sequenced::Reordered => self.seen[sequence as usize % WINDOW] = Some((sequence, device_us)),
+            Sequenced::Early(_) => {
                 self.seen[sequence as usize % WINDOW] = Some((sequence, device_us));
-                if self.first.wrapping_sub(sequence) < EARLIER_DEPTH {
-                    self.first = sequence;
-                }
+                self.first = sequence;
             }
             Sequenced::Next | Sequenced::Gap(_) | Sequenced::GapWhileClosed(_) => {
                 self.seen[sequence as usize % WINDOW] = Some((sequence, device_us));
@@ -113,7 +114,9 @@ impl SequenceTracker {
                 {
                     return Sequenced::Reordered;
                 }
-                None if self.is_from_before_the_first(sequence, device_us, last) => return Sequenced::Reordered,
+                None if self.is_from_before_the_first(sequence, device_us, last) => {
+                    return Sequenced::Early(self.first.wrapping_sub(sequence) - 1);
+                }
                 _ => {}
             }
         }
@@ -165,12 +168,14 @@ mod tests {
 
     #[test]
     fn packets_that_come_in_disorder_at_the_start_are_late_and_no_restart() {
-        use Sequenced::{Gap, Next, Reordered, Reset};
-        assert_eq!(verdicts(&[(6, 60), (5, 50), (7, 70)]), [Next, Reordered, Next]);
-        assert_eq!(verdicts(&[(8, 80), (6, 60), (9, 90), (7, 70), (5, 50)]), [Next, Reordered, Next, Reordered, Reordered]);
-        assert_eq!(verdicts(&[(1, 10), (0, 0), (3, 30)]), [Next, Reordered, Gap(1)]);
+        use Sequenced::{Early, Gap, Next, Reordered, Reset};
+        assert_eq!(verdicts(&[(6, 60), (5, 50), (7, 70)]), [Next, Early(0), Next]);
+        assert_eq!(verdicts(&[(8, 80), (6, 60), (9, 90), (7, 70), (5, 50)]), [Next, Early(1), Next, Reordered, Early(0)]);
+        assert_eq!(verdicts(&[(6, 60), (8, 80), (5, 50)]), [Next, Gap(1), Early(0)]);
+        // Metadata and sample have one time.
+        assert_eq!(verdicts(&[(1, 10), (0, 10), (3, 30)]), [Next, Early(0), Gap(1)]);
         // Around the wrap.
-        assert_eq!(verdicts(&[(0, 60), (u32::MAX, 50), (1, 70)]), [Next, Reordered, Next]);
+        assert_eq!(verdicts(&[(0, 60), (u32::MAX, 50), (1, 70)]), [Next, Early(0), Next]);
         // A time that does not lie before is another count's.
         assert_eq!(verdicts(&[(6, 60), (5, 61), (6, 71)]), [Next, Reset, Next]);
     }

@@ -113,7 +113,7 @@ impl DeviceClock {
             return self.begin(now, SegmentStart::Reset, 0);
         }
         let device_delta = device_us.saturating_sub(last.device_us);
-        if matches!(sequenced, Sequenced::Reordered | Sequenced::Duplicate) {
+        if matches!(sequenced, Sequenced::Reordered | Sequenced::Early(_) | Sequenced::Duplicate) {
             let behind = last.sequence.wrapping_sub(sequence);
             return match self.segments.back_mut() {
                 Some(segment) if explains(self.periods.iter(), behind, device_delta) => {
@@ -145,7 +145,7 @@ impl DeviceClock {
             match sequenced {
                 Sequenced::Next | Sequenced::Gap(_) | Sequenced::GapWhileClosed(_) => self.others = self.others.saturating_add(1),
                 Sequenced::Reset => self.restarted = true,
-                Sequenced::Reordered | Sequenced::Duplicate => {}
+                Sequenced::Reordered | Sequenced::Early(_) | Sequenced::Duplicate => {}
             }
         }
     }

@@ -41,6 +41,10 @@ fn among_frames(out: &Path, folder: &Path, frames: &Path) -> Finding {
     let (Some(out), Some(frames)) = (whole(folder).zip(rest).map(|(folder, rest)| folder.join(rest)), whole(frames)) else {
         return Finding::pass(CHECK, "the frames' folder is not there yet");
     };
+    if ["strips", "drr"].iter().any(|part| frames.starts_with(out.join(part))) {
+        let detail = format!("{}: frames would be looked for among what the session writes", frames.display());
+        return Finding::fail(CHECK, detail, REMEDY);
+    }
     match out.strip_prefix(&frames) {
         Ok(below) if below.as_os_str().is_empty() => {
             Finding::fail(CHECK, format!("{}: is the folder in which frames are looked for", out.display()), REMEDY)
@@ -86,13 +90,13 @@ fn writing(out: &Path, folder: &Path) -> Finding {
 
 /// Bytes that this user may still write.
 #[cfg(unix)]
-fn free_bytes(folder: &Path) -> Option<u64> {
+pub(crate) fn free_bytes(folder: &Path) -> Option<u64> {
     let found = rustix::fs::statvfs(folder).ok()?;
     found.f_bavail.checked_mul(found.f_frsize)
 }
 
 #[cfg(not(unix))]
-fn free_bytes(_folder: &Path) -> Option<u64> {
+pub(crate) fn free_bytes(_folder: &Path) -> Option<u64> {
     None
 }
 

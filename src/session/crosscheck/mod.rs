@@ -21,6 +21,7 @@ use glam::DVec3;
 
 pub use alignment::{Alignment, Mistake, Strictness, align, mistakes};
 pub use disk::check_disk;
+pub(super) use disk::free_bytes;
 pub use exposure::{ExposureFacts, PoseDifference, beam_at, check_exposure, innovation, pose_difference};
 pub use finding::{Finding, Level, refusal, tell};
 pub use line::{LineWatch, check_line};

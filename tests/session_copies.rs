@@ -29,6 +29,13 @@ fn whole_frames(lab: &Lab) -> Vec<PathBuf> {
     files
 }
 
+/// Writes `object` so that nothing of it is to be seen before it is whole.
+fn save(object: &dicom_object::DefaultDicomObject, to: &Path) {
+    let part = to.with_extension("part");
+    object.write_to_file(&part).expect("written");
+    std::fs::rename(part, to).expect("renamed");
+}
+
 /// The frame at `from` under other identifiers, of another study, and without what `removed` names.
 fn export(from: &Path, to: &Path, uid: &str, removed: &[Tag]) {
     let mut object = dicom_object::open_file(from).expect("a frame");
@@ -37,9 +44,7 @@ fn export(from: &Path, to: &Path, uid: &str, removed: &[Tag]) {
     for tag in removed {
         object.remove_element(*tag);
     }
-    let part = to.with_extension("part");
-    object.write_to_file(&part).expect("written");
-    std::fs::rename(part, to).expect("renamed");
+    save(&object, to);
 }
 
 /// The frame at `from` as an archive keeps it: under other identifiers, without a number or a time, in 256 grey values that follow a curve.
@@ -51,9 +56,7 @@ fn archive(from: &Path, to: &Path) {
     let of_256 = |value: &u16| (255.0 * (f64::from(*value) / f64::from(white)).powf(0.6)).round() as u16;
     let values: Vec<u16> = values.iter().map(of_256).collect();
     object.put(DataElement::new(tags::PIXEL_DATA, VR::OW, PrimitiveValue::U16(values.into())));
-    let part = to.with_extension("part");
-    object.write_to_file(&part).expect("written");
-    std::fs::rename(part, to).expect("renamed");
+    save(&object, to);
 }
 
 /// Whatever numbers or dates a frame.
@@ -82,9 +85,7 @@ fn write_upon(from: &Path, to: &Path) {
         }
     }
     object.put(DataElement::new(tags::PIXEL_DATA, VR::OW, PrimitiveValue::U16(values.into())));
-    let part = to.with_extension("part");
-    object.write_to_file(&part).expect("written");
-    std::fs::rename(part, to).expect("renamed");
+    save(&object, to);
 }
 
 /// The same picture exported twice under new identifiers was a second frame: posed without its joints, its robot drawn as in the scene file,

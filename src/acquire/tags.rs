@@ -146,6 +146,12 @@ pub struct FrameTags {
 }
 
 impl FrameTags {
+    /// Whether they say anything of which exposure the frame is of.
+    #[must_use]
+    pub fn names_exposure(&self) -> bool {
+        self.exposure_counter.is_some() || self.acquired_time.is_some()
+    }
+
     /// When the frame was acquired by the console's clock, microseconds since the Unix epoch; `None` unless the file gives date, time and
     /// time zone. The clock itself may be wrong by any amount.
     #[must_use]

@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::pictures::Pictures;
 use super::studies::Studies;
 use crate::acquire::{Fault, Frame, read_frames};
-use crate::record::{FrameAssembler, LogReader, RecordError, Tolerance, topic};
+use crate::record::{FrameAssembler, LogReader, RecordError, topic};
 use crate::reporter::Reporter;
 use crate::telemetry::{DeviceKind, Event, Link};
 use crate::timeline::{Binder, Binding, BindingFlag, ConsoleClock, FrameEvidence, Timeline};
@@ -94,8 +94,10 @@ pub fn attach(log: &Path, named: &[PathBuf], reporter: &Reporter) -> Result<Atta
                     let image_of_file = image_of(&frame);
                     // A picture that the log holds may come again in another file, and in other grey values; what it says of its
                     // exposure counts first.
-                    let told = frame.tags.exposure_counter.is_some() || frame.tags.acquired_time.is_some();
-                    let content = if told { frame.sha256.clone() } else { session.pictures.first_of(&frame) };
+                    let content = match frame.tags.names_exposure() {
+                        true => frame.sha256.clone(),
+                        false => session.pictures.first_of(&frame),
+                    };
                     read.push((session.next_frame(), without_pixels(frame), image_of_file, content));
                 }
             }
@@ -184,28 +186,28 @@ struct Recorded {
 impl Recorded {
     fn read(&mut self, log: &Path) -> Result<(), AttachError> {
         let mut links = DeviceKind::ALL.map(Link::new);
-        let contents = self.contents(log)?;
+        let mut assembler = FrameAssembler::default();
+        // A frame whose pixels have not come yet, and when it arrived.
+        let mut tagged: Option<(Frame, i64)> = None;
         let mut reader = LogReader::open(log)?;
         for entry in reader.by_ref() {
             let device = match &*entry.topic {
                 topic::CARM_RAW => DeviceKind::Carm,
                 topic::ROBOT_RAW => DeviceKind::Robot,
                 topic::FRAME_TAGS => {
+                    self.take_frame(tagged.take(), None);
+                    // Tags that are damaged fail here.
+                    let _ = assembler.push(&entry);
                     match entry.json::<Frame>() {
-                        Ok(frame) => {
-                            let number = self.next_frame();
-                            self.frames_in_log += 1;
-                            let (image_of_file, arrival_us) = (image_of(&frame), Some(entry.host_us));
-                            let content =
-                                contents.get(self.frames_in_log as usize - 1).and_then(Option::as_ref).unwrap_or(&frame.sha256);
-                            let evidence = FrameEvidence::of(number, &frame.tags, content, image_of_file, arrival_us);
-                            self.numbers.insert(frame.number, number);
-                            let completes = frame.completes.and_then(|before| self.numbers.get(&before).copied());
-                            self.binder.push(FrameEvidence { completes, ..evidence });
-                            self.binder.update(&self.timeline, entry.host_us);
-                        }
+                        Ok(frame) => tagged = Some((frame, entry.host_us)),
                         Err(error) => self.losses.push(error.to_string()),
                     }
+                    continue;
+                }
+                topic::FRAME_PIXELS => {
+                    // Damaged pixels do not matter to what the frame says of its exposure.
+                    let content = assembler.push(&entry).ok().flatten().map(|frame| self.pictures.first_of(&frame));
+                    self.take_frame(tagged.take(), content);
                     continue;
                 }
                 _ => continue,
@@ -229,25 +231,22 @@ impl Recorded {
             });
             self.binder.update(&self.timeline, entry.host_us);
         }
+        self.take_frame(tagged, None);
         self.losses.extend(reader.losses().iter().map(|loss| format!("at byte {} of the log: {}", loss.at_byte, loss.reason)));
         Ok(())
     }
 
-    /// What each frame of the log shows, in order: the content of the first one that showed it; `None` where its pixels are damaged.
-    fn contents(&mut self, log: &Path) -> Result<Vec<Option<String>>, AttachError> {
-        let (mut assembler, mut tolerance) = (FrameAssembler::default(), Tolerance::default());
-        let mut contents = Vec::new();
-        for entry in LogReader::open(log)? {
-            if *entry.topic == *topic::FRAME_TAGS && entry.json::<Frame>().is_ok() {
-                contents.push(None);
-            }
-            if let Some(Some(frame)) = tolerance.take(assembler.push(&entry))
-                && let Some(content) = contents.last_mut()
-            {
-                *content = Some(self.pictures.first_of(&frame));
-            }
-        }
-        Ok(contents)
+    /// Takes a frame of the log; `content` is that of the first frame that showed the same picture, where its pixels are there.
+    fn take_frame(&mut self, tagged: Option<(Frame, i64)>, content: Option<String>) {
+        let Some((frame, host_us)) = tagged else { return };
+        let number = self.next_frame();
+        self.frames_in_log += 1;
+        let content = content.unwrap_or_else(|| frame.sha256.clone());
+        let evidence = FrameEvidence::of(number, &frame.tags, &content, image_of(&frame), Some(host_us));
+        self.numbers.insert(frame.number, number);
+        let completes = frame.completes.and_then(|before| self.numbers.get(&before).copied());
+        self.binder.push(FrameEvidence { completes, ..evidence });
+        self.binder.update(&self.timeline, host_us);
     }
 
     fn next_frame(&mut self) -> u32 {

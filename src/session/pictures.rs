@@ -60,7 +60,7 @@ impl Pictures {
             return first.clone();
         }
         let grain = Grain::of(&frame.pixels);
-        let told = frame.tags.exposure_counter.is_some() || frame.tags.acquired_time.is_some();
+        let told = frame.tags.names_exposure();
         let same = |known: &&Known| {
             known.size_px == frame.size_px
                 && (known.told || !told)
@@ -110,18 +110,10 @@ impl Grain {
             }
             let (one, other) = (second - first, third - second);
             // Not a number is neither.
-            decided += u32::from(one * one > 0.0 && other * other > 0.0);
+            decided += u32::from(one.abs() > 0.0 && other.abs() > 0.0);
             turning += u32::from(one > 0.0 && other < 0.0 || one < 0.0 && other > 0.0);
         }
         (decided >= LEAST_DECIDED && f64::from(turning) >= TURNING_SHARE * f64::from(decided)).then_some(grain)
-    }
-
-    /// Places that rise or fall, by parts of the picture from top to bottom.
-    fn bands(&self) -> impl Iterator<Item = impl Iterator<Item = u64> + Clone> {
-        let words = self.rising.len().div_ceil(BANDS).max(1);
-        let part =
-            |(rising, falling): (&'_ [u64], &'_ [u64])| -> Vec<u64> { rising.iter().zip(falling).map(|(a, b)| a | b).collect() };
-        self.rising.chunks(words).zip(self.falling.chunks(words)).map(part).map(Vec::into_iter)
     }
 
     fn is_of_one_exposure(&self, other: &Self) -> bool {
@@ -129,14 +121,25 @@ impl Grain {
         let alike = common(&self.rising, &other.rising) + common(&self.falling, &other.falling);
         let opposed = common(&self.rising, &other.falling) + common(&self.falling, &other.rising);
         let decided = alike + opposed;
-        // Where one has quanta and the other none, one of them is torn, or shuttered by the console.
-        let bands = self.bands().zip(other.bands());
-        let whole = bands.into_iter().all(|(mine, theirs)| {
-            let both = mine.clone().zip(theirs.clone()).map(|(a, b)| (a & b).count_ones()).sum::<u32>();
-            let most = mine.map(u64::count_ones).sum::<u32>().max(theirs.map(u64::count_ones).sum());
-            most < LEAST_IN_BAND || 4 * both >= most
-        });
-        whole && decided >= LEAST_DECIDED && f64::from(alike.min(opposed)) <= DIFFERING_SHARE * f64::from(decided)
+        decided >= LEAST_DECIDED
+            && f64::from(alike.min(opposed)) <= DIFFERING_SHARE * f64::from(decided)
+            && self.has_quanta_where(other)
+    }
+
+    /// Whether both have quanta in the same parts of the picture, from top to bottom: else one is torn, or shuttered by the console.
+    fn has_quanta_where(&self, other: &Self) -> bool {
+        let words = self.rising.len();
+        let step = words.div_ceil(BANDS).max(1);
+        (0..words).step_by(step).all(|start| {
+            let (mut mine, mut theirs, mut both) = (0, 0, 0);
+            for word in start..(start + step).min(words) {
+                let [a, b] = [self, other].map(|grain| grain.rising[word] | grain.falling[word]);
+                mine += a.count_ones();
+                theirs += b.count_ones();
+                both += (a & b).count_ones();
+            }
+            mine.max(theirs) < LEAST_IN_BAND || 4 * both >= mine.max(theirs)
+        })
     }
 }
 

@@ -17,7 +17,7 @@ use super::log::SessionLog;
 use crate::report::PairStatus;
 use crate::reporter::Reporter;
 
-/// Pairs that wait for a slow disk; then the workshop waits, and nothing else does.
+/// Pairs that wait for a slow disk; then the workshop waits, and once many posed frames wait for it, those that are not posed yet.
 const QUEUE: usize = 4;
 /// How often the scribe looks whether it is to leave.
 const LOOK: Duration = Duration::from_millis(100);

@@ -28,7 +28,8 @@ const FOLDER_POLL: Duration = Duration::from_millis(25);
 const LAST_LOOKS: u32 = 8;
 /// So many files are read in the order in which they came.
 const FEW: usize = 4;
-/// Pixels of frames that wait to be developed may take this much memory; then reading waits, and files wait in their folder.
+/// Pixels of frames that wait to be developed may take this much memory, those on the disk apart; then reading waits, and files wait in their
+/// folder.
 const MOST_PIXEL_BYTES: usize = 2 << 30;
 
 /// The serial lines.

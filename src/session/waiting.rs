@@ -60,7 +60,7 @@ impl Waiting {
                     bound.set_pixels(Image { width: 0, height: 0, pixels: Vec::new() });
                 }
                 Err(error) => {
-                    let words = format!("frames that wait stay in memory: the session's folder cannot be written ({error})");
+                    let words = format!("frames that wait stay in memory, the session's folder does not take them: {error}");
                     reporter.warn("many frames wait", words);
                     return;
                 }

@@ -13,6 +13,7 @@ use serialport::{SerialPort, TTYPort};
 
 use crate::crosscheck_image::{json, kit};
 use crate::session_demo::mock_is_built;
+use crate::session_names::replay_words;
 
 fn write(path: &Path, value: &Value) {
     std::fs::write(path, format!("{value:#}")).expect("written");
@@ -345,6 +346,8 @@ fn beads_that_say_ras_but_hold_lps_are_refused_in_a_live_session() {
     // Not one pose is what the session was for.
     assert!(words.contains("lost: not one of 3 frames gave a pose by its beads") && words.contains("exit status: 3"), "{words}");
     assert!(report.contains("not one of 3 frames gave a pose by its beads"));
+    let again = replay_words(&folder.path().join("lab/session/session.mcap"), &folder.path().join("again"));
+    assert!(again.contains("lost in the session: not one of 3 frames gave a pose by its beads"), "{again}");
     assert!(!words.contains("tied to the room"), "{words}");
     let robot = "robot drawn as in the scene file: no telemetry";
     assert!(

@@ -140,6 +140,7 @@ mod igtl_session;
 mod session_late;
 mod session_optics;
 mod session_names;
+mod session_parked;
 mod session_robot;
 mod session_silence;
 mod session_series;

@@ -9,6 +9,7 @@ use dicom_core::{DataElement, PrimitiveValue, Tag, VR};
 use dicom_dictionary_std::tags;
 use serde_json::{Value, json};
 
+use crate::session_names::replay_words;
 use crate::live_lab::{HANG_S, Lab, Live, eventually};
 
 /// A file that did not change for so long is whole.
@@ -185,4 +186,6 @@ fn a_session_in_which_no_frame_is_tied_to_an_exposure_ends_with_loss() {
     assert!(live.stdout().contains("not one of 3 frames could be tied"), "{}", live.stdout());
     let report = std::fs::read_to_string(out.join("report.html")).expect("a report");
     assert!(report.contains("not one of 3 frames could be tied"));
+    let again = replay_words(&live.log, &lab.kit.with_file_name("again"));
+    assert!(again.contains("lost in the session: not one of 3 frames could be tied"), "{again}");
 }

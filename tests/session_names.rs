@@ -51,6 +51,12 @@ pub fn replay(log: &Path, data: Option<&Path>, cache: &Path, out: &Path) -> (Opt
     (output.status.code(), String::from_utf8_lossy(&words).into_owned())
 }
 
+/// What a replay says to a person.
+pub fn replay_words(log: &Path, out: &Path) -> String {
+    let output = Command::new(env!("CARGO_BIN_EXE_sidecarm")).arg("replay").arg(log).arg("--out").arg(out).output().expect("starts");
+    String::from_utf8_lossy(&output.stdout).into_owned()
+}
+
 /// A copy of the log in a folder from which nothing leads back to the session's files.
 pub fn far_copy(log: &Path, home: &Path) -> PathBuf {
     let far = home.join("far/away/from/anything/session.mcap");

@@ -153,6 +153,12 @@ impl Engine {
         self.pending.len()
     }
 
+    /// Whether a frame that waits can be registered at once; where its picture is on the disk it is fetched.
+    #[must_use]
+    pub fn is_ready(&self, number: u32) -> bool {
+        self.bound.is_ready(number)
+    }
+
     /// Frames that wait to be registered, by number.
     pub fn bound(&self) -> impl DoubleEndedIterator<Item = u32> + '_ {
         self.bound.numbers()
@@ -226,8 +232,12 @@ impl Engine {
                 return self.retract(number, "the image of this frame, on which the tie rested, prefers another pose");
             }
             Input::Develop { number } => {
-                if let Some(bound) = self.bound.take(number) {
-                    sink(Output::Job(Box::new(self.job(bound))));
+                if let Some((bound, lost)) = self.bound.take(number) {
+                    let job = Box::new(self.job(bound));
+                    sink(match lost {
+                        Some(words) => Output::PictureLost { job, words },
+                        None => Output::Job(job),
+                    });
                 }
                 return;
             }

@@ -80,6 +80,13 @@ pub enum Output {
     },
     /// A registration to be run; its result goes to [`Engine::registered`] before the next [`Input::Develop`].
     Job(Box<PoseJob>),
+    /// One that cannot be run, for the frame's picture is gone; it goes to [`Engine::registered`] as one that failed.
+    PictureLost {
+        /// Without the picture.
+        job: Box<PoseJob>,
+        /// Why, for a person.
+        words: String,
+    },
     /// A frame is ready to be rendered and compared.
     Posed(Box<Posed>),
 }

@@ -22,7 +22,7 @@ use super::folder::{Collector, Folder, Times};
 use super::input::{Input, Output};
 use super::log::SessionLog;
 use super::places;
-use super::posing::PoseJob;
+use super::posing::{PoseJob, Registered};
 use super::registrar::start_registrar;
 use super::scribe::Scribe;
 use super::sources::{Frames, Lines, frame_source};
@@ -222,6 +222,10 @@ impl Session {
                 // The registrar ends with this thread.
                 let _ = self.jobs.send(*job);
             }
+            Output::PictureLost { job, words } => {
+                self.log.lose(format!("frame {}: {words}; {}", job.number(), self.log.again()));
+                self.log.tell(Event::Registered(Box::new(Registered::failed(*job, &words))));
+            }
             Output::Posed(posed) => {
                 let words = posed.announcement();
                 self.reporter.note(&words);
@@ -240,7 +244,8 @@ impl Session {
         let Some(newest) = self.engine.bound().next_back() else { return };
         // Posed frames wait with all that is known of them; those before are lighter.
         let most = if newest > self.newest_posed { MOST_POSED } else { MOST_OPEN };
-        if self.registering || self.workshop.open_jobs() >= most && !self.workshop.has_ended() {
+        let crowded = self.workshop.open_jobs() >= most && !self.workshop.has_ended();
+        if self.registering || crowded || !self.engine.is_ready(newest) {
             return;
         }
         self.newest_posed = self.newest_posed.max(newest);

@@ -131,9 +131,9 @@ impl Bound {
         &self.frame
     }
 
-    /// Gives the frame other pixels; whoever else holds it keeps the old ones.
-    pub(super) fn set_pixels(&mut self, pixels: Image<f32>) {
-        Arc::make_mut(&mut self.frame).pixels = pixels;
+    /// Gives the frame other pixels and those that it had back; whoever else holds it keeps them too.
+    pub(super) fn replace_pixels(&mut self, pixels: Image<f32>) -> Image<f32> {
+        std::mem::replace(&mut Arc::make_mut(&mut self.frame).pixels, pixels)
     }
 
     /// Number of its exposure.

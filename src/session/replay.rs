@@ -15,9 +15,10 @@ use super::engine::Engine;
 use super::folder::{Collector, Folder, Times};
 use super::image_difference::{ImageDifference, difference};
 use super::input::{Input, Output};
+use super::losses::none_accepted;
 use super::log::{CLOCK_TOPIC, DISAGREES_TOPIC, END_TOPIC, ORDER_TOPIC, PoseRecord};
 use super::places;
-use super::posing::Posed;
+use super::posing::{Posed, Registered};
 use super::recorded::{Development, Recorded, drrs_of};
 pub use super::replay_report::ReplayReport;
 use super::servers::IgtlServer;
@@ -225,6 +226,10 @@ impl Replay<'_> {
                 Output::Bound { number } if !self.recorded.has_order => engine.push(Input::Develop { number }, &mut sink),
                 Output::Fault { .. } | Output::Bound { .. } | Output::BoundLate { .. } => {}
                 Output::Job(job) => engine.registered(job.run(), &mut sink),
+                Output::PictureLost { job, words } => {
+                    self.report.losses.push(format!("frame {}: {words}", job.number()));
+                    engine.registered(Registered::failed(*job, &words), &mut sink);
+                }
                 Output::Posed(posed) => self.take_posed(*posed),
             }
         }
@@ -344,10 +349,17 @@ impl Replay<'_> {
         self.report.poses_missing = missing.map(|(number, _)| *number).collect();
         self.report.losses.extend(self.tolerance.losses().into_iter().filter(|loss| !self.recorded.losses.contains(loss)));
         self.report.session_losses.extend(self.engine.line_losses());
+        self.report.session_losses.extend(self.engine.hardly_bound());
         self.board.update(|state| state.finished = true);
         let losses = self.report.losses.iter().chain(&self.report.session_losses).cloned().collect();
         let folder =
             self.collector.finish(&self.engine, self.tracks, (losses, "another replay makes what is missing"), reporter, None);
+        // What is known only now: that no frame gave a pose, and what could not be written.
+        let report = &mut self.report;
+        report.session_losses.extend(none_accepted(&folder.pairs).filter(|_| self.engine.seeks_beads()));
+        let is_told = |loss: &&String| report.session_losses.contains(loss) || report.losses.contains(loss);
+        let untold: Vec<String> = folder.losses.iter().filter(|loss| !is_told(loss)).cloned().collect();
+        report.losses.extend(untold);
         Ok((folder, self.report))
     }
 }

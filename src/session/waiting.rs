@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
-use super::park::{Park, Slot};
+use super::park::{Park, Parked};
 use super::posing::Bound;
 use crate::acquire::Frame;
 use crate::image::Image;
@@ -15,8 +15,8 @@ const MOST_BYTES: usize = 256 << 20;
 
 /// See the module.
 pub(super) struct Waiting {
-    frames: BTreeMap<u32, (Bound, Option<Slot>)>,
-    /// Absent where there is no folder, or it cannot be written: all wait in memory.
+    frames: BTreeMap<u32, (Bound, Option<Parked>)>,
+    /// Absent where there is no folder: all wait in memory.
     park: Option<Park>,
     most_bytes: usize,
     reporter: Reporter,
@@ -30,12 +30,17 @@ impl Waiting {
 
     /// From now on in `folder`, where there are many.
     pub(super) fn park_in(&mut self, folder: &Path) {
-        self.park = Some(Park::new(folder));
+        self.park = Park::start(folder, &self.reporter).map_err(|error| self.reporter.warn("many frames wait", error)).ok();
     }
 
     /// Numbers of the frames, in order.
     pub(super) fn numbers(&self) -> impl DoubleEndedIterator<Item = u32> + '_ {
         self.frames.keys().copied()
+    }
+
+    /// Whether [`Waiting::take`] gives a frame without waiting for the disk, which is asked for its picture where it has it.
+    pub(super) fn is_ready(&self, number: u32) -> bool {
+        self.frames.get(&number).is_some_and(|(_, parked)| parked.as_ref().is_none_or(Parked::is_here))
     }
 
     /// Binds a frame that waits anew, wherever its picture is; `None` where it does not wait.
@@ -48,40 +53,31 @@ impl Waiting {
     /// Takes a frame.
     pub(super) fn insert(&mut self, number: u32, bound: Bound) {
         self.frames.insert(number, (bound, None));
-        let Self { frames, park, most_bytes, reporter } = self;
+        let Some(park) = &self.park else { return };
         let mut kept_bytes = 0;
-        for (bound, slot) in frames.values_mut().rev() {
-            let pixels = &bound.frame().pixels;
-            kept_bytes += size_of_val(pixels.pixels.as_slice());
-            let Some(parking) = park.as_mut().filter(|_| kept_bytes > *most_bytes && slot.is_none()) else { continue };
-            match parking.put(pixels) {
-                Ok(taken) => {
-                    *slot = Some(taken);
-                    bound.set_pixels(Image { width: 0, height: 0, pixels: Vec::new() });
-                }
-                Err(error) => {
-                    let words = format!("frames that wait stay in memory, the session's folder does not take them: {error}");
-                    reporter.warn("many frames wait", words);
-                    return;
-                }
+        for (bound, parked) in self.frames.values_mut().rev() {
+            kept_bytes += size_of_val(bound.frame().pixels.pixels.as_slice());
+            if kept_bytes > self.most_bytes && parked.is_none() {
+                let none = Image { width: 0, height: 0, pixels: Vec::new() };
+                *parked = Some(park.put(bound.replace_pixels(none)));
             }
         }
     }
 
-    /// Gives a frame out, with its picture.
-    pub(super) fn take(&mut self, number: u32) -> Option<Bound> {
-        let (mut bound, slot) = self.frames.remove(&number)?;
-        if let (Some(slot), Some(park)) = (slot, &mut self.park) {
-            let [width, height] = bound.frame().size_px;
-            let pixels = park.take(slot).unwrap_or_else(|error| {
-                let words =
-                    format!("frame {number}: its picture cannot be read back ({error}); a replay of the log makes its pair");
-                self.reporter.warn("picture lost meanwhile", words);
-                Image::filled(width, height, f32::NAN)
-            });
-            bound.set_pixels(pixels);
-        }
-        Some(bound)
+    /// Gives a frame out, with its picture; without one, and with the reason, where it cannot be read back.
+    pub(super) fn take(&mut self, number: u32) -> Option<(Bound, Option<String>)> {
+        let (mut bound, parked) = self.frames.remove(&number)?;
+        let Some(parked) = parked else { return Some((bound, None)) };
+        let [width, height] = bound.frame().size_px;
+        let (pixels, lost) = match parked.take() {
+            Ok(pixels) => (Arc::unwrap_or_clone(pixels), None),
+            Err(error) => {
+                let words = format!("its picture, which waited on the disk, cannot be read back ({error})");
+                (Image::filled(width, height, f32::NAN), Some(words))
+            }
+        };
+        drop(bound.replace_pixels(pixels));
+        Some((bound, lost))
     }
 }
 
@@ -113,6 +109,7 @@ mod tests {
             there.map(|(number, _)| *number).collect()
         };
         assert_eq!(in_memory(&waiting), [4, 5], "48 bytes each");
+        assert!(waiting.is_ready(5) && !waiting.is_ready(9));
         // One that is bound anew keeps its picture, on the disk as well.
         for number in [2, 5] {
             let again = waiting.rebind(number, |frame| Bound::new(frame, 77, Binding::default(), &Timeline::new()));
@@ -122,7 +119,9 @@ mod tests {
         let firsts: Vec<f32> = [5, 2, 1, 3, 4]
             .into_iter()
             .map(|number| {
-                let frame = waiting.take(number).expect("there").frame().clone();
+                let (bound, lost) = waiting.take(number).expect("there");
+                assert_eq!(lost, None);
+                let frame = bound.frame().clone();
                 assert_eq!((frame.pixels.pixels.len(), frame.pixels.width, frame.pixels.height), (12, 4, 3));
                 frame.pixels.pixels[0]
             })
@@ -135,7 +134,7 @@ mod tests {
     fn where_nothing_can_be_written_frames_wait_in_memory() {
         let folder = tempfile::tempdir().expect("a folder");
         let mut waiting = waiting(&folder.path().join("none"));
-        assert_eq!(waiting.reporter.warnings()["many frames wait"].count, 3);
-        assert_eq!(waiting.take(1).expect("there").frame().pixels.pixels[0], 100.0);
+        let (first, lost) = waiting.take(1).expect("there");
+        assert_eq!((first.frame().pixels.pixels[0], lost), (100.0, None));
     }
 }

@@ -9,8 +9,8 @@ use dicom_core::{DataElement, PrimitiveValue, Tag, VR};
 use dicom_dictionary_std::tags;
 use serde_json::{Value, json};
 
-use crate::session_names::replay_words;
 use crate::live_lab::{HANG_S, Lab, Live, eventually};
+use crate::session_names::replay_words;
 
 /// A file that did not change for so long is whole.
 const WRITTEN: Duration = Duration::from_millis(1300);

@@ -53,7 +53,8 @@ pub fn replay(log: &Path, data: Option<&Path>, cache: &Path, out: &Path) -> (Opt
 
 /// What a replay says to a person.
 pub fn replay_words(log: &Path, out: &Path) -> String {
-    let output = Command::new(env!("CARGO_BIN_EXE_sidecarm")).arg("replay").arg(log).arg("--out").arg(out).output().expect("starts");
+    let output =
+        Command::new(env!("CARGO_BIN_EXE_sidecarm")).arg("replay").arg(log).arg("--out").arg(out).output().expect("starts");
     String::from_utf8_lossy(&output.stdout).into_owned()
 }
 

@@ -5,11 +5,12 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::candidates::{self, Candidate, blur};
-use super::fit::{fit, refit};
+use super::fit::{Guess, finish, fit, refit, screen};
 use super::flags::Flags;
 use super::model::{Fit, Model};
 use super::noise::Noise;
 use super::profile::SHAPES;
+use super::several::{DISTURBING, MOST_MISFIT, distinct, disturbed_px, once_per_place, overlap, same};
 use super::window::Field;
 use crate::acquire::{Domain, Frame};
 use crate::image::Image;
@@ -95,19 +96,11 @@ const BESIDE: f64 = 2.2;
 const MOST_DOUBTFUL: usize = 16;
 /// Contrast over noise below which a shadow is not trusted.
 const LEAST_SNR: f64 = 6.0;
-/// Structure in the residual above which a shadow is no sphere's, as a share of its depth.
-const MOST_MISFIT: f64 = 0.17;
-
 /// Structure as a share of the radius beyond which a faint shadow is a thread or a crossing of wires; a clear one may have more.
 const MOST_STRUCTURE: f64 = 0.13;
 const CLEAR_SNR: f64 = 25.0;
-/// Share of a shadow's significance below which a neighbour is too doubtful to be taken out of it.
-const DISTURBING: f64 = 0.2;
 /// Display curves change their slope by about half over the depth of a bead.
 const DISPLAY_CURVE: f64 = 0.5;
-/// Error of a centre as a share of the radius where two shadows lie over each other entirely: shadows of 14 px at one radius from each other
-/// were off by 1.7 to 2.5 px.
-const OVERLAP_SHARE: f64 = 0.25;
 
 /// Finds beads in `pixels`, whose values are a `signal`; `mask` is true where the frame may be used (everywhere if `None`). Pixels that
 /// are not finite are left out.
@@ -232,7 +225,6 @@ fn line_integral(transmission: &Image<f32>) -> Image<f32> {
 
 fn find(field: &Field, bright: &Image<f32>, models: &[Model], radius_px: (f64, f64), most: usize) -> Vec<Detection> {
     let candidates = candidates::find(bright, field.usable, radius_px, most);
-    let fit_at = |u: f64, v: f64, radius: f64, others: &[Fit]| fit(field, models[0], u, v, radius, others);
     // Which of several profiles it is matters to size and misfit, hardly to the centre: asked only of what may be a bead.
     let best_model = |first: Fit, others: &[Fit]| -> Fit {
         if models.len() == 1 || !(first.snr > 0.7 * LEAST_SNR && first.misfit < 2.0 * MOST_MISFIT) {
@@ -241,20 +233,24 @@ fn find(field: &Field, bright: &Image<f32>, models: &[Model], radius_px: (f64, f
         let others_fit = models[1..].iter().filter_map(|model| refit(field, *model, &first, others));
         others_fit.fold(first, |best, next| if best.chi2_per_dof <= next.chi2_per_dof { best } else { next })
     };
-    let fits: Vec<(Candidate, Option<Fit>)> =
-        candidates.par_iter().map(|c| (*c, fit_at(c.u_px, c.v_px, c.radius_px, &[]).map(|fit| best_model(fit, &[])))).collect();
-    let mut kept = distinct(fits.iter().filter_map(|(_, fit)| *fit).filter(|fit| is_bead(fit, radius_px)).collect());
+    let screened: Vec<Option<Fit>> = candidates.par_iter().map(|c| screen(field, models[0], &guess(c), &[])).collect();
+    let fits: Vec<Fit> = candidates
+        .par_iter()
+        .zip(once_per_place(screened))
+        .filter_map(|(candidate, first)| finish(field, &first?, &guess(candidate), &[]).map(|fit| best_model(fit, &[])))
+        .collect();
+    let mut kept = distinct(fits.iter().copied().filter(|fit| is_bead(fit, radius_px)).collect());
 
     // Beads that touch: a shadow that one sphere does not explain is tried as one of two.
     let doubtful: Vec<Fit> = fits
         .iter()
-        .filter_map(|(_, fit)| *fit)
+        .copied()
         .filter(|fit| {
             fit.snr > 2.0 * LEAST_SNR && fit.misfit > MOST_MISFIT && fit.misfit < 0.6 && !kept.iter().any(|k| same(k, fit))
         })
         .take(MOST_DOUBTFUL)
         .collect();
-    let pairs: Vec<[Option<Fit>; 2]> = candidates
+    let pairs: Vec<[Fit; 2]> = candidates
         .par_iter()
         .filter_map(|candidate| {
             let partner = doubtful.iter().chain(&kept).find(|fit| {
@@ -263,10 +259,11 @@ fn find(field: &Field, bright: &Image<f32>, models: &[Model], radius_px: (f64, f
                 distance > 0.5 * radius && distance < 2.6 * radius && (0.4..2.5).contains(&(fit.radius_px / candidate.radius_px))
             })?;
             (!kept.iter().any(|k| (k.u_px - candidate.u_px).hypot(k.v_px - candidate.v_px) < 0.6 * k.radius_px))
-                .then(|| apart(&fit_at, candidate, partner))
+                .then(|| apart(field, models[0], candidate, partner))
+                .flatten()
         })
         .collect();
-    kept.extend(pairs.into_iter().flatten().flatten().filter(|fit| is_bead(fit, radius_px)));
+    kept.extend(pairs.into_iter().flatten().filter(|fit| is_bead(fit, radius_px)));
     kept = distinct(kept);
 
     // Neighbours are taken out of each other's windows; two rounds are enough for shadows that overlap by less than half.
@@ -285,9 +282,7 @@ fn find(field: &Field, bright: &Image<f32>, models: &[Model], radius_px: (f64, f
                 if others.is_empty() {
                     return *own;
                 }
-                fit(field, own.model, own.u_px, own.v_px, own.radius_px, &others)
-                    .filter(|fit| is_bead(fit, radius_px))
-                    .unwrap_or(*own)
+                fit(field, own.model, &place(own), &others).filter(|fit| is_bead(fit, radius_px)).unwrap_or(*own)
             })
             .collect();
         kept = distinct(refined);
@@ -295,28 +290,17 @@ fn find(field: &Field, bright: &Image<f32>, models: &[Model], radius_px: (f64, f
     ranked(&kept)
 }
 
-/// Alternately fits `candidate` and `partner`, each with the other taken out.
-fn apart(
-    fit_at: &(impl Fn(f64, f64, f64, &[Fit]) -> Option<Fit> + Sync),
-    candidate: &Candidate,
-    partner: &Fit,
-) -> [Option<Fit>; 2] {
+/// Alternately fits `candidate` and `partner`, each with the other taken out: on few pixels until they keep apart, then on all.
+fn apart(field: &Field, model: Model, candidate: &Candidate, partner: &Fit) -> Option<[Fit; 2]> {
     let mut second = *partner;
     second.radius_px = second.radius_px.min(1.3 * candidate.radius_px);
-    let mut first = None;
-    for _ in 0..3 {
-        let (u, v, radius) =
-            first.map_or((candidate.u_px, candidate.v_px, candidate.radius_px), |f: Fit| (f.u_px, f.v_px, f.radius_px));
-        let Some(own) = fit_at(u, v, radius, &[second]) else { return [None, None] };
-        let Some(other) = fit_at(second.u_px, second.v_px, second.radius_px, &[own]) else { return [None, None] };
-        first = Some(own);
-        second = other;
-    }
-    let first = first.filter(|first| (first.u_px - second.u_px).hypot(first.v_px - second.v_px) > 0.4 * second.radius_px);
-    match first {
-        Some(first) => [Some(first), Some(second)],
-        None => [None, None],
-    }
+    let mut first = screen(field, model, &guess(candidate), &[second])?;
+    second = screen(field, model, &place(&second), &[first])?;
+    first = screen(field, model, &place(&first), &[second])?;
+    second = screen(field, model, &place(&second), &[first])?;
+    first = finish(field, &first, &place(&first), &[second])?;
+    second = finish(field, &second, &place(&second), &[first])?;
+    ((first.u_px - second.u_px).hypot(first.v_px - second.v_px) > 0.4 * second.radius_px).then_some([first, second])
 }
 
 fn is_bead(fit: &Fit, radius_px: (f64, f64)) -> bool {
@@ -332,40 +316,15 @@ fn is_bead(fit: &Fit, radius_px: (f64, f64)) -> bool {
         && sigma <= 0.5 * fit.radius_px + 0.2
 }
 
-fn same(a: &Fit, b: &Fit) -> bool {
-    (a.u_px - b.u_px).hypot(a.v_px - b.v_px) < 0.5 * a.radius_px.max(b.radius_px)
+fn guess(candidate: &Candidate) -> Guess {
+    Guess { u_px: candidate.u_px, v_px: candidate.v_px, radius_px: candidate.radius_px }
 }
 
-/// Whether the shadow of `b` reaches into that of `a`.
-fn overlap(a: &Fit, b: &Fit) -> bool {
-    let distance = (a.u_px - b.u_px).hypot(a.v_px - b.v_px);
-    distance > 0.0 && b.snr > DISTURBING * a.snr && distance < a.radius_px + b.radius_px + a.blur_px + b.blur_px
+fn place(fit: &Fit) -> Guess {
+    Guess { u_px: fit.u_px, v_px: fit.v_px, radius_px: fit.radius_px }
 }
 
-/// Standard deviation that neighbours add to a centre: how far two shadows lie over each other, 0 to 1, times a share of the radius. What is
-/// fitted to one of them is in part the other.
-fn disturbed_px(fit: &Fit, fits: &[Fit]) -> f64 {
-    let over = |other: &&Fit| {
-        let distance = (fit.u_px - other.u_px).hypot(fit.v_px - other.v_px);
-        1.0 - distance / (fit.radius_px + other.radius_px)
-    };
-    let deepest = fits.iter().filter(|other| overlap(fit, other)).map(|other| over(&other)).fold(0.0, f64::max);
-    OVERLAP_SHARE * deepest * fit.radius_px
-}
-
-/// One fit per place: the one that explains most.
-fn distinct(mut fits: Vec<Fit>) -> Vec<Fit> {
-    let worth = |fit: &Fit| fit.snr * (1.1 - fit.misfit / MOST_MISFIT);
-    fits.sort_by(|a, b| worth(b).total_cmp(&worth(a)));
-    let mut kept: Vec<Fit> = Vec::new();
-    for fit in fits {
-        if !kept.iter().any(|other| same(other, &fit)) {
-            kept.push(fit);
-        }
-    }
-    kept
-}
-
+/// As detections, best first.
 fn ranked(fits: &[Fit]) -> Vec<Detection> {
     // Beads of one specimen look alike: radii differ by magnification, contrasts by what lies behind them.
     let alike = |a: &Fit, b: &Fit| (a.radius_px / b.radius_px).ln().abs() < 0.2 && (a.contrast / b.contrast).ln().abs() < 0.5;

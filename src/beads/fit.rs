@@ -46,21 +46,36 @@ pub fn refit(field: &Field, model: Model, from: &Fit, others: &[Fit]) -> Option<
     fit_window(field, model, Start::of(from), others, FULL)
 }
 
-/// Fits a shadow near (`u_px`, `v_px`) of about `radius_px`; `others` are shadows already fitted, taken into account where they reach.
-/// `None` when there are too few usable pixels or the fit runs away.
-pub fn fit(field: &Field, model: Model, u_px: f64, v_px: f64, radius_px: f64, others: &[Fit]) -> Option<Fit> {
-    let start = Start { u_px, v_px, radius_px, blur_px: BLUR_PRIOR.0 };
-    let first = fit_window(field, model, start, others, SCREENING)?;
+/// Where a shadow may be, and about how large.
+#[derive(Clone, Copy)]
+pub struct Guess {
+    pub u_px: f64,
+    pub v_px: f64,
+    pub radius_px: f64,
+}
+
+/// Fits a shadow near `guess`; `others` are shadows already fitted, taken into account where they reach. `None` when there are too few usable
+/// pixels or the fit runs away.
+pub fn fit(field: &Field, model: Model, guess: &Guess, others: &[Fit]) -> Option<Fit> {
+    finish(field, &screen(field, model, guess, others)?, guess, others)
+}
+
+/// The first part of [`fit`], on few pixels: `None` for what is no shadow.
+pub fn screen(field: &Field, model: Model, guess: &Guess, others: &[Fit]) -> Option<Fit> {
+    let Guess { u_px, v_px, radius_px } = *guess;
+    let first = fit_window(field, model, Start { u_px, v_px, radius_px, blur_px: BLUR_PRIOR.0 }, others, SCREENING)?;
     // What is no shadow by now will not become one.
-    if !(first.contrast > 0.0 && first.snr > 2.5 && first.misfit < 2.0) {
-        return None;
-    }
+    (first.contrast > 0.0 && first.snr > 2.5 && first.misfit < 2.0).then_some(first)
+}
+
+/// The second part of [`fit`], on all pixels.
+pub fn finish(field: &Field, first: &Fit, guess: &Guess, others: &[Fit]) -> Option<Fit> {
     if first.misfit > 0.6 {
-        return Some(first);
+        return Some(*first);
     }
-    let again = fit_window(field, model, Start::of(&first), others, FULL)?;
-    let moved = (again.u_px - u_px).hypot(again.v_px - v_px);
-    (moved <= 1.0 + 0.8 * radius_px.max(again.radius_px)).then_some(again)
+    let again = fit_window(field, first.model, Start::of(first), others, FULL)?;
+    let moved = (again.u_px - guess.u_px).hypot(again.v_px - guess.v_px);
+    (moved <= 1.0 + 0.8 * guess.radius_px.max(again.radius_px)).then_some(again)
 }
 
 /// Levenberg–Marquardt with weights that follow the residual.

@@ -20,6 +20,7 @@ mod model;
 mod noise;
 mod probe;
 mod profile;
+mod several;
 mod shadow;
 mod window;
 pub mod tags;

@@ -16,6 +16,8 @@ const RHO_COUNT: usize = 181;
 const BETA_FIRST: f64 = 0.025;
 const BETA_RATIO: f64 = 1.25;
 const BETA_COUNT: usize = 20;
+/// The Gaussian is nothing so far from its middle.
+const REACH_BETAS: f64 = 6.0;
 
 /// Value and derivatives of a profile.
 #[derive(Clone, Copy, Debug, Default)]
@@ -41,6 +43,8 @@ pub struct Profile {
     /// At the table's distances, with one more before the first: it is even about 0.
     value: [f64; RHO_COUNT + 1],
     by_ln_beta: [f64; RHO_COUNT + 1],
+    /// Steps of the table from which on the profile is nothing.
+    end: f64,
 }
 
 impl Profile {
@@ -56,14 +60,16 @@ impl Profile {
             let at = if n == 0 { 1 } else { n - 1 };
             (low[at] + fraction * (high[at] - low[at]), (high[at] - low[at]) * (1.0 / LN_BETA_RATIO))
         };
-        Self { value: std::array::from_fn(|n| between(n).0), by_ln_beta: std::array::from_fn(|n| between(n).1) }
+        let reach = 1.0 + REACH_BETAS * BETA_FIRST * BETA_RATIO.powi(row as i32 + 1);
+        let end = (reach / RHO_STEP + 3.0).min((RHO_COUNT - 3) as f64);
+        Self { value: std::array::from_fn(|n| between(n).0), by_ln_beta: std::array::from_fn(|n| between(n).1), end }
     }
 
     /// G and its derivatives at distance `rho`, in radii.
     #[inline]
     pub fn at(&self, rho: f64) -> Value {
         let x = rho * (1.0 / RHO_STEP);
-        if !(x < (RHO_COUNT - 3) as f64) {
+        if !(x < self.end) {
             return Value::default();
         }
         let i = x as usize;
@@ -105,7 +111,7 @@ fn tabulate(k: f64) -> Table {
             let rho = column as f64 * RHO_STEP;
             table[row * RHO_COUNT + column] = nodes
                 .iter()
-                .filter(|(t, _)| (t - rho).abs() < 6.0 * beta)
+                .filter(|(t, _)| (t - rho).abs() < REACH_BETAS * beta)
                 .map(|(t, weight)| {
                     weight * inverse * (-0.5 * (t - rho).powi(2) * inverse).exp() * bessel_i0_scaled(t * rho * inverse)
                 })
@@ -159,6 +165,19 @@ mod tests {
             };
             assert!((integral(0.6) / integral(0.03) - 1.0).abs() < 5e-3, "{shape}");
         }
+    }
+
+    #[test]
+    fn beyond_its_end_a_profile_is_nothing() {
+        for (shape, beta) in [(0, 0.025), (1, 0.08), (2, 0.3), (0, 1.5)] {
+            let profile = Profile::new(shape, beta);
+            let first = profile.end as usize - 1;
+            let beyond = profile.value[first.min(RHO_COUNT - 3)..].iter().chain(&profile.by_ln_beta[first.min(RHO_COUNT - 3)..]);
+            assert!(beyond.clone().all(|value| *value == 0.0) || first >= RHO_COUNT - 5, "{shape} {beta}");
+            assert!(profile.at((profile.end - 0.5) * RHO_STEP).value >= 0.0);
+        }
+        let narrow = Profile::new(0, 0.08);
+        assert!(narrow.end < 70.0 && narrow.at(1.3).value > 0.0);
     }
 
     #[test]

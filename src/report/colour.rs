@@ -1,5 +1,7 @@
 //! Colours of pictures: the theme, a perceptual diverging map, robust windows.
 
+use std::sync::OnceLock;
+
 use super::canvas::Rgb;
 use crate::image::Image;
 
@@ -33,7 +35,17 @@ pub fn diverging(value: f32) -> Rgb {
     if value.is_nan() {
         return WELL;
     }
-    let at = (value.clamp(-1.0, 1.0) + 1.0) * 2.0;
+    static STEPS: OnceLock<Vec<Rgb>> = OnceLock::new();
+    let steps = STEPS.get_or_init(|| (0..=2 * STEPS_EACH_WAY).map(|step| between(step as f32 / STEPS_EACH_WAY as f32)).collect());
+    steps[((value.clamp(-1.0, 1.0) + 1.0) * STEPS_EACH_WAY as f32).round() as usize]
+}
+
+/// Steps of the map to either side: from one to the next no channel changes by more than two levels.
+const STEPS_EACH_WAY: usize = 1024;
+
+/// The map at `value` in 0..=2, between its control points.
+fn between(value: f32) -> Rgb {
+    let at = 2.0 * value;
     let lower = (at as usize).min(3);
     let fraction = at - lower as f32;
     let lab: [f32; 3] = std::array::from_fn(|i| DIVERGING[lower][i] + (DIVERGING[lower + 1][i] - DIVERGING[lower][i]) * fraction);
@@ -123,6 +135,10 @@ mod tests {
         let rising = (0..20).map(|i| light(diverging(i as f32 / 20.0))).collect::<Vec<_>>();
         assert!(rising.windows(2).all(|pair| pair[0] <= pair[1]));
         assert_eq!(diverging(f32::NAN), WELL);
+        let at = |step: usize| diverging(step as f32 / STEPS_EACH_WAY as f32 - 1.0);
+        let jumps = (0..2 * STEPS_EACH_WAY).flat_map(|step| (0..3).map(move |n| at(step)[n].abs_diff(at(step + 1)[n])));
+        assert!(jumps.max() <= Some(2));
+        assert_eq!([-1.5, -0.3, 0.0, 0.7, 2.0].map(diverging), [0.0, 0.7, 1.0, 1.7, 2.0].map(between));
     }
 
     #[test]

@@ -65,6 +65,8 @@ pub struct BoardState {
     pub now_us: i64,
     /// The session has ended.
     pub finished: bool,
+    /// Somebody looks: pictures of pairs are made for the eye.
+    pub watched: bool,
     /// Warnings by kind.
     pub warnings: Vec<(String, u64)>,
 }
@@ -133,6 +135,14 @@ impl Board {
         ask(&self.0.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
+    /// Shows a pair where somebody looks.
+    pub fn show(&self, picture: impl FnOnce() -> PairView) {
+        if self.read(|state| state.watched) {
+            let picture = picture();
+            self.update(|state| state.show(picture));
+        }
+    }
+
     /// A copy of the state; images are shared, not copied.
     #[must_use]
     pub fn snapshot(&self) -> BoardState {
@@ -162,5 +172,12 @@ mod tests {
         (1..=60).rev().chain(1..=60).for_each(|number| state.show(pair(number)));
         let whole = state.pairs.iter().filter(|pair| pair.acquired.width > THUMBNAIL_PX).count();
         assert_eq!((state.pairs.len(), whole), (60, WHOLE_PICTURES));
+
+        // Nobody looks: no picture is made.
+        let board = Board::default();
+        board.show(|| unreachable!("nobody looks"));
+        board.update(|state| state.watched = true);
+        board.show(|| pair(3));
+        assert_eq!(board.read(|state| state.pairs.len()), 1);
     }
 }

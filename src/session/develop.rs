@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::DVec3;
 
 use super::board::PairView;
-use super::crosscheck::{ExposureFacts, check_exposure, choose_view, innovation};
+use super::crosscheck::{ExposureFacts, check_exposure, innovation};
 use super::declared::Declared;
 use super::file::Setup;
 use super::posing::Posed;
@@ -295,19 +295,9 @@ impl Bench {
         Ok(scene)
     }
 
-    fn centre(&self) -> Option<DVec3> {
+    pub(super) fn centre(&self) -> Option<DVec3> {
         let beads = self.layout.as_ref().filter(|layout| layout.refused.is_none()).map(BeadLayout::centroid_lps_mm);
         beads.or_else(|| self.scene.bounds().map(|(centre, _)| centre))
-    }
-
-    /// Does now what the first frame would wait for.
-    pub(super) fn warm(&mut self) {
-        let beads = self.layout.iter().flat_map(|layout| &layout.beads).map(|bead| bead.lps_mm);
-        let places: Vec<DVec3> = beads.chain(self.centre()).collect();
-        let Ok(view) = choose_view(&self.setup, &places, &self.scene) else { return };
-        let options = Options { quantity: Quantity::LineIntegral, ..Options::default() };
-        // What is wrong with the scene is said when a frame is rendered.
-        let _ = self.renderer.warm(&self.scene, view, &options);
     }
 
     /// Puts each score against its null; `None` when `cancelled`, which is asked before each render, says so.

@@ -51,6 +51,7 @@ mod tie;
 mod told_field;
 mod tracks;
 mod waiting;
+mod warm;
 mod workshop;
 
 pub use develop::Developed;

@@ -15,8 +15,8 @@ use super::engine::Engine;
 use super::folder::{Collector, Folder, Times};
 use super::image_difference::{ImageDifference, difference};
 use super::input::{Input, Output};
-use super::losses::none_accepted;
 use super::log::{CLOCK_TOPIC, DISAGREES_TOPIC, END_TOPIC, ORDER_TOPIC, PoseRecord};
+use super::losses::none_accepted;
 use super::places;
 use super::posing::{Posed, Registered};
 use super::recorded::{Development, Recorded, drrs_of};
@@ -283,8 +283,7 @@ impl Replay<'_> {
         }
         self.compare_scores(&developed);
         self.broadcast.developed(&developed, !self.collector.knows(&developed));
-        let picture = developed.picture();
-        self.board.update(|state| state.show(picture));
+        self.board.show(|| developed.picture());
         for failure in self.collector.take(developed) {
             reporter.warn("file not written", &failure);
             if self.report.losses.len() < 20 {

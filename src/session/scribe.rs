@@ -106,8 +106,7 @@ impl Work {
 
     fn take(&mut self, developed: Developed) {
         let (number, time_us, complete) = (developed.posed.number, developed.posed.time_us, developed.complete);
-        let picture = developed.picture();
-        self.board.update(|state| state.show(picture));
+        self.board.show(|| developed.picture());
         let is_new = !self.collector.knows(&developed);
         if let (Some((drr, _)), Some(sha256), true) = (&developed.drr, &developed.drr_sha256, is_new) {
             self.log.drr(&developed.posed, drr, sha256);

@@ -113,7 +113,8 @@ impl Workshop {
             let mut bench = bench;
             if warm {
                 // A fault in it shows again with the first frame.
-                let _ = catch_unwind(AssertUnwindSafe(|| bench.warm()));
+                let waits = || !shared.lock().jobs.is_empty();
+                let _ = catch_unwind(AssertUnwindSafe(|| bench.warm(waits)));
             }
             work(bench, &shared, sink);
         });

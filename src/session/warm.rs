@@ -1,0 +1,34 @@
+//! What the first frame of a session would wait for, done before it comes.
+
+use glam::DVec3;
+
+use super::crosscheck::choose_view;
+use super::develop::Bench;
+use crate::acquire::{Domain, Frame};
+use crate::beads::{Expectation, detect};
+use crate::compare::{CompareInput, compare};
+use crate::mask;
+use crate::render::{Options, Quantity};
+
+impl Bench {
+    /// Of the renderer, and as long as no frame `waits` of what comes before and after it, so
+    /// that tables and memory are there.
+    pub(super) fn warm(&mut self, waits: impl Fn() -> bool) {
+        let beads = self.layout.iter().flat_map(|layout| &layout.beads).map(|bead| bead.lps_mm);
+        let places: Vec<DVec3> = beads.chain(self.centre()).collect();
+        let Ok(view) = choose_view(&self.setup, &places, &self.scene) else { return };
+        let options = Options { quantity: Quantity::LineIntegral, ..Options::default() };
+        // What is wrong with the scene is said when a frame is rendered.
+        if self.renderer.warm(&self.scene, view, &options).is_err() || waits() {
+            return;
+        }
+        let Ok(rendered) = self.renderer.render(&self.scene.with_view(view), &options) else { return };
+        let Ok(frame) = Frame::from_pixels("none", rendered.pages[0].clone(), Domain::Log) else { return };
+        let masks = mask::of_frame(&frame);
+        let parts: [&dyn Fn(); 2] = [&|| drop(detect(&frame, None, &Expectation::default())), &|| {
+            let input = CompareInput { masks: Some(&masks), ..CompareInput::new(&frame, &rendered.pages[0]) };
+            let _ = compare(&input);
+        }];
+        parts.into_iter().take_while(|_| !waits()).for_each(|part| part());
+    }
+}

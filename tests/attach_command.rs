@@ -155,3 +155,37 @@ fn what_is_no_log_and_what_would_overwrite_an_input_is_refused() {
     let (code, _, words) = attach(&exported.join("img001.dcm"), &exported, &[]);
     assert!(code == Some(1) && words.contains("MCAP"), "{words}");
 }
+
+/// Of two sessions in one log, both count their exposures from 1.
+#[test]
+fn a_log_that_was_joined_of_several_is_refused_with_a_sentence() {
+    let folder = tempfile::tempdir().expect("folder");
+    let exported = folder.path().join("export");
+    std::fs::create_dir(&exported).expect("folder");
+    export(&exported, "img.dcm", 3.0, 0.0, 1);
+    let joined = |name: &str, topic: &str| {
+        let path = folder.path().join(name);
+        let recorder = Recorder::create(&path, &Provenance::of_this_program(T0_US, Value::Null)).expect("a log");
+        for session in 0..2 {
+            let t0_us = T0_US + session * 60_000_000;
+            if session == 1 {
+                recorder.json(topic, t0_us, &serde_json::json!({"numbers_from": 0})).expect("recorded");
+            }
+            for number in 0..250 {
+                let at_us = i64::from(number) * 40_000;
+                let on = (75..85).contains(&number);
+                let packet = carm(number, 1_000 + at_us as u64, [0.0, 0.0, 0.0, 0.0, 9.0, 0.0, 1020.0], on, None);
+                recorder.raw_bytes("carm", 1, t0_us + at_us + 800, &packet).expect("recorded");
+            }
+        }
+        recorder.finish().expect("finished");
+        path
+    };
+    let (code, json, words) = attach(&joined("day.mcap", "/session/restart"), &exported, &[]);
+    assert_eq!((code, &json), (Some(1), &Value::Null), "{words}");
+    assert!(words.contains("joined of several logs") && words.contains("each of those logs by itself"), "{words}");
+    assert_eq!(words.lines().count(), 1, "{words}");
+    // The control: the same bytes without a seam are one session.
+    let (code, json, words) = attach(&joined("one.mcap", "/session/note"), &exported, &[]);
+    assert!(matches!(code, Some(0 | 3)) && json["exposures"] == 2, "{words} {json:#}");
+}

@@ -1,7 +1,9 @@
 //! The decoder against the golden frames, damage and random bytes.
 
 use proptest::prelude::*;
-use sidecarm::telemetry::{DecodeFault, Decoder, DeviceKind, Event, FrameFault, MAX_ENCODED_BYTES, Sample, Sequenced};
+use sidecarm::telemetry::{
+    DecodeFault, Decoder, DeviceKind, Event, FrameFault, MAX_ENCODED_BYTES, Sample, Sequenced, Telling, blanked,
+};
 
 use crate::telemetry_frames::{GOLDEN_CARM, GOLDEN_METADATA, GOLDEN_ROBOT, bytes, carm, decode, frame, frame_of_schema, plain};
 
@@ -262,4 +264,33 @@ proptest! {
         let (events, _) = decode(DeviceKind::Carm, &stream, 97);
         prop_assert!(samples(&events).iter().any(|sample| sample.sequence() == 3));
     }
+}
+
+/// What is given away keeps its length, its checksum and all else that it says.
+#[test]
+fn a_blanked_packet_tells_the_same_but_no_serial_number() {
+    let stuffed = |hex: &str| bytes(hex).strip_suffix(&[0]).expect("a delimiter").to_vec();
+    let packet = stuffed(GOLDEN_METADATA);
+    let Telling::Blanked(mut now) = blanked(&packet) else { panic!("a metadata packet") };
+    assert_eq!(now.len(), packet.len());
+    now.push(0);
+    let (Sample::Metadata(before), Sample::Metadata(after)) =
+        (only(DeviceKind::Carm, &bytes(GOLDEN_METADATA)), only(DeviceKind::Carm, &now))
+    else {
+        panic!("metadata")
+    };
+    let (serial_number, calibration_id) = (after.serial_number.clone(), after.calibration_id.clone());
+    assert_eq!((serial_number.len(), calibration_id.len()), (before.serial_number.len(), before.calibration_id.len()));
+    assert!(serial_number.bytes().chain(calibration_id.bytes()).all(|letter| letter == serial_number.as_bytes()[0]));
+    let blank = |metadata: &sidecarm::telemetry::Metadata| sidecarm::telemetry::Metadata {
+        serial_number: String::new(),
+        calibration_id: String::new(),
+        ..metadata.clone()
+    };
+    assert_eq!(blank(&before), blank(&after));
+    // Packets that tell none stay as they are, and nothing is known of what is not intact.
+    assert_eq!([GOLDEN_ROBOT, GOLDEN_CARM].map(|hex| blanked(&stuffed(hex))), [Telling::Nothing, Telling::Nothing]);
+    let mut corrupt = packet.clone();
+    corrupt[30] ^= 1;
+    assert_eq!([blanked(&corrupt), blanked(&packet[..40]), blanked(&[])], [Telling::Unknown, Telling::Unknown, Telling::Unknown]);
 }

@@ -33,6 +33,7 @@ pub mod info;
 pub mod keep_log;
 pub mod line_checks;
 pub mod live;
+pub mod log;
 pub mod materials;
 pub mod pose;
 mod pose_losses;
@@ -85,6 +86,7 @@ enum Command {
     Compare(compare::CompareArgs),
     Calibrate(calibrate::CalibrateArgs),
     Attach(attach::AttachArgs),
+    Log(log::LogArgs),
     Attenuation(attenuation::AttenuationArgs),
     Spectrum(spectrum::SpectrumArgs),
     Materials(materials::MaterialsArgs),
@@ -124,6 +126,7 @@ fn dispatch(command: &Command, reporter: &Reporter) -> u8 {
         Command::Pose(args) => end(pose::run(args, reporter), reporter),
         Command::Tags(args) => end(tags::run(args, reporter), reporter),
         Command::Attach(args) => end(attach::run(args, reporter), reporter),
+        Command::Log(args) => end(log::run(args, reporter), reporter),
         Command::Attenuation(args) => end(attenuation::run(args, &mut std::io::stdout().lock()).map(|()| 0), reporter),
         Command::Spectrum(args) => end(spectrum::run(args, &mut std::io::stdout().lock()).map(|()| 0), reporter),
         Command::Materials(args) => end(materials::run(args, &mut std::io::stdout().lock()).map(|()| 0), reporter),

@@ -1,5 +1,7 @@
 //! Which schema and encoding a message has.
 
+use std::borrow::Cow;
+
 use foxglove::Encode;
 use foxglove::messages as fg;
 
@@ -7,9 +9,9 @@ use foxglove::messages as fg;
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(super) struct Kind {
     pub schema_name: String,
-    pub schema_encoding: &'static str,
-    pub schema_data: std::borrow::Cow<'static, [u8]>,
-    pub message_encoding: &'static str,
+    pub schema_encoding: Cow<'static, str>,
+    pub schema_data: Cow<'static, [u8]>,
+    pub message_encoding: Cow<'static, str>,
 }
 
 /// Schema name of raw serial bytes.
@@ -24,7 +26,7 @@ impl Kind {
     /// One of Foxglove's own messages.
     pub(super) fn foxglove<M: Encode>() -> Self {
         let (schema_name, schema_data) = M::get_schema().map(|schema| (schema.name, schema.data)).unwrap_or_default();
-        Self { schema_name, schema_encoding: "protobuf", schema_data, message_encoding: "protobuf" }
+        Self { schema_name, schema_encoding: "protobuf".into(), schema_data, message_encoding: "protobuf".into() }
     }
 
     /// Any JSON object; the schema says no more than that.
@@ -38,9 +40,9 @@ impl Kind {
         });
         Self {
             schema_name: format!("sidecarm.{name}"),
-            schema_encoding: "jsonschema",
+            schema_encoding: "jsonschema".into(),
             schema_data: schema.to_string().into_bytes().into(),
-            message_encoding: "json",
+            message_encoding: "json".into(),
         }
     }
 
@@ -48,9 +50,9 @@ impl Kind {
     pub(super) fn raw() -> Self {
         Self {
             schema_name: RAW_SCHEMA.into(),
-            schema_encoding: "x-text",
+            schema_encoding: "x-text".into(),
             schema_data: RAW_LAYOUT.as_bytes().into(),
-            message_encoding: "x-sidecarm-raw",
+            message_encoding: "x-sidecarm-raw".into(),
         }
     }
 

@@ -3,6 +3,7 @@
 use foxglove::Decode;
 use foxglove::messages as fg;
 
+use super::messages::encoded;
 use super::{LogEntry, RecordError, topic};
 use crate::acquire::{Frame, Samples};
 use crate::image::{Image, sha256_bytes};
@@ -47,7 +48,7 @@ impl LogEntry {
         if &*self.schema != "foxglove.RawImage" {
             return Ok(None);
         }
-        let message = fg::RawImage::decode(self.data.as_slice()).map_err(|error| self.wrong(error.to_string()))?;
+        let message: fg::RawImage = self.decoded()?;
         let (width, height) = (message.width as usize, message.height as usize);
         let image = Samples::from_bytes(&message.encoding, &message.data).and_then(|samples| samples.into_image(width, height));
         let misfit = || self.wrong(format!("{} bytes of {} for {width}x{height} pixels", message.data.len(), message.encoding));
@@ -62,10 +63,54 @@ impl LogEntry {
         if &*self.schema != "foxglove.Log" {
             return Ok(None);
         }
-        let message = fg::Log::decode(self.data.as_slice()).map_err(|error| self.wrong(error.to_string()))?;
-        Ok(Some(message.message))
+        Ok(Some(self.decoded::<fg::Log>()?.message))
     }
 
+    /// Reads the message as its schema promises, and throws the result away.
+    ///
+    /// # Errors
+    /// When it is damaged.
+    pub fn check(&self) -> Result<(), RecordError> {
+        match (&*self.schema, &*self.encoding) {
+            (super::channel::RAW_SCHEMA, _) => self.raw_bytes().map(|_| ()),
+            ("foxglove.RawImage", _) => self.image().map(|_| ()),
+            ("foxglove.Log", _) => self.event().map(|_| ()),
+            ("foxglove.CameraCalibration", _) => self.decoded::<fg::CameraCalibration>().map(|_| ()),
+            ("foxglove.FrameTransforms", _) => self.decoded::<fg::FrameTransforms>().map(|_| ()),
+            ("foxglove.ImageAnnotations", _) => self.decoded::<fg::ImageAnnotations>().map(|_| ()),
+            ("foxglove.JointStates", _) => self.decoded::<fg::JointStates>().map(|_| ()),
+            (_, "json") => self.json::<serde::de::IgnoredAny>().map(|_| ()),
+            _ => Ok(()),
+        }
+    }
+
+    /// The same with its words passed through `word`: what is written beside the beads on [`topic::ANNOTATIONS`], what was told on
+    /// [`topic::EVENTS`]. Other messages stay as they are.
+    ///
+    /// # Errors
+    /// When the message is damaged.
+    pub fn reworded(&self, word: &dyn Fn(&str) -> String) -> Result<Self, RecordError> {
+        let data = match &*self.schema {
+            "foxglove.ImageAnnotations" => {
+                let mut message: fg::ImageAnnotations = self.decoded()?;
+                message.texts.iter_mut().for_each(|text| text.text = word(&text.text));
+                encoded(&message)
+            }
+            "foxglove.Log" => {
+                let mut message: fg::Log = self.decoded()?;
+                message.message = word(&message.message);
+                encoded(&message)
+            }
+            _ => self.data.clone(),
+        };
+        Ok(Self { data, ..self.clone() })
+    }
+
+    fn decoded<M: Decode>(&self) -> Result<M, RecordError> {
+        M::decode(self.data.as_slice()).map_err(|error| self.wrong(error.to_string()))
+    }
+
+    /// What is wrong with the message.
     fn wrong(&self, detail: String) -> RecordError {
         RecordError::Message { topic: self.topic.to_string(), sequence: self.sequence, detail }
     }

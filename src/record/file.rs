@@ -77,7 +77,7 @@ impl<W: Write> LogFile<W> {
                 let schema_id = self.schema_names.len() as u16;
                 let mut body = schema_id.to_le_bytes().to_vec();
                 put_text(&mut body, &kind.schema_name);
-                put_text(&mut body, kind.schema_encoding);
+                put_text(&mut body, &kind.schema_encoding);
                 body.extend((kind.schema_data.len() as u32).to_le_bytes());
                 body.extend_from_slice(&kind.schema_data);
                 let mut record = Vec::new();
@@ -90,7 +90,7 @@ impl<W: Write> LogFile<W> {
         let mut body = id.to_le_bytes().to_vec();
         body.extend(schema_id.to_le_bytes());
         put_text(&mut body, topic);
-        put_text(&mut body, kind.message_encoding);
+        put_text(&mut body, &kind.message_encoding);
         body.extend(0u32.to_le_bytes());
         let mut record = Vec::new();
         put_record(&mut record, op::CHANNEL, &[&body]);

@@ -32,6 +32,7 @@
 
 mod channel;
 mod chunk;
+mod copy;
 mod decode;
 mod error;
 mod file;
@@ -46,10 +47,12 @@ mod reader;
 mod recorder;
 mod resync;
 mod sink;
+mod sums;
 mod tolerance;
 mod unpack;
 mod writer;
 
+pub use copy::LogCopy;
 pub use decode::{FrameAssembler, RawBytes};
 pub use error::RecordError;
 #[cfg(target_os = "linux")]
@@ -59,6 +62,7 @@ pub use queue::RecorderHealth;
 pub use reader::{Attachment, LogContents, LogEntry, LogLoss, LogReader, read_log};
 pub use recorder::{Prepared, Recorder};
 pub use sink::LogTarget;
+pub use sums::wrong_sums;
 pub use tolerance::Tolerance;
 pub use writer::Summary;
 

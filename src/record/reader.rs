@@ -9,6 +9,7 @@ use std::sync::Arc;
 use mcap::records::{Record, op};
 
 use super::RecordError;
+use super::channel::Kind;
 use super::resync::{MAX_RECORD_BYTES, next_chunk};
 use super::unpack::{Unpacked, has_checksum, is_head, unpack};
 
@@ -84,13 +85,21 @@ struct Channel {
     encoding: Arc<str>,
 }
 
+struct Schema {
+    name: Arc<str>,
+    encoding: String,
+    data: Vec<u8>,
+}
+
 /// Iterates over the messages of a log, one chunk in memory at a time.
 pub struct LogReader {
     path: PathBuf,
     source: Box<dyn ReadSeek>,
     at_byte: u64,
     length: u64,
-    schemas: HashMap<u16, Arc<str>>,
+    /// Where the record begins that the ready messages are of.
+    record_at: u64,
+    schemas: HashMap<u16, Schema>,
     channels: HashMap<u16, Channel>,
     ready: std::collections::VecDeque<LogEntry>,
     attachments: Vec<Attachment>,
@@ -136,6 +145,7 @@ impl LogReader {
             source,
             at_byte: 0,
             length,
+            record_at: 0,
             schemas: HashMap::new(),
             channels: HashMap::new(),
             ready: std::collections::VecDeque::new(),
@@ -199,6 +209,35 @@ impl LogReader {
         &self.losses
     }
 
+    /// Where in the file the chunk begins that the latest message came in.
+    #[must_use]
+    pub fn place(&self) -> u64 {
+        self.record_at
+    }
+
+    /// Whether the log was closed: its footer was met.
+    #[must_use]
+    pub fn is_closed(&self) -> bool {
+        self.finished
+    }
+
+    /// Bytes of the file.
+    #[must_use]
+    pub fn length(&self) -> u64 {
+        self.length
+    }
+
+    /// Schema and encoding of a message of this log.
+    pub(super) fn kind_of(&self, entry: &LogEntry) -> Option<Kind> {
+        let schema = self.schemas.values().find(|schema| schema.name == entry.schema)?;
+        Some(Kind {
+            schema_name: schema.name.to_string(),
+            schema_encoding: schema.encoding.clone().into(),
+            schema_data: schema.data.clone().into(),
+            message_encoding: entry.encoding.to_string().into(),
+        })
+    }
+
     /// Attached files met so far.
     #[must_use]
     pub fn attachments(&self) -> &[Attachment] {
@@ -259,6 +298,7 @@ impl LogReader {
     /// Reads one record of the file; may make messages ready.
     fn step(&mut self) {
         let start = self.at_byte;
+        self.record_at = start;
         if self.finished {
             // Behind the footer only the closing magic is left, and nothing in it can be lost.
             if self.read_up_to(mcap::MAGIC.len() as u64) != mcap::MAGIC {
@@ -333,8 +373,9 @@ impl LogReader {
             Err(error) => return self.lose(start, format!("record of kind {opcode:#04x} is damaged and was skipped: {error}")),
         };
         match record {
-            Record::Schema { header, .. } => {
-                self.schemas.insert(header.id, header.name.into());
+            Record::Schema { header, data } => {
+                let known = Schema { name: header.name.into(), encoding: header.encoding, data: data.into_owned() };
+                self.schemas.insert(header.id, known);
             }
             Record::Channel(channel) => {
                 let known = Channel {
@@ -348,7 +389,7 @@ impl LogReader {
                 Some(channel) => {
                     let entry = LogEntry {
                         topic: Arc::clone(&channel.topic),
-                        schema: self.schemas.get(&channel.schema_id).map_or_else(|| "".into(), Arc::clone),
+                        schema: self.schemas.get(&channel.schema_id).map_or_else(|| "".into(), |schema| Arc::clone(&schema.name)),
                         encoding: Arc::clone(&channel.encoding),
                         host_us: (header.log_time / 1000) as i64,
                         sequence: header.sequence,

@@ -8,6 +8,7 @@ use super::pair::{Pair, PairStatus};
 use super::plots::{self, Dot, escape};
 use super::session::SessionReport;
 use super::strip::panel_rectangle;
+use crate::time::utc;
 
 /// Width of a tile of the contact sheet in CSS pixels.
 const TILE_PX: f64 = 220.0;
@@ -47,21 +48,6 @@ pub fn html(report: &SessionReport) -> String {
 fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_unstable_by(f64::total_cmp);
     values.get(values.len() / 2).copied()
-}
-
-/// UTC of `us` microseconds since the epoch (days to civil date after H. Hinnant).
-fn utc(us: i64) -> String {
-    let seconds = us.div_euclid(1_000_000);
-    let (days, of_day) = (seconds.div_euclid(86_400), seconds.rem_euclid(86_400));
-    let z = days + 719_468;
-    let (era, of_era) = (z.div_euclid(146_097), z.rem_euclid(146_097));
-    let year_of_era = (of_era - of_era / 1460 + of_era / 36_524 - of_era / 146_096) / 365;
-    let of_year = of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-    let shifted = (5 * of_year + 2) / 153;
-    let day = of_year - (153 * shifted + 2) / 5 + 1;
-    let month = if shifted < 10 { shifted + 3 } else { shifted - 9 };
-    let year = year_of_era + era * 400 + i64::from(month <= 2);
-    format!("{year:04}-{month:02}-{day:02} {:02}:{:02}:{:02} UTC", of_day / 3600, of_day / 60 % 60, of_day % 60)
 }
 
 fn start_us(report: &SessionReport) -> i64 {
@@ -340,16 +326,4 @@ fn provenance(page: &mut String, report: &SessionReport) {
     page.push_str(
         "</tbody></table></div><p class=\"dim\" style=\"margin-top:14px\">For research use only; not a medical device.</p>",
     );
-}
-
-#[cfg(test)]
-mod tests {
-    use super::utc;
-
-    #[test]
-    fn dates_are_civil() {
-        assert_eq!(utc(0), "1970-01-01 00:00:00 UTC");
-        assert_eq!(utc(1_709_208_000_000_000), "2024-02-29 12:00:00 UTC");
-        assert_eq!(utc(-1_000_000), "1969-12-31 23:59:59 UTC");
-    }
 }

@@ -22,7 +22,7 @@ pub(super) fn topic_of(device: DeviceKind, sample: &Sample) -> &'static str {
 /// The lines are read by a thread each: at the end of a log their samples may be out of order by as much.
 const TAIL_US: i64 = 200_000;
 /// What devices say of themselves.
-const METADATA_TOPIC: &str = "/devices/metadata";
+pub(super) const METADATA_TOPIC: &str = "/devices/metadata";
 
 /// Samples of the log against those that its bytes decode to, whatever stands between them. What agrees is forgotten at once, so memory does
 /// not grow with the log.
@@ -32,11 +32,28 @@ pub(super) struct Samples {
     balance: HashMap<u64, (i64, i64)>,
     /// Time of the latest sample that the log says.
     last_said_us: Option<i64>,
+    /// Of a log that was cut: bytes of other times are there, the samples that they gave are not.
+    within_us: Option<[i64; 2]>,
+    /// Of the logs that were joined before this one.
+    different_before: u64,
 }
 
 impl Samples {
+    /// The log was cut to this.
+    pub(super) fn cut(&mut self, from_us: i64, to_us: i64) {
+        self.within_us = Some([from_us, to_us]);
+    }
+
+    /// Another log begins, joined on to this one.
+    pub(super) fn begin_anew(&mut self) {
+        *self = Self { different_before: self.different(), ..Self::default() };
+    }
+
     /// A sample was decoded from the bytes in the log.
     pub(super) fn decoded(&mut self, device: DeviceKind, host_us: i64, sample: &Sample) {
+        if self.within_us.is_some_and(|[from_us, to_us]| host_us < from_us || host_us > to_us) {
+            return;
+        }
         self.weigh(topic_of(device, sample), host_us, &serde_json::to_vec(sample).unwrap_or_default(), 1);
     }
 
@@ -73,7 +90,7 @@ impl Samples {
                 _ => {}
             }
         }
-        said_only.max(given_only)
+        self.different_before + said_only.max(given_only)
     }
 }
 

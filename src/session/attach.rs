@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::pictures::Pictures;
+use super::pictures::{PictureDigest, Pictures};
+use super::records::{RESTART_TOPIC, SEEN_TOPIC, SeenRecord};
 use super::studies::Studies;
 use crate::acquire::{Fault, Frame, read_frames};
 use crate::record::{FrameAssembler, LogReader, RecordError, topic};
@@ -30,6 +31,16 @@ pub enum AttachError {
     /// The log has no telemetry of the C-arm.
     #[error("{path}: the log holds no bytes of the C-arm, so there is no exposure to tie a frame to", path = path.display())]
     NoTelemetry {
+        /// The log.
+        path: PathBuf,
+    },
+    /// The log is one of several sessions.
+    #[error(
+        "{path}: was joined of several logs (`sidecarm log merge`), and exposures of two of them may have the same number: attach the frames \
+         to each of those logs by itself",
+        path = path.display()
+    )]
+    Joined {
         /// The log.
         path: PathBuf,
     },
@@ -96,7 +107,7 @@ pub fn attach(log: &Path, named: &[PathBuf], reporter: &Reporter) -> Result<Atta
                     // exposure counts first.
                     let content = match frame.tags.names_exposure() {
                         true => frame.sha256.clone(),
-                        false => session.pictures.first_of(&frame),
+                        false => session.pictures.first_of(&frame, PictureDigest::of(&frame)),
                     };
                     read.push((session.next_frame(), without_pixels(frame), image_of_file, content));
                 }
@@ -206,10 +217,23 @@ impl Recorded {
                 }
                 topic::FRAME_PIXELS => {
                     // Damaged pixels do not matter to what the frame says of its exposure.
-                    let content = assembler.push(&entry).ok().flatten().map(|frame| self.pictures.first_of(&frame));
+                    let content = assembler.push(&entry).ok().flatten();
+                    let content = content.map(|frame| self.pictures.first_of(&frame, PictureDigest::of(&frame)));
                     self.take_frame(tagged.take(), content);
                     continue;
                 }
+                SEEN_TOPIC => {
+                    self.take_frame(tagged.take(), None);
+                    match entry.json::<SeenRecord>() {
+                        Ok(SeenRecord { frame, picture }) => {
+                            let content = self.pictures.first_of(&frame, picture);
+                            self.take_frame(Some((frame, entry.host_us)), Some(content));
+                        }
+                        Err(error) => self.losses.push(error.to_string()),
+                    }
+                    continue;
+                }
+                RESTART_TOPIC => return Err(AttachError::Joined { path: log.to_owned() }),
                 _ => continue,
             };
             let raw = match entry.raw_bytes() {

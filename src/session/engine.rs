@@ -15,7 +15,7 @@ use super::hearing::Hearing;
 use super::import::Import;
 use super::input::{Input, Output};
 use super::losses::{few_bound, line_losses, without_frame};
-use super::pictures::Pictures;
+use super::pictures::{PictureDigest, Pictures};
 use super::posing::{Bound, Known, PoseJob, Registered};
 use super::standstill::Standstill;
 use super::studies::Studies;
@@ -64,6 +64,8 @@ pub struct Engine {
     binder: Binder,
     pending: BTreeMap<u32, Pending>,
     unbound: BTreeMap<u32, Unbound>,
+    /// Frames without pixels.
+    seen: BTreeSet<u32>,
     /// How often each frame that was posed again was handed on before.
     developments: BTreeMap<u32, u32>,
     /// Exposures of which a frame came.
@@ -111,6 +113,7 @@ impl Engine {
             binder: Binder::default(),
             pending: BTreeMap::new(),
             unbound: BTreeMap::new(),
+            seen: BTreeSet::new(),
             developments: BTreeMap::new(),
             shown: BTreeSet::new(),
             tied: BTreeSet::new(),
@@ -145,6 +148,11 @@ impl Engine {
     #[must_use]
     pub fn world_from_lps(&self) -> Option<Rigid> {
         self.tie.world_from_lps()
+    }
+
+    /// Frames on which rests where the specimen lies in the room, or may come to rest with the next frame.
+    pub(super) fn tie_rests_on(&self) -> impl Iterator<Item = u32> + '_ {
+        self.tie.rests_on()
     }
 
     /// Frames that wait for telemetry.
@@ -212,19 +220,13 @@ impl Engine {
                 host_us
             }
             Input::Frame { frame, host_us } => {
-                let image = frame.image_of_file.map(|n| n as u32);
-                // The same picture in another file, with other identifiers and stamps, is no other exposure.
-                let content = self.pictures.first_of(&frame);
-                let evidence = FrameEvidence::of(frame.number, &frame.tags, &content, image, Some(host_us));
-                self.binder.push(FrameEvidence { completes: frame.completes, ..evidence });
-                if let Some(words) = self.studies.meet(frame.number, frame.tags.study.as_deref()) {
-                    self.reporter.warn("another study", words);
-                }
-                if let Some(before) = frame.completes {
-                    self.replaced.insert(before);
-                    self.retract(before, "this frame, on which the tie rested, was not finished");
-                }
+                self.meet(&frame, PictureDigest::of(&frame), host_us);
                 self.pending.insert(frame.number, Pending { frame, host_us });
+                host_us
+            }
+            Input::Seen { frame, picture, host_us } => {
+                self.meet(&frame, picture, host_us);
+                self.seen.insert(frame.number);
                 host_us
             }
             Input::Tick { host_us } => host_us,
@@ -245,6 +247,22 @@ impl Engine {
         self.now_us = self.now_us.max(now_us);
         self.hearing.advance(self.now_us);
         self.settle(sink);
+    }
+
+    /// Notes when a frame came, and what it says of its exposure.
+    fn meet(&mut self, frame: &Frame, picture: Option<PictureDigest>, host_us: i64) {
+        let image = frame.image_of_file.map(|n| n as u32);
+        // The same picture in another file, with other identifiers and stamps, is no other exposure.
+        let content = self.pictures.first_of(frame, picture);
+        let evidence = FrameEvidence::of(frame.number, &frame.tags, &content, image, Some(host_us));
+        self.binder.push(FrameEvidence { completes: frame.completes, ..evidence });
+        if let Some(words) = self.studies.meet(frame.number, frame.tags.study.as_deref()) {
+            self.reporter.warn("another study", words);
+        }
+        if let Some(before) = frame.completes {
+            self.replaced.insert(before);
+            self.retract(before, "this frame, on which the tie rested, was not finished");
+        }
     }
 
     /// No more telemetry will come: binds what waits, and frames that still come, with what there is.
@@ -320,6 +338,10 @@ impl Engine {
             let Some(binding) = self.binder.binding(number).filter(|binding| binding.exposure.is_some()).cloned() else {
                 continue;
             };
+            if self.seen.contains(&number) {
+                self.shown.extend(binding.exposure.as_ref().map(|exposure| exposure.index));
+                self.tied.insert(number);
+            }
             if let Some(unbound) = self.unbound.remove(&number) {
                 self.bind_late(number, unbound, binding, sink);
             }

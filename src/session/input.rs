@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::pictures::PictureDigest;
 use super::posing::{PoseJob, Posed};
 use crate::acquire::Frame;
 use crate::telemetry::{DeviceKind, Sample};
@@ -24,6 +25,15 @@ pub enum Input {
     Frame {
         /// Its pixels and tags; [`Frame::number`] is given.
         frame: Arc<Frame>,
+        /// Arrival.
+        host_us: i64,
+    },
+    /// A frame came whose pixels are not in the log any more: it is bound as all are, and nothing is made of it.
+    Seen {
+        /// Without pixels; [`Frame::number`] is given.
+        frame: Box<Frame>,
+        /// What tells its picture from others.
+        picture: Option<PictureDigest>,
         /// Arrival.
         host_us: i64,
     },

@@ -166,7 +166,8 @@ impl SessionLog {
             (Input::ImageDisagrees { number }, _) => {
                 self.recorder.json(DISAGREES_TOPIC, host_now_us(), &json!({ "number": number }))
             }
-            (Input::Frame { .. }, _) => Ok(()),
+            // Of a log, never of a session.
+            (Input::Frame { .. } | Input::Seen { .. }, _) => Ok(()),
         };
         if let Some(sender) = &*engine {
             // The engine listens until the session is over.

@@ -5,6 +5,7 @@
 //! log ────────── replay ──────────────── engine ─ workshop ─ folder
 //!                                       └─────────┴─ broadcast: OpenIGTLink
 //! ```
+//! [`logbook`] is what is done with a log afterwards: told, checked, cut, joined, tabulated, redacted.
 //! The [`engine`] reads no clock and no device, so a replay computes what the session computed.
 
 pub mod attach;
@@ -19,6 +20,7 @@ pub mod import;
 mod input;
 pub mod inputs;
 pub mod live;
+pub mod logbook;
 pub mod replay;
 pub mod servers;
 mod replay_report;
@@ -33,13 +35,16 @@ mod file_error;
 mod image_difference;
 mod intensifier;
 mod log;
+mod log_inputs;
 mod logged_frames;
 mod losses;
+mod pace;
 mod park;
 mod pictures;
 mod places;
 mod posing;
 mod recorded;
+mod records;
 mod registrar;
 mod robot_state;
 mod scribe;

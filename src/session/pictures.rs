@@ -2,12 +2,10 @@
 
 use std::collections::BTreeMap;
 
+use serde::{Deserialize, Serialize};
+
 use crate::acquire::Frame;
 use crate::image::Image;
-
-/// What tells a picture from others: its size, the sum of its pixels' bits as numbers, and their checksum. Two exposures of one scene differ
-/// in their quanta.
-type Digest = ([usize; 2], u64, u32);
 
 /// Places of a picture at which its quanta are looked at.
 const SITES: usize = 16_384;
@@ -22,6 +20,40 @@ const DIFFERING_SHARE: f64 = 0.01;
 /// Least share of the places in which a picture with quanta turns from rising to falling within five pixels. White noise turns in two
 /// thirds of them, a picture without noise at its edges only.
 const TURNING_SHARE: f64 = 0.15;
+
+/// Size of a picture, the sum of its pixels' bits as numbers, and their checksum. Two exposures of one scene differ in their quanta.
+type Digest = ([usize; 2], u64, u32);
+
+/// What tells a picture from others, without its pixels.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PictureDigest {
+    digest: Digest,
+    /// `None` for a picture without noise.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    grain: Option<Grain>,
+    /// The content of which it is a copy, where its grain was taken out: that alone would tell too much of the picture.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    copy_of: Option<String>,
+}
+
+impl PictureDigest {
+    /// Of a frame with its pixels. Images of a run are told by their file, and blank pictures are all alike: these have none.
+    #[must_use]
+    pub fn of(frame: &Frame) -> Option<Self> {
+        let pixels = &frame.pixels.pixels;
+        let is_blank = pixels.windows(2).all(|pair| pair[0].to_bits() == pair[1].to_bits());
+        if frame.image_of_file[1] > 1 || is_blank {
+            return None;
+        }
+        let mut checksum = crc32fast::Hasher::new();
+        let mut sum = 0u64;
+        for row in pixels.chunks(4096) {
+            checksum.update(bytemuck::cast_slice(row));
+            sum = row.iter().fold(sum, |sum, pixel| sum.wrapping_add(u64::from(pixel.to_bits())));
+        }
+        Some(Self { digest: (frame.size_px, sum, checksum.finalize()), grain: Grain::of(&frame.pixels), copy_of: None })
+    }
+}
 
 /// The content that first showed each picture.
 #[derive(Clone, Debug, Default)]
@@ -41,25 +73,13 @@ struct Known {
 }
 
 impl Pictures {
-    /// The content that `frame` is a copy of, or its own. Images of a run are told by their file; blank pictures are all alike. What says of
-    /// which exposure it is, is no copy of a picture in another grey scale that does not.
-    pub(super) fn first_of(&mut self, frame: &Frame) -> String {
-        let pixels = &frame.pixels.pixels;
-        let is_blank = pixels.windows(2).all(|pair| pair[0].to_bits() == pair[1].to_bits());
-        if frame.image_of_file[1] > 1 || is_blank {
-            return frame.sha256.clone();
-        }
-        let mut checksum = crc32fast::Hasher::new();
-        let mut sum = 0u64;
-        for row in pixels.chunks(4096) {
-            checksum.update(bytemuck::cast_slice(row));
-            sum = row.iter().fold(sum, |sum, pixel| sum.wrapping_add(u64::from(pixel.to_bits())));
-        }
-        let digest = (frame.size_px, sum, checksum.finalize());
+    /// The content that `frame`, whose picture this is, is a copy of, or its own. What says of which exposure it is, is no copy of a picture
+    /// in another grey scale that does not.
+    pub(super) fn first_of(&mut self, frame: &Frame, picture: Option<PictureDigest>) -> String {
+        let Some(PictureDigest { digest, grain, copy_of }) = picture else { return frame.sha256.clone() };
         if let Some(first) = self.first.get(&digest) {
             return first.clone();
         }
-        let grain = Grain::of(&frame.pixels);
         let told = frame.tags.names_exposure();
         let same = |known: &&Known| {
             known.size_px == frame.size_px
@@ -68,23 +88,27 @@ impl Pictures {
                 && frame.completes.is_none()
                 && grain.as_ref().is_some_and(|grain| grain.is_of_one_exposure(&known.grain))
         };
-        let first = match self.grains.iter().find(same) {
-            Some(known) => known.content.clone(),
-            None => {
-                let content = frame.sha256.clone();
-                let known = |grain| Known { size_px: frame.size_px, grain, content: content.clone(), told };
-                self.grains.extend(grain.map(known));
-                content
-            }
-        };
+        let first = copy_of.or_else(|| self.grains.iter().find(same).map(|known| known.content.clone())).unwrap_or_else(|| {
+            let content = frame.sha256.clone();
+            let known = |grain| Known { size_px: frame.size_px, grain, content: content.clone(), told };
+            self.grains.extend(grain.map(known));
+            content
+        });
         self.first.insert(digest, first.clone());
         first
+    }
+
+    /// What is left of the picture of `frame` where its pixels are not to be guessed at: only whether it is a copy.
+    pub(super) fn told_without_grain(&mut self, frame: &Frame, picture: Option<PictureDigest>) -> Option<PictureDigest> {
+        let first = self.first_of(frame, picture.clone());
+        let copy_of = (first != frame.sha256).then_some(first);
+        picture.map(|picture| PictureDigest { grain: None, copy_of, ..picture })
     }
 }
 
 /// Where a picture rises and where it falls from one pixel to the next but one (odd and even columns may be read out apart): its quanta decide
 /// that, and no grey scale changes it but to turn all round or to make neighbours equal.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 struct Grain {
     rising: Vec<u64>,
     falling: Vec<u64>,
@@ -117,6 +141,11 @@ impl Grain {
     }
 
     fn is_of_one_exposure(&self, other: &Self) -> bool {
+        // A log may say anything.
+        let words = self.rising.len();
+        if [&self.falling, &other.rising, &other.falling].iter().any(|signs| signs.len() != words) {
+            return false;
+        }
         let common = |a: &[u64], b: &[u64]| a.iter().zip(b).map(|(a, b)| (a & b).count_ones()).sum::<u32>();
         let alike = common(&self.rising, &other.rising) + common(&self.falling, &other.falling);
         let opposed = common(&self.rising, &other.falling) + common(&self.falling, &other.rising);
@@ -158,16 +187,21 @@ mod tests {
         Frame { sha256: sha256.to_owned(), ..frame }
     }
 
+    fn first_of(pictures: &mut Pictures, frame: &Frame) -> String {
+        pictures.first_of(frame, PictureDigest::of(frame))
+    }
+
     #[test]
     fn the_same_picture_in_another_file_is_a_copy_and_a_blank_one_is_not() {
         let mut pictures = Pictures::default();
-        assert_eq!(pictures.first_of(&frame(&[1.0, 2.0, 3.0, 4.0], "a")), "a");
-        assert_eq!(pictures.first_of(&frame(&[1.0, 2.0, 4.0, 3.0], "b")), "b");
-        assert_eq!(pictures.first_of(&frame(&[1.0, 2.0, 3.0, 4.0], "c")), "a");
-        assert_eq!(pictures.first_of(&frame(&[0.0; 4], "d")), "d");
-        assert_eq!(pictures.first_of(&frame(&[0.0; 4], "e")), "e");
+        let mut first_of = |frame: &Frame| first_of(&mut pictures, frame);
+        assert_eq!(first_of(&frame(&[1.0, 2.0, 3.0, 4.0], "a")), "a");
+        assert_eq!(first_of(&frame(&[1.0, 2.0, 4.0, 3.0], "b")), "b");
+        assert_eq!(first_of(&frame(&[1.0, 2.0, 3.0, 4.0], "c")), "a");
+        assert_eq!(first_of(&frame(&[0.0; 4], "d")), "d");
+        assert_eq!(first_of(&frame(&[0.0; 4], "e")), "e");
         let run = Frame { image_of_file: [1, 3], ..frame(&[1.0, 2.0, 3.0, 4.0], "f") };
-        assert_eq!(pictures.first_of(&run), "f");
+        assert_eq!(first_of(&run), "f");
     }
 
     /// A ramp with a dark disc and so much noise; `smoothed` over the next pixel, as consoles do.
@@ -189,21 +223,21 @@ mod tests {
         for smoothed in [false, true] {
             let mut pictures = Pictures::default();
             let acquired = scene(1, 12.0, smoothed);
-            assert_eq!(pictures.first_of(&framed(acquired.clone(), "a")), "a");
+            assert_eq!(first_of(&mut pictures, &framed(acquired.clone(), "a")), "a");
             let eight_bits = acquired.map(|p| (255.0 * (p / 1800.0).powf(0.7)).round());
-            assert_eq!(pictures.first_of(&framed(eight_bits, "b")), "a");
-            assert_eq!(pictures.first_of(&framed(acquired.map(|p| -(p / 2000.0).ln()), "c")), "a");
-            assert_eq!(pictures.first_of(&framed(scene(2, 12.0, smoothed), "d")), "d");
+            assert_eq!(first_of(&mut pictures, &framed(eight_bits, "b")), "a");
+            assert_eq!(first_of(&mut pictures, &framed(acquired.map(|p| -(p / 2000.0).ln()), "c")), "a");
+            assert_eq!(first_of(&mut pictures, &framed(scene(2, 12.0, smoothed), "d")), "d");
             // Little noise on steep ground.
-            assert_eq!(pictures.first_of(&framed(scene(3, 2.0, smoothed), "e")), "e");
-            assert_eq!(pictures.first_of(&framed(scene(4, 2.0, smoothed), "f")), "f");
+            assert_eq!(first_of(&mut pictures, &framed(scene(3, 2.0, smoothed), "e")), "e");
+            assert_eq!(first_of(&mut pictures, &framed(scene(4, 2.0, smoothed), "f")), "f");
         }
         // A picture that is torn is not the whole one, and the whole one no copy of it.
         let mut torn = scene(9, 12.0, false);
         torn.pixels[160 * 70..].fill(0.0);
         let mut pictures = Pictures::default();
-        assert_eq!(pictures.first_of(&framed(torn, "t")), "t");
-        assert_eq!(pictures.first_of(&framed(scene(9, 12.0, false), "w")), "w");
+        assert_eq!(first_of(&mut pictures, &framed(torn, "t")), "t");
+        assert_eq!(first_of(&mut pictures, &framed(scene(9, 12.0, false), "w")), "w");
         // Odd and even columns are read out apart.
         let uneven = |seed: u64| {
             let mut image = scene(seed, 12.0, false);
@@ -211,9 +245,9 @@ mod tests {
             image
         };
         let mut pictures = Pictures::default();
-        assert_eq!(pictures.first_of(&framed(uneven(6), "i")), "i");
-        assert_eq!(pictures.first_of(&framed(uneven(7), "j")), "j");
-        assert_eq!(pictures.first_of(&framed(uneven(6).map(|p| p.sqrt()), "k")), "i");
+        assert_eq!(first_of(&mut pictures, &framed(uneven(6), "i")), "i");
+        assert_eq!(first_of(&mut pictures, &framed(uneven(7), "j")), "j");
+        assert_eq!(first_of(&mut pictures, &framed(uneven(6).map(|p| p.sqrt()), "k")), "i");
         // A preview that says nothing of its exposure does not swallow the frame that does; the other way round it is a copy.
         let told = |image: Image<f32>, sha256: &str| {
             let mut frame = framed(image, sha256);
@@ -221,13 +255,57 @@ mod tests {
             frame
         };
         let mut pictures = Pictures::default();
-        assert_eq!(pictures.first_of(&framed(scene(8, 12.0, false), "l")), "l");
-        assert_eq!(pictures.first_of(&told(scene(8, 12.0, false).map(|p| p.sqrt()), "m")), "m");
-        assert_eq!(pictures.first_of(&framed(scene(8, 12.0, false).map(|p| p * p), "n")), "l");
-        assert_eq!(pictures.first_of(&told(scene(8, 12.0, false).map(|p| p * p * p), "o")), "m");
+        assert_eq!(first_of(&mut pictures, &framed(scene(8, 12.0, false), "l")), "l");
+        assert_eq!(first_of(&mut pictures, &told(scene(8, 12.0, false).map(|p| p.sqrt()), "m")), "m");
+        assert_eq!(first_of(&mut pictures, &framed(scene(8, 12.0, false).map(|p| p * p), "n")), "l");
+        assert_eq!(first_of(&mut pictures, &told(scene(8, 12.0, false).map(|p| p * p * p), "o")), "m");
         // Nothing tells two exposures without noise from one in two grey scales.
         let mut pictures = Pictures::default();
-        assert_eq!(pictures.first_of(&framed(scene(5, 0.0, false), "g")), "g");
-        assert_eq!(pictures.first_of(&framed(scene(5, 0.0, false).map(|p| 0.5 * p), "h")), "h");
+        assert_eq!(first_of(&mut pictures, &framed(scene(5, 0.0, false), "g")), "g");
+        assert_eq!(first_of(&mut pictures, &framed(scene(5, 0.0, false).map(|p| 0.5 * p), "h")), "h");
+    }
+
+    /// As a log keeps pictures whose pixels it has not: with their grain where other pictures are compared with them, else with the copy named.
+    #[test]
+    fn copies_are_recognised_without_pixels_as_well() {
+        let acquired = framed(scene(1, 12.0, false), "a");
+        let archived = framed(acquired.pixels.map(|p| (255.0 * (p / 1800.0).powf(0.7)).round()), "b");
+        let kept = |picture: Option<PictureDigest>| -> Option<PictureDigest> {
+            serde_json::from_str(&serde_json::to_string(&picture).expect("JSON")).expect("the same")
+        };
+        let mut pictures = Pictures::default();
+        assert_eq!(pictures.first_of(&acquired, kept(PictureDigest::of(&acquired))), "a");
+        assert_eq!(first_of(&mut pictures, &archived), "a");
+        assert_eq!(first_of(&mut pictures, &framed(scene(2, 12.0, false), "c")), "c");
+
+        let mut pictures = Pictures::default();
+        let told = [&acquired, &archived].map(|frame| kept(pictures.told_without_grain(frame, PictureDigest::of(frame))));
+        assert!(told.iter().flatten().all(|picture| picture.grain.is_none()) && told.iter().all(Option::is_some));
+        let mut pictures = Pictures::default();
+        let firsts = [&acquired, &archived].into_iter().zip(told).map(|(frame, told)| pictures.first_of(frame, told));
+        assert_eq!(firsts.collect::<Vec<_>>(), ["a", "a"]);
+        // The control: neither grain nor word.
+        let mut pictures = Pictures::default();
+        let bare =
+            [&acquired, &archived].map(|frame| PictureDigest::of(frame).map(|picture| PictureDigest { grain: None, ..picture }));
+        let firsts = [&acquired, &archived].into_iter().zip(bare).map(|(frame, bare)| pictures.first_of(frame, bare));
+        assert_eq!(firsts.collect::<Vec<_>>(), ["a", "b"]);
+    }
+
+    #[test]
+    fn a_grain_of_another_length_is_no_copy_and_no_fault() {
+        let frame = framed(scene(1, 12.0, false), "a");
+        let whole = PictureDigest::of(&frame).expect("a picture");
+        for length in [0, 1, 300] {
+            let mut other = whole.clone();
+            other.digest.1 += 1;
+            other.grain.iter_mut().for_each(|grain| grain.falling.resize(length, 0));
+            for pair in [[&whole, &other], [&other, &whole]] {
+                let mut pictures = Pictures::default();
+                let frames = ["a", "b"].map(|sha256| Frame { sha256: sha256.to_owned(), ..frame.clone() });
+                let firsts = frames.iter().zip(pair).map(|(frame, picture)| pictures.first_of(frame, Some(picture.clone())));
+                assert_eq!(firsts.collect::<Vec<_>>(), ["a", "b"], "{length}");
+            }
+        }
     }
 }

@@ -218,6 +218,12 @@ impl PoseJob {
         self.bound.frame.number
     }
 
+    /// How often the frame was posed before.
+    #[must_use]
+    pub fn development(&self) -> u32 {
+        self.development
+    }
+
     /// Finds the beads and the pose. Takes from a tenth of a second to seconds.
     #[must_use]
     pub fn run(self) -> Registered {
@@ -301,6 +307,11 @@ impl Registered {
         let mut refused = PoseJob { known, ..job }.register(Masks::default(), &Stopwatch::start());
         refused.pose = refused.pose.refused_for(Refusal::Fault { detail: reason.to_owned() });
         refused
+    }
+
+    /// The result that a log has: nothing is computed.
+    pub(super) fn recorded(job: PoseJob, pose: Pose) -> Self {
+        Self { job, pose, masks: Arc::default(), stages: StageTimes::default() }
     }
 
     /// The frame with its pose, and where its beads put the specimen in the room, if both are known.

@@ -6,7 +6,7 @@ use std::path::Path;
 use super::SessionError;
 use super::against_log::PairDigest;
 use super::file::Setup;
-use super::log::{DRR_HASH_TOPIC, END_TOPIC, ORDER_TOPIC, SETUP_TOPIC};
+use super::log::{DRR_HASH_TOPIC, ORDER_TOPIC, SETUP_TOPIC};
 use crate::image::{Image, sha256_bytes};
 use crate::record::{LogEntry, LogReader, Tolerance, topic};
 use crate::render::Plan;
@@ -29,8 +29,6 @@ pub(super) struct Recorded {
     pub(super) scores: BTreeMap<u32, PairDigest>,
     /// The log says in which order frames were registered.
     pub(super) has_order: bool,
-    /// The session's inputs came to their end.
-    pub(super) has_end: bool,
     pub(super) losses: Vec<String>,
     /// Frames by their label, for logs that know no numbers.
     labels: Vec<String>,
@@ -120,7 +118,6 @@ impl Recorded {
                     }
                 }
                 ORDER_TOPIC => found.has_order = true,
-                END_TOPIC => found.has_end = true,
                 _ => {}
             }
         }

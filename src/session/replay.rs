@@ -12,25 +12,26 @@ use super::board::Board;
 use super::broadcast::Broadcast;
 use super::develop::Developed;
 use super::engine::Engine;
+use super::file::Setup;
 use super::folder::{Collector, Folder, Times};
 use super::image_difference::{ImageDifference, difference};
 use super::input::{Input, Output};
-use super::log::{CLOCK_TOPIC, DISAGREES_TOPIC, END_TOPIC, ORDER_TOPIC, PoseRecord};
+use super::log::{CLOCK_TOPIC, END_TOPIC, PoseRecord};
+use super::log_inputs::LogInputs;
 use super::losses::none_accepted;
+use super::pace::Pace;
 use super::places;
 use super::posing::{Posed, Registered};
 use super::recorded::{Development, Recorded, drrs_of};
+use super::records::{CUT_TOPIC, CutRecord, RESTART_TOPIC};
 pub use super::replay_report::ReplayReport;
 use super::servers::IgtlServer;
 use super::tracks::Tracks;
 use super::workshop::Workshop;
-use crate::acquire::Frame;
 use crate::gpu::DeviceChoice;
 use crate::image::read_tiff_f32;
-use crate::record::{FrameAssembler, LogEntry, LogReader, Tolerance, topic};
+use crate::record::{LogEntry, LogReader, topic};
 use crate::reporter::Reporter;
-use crate::telemetry::DeviceKind;
-use crate::time::Stopwatch;
 
 /// How a log is replayed.
 #[derive(Clone, Debug)]
@@ -78,10 +79,9 @@ pub fn run(
     let broadcast = Broadcast::open(options.igtl.as_ref(), &setup, workshop.robot(), reporter)?;
     let (pairs, developed) = sync_channel(MOST_OPEN);
     workshop.start(false, move |pair| pairs.send(pair).is_ok())?;
-    let mut engine = Engine::new(Arc::clone(&setup), workshop.layout().cloned(), reporter.clone());
-    engine.park_in(&options.out);
     let replay = Replay {
-        engine,
+        engine: engine(&setup, &workshop, &options.out, reporter),
+        setup,
         workshop,
         broadcast,
         collector,
@@ -90,9 +90,11 @@ pub fn run(
         board,
         report: ReplayReport { losses: recorded.losses.clone(), ..ReplayReport::default() },
         seen: BTreeSet::new(),
+        without_pixels: BTreeSet::new(),
+        has_end: false,
         rendered: BTreeMap::new(),
         samples: Samples::default(),
-        tolerance: Tolerance::default(),
+        inputs: LogInputs::default(),
         recorded,
     };
     replay.run(log, options, reporter)
@@ -109,7 +111,15 @@ fn refuse_own_folder(log: &Path, out: &Path) -> Result<(), SessionError> {
     Ok(())
 }
 
+/// One that knows nothing yet.
+fn engine(setup: &Arc<Setup>, workshop: &Workshop, out: &Path, reporter: &Reporter) -> Engine {
+    let mut engine = Engine::new(Arc::clone(setup), workshop.layout().cloned(), reporter.clone());
+    engine.park_in(out);
+    engine
+}
+
 struct Replay<'a> {
+    setup: Arc<Setup>,
     engine: Engine,
     workshop: Workshop,
     broadcast: Broadcast,
@@ -121,10 +131,14 @@ struct Replay<'a> {
     report: ReplayReport,
     /// What was posed by now.
     seen: BTreeSet<Development>,
+    /// Frames whose pixels were left out of the log.
+    without_pixels: BTreeSet<u32>,
+    /// The inputs of the session, or of this part of it, came to their end.
+    has_end: bool,
     /// The last DRR of each frame against the log's.
     rendered: BTreeMap<u32, AgainstLog>,
     samples: Samples,
-    tolerance: Tolerance,
+    inputs: LogInputs,
 }
 
 /// How a DRR stands to the log's.
@@ -140,10 +154,8 @@ enum AgainstLog {
 impl Replay<'_> {
     fn run(mut self, log: &Path, options: &ReplayOptions, reporter: &Reporter) -> Result<(Folder, ReplayReport), SessionError> {
         let progress = reporter.progress("replaying", self.recorded.messages);
-        let mut assembler = FrameAssembler::default();
-        let mut pace = Pace { rate: options.rate, first_us: None, watch: Stopwatch::start() };
+        let mut pace = Pace::new(options.rate);
         let mut last_us = self.recorded.started_us;
-        let mut numbered = 0;
         for entry in LogReader::open(log)? {
             progress.advance(1);
             if self.samples.says(&entry) {
@@ -155,13 +167,35 @@ impl Replay<'_> {
                 last_us = last_us.max(entry.host_us);
             }
             if &*entry.topic == END_TOPIC {
+                self.has_end = true;
                 self.with_engine(|engine, sink| engine.finish(entry.host_us, sink));
-            } else if let Some(input) = self.input(&entry, &mut assembler, &mut numbered) {
+            } else if &*entry.topic == RESTART_TOPIC {
+                // As the session had, the engine learns clocks, counters and the specimen's place anew.
+                self.end_engine(last_us, reporter);
+                self.engine = engine(&self.setup, &self.workshop, &options.out, reporter);
+                self.samples.begin_anew();
+            } else if let Some(cut) = self.cut(&entry) {
+                self.samples.cut(cut.from_us, cut.to_us);
+            } else if let Some(input) = self.inputs.of(&entry) {
+                if let Input::Seen { frame, .. } = &input {
+                    self.without_pixels.insert(frame.number);
+                }
                 self.with_engine(|engine, sink| engine.push(input, sink));
             }
             self.take_pairs(reporter);
         }
-        if !self.recorded.has_end {
+        self.end_engine(last_us, reporter);
+        self.workshop.close();
+        while let Ok(developed) = self.developed.recv() {
+            self.take_pair(developed, reporter);
+        }
+        self.workshop.join()?;
+        self.finish(log, options, reporter)
+    }
+
+    /// The inputs of a session, or of one of the logs that were joined, are over.
+    fn end_engine(&mut self, last_us: i64, reporter: &Reporter) {
+        if !std::mem::take(&mut self.has_end) {
             self.report.losses.push("the log has no end: the session was cut short".to_owned());
             self.with_engine(|engine, sink| engine.finish(last_us, sink));
         }
@@ -171,42 +205,12 @@ impl Replay<'_> {
             self.with_engine(|engine, sink| engine.push(Input::Develop { number }, sink));
             self.take_pairs(reporter);
         }
-        self.workshop.close();
-        while let Ok(developed) = self.developed.recv() {
-            self.take_pair(developed, reporter);
-        }
-        self.workshop.join()?;
-        self.finish(log, options, reporter)
+        self.report.session_losses.extend(self.engine.line_losses());
+        self.report.session_losses.extend(self.engine.hardly_bound());
     }
 
-    fn input(&mut self, entry: &LogEntry, assembler: &mut FrameAssembler, numbered: &mut u32) -> Option<Input> {
-        #[derive(serde::Deserialize)]
-        struct Numbered {
-            number: u32,
-        }
-        let device = match &*entry.topic {
-            topic::CARM_RAW => DeviceKind::Carm,
-            topic::ROBOT_RAW => DeviceKind::Robot,
-            topic::FRAME_TAGS | topic::FRAME_PIXELS => {
-                let frame = self.tolerance.take(assembler.push(entry))??;
-                // Logs without numbers count by order.
-                *numbered = if frame.number > 0 { frame.number } else { *numbered + 1 };
-                let frame = Arc::new(Frame { number: *numbered, ..frame });
-                return Some(Input::Frame { frame, host_us: entry.host_us });
-            }
-            CLOCK_TOPIC => return Some(Input::Tick { host_us: entry.host_us }),
-            ORDER_TOPIC => {
-                let Numbered { number } = self.tolerance.take(entry.json())?;
-                return Some(Input::Develop { number });
-            }
-            DISAGREES_TOPIC => {
-                let Numbered { number } = self.tolerance.take(entry.json())?;
-                return Some(Input::ImageDisagrees { number });
-            }
-            _ => return None,
-        };
-        let raw = self.tolerance.take(entry.raw_bytes())??;
-        Some(Input::Bytes { device, epoch: raw.epoch, host_us: entry.host_us, bytes: raw.bytes.to_vec() })
+    fn cut(&mut self, entry: &LogEntry) -> Option<CutRecord> {
+        (&*entry.topic == CUT_TOPIC).then(|| self.inputs.tolerance.take(entry.json()))?
     }
 
     fn with_engine(&mut self, drive: impl FnOnce(&mut Engine, &mut dyn FnMut(Output))) {
@@ -341,14 +345,19 @@ impl Replay<'_> {
             let unknown = ImageDifference { number, largest_nepers: None, bound, detail };
             self.report.images_different.push(differences.remove(&number).unwrap_or(unknown));
         }
-        self.report.images_missing =
-            self.recorded.hashes.keys().filter(|number| !self.rendered.contains_key(number)).copied().collect();
+        let has_pixels = |number: &u32| !self.without_pixels.contains(number);
+        let not_rendered = self.recorded.hashes.keys().filter(|number| !self.rendered.contains_key(number));
+        self.report.images_missing = not_rendered.copied().filter(has_pixels).collect();
         self.report.samples_different = self.samples.different();
         let missing = self.recorded.poses.keys().filter(|development| !self.seen.contains(development));
-        self.report.poses_missing = missing.map(|(number, _)| *number).collect();
-        self.report.losses.extend(self.tolerance.losses().into_iter().filter(|loss| !self.recorded.losses.contains(loss)));
-        self.report.session_losses.extend(self.engine.line_losses());
-        self.report.session_losses.extend(self.engine.hardly_bound());
+        self.report.poses_missing = missing.map(|(number, _)| *number).filter(has_pixels).collect();
+        let posed = self.without_pixels.iter().filter(|number| self.recorded.poses.contains_key(&(**number, 0))).count();
+        if posed > 0 {
+            let words =
+                "were left out of this log on purpose (log redact --no-pixels): their poses and images cannot be made again";
+            self.report.losses.push(format!("the pixels of {posed} frames {words}"));
+        }
+        self.report.losses.extend(self.inputs.tolerance.losses().into_iter().filter(|loss| !self.recorded.losses.contains(loss)));
         self.board.update(|state| state.finished = true);
         let losses = self.report.losses.iter().chain(&self.report.session_losses).cloned().collect();
         let folder =
@@ -360,24 +369,5 @@ impl Replay<'_> {
         let untold: Vec<String> = folder.losses.iter().filter(|loss| !is_told(loss)).cloned().collect();
         report.losses.extend(untold);
         Ok((folder, self.report))
-    }
-}
-
-/// Waits so that inputs come at the recorded pace.
-struct Pace {
-    rate: Option<f64>,
-    first_us: Option<i64>,
-    watch: Stopwatch,
-}
-
-impl Pace {
-    fn wait_for(&mut self, host_us: i64) {
-        let Some(rate) = self.rate else { return };
-        let first_us = *self.first_us.get_or_insert(host_us);
-        let due_ms = host_us.saturating_sub(first_us) as f64 * 1e-3 / rate;
-        let early_ms = due_ms - self.watch.ms();
-        if early_ms > 1.0 {
-            std::thread::sleep(Duration::from_secs_f64(early_ms.min(60_000.0) * 1e-3));
-        }
     }
 }

@@ -67,6 +67,11 @@ impl SpecimenTie {
         self.tied
     }
 
+    /// Frames without which the tie, or the next one, would be another.
+    pub fn rests_on(&self) -> impl Iterator<Item = u32> + '_ {
+        self.tied_by.iter().copied().chain(self.dissenting.iter().map(|(number, _)| *number))
+    }
+
     /// Takes where an accepted frame puts the specimen.
     pub fn observe(&mut self, number: u32, world_from_lps: Rigid) -> TieVerdict {
         let apart = self.tied.map(|tied| Disagreement::between(&tied, &world_from_lps, self.centre_lps_mm));

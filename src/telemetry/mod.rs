@@ -21,4 +21,4 @@ pub use port::{FIRST_BACKOFF, LONGEST_BACKOFF, PortError, PortEvent, PortTask, h
 pub use sample::{AngleSource, CarmSample, Limit, Metadata, RobotSample, Sample, Tendon};
 pub use sequence::{SequenceTracker, Sequenced};
 pub use status::status_words;
-pub use wire::{FrameFault, MAX_ENCODED_BYTES, SCHEMA_HASH, VERSION};
+pub use wire::{FrameFault, MAX_ENCODED_BYTES, SCHEMA_HASH, Telling, VERSION, blanked};

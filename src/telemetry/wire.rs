@@ -159,6 +159,61 @@ fn read_payload(id: u8, flags: u16, stamp: Stamp, payload: &[u8]) -> Result<Samp
     }
 }
 
+/// What a packet may tell of whose device it is, as it lies on the line without its delimiter.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Telling {
+    /// Intact, and it tells nothing.
+    Nothing,
+    /// Intact; the same with other letters for serial number and calibration, as long as it was.
+    Blanked(Vec<u8>),
+    /// Not intact: what its bytes mean is not known.
+    Unknown,
+}
+
+/// Letters that may stand for others: with one of them the stuffing is as long as before.
+const FILLERS: &[u8] = b"xyzwvutsrqponm";
+
+/// Takes serial number and calibration out of a packet that tells them.
+#[must_use]
+pub fn blanked(stuffed: &[u8]) -> Telling {
+    let mut packet = stuffed.to_vec();
+    let Ok(length) = cobs::decode_in_place(&mut packet) else { return Telling::Unknown };
+    packet.truncate(length);
+    let Some((body, crc)) = packet.split_last_chunk::<CRC_BYTES>().filter(|(body, _)| body.len() >= HEADER_BYTES) else {
+        return Telling::Unknown;
+    };
+    if u32::from_le_bytes(*crc) != seeded_crc(SCHEMA_HASH, body) {
+        return Telling::Unknown;
+    }
+    if body[1] != METADATA {
+        return Telling::Nothing;
+    }
+    let Some([serial_number, _, calibration_id, _]) = texts_of_metadata(body) else { return Telling::Unknown };
+    let with = |filler: u8| {
+        let mut body = body.to_vec();
+        for place in [serial_number.clone(), calibration_id.clone()] {
+            body[place].iter_mut().filter(|byte| **byte != 0).for_each(|byte| *byte = filler);
+        }
+        let crc = seeded_crc(SCHEMA_HASH, &body);
+        body.extend(crc.to_le_bytes());
+        cobs::encode_vec(&body)
+    };
+    let as_long = FILLERS.iter().map(|filler| with(*filler)).find(|packet| packet.len() == stuffed.len());
+    as_long.map_or(Telling::Unknown, Telling::Blanked)
+}
+
+/// Where the four texts of a metadata message lie in its packet.
+fn texts_of_metadata(body: &[u8]) -> Option<[std::ops::Range<usize>; 4]> {
+    let mut at = HEADER_BYTES + 8;
+    let mut places = [0..0, 0..0, 0..0, 0..0];
+    for place in &mut places {
+        let length = usize::from(*body.get(at)?);
+        *place = at + 1..at + 1 + length;
+        at += 1 + length;
+    }
+    (at <= body.len()).then_some(places)
+}
+
 /// Number and device time of a packet.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Stamp {

@@ -1,0 +1,45 @@
+//! `sidecarm log redact`.
+
+use std::path::PathBuf;
+
+use super::outcome::{counted, say};
+use crate::reporter::Reporter;
+use crate::session::logbook::{LogbookError, RedactOptions, redact};
+
+/// Make a log that can be given away: it replays to the same poses, and tells no names, paths, serial numbers or free text.
+#[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Example:\n  sidecarm log redact run-1/session.mcap --out for-the-vendor.mcap\n\n\
+    Taken out: labels of frames, names of files and ports, names of beads, bodies and landmarks that may be of persons, origins of calibrations, \
+    told events, sentences about pairs, headers' tags besides physics and time, serial numbers in the devices' bytes, and topics that are not \
+    known here. What stays: times, numbers, hashes of files, and whatever is burned into the pixels (--no-pixels leaves out frames and DRRs; \
+    then nothing is posed anew, and a replay says so). The CT and the tools are not in a log.")]
+pub struct RedactArgs {
+    /// The log.
+    pub log: PathBuf,
+    /// Leave out the pixels of frames and DRRs.
+    #[arg(long)]
+    pub no_pixels: bool,
+    /// The new log.
+    #[arg(long, value_name = "NEW.mcap")]
+    pub out: PathBuf,
+}
+
+/// Redacts and says what was taken out.
+///
+/// # Errors
+/// When the log cannot be read or the new one cannot be written.
+pub fn run(args: &RedactArgs, reporter: &Reporter) -> Result<u8, LogbookError> {
+    let report = redact(&args.log, RedactOptions { no_pixels: args.no_pixels }, &args.out, reporter)?;
+    println!("{}: {} messages", report.path.display(), report.messages);
+    println!(
+        "taken out: {}, {}, serial numbers in {}, pixels of {}",
+        counted(report.names, "name"),
+        counted(report.events, "event"),
+        counted(report.serial_numbers, "packet"),
+        counted(report.pixels, "frame")
+    );
+    for (topic, messages) in &report.unknown_topics {
+        println!("  left out, because it is not known here: {topic} ({})", counted(*messages as usize, "message"));
+    }
+    Ok(say(&report.losses, reporter))
+}

@@ -1,0 +1,57 @@
+//! From the messages of a log to the inputs of its session.
+
+use std::sync::Arc;
+
+use super::input::Input;
+use super::log::{CLOCK_TOPIC, DISAGREES_TOPIC, ORDER_TOPIC};
+use super::records::{SEEN_TOPIC, SeenRecord};
+use crate::acquire::Frame;
+use crate::record::{FrameAssembler, LogEntry, Tolerance, topic};
+use crate::telemetry::DeviceKind;
+
+/// Takes messages in order.
+#[derive(Default)]
+pub(super) struct LogInputs {
+    assembler: FrameAssembler,
+    numbered: u32,
+    pub(super) tolerance: Tolerance,
+}
+
+impl LogInputs {
+    /// What the session took in with this message, if it did.
+    pub(super) fn of(&mut self, entry: &LogEntry) -> Option<Input> {
+        #[derive(serde::Deserialize)]
+        struct Numbered {
+            number: u32,
+        }
+        let Self { assembler, numbered, tolerance } = self;
+        let device = match &*entry.topic {
+            topic::CARM_RAW => DeviceKind::Carm,
+            topic::ROBOT_RAW => DeviceKind::Robot,
+            topic::FRAME_TAGS | topic::FRAME_PIXELS => {
+                let frame = tolerance.take(assembler.push(entry))??;
+                // Logs without numbers count by order.
+                *numbered = if frame.number > 0 { frame.number } else { *numbered + 1 };
+                let frame = Arc::new(Frame { number: *numbered, ..frame });
+                return Some(Input::Frame { frame, host_us: entry.host_us });
+            }
+            SEEN_TOPIC => {
+                let SeenRecord { frame, picture } = tolerance.take(entry.json())?;
+                *numbered = frame.number.max(*numbered);
+                return Some(Input::Seen { frame: Box::new(frame), picture, host_us: entry.host_us });
+            }
+            CLOCK_TOPIC => return Some(Input::Tick { host_us: entry.host_us }),
+            ORDER_TOPIC => {
+                let Numbered { number } = tolerance.take(entry.json())?;
+                return Some(Input::Develop { number });
+            }
+            DISAGREES_TOPIC => {
+                let Numbered { number } = tolerance.take(entry.json())?;
+                return Some(Input::ImageDisagrees { number });
+            }
+            _ => return None,
+        };
+        let raw = tolerance.take(entry.raw_bytes())??;
+        Some(Input::Bytes { device, epoch: raw.epoch, host_us: entry.host_us, bytes: raw.bytes.to_vec() })
+    }
+}

@@ -1,0 +1,88 @@
+//! The devices of a log: its serial bytes through the decoder into a timeline, as the session had them.
+
+use super::super::losses::line_losses;
+use super::super::records::RESTART_TOPIC;
+use crate::record::{LogEntry, RecordError, topic};
+use crate::telemetry::{DeviceKind, Event, Health, Link};
+use crate::timeline::{ExposureInterval, Timeline};
+
+/// What the decoder found in the bytes of a message.
+pub(super) struct Heard<'a> {
+    pub device: DeviceKind,
+    /// Opening of the port.
+    pub epoch: u32,
+    pub event: &'a Event,
+    /// Host time by the device's clock, and the segment of that clock; of samples that have one.
+    pub mapped: Option<(i64, u32)>,
+}
+
+/// Takes the messages of a log in order.
+pub(super) struct Lines {
+    links: [Link; 2],
+    timeline: Timeline,
+    /// Exposures of the logs that were joined before, and what their lines had lost.
+    before: Vec<(Vec<ExposureInterval>, [Health; 2])>,
+}
+
+impl Lines {
+    pub(super) fn new() -> Self {
+        Self { links: DeviceKind::ALL.map(Link::new), timeline: Timeline::new(), before: Vec::new() }
+    }
+
+    /// Logs joined on before.
+    pub(super) fn piece(&self) -> u32 {
+        self.before.len() as u32
+    }
+
+    /// Takes any message; `sink` is told what came of it.
+    ///
+    /// # Errors
+    /// When raw bytes are shorter than their own head.
+    pub(super) fn take(&mut self, entry: &LogEntry, sink: &mut dyn FnMut(Heard<'_>)) -> Result<(), RecordError> {
+        let device = match &*entry.topic {
+            topic::CARM_RAW => DeviceKind::Carm,
+            topic::ROBOT_RAW => DeviceKind::Robot,
+            RESTART_TOPIC => {
+                self.begin_anew();
+                return Ok(());
+            }
+            _ => return Ok(()),
+        };
+        let Some(raw) = entry.raw_bytes()? else { return Ok(()) };
+        let Self { links, timeline, .. } = self;
+        links[device as usize].feed(entry.host_us, raw.epoch, raw.bytes, &mut |received| {
+            let mapped = match &received.event {
+                Event::Sample(sample, sequenced) => {
+                    timeline.push_sample(device, entry.host_us, raw.epoch, *sequenced, sample.clone())
+                }
+                Event::Fault(_) => None,
+            };
+            let mapped = mapped.map(|stamps| (stamps.mapped_us, stamps.segment));
+            sink(Heard { device, epoch: raw.epoch, event: &received.event, mapped });
+        });
+        Ok(())
+    }
+
+    fn begin_anew(&mut self) {
+        let ended = std::mem::replace(self, Self::new());
+        self.before = ended.before;
+        self.before.push((ended.timeline.exposures(), ended.links.map(|link| *link.health())));
+    }
+
+    /// Exposures of each of the logs that were joined, in order.
+    pub(super) fn exposures(&self) -> Vec<Vec<ExposureInterval>> {
+        self.before.iter().map(|(exposures, _)| exposures.clone()).chain([self.timeline.exposures()]).collect()
+    }
+
+    /// Counters of a device in each of the logs that were joined, in order.
+    pub(super) fn health(&self, device: DeviceKind) -> Vec<Health> {
+        let now = *self.links[device as usize].health();
+        self.before.iter().map(|(_, health)| health[device as usize]).chain([now]).collect()
+    }
+
+    /// What the session had lost on its lines, a sentence each: the log holds it as it was.
+    pub(super) fn losses(&self) -> Vec<String> {
+        let of = |device: DeviceKind| self.health(device).into_iter().filter_map(move |health| line_losses(device, &health));
+        DeviceKind::ALL.into_iter().flat_map(of).collect()
+    }
+}

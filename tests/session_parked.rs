@@ -62,6 +62,8 @@ fn frames_that_wait_on_the_disk_come_back_and_one_that_does_not_is_a_loss() {
     let out = lab.kit.with_file_name("session");
     let mut live = Live::launch(&session, &out, &[]);
     assert!(eventually(HANG_S, || live.log.exists().then_some(())).is_some(), "{}", live.stderr());
+    let environment = std::fs::read(format!("/proc/{}/environ", live.program.id())).expect("readable");
+    assert!(String::from_utf8_lossy(&environment).contains("MIMALLOC_PURGE_DELAY="), "memory is given back after each frame");
     deliver(&files, &lab);
     let unnamed = eventually(HANG_S, || unnamed_file(live.program.id(), &out)).expect("frames wait on the disk");
     // What is written there meanwhile lies behind a gap.

@@ -75,7 +75,8 @@ fn record() -> Option<Recorded> {
     let home = Path::new(env!("CARGO_TARGET_TMPDIR")).join("log-command");
     let _ = std::fs::remove_dir_all(&home);
     std::fs::create_dir_all(&home).expect("a folder");
-    let lab = Lab::start(&["--duration-s", "24", "--repeat", "2", "--faults", "none"])?;
+    // Goes on long enough for a second session where the first takes its time to end; none sees an exposure and its repetition.
+    let lab = Lab::start(&["--duration-s", "120", "--repeat", "10", "--faults", "none"])?;
     plant(&lab.kit);
     // Nobody says where the specimen lies: it is learnt from frames.
     let session = lab.session("session-log.json", |session| {

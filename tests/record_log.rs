@@ -241,8 +241,10 @@ fn records(bytes: &[u8]) -> Vec<(usize, u8)> {
 #[test]
 fn behind_a_page_that_is_gone_the_log_is_read_on() {
     let bytes = images_in_chunks(5);
-    let chunks: Vec<usize> =
-        records(&bytes).into_iter().filter(|(_, kind)| *kind == mcap::records::op::CHUNK).map(|(at, _)| at).collect();
+    // Of images: on a crowded machine a small chunk with what is announced lies before them, and without that nothing can be read.
+    let records = records(&bytes);
+    let large = records.windows(2).filter(|pair| pair[1].0 - pair[0].0 > 100_000 && pair[0].1 == mcap::records::op::CHUNK);
+    let chunks: Vec<usize> = large.map(|pair| pair[0].0).collect();
     assert!(chunks.len() >= 5, "{chunks:?}");
     let images = |bytes: &[u8]| {
         let log = contents(bytes).expect("readable");

@@ -258,8 +258,11 @@ fn behind_a_page_that_is_gone_the_log_is_read_on() {
     let inside = [&bytes[..chunks[1] + 2000], &bytes[chunks[1] + 6096..]].concat();
     let mut long = bytes.clone();
     long[chunks[2] + 4] ^= 1;
-    for (what, damaged, least) in [("zeros", &zeroed, 3), ("gone", &cut, 3), ("gone inside", &inside, 4), ("a length", &long, 4)]
-    {
+    // The channels are announced there, and once more at the end, which then lies before the place that the footer names.
+    let start = [&bytes[..100], &bytes[4196..]].concat();
+    let cases =
+        [("zeros", &zeroed, 3), ("gone", &cut, 3), ("gone inside", &inside, 4), ("a length", &long, 4), ("start", &start, 4)];
+    for (what, damaged, least) in cases {
         let (found, losses) = images(damaged);
         assert!(found >= least && !losses.is_empty() && losses.len() < 8, "{what}: {found} images, {losses:#?}");
         let said = ["up to the next whole chunk", "damaged and was skipped"];

@@ -1,6 +1,7 @@
 //! Images in memory and on disk: row-major, first pixel's centre at (0, 0).
 
 mod files;
+mod new_file;
 pub mod plot;
 mod ticks;
 mod vectors;
@@ -10,6 +11,7 @@ pub use files::{
     sha256_bytes, sha256_file, write_atomically, write_png_rgb, write_tiff_f32,
 };
 
+pub use new_file::NewFile;
 pub use vectors::{exp, on_widest_vectors};
 
 /// A row-major raster; the index of pixel (column, row) is `row * width + column`.

@@ -2,14 +2,15 @@
 
 use std::collections::HashMap;
 use std::fs::File;
-use std::io::{BufWriter, Write};
-use std::path::{Path, PathBuf};
+use std::io::{BufWriter, ErrorKind, Write};
+use std::path::Path;
 
 use super::channel::Kind;
 use super::chunk::OpenChunk;
 use super::file::LogFile;
 use super::writer::Summary;
 use super::{Attachment, LogEntry, LogReader, RecordError};
+use crate::image::NewFile;
 
 /// Chunks are closed when they hold this much.
 const CHUNK_BYTES: usize = 4 << 20;
@@ -18,9 +19,7 @@ const LARGE_BYTES: usize = 64 << 10;
 
 /// See the module. The file appears under its name when it is whole, and nothing is left behind otherwise.
 pub struct LogCopy {
-    path: PathBuf,
-    /// Removes the file when dropped.
-    temporary: tempfile::TempPath,
+    new: NewFile,
     file: LogFile<BufWriter<File>>,
     chunk: OpenChunk,
     /// Topic, name of the schema and encoding, to the channel and its messages.
@@ -30,7 +29,7 @@ pub struct LogCopy {
 
 impl std::fmt::Debug for LogCopy {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("LogCopy").field("path", &self.path).field("at", &self.file.at()).finish_non_exhaustive()
+        f.debug_struct("LogCopy").field("path", &self.new.path()).field("at", &self.file.at()).finish_non_exhaustive()
     }
 }
 
@@ -40,10 +39,7 @@ impl LogCopy {
     /// # Errors
     /// When anything is there under this name, be it a link that leads nowhere.
     pub fn refuse_existing(path: &Path) -> Result<(), RecordError> {
-        match path.symlink_metadata() {
-            Ok(_) => Err(RecordError::Exists { path: path.to_owned() }),
-            Err(_) => Ok(()),
-        }
+        NewFile::refuse_existing(path).map_err(|source| failed(path, source))
     }
 
     /// Begins the log that will be `path`.
@@ -51,24 +47,9 @@ impl LogCopy {
     /// # Errors
     /// When it exists, or its folder is missing or not writable.
     pub fn create(path: &Path) -> Result<Self, RecordError> {
-        let io = |source| RecordError::Io { path: path.to_owned(), source };
-        Self::refuse_existing(path)?;
-        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let temporary = tempfile::Builder::new().prefix(".sidecarm-").suffix(".part").tempfile_in(folder).map_err(io)?;
-        let (file, temporary) = temporary.into_parts();
-        #[cfg(unix)]
-        {
-            use std::os::unix::fs::PermissionsExt;
-            file.set_permissions(std::fs::Permissions::from_mode(0o644)).map_err(io)?;
-        }
-        let mut copy = Self {
-            path: path.to_owned(),
-            temporary,
-            file: LogFile::start(BufWriter::with_capacity(1 << 20, file)).map_err(io)?,
-            chunk: OpenChunk::default(),
-            channels: HashMap::new(),
-            largest_id: 0,
-        };
+        let (new, file) = NewFile::create(path).map_err(|source| failed(path, source))?;
+        let file = LogFile::start(BufWriter::with_capacity(1 << 20, file)).map_err(|source| failed(path, source))?;
+        let mut copy = Self { new, file, chunk: OpenChunk::default(), channels: HashMap::new(), largest_id: 0 };
         for (topic, kind) in Kind::announced() {
             copy.channel(topic, &kind);
         }
@@ -140,7 +121,7 @@ impl LogCopy {
     }
 
     fn failed(&self, source: std::io::Error) -> RecordError {
-        RecordError::Io { path: self.path.clone(), source }
+        failed(self.new.path(), source)
     }
 
     /// Closes the log and gives it its name.
@@ -153,12 +134,17 @@ impl LogCopy {
         written.map_err(|source| self.failed(source))?;
         let counted = self.channels.iter().filter(|(_, (_, count))| *count > 0);
         let topics = counted.map(|((topic, ..), (_, count))| (topic.clone(), u64::from(*count))).collect();
-        let Self { path, temporary, channels, .. } = self;
-        temporary.persist_noclobber(&path).map_err(|error| match error.error.kind() {
-            std::io::ErrorKind::AlreadyExists => RecordError::Exists { path: path.clone() },
-            _ => RecordError::Io { path: path.clone(), source: error.error },
-        })?;
+        let Self { new, channels, .. } = self;
+        let path = new.path().to_owned();
+        new.appear().map_err(|source| failed(&path, source))?;
         Ok(Summary { path, messages: channels.values().map(|(_, count)| u64::from(*count)).sum(), topics })
+    }
+}
+
+fn failed(path: &Path, source: std::io::Error) -> RecordError {
+    match source.kind() {
+        ErrorKind::AlreadyExists => RecordError::Exists { path: path.to_owned() },
+        _ => RecordError::Io { path: path.to_owned(), source },
     }
 }
 

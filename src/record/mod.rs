@@ -30,6 +30,7 @@
 //! keeper that is killed is replaced; what it had not written is still in the shared memory, so only a kill of both loses it. Without a
 //! keeper a kill loses what came while a write was under way, which on a busy disk is up to some hundred milliseconds.
 
+mod announced;
 mod channel;
 mod chunk;
 mod copy;

@@ -9,6 +9,7 @@ use std::sync::Arc;
 use mcap::records::{Record, op};
 
 use super::RecordError;
+use super::announced::announced_at_the_end;
 use super::channel::Kind;
 use super::resync::{MAX_RECORD_BYTES, next_chunk};
 use super::unpack::{Unpacked, has_checksum, is_head, unpack};
@@ -42,6 +43,12 @@ pub struct LogLoss {
     pub at_byte: u64,
     /// What happened.
     pub reason: String,
+}
+
+impl std::fmt::Display for LogLoss {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "at byte {}: {}", self.at_byte, self.reason)
+    }
 }
 
 /// A file kept in a log.
@@ -167,40 +174,12 @@ impl LogReader {
         if magic.len() < mcap::MAGIC.len() {
             reader.end(0, "cut within the first eight bytes".into());
         } else {
-            reader.announcements_from_summary().map_err(|source| RecordError::Io { path: path.to_owned(), source })?;
+            let io = |source| RecordError::Io { path: path.to_owned(), source };
+            let announced = announced_at_the_end(&mut reader.source, reader.length).map_err(io)?;
+            reader.source.seek(SeekFrom::Start(reader.at_byte)).map_err(io)?;
+            announced.into_iter().for_each(|(opcode, body)| reader.record(0, opcode, &body));
         }
         Ok(reader)
-    }
-
-    /// A finished log repeats its channels at the end: with them, messages stay readable even where the first chunk is damaged.
-    fn announcements_from_summary(&mut self) -> std::io::Result<()> {
-        let after_magic = self.at_byte;
-        // Footer record (opcode, length, summary start, offset start, checksum), then the magic.
-        let tail = (RECORD_HEADER_BYTES + 20 + mcap::MAGIC.len() as u64).min(self.length - after_magic);
-        self.source.seek(SeekFrom::Start(self.length - tail))?;
-        let footer = self.read_up_to(tail);
-        let summary = match footer.strip_suffix(mcap::MAGIC) {
-            Some([op::FOOTER, rest @ ..]) if rest.len() == 28 => {
-                rest[8..16].iter().rev().fold(0u64, |value, &byte| value << 8 | u64::from(byte))
-            }
-            _ => 0,
-        };
-        if summary > after_magic && summary < self.length {
-            self.source.seek(SeekFrom::Start(summary))?;
-            let section = self.read_up_to(self.length - summary);
-            let mut rest = section.as_slice();
-            while let Some((&[opcode, a, b, c, d, e, f, g, h], later)) = rest.split_first_chunk::<9>() {
-                let length = u64::from_le_bytes([a, b, c, d, e, f, g, h]);
-                let Some(body) = usize::try_from(length).ok().and_then(|length| later.get(..length)) else { break };
-                if matches!(opcode, op::SCHEMA | op::CHANNEL) && mcap::parse_record(opcode, body).is_ok() {
-                    self.record(summary, opcode, body);
-                }
-                rest = &later[body.len()..];
-            }
-        }
-        self.source.seek(SeekFrom::Start(after_magic))?;
-        self.at_byte = after_magic;
-        Ok(())
     }
 
     /// What could not be read so far; complete once the iterator has ended.

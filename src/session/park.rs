@@ -55,15 +55,16 @@ impl Parked {
     /// Whether it is back; it is fetched where it is not.
     pub(super) fn is_here(&self) -> bool {
         let mut place = self.lock();
-        match std::mem::replace(&mut *place, Place::Lost(String::new())) {
-            Place::Leaving(image) => *place = Place::Here(image),
-            Place::OnDisk(slot) => {
-                *place = Place::Returning(slot);
-                if self.requests.send(self.clone()).is_err() {
-                    *place = Place::Lost("the thread that reads it has ended".to_owned());
-                }
-            }
-            other => *place = other,
+        let next = match &*place {
+            Place::Leaving(image) => Some(Place::Here(Arc::clone(image))),
+            Place::OnDisk(slot) => Some(match self.requests.send(self.clone()) {
+                Ok(()) => Place::Returning(*slot),
+                Err(_) => Place::Lost("the thread that reads it has ended".to_owned()),
+            }),
+            Place::Returning(_) | Place::Here(_) | Place::Lost(_) => None,
+        };
+        if let Some(next) = next {
+            *place = next;
         }
         matches!(*place, Place::Here(_) | Place::Lost(_))
     }

@@ -121,7 +121,7 @@ impl Recorded {
                 _ => {}
             }
         }
-        let damage = reader.losses().iter().map(|loss| format!("at byte {}: {}", loss.at_byte, loss.reason));
+        let damage = reader.losses().iter().map(ToString::to_string);
         found.losses.splice(0..0, damage);
         found.losses.extend(tolerance.losses());
         Ok(found)

@@ -31,7 +31,7 @@ pub(super) fn examine(path: &Path) -> Result<Found, InfoError> {
             provenance = entry.json()?;
         }
     }
-    let losses: Vec<String> = reader.losses().iter().map(|loss| format!("at byte {}: {}", loss.at_byte, loss.reason)).collect();
+    let losses: Vec<String> = reader.losses().iter().map(ToString::to_string).collect();
     let attachments: Vec<Value> = reader
         .attachments()
         .iter()

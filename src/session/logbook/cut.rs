@@ -131,8 +131,7 @@ pub fn cut(log: &Path, from: Moment, to: Moment, out: &Path, reporter: &Reporter
     for attachment in reader.attachments() {
         writing.copy.attach(attachment, start_us)?;
     }
-    let mut losses: Vec<String> =
-        reader.losses().iter().map(|loss| format!("at byte {}: {}", loss.at_byte, loss.reason)).collect();
+    let mut losses: Vec<String> = reader.losses().iter().map(ToString::to_string).collect();
     let mut reader = LogReader::open(log)?;
     let mut reading = Reading::new("writing", &reader, reporter);
     let mut place = 0;

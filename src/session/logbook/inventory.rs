@@ -107,7 +107,7 @@ impl Inventory {
     /// What is lost, a sentence each.
     #[must_use]
     pub fn losses(&self) -> Vec<String> {
-        let damage = self.damage.iter().map(|loss| format!("at byte {}: {}", loss.at_byte, loss.reason));
+        let damage = self.damage.iter().map(ToString::to_string);
         let cut_short = (self.has_session && !self.ended).then(|| "the log has no end: the session was cut short".to_owned());
         damage.chain(cut_short).chain(self.malformed.iter().cloned()).collect()
     }

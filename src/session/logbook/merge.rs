@@ -85,7 +85,7 @@ impl Piece {
         }
         let no_session = || LogbookError::NoSession { path: path.to_owned(), todo: "joined" };
         let (start_us, end_us) = span.ok_or_else(no_session)?;
-        let damage = reader.losses().iter().map(|loss| format!("{}: at byte {}: {}", path.display(), loss.at_byte, loss.reason));
+        let damage = reader.losses().iter().map(|loss| format!("{}: {loss}", path.display()));
         Ok(Self {
             path: path.to_owned(),
             start_us,

@@ -109,7 +109,7 @@ pub fn redact(log: &Path, options: RedactOptions, out: &Path, reporter: &Reporte
     copy.json(REDACTED_TOPIC, end_us, &RedactedRecord { names, events, serial_numbers, pixels })?;
     let summary = copy.finish()?;
     (report.path, report.messages) = (summary.path, summary.messages);
-    let damage = reader.losses().iter().map(|loss| format!("at byte {}: {}", loss.at_byte, loss.reason));
+    let damage = reader.losses().iter().map(ToString::to_string);
     report.losses = damage.chain(tolerance.losses()).collect();
     Ok(report)
 }

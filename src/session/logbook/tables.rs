@@ -13,6 +13,7 @@ use super::frames::Frames;
 use super::inventory::Reading;
 use super::lines::{Heard, Lines};
 use crate::compare::{NULL_SCORES, Scores};
+use crate::image::NewFile;
 use crate::pose::Pose;
 use crate::record::{LogReader, Tolerance, topic};
 use crate::report::Pair;
@@ -45,27 +46,15 @@ pub struct TablesReport {
 
 /// A file that appears under its name when it is whole.
 struct Table {
-    path: PathBuf,
-    temporary: tempfile::TempPath,
+    new: NewFile,
     writer: csv::Writer<BufWriter<File>>,
     rows: u64,
 }
 
 impl Table {
-    fn create(path: PathBuf) -> Result<Self, LogbookError> {
-        if path.symlink_metadata().is_ok() {
-            return Err(LogbookError::TableExists { path });
-        }
-        let folder = path.parent().unwrap_or(Path::new("."));
-        let made = tempfile::Builder::new().prefix(".sidecarm-").suffix(".part").tempfile_in(folder);
-        let (file, temporary) = made.map_err(|source| LogbookError::Out { path: path.clone(), source })?.into_parts();
-        #[cfg(unix)]
-        {
-            use std::os::unix::fs::PermissionsExt;
-            let readable = file.set_permissions(std::fs::Permissions::from_mode(0o644));
-            readable.map_err(|source| LogbookError::Out { path: path.clone(), source })?;
-        }
-        Ok(Self { writer: csv::Writer::from_writer(BufWriter::new(file)), path, temporary, rows: 0 })
+    fn create(path: &Path) -> Result<Self, LogbookError> {
+        let (new, file) = NewFile::create(path).map_err(|source| failed(path, source))?;
+        Ok(Self { new, writer: csv::Writer::from_writer(BufWriter::new(file)), rows: 0 })
     }
 
     fn head(&mut self, columns: impl IntoIterator<Item = String>) -> Result<(), LogbookError> {
@@ -79,18 +68,24 @@ impl Table {
     }
 
     fn failed(&self, source: std::io::Error) -> LogbookError {
-        LogbookError::Out { path: self.path.clone(), source }
+        failed(self.new.path(), source)
     }
 
     fn finish(mut self) -> Result<(PathBuf, u64), LogbookError> {
         self.writer.flush().map_err(|source| self.failed(source))?;
-        let Self { path, temporary, writer, rows } = self;
+        let Self { new, writer, rows } = self;
         drop(writer);
-        match temporary.persist_noclobber(&path) {
-            Ok(()) => Ok((path, rows)),
-            Err(error) if error.error.kind() == std::io::ErrorKind::AlreadyExists => Err(LogbookError::TableExists { path }),
-            Err(error) => Err(LogbookError::Out { path, source: error.error }),
-        }
+        let path = new.path().to_owned();
+        new.appear().map_err(|source| failed(&path, source))?;
+        Ok((path, rows))
+    }
+}
+
+fn failed(path: &Path, source: std::io::Error) -> LogbookError {
+    let path = path.to_owned();
+    match source.kind() {
+        std::io::ErrorKind::AlreadyExists => LogbookError::TableExists { path },
+        _ => LogbookError::Out { path, source },
     }
 }
 
@@ -109,7 +104,7 @@ fn or_empty<T: ToString>(value: Option<T>) -> String {
 pub fn write_tables(log: &Path, folder: &Path, reporter: &Reporter) -> Result<TablesReport, LogbookError> {
     let mut reader = LogReader::open(log)?;
     std::fs::create_dir_all(folder).map_err(|source| LogbookError::Out { path: folder.to_owned(), source })?;
-    let [exposures, carm, robot, beads, scores] = FILES.map(|name| Table::create(folder.join(name)));
+    let [exposures, carm, robot, beads, scores] = FILES.map(|name| Table::create(&folder.join(name)));
     let (mut exposures, mut carm, mut robot, mut beads, mut scores) = (exposures?, carm?, robot?, beads?, scores?);
     carm.head(carm_columns())?;
     robot.head(robot_columns())?;
@@ -154,7 +149,7 @@ pub fn write_tables(log: &Path, folder: &Path, reporter: &Reporter) -> Result<Ta
     write_beads(&mut beads, &poses)?;
     write_scores(&mut scores, &pairs)?;
     let rows = [exposures, carm, robot, beads, scores].map(Table::finish).into_iter().collect::<Result<Vec<_>, _>>()?;
-    let damage = reader.losses().iter().map(|loss| format!("at byte {}: {}", loss.at_byte, loss.reason));
+    let damage = reader.losses().iter().map(ToString::to_string);
     Ok(TablesReport { rows, losses: damage.chain(tolerance.losses()).collect() })
 }
 

@@ -1,0 +1,58 @@
+//! Files that appear whole, and never in place of another.
+
+use std::fs::File;
+use std::io::{Error, ErrorKind, Result};
+use std::path::{Path, PathBuf};
+
+/// A file that has its name only from [`NewFile::appear`] on; without that nothing is left behind.
+#[derive(Debug)]
+pub struct NewFile {
+    path: PathBuf,
+    /// Removes the file when dropped.
+    temporary: tempfile::TempPath,
+}
+
+impl NewFile {
+    /// For whoever reads long before it writes.
+    ///
+    /// # Errors
+    /// [`ErrorKind::AlreadyExists`] when anything is there under this name, be it a link that leads nowhere.
+    pub fn refuse_existing(path: &Path) -> Result<()> {
+        match path.symlink_metadata() {
+            Ok(_) => Err(Error::from(ErrorKind::AlreadyExists)),
+            Err(_) => Ok(()),
+        }
+    }
+
+    /// Begins the file that will be `path`; what is written goes to the second.
+    ///
+    /// # Errors
+    /// When it exists, or its folder is missing or not writable.
+    pub fn create(path: &Path) -> Result<(Self, File)> {
+        Self::refuse_existing(path)?;
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let made = tempfile::Builder::new().prefix(".sidecarm-").suffix(".part").tempfile_in(folder)?;
+        let (file, temporary) = made.into_parts();
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::PermissionsExt;
+            file.set_permissions(std::fs::Permissions::from_mode(0o644))?;
+        }
+        Ok((Self { path: path.to_owned(), temporary }, file))
+    }
+
+    /// What it will be called.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Gives the file its name.
+    ///
+    /// # Errors
+    /// [`ErrorKind::AlreadyExists`] when one of that name has appeared meanwhile.
+    pub fn appear(self) -> Result<PathBuf> {
+        self.temporary.persist_noclobber(&self.path).map_err(|error| error.error)?;
+        Ok(self.path)
+    }
+}

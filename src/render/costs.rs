@@ -3,7 +3,9 @@
 use serde::{Deserialize, Serialize};
 
 use super::plan::Sampling;
+use super::ray_counts::RayCounts;
 use super::spectrum::LANES;
+use super::timed_scenes::{FAR_CELLS, NEAR_CELLS, cells_per_slab};
 
 /// Nanoseconds of one core.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -20,15 +22,19 @@ pub struct Costs {
     pub fixed_slab_ns: [f64; 3],
     /// A ray and a slab of one material, exact and in fixed point, where the rays are [`FAR_CELLS`] apart: they share no cells.
     pub far_slab_ns: [f64; 2],
-    /// A ray and a slab, walked cell by cell.
-    pub walked_slab_ns: f64,
+    /// A ray and a cell, walked one by one.
+    pub walked_cell_ns: f64,
+    /// The same where the rays are [`FAR_CELLS`] apart.
+    pub far_cell_ns: f64,
+    /// A line of memory that no cache holds.
+    pub line_ns: f64,
     /// A ray and a volume, however few its slabs: exact, fixed, walked.
     pub volume_ns: [f64; 3],
-    /// A ray against a shape.
-    pub solid_ns: f64,
-    /// A ray against a mesh, for each doubling of its triangles.
-    pub mesh_level_ns: f64,
-    /// A pixel and a material, interpolated.
+    /// A ray against a shape that it passes by, and against one that it meets.
+    pub solid_ns: [f64; 2],
+    /// A ray against a box or triangle of a mesh.
+    pub mesh_test_ns: f64,
+    /// A pixel and a material of the scene, interpolated.
     pub between_ns: f64,
     /// A pixel and eight energies, in a scene of [`TIMED_MATERIALS`].
     pub energies_ns: f64,
@@ -56,11 +62,13 @@ impl Default for Costs {
             exact_slab_ns: [1.3, 2.0, 3.4],
             fixed_slab_ns: [0.7, 1.3, 2.5],
             far_slab_ns: [2.6, 1.4],
-            walked_slab_ns: 28.0,
+            walked_cell_ns: 20.0,
+            far_cell_ns: 30.0,
+            line_ns: 20.0,
             volume_ns: [20.0, 20.0, 100.0],
-            solid_ns: 12.0,
-            mesh_level_ns: 40.0,
-            between_ns: 3.0,
+            solid_ns: [5.0, 12.0],
+            mesh_test_ns: 5.0,
+            between_ns: 1.0,
             energies_ns: 12.0,
             shaped_ns: 60.0,
             heel_ms: 0.5,
@@ -72,35 +80,26 @@ impl Default for Costs {
     }
 }
 
+/// Rays that are cast at once.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Casting {
+    /// How many.
+    pub rays: f64,
+    /// Pixels from one to the next.
+    pub step_px: f64,
+    /// Bands of rows, of which cores take one at a time.
+    pub bands: f64,
+    /// What some of them meet, drawn at random.
+    pub drawn: Vec<RayCounts>,
+}
+
 /// What a plan does, in the units of [`Costs`].
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Work {
     /// Pixels of the image.
     pub pixels: f64,
-    /// Bands of its rows, of which cores take one at a time to cast.
-    pub bands: f64,
-    /// Rays that are cast.
-    pub rays: f64,
-    /// Share of them that is `step_px` pixels from the next one; the others are one pixel from it.
-    pub spread: f64,
-    /// Pixels between rays where some are skipped.
-    pub step_px: f64,
-    /// Cells between the rays of neighbouring pixels.
-    pub cells_apart: f64,
-    /// Volumes that an average ray may cross.
-    pub volumes_per_ray: f64,
-    /// Slabs that an average ray crosses.
-    pub slabs_per_ray: f64,
-    /// Those among them that lie in bricks filled with one density.
-    pub filled_per_ray: f64,
-    /// Share of the rays through volumes that are walked cell by cell although others are crossed in slabs.
-    pub walked_share: f64,
-    /// Slabs of an average ray that are looked at cell by cell for what the volume displaces there.
-    pub displacing_per_ray: f64,
-    /// Shapes an average ray is tried against.
-    pub solids_per_ray: f64,
-    /// Doublings of triangles in the meshes that an average ray is tried against.
-    pub mesh_levels_per_ray: f64,
+    /// Rays, one cast after the other.
+    pub castings: Vec<Casting>,
     /// Pixels that are interpolated.
     pub interpolated: f64,
     /// Materials of the volume.
@@ -111,7 +110,7 @@ pub struct Work {
     pub shaped: f64,
     /// Whether there is a heel.
     pub heel: bool,
-    /// Materials of the scene, met or not: the spectrum is attenuated by all.
+    /// Materials of the scene, met or not: the spectrum is attenuated by all, and all are interpolated.
     pub listed: usize,
     /// Energies of the beam, at which its shapes are evaluated.
     pub shaped_energies: usize,
@@ -121,15 +120,17 @@ pub struct Work {
     pub noise: bool,
 }
 
-/// Cells between rays with which slabs are timed first, and between rays that share none.
-pub(super) const NEAR_CELLS: f64 = 0.5;
-pub(super) const FAR_CELLS: f64 = 3.0;
-
 /// Materials of the scene that is timed.
 pub(super) const TIMED_MATERIALS: f64 = 4.0;
 
 /// Slabs of the volume that is timed for what it costs to enter one.
 pub(super) const FEW_SLABS: f64 = 6.0;
+
+/// Lines that a slab or cell adds to those of the one before.
+const LINES: f64 = 2.0;
+
+/// Times that cores are woken for another casting, in those of an image.
+const WAKES_FOR_CASTING: f64 = 0.5;
 
 /// Pixels that a core takes at a time once rays are cast.
 const CHUNK_PX: f64 = 512.0;
@@ -138,51 +139,59 @@ impl Costs {
     /// Milliseconds that `work` takes with `sampling`.
     #[must_use]
     pub fn predict_ms(&self, work: &Work, sampling: Sampling) -> f64 {
-        let column = match work.materials {
+        let [blocks, shaped_blocks] = [work.energies, work.shaped_energies].map(|energies| energies.div_ceil(LANES) as f64);
+        let listed = work.listed.max(1) as f64;
+        let pixel = self.pixel_ns
+            + self.energies_ns * blocks * listed / TIMED_MATERIALS
+            + work.shaped * self.shaped_ns * (shaped_blocks + 1.0)
+            + if work.noise { self.noise_ns } else { 0.0 };
+        let between = work.interpolated * self.between_ns * listed;
+        // The last round leaves cores idle; what comes in one piece has one core.
+        let cores = |pieces: f64| pieces / (pieces / self.threads as f64).ceil();
+        let cast =
+            |casting: &Casting| casting.rays * self.ray_ns(casting, work.materials, sampling) / cores(casting.bands.max(1.0));
+        let rest =
+            (work.pixels * pixel + between + work.face_tests * self.face_ns) / cores((work.pixels / CHUNK_PX).ceil().max(1.0));
+        // Each further casting wakes the cores to cast and to interpolate.
+        let woken = 1.0 + WAKES_FOR_CASTING * (work.castings.len().max(1) - 1) as f64;
+        let ms = (work.castings.iter().map(cast).sum::<f64>() + rest) * 1e-6;
+        ms + self.image_ms * woken + if work.heel { self.heel_ms } else { 0.0 }
+    }
+
+    /// Nanoseconds of an average ray through volumes of so many `materials`.
+    fn ray_ns(&self, casting: &Casting, materials: usize, sampling: Sampling) -> f64 {
+        let column = match materials {
             0 | 1 => 0,
             2 => 1,
             _ => 2,
         };
-        let by_cell = self.walked_slab_ns * work.slabs_per_ray + self.volume_ns[2] * work.volumes_per_ray;
-        let in_slabs = |slab_ns: f64, volume_ns: f64| {
-            // Where a block of pixels meets other bricks as well, filled ones gain nothing.
-            let bundled = slab_ns * (work.slabs_per_ray - 0.7 * work.filled_per_ray)
-                + volume_ns * work.volumes_per_ray
-                + self.walked_slab_ns * work.displacing_per_ray;
-            (1.0 - work.walked_share) * bundled + work.walked_share * by_cell
+        let ns = |ray: &RayCounts| {
+            // Where rays share fewer cells, each costs more to fetch, however many materials it holds.
+            let log_apart = (ray.apart * casting.step_px / NEAR_CELLS).ln() / (FAR_CELLS / NEAR_CELLS).ln();
+            let far = if ray.slabs > 0.0 { log_apart.clamp(0.0, 1.0) } else { 0.0 };
+            let fetched = |far_ns: f64, near_ns: f64| far * ((far_ns - near_ns).max(0.0) + LINES * self.line_ns * ray.remote);
+            let cell_ns = self.walked_cell_ns + fetched(self.far_cell_ns, self.walked_cell_ns);
+            let by_cell = cell_ns * ray.cells + self.volume_ns[2] * ray.volumes;
+            // Where a block of pixels meets other bricks as well, filled ones gain nothing; far apart, it always does.
+            let in_slabs = |near_ns: [f64; 3], far_ns: f64, volume_ns: f64| {
+                let slab_ns = near_ns[column] + fetched(far_ns, near_ns[0]);
+                slab_ns * (ray.slabs - 0.7 * (1.0 - far) * ray.filled) + volume_ns * ray.volumes + cell_ns * ray.displacing
+            };
+            let volume = match sampling {
+                Sampling::ExactSlabs if !ray.walked => in_slabs(self.exact_slab_ns, self.far_slab_ns[0], self.volume_ns[0]),
+                Sampling::FixedSlabs if !ray.walked => in_slabs(self.fixed_slab_ns, self.far_slab_ns[1], self.volume_ns[1]),
+                Sampling::None => 0.0,
+                _ => by_cell,
+            };
+            let [tried, met] = ray.solids;
+            volume + self.solid_ns[0] * (tried - met) + self.solid_ns[1] * met + self.mesh_test_ns * ray.mesh_tests
         };
-        // How much more a slab costs whose cells fewer rays share.
-        let sparse = |far_ns: f64, near_ns: f64| {
-            let times = (far_ns / near_ns).max(1.0);
-            let at =
-                |apart: f64| 1.0 + (times - 1.0) * ((apart / NEAR_CELLS).ln() / (FAR_CELLS / NEAR_CELLS).ln()).clamp(0.0, 1.0);
-            at(work.cells_apart) * (1.0 - work.spread) + at(work.cells_apart * work.step_px) * work.spread
-        };
-        let [exact, fixed] = [self.exact_slab_ns, self.fixed_slab_ns];
-        let volume = match sampling {
-            Sampling::ExactSlabs => in_slabs(exact[column] * sparse(self.far_slab_ns[0], exact[0]), self.volume_ns[0]),
-            Sampling::FixedSlabs => in_slabs(fixed[column] * sparse(self.far_slab_ns[1], fixed[0]), self.volume_ns[1]),
-            Sampling::ExactCells | Sampling::PiecewiseConstant => by_cell,
-            Sampling::None => 0.0,
-        };
-        let ray = volume + self.solid_ns * work.solids_per_ray + self.mesh_level_ns * work.mesh_levels_per_ray;
-        let [blocks, shaped_blocks] = [work.energies, work.shaped_energies].map(|energies| energies.div_ceil(LANES) as f64);
-        let listed = work.listed.max(1) as f64 / TIMED_MATERIALS;
-        let pixel = self.pixel_ns
-            + self.energies_ns * blocks * listed
-            + work.shaped * self.shaped_ns * (shaped_blocks + 1.0)
-            + if work.noise { self.noise_ns } else { 0.0 };
-        let between = work.interpolated * self.between_ns * work.materials.max(1) as f64;
-        // The last round leaves cores idle; what comes in one piece has one core.
-        let cores = |pieces: f64| pieces / (pieces / self.threads as f64).ceil();
-        let cast = (work.rays * ray + work.face_tests * self.face_ns) / cores(work.bands.max(1.0));
-        let rest = (work.pixels * pixel + between) / cores((work.pixels / CHUNK_PX).ceil().max(1.0));
-        (cast + rest) * 1e-6 + self.image_ms + if work.heel { self.heel_ms } else { 0.0 }
+        casting.drawn.iter().map(ns).sum::<f64>() / casting.drawn.len().max(1) as f64
     }
 
     fn all_mut(&mut self) -> impl Iterator<Item = &mut f64> {
         let rays =
-            [&mut self.walked_slab_ns, &mut self.solid_ns, &mut self.mesh_level_ns, &mut self.between_ns, &mut self.face_ns];
+            [&mut self.walked_cell_ns, &mut self.far_cell_ns, &mut self.mesh_test_ns, &mut self.between_ns, &mut self.face_ns];
         let pixels = [
             &mut self.energies_ns,
             &mut self.shaped_ns,
@@ -190,23 +199,24 @@ impl Costs {
             &mut self.pixel_ns,
             &mut self.image_ms,
             &mut self.heel_ms,
+            &mut self.line_ns,
         ];
         let slabs = self.exact_slab_ns.iter_mut().chain(&mut self.fixed_slab_ns).chain(&mut self.far_slab_ns);
-        rays.into_iter().chain(pixels).chain(slabs).chain(&mut self.volume_ns)
+        rays.into_iter().chain(pixels).chain(slabs).chain(&mut self.volume_ns).chain(&mut self.solid_ns)
     }
 
     /// Whatever of the two is less, cost by cost.
     pub(super) fn least(mut self, other: &Self) -> Self {
         self.rounds += other.rounds;
         // What a volume costs was found as what its few slabs leave of a time: the least time counts, not the least of such differences.
-        let few_ns = |costs: &Self| {
-            let slabs = [costs.exact_slab_ns[0], costs.fixed_slab_ns[0], costs.walked_slab_ns];
-            [0, 1, 2].map(|way: usize| costs.volume_ns[way] + FEW_SLABS * slabs[way])
+        let slabs_ns = |costs: &Self| {
+            [costs.exact_slab_ns[0], costs.fixed_slab_ns[0], costs.walked_cell_ns * cells_per_slab()].map(|ns| FEW_SLABS * ns)
         };
+        let few_ns = |costs: &Self| [0, 1, 2].map(|way: usize| costs.volume_ns[way] + slabs_ns(costs)[way]);
         let (mine_ns, other_ns) = (few_ns(&self), few_ns(other));
         self.all_mut().zip(other.clone().all_mut()).for_each(|(mine, other)| *mine = mine.min(*other));
-        let slabs = [self.exact_slab_ns[0], self.fixed_slab_ns[0], self.walked_slab_ns];
-        self.volume_ns = [0, 1, 2].map(|way: usize| (mine_ns[way].min(other_ns[way]) - FEW_SLABS * slabs[way]).max(1e-3));
+        let slabs_ns = slabs_ns(&self);
+        self.volume_ns = [0, 1, 2].map(|way: usize| (mine_ns[way].min(other_ns[way]) - slabs_ns[way]).max(1e-3));
         self
     }
 
@@ -223,28 +233,41 @@ mod tests {
     #[test]
     fn more_work_costs_more() {
         let costs = Costs { threads: 2, ..Costs::default() };
-        let work = Work { pixels: 1e5, rays: 1e5, slabs_per_ray: 100.0, materials: 2, listed: 2, energies: 8, ..Work::default() };
-        let ms = costs.predict_ms(&work, Sampling::ExactSlabs);
+        let ray = RayCounts { volumes: 1.0, slabs: 100.0, cells: 140.0, apart: 0.4, ..RayCounts::default() };
+        let cast = |rays: f64, ray: RayCounts| Casting { rays, step_px: 1.0, bands: 2.0, drawn: vec![ray] };
+        let work = Work { pixels: 1e5, castings: vec![cast(1e5, ray)], materials: 2, listed: 2, energies: 8, ..Work::default() };
+        let predict = |work: &Work| costs.predict_ms(work, Sampling::ExactSlabs);
+        let ms = predict(&work);
         assert!(ms > 0.0);
-        assert!(costs.predict_ms(&Work { listed: 9, ..work }, Sampling::ExactSlabs) > ms);
-        assert!(costs.predict_ms(&Work { energies: 120, ..work }, Sampling::ExactSlabs) > ms);
-        assert!(costs.predict_ms(&Work { noise: true, ..work }, Sampling::ExactSlabs) > ms);
-        assert!(costs.predict_ms(&Work { shaped: 1.0, shaped_energies: 8, ..work }, Sampling::ExactSlabs) > ms);
+        assert!(predict(&Work { listed: 9, ..work.clone() }) > ms);
+        assert!(predict(&Work { energies: 120, ..work.clone() }) > ms);
+        assert!(predict(&Work { noise: true, ..work.clone() }) > ms);
+        assert!(predict(&Work { shaped: 1.0, shaped_energies: 8, ..work.clone() }) > ms);
+        assert!(predict(&Work { face_tests: 1e5, ..work.clone() }) > ms);
+        assert!(predict(&Work { interpolated: 1e6, ..work.clone() }) > ms);
         // A piece more than the cores take at a time: a second round.
-        let chunks = |count: f64| costs.predict_ms(&Work { pixels: count * CHUNK_PX, rays: 0.0, ..work }, Sampling::ExactSlabs);
+        let chunks = |count: f64| predict(&Work { pixels: count * CHUNK_PX, castings: Vec::new(), ..work.clone() });
         let threads = costs.threads as f64;
         assert!(chunks(threads + 1.0) - costs.image_ms > 1.2 * (chunks(threads) - costs.image_ms));
-        assert!(costs.predict_ms(&Work { bands: 2.0, ..work }, Sampling::ExactSlabs) < 0.6 * ms);
-        assert!(costs.predict_ms(&Work { filled_per_ray: 80.0, ..work }, Sampling::ExactSlabs) < ms);
-        assert!(costs.predict_ms(&Work { rays: 2.5e4, ..work }, Sampling::ExactSlabs) < ms);
-        assert!(costs.predict_ms(&Work { walked_share: 0.5, ..work }, Sampling::ExactSlabs) > 2.0 * ms);
-        assert!(costs.predict_ms(&Work { displacing_per_ray: 50.0, ..work }, Sampling::ExactSlabs) > ms);
-        let sparse = Work { spread: 1.0, step_px: 4.0, cells_apart: 0.6, ..work };
-        assert!(costs.predict_ms(&sparse, Sampling::ExactSlabs) > ms);
-        assert!(costs.predict_ms(&Work { cells_apart: f64::NAN, ..sparse }, Sampling::ExactSlabs).is_nan());
-        assert!(costs.predict_ms(&Work { mesh_levels_per_ray: 16.0, ..work }, Sampling::ExactSlabs) > ms);
-        assert!(costs.predict_ms(&Work { face_tests: 1e5, ..work }, Sampling::ExactSlabs) > ms);
-        assert!(costs.predict_ms(&Work { interpolated: 1e6, ..work }, Sampling::ExactSlabs) > ms);
+        let with = |casting: Casting| predict(&Work { castings: vec![casting], ..work.clone() });
+        assert!(with(Casting { bands: 1.0, ..cast(1e5, ray) }) > 1.6 * ms);
+        assert!(with(cast(2.5e4, ray)) < ms);
+        let of = |ray: RayCounts| with(cast(1e5, ray));
+        assert!(of(RayCounts { filled: 80.0, ..ray }) < ms);
+        assert!(of(RayCounts { walked: true, ..ray }) > 2.0 * ms);
+        let apart = RayCounts { apart: 2.0, ..ray };
+        assert!(of(apart) > ms && of(RayCounts { remote: 1.0, ..apart }) > of(apart));
+        assert!(of(RayCounts { walked: true, cells: 200.0, ..ray }) > of(RayCounts { walked: true, ..ray }));
+        assert!(of(RayCounts { displacing: 50.0, ..ray }) > ms);
+        assert!(of(RayCounts { mesh_tests: 40.0, ..ray }) > ms);
+        let passed = of(RayCounts { solids: [9.0, 0.0], ..ray });
+        assert!(passed > ms && of(RayCounts { solids: [9.0, 9.0], ..ray }) > passed);
+        let sparse = Casting { step_px: 4.0, ..cast(1e5, ray) };
+        assert!(with(sparse.clone()) > ms);
+        assert!(with(Casting { drawn: vec![RayCounts { apart: f64::NAN, ..ray }], ..sparse.clone() }).is_nan());
+        // What is cast twice costs both, and another waking.
+        let twice = predict(&Work { castings: vec![cast(1e5, ray), sparse.clone()], ..work.clone() });
+        assert!(twice > ms + with(sparse) - predict(&Work { castings: Vec::new(), ..work.clone() }));
     }
 
     /// Of two times 19 and 40 ns through six slabs, with slabs of 3 and 2 ns, the lesser is left by slabs of 2 ns.

@@ -89,17 +89,24 @@ impl MeshTree {
         tree
     }
 
-    /// Adds to `spans` where the ray `origin` + t · `direction`, t > −∞, is inside, by pairing entries and exits.
-    // Edges are tested by the sign of a product that both neighbours compute from the same two vertices, so that no ray slips
-    // between triangles (watertight, Plücker form); the winding number, not parity, survives faces that touch.
-    pub fn inside(&self, origin: DVec3, direction: DVec3, spans: &mut Vec<(f64, f64)>) {
-        let mut crossings: Vec<(f64, i32)> = Vec::new();
+    /// Boxes and triangles that a ray is tried against.
+    #[must_use]
+    pub fn tests(&self, origin: DVec3, direction: DVec3) -> usize {
+        let mut triangles = 0;
+        self.visit(origin, direction, |leaf| triangles += leaf.len()) + triangles
+    }
+
+    /// Gives the triangles of leaves whose boxes a ray meets to `leaf`; returns how many boxes were tried.
+    #[inline(always)]
+    fn visit(&self, origin: DVec3, direction: DVec3, mut leaf: impl FnMut(&[[DVec3; 3]])) -> usize {
         // A ray along the faces of a box: far in or far out, never 0 · ∞.
         let inverse = DVec3::from_array(direction.to_array().map(|q| 1.0 / if q.abs() < 1e-300 { 1e-300 } else { q }));
         let mut stack = [0usize; DEEPEST];
         let mut waiting = usize::from(!self.nodes.is_empty());
+        let mut boxes = 0;
         while waiting > 0 {
             waiting -= 1;
+            boxes += 1;
             let index = stack[waiting];
             let node = &self.nodes[index];
             let (a, b) = ((node.lo - BOX_MARGIN_MM - origin) * inverse, (node.hi + BOX_MARGIN_MM - origin) * inverse);
@@ -112,9 +119,19 @@ impl MeshTree {
                 waiting += 2;
                 continue;
             }
-            let leaf = self.triangles[node.first..node.first + node.count].iter();
-            crossings.extend(leaf.filter_map(|t| cross(&t.map(|corner| corner - origin), direction)));
+            leaf(&self.triangles[node.first..node.first + node.count]);
         }
+        boxes
+    }
+
+    /// Adds to `spans` where the ray `origin` + t · `direction`, t > −∞, is inside, by pairing entries and exits.
+    // Edges are tested by the sign of a product that both neighbours compute from the same two vertices, so that no ray slips
+    // between triangles (watertight, Plücker form); the winding number, not parity, survives faces that touch.
+    pub fn inside(&self, origin: DVec3, direction: DVec3, spans: &mut Vec<(f64, f64)>) {
+        let mut crossings: Vec<(f64, i32)> = Vec::new();
+        self.visit(origin, direction, |leaf| {
+            crossings.extend(leaf.iter().filter_map(|t| cross(&t.map(|corner| corner - origin), direction)));
+        });
         crossings.sort_by(|a, b| a.0.total_cmp(&b.0));
         let mut winding = 0;
         let mut start = 0.0;

@@ -35,6 +35,7 @@ pub mod planner;
 pub mod prepared;
 pub mod quadrature;
 pub mod reference;
+pub mod ray_counts;
 mod renderer;
 pub mod slabs;
 pub mod spectrum;

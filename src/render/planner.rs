@@ -1,6 +1,6 @@
 //! From a wish (an error, or a time) to the cheapest plan that grants it.
 
-use super::costs::{Costs, Work};
+use super::costs::{Casting, Costs, Work};
 use super::cpu::integrate_density::band_rows;
 use super::fits::{Fits, nodes_of};
 use super::pilot::{self, Pilot};
@@ -10,7 +10,6 @@ use super::prepared::Prepared;
 use super::quadrature;
 use super::spectrum::{Bins, whole_spectrum};
 use super::survey;
-use super::tiles::Tiles;
 use super::timed_costs::of_this_machine;
 pub use super::ways::{Goal, Task};
 use super::ways::{Way, skipping_ways, whole_ways};
@@ -188,7 +187,7 @@ impl Planner {
             if task.executor == Executor::Cpu && !in_slabs && pilot.walked_share > 0.0 {
                 why += "; not in slabs, because rays meet another volume or kept air";
             }
-            if in_slabs && pilot.displacing_per_ray > 0.0 {
+            if in_slabs && pilot.rays.iter().any(|(_, ray)| ray.displacing > 0.0) {
                 why += "; where an object lies that the volume displaces, its cells are looked at one by one";
             }
             plan.say("volumes", true, why);
@@ -302,25 +301,10 @@ fn quadrature_applies(scene: &Scene) -> bool {
 fn work(task: &Task, pilot: &Pilot, way: &Way, energies: usize) -> Work {
     let pixels = f64::from(task.view.size_px[0]) * f64::from(task.view.size_px[1]);
     let materials = pilot.largest_g_per_cm2.iter().filter(|largest| **largest > 0.0).count();
-    let whole = way.tiles.as_ref().map_or(pixels, Tiles::pixels);
-    // Rays around full tiles are cast for the tiles beside them.
-    let between = (pixels - whole) / f64::from(way.step_px).powi(2) * if way.tiles.is_some() { 1.2 } else { 1.0 };
-    let height = task.view.size_px[1] as usize;
     Work {
         pixels,
-        bands: height.div_ceil(band_rows(height)) as f64,
-        rays: whole + between,
-        spread: between / (whole + between),
-        cells_apart: pilot.cells_apart,
-        step_px: f64::from(way.step_px),
-        interpolated: pixels - whole,
-        volumes_per_ray: pilot.volumes_per_ray,
-        slabs_per_ray: pilot.slabs_per_ray,
-        filled_per_ray: pilot.filled_per_ray,
-        walked_share: pilot.walked_share,
-        displacing_per_ray: pilot.displacing_per_ray,
-        solids_per_ray: pilot.solids_per_ray,
-        mesh_levels_per_ray: pilot.mesh_levels_per_ray,
+        castings: castings(task, pilot, way),
+        interpolated: if way.tiles.is_some() { pixels } else { 0.0 },
         materials,
         energies: match task.scene.model.formation {
             // One mean attenuation.
@@ -335,6 +319,30 @@ fn work(task: &Task, pilot: &Pilot, way: &Way, energies: usize) -> Work {
         face_tests: pilot.face_tests,
         shaped: shaped(task.scene, task.quantity),
         noise: noise_applies(task.scene, task.quantity),
+    }
+}
+
+/// Where pixels are skipped: every n-th, then all those of full tiles.
+fn castings(task: &Task, pilot: &Pilot, way: &Way) -> Vec<Casting> {
+    let [width, height] = task.view.size_px;
+    let pixels = f64::from(width) * f64::from(height);
+    let bands = |height: usize| height.div_ceil(band_rows(height)) as f64;
+    let casting = |rays: f64, step_px: u32, wanted: &dyn Fn(bool) -> bool| {
+        let is_wanted = |pixel: &[u32; 2]| wanted(way.tiles.as_ref().is_none_or(|tiles| tiles.is_full_at(*pixel)));
+        let mut drawn: Vec<_> = pilot.rays.iter().filter(|(pixel, _)| is_wanted(pixel)).map(|(_, ray)| *ray).collect();
+        if drawn.is_empty() {
+            drawn = pilot.rays.iter().map(|(_, ray)| *ray).collect();
+        }
+        Casting { rays, step_px: f64::from(step_px), bands: bands(height.div_ceil(step_px) as usize), drawn }
+    };
+    match &way.tiles {
+        None => vec![casting(pixels, 1, &|_| true)],
+        Some(tiles) => {
+            let full = tiles.pixels();
+            // Rays around full tiles are cast for the tiles beside them.
+            let between = 1.2 * (pixels - full) / f64::from(way.step_px).powi(2);
+            vec![casting(between, way.step_px, &|full| !full), casting(full, 1, &|full| full)]
+        }
     }
 }
 

@@ -108,7 +108,8 @@ impl Survey {
             });
             Skipping { tiles, errors }
         };
-        SHARES.into_iter().map(way).collect()
+        // Where all tiles are full, no pixel is skipped.
+        SHARES.into_iter().map(way).filter(|way| (0..way.tiles.count()).any(|tile| !way.tiles.is_full(tile))).collect()
     }
 }
 

@@ -4,6 +4,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
+use rayon::prelude::*;
+
 use super::cells::Cells;
 use super::chain::{self, Wanted};
 use super::costs::Costs;
@@ -16,17 +18,21 @@ use super::cut_faces;
 use super::meshes::MadeMesh;
 use super::plan::{Executor, Sampling};
 use super::prepared::Prepared;
+use super::ray_counts::RayCounts;
 use super::slabs::Slabs;
 use super::spectrum::{Bins, LANES};
-use super::timed_scenes::{EDGE, FAR_EDGE, TUBES, cut_volume, seen_from_afar, test_scene, test_volume, timed_mesh, timed_tubes};
+use super::timed_scenes::{
+    EDGE, FAR_EDGE, TUBES, cells_per_slab, cut_volume, seen_from_afar, test_scene, test_volume, timed_mesh, timed_tubes,
+};
 use crate::geometry::View;
 use crate::gpu::cpu_name;
 use crate::image::{cache_file, write_atomically};
+use crate::random::{Purpose, Stream};
 use crate::scene::model::{Matter, Object, Scene, Volume};
 use crate::time::Stopwatch;
 
 /// Goes up whenever an executor becomes faster or slower, so that no one trusts costs of the one before.
-const METHOD: u32 = 9;
+const METHOD: u32 = 11;
 
 /// Costs are measured once more when the last time is so long ago, and twice as long after each time: others may have used the machine
 /// before, for a minute or for an hour.
@@ -83,9 +89,9 @@ fn measure() -> Costs {
         Some(per(ms?, rays))
     };
     let far_scene = seen_from_afar(&scene);
-    let time_far = |sampling: Sampling| {
-        let few_ns = time(test_volume(FEW, 1, 1), sampling)?;
-        let ms = with_volume(&far_scene, test_volume(EDGE, 1, 1), |prepared| {
+    let time_far = |materials: usize, block: usize, sampling: Sampling| {
+        let few_ns = time(test_volume(FEW, materials, block.min(FEW)), sampling)?;
+        let ms = with_volume(&far_scene, test_volume(EDGE, materials, block), |prepared| {
             prepared.make_slabs(sampling == Sampling::FixedSlabs);
             fastest(|| drop(integrate_density(prepared, sampling)))
         });
@@ -114,13 +120,15 @@ fn measure() -> Costs {
             }
         }
     }
-    costs.far_slab_ns[0] = time_far(Sampling::ExactSlabs).unwrap_or(costs.exact_slab_ns[0]);
+    costs.far_slab_ns[0] = time_far(1, 1, Sampling::ExactSlabs).unwrap_or(costs.exact_slab_ns[0]);
     if is_fast() {
-        costs.far_slab_ns[1] = time_far(Sampling::FixedSlabs).unwrap_or(costs.fixed_slab_ns[0]);
+        costs.far_slab_ns[1] = time_far(1, 1, Sampling::FixedSlabs).unwrap_or(costs.fixed_slab_ns[0]);
     }
     // Most cells of a scan hold one material.
     let Some([slab_ns, volume_ns]) = time_both(2, 12, Sampling::ExactCells) else { return costs };
-    (costs.walked_slab_ns, costs.volume_ns[2]) = (slab_ns, volume_ns);
+    (costs.walked_cell_ns, costs.volume_ns[2]) = (slab_ns / cells_per_slab(), volume_ns);
+    costs.far_cell_ns = time_far(2, 12, Sampling::ExactCells).map_or(costs.walked_cell_ns, |ns| ns / cells_per_slab());
+    costs.line_ns = line_ns(threads);
     let faces = with_volume(&scene, cut_volume(), |prepared| {
         let ms = fastest(|| {
             std::hint::black_box(cut_faces::mark(prepared, &mut [1; EDGE * EDGE]));
@@ -131,8 +139,8 @@ fn measure() -> Costs {
     costs.face_ns = ns;
     let pixels = 1 << 16;
     let nodes = super::spectrum::whole_spectrum(&scene);
+    let count = scene.materials.len();
     if let Ok(bins) = Bins::new(&scene, &nodes) {
-        let count = scene.materials.len();
         let g_per_cm2 = (0..pixels * count).map(|i| 0.5 + (i % 97) as f32 * 0.2).collect();
         let density = Density { material_count: count, g_per_cm2, valid: vec![1; pixels] };
         let blocks = (bins.padded / LANES) as f64;
@@ -153,19 +161,19 @@ fn measure() -> Costs {
             costs.heel_ms = small_ms;
         }
     }
-    if let Some(ns) = time_objects(&scene, timed_tubes(), threads) {
-        costs.solid_ns = ns / TUBES as f64;
+    for (cost, are_met) in costs.solid_ns.iter_mut().zip([false, true]) {
+        if let Some((ns, _)) = time_objects(&scene, timed_tubes(are_met), threads) {
+            *cost = ns / TUBES as f64;
+        }
     }
-    let mesh = timed_mesh();
-    let levels = (1.0 + mesh.triangles.len() as f64).log2();
-    if let Some(ns) = time_objects(&scene, Matter::Mesh(Arc::new(mesh)), threads) {
-        costs.mesh_level_ns = ns / levels;
+    if let Some((ns, drawn)) = time_objects(&scene, Matter::Mesh(Arc::new(timed_mesh())), threads) {
+        costs.mesh_test_ns = ns * drawn.len() as f64 / drawn.iter().map(|ray| ray.mesh_tests).sum::<f64>();
     }
-    let coarse = Density { material_count: 1, g_per_cm2: vec![1.0; 129 * 129], valid: vec![1; 129 * 129] };
-    costs.between_ns = per(fastest(|| drop(enlarge_density(&coarse, [129, 129], [256, 256], 2))), pixels as f64);
+    let coarse = Density { material_count: count, g_per_cm2: vec![1.0; 129 * 129 * count], valid: vec![1; 129 * 129] };
+    costs.between_ns = per(fastest(|| drop(enlarge_density(&coarse, [129, 129], [256, 256], 2))), (pixels * count) as f64);
     let empty_ms = |view: View, time: fn(&dyn Fn()) -> f64| {
         let scene = Scene { view: Some(view), ..scene.clone() };
-        time_objects_by(&scene, Matter::Solids(Vec::new()), time)
+        time_objects_by(&scene, Matter::Solids(Vec::new()), time).map(|(ms, _)| ms)
     };
     if let Some(view) = scene.view {
         let small = View { size_px: [8; 2], ..view };
@@ -201,6 +209,19 @@ fn with_volume<T>(scene: &Scene, volume: Volume, time: impl Fn(&Prepared) -> T) 
     prepared.ok().as_ref().map(time)
 }
 
+/// Nanoseconds of one core for a line of memory from anywhere in more than caches hold, all cores at once.
+fn line_ns(threads: usize) -> f64 {
+    const LINE: usize = 8;
+    const READS: usize = 20_000;
+    let memory = vec![1u64; 1 << 24];
+    let read = |thread: usize| {
+        let mut stream = Stream::new(thread as u64, 0, 0, Purpose::Evaluation);
+        (0..READS).map(|_| memory[stream.next_u32() as usize % (memory.len() / LINE) * LINE]).fold(0u64, u64::wrapping_add)
+    };
+    let ms = fastest(|| drop(std::hint::black_box((0..threads).into_par_iter().map(read).collect::<Vec<u64>>())));
+    (ms * 1e6 / READS as f64).max(1e-3)
+}
+
 /// The shortest of at least three, ms; of more as long as they are short, because others use the machine as well.
 fn fastest(work: impl Fn()) -> f64 {
     let all = Stopwatch::start();
@@ -232,21 +253,25 @@ fn after_a_rest(work: &dyn Fn()) -> f64 {
 /// Times that cores are woken for an image: to cast, to attenuate, to mark cut faces, to detect.
 const WAKES: f64 = 4.0;
 
-/// Nanoseconds of one core that a ray takes through `matter` alone.
-fn time_objects(scene: &Scene, matter: Matter, threads: usize) -> Option<f64> {
-    let pixels: f64 = scene.view?.size_px.iter().map(|n| f64::from(*n)).product();
-    Some((time_objects_by(scene, matter, |work| fastest(work))? * 1e6 * threads as f64 / pixels).max(1e-9))
+/// Nanoseconds of one core that a ray takes through `matter` alone, and what the rays of some pixels meet.
+fn time_objects(scene: &Scene, matter: Matter, threads: usize) -> Option<(f64, Vec<RayCounts>)> {
+    let [width, height] = scene.view?.size_px;
+    let (ms, drawn) = time_objects_by(scene, matter, |work| fastest(work))?;
+    Some(((ms * 1e6 * threads as f64 / (f64::from(width) * f64::from(height))).max(1e-9), drawn))
 }
 
-/// Milliseconds that casting `matter` alone takes.
-fn time_objects_by(scene: &Scene, matter: Matter, time: fn(&dyn Fn()) -> f64) -> Option<f64> {
+/// Milliseconds that casting `matter` alone takes, and what the rays of some pixels meet.
+fn time_objects_by(scene: &Scene, matter: Matter, time: fn(&dyn Fn()) -> f64) -> Option<(f64, Vec<RayCounts>)> {
     let object = Object { name: "timed".to_owned(), body: String::new(), matter };
     let scene = Scene { objects: vec![object], ..scene.clone() };
     let no_volume = |_: &Arc<Volume>, name: &str| {
         Err(super::RenderError::Volume { name: name.to_owned(), detail: "there is none to time".to_owned() })
     };
     let prepared = Prepared::new(&scene, scene.view?, no_volume, |mesh| Arc::new(MadeMesh::new(mesh))).ok()?;
-    Some(time(&|| drop(integrate_density(&prepared, Sampling::None))))
+    let [width, height] = prepared.view.size_px;
+    let places = (0..height).step_by(7).flat_map(|v| (0..width).step_by(7).map(move |u| [u, v]));
+    let drawn = places.map(|pixel| RayCounts::of(&prepared, pixel)).collect();
+    Some((time(&|| drop(integrate_density(&prepared, Sampling::None))), drawn))
 }
 
 #[cfg(test)]
@@ -260,20 +285,20 @@ mod tests {
         let measured = kept_in(Some(path.clone()));
         assert_eq!(measured.rounds, 1);
         let keep = |rounds: u32, age_s: u64| {
-            let crowded = Costs { solid_ns: 1e6 * measured.solid_ns, rounds, ..measured.clone() };
+            let crowded = Costs { face_ns: 1e6 * measured.face_ns, rounds, ..measured.clone() };
             let file = std::fs::File::create(&path).expect("written");
             serde_json::to_writer(&file, &crowded).expect("written");
             let written = file.metadata().and_then(|metadata| metadata.modified()).expect("a time");
             file.set_modified(written - Duration::from_secs(age_s)).expect("a time");
-            (crowded.solid_ns, kept_in(Some(path.clone())))
+            (crowded.face_ns, kept_in(Some(path.clone())))
         };
         for (rounds, age_s) in [(1, 1), (4, 70), (30, 3000)] {
             let (crowded_ns, taken) = keep(rounds, age_s);
-            assert_eq!(taken.solid_ns, crowded_ns, "what was measured {age_s} s ago is taken as it is");
+            assert_eq!(taken.face_ns, crowded_ns, "what was measured {age_s} s ago is taken as it is");
         }
         for (rounds, age_s) in [(1, 20), (4, 100), (30, 4000)] {
             let (crowded_ns, again) = keep(rounds, age_s);
-            assert!(again.solid_ns < 1e-2 * crowded_ns && again.rounds == rounds + 1, "{again:?}");
+            assert!(again.face_ns < 1e-2 * crowded_ns && again.rounds == rounds + 1, "{again:?}");
         }
     }
 
@@ -283,8 +308,8 @@ mod tests {
         assert!(costs.is_sound(), "{costs:?}");
         assert!(!Costs { noise_ns: f64::NAN, ..costs.clone() }.is_sound());
         assert!(!Costs { threads: 0, ..costs.clone() }.is_sound());
-        let crowded = Costs { solid_ns: 9.0 * costs.solid_ns, noise_ns: 0.5 * costs.noise_ns, rounds: 1, ..costs.clone() };
+        let crowded = Costs { face_ns: 9.0 * costs.face_ns, noise_ns: 0.5 * costs.noise_ns, rounds: 1, ..costs.clone() };
         let least = costs.clone().least(&crowded);
-        assert_eq!((least.solid_ns, least.noise_ns, least.rounds), (costs.solid_ns, crowded.noise_ns, costs.rounds + 1));
+        assert_eq!((least.face_ns, least.noise_ns, least.rounds), (costs.face_ns, crowded.noise_ns, costs.rounds + 1));
     }
 }

@@ -1,10 +1,13 @@
 //! What is cast to time it: volumes, tubes, a mesh, and views of them.
 
-use super::costs::{FAR_CELLS, NEAR_CELLS};
 use crate::geometry::{Intrinsics, Rigid, View};
 use crate::random::{Purpose, Stream};
 use crate::reporter::Reporter;
 use crate::scene::model::{Matter, Mesh, Scene, Shape, Solid, Volume};
+
+/// Cells between rays with which slabs are timed first, and between rays that share none.
+pub(super) const NEAR_CELLS: f64 = 0.5;
+pub(super) const FAR_CELLS: f64 = 3.0;
 
 /// Voxels along the edge of the volume that is timed, and pixels along the edge of its image.
 pub(super) const EDGE: usize = 96;
@@ -25,11 +28,20 @@ pub(super) fn test_scene(beam: &str) -> Option<Scene> {
     let middle = 0.5 * (EDGE as f64 - 1.0);
     let f_px = 1000.0 / NEAR_CELLS;
     let intrinsics = Intrinsics { fx: f_px, fy: f_px, cx: middle, cy: middle, skew: 0.0 };
-    // A slanted look: axis-aligned rays flatter every rule.
-    let turn = glam::DQuat::from_rotation_y(0.3) * glam::DQuat::from_rotation_x(0.2);
-    let camera_from_lps = Rigid { rotation: turn, translation_mm: glam::DVec3::new(0.0, 0.0, 1000.0) };
+    let camera_from_lps = Rigid { rotation: camera_from_lps(), translation_mm: glam::DVec3::new(0.0, 0.0, 1000.0) };
     scene.view = Some(View { size_px: [EDGE as u32; 2], intrinsics, camera_from_lps });
     Some(scene)
+}
+
+/// A slanted look: axis-aligned rays flatter every rule.
+fn camera_from_lps() -> glam::DQuat {
+    glam::DQuat::from_rotation_y(0.3) * glam::DQuat::from_rotation_x(0.2)
+}
+
+/// Cells that the ray in the middle of the image crosses in a slab of the timed volumes.
+pub(super) fn cells_per_slab() -> f64 {
+    let along = (camera_from_lps().inverse() * glam::DVec3::Z).abs();
+    along.element_sum() / along.max_element()
 }
 
 /// The scene with fewer pixels of the same middle, so that their rays share no cells.
@@ -90,9 +102,11 @@ pub(super) fn cut_volume() -> Volume {
 /// Tubes that every ray is tried against when shapes are timed.
 pub(super) const TUBES: usize = 16;
 
-pub(super) fn timed_tubes() -> Matter {
+/// Tubes that all rays meet, or as many that are too thin for almost any.
+pub(super) fn timed_tubes(are_met: bool) -> Matter {
+    let [radius_mm, inner_radius_mm] = if are_met { [60.0, 55.0] } else { [0.06, 0.055] };
     let tube = |index: usize| Solid {
-        shape: Shape::Cylinder { length_mm: 200.0, radius_mm: 60.0, inner_radius_mm: 55.0 },
+        shape: Shape::Cylinder { length_mm: 200.0, radius_mm, inner_radius_mm },
         lps_from_local: Rigid {
             rotation: glam::DQuat::from_rotation_x(0.3 + 0.1 * index as f64),
             translation_mm: glam::DVec3::new(0.0, 0.0, -100.0 + 10.0 * index as f64),

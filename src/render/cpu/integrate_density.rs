@@ -72,13 +72,11 @@ pub fn integrate_blocks(
 pub fn walked_share(prepared: &Prepared) -> f64 {
     let [width, height] = prepared.view.size_px;
     let (mut with_volume, mut walked) = (0u64, 0u64);
-    let band_rows = band_rows(height as usize);
-    for v in (0..height).step_by(band_rows) {
+    let rows = band_rows(height as usize) as u32;
+    for v in (0..height).step_by(rows as usize) {
         for u in (0..width).step_by(TILE_COLUMNS) {
-            let to = [(u + TILE_COLUMNS as u32).min(width), (v + band_rows as u32).min(height)];
-            let tile = Bounds { from: [u, v], to };
-            let steps: Vec<Step> = prepared.steps.iter().filter(|step| seen_in(prepared, step, &tile)).copied().collect();
-            let pixels = u64::from(to[0] - u) * u64::from(to[1] - v);
+            let steps = steps_around(prepared, [u, v]);
+            let pixels = u64::from((u + TILE_COLUMNS as u32).min(width) - u) * u64::from((v + rows).min(height) - v);
             if steps.iter().any(|step| matches!(step, Step::Volume(_) | Step::VolumeAir(_))) {
                 with_volume += pixels;
                 walked += if around_one_volume(&steps).is_none() { pixels } else { 0 };
@@ -86,6 +84,16 @@ pub fn walked_share(prepared: &Prepared) -> f64 {
         }
     }
     walked as f64 / with_volume.max(1) as f64
+}
+
+/// What may be seen by the rays that are cast together with that of pixel (u, v).
+#[must_use]
+pub fn steps_around(prepared: &Prepared, [u, v]: [u32; 2]) -> Vec<Step> {
+    let [width, height] = prepared.view.size_px;
+    let edges = [TILE_COLUMNS as u32, band_rows(height as usize) as u32];
+    let from = [u / edges[0] * edges[0], v / edges[1] * edges[1]];
+    let tile = Bounds { from, to: [(from[0] + edges[0]).min(width), (from[1] + edges[1]).min(height)] };
+    prepared.steps.iter().filter(|step| seen_in(prepared, step, &tile)).copied().collect()
 }
 
 /// What all rays of an image share.

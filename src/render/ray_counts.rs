@@ -1,0 +1,157 @@
+//! What lies along one ray, in the units of [`super::costs::Costs`].
+
+use glam::DVec2;
+
+use super::cells::{EMPTY, EMPTY_BRICK};
+use super::cpu::bundles::Rays;
+use super::cpu::claims::occupied_depths;
+use super::cpu::integrate_density::{around_one_volume, steps_around};
+use super::cpu::shapes::intersect;
+use super::cpu::walk_cells::CellRay;
+use super::prepared::{Prepared, SeenVolume, Step};
+
+/// Cells of a volume that caches hold: 32 MB of density and kind.
+const CACHED_CELLS: f64 = 32e6 / 5.0;
+
+/// What a ray meets.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct RayCounts {
+    /// Volumes that it may cross.
+    pub volumes: f64,
+    /// Slabs that hold something.
+    pub slabs: f64,
+    /// Those among them in bricks filled with one density.
+    pub filled: f64,
+    /// Cells that hold something.
+    pub cells: f64,
+    /// Cells between it and the rays of neighbouring pixels, on the average over its slabs.
+    pub apart: f64,
+    /// Share of the slabs that lie in memory, because no cache holds the volume.
+    pub remote: f64,
+    /// Whether its volumes cannot be crossed in bundles: another volume, or air that is kept, lies along them.
+    pub walked: bool,
+    /// Cells that are looked at one by one because the volume displaces something there.
+    pub displacing: f64,
+    /// Shapes that it is tried against, and those that it meets.
+    pub solids: [f64; 2],
+    /// Boxes and triangles of meshes that it is tried against.
+    pub mesh_tests: f64,
+}
+
+impl RayCounts {
+    /// Of the ray through pixel (u, v) of the image that `prepared` sees.
+    #[must_use]
+    pub fn of(prepared: &Prepared, pixel: [u32; 2]) -> Self {
+        let at = pixel.map(f64::from);
+        let direction = prepared.view.intrinsics.unproject(DVec2::from_array(at));
+        let steps = steps_around(prepared, pixel);
+        let stack = around_one_volume(&steps);
+        let mut counts = Self { walked: stack.is_none(), ..Self::default() };
+        let (mut apart, mut remote) = (0.0, 0.0);
+        let mut below = Vec::new();
+        for (order, step) in steps.iter().enumerate() {
+            let own = below.len();
+            match *step {
+                Step::Volume(index) | Step::VolumeAir(index) => {
+                    let seen = &prepared.volumes[index];
+                    let found = SlabsOfRay::of(prepared, seen, at);
+                    counts.volumes += 1.0;
+                    counts.slabs += found.slabs;
+                    counts.filled += found.filled;
+                    counts.cells += found.cells;
+                    apart += found.apart;
+                    remote += found.slabs * (1.0 - CACHED_CELLS / seen.cells.kind.len() as f64).max(0.0);
+                }
+                Step::Solid(index) => {
+                    let seen = &prepared.solids[index];
+                    let found = intersect(&seen.solid.shape, seen.source_in_local, seen.local_from_camera * direction);
+                    counts.solids[0] += 1.0;
+                    counts.solids[1] += if found.as_slice().is_empty() { 0.0 } else { 1.0 };
+                    below.extend_from_slice(found.as_slice());
+                }
+                Step::Mesh(index) => {
+                    let seen = &prepared.meshes[index];
+                    let (source, direction) = (seen.source_in_lps, seen.lps_from_camera * direction);
+                    counts.mesh_tests += seen.made.tree.tests(source, direction) as f64;
+                    seen.made.tree.inside(source, direction, &mut below);
+                }
+            }
+            // Only what comes after the volume is displaced by it.
+            if stack.is_none_or(|stack| order <= stack.above.len()) {
+                below.truncate(own);
+            }
+        }
+        (counts.apart, counts.remote) = (apart / counts.slabs.max(1e-9), remote / counts.slabs.max(1e-9));
+        if let Some(stack) = stack {
+            counts.displacing = cells_between(prepared, &prepared.volumes[stack.volume], at, &below);
+        }
+        counts
+    }
+}
+
+/// Slabs of a volume along a ray.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SlabsOfRay {
+    /// Those that hold something.
+    pub slabs: f64,
+    /// Those among them in bricks filled with one density.
+    pub filled: f64,
+    /// Cells in slabs that hold something.
+    pub cells: f64,
+    /// Cells between neighbouring rays, summed over the slabs.
+    pub apart: f64,
+    /// Centimetres of the ray in a slab.
+    pub slab_cm: f64,
+}
+
+impl SlabsOfRay {
+    /// Along the ray through pixel (u, v).
+    #[must_use]
+    pub fn of(prepared: &Prepared, seen: &SeenVolume, [u, v]: [f64; 2]) -> Self {
+        let rays = Rays::new(&prepared.view, &seen.cell_from_camera);
+        let q = rays.direction(u, v);
+        let axis = Rays::dominant(q);
+        let cells = &seen.cells;
+        // What a pixel moves the ray by in the slab, at depth 1.
+        let moved = |to: [f64; 3]| {
+            let by = glam::DVec3::from_array(to) - glam::DVec3::from_array(q);
+            by - glam::DVec3::from_array(q) * (by[axis] / q[axis])
+        };
+        let [right, down] = [moved(rays.direction(u + 1.0, v)), moved(rays.direction(u, v + 1.0))];
+        let pixel = right.cross(down).length().sqrt();
+        let mm_per_depth = prepared.view.intrinsics.unproject(DVec2::new(u, v)).length();
+        let mut found = Self { slab_cm: 0.1 * mm_per_depth / q[axis].abs(), ..Self::default() };
+        for slab in 0..cells.size[axis] {
+            let t = (slab as f64 + 0.5 - rays.p[axis]) / q[axis];
+            if !(t > 0.0 && t < prepared.detector_mm) {
+                continue;
+            }
+            let mut cell = [0usize; 3];
+            let inside = (0..3).all(|axis| {
+                let x = (rays.p[axis] + q[axis] * t).floor();
+                cell[axis] = x.max(0.0) as usize;
+                x >= 0.0 && cell[axis] < cells.size[axis]
+            });
+            if inside && !matches!(cells.kind[cells.index(cell)], EMPTY_BRICK | EMPTY) {
+                found.slabs += 1.0;
+                found.apart += pixel * t;
+                if seen.slabs.as_ref().is_some_and(|slabs| slabs.is_filled(cell)) {
+                    found.filled += 1.0;
+                }
+            }
+        }
+        // A slanted ray crosses faces along the other axes as well.
+        found.cells = found.slabs * q.iter().map(|q| q.abs()).sum::<f64>() / q[axis].abs();
+        found
+    }
+}
+
+/// Cells of the volume at depths between which something else lies.
+fn cells_between(prepared: &Prepared, seen: &SeenVolume, [u, v]: [f64; 2], spans: &[(f64, f64)]) -> f64 {
+    let direction = prepared.view.intrinsics.unproject(DVec2::new(u, v));
+    let ray = CellRay { p: seen.cell_from_camera.translation, q: seen.cell_from_camera.matrix3 * direction };
+    let Some((enter, leave)) = occupied_depths(seen, &ray) else { return 0.0 };
+    let (enter, leave) = (enter.max(0.0), leave.min(prepared.detector_mm));
+    let cells_per_mm = ray.q.abs().element_sum();
+    spans.iter().map(|(from, to)| (to.min(leave) - from.max(enter)).max(0.0) * cells_per_mm).sum()
+}

@@ -336,6 +336,14 @@ fn no_drawn_mistake_gives_a_wrong_pose() {
     assert!(clear >= 1 && right + 1 >= clear, "{right} of {clear}");
 }
 
+/// A layout that half a turn puts onto itself, under a prior that is turned so: the wrong pose fits, and nothing but the prior speaks for it.
+#[test]
+fn that_only_a_prior_tells_a_layout_from_itself_is_said() {
+    let case = case(7_000_713).expect("drawn");
+    assert!(case.pose.is_accepted() && case.error_px > 100.0, "{} px off, {:?}", case.error_px, case.pose.reason);
+    assert!(case.pose.cautions.iter().any(|caution| caution.contains("rests on the prior alone")), "{:?}", case.pose.cautions);
+}
+
 /// Mirrored frames of flat layouts whose mirror image is where the prior says, plates with a negated axis, grids and layouts with a half turn
 /// under a prior that is turned, a mirrored grid: a wrong reading fitted, and the right one was not looked for.
 #[test]

@@ -332,6 +332,14 @@ fn a_symmetric_layout_is_ambiguous_until_a_prior_breaks_it() {
     let guided = register_shadows(&Registration { prior: Some(&prior), ..matching(&view, &layout) }, &found);
     assert!(guided.is_accepted(), "{:?}", guided.reason);
     assert!(landmark_error_px(&guided, &view) < 1.0);
+    let on_prior = |pose: &Pose| pose.cautions.iter().filter(|caution| caution.contains("rests on the prior alone")).count();
+    assert_eq!(on_prior(&guided), 1, "{:?}", guided.cautions);
+    // One corner pulled out, and the beads tell by themselves.
+    let mut lopsided = layout.clone();
+    lopsided.beads[0].lps_mm *= 1.3;
+    let found = shadows(&view, &lopsided, 0.1, 0.0, 2);
+    let told = register_shadows(&Registration { prior: Some(&prior), ..matching(&view, &lopsided) }, &found);
+    assert!(told.is_accepted() && on_prior(&told) == 0, "{:?} {:?}", told.reason, told.cautions);
 }
 
 #[test]

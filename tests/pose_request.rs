@@ -36,6 +36,13 @@ fn named_shadows_settle_what_a_symmetric_layout_leaves_open() {
     let named = register_shadows(&Registration { correspondences: &right, ..matching(&view, &layout) }, &found);
     assert!(named.is_accepted() && landmark_error_px(&named, &view) < 1.0, "{:?}", named.reason);
 
+    let prior = Prior { camera_from_lps: view.camera_from_lps, covariance: None };
+    let rests_on_prior = |correspondences: &[Correspondence]| {
+        let request = Registration { correspondences, prior: Some(&prior), ..matching(&view, &layout) };
+        register_shadows(&request, &found).cautions.iter().any(|caution| caution.contains("rests on the prior alone"))
+    };
+    assert!(rests_on_prior(&[]) && !rests_on_prior(&right));
+
     // Two names exchanged: no rigid box has its corners so.
     let wrong = marks(&view, &layout, &[(0, 1), (1, 0), (2, 2)]);
     let named = register_shadows(&Registration { correspondences: &wrong, ..matching(&view, &layout) }, &found);

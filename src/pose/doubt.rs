@@ -81,6 +81,9 @@ impl Case<'_> {
         {
             return Err(refusal);
         }
+        if guided {
+            self.check_moved_twin(last, &mut cautions)?;
+        }
         let many_missing = missing.len() > ORDINARY && (missing.len() >= matched || unexplained.len() >= missing.len());
         if many_missing && !self.is_best_of_all(last, &besides) {
             let (missing, unexplained) = (missing.clone(), unexplained.len());
@@ -96,6 +99,30 @@ impl Case<'_> {
             cautions.push(format!("not seen although their places are clear: {}", missing.join(", ")));
         }
         Ok(cautions)
+    }
+
+    /// Where the layout fits the frame as well elsewhere, the prior alone tells which of the two it is.
+    fn check_moved_twin(&self, last: &Settled, cautions: &mut Vec<String>) -> Result<(), Refusal> {
+        let Some(twin) = self.moved_twin(last) else { return Ok(()) };
+        let (angle_deg, shift_mm) = self.distance(&twin.camera_from_lps, &last.solution.camera_from_lps);
+        let matched = last.matches.len();
+        if twin.excess < -FAR_BETTER * last.chi2_per_dof.max(1.0) {
+            return Err(Refusal::Ambiguous {
+                rival: Rival::OtherNames,
+                angle_deg,
+                shift_mm,
+                matched,
+                fit: last.rms_px(),
+                other_matched: matched,
+                other_fit: twin.rms_px,
+                prior_given: true,
+            });
+        }
+        cautions.push(format!(
+            "the beads fit the frame as well {angle_deg:.1}° and {shift_mm:.1} mm away, under other names: that they are not seen from there \
+             rests on the prior alone"
+        ));
+        Ok(())
     }
 
     /// Shadows beside the places of their beads are outliers where the others fit as they should, and a wrong layout or K where not.

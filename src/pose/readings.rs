@@ -8,11 +8,11 @@ use super::besides::Besides;
 use super::case::Case;
 use super::doubt::{LEAST_RMS_PX, ORDINARY};
 use super::gate::{Gate, information_about};
-use super::mirror_twin::mirrored_k;
 use super::refusal::{Refusal, Rival};
 use super::search::{Found, Hypothesis, Search};
 use super::settle::Settled;
 use super::solve::Match;
+use super::twin::mirrored_k;
 use super::verdict::{is_plate, spread};
 use crate::beads::Detection;
 use crate::geometry::{Intrinsics, Rigid};
@@ -78,7 +78,7 @@ impl Case<'_> {
         })
     }
 
-    fn is_elsewhere(&self, pose: &Rigid, last: &Settled) -> bool {
+    pub fn is_elsewhere(&self, pose: &Rigid, last: &Settled) -> bool {
         let (angle_deg, shift_mm) = self.distance(pose, &last.solution.camera_from_lps);
         !(angle_deg < SAME_POSE.0 && shift_mm < SAME_POSE.1)
     }

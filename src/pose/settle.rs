@@ -36,8 +36,7 @@ impl Settled {
 
     /// √mean(dx² + dy²) of the beads that the pose rests on, px.
     pub fn rms_px(&self) -> f64 {
-        let residuals = &self.solution.residuals_px;
-        (residuals.iter().map(|r| r.length_squared()).sum::<f64>() / residuals.len().max(1) as f64).sqrt()
+        self.solution.rms_px()
     }
 
     /// `off_px`, of a bead that the pose does not rest on, in standard deviations of its place (`sigma_mm` per axis), its shadow's

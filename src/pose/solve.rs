@@ -159,6 +159,13 @@ pub struct Sharpness {
 }
 
 impl Solution {
+    /// √mean(dx² + dy²) of the residuals.
+    #[must_use]
+    pub fn rms_px(&self) -> f64 {
+        let squares = self.residuals_px.iter().map(|r| r.length_squared()).sum::<f64>();
+        (squares / self.residuals_px.len().max(1) as f64).sqrt()
+    }
+
     /// Where P puts a place, and the same where it lies in front of the source.
     #[must_use]
     pub fn place(&self, lps_mm: DVec3) -> (DVec2, Option<DVec2>) {

@@ -313,11 +313,13 @@ fn evaluate(first: u64, count: u64) -> (usize, usize, usize, usize) {
             }
         }
     }
-    let mut ms: Vec<f64> = cases.iter().map(|(_, case)| case.ms).collect();
-    ms.sort_by(f64::total_cmp);
-    let slowest = cases.iter().max_by(|a, b| a.1.ms.total_cmp(&b.1.ms)).map_or(0, |(seed, _)| *seed);
-    println!("slowest seed {slowest}");
-    println!("median {:.1} ms, 99 % {:.0} ms, worst {:.0} ms", ms[ms.len() / 2], ms[ms.len() * 99 / 100], ms[ms.len() - 1]);
+    for k in [K::Known, K::Free] {
+        let mut ms: Vec<(f64, u64)> = cases.iter().filter(|(_, case)| case.k == k).map(|(seed, case)| (case.ms, *seed)).collect();
+        ms.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let Some((worst, slowest)) = ms.last() else { continue };
+        let [median, most] = [ms[ms.len() / 2].0, ms[ms.len() * 99 / 100].0];
+        println!("K {k:?}: median {median:.1} ms, 99 % {most:.0} ms, worst {worst:.0} ms (seed {slowest})");
+    }
     println!("{:16} accepted  refused  wrong  wrong, with a caution", "");
     table.iter().for_each(|(mistake, [a, r, w, s])| println!("{:16} {a:8} {r:8} {w:6} {s:6}", format!("{mistake:?}")));
     println!(

@@ -155,3 +155,76 @@ fn cells_between(prepared: &Prepared, seen: &SeenVolume, [u, v]: [f64; 2], spans
     let cells_per_mm = ray.q.abs().element_sum();
     spans.iter().map(|(from, to)| (to.min(leave) - from.max(enter)).max(0.0) * cells_per_mm).sum()
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use glam::DVec3;
+
+    use super::*;
+    use crate::geometry::Rigid;
+    use crate::render::cells::Cells;
+    use crate::render::meshes::MadeMesh;
+    use crate::render::slabs::Slabs;
+    use crate::render::timed_scenes::{EDGE, cells_per_slab, test_scene, test_volume, timed_mesh};
+    use crate::scene::model::{Matter, Object, Shape, Solid};
+
+    fn ball(at: DVec3, radius_mm: f64) -> Matter {
+        let lps_from_local = Rigid { translation_mm: at, ..Rigid::IDENTITY };
+        let shape = Shape::Ellipsoid { semi_axes_mm: DVec3::splat(radius_mm) };
+        Matter::Solids(vec![Solid { shape, lps_from_local, material: 0, density_g_per_cm3: 1.0 }])
+    }
+
+    /// What the ray in the middle of the timed scenes' image meets, later objects displacing earlier ones.
+    fn counts(matters: Vec<Matter>) -> RayCounts {
+        let mut scene = test_scene("").expect("a scene");
+        scene.objects =
+            matters.into_iter().map(|matter| Object { name: "timed".to_owned(), body: String::new(), matter }).collect();
+        let prepared = Prepared::new(
+            &scene,
+            scene.view.expect("has one"),
+            |volume, _| {
+                let cells = Arc::new(Cells::new(volume, None).expect("few materials"));
+                let slabs = Slabs::new(volume, &cells).map(Arc::new);
+                Ok((cells, slabs))
+            },
+            |mesh| Arc::new(MadeMesh::new(mesh)),
+        );
+        RayCounts::of(&prepared.expect("prepared"), [EDGE as u32 / 2; 2])
+    }
+
+    fn volume() -> Matter {
+        Matter::Volume(Arc::new(test_volume(EDGE, 1, 1)))
+    }
+
+    #[test]
+    fn a_ray_through_a_volume_counts_its_slabs_and_cells() {
+        let found = counts(vec![volume()]);
+        // It leaves through the side before it has crossed every slab.
+        assert!(found.slabs > 0.6 * EDGE as f64 && found.slabs <= EDGE as f64 + 1.0, "{found:?}");
+        assert!((found.cells / found.slabs - cells_per_slab()).abs() < 0.02 && cells_per_slab() > 1.4, "{found:?}");
+        assert!(found.apart > 0.4 && found.apart < 0.6 && !found.walked && found.remote == 0.0, "{found:?}");
+        let twice = counts(vec![volume(), volume()]);
+        assert!(twice.walked && twice.slabs == 2.0 * found.slabs && (twice.apart - found.apart).abs() < 1e-9, "{twice:?}");
+    }
+
+    #[test]
+    fn shapes_passed_by_and_met_are_told_apart_and_what_lies_below_a_volume_is_walked() {
+        let met = counts(vec![volume(), ball(DVec3::ZERO, 10.0)]);
+        assert_eq!((met.solids, met.displacing), ([1.0, 1.0], 0.0), "the ball displaces the volume");
+        // Half the diagonal of a block of rays away: the block sees it, the ray does not.
+        let passed = counts(vec![ball(DVec3::ZERO, 1.0), ball(DVec3::new(2.0, 2.0, 0.0), 1.5)]);
+        assert!(passed.solids[0] == 2.0 && passed.solids[1] < 2.0, "{passed:?}");
+        let below = counts(vec![ball(DVec3::ZERO, 10.0), volume()]);
+        assert!(below.displacing > 20.0 && below.displacing < 1.05 * 20.0 * cells_per_slab(), "{below:?}");
+    }
+
+    #[test]
+    fn boxes_and_triangles_of_a_mesh_are_counted_as_they_are_tried() {
+        let mesh = timed_mesh();
+        let triangles = mesh.triangles.len() as f64;
+        let found = counts(vec![Matter::Mesh(Arc::new(mesh))]);
+        assert!(found.mesh_tests > triangles.log2() && found.mesh_tests < 0.1 * triangles, "{found:?}");
+    }
+}

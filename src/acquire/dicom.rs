@@ -10,7 +10,7 @@ use super::domain::{Traces, judge};
 use super::padding::Padding;
 use super::tag_reader::TagReader;
 use super::terms::is_term;
-use super::{Domain, Fault, Raw, whole};
+use super::{Domain, Fault, Raw, extent, whole};
 use crate::foreign::Limits;
 use crate::image::Image;
 
@@ -141,6 +141,9 @@ fn each(
 
 /// The data set in the bytes of a file, the elements from `until` on left out.
 pub(super) fn parse(bytes: &[u8], until: Option<Tag>) -> Result<DefaultDicomObject, Fault> {
+    if extent::claims_too_much(bytes, until) {
+        return Err(Fault::Dicom { detail: "it ends early".to_owned() });
+    }
     let options = dicom_object::OpenFileOptions::new().read_preamble(dicom_object::file::ReadPreamble::Always);
     let options = if let Some(tag) = until { options.read_until(tag) } else { options };
     options.from_reader(bytes).map_err(|error| where_parsing_stopped(&error))

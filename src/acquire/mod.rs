@@ -13,6 +13,7 @@ mod dimse;
 mod domain;
 mod entry;
 mod error;
+mod extent;
 mod identity;
 mod label;
 mod listing;

@@ -66,6 +66,8 @@ pub const MISSED: f64 = 30.0;
 /// Poses from three points allowed in one search.
 pub const BUDGET: u64 = 3_000_000;
 const BATCH: usize = 48;
+/// Factor by which depths are off at most where a triangle is seen as from far away.
+const ROUGH: f64 = 1.3;
 const KEPT_PER_BATCH: usize = 40;
 
 /// What every triple asks, once for all.
@@ -161,7 +163,7 @@ impl Search<'_> {
         if !(longest * self.intrinsics.fx > 15.0 && area > 0.03 * longest * longest) {
             return (Vec::new(), 0, 0);
         }
-        let (near, far) = self.depth_mm;
+        let near = self.depth_mm.0;
         let fits = |image: f64, world: f64| world >= 0.97 * image * near && world > 0.0;
         let allowed =
             |bead: usize, n: usize| self.allowed[bead * self.detections.len() + triple[n]] && self.may_pair(bead, triple[n]);
@@ -182,17 +184,23 @@ impl Search<'_> {
                     }
                     let points = [i, j, k].map(|n| self.targets[n].lps_mm);
                     solved += 1;
-                    for pose in triangle::poses(&points, &images).into_iter().flatten() {
-                        let depth = pose.transform_point(points[0]).z;
-                        if !(depth > near
-                            && depth < far
-                            && self.radii_fit(&pose, [i, j, k], triple)
-                            && self.inside_gate(&pose, 1.5))
-                        {
+                    let beads = [i, j, k];
+                    for rough in triangle::rough_depths(&points, &images).into_iter().flatten() {
+                        // Far from any depth that counts, exact ones are not computed.
+                        if !self.depths_fit(rough, beads, triple, ROUGH) {
                             continue;
                         }
+                        let Some(depths) = triangle::depths(&points, &images, rough) else { continue };
+                        if !self.depths_fit(depths, beads, triple, 1.0) {
+                            continue;
+                        }
+                        let Some(pose) = triangle::pose(&points, &images, depths).filter(|pose| self.inside_gate(pose, 1.5))
+                        else {
+                            continue;
+                        };
+                        let depth = depths[0];
                         tried += 1;
-                        if let Some(worth) = self.support(&pose, [i, j, k], triple, depth, &tables.shadows) {
+                        if let Some(worth) = self.support(&pose, beads, triple, depth, &tables.shadows) {
                             raws.push(Raw { pose, worth, order: (number, raws.len()) });
                         }
                     }
@@ -209,17 +217,21 @@ impl Search<'_> {
         self.gate.as_ref().is_none_or(|gate| gate.squares(pose) <= gate.limit * factor)
     }
 
-    /// Whether a shadow has the radius that bead would have there.
-    fn radius_fits(&self, detection: usize, bead: usize, depth_mm: f64) -> bool {
+    /// Whether beads at those depths are within reach and have the radii of their shadows; depths may be off by a factor `rough`.
+    fn depths_fit(&self, depths_mm: [f64; 3], beads: [usize; 3], triple: [usize; 3], rough: f64) -> bool {
+        let (near, far) = self.depth_mm;
+        depths_mm[0] * rough > near
+            && depths_mm[0] < far * rough
+            && (0..3).all(|n| self.radius_fits(triple[n], beads[n], depths_mm[n], rough))
+    }
+
+    /// Whether a shadow has the radius that bead would have there, at a depth that may be off by a factor `rough`.
+    fn radius_fits(&self, detection: usize, bead: usize, depth_mm: f64, rough: f64) -> bool {
         let Some(radius_mm) = self.targets[bead].radius_mm else { return true };
         let predicted = self.intrinsics.fx * radius_mm / depth_mm;
         // Blur, clipping and display curves move the fitted radius; a small shadow more than a large one.
         let slack = 0.35 + 0.5 / predicted;
-        (self.detections[detection].radius_px / predicted).ln().abs() < slack
-    }
-
-    fn radii_fit(&self, pose: &Rigid, beads: [usize; 3], triple: [usize; 3]) -> bool {
-        (0..3).all(|n| self.radius_fits(triple[n], beads[n], pose.transform_point(self.targets[beads[n]].lps_mm).z))
+        (self.detections[detection].radius_px / predicted).ln().abs() < slack + rough.ln()
     }
 
     /// Worth of the other beads' agreement with the pose; `None` when too few agree.
@@ -241,7 +253,7 @@ impl Search<'_> {
             let mut nearest = limit * limit;
             for (n, detection) in self.detections.iter().enumerate() {
                 let d2 = detection.image_px.distance_squared(at);
-                if d2 < nearest && !triple.contains(&n) && self.may_pair(bead, n) && self.radius_fits(n, bead, p.z) {
+                if d2 < nearest && !triple.contains(&n) && self.may_pair(bead, n) && self.radius_fits(n, bead, p.z, 1.0) {
                     nearest = d2;
                 }
             }
@@ -310,7 +322,7 @@ impl Search<'_> {
                 let distance = detection.image_px.distance(at);
                 if distance < limit_px(target) + 4.0 * detection.sigma_px
                     && self.may_pair(bead, n)
-                    && self.radius_fits(n, bead, p.z)
+                    && self.radius_fits(n, bead, p.z, 1.0)
                 {
                     pairs.push((distance, bead, n));
                 }

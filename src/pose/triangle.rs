@@ -9,8 +9,8 @@ use glam::{DMat3, DQuat, DVec2, DVec3};
 
 use crate::geometry::Rigid;
 
-/// `camera_from_lps` candidates (at most two) from points in `lps` and their images on the plane z = 1 of `camera`.
-pub fn poses(points: &[DVec3; 3], images: &[DVec2; 3]) -> [Option<Rigid>; 2] {
+/// About the depths of points in `lps` whose images on the plane z = 1 of `camera` are these: of the pose and of its twin.
+pub fn rough_depths(points: &[DVec3; 3], images: &[DVec2; 3]) -> Option<[[f64; 3]; 2]> {
     let (p12, p13) = (points[1] - points[0], points[2] - points[0]);
     let (q12, q13) = (images[1] - images[0], images[2] - images[0]);
     let (a1, a2, a3) = (p12.length_squared(), p13.length_squared(), p12.dot(p13));
@@ -20,7 +20,7 @@ pub fn poses(points: &[DVec3; 3], images: &[DVec2; 3]) -> [Option<Rigid>; 2] {
     let discriminant = (b * b - 4.0 * a * c).max(0.0);
     let z2 = 2.0 * c / (b + discriminant.sqrt());
     if !(z2 > 0.0 && z2.is_finite()) {
-        return [None, None];
+        return None;
     }
     let z = z2.sqrt();
     let h2 = (a1 - z2 * b1).max(0.0).sqrt();
@@ -28,10 +28,11 @@ pub fn poses(points: &[DVec3; 3], images: &[DVec2; 3]) -> [Option<Rigid>; 2] {
     // Where the triangle lies flat to the detector the twins coincide and Newton's matrix is singular: keep them apart by a little.
     let least = 0.02 * a1.max(a2).sqrt();
     let (h2, h3) = if h2.abs() + h3.abs() < least { (least, 0.5 * least) } else { (h2, h3) };
-    [1.0, -1.0].map(|sign| newton(points, images, [z, z + sign * h2, z + sign * h3]))
+    Some([1.0, -1.0].map(|sign| [z, z + sign * h2, z + sign * h3]))
 }
 
-fn newton(points: &[DVec3; 3], images: &[DVec2; 3], start: [f64; 3]) -> Option<Rigid> {
+/// The depths that are exact, from rough ones.
+pub fn depths(points: &[DVec3; 3], images: &[DVec2; 3], start: [f64; 3]) -> Option<[f64; 3]> {
     const PAIRS: [(usize, usize); 3] = [(0, 1), (0, 2), (1, 2)];
     let rays = images.map(|q| DVec3::new(q.x, q.y, 1.0));
     let wanted = PAIRS.map(|(i, j)| points[i].distance_squared(points[j]));
@@ -69,10 +70,12 @@ fn newton(points: &[DVec3; 3], images: &[DVec2; 3], start: [f64; 3]) -> Option<R
     let at = [rays[0] * depths.x, rays[1] * depths.y, rays[2] * depths.z];
     let residual =
         PAIRS.iter().enumerate().map(|(n, (i, j))| (at[*i].distance(at[*j]) - wanted[n].sqrt()).abs()).fold(0.0, f64::max);
-    if !(residual < 0.02 * wanted[0].max(wanted[1]).sqrt()) {
-        return None;
-    }
-    align(points, &at)
+    (residual < 0.02 * wanted[0].max(wanted[1]).sqrt()).then(|| depths.to_array())
+}
+
+/// `camera_from_lps` under which the points lie at those depths along their rays.
+pub fn pose(points: &[DVec3; 3], images: &[DVec2; 3], depths: [f64; 3]) -> Option<Rigid> {
+    align(points, &std::array::from_fn(|n| DVec3::new(images[n].x, images[n].y, 1.0) * depths[n]))
 }
 
 /// The rigid motion that takes triangle `from` to its copy `to`; `None` where the corners of one lie on a line.
@@ -90,6 +93,7 @@ pub fn align(from: &[DVec3; 3], to: &[DVec3; 3]) -> Option<Rigid> {
 
 #[cfg(test)]
 mod tests {
+    use super::pose as pose_of;
     use super::*;
     use crate::random::{Purpose, Stream};
 
@@ -107,7 +111,9 @@ mod tests {
             });
             let close =
                 |found: &Rigid| found.angle_to_rad(&pose) < 1e-5 && found.translation_mm.distance(pose.translation_mm) < 1e-2;
-            right += usize::from(poses(&points, &images).iter().flatten().any(close));
+            let exact = |start: [f64; 3]| pose_of(&points, &images, depths(&points, &images, start)?);
+            right +=
+                usize::from(rough_depths(&points, &images).into_iter().flatten().filter_map(exact).any(|found| close(&found)));
         }
         assert!(right >= 190, "{right} of 200");
     }

@@ -4,6 +4,7 @@ use glam::{DQuat, DVec2, DVec3};
 
 use super::case::Case;
 use super::doubt::ALIKE;
+use super::search::MISSED;
 use super::settle::Settled;
 use super::solve::{Free, Match, Options, Solution, solve};
 use super::triangle::align;
@@ -47,21 +48,32 @@ impl Case<'_> {
         let tolerance_mm = (ON_ANOTHER.0 * scale.sqrt() * worst_mm).max(ON_ANOTHER.1);
         let turned = move |p: DVec3| if mirrored { DVec3::new(-p.x, p.y, p.z) } else { p };
         let source = widest(matches).map(|base| base.map(|n| turned(matches[n].lps_mm)));
-        let fit: f64 = last.solution.chi2.iter().sum();
+        // Where the prior is fused, the match's own squares are those of both.
+        let own: Vec<usize> = matches.iter().map(|m| m.bead).collect();
+        let fit = self.fit_of(last, &own, &Rigid::IDENTITY, false).map_or(f64::NAN, |alone| alone.chi2.iter().sum::<f64>());
         let onto = source.map(|source| triples_like(&source, &places, 2.0 * tolerance_mm)).unwrap_or_default();
         onto.into_iter().filter_map(move |triple| {
             let motion = align(&source?, &triple.map(|bead| places[bead]))?;
             let names = names(matches, &places, |p| motion.transform_point(turned(p)), tolerance_mm)?;
             // What a person has named has no other name.
-            let renames = |(m, name): (&Match, &usize)| m.bead != *name && self.pinned.contains(&(m.bead, m.detection));
+            let renames = |(m, name): (&Match, &usize)| self.pinned.iter().any(|(b, d)| (*b == *name) != (*d == m.detection));
             if !mirrored && matches.iter().zip(&names).any(renames) {
                 return None;
             }
             let solution = self.fit_of(last, &names, &motion, mirrored)?;
             let excess = solution.chi2.iter().sum::<f64>() - fit;
+            // Beads that it would show, and the frame does not.
+            let unseen = |names: &[usize], pose: &Solution| self.in_view_beside(names, pose) as f64;
+            let unseen = if mirrored { 0.0 } else { MISSED * (unseen(&names, &solution) - unseen(&own, &last.solution)) };
             let (camera_from_lps, rms_px) = (solution.camera_from_lps, solution.rms_px());
-            (excess < ALIKE * scale).then_some(Twin { camera_from_lps, excess, rms_px })
+            (excess + unseen < ALIKE * scale).then_some(Twin { camera_from_lps, excess, rms_px })
         })
+    }
+
+    /// How many beads other than `names` a camera would show.
+    fn in_view_beside(&self, names: &[usize], camera: &Solution) -> usize {
+        let beads = self.request.layout.beads.iter().enumerate().filter(|(bead, _)| !names.contains(bead));
+        beads.filter_map(|(_, bead)| camera.place(bead.lps_mm).1).filter(|at| !self.request.is_outside(*at)).count()
     }
 
     /// The camera with each shadow that of the bead in `names`; `motion` puts the layout, x negated where the picture's mirror image

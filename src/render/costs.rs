@@ -89,7 +89,7 @@ pub struct Casting {
     pub step_px: f64,
     /// Bands of rows, of which cores take one at a time.
     pub bands: f64,
-    /// What some of them meet, drawn at random.
+    /// What some of them meet.
     pub drawn: Vec<RayCounts>,
 }
 

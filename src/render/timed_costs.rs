@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
 use rayon::prelude::*;
@@ -22,7 +23,7 @@ use super::ray_counts::RayCounts;
 use super::slabs::Slabs;
 use super::spectrum::{Bins, LANES};
 use super::timed_scenes::{
-    EDGE, FAR_EDGE, TUBES, cells_per_slab, cut_volume, seen_from_afar, test_scene, test_volume, timed_mesh, timed_tubes,
+    EDGE, FAR_EDGE, cells_per_slab, cut_volume, seen_from_afar, test_scene, test_volume, timed_mesh, timed_tubes,
 };
 use crate::geometry::View;
 use crate::gpu::cpu_name;
@@ -32,7 +33,7 @@ use crate::scene::model::{Matter, Object, Scene, Volume};
 use crate::time::Stopwatch;
 
 /// Goes up whenever an executor becomes faster or slower, so that no one trusts costs of the one before.
-const METHOD: u32 = 11;
+const METHOD: u32 = 12;
 
 /// Costs are measured once more when the last time is so long ago, and twice as long after each time: others may have used the machine
 /// before, for a minute or for an hour.
@@ -91,11 +92,13 @@ fn measure() -> Costs {
     let far_scene = seen_from_afar(&scene);
     let time_far = |materials: usize, block: usize, sampling: Sampling| {
         let few_ns = time(test_volume(FEW, materials, block.min(FEW)), sampling)?;
-        let ms = with_volume(&far_scene, test_volume(EDGE, materials, block), |prepared| {
+        let (ms, slabs) = with_volume(&far_scene, test_volume(EDGE, materials, block), |prepared| {
             prepared.make_slabs(sampling == Sampling::FixedSlabs);
-            fastest(|| drop(integrate_density(prepared, sampling)))
-        });
-        Some(((per(ms?, (FAR_EDGE * FAR_EDGE) as f64) - few_ns) / (EDGE - FEW) as f64).max(1e-3))
+            let drawn = drawn(prepared);
+            let slabs = drawn.iter().map(|ray| ray.slabs).sum::<f64>() / drawn.len() as f64;
+            (fastest(|| drop(integrate_density(prepared, sampling))), slabs)
+        })?;
+        Some(((per(ms, (FAR_EDGE * FAR_EDGE) as f64) - few_ns) / (slabs - FEW as f64).max(1.0)).max(1e-3))
     };
     // Of what a ray takes through many and through few slabs, what they do not account for.
     let time_both = |materials: usize, block: usize, sampling: Sampling| {
@@ -161,10 +164,14 @@ fn measure() -> Costs {
             costs.heel_ms = small_ms;
         }
     }
-    for (cost, are_met) in costs.solid_ns.iter_mut().zip([false, true]) {
-        if let Some((ns, _)) = time_objects(&scene, timed_tubes(are_met), threads) {
-            *cost = ns / TUBES as f64;
-        }
+    let of_tubes = |are_met: bool| {
+        let (ns, drawn) = time_objects(&scene, timed_tubes(are_met), threads)?;
+        let mean = |of: usize| drawn.iter().map(|ray| ray.solids[of]).sum::<f64>() / drawn.len() as f64;
+        Some((ns, mean(0), mean(1)))
+    };
+    if let (Some((passed_ns, tried, _)), Some((ns, all_tried, met))) = (of_tubes(false), of_tubes(true)) {
+        let pass_ns = passed_ns / tried.max(1.0);
+        costs.solid_ns = [pass_ns, ((ns - pass_ns * (all_tried - met)) / met.max(1.0)).max(pass_ns)];
     }
     if let Some((ns, drawn)) = time_objects(&scene, Matter::Mesh(Arc::new(timed_mesh())), threads) {
         costs.mesh_test_ns = ns * drawn.len() as f64 / drawn.iter().map(|ray| ray.mesh_tests).sum::<f64>();
@@ -214,11 +221,16 @@ fn line_ns(threads: usize) -> f64 {
     const LINE: usize = 8;
     const READS: usize = 20_000;
     let memory = vec![1u64; 1 << 24];
+    // Others each time: those of the time before are in the caches.
+    let round = AtomicU32::new(0);
     let read = |thread: usize| {
-        let mut stream = Stream::new(thread as u64, 0, 0, Purpose::Evaluation);
+        let mut stream = Stream::new(thread as u64, round.load(Ordering::Relaxed), 0, Purpose::Evaluation);
         (0..READS).map(|_| memory[stream.next_u32() as usize % (memory.len() / LINE) * LINE]).fold(0u64, u64::wrapping_add)
     };
-    let ms = fastest(|| drop(std::hint::black_box((0..threads).into_par_iter().map(read).collect::<Vec<u64>>())));
+    let ms = fastest(|| {
+        round.fetch_add(1, Ordering::Relaxed);
+        drop(std::hint::black_box((0..threads).into_par_iter().map(read).collect::<Vec<u64>>()));
+    });
     (ms * 1e6 / READS as f64).max(1e-3)
 }
 
@@ -260,6 +272,13 @@ fn time_objects(scene: &Scene, matter: Matter, threads: usize) -> Option<(f64, V
     Some(((ms * 1e6 * threads as f64 / (f64::from(width) * f64::from(height))).max(1e-9), drawn))
 }
 
+/// What the rays of some pixels meet.
+fn drawn(prepared: &Prepared) -> Vec<RayCounts> {
+    let [width, height] = prepared.view.size_px;
+    let places = (0..height).step_by(7).flat_map(|v| (0..width).step_by(7).map(move |u| [u, v]));
+    places.map(|pixel| RayCounts::of(prepared, pixel)).collect()
+}
+
 /// Milliseconds that casting `matter` alone takes, and what the rays of some pixels meet.
 fn time_objects_by(scene: &Scene, matter: Matter, time: fn(&dyn Fn()) -> f64) -> Option<(f64, Vec<RayCounts>)> {
     let object = Object { name: "timed".to_owned(), body: String::new(), matter };
@@ -268,10 +287,7 @@ fn time_objects_by(scene: &Scene, matter: Matter, time: fn(&dyn Fn()) -> f64) ->
         Err(super::RenderError::Volume { name: name.to_owned(), detail: "there is none to time".to_owned() })
     };
     let prepared = Prepared::new(&scene, scene.view?, no_volume, |mesh| Arc::new(MadeMesh::new(mesh))).ok()?;
-    let [width, height] = prepared.view.size_px;
-    let places = (0..height).step_by(7).flat_map(|v| (0..width).step_by(7).map(move |u| [u, v]));
-    let drawn = places.map(|pixel| RayCounts::of(&prepared, pixel)).collect();
-    Some((time(&|| drop(integrate_density(&prepared, Sampling::None))), drawn))
+    Some((time(&|| drop(integrate_density(&prepared, Sampling::None))), drawn(&prepared)))
 }
 
 #[cfg(test)]

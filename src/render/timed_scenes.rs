@@ -99,10 +99,10 @@ pub(super) fn cut_volume() -> Volume {
     Volume { truncated_at_faces: true, ..volume }
 }
 
-/// Tubes that every ray is tried against when shapes are timed.
-pub(super) const TUBES: usize = 16;
+/// Tubes when shapes are timed.
+const TUBES: usize = 16;
 
-/// Tubes that all rays meet, or as many that are too thin for almost any.
+/// Tubes that most rays meet, or as many that are too thin for almost any.
 pub(super) fn timed_tubes(are_met: bool) -> Matter {
     let [radius_mm, inner_radius_mm] = if are_met { [60.0, 55.0] } else { [0.06, 0.055] };
     let tube = |index: usize| Solid {

@@ -16,7 +16,7 @@ pub enum Goal {
     MaxError(f64),
     /// Wall milliseconds, preparation of volumes aside.
     BudgetMs(f64),
-    /// Exactly this, to measure it: sampling, tolerance of the energies (none: every bin) and cast pixels.
+    /// This, as far as the scene allows it (where no pixel can be skipped, none is), to measure it: sampling, tolerance of the energies (none: every bin) and cast pixels.
     Explicit {
         /// How volumes are sampled.
         sampling: Sampling,

@@ -67,6 +67,29 @@ mod tests {
         }
     }
 
+    /// Bit for bit what the four cast pixels around a pixel give it, first along the row.
+    #[test]
+    fn every_pixel_is_what_the_four_around_it_give() {
+        let mut stream = crate::random::Stream::new(3, 0, 0, crate::random::Purpose::Evaluation);
+        let (coarse, size, step, materials) = ([9, 7], [31, 25], 4, 3);
+        let g_per_cm2: Vec<f32> = (0..coarse[0] * coarse[1] * materials).map(|_| stream.uniform() as f32).collect();
+        let density = Density { material_count: materials, g_per_cm2: g_per_cm2.clone(), valid: vec![1; coarse[0] * coarse[1]] };
+        let large = enlarge_density(&density, coarse, size, step);
+        for (index, found) in large.g_per_cm2.iter().enumerate() {
+            let (pixel, material) = (index / materials, index % materials);
+            let place = |at: usize, last: usize| {
+                let first = (at / step).min(last);
+                (first, (first + 1).min(last), (at - first * step).min(step) as f32 / step as f32)
+            };
+            let (left, right, fu) = place(pixel % size[0], coarse[0] - 1);
+            let (top, bottom, fv) = place(pixel / size[0], coarse[1] - 1);
+            let at = |u: usize, v: usize| g_per_cm2[(v * coarse[0] + u) * materials + material];
+            let upper = at(left, top) + fu * (at(right, top) - at(left, top));
+            let lower = at(left, bottom) + fu * (at(right, bottom) - at(left, bottom));
+            assert_eq!(*found, upper + fv * (lower - upper), "pixel {pixel}, material {material}");
+        }
+    }
+
     /// Two materials, an image that ends between and beyond cast pixels, one ray cut off.
     #[test]
     fn pixels_beyond_the_last_cast_one_repeat_it_and_what_touches_a_cut_ray_is_cut() {

@@ -85,8 +85,8 @@ impl Syntax {
 
     /// The next element's head, and what follows it; `None` at the end, or within a head.
     fn head(self, bytes: &[u8]) -> Option<(Head, &[u8])> {
-        let word = |at: usize| bytes.get(at..at + 2).and_then(|two| two.first_chunk::<2>()).map(|two| self.word(*two));
-        let long = |at: usize| bytes.get(at..at + 4).and_then(|four| four.first_chunk::<4>()).map(|four| self.long(*four));
+        let word = |at: usize| Some(self.word(*bytes.get(at..)?.first_chunk()?));
+        let long = |at: usize| Some(self.long(*bytes.get(at..)?.first_chunk()?));
         let tag = Tag(word(0)?, word(2)?);
         if !self.explicit || tag.group() == ITEMS {
             return Some((Head { tag, vr: None, length: long(4)? }, &bytes[8..]));
@@ -155,7 +155,12 @@ mod tests {
         assert!(claims([&defined[..], &long(4000), &name].concat()));
         // A representation that nobody knows has a long length; one that is short stays short.
         assert!(claims(vec![0x28, 0, 3, 1, b'U', 0xd6, 0, 0, 0, 0, 0, 0x10]));
-        assert!(claims([&[0x10, 0, 0x10, 0, b'P', b'N', 3, 0, b'A', b'B'][..]].concat()));
+        assert!(claims(vec![0x10, 0, 0x10, 0, b'P', b'N', 3, 0, b'A', b'B']));
+        // Nothing is parsed: the parser would first miss the rest of the meta information.
+        let parse = |length: u32| super::super::dicom::parse(&file(EXPLICIT, &long(length)), None).map(drop);
+        let fault = |detail: &str| Err(super::super::Fault::Dicom { detail: detail.to_owned() });
+        assert_eq!(parse(4_000_000_000), fault("it ends early"));
+        assert_eq!(parse(4), fault("in its file meta information"));
     }
 
     #[test]

@@ -9,7 +9,7 @@ use nalgebra::{Matrix2, Matrix6, Vector2};
 use super::gate::{Gate, information_about};
 use super::prior::Prior;
 use super::record::{Pose, Shadow};
-use super::refusal::Refusal;
+use super::refusal::{Refusal, Rival};
 use super::request::Registration;
 use super::search::{Found, Hypothesis, Search, Target};
 use super::solve::{image_by_point, point_by_pose};
@@ -128,6 +128,14 @@ impl<'a> Case<'a> {
             slack_px: 0.0,
             budget: super::search::BUDGET,
         }
+    }
+
+    /// That another reading (its pose, how many beads it explains, how well) stands against the match.
+    pub fn ambiguous(&self, rival: Rival, own: (&Rigid, usize, f64), other: (&Rigid, usize, f64)) -> Refusal {
+        let (angle_deg, shift_mm) = self.distance(other.0, own.0);
+        let (matched, fit, other_matched, other_fit) = (own.1, own.2, other.1, other.2);
+        let prior_given = self.request.prior.is_some();
+        Refusal::Ambiguous { rival, angle_deg, shift_mm, matched, fit, other_matched, other_fit, prior_given }
     }
 
     /// Degrees and millimetres between two poses, at the beads.

@@ -104,20 +104,12 @@ impl Case<'_> {
     /// Where the layout fits the frame as well elsewhere, the prior alone tells which of the two it is.
     fn check_moved_twin(&self, last: &Settled, cautions: &mut Vec<String>) -> Result<(), Refusal> {
         let Some(twin) = self.moved_twin(last) else { return Ok(()) };
-        let (angle_deg, shift_mm) = self.distance(&twin.camera_from_lps, &last.solution.camera_from_lps);
-        let matched = last.matches.len();
+        let (own, matched) = (&last.solution.camera_from_lps, last.matches.len());
         if twin.excess < -FAR_BETTER * last.chi2_per_dof.max(1.0) {
-            return Err(Refusal::Ambiguous {
-                rival: Rival::OtherNames,
-                angle_deg,
-                shift_mm,
-                matched,
-                fit: last.rms_px(),
-                other_matched: matched,
-                other_fit: twin.rms_px,
-                prior_given: true,
-            });
+            let other = (&twin.camera_from_lps, matched, twin.rms_px);
+            return Err(self.ambiguous(Rival::OtherNames, (own, matched, last.rms_px()), other));
         }
+        let (angle_deg, shift_mm) = self.distance(&twin.camera_from_lps, own);
         cautions.push(format!(
             "the beads fit the frame as well {angle_deg:.1}° and {shift_mm:.1} mm away, under other names: that they are not seen from there \
              rests on the prior alone"
@@ -186,17 +178,8 @@ impl Case<'_> {
         cautions: &mut Vec<String>,
     ) -> Result<(), Refusal> {
         let refusal = |second: &Hypothesis| {
-            let (angle_deg, shift_mm) = self.distance(&second.camera_from_lps, &hypothesis.camera_from_lps);
-            Refusal::Ambiguous {
-                rival: Rival::SecondSet,
-                angle_deg,
-                shift_mm,
-                matched: last.matches.len(),
-                fit: hypothesis.rms_px,
-                other_matched: second.matches.len(),
-                other_fit: second.rms_px,
-                prior_given: self.request.prior.is_some(),
-            }
+            let own = (&hypothesis.camera_from_lps, last.matches.len(), hypothesis.rms_px);
+            self.ambiguous(Rival::SecondSet, own, (&second.camera_from_lps, second.matches.len(), second.rms_px))
         };
         if let Some(second) = self.second_reading(last) {
             return Err(refusal(&second));

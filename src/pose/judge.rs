@@ -129,17 +129,8 @@ impl Case<'_> {
         let others: Vec<Hypothesis> =
             candidate.others.iter().filter(|other| !self.gate_excludes(&other.camera_from_lps)).cloned().collect();
         if let Some(other) = rival(&candidate.hypothesis, &others, scale, !prior_given || self.without_prior) {
-            let (angle_deg, shift_mm) = self.distance(&other.camera_from_lps, &hypothesis.camera_from_lps);
-            return Err(Refusal::Ambiguous {
-                rival: Rival::OtherNames,
-                angle_deg,
-                shift_mm,
-                matched,
-                fit: hypothesis.rms_px,
-                other_matched: other.matches.len(),
-                other_fit: other.rms_px,
-                prior_given,
-            });
+            let own = (&hypothesis.camera_from_lps, matched, hypothesis.rms_px);
+            return Err(self.ambiguous(Rival::OtherNames, own, (&other.camera_from_lps, other.matches.len(), other.rms_px)));
         }
         if self.request.intrinsics.is_some()
             && let Some((twin, other_fit)) =
@@ -147,18 +138,8 @@ impl Case<'_> {
         {
             let fit: f64 = settled.solution.chi2.iter().sum();
             if other_fit - fit < 12.0 * scale && !self.gate_excludes(&twin) {
-                let (angle_deg, shift_mm) = self.distance(&twin, &hypothesis.camera_from_lps);
-                let (rival, other_matched) = (Rival::Flat, matched);
-                return Err(Refusal::Ambiguous {
-                    rival,
-                    angle_deg,
-                    shift_mm,
-                    matched,
-                    fit,
-                    other_matched,
-                    other_fit,
-                    prior_given,
-                });
+                let own = (&hypothesis.camera_from_lps, matched, fit);
+                return Err(self.ambiguous(Rival::Flat, own, (&twin, matched, other_fit)));
             }
         }
         Ok(())

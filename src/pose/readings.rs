@@ -65,17 +65,8 @@ impl Case<'_> {
                 && self.chance_of(other, found.tried) < RIVAL_CHANCE
         };
         let other = found.hypotheses.iter().find(counts)?;
-        let (angle_deg, shift_mm) = self.distance(&other.camera_from_lps, &last.solution.camera_from_lps);
-        Some(Refusal::Ambiguous {
-            rival: Rival::OtherNames,
-            angle_deg,
-            shift_mm,
-            matched,
-            fit: last.rms_px(),
-            other_matched: other.matches.len(),
-            other_fit: other.rms_px,
-            prior_given: true,
-        })
+        let own = (&last.solution.camera_from_lps, matched, last.rms_px());
+        Some(self.ambiguous(Rival::OtherNames, own, (&other.camera_from_lps, other.matches.len(), other.rms_px)))
     }
 
     pub fn is_elsewhere(&self, pose: &Rigid, last: &Settled) -> bool {

@@ -66,9 +66,9 @@ pub const MISSED: f64 = 30.0;
 /// Poses from three points allowed in one search.
 pub const BUDGET: u64 = 3_000_000;
 const BATCH: usize = 48;
-/// Factor by which depths are off at most where a triangle is seen as from far away.
-const ROUGH: f64 = 1.3;
 const KEPT_PER_BATCH: usize = 40;
+/// Factor by which rough depths may be off: 99 of 100 triangles are off by less even in a box of 180 mm at 450 mm from the source.
+pub(super) const ROUGH: f64 = 1.5;
 
 /// What every triple asks, once for all.
 struct Tables {

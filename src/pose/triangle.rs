@@ -95,6 +95,7 @@ pub fn align(from: &[DVec3; 3], to: &[DVec3; 3]) -> Option<Rigid> {
 mod tests {
     use super::pose as pose_of;
     use super::*;
+    use crate::pose::search::ROUGH;
     use crate::random::{Purpose, Stream};
 
     #[test]
@@ -116,5 +117,26 @@ mod tests {
                 usize::from(rough_depths(&points, &images).into_iter().flatten().filter_map(exact).any(|found| close(&found)));
         }
         assert!(right >= 190, "{right} of 200");
+    }
+
+    /// Triangles in a box of 180 mm at 450 mm from the source, those left out that the search leaves out.
+    #[test]
+    fn rough_depths_are_within_their_factor() {
+        let mut random = Stream::new(5, 0, 0, Purpose::Evaluation);
+        let (mut within, mut cases) = (0, 0);
+        for _ in 0..4000 {
+            let mut corner = || DVec3::from_array([(); 3].map(|()| 180.0 * random.uniform() - 90.0));
+            let points = [corner(), corner(), corner()];
+            let in_camera = points.map(|p| p + DVec3::new(60.0, -40.0, 450.0));
+            let images = in_camera.map(|c| DVec2::new(c.x / c.z, c.y / c.z));
+            let longest = [(0, 1), (0, 2), (1, 2)].map(|(i, j)| images[i].distance(images[j])).into_iter().fold(0.0, f64::max);
+            if (images[1] - images[0]).perp_dot(images[2] - images[0]).abs() <= 0.03 * longest * longest {
+                continue;
+            }
+            let is_near = |start: [f64; 3]| (0..3).all(|n| (start[n] / in_camera[n].z).ln().abs() < ROUGH.ln());
+            within += usize::from(rough_depths(&points, &images).into_iter().flatten().any(is_near));
+            cases += 1;
+        }
+        assert!(cases > 3000 && within as f64 > 0.985 * f64::from(cases), "{within} of {cases}");
     }
 }

@@ -48,7 +48,7 @@ pub fn cast<'a>(
     mut prepare: impl FnMut(View) -> Result<Prepared<'a>, RenderError>,
 ) -> Result<Pilot, RenderError> {
     let mut pilot = Pilot::default();
-    let mut pixels = Vec::new();
+    let mut seen: Vec<([u32; 2], Vec<f32>)> = Vec::new();
     let mut stream = Stream::new(0, 0, 0, Purpose::Evaluation);
     let [width, height] = view.size_px;
     let (across, down) = (BLOCKS.min(width.div_ceil(EDGE)), BLOCKS.min(height.div_ceil(EDGE)));
@@ -64,19 +64,26 @@ pub fn cast<'a>(
         let density = integrate_density(&prepared, sampling);
         let last = size_px.map(|n| n - 1);
         let places = [[0, 0], [last[0], 0], [0, last[1]], last, size_px.map(|n| n / 2)];
-        pilot.note(&prepared, &density, &places);
-        pixels.extend(places.map(|place| [u + place[0], v + place[1]]));
+        pilot.note(&density);
+        seen.extend(places.map(|[column, row]| {
+            let first = (row * size_px[0] + column) as usize * density.material_count;
+            ([u + column, v + row], density.g_per_cm2[first..first + density.material_count].to_vec())
+        }));
     }
     let whole = prepare(view)?;
-    pilot.rays = pixels.into_iter().map(|pixel| (pixel, RayCounts::of(&whole, pixel))).collect();
+    for (pixel, paths) in seen {
+        let slabs = SlabsOfRay::all(&whole, pixel);
+        pilot.rounding_g_per_cm2.push(rounding(&whole, &slabs, &paths));
+        pilot.rays.push((pixel, RayCounts::of(&whole, pixel, &slabs)));
+    }
     pilot.walked_share = walked_share(&whole);
     pilot.face_tests = cut_faces::tests(&whole) as f64;
     Ok(pilot)
 }
 
 impl Pilot {
-    /// Notes the paths in a block, and how far off fixed point is along its rays in `places`.
-    fn note(&mut self, prepared: &Prepared, density: &Density, places: &[[u32; 2]]) {
+    /// Notes the paths in a block.
+    fn note(&mut self, density: &Density) {
         let materials = density.material_count;
         self.largest_g_per_cm2.resize(materials, 0.0);
         for paths in density.g_per_cm2.chunks_exact(materials.max(1)) {
@@ -84,19 +91,18 @@ impl Pilot {
                 *largest = largest.max(f64::from(*path));
             }
         }
-        for [u, v] in places {
-            let first = (v * prepared.view.size_px[0] + u) as usize * materials;
-            let paths = density.g_per_cm2[first..first + materials].iter().map(|path| [0.0, f64::from(*path)]);
-            let mut rounding: Vec<[f64; 2]> = paths.collect();
-            for seen in &prepared.volumes {
-                let Some(made) = &seen.slabs else { continue };
-                let found = SlabsOfRay::of(prepared, seen, [f64::from(*u), f64::from(*v)]);
-                let off_cm = words_off(found.slabs) * found.slab_cm;
-                for (material, word) in seen.cells.materials.iter().zip(made.word_g_per_cm3()) {
-                    rounding[*material][0] += off_cm * f64::from(word);
-                }
-            }
-            self.rounding_g_per_cm2.push(rounding);
+    }
+}
+
+/// How far off fixed point is along a ray, and its path, by material of the scene; g/cm².
+fn rounding(prepared: &Prepared, slabs: &[SlabsOfRay], paths: &[f32]) -> Vec<[f64; 2]> {
+    let mut rounding: Vec<[f64; 2]> = paths.iter().map(|path| [0.0, f64::from(*path)]).collect();
+    for (seen, found) in prepared.volumes.iter().zip(slabs) {
+        let Some(made) = &seen.slabs else { continue };
+        let off_cm = words_off(found.slabs) * found.slab_cm;
+        for (material, word) in seen.cells.materials.iter().zip(made.word_g_per_cm3()) {
+            rounding[*material][0] += off_cm * f64::from(word);
         }
     }
+    rounding
 }

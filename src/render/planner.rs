@@ -327,21 +327,22 @@ fn castings(task: &Task, pilot: &Pilot, way: &Way) -> Vec<Casting> {
     let [width, height] = task.view.size_px;
     let pixels = f64::from(width) * f64::from(height);
     let bands = |height: usize| height.div_ceil(band_rows(height)) as f64;
-    let casting = |rays: f64, step_px: u32, wanted: &dyn Fn(bool) -> bool| {
-        let is_wanted = |pixel: &[u32; 2]| wanted(way.tiles.as_ref().is_none_or(|tiles| tiles.is_full_at(*pixel)));
-        let mut drawn: Vec<_> = pilot.rays.iter().filter(|(pixel, _)| is_wanted(pixel)).map(|(_, ray)| *ray).collect();
+    let casting = |rays: f64, step_px: u32, full: bool| {
+        let is_cast = |pixel: [u32; 2]| way.tiles.as_ref().is_none_or(|tiles| tiles.is_full_at(pixel) == full);
+        let mut drawn: Vec<_> = pilot.rays.iter().filter(|(pixel, _)| is_cast(*pixel)).map(|(_, ray)| *ray).collect();
+        // No ray was drawn in so few tiles: those of all.
         if drawn.is_empty() {
             drawn = pilot.rays.iter().map(|(_, ray)| *ray).collect();
         }
         Casting { rays, step_px: f64::from(step_px), bands: bands(height.div_ceil(step_px) as usize), drawn }
     };
     match &way.tiles {
-        None => vec![casting(pixels, 1, &|_| true)],
+        None => vec![casting(pixels, 1, true)],
         Some(tiles) => {
             let full = tiles.pixels();
             // Rays around full tiles are cast for the tiles beside them.
             let between = 1.2 * (pixels - full) / f64::from(way.step_px).powi(2);
-            vec![casting(between, way.step_px, &|full| !full), casting(full, 1, &|full| full)]
+            vec![casting(between, way.step_px, false), casting(full, 1, true)]
         }
     }
 }

@@ -1,6 +1,6 @@
 //! What lies along one ray, in the units of [`super::costs::Costs`].
 
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 
 use super::cells::{EMPTY, EMPTY_BRICK};
 use super::cpu::bundles::Rays;
@@ -40,11 +40,10 @@ pub struct RayCounts {
 }
 
 impl RayCounts {
-    /// Of the ray through pixel (u, v) of the image that `prepared` sees.
+    /// Of the ray through pixel (u, v) of the image that `prepared` sees, of whose volumes it crosses `slabs`.
     #[must_use]
-    pub fn of(prepared: &Prepared, pixel: [u32; 2]) -> Self {
-        let at = pixel.map(f64::from);
-        let direction = prepared.view.intrinsics.unproject(DVec2::from_array(at));
+    pub fn of(prepared: &Prepared, pixel: [u32; 2], slabs: &[SlabsOfRay]) -> Self {
+        let direction = prepared.view.intrinsics.unproject(DVec2::from_array(pixel.map(f64::from)));
         let steps = steps_around(prepared, pixel);
         let stack = around_one_volume(&steps);
         let mut counts = Self::default();
@@ -57,7 +56,7 @@ impl RayCounts {
             match *step {
                 Step::Volume(index) | Step::VolumeAir(index) => {
                     let seen = &prepared.volumes[index];
-                    let found = SlabsOfRay::of(prepared, seen, at);
+                    let found = slabs[index];
                     counts.volumes += 1.0;
                     counts.slabs += found.slabs;
                     counts.filled += found.filled;
@@ -85,7 +84,7 @@ impl RayCounts {
         counts.walked = stack.is_none() && counts.volumes > 0.0;
         (counts.apart, counts.remote) = (apart / counts.slabs.max(1e-9), remote / counts.slabs.max(1e-9));
         if let Some(stack) = stack {
-            counts.displacing = cells_between(prepared, &prepared.volumes[stack.volume], at, &above, &below);
+            counts.displacing = cells_between(prepared, &prepared.volumes[stack.volume], direction, &above, &below);
         }
         counts
     }
@@ -107,17 +106,21 @@ pub struct SlabsOfRay {
 }
 
 impl SlabsOfRay {
-    /// Along the ray through pixel (u, v).
+    /// Of all volumes along the ray through pixel (u, v).
     #[must_use]
-    pub fn of(prepared: &Prepared, seen: &SeenVolume, [u, v]: [f64; 2]) -> Self {
+    pub fn all(prepared: &Prepared, pixel: [u32; 2]) -> Vec<Self> {
+        prepared.volumes.iter().map(|seen| Self::of(prepared, seen, pixel.map(f64::from))).collect()
+    }
+
+    fn of(prepared: &Prepared, seen: &SeenVolume, [u, v]: [f64; 2]) -> Self {
         let rays = Rays::new(&prepared.view, &seen.cell_from_camera);
         let q = rays.direction(u, v);
         let axis = Rays::dominant(q);
         let cells = &seen.cells;
         // What a pixel moves the ray by in the slab, at depth 1.
         let moved = |to: [f64; 3]| {
-            let by = glam::DVec3::from_array(to) - glam::DVec3::from_array(q);
-            by - glam::DVec3::from_array(q) * (by[axis] / q[axis])
+            let by = DVec3::from_array(to) - DVec3::from_array(q);
+            by - DVec3::from_array(q) * (by[axis] / q[axis])
         };
         let [right, down] = [moved(rays.direction(u + 1.0, v)), moved(rays.direction(u, v + 1.0))];
         let pixel = right.cross(down).length().sqrt();
@@ -149,8 +152,7 @@ impl SlabsOfRay {
 }
 
 /// Cells of the volume where something lies below it and nothing above.
-fn cells_between(prepared: &Prepared, seen: &SeenVolume, [u, v]: [f64; 2], above: &Intervals, below: &Intervals) -> f64 {
-    let direction = prepared.view.intrinsics.unproject(DVec2::new(u, v));
+fn cells_between(prepared: &Prepared, seen: &SeenVolume, direction: DVec3, above: &Intervals, below: &Intervals) -> f64 {
     let ray = CellRay { p: seen.cell_from_camera.translation, q: seen.cell_from_camera.matrix3 * direction };
     let Some((enter, leave)) = occupied_depths(seen, &ray) else { return 0.0 };
     let (enter, leave) = (enter.max(0.0), leave.min(prepared.detector_mm));
@@ -164,8 +166,6 @@ fn cells_between(prepared: &Prepared, seen: &SeenVolume, [u, v]: [f64; 2], above
 #[cfg(test)]
 mod tests {
     use std::sync::Arc;
-
-    use glam::DVec3;
 
     use super::*;
     use crate::geometry::Rigid;
@@ -196,7 +196,8 @@ mod tests {
             },
             |mesh| Arc::new(MadeMesh::new(mesh)),
         );
-        RayCounts::of(&prepared.expect("prepared"), [EDGE as u32 / 2; 2])
+        let (prepared, pixel) = (prepared.expect("prepared"), [EDGE as u32 / 2; 2]);
+        RayCounts::of(&prepared, pixel, &SlabsOfRay::all(&prepared, pixel))
     }
 
     fn volume() -> Matter {

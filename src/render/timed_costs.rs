@@ -19,7 +19,7 @@ use super::cut_faces;
 use super::meshes::MadeMesh;
 use super::plan::{Executor, Sampling};
 use super::prepared::Prepared;
-use super::ray_counts::RayCounts;
+use super::ray_counts::{RayCounts, SlabsOfRay};
 use super::slabs::Slabs;
 use super::spectrum::{Bins, LANES};
 use super::timed_scenes::{
@@ -276,7 +276,7 @@ fn time_objects(scene: &Scene, matter: Matter, threads: usize) -> Option<(f64, V
 fn drawn(prepared: &Prepared) -> Vec<RayCounts> {
     let [width, height] = prepared.view.size_px;
     let places = (0..height).step_by(7).flat_map(|v| (0..width).step_by(7).map(move |u| [u, v]));
-    places.map(|pixel| RayCounts::of(prepared, pixel)).collect()
+    places.map(|pixel| RayCounts::of(prepared, pixel, &SlabsOfRay::all(prepared, pixel))).collect()
 }
 
 /// Milliseconds that casting `matter` alone takes, and what the rays of some pixels meet.

@@ -11,8 +11,9 @@ use super::prior::Prior;
 use super::record::{Pose, Shadow};
 use super::refusal::{Refusal, Rival};
 use super::request::Registration;
-use super::search::{Found, Hypothesis, Search, Target};
+use super::search::{Found, Hypothesis, ROUGH_GATE, Search};
 use super::solve::{image_by_point, point_by_pose};
+use super::tables::{Depths, Target};
 use super::verdict::chance;
 use crate::beads::{Detection, Probe};
 use crate::geometry::{Intrinsics, Rigid};
@@ -21,6 +22,8 @@ use crate::geometry::{Intrinsics, Rigid};
 pub const PRIOR_SIGMA: (f64, f64) = (5.0 * std::f64::consts::PI / 180.0, 15.0);
 /// Squared deviation from a prior up to which a pose is sought: with its covariance, and without one.
 pub const GATE: (f64, f64) = (30.0, 60.0);
+/// Turns within a gate up to which it bounds depths.
+const MOST_TURN_RAD: f64 = 0.8;
 /// Shadows of which a person's mark means the nearest one: so many radii from it, at most.
 const MARK_RADII: f64 = 2.0;
 
@@ -123,6 +126,7 @@ impl<'a> Case<'a> {
             size_px: self.request.size_px,
             depth_mm: self.request.depth_range_mm(k.fx),
             allowed: allowed(targets, detections, k, gate.as_ref()),
+            in_gate: in_gate(targets, gate.as_ref()),
             pinned: pinned.collect(),
             gate,
             slack_px: 0.0,
@@ -184,4 +188,25 @@ fn allowed(targets: &[Target], detections: &[Detection], k: &Intrinsics, gate: O
         }
     }
     allowed
+}
+
+/// Depths at which the gate lets each bead be, with what the linear rule leaves out of a large turn.
+fn in_gate(targets: &[Target], gate: Option<&Gate>) -> Vec<Depths> {
+    let anywhere = vec![Depths::ALL; targets.len()];
+    let Some((gate, covariance)) = gate.and_then(|gate| Some((gate, gate.information.try_inverse()?))) else { return anywhere };
+    let limit = gate.limit * ROUGH_GATE;
+    let turn_rad = (limit * (0..3).map(|n| covariance[(n, n)]).fold(0.0, f64::max)).sqrt();
+    let middle_mm = targets.iter().map(|target| target.lps_mm).sum::<DVec3>() / targets.len().max(1) as f64;
+    let arm_mm = targets.iter().map(|target| target.lps_mm.distance(middle_mm)).fold(0.0, f64::max);
+    if !(turn_rad < MOST_TURN_RAD) {
+        return anywhere;
+    }
+    let of = |target: &Target| {
+        let p = gate.camera_from_lps.transform_point(target.lps_mm);
+        let by_pose = point_by_pose(p, DVec3::ZERO);
+        let row = by_pose.row(2);
+        let reach_mm = 1.1 * (limit * (row * covariance * row.transpose())[(0, 0)]).sqrt() + arm_mm * turn_rad * turn_rad;
+        Depths { near: p.z - reach_mm, far: p.z + reach_mm }
+    };
+    targets.iter().map(of).collect()
 }

@@ -3,23 +3,15 @@
 //! Every triple gives up to two poses (`triangle`); a pose is worth what it predicts of the other beads. Triples are taken best shadows
 //! first, in batches whose order does not depend on threads, until a match is far beyond chance or the budget is spent.
 
-use glam::{DVec2, DVec3};
+use glam::{DMat3, DVec2, DVec3};
 use rayon::prelude::*;
 
 use super::gate::Gate;
-use super::occupancy::Occupancy;
 use super::solve::{Free, Match, Options, Solution, solve};
-use super::triangle;
+use super::tables::{Depths, Tables, Target};
+use super::triangle::{self, Images};
 use crate::beads::Detection;
 use crate::geometry::{Intrinsics, Rigid};
-
-/// What is known of a bead during the search.
-#[derive(Clone, Copy, Debug)]
-pub struct Target {
-    pub lps_mm: DVec3,
-    pub sigma_mm: f64,
-    pub radius_mm: Option<f64>,
-}
 
 /// The task.
 pub struct Search<'a> {
@@ -31,6 +23,8 @@ pub struct Search<'a> {
     pub gate: Option<Gate>,
     /// Pairs bead × detection that may match, row by row of beads.
     pub allowed: Vec<bool>,
+    /// Depths at which the gate lets each bead be.
+    pub in_gate: Vec<Depths>,
     /// Bead and shadow that belong together, whatever else seems to fit.
     pub pinned: Vec<(usize, usize)>,
     /// Extra slack where K is only a guess, px.
@@ -65,19 +59,10 @@ pub struct Found {
 pub const MISSED: f64 = 30.0;
 /// Poses from three points allowed in one search.
 pub const BUDGET: u64 = 3_000_000;
+/// A gate is so much wider for poses from three points.
+pub const ROUGH_GATE: f64 = 1.5;
 const BATCH: usize = 48;
 const KEPT_PER_BATCH: usize = 40;
-/// Factor by which rough depths may be off: 99 of 100 triangles are off by less even in a box of 180 mm at 450 mm from the source.
-pub(super) const ROUGH: f64 = 1.5;
-
-/// What every triple asks, once for all.
-struct Tables {
-    /// Of the shadows, on the plane z = 1.
-    rays: Vec<DVec2>,
-    /// Between beads, row by row.
-    apart_mm: Vec<f64>,
-    shadows: Occupancy,
-}
 
 struct Raw {
     pose: Rigid,
@@ -89,7 +74,10 @@ impl Search<'_> {
     /// Runs the search over all detections, stopping early once `enough` says so of the best hypothesis so far.
     pub fn run(&self, enough: impl Fn(&Hypothesis, u64) -> bool) -> Found {
         let triples = self.triples();
-        let tables = self.tables();
+        let widest_px = self.targets.iter().map(|target| self.reach_px(target, self.depth_mm.0)).fold(0.0, f64::max);
+        let tables = Tables::new(self.targets, self.detections, &self.intrinsics, widest_px, &self.in_gate, |bead, n| {
+            self.may_pair(bead, n)
+        });
         let mut best: Vec<Hypothesis> = Vec::new();
         let (mut tried, mut solved, mut cut_short) = (0u64, 0u64, false);
         for (batch, chunk) in triples.chunks(BATCH).enumerate() {
@@ -103,7 +91,7 @@ impl Search<'_> {
             }
             raws.sort_by(|a, b| b.worth.total_cmp(&a.worth).then(a.order.cmp(&b.order)));
             raws.truncate(KEPT_PER_BATCH);
-            let refined: Vec<Hypothesis> = raws.par_iter().filter_map(|raw| self.refine(&raw.pose)).collect();
+            let refined: Vec<Hypothesis> = raws.par_iter().filter_map(|raw| self.refine(&raw.pose, &tables)).collect();
             best.extend(refined);
             best = distinct(best);
             best.truncate(60);
@@ -114,18 +102,6 @@ impl Search<'_> {
             }
         }
         Found { hypotheses: best, tried, cut_short }
-    }
-
-    fn tables(&self) -> Tables {
-        let ray = |d: &Detection| {
-            let p = self.intrinsics.unproject(d.image_px);
-            DVec2::new(p.x, p.y)
-        };
-        let place = |target: &Target| target.lps_mm;
-        let apart_mm = self.targets.iter().flat_map(|a| self.targets.iter().map(move |b| place(a).distance(place(b)))).collect();
-        let widest_px = self.targets.iter().map(|target| self.reach_px(target, self.depth_mm.0)).fold(0.0, f64::max);
-        let rays = self.detections.iter().map(ray).collect();
-        Tables { rays, apart_mm, shadows: Occupancy::new(self.detections, widest_px) }
     }
 
     /// How far from where a pose from three shadows puts a bead its shadow may be: errors of three shadows and three beads, extrapolated.
@@ -155,52 +131,57 @@ impl Search<'_> {
     }
 
     fn try_triple(&self, number: usize, triple: [usize; 3], tables: &Tables) -> (Vec<Raw>, u64, u64) {
-        let images = triple.map(|n| tables.rays[n]);
-        let (e01, e02, e12) = (images[0].distance(images[1]), images[0].distance(images[2]), images[1].distance(images[2]));
-        let area = (images[1] - images[0]).perp_dot(images[2] - images[0]).abs();
-        let longest = e01.max(e02).max(e12);
+        let images = Images::new(triple.map(|n| tables.rays[n]));
+        let apart = images.squares_apart();
+        let longest = apart[0].max(apart[1]).max(apart[2]);
         // Three shadows in a row or close together say little about the rest.
-        if !(longest * self.intrinsics.fx > 15.0 && area > 0.03 * longest * longest) {
+        if !(longest * self.intrinsics.fx.powi(2) > 15.0 * 15.0 && images.twice_area() > 0.03 * longest) {
             return (Vec::new(), 0, 0);
         }
-        let near = self.depth_mm.0;
-        let fits = |image: f64, world: f64| world >= 0.97 * image * near && world > 0.0;
+        let (near, far) = self.depth_mm;
+        let within_reach = Depths { near, far };
+        let least_mm2 = apart.map(|square| square * (0.97 * near).powi(2));
+        let fits = |n: usize, world_mm2: f64| world_mm2 >= least_mm2[n] && world_mm2 > 0.0;
         let allowed =
             |bead: usize, n: usize| self.allowed[bead * self.detections.len() + triple[n]] && self.may_pair(bead, triple[n]);
         let (mut raws, mut tried, mut solved) = (Vec::new(), 0u64, 0u64);
         let count = self.targets.len();
-        let apart_mm = |i: usize, j: usize| tables.apart_mm[i * count + j];
-        for i in 0..count {
-            if !allowed(i, 0) {
-                continue;
-            }
-            for j in 0..count {
-                if j == i || !allowed(j, 1) || !fits(e01, apart_mm(i, j)) {
+        let open: [Vec<usize>; 3] = [0, 1, 2].map(|n| (0..count).filter(|bead| allowed(*bead, n)).collect());
+        for &i in &open[0] {
+            let from_i = &tables.squares_mm2[i * count..(i + 1) * count];
+            for &j in &open[1] {
+                if j == i || !fits(0, from_i[j]) {
                     continue;
                 }
-                for k in 0..count {
-                    if k == i || k == j || !fits(e02, apart_mm(i, k)) || !fits(e12, apart_mm(j, k)) || !allowed(k, 2) {
+                let from_j = &tables.squares_mm2[j * count..(j + 1) * count];
+                for &k in &open[2] {
+                    if k == i || k == j || !fits(1, from_i[k]) || !fits(2, from_j[k]) {
                         continue;
                     }
-                    let points = [i, j, k].map(|n| self.targets[n].lps_mm);
                     solved += 1;
-                    let beads = [i, j, k];
-                    for rough in triangle::rough_depths(&points, &images).into_iter().flatten() {
+                    let (beads, squares_mm2) = ([i, j, k], [from_i[j], from_i[k], from_j[k]]);
+                    let counts = |depths: &[f64; 3], factor: f64| {
+                        within_reach.may_contain(depths[0], factor) && tables.three_fit(beads, triple, depths, factor)
+                    };
+                    let Some(rough) = triangle::rough_depths(squares_mm2, &images) else { continue };
+                    for start in rough.depths_mm {
                         // Far from any depth that counts, exact ones are not computed.
-                        if !self.depths_fit(rough, beads, triple, ROUGH) {
+                        if !counts(&start, rough.factor()) {
                             continue;
                         }
-                        let Some(depths) = triangle::depths(&points, &images, rough) else { continue };
-                        if !self.depths_fit(depths, beads, triple, 1.0) {
+                        let stepped = |depths: &[f64; 3]| counts(depths, rough.stepped_factor());
+                        let exact = triangle::depths(squares_mm2, &images, start, stepped);
+                        let Some(depths) = exact.filter(|depths| counts(depths, 1.0)) else { continue };
+                        let points = beads.map(|n| self.targets[n].lps_mm);
+                        let pose = || triangle::pose(&points, &images, depths);
+                        if self.gate.is_some() && !pose().is_some_and(|pose| self.inside_gate(&pose, ROUGH_GATE)) {
                             continue;
                         }
-                        let Some(pose) = triangle::pose(&points, &images, depths).filter(|pose| self.inside_gate(pose, 1.5))
-                        else {
-                            continue;
-                        };
-                        let depth = depths[0];
                         tried += 1;
-                        if let Some(worth) = self.support(&pose, beads, triple, depth, &tables.shadows) {
+                        let at = triangle::turn_and_shift(&points, &images, depths);
+                        if let Some(worth) = self.support(&at, beads, triple, depths[0], tables)
+                            && let Some(pose) = pose()
+                        {
                             raws.push(Raw { pose, worth, order: (number, raws.len()) });
                         }
                     }
@@ -217,43 +198,33 @@ impl Search<'_> {
         self.gate.as_ref().is_none_or(|gate| gate.squares(pose) <= gate.limit * factor)
     }
 
-    /// Whether beads at those depths are within reach and have the radii of their shadows; depths may be off by a factor `rough`.
-    fn depths_fit(&self, depths_mm: [f64; 3], beads: [usize; 3], triple: [usize; 3], rough: f64) -> bool {
-        let (near, far) = self.depth_mm;
-        depths_mm[0] * rough > near
-            && depths_mm[0] < far * rough
-            && (0..3).all(|n| self.radius_fits(triple[n], beads[n], depths_mm[n], rough))
-    }
-
-    /// Whether a shadow has the radius that bead would have there, at a depth that may be off by a factor `rough`.
-    fn radius_fits(&self, detection: usize, bead: usize, depth_mm: f64, rough: f64) -> bool {
-        let Some(radius_mm) = self.targets[bead].radius_mm else { return true };
-        let predicted = self.intrinsics.fx * radius_mm / depth_mm;
-        // Blur, clipping and display curves move the fitted radius; a small shadow more than a large one.
-        let slack = 0.35 + 0.5 / predicted;
-        (self.detections[detection].radius_px / predicted).ln().abs() < slack + rough.ln()
-    }
-
-    /// Worth of the other beads' agreement with the pose; `None` when too few agree.
-    fn support(&self, pose: &Rigid, beads: [usize; 3], triple: [usize; 3], depth_mm: f64, shadows: &Occupancy) -> Option<f64> {
+    /// Worth of the other beads' agreement with a turn and shift; `None` when too few agree.
+    fn support(
+        &self,
+        (turn, shift_mm): &(DMat3, DVec3),
+        beads: [usize; 3],
+        triple: [usize; 3],
+        depth_mm: f64,
+        tables: &Tables,
+    ) -> Option<f64> {
         let (mut worth, mut agreeing) = (0.0, 0);
         for (bead, target) in self.targets.iter().enumerate() {
             if beads.contains(&bead) {
                 continue;
             }
-            let p = pose.transform_point(target.lps_mm);
+            let p = *turn * target.lps_mm + *shift_mm;
             if !(p.z > 1.0) {
                 return None;
             }
             let at = self.intrinsics.project(p);
-            if !shadows.may_be_near(at) {
+            if !tables.shadows.may_be_near(at) {
                 continue;
             }
             let limit = self.reach_px(target, depth_mm);
             let mut nearest = limit * limit;
             for (n, detection) in self.detections.iter().enumerate() {
                 let d2 = detection.image_px.distance_squared(at);
-                if d2 < nearest && !triple.contains(&n) && self.may_pair(bead, n) && self.radius_fits(n, bead, p.z, 1.0) {
+                if d2 < nearest && !triple.contains(&n) && tables.radius_fits(bead, n, p.z) {
                     nearest = d2;
                 }
             }
@@ -266,14 +237,15 @@ impl Search<'_> {
     }
 
     /// Re-matches and re-solves from a rough pose, tightening.
-    pub fn refine(&self, rough: &Rigid) -> Option<Hypothesis> {
+    fn refine(&self, rough: &Rigid, tables: &Tables) -> Option<Hypothesis> {
         let mut pose = *rough;
         let depth = pose.transform_point(self.targets[0].lps_mm).z.max(1.0);
         let px_per_mm = self.intrinsics.fx / depth;
         let mut matches = Vec::new();
         let mut solution: Option<Solution> = None;
         for factor in [9.0, 5.0, 4.5] {
-            matches = self.assign(&pose, |target| self.slack_px + (factor * target.sigma_mm * px_per_mm).max(0.4 * factor));
+            matches =
+                self.assign(&pose, tables, |target| self.slack_px + (factor * target.sigma_mm * px_per_mm).max(0.4 * factor));
             if matches.len() < 4 {
                 return None;
             }
@@ -310,7 +282,7 @@ impl Search<'_> {
     }
 
     /// One-to-one, nearest pairs first, within `limit_px` of a bead's projection.
-    fn assign(&self, pose: &Rigid, limit_px: impl Fn(&Target) -> f64) -> Vec<Match> {
+    fn assign(&self, pose: &Rigid, tables: &Tables, limit_px: impl Fn(&Target) -> f64) -> Vec<Match> {
         let mut pairs = Vec::new();
         for (bead, target) in self.targets.iter().enumerate() {
             let p = pose.transform_point(target.lps_mm);
@@ -320,10 +292,7 @@ impl Search<'_> {
             let at = self.intrinsics.project(p);
             for (n, detection) in self.detections.iter().enumerate() {
                 let distance = detection.image_px.distance(at);
-                if distance < limit_px(target) + 4.0 * detection.sigma_px
-                    && self.may_pair(bead, n)
-                    && self.radius_fits(n, bead, p.z, 1.0)
-                {
+                if distance < limit_px(target) + 4.0 * detection.sigma_px && tables.radius_fits(bead, n, p.z) {
                     pairs.push((distance, bead, n));
                 }
             }
@@ -398,10 +367,11 @@ mod tests {
             let detections: Vec<Detection> =
                 (0..shadows).map(|n| Detection { image_px: at(n), sigma_px: 0.1, ..Detection::default() }).collect();
             let allowed = vec![true; targets.len() * detections.len()];
+            let in_gate = vec![Depths::ALL; targets.len()];
             let (size_px, depth_mm) = ([512, 512], (300.0, 1200.0));
             let (gate, pinned, slack_px) = (None, Vec::new(), 0.0);
             let (targets, detections) = (&targets, &detections);
-            Search { targets, detections, intrinsics, size_px, depth_mm, gate, allowed, pinned, slack_px, budget: 0 }
+            Search { targets, detections, intrinsics, size_px, depth_mm, gate, allowed, in_gate, pinned, slack_px, budget: 0 }
                 .run(|_, _| false)
         };
         // Four triples are one batch, 56 are two.

@@ -107,6 +107,7 @@ mod render_tiles;
 mod render_views;
 mod render_beam;
 mod render_noise;
+mod render_scatter;
 mod render_intensifier;
 mod render_panel;
 mod shaders_layout;

@@ -9,7 +9,7 @@ use sidecarm::random::{Purpose, Stream};
 use sidecarm::render::{Options, Quantity, Rendered, Renderer};
 use sidecarm::reporter::Reporter;
 use sidecarm::scene::model::{
-    Beam, Bodies, Detector, Formation, Matter, Model, Noise, Object, Response, Scene, Shape, Solid, Volume, Voxels,
+    Beam, Bodies, Detector, Formation, Matter, Model, Noise, Object, Response, ScatterModel, Scene, Shape, Solid, Volume, Voxels,
 };
 use sidecarm::scene::optics::{BeamShape, Panel};
 use sidecarm::scene::physics::{Bin, Material, Spectrum};
@@ -39,7 +39,13 @@ pub fn empty(materials: &[&str]) -> Scene {
             offset: 0.0,
             panel: Panel::default(),
         },
-        model: Model { formation: Formation::Deepdrr, voxels: Voxels::Trilinear, noise: Noise::Off, seed: 1 },
+        model: Model {
+            formation: Formation::Deepdrr,
+            voxels: Voxels::Trilinear,
+            scatter: ScatterModel::Off,
+            noise: Noise::Off,
+            seed: 1,
+        },
         inputs: Vec::new(),
         robot: None,
         bodies: Bodies::default(),

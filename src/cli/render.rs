@@ -1,6 +1,7 @@
 //! `sidecarm render`: one scene, one radiograph.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use clap::builder::{PathBufValueParser, TypedValueParser};
 
@@ -10,12 +11,13 @@ use crate::gpu::DeviceChoice;
 use crate::image::{ImageFileError, check_writable, refuse_overwrite, refuse_twice, sha256_file};
 use crate::pose::{Pose, PoseFileError};
 use crate::render::{
-    Goal, Options, Quantity, RenderError, Rendered, Renderer, guessed_share, write_image, write_picture, written_with,
+    Goal, Options, Quantity, RenderError, Rendered, Renderer, Scatter, guessed_share, write_image, write_picture, written_with,
 };
 use crate::reporter::Reporter;
-use crate::scene::model::{InputFile, Scene};
+use crate::scene::model::{InputFile, ScatterModel, Scene};
 use crate::scene::{self, SceneError};
 use crate::time::StageTimes;
+use crate::transport::{BATCH, Histories, ScatterImage, Simulation, TransportError};
 
 /// Render the radiograph that a scene should give: polychromatic, every material, later objects displacing earlier ones.
 #[derive(Clone, Debug, clap::Args)]
@@ -25,6 +27,8 @@ use crate::time::StageTimes;
   sidecarm render scene.json --out drr.tif --max-error 1e-3 --explain
   sidecarm render scene.json --out drr.tif --budget-ms 20
   sidecarm render scene.json --out drr.tif --pose POSE.json --explain
+
+Where the scene's model.scatter is monte_carlo, photons are followed before the image is made: seconds to minutes, which no budget counts.
 
 Beside IMAGE.tif lies IMAGE.tif.json (plan, stated error, times, inputs), IMAGE.tif.valid.png when the CT is cut off for some
 pixels (black there), and IMAGE.tif.guessed.png when a body has moved (white where the image shows what fills its old place).")]
@@ -49,6 +53,9 @@ pub struct RenderArgs {
     /// MiB of a GPU's memory that a CT may take: a larger one is crossed part by part [default: all there is]
     #[arg(long, value_name = "N")]
     pub gpu_memory_mib: Option<u64>,
+    /// Where the scene has model.scatter "monte_carlo": follow photons until the median relative standard error of the scatter is no larger
+    #[arg(long, value_name = "REL", default_value_t = 0.02)]
+    pub scatter_error: f64,
     /// Pose to render from, in place of the scene's view, from `register`; bodies that have moved since the scan move with it
     #[arg(long, value_name = "POSE.json")]
     pub pose: Option<PathBuf>,
@@ -151,6 +158,9 @@ pub enum RenderCommandError {
     /// The renderer.
     #[error(transparent)]
     Render(#[from] RenderError),
+    /// The scatter.
+    #[error(transparent)]
+    Scatter(#[from] TransportError),
     /// The pose.
     #[error(transparent)]
     Pose(#[from] PoseFileError),
@@ -220,6 +230,7 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
         ..Options::default()
     };
     let mut stages = StageTimes::default();
+    options.scatter = followed(args, &scene, reporter, &mut stages)?.map(Arc::new);
     let plan = renderer.plan_timed(&scene, &options, &mut stages)?;
     if args.explain {
         println!("{}", plan.explain().trim_end());
@@ -262,6 +273,61 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
         println!("{}", line(args, &rendered));
     }
     Ok(0)
+}
+
+/// Columns and rows of the raster on which scatter is followed: it is smooth over centimetres.
+const SCATTER_GRID_PX: [usize; 2] = [16, 12];
+/// Photons after which scatter is as good as it is, and after which there is none where none was seen.
+const MOST_HISTORIES: u64 = 200_000_000;
+const ENOUGH_FOR_NONE: u64 = 1_000_000;
+
+/// Why no more photons are followed.
+struct NothingScatters;
+
+/// The scatter that the scene asks for.
+fn followed(
+    args: &RenderArgs,
+    scene: &Scene,
+    reporter: &Reporter,
+    stages: &mut StageTimes,
+) -> Result<Option<Scatter>, RenderCommandError> {
+    if scene.model.scatter == ScatterModel::Off || args.quantity == QuantityArg::AreaDensity {
+        return Ok(None);
+    }
+    let view = scene.view.ok_or(RenderError::NoView)?;
+    let histories = Histories {
+        count: MOST_HISTORIES,
+        seed: scene.model.seed,
+        grid_px: SCATTER_GRID_PX,
+        rel_error: Some(args.scatter_error),
+        ..Histories::default()
+    };
+    let image = stages.measure("scatter", || {
+        let simulation = Simulation::new(scene, &view, histories)?;
+        let mut tally = simulation.tally();
+        let progress = reporter.progress("scatter: per mille of the photons", 1000);
+        let mut shown = 0;
+        // What stops it early is no error.
+        let _ = simulation.run(&mut tally, |tally| {
+            let done = (1000.0 * (args.scatter_error / simulation.relative_error(tally)).powi(2)).min(1000.0) as u64;
+            progress.advance(done.saturating_sub(shown));
+            shown = done.max(shown);
+            let is_none = tally.batches * BATCH >= ENOUGH_FOR_NONE
+                && (0..simulation.unattenuated().len()).all(|cell| tally.scatter(cell, BATCH).mean == 0.0);
+            if is_none { Err(NothingScatters) } else { Ok(()) }
+        });
+        Ok::<_, TransportError>(simulation.image(&tally))
+    })?;
+    let ScatterImage { scatter: signal, scatter_error: error, histories, .. } = image;
+    let is_none = signal.pixels.iter().all(|value| *value == 0.0);
+    let relative_error = if is_none { 0.0 } else { image.relative_error };
+    if !(relative_error <= args.scatter_error) {
+        reporter.warn(
+            "scatter",
+            format_args!("after {histories} photons the scatter is good to {:.1} % in the median", 100.0 * relative_error),
+        );
+    }
+    Ok(Some(Scatter { signal, error, histories, seed: scene.model.seed, relative_error }))
 }
 
 /// The scene from the pose at `path`.
@@ -334,6 +400,7 @@ fn summary(args: &RenderArgs, rendered: &Rendered) -> serde_json::Value {
         "gpu_ms": rendered.gpu_ms,
         "read_back_bytes": rendered.read_back_bytes,
         "adapter": rendered.adapter,
+        "scatter": rendered.scatter,
         "share_guessed": rendered.guessed.as_ref().map(guessed_share),
         "notes": rendered.notes,
     })

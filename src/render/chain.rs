@@ -71,6 +71,10 @@ pub(super) fn close(flood: &Flood, valid: &mut [u8], notes: &mut Vec<String>) {
              -ln 1/(2 N0), marked invalid"
         ));
     }
+}
+
+/// Says where the heel is guessed.
+pub(super) fn note_extrapolated(flood: &Flood, notes: &mut Vec<String>) {
     if flood.extrapolated > 0 {
         let count = flood.extrapolated;
         notes.push(format!("{count} pixels see the anode at an angle outside the tables: extrapolated in 1/sin of the angle"));

@@ -9,7 +9,7 @@ use super::cpu::integrate_density::Density;
 use super::detector;
 use super::explain::explain_empty;
 use super::non_finite::{self, NonFinite};
-use super::plan::{Executor, Plan, Sampling, noise_applies};
+use super::plan::{Executor, Plan, Sampling, noise_applies, scatter_left_out};
 use super::prepared::Prepared;
 use super::renderer::{Options, Rendered, Renderer};
 use super::spectrum::Bins;
@@ -111,6 +111,12 @@ impl Renderer {
         };
         note_invalid(&cast.density.valid, unscanned_mm, &mut notes);
         notes.extend(scene.model.noise_left_out().map(str::to_owned));
+        let scatter = options.scatter.as_ref().filter(|_| bins.is_some());
+        if let (None, Some(words)) = (scatter, scatter_left_out(scene, plan.quantity).filter(|_| bins.is_some())) {
+            self.reporter.warn("scatter", words);
+            notes.push(words.to_owned());
+        }
+        let mut added = None;
         if !cast.matter {
             let why = explain_empty(scene, &prepared);
             self.reporter.warn("empty image", &why);
@@ -130,6 +136,12 @@ impl Renderer {
                 if let Some(counts) = non_finite.as_mut().filter(|_| flood::shapes_spectrum(scene)) {
                     counts.attenuate_spectrum += non_finite::count_signal(&cast.signal);
                 }
+                if let Some(scatter) = scatter {
+                    // Scatter reaches what the field closes.
+                    chain::close(&flood, &mut valid.pixels, &mut notes);
+                    let sum = || scatter.add_to(&mut cast.signal, &mut flood, bins, size);
+                    added = Some(stages.measure("add_scatter", sum));
+                }
                 if let Some(intensifier) = &intensifier {
                     stages.measure("distort", || {
                         intensifier::distort(intensifier, &mut cast.signal, &mut flood, &mut valid.pixels)
@@ -137,9 +149,11 @@ impl Renderer {
                     notes.extend(intensifier.note.clone());
                 }
                 chain::close(&flood, &mut valid.pixels, &mut notes);
+                chain::note_extrapolated(&flood, &mut notes);
                 let mut noise = if noisy {
                     stages.measure("add_noise", || {
-                        let deviates = cast.deviates.filter(|_| flood::is_plain(scene)).unwrap_or_else(|| {
+                        let as_cast = flood::is_plain(scene) && scatter.is_none();
+                        let deviates = cast.deviates.filter(|_| as_cast).unwrap_or_else(|| {
                             add_noise(&detector::expected_photons(&cast.signal, &flood), plan.seed, plan.frame_index)
                         });
                         detector::intensity_noise(scene, &view, &flood, &cast.signal, &deviates, plan.frame_index)
@@ -176,7 +190,8 @@ impl Renderer {
             quantity: plan.quantity,
             valid,
             guessed: None,
-            stated_error: plan.stated_error,
+            stated_error: plan.stated_error + added.map_or(0.0, |added| added.stated_error),
+            scatter: added,
             plan: serde_json::to_value(&plan).expect("a plan is plain data"),
             adapter: cast.adapter,
             stages,

@@ -37,6 +37,7 @@ pub mod quadrature;
 pub mod reference;
 pub mod ray_counts;
 mod renderer;
+mod scattered;
 pub mod slabs;
 pub mod spectrum;
 pub mod steep;
@@ -57,6 +58,7 @@ pub use guessed::{LEAST_GUESSED_MM, guessed, guessed_share};
 pub use plan::Plan;
 pub use planner::Goal;
 pub use renderer::{Options, Rendered, Renderer, image_ms};
+pub use scattered::{Added, Scatter};
 pub use write::{write_image, write_image_without_times, write_picture, written_with};
 
 use crate::geometry::CameraError;

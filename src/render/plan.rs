@@ -6,7 +6,7 @@ pub use super::plan_parts::{Choice, Executor, Fitted, Node, Sampling};
 use super::spectrum::whole_spectrum;
 use super::tiles::Tiles;
 use super::{Quantity, chain};
-use crate::scene::model::{Formation, Matter, Motion, Noise, Scene};
+use crate::scene::model::{Formation, Matter, Motion, Noise, ScatterModel, Scene};
 
 /// Everything that decides what an image looks like, apart from the scene.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -70,6 +70,18 @@ pub struct ErrorParts {
 
 fn every() -> u32 {
     1
+}
+
+/// What to say where scatter is asked for, and no photons were followed for this image.
+#[must_use]
+pub fn scatter_left_out(scene: &Scene, quantity: Quantity) -> Option<&'static str> {
+    match (scene.model.scatter, quantity) {
+        (ScatterModel::Off, _) => None,
+        (ScatterModel::MonteCarlo, Quantity::AreaDensity) => Some("area density is that of the objects alone"),
+        (ScatterModel::MonteCarlo, _) => {
+            Some("scatter is left out of this image: following photons takes seconds, and only `sidecarm render` does it")
+        }
+    }
 }
 
 impl Plan {
@@ -163,7 +175,7 @@ impl Plan {
         if let Some(reason) = cpu_because {
             choose("GPU", false, format!("{reason}: the CPU executor renders this scene"));
         }
-        choose("scatter", false, "not available in this version".into());
+        choose("scatter", false, scatter_left_out(scene, quantity).unwrap_or("not asked for").into());
         choices.extend(chain::choices(scene, quantity));
         Self {
             executor,

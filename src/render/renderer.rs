@@ -1,5 +1,7 @@
 //! Renders scenes; keeps the device and what was prepared of the volumes between images.
 
+use std::sync::Arc;
+
 use super::achieved::Achieved;
 use super::before_panel::{before_panel, is_before_panel};
 use super::checks::check;
@@ -8,6 +10,7 @@ use super::guessed::{LEAST_GUESSED_MM, guessed, guessed_share};
 use super::non_finite::NonFinite;
 use super::plan::{Executor, Plan, Sampling};
 use super::planner::{DEFAULT_MAX_ERROR, Goal, LEAST_FIXED_ERROR, Planner, Task};
+use super::scattered::{Added, Scatter};
 use super::volumes::VolumeCache;
 use super::wgsl::{self, WgslExecutor};
 use super::{Quantity, RenderError};
@@ -35,6 +38,8 @@ pub struct Options {
     pub count_non_finite: bool,
     /// Say which pixels show a guess ([`Rendered::guessed`]).
     pub guessed: bool,
+    /// Scatter to add, where the scene asks for it and somebody has followed photons.
+    pub scatter: Option<Arc<Scatter>>,
 }
 
 /// An image with its provenance.
@@ -63,6 +68,8 @@ pub struct Rendered {
     pub stated_error: f64,
     /// What a person should know: why the image is empty, floors, invalid pixels.
     pub notes: Vec<String>,
+    /// The scatter in it.
+    pub scatter: Option<Added>,
     /// NaN and infinity per pass, where [`Options::count_non_finite`] asks.
     pub non_finite: Option<NonFinite>,
     /// What another plan achieved, measured against this image.
@@ -163,7 +170,10 @@ impl Renderer {
             (Device::Gpu(_), false) if finer.is_some() => (Executor::Cpu, finer),
             (Device::Gpu(_), false) => (Executor::Wgsl, None),
         };
-        let plan = Plan::new(scene, view.size_px, options.quantity, executor, options.frame_index, cpu_because);
+        let mut plan = Plan::new(scene, view.size_px, options.quantity, executor, options.frame_index, cpu_because);
+        if let Some(scatter) = options.scatter.as_ref().filter(|_| options.quantity != Quantity::AreaDensity) {
+            plan.say("scatter", true, scatter.words());
+        }
         if executor == Executor::Reference {
             return Ok(plan);
         }

@@ -104,6 +104,9 @@ fn description(rendered: &Rendered, scene: &Scene) -> serde_json::Value {
         });
         map.insert("view".to_owned(), camera);
     }
+    if let (Some(scatter), Some(map)) = (&rendered.scatter, json.as_object_mut()) {
+        map.insert("scatter".to_owned(), serde_json::json!(scatter));
+    }
     if let (Some((plan, achieved)), Some(map)) = (&rendered.achieved, json.as_object_mut()) {
         let predicted = serde_json::json!({"error": plan.stated_error, "ms": plan.predicted_ms});
         map.insert("fast".to_owned(), serde_json::json!({"plan": plan, "predicted": predicted, "achieved": achieved}));

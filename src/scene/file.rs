@@ -168,7 +168,7 @@ pub enum ScatterFile {
     Off,
     /// Not available yet.
     Network,
-    /// Not available yet.
+    /// Photons are followed.
     MonteCarlo,
 }
 

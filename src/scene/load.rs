@@ -7,7 +7,7 @@ use super::SceneError;
 use super::beam;
 use super::file::{ScatterFile, SceneFile};
 use super::files::{Files, parse_json};
-use super::model::{Bodies, Detector, Formation, Model, Object, Scene};
+use super::model::{Bodies, Detector, Formation, Model, Object, ScatterModel, Scene};
 use super::objects;
 use super::physics::Spectrum;
 use super::view;
@@ -70,7 +70,6 @@ fn load_bytes(
     let file: SceneFile = parse_json(path, bytes)?;
     let mut files = Files::new(path, places);
     files.remember(&path.display().to_string(), sha256_bytes(bytes), Some(path));
-    refuse_unavailable(&file, &files)?;
 
     let beam = beam::beam(&file.beam, &mut files, reporter)?;
     let mut detector = beam::detector(&file.detector, &mut files)?;
@@ -98,6 +97,7 @@ fn load_bytes(
     let model = Model {
         formation: file.model.formation.unwrap_or(Formation::Deepdrr),
         voxels: file.model.voxels,
+        scatter: scatter_model(&file, &files)?,
         noise: file.model.noise.0,
         seed: file.model.seed.unwrap_or(1),
     };
@@ -124,15 +124,12 @@ fn load_bytes(
     Ok(scene)
 }
 
-/// Keys of the format whose physics this version does not have.
-fn refuse_unavailable(file: &SceneFile, files: &Files) -> Result<(), SceneError> {
-    let keys = [
-        ("model.scatter \"network\"", file.model.scatter == ScatterFile::Network),
-        ("model.scatter \"monte_carlo\"", file.model.scatter == ScatterFile::MonteCarlo),
-    ];
-    match keys.iter().find(|(_, there)| *there) {
-        Some((key, _)) => Err(SceneError::Unavailable { place: files.place(key) }),
-        None => Ok(()),
+/// Which scatter; that of the network is not there.
+fn scatter_model(file: &SceneFile, files: &Files) -> Result<ScatterModel, SceneError> {
+    match file.model.scatter {
+        ScatterFile::Off => Ok(ScatterModel::Off),
+        ScatterFile::MonteCarlo => Ok(ScatterModel::MonteCarlo),
+        ScatterFile::Network => Err(SceneError::Unavailable { place: files.place("model.scatter \"network\"") }),
     }
 }
 

@@ -385,10 +385,22 @@ pub struct Model {
     pub formation: Formation,
     /// What volumes are between voxel centres.
     pub voxels: Voxels,
+    /// Scattered radiation.
+    pub scatter: ScatterModel,
     /// Quantum noise; readout noise goes with it.
     pub noise: Noise,
     /// Seed of the random numbers.
     pub seed: u64,
+}
+
+/// What becomes of scattered radiation.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ScatterModel {
+    /// It is left out.
+    #[default]
+    Off,
+    /// Photons are followed, and what of them reaches the detector is added.
+    MonteCarlo,
 }
 
 impl Model {

@@ -7,7 +7,8 @@ use glam::{DAffine3, DMat3, DQuat, DVec3};
 use super::stream::Stream;
 use crate::geometry::Rigid;
 use crate::scene::model::{
-    Beam, Bodies, Detector, Formation, Matter, Mesh, Model, Noise, Object, Response, Scene, Shape, Solid, Volume, Voxels,
+    Beam, Bodies, Detector, Formation, Matter, Mesh, Model, Noise, Object, Response, ScatterModel, Scene, Shape, Solid, Volume,
+    Voxels,
 };
 use crate::scene::optics::{BeamShape, Panel};
 use crate::scene::physics::{Material, Spectrum};
@@ -29,7 +30,13 @@ pub fn scene(materials: &[&str], matters: Vec<Matter>) -> Scene {
             offset: 0.0,
             panel: Panel::default(),
         },
-        model: Model { formation: Formation::Deepdrr, voxels: Voxels::Trilinear, noise: Noise::Off, seed: 1 },
+        model: Model {
+            formation: Formation::Deepdrr,
+            voxels: Voxels::Trilinear,
+            scatter: ScatterModel::Off,
+            noise: Noise::Off,
+            seed: 1,
+        },
         inputs: Vec::new(),
         robot: None,
         bodies: Bodies::default(),

@@ -1,0 +1,161 @@
+//! Scatter in a render: what was followed is added, beside the field too, and brings its own quanta.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use clap::Parser;
+use glam::{DVec2, DVec3};
+use sidecarm::cli::{render, scatter};
+use sidecarm::gpu::DeviceChoice;
+use sidecarm::image::{Image, read_tiff_f32};
+use sidecarm::render::{Options, Quantity, Renderer, Scatter};
+use sidecarm::reporter::Reporter;
+use sidecarm::scene::model::{Noise, Response, ScatterModel, Scene};
+
+use sidecarm::scene::optics::Field;
+
+use crate::render_scenes::{With, cuboid, empty, solids};
+
+#[derive(Parser)]
+struct Render {
+    #[command(flatten)]
+    args: render::RenderArgs,
+}
+
+#[derive(Parser)]
+struct Follow {
+    #[command(flatten)]
+    args: scatter::ScatterArgs,
+}
+
+const SCENE: &str = r#"{
+    "objects": [{"box": {"centre_lps_mm": [0, 0, 0], "size_mm": [300, 200, 300], "material": "water"}}],
+    "view": {"size_px": [160, 120], "intrinsics": [[625, 0, 79.5], [0, 625, 59.5], [0, 0, 1]],
+             "camera_from_lps": [[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 700], [0, 0, 0, 1]]},
+    "beam": {"mono_kev": 60, "photons_per_pixel": 1e5},
+    "detector": {"response": "energy", "pitch_mm": 1.6},
+    "model": {"scatter": "monte_carlo", "seed": 7}
+}"#;
+
+fn rendered(folder: &Path, scene: &str, more: &[&str]) -> (Image<f32>, serde_json::Value) {
+    let path = folder.join("scene.json");
+    std::fs::write(&path, scene).expect("writes");
+    let (scene, out) = (path.display().to_string(), folder.join("drr.tif"));
+    let words = ["render", &scene, "--device", "cpu", "--out", out.to_str().expect("UTF-8")];
+    let typed = Render::try_parse_from(words.iter().chain(more)).expect("parses");
+    assert_eq!(render::run(&typed.args, &Reporter::silent()).expect("renders"), 0);
+    let json = std::fs::read_to_string(folder.join("drr.tif.json")).expect("beside it");
+    (read_tiff_f32(&out).expect("a TIFF").remove(0), serde_json::from_str(&json).expect("JSON"))
+}
+
+/// Against the page that `sidecarm scatter` writes, followed from another seed on another raster; and the statement holds.
+#[test]
+fn a_render_has_the_scatter_that_is_followed_by_itself() {
+    let folder = tempfile::tempdir().expect("folder");
+    let (with, json) = rendered(folder.path(), SCENE, &["--scatter-error", "0.02"]);
+    let (without, off) = rendered(folder.path(), &SCENE.replace("monte_carlo", "off"), &[]);
+    let (again, _) = rendered(folder.path(), SCENE, &["--scatter-error", "0.02"]);
+    assert_eq!(with, again, "the same seed gives the same image");
+    let (scene, out) = (folder.path().join("scene.json"), folder.path().join("s.tif"));
+    let words = ["scatter", scene.to_str().expect("UTF-8"), "--out", out.to_str().expect("UTF-8"), "--histories", "2e6"];
+    let typed = Follow::try_parse_from(words.iter().chain(&["--grid-px", "8x6", "--seed", "99"])).expect("parses");
+    assert_eq!(scatter::run(&typed.args, &Reporter::silent()).expect("follows"), 0);
+    let pages = read_tiff_f32(&out).expect("a TIFF");
+    let mut ratios = Vec::new();
+    for row in 0..6 {
+        for column in 0..8 {
+            let cell = row * 8 + column;
+            let own: f32 = (1..4).map(|page| pages[page].pixels[cell]).sum();
+            let mut sum = 0.0;
+            for y in 0..20 {
+                for x in 0..20 {
+                    let pixel = (row * 20 + y) * 160 + column * 20 + x;
+                    sum += with.pixels[pixel] - without.pixels[pixel];
+                }
+            }
+            ratios.push(f64::from(sum / 400.0 / own));
+        }
+    }
+    let mean = ratios.iter().sum::<f64>() / ratios.len() as f64;
+    let spread = (ratios.iter().map(|ratio| (ratio - mean).powi(2)).sum::<f64>() / ratios.len() as f64).sqrt();
+    assert!((mean - 1.0).abs() < 0.01 && spread < 0.03, "{mean} ± {spread}");
+    let said = &json["scatter"];
+    let (ratio, added) =
+        (said["scatter_to_primary"].as_f64().expect("a number"), said["stated_error"].as_f64().expect("a number"));
+    assert!(ratio > 0.5 && added > 0.0 && off.get("scatter").is_none(), "{said}");
+    assert!(
+        (json["stated_error"].as_f64().expect("a number") - off["stated_error"].as_f64().expect("a number") - added).abs() < 1e-9
+    );
+    let choice = json["plan"]["choices"].as_array().expect("choices").iter().find(|choice| choice["what"] == "scatter");
+    assert_eq!(choice.map(|choice| choice["modelled"].as_bool()), Some(Some(true)));
+}
+
+#[test]
+fn what_scatters_nothing_is_rendered_as_it_was() {
+    let folder = tempfile::tempdir().expect("folder");
+    let objects = SCENE.find("\"objects\"").expect("there").."\"objects\"".len() + SCENE.find("\"objects\"").expect("there");
+    let end = SCENE.find("\"view\"").expect("there");
+    let scene = format!("{}: [],\n{}", &SCENE[..objects.end], &SCENE[end..]);
+    let (page, json) = rendered(folder.path(), &scene, &[]);
+    assert!(page.pixels.iter().all(|value| *value == 1.0));
+    assert_eq!(
+        (json["scatter"]["scatter_to_primary"].as_f64(), json["scatter"]["stated_error"].as_f64()),
+        (Some(0.0), Some(0.0))
+    );
+}
+
+fn even(signal: f64) -> Arc<Scatter> {
+    let image = |value: f64| Image { width: 4, height: 4, pixels: vec![value; 16] };
+    Arc::new(Scatter { signal: image(signal), error: image(0.0), histories: 1, seed: 1, relative_error: 0.0 })
+}
+
+fn water(mm: f64) -> Scene {
+    let water = cuboid(DVec3::new(0.0, 0.0, 600.0), DVec3::new(200.0, 200.0, 0.5 * mm), 0, 1.0);
+    let mut scene = empty(&["water"]).with(solids(&[water]));
+    scene.model.scatter = ScatterModel::MonteCarlo;
+    scene
+}
+
+fn page(scene: &Scene, options: Options) -> (Vec<f32>, Vec<u8>, Vec<String>) {
+    let rendered =
+        Renderer::new(DeviceChoice::Cpu, &Reporter::silent()).expect("a CPU").render(scene, &options).expect("renders");
+    (rendered.pages[0].pixels.clone(), rendered.valid.pixels, rendered.notes)
+}
+
+#[test]
+fn scatter_reaches_the_panel_beside_the_field() {
+    let mut scene = water(200.0);
+    let (open, ..) = page(&scene, Options { scatter: Some(even(0.0)), ..Options::default() });
+    scene.beam.shape.field = Some(Field::Circle { diameter_mm: 60.0, centre_mm: DVec2::ZERO });
+    let (seen, valid, _) = page(&scene, Options { scatter: Some(even(0.01)), ..Options::default() });
+    let at = |column: usize, row: usize| row * 96 + column;
+    for (n, outside) in [(at(48, 48), false), (at(5, 5), true), (at(90, 48), true)] {
+        let expected = if outside { 0.01 } else { open[n] + 0.01 };
+        assert!((seen[n] / expected - 1.0).abs() < 1e-5, "{} {expected}", seen[n]);
+        assert_eq!(valid[n] == 0, outside);
+    }
+    // Nobody followed photons: it is said.
+    let (without, _, notes) = page(&scene, Options::default());
+    assert!(without[at(5, 5)] == 0.0 && notes.iter().any(|note| note.contains("scatter is left out")), "{notes:?}");
+}
+
+/// Counting: var(intensity) = (T + S)/N₀ where S carries quanta of its own, T/N₀ where it did not.
+#[test]
+fn scattered_quanta_are_noisy_as_well() {
+    let mut scene = water(200.0);
+    (scene.detector.response, scene.model.noise) = (Response::Counting, Noise::True);
+    scene.beam.photons_per_pixel = 1e4;
+    let scattered = 0.05;
+    let options = || Options { scatter: Some(even(scattered)), quantity: Quantity::Intensity, ..Options::default() };
+    let (noisy, ..) = page(&scene, options());
+    scene.model.noise = Noise::Off;
+    let (clean, ..) = page(&scene, options());
+    let count = clean.len() as f64;
+    let variance = noisy.iter().zip(&clean).map(|(noisy, clean)| f64::from(noisy - clean).powi(2)).sum::<f64>() / count;
+    // Obliquity takes a little of N₀ towards the corners.
+    let expected = clean.iter().map(|clean| f64::from(*clean)).sum::<f64>() / count / 1e4;
+    let off = |expected: f64| (variance / expected - 1.0).abs();
+    let limit = 5.0 * (2.0 / count).sqrt() + 0.005;
+    assert!(off(expected) < limit, "{variance:e} {expected:e}");
+    assert!(off(expected - scattered / 1e4) > 5.0 * limit, "without quanta of its own");
+}

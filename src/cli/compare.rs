@@ -19,7 +19,7 @@ use crate::pose::{BeadResidual, Pose, PoseFileError};
 use crate::render::{RenderError, Renderer, guessed};
 use crate::report::{Standing, StripInput, score_words, strip};
 use crate::reporter::Reporter;
-use crate::scene::model::Scene;
+use crate::scene::model::{ScatterModel, Scene};
 use crate::scene::{SceneError, input_files, load};
 
 /// Compare an acquired radiograph with a simulated one: scores, masks, and every score against wrong poses.
@@ -186,6 +186,12 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
     }
     let extra = args.mask.as_deref().map(read_mask).transpose()?;
     let scene = args.scene.as_deref().map(|path| load(path, false, reporter)).transpose()?;
+    if scene.as_ref().is_some_and(|scene| scene.model.scatter != ScatterModel::Off) {
+        reporter.warn(
+            "scatter",
+            "what the null renders has no scatter, whatever SIMULATED has: the scene's model.scatter is left out there",
+        );
+    }
     if let (Some(path), Some(scene)) = (&args.scene, &scene) {
         refuse_overwrite(&[&json_path, &strip_path], &input_files(path, scene))?;
     }

@@ -8,16 +8,16 @@ use clap::builder::{PathBufValueParser, TypedValueParser};
 use crate::compare::posed_scene;
 use crate::geometry::View;
 use crate::gpu::DeviceChoice;
-use crate::image::{ImageFileError, check_writable, refuse_overwrite, refuse_twice, sha256_file};
+use crate::image::{Image, ImageFileError, check_writable, refuse_overwrite, refuse_twice, sha256_file};
 use crate::pose::{Pose, PoseFileError};
 use crate::render::{
     Goal, Options, Quantity, RenderError, Rendered, Renderer, Scatter, guessed_share, write_image, write_picture, written_with,
 };
 use crate::reporter::Reporter;
-use crate::scene::model::{InputFile, ScatterModel, Scene};
+use crate::scene::model::{Formation, InputFile, ScatterModel, Scene};
 use crate::scene::{self, SceneError};
 use crate::time::StageTimes;
-use crate::transport::{BATCH, Histories, ScatterImage, Simulation, TransportError};
+use crate::transport::{BATCH, Histories, Page, Simulation, TransportError};
 
 /// Render the radiograph that a scene should give: polychromatic, every material, later objects displacing earlier ones.
 #[derive(Clone, Debug, clap::Args)]
@@ -230,11 +230,7 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
         ..Options::default()
     };
     let mut stages = StageTimes::default();
-    options.scatter = followed(args, &scene, reporter, &mut stages)?.map(Arc::new);
-    let plan = renderer.plan_timed(&scene, &options, &mut stages)?;
-    if args.explain {
-        println!("{}", plan.explain().trim_end());
-    }
+    let mut plan = renderer.plan_timed(&scene, &options, &mut stages)?;
     if let Some(wanted) = args.max_error
         && !(wanted >= plan.stated_error)
     {
@@ -250,9 +246,27 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
             format_args!("--budget-ms {budget}: the fastest plan is predicted to take {predicted:.2} ms; {advice}"),
         );
     }
+    options.scatter = followed(args, &scene, reporter, &mut stages)?.map(Arc::new);
+    if let Some(scatter) = &options.scatter {
+        plan.say("scatter", true, scatter.words());
+    }
+    if args.explain {
+        println!("{}", plan.explain().trim_end());
+    }
     options.plan = Some(plan);
     let mut rendered = renderer.render(&scene, &options)?;
     rendered.booked_before(&stages);
+    if let (Some(wanted), Some(added)) = (args.max_error, rendered.scatter)
+        && !(wanted >= rendered.stated_error)
+    {
+        let (stated, adapter) = (rendered.stated_error, renderer.adapter());
+        let advice = if added.stated_error > 0.5 * stated {
+            "; a smaller --scatter-error leaves less of the scatter uncertain"
+        } else {
+            ""
+        };
+        return Err(RenderCommandError::MaxError { wanted, stated, adapter, advice });
+    }
     if let Some(goal) = goal.filter(|_| args.reference) {
         renderer.judge(&scene, goal, &mut rendered)?;
     }
@@ -277,12 +291,19 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
 
 /// Columns and rows of the raster on which scatter is followed: it is smooth over centimetres.
 const SCATTER_GRID_PX: [usize; 2] = [16, 12];
-/// Photons after which scatter is as good as it is, and after which there is none where none was seen.
+/// Photons after which scatter is as good as it is, and after which it may be known to be little.
 const MOST_HISTORIES: u64 = 200_000_000;
-const ENOUGH_FOR_NONE: u64 = 1_000_000;
+const ENOUGH_FOR_LITTLE: u64 = 1_000_000;
+/// Standard error over all that arrives below which nobody needs more photons.
+const NEGLIGIBLE: f64 = 3e-6;
 
 /// Why no more photons are followed.
-struct NothingScatters;
+struct LittleScatters;
+
+/// Whether no photons would change the image.
+fn scatter_left_out_for_good(scene: &Scene, quantity: QuantityArg) -> bool {
+    quantity == QuantityArg::AreaDensity || scene.model.formation == Formation::Naive
+}
 
 /// The scatter that the scene asks for.
 fn followed(
@@ -291,7 +312,7 @@ fn followed(
     reporter: &Reporter,
     stages: &mut StageTimes,
 ) -> Result<Option<Scatter>, RenderCommandError> {
-    if scene.model.scatter == ScatterModel::Off || args.quantity == QuantityArg::AreaDensity {
+    if scene.model.scatter == ScatterModel::Off || scatter_left_out_for_good(scene, args.quantity) {
         return Ok(None);
     }
     let view = scene.view.ok_or(RenderError::NoView)?;
@@ -312,22 +333,30 @@ fn followed(
             let done = (1000.0 * (args.scatter_error / simulation.relative_error(tally)).powi(2)).min(1000.0) as u64;
             progress.advance(done.saturating_sub(shown));
             shown = done.max(shown);
-            let is_none = tally.batches * BATCH >= ENOUGH_FOR_NONE
-                && (0..simulation.unattenuated().len()).all(|cell| tally.scatter(cell, BATCH).mean == 0.0);
-            if is_none { Err(NothingScatters) } else { Ok(()) }
+            let is_little = tally.batches * BATCH >= ENOUGH_FOR_LITTLE
+                && (0..simulation.unattenuated().len()).all(|cell| {
+                    let (found, primary) = (tally.scatter(cell, BATCH), tally.signal(Page::Primary, cell, BATCH).mean);
+                    found.standard_error <= NEGLIGIBLE * (primary + found.mean)
+                });
+            if is_little { Err(LittleScatters) } else { Ok(()) }
         });
-        Ok::<_, TransportError>(simulation.image(&tally))
+        let cells = 0..simulation.unattenuated().len();
+        let [width, height] = SCATTER_GRID_PX;
+        let image = |pixels: Vec<f64>| Image { width, height, pixels };
+        Ok::<_, TransportError>(Scatter {
+            signal: image(cells.clone().map(|cell| tally.scatter(cell, BATCH).mean).collect()),
+            error: image(cells.map(|cell| tally.scatter(cell, BATCH).standard_error).collect()),
+            unattenuated: image(simulation.unattenuated().to_vec()),
+            histories: tally.batches * BATCH,
+            seed: scene.model.seed,
+            relative_error: simulation.relative_error(&tally),
+        })
     })?;
-    let ScatterImage { scatter: signal, scatter_error: error, histories, .. } = image;
-    let is_none = signal.pixels.iter().all(|value| *value == 0.0);
-    let relative_error = if is_none { 0.0 } else { image.relative_error };
-    if !(relative_error <= args.scatter_error) {
-        reporter.warn(
-            "scatter",
-            format_args!("after {histories} photons the scatter is good to {:.1} % in the median", 100.0 * relative_error),
-        );
+    if image.histories >= MOST_HISTORIES && !(image.relative_error <= args.scatter_error) {
+        let (photons, good) = (image.histories, 100.0 * image.relative_error);
+        reporter.warn("scatter", format_args!("after {photons} photons the scatter is good to {good:.1} % in the median cell"));
     }
-    Ok(Some(Scatter { signal, error, histories, seed: scene.model.seed, relative_error }))
+    Ok(Some(image))
 }
 
 /// The scene from the pose at `path`.

@@ -7,7 +7,7 @@ use crate::geometry::{Intensifier, View};
 use crate::image::Image;
 use crate::pose::Pose;
 use crate::render::{Options, Plan, Quantity, Renderer};
-use crate::scene::model::{Matter, Noise};
+use crate::scene::model::{Matter, Noise, ScatterModel};
 use crate::scene::{Scene, SceneError};
 
 /// Blur that a bead's shadow is widened by, px.
@@ -107,6 +107,7 @@ impl<'a> NullRenders<'a> {
     pub fn render(&mut self, view: &View) -> Result<Image<f32>, String> {
         let mut coarse = self.scene.with_binned_view(*view);
         coarse.model.noise = Noise::Off;
+        coarse.model.scatter = ScatterModel::Off;
         let options = Options { quantity: Quantity::LineIntegral, ..Options::default() };
         let plan = match &self.plan {
             Some(plan) => plan.clone(),

@@ -4,7 +4,7 @@ use std::cell::RefCell;
 use std::sync::Arc;
 
 use glam::{DVec2, DVec3};
-use nalgebra::{Matrix2, Matrix6, Vector2};
+use nalgebra::{Matrix2, Matrix3, Matrix6, Vector2};
 
 use super::gate::{Gate, information_about};
 use super::prior::Prior;
@@ -23,7 +23,7 @@ pub const PRIOR_SIGMA: (f64, f64) = (5.0 * std::f64::consts::PI / 180.0, 15.0);
 /// Squared deviation from a prior up to which a pose is sought: with its covariance, and without one.
 pub const GATE: (f64, f64) = (30.0, 60.0);
 /// Turns within a gate up to which it bounds depths.
-const MOST_TURN_RAD: f64 = 0.8;
+const MOST_TURN_RAD: f64 = 1.0;
 /// Shadows of which a person's mark means the nearest one: so many radii from it, at most.
 const MARK_RADII: f64 = 2.0;
 
@@ -190,23 +190,63 @@ fn allowed(targets: &[Target], detections: &[Detection], k: &Intrinsics, gate: O
     allowed
 }
 
-/// Depths at which the gate lets each bead be, with what the linear rule leaves out of a large turn.
+/// Depths at which the gate lets each bead be: by the linear rule, and half of the turn times the shift for what it leaves out.
 fn in_gate(targets: &[Target], gate: Option<&Gate>) -> Vec<Depths> {
     let anywhere = vec![Depths::ALL; targets.len()];
     let Some((gate, covariance)) = gate.and_then(|gate| Some((gate, gate.information.try_inverse()?))) else { return anywhere };
     let limit = gate.limit * ROUGH_GATE;
-    let turn_rad = (limit * (0..3).map(|n| covariance[(n, n)]).fold(0.0, f64::max)).sqrt();
-    let middle_mm = targets.iter().map(|target| target.lps_mm).sum::<DVec3>() / targets.len().max(1) as f64;
-    let arm_mm = targets.iter().map(|target| target.lps_mm.distance(middle_mm)).fold(0.0, f64::max);
+    let largest = |variances: Matrix3<f64>| (limit * variances.symmetric_eigenvalues().max()).sqrt();
+    let turn_rad = largest(covariance.fixed_view::<3, 3>(0, 0).into_owned());
     if !(turn_rad < MOST_TURN_RAD) {
         return anywhere;
     }
     let of = |target: &Target| {
         let p = gate.camera_from_lps.transform_point(target.lps_mm);
         let by_pose = point_by_pose(p, DVec3::ZERO);
-        let row = by_pose.row(2);
-        let reach_mm = 1.1 * (limit * (row * covariance * row.transpose())[(0, 0)]).sqrt() + arm_mm * turn_rad * turn_rad;
-        Depths { near: p.z - reach_mm, far: p.z + reach_mm }
+        let moved = by_pose * covariance * by_pose.transpose();
+        let reach_mm = (limit * moved[(2, 2)]).sqrt() + 0.5 * turn_rad * largest(moved);
+        if reach_mm.is_finite() { Depths { near: p.z - reach_mm, far: p.z + reach_mm } } else { Depths::ALL }
     };
     targets.iter().map(of).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::{Purpose, Stream};
+
+    /// Poses on the very edge of gates of every shape.
+    #[test]
+    fn a_gate_bounds_no_depth_that_it_lets_pass() {
+        let mut random = Stream::new(8, 0, 0, Purpose::Evaluation);
+        let mut bounded = 0;
+        for _ in 0..300 {
+            let mut between = |low: f64, high: f64| low + (high - low) * random.uniform();
+            let centre = DVec3::new(between(-80.0, 80.0), between(-80.0, 80.0), between(450.0, 900.0));
+            let (turn_rad, shift_mm) = (between(0.001, 0.1), between(0.5, 40.0));
+            let camera_from_lps = Rigid::translation(centre) * Rigid::exp(DVec3::new(between(-3.0, 3.0), 1.0, 0.3), DVec3::ZERO);
+            let gate =
+                Gate { camera_from_lps, information: information_about(centre, turn_rad, shift_mm), limit: between(20.0, 60.0) };
+            let mut place = || DVec3::new(between(-70.0, 70.0), between(-70.0, 70.0), between(-70.0, 70.0));
+            let targets: Vec<Target> = (0..6).map(|_| Target { lps_mm: place(), sigma_mm: 0.1, radius_mm: None }).collect();
+            let depths = in_gate(&targets, Some(&gate));
+            bounded += usize::from(depths[0].far.is_finite());
+            let covariance = gate.information.try_inverse().expect("positive");
+            let root = covariance.cholesky().expect("positive").l();
+            for _ in 0..50 {
+                let direction = nalgebra::Vector6::from_fn(|_, _| random.normal()).normalize();
+                let off = root * direction * (gate.limit * ROUGH_GATE).sqrt();
+                let moved = Rigid::exp(DVec3::new(off[0], off[1], off[2]), DVec3::new(off[3], off[4], off[5])) * camera_from_lps;
+                assert!((gate.squares(&moved) / gate.limit / ROUGH_GATE - 1.0).abs() < 1e-6, "on the edge");
+                for (target, depths) in targets.iter().zip(&depths) {
+                    let depth_mm = moved.transform_point(target.lps_mm).z;
+                    assert!(depths.contain(depth_mm), "{depth_mm} in {depths:?}, turn {turn_rad}, shift {shift_mm}");
+                }
+            }
+        }
+        assert!(bounded > 100, "{bounded} gates bound anything");
+        let nothing = Gate { camera_from_lps: Rigid::IDENTITY, information: Matrix6::zeros(), limit: 30.0 };
+        let target = Target { lps_mm: DVec3::Z, sigma_mm: 0.1, radius_mm: None };
+        assert!(in_gate(&[target], Some(&nothing))[0].contain(1e6));
+    }
 }

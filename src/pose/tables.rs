@@ -9,6 +9,9 @@ use crate::geometry::Intrinsics;
 /// By how much blur, clipping and display curves move a fitted radius: ln of the factor, and px more for a small shadow.
 const RADIUS_SLACK: (f64, f64) = (0.35, 0.5);
 
+/// Spheres whose radius is less than so many px at a depth of 1 mm: half a pixel at two metres.
+const TELLS_NOTHING: f64 = 1000.0;
+
 /// What is known of a bead during the search.
 #[derive(Clone, Copy, Debug)]
 pub struct Target {
@@ -72,7 +75,8 @@ impl Depths {
             let at = more * (-largest).exp();
             largest -= (largest - shadow - slack - at) / (1.0 + at);
         }
-        let is_open = shadow - more.ln() - slack - 1.0 <= 0.0;
+        // Of what is smaller than a pixel at any depth the radius tells nothing.
+        let is_open = shadow - more.ln() - slack - 1.0 <= 0.0 || one_px < TELLS_NOTHING;
         for _ in 0..8 {
             let at = more * (-least).exp();
             if !is_open {
@@ -142,8 +146,13 @@ mod tests {
                 let depth_mm = f64::from(n);
                 let predicted_px = one_px / depth_mm;
                 let fits = (radius_px / predicted_px).ln().abs() < 0.35 + 0.5 / predicted_px;
-                assert!(depths.contain(depth_mm) == fits || predicted_px < 0.5, "{radius_px} px of {predicted_px}");
+                let is_open = one_px < TELLS_NOTHING && radius_px > predicted_px;
+                assert!(depths.contain(depth_mm) == fits || is_open || predicted_px < 0.5, "{radius_px} px of {predicted_px}");
             }
+        }
+        // A small bead in a binned frame, as its shadow is fitted.
+        for radius_px in [1.0, 1.92, 1.95, 3.0] {
+            assert!(Depths::of_radius(0.18 * 1314.0, radius_px).contain(700.0), "{radius_px}");
         }
         for radius_px in [0.0, -1.0, f64::NAN] {
             assert!(!Depths::of_radius(3900.0, radius_px).contain(700.0));

@@ -56,8 +56,12 @@ pub(super) fn shape(
     Ok(flood)
 }
 
-/// Marks what the field or the heel closes as invalid, and says how much that is.
-pub(super) fn close(flood: &Flood, valid: &mut [u8], notes: &mut Vec<String>) {
+/// What stands where the field is closed.
+pub(super) const BESIDE: &str = "intensity 0 where closed, line_integral at most -ln 1/(2 N0)";
+pub(super) const BESIDE_WITH_SCATTER: &str = "scatter alone where closed";
+
+/// Marks what the field or the heel closes as invalid, and says how much that is, and what stands `there`.
+pub(super) fn close(flood: &Flood, valid: &mut [u8], notes: &mut Vec<String>, there: &str) {
     let closed = flood.open.iter().filter(|open| **open < 1.0).count();
     for (valid, open) in valid.iter_mut().zip(&flood.open) {
         if *open < 1.0 {
@@ -66,10 +70,7 @@ pub(super) fn close(flood: &Flood, valid: &mut [u8], notes: &mut Vec<String>) {
     }
     if closed > 0 {
         let share = 100.0 * closed as f64 / flood.open.len() as f64;
-        notes.push(format!(
-            "{closed} pixels ({share:.1} %) lie outside the field or on its edge: intensity 0 where closed, line_integral at most \
-             -ln 1/(2 N0), marked invalid"
-        ));
+        notes.push(format!("{closed} pixels ({share:.1} %) lie outside the field or on its edge: {there}, marked invalid"));
     }
 }
 

@@ -20,7 +20,7 @@ use crate::geometry::View;
 use crate::gpu::{Device, cpu_name};
 use crate::image::Image;
 use crate::reporter::Reporter;
-use crate::scene::model::Scene;
+use crate::scene::model::{ScatterModel, Scene};
 use crate::time::StageTimes;
 
 /// All that casting needs.
@@ -96,7 +96,7 @@ impl Renderer {
     /// Everything after the rays: noise, detector, notes.
     pub(super) fn finish(&self, ready: Ready, mut cast: Cast, options: &Options) -> Result<Rendered, RenderError> {
         let noisy = ready.noisy();
-        let Ready { scene, view, plan, prepared, bins, mut stages, mut notes, .. } = ready;
+        let Ready { scene, view, mut plan, prepared, bins, mut stages, mut notes, .. } = ready;
         let size = view.size_px.map(|n| n as usize);
         let image = |pixels: Vec<f32>| Image { width: size[0], height: size[1], pixels };
         if !plan.fitted_up_to_g_per_cm2.is_empty() {
@@ -111,10 +111,11 @@ impl Renderer {
         };
         note_invalid(&cast.density.valid, unscanned_mm, &mut notes);
         notes.extend(scene.model.noise_left_out().map(str::to_owned));
-        let scatter = options.scatter.as_ref().filter(|_| bins.is_some());
-        if let (None, Some(words)) = (scatter, scatter_left_out(scene, plan.quantity).filter(|_| bins.is_some())) {
-            self.reporter.warn("scatter", words);
-            notes.push(words.to_owned());
+        let is_asked_for = bins.is_some() && scene.model.scatter == ScatterModel::MonteCarlo;
+        let scatter = options.scatter.as_ref().filter(|_| is_asked_for);
+        match scatter {
+            Some(scatter) => plan.say("scatter", true, scatter.words()),
+            None => notes.extend(scatter_left_out(scene, plan.quantity).filter(|_| bins.is_some()).map(str::to_owned)),
         }
         let mut added = None;
         if !cast.matter {
@@ -128,7 +129,8 @@ impl Renderer {
             Some(bins) => {
                 let intensifier = intensifier::of_view(scene, &view)?;
                 let glares = intensifier.as_ref().is_some_and(|intensifier| intensifier.glare.is_some());
-                let wanted = Wanted { photons: noisy || plan.quantity == Quantity::Counts || glares, moments: noisy };
+                let wanted =
+                    Wanted { photons: noisy || plan.quantity == Quantity::Counts || glares || scatter.is_some(), moments: noisy };
                 let made_by = (plan.energy_nodes.as_slice(), plan.executor);
                 let mut flood = stages.measure("shape_beam", || {
                     chain::shape(scene, &view, made_by, &cast.density, bins, &mut cast.signal, wanted)
@@ -138,8 +140,8 @@ impl Renderer {
                 }
                 if let Some(scatter) = scatter {
                     // Scatter reaches what the field closes.
-                    chain::close(&flood, &mut valid.pixels, &mut notes);
-                    let sum = || scatter.add_to(&mut cast.signal, &mut flood, bins, size);
+                    chain::close(&flood, &mut valid.pixels, &mut notes, chain::BESIDE_WITH_SCATTER);
+                    let sum = || scatter.add_to(&mut cast.signal, &mut flood, bins, size, &valid.pixels);
                     added = Some(stages.measure("add_scatter", sum));
                 }
                 if let Some(intensifier) = &intensifier {
@@ -148,7 +150,9 @@ impl Renderer {
                     });
                     notes.extend(intensifier.note.clone());
                 }
-                chain::close(&flood, &mut valid.pixels, &mut notes);
+                if scatter.is_none() {
+                    chain::close(&flood, &mut valid.pixels, &mut notes, chain::BESIDE);
+                }
                 chain::note_extrapolated(&flood, &mut notes);
                 let mut noise = if noisy {
                     stages.measure("add_noise", || {

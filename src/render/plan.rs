@@ -77,6 +77,9 @@ fn every() -> u32 {
 pub fn scatter_left_out(scene: &Scene, quantity: Quantity) -> Option<&'static str> {
     match (scene.model.scatter, quantity) {
         (ScatterModel::Off, _) => None,
+        (ScatterModel::MonteCarlo, _) if scene.model.formation == Formation::Naive => {
+            Some("naive formation (Eq. 8) has no scatter: model.scatter is left out; formation \"deepdrr\" has it")
+        }
         (ScatterModel::MonteCarlo, Quantity::AreaDensity) => Some("area density is that of the objects alone"),
         (ScatterModel::MonteCarlo, _) => {
             Some("scatter is left out of this image: following photons takes seconds, and only `sidecarm render` does it")
@@ -201,7 +204,7 @@ impl Plan {
     }
 
     /// Replaces what was said about an ingredient, or adds it.
-    pub(super) fn say(&mut self, what: &str, modelled: bool, why: String) {
+    pub fn say(&mut self, what: &str, modelled: bool, why: String) {
         let choice = Choice { what: what.to_owned(), modelled, why };
         match self.choices.iter_mut().find(|choice| choice.what == what) {
             Some(said) => *said = choice,

@@ -170,10 +170,7 @@ impl Renderer {
             (Device::Gpu(_), false) if finer.is_some() => (Executor::Cpu, finer),
             (Device::Gpu(_), false) => (Executor::Wgsl, None),
         };
-        let mut plan = Plan::new(scene, view.size_px, options.quantity, executor, options.frame_index, cpu_because);
-        if let Some(scatter) = options.scatter.as_ref().filter(|_| options.quantity != Quantity::AreaDensity) {
-            plan.say("scatter", true, scatter.words());
-        }
+        let plan = Plan::new(scene, view.size_px, options.quantity, executor, options.frame_index, cpu_because);
         if executor == Executor::Reference {
             return Ok(plan);
         }

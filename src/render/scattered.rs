@@ -1,6 +1,7 @@
 //! Scatter, followed elsewhere, added to what arrives.
 //!
 //! With S(u) the scattered signal in units of the unattenuated signal of the pixel: `intensity(u) = open(u) · Σ φ r b T / Σ φ r b + S(u)`.
+//! What is smooth, and interpolated, is the scattered signal itself; the flood by which it is divided may end at the heel.
 //! It reaches the panel beside the collimated field as well. For noise its quanta count as ones of the beam's mean response.
 
 use super::cpu::attenuate_spectrum::{Arriving, Signal};
@@ -10,19 +11,25 @@ use crate::image::Image;
 
 /// Standard errors that the stated error counts: of a normal distribution 99.9 % lie within.
 const SIGMAS: f64 = 3.3;
+/// Share of a second difference between cells that the raster may be off: inside, and in the outermost cells, where it goes on straight.
+const BENT: (f64, f64) = (1.0 / 8.0, 3.0 / 8.0);
+/// Cells sorted by how bright they are: in the dark of the heel nothing tells the unit.
+const LIT: f64 = 0.9;
 
 /// Scattered signal on a coarse raster that covers the image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scatter {
-    /// Mean over each cell, in units of the unattenuated signal there.
+    /// Mean over each cell, keV or photons per history.
     pub signal: Image<f64>,
     /// Standard errors of `signal`.
     pub error: Image<f64>,
+    /// What a cell would detect with nothing in the beam and all of the panel open, in the unit of `signal`.
+    pub unattenuated: Image<f64>,
     /// Photons that were followed.
     pub histories: u64,
     /// Seed of their random numbers.
     pub seed: u64,
-    /// Median over the cells of the relative standard error.
+    /// Median over the cells of the relative standard error; infinite where most saw none.
     pub relative_error: f64,
 }
 
@@ -35,95 +42,146 @@ pub struct Added {
     pub seed: u64,
     /// Columns and rows of the raster.
     pub grid_px: [usize; 2],
-    /// Median over its cells of the scatter's relative standard error.
-    pub relative_error: f64,
-    /// Mean of scatter over mean of primary.
-    pub scatter_to_primary: f64,
-    /// Bound of |Δ line_integral| / max(1, line_integral) that it adds to the stated error: of its noise, and of what the raster smooths.
+    /// Median over its cells of the scatter's relative standard error; `None` where most saw none.
+    pub relative_error: Option<f64>,
+    /// Mean of scatter over mean of primary; `None` without primary.
+    pub scatter_to_primary: Option<f64>,
+    /// Bound of |Δ line_integral| / max(1, line_integral) that it adds to the stated error, the 99.9th percentile of valid pixels: of its
+    /// noise, and of what the raster smooths.
     pub stated_error: f64,
 }
 
 impl Scatter {
     /// What a plan says of it.
-    pub(super) fn words(&self) -> String {
+    #[must_use]
+    pub fn words(&self) -> String {
         let Image { width, height, .. } = self.signal;
+        let good = if self.relative_error.is_finite() {
+            format!("good to {:.1} % in the median", 100.0 * self.relative_error)
+        } else {
+            "most of which saw none".to_owned()
+        };
         format!(
-            "by Monte Carlo: {:.1e} photons, {width} x {height} cells good to {:.1} % in the median, cubic between them; its quanta count as \
-             ones of the beam's mean response",
-            self.histories as f64,
-            100.0 * self.relative_error
+            "by Monte Carlo: {:.1e} photons, {width} x {height} cells {good}, cubic between them; what that leaves uncertain is added to the \
+             image's stated error; its quanta count as ones of the beam's mean response",
+            self.histories as f64
         )
     }
 
-    /// Adds it to a signal of `size` = [columns, rows] pixels. The open shares of `flood` are in the signal afterwards and no longer in it.
-    pub(super) fn add_to(&self, signal: &mut Signal, flood: &mut Flood, bins: &Bins, size: [usize; 2]) -> Added {
+    /// Adds it to a signal of `size` = [columns, rows] pixels. The open shares of `flood`, which needs its photons, are in the signal
+    /// afterwards, and no longer in `flood`, but for pixels that nothing reaches. `valid` says which pixels the statement is about.
+    pub(super) fn add_to(&self, signal: &mut Signal, flood: &mut Flood, bins: &Bins, size: [usize; 2], valid: &[u8]) -> Added {
         let [width, height] = size;
-        let smooth = Smooth::new(&self.signal, size);
-        let (mut primary, mut scattered) = (0.0, 0.0);
-        let mut row_of_scatter = vec![0.0; width];
+        let [across, down] = [Axis::new(width, self.signal.width), Axis::new(height, self.signal.height)];
+        let per_signal = self.principal(flood, size).recip();
+        let variance = self.variances();
+        let bends = self.bends();
+        let (mut primary, mut scattered, mut is_dark) = (0.0, 0.0, false);
+        let mut open_after = vec![1.0f32; width * height];
+        let mut errors = Vec::new();
         for row in 0..height {
-            smooth.row(row, &mut row_of_scatter);
-            for (column, seen) in row_of_scatter.iter().enumerate() {
-                let pixel = row * width + column;
-                let (open, seen) = (flood.open(pixel), seen.max(0.0));
-                let line = f64::from(signal.line_integral[pixel]);
+            let (by_row, outer_row) = (&down.weights[row], down.is_outer(row));
+            let seen_along = mixed_rows(&self.signal.pixels, across.cells, by_row, false);
+            let varied_along = mixed_rows(&variance, across.cells, by_row, true);
+            for column in 0..width {
+                let (pixel, by_column) = (row * width + column, &across.weights[column]);
+                let unit = per_signal / flood.relative_signal(pixel);
+                let found = unit * by_column.iter().map(|(cell, weight)| weight * seen_along[*cell]).sum::<f64>();
+                // Not max, which would turn NaN into nothing.
+                let seen = if found < 0.0 { 0.0 } else { found };
+                let (open, line) = (flood.open(pixel), f64::from(signal.line_integral[pixel]));
                 let direct = open * (-line).exp();
                 primary += direct;
                 scattered += seen;
+                let both = direct + seen;
                 // Without scatter the logarithm keeps what the exponential has lost.
-                signal.line_integral[pixel] = if seen == 0.0 { line - open.ln() } else { -(direct + seen).ln() } as f32;
+                let joined_line = if seen == 0.0 { line - open.ln() } else { -both.ln() };
+                signal.line_integral[pixel] = joined_line as f32;
+                if open == 0.0 && seen == 0.0 {
+                    (open_after[pixel], is_dark) = (0.0, true);
+                }
                 if let Some(arriving) = signal.arriving.get_mut(pixel) {
                     *arriving = joined(arriving, open, seen, flood.response(pixel), bins);
                 }
+                if valid[pixel] == 1 {
+                    let sigma =
+                        unit * by_column.iter().map(|(cell, weight)| weight * weight * varied_along[*cell]).sum::<f64>().sqrt();
+                    let cell = down.nearest(row) * across.cells + across.nearest(column);
+                    let share = if outer_row || across.is_outer(column) { BENT.1 } else { BENT.0 };
+                    errors.push(match SIGMAS * sigma + share * unit * bends[cell] {
+                        // Where nothing is added nothing is off, however thick the object.
+                        0.0 => 0.0,
+                        off => (off / both / joined_line.max(1.0)) as f32,
+                    });
+                }
             }
         }
-        flood.open = Vec::new();
+        flood.open = if is_dark { open_after } else { Vec::new() };
         Added {
             histories: self.histories,
             seed: self.seed,
-            grid_px: [self.signal.width, self.signal.height],
-            relative_error: self.relative_error,
-            scatter_to_primary: scattered / primary,
-            stated_error: self.stated_error(signal, size),
+            grid_px: [across.cells, down.cells],
+            relative_error: Some(self.relative_error).filter(|error| error.is_finite()),
+            scatter_to_primary: Some(scattered / primary).filter(|ratio| ratio.is_finite()),
+            stated_error: percentile(&mut errors),
         }
     }
 
-    /// 99.9th percentile over the cells of what noise, and the curvature within a cell, may change.
-    fn stated_error(&self, signal: &Signal, [width, height]: [usize; 2]) -> f64 {
-        let Image { width: columns, height: rows, pixels } = &self.signal;
-        let (columns, rows) = (*columns, *rows);
-        let bent = |before: Option<f64>, here: f64, after: Option<f64>| match (before, after) {
-            (Some(before), Some(after)) => (before - 2.0 * here + after).abs() / 8.0,
-            _ => 0.0,
-        };
-        let at = |column: usize, row: usize| pixels[row * columns + column];
-        let of_cell = |cell: usize| {
-            let (column, row) = (cell % columns, cell / columns);
-            let here = pixels[cell];
-            let along =
-                bent(column.checked_sub(1).map(|left| at(left, row)), here, (column + 1 < columns).then(|| at(column + 1, row)));
-            let down =
-                bent(row.checked_sub(1).map(|above| at(column, above)), here, (row + 1 < rows).then(|| at(column, row + 1)));
-            let middle = |cell: usize, cells: usize, px: usize| ((2 * cell + 1) * px / (2 * cells)).min(px - 1);
-            let pixel = middle(row, rows, height) * width + middle(column, columns, width);
-            let line = f64::from(signal.line_integral[pixel]);
-            match SIGMAS * self.error.pixels[cell] + along.max(down) {
-                // Where nothing is added nothing is off, however thick the object.
-                0.0 => 0.0,
-                off => off * line.exp() / line.max(1.0),
-            }
-        };
-        let mut errors: Vec<f64> = (0..pixels.len()).map(of_cell).collect();
-        errors.sort_by(f64::total_cmp);
-        errors[(0.999 * (errors.len() - 1) as f64).round() as usize]
+    /// Signal of an open pixel on the principal ray, in the unit of `signal`: cells and pixels see the same flood.
+    fn principal(&self, flood: &Flood, [width, height]: [usize; 2]) -> f64 {
+        let Image { width: columns, height: rows, pixels } = &self.unattenuated;
+        let (mut sums, mut counts) = (vec![0.0; pixels.len()], vec![0.0; pixels.len()]);
+        for pixel in 0..width * height {
+            let cell = (pixel / width * rows / height) * columns + pixel % width * columns / width;
+            sums[cell] += flood.relative_signal(pixel);
+            counts[cell] += 1.0;
+        }
+        let ratio = |cell: usize| (counts[cell] > 0.0).then(|| pixels[cell] * counts[cell] / sums[cell]);
+        let mut ratios: Vec<f64> = (0..pixels.len()).filter_map(ratio).collect();
+        ratios.sort_by(f64::total_cmp);
+        ratios[(LIT * (ratios.len() - 1) as f64) as usize]
     }
+
+    /// Variances of the cells; one that no photon told anything about is as uncertain as the others.
+    fn variances(&self) -> Vec<f64> {
+        let mut known: Vec<f64> = self.error.pixels.iter().copied().filter(|error| *error > 0.0).collect();
+        known.sort_by(f64::total_cmp);
+        let usual = known.get(known.len() / 2).copied().unwrap_or(0.0);
+        self.error.pixels.iter().map(|error| if *error > 0.0 { error * error } else { usual * usual }).collect()
+    }
+
+    /// Largest second difference along columns or rows, of an outermost cell that of its neighbour.
+    fn bends(&self) -> Vec<f64> {
+        let Image { width: columns, height: rows, pixels } = &self.signal;
+        let inner = |n: usize, count: usize| (count >= 3).then(|| n.clamp(1, count - 2));
+        let bend = |cell: usize| {
+            let (column, row) = (cell % columns, cell / columns);
+            let along = inner(column, *columns).map_or(0.0, |n| {
+                let at = row * columns + n;
+                (pixels[at - 1] - 2.0 * pixels[at] + pixels[at + 1]).abs()
+            });
+            let down = inner(row, *rows).map_or(0.0, |n| {
+                let at = n * columns + column;
+                (pixels[at - columns] - 2.0 * pixels[at] + pixels[at + columns]).abs()
+            });
+            along.max(down)
+        };
+        (0..pixels.len()).map(bend).collect()
+    }
+}
+
+/// The 99.9th percentile; 0 of none.
+fn percentile(errors: &mut [f32]) -> f64 {
+    let Some(last) = errors.len().checked_sub(1) else { return 0.0 };
+    let rank = (0.999 * last as f64).ceil() as usize;
+    f64::from(*errors.select_nth_unstable_by(rank, f32::total_cmp).1)
 }
 
 /// The photons of the primary, of which `open` pass the collimator, and `scattered` more.
 fn joined(primary: &Arriving, open: f64, scattered: f64, response: f64, bins: &Bins) -> Arriving {
     let own = open * f64::from(primary.photon_fraction);
     let count = own + scattered;
-    if !(count > 0.0) {
+    if count == 0.0 {
         return Arriving { photon_fraction: 0.0, ..*primary };
     }
     let mixed = |of_primary: f32, of_scatter: f64| ((own * f64::from(of_primary) + scattered * of_scatter) / count) as f32;
@@ -136,65 +194,59 @@ fn joined(primary: &Arriving, open: f64, scattered: f64, response: f64, bins: &B
     }
 }
 
-/// A coarse raster between the middles of its cells: cubic (Catmull–Rom), and straight beyond the outermost.
-struct Smooth {
-    columns: usize,
-    /// With two more cells on each side.
-    padded: Vec<f64>,
-    size: [usize; 2],
-    rows: usize,
+/// Cells mixed down to one row, with weights or their squares.
+fn mixed_rows(cells: &[f64], columns: usize, weights: &[(usize, f64)], squared: bool) -> Vec<f64> {
+    let weight = |weight: f64| if squared { weight * weight } else { weight };
+    (0..columns).map(|column| weights.iter().map(|(row, by)| weight(*by) * cells[row * columns + column]).sum()).collect()
 }
 
-const PAD: usize = 2;
+/// Between the middles of cells along one axis: cubic (Catmull–Rom), and straight beyond the outermost.
+struct Axis {
+    cells: usize,
+    /// By pixel: cells and their weights, each cell once.
+    weights: Vec<Vec<(usize, f64)>>,
+}
 
-impl Smooth {
-    fn new(coarse: &Image<f64>, size: [usize; 2]) -> Self {
-        let (columns, rows) = (coarse.width + 2 * PAD, coarse.height + 2 * PAD);
-        // Along one axis, at an index that may lie outside: straight on from the two outermost.
-        let beyond = |n: usize, count: usize| -> [(usize, f64); 2] {
-            let at = n as f64 - PAD as f64;
-            let low = (at.max(0.0) as usize).min(count.saturating_sub(2));
-            let share = at - low as f64;
-            [(low, 1.0 - share), ((low + 1).min(count - 1), share)]
-        };
-        let mut padded = Vec::with_capacity(columns * rows);
-        for row in 0..rows {
-            for column in 0..columns {
-                let mut value = 0.0;
-                for (r, by_row) in beyond(row, coarse.height) {
-                    for (c, by_column) in beyond(column, coarse.width) {
-                        value += by_row * by_column * coarse.pixels[r * coarse.width + c];
-                    }
+impl Axis {
+    fn new(pixels: usize, cells: usize) -> Self {
+        let of_pixel = |pixel: usize| {
+            let at = (pixel as f64 + 0.5) / pixels as f64 * cells as f64 - 0.5;
+            let base = at.floor();
+            let f = at - base;
+            let cubic = [
+                f * (-0.5 + f * (1.0 - 0.5 * f)),
+                1.0 + f * f * (1.5 * f - 2.5),
+                f * (0.5 + f * (2.0 - 1.5 * f)),
+                f * f * (0.5 * f - 0.5),
+            ];
+            let mut weights: Vec<(usize, f64)> = Vec::new();
+            let mut add = |cell: usize, weight: f64| match weights.iter_mut().find(|(known, _)| *known == cell) {
+                Some((_, sum)) => *sum += weight,
+                None => weights.push((cell, weight)),
+            };
+            for (n, weight) in cubic.into_iter().enumerate() {
+                let at = base as isize - 1 + n as isize;
+                // A cell that is not there lies on the line through the two outermost.
+                let last = cells as isize - 1;
+                let low = at.clamp(0, (last - 1).max(0));
+                let share = if last == 0 { 0.0 } else { (at - low) as f64 };
+                add(low as usize, weight * (1.0 - share));
+                if share != 0.0 {
+                    add(low as usize + 1, weight * share);
                 }
-                padded.push(value);
             }
-        }
-        Self { columns, padded, size, rows }
+            weights
+        };
+        Self { cells, weights: (0..pixels).map(of_pixel).collect() }
     }
 
-    /// The first of four cells about a pixel, and their weights.
-    fn weights(pixel: usize, pixels: usize, cells: usize) -> (usize, [f64; 4]) {
-        let at = (pixel as f64 + 0.5) / pixels as f64 * cells as f64 - 0.5;
-        let base = at.floor();
-        let f = at - base;
-        let weights = [
-            f * (-0.5 + f * (1.0 - 0.5 * f)),
-            1.0 + f * f * (1.5 * f - 2.5),
-            f * (0.5 + f * (2.0 - 1.5 * f)),
-            f * f * (0.5 * f - 0.5),
-        ];
-        ((base as isize - 1 + PAD as isize) as usize, weights)
+    fn nearest(&self, pixel: usize) -> usize {
+        pixel * self.cells / self.weights.len()
     }
 
-    fn row(&self, row: usize, out: &mut [f64]) {
-        let (top, down) = Self::weights(row, self.size[1], self.rows - 2 * PAD);
-        let line: Vec<f64> = (0..self.columns)
-            .map(|column| (0..4).map(|n| down[n] * self.padded[(top + n) * self.columns + column]).sum())
-            .collect();
-        for (column, out) in out.iter_mut().enumerate() {
-            let (left, across) = Self::weights(column, self.size[0], self.columns - 2 * PAD);
-            *out = (0..4).map(|n| across[n] * line[left + n]).sum();
-        }
+    fn is_outer(&self, pixel: usize) -> bool {
+        let cell = self.nearest(pixel);
+        cell == 0 || cell + 1 == self.cells
     }
 }
 
@@ -202,22 +254,18 @@ impl Smooth {
 mod tests {
     use super::*;
 
-    fn coarse(of: impl Fn(f64, f64) -> f64) -> Image<f64> {
-        let pixels = (0..6 * 5).map(|n| of((n % 6) as f64 + 0.5, (n / 6) as f64 + 0.5)).collect();
-        Image { width: 6, height: 5, pixels }
-    }
-
     /// Planes are exact to the edge of the image, a parabola as well away from it.
     #[test]
     fn a_raster_between_its_cells_is_what_it_is_of() {
         let plane = |x: f64, y: f64| 3.0 + 0.2 * x - 0.1 * y;
         let bent = |x: f64, y: f64| (x - 2.0).powi(2) + 0.3 * x * y;
+        let [across, down] = [Axis::new(60, 6), Axis::new(50, 5)];
         for (of, inside_only) in [(&plane as &dyn Fn(f64, f64) -> f64, false), (&bent, true)] {
-            let smooth = Smooth::new(&coarse(of), [60, 50]);
-            let mut row = vec![0.0; 60];
+            let cells: Vec<f64> = (0..6 * 5).map(|n| of((n % 6) as f64 + 0.5, (n / 6) as f64 + 0.5)).collect();
             for y in 0..50 {
-                smooth.row(y, &mut row);
-                for (x, found) in row.iter().enumerate() {
+                let along = mixed_rows(&cells, 6, &down.weights[y], false);
+                for x in 0..60 {
+                    let found: f64 = across.weights[x].iter().map(|(cell, weight)| weight * along[*cell]).sum();
                     let (at_x, at_y) = ((x as f64 + 0.5) / 10.0, (y as f64 + 0.5) / 10.0);
                     let is_inside = (1.5..4.5).contains(&at_x) && (1.5..3.5).contains(&at_y);
                     if is_inside || !inside_only {
@@ -227,9 +275,21 @@ mod tests {
             }
         }
         // A single cell is the same everywhere.
-        let smooth = Smooth::new(&Image { width: 1, height: 1, pixels: vec![0.7] }, [4, 3]);
-        let mut row = vec![0.0; 4];
-        smooth.row(2, &mut row);
-        assert!(row.iter().all(|found| (found - 0.7).abs() < 1e-12), "{row:?}");
+        let one = Axis::new(4, 1);
+        assert!(one.weights.iter().all(|weights| (weights.iter().map(|(_, weight)| weight).sum::<f64>() - 1.0).abs() < 1e-12));
+    }
+
+    /// Exact moments: of quanta at 1 and 3, three at 1 from the primary behind half a collimator, two more with the beam's mean.
+    #[test]
+    fn quanta_are_joined_with_their_moments() {
+        let primary = Arriving { photon_fraction: 0.6, mean_response: 1.0, mean_square_response: 1.0 };
+        let bins = Bins { mean_response: 2.0, mean_square_response: 5.0, ..Bins::default() };
+        let both = joined(&primary, 0.5, 0.2, 2.0, &bins);
+        let close = |found: f32, expected: f64| (f64::from(found) - expected).abs() < 1e-6;
+        assert!(close(both.photon_fraction, 0.5) && close(both.mean_response, 0.7 / 0.5), "{both:?}");
+        assert!(close(both.mean_square_response, (0.3 + 0.2 * 5.0) / 0.5), "{both:?}");
+        // Where heel or bow-tie have made the beam's mean 1.5 times as large.
+        assert!(close(joined(&primary, 0.0, 0.2, 3.0, &bins).mean_square_response, 5.0 * 2.25));
+        assert!(joined(&primary, 1.0, f64::NAN, 2.0, &bins).photon_fraction.is_nan());
     }
 }

@@ -9,7 +9,7 @@ use crate::scene::physics::Bin;
 pub const LANES: usize = 8;
 
 /// Weights and attenuation per energy.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Bins {
     /// Bins with padding.
     pub padded: usize,

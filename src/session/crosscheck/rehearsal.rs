@@ -13,7 +13,7 @@ use crate::geometry::{CarmJoints, Intrinsics, Rigid, View};
 use crate::pose::{Pose, Prior, Registration, register};
 use crate::render::{Options, Quantity, Renderer};
 use crate::scene::Scene;
-use crate::scene::model::Noise;
+use crate::scene::model::{Noise, ScatterModel};
 use crate::session::file::Setup;
 use crate::time::Stopwatch;
 
@@ -144,6 +144,7 @@ fn expose(setup: &Setup, scene: &Scene, layout: &BeadLayout, renderer: &mut Rend
     let options = Options { quantity: Quantity::LineIntegral, ..Options::default() };
     let mut quiet = matched;
     quiet.model.noise = Noise::Off;
+    quiet.model.scatter = ScatterModel::Off;
     let drr = renderer.render(&quiet, &options).map_err(|error| error.to_string())?;
     let render_ms = watch.ms();
     let watch = Stopwatch::start();

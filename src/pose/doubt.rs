@@ -181,8 +181,16 @@ impl Case<'_> {
             let own = (&hypothesis.camera_from_lps, last.matches.len(), hypothesis.rms_px);
             self.ambiguous(Rival::SecondSet, own, (&second.camera_from_lps, second.matches.len(), second.rms_px))
         };
-        if let Some(second) = self.second_reading(last) {
+        let (second, cut_short) = self.second_reading(last, unexplained);
+        if let Some(second) = second {
             return Err(refusal(&second));
+        }
+        if cut_short {
+            cautions.push(format!(
+                "so many of the {} shadows belong to no bead that not all could be tried for a second reading: narrow the collimator, or give \
+                 --bead-radius and --prior",
+                self.detections.len()
+            ));
         }
         let Some(second) = self.second_near(last, unexplained) else { return Ok(()) };
         let explains = second.matches.len();

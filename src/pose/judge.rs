@@ -77,6 +77,11 @@ impl Case<'_> {
                 "{why}: from the beads alone nobody can tell whether the picture is mirrored, and the pose with it; give --prior, or {remedy}"
             ));
         }
+        if !alone && !is_plate && self.has_mirror_twin_near(&settled) {
+            cautions.push(
+                "the layout resembles its own mirror image, and the prior lets both be: whether the picture is mirrored nobody can tell".to_owned(),
+            );
+        }
         let covariance = &settled.solution.covariance * settled.chi2_per_dof.max(1.0);
         self.check_uncertainty(&settled, &covariance, notes)?;
         if settled.chi2_per_dof > 1.5 {

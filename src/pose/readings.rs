@@ -32,8 +32,9 @@ const MIRROR_FIT: f64 = 2.0;
 const SAME_POSE: (f64, f64) = (2.0, 15.0);
 /// Cosine between a plate's normal and the line of sight below which it is seen from its edge.
 const EDGE_ON: f64 = 0.1;
-/// Poses from three points that are tried for a second reading, and for a mirrored one.
+/// Poses from three points that are tried for a mirrored reading, and for a second one, which every acceptance waits for.
 const BUDGET: u64 = 400_000;
+const MOST: u64 = super::search::BUDGET;
 
 impl Case<'_> {
     /// Whether no other reading of all shadows, wherever it puts the camera, explains as many beads. Where more shadows are left than
@@ -95,12 +96,15 @@ impl Case<'_> {
         is_plate(extents) && found.abs() > EDGE_ON && expected.abs() > EDGE_ON && found * expected < 0.0
     }
 
-    /// A match of the shadows that are left, far beyond chance: the layout, or one like it, stands in the frame a second time.
-    pub fn second_reading(&self, last: &Settled) -> Option<Hypothesis> {
+    /// A match of the shadows that are left, far beyond chance: the layout, or one like it, stands in the frame a second time. And whether
+    /// not all of them could be tried; those that look `alike` are tried first.
+    pub fn second_reading(&self, last: &Settled, alike: &[usize]) -> (Option<Hypothesis>, bool) {
         let near = |d: &Detection| last.matches.iter().any(|m| m.image_px.distance(d.image_px) < (0.7 * d.radius_px).max(1.5));
-        let left: Vec<usize> = (0..self.detections.len()).filter(|n| !near(&self.detections[*n])).collect();
+        let mut left: Vec<usize> = (0..self.detections.len()).filter(|n| !near(&self.detections[*n])).collect();
+        // What looks like the beads of the match is tried first.
+        left.sort_by_key(|n| !alike.contains(n));
         let shadows: Vec<Detection> = left.iter().map(|n| self.detections[*n]).collect();
-        self.reading(&shadows, |n| left.get(n).copied(), &last.solution.intrinsics, true)
+        self.reading_within(MOST, &shadows, |n| left.get(n).copied(), &last.solution.intrinsics, true)
     }
 
     /// The best match, close to the pose, of shadows that look like beads and belong to none.
@@ -164,15 +168,28 @@ impl Case<'_> {
         k: &Intrinsics,
         gated: bool,
     ) -> Option<Hypothesis> {
+        self.reading_within(BUDGET, shadows, own, k, gated).0
+    }
+
+    /// The same after `budget` poses from three points at most, and whether that was too few to try all.
+    fn reading_within(
+        &self,
+        budget: u64,
+        shadows: &[Detection],
+        own: impl Fn(usize) -> Option<usize>,
+        k: &Intrinsics,
+        gated: bool,
+    ) -> (Option<Hypothesis>, bool) {
         if shadows.len() < 4 {
-            return None;
+            return (None, false);
         }
         let targets = self.targets();
         let gate = self.request.prior.filter(|_| gated && !self.without_prior).map(|prior| self.gate(prior));
-        let search = Search { budget: BUDGET, ..self.search(&targets, shadows, own, k, gate) };
+        let search = Search { budget, ..self.search(&targets, shadows, own, k, gate) };
         let accident = |found: &Hypothesis, tried: u64| self.chance_among(found, tried, shadows);
         let found = search.run(|best, tried| accident(best, tried) < 0.1 * RIVAL_CHANCE);
-        found.hypotheses.into_iter().find(|hypothesis| accident(hypothesis, found.tried) < RIVAL_CHANCE)
+        let best = found.hypotheses.into_iter().find(|hypothesis| accident(hypothesis, found.tried) < RIVAL_CHANCE);
+        (best, found.cut_short)
     }
 
     /// The matches of `shadows` after all tries that are allowed.

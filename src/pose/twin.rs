@@ -29,6 +29,11 @@ impl Case<'_> {
         self.twins(last, true).next().is_some()
     }
 
+    /// Whether they fit it from where the prior allows the camera of the mirror image, so that the prior cannot tell either.
+    pub fn has_mirror_twin_near(&self, last: &Settled) -> bool {
+        self.twins(last, true).any(|twin| !self.gate_excludes(&twin.camera_from_lps))
+    }
+
     /// The best of those poses, apart from the match's, from which the beads, otherwise named, fit the picture as well: nothing but a prior
     /// tells them from it.
     pub fn moved_twin(&self, last: &Settled) -> Option<Twin> {
@@ -48,22 +53,25 @@ impl Case<'_> {
         let tolerance_mm = (ON_ANOTHER.0 * scale.sqrt() * worst_mm).max(ON_ANOTHER.1);
         let turned = move |p: DVec3| if mirrored { DVec3::new(-p.x, p.y, p.z) } else { p };
         let source = widest(matches).map(|base| base.map(|n| turned(matches[n].lps_mm)));
-        // Where the prior is fused, the match's own squares are those of both.
-        let own: Vec<usize> = matches.iter().map(|m| m.bead).collect();
-        let fit = self.fit_of(last, &own, &Rigid::IDENTITY, false).map_or(f64::NAN, |alone| alone.chi2.iter().sum::<f64>());
+        // What the match does, leaving a bead out, its twin may do as well.
+        let spare = usize::from(!last.left_out.is_empty());
         let onto = source.map(|source| triples_like(&source, &places, 2.0 * tolerance_mm)).unwrap_or_default();
         onto.into_iter().filter_map(move |triple| {
             let motion = align(&source?, &triple.map(|bead| places[bead]))?;
-            let names = names(matches, &places, |p| motion.transform_point(turned(p)), tolerance_mm)?;
+            let names = names(matches, &places, |p| motion.transform_point(turned(p)), tolerance_mm, spare)?;
             // What a person has named has no other name.
-            let renames = |(m, name): (&Match, &usize)| self.pinned.iter().any(|(b, d)| (*b == *name) != (*d == m.detection));
-            if !mirrored && matches.iter().zip(&names).any(renames) {
+            let renames = |(m, name): &(Match, usize)| self.pinned.iter().any(|(b, d)| (*b == *name) != (*d == m.detection));
+            if !mirrored && names.iter().any(renames) {
                 return None;
             }
+            let own: Vec<(Match, usize)> = names.iter().map(|(m, _)| (*m, m.bead)).collect();
+            // Where the prior is fused, the match's own squares are those of both.
+            let squares = |solution: Solution| solution.chi2.iter().sum::<f64>();
+            let fit = squares(self.fit_of(last, &own, &Rigid::IDENTITY, false)?);
             let solution = self.fit_of(last, &names, &motion, mirrored)?;
             let excess = solution.chi2.iter().sum::<f64>() - fit;
             // Beads that it would show, and the frame does not.
-            let unseen = |names: &[usize], pose: &Solution| self.in_view_beside(names, pose) as f64;
+            let unseen = |names: &[(Match, usize)], pose: &Solution| self.in_view_beside(names, pose) as f64;
             let unseen = if mirrored { 0.0 } else { MISSED * (unseen(&names, &solution) - unseen(&own, &last.solution)) };
             let (camera_from_lps, rms_px) = (solution.camera_from_lps, solution.rms_px());
             (excess + unseen < ALIKE * scale).then_some(Twin { camera_from_lps, excess, rms_px })
@@ -71,25 +79,26 @@ impl Case<'_> {
     }
 
     /// How many beads other than `names` a camera would show.
-    fn in_view_beside(&self, names: &[usize], camera: &Solution) -> usize {
-        let beads = self.request.layout.beads.iter().enumerate().filter(|(bead, _)| !names.contains(bead));
+    fn in_view_beside(&self, names: &[(Match, usize)], camera: &Solution) -> usize {
+        let is_named = |bead: usize| names.iter().any(|(_, name)| *name == bead);
+        let beads = self.request.layout.beads.iter().enumerate().filter(|(bead, _)| !is_named(*bead));
         beads.filter_map(|(_, bead)| camera.place(bead.lps_mm).1).filter(|at| !self.request.is_outside(*at)).count()
     }
 
     /// The camera with each shadow that of the bead in `names`; `motion` puts the layout, x negated where the picture's mirror image
     /// is meant, onto itself.
-    fn fit_of(&self, last: &Settled, names: &[usize], motion: &Rigid, mirrored: bool) -> Option<Solution> {
+    fn fit_of(&self, last: &Settled, names: &[(Match, usize)], motion: &Rigid, mirrored: bool) -> Option<Solution> {
         let end_px = f64::from(self.request.size_px[0]) - 1.0;
         let own = (last.solution.camera_from_lps, last.solution.intrinsics);
         let (seen, k) = if mirrored { (in_mirror(&own.0), mirrored_k(&own.1, end_px)) } else { own };
         let image_px = |at: DVec2| if mirrored { DVec2::new(end_px - at.x, at.y) } else { at };
-        let renamed = |(m, bead): (&Match, &usize)| Match {
+        let renamed = |(m, bead): &(Match, usize)| Match {
             bead: *bead,
             lps_mm: self.request.layout.beads[*bead].lps_mm,
             image_px: image_px(m.image_px),
             ..*m
         };
-        let matches: Vec<Match> = last.matches.iter().zip(names).map(renamed).collect();
+        let matches: Vec<Match> = names.iter().map(renamed).collect();
         solve(&matches, &(seen * motion.inverse()), &k, &Options::least_squares(Free::Pose))
     }
 }
@@ -125,17 +134,22 @@ fn widest(matches: &[Match]) -> Option<[usize; 3]> {
     triples.max_by(|a, b| area(a).total_cmp(&area(b)))
 }
 
-/// The bead on which each matched bead falls, one to one; `None` where one falls on none.
-fn names(matches: &[Match], places: &[DVec3], onto: impl Fn(DVec3) -> DVec3, tolerance_mm: f64) -> Option<Vec<usize>> {
-    let mut names: Vec<usize> = Vec::with_capacity(matches.len());
+/// The bead on which each matched bead falls, one to one; `None` where more than `spare` fall on none.
+fn names(
+    matches: &[Match],
+    places: &[DVec3],
+    onto: impl Fn(DVec3) -> DVec3,
+    tolerance_mm: f64,
+    spare: usize,
+) -> Option<Vec<(Match, usize)>> {
+    let mut names: Vec<(Match, usize)> = Vec::with_capacity(matches.len());
     for m in matches {
         let at = onto(m.lps_mm);
-        let free = (0..places.len()).filter(|bead| !names.contains(bead));
+        let free = (0..places.len()).filter(|bead| names.iter().all(|(_, name)| name != bead));
         let nearest = free.min_by(|a, b| places[*a].distance(at).total_cmp(&places[*b].distance(at)))?;
-        if !(places[nearest].distance(at) <= tolerance_mm) {
-            return None;
+        if places[nearest].distance(at) <= tolerance_mm {
+            names.push((*m, nearest));
         }
-        names.push(nearest);
     }
-    Some(names)
+    (names.len() + spare >= matches.len()).then_some(names)
 }

@@ -103,8 +103,8 @@ pub fn rival<'a>(best: &Hypothesis, others: &'a [Hypothesis], scale: f64, anywhe
         }
         let margin = 12.0 * scale;
         let same_count = other.matches.len() >= count && other.score < best.score + margin;
-        let one_less = (count <= 6 || anywhere)
-            && other.matches.len() + 1 == count
+        // Another shadow near the place of the one that has moved makes up the number.
+        let one_less = (count <= 6 && other.matches.len() + 1 == count || anywhere && other.matches.len() + 1 >= count)
             && shared + 2 < count
             && other.score < best.score + margin + MISSED;
         same_count || one_less

@@ -81,9 +81,7 @@ impl Case<'_> {
         {
             return Err(refusal);
         }
-        if guided {
-            self.check_moved_twin(last, &mut cautions)?;
-        }
+        self.check_moved_twin(last, guided, &mut cautions)?;
         let many_missing = missing.len() > ORDINARY && (missing.len() >= matched || unexplained.len() >= missing.len());
         if many_missing && !self.is_best_of_all(last, &besides) {
             let (missing, unexplained) = (missing.clone(), unexplained.len());
@@ -101,11 +99,11 @@ impl Case<'_> {
         Ok(cautions)
     }
 
-    /// Where the layout fits the frame as well elsewhere, the prior alone tells which of the two it is.
-    fn check_moved_twin(&self, last: &Settled, cautions: &mut Vec<String>) -> Result<(), Refusal> {
+    /// Where the layout fits the frame as well elsewhere, the prior alone, if the match is `guided` by one, tells which of the two it is.
+    fn check_moved_twin(&self, last: &Settled, guided: bool, cautions: &mut Vec<String>) -> Result<(), Refusal> {
         let Some(twin) = self.moved_twin(last) else { return Ok(()) };
         let (own, matched) = (&last.solution.camera_from_lps, last.matches.len());
-        if twin.excess < -FAR_BETTER * last.chi2_per_dof.max(1.0) {
+        if !guided || twin.excess < -FAR_BETTER * last.chi2_per_dof.max(1.0) {
             let other = (&twin.camera_from_lps, matched, twin.rms_px);
             return Err(self.ambiguous(Rival::OtherNames, (own, matched, last.rms_px()), other));
         }

@@ -12,6 +12,8 @@ use crate::geometry::{Intrinsics, Rigid};
 
 /// Standard deviations of a bead's place, and mm at least, within which a bead may fall on another: along the beam the picture hardly tells.
 const ON_ANOTHER: (f64, f64) = (10.0, 1.0);
+/// Of so many matched beads one may have moved.
+const FEWEST_TO_SPARE: usize = 6;
 
 /// Other names of all beads of a match, and how well they fit.
 pub(super) struct Twin {
@@ -52,12 +54,22 @@ impl Case<'_> {
         let worst_mm = matches.iter().map(sigma_mm).fold(0.0, f64::max);
         let tolerance_mm = (ON_ANOTHER.0 * scale.sqrt() * worst_mm).max(ON_ANOTHER.1);
         let turned = move |p: DVec3| if mirrored { DVec3::new(-p.x, p.y, p.z) } else { p };
-        let source = widest(matches).map(|base| base.map(|n| turned(matches[n].lps_mm)));
-        // What the match does, leaving a bead out, its twin may do as well.
-        let spare = usize::from(!last.left_out.is_empty());
-        let onto = source.map(|source| triples_like(&source, &places, 2.0 * tolerance_mm)).unwrap_or_default();
-        onto.into_iter().filter_map(move |triple| {
-            let motion = align(&source?, &triple.map(|bead| places[bead]))?;
+        // Where the match does not explain every bead that it puts into the frame, its twin may leave one more out.
+        let named: Vec<(Match, usize)> = matches.iter().map(|m| (*m, m.bead)).collect();
+        let spare = usize::from(matches.len() >= FEWEST_TO_SPARE && self.in_view_beside(&named, &last.solution) > 0);
+        let all: Vec<usize> = (0..matches.len()).collect();
+        let widest_of_all = widest(matches, &all);
+        // The bead that may be left out may be a corner.
+        let corners = widest_of_all.into_iter().flatten().filter(|_| spare > 0);
+        let without =
+            corners.filter_map(|corner| widest(matches, &all.iter().copied().filter(|n| *n != corner).collect::<Vec<_>>()));
+        let sources = widest_of_all.into_iter().chain(without).map(|base| base.map(|n| turned(matches[n].lps_mm)));
+        let onto = |source: [DVec3; 3]| {
+            triples_like(&source, &places, 2.0 * tolerance_mm).into_iter().map(move |triple| (source, triple))
+        };
+        let onto: Vec<([DVec3; 3], [usize; 3])> = sources.flat_map(onto).collect();
+        onto.into_iter().filter_map(move |(source, triple)| {
+            let motion = align(&source, &triple.map(|bead| places[bead]))?;
             let names = names(matches, &places, |p| motion.transform_point(turned(p)), tolerance_mm, spare)?;
             // What a person has named has no other name.
             let renames = |(m, name): &(Match, usize)| self.pinned.iter().any(|(b, d)| (*b == *name) != (*d == m.detection));
@@ -125,13 +137,13 @@ pub(super) fn mirrored_k(k: &Intrinsics, end_px: f64) -> Intrinsics {
     Intrinsics { cx: end_px - k.cx, skew: -k.skew, ..*k }
 }
 
-/// The three matched beads that span the largest triangle.
-fn widest(matches: &[Match]) -> Option<[usize; 3]> {
-    let n = matches.len();
-    let at = |n: usize| matches[n].lps_mm;
+/// The three beads among some of the matched that span the largest triangle.
+fn widest(matches: &[Match], among: &[usize]) -> Option<[usize; 3]> {
+    let n = among.len();
+    let at = |n: usize| matches[among[n]].lps_mm;
     let area = |&[i, j, k]: &[usize; 3]| (at(j) - at(i)).cross(at(k) - at(i)).length_squared();
     let triples = (0..n).flat_map(|i| (i + 1..n).flat_map(move |j| (j + 1..n).map(move |k| [i, j, k])));
-    triples.max_by(|a, b| area(a).total_cmp(&area(b)))
+    triples.max_by(|a, b| area(a).total_cmp(&area(b))).map(|triple| triple.map(|n| among[n]))
 }
 
 /// The bead on which each matched bead falls, one to one; `None` where more than `spare` fall on none.

@@ -99,6 +99,9 @@ fn an_error_that_the_scatter_does_not_keep_is_refused() {
     let words = ["render", &scene, "--device", "cpu", "--out", &out, "--max-error", "1e-4", "--scatter-error", "0.1"];
     let refused = render::run(&Render::try_parse_from(words).expect("parses").args, &Reporter::silent()).expect_err("refused");
     assert!(refused.to_string().contains("--scatter-error"), "{refused}");
+    let none = ["render", &scene, "--device", "cpu", "--out", &out, "--scatter-error", "0"];
+    let refused = render::run(&Render::try_parse_from(none).expect("parses").args, &Reporter::silent()).expect_err("refused");
+    assert!(refused.to_string().contains("--scatter-error 0"), "{refused}");
     assert!(!folder.path().join("drr.tif").exists());
 }
 

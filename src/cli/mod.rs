@@ -27,6 +27,7 @@ mod compare_origin;
 mod compare_table;
 pub mod demo;
 pub mod devices;
+mod follow_photons;
 pub mod hints;
 pub mod info;
 #[cfg(target_os = "linux")]

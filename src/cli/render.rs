@@ -5,19 +5,20 @@ use std::sync::Arc;
 
 use clap::builder::{PathBufValueParser, TypedValueParser};
 
+use crate::cli::follow_photons::follow_photons;
 use crate::compare::posed_scene;
 use crate::geometry::View;
 use crate::gpu::DeviceChoice;
-use crate::image::{Image, ImageFileError, check_writable, refuse_overwrite, refuse_twice, sha256_file};
+use crate::image::{ImageFileError, check_writable, refuse_overwrite, refuse_twice, sha256_file};
 use crate::pose::{Pose, PoseFileError};
 use crate::render::{
-    Goal, Options, Quantity, RenderError, Rendered, Renderer, Scatter, guessed_share, write_image, write_picture, written_with,
+    Goal, Options, Quantity, RenderError, Rendered, Renderer, guessed_share, write_image, write_picture, written_with,
 };
 use crate::reporter::Reporter;
-use crate::scene::model::{Formation, InputFile, ScatterModel, Scene};
+use crate::scene::model::{InputFile, ScatterModel, Scene};
 use crate::scene::{self, SceneError};
 use crate::time::StageTimes;
-use crate::transport::{BATCH, Histories, Page, Simulation, TransportError};
+use crate::transport::TransportError;
 
 /// Render the radiograph that a scene should give: polychromatic, every material, later objects displacing earlier ones.
 #[derive(Clone, Debug, clap::Args)]
@@ -246,7 +247,12 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
             format_args!("--budget-ms {budget}: the fastest plan is predicted to take {predicted:.2} ms; {advice}"),
         );
     }
-    options.scatter = followed(args, &scene, reporter, &mut stages)?.map(Arc::new);
+    if args.quantity != QuantityArg::AreaDensity && scene.model.scatter != ScatterModel::Off {
+        let view = scene.view.ok_or(RenderError::NoView)?;
+        let error = positive("--scatter-error", args.scatter_error)?;
+        let followed = stages.measure("scatter", || follow_photons(&scene, &view, error, reporter))?;
+        options.scatter = followed.map(Arc::new);
+    }
     if let Some(scatter) = &options.scatter {
         plan.say("scatter", true, scatter.words());
     }
@@ -289,76 +295,6 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
     Ok(0)
 }
 
-/// Columns and rows of the raster on which scatter is followed: it is smooth over centimetres.
-const SCATTER_GRID_PX: [usize; 2] = [16, 12];
-/// Photons after which scatter is as good as it is, and after which it may be known to be little.
-const MOST_HISTORIES: u64 = 200_000_000;
-const ENOUGH_FOR_LITTLE: u64 = 1_000_000;
-/// Standard error over all that arrives below which nobody needs more photons.
-const NEGLIGIBLE: f64 = 3e-6;
-
-/// Why no more photons are followed.
-struct LittleScatters;
-
-/// Whether no photons would change the image.
-fn scatter_left_out_for_good(scene: &Scene, quantity: QuantityArg) -> bool {
-    quantity == QuantityArg::AreaDensity || scene.model.formation == Formation::Naive
-}
-
-/// The scatter that the scene asks for.
-fn followed(
-    args: &RenderArgs,
-    scene: &Scene,
-    reporter: &Reporter,
-    stages: &mut StageTimes,
-) -> Result<Option<Scatter>, RenderCommandError> {
-    if scene.model.scatter == ScatterModel::Off || scatter_left_out_for_good(scene, args.quantity) {
-        return Ok(None);
-    }
-    let view = scene.view.ok_or(RenderError::NoView)?;
-    let histories = Histories {
-        count: MOST_HISTORIES,
-        seed: scene.model.seed,
-        grid_px: SCATTER_GRID_PX,
-        rel_error: Some(args.scatter_error),
-        ..Histories::default()
-    };
-    let image = stages.measure("scatter", || {
-        let simulation = Simulation::new(scene, &view, histories)?;
-        let mut tally = simulation.tally();
-        let progress = reporter.progress("scatter: per mille of the photons", 1000);
-        let mut shown = 0;
-        // What stops it early is no error.
-        let _ = simulation.run(&mut tally, |tally| {
-            let done = (1000.0 * (args.scatter_error / simulation.relative_error(tally)).powi(2)).min(1000.0) as u64;
-            progress.advance(done.saturating_sub(shown));
-            shown = done.max(shown);
-            let is_little = tally.batches * BATCH >= ENOUGH_FOR_LITTLE
-                && (0..simulation.unattenuated().len()).all(|cell| {
-                    let (found, primary) = (tally.scatter(cell, BATCH), tally.signal(Page::Primary, cell, BATCH).mean);
-                    found.standard_error <= NEGLIGIBLE * (primary + found.mean)
-                });
-            if is_little { Err(LittleScatters) } else { Ok(()) }
-        });
-        let cells = 0..simulation.unattenuated().len();
-        let [width, height] = SCATTER_GRID_PX;
-        let image = |pixels: Vec<f64>| Image { width, height, pixels };
-        Ok::<_, TransportError>(Scatter {
-            signal: image(cells.clone().map(|cell| tally.scatter(cell, BATCH).mean).collect()),
-            error: image(cells.map(|cell| tally.scatter(cell, BATCH).standard_error).collect()),
-            unattenuated: image(simulation.unattenuated().to_vec()),
-            histories: tally.batches * BATCH,
-            seed: scene.model.seed,
-            relative_error: simulation.relative_error(&tally),
-        })
-    })?;
-    if image.histories >= MOST_HISTORIES && !(image.relative_error <= args.scatter_error) {
-        let (photons, good) = (image.histories, 100.0 * image.relative_error);
-        reporter.warn("scatter", format_args!("after {photons} photons the scatter is good to {good:.1} % in the median cell"));
-    }
-    Ok(Some(image))
-}
-
 /// The scene from the pose at `path`.
 fn posed(scene: &Scene, path: &Path) -> Result<Scene, RenderCommandError> {
     let pose = Pose::read(path)?;
@@ -375,11 +311,13 @@ fn posed(scene: &Scene, path: &Path) -> Result<Scene, RenderCommandError> {
     Ok(scene)
 }
 
+/// A flag's value that must be positive.
+fn positive(flag: &'static str, value: f64) -> Result<f64, RenderCommandError> {
+    if value > 0.0 && value.is_finite() { Ok(value) } else { Err(RenderCommandError::Goal { flag, value }) }
+}
+
 /// What `--max-error` or `--budget-ms` asks for.
 fn goal(args: &RenderArgs) -> Result<Option<Goal>, RenderCommandError> {
-    let positive = |flag: &'static str, value: f64| {
-        if value > 0.0 && value.is_finite() { Ok(value) } else { Err(RenderCommandError::Goal { flag, value }) }
-    };
     Ok(match (args.max_error, args.budget_ms) {
         (Some(error), _) => Some(Goal::MaxError(positive("--max-error", error)?)),
         (None, Some(ms)) => Some(Goal::BudgetMs(positive("--budget-ms", ms)?)),

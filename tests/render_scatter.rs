@@ -144,6 +144,22 @@ fn page(scene: &Scene, options: Options) -> (Vec<f32>, Vec<u8>, Vec<String>) {
     (rendered.pages[0].pixels.clone(), rendered.valid.pixels, rendered.notes)
 }
 
+/// In the middle of a cell the raster has the cell's own error: of that the statement counts 3.3 standard deviations, and in the corners, where
+/// the raster goes on straight, at most 2.5 times as much.
+#[test]
+fn the_statement_counts_standard_errors() {
+    let mut scene = empty(&["water"]);
+    scene.model.scatter = ScatterModel::MonteCarlo;
+    let mut scatter = even(0.01).as_ref().clone();
+    scatter.error.pixels = vec![1e-4; 16];
+    let options = Options { scatter: Some(Arc::new(scatter)), ..Options::default() };
+    let rendered =
+        Renderer::new(DeviceChoice::Cpu, &Reporter::silent()).expect("a CPU").render(&scene, &options).expect("renders");
+    let of_cell = 3.3e-4 / 1.01;
+    let stated = rendered.scatter.expect("added").stated_error;
+    assert!((0.99 * of_cell..2.55 * of_cell).contains(&stated), "{stated:e} of {of_cell:e}");
+}
+
 #[test]
 fn scatter_reaches_the_panel_beside_the_field() {
     let mut scene = water(200.0);

@@ -9,8 +9,7 @@
 //! blocks, and what every residual would have been had it been left out. What the residuals leave undetermined is an error that names
 //! the direction. Nothing here depends on thread order, hash order or time.
 //!
-//! It is our own because it alone leaves each residual out, and because it is fastest: six views of twelve beads with free places take it 0.22 ms,
-//! apex-solver 1.5 0.5 to 1.2, factrs 0.3 0.9 to 1.3 (one thread, the same optimum to 1e-9, all bit for bit the same again).
+//! It is our own because neither apex-solver nor factrs leaves a residual out, nor weighs by what the state says; both find the same optimum.
 
 mod motion;
 mod block;

@@ -56,6 +56,10 @@ impl Case<'_> {
         let turned = move |p: DVec3| if mirrored { DVec3::new(-p.x, p.y, p.z) } else { p };
         // Where the match does not explain every bead that it puts into the frame, its twin may leave one more out.
         let named: Vec<(Match, usize)> = matches.iter().map(|m| (*m, m.bead)).collect();
+        // Where the prior is fused, the match's own squares are those of both.
+        let squares = |solution: Solution| solution.chi2.iter().sum::<f64>();
+        let own_fit = move |own: &[(Match, usize)]| self.fit_of(last, own, &Rigid::IDENTITY, false).map(squares);
+        let fit_of_all = own_fit(&named);
         let spare = usize::from(matches.len() >= FEWEST_TO_SPARE && self.in_view_beside(&named, &last.solution) > 0);
         let all: Vec<usize> = (0..matches.len()).collect();
         let widest_of_all = widest(matches, &all);
@@ -77,9 +81,7 @@ impl Case<'_> {
                 return None;
             }
             let own: Vec<(Match, usize)> = names.iter().map(|(m, _)| (*m, m.bead)).collect();
-            // Where the prior is fused, the match's own squares are those of both.
-            let squares = |solution: Solution| solution.chi2.iter().sum::<f64>();
-            let fit = squares(self.fit_of(last, &own, &Rigid::IDENTITY, false)?);
+            let fit = if own.len() == named.len() { fit_of_all } else { own_fit(&own) }?;
             let solution = self.fit_of(last, &names, &motion, mirrored)?;
             let excess = solution.chi2.iter().sum::<f64>() - fit;
             // Beads that it would show, and the frame does not.

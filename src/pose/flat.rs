@@ -1,10 +1,11 @@
-//! How badly a pose is known off the plane of (nearly) flat beads: their own residuals cannot show it.
+//! How badly a pose is known where no bead shows it: at landmarks, and off the plane of (nearly) flat beads. Residuals are small there too.
 
 use glam::{DVec2, DVec3};
 use nalgebra::DMatrix;
 
 use super::solve::{Match, Solution};
 use super::verdict::spread;
+use crate::beads::Landmark;
 
 /// The least certain place off the beads' plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,6 +23,33 @@ impl OffPlane {
     }
 }
 
+/// A landmark that is more uncertain is no measure of anything.
+const LOOSE_PX: f64 = 2.0;
+
+/// Says that a pose is loose, although it fits: at one of `landmarks`, where there are any, else off the beads' plane. `covariance` is the
+/// solution's, scaled perhaps.
+pub(super) fn looseness(solution: &Solution, off_plane: &OffPlane, landmarks: &[Landmark], covariance: &DMatrix<f64>) -> Option<String> {
+    let at = |landmark: &Landmark| worst_direction_px(solution, landmark.lps_mm, covariance).unwrap_or(f64::INFINITY);
+    let of_landmarks = landmarks.iter().map(|landmark| (at(landmark), format!("at {}", landmark.name)));
+    // A σ that is not a number is the worst of all.
+    let worst = of_landmarks.max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((off_plane.sigma_px, "off their plane".to_owned()));
+    let (sigma_px, place) = worst;
+    (!(sigma_px <= LOOSE_PX)).then(|| {
+        format!(
+            "the beads hold the pose loosely: {place} it is uncertain by {sigma_px:.1} px (1 σ); bring more beads into view, farther apart and \
+             off one plane"
+        )
+    })
+}
+
+/// Standard deviation of a place's projection along its worst direction; `None` behind the source.
+fn worst_direction_px(solution: &Solution, lps_mm: DVec3, covariance: &DMatrix<f64>) -> Option<f64> {
+    let image = solution.sharpness(lps_mm, covariance).image_px2?;
+    // The larger eigenvalue of a 2×2.
+    let (mean, half) = (0.5 * (image[(0, 0)] + image[(1, 1)]), DVec2::new(0.5 * (image[(0, 0)] - image[(1, 1)]), image[(0, 1)]));
+    Some((mean + half.length()).sqrt())
+}
+
 /// 2 px is too much; σ itself, taken at the estimated pose, is uncertain by a fifth or so.
 const FLAGGED_PX: f64 = 1.5;
 
@@ -36,11 +64,7 @@ pub fn off_plane(solution: &Solution, matches: &[Match], covariance: &DMatrix<f6
     for foot in points.iter().copied().chain([centroid]) {
         for side in [1.0, -1.0] {
             let lps_mm = foot + normal * (side * radius_mm);
-            let Some(image) = solution.sharpness(lps_mm, covariance).image_px2 else { continue };
-            // The larger eigenvalue of a 2×2.
-            let (mean, half) =
-                (0.5 * (image[(0, 0)] + image[(1, 1)]), DVec2::new(0.5 * (image[(0, 0)] - image[(1, 1)]), image[(0, 1)]));
-            let sigma_px = (mean + half.length()).sqrt();
+            let Some(sigma_px) = worst_direction_px(solution, lps_mm, covariance) else { continue };
             if !(sigma_px <= worst.sigma_px) {
                 worst = OffPlane { sigma_px, lps_mm };
             }

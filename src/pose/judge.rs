@@ -4,7 +4,7 @@ use glam::DVec3;
 use nalgebra::DMatrix;
 
 use super::case::Case;
-use super::flat::off_plane;
+use super::flat::{looseness, off_plane};
 use super::propose::Candidate;
 use super::record::Pose;
 use super::refusal::{Points, Refusal, Rival};
@@ -96,7 +96,9 @@ impl Case<'_> {
             ));
         }
         let off_plane = off_plane(&settled.solution, &settled.matches, &covariance);
-        if off_plane.is_degenerate() {
+        if let Some(loose) = looseness(&settled.solution, &off_plane, self.request.landmarks, &covariance) {
+            cautions.push(loose);
+        } else if off_plane.is_degenerate() {
             notes.push(format!(
                 "the beads are nearly flat: off their plane the pose is uncertain by {:.1} px, which their own residuals do not show",
                 off_plane.sigma_px

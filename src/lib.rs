@@ -25,6 +25,7 @@ pub mod scene;
 pub mod render;
 pub mod transport;
 pub mod compare;
+pub mod learn;
 pub mod record;
 pub mod calibrate;
 pub mod report;

@@ -14,6 +14,8 @@ pub enum Purpose {
     Transport = 3,
     /// Synthetic scenes of tests and evaluations.
     Evaluation = 4,
+    /// Scenes that networks are trained on.
+    Training = 5,
 }
 
 /// A stream of 32-bit words for one (seed, frame, pixel, purpose).

@@ -137,6 +137,7 @@ mod session_demo;
 mod live_lab;
 mod session_faults;
 mod session_kill;
+mod dataset_command;
 mod dicom_received;
 mod igtl_client;
 mod igtl_server;

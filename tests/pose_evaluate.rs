@@ -362,7 +362,12 @@ fn a_bead_that_moved_and_a_second_specimen_do_not_hide_what_else_fits() {
 fn a_pose_that_few_beads_hold_loosely_says_so() {
     for seed in [10_002_355, 11_000_396, 11_000_532] {
         let case = case(seed).expect("drawn");
-        assert!(case.pose.is_accepted() && case.error_px > case.wrong_px, "seed {seed}: {} px off, {:?}", case.error_px, case.pose.reason);
+        assert!(
+            case.pose.is_accepted() && case.error_px > case.wrong_px,
+            "seed {seed}: {} px off, {:?}",
+            case.error_px,
+            case.pose.reason
+        );
         assert!(case.pose.cautions.iter().any(|caution| caution.contains("loosely")), "seed {seed}: {:?}", case.pose.cautions);
     }
 }

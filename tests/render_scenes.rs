@@ -8,10 +8,7 @@ use sidecarm::gpu::DeviceChoice;
 use sidecarm::random::{Purpose, Stream};
 use sidecarm::render::{Options, Quantity, Rendered, Renderer};
 use sidecarm::reporter::Reporter;
-use sidecarm::scene::model::{
-    Beam, Bodies, Detector, Formation, Matter, Model, Noise, Object, Response, ScatterModel, Scene, Shape, Solid, Volume, Voxels,
-};
-use sidecarm::scene::optics::{BeamShape, Panel};
+use sidecarm::scene::model::{Matter, Object, Scene, Shape, Solid, Volume};
 use sidecarm::scene::physics::{Bin, Material, Spectrum};
 
 /// A camera at the origin of `lps` that looks along +z; 96×96 pixels of 1 mm, detector at 1000 mm.
@@ -25,31 +22,12 @@ pub fn view() -> View {
 
 /// A scene without objects: 60 keV, counting, no noise.
 pub fn empty(materials: &[&str]) -> Scene {
-    Scene {
-        materials: materials.iter().map(|name| Material::parse(name).expect("known")).collect(),
-        objects: Vec::new(),
-        view: Some(view()),
-        beam: Beam { spectrum: Spectrum::mono(60.0).expect("inside"), photons_per_pixel: 5e5, shape: BeamShape::default() },
-        detector: Detector {
-            response: Response::Energy,
-            pitch_mm: 1.0,
-            crosstalk: Vec::new(),
-            readout_noise: None,
-            gain: 1.0,
-            offset: 0.0,
-            panel: Panel::default(),
-        },
-        model: Model {
-            formation: Formation::Deepdrr,
-            voxels: Voxels::Trilinear,
-            scatter: ScatterModel::Off,
-            noise: Noise::Off,
-            seed: 1,
-        },
-        inputs: Vec::new(),
-        robot: None,
-        bodies: Bodies::default(),
-    }
+    let mut scene = Scene::plain(Spectrum::mono(60.0).expect("inside"));
+    scene.materials = materials.iter().map(|name| Material::parse(name).expect("known")).collect();
+    scene.view = Some(view());
+    scene.beam.photons_per_pixel = 5e5;
+    scene.detector.crosstalk = Vec::new();
+    scene
 }
 
 pub fn spectrum(bins: &[(f64, f64)]) -> Spectrum {

@@ -25,6 +25,7 @@ pub mod check;
 pub mod compare;
 mod compare_origin;
 mod compare_table;
+pub mod dataset;
 pub mod demo;
 pub mod devices;
 mod follow_photons;
@@ -80,6 +81,7 @@ enum Command {
     Render(render::RenderArgs),
     Trade(trade::TradeArgs),
     Scatter(scatter::ScatterArgs),
+    Dataset(dataset::DatasetArgs),
     Time(time::TimeArgs),
     Register(register::RegisterArgs),
     Pose(pose::PoseArgs),
@@ -121,6 +123,7 @@ fn dispatch(command: &Command, reporter: &Reporter) -> u8 {
         Command::Time(args) => end(time::run(args, reporter), reporter),
         Command::Trade(args) => end(trade::run(args, reporter), reporter),
         Command::Scatter(args) => end(scatter::run(args, reporter), reporter),
+        Command::Dataset(args) => end(dataset::run(args, reporter), reporter),
         Command::Compare(args) => end(compare::run(args, reporter), reporter),
         Command::Calibrate(args) => end(calibrate::run(args, reporter), reporter),
         Command::Register(args) => end(register::run(args, reporter), reporter),

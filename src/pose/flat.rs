@@ -28,7 +28,12 @@ const LOOSE_PX: f64 = 2.0;
 
 /// Says that a pose is loose, although it fits: at one of `landmarks`, where there are any, else off the beads' plane. `covariance` is the
 /// solution's, scaled perhaps.
-pub(super) fn looseness(solution: &Solution, off_plane: &OffPlane, landmarks: &[Landmark], covariance: &DMatrix<f64>) -> Option<String> {
+pub(super) fn looseness(
+    solution: &Solution,
+    off_plane: &OffPlane,
+    landmarks: &[Landmark],
+    covariance: &DMatrix<f64>,
+) -> Option<String> {
     let at = |landmark: &Landmark| worst_direction_px(solution, landmark.lps_mm, covariance).unwrap_or(f64::INFINITY);
     let of_landmarks = landmarks.iter().map(|landmark| (at(landmark), format!("at {}", landmark.name)));
     // A σ that is not a number is the worst of all.

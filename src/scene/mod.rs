@@ -21,6 +21,7 @@ mod mesh;
 pub mod object_file;
 mod objects;
 mod optics_file;
+mod plain;
 mod view;
 mod volumes;
 mod voxel_grid;

@@ -6,11 +6,7 @@ use glam::{DAffine3, DMat3, DQuat, DVec3};
 
 use super::stream::Stream;
 use crate::geometry::Rigid;
-use crate::scene::model::{
-    Beam, Bodies, Detector, Formation, Matter, Mesh, Model, Noise, Object, Response, ScatterModel, Scene, Shape, Solid, Volume,
-    Voxels,
-};
-use crate::scene::optics::{BeamShape, Panel};
+use crate::scene::model::{Matter, Mesh, Object, Scene, Shape, Solid, Volume};
 use crate::scene::physics::{Material, Spectrum};
 
 /// A scene of these materials and things.
@@ -19,27 +15,7 @@ pub fn scene(materials: &[&str], matters: Vec<Matter>) -> Scene {
     Scene {
         materials: materials.iter().map(|name| Material::parse(name).expect("known")).collect(),
         objects: matters.into_iter().enumerate().map(object).collect(),
-        view: None,
-        beam: Beam { spectrum: Spectrum::mono(60.0).expect("inside"), photons_per_pixel: 1.0, shape: BeamShape::default() },
-        detector: Detector {
-            response: Response::Energy,
-            pitch_mm: 1.0,
-            crosstalk: vec![vec![1.0]],
-            readout_noise: None,
-            gain: 1.0,
-            offset: 0.0,
-            panel: Panel::default(),
-        },
-        model: Model {
-            formation: Formation::Deepdrr,
-            voxels: Voxels::Trilinear,
-            scatter: ScatterModel::Off,
-            noise: Noise::Off,
-            seed: 1,
-        },
-        inputs: Vec::new(),
-        robot: None,
-        bodies: Bodies::default(),
+        ..Scene::plain(Spectrum::mono(60.0).expect("inside"))
     }
 }
 

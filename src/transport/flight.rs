@@ -46,6 +46,10 @@ pub struct Medium {
     mix: Mix,
 }
 
+/// Thickness by which two points of a mixture may differ before they are sampled closer, and how much closer at most.
+const STEEP: f64 = 0.05;
+const MOST_SPLIT: f64 = 16.0;
+
 /// What a direction means for all boxes.
 struct Way {
     /// 1/direction; far instead of infinite along an axis, so that no 0 · ∞ arises on a face.
@@ -166,6 +170,54 @@ impl<'a> Space<'a> {
             left_mm -= step_mm;
             if !self.cross(ray, &way, exit.axis) {
                 return End::Left;
+            }
+        }
+    }
+
+    /// What a ray meets until `path_mm`: `met` hears the scene material, g/cm³ times mm, and how far along it is. One material in a box is told
+    /// at once; a mixture at points about `step_mm` apart, drawn, or closer where they may differ by more than [`STEEP`] in what `medium`
+    /// attenuates.
+    pub fn sample(
+        &self,
+        mut ray: Ray,
+        path_mm: f64,
+        step_mm: f64,
+        medium: &mut Medium,
+        stream: &mut Stream,
+        mut met: impl FnMut(u32, f64, f64),
+    ) {
+        let way = Way::new(ray.direction);
+        let mut gone_mm = 0.0;
+        loop {
+            let exit = self.exit(&ray, &way);
+            let through_mm = exit.distance_mm.min(path_mm - gone_mm);
+            match &self.cells.contents[self.cells.boxes[ray.in_box as usize].content as usize] {
+                Content::Empty => {}
+                Content::Uniform { material, density } => {
+                    // Two halves where mean and spread are those of the whole.
+                    let off_mm = 0.5 * through_mm / 3f64.sqrt();
+                    for at_mm in [0.5 * through_mm - off_mm, 0.5 * through_mm + off_mm] {
+                        met(*material, 0.5 * density * through_mm, gone_mm + at_mm);
+                    }
+                }
+                Content::Mixed(mixture) => {
+                    let differs = (majorant(mixture, &medium.per_mm) - minorant(mixture, &medium.per_mm)) * step_mm;
+                    let steps = (through_mm / step_mm * (differs / STEEP).clamp(1.0, MOST_SPLIT)).ceil().max(1.0);
+                    let each_mm = through_mm / steps;
+                    for step in 0..steps as usize {
+                        let along_mm = (step as f64 + stream.uniform()) * each_mm;
+                        let point = ray.position + ray.direction * along_mm;
+                        draw_at(&self.things, &mixture.things, mixture.keeps_air, point, stream, &mut medium.mix);
+                        for (material, density) in &medium.mix.parts {
+                            met(*material, density * each_mm, gone_mm + along_mm);
+                        }
+                    }
+                }
+            }
+            ray.position += ray.direction * through_mm;
+            gone_mm += through_mm;
+            if !(gone_mm < path_mm) || !self.cross(&mut ray, &way, exit.axis) {
+                return;
             }
         }
     }

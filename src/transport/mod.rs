@@ -22,6 +22,7 @@ mod source;
 mod tally;
 mod history;
 mod simulation;
+mod columns;
 mod image;
 mod checkpoint;
 mod scatter;
@@ -30,6 +31,7 @@ mod fixture;
 
 pub use attenuation::{Attenuation, Shares};
 pub use checkpoint::Checkpoint;
+pub use columns::{CHANNELS, Columns, SCALARS};
 pub use compton::{Compton, energy_ratio};
 pub use error::TransportError;
 pub use history::Estimator;

@@ -82,6 +82,12 @@ impl Panel {
         self.strips.map_or(1.0, |strips| strips.share(self.on_plane(point), in_camera(), self.distance_mm))
     }
 
+    /// Ratio of the antiscatter grid; 0 without one.
+    #[must_use]
+    pub fn grid_ratio(&self) -> f64 {
+        self.strips.map_or(0.0, |strips| strips.ratio)
+    }
+
     /// Depth of a point below the plane, mm: negative behind the detector.
     #[inline]
     #[must_use]

@@ -85,6 +85,11 @@ impl<'a> Simulation<'a> {
         Ok(Self { world, histories, unattenuated })
     }
 
+    /// What photons are followed in.
+    pub(super) fn world(&self) -> &World<'a> {
+        &self.world
+    }
+
     /// What was asked for.
     #[must_use]
     pub fn histories(&self) -> &Histories {

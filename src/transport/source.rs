@@ -126,6 +126,40 @@ impl Source {
         step.x * step.y * (0..SOLID_ANGLE_POINTS).map(row).sum::<f64>()
     }
 
+    /// Mean energy of the photons on the principal ray.
+    #[must_use]
+    pub fn mean_kev(&self) -> f64 {
+        self.energies_kev.iter().zip(&self.fractions).map(|(energy_kev, fraction)| energy_kev * fraction).sum()
+    }
+
+    /// Share of the photons that collimator, heel and bow-tie leave in the direction of a point of the plane.
+    #[must_use]
+    pub fn open_share(&self, panel: &Panel, on_plane_mm: DVec2) -> f64 {
+        if !self.is_open(on_plane_mm, panel) {
+            return 0.0;
+        }
+        let ray = on_plane_mm.extend(panel.distance_mm);
+        self.fractions.iter().enumerate().map(|(bin, fraction)| fraction * self.left.share(bin, ray)).sum()
+    }
+
+    /// The spectrum on the principal ray in `count` groups at most: energy, keV, and share of the detected signal of each. Neighbours of about
+    /// as much signal are put together.
+    #[must_use]
+    pub fn thinned(&self, panel: &Panel, count: usize) -> Vec<(f64, f64)> {
+        let signal: Vec<f64> = self.energies_kev.iter().zip(&self.fractions).map(|(kev, n)| n * panel.response(*kev)).collect();
+        let all: f64 = signal.iter().sum();
+        let (mut groups, mut sum) = (vec![(0.0, 0.0); count], 0.0);
+        for (energy_kev, signal) in self.energies_kev.iter().zip(&signal) {
+            let group = (((sum + 0.5 * signal) / all * count as f64) as usize).min(count - 1);
+            sum += signal;
+            let (weighted, share) = &mut groups[group];
+            *weighted += energy_kev * signal;
+            *share += signal;
+        }
+        let kept = groups.iter().filter(|(_, share)| *share > 0.0);
+        kept.map(|(weighted, share)| (weighted / share, share / all)).collect()
+    }
+
     /// Starts a photon.
     #[inline]
     pub fn start(&self, panel: &Panel, stream: &mut Stream) -> Start {

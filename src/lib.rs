@@ -21,10 +21,13 @@ pub mod mask;
 pub mod timeline;
 pub mod beads;
 pub mod pose;
+#[cfg(feature = "learn")]
+pub mod infer;
 pub mod scene;
 pub mod render;
 pub mod transport;
 pub mod compare;
+#[cfg(feature = "learn")]
 pub mod learn;
 pub mod record;
 pub mod calibrate;

@@ -16,6 +16,12 @@ pub enum Purpose {
     Evaluation = 4,
     /// Scenes that networks are trained on.
     Training = 5,
+    /// First weights of a network.
+    FirstWeights = 6,
+    /// Order and mirroring of the samples of a training's epoch.
+    Epoch = 7,
+    /// Which seeds a training holds out.
+    HeldOut = 8,
 }
 
 /// A stream of 32-bit words for one (seed, frame, pixel, purpose).

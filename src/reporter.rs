@@ -139,6 +139,11 @@ pub fn printable(text: &str) -> std::borrow::Cow<'_, str> {
 pub struct Progress(indicatif::ProgressBar);
 
 impl Progress {
+    /// There are `steps` in all.
+    pub fn lengthen(&self, steps: u64) {
+        self.0.set_length(steps);
+    }
+
     /// `steps` more are done.
     pub fn advance(&self, steps: u64) {
         self.0.inc(steps);

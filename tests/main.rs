@@ -137,7 +137,6 @@ mod session_demo;
 mod live_lab;
 mod session_faults;
 mod session_kill;
-mod dataset_command;
 mod dicom_received;
 mod igtl_client;
 mod igtl_server;
@@ -154,6 +153,14 @@ mod session_signals;
 mod replay_bad_logs;
 mod replay_meddled;
 mod wire_corruption;
+#[cfg(feature = "learn")]
+mod network_command;
+#[cfg(feature = "learn")]
+mod network_infer;
+#[cfg(feature = "learn")]
+mod network_learn;
+#[cfg(feature = "learn")]
+mod network_samples;
 mod overwrite;
 mod fuzz_smoke;
 mod session_soak;

@@ -6,7 +6,7 @@ use glam::DVec3;
 use serde_json::{Value, json};
 use sidecarm::geometry::Rigid;
 use sidecarm::reporter::Reporter;
-use sidecarm::scene::model::{Matter, Noise, Response, Shape};
+use sidecarm::scene::model::{Matter, Noise, Response, ScatterModel, Shape};
 use sidecarm::scene::{self, Scene};
 
 use super::scene_support::NiftiFile;
@@ -234,12 +234,16 @@ fn mistakes_name_file_and_place() {
 }
 
 #[test]
-fn what_is_not_built_yet_says_so() {
+fn a_scene_says_where_its_scatter_comes_from() {
     let mut scene = example();
-    scene["model"]["scatter"] = json!("network");
-    assert!(load(&scene).expect_err("no network").contains("not available"));
-    scene["model"]["scatter"] = json!("monte_carlo");
-    assert!(load(&scene).is_ok(), "photons are followed");
+    for (word, model) in
+        [("off", ScatterModel::Off), ("network", ScatterModel::Network), ("monte_carlo", ScatterModel::MonteCarlo)]
+    {
+        scene["model"]["scatter"] = json!(word);
+        assert_eq!(load(&scene).expect("good").model.scatter, model);
+    }
+    scene["model"]["scatter"] = json!("measured");
+    assert!(load(&scene).expect_err("no such model").contains("model.scatter"));
 }
 
 #[test]

@@ -25,10 +25,10 @@ pub mod check;
 pub mod compare;
 mod compare_origin;
 mod compare_table;
+#[cfg(feature = "learn")]
 pub mod dataset;
 pub mod demo;
 pub mod devices;
-mod follow_photons;
 pub mod hints;
 pub mod info;
 #[cfg(target_os = "linux")]
@@ -49,12 +49,15 @@ pub mod register_together;
 pub mod render;
 pub mod replay;
 pub mod scatter;
+mod scattered;
 mod shot_files;
 pub mod spectrum;
 pub mod tags;
 pub mod time;
 pub mod time_changes;
 pub mod trade;
+#[cfg(feature = "learn")]
+pub mod train;
 
 /// Rides beside a mobile C-arm and a snake robot: finds beads in each radiograph, recovers its pose, renders the matched DeepDRR,
 /// compares, records and replays. For research; not a medical device.
@@ -81,7 +84,10 @@ enum Command {
     Render(render::RenderArgs),
     Trade(trade::TradeArgs),
     Scatter(scatter::ScatterArgs),
+    #[cfg(feature = "learn")]
     Dataset(dataset::DatasetArgs),
+    #[cfg(feature = "learn")]
+    Train(train::TrainArgs),
     Time(time::TimeArgs),
     Register(register::RegisterArgs),
     Pose(pose::PoseArgs),
@@ -123,6 +129,9 @@ fn dispatch(command: &Command, reporter: &Reporter) -> u8 {
         Command::Time(args) => end(time::run(args, reporter), reporter),
         Command::Trade(args) => end(trade::run(args, reporter), reporter),
         Command::Scatter(args) => end(scatter::run(args, reporter), reporter),
+        #[cfg(feature = "learn")]
+        Command::Train(args) => end(train::run(args, reporter), reporter),
+        #[cfg(feature = "learn")]
         Command::Dataset(args) => end(dataset::run(args, reporter), reporter),
         Command::Compare(args) => end(compare::run(args, reporter), reporter),
         Command::Calibrate(args) => end(calibrate::run(args, reporter), reporter),

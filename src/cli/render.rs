@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use clap::builder::{PathBufValueParser, TypedValueParser};
 
-use crate::cli::follow_photons::follow_photons;
+use crate::cli::scattered::{ScatteredError, scattered};
 use crate::compare::posed_scene;
 use crate::geometry::View;
 use crate::gpu::DeviceChoice;
@@ -18,7 +18,6 @@ use crate::reporter::Reporter;
 use crate::scene::model::{InputFile, ScatterModel, Scene};
 use crate::scene::{self, SceneError};
 use crate::time::StageTimes;
-use crate::transport::TransportError;
 
 /// Render the radiograph that a scene should give: polychromatic, every material, later objects displacing earlier ones.
 #[derive(Clone, Debug, clap::Args)]
@@ -30,6 +29,7 @@ use crate::transport::TransportError;
   sidecarm render scene.json --out drr.tif --pose POSE.json --explain
 
 Where the scene's model.scatter is monte_carlo, photons are followed before the image is made: seconds to minutes, which no budget counts.
+Where it is network, one that `sidecarm train scatter` has made is asked: a fraction of a second.
 
 Beside IMAGE.tif lies IMAGE.tif.json (plan, stated error, times, inputs), IMAGE.tif.valid.png when the CT is cut off for some
 pixels (black there), and IMAGE.tif.guessed.png when a body has moved (white where the image shows what fills its old place).")]
@@ -57,6 +57,9 @@ pub struct RenderArgs {
     /// Where the scene has model.scatter "monte_carlo": follow photons until the median relative standard error of the scatter is no larger
     #[arg(long, value_name = "REL", default_value_t = 0.02)]
     pub scatter_error: f64,
+    /// Where the scene has model.scatter "network": the network that is asked, a path without ending, from `sidecarm train scatter`
+    #[arg(long, value_name = "NAME")]
+    pub scatter_network: Option<PathBuf>,
     /// Pose to render from, in place of the scene's view, from `register`; bodies that have moved since the scan move with it
     #[arg(long, value_name = "POSE.json")]
     pub pose: Option<PathBuf>,
@@ -161,7 +164,7 @@ pub enum RenderCommandError {
     Render(#[from] RenderError),
     /// The scatter.
     #[error(transparent)]
-    Scatter(#[from] TransportError),
+    Scatter(#[from] ScatteredError),
     /// The pose.
     #[error(transparent)]
     Pose(#[from] PoseFileError),
@@ -250,8 +253,9 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
     if args.quantity != QuantityArg::AreaDensity && scene.model.scatter != ScatterModel::Off {
         let view = scene.view.ok_or(RenderError::NoView)?;
         let error = positive("--scatter-error", args.scatter_error)?;
-        let followed = stages.measure("scatter", || follow_photons(&scene, &view, error, reporter))?;
-        options.scatter = followed.map(Arc::new);
+        let network = args.scatter_network.as_deref();
+        let found = stages.measure("scatter", || scattered(&scene, &view, error, network, reporter))?;
+        options.scatter = found.map(Arc::new);
     }
     if let Some(scatter) = &options.scatter {
         plan.say("scatter", true, scatter.words());
@@ -262,7 +266,7 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
     options.plan = Some(plan);
     let mut rendered = renderer.render(&scene, &options)?;
     rendered.booked_before(&stages);
-    if let (Some(wanted), Some(added)) = (args.max_error, rendered.scatter)
+    if let (Some(wanted), Some(added)) = (args.max_error, &rendered.scatter)
         && !(wanted >= rendered.stated_error)
     {
         let (stated, adapter) = (rendered.stated_error, renderer.adapter());

@@ -3,14 +3,17 @@
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use serde::de::DeserializeOwned;
 
-/// Samples of one file. Arrays lie sample by sample, `f32`.
+use crate::image::{ImageFileError, write_atomically};
+use crate::infer::{PAGES, TensorFault, bytes_from_tensors, floats_of, metadata_of, tensors_from_bytes};
+
+/// Samples of one file. Arrays lie sample by sample, row-major, row 0 at the top.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Shard {
-    /// Names of the channels.
+    /// Names of the channels, each with its unit.
     pub channels: Vec<String>,
-    /// Names of the numbers of an image.
+    /// Names of the numbers of an image, each with its unit.
     pub scalar_names: Vec<String>,
     /// Columns and rows of `inputs`.
     pub grid_px: [usize; 2],
@@ -20,7 +23,7 @@ pub struct Shard {
     pub inputs: Vec<f32>,
     /// [samples, scalars].
     pub scalars: Vec<f32>,
-    /// [samples].
+    /// [samples], above 0: rough mean scatter, in units of `truth`.
     pub scale: Vec<f32>,
     /// [samples, 2, rows, columns]: scattered once, and more often, in units of the unattenuated signal.
     pub truth: Vec<f32>,
@@ -35,105 +38,103 @@ pub struct Shard {
 /// Why a file of samples cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum ShardError {
-    /// Reading or writing.
-    #[error("{}: {source}", path.display())]
+    /// Writing.
+    #[error(transparent)]
+    File(#[from] ImageFileError),
+    /// Reading.
+    #[error("file of samples {}: {source}", path.display())]
     Io {
         /// The file.
         path: PathBuf,
         /// What the system said.
         source: std::io::Error,
     },
-    /// It is no such file.
-    #[error("{}: no file of scatter samples, or a damaged one ({what}); delete it and let `sidecarm dataset scatter` make it again", path.display())]
+    /// It is no such file, or a damaged one.
+    #[error("file of samples {}: {fault}; delete it and make it again", path.display())]
     Content {
         /// The file.
         path: PathBuf,
         /// What is wrong.
-        what: String,
+        fault: TensorFault,
     },
 }
-
-/// Pages of the truth.
-const PAGES: usize = 2;
 
 impl Shard {
     /// Writes it, whole or not at all.
     ///
     /// # Errors
-    /// When the file cannot be written.
+    /// When its lengths disagree, or the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), ShardError> {
         let samples = self.seeds.len();
-        let [columns, rows] = self.grid_px;
-        let [truth_columns, truth_rows] = self.truth_px;
+        let ([columns, rows], [truth_columns, truth_rows]) = (self.grid_px, self.truth_px);
         let truth_shape = vec![samples, PAGES, truth_rows, truth_columns];
-        let arrays = [
-            ("inputs", vec![samples, self.channels.len(), rows, columns], &self.inputs),
+        let list = [
+            ("inputs", vec![samples, self.channels.len(), rows, columns], self.inputs.as_slice()),
             ("scalars", vec![samples, self.scalar_names.len()], &self.scalars),
             ("scale", vec![samples], &self.scale),
             ("truth", truth_shape.clone(), &self.truth),
             ("truth_error", truth_shape, &self.truth_error),
         ];
-        let content = |what: String| ShardError::Content { path: path.to_owned(), what };
-        let mut views = Vec::with_capacity(arrays.len());
-        for (name, shape, values) in arrays {
-            let view = TensorView::new(Dtype::F32, shape, bytemuck::cast_slice(values));
-            views.push((name, view.map_err(|error| content(error.to_string()))?));
-        }
         let lists = [
-            ("channels", serde_json::to_string(&self.channels)),
-            ("scalar_names", serde_json::to_string(&self.scalar_names)),
-            ("specimens", serde_json::to_string(&self.specimens)),
-            ("seeds", serde_json::to_string(&self.seeds)),
+            ("channels", serde_json::json!(self.channels)),
+            ("scalar_names", serde_json::json!(self.scalar_names)),
+            ("specimens", serde_json::json!(self.specimens)),
+            ("seeds", serde_json::json!(self.seeds)),
         ];
-        let lists = lists.into_iter().map(|(name, text)| (name.to_owned(), text.expect("plain data"))).collect::<HashMap<_, _>>();
-        let bytes = safetensors::serialize(views, Some(lists)).map_err(|error| content(error.to_string()))?;
-        let io = |source| ShardError::Io { path: path.to_owned(), source };
-        let beside = path.with_extension("part");
-        std::fs::write(&beside, bytes).map_err(io)?;
-        std::fs::rename(&beside, path).map_err(io)
+        let lists = lists.map(|(key, list)| (key.to_owned(), list.to_string()));
+        let content = |fault| ShardError::Content { path: path.to_owned(), fault };
+        let bytes = bytes_from_tensors(&list, Some(HashMap::from(lists))).map_err(content)?;
+        Ok(write_atomically(path, |file| file.write_all(&bytes))?)
     }
 
     /// Reads one.
     ///
     /// # Errors
-    /// When it is not there, damaged, or something else.
+    /// When it is not there, damaged, or something else, or holds NaN or an infinity.
     pub fn read(path: &Path) -> Result<Self, ShardError> {
         let bytes = std::fs::read(path).map_err(|source| ShardError::Io { path: path.to_owned(), source })?;
-        let parsed = Self::parse(&bytes).map_err(|what| ShardError::Content { path: path.to_owned(), what })?;
-        Ok(parsed)
+        Self::parse(&bytes).map_err(|fault| ShardError::Content { path: path.to_owned(), fault })
     }
 
-    fn parse(bytes: &[u8]) -> Result<Self, String> {
-        let file = SafeTensors::deserialize(bytes).map_err(|error| error.to_string())?;
-        let (_, header) = SafeTensors::read_metadata(bytes).map_err(|error| error.to_string())?;
-        let lists = header.metadata().as_ref().ok_or("no metadata")?;
-        fn list<T: serde::de::DeserializeOwned>(lists: &HashMap<String, String>, name: &str) -> Result<Vec<T>, String> {
-            let text = lists.get(name).ok_or_else(|| format!("no list '{name}'"))?;
-            serde_json::from_str(text).map_err(|error| format!("list '{name}': {error}"))
-        }
-        let channels: Vec<String> = list(lists, "channels")?;
-        let scalar_names: Vec<String> = list(lists, "scalar_names")?;
-        let (specimens, seeds): (Vec<String>, Vec<u64>) = (list(lists, "specimens")?, list(lists, "seeds")?);
+    fn parse(bytes: &[u8]) -> Result<Self, TensorFault> {
+        let tensors = tensors_from_bytes(bytes)?;
+        let lists = metadata_of(bytes)?;
+        let channels: Vec<String> = list_of(&lists, "channels")?;
+        let scalar_names: Vec<String> = list_of(&lists, "scalar_names")?;
+        let specimens: Vec<String> = list_of(&lists, "specimens")?;
+        let seeds: Vec<u64> = list_of(&lists, "seeds")?;
         let samples = seeds.len();
         if specimens.len() != samples {
-            return Err(format!("{} specimens of {samples} samples", specimens.len()));
+            let detail = format!("{} names for {samples} seeds", specimens.len());
+            return Err(TensorFault::MetadataForm { key: "specimens".to_owned(), detail });
         }
-        let array = |name: &str, shape: &[Option<usize>]| {
-            let tensor = file.tensor(name).map_err(|error| format!("'{name}': {error}"))?;
-            let found = tensor.shape().to_vec();
-            let fits = found.len() == shape.len() && found.iter().zip(shape).all(|(n, want)| want.is_none_or(|want| want == *n));
-            if !fits || tensor.dtype() != Dtype::F32 {
-                return Err(format!("'{name}' is {:?} of {found:?}, expected F32 of {shape:?}", tensor.dtype()));
+        // Columns and rows are the file's own.
+        let grid = |name: &str| match tensors.tensor(name).map(|view| view.shape().to_vec()).as_deref() {
+            Ok(&[_, _, rows, columns]) => Ok([columns, rows]),
+            Ok(found) => {
+                Err(TensorFault::Shape { name: name.to_owned(), expected: vec![samples, 0, 0, 0], found: found.to_vec() })
             }
-            let values = tensor.data().chunks_exact(4).map(|bytes| f32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]));
-            Ok((found, values.collect::<Vec<f32>>()))
+            Err(_) => Err(TensorFault::Missing { name: name.to_owned() }),
         };
-        let (of_inputs, inputs) = array("inputs", &[Some(samples), Some(channels.len()), None, None])?;
-        let (_, scalars) = array("scalars", &[Some(samples), Some(scalar_names.len())])?;
-        let (_, scale) = array("scale", &[Some(samples)])?;
-        let (of_truth, truth) = array("truth", &[Some(samples), Some(PAGES), None, None])?;
-        let (_, truth_error) = array("truth_error", &of_truth.iter().map(|n| Some(*n)).collect::<Vec<_>>())?;
-        let (grid_px, truth_px) = ([of_inputs[3], of_inputs[2]], [of_truth[3], of_truth[2]]);
-        Ok(Self { channels, scalar_names, grid_px, truth_px, inputs, scalars, scale, truth, truth_error, specimens, seeds })
+        let (grid_px, truth_px) = (grid("inputs")?, grid("truth")?);
+        let truth_shape = [samples, PAGES, truth_px[1], truth_px[0]];
+        Ok(Self {
+            inputs: floats_of(&tensors, "inputs", &[samples, channels.len(), grid_px[1], grid_px[0]])?,
+            scalars: floats_of(&tensors, "scalars", &[samples, scalar_names.len()])?,
+            scale: floats_of(&tensors, "scale", &[samples])?,
+            truth: floats_of(&tensors, "truth", &truth_shape)?,
+            truth_error: floats_of(&tensors, "truth_error", &truth_shape)?,
+            channels,
+            scalar_names,
+            grid_px,
+            truth_px,
+            specimens,
+            seeds,
+        })
     }
+}
+
+fn list_of<T: DeserializeOwned>(lists: &HashMap<String, String>, key: &str) -> Result<Vec<T>, TensorFault> {
+    let text = lists.get(key).ok_or_else(|| TensorFault::MetadataMissing { key: key.to_owned() })?;
+    serde_json::from_str(text).map_err(|error| TensorFault::MetadataForm { key: key.to_owned(), detail: error.to_string() })
 }

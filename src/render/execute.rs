@@ -111,7 +111,7 @@ impl Renderer {
         };
         note_invalid(&cast.density.valid, unscanned_mm, &mut notes);
         notes.extend(scene.model.noise_left_out().map(str::to_owned));
-        let is_asked_for = bins.is_some() && scene.model.scatter == ScatterModel::MonteCarlo;
+        let is_asked_for = bins.is_some() && scene.model.scatter != ScatterModel::Off;
         let scatter = options.scatter.as_ref().filter(|_| is_asked_for);
         match scatter {
             Some(scatter) => plan.say("scatter", true, scatter.words()),
@@ -194,7 +194,7 @@ impl Renderer {
             quantity: plan.quantity,
             valid,
             guessed: None,
-            stated_error: plan.stated_error + added.map_or(0.0, |added| added.stated_error),
+            stated_error: plan.stated_error + added.as_ref().map_or(0.0, |added| added.stated_error),
             scatter: added,
             plan: serde_json::to_value(&plan).expect("a plan is plain data"),
             adapter: cast.adapter,

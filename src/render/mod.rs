@@ -58,7 +58,7 @@ pub use guessed::{LEAST_GUESSED_MM, guessed, guessed_share};
 pub use plan::Plan;
 pub use planner::Goal;
 pub use renderer::{Options, Rendered, Renderer, image_ms};
-pub use scattered::{Added, Scatter};
+pub use scattered::{Added, Origin, Scatter};
 pub use write::{write_image, write_image_without_times, write_picture, written_with};
 
 use crate::geometry::CameraError;

@@ -72,18 +72,19 @@ fn every() -> u32 {
     1
 }
 
-/// What to say where scatter is asked for, and no photons were followed for this image.
+/// What to say where scatter is asked for, and nobody found out about it for this image.
 #[must_use]
 pub fn scatter_left_out(scene: &Scene, quantity: Quantity) -> Option<&'static str> {
     match (scene.model.scatter, quantity) {
         (ScatterModel::Off, _) => None,
-        (ScatterModel::MonteCarlo, _) if scene.model.formation == Formation::Naive => {
+        (_, _) if scene.model.formation == Formation::Naive => {
             Some("naive formation (Eq. 8) has no scatter: model.scatter is left out; formation \"deepdrr\" has it")
         }
-        (ScatterModel::MonteCarlo, Quantity::AreaDensity) => Some("area density is that of the objects alone"),
+        (_, Quantity::AreaDensity) => Some("area density is that of the objects alone"),
         (ScatterModel::MonteCarlo, _) => {
             Some("scatter is left out of this image: following photons takes seconds, and only `sidecarm render` does it")
         }
+        (ScatterModel::Network, _) => Some("scatter is left out of this image: only `sidecarm render` asks the network"),
     }
 }
 

@@ -25,21 +25,37 @@ pub struct Scatter {
     pub error: Image<f64>,
     /// What a cell would detect with nothing in the beam and all of the panel open, in the unit of `signal`.
     pub unattenuated: Image<f64>,
-    /// Photons that were followed.
-    pub histories: u64,
-    /// Seed of their random numbers.
-    pub seed: u64,
+    /// How it became known.
+    pub from: Origin,
     /// Median over the cells of the relative standard error; infinite where most saw none.
     pub relative_error: f64,
 }
 
+/// How scatter became known.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Origin {
+    /// Photons were followed.
+    Photons {
+        /// How many.
+        histories: u64,
+        /// Seed of their random numbers.
+        seed: u64,
+    },
+    /// A network was asked.
+    Network {
+        /// SHA-256 of its weights.
+        sha256: String,
+        /// What of the scene lies outside what it was trained on: then its error is taken to be as large as the scatter.
+        outside: Vec<String>,
+    },
+}
+
 /// What adding it did.
-#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Added {
-    /// Photons that were followed.
-    pub histories: u64,
-    /// Their seed.
-    pub seed: u64,
+    /// How it became known.
+    pub from: Origin,
     /// Columns and rows of the raster.
     pub grid_px: [usize; 2],
     /// Median over its cells of the scatter's relative standard error; `None` where most saw none.
@@ -56,15 +72,19 @@ impl Scatter {
     #[must_use]
     pub fn words(&self) -> String {
         let Image { width, height, .. } = self.signal;
+        let by = match &self.from {
+            Origin::Photons { histories, .. } => format!("by Monte Carlo: {:.1e} photons", *histories as f64),
+            Origin::Network { outside, .. } if outside.is_empty() => "by the network".to_owned(),
+            Origin::Network { outside, .. } => format!("by the network, though not trained for this ({})", outside.join("; ")),
+        };
         let good = if self.relative_error.is_finite() {
             format!("good to {:.1} % in the median", 100.0 * self.relative_error)
         } else {
             "most of which saw none".to_owned()
         };
         format!(
-            "by Monte Carlo: {:.1e} photons, {width} x {height} cells {good}, cubic between them; what that leaves uncertain is added to the \
-             image's stated error; its quanta count as ones of the beam's mean response",
-            self.histories as f64
+            "{by}, {width} x {height} cells {good}, cubic between them; what that leaves uncertain is added to the image's stated error; its \
+             quanta count as ones of the beam's mean response"
         )
     }
 
@@ -118,8 +138,7 @@ impl Scatter {
         }
         flood.open = if is_dark { open_after } else { Vec::new() };
         Added {
-            histories: self.histories,
-            seed: self.seed,
+            from: self.from.clone(),
             grid_px: [across.cells, down.cells],
             relative_error: Some(self.relative_error).filter(|error| error.is_finite()),
             scatter_to_primary: Some(scattered / primary).filter(|ratio| ratio.is_finite()),

@@ -36,12 +36,6 @@ pub enum SceneError {
         /// What is wrong, with line and column.
         detail: String,
     },
-    /// A key of the format that this version does not model.
-    #[error("{place} is not available in this version; leave it out")]
-    Unavailable {
-        /// File and key.
-        place: String,
-    },
     /// A value makes no sense.
     #[error("{place} is {found}, expected {expected}")]
     Value {

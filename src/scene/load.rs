@@ -97,7 +97,7 @@ fn load_bytes(
     let model = Model {
         formation: file.model.formation.unwrap_or(Formation::Deepdrr),
         voxels: file.model.voxels,
-        scatter: scatter_model(&file, &files)?,
+        scatter: scatter_model(&file),
         noise: file.model.noise.0,
         seed: file.model.seed.unwrap_or(1),
     };
@@ -125,11 +125,11 @@ fn load_bytes(
 }
 
 /// Which scatter; that of the network is not there.
-fn scatter_model(file: &SceneFile, files: &Files) -> Result<ScatterModel, SceneError> {
+fn scatter_model(file: &SceneFile) -> ScatterModel {
     match file.model.scatter {
-        ScatterFile::Off => Ok(ScatterModel::Off),
-        ScatterFile::MonteCarlo => Ok(ScatterModel::MonteCarlo),
-        ScatterFile::Network => Err(SceneError::Unavailable { place: files.place("model.scatter \"network\"") }),
+        ScatterFile::Off => ScatterModel::Off,
+        ScatterFile::MonteCarlo => ScatterModel::MonteCarlo,
+        ScatterFile::Network => ScatterModel::Network,
     }
 }
 

@@ -401,6 +401,8 @@ pub enum ScatterModel {
     Off,
     /// Photons are followed, and what of them reaches the detector is added.
     MonteCarlo,
+    /// A network that was trained on such photons says what reaches the detector.
+    Network,
 }
 
 impl Model {

@@ -26,6 +26,8 @@ mod columns;
 mod image;
 mod checkpoint;
 mod scatter;
+#[cfg(feature = "learn")]
+mod predicted;
 #[cfg(test)]
 mod fixture;
 
@@ -36,6 +38,8 @@ pub use compton::{Compton, energy_ratio};
 pub use error::TransportError;
 pub use history::Estimator;
 pub use image::{ScatterImage, written_with};
+#[cfg(feature = "learn")]
+pub use predicted::{PredictError, network_inputs, predicted};
 pub use rayleigh::Rayleigh;
 pub use scatter::scatter;
 pub use simulation::{BATCH, Histories, Simulation};

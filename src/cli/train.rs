@@ -1,0 +1,164 @@
+//! `sidecarm train`: networks from their samples.
+
+use std::ops::ControlFlow;
+use std::path::PathBuf;
+
+use crate::image::plot::{Axis, Plot, PlotError, Scale, Series};
+use crate::infer::Architecture;
+use crate::learn::{EpochRecord, HoldOut, LearnError, Progress, Recipe, TrainOptions, Trained, recipe_of_checkpoint, train};
+use crate::reporter::Reporter;
+use crate::time::Stopwatch;
+
+/// Train a network on the samples of `sidecarm dataset`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct TrainArgs {
+    #[command(subcommand)]
+    of: TrainOf,
+}
+
+#[derive(Clone, Debug, clap::Subcommand)]
+enum TrainOf {
+    Scatter(TrainScatterArgs),
+}
+
+/// A network that says what scatter reaches the detector.
+#[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Examples:
+  sidecarm train scatter scatter-set --out my-scatter --hold-out chest --minutes 60
+  sidecarm train scatter scatter-set --out my-scatter --resume
+
+Written after every epoch: NAME.safetensors (weights) and NAME.json (its card: what it takes, what it was trained on, how good it is on what
+it was not), NAME.csv and NAME.svg (losses), NAME.checkpoint (from where --resume goes on). A resumed training gives bit for bit what an
+uninterrupted one gives.")]
+struct TrainScatterArgs {
+    /// Folder of the samples
+    dataset: PathBuf,
+    /// The network, a path without ending
+    #[arg(long, value_name = "NAME")]
+    out: PathBuf,
+    /// Passes over the samples
+    #[arg(long, value_name = "N", default_value_t = 60)]
+    epochs: usize,
+    /// Stop after so many minutes; --resume goes on
+    #[arg(long, value_name = "MINUTES")]
+    minutes: Option<f64>,
+    /// Seed of first weights, order and mirroring
+    #[arg(long, value_name = "SEED", default_value_t = 1)]
+    seed: u64,
+    /// A specimen that the network is judged by and never trained on [default: a tenth of the samples]
+    #[arg(long, value_name = "SPECIMEN")]
+    hold_out: Vec<String>,
+    /// Its layers: few wide ones at low resolution, or those of the paper
+    #[arg(long, value_enum, default_value = "default")]
+    architecture: ArchitectureArg,
+    /// Go on from NAME.checkpoint, with the settings it was begun with
+    #[arg(long)]
+    resume: bool,
+    /// Print the card
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum ArchitectureArg {
+    Default,
+    Paper,
+}
+
+/// Why there is no network.
+#[derive(Debug, thiserror::Error)]
+pub enum TrainError {
+    /// Samples, settings or files.
+    #[error(transparent)]
+    Learn(#[from] LearnError),
+    /// The drawing of the losses.
+    #[error(transparent)]
+    Plot(#[from] PlotError),
+    /// Its file.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// It.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+}
+
+/// Trains; 0 on success.
+///
+/// # Errors
+/// When samples or settings cannot be used, a file cannot be written, or the training diverges.
+pub fn run(args: &TrainArgs, reporter: &Reporter) -> Result<u8, TrainError> {
+    let TrainOf::Scatter(args) = &args.of;
+    let options =
+        TrainOptions { dataset: args.dataset.clone(), output: args.out.clone(), resume: args.resume, recipe: recipe(args)? };
+    let watch = Stopwatch::start();
+    let bar = reporter.progress("steps", 0);
+    let mut told = |progress: &Progress| {
+        if progress.epoch == 1 && progress.step == 1 {
+            bar.lengthen((progress.steps * progress.epochs) as u64);
+        }
+        bar.advance(1);
+        if let Some(record) = progress.done {
+            reporter.note(format_args!("{}", line(record, progress)));
+        }
+        match args.minutes {
+            Some(minutes) if !(watch.ms() < 60e3 * minutes) => ControlFlow::Break(()),
+            _ => ControlFlow::Continue(()),
+        }
+    };
+    let trained = train(&options, &mut told)?;
+    drop(bar);
+    draw(&trained)?;
+    let card = &trained.card;
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(card).expect("plain data"));
+    } else {
+        let figures: Vec<String> = card.held_out.iter().map(|(name, value)| format!("{name} {value:.4}")).collect();
+        let judged = if figures.is_empty() { "nothing was held out".to_owned() } else { figures.join(", ") };
+        println!("{}: epoch {} of {}; {judged}", trained.files.network.weights.display(), trained.epoch, trained.history.len());
+    }
+    Ok(0)
+}
+
+fn recipe(args: &TrainScatterArgs) -> Result<Recipe, LearnError> {
+    if let Some(known) = if args.resume { recipe_of_checkpoint(&args.out)? } else { None } {
+        return Ok(known);
+    }
+    let standard = Recipe::of(match args.architecture {
+        ArchitectureArg::Default => Architecture::Default,
+        ArchitectureArg::Paper => Architecture::Paper,
+    });
+    let hold_out = match args.hold_out.as_slice() {
+        [] => standard.hold_out.clone(),
+        names => HoldOut::Specimens { names: names.to_vec() },
+    };
+    Ok(Recipe { seed: args.seed, epochs: args.epochs, hold_out, ..standard })
+}
+
+fn line(record: &EpochRecord, progress: &Progress) -> String {
+    let held_out = record.held_out_nmse.map_or(String::new(), |nmse| format!(", held out {nmse:.4}"));
+    let best = if progress.best { " (the best so far)" } else { "" };
+    format!("epoch {} of {}: loss {:.4}{held_out}{best}", record.epoch, progress.epochs, record.train_loss)
+}
+
+/// Losses by epoch, beside the table.
+fn draw(trained: &Trained) -> Result<(), TrainError> {
+    let curve = |label: &str, value: &dyn Fn(&EpochRecord) -> f64| Series {
+        label: label.to_owned(),
+        points: trained.history.iter().map(|record| [record.epoch as f64, value(record)]).collect(),
+        ..Series::default()
+    };
+    let plot = Plot {
+        title: "Scatter network: loss by epoch".to_owned(),
+        x: Axis::new("epoch", Scale::Linear),
+        y: Axis::new("normalised squared error", Scale::Log),
+        series: vec![
+            curve("trained on, noise included", &|record| record.train_loss),
+            curve("held out, noise taken off", &|record| record.held_out_nmse.unwrap_or(f64::NAN)),
+        ],
+        ..Plot::default()
+    };
+    let path = trained.files.history.with_extension("svg");
+    std::fs::write(&path, plot.svg()?).map_err(|source| TrainError::Io { path, source })
+}

@@ -1,0 +1,115 @@
+//! The files of a network, found, checked and written out.
+
+use std::path::{Path, PathBuf};
+
+use sha2::{Digest, Sha256};
+
+use super::{Architecture, Card, InferError, bytes_from_tensors, floats_of, tensors_from_bytes};
+use super::{Layer, TensorFault};
+use crate::json::parse_json;
+
+/// The two files of a network.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NetworkFiles {
+    /// `NAME.safetensors`.
+    pub weights: PathBuf,
+    /// `NAME.json`.
+    pub card: PathBuf,
+}
+
+impl NetworkFiles {
+    /// The files of the network `name`, a path; the ending of either file is dropped from it.
+    #[must_use]
+    pub fn of(name: &Path) -> Self {
+        let text = name.as_os_str().to_string_lossy();
+        let known = [".safetensors", ".json"].into_iter().find(|ending| text.ends_with(ending));
+        // `with_extension` alone would take a version of the name for its ending.
+        let stem = if known.is_some() { name.with_extension("") } else { name.to_owned() };
+        let with = |ending: &str| {
+            let mut path = stem.clone().into_os_string();
+            path.push(ending);
+            PathBuf::from(path)
+        };
+        Self { weights: with(".safetensors"), card: with(".json") }
+    }
+
+    /// The card and the parameters, in the order of the layers.
+    ///
+    /// # Errors
+    /// When a file is missing, truncated, of another network or no network at all.
+    pub fn read(&self) -> Result<(Card, Vec<f32>), InferError> {
+        let read = |path: &Path| std::fs::read(path).map_err(|source| InferError::Read { path: path.to_owned(), source });
+        let (weights, card) = (read(&self.weights)?, read(&self.card)?);
+        let card: Card = parse_json(&card).map_err(|fault| InferError::CardForm { path: self.card.clone(), fault })?;
+        card.check(&self.card)?;
+        let found = sha256(&weights);
+        if found != card.weights_sha256 {
+            return Err(InferError::Checksum {
+                path: self.weights.clone(),
+                card: self.card.clone(),
+                expected: card.weights_sha256,
+                found,
+                byte_count: weights.len(),
+            });
+        }
+        let layers = card.architecture.layers(card.channels.len(), card.scalars.len());
+        let parameters = parameters_from_bytes(&layers, &weights)
+            .map_err(|fault| InferError::Weights { path: self.weights.clone(), fault })?;
+        Ok((card, parameters))
+    }
+}
+
+/// SHA-256 of `bytes`, in hexadecimal.
+#[must_use]
+pub fn sha256(bytes: &[u8]) -> String {
+    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+impl Architecture {
+    /// The weights file of a network with `parameters`, in the order of [`Architecture::layers`].
+    ///
+    /// # Errors
+    /// When there are more or fewer parameters than the layers have.
+    pub fn weights_file(self, channels: usize, scalars: usize, parameters: &[f32]) -> Result<Vec<u8>, TensorFault> {
+        let layers = self.layers(channels, scalars);
+        let expected: usize = layers.iter().map(Layer::value_count).sum();
+        if parameters.len() != expected {
+            let (name, found) = ("all parameters".to_owned(), vec![parameters.len()]);
+            return Err(TensorFault::Shape { name, expected: vec![expected], found });
+        }
+        let names: Vec<[String; 2]> = layers.iter().map(Layer::tensor_names).collect();
+        let (mut rest, mut list) = (parameters, Vec::new());
+        for (layer, [weight_name, bias_name]) in layers.iter().zip(&names) {
+            let (weight, behind) = rest.split_at(layer.weight_count());
+            let (bias, behind) = behind.split_at(layer.outputs);
+            rest = behind;
+            list.push((weight_name.as_str(), layer.weight_shape().to_vec(), weight));
+            list.push((bias_name.as_str(), vec![layer.outputs], bias));
+        }
+        bytes_from_tensors(&list, None)
+    }
+}
+
+fn parameters_from_bytes(layers: &[Layer], bytes: &[u8]) -> Result<Vec<f32>, TensorFault> {
+    let tensors = tensors_from_bytes(bytes)?;
+    let mut parameters = Vec::new();
+    let mut known = Vec::new();
+    for layer in layers {
+        let [weight, bias] = layer.tensor_names();
+        parameters.extend(floats_of(&tensors, &weight, &layer.weight_shape())?);
+        parameters.extend(floats_of(&tensors, &bias, &[layer.outputs])?);
+        known.extend([weight, bias]);
+    }
+    let mut names = tensors.names();
+    names.sort_unstable();
+    match names.into_iter().find(|name| known.iter().all(|known| known != name)) {
+        Some(name) => Err(TensorFault::Unknown { name: name.to_owned() }),
+        None => Ok(parameters),
+    }
+}
+
+impl Layer {
+    fn tensor_names(&self) -> [String; 2] {
+        [format!("{}.weight", self.name), format!("{}.bias", self.name)]
+    }
+}

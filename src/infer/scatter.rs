@@ -1,0 +1,75 @@
+//! Scattered radiation by a network: the seam, and the network that comes from files.
+
+use std::path::Path;
+
+use burn::tensor::{Device, Tensor, TensorData};
+
+use super::{CELLS, COLUMNS, Card, InferError, Input, Network, NetworkFiles, Prediction, ROWS};
+
+/// Anything that predicts scatter from what the rays of an image met.
+pub trait ScatterNetwork {
+    /// What it is.
+    fn card(&self) -> &Card;
+
+    /// The scatter of `sample`. Inputs outside the training's range are predicted all the same, and named.
+    ///
+    /// # Errors
+    /// When `sample` has another size than the network takes, or its scale is no positive number.
+    fn predict(&self, sample: &Input) -> Result<Prediction, InferError>;
+}
+
+/// A network from files, on the processor.
+#[derive(Clone, Debug)]
+pub struct LoadedNetwork {
+    card: Card,
+    network: Network,
+    device: Device,
+}
+
+impl LoadedNetwork {
+    /// The network `name` (a path, with or without the ending of one of its files), which must take `channels` and `scalar_names`, in
+    /// this order.
+    ///
+    /// # Errors
+    /// When a file is missing, truncated or of another network, or the network takes other inputs.
+    pub fn load(name: &Path, channels: &[&str], scalar_names: &[&str]) -> Result<Self, InferError> {
+        let files = NetworkFiles::of(name);
+        let (card, parameters) = files.read()?;
+        for (what, expected, found) in
+            [("channels", channels, card.channel_names()), ("scalars", scalar_names, card.scalar_names())]
+        {
+            if expected != found {
+                let expected = expected.iter().map(|name| (*name).to_owned()).collect();
+                return Err(InferError::Names { path: files.card, what, expected, found });
+            }
+        }
+        let device = Device::flex();
+        let network = Network::new(card.architecture, channels.len(), scalar_names.len(), &parameters, &device)
+            .expect("as many parameters as the layers have were read");
+        Ok(Self { card, network, device })
+    }
+}
+
+impl ScatterNetwork for LoadedNetwork {
+    fn card(&self) -> &Card {
+        &self.card
+    }
+
+    fn predict(&self, sample: &Input) -> Result<Prediction, InferError> {
+        self.card.check_input(sample)?;
+        let outside = self.card.outside(sample);
+        // A rectifier may turn NaN into 0: it must not come out as a number that looks like scatter.
+        if !sample.inputs.iter().chain(&sample.scalars).all(|value| value.is_finite()) {
+            return Ok(Prediction { single: vec![f64::NAN; CELLS], multiple: vec![f64::NAN; CELLS], outside });
+        }
+        let (channels, scalars) = self.card.normalised(sample);
+        let shape = [1, self.card.channels.len(), ROWS, COLUMNS];
+        let channels = Tensor::<4>::from_data(TensorData::new(channels, shape), &self.device);
+        let scalars = Tensor::<2>::from_data(TensorData::new(scalars, [1, self.card.scalars.len()]), &self.device);
+        let logarithm = self.network.forward(channels, scalars).into_data();
+        let scatter = logarithm.iter::<f32>().map(|value| f64::from(sample.scale) * f64::from(value).exp());
+        let mut single: Vec<f64> = scatter.collect();
+        let multiple = single.split_off(CELLS);
+        Ok(Prediction { single, multiple, outside })
+    }
+}

@@ -1,0 +1,180 @@
+//! All samples of a folder, checked.
+
+use std::path::{Path, PathBuf};
+
+use sha2::{Digest, Sha256};
+
+use super::{HoldOut, LearnError, Shard};
+use crate::infer::{CELL_COLUMNS, CELL_ROWS, CELLS, COLUMNS, Input, PAGES, PIXELS, ROWS};
+use crate::random::{Purpose, Stream};
+
+/// One image with its scatter.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sample {
+    /// What the network is told.
+    pub input: Input,
+    /// Scatter, [2, 12, 16] row-major: once, more than once. Noisy means, 0 or more, in the unit of the scale.
+    pub truth: Vec<f32>,
+    /// Standard errors of `truth`.
+    pub truth_error: Vec<f32>,
+    /// By it, samples are held out.
+    pub specimen: String,
+    /// Of the scene that was drawn.
+    pub seed: u64,
+}
+
+/// Samples of one kind.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Dataset {
+    /// Names of the channels, in order.
+    pub channels: Vec<String>,
+    /// Names of the scalars, in order.
+    pub scalar_names: Vec<String>,
+    /// By name of their file, then by place in it.
+    pub samples: Vec<Sample>,
+}
+
+impl Dataset {
+    /// Every `*.safetensors` file of `folder`.
+    ///
+    /// # Errors
+    /// When there is none, one is damaged or of another kind than those before, or a sample cannot be learnt from.
+    pub fn read(folder: &Path) -> Result<Self, LearnError> {
+        let io = |source| LearnError::Io { path: folder.to_owned(), source };
+        let mut paths: Vec<PathBuf> = Vec::new();
+        for entry in std::fs::read_dir(folder).map_err(io)? {
+            paths.push(entry.map_err(io)?.path());
+        }
+        paths.retain(|path| path.extension().is_some_and(|ending| ending == "safetensors"));
+        paths.sort();
+        let mut dataset: Option<Self> = None;
+        for path in &paths {
+            let shard = Shard::read(path)?;
+            let dataset = dataset.get_or_insert_with(|| Self {
+                channels: shard.channels.clone(),
+                scalar_names: shard.scalar_names.clone(),
+                samples: Vec::new(),
+            });
+            dataset.take(path, shard)?;
+        }
+        let nothing = || LearnError::NoSamples { path: folder.to_owned() };
+        dataset.filter(|dataset| !dataset.samples.is_empty()).ok_or_else(nothing)
+    }
+
+    /// The samples of `shard`, which came from `path`.
+    fn take(&mut self, path: &Path, shard: Shard) -> Result<(), LearnError> {
+        for (what, expected, found) in [
+            ("channels", format!("{:?}", self.channels), format!("{:?}", shard.channels)),
+            ("scalars", format!("{:?}", self.scalar_names), format!("{:?}", shard.scalar_names)),
+            ("columns and rows of the inputs", format!("{:?}", [COLUMNS, ROWS]), format!("{:?}", shard.grid_px)),
+            ("columns and rows of the truth", format!("{:?}", [CELL_COLUMNS, CELL_ROWS]), format!("{:?}", shard.truth_px)),
+        ] {
+            if expected != found {
+                return Err(LearnError::Mixed { path: path.to_owned(), what, expected, found });
+            }
+        }
+        let (pixels, scalars, cells) = (self.channels.len() * PIXELS, self.scalar_names.len(), PAGES * CELLS);
+        for (index, (seed, specimen)) in shard.seeds.iter().zip(shard.specimens).enumerate() {
+            let of = |values: &[f32], length: usize| values[index * length..(index + 1) * length].to_vec();
+            let input =
+                Input { inputs: of(&shard.inputs, pixels), scalars: of(&shard.scalars, scalars), scale: shard.scale[index] };
+            let (truth, truth_error) = (of(&shard.truth, cells), of(&shard.truth_error, cells));
+            let sample = Sample { input, truth, truth_error, specimen, seed: *seed };
+            sample.check().map_err(|(what, expected, found)| LearnError::Sample {
+                path: path.to_owned(),
+                index,
+                seed: *seed,
+                what,
+                expected,
+                found: f64::from(found),
+            })?;
+            self.samples.push(sample);
+        }
+        Ok(())
+    }
+
+    /// SHA-256 of everything that training sees, in hexadecimal.
+    #[must_use]
+    pub fn fingerprint(&self) -> String {
+        let mut hash = Sha256::new();
+        for name in self.channels.iter().chain(&self.scalar_names) {
+            hash.update(name.as_bytes());
+            hash.update([0]);
+        }
+        for sample in &self.samples {
+            let scale = [sample.input.scale];
+            for values in [&sample.input.inputs[..], &sample.input.scalars, &scale, &sample.truth, &sample.truth_error] {
+                hash.update(bytemuck::cast_slice::<f32, u8>(values));
+            }
+            hash.update(sample.specimen.as_bytes());
+            hash.update(sample.seed.to_le_bytes());
+        }
+        hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+
+    /// Indices of the samples to train on, and of those held out.
+    ///
+    /// # Errors
+    /// When a specimen to hold out is unknown, or one of the two would be empty without being asked to.
+    pub fn split(&self, hold_out: &HoldOut, seed: u64) -> Result<(Vec<usize>, Vec<usize>), LearnError> {
+        let all = 0..self.samples.len();
+        let (train, held_out): (Vec<usize>, Vec<usize>) = match hold_out {
+            HoldOut::Nothing => (all.collect(), Vec::new()),
+            HoldOut::Specimens { names } => {
+                let known = self.specimens(all.clone());
+                if let Some(name) = names.iter().find(|name| !known.contains(name)) {
+                    return Err(LearnError::UnknownSpecimen { name: name.clone(), known });
+                }
+                all.partition(|index| !names.contains(&self.samples[*index].specimen))
+            }
+            HoldOut::Seeds { share } => {
+                let mut seeds: Vec<u64> = self.samples.iter().map(|sample| sample.seed).collect();
+                seeds.sort_unstable();
+                seeds.dedup();
+                shuffle(&mut seeds, &mut Stream::new(seed, 0, 0, Purpose::HeldOut));
+                seeds.truncate((seeds.len() as f64 * share).ceil() as usize);
+                seeds.sort_unstable();
+                all.partition(|index| seeds.binary_search(&self.samples[*index].seed).is_err())
+            }
+        };
+        if train.is_empty() || (held_out.is_empty() && *hold_out != HoldOut::Nothing) {
+            return Err(LearnError::Split { train: train.len(), held_out: held_out.len() });
+        }
+        Ok((train, held_out))
+    }
+
+    /// Names of the specimens of the samples `indices`, sorted.
+    pub(super) fn specimens(&self, indices: impl IntoIterator<Item = usize>) -> Vec<String> {
+        let mut names: Vec<String> = indices.into_iter().map(|index| self.samples[index].specimen.clone()).collect();
+        names.sort();
+        names.dedup();
+        names
+    }
+}
+
+impl Sample {
+    /// What keeps it from being learnt from: the value, what it must be, and what it is.
+    fn check(&self) -> Result<(), (&'static str, &'static str, f32)> {
+        if !(self.input.scale > 0.0) {
+            return Err(("scale", "above 0", self.input.scale));
+        }
+        for (what, values) in [("a cell of the truth", &self.truth), ("a standard error", &self.truth_error)] {
+            if let Some(value) = values.iter().find(|value| !(**value >= 0.0)) {
+                return Err((what, "0 or more", *value));
+            }
+        }
+        let sum: f32 = self.truth.iter().sum();
+        if !(sum > 0.0 && sum.is_finite()) {
+            return Err(("the sum of the truth", "finite and above 0", sum));
+        }
+        Ok(())
+    }
+}
+
+/// Fisher–Yates.
+pub(super) fn shuffle<T>(list: &mut [T], stream: &mut Stream) {
+    for last in (1..list.len()).rev() {
+        let chosen = (stream.uniform() * (last + 1) as f64) as usize;
+        list.swap(last, chosen.min(last));
+    }
+}

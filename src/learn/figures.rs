@@ -1,0 +1,130 @@
+//! How good a network is on samples it was not trained on.
+
+use std::collections::BTreeMap;
+
+use burn::tensor::Device;
+use serde::{Deserialize, Serialize};
+
+use super::Sample;
+use super::loss::Batch;
+use crate::infer::{CELLS, Card, Network};
+
+/// Figures over samples; of each sample one figure, then their mean.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Figures {
+    /// Samples.
+    pub samples: usize,
+    /// Σ(Ŝ−S)²/ΣS² over the cells of the sum of pages, S the noisy truth.
+    pub nmse_raw: f64,
+    /// Share of it that is the truth's noise: Σσ²/ΣS², σ² the sum of the pages' squared standard errors.
+    pub noise: f64,
+    /// Mean of Ŝ's mean over S's mean, less 1.
+    pub mean_bias: f64,
+    /// Root of the mean square of the same.
+    pub mean_rms: f64,
+}
+
+impl Figures {
+    /// The normalised mean squared error less the noise of the truth; below 0 only by chance.
+    #[must_use]
+    pub fn nmse(&self) -> f64 {
+        self.nmse_raw - self.noise
+    }
+
+    fn new(of_samples: &[OfSample]) -> Self {
+        let mean = |value: &dyn Fn(&OfSample) -> f64| of_samples.iter().map(value).sum::<f64>() / of_samples.len() as f64;
+        Self {
+            samples: of_samples.len(),
+            nmse_raw: mean(&|one| one.nmse_raw),
+            noise: mean(&|one| one.noise),
+            mean_bias: mean(&|one| one.mean_error),
+            mean_rms: mean(&|one| one.mean_error * one.mean_error).sqrt(),
+        }
+    }
+
+    /// By name, for a card.
+    pub(super) fn named(&self, suffix: &str) -> [(String, f64); 6] {
+        [
+            ("samples", self.samples as f64),
+            ("nmse", self.nmse()),
+            ("nmse_raw", self.nmse_raw),
+            ("nmse_noise", self.noise),
+            ("mean_bias", self.mean_bias),
+            ("mean_rms", self.mean_rms),
+        ]
+        .map(|(name, value)| (format!("{name}{suffix}"), value))
+    }
+}
+
+/// Figures of one sample.
+struct OfSample {
+    nmse_raw: f64,
+    noise: f64,
+    mean_error: f64,
+}
+
+/// Figures of `network` over all `samples`, and by specimen; `None` where there are none. Its inputs are normalised by `card`.
+#[must_use]
+pub fn figures_of(
+    network: &Network,
+    card: &Card,
+    samples: &[&Sample],
+    batch: usize,
+    device: &Device,
+) -> Option<(Figures, BTreeMap<String, Figures>)> {
+    if samples.is_empty() {
+        return None;
+    }
+    let (mut all, mut by_specimen) = (Vec::new(), BTreeMap::<String, Vec<usize>>::new());
+    for chunk in samples.chunks(batch) {
+        let predicted = Batch::new(chunk, card, 0.0, device).predicted(network).into_data();
+        let values: Vec<f32> = predicted.iter::<f32>().collect();
+        for (sample, ratio) in chunk.iter().zip(values.chunks(2 * CELLS)) {
+            by_specimen.entry(sample.specimen.clone()).or_default().push(all.len());
+            all.push(OfSample::new(sample, ratio));
+        }
+    }
+    let parts = by_specimen.into_iter().map(|(name, places)| {
+        let own: Vec<OfSample> = places.into_iter().map(|place| OfSample { ..all[place] }).collect();
+        (name, Figures::new(&own))
+    });
+    let parts = parts.collect();
+    Some((Figures::new(&all), parts))
+}
+
+impl OfSample {
+    /// `ratio` is the predicted scatter over scale, [2, 12, 16].
+    fn new(sample: &Sample, ratio: &[f32]) -> Self {
+        let (mut difference, mut square, mut noise, mut predicted_sum, mut truth_sum) = (0.0, 0.0, 0.0, 0.0, 0.0);
+        for cell in 0..CELLS {
+            let sum = |values: &[f32]| f64::from(values[cell]) + f64::from(values[CELLS + cell]);
+            let (predicted, truth) = (sum(ratio) * f64::from(sample.input.scale), sum(&sample.truth));
+            difference += (predicted - truth).powi(2);
+            square += truth * truth;
+            noise += f64::from(sample.truth_error[cell]).powi(2) + f64::from(sample.truth_error[CELLS + cell]).powi(2);
+            predicted_sum += predicted;
+            truth_sum += truth;
+        }
+        Self { nmse_raw: difference / square, noise: noise / square, mean_error: predicted_sum / truth_sum - 1.0 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::infer::Input;
+
+    #[test]
+    fn figures_of_a_sample_follow_from_their_formulae() {
+        let input = Input { inputs: vec![], scalars: vec![], scale: 2.0 };
+        let truth = [vec![3.0; CELLS], vec![1.0; CELLS]].concat();
+        let sample = Sample { input, truth, truth_error: vec![0.2; 2 * CELLS], specimen: String::new(), seed: 0 };
+        // Predicted 2 · (1.1 + 1.1) = 4.4, true 4: off by a tenth; noise 0.04 + 0.04 over 16.
+        let one = OfSample::new(&sample, &vec![1.1; 2 * CELLS]);
+        assert!((one.nmse_raw - 0.01).abs() < 1e-6 && (one.noise - 0.005).abs() < 1e-6 && (one.mean_error - 0.1).abs() < 1e-6);
+        let low = OfSample { nmse_raw: 0.0, noise: 0.0, mean_error: -0.1 };
+        let both = Figures::new(&[one, low]);
+        assert!(both.mean_bias.abs() < 1e-6 && (both.mean_rms - 0.1).abs() < 1e-6 && (both.nmse() - 0.0025).abs() < 1e-6);
+    }
+}

@@ -1,0 +1,105 @@
+//! What a training is told and what it tells.
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::{Figures, Recipe};
+use crate::infer::{Card, NetworkFiles};
+
+/// A training.
+#[derive(Clone, Debug)]
+pub struct TrainOptions {
+    /// Folder of `*.safetensors` files of samples.
+    pub dataset: PathBuf,
+    /// Name of the network, a path without ending: `.safetensors`, `.json`, `.csv` and `.checkpoint` are added.
+    pub output: PathBuf,
+    /// Go on from the checkpoint, where there is one.
+    pub resume: bool,
+    /// All that decides the result, together with the samples.
+    pub recipe: Recipe,
+}
+
+/// The files of a training.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TrainFiles {
+    /// Weights and card.
+    pub network: NetworkFiles,
+    /// One row an epoch.
+    pub history: PathBuf,
+    /// The state after the last whole epoch.
+    pub checkpoint: PathBuf,
+}
+
+impl TrainFiles {
+    /// The files of the network `name`, as in [`NetworkFiles::of`].
+    #[must_use]
+    pub fn of(name: &Path) -> Self {
+        let network = NetworkFiles::of(name);
+        // The folder of samples may be the folder of the network: a checkpoint must not end as samples do.
+        let (history, checkpoint) = (network.weights.with_extension("csv"), network.weights.with_extension("checkpoint"));
+        Self { network, history, checkpoint }
+    }
+}
+
+/// One row of the history.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EpochRecord {
+    /// Counted from 1.
+    pub epoch: usize,
+    /// Mean loss of the epoch's samples, each with the weights of its own step.
+    pub train_loss: f64,
+    /// Normalised mean squared error of what was held out, less the noise of the truth; empty where nothing was.
+    pub held_out_nmse: Option<f64>,
+    /// The same with the noise of the truth.
+    pub held_out_nmse_raw: Option<f64>,
+    /// Of the epoch's last step.
+    pub learning_rate: f64,
+}
+
+/// Where a training stands, after every step.
+#[derive(Clone, Debug)]
+pub struct Progress<'a> {
+    /// Counted from 1.
+    pub epoch: usize,
+    /// At most.
+    pub epochs: usize,
+    /// Steps done in this epoch.
+    pub step: usize,
+    /// Steps of an epoch.
+    pub steps: usize,
+    /// Mean loss of the epoch's samples so far.
+    pub train_loss: f64,
+    /// The whole epoch, once it is done, evaluated and kept.
+    pub done: Option<&'a EpochRecord>,
+    /// Whether that epoch is the best so far.
+    pub best: bool,
+}
+
+/// Why a training ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TrainingEnd {
+    /// All epochs are done.
+    Complete,
+    /// The held-out figure no longer fell.
+    NoBetter,
+    /// The caller said so.
+    ByCaller,
+}
+
+/// A trained network, as it was written.
+#[derive(Clone, Debug)]
+pub struct Trained {
+    /// Its card.
+    pub card: Card,
+    /// Its files.
+    pub files: TrainFiles,
+    /// The epoch whose weights these are, counted from 1.
+    pub epoch: usize,
+    /// Figures on what was held out; `None` where nothing was.
+    pub held_out: Option<Figures>,
+    /// One record an epoch.
+    pub history: Vec<EpochRecord>,
+    /// Why it ended.
+    pub end: TrainingEnd,
+}

@@ -1,0 +1,111 @@
+//! All that decides what a training comes to, together with its samples.
+
+use serde::{Deserialize, Serialize};
+
+use super::LearnError;
+use crate::infer::Architecture;
+
+/// All that decides the result of a training, together with the samples.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Recipe {
+    /// The layers.
+    pub architecture: Architecture,
+    /// Of the first weights, the order, the mirroring and the seeds held out.
+    pub seed: u64,
+    /// Passes over the samples; the learning rate has its end at the last.
+    pub epochs: usize,
+    /// Samples of one step.
+    pub batch: usize,
+    /// Highest learning rate, after warm-up.
+    pub learning_rate: f64,
+    /// Share of the steps in which the learning rate rises.
+    pub warm_up: f64,
+    /// Decay of the weights per step, as a share of the learning rate (Loshchilov & Hutter 2019).
+    pub weight_decay: f64,
+    /// Largest norm of a step's gradient over all parameters.
+    pub largest_gradient: f64,
+    /// Weight of each page by itself in the loss, beside 1 for their sum.
+    pub page_weight: f64,
+    /// Mirror samples at random, in columns and in rows.
+    pub mirror: bool,
+    /// What is not trained on.
+    pub hold_out: HoldOut,
+    /// Stop after so many epochs without a better held-out figure.
+    pub patience: Option<usize>,
+}
+
+/// What is not trained on but judged by, every epoch.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", tag = "kind", deny_unknown_fields)]
+pub enum HoldOut {
+    /// Every sample of these specimens.
+    Specimens {
+        /// Their names.
+        names: Vec<String>,
+    },
+    /// A random share of the seeds.
+    Seeds {
+        /// Above 0, below 1.
+        share: f64,
+    },
+    /// Nothing: the last epoch is kept.
+    Nothing,
+}
+
+impl Default for Recipe {
+    fn default() -> Self {
+        Self::of(Architecture::Default)
+    }
+}
+
+impl Recipe {
+    /// Settings with which `architecture` trains well.
+    #[must_use]
+    pub fn of(architecture: Architecture) -> Self {
+        Self {
+            architecture,
+            seed: 1,
+            epochs: 60,
+            batch: 16,
+            learning_rate: match architecture {
+                Architecture::Default => 2e-3,
+                // The 961 weights of a kernel of 31×31 see much the same, and their steps add up.
+                Architecture::Paper => 2e-4,
+            },
+            warm_up: 0.05,
+            weight_decay: 1e-2,
+            largest_gradient: 1.0,
+            page_weight: 0.25,
+            mirror: true,
+            hold_out: HoldOut::Seeds { share: 0.1 },
+            patience: Some(20),
+        }
+    }
+
+    pub(super) fn check(&self) -> Result<(), LearnError> {
+        let at_least_one = "at least 1";
+        let settings = [
+            ("epochs", at_least_one, self.epochs as f64, self.epochs >= 1),
+            ("batch", at_least_one, self.batch as f64, self.batch >= 1),
+            ("learning rate", "above 0, at most 1", self.learning_rate, self.learning_rate > 0.0 && self.learning_rate <= 1.0),
+            ("warm-up", "0 to 1", self.warm_up, self.warm_up >= 0.0 && self.warm_up <= 1.0),
+            ("weight decay", "0 to 1", self.weight_decay, self.weight_decay >= 0.0 && self.weight_decay <= 1.0),
+            ("largest gradient", "above 0", self.largest_gradient, self.largest_gradient > 0.0),
+            ("page weight", "0 or more", self.page_weight, self.page_weight >= 0.0 && self.page_weight.is_finite()),
+        ];
+        for (setting, expected, found, good) in settings {
+            if !good {
+                return Err(LearnError::Setting { setting, expected, found: found.to_string() });
+            }
+        }
+        match self.hold_out {
+            HoldOut::Seeds { share } if !(share > 0.0 && share < 1.0) => Err(LearnError::Setting {
+                setting: "share of seeds held out",
+                expected: "above 0, below 1",
+                found: share.to_string(),
+            }),
+            _ => Ok(()),
+        }
+    }
+}

@@ -29,10 +29,11 @@ fn samples_are_made_once_and_are_those_of_their_seeds() {
     let samples = shard.seeds.len();
     assert!((2..=4).contains(&samples), "{samples} samples");
     assert!(shard.seeds.iter().all(|seed| (150..154).contains(seed)) && shard.specimens.iter().all(|name| name == "phantom"));
-    assert_eq!((shard.inputs.len(), shard.scalars.len()), (samples * 9 * 64 * 48, samples * 6));
-    assert_eq!((shard.truth.len(), shard.truth_error.len()), (samples * 2 * 192, samples * 2 * 192));
+    assert_eq!((shard.inputs.len(), shard.scalars.len()), (samples * 9 * 64 * 48, samples * 8));
+    assert_eq!((shard.truth.len(), shard.truth_error.len()), (samples * 2 * 192, samples * 3 * 192));
     assert!(shard.truth.iter().chain(&shard.truth_error).all(|value| *value >= 0.0 && *value < 10.0));
     assert!(shard.truth.iter().sum::<f32>() > 0.0);
+    assert_eq!(shard.asked, [150, 154]);
     let bytes = std::fs::read(&path).expect("readable");
     let (again, said) = made(folder.path(), &["--count", "4", "--first-seed", "150"]);
     assert!(again && std::fs::read(&path).expect("readable") == bytes, "{said}");
@@ -40,6 +41,13 @@ fn samples_are_made_once_and_are_those_of_their_seeds() {
     assert!(made(other.path(), &["--count", "4", "--first-seed", "150"]).0);
     // Not `assert_eq`: nobody wants to read all of it.
     assert!(Shard::read(&other.path().join("scatter-000000150.safetensors")).expect("readable") == shard, "a seed is a sample");
+    // More seeds of the same file: it is made again; the same with other photons: not.
+    let (good, said) = made(other.path(), &["--count", "6", "--first-seed", "150"]);
+    let more = Shard::read(&other.path().join("scatter-000000150.safetensors")).expect("readable");
+    assert!(good && more.asked == [150, 156] && more.seeds.starts_with(&shard.seeds), "{said}");
+    let again = ["dataset", "scatter", "--phantoms", "1", "--count", "4", "--first-seed", "150", "--histories", "50000", "--out"];
+    let (good, said) = self::said(&[&again[..], &[text(other.path())]].concat());
+    assert!(!good && said.contains("made otherwise"), "{said}");
     std::fs::write(&path, &bytes[..bytes.len() / 2]).expect("writable");
     let (good, said) = made(folder.path(), &["--count", "4", "--first-seed", "150"]);
     assert!(!good && said.contains("scatter-000000150.safetensors") && said.contains("delete it"), "{said}");
@@ -59,10 +67,15 @@ fn a_network_is_trained_and_asked() {
     let (good, words) = made(&set, &["--count", "12"]);
     assert!(good, "{words}");
     let train = |more: &[&str]| {
-        let base = ["train", "scatter", text(&set), "--out", text(&network), "--epochs", "2", "--json"];
+        let base = ["train", "scatter", text(&set), "--out", text(&network), "--json"];
         sidecarm(&[&base, more].concat())
     };
-    let ran = train(&[]);
+    let refused = |more: &[&str], words: &str| {
+        let ran = train(more);
+        assert!(ran.code != Some(0) && ran.stderr.contains(words), "{}", ran.stderr);
+    };
+    refused(&["--resume"], "nothing to go on from");
+    let ran = train(&["--epochs", "2"]);
     assert_eq!(ran.code, Some(0), "{}", ran.stderr);
     let card = ran.json();
     assert!(card["sample_count"].as_u64().is_some_and(|count| (6..12).contains(&count)), "{card}");
@@ -71,6 +84,8 @@ fn a_network_is_trained_and_asked() {
     assert!(svg.starts_with("<svg") && svg.contains("held out"));
     // As far as it was to go: the same network.
     assert_eq!(train(&["--resume"]).json(), card);
+    refused(&[], "is there already");
+    refused(&["--resume", "--epochs", "3"], "cannot be used with");
 
     let scene_at = |model: &str| {
         let scene = json!({
@@ -117,6 +132,6 @@ fn a_network_is_trained_and_asked() {
     std::fs::write(&weights, &bytes[..bytes.len() - 4]).expect("written");
     let ran = render("network", &["--scatter-network", text(&network)]);
     assert!(ran.code == Some(1) && ran.stderr.contains("network.safetensors") && ran.stderr.contains("sha256"), "{}", ran.stderr);
-    let ran = sidecarm(&["train", "scatter", text(&at("nothing")), "--out", text(&network)]);
+    let ran = sidecarm(&["train", "scatter", text(&at("nothing")), "--out", text(&at("other"))]);
     assert!(ran.code == Some(1) && ran.stderr.contains("nothing"), "{}", ran.stderr);
 }

@@ -207,6 +207,7 @@ fn samples_that_cannot_be_learnt_from_are_refused_by_name() {
         ("the sum of the truth is 0", |shard| shard.truth[..384].fill(0.0)),
         ("tensor `truth_error` is not finite", |shard| shard.truth_error[0] = f32::INFINITY),
         ("are [32, 96], in the files before it [64, 48]", |shard| shard.grid_px = [32, 96]),
+        ("are of another day, in the files before it ", |shard| shard.origin = "of another day".to_owned()),
     ] {
         let mut shard = good.clone();
         edit(&mut shard);
@@ -216,12 +217,24 @@ fn samples_that_cannot_be_learnt_from_are_refused_by_name() {
         let folder = tempfile::tempdir().unwrap();
         good.write(&folder.path().join("a.safetensors")).unwrap();
         assert!(Dataset::read(folder.path()).is_ok(), "the control");
-        shard.write(&folder.path().join("b.safetensors")).unwrap();
-        let said = Dataset::read(folder.path()).unwrap_err().to_string();
+        let said = match shard.write(&folder.path().join("b.safetensors")) {
+            // What is not finite is not written in the first place.
+            Err(error) => error.to_string(),
+            Ok(()) => Dataset::read(folder.path()).unwrap_err().to_string(),
+        };
         assert!(said.contains("b.safetensors") && said.contains(words), "{said}");
     }
+    // Nor read, where somebody else wrote it.
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.safetensors");
+    good.write(&path).unwrap();
+    let mut bytes = std::fs::read(&path).unwrap();
+    let last = bytes.len() - 4;
+    bytes[last..].copy_from_slice(&f32::NAN.to_le_bytes());
+    std::fs::write(&path, bytes).unwrap();
+    assert!(Dataset::read(folder.path()).unwrap_err().to_string().contains("is not finite"));
     let empty = tempfile::tempdir().unwrap();
-    assert!(Dataset::read(empty.path()).unwrap_err().to_string().contains("make samples first"));
+    assert!(Dataset::read(empty.path()).unwrap_err().to_string().contains("sidecarm dataset scatter"));
 }
 
 #[test]

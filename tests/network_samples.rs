@@ -40,6 +40,7 @@ pub fn shard(first: u64, count: u64) -> Shard {
         shard.scalars.extend([1000.0, kev as f32, 300.0, 225.0, 0.0, 1.1]);
         let scale = 0.1 * depth;
         shard.scale.push(scale as f32);
+        let mut of_sum = vec![0.0_f32; CELL_ROWS * CELL_COLUMNS];
         for multiple in [false, true] {
             for cell in 0..CELL_ROWS * CELL_COLUMNS {
                 let x = ((cell % CELL_COLUMNS) as f64 + 0.5 - CELL_COLUMNS as f64 / 2.0) * 4.0 * pixel_mm;
@@ -49,8 +50,10 @@ pub fn shard(first: u64, count: u64) -> Shard {
                     if multiple { 0.5 * scale * (50.0 / kev) * (0.3 * t).exp() } else { scale * (0.2 + t) * (-0.5 * t).exp() };
                 shard.truth.push((value * (1.0 + 0.02 * stream.normal())) as f32);
                 shard.truth_error.push((0.02 * value) as f32);
+                of_sum[cell] = of_sum[cell].hypot((0.02 * value) as f32);
             }
         }
+        shard.truth_error.extend(of_sum);
         shard.specimens.push(if seed % 2 == 0 { "knee" } else { "hip" }.to_owned());
         shard.seeds.push(seed);
     }

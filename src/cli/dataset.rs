@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use crate::image::{ImageFileError, sha256_file};
 use crate::learn::{Shard, ShardError, Specimen, drawn};
 use crate::reporter::Reporter;
 use crate::scene::{self, SceneError};
@@ -12,6 +13,12 @@ const GRID_PX: [usize; 2] = [64, 48];
 const TRUTH_PX: [usize; 2] = [16, 12];
 /// Samples of one file.
 const SAMPLES: u64 = 50;
+/// What a sample without a specimen is called.
+const PHANTOM: &str = "phantom";
+/// Batches of photons from which a spread can be told.
+const LEAST_BATCHES: u64 = 4;
+/// Matter lower above the detector than this is through it.
+const LOWEST_MM: f32 = 10.0;
 /// Mean thickness of what scatters in the open field below which the specimen is not in view.
 const IN_VIEW: f64 = 0.15;
 /// Median relative standard error beyond which a sample says nothing.
@@ -37,7 +44,8 @@ enum DatasetOf {
 
 Of each scene only the objects are taken; view, beam, field, grid, detector, tools and table are drawn. The files of 50 samples each,
 scatter-SEED.safetensors, hold inputs [samples, 9, 48, 64], scalars, scale, truth [samples, 2, 12, 16] (scattered once, more often, in units
-of the unattenuated signal) and truth_error; every sample is that of its seed. Files that are there already are kept: the same command goes on.")]
+of the unattenuated signal without heel and bow-tie) and truth_error (of both, and of their sum); every sample is that of its seed. Files that
+are there already are kept: the same command, with the same or a larger --count, goes on.")]
 pub struct ScatterSetArgs {
     /// Scenes whose objects are the specimens, named by their files
     #[arg(value_name = "SCENE.json")]
@@ -74,6 +82,9 @@ pub enum DatasetError {
     /// A file of samples.
     #[error(transparent)]
     Shard(#[from] ShardError),
+    /// A scene's file.
+    #[error(transparent)]
+    File(#[from] ImageFileError),
     /// The folder.
     #[error("{}: {source}", path.display())]
     Io {
@@ -103,42 +114,95 @@ pub fn run(args: &DatasetArgs, reporter: &Reporter) -> Result<u8, DatasetError> 
     if !args.first_seed.is_multiple_of(SAMPLES) {
         return wrong(format!("--first-seed {}: expected a multiple of {SAMPLES}", args.first_seed));
     }
-    let specimens = args
-        .scenes
-        .iter()
-        .map(|path| {
-            let name = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
-            Ok(Specimen::new(&name, &scene::load(path, false, reporter)?))
-        })
-        .collect::<Result<Vec<_>, SceneError>>()?;
+    if args.histories < LEAST_BATCHES * BATCH {
+        return wrong(format!("--histories {}: expected at least {}", args.histories, LEAST_BATCHES * BATCH));
+    }
+    let Some(end) = args.first_seed.checked_add(args.count) else {
+        return wrong(format!("--first-seed {}: there are no {} seeds after it", args.first_seed, args.count));
+    };
+    let mut specimens: Vec<Specimen> = Vec::new();
+    let mut hashes = Vec::new();
+    for path in &args.scenes {
+        let name = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
+        if name == PHANTOM || specimens.iter().any(|known| known.name == name) {
+            return wrong(format!(
+                "{}: another specimen is called {name}; specimens are told apart by their files' names",
+                path.display()
+            ));
+        }
+        let scene = scene::load(path, false, reporter)?;
+        hashes.push(sha256_file(path)?);
+        hashes.extend(scene.inputs.iter().map(|input| input.sha256.clone()));
+        let Some(specimen) = Specimen::new(&name, &scene) else {
+            return wrong(format!("{}: has no matter to scatter", path.display()));
+        };
+        specimens.push(specimen);
+    }
+    let version = env!("CARGO_PKG_VERSION");
+    let made = serde_json::json!({"histories": args.histories, "phantoms": args.phantoms, "sha256": hashes, "version": version});
     std::fs::create_dir_all(&args.out).map_err(|source| DatasetError::Io { path: args.out.clone(), source })?;
     let progress = reporter.progress("samples", args.count);
-    for first in (args.first_seed..args.first_seed + args.count).step_by(SAMPLES as usize) {
+    let mut counts = Counts::default();
+    for first in (args.first_seed..end).step_by(SAMPLES as usize) {
         let path = args.out.join(format!("scatter-{first:09}.safetensors"));
-        let last = (first + SAMPLES).min(args.first_seed + args.count);
-        if path.is_file() {
-            Shard::read(&path)?;
-            progress.advance(last - first);
-            continue;
-        }
+        let last = (first + SAMPLES).min(end);
         let mut shard = Shard {
             channels: CHANNELS.map(str::to_owned).to_vec(),
             scalar_names: SCALARS.map(str::to_owned).to_vec(),
             grid_px: GRID_PX,
             truth_px: TRUTH_PX,
+            asked: vec![first, last],
+            origin: made.to_string(),
             ..Shard::default()
         };
+        if path.is_file() {
+            let there = Shard::read(&path)?;
+            if there.origin != shard.origin {
+                let (there, here) = (there.origin, shard.origin);
+                return wrong(format!("{}: was made otherwise ({there}, now {here}); take another folder", path.display()));
+            }
+            // A file that was asked for fewer seeds is made again.
+            if there.asked.last() >= Some(&last) {
+                counts.kept += there.seeds.len();
+                progress.advance(last - first);
+                continue;
+            }
+        }
         for seed in first..last {
-            sample(args, &specimens, seed, &mut shard)?;
+            sample(args, &specimens, seed, &mut shard, &mut counts)?;
             progress.advance(1);
         }
         shard.write(&path)?;
     }
+    drop(progress);
+    let Counts { kept, not_in_view, too_noisy } = counts;
+    if kept == 0 {
+        return wrong(format!(
+            "of {} drawn scenes {not_in_view} had no specimen in view and {too_noisy} too few photons for a word about scatter: nothing is left; \
+             more --histories, or another specimen",
+            args.count
+        ));
+    }
+    println!("{}: {kept} samples; {not_in_view} more had no specimen in view, {too_noisy} too few photons", args.out.display());
     Ok(0)
 }
 
+/// What became of the seeds.
+#[derive(Clone, Copy, Debug, Default)]
+struct Counts {
+    kept: usize,
+    not_in_view: usize,
+    too_noisy: usize,
+}
+
 /// Adds the sample of `seed`, unless there is nothing in view.
-fn sample(args: &ScatterSetArgs, specimens: &[Specimen], seed: u64, shard: &mut Shard) -> Result<(), DatasetError> {
+fn sample(
+    args: &ScatterSetArgs,
+    specimens: &[Specimen],
+    seed: u64,
+    shard: &mut Shard,
+    counts: &mut Counts,
+) -> Result<(), DatasetError> {
     let turn = |times: f64| (seed as f64 * times).fract();
     // Evenly over the seeds, whatever their number.
     let is_phantom = specimens.is_empty() || turn(0.618_033_988_749_895) < args.phantoms;
@@ -147,17 +211,19 @@ fn sample(args: &ScatterSetArgs, specimens: &[Specimen], seed: u64, shard: &mut 
     let asked = Histories { count: args.histories, seed, grid_px: TRUTH_PX, ..Histories::default() };
     let simulation = Simulation::new(&scene, &view, asked)?;
     let columns = simulation.columns(GRID_PX);
-    if !(scattering(&columns) > IN_VIEW) {
+    if !(scattering(&columns) > IN_VIEW) || reaches_the_panel(&columns) {
+        counts.not_in_view += 1;
         return Ok(());
     }
     let mut tally = simulation.tally();
     let run = simulation.run(&mut tally, |_| Ok::<(), std::convert::Infallible>(()));
     let Ok(()) = run;
     if !(simulation.relative_error(&tally) < NOISIEST) {
+        counts.too_noisy += 1;
         return Ok(());
     }
     let cells = 0..TRUTH_PX[0] * TRUTH_PX[1];
-    let unit = simulation.unattenuated();
+    let unit = simulation.unshaped();
     let signal = |page: Page, cell: usize| tally.signal(page, cell, BATCH);
     for cell in cells.clone() {
         let once = signal(Page::Compton, cell).mean + signal(Page::Rayleigh, cell).mean;
@@ -168,12 +234,14 @@ fn sample(args: &ScatterSetArgs, specimens: &[Specimen], seed: u64, shard: &mut 
         let once = signal(Page::Compton, cell).standard_error.hypot(signal(Page::Rayleigh, cell).standard_error);
         shard.truth_error.push((once / unit[cell]) as f32);
     }
-    shard.truth_error.extend(cells.map(|cell| (signal(Page::Multiple, cell).standard_error / unit[cell]) as f32));
+    shard.truth_error.extend(cells.clone().map(|cell| (signal(Page::Multiple, cell).standard_error / unit[cell]) as f32));
+    shard.truth_error.extend(cells.map(|cell| (tally.scatter(cell, BATCH).standard_error / unit[cell]) as f32));
     columns.channels.iter().for_each(|channel| shard.inputs.extend(channel));
     shard.scalars.extend(columns.scalars);
     shard.scale.push(columns.scale);
-    shard.specimens.push(specimen.map_or("phantom", |specimen| &specimen.name).to_owned());
+    shard.specimens.push(specimen.map_or(PHANTOM, |specimen| &specimen.name).to_owned());
     shard.seeds.push(seed);
+    counts.kept += 1;
     Ok(())
 }
 
@@ -186,4 +254,12 @@ fn scattering(columns: &Columns) -> f64 {
         all += f64::from(*open);
     }
     sum / all
+}
+
+/// Whether matter that scatters goes on to the detector plane: no C-arm can be so.
+fn reaches_the_panel(columns: &Columns) -> bool {
+    let [_, compton, _, _, height_mm, spread_mm, ..] = &columns.channels;
+    // A slab's half thickness is √3 of its standard deviation.
+    let lowest = height_mm.iter().zip(spread_mm).map(|(height_mm, spread_mm)| height_mm - 1.73 * spread_mm);
+    lowest.zip(compton).any(|(lowest_mm, compton)| *compton > 0.05 && !(lowest_mm > LOWEST_MM))
 }

@@ -12,7 +12,7 @@ use crate::gpu::DeviceChoice;
 use crate::image::{ImageFileError, check_writable, refuse_overwrite, refuse_twice, sha256_file};
 use crate::pose::{Pose, PoseFileError};
 use crate::render::{
-    Goal, Options, Quantity, RenderError, Rendered, Renderer, guessed_share, write_image, write_picture, written_with,
+    Goal, Options, Origin, Quantity, RenderError, Rendered, Renderer, guessed_share, write_image, write_picture, written_with,
 };
 use crate::reporter::Reporter;
 use crate::scene::model::{InputFile, ScatterModel, Scene};
@@ -257,6 +257,9 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
         let found = stages.measure("scatter", || scattered(&scene, &view, error, network, reporter))?;
         options.scatter = found.map(Arc::new);
     }
+    if args.scatter_network.is_some() && scene.model.scatter != ScatterModel::Network {
+        reporter.warn("scatter", format_args!("--scatter-network is not asked: the scene's model.scatter is not \"network\""));
+    }
     if let Some(scatter) = &options.scatter {
         plan.say("scatter", true, scatter.words());
     }
@@ -270,10 +273,10 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
         && !(wanted >= rendered.stated_error)
     {
         let (stated, adapter) = (rendered.stated_error, renderer.adapter());
-        let advice = if added.stated_error > 0.5 * stated {
-            "; a smaller --scatter-error leaves less of the scatter uncertain"
-        } else {
-            ""
+        let advice = match &added.from {
+            _ if !(added.stated_error > 0.5 * stated) => "",
+            Origin::Photons { .. } => "; a smaller --scatter-error leaves less of the scatter uncertain",
+            Origin::Network { .. } => "; the network knows its scatter no better: model.scatter \"monte_carlo\" does",
         };
         return Err(RenderCommandError::MaxError { wanted, stated, adapter, advice });
     }

@@ -5,7 +5,10 @@ use std::path::PathBuf;
 
 use crate::image::plot::{Axis, Plot, PlotError, Scale, Series};
 use crate::infer::Architecture;
-use crate::learn::{EpochRecord, HoldOut, LearnError, Progress, Recipe, TrainOptions, Trained, recipe_of_checkpoint, train};
+use crate::learn::{
+    EpochRecord, HoldOut, LearnError, Progress, Recipe, TrainFiles, TrainOptions, Trained, TrainingEnd, recipe_of_checkpoint,
+    train,
+};
 use crate::reporter::Reporter;
 use crate::time::Stopwatch;
 
@@ -28,7 +31,8 @@ enum TrainOf {
   sidecarm train scatter scatter-set --out my-scatter --resume
 
 Written after every epoch: NAME.safetensors (weights) and NAME.json (its card: what it takes, what it was trained on, how good it is on what
-it was not), NAME.csv and NAME.svg (losses), NAME.checkpoint (from where --resume goes on). A resumed training gives bit for bit what an
+it was not), NAME.csv (losses), NAME.checkpoint (from where --resume goes on); at the end NAME.svg. The epoch that is best on what is held out
+is kept, so its figure there is a little too good. A resumed training gives bit for bit what an
 uninterrupted one gives.")]
 struct TrainScatterArgs {
     /// Folder of the samples
@@ -37,19 +41,20 @@ struct TrainScatterArgs {
     #[arg(long, value_name = "NAME")]
     out: PathBuf,
     /// Passes over the samples
-    #[arg(long, value_name = "N", default_value_t = 60)]
+    #[arg(long, value_name = "N", default_value_t = 60, conflicts_with = "resume")]
     epochs: usize,
-    /// Stop after so many minutes; --resume goes on
+    /// Stop at the end of the epoch in which so many minutes are over; --resume goes on
     #[arg(long, value_name = "MINUTES")]
     minutes: Option<f64>,
     /// Seed of first weights, order and mirroring
-    #[arg(long, value_name = "SEED", default_value_t = 1)]
+    #[arg(long, value_name = "SEED", default_value_t = 1, conflicts_with = "resume")]
     seed: u64,
-    /// A specimen that the network is judged by and never trained on [default: a tenth of the samples]
-    #[arg(long, value_name = "SPECIMEN")]
+    /// A specimen that the network is judged by and never trained on [default: a tenth of the samples, of the same specimens as the others: that
+    /// says less of a specimen that is none of them]
+    #[arg(long, value_name = "SPECIMEN", conflicts_with = "resume")]
     hold_out: Vec<String>,
     /// Its layers: few wide ones at low resolution, or those of the paper
-    #[arg(long, value_enum, default_value = "default")]
+    #[arg(long, value_enum, default_value = "default", conflicts_with = "resume")]
     architecture: ArchitectureArg,
     /// Go on from NAME.checkpoint, with the settings it was begun with
     #[arg(long)]
@@ -71,6 +76,18 @@ pub enum TrainError {
     /// Samples, settings or files.
     #[error(transparent)]
     Learn(#[from] LearnError),
+    /// Nothing to go on from.
+    #[error("{}: is not there, so there is nothing to go on from; leave out --resume", path.display())]
+    Nothing {
+        /// The checkpoint.
+        path: PathBuf,
+    },
+    /// A network of that name.
+    #[error("{}: is there already; --resume goes on with it, another --out begins anew", path.display())]
+    Exists {
+        /// Its weights, or its checkpoint.
+        path: PathBuf,
+    },
     /// The drawing of the losses.
     #[error(transparent)]
     Plot(#[from] PlotError),
@@ -94,22 +111,29 @@ pub fn run(args: &TrainArgs, reporter: &Reporter) -> Result<u8, TrainError> {
         TrainOptions { dataset: args.dataset.clone(), output: args.out.clone(), resume: args.resume, recipe: recipe(args)? };
     let watch = Stopwatch::start();
     let bar = reporter.progress("steps", 0);
+    let mut first = true;
     let mut told = |progress: &Progress| {
-        if progress.epoch == 1 && progress.step == 1 {
+        if first {
             bar.lengthen((progress.steps * progress.epochs) as u64);
+            bar.advance((progress.steps * (progress.epoch - 1)) as u64);
+            first = false;
         }
         bar.advance(1);
         if let Some(record) = progress.done {
             reporter.note(format_args!("{}", line(record, progress)));
         }
         match args.minutes {
-            Some(minutes) if !(watch.ms() < 60e3 * minutes) => ControlFlow::Break(()),
+            Some(minutes) if progress.done.is_some() && !(watch.ms() < 60e3 * minutes) => ControlFlow::Break(()),
             _ => ControlFlow::Continue(()),
         }
     };
     let trained = train(&options, &mut told)?;
     drop(bar);
     draw(&trained)?;
+    if trained.end == TrainingEnd::ByCaller {
+        let (done, all) = (trained.history.len(), options.recipe.epochs);
+        reporter.note(format_args!("stopped by --minutes after {done} of {all} epochs: --resume goes on"));
+    }
     let card = &trained.card;
     if args.json {
         println!("{}", serde_json::to_string_pretty(card).expect("plain data"));
@@ -121,9 +145,14 @@ pub fn run(args: &TrainArgs, reporter: &Reporter) -> Result<u8, TrainError> {
     Ok(0)
 }
 
-fn recipe(args: &TrainScatterArgs) -> Result<Recipe, LearnError> {
-    if let Some(known) = if args.resume { recipe_of_checkpoint(&args.out)? } else { None } {
-        return Ok(known);
+fn recipe(args: &TrainScatterArgs) -> Result<Recipe, TrainError> {
+    let files = TrainFiles::of(&args.out);
+    if args.resume {
+        let found = recipe_of_checkpoint(&args.out)?;
+        return found.ok_or_else(|| TrainError::Nothing { path: files.checkpoint });
+    }
+    if let Some(path) = [files.network.weights, files.checkpoint].into_iter().find(|path| path.exists()) {
+        return Err(TrainError::Exists { path });
     }
     let standard = Recipe::of(match args.architecture {
         ArchitectureArg::Default => Architecture::Default,

@@ -73,6 +73,10 @@ impl State {
         }
         let tensors = tensors_from_bytes(&bytes).map_err(fault)?;
         let values = |name: &str| floats_of(&tensors, name, &[parameters]).map_err(fault);
+        if let Some(epoch) = beside.best_epoch.filter(|epoch| !(1..=beside.history.len()).contains(epoch)) {
+            let detail = format!("best epoch {epoch} of {}", beside.history.len());
+            return Err(fault(TensorFault::MetadataForm { key: KEY.to_owned(), detail }));
+        }
         let best = match beside.best_epoch {
             Some(epoch) => Some((epoch, values("best")?)),
             None => None,

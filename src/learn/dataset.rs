@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use sha2::{Digest, Sha256};
 
+use super::shard::ERRORS;
 use super::{HoldOut, LearnError, Shard};
 use crate::infer::{CELL_COLUMNS, CELL_ROWS, CELLS, COLUMNS, Input, PAGES, PIXELS, ROWS};
 use crate::random::{Purpose, Stream};
@@ -15,7 +16,7 @@ pub struct Sample {
     pub input: Input,
     /// Scatter, [2, 12, 16] row-major: once, more than once. Noisy means, 0 or more, in the unit of the scale.
     pub truth: Vec<f32>,
-    /// Standard errors of `truth`.
+    /// Standard errors, [3, 12, 16]: of `truth`, and of the sum of its pages.
     pub truth_error: Vec<f32>,
     /// By it, samples are held out.
     pub specimen: String,
@@ -30,6 +31,8 @@ pub struct Dataset {
     pub channels: Vec<String>,
     /// Names of the scalars, in order.
     pub scalar_names: Vec<String>,
+    /// What made them.
+    pub origin: String,
     /// By name of their file, then by place in it.
     pub samples: Vec<Sample>,
 }
@@ -53,6 +56,7 @@ impl Dataset {
             let dataset = dataset.get_or_insert_with(|| Self {
                 channels: shard.channels.clone(),
                 scalar_names: shard.scalar_names.clone(),
+                origin: shard.origin.clone(),
                 samples: Vec::new(),
             });
             dataset.take(path, shard)?;
@@ -64,6 +68,7 @@ impl Dataset {
     /// The samples of `shard`, which came from `path`.
     fn take(&mut self, path: &Path, shard: Shard) -> Result<(), LearnError> {
         for (what, expected, found) in [
+            ("what made the samples", self.origin.clone(), shard.origin.clone()),
             ("channels", format!("{:?}", self.channels), format!("{:?}", shard.channels)),
             ("scalars", format!("{:?}", self.scalar_names), format!("{:?}", shard.scalar_names)),
             ("columns and rows of the inputs", format!("{:?}", [COLUMNS, ROWS]), format!("{:?}", shard.grid_px)),
@@ -78,7 +83,7 @@ impl Dataset {
             let of = |values: &[f32], length: usize| values[index * length..(index + 1) * length].to_vec();
             let input =
                 Input { inputs: of(&shard.inputs, pixels), scalars: of(&shard.scalars, scalars), scale: shard.scale[index] };
-            let (truth, truth_error) = (of(&shard.truth, cells), of(&shard.truth_error, cells));
+            let (truth, truth_error) = (of(&shard.truth, cells), of(&shard.truth_error, ERRORS * CELLS));
             let sample = Sample { input, truth, truth_error, specimen, seed: *seed };
             sample.check().map_err(|(what, expected, found)| LearnError::Sample {
                 path: path.to_owned(),

@@ -21,7 +21,7 @@ pub enum LearnError {
     #[error(transparent)]
     Shard(#[from] ShardError),
     /// The folder has no files of samples.
-    #[error("folder of samples {}: has no *.safetensors files; make samples first", path.display())]
+    #[error("folder of samples {}: has no *.safetensors files with samples in them; make some with `sidecarm dataset scatter`", path.display())]
     NoSamples {
         /// The folder.
         path: PathBuf,

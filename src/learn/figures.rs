@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Sample;
 use super::loss::Batch;
-use crate::infer::{CELLS, Card, Network};
+use crate::infer::{CELLS, Card, Network, PAGES};
 
 /// Figures over samples; of each sample one figure, then their mean.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -15,9 +15,9 @@ use crate::infer::{CELLS, Card, Network};
 pub struct Figures {
     /// Samples.
     pub samples: usize,
-    /// Σ(Ŝ−S)²/ΣS² over the cells of the sum of pages, S the noisy truth.
+    /// Σ(Ŝ−S)²/ΣS² over the cells of the sum of pages, S the noisy truth, its noise taken off the divisor.
     pub nmse_raw: f64,
-    /// Share of it that is the truth's noise: Σσ²/ΣS², σ² the sum of the pages' squared standard errors.
+    /// Share of it that is the truth's noise: Σσ²/ΣS², σ the standard error of the sum of pages.
     pub noise: f64,
     /// Mean of Ŝ's mean over S's mean, less 1.
     pub mean_bias: f64,
@@ -102,10 +102,12 @@ impl OfSample {
             let (predicted, truth) = (sum(ratio) * f64::from(sample.input.scale), sum(&sample.truth));
             difference += (predicted - truth).powi(2);
             square += truth * truth;
-            noise += f64::from(sample.truth_error[cell]).powi(2) + f64::from(sample.truth_error[CELLS + cell]).powi(2);
+            noise += f64::from(sample.truth_error[PAGES * CELLS + cell]).powi(2);
             predicted_sum += predicted;
             truth_sum += truth;
         }
+        // The noise of the truth is in its square as well.
+        let square = (square - noise).max(0.1 * square);
         Self { nmse_raw: difference / square, noise: noise / square, mean_error: predicted_sum / truth_sum - 1.0 }
     }
 }
@@ -119,12 +121,16 @@ mod tests {
     fn figures_of_a_sample_follow_from_their_formulae() {
         let input = Input { inputs: vec![], scalars: vec![], scale: 2.0 };
         let truth = [vec![3.0; CELLS], vec![1.0; CELLS]].concat();
-        let sample = Sample { input, truth, truth_error: vec![0.2; 2 * CELLS], specimen: String::new(), seed: 0 };
-        // Predicted 2 · (1.1 + 1.1) = 4.4, true 4: off by a tenth; noise 0.04 + 0.04 over 16.
+        let sample = Sample { input, truth, truth_error: vec![0.2; 3 * CELLS], specimen: String::new(), seed: 0 };
+        // Predicted 2 · (1.1 + 1.1) = 4.4, seen 4: off by 0.4; noise 0.04, of which 16 is as much more than the truth's square.
         let one = OfSample::new(&sample, &vec![1.1; 2 * CELLS]);
-        assert!((one.nmse_raw - 0.01).abs() < 1e-6 && (one.noise - 0.005).abs() < 1e-6 && (one.mean_error - 0.1).abs() < 1e-6);
+        assert!(
+            (one.nmse_raw - 0.16 / 15.96).abs() < 1e-6
+                && (one.noise - 0.04 / 15.96).abs() < 1e-6
+                && (one.mean_error - 0.1).abs() < 1e-6
+        );
         let low = OfSample { nmse_raw: 0.0, noise: 0.0, mean_error: -0.1 };
         let both = Figures::new(&[one, low]);
-        assert!(both.mean_bias.abs() < 1e-6 && (both.mean_rms - 0.1).abs() < 1e-6 && (both.nmse() - 0.0025).abs() < 1e-6);
+        assert!(both.mean_bias.abs() < 1e-6 && (both.mean_rms - 0.1).abs() < 1e-6 && (both.nmse() - 0.06 / 15.96).abs() < 1e-6);
     }
 }

@@ -1,5 +1,6 @@
 //! Mirror images of samples: physics does not know left from right.
 
+use super::shard::ERRORS;
 use super::{Dataset, Sample};
 use crate::infer::{CELL_COLUMNS, COLUMNS};
 
@@ -48,9 +49,8 @@ impl Dataset {
         }
         let scalars = self.scalar_names.iter().zip(&mut sample.input.scalars);
         scalars.filter(|(name, _)| mirror.negates(name)).for_each(|(_, value)| *value = -*value);
-        for values in [&mut sample.truth, &mut sample.truth_error] {
-            mirror.pages(values, crate::infer::PAGES, CELL_COLUMNS);
-        }
+        mirror.pages(&mut sample.truth, crate::infer::PAGES, CELL_COLUMNS);
+        mirror.pages(&mut sample.truth_error, ERRORS, CELL_COLUMNS);
         sample
     }
 }

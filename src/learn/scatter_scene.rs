@@ -7,7 +7,7 @@ use glam::{DAffine3, DMat3, DQuat, DVec2, DVec3};
 use crate::geometry::{Intrinsics, Rigid, View};
 use crate::random::{Purpose, Stream};
 use crate::scene::model::{Matter, Object, Response, Scene, Shape, Solid, Volume};
-use crate::scene::optics::{Axis, Field, Grid, Heel, Scintillator, Strips, Towards};
+use crate::scene::optics::{Axis, BowTie, Field, Grid, Heel, Scintillator, Strips, Towards};
 use crate::scene::physics::{Material, PhysicsError, Spectrum};
 
 /// Scatter knows nothing of finer voxels.
@@ -27,9 +27,9 @@ pub struct Specimen {
 }
 
 impl Specimen {
-    /// The objects of a scene, whatever its beam, view and detector are.
+    /// The objects of a scene, whatever its beam, view and detector are; `None` where it holds no matter.
     #[must_use]
-    pub fn new(name: &str, scene: &Scene) -> Self {
+    pub fn new(name: &str, scene: &Scene) -> Option<Self> {
         let mut scene = scene.clone();
         let (mut low_mm, mut high_mm) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
         for object in &mut scene.objects {
@@ -41,7 +41,13 @@ impl Specimen {
             let (low, high) = bounds_mm(&object.matter);
             (low_mm, high_mm) = (low_mm.min(low), high_mm.max(high));
         }
-        Self { name: name.to_owned(), scene, low_mm, high_mm }
+        let is_somewhere = low_mm.cmple(high_mm).all();
+        is_somewhere.then(|| Self { name: name.to_owned(), scene, low_mm, high_mm })
+    }
+
+    /// Whether it is nothing but scans, which another build does not tear from what lies in them.
+    fn is_scanned(&self) -> bool {
+        self.scene.objects.iter().all(|object| matches!(object.matter, Matter::Volume(_) | Matter::Parts(_)))
     }
 }
 
@@ -120,11 +126,9 @@ pub fn drawn(specimen: Option<&Specimen>, seed: u64) -> Result<(Scene, View), Ph
         Some(specimen) => {
             scene.materials = specimen.scene.materials.clone();
             scene.objects = specimen.scene.objects.clone();
-            let scale = DVec3::new(
-                if draw.chance(0.5) { 1.0 } else { -1.0 } * draw.between(0.85, 1.15),
-                draw.between(0.85, 1.15),
-                draw.between(0.85, 1.15),
-            );
+            let side = if draw.chance(0.5) { 1.0 } else { -1.0 };
+            let build = draw.between3(DVec3::splat(0.85), DVec3::splat(1.15)) * DVec3::new(side, 1.0, 1.0);
+            let scale = if specimen.is_scanned() { build } else { DVec3::ONE };
             let density = draw.between(0.9, 1.1) as f32;
             scene.objects.iter_mut().for_each(|object| vary(&mut object.matter, scale, density));
             let bounds = [specimen.low_mm * scale, specimen.high_mm * scale];
@@ -133,7 +137,7 @@ pub fn drawn(specimen: Option<&Specimen>, seed: u64) -> Result<(Scene, View), Ph
         None => phantom(&mut scene, &mut draw)?,
     };
     let centre_mm = 0.5 * (low_mm + high_mm) + draw.between3(DVec3::splat(-0.3), DVec3::splat(0.3)) * (high_mm - low_mm);
-    let (view, towards) = seen_from(centre_mm, &mut draw);
+    let (view, towards) = seen_from(centre_mm, specimen.is_some(), &mut draw);
     company(&mut scene, centre_mm, towards, 0.5 * (high_mm - low_mm).length(), &mut draw)?;
     beam(&mut scene, &view, &mut draw)?;
     Ok((scene, view))
@@ -201,13 +205,19 @@ fn phantom(scene: &mut Scene, draw: &mut Draw) -> Result<(DVec3, DVec3), Physics
     Ok((-half, half))
 }
 
-/// A C-arm around a point; also the direction of its principal ray.
-fn seen_from(centre_mm: DVec3, draw: &mut Draw) -> (View, DVec3) {
+/// Sine of how far a beam may lean along a patient who lies along z.
+const MOST_LEAN: f64 = 0.75;
+
+/// A C-arm around a point, which does not look along a patient; also the direction of its principal ray.
+fn seen_from(centre_mm: DVec3, is_patient: bool, draw: &mut Draw) -> (View, DVec3) {
     let sdd_mm = draw.between(900.0, 1300.0);
     let depth_mm = draw.between(0.5, 0.8) * sdd_mm;
-    let width_mm = draw.between(150.0, 430.0);
+    let width_mm = draw.between(90.0, 430.0);
     let height_mm = width_mm * draw.one_of(&[1.0, 1.0, 0.75, 0.775, 0.8, 1.25]);
-    let rotation = draw.rotation();
+    let mut rotation = draw.rotation();
+    while is_patient && (rotation.inverse() * DVec3::Z).z.abs() > MOST_LEAN {
+        rotation = draw.rotation();
+    }
     // Pixels of 1 mm: the raster is coarser than any.
     let size_px = [width_mm.round() as u32, height_mm.round() as u32];
     let [cx, cy] = size_px.map(|n| 0.5 * (f64::from(n) - 1.0));
@@ -236,7 +246,9 @@ fn company(scene: &mut Scene, centre_mm: DVec3, towards: DVec3, reach_mm: f64, d
         let side = if draw.chance(0.7) { -1.0 } else { 1.0 };
         let half_size_mm = DVec3::new(260.0, 260.0, draw.between(2.0, 10.0));
         let at = centre_mm + towards * (side * (0.6 * reach_mm + draw.between(10.0, 40.0)));
-        let lps_from_local = Rigid { rotation: DQuat::from_rotation_arc(DVec3::Z, towards), translation_mm: at };
+        // Crossed at right angles, or obliquely.
+        let tilt = DQuat::from_axis_angle(towards.any_orthonormal_vector(), draw.between(-1.0, 1.0).powi(3));
+        let lps_from_local = Rigid { rotation: tilt * DQuat::from_rotation_arc(DVec3::Z, towards), translation_mm: at };
         let name = draw.one_of(&["pmma", "peek"]);
         let table = solid(scene, Shape::Cuboid { half_size_mm }, lps_from_local, name, 1.0)?;
         // What it runs through is not displaced: it comes first.
@@ -253,21 +265,37 @@ fn beam(scene: &mut Scene, view: &View, draw: &mut Draw) -> Result<(), PhysicsEr
     if draw.chance(0.4) {
         filters.push((Material::parse("copper")?, draw.between(0.05, 0.9)));
     }
-    let anode_angle_deg = draw.between(8.0, 16.0);
+    let has_heel = draw.chance(0.2);
+    // A steeper anode would leave the corners of a large image dark.
+    let anode_angle_deg = draw.between(if has_heel { 12.0 } else { 8.0 }, 16.0);
     scene.beam.spectrum = Spectrum::tungsten(kvp, anode_angle_deg, &filters)?;
     let [width_mm, height_mm] = view.size_px.map(f64::from);
     let centre_mm = DVec2::new(draw.between(-0.08, 0.08) * width_mm, draw.between(-0.08, 0.08) * height_mm);
-    scene.beam.shape.field = match draw.one_of(&[0, 0, 1, 2]) {
+    scene.beam.shape.field = match draw.one_of(&[0, 0, 0, 1, 1, 2, 2, 3]) {
         0 => None,
+        // The image is a part of the panel.
+        3 => {
+            let size_mm = DVec2::new(width_mm, height_mm) * draw.between(1.0, 1.6);
+            Some(Field::Rectangle { size_mm, centre_mm, rotation_deg: 0.0 })
+        }
         1 => {
             let size_mm = DVec2::new(draw.between(0.4, 0.9) * width_mm, draw.between(0.4, 0.9) * height_mm);
             Some(Field::Rectangle { size_mm, centre_mm, rotation_deg: draw.between(-10.0, 10.0) })
         }
         _ => Some(Field::Circle { diameter_mm: draw.between(0.5, 1.0) * width_mm.min(height_mm), centre_mm }),
     };
-    if draw.chance(0.2) {
+    if has_heel {
         let anode_towards = draw.one_of(&[Towards::PlusColumn, Towards::MinusColumn, Towards::PlusRow, Towards::MinusRow]);
-        scene.beam.shape.heel = Some(Heel { tube_kvp: kvp, anode_angle_deg: anode_angle_deg.max(12.0), anode_towards });
+        scene.beam.shape.heel = Some(Heel { tube_kvp: kvp, anode_angle_deg, anode_towards });
+    }
+    if draw.chance(0.1) {
+        let (material, most_mm) = if draw.chance(0.5) { ("aluminium", 20.0) } else { ("pmma", 60.0) };
+        let material = Material::parse(material)?;
+        let density_g_per_cm3 = material.nominal_density_g_per_cm3()?;
+        let edge_mm = draw.between(0.2, 1.0) * most_mm;
+        let thickness_mm = vec![[-12.0, edge_mm], [0.0, 0.05 * edge_mm], [12.0, edge_mm]];
+        let axis = draw.one_of(&[Axis::Column, Axis::Row]);
+        scene.beam.shape.bowtie = Some(BowTie { material, density_g_per_cm3, axis, thickness_mm });
     }
     let detector = &mut scene.detector;
     detector.pitch_mm = 1.0;
@@ -309,7 +337,7 @@ mod tests {
         };
         push(&mut scene, "other", Vec::new());
         scene.objects[0].matter = Matter::Volume(Arc::new(volume));
-        Specimen::new("block", &scene)
+        Specimen::new("block", &scene).expect("matter")
     }
 
     #[test]

@@ -8,6 +8,9 @@ use serde::de::DeserializeOwned;
 use crate::image::{ImageFileError, write_atomically};
 use crate::infer::{PAGES, TensorFault, bytes_from_tensors, floats_of, metadata_of, tensors_from_bytes};
 
+/// Pages of the standard errors: those of the truth, and their sum.
+pub(super) const ERRORS: usize = PAGES + 1;
+
 /// Samples of one file. Arrays lie sample by sample, row-major, row 0 at the top.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Shard {
@@ -27,12 +30,16 @@ pub struct Shard {
     pub scale: Vec<f32>,
     /// [samples, 2, rows, columns]: scattered once, and more often, in units of the unattenuated signal.
     pub truth: Vec<f32>,
-    /// As `truth`: its standard errors.
+    /// [samples, 3, rows, columns]: standard errors of `truth`, and of the sum of its pages.
     pub truth_error: Vec<f32>,
     /// By sample.
     pub specimens: Vec<String>,
     /// By sample.
     pub seeds: Vec<u64>,
+    /// First seed that was asked for, and the one after the last.
+    pub asked: Vec<u64>,
+    /// What made it: files that differ in it are not of one set.
+    pub origin: String,
 }
 
 /// Why a file of samples cannot be used.
@@ -63,7 +70,7 @@ impl Shard {
     /// Writes it, whole or not at all.
     ///
     /// # Errors
-    /// When its lengths disagree, or the file cannot be written.
+    /// When its lengths disagree, a value is not finite, or the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), ShardError> {
         let samples = self.seeds.len();
         let ([columns, rows], [truth_columns, truth_rows]) = (self.grid_px, self.truth_px);
@@ -72,17 +79,24 @@ impl Shard {
             ("inputs", vec![samples, self.channels.len(), rows, columns], self.inputs.as_slice()),
             ("scalars", vec![samples, self.scalar_names.len()], &self.scalars),
             ("scale", vec![samples], &self.scale),
-            ("truth", truth_shape.clone(), &self.truth),
-            ("truth_error", truth_shape, &self.truth_error),
+            ("truth", truth_shape, &self.truth),
+            ("truth_error", vec![samples, ERRORS, truth_rows, truth_columns], &self.truth_error),
         ];
         let lists = [
             ("channels", serde_json::json!(self.channels)),
             ("scalar_names", serde_json::json!(self.scalar_names)),
             ("specimens", serde_json::json!(self.specimens)),
             ("seeds", serde_json::json!(self.seeds)),
+            ("asked", serde_json::json!(self.asked)),
+            ("origin", serde_json::json!([self.origin])),
         ];
         let lists = lists.map(|(key, list)| (key.to_owned(), list.to_string()));
         let content = |fault| ShardError::Content { path: path.to_owned(), fault };
+        for (name, _, values) in &list {
+            if let Some(index) = values.iter().position(|value| !value.is_finite()) {
+                return Err(content(TensorFault::NotFinite { name: (*name).to_owned(), index }));
+            }
+        }
         let bytes = bytes_from_tensors(&list, Some(HashMap::from(lists))).map_err(content)?;
         Ok(write_atomically(path, |file| file.write_all(&bytes))?)
     }
@@ -117,19 +131,22 @@ impl Shard {
             Err(_) => Err(TensorFault::Missing { name: name.to_owned() }),
         };
         let (grid_px, truth_px) = (grid("inputs")?, grid("truth")?);
-        let truth_shape = [samples, PAGES, truth_px[1], truth_px[0]];
+        let (truth_shape, error_shape) =
+            ([samples, PAGES, truth_px[1], truth_px[0]], [samples, ERRORS, truth_px[1], truth_px[0]]);
         Ok(Self {
             inputs: floats_of(&tensors, "inputs", &[samples, channels.len(), grid_px[1], grid_px[0]])?,
             scalars: floats_of(&tensors, "scalars", &[samples, scalar_names.len()])?,
             scale: floats_of(&tensors, "scale", &[samples])?,
             truth: floats_of(&tensors, "truth", &truth_shape)?,
-            truth_error: floats_of(&tensors, "truth_error", &truth_shape)?,
+            truth_error: floats_of(&tensors, "truth_error", &error_shape)?,
             channels,
             scalar_names,
             grid_px,
             truth_px,
             specimens,
             seeds,
+            asked: list_of(&lists, "asked")?,
+            origin: list_of::<String>(&lists, "origin")?.concat(),
         })
     }
 }

@@ -34,9 +34,12 @@ pub(super) fn looseness(
     landmarks: &[Landmark],
     covariance: &DMatrix<f64>,
 ) -> Option<String> {
-    let at = |landmark: &Landmark| worst_direction_px(solution, landmark.lps_mm, covariance).unwrap_or(f64::INFINITY);
-    let of_landmarks = landmarks.iter().map(|landmark| (at(landmark), format!("at {}", landmark.name)));
-    // A σ that is not a number is the worst of all.
+    // A landmark behind the source is in no picture; a σ that is not a number, of either sign, is the worst of all.
+    let at = |landmark: &Landmark| {
+        let sigma_px = worst_direction_px(solution, landmark.lps_mm, covariance)?;
+        Some((if sigma_px.is_nan() { f64::INFINITY } else { sigma_px }, format!("at {}", landmark.name)))
+    };
+    let of_landmarks = landmarks.iter().filter_map(at);
     let worst = of_landmarks.max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((off_plane.sigma_px, "off their plane".to_owned()));
     let (sigma_px, place) = worst;
     (!(sigma_px <= LOOSE_PX)).then(|| {

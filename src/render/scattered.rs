@@ -78,7 +78,8 @@ impl Scatter {
             Origin::Network { outside, .. } => format!("by the network, though not trained for this ({})", outside.join("; ")),
         };
         let good = if self.relative_error.is_finite() {
-            format!("good to {:.1} % in the median", 100.0 * self.relative_error)
+            let of = if matches!(self.from, Origin::Photons { .. }) { "in the median" } else { "of their root mean square" };
+            format!("good to {:.1} % {of}", 100.0 * self.relative_error)
         } else {
             "most of which saw none".to_owned()
         };
@@ -124,9 +125,15 @@ impl Scatter {
                     *arriving = joined(arriving, open, seen, flood.response(pixel), bins);
                 }
                 if valid[pixel] == 1 {
-                    let sigma =
-                        unit * by_column.iter().map(|(cell, weight)| weight * weight * varied_along[*cell]).sum::<f64>().sqrt();
                     let cell = down.nearest(row) * across.cells + across.nearest(column);
+                    // Photons err cell by cell, a network in all of them alike.
+                    let sigma = unit
+                        * match self.from {
+                            Origin::Photons { .. } => {
+                                by_column.iter().map(|(cell, weight)| weight * weight * varied_along[*cell]).sum::<f64>().sqrt()
+                            }
+                            Origin::Network { .. } => self.error.pixels[cell],
+                        };
                     let share = if outer_row || across.is_outer(column) { BENT.1 } else { BENT.0 };
                     errors.push(match SIGMAS * sigma + share * unit * bends[cell] {
                         // Where nothing is added nothing is off, however thick the object.

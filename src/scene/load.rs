@@ -124,7 +124,7 @@ fn load_bytes(
     Ok(scene)
 }
 
-/// Which scatter; that of the network is not there.
+/// Which scatter.
 fn scatter_model(file: &SceneFile) -> ScatterModel {
     match file.model.scatter {
         ScatterFile::Off => ScatterModel::Off,

@@ -5,7 +5,7 @@ use glam::{DVec2, DVec3};
 use super::error::TransportError;
 use crate::geometry::View;
 use crate::scene::model::{Response, Scene};
-use crate::scene::optics::Strips;
+use crate::scene::optics::{Axis, Strips};
 use crate::scene::physics::ENERGY_RANGE_KEV;
 
 /// Rows of the response per keV.
@@ -82,10 +82,11 @@ impl Panel {
         self.strips.map_or(1.0, |strips| strips.share(self.on_plane(point), in_camera(), self.distance_mm))
     }
 
-    /// Ratio of the antiscatter grid; 0 without one.
+    /// Ratio of an antiscatter grid whose strips follow each other along columns' direction, and along rows'; 0 for none.
     #[must_use]
-    pub fn grid_ratio(&self) -> f64 {
-        self.strips.map_or(0.0, |strips| strips.ratio)
+    pub fn grid_ratios(&self) -> [f64; 2] {
+        [Axis::Column, Axis::Row]
+            .map(|axis| self.strips.filter(|strips| strips.across == axis).map_or(0.0, |strips| strips.ratio))
     }
 
     /// Depth of a point below the plane, mm: negative behind the detector.

@@ -102,6 +102,12 @@ impl<'a> Simulation<'a> {
         &self.unattenuated
     }
 
+    /// [`Self::unattenuated`] without heel and bow-tie.
+    #[must_use]
+    pub fn unshaped(&self) -> Vec<f64> {
+        self.world.source.unshaped(&self.world.panel)
+    }
+
     /// Number of scene materials.
     #[must_use]
     pub fn materials(&self) -> usize {

@@ -39,6 +39,16 @@ pub struct Start {
     pub weight: f64,
 }
 
+/// Energies of a spectrum put together.
+#[derive(Clone, Debug)]
+pub struct Groups {
+    /// Mean by group, weighed by signal.
+    pub energies_kev: Vec<f64>,
+    of_bin: Vec<usize>,
+    /// By bin, its share of the signal.
+    of_signal: Vec<f64>,
+}
+
 /// The beam.
 pub struct Source {
     field: Option<Field>,
@@ -126,6 +136,12 @@ impl Source {
         step.x * step.y * (0..SOLID_ANGLE_POINTS).map(row).sum::<f64>()
     }
 
+    /// Opening of the collimator on the plane, by solid angle: ∫ (SDD/d)³ over it.
+    #[must_use]
+    pub fn open_mm2(&self) -> f64 {
+        self.open_mm2
+    }
+
     /// Mean energy of the photons on the principal ray.
     #[must_use]
     pub fn mean_kev(&self) -> f64 {
@@ -138,26 +154,43 @@ impl Source {
         if !self.is_open(on_plane_mm, panel) {
             return 0.0;
         }
+        if self.left.is_everything() {
+            return 1.0;
+        }
         let ray = on_plane_mm.extend(panel.distance_mm);
         self.fractions.iter().enumerate().map(|(bin, fraction)| fraction * self.left.share(bin, ray)).sum()
     }
 
-    /// The spectrum on the principal ray in `count` groups at most: energy, keV, and share of the detected signal of each. Neighbours of about
-    /// as much signal are put together.
+    /// The spectrum on the principal ray in `count` groups at most: neighbours of about as much signal are put together.
     #[must_use]
-    pub fn thinned(&self, panel: &Panel, count: usize) -> Vec<(f64, f64)> {
+    pub fn grouped(&self, panel: &Panel, count: usize) -> Groups {
         let signal: Vec<f64> = self.energies_kev.iter().zip(&self.fractions).map(|(kev, n)| n * panel.response(*kev)).collect();
         let all: f64 = signal.iter().sum();
-        let (mut groups, mut sum) = (vec![(0.0, 0.0); count], 0.0);
+        let mut groups = Groups { energies_kev: vec![0.0; count], of_bin: Vec::new(), of_signal: Vec::new() };
+        let (mut shares, mut sum) = (vec![0.0; count], 0.0);
         for (energy_kev, signal) in self.energies_kev.iter().zip(&signal) {
             let group = (((sum + 0.5 * signal) / all * count as f64) as usize).min(count - 1);
             sum += signal;
-            let (weighted, share) = &mut groups[group];
-            *weighted += energy_kev * signal;
-            *share += signal;
+            shares[group] += signal;
+            groups.energies_kev[group] += energy_kev * signal;
+            groups.of_bin.push(group);
+            groups.of_signal.push(signal / all);
         }
-        let kept = groups.iter().filter(|(_, share)| *share > 0.0);
-        kept.map(|(weighted, share)| (weighted / share, share / all)).collect()
+        // A group without bins has no signal at any energy.
+        for (energy_kev, share) in groups.energies_kev.iter_mut().zip(shares) {
+            *energy_kev = if share > 0.0 { *energy_kev / share } else { self.energies_kev[0] };
+        }
+        groups
+    }
+
+    /// Signal by group in the direction of a point of the open plane, as a share of all of it without heel and bow-tie.
+    #[must_use]
+    pub fn shares(&self, groups: &Groups, panel: &Panel, on_plane_mm: DVec2) -> Vec<f64> {
+        let (ray, mut shares) = (on_plane_mm.extend(panel.distance_mm), vec![0.0; groups.energies_kev.len()]);
+        for (bin, (group, signal)) in groups.of_bin.iter().zip(&groups.of_signal).enumerate() {
+            shares[*group] += signal * if self.left.is_everything() { 1.0 } else { self.left.share(bin, ray) };
+        }
+        shares
     }
 
     /// Starts a photon.
@@ -186,11 +219,21 @@ impl Source {
     /// What one history adds on average to each pixel with nothing in the beam, were all of the panel open.
     #[must_use]
     pub fn unattenuated(&self, panel: &Panel) -> Vec<f64> {
+        self.flood(panel, true)
+    }
+
+    /// The same without heel and bow-tie: nowhere 0, and as smooth as the distance.
+    #[must_use]
+    pub fn unshaped(&self, panel: &Panel) -> Vec<f64> {
+        self.flood(panel, false)
+    }
+
+    fn flood(&self, panel: &Panel, shaped: bool) -> Vec<f64> {
         let responses: Vec<f64> = self.energies_kev.iter().map(|energy_kev| panel.response(*energy_kev)).collect();
         let plain: f64 = responses.iter().zip(&self.fractions).map(|(response, fraction)| response * fraction).sum();
         let signal = |point: DVec2| {
             let ray = point.extend(panel.distance_mm);
-            let mean = if self.left.is_everything() {
+            let mean = if !shaped || self.left.is_everything() {
                 plain
             } else {
                 let bins = responses.iter().zip(&self.fractions).enumerate();

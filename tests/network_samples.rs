@@ -42,7 +42,7 @@ pub fn shard(first: u64, count: u64) -> Shard {
         shard.scale.push(scale as f32);
         let mut of_sum = vec![0.0_f32; CELL_ROWS * CELL_COLUMNS];
         for multiple in [false, true] {
-            for cell in 0..CELL_ROWS * CELL_COLUMNS {
+            for (cell, of_sum) in of_sum.iter_mut().enumerate() {
                 let x = ((cell % CELL_COLUMNS) as f64 + 0.5 - CELL_COLUMNS as f64 / 2.0) * 4.0 * pixel_mm;
                 let y = ((cell / CELL_COLUMNS) as f64 + 0.5 - CELL_ROWS as f64 / 2.0) * 4.0 * pixel_mm;
                 let t = thickness(x, y);
@@ -50,7 +50,7 @@ pub fn shard(first: u64, count: u64) -> Shard {
                     if multiple { 0.5 * scale * (50.0 / kev) * (0.3 * t).exp() } else { scale * (0.2 + t) * (-0.5 * t).exp() };
                 shard.truth.push((value * (1.0 + 0.02 * stream.normal())) as f32);
                 shard.truth_error.push((0.02 * value) as f32);
-                of_sum[cell] = of_sum[cell].hypot((0.02 * value) as f32);
+                *of_sum = of_sum.hypot((0.02 * value) as f32);
             }
         }
         shard.truth_error.extend(of_sum);

@@ -149,7 +149,7 @@ fn recipe(args: &TrainScatterArgs) -> Result<Recipe, TrainError> {
     let files = TrainFiles::of(&args.out);
     if args.resume {
         let found = recipe_of_checkpoint(&args.out)?;
-        return found.ok_or_else(|| TrainError::Nothing { path: files.checkpoint });
+        return found.ok_or(TrainError::Nothing { path: files.checkpoint });
     }
     if let Some(path) = [files.network.weights, files.checkpoint].into_iter().find(|path| path.exists()) {
         return Err(TrainError::Exists { path });

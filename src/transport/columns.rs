@@ -293,12 +293,12 @@ mod tests {
         simulation.run(&mut tally, |_| Ok::<(), ()>(())).expect("nothing stops it");
         let fine = 8;
         let (found, unit) = (simulation.columns([10 * fine, 8 * fine]), simulation.unshaped());
-        for cell in 0..80 {
+        for (cell, unit) in unit.iter().enumerate() {
             let (column, row) = (cell % 10 * fine, cell / 10 * fine);
             let rays = (0..fine * fine).map(|n| found.channels[0][(row + n / fine) * 10 * fine + column + n % fine]);
             let mean = rays.map(f64::from).sum::<f64>() / (fine * fine) as f64;
             let primary = tally.signal(Page::Primary, cell, BATCH);
-            let (truth, error) = (primary.mean / unit[cell], primary.standard_error / unit[cell]);
+            let (truth, error) = (primary.mean / unit, primary.standard_error / unit);
             assert!((mean - truth).abs() < 4.0 * error + 0.01 * truth, "cell {cell}: {mean}, photons find {truth} ± {error}");
         }
     }

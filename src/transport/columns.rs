@@ -188,7 +188,7 @@ mod tests {
     use super::*;
     use crate::geometry::{Intrinsics, Rigid, View};
     use crate::scene::model::{Matter, Scene, Shape};
-    use crate::scene::optics::{Axis, BowTie, Field, Heel, Scintillator, Towards};
+    use crate::scene::optics::{Axis, BowTie, Field, Grid, Heel, Scintillator, Strips, Towards};
     use crate::scene::physics::{Material, Spectrum};
     use crate::transport::fixture::{everything, scene, solid};
     use crate::transport::{BATCH, Histories, Page};
@@ -211,6 +211,8 @@ mod tests {
             scene(&["water"], vec![Matter::Solids(vec![solid(slab, DVec3::new(0.0, 0.0, 550.0), DVec3::ZERO, 0, 1.0)])]);
         let size_mm = DVec2::new(40.0, 200.0);
         scene.beam.shape.field = Some(Field::Rectangle { size_mm, centre_mm: DVec2::ZERO, rotation_deg: 0.0 });
+        let strips = Some(Strips { ratio: 10.0, across: Axis::Row });
+        scene.detector.panel.grid = Some(Grid { primary_transmission: 0.7, strips });
         let found = simulation(&scene, &view(), 1).columns([20, 16]);
         let water = scene.materials[0].attenuation(60.0).expect("inside");
         for cell in 0..20 * 16 {
@@ -239,7 +241,7 @@ mod tests {
                 );
             }
         }
-        assert_eq!(found.scalars[..6], [1000.0, 60.0, 100.0, 80.0, 0.0, 0.0]);
+        assert_eq!(found.scalars[..6], [1000.0, 60.0, 100.0, 80.0, 0.0, 10.0]);
         // Half of the field lies beside the image; its solid angle is a little less than its area's.
         assert!((found.scalars[6] - 0.8).abs() < 1e-6 && (found.scalars[7] - 1.0).abs() < 0.02 && found.scale > 0.0);
     }

@@ -349,6 +349,24 @@ mod tests {
         assert!(specimen.high_mm.distance(DVec3::new(39.0, 0.0, 95.0)) < 1e-9, "{}", specimen.high_mm);
     }
 
+    /// A shape far from the origin is where the beam looks for it.
+    #[test]
+    fn a_specimen_of_shapes_is_in_view() {
+        let mut scene = Scene::plain(Spectrum::mono(60.0).expect("inside"));
+        let half_size_mm = DVec3::splat(60.0);
+        let at = Rigid::translation(DVec3::new(300.0, 0.0, 0.0));
+        let block = solid(&mut scene, Shape::Cuboid { half_size_mm }, at, "water", 1.0).expect("known");
+        push(&mut scene, "block", vec![block]);
+        let specimen = Specimen::new("block", &scene).expect("matter");
+        for seed in 0..24 {
+            let (scene, view) = drawn(Some(&specimen), seed).expect("drawn");
+            let columns = Simulation::new(&scene, &view, Histories::default()).expect("prepared").columns([16, 12]);
+            // Through a tool or a table alone it would be less.
+            let thickest = columns.channels[1].iter().fold(0.0, |most: f32, value| most.max(*value));
+            assert!(columns.channels[4].iter().any(|height_mm| *height_mm > 0.0) && thickest > 0.5, "seed {seed}: {thickest}");
+        }
+    }
+
     /// Every drawn scene can be transported; a seed is a scene; seeds differ.
     #[test]
     fn drawn_scenes_can_be_transported_and_are_their_seeds() {

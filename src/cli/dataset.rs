@@ -3,14 +3,15 @@
 use std::path::PathBuf;
 
 use crate::image::{ImageFileError, sha256_file};
+use crate::infer::{CELL_COLUMNS, CELL_ROWS, COLUMNS, ROWS};
 use crate::learn::{Shard, ShardError, Specimen, drawn};
 use crate::reporter::Reporter;
 use crate::scene::{self, SceneError};
 use crate::transport::{BATCH, CHANNELS, Columns, Histories, Page, SCALARS, Simulation, TransportError};
 
 /// Columns and rows of what a network is told, and of what it says.
-const GRID_PX: [usize; 2] = [64, 48];
-const TRUTH_PX: [usize; 2] = [16, 12];
+const GRID_PX: [usize; 2] = [COLUMNS, ROWS];
+const TRUTH_PX: [usize; 2] = [CELL_COLUMNS, CELL_ROWS];
 /// Samples of one file.
 const SAMPLES: u64 = 50;
 /// What a sample without a specimen is called.

@@ -29,7 +29,7 @@ pub enum ScatteredError {
     /// The network.
     #[cfg(feature = "learn")]
     #[error(transparent)]
-    Network(#[from] crate::infer::InferError),
+    Network(#[from] crate::transport::PredictError),
     /// None is there.
     #[error("model.scatter is \"network\": {0}")]
     NoNetwork(&'static str),
@@ -60,11 +60,9 @@ fn ask_network(scene: &Scene, view: &View, network: Option<&Path>, reporter: &Re
     use crate::transport::{PredictError, network_inputs, predicted};
     const NONE: &str = "none comes with this version; --scatter-network NAME names one that `sidecarm train scatter` has made";
     let (channels, scalars) = network_inputs();
-    let network = crate::infer::LoadedNetwork::load(network.ok_or(ScatteredError::NoNetwork(NONE))?, channels, scalars)?;
-    let scatter = predicted(&network, scene, view).map_err(|error| match error {
-        PredictError::Scene(error) => ScatteredError::Transport(error),
-        PredictError::Network(error) => ScatteredError::Network(error),
-    })?;
+    let name = network.ok_or(ScatteredError::NoNetwork(NONE))?;
+    let network = crate::infer::LoadedNetwork::load(name, channels, scalars).map_err(PredictError::Network)?;
+    let scatter = predicted(&network, scene, view)?;
     if let Origin::Network { outside, .. } = &scatter.from
         && !outside.is_empty()
     {

@@ -4,6 +4,7 @@ use std::ops::ControlFlow;
 use std::path::PathBuf;
 
 use crate::image::plot::{Axis, Plot, PlotError, Scale, Series};
+use crate::image::{ImageFileError, write_atomically};
 use crate::infer::Architecture;
 use crate::learn::{
     EpochRecord, HoldOut, LearnError, Progress, Recipe, TrainFiles, TrainOptions, Trained, TrainingEnd, recipe_of_checkpoint,
@@ -32,8 +33,7 @@ enum TrainOf {
 
 Written after every epoch: NAME.safetensors (weights) and NAME.json (its card: what it takes, what it was trained on, how good it is on what
 it was not), NAME.csv (losses), NAME.checkpoint (from where --resume goes on); at the end NAME.svg. The epoch that is best on what is held out
-is kept, so its figure there is a little too good. A resumed training gives bit for bit what an
-uninterrupted one gives.")]
+is kept, so its figure there is a little too good. A resumed training gives bit for bit what an uninterrupted one gives.")]
 struct TrainScatterArgs {
     /// Folder of the samples
     dataset: PathBuf,
@@ -92,13 +92,8 @@ pub enum TrainError {
     #[error(transparent)]
     Plot(#[from] PlotError),
     /// Its file.
-    #[error("{}: {source}", path.display())]
-    Io {
-        /// It.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
+    #[error(transparent)]
+    File(#[from] ImageFileError),
 }
 
 /// Trains; 0 on success.
@@ -188,6 +183,6 @@ fn draw(trained: &Trained) -> Result<(), TrainError> {
         ],
         ..Plot::default()
     };
-    let path = trained.files.history.with_extension("svg");
-    std::fs::write(&path, plot.svg()?).map_err(|source| TrainError::Io { path, source })
+    let drawing = plot.svg()?;
+    Ok(write_atomically(&trained.files.history.with_extension("svg"), |file| file.write_all(drawing.as_bytes()))?)
 }

@@ -164,8 +164,8 @@ const STOPPED: f64 = 0.3;
 /// Of the thickness that the primary crosses, what scatter has to.
 const BEHIND: f64 = 0.6;
 
-/// What is scattered and gets out, spread evenly over a sphere around its mean height: mean share that meets the image. Within a factor of
-/// 1.6 of what photons find, in two scenes of three.
+/// What is scattered and gets out, spread evenly over a sphere around its mean height: mean share that meets the image. A
+/// unit for a network to start from: what it learns is the ratio to this.
 fn rough(cells: &[[f32; CHANNELS.len()]], area_mm2: f64) -> f64 {
     let (mut scattered, mut heights) = (0.0, 0.0);
     for [transmission, compton, rayleigh, _, height, _, open, ..] in cells.iter().map(|cell| cell.map(f64::from)) {

@@ -6,6 +6,7 @@ use std::sync::{Arc, OnceLock};
 
 use super::SceneError;
 use super::builder::Builder;
+use super::hounsfield;
 use super::inpaint::{Ball, inpaint_labels, inpaint_metal};
 use super::label_names::{LabelNames, preset_material};
 use super::matter::{self, Air, Class, Classes, Labelled};
@@ -14,6 +15,8 @@ use super::object_file::{AirFile, BODY, CtFile, DensityFile, ElseFile, LabelMate
 use super::physics::Material;
 use super::volumes::VolumeFile;
 
+/// What a threshold takes for bone.
+const BONE: &str = "bone_cortical";
 /// Beyond any metal: tantalum is 60 000 to 100 000 HU on an extended scale.
 const MOST_HU: f32 = 2e5;
 
@@ -23,7 +26,10 @@ impl Builder<'_> {
         let source = self.find_volume("path", &file.path)?;
         let path = source.path().to_owned();
         let mut ct = source.read_voxels(self.reporter)?;
-        let highest_hu = matter::check_hounsfield(&path, &ct, self.reporter);
+        let (highest_hu, doubts) = hounsfield::doubts(&ct);
+        for (kind, words) in doubts {
+            self.reporter.warn(kind, format_args!("{}: {words}", path.display()));
+        }
         if !(highest_hu <= MOST_HU) {
             return Err(self.value(
                 "path",
@@ -46,6 +52,10 @@ impl Builder<'_> {
         let (mut volume, order, doubtful_slices) = matter::from_ct(&self.files.place(&self.key), ct, &classes, air)?;
         if order.is_empty() {
             self.reporter.warn("empty CT", format_args!("{}: no voxel is matter: everything is air", path.display()));
+        }
+        let is_bone = |class: &Class| local[class.material].name == BONE;
+        if file.materials == MaterialsFile::Threshold && !order.is_empty() && !order.iter().any(is_bone) {
+            self.reporter.note(format_args!("{}: no voxel is dense enough for bone", path.display()));
         }
         if doubtful_slices > 0 {
             let words = format!(
@@ -85,7 +95,7 @@ impl Builder<'_> {
     fn threshold_classes(&self, local: &mut Vec<Material>) -> Result<Classes, SceneError> {
         Ok(Classes {
             soft_tissue: Some(self.local_class(local, "materials", "soft_tissue", DensityFile::Hu)?),
-            bone: Some(self.local_class(local, "materials", "bone_cortical", DensityFile::Hu)?),
+            bone: Some(self.local_class(local, "materials", BONE, DensityFile::Hu)?),
             labelled: None,
         })
     }

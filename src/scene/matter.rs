@@ -9,7 +9,6 @@ use super::ambient::AmbientAir;
 use super::density::{DensityCurve, ThresholdClass};
 use super::model::Volume;
 use super::volumes::VolumeFile;
-use crate::reporter::Reporter;
 
 /// A class of voxels: what its voxels are made of, and where their density comes from.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -210,23 +209,4 @@ pub(super) fn labels_on_grid(
         return Err(SceneError::Volume { path: labels_path.to_owned(), detail });
     }
     Ok(labels.values.par_iter().map(|value| *value as u32).collect())
-}
-
-/// Warns where numbers hardly are Hounsfield units; the highest.
-pub(super) fn check_hounsfield(path: &Path, ct: &VolumeFile, reporter: &Reporter) -> f32 {
-    let (low, high) = ct
-        .values
-        .par_iter()
-        .fold(|| (f32::INFINITY, f32::NEG_INFINITY), |(low, high), v| (low.min(*v), high.max(*v)))
-        .reduce(|| (f32::INFINITY, f32::NEG_INFINITY), |a, b| (a.0.min(b.0), a.1.max(b.1)));
-    let shown = path.display();
-    if low >= 0.0 && high <= 2.0 && high > 0.0 {
-        reporter.warn(
-            "not HU",
-            format_args!("{shown}: values from {low} to {high} hardly are Hounsfield numbers: fractions or attenuation?"),
-        );
-    } else if low >= 0.0 && high > 900.0 {
-        reporter.warn("not HU", format_args!("{shown}: no value below 0 HU (up to {high}): was the rescale of -1024 left out?"));
-    }
-    high
 }

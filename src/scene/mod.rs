@@ -13,6 +13,7 @@ pub mod file;
 mod files;
 mod fill;
 mod foreign_files;
+mod hounsfield;
 mod inpaint;
 mod label_names;
 mod load;

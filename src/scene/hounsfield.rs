@@ -1,0 +1,147 @@
+//! Numbers that hardly are Hounsfield units, and grids that hardly show anatomy: said, and taken as they are.
+
+use rayon::prelude::*;
+
+use super::volumes::VolumeFile;
+
+/// Anything but metal in g/cm³, and any attenuation per cm, is below.
+const MOST_DENSITY: f32 = 25.0;
+/// What a picture of 8 bits holds.
+const EIGHT_BITS: f32 = 255.0;
+/// Where water, muscle and fat are, HU; and by how much a scale without its intercept, or with it twice, is off.
+const TISSUE_HU: f32 = 200.0;
+const INTERCEPT_HU: f32 = 1024.0;
+/// Without tissue, and with it somewhere else: shares of the voxels.
+const NONE: f64 = 1e-3;
+const MUCH: f64 = 0.05;
+/// Voxels in which cortical bone is not seen any more.
+const COARSE_MM: f64 = 4.0;
+
+/// What of a CT's voxels is looked at.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Spread {
+    low: f32,
+    high: f32,
+    whole: bool,
+    tissue: usize,
+    above: usize,
+    below: usize,
+}
+
+impl Spread {
+    const NOTHING: Self = Self { low: f32::INFINITY, high: f32::NEG_INFINITY, whole: true, tissue: 0, above: 0, below: 0 };
+
+    fn with(self, value: f32) -> Self {
+        let near = |hu: f32| usize::from((value - hu).abs() <= TISSUE_HU);
+        Self {
+            low: self.low.min(value),
+            high: self.high.max(value),
+            whole: self.whole && value.fract() == 0.0,
+            tissue: self.tissue + near(0.0),
+            above: self.above + near(INTERCEPT_HU),
+            below: self.below + near(-INTERCEPT_HU),
+        }
+    }
+
+    fn and(self, other: Self) -> Self {
+        Self {
+            low: self.low.min(other.low),
+            high: self.high.max(other.high),
+            whole: self.whole && other.whole,
+            tissue: self.tissue + other.tissue,
+            above: self.above + other.above,
+            below: self.below + other.below,
+        }
+    }
+}
+
+/// The highest value of `ct`, and what to doubt about it: a kind and words each.
+#[must_use]
+pub(super) fn doubts(ct: &VolumeFile) -> (f32, Vec<(&'static str, String)>) {
+    let spread =
+        ct.values.par_iter().fold(|| Spread::NOTHING, |all, value| all.with(*value)).reduce(|| Spread::NOTHING, Spread::and);
+    let Spread { low, high, .. } = spread;
+    let share = |count: usize| count as f64 / ct.values.len() as f64;
+    let misses_tissue = share(spread.tissue) < NONE;
+    let scale = if low >= 0.0 && high <= MOST_DENSITY && high > 0.0 {
+        Some(format!("values from {low} to {high} hardly are Hounsfield numbers: densities, fractions or attenuation?"))
+    } else if spread.whole && low >= 0.0 && high > 0.5 * EIGHT_BITS && high <= EIGHT_BITS {
+        Some(format!("whole numbers from {low} to {high} hardly are Hounsfield numbers: grey levels of 8 bits?"))
+    } else if low >= 0.0 && high > 900.0 {
+        Some(format!("no value below 0 HU (up to {high}): was the rescale of -1024 left out?"))
+    } else if misses_tissue && share(spread.above) > MUCH {
+        Some("no soft tissue near 0 HU, but much near 1024: was the rescale of -1024 left out?".to_owned())
+    } else if misses_tissue && share(spread.below) > MUCH && low < -INTERCEPT_HU - TISSUE_HU {
+        Some(format!(
+            "no soft tissue near 0 HU, but much near -1024, and values down to {low}: was the rescale of -1024 applied twice?"
+        ))
+    } else {
+        None
+    };
+    let mut doubts: Vec<_> = scale.map(|words| ("not HU", words)).into_iter().collect();
+    let spacing_mm = ct.spacing_mm;
+    if let Some(axis) = ct.size.iter().position(|count| *count == 1) {
+        let mm = spacing_mm[axis];
+        doubts.push(("single slice", format!("one slice only: it is taken as {mm} mm thick, with nothing known on either side")));
+    }
+    let coarse = spacing_mm.iter().copied().fold(0.0, f64::max);
+    if coarse > COARSE_MM {
+        let words = format!("voxels of {coarse:.1} mm: thin bone is spread over them and partly counts as soft tissue");
+        doubts.push(("coarse CT", words));
+    }
+    (high, doubts)
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DAffine3, DMat3, DVec3};
+
+    use super::*;
+    use crate::scene::volumes::PlacedBy;
+
+    fn ct(size: [usize; 3], spacing_mm: [f64; 3], value: impl Fn(usize) -> f32) -> VolumeFile {
+        VolumeFile {
+            size,
+            lps_from_voxel: DAffine3::from_mat3(DMat3::from_diagonal(DVec3::from_array(spacing_mm))),
+            values: (0..size.iter().product()).map(value).collect(),
+            placed_by: PlacedBy::Sform,
+            spacing_mm,
+            label_names: Vec::new(),
+        }
+    }
+
+    /// Air, tissue and bone, as a CT of HU has them.
+    fn hu(n: usize) -> f32 {
+        [-1000.0, -980.5, 40.0, 55.0, -90.0, 30.0, 20.0, 900.0][n % 8]
+    }
+
+    #[test]
+    fn numbers_that_are_no_hounsfield_units_are_doubted_by_what_they_look_like() {
+        let words = |value: &dyn Fn(usize) -> f32| {
+            let (_, found) = doubts(&ct([8, 4, 4], [1.0; 3], value));
+            found.iter().map(|(kind, words)| format!("{kind}: {words}")).collect::<Vec<_>>()
+        };
+        assert_eq!(words(&hu), Vec::<String>::new(), "the control");
+        assert_eq!(words(&|n| hu(n).max(0.0) / 9.0), Vec::<String>::new(), "water and plastic in a bath");
+        let padded = |n: usize| if n.is_multiple_of(3) { -2000.0 } else { hu(n) };
+        assert_eq!(words(&padded), Vec::<String>::new(), "padding is no shift");
+        for (value, part) in [
+            (&(|n| (hu(n) + 1000.0) / 1000.0) as &dyn Fn(usize) -> f32, "densities, fractions"),
+            (&|n| (n * 37 % 256) as f32, "8 bits"),
+            (&|n| hu(n) + 1024.0, "left out"),
+            (&|n| if n.is_multiple_of(50) { -1024.0 } else { hu(n) + 1024.0 }, "left out"),
+            (&|n| hu(n) - 1024.0, "applied twice"),
+        ] {
+            let found = words(value);
+            assert!(found.len() == 1 && found[0].starts_with("not HU") && found[0].contains(part), "{part}: {found:?}");
+        }
+    }
+
+    #[test]
+    fn a_slice_and_thick_slices_are_said() {
+        let kinds = |size, spacing_mm| doubts(&ct(size, spacing_mm, hu)).1.iter().map(|(kind, _)| *kind).collect::<Vec<_>>();
+        assert_eq!(kinds([8, 8, 2], [0.7, 0.7, 3.0]), Vec::<&str>::new(), "the control");
+        assert_eq!(kinds([8, 8, 1], [0.7, 0.7, 3.0]), ["single slice"]);
+        assert_eq!(kinds([8, 8, 2], [0.7, 0.7, 5.0]), ["coarse CT"]);
+    }
+}

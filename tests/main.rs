@@ -144,6 +144,8 @@ mod igtl_server;
 mod igtl_session;
 mod session_late;
 mod session_optics;
+#[cfg(feature = "learn")]
+mod session_scatter;
 mod session_names;
 mod session_parked;
 mod session_robot;
@@ -161,6 +163,8 @@ mod network_infer;
 mod network_learn;
 #[cfg(feature = "learn")]
 mod network_samples;
+#[cfg(feature = "learn")]
+mod network_shipped;
 mod overwrite;
 mod fuzz_smoke;
 mod session_soak;

@@ -125,8 +125,14 @@ fn a_network_is_trained_and_asked() {
         "{scatter}"
     );
 
-    let ran = render("network", &[]);
-    assert!(ran.code == Some(1) && ran.stderr.contains("--scatter-network NAME"), "{}", ran.stderr);
+    // The one that comes with the program, and what every way costs.
+    let ran = render("network", &["--explain"]);
+    assert_eq!(ran.code, Some(0), "{}", ran.stderr);
+    for words in ["off: nothing; lacks", "network (asked for): ", "monte_carlo: about "] {
+        assert!(ran.stdout.contains(words), "{words}: {}", ran.stdout);
+    }
+    let other = read_tiff_f32(&image).expect("an image").remove(0);
+    assert!(other.pixels.iter().zip(&with.pixels).any(|(other, with)| other != with), "another network says another thing");
     let weights = at("network.safetensors");
     let bytes = std::fs::read(&weights).expect("weights");
     std::fs::write(&weights, &bytes[..bytes.len() - 4]).expect("written");

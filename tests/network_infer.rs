@@ -12,7 +12,8 @@ fn small(folder: &Path) -> (PathBuf, Dataset) {
     samples::write(&folder.join("samples"), 4);
     let recipe = Recipe { epochs: 1, batch: 2, hold_out: HoldOut::Nothing, ..Recipe::default() };
     let output = folder.join("net.v1");
-    let options = TrainOptions { dataset: folder.join("samples"), output: output.clone(), resume: false, recipe };
+    let options =
+        TrainOptions { dataset: folder.join("samples"), output: output.clone(), resume: false, siblings: Vec::new(), recipe };
     train(&options, &mut |_| ControlFlow::Continue(())).expect("the test's own files");
     (output, Dataset::read(&folder.join("samples")).expect("the test's own files"))
 }

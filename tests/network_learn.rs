@@ -1,7 +1,7 @@
 use std::ops::ControlFlow;
 use std::path::Path;
 
-use sidecarm::infer::{Architecture, LoadedNetwork, ScatterNetwork};
+use sidecarm::infer::{Architecture, JudgedBy, LoadedNetwork, ScatterNetwork};
 use sidecarm::learn::{
     Dataset, HoldOut, LearnError, Mirror, Recipe, TrainOptions, Trained, TrainingEnd, recipe_of_checkpoint, train,
 };
@@ -9,7 +9,7 @@ use sidecarm::learn::{
 use crate::network_samples as samples;
 
 fn options(folder: &Path, name: &str, recipe: Recipe) -> TrainOptions {
-    TrainOptions { dataset: folder.join("samples"), output: folder.join(name), resume: false, recipe }
+    TrainOptions { dataset: folder.join("samples"), output: folder.join(name), resume: false, siblings: Vec::new(), recipe }
 }
 
 fn folder_of(count: u64) -> tempfile::TempDir {
@@ -249,4 +249,46 @@ fn a_file_of_samples_comes_back_as_it_was() {
     std::fs::write(&path, &bytes[..bytes.len() - 4]).unwrap();
     let said = sidecarm::learn::Shard::read(&path).unwrap_err().to_string();
     assert!(said.contains("a.safetensors") && said.contains("no whole safetensors file"), "{said}");
+}
+
+/// What is trained on everything is judged by those that were not; one of other samples or without a specimen of its own says nothing.
+#[test]
+fn a_network_of_all_samples_has_the_figures_of_its_siblings() {
+    let folder = folder_of(6);
+    let without = |name: &str| {
+        let recipe = Recipe { epochs: 1, hold_out: HoldOut::Specimens { names: vec![name.to_owned()] }, ..short() };
+        run(&options(folder.path(), &format!("without-{name}"), recipe)).card
+    };
+    let (hip, knee) = (without("hip"), without("knee"));
+    let all = Recipe { epochs: 1, hold_out: HoldOut::Nothing, ..short() };
+    let mut asked = options(folder.path(), "all", all);
+    asked.siblings = ["without-hip", "without-knee"].map(|name| folder.path().join(name)).to_vec();
+    let card = run(&asked).card;
+    assert_eq!(card.sample_count, 6);
+    let [of_hip, of_knee] = [&hip, &knee].map(|card| card.held_out["nmse"]);
+    assert_eq!(card.held_out["nmse of hip"], of_hip);
+    assert_eq!(card.held_out["nmse of knee"], of_knee);
+    // Three samples each.
+    assert!((card.held_out["nmse"] - 0.5 * (of_hip + of_knee)).abs() < 1e-12 && card.held_out["samples"] == 6.0);
+    let [rms_hip, rms_knee] = [&hip, &knee].map(|card| card.held_out["mean_rms"]);
+    assert!((card.held_out["mean_rms"] - (0.5 * (rms_hip.powi(2) + rms_knee.powi(2))).sqrt()).abs() < 1e-12);
+    let JudgedBy::Siblings { weights_sha256 } = &card.judged_by else { panic!("{:?}", card.judged_by) };
+    assert_eq!(weights_sha256["hip"], hip.weights_sha256);
+    assert_eq!(hip.judged_by, JudgedBy::Specimens { names: vec!["hip".to_owned()] });
+
+    let refused = |asked: &TrainOptions, words: &str| {
+        let said = train(asked, &mut |_| ControlFlow::Continue(())).unwrap_err().to_string();
+        assert!(said.contains(words), "{said}");
+    };
+    asked.output = folder.path().join("other");
+    asked.siblings.push(folder.path().join("without-hip"));
+    refused(&asked, "the same specimen");
+    asked.siblings = vec![folder.path().join("all")];
+    refused(&asked, "holds out no specimen");
+    asked.siblings = vec![folder.path().join("without-hip")];
+    asked.recipe.seed += 1;
+    refused(&asked, "its seed are others");
+    asked.recipe.seed -= 1;
+    samples::shard(100, 2).write(&folder.path().join("samples/c.safetensors")).unwrap();
+    refused(&asked, "other samples");
 }

@@ -31,7 +31,9 @@ fn typed(folder: &Path, more: &[&str]) -> Result<ScatterArgs, clap::Error> {
         std::fs::write(&path, SCENE).expect("writes");
     }
     let (scene, out) = (path.display().to_string(), folder.join("scatter.tif").display().to_string());
-    let words = ["scatter", &scene, "--out", &out].into_iter().chain(more.iter().copied());
+    // Of a processor the bits are known.
+    let device: &[&str] = if more.contains(&"--device") { &[] } else { &["--device", "cpu"] };
+    let words = ["scatter", &scene, "--out", &out].into_iter().chain(device.iter().chain(more).copied());
     Typed::try_parse_from(words).map(|typed| typed.args)
 }
 
@@ -75,7 +77,7 @@ fn the_same_command_goes_on_from_a_checkpoint_as_if_it_had_never_stopped() {
         .chain(scene.inputs.iter().map(|input| input.sha256.clone()))
         .collect();
     let checkpoint = folder.path().join("scatter.tif.checkpoint");
-    Checkpoint::new(&histories, &inputs, &tally).write(&checkpoint).expect("writes");
+    Checkpoint::new(&histories, "cpu", &inputs, &tally).write(&checkpoint).expect("writes");
     std::fs::remove_file(&out).expect("removed");
     transport(folder.path(), &more).expect("goes on");
     assert!(std::fs::read(&out).expect("reads") == straight, "bit for bit");
@@ -86,7 +88,7 @@ fn the_same_command_goes_on_from_a_checkpoint_as_if_it_had_never_stopped() {
     let again = Simulation::new(&scene, &scene.view.expect("a view"), Histories { seed: 8, ..histories }).expect("prepares");
     let mut other = again.tally();
     again.advance(&mut other, again.batches_at_once());
-    Checkpoint::new(&histories, &inputs, &other).write(&checkpoint).expect("writes");
+    Checkpoint::new(&histories, "cpu", &inputs, &other).write(&checkpoint).expect("writes");
     transport(folder.path(), &more).expect("goes on");
     assert!(std::fs::read(&out).expect("reads") != straight, "control");
 }
@@ -103,12 +105,49 @@ fn a_checkpoint_of_something_else_is_refused_and_fresh_starts_anew() {
     let scene = scene::load(&path, true, &Reporter::silent()).expect("loads");
     let histories = Histories { count: 8192, seed: 8, grid_px: [4, 3], ..Histories::default() };
     let simulation = Simulation::new(&scene, &scene.view.expect("a view"), histories).expect("prepares");
-    Checkpoint::new(&histories, &[], &simulation.tally()).write(&checkpoint).expect("writes");
+    Checkpoint::new(&histories, "cpu", &[], &simulation.tally()).write(&checkpoint).expect("writes");
     let error = transport(folder.path(), &more).expect_err("another seed");
     assert!(matches!(&error, ScatterError::Transport(TransportError::Checkpoint { what: "the seed", .. })), "{error}");
     let fresh = ["--histories", "8192", "--grid-px", "4x3", "--fresh"];
     assert_eq!(transport(folder.path(), &fresh).expect("starts anew"), 0);
     assert!(!checkpoint.exists());
+}
+
+/// On a GPU: another image within the errors, in dispatches of 64 batches; what a processor has left is none of it.
+#[test]
+fn a_gpu_follows_photons_too_and_goes_on_only_from_its_own() {
+    let folder = tempfile::tempdir().expect("folder");
+    let more = |device| ["--histories", "2e5", "--grid-px", "4x3", "--device", device];
+    if let Err(error) = transport(folder.path(), &more("software-vulkan")) {
+        println!("skipped: {error}");
+        return;
+    }
+    let read = || {
+        let pages = read_tiff_f32(&folder.path().join("scatter.tif")).expect("a TIFF");
+        let json = std::fs::read(folder.path().join("scatter.tif.json")).expect("beside it");
+        let json: serde_json::Value = serde_json::from_slice(&json).expect("JSON");
+        (pages, json)
+    };
+    let (gpu, json) = read();
+    assert_eq!((json["histories"].as_u64(), json["plan"]["histories_per_batch"].as_u64()), (Some(262_144), Some(4096)));
+    assert!(json["adapter"].as_str().is_some_and(|adapter| adapter.contains("Vulkan")), "{json}");
+    transport(folder.path(), &more("cpu")).expect("transports");
+    let (cpu, json) = read();
+    assert!(json["adapter"].as_str().is_some_and(|adapter| adapter.starts_with("CPU")), "{json}");
+    for page in 0..4 {
+        let cells = gpu[page].pixels.iter().zip(&cpu[page].pixels).zip(gpu[4 + page].pixels.iter().zip(&cpu[4 + page].pixels));
+        let worst = cells.map(|((a, b), (e, f))| (a - b).abs() / (e.hypot(*f) + 1e-4 * a)).fold(0.0, f32::max);
+        assert!(worst < 5.0, "page {page}: {worst}");
+    }
+    assert!(gpu[3].pixels != cpu[3].pixels, "random numbers of its own");
+    let path = folder.path().join("scene.json");
+    let scene = scene::load(&path, true, &Reporter::silent()).expect("loads");
+    let histories = Histories { count: 200_000, seed: 7, grid_px: [4, 3], ..Histories::default() };
+    let simulation = Simulation::new(&scene, &scene.view.expect("a view"), histories).expect("prepares");
+    let checkpoint = folder.path().join("scatter.tif.checkpoint");
+    Checkpoint::new(&histories, "cpu", &[], &simulation.tally()).write(&checkpoint).expect("writes");
+    let error = transport(folder.path(), &more("software-vulkan")).expect_err("a processor's");
+    assert!(matches!(&error, ScatterError::Transport(TransportError::Checkpoint { what: "the device", .. })), "{error}");
 }
 
 #[test]

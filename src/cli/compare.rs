@@ -1,12 +1,14 @@
 //! `sidecarm compare`: one acquired frame, one simulated image, honest numbers.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use glam::{DVec2, DVec3};
 
 use super::compare_origin::{Given, OriginError, doubts, view_of};
 use super::compare_table::table;
 use super::read_aloud::frame_aloud;
+use super::scattered::{Asked, SCATTER_ERROR, scattered};
 use crate::acquire::{AcquireError, DetectorCalibration, DetectorCalibrationError, Domain, Frame};
 use crate::compare::{
     AirLevel, CompareError, CompareInput, Compared, NullRenders, OffsetRule, Tone, bead_marks, compare, elsewhere, posed_scene,
@@ -19,7 +21,7 @@ use crate::pose::{BeadResidual, Pose, PoseFileError};
 use crate::render::{RenderError, Renderer, guessed};
 use crate::report::{Standing, StripInput, score_words, strip};
 use crate::reporter::Reporter;
-use crate::scene::model::{ScatterModel, Scene};
+use crate::scene::model::Scene;
 use crate::scene::{SceneError, input_files, load};
 
 /// Compare an acquired radiograph with a simulated one: scores, masks, and every score against wrong poses.
@@ -186,12 +188,6 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
     }
     let extra = args.mask.as_deref().map(read_mask).transpose()?;
     let scene = args.scene.as_deref().map(|path| load(path, false, reporter)).transpose()?;
-    if scene.as_ref().is_some_and(|scene| scene.model.scatter != ScatterModel::Off) {
-        reporter.warn(
-            "scatter",
-            "what the null renders has no scatter, whatever SIMULATED has: the scene's model.scatter is left out there",
-        );
-    }
     if let (Some(path), Some(scene)) = (&args.scene, &scene) {
         refuse_overwrite(&[&json_path, &strip_path], &input_files(path, scene))?;
     }
@@ -342,8 +338,16 @@ fn centre(pose: &Pose, scene: Option<&Scene>) -> Option<DVec3> {
 
 fn add_null(compared: &mut Compared, scene: &Scene, reporter: &Reporter) -> Result<(), CompareCommandError> {
     let mut renderer = Renderer::new(DeviceChoice::Auto, reporter)?;
+    let asked = Asked { rel_error: SCATTER_ERROR, network: None, budget_ms: None, gpu: renderer.gpu() };
+    let found = scene.view.as_ref().map_or(Ok(None), |view| scattered(scene, view, &asked, reporter));
+    let scatter = found.unwrap_or_else(|error| {
+        let words = format!("no scatter in the null, whatever SIMULATED has: {error}");
+        reporter.warn("scatter", &words);
+        compared.comparison.flags.push(words);
+        None
+    });
     let bar = reporter.progress("null", crate::compare::NULL_RENDERS as u64);
-    let mut renders = NullRenders::new(&mut renderer, scene, None);
+    let mut renders = NullRenders::new(&mut renderer, scene, None, scatter.map(Arc::new));
     let mut rerender = |view: &View| {
         bar.advance(1);
         renders.render(view)

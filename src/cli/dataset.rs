@@ -3,27 +3,15 @@
 use std::path::PathBuf;
 
 use crate::image::{ImageFileError, sha256_file};
-use crate::infer::{CELL_COLUMNS, CELL_ROWS, COLUMNS, ROWS};
-use crate::learn::{Shard, ShardError, Specimen, drawn};
+use crate::learn::{
+    GRID_PX, LEAST_BATCHES, PHANTOM, SampleError, Sampled, Sampling, Shard, ShardError, Specimen, TRUTH_PX, sample,
+};
 use crate::reporter::Reporter;
 use crate::scene::{self, SceneError};
-use crate::transport::{BATCH, CHANNELS, Columns, Histories, Page, SCALARS, Simulation, TransportError};
+use crate::transport::{BATCH, CHANNELS, SCALARS};
 
-/// Columns and rows of what a network is told, and of what it says.
-const GRID_PX: [usize; 2] = [COLUMNS, ROWS];
-const TRUTH_PX: [usize; 2] = [CELL_COLUMNS, CELL_ROWS];
 /// Samples of one file.
 const SAMPLES: u64 = 50;
-/// What a sample without a specimen is called.
-const PHANTOM: &str = "phantom";
-/// Batches of photons from which a spread can be told.
-const LEAST_BATCHES: u64 = 4;
-/// Matter lower above the detector than this is through it.
-const LOWEST_MM: f32 = 10.0;
-/// Mean thickness of what scatters in the open field below which the specimen is not in view.
-const IN_VIEW: f64 = 0.15;
-/// Median relative standard error beyond which a sample says nothing.
-const NOISIEST: f64 = 0.5;
 
 /// Make the samples that a network is trained on.
 #[derive(Clone, Debug, clap::Args)]
@@ -74,12 +62,9 @@ pub enum DatasetError {
     /// A scene.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// The transport.
+    /// A sample.
     #[error(transparent)]
-    Transport(#[from] TransportError),
-    /// A material.
-    #[error(transparent)]
-    Physics(#[from] crate::scene::physics::PhysicsError),
+    Sample(#[from] SampleError),
     /// A file of samples.
     #[error(transparent)]
     Shard(#[from] ShardError),
@@ -144,6 +129,7 @@ pub fn run(args: &DatasetArgs, reporter: &Reporter) -> Result<u8, DatasetError> 
     std::fs::create_dir_all(&args.out).map_err(|source| DatasetError::Io { path: args.out.clone(), source })?;
     let progress = reporter.progress("samples", args.count);
     let mut counts = Counts::default();
+    let from = Sampling { specimens: &specimens, phantoms: args.phantoms, histories: args.histories };
     for first in (args.first_seed..end).step_by(SAMPLES as usize) {
         let path = args.out.join(format!("scatter-{first:09}.safetensors"));
         let last = (first + SAMPLES).min(end);
@@ -170,7 +156,11 @@ pub fn run(args: &DatasetArgs, reporter: &Reporter) -> Result<u8, DatasetError> 
             }
         }
         for seed in first..last {
-            sample(args, &specimens, seed, &mut shard, &mut counts)?;
+            match sample(&from, seed, &mut shard)? {
+                Sampled::Kept => counts.kept += 1,
+                Sampled::NotInView => counts.not_in_view += 1,
+                Sampled::TooNoisy => counts.too_noisy += 1,
+            }
             progress.advance(1);
         }
         shard.write(&path)?;
@@ -194,73 +184,4 @@ struct Counts {
     kept: usize,
     not_in_view: usize,
     too_noisy: usize,
-}
-
-/// Adds the sample of `seed`, unless there is nothing in view.
-fn sample(
-    args: &ScatterSetArgs,
-    specimens: &[Specimen],
-    seed: u64,
-    shard: &mut Shard,
-    counts: &mut Counts,
-) -> Result<(), DatasetError> {
-    let turn = |times: f64| (seed as f64 * times).fract();
-    // Evenly over the seeds, whatever their number.
-    let is_phantom = specimens.is_empty() || turn(0.618_033_988_749_895) < args.phantoms;
-    let specimen = (!is_phantom).then(|| &specimens[(turn(0.754_877_666_246_693) * specimens.len() as f64) as usize]);
-    let (scene, view) = drawn(specimen, seed)?;
-    let asked = Histories { count: args.histories, seed, grid_px: TRUTH_PX, ..Histories::default() };
-    let simulation = Simulation::new(&scene, &view, asked)?;
-    let columns = simulation.columns(GRID_PX);
-    if !(scattering(&columns) > IN_VIEW) || reaches_the_panel(&columns) {
-        counts.not_in_view += 1;
-        return Ok(());
-    }
-    let mut tally = simulation.tally();
-    let run = simulation.run(&mut tally, |_| Ok::<(), std::convert::Infallible>(()));
-    let Ok(()) = run;
-    if !(simulation.relative_error(&tally) < NOISIEST) {
-        counts.too_noisy += 1;
-        return Ok(());
-    }
-    let cells = 0..TRUTH_PX[0] * TRUTH_PX[1];
-    let unit = simulation.unshaped();
-    let signal = |page: Page, cell: usize| tally.signal(page, cell, BATCH);
-    for cell in cells.clone() {
-        let once = signal(Page::Compton, cell).mean + signal(Page::Rayleigh, cell).mean;
-        shard.truth.push((once / unit[cell]) as f32);
-    }
-    shard.truth.extend(cells.clone().map(|cell| (signal(Page::Multiple, cell).mean / unit[cell]) as f32));
-    for cell in cells.clone() {
-        let once = signal(Page::Compton, cell).standard_error.hypot(signal(Page::Rayleigh, cell).standard_error);
-        shard.truth_error.push((once / unit[cell]) as f32);
-    }
-    shard.truth_error.extend(cells.clone().map(|cell| (signal(Page::Multiple, cell).standard_error / unit[cell]) as f32));
-    shard.truth_error.extend(cells.map(|cell| (tally.scatter(cell, BATCH).standard_error / unit[cell]) as f32));
-    columns.channels.iter().for_each(|channel| shard.inputs.extend(channel));
-    shard.scalars.extend(columns.scalars);
-    shard.scale.push(columns.scale);
-    shard.specimens.push(specimen.map_or(PHANTOM, |specimen| &specimen.name).to_owned());
-    shard.seeds.push(seed);
-    counts.kept += 1;
-    Ok(())
-}
-
-/// Mean over the open field of the thickness of what scatters.
-fn scattering(columns: &Columns) -> f64 {
-    let [_, compton, rayleigh, _, _, _, open, ..] = &columns.channels;
-    let (mut sum, mut all) = (0.0, 0.0);
-    for ((compton, rayleigh), open) in compton.iter().zip(rayleigh).zip(open) {
-        sum += f64::from(open * (compton + rayleigh));
-        all += f64::from(*open);
-    }
-    sum / all
-}
-
-/// Whether matter that scatters goes on to the detector plane: no C-arm can be so.
-fn reaches_the_panel(columns: &Columns) -> bool {
-    let [_, compton, _, _, height_mm, spread_mm, ..] = &columns.channels;
-    // A slab's half thickness is √3 of its standard deviation.
-    let lowest = height_mm.iter().zip(spread_mm).map(|(height_mm, spread_mm)| height_mm - 1.73 * spread_mm);
-    lowest.zip(compton).any(|(lowest_mm, compton)| *compton > 0.05 && !(lowest_mm > LOWEST_MM))
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use clap::builder::{PathBufValueParser, TypedValueParser};
 
-use crate::cli::scattered::{ScatteredError, scattered};
+use crate::cli::scattered::{Asked, SCATTER_ERROR, ScatteredError, scattered, ways};
 use crate::compare::posed_scene;
 use crate::geometry::View;
 use crate::gpu::DeviceChoice;
@@ -55,9 +55,10 @@ pub struct RenderArgs {
     #[arg(long, value_name = "N")]
     pub gpu_memory_mib: Option<u64>,
     /// Where the scene has model.scatter "monte_carlo": follow photons until the median relative standard error of the scatter is no larger
-    #[arg(long, value_name = "REL", default_value_t = 0.02)]
+    #[arg(long, value_name = "REL", default_value_t = SCATTER_ERROR)]
     pub scatter_error: f64,
-    /// Where the scene has model.scatter "network": the network that is asked, a path without ending, from `sidecarm train scatter`
+    /// Where the scene has model.scatter "network": the network that is asked, a path without ending, from
+    /// `sidecarm train scatter` [default: the one that comes with the program]
     #[arg(long, value_name = "NAME")]
     pub scatter_network: Option<PathBuf>,
     /// Pose to render from, in place of the scene's view, from `register`; bodies that have moved since the scan move with it
@@ -250,11 +251,15 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
             format_args!("--budget-ms {budget}: the fastest plan is predicted to take {predicted:.2} ms; {advice}"),
         );
     }
+    let asked = Asked {
+        rel_error: positive("--scatter-error", args.scatter_error)?,
+        network: args.scatter_network.as_deref(),
+        budget_ms: args.budget_ms,
+        gpu: renderer.gpu(),
+    };
     if args.quantity != QuantityArg::AreaDensity && scene.model.scatter != ScatterModel::Off {
         let view = scene.view.ok_or(RenderError::NoView)?;
-        let error = positive("--scatter-error", args.scatter_error)?;
-        let network = args.scatter_network.as_deref();
-        let found = stages.measure("scatter", || scattered(&scene, &view, error, network, reporter))?;
+        let found = stages.measure("scatter", || scattered(&scene, &view, &asked, reporter))?;
         options.scatter = found.map(Arc::new);
     }
     if args.scatter_network.is_some() && scene.model.scatter != ScatterModel::Network {
@@ -265,6 +270,9 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
     }
     if args.explain {
         println!("{}", plan.explain().trim_end());
+        if let Some(view) = scene.view.filter(|_| args.quantity != QuantityArg::AreaDensity) {
+            println!("{}", ways(&scene, &view, &asked));
+        }
     }
     options.plan = Some(plan);
     let mut rendered = renderer.render(&scene, &options)?;

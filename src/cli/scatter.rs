@@ -2,11 +2,16 @@
 
 use std::path::{Path, PathBuf};
 
+use super::render::DeviceArg;
+use crate::gpu::{Device, GpuError, cpu_name};
 use crate::image::{ImageFileError, check_writable, refuse_overwrite, sha256_file};
 use crate::reporter::Reporter;
 use crate::scene::{self, SceneError};
 use crate::time::{StageTimes, Stopwatch};
-use crate::transport::{BATCH, Checkpoint, Estimator, Histories, ScatterImage, Simulation, Tally, TransportError, written_with};
+use crate::transport::{
+    BATCH, Checkpoint, Estimator, GpuTransport, GpuTransportError, Histories, ScatterImage, Simulation, Tally, TransportError,
+    written_with,
+};
 
 /// An interrupted run loses no more than this.
 const CHECKPOINT_MS: f64 = 10_000.0;
@@ -41,6 +46,9 @@ pub struct ScatterArgs {
     /// Count photons where they arrive, instead of what each would send to the detector on average: slower to converge
     #[arg(long)]
     pub analogue: bool,
+    /// What follows them; a GPU has random numbers of its own, so its image agrees with the CPU's within the standard errors
+    #[arg(long, value_enum, default_value = "auto")]
+    pub device: DeviceArg,
     /// Start anew where an interrupted run left a checkpoint
     #[arg(long)]
     pub fresh: bool,
@@ -71,6 +79,12 @@ pub enum ScatterError {
     /// The transport.
     #[error(transparent)]
     Transport(#[from] TransportError),
+    /// The device.
+    #[error(transparent)]
+    Device(#[from] GpuError),
+    /// The transport on it.
+    #[error(transparent)]
+    OnGpu(#[from] GpuTransportError),
     /// An output.
     #[error(transparent)]
     File(#[from] ImageFileError),
@@ -98,22 +112,29 @@ pub fn run(args: &ScatterArgs, reporter: &Reporter) -> Result<u8, ScatterError> 
     let histories = Histories { count: args.histories, seed, grid_px: args.grid_px, estimator, rel_error: args.rel_error };
     let mut stages = StageTimes::default();
     let simulation = stages.measure("prepare", || Simulation::new(&scene, &view, histories))?;
+    let device = Device::open(args.device.into(), reporter)?;
+    let mut gpu = stages.measure("upload", || on_gpu(&device, &simulation, args, reporter))?;
+    let adapter = gpu.as_ref().map_or_else(cpu_name, |_| device.name());
+    let empty = gpu.as_ref().map_or_else(|| simulation.tally(), GpuTransport::tally);
     let hashes = hashes(&args.scene, &scene)?;
     let [_, _, checkpoint] = &outputs;
+    // Of processors any gives the same bits.
+    let kept_of = if gpu.is_some() { adapter.as_str() } else { "cpu" };
     let mut tally = match if args.fresh { None } else { Checkpoint::read(checkpoint)? } {
         Some(saved) => {
-            let tally = saved.tally_for(&simulation, &hashes)?;
-            reporter.note(format_args!("going on after {} histories of {}", tally.batches * BATCH, checkpoint.display()));
+            let tally = saved.tally_for(&simulation, (kept_of, &empty), &hashes)?;
+            reporter.note(format_args!("going on after {} histories of {}", tally.histories(), checkpoint.display()));
             tally
         }
-        None => simulation.tally(),
+        None => empty,
     };
     let watch = Stopwatch::start();
-    let before = tally.batches;
-    transport(&simulation, &mut tally, &hashes, checkpoint, reporter)?;
+    let before = tally.histories();
+    let keep = |tally: &Tally| Checkpoint::new(simulation.histories(), kept_of, &hashes, tally).write(checkpoint);
+    transport(&simulation, gpu.as_mut(), &mut tally, &keep, reporter)?;
     stages.add("transport", watch.ms());
     let image = simulation.image(&tally);
-    let mut json = simulation.describe(&image, &scene);
+    let mut json = simulation.describe(&image, &scene, &adapter);
     if let Some(map) = json.as_object_mut() {
         map.insert("stages_ms".to_owned(), serde_json::json!(stages));
     }
@@ -121,7 +142,7 @@ pub fn run(args: &ScatterArgs, reporter: &Reporter) -> Result<u8, ScatterError> 
     if checkpoint.is_file() {
         std::fs::remove_file(checkpoint).map_err(|source| ImageFileError::Io { path: checkpoint.clone(), source })?;
     }
-    let per_second = ((tally.batches - before) * BATCH) as f64 / (1e-3 * watch.ms());
+    let per_second = (tally.histories() - before) as f64 / (1e-3 * watch.ms());
     if args.json {
         println!("{}", serde_json::to_string_pretty(&json).expect("plain data"));
     } else {
@@ -130,26 +151,49 @@ pub fn run(args: &ScatterArgs, reporter: &Reporter) -> Result<u8, ScatterError> 
     Ok(0)
 }
 
+/// The simulation on a GPU, where there is one that can follow its photons; an error where one was asked for.
+fn on_gpu<'a>(
+    device: &'a Device,
+    simulation: &Simulation,
+    args: &ScatterArgs,
+    reporter: &Reporter,
+) -> Result<Option<GpuTransport<'a>>, GpuTransportError> {
+    let Device::Gpu(gpu) = device else { return Ok(None) };
+    match GpuTransport::new(gpu, simulation) {
+        Ok(gpu) => Ok(Some(gpu)),
+        Err(error) if args.device == DeviceArg::Auto => {
+            reporter.note(format_args!("photons are followed on {}: {error}", cpu_name()));
+            Ok(None)
+        }
+        Err(error) => Err(error),
+    }
+}
+
 /// Runs to the end, keeping what is there so far on disk.
 fn transport(
     simulation: &Simulation,
+    gpu: Option<&mut GpuTransport>,
     tally: &mut Tally,
-    hashes: &[String],
-    checkpoint: &Path,
+    keep: &dyn Fn(&Tally) -> Result<(), TransportError>,
     reporter: &Reporter,
-) -> Result<(), TransportError> {
-    let progress = reporter.progress("histories", simulation.batches() * BATCH);
-    progress.advance(tally.batches * BATCH);
-    let (mut shown, mut saved) = (tally.batches, Stopwatch::start());
-    simulation.run(tally, |tally| {
-        progress.advance((tally.batches - shown) * BATCH);
-        shown = tally.batches;
+) -> Result<(), ScatterError> {
+    let all = gpu.as_ref().map_or(simulation.batches() * BATCH, |gpu| gpu.histories());
+    let progress = reporter.progress("histories", all);
+    progress.advance(tally.histories());
+    let (mut shown, mut saved) = (tally.histories(), Stopwatch::start());
+    let after = |tally: &Tally| {
+        progress.advance(tally.histories() - shown);
+        shown = tally.histories();
         if saved.ms() > CHECKPOINT_MS {
-            Checkpoint::new(simulation.histories(), hashes, tally).write(checkpoint)?;
+            keep(tally)?;
             saved = Stopwatch::start();
         }
-        Ok(())
-    })
+        Ok::<(), ScatterError>(())
+    };
+    match gpu {
+        Some(gpu) => gpu.run(simulation, tally, after),
+        None => simulation.run(tally, after),
+    }
 }
 
 /// SHA-256 of the scene file and of what it names.

@@ -1,13 +1,18 @@
 //! The scatter that a scene asks of a render: photons followed until it is good enough, or little; or what a network says.
 
+use std::convert::Infallible;
 use std::path::Path;
 
 use crate::geometry::View;
+use crate::gpu::Gpu;
 use crate::image::Image;
 use crate::render::{Origin, Scatter};
 use crate::reporter::Reporter;
 use crate::scene::model::{Formation, ScatterModel, Scene};
-use crate::transport::{BATCH, Histories, Page, Simulation, TransportError};
+use crate::time::Stopwatch;
+use crate::transport::{
+    GpuTransport, GpuTransportError, Histories, NetworkError, NetworkScatter, Page, Simulation, Tally, TransportError,
+};
 
 /// Columns and rows of the raster: scatter is smooth over centimetres.
 const GRID_PX: [usize; 2] = [16, 12];
@@ -17,8 +22,25 @@ const ENOUGH_FOR_LITTLE: u64 = 1_000_000;
 /// Standard error over all that arrives below which nobody needs more photons.
 const NEGLIGIBLE: f64 = 3e-6;
 
+/// Median relative standard error that is good enough, unless somebody says otherwise.
+pub const SCATTER_ERROR: f64 = 0.02;
+
+/// Photons by which the cost of many is told.
+const PILOT_HISTORIES: u64 = 131_072;
+/// What is faster.
+const ADVICE: &str = "a larger --scatter-error takes less, model.scatter \"network\" a fraction of a second";
+
 /// Why no more photons are followed.
-struct LittleScatters;
+enum Stop {
+    LittleScatters,
+    Device(GpuTransportError),
+}
+
+impl From<GpuTransportError> for Stop {
+    fn from(error: GpuTransportError) -> Self {
+        Self::Device(error)
+    }
+}
 
 /// Why nobody knows the scatter.
 #[derive(Debug, thiserror::Error)]
@@ -26,88 +48,160 @@ pub enum ScatteredError {
     /// The scene.
     #[error(transparent)]
     Transport(#[from] TransportError),
-    /// The network.
-    #[cfg(feature = "learn")]
+    /// The GPU.
     #[error(transparent)]
-    Network(#[from] crate::transport::PredictError),
-    /// None is there.
-    #[error("model.scatter is \"network\": {0}")]
-    NoNetwork(&'static str),
+    Device(#[from] GpuTransportError),
+    /// The network.
+    #[error(transparent)]
+    Network(#[from] NetworkError),
 }
 
-/// Scatter of `scene` from `view`: with a median relative standard error of `rel_error` where photons are followed, as `network` has it where
-/// the scene asks one; `None` where the scene asks for none, or its formation has none.
+/// What is asked beside the scene.
+#[derive(Clone, Copy, Debug)]
+pub struct Asked<'a> {
+    /// Median relative standard error that photons are followed to.
+    pub rel_error: f64,
+    /// The network, a path without ending; else the one that comes with the program.
+    pub network: Option<&'a Path>,
+    /// Warn where photons will take longer.
+    pub budget_ms: Option<f64>,
+    /// What follows them, where it can; else the processor.
+    pub gpu: Option<&'a Gpu>,
+}
+
+/// Scatter of `scene` from `view`, as the scene asks for it; `None` where it asks for none, or its formation has none.
 ///
 /// # Errors
 /// As [`Simulation::new`]; when there is no such network.
-pub fn scattered(
-    scene: &Scene,
-    view: &View,
-    rel_error: f64,
-    network: Option<&Path>,
-    reporter: &Reporter,
-) -> Result<Option<Scatter>, ScatteredError> {
+pub fn scattered(scene: &Scene, view: &View, asked: &Asked<'_>, reporter: &Reporter) -> Result<Option<Scatter>, ScatteredError> {
     match scene.model.scatter {
         ScatterModel::Off => Ok(None),
         _ if scene.model.formation == Formation::Naive => Ok(None),
-        ScatterModel::MonteCarlo => Ok(Some(follow_photons(scene, view, rel_error, reporter)?)),
-        ScatterModel::Network => ask_network(scene, view, network, reporter).map(Some),
+        ScatterModel::MonteCarlo => {
+            if let Some(budget_ms) = asked.budget_ms {
+                let predicted_ms = photons_ms(scene, view, asked)?;
+                if !(predicted_ms <= budget_ms) {
+                    let seconds = predicted_ms / 1e3;
+                    let words =
+                        format!("--budget-ms {budget_ms}: following photons is predicted to take {seconds:.1} s; {ADVICE}");
+                    reporter.warn("budget", words);
+                }
+            }
+            Ok(Some(follow_photons(scene, view, asked, reporter)?))
+        }
+        ScatterModel::Network => Ok(Some(NetworkScatter::open(asked.network)?.say(scene, view, reporter)?)),
     }
 }
 
-#[cfg(feature = "learn")]
-fn ask_network(scene: &Scene, view: &View, network: Option<&Path>, reporter: &Reporter) -> Result<Scatter, ScatteredError> {
-    use crate::transport::{PredictError, network_inputs, predicted};
-    const NONE: &str = "none comes with this version; --scatter-network NAME names one that `sidecarm train scatter` has made";
-    let (channels, scalars) = network_inputs();
-    let name = network.ok_or(ScatteredError::NoNetwork(NONE))?;
-    let network = crate::infer::LoadedNetwork::load(name, channels, scalars).map_err(PredictError::Network)?;
-    let scatter = predicted(&network, scene, view)?;
-    if let Origin::Network { outside, .. } = &scatter.from
-        && !outside.is_empty()
-    {
-        let what = outside.join("; ");
-        reporter.warn("scatter", format_args!("the network was not trained for this scene, its scatter may be anything: {what}"));
+/// Cost and error of every way to the scatter of `scene` from `view` on this machine, for people; why not, where there is none.
+#[must_use]
+pub fn ways(scene: &Scene, view: &View, asked: &Asked<'_>) -> String {
+    if scene.model.formation == Formation::Naive {
+        return "scatter: naive formation has none".to_owned();
     }
-    Ok(scatter)
+    let quiet = Reporter::silent();
+    let watch = Stopwatch::start();
+    let said = NetworkScatter::open(asked.network).and_then(|network| network.say(scene, view, &quiet));
+    let network_ms = watch.ms();
+    let (off, network) = match said {
+        Ok(scatter) => {
+            let sum = |image: &Image<f64>| image.pixels.iter().sum::<f64>();
+            let percent = 100.0 * sum(&scatter.signal) / sum(&scatter.unattenuated);
+            let off = format!("nothing; lacks what the network takes for {percent:.2} % of the unattenuated signal");
+            let good = 100.0 * scatter.relative_error;
+            let network = match scatter.unlike() {
+                Some(words) => format!("{network_ms:.0} ms; {words}"),
+                None => format!("{network_ms:.0} ms; good to {good:.0} % of the scatter's root mean square"),
+            };
+            (off, network)
+        }
+        Err(error) => ("nothing; lacks all of it".to_owned(), error.to_string()),
+    };
+    let photons = match photons_ms(scene, view, asked) {
+        Ok(ms) => {
+            format!("about {:.1} s; good to {:.0} % in the median cell (--scatter-error)", ms / 1e3, 100.0 * asked.rel_error)
+        }
+        Err(error) => error.to_string(),
+    };
+    let rows = [
+        (ScatterModel::Off, "off", off),
+        (ScatterModel::Network, "network", network),
+        (ScatterModel::MonteCarlo, "monte_carlo", photons),
+    ];
+    let line = |(model, name, words): &(ScatterModel, &str, String)| {
+        let asked = if *model == scene.model.scatter { " (asked for)" } else { "" };
+        format!("\n  {name}{asked}: {words}")
+    };
+    format!("scatter, cost and error of each way:{}", rows.iter().map(line).collect::<String>())
 }
 
-#[cfg(not(feature = "learn"))]
-fn ask_network(_: &Scene, _: &View, _: Option<&Path>, _: &Reporter) -> Result<Scatter, ScatteredError> {
-    Err(ScatteredError::NoNetwork("this program was built without the feature `learn`"))
+/// Where the photons of `simulation` are followed: on the GPU that is asked, where its shader takes the scene.
+fn on_gpu<'a>(simulation: &Simulation, asked: &Asked<'a>) -> Result<Option<GpuTransport<'a>>, GpuTransportError> {
+    let Some(gpu) = asked.gpu else { return Ok(None) };
+    match GpuTransport::new(gpu, simulation) {
+        Ok(transport) => Ok(Some(transport)),
+        Err(GpuTransportError::Unsupported(_)) => Ok(None),
+        Err(error) => Err(error),
+    }
 }
 
-fn follow_photons(scene: &Scene, view: &View, rel_error: f64, reporter: &Reporter) -> Result<Scatter, TransportError> {
-    let seed = scene.model.seed;
-    let asked = Histories { count: MOST_HISTORIES, seed, grid_px: GRID_PX, rel_error: Some(rel_error), ..Histories::default() };
-    let simulation = Simulation::new(scene, view, asked)?;
+/// How long following photons to the wanted relative standard error takes, by a few.
+fn photons_ms(scene: &Scene, view: &View, asked: &Asked<'_>) -> Result<f64, ScatteredError> {
+    let pilot = Histories { count: PILOT_HISTORIES, seed: scene.model.seed, grid_px: GRID_PX, ..Histories::default() };
+    let simulation = Simulation::new(scene, view, pilot)?;
+    let mut gpu = on_gpu(&simulation, asked)?;
+    let mut tally = gpu.as_ref().map_or_else(|| simulation.tally(), GpuTransport::tally);
+    let watch = Stopwatch::start();
+    match &mut gpu {
+        Some(gpu) => gpu.advance(&mut tally)?,
+        None => {
+            let run = simulation.run(&mut tally, |_| Ok::<(), Infallible>(()));
+            let Ok(()) = run;
+        }
+    }
+    let times = (simulation.relative_error(&tally) / asked.rel_error).powi(2);
+    let most = MOST_HISTORIES as f64 / tally.histories() as f64;
+    Ok(watch.ms() * if times <= most { times } else { most })
+}
+
+fn follow_photons(scene: &Scene, view: &View, asked: &Asked<'_>, reporter: &Reporter) -> Result<Scatter, ScatteredError> {
+    let (seed, rel_error) = (scene.model.seed, asked.rel_error);
+    let wanted = Histories { count: MOST_HISTORIES, seed, grid_px: GRID_PX, rel_error: Some(rel_error), ..Histories::default() };
+    let simulation = Simulation::new(scene, view, wanted)?;
     let cells = 0..simulation.unattenuated().len();
-    let mut tally = simulation.tally();
+    let mut gpu = on_gpu(&simulation, asked)?;
+    let mut tally = gpu.as_ref().map_or_else(|| simulation.tally(), GpuTransport::tally);
     let progress = reporter.progress("scatter: per mille of the photons", 1000);
     let mut shown = 0;
-    // What stops it early is no error.
-    let _ = simulation.run(&mut tally, |tally| {
+    let after = |tally: &Tally| {
         let done = (1000.0 * (rel_error / simulation.relative_error(tally)).powi(2)).min(1000.0) as u64;
         progress.advance(done.saturating_sub(shown));
         shown = done.max(shown);
         let is_little = |cell: usize| {
-            let (found, primary) = (tally.scatter(cell, BATCH), tally.signal(Page::Primary, cell, BATCH).mean);
+            let (found, primary) = (tally.scatter(cell), tally.signal(Page::Primary, cell).mean);
             found.standard_error <= NEGLIGIBLE * (primary + found.mean)
         };
-        match tally.batches * BATCH >= ENOUGH_FOR_LITTLE && cells.clone().all(is_little) {
-            true => Err(LittleScatters),
+        match tally.histories() >= ENOUGH_FOR_LITTLE && cells.clone().all(is_little) {
+            true => Err(Stop::LittleScatters),
             false => Ok(()),
         }
-    });
-    let (histories, relative_error) = (tally.batches * BATCH, simulation.relative_error(&tally));
+    };
+    let run = match &mut gpu {
+        Some(gpu) => gpu.run(&simulation, &mut tally, after),
+        None => simulation.run(&mut tally, after),
+    };
+    if let Err(Stop::Device(error)) = run {
+        return Err(error.into());
+    }
+    let (histories, relative_error) = (tally.histories(), simulation.relative_error(&tally));
     if histories >= MOST_HISTORIES && !(relative_error <= rel_error) {
         let good = 100.0 * relative_error;
         reporter.warn("scatter", format_args!("after {histories} photons the scatter is good to {good:.1} % in the median cell"));
     }
     let image = |pixels: Vec<f64>| Image { width: GRID_PX[0], height: GRID_PX[1], pixels };
     Ok(Scatter {
-        signal: image(cells.clone().map(|cell| tally.scatter(cell, BATCH).mean).collect()),
-        error: image(cells.map(|cell| tally.scatter(cell, BATCH).standard_error).collect()),
+        signal: image(cells.clone().map(|cell| tally.scatter(cell).mean).collect()),
+        error: image(cells.map(|cell| tally.scatter(cell).standard_error).collect()),
         unattenuated: image(simulation.unattenuated().to_vec()),
         from: Origin::Photons { histories, seed },
         relative_error,

@@ -30,6 +30,7 @@ enum TrainOf {
 #[command(after_help = "Examples:
   sidecarm train scatter scatter-set --out my-scatter --hold-out chest --minutes 60
   sidecarm train scatter scatter-set --out my-scatter --resume
+  sidecarm train scatter scatter-set --out everything --sibling without-chest --sibling without-pelvis
 
 Written after every epoch: NAME.safetensors (weights) and NAME.json (its card: what it takes, what it was trained on, how good it is on what
 it was not), NAME.csv (losses), NAME.checkpoint (from where --resume goes on); at the end NAME.svg. The epoch that is best on what is held out
@@ -53,6 +54,10 @@ struct TrainScatterArgs {
     /// says less of a specimen that is none of them]
     #[arg(long, value_name = "SPECIMEN", conflicts_with = "resume")]
     hold_out: Vec<String>,
+    /// A network of the same samples and layers that was trained with --hold-out of one specimen (repeat it for each specimen): this one is
+    /// trained on everything, and its card has their figures
+    #[arg(long, value_name = "NAME", conflicts_with = "hold_out")]
+    sibling: Vec<PathBuf>,
     /// Its layers: few wide ones at low resolution, or those of the paper
     #[arg(long, value_enum, default_value = "default", conflicts_with = "resume")]
     architecture: ArchitectureArg,
@@ -102,8 +107,13 @@ pub enum TrainError {
 /// When samples or settings cannot be used, a file cannot be written, or the training diverges.
 pub fn run(args: &TrainArgs, reporter: &Reporter) -> Result<u8, TrainError> {
     let TrainOf::Scatter(args) = &args.of;
-    let options =
-        TrainOptions { dataset: args.dataset.clone(), output: args.out.clone(), resume: args.resume, recipe: recipe(args)? };
+    let options = TrainOptions {
+        dataset: args.dataset.clone(),
+        output: args.out.clone(),
+        resume: args.resume,
+        siblings: args.sibling.clone(),
+        recipe: recipe(args)?,
+    };
     let watch = Stopwatch::start();
     let bar = reporter.progress("steps", 0);
     let mut first = true;
@@ -154,6 +164,7 @@ fn recipe(args: &TrainScatterArgs) -> Result<Recipe, TrainError> {
         ArchitectureArg::Paper => Architecture::Paper,
     });
     let hold_out = match args.hold_out.as_slice() {
+        [] if !args.sibling.is_empty() => HoldOut::Nothing,
         [] => standard.hold_out.clone(),
         names => HoldOut::Specimens { names: names.to_vec() },
     };

@@ -1,12 +1,14 @@
 //! From a scene at a pose to what its comparison needs besides the two images: marks of the beads, the tool's mask, coarse renders for
 //! the null. A session and the command `compare` come through here alike.
 
+use std::sync::Arc;
+
 use glam::{DVec2, DVec3};
 
 use crate::geometry::{Intensifier, View};
 use crate::image::Image;
 use crate::pose::Pose;
-use crate::render::{Options, Plan, Quantity, Renderer};
+use crate::render::{Options, Plan, Quantity, Renderer, Scatter};
 use crate::scene::model::{Matter, Noise, ScatterModel};
 use crate::scene::{Scene, SceneError};
 
@@ -90,14 +92,16 @@ pub fn tool_mask(scene: &Scene, view: &View) -> Option<Image<bool>> {
 pub struct NullRenders<'a> {
     renderer: &'a mut Renderer,
     scene: &'a Scene,
+    scatter: Option<Arc<Scatter>>,
     plan: Option<Plan>,
 }
 
 impl<'a> NullRenders<'a> {
     /// `scene` has the view of the DRR, on its panel; `plan` is what rendered it: nothing is planned anew by what this machine is fast
-    /// at, so that two replays agree. Without one, one is made for all.
-    pub fn new(renderer: &'a mut Renderer, scene: &'a Scene, plan: Option<Plan>) -> Self {
-        Self { renderer, scene, plan: plan.map(|plan| plan.whole()) }
+    /// at, so that two replays agree. Without one, one is made for all. `scatter` is that of the DRR: poses so near to each other have the
+    /// same.
+    pub fn new(renderer: &'a mut Renderer, scene: &'a Scene, plan: Option<Plan>, scatter: Option<Arc<Scatter>>) -> Self {
+        Self { renderer, scene, scatter, plan: plan.map(|plan| plan.whole()) }
     }
 
     /// The line integral from `view`, on the same panel; NaN where it is not known. There is no noise in it: it would only blur the null.
@@ -107,8 +111,11 @@ impl<'a> NullRenders<'a> {
     pub fn render(&mut self, view: &View) -> Result<Image<f32>, String> {
         let mut coarse = self.scene.with_binned_view(*view);
         coarse.model.noise = Noise::Off;
-        coarse.model.scatter = ScatterModel::Off;
-        let options = Options { quantity: Quantity::LineIntegral, ..Options::default() };
+        if self.scatter.is_none() {
+            coarse.model.scatter = ScatterModel::Off;
+        }
+        let scatter = self.scatter.clone();
+        let options = Options { quantity: Quantity::LineIntegral, scatter, ..Options::default() };
         let plan = match &self.plan {
             Some(plan) => plan.clone(),
             None => self.renderer.plan(&coarse, &options).map_err(|error| error.to_string())?.whole(),

@@ -1,5 +1,11 @@
 //! Which device renders: a hardware GPU where there is one, else the CPU executor; software Vulkan serves to test the shaders.
 
+mod dispatch;
+mod shaders;
+
+pub use dispatch::{compile, dispatch, finish, flat_groups, wait};
+pub use shaders::{STEMS, source};
+
 use crate::reporter::Reporter;
 
 /// What the user asked for.

@@ -53,8 +53,33 @@ pub struct Card {
     pub sample_count: usize,
     /// Specimens trained on, sorted.
     pub specimens: Vec<String>,
+    /// SHA-256 of all samples, held out or not, in hexadecimal.
+    pub samples_sha256: String,
+    /// What the figures of `held_out` were found on.
+    pub judged_by: JudgedBy,
     /// Figures on what was held out, by name.
     pub held_out: BTreeMap<String, f64>,
+}
+
+/// What a network's figures were found on.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", tag = "kind", deny_unknown_fields)]
+pub enum JudgedBy {
+    /// There are none.
+    Nothing,
+    /// Other views of the specimens that it was trained on: of a specimen that is none of them they say less.
+    Seeds,
+    /// Specimens that it was not trained on.
+    Specimens {
+        /// Their names, sorted.
+        names: Vec<String>,
+    },
+    /// It was trained on all samples. The figures are those of networks that were trained alike on the same samples but for one specimen,
+    /// each on that specimen.
+    Siblings {
+        /// SHA-256 of a sibling's weights, by the specimen that it was not trained on.
+        weights_sha256: BTreeMap<String, String>,
+    },
 }
 
 impl Quantity {

@@ -39,10 +39,14 @@ impl NetworkFiles {
     /// When a file is missing, truncated, of another network or no network at all.
     pub fn read(&self) -> Result<(Card, Vec<f32>), InferError> {
         let read = |path: &Path| std::fs::read(path).map_err(|source| InferError::Read { path: path.to_owned(), source });
-        let (weights, card) = (read(&self.weights)?, read(&self.card)?);
-        let card: Card = parse_json(&card).map_err(|fault| InferError::CardForm { path: self.card.clone(), fault })?;
+        self.parse(&read(&self.weights)?, &read(&self.card)?)
+    }
+
+    /// The same from what the files hold.
+    pub(super) fn parse(&self, weights: &[u8], card: &[u8]) -> Result<(Card, Vec<f32>), InferError> {
+        let card: Card = parse_json(card).map_err(|fault| InferError::CardForm { path: self.card.clone(), fault })?;
         card.check(&self.card)?;
-        let found = sha256(&weights);
+        let found = sha256(weights);
         if found != card.weights_sha256 {
             return Err(InferError::Checksum {
                 path: self.weights.clone(),
@@ -53,8 +57,8 @@ impl NetworkFiles {
             });
         }
         let layers = card.architecture.layers(card.channels.len(), card.scalars.len());
-        let parameters = parameters_from_bytes(&layers, &weights)
-            .map_err(|fault| InferError::Weights { path: self.weights.clone(), fault })?;
+        let parameters =
+            parameters_from_bytes(&layers, weights).map_err(|fault| InferError::Weights { path: self.weights.clone(), fault })?;
         Ok((card, parameters))
     }
 }

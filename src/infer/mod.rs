@@ -12,7 +12,7 @@ mod network;
 mod scatter;
 mod tensors;
 
-pub use card::{Architecture, Card, Quantity};
+pub use card::{Architecture, Card, JudgedBy, Quantity};
 pub use error::InferError;
 pub use files::{NetworkFiles, sha256};
 pub use input::{Input, Prediction};

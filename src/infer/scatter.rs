@@ -6,6 +6,11 @@ use burn::tensor::{Device, Tensor, TensorData};
 
 use super::{CELLS, COLUMNS, Card, InferError, Input, Network, NetworkFiles, Prediction, ROWS};
 
+/// The network that comes with the program: where its files are in the sources, and what they hold.
+const SHIPPED: &str = "calibration/networks/scatter";
+const SHIPPED_WEIGHTS: &[u8] = include_bytes!("../../calibration/networks/scatter.safetensors");
+const SHIPPED_CARD: &[u8] = include_bytes!("../../calibration/networks/scatter.json");
+
 /// Anything that predicts scatter from what the rays of an image met.
 pub trait ScatterNetwork {
     /// What it is.
@@ -34,7 +39,26 @@ impl LoadedNetwork {
     /// When a file is missing, truncated or of another network, or the network takes other inputs.
     pub fn load(name: &Path, channels: &[&str], scalar_names: &[&str]) -> Result<Self, InferError> {
         let files = NetworkFiles::of(name);
-        let (card, parameters) = files.read()?;
+        let read = files.read()?;
+        Self::of(files, read, channels, scalar_names)
+    }
+
+    /// The network that comes with the program.
+    ///
+    /// # Errors
+    /// When it takes other inputs.
+    pub fn shipped(channels: &[&str], scalar_names: &[&str]) -> Result<Self, InferError> {
+        let files = NetworkFiles::of(Path::new(SHIPPED));
+        let read = files.parse(SHIPPED_WEIGHTS, SHIPPED_CARD)?;
+        Self::of(files, read, channels, scalar_names)
+    }
+
+    fn of(
+        files: NetworkFiles,
+        (card, parameters): (Card, Vec<f32>),
+        channels: &[&str],
+        scalar_names: &[&str],
+    ) -> Result<Self, InferError> {
         for (what, expected, found) in
             [("channels", channels, card.channel_names()), ("scalars", scalar_names, card.scalar_names())]
         {

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use super::ShardError;
 use crate::image::ImageFileError;
-use crate::infer::TensorFault;
+use crate::infer::{InferError, TensorFault};
 
 /// Why a training cannot begin, go on or be kept.
 #[derive(Debug, thiserror::Error)]
@@ -54,6 +54,17 @@ pub enum LearnError {
         /// What it is.
         found: f64,
     },
+    /// A network that says nothing about the one that is trained.
+    #[error("sibling {}: {because}; a sibling is trained on the same samples, alike, with --hold-out of one specimen", path.display())]
+    NoSibling {
+        /// Its card.
+        path: PathBuf,
+        /// Why.
+        because: &'static str,
+    },
+    /// A sibling cannot be read.
+    #[error(transparent)]
+    Sibling(#[from] InferError),
     /// A specimen to hold out that no sample shows.
     #[error("specimen `{name}` cannot be held out: the samples show [{}]", known.join(", "))]
     UnknownSpecimen {

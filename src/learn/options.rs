@@ -16,6 +16,9 @@ pub struct TrainOptions {
     pub output: PathBuf,
     /// Go on from the checkpoint, where there is one.
     pub resume: bool,
+    /// Cards of networks that were trained alike without one specimen each, whose figures this one shall have: names or paths, as in
+    /// [`NetworkFiles::of`]. Then nothing is held out.
+    pub siblings: Vec<PathBuf>,
     /// All that decides the result, together with the samples.
     pub recipe: Recipe,
 }

@@ -1,7 +1,7 @@
 //! The card's figures of the inputs, from the samples that are trained on.
 
-use super::{Dataset, Mirror, Recipe};
-use crate::infer::{Card, PIXELS, Quantity};
+use super::{Dataset, HoldOut, Mirror, Recipe};
+use crate::infer::{Card, JudgedBy, PIXELS, Quantity};
 
 /// Sums over samples of one quantity.
 struct Sums {
@@ -82,6 +82,12 @@ pub(super) fn card_of(dataset: &Dataset, train: &[usize], recipe: &Recipe) -> Ca
         training_seed: recipe.seed,
         sample_count: train.len(),
         specimens: dataset.specimens(train.iter().copied()),
+        samples_sha256: dataset.fingerprint(),
+        judged_by: match &recipe.hold_out {
+            HoldOut::Nothing => JudgedBy::Nothing,
+            HoldOut::Seeds { .. } => JudgedBy::Seeds,
+            HoldOut::Specimens { names } => JudgedBy::Specimens { names: names.clone() },
+        },
         held_out: std::collections::BTreeMap::new(),
     }
 }

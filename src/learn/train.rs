@@ -11,6 +11,7 @@ use super::checkpoint::State;
 use super::dataset::shuffle;
 use super::figures_of;
 use super::loss::Batch;
+use super::siblings;
 use super::statistics::card_of;
 use super::{
     Dataset, EpochRecord, Figures, LearnError, Mirror, Progress, Recipe, Sample, TrainFiles, TrainOptions, Trained, TrainingEnd,
@@ -31,13 +32,13 @@ pub fn train(options: &TrainOptions, told: &mut dyn FnMut(&Progress<'_>) -> Cont
     check_output(options)?;
     let dataset = Dataset::read(&options.dataset)?;
     let (train, held_out) = dataset.split(&recipe.hold_out, recipe.seed)?;
-    let card = card_of(&dataset, &train, recipe);
+    let mut card = card_of(&dataset, &train, recipe);
+    siblings::judge(&mut card, &options.siblings)?;
     let layers = recipe.architecture.layers(dataset.channels.len(), dataset.scalar_names.len());
     let training = Training {
         recipe,
         held_out: held_out.iter().map(|index| &dataset.samples[*index]).collect(),
         files: TrainFiles::of(&options.output),
-        samples_sha256: dataset.fingerprint(),
         steps: train.len().div_ceil(recipe.batch),
         dataset: &dataset,
         train,
@@ -45,7 +46,7 @@ pub fn train(options: &TrainOptions, told: &mut dyn FnMut(&Progress<'_>) -> Cont
     };
     let mut state = if options.resume && training.files.checkpoint.exists() {
         let count = layers.iter().map(Layer::value_count).sum();
-        State::read(&training.files.checkpoint, recipe, &training.samples_sha256, count)?
+        State::read(&training.files.checkpoint, recipe, &training.card.samples_sha256, count)?
     } else {
         let mut adam = Adam::drawn(&layers, recipe.seed);
         // The last layer's biases are the last parameters: the training begins at the usual scatter of each page.
@@ -84,7 +85,6 @@ struct Training<'a> {
     held_out: Vec<&'a Sample>,
     card: Card,
     files: TrainFiles,
-    samples_sha256: String,
     /// Of one epoch.
     steps: usize,
 }
@@ -221,7 +221,7 @@ impl Training<'_> {
         }
         let bytes = table.into_inner().map_err(|error| io(error.into_error()))?;
         write_atomically(path, |file| file.write_all(&bytes))?;
-        state.write(&self.files.checkpoint, self.recipe, &self.samples_sha256)
+        state.write(&self.files.checkpoint, self.recipe, &self.card.samples_sha256)
     }
 
     /// Writes `parameters`, then their card: until it is there too, a reader meets a checksum that disagrees.

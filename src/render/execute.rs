@@ -114,7 +114,10 @@ impl Renderer {
         let is_asked_for = bins.is_some() && scene.model.scatter != ScatterModel::Off;
         let scatter = options.scatter.as_ref().filter(|_| is_asked_for);
         match scatter {
-            Some(scatter) => plan.say("scatter", true, scatter.words()),
+            Some(scatter) => {
+                plan.say("scatter", true, scatter.words());
+                notes.extend(scatter.unlike());
+            }
             None => notes.extend(scatter_left_out(scene, plan.quantity).filter(|_| bins.is_some()).map(str::to_owned)),
         }
         let mut added = None;

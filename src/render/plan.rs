@@ -84,7 +84,7 @@ pub fn scatter_left_out(scene: &Scene, quantity: Quantity) -> Option<&'static st
         (ScatterModel::MonteCarlo, _) => {
             Some("scatter is left out of this image: following photons takes seconds, and only `sidecarm render` does it")
         }
-        (ScatterModel::Network, _) => Some("scatter is left out of this image: only `sidecarm render` asks the network"),
+        (ScatterModel::Network, _) => Some("scatter is left out of this image: nobody has asked the network"),
     }
 }
 

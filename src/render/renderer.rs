@@ -15,7 +15,7 @@ use super::volumes::VolumeCache;
 use super::wgsl::{self, WgslExecutor};
 use super::{Quantity, RenderError};
 use crate::geometry::View;
-use crate::gpu::{Device, DeviceChoice};
+use crate::gpu::{Device, DeviceChoice, Gpu};
 use crate::image::Image;
 use crate::reporter::Reporter;
 use crate::scene::model::{Scene, Voxels};
@@ -128,6 +128,15 @@ impl Renderer {
     #[must_use]
     pub fn adapter(&self) -> String {
         self.device.name()
+    }
+
+    /// The device, where it is a GPU.
+    #[must_use]
+    pub fn gpu(&self) -> Option<&Gpu> {
+        match &self.device {
+            Device::Gpu(gpu) => Some(gpu),
+            Device::Cpu => None,
+        }
     }
 
     /// The plan that [`Renderer::render`] would execute. Pilot rays are cast for it.

@@ -74,8 +74,14 @@ impl Scatter {
         let Image { width, height, .. } = self.signal;
         let by = match &self.from {
             Origin::Photons { histories, .. } => format!("by Monte Carlo: {:.1e} photons", *histories as f64),
-            Origin::Network { outside, .. } if outside.is_empty() => "by the network".to_owned(),
-            Origin::Network { outside, .. } => format!("by the network, though not trained for this ({})", outside.join("; ")),
+            Origin::Network { sha256, outside } => {
+                let though = if outside.is_empty() {
+                    String::new()
+                } else {
+                    format!(", though not trained for this: {}", outside.join("; "))
+                };
+                format!("by the network (weights {}{though})", sha256.get(..12).unwrap_or(sha256))
+            }
         };
         let good = if self.relative_error.is_finite() {
             let of = if matches!(self.from, Origin::Photons { .. }) { "in the median" } else { "of their root mean square" };
@@ -87,6 +93,17 @@ impl Scatter {
             "{by}, {width} x {height} cells {good}, cubic between them; what that leaves uncertain is added to the image's stated error; its \
              quanta count as ones of the beam's mean response"
         )
+    }
+
+    /// What to say where a network was not trained for the scene.
+    #[must_use]
+    pub fn unlike(&self) -> Option<String> {
+        match &self.from {
+            Origin::Network { outside, .. } if !outside.is_empty() => {
+                Some(format!("the network was not trained for this scene, its scatter may be anything: {}", outside.join("; ")))
+            }
+            _ => None,
+        }
     }
 
     /// Adds it to a signal of `size` = [columns, rows] pixels. The open shares of `flood`, which needs its photons, are in the signal

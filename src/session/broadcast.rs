@@ -22,7 +22,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use glam::DQuat;
 
 use super::SessionError;
-use super::develop::Developed;
+use super::developed::Developed;
 use super::file::Setup;
 use super::posing::Posed;
 use super::servers::IgtlServer;

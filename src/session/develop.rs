@@ -4,9 +4,9 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
-use super::board::PairView;
 use super::crosscheck::{ExposureFacts, check_exposure, innovation};
 use super::declared::Declared;
+use super::developed::{Developed, UNCHECKED};
 use super::file::Setup;
 use super::posing::Posed;
 use crate::beads::{Bead, BeadLayout};
@@ -15,83 +15,16 @@ use crate::compare::{CompareInput, Compared, NullError, NullRenders, bead_marks,
 use crate::geometry::View;
 use crate::image::{Image, sha256_bytes};
 use crate::mask::{Cause, MaskShares};
-use crate::render::{Options, Plan, Quantity, Rendered, Renderer};
+use crate::render::{Options, Plan, Quantity, Renderer, Scatter};
 use crate::report::{self, Pair, PairStatus, PoseSource, StripInput};
 use crate::reporter::Reporter;
 use crate::scene::Scene;
 use crate::time::Stopwatch;
 use crate::timeline::{Binding, BindingFlag, BindingHow};
-
-/// A pair as far as it has come; it is delivered once when it can be shown and once more with its null.
-#[derive(Clone, Debug)]
-pub struct Developed {
-    /// The posed frame.
-    pub posed: Arc<Posed>,
-    /// The row of the report.
-    pub pair: Pair,
-    /// The matched DRR as line integral, and the scene it shows.
-    pub drr: Option<(Arc<Rendered>, Arc<Scene>)>,
-    /// The compared images.
-    pub compared: Option<Arc<Compared>>,
-    /// The strip.
-    pub strip: Arc<Image<[u8; 3]>>,
-    /// SHA-256 of the DRR's pixels, little-endian f32, row by row.
-    pub drr_sha256: Option<String>,
-    /// Whether this is the final state, null included.
-    pub complete: bool,
-}
-
-impl Developed {
-    /// Complete as it is, and why there is no null.
-    pub(super) fn without_null(mut self, because: &str) -> Self {
-        self.pair.flags.retain(|flag| flag != UNCHECKED);
-        self.pair.flags.push(format!("no null, so the image has not been put against other poses: {because}"));
-        self.complete = true;
-        self
-    }
-
-    /// Side of a pixel at the detector, if it is known.
-    pub(super) fn pitch_mm(&self) -> Option<f64> {
-        let of_scene = || self.drr.as_ref().map(|(_, scene)| scene.detector.pitch_mm);
-        self.posed.pose.pitch_mm.or_else(of_scene)
-    }
-
-    /// What the window shows.
-    #[must_use]
-    pub fn picture(&self) -> PairView {
-        let frame = &self.posed.frame;
-        let shown = self.compared.as_ref().map(|compared| &compared.pictures);
-        let gray = |image: &Image<f32>, window: [f64; 2]| image.map(|value| report::gray(*value, window)[0]);
-        let (acquired, drr, difference) = match shown {
-            Some(pictures) => {
-                let window = report::window(&[&pictures.acquired, &pictures.simulated], Some(&pictures.usable));
-                let half = 0.5 * (window[1] - window[0]).max(1e-9);
-                let signed = |(a, b): (&f32, &f32)| report::diverging(((a - b) as f64 / half) as f32);
-                let pixels = pictures.acquired.pixels.iter().zip(&pictures.simulated.pixels).map(signed).collect();
-                let difference = Image::from_pixels(pictures.acquired.width, pictures.acquired.height, pixels);
-                (gray(&pictures.acquired, window), Some(gray(&pictures.simulated, window)), difference)
-            }
-            None => (gray(&frame.pixels, report::window(&[&frame.pixels], None)), None, None),
-        };
-        let scores = ["zncc", "gradient_ncc", "ssim", "local_ncc", "edge_distance_mm", "rmse_nepers"];
-        PairView {
-            number: self.posed.number,
-            name: frame.name.clone(),
-            time_us: self.posed.time_us,
-            status: self.pair.status_line(),
-            standing: self.pair.standing(),
-            acquired,
-            drr,
-            difference,
-            scores: scores.iter().map(|name| ((*name).to_owned(), self.pair.scores.get(name))).collect(),
-        }
-    }
-}
+use crate::transport::NetworkScatter;
 
 /// Share of a picture from which on writing is said to be in it: a mark of a few pixels names nobody.
 const WRITING_SHARE: f64 = 1e-3;
-/// Stands in a pair until its null is made.
-const UNCHECKED: &str = "the image has not been put against other poses yet";
 
 /// What frames are developed with.
 pub(super) struct Bench {
@@ -99,6 +32,7 @@ pub(super) struct Bench {
     pub(super) setup: Setup,
     pub(super) declared: Declared,
     pub(super) layout: Option<BeadLayout>,
+    pub(super) network: Option<NetworkScatter>,
     pub(super) renderer: Renderer,
     pub(super) reporter: Reporter,
 }
@@ -119,9 +53,10 @@ impl Bench {
             Ok(scene) => Arc::new(scene),
             Err(reason) => return self.without(posed, pair, &reason),
         };
+        let scatter = self.scatter_of(&scene, &view, &mut pair);
         let watch = Stopwatch::start();
         let (quantity, frame_index) = (Quantity::LineIntegral, posed.number);
-        let options = Options { quantity, frame_index, plan, guessed: true, ..Options::default() };
+        let options = Options { quantity, frame_index, plan, guessed: true, scatter: scatter.clone(), ..Options::default() };
         let rendered = match self.renderer.render(&scene, &options) {
             Ok(rendered) => Arc::new(rendered),
             Err(error) => return self.without(posed, pair, &format!("not rendered: {error}")),
@@ -175,7 +110,7 @@ impl Bench {
         if !complete {
             pair.flags.push(UNCHECKED.to_owned());
         }
-        Developed { posed, pair, drr: Some((rendered, scene)), compared, strip, drr_sha256, complete }
+        Developed { posed, pair, drr: Some((rendered, scene)), scatter, compared, strip, drr_sha256, complete }
     }
 
     /// What is known of the exposure from several sides, compared: disagreements are flags of the pair and counted warnings.
@@ -295,6 +230,23 @@ impl Bench {
         Ok(scene)
     }
 
+    /// What the network says of the scatter, where the scene asks it; without a word from it there is none in the DRR, and `pair` says so.
+    fn scatter_of(&self, scene: &Scene, view: &View, pair: &mut Pair) -> Option<Arc<Scatter>> {
+        let network = self.network.as_ref()?;
+        let watch = Stopwatch::start();
+        let found = network.say(scene, view, &self.reporter);
+        pair.stages_ms.add("scatter", watch.ms());
+        match found {
+            Ok(scatter) => Some(Arc::new(scatter)),
+            Err(error) => {
+                let words = format!("no scatter in the DRR: {error}");
+                self.reporter.warn("scatter", &words);
+                pair.flags.push(words);
+                None
+            }
+        }
+    }
+
     pub(super) fn centre(&self) -> Option<DVec3> {
         let beads = self.layout.as_ref().filter(|layout| layout.refused.is_none()).map(BeadLayout::centroid_lps_mm);
         beads.or_else(|| self.scene.bounds().map(|(centre, _)| centre))
@@ -312,7 +264,7 @@ impl Bench {
             Ok(plan) => plan,
             Err(error) => return Some(developed.without_null(&error.to_string())),
         };
-        let mut renders = NullRenders::new(&mut self.renderer, &scene, Some(plan));
+        let mut renders = NullRenders::new(&mut self.renderer, &scene, Some(plan), developed.scatter.clone());
         match compared.add_null(&mut |view| renders.render(view), cancelled) {
             Ok(()) => {
                 developed.pair.flags.retain(|flag| flag != UNCHECKED);
@@ -346,7 +298,7 @@ impl Bench {
             self.reporter.warn("no DRR", format!("{}: {reason}", posed.label()));
         }
         let strip = Arc::new(draw(&posed, &pair, None, Some(reason)));
-        Developed { posed, pair, drr: None, compared: None, strip, drr_sha256: None, complete: true }
+        Developed { posed, pair, drr: None, scatter: None, compared: None, strip, drr_sha256: None, complete: true }
     }
 }
 

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use super::SessionError;
-use super::develop::Developed;
+use super::developed::Developed;
 use super::engine::Engine;
 use super::inputs::InputNames;
 use super::losses::none_accepted;
@@ -71,11 +71,12 @@ impl Collector {
             std::fs::create_dir_all(&folder)
                 .map_err(|source| SessionError::Folder { path: folder.display().to_string(), source })?;
         }
-        let not_modelled = [
-            "scatter: it is not in the DRR, so acquired frames are brighter behind thick tissue",
-            "detector blur, focal spot, anode heel, lag",
-            "the operating table and whatever else is not in the CT",
-        ];
+        let mut not_modelled =
+            vec!["detector blur, focal spot, anode heel, lag", "the operating table and whatever else is not in the CT"];
+        let network = workshop.network_sha256();
+        if network.is_none() {
+            not_modelled.insert(0, "scatter: it is not in the DRR, so acquired frames are brighter behind thick tissue");
+        }
         let names = workshop.names().clone();
         let inputs: Vec<_> = names.shown().into_iter().map(|input| (input.path, input.sha256)).collect();
         let scene = inputs.first().map(|(label, _)| ("scene".to_owned(), label.clone()));
@@ -84,12 +85,15 @@ impl Collector {
             adapter: Some(workshop.adapter().to_owned()),
             command: None,
             inputs,
-            details: scene.into_iter().collect(),
+            details: scene
+                .into_iter()
+                .chain(network.map(|sha256| ("scatter network".to_owned(), format!("sha256 {sha256}"))))
+                .collect(),
         };
         let report = SessionReport {
             title: "Sidecarm session".to_owned(),
             started_us: Some(started_us),
-            not_modelled: not_modelled.map(str::to_owned).to_vec(),
+            not_modelled: not_modelled.into_iter().map(str::to_owned).collect(),
             provenance,
             ..SessionReport::default()
         };

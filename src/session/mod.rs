@@ -30,6 +30,7 @@ mod air_word;
 mod background;
 mod broadcast;
 mod develop;
+mod developed;
 mod event;
 mod file_error;
 mod image_difference;
@@ -59,7 +60,7 @@ mod waiting;
 mod warm;
 mod workshop;
 
-pub use develop::Developed;
+pub use developed::Developed;
 pub use logged_frames::logged_frames;
 pub use posing::{PoseJob, Posed, Registered};
 pub use robot_state::{RobotCaution, RobotState};
@@ -79,6 +80,9 @@ pub enum SessionError {
     /// The renderer.
     #[error(transparent)]
     Render(#[from] crate::render::RenderError),
+    /// The network that the scene asks for its scatter.
+    #[error(transparent)]
+    Scatter(#[from] crate::transport::NetworkError),
     /// The bead layout.
     #[error("{path}: {detail}")]
     Beads {

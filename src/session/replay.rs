@@ -10,7 +10,7 @@ use super::SessionError;
 use super::against_log::Samples;
 use super::board::Board;
 use super::broadcast::Broadcast;
-use super::develop::Developed;
+use super::developed::Developed;
 use super::engine::Engine;
 use super::file::Setup;
 use super::folder::{Collector, Folder, Times};

@@ -10,7 +10,7 @@ use super::SessionError;
 use super::background::stand_back;
 use super::board::Board;
 use super::broadcast::Broadcast;
-use super::develop::Developed;
+use super::developed::Developed;
 use super::folder::Collector;
 use super::input::Input;
 use super::log::SessionLog;

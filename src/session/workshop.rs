@@ -9,7 +9,8 @@ use super::SessionError;
 use super::background::stand_back;
 use super::crosscheck::{self, check_session};
 use super::declared::Declared;
-use super::develop::{Bench, Developed};
+use super::develop::Bench;
+use super::developed::Developed;
 use super::file::Setup;
 use super::inputs::InputNames;
 use super::posing::Posed;
@@ -17,7 +18,9 @@ use crate::beads::{BeadLayout, parse_markups};
 use crate::gpu::DeviceChoice;
 use crate::render::{Plan, Renderer};
 use crate::reporter::Reporter;
+use crate::scene::model::{Formation, ScatterModel};
 use crate::scene::{self, Robot};
+use crate::transport::NetworkScatter;
 
 /// A frame, and the plan to execute where a log has one.
 struct Job {
@@ -66,6 +69,7 @@ pub struct Workshop {
     layout: Option<Arc<BeadLayout>>,
     robot: Option<Robot>,
     adapter: String,
+    network_sha256: Option<String>,
     names: InputNames,
 }
 
@@ -95,9 +99,13 @@ impl Workshop {
         let adapter = renderer.adapter();
         let declared = Declared::of(setup);
         let robot = scene.robot.clone();
-        let bench = Bench { scene, setup: setup.clone(), declared, layout: layout.clone(), renderer, reporter: reporter.clone() };
+        let asks = scene.model.scatter == ScatterModel::Network && scene.model.formation != Formation::Naive;
+        let network = if asks { Some(NetworkScatter::open(None)?) } else { None };
+        let network_sha256 = network.as_ref().map(NetworkScatter::sha256);
+        let (setup, layout_of_bench, reporter) = (setup.clone(), layout.clone(), reporter.clone());
+        let bench = Bench { scene, setup, declared, layout: layout_of_bench, network, renderer, reporter };
         let layout = layout.map(Arc::new);
-        Ok(Self { bench: Some(bench), shared: Arc::default(), thread: None, layout, robot, adapter, names })
+        Ok(Self { bench: Some(bench), shared: Arc::default(), thread: None, layout, robot, adapter, network_sha256, names })
     }
 
     /// Starts the thread, which first warms up where `warm` says so; `sink` gets each pair when it can be shown and once more with its null, and says whether it wants more.
@@ -138,6 +146,12 @@ impl Workshop {
     #[must_use]
     pub fn adapter(&self) -> &str {
         &self.adapter
+    }
+
+    /// SHA-256 of the weights of the network that says the scatter, where one is asked.
+    #[must_use]
+    pub fn network_sha256(&self) -> Option<&str> {
+        self.network_sha256.as_deref()
     }
 
     /// Files that went into the scene, and what they are called.

@@ -6,7 +6,7 @@ use super::stream::Stream;
 #[derive(Clone, Debug)]
 pub struct Alias {
     /// By slot: up to where the slot itself is drawn, and what is drawn beyond.
-    slots: Vec<(f64, u32)>,
+    pub(super) slots: Vec<(f64, u32)>,
 }
 
 impl Alias {

@@ -17,8 +17,8 @@ pub struct Shares {
 /// μ/ρ and its shares at rows of equal spacing from the lowest energy of the tables.
 #[derive(Clone, Debug)]
 pub struct Attenuation {
-    mm2_per_mg: Vec<f64>,
-    shares: Vec<Shares>,
+    pub(super) mm2_per_mg: Vec<f64>,
+    pub(super) shares: Vec<Shares>,
 }
 
 impl Attenuation {

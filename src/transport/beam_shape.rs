@@ -13,8 +13,8 @@ const ANGLES: usize = 240;
 
 /// Shares by direction and energy.
 pub struct Left {
-    bowtie: Option<(BowTie, Vec<f64>)>,
-    heel: Option<(Heel, Vec<Vec<f64>>)>,
+    pub(super) bowtie: Option<(BowTie, Vec<f64>)>,
+    pub(super) heel: Option<(Heel, Vec<Vec<f64>>)>,
 }
 
 impl Left {

@@ -78,7 +78,7 @@ pub struct Cells {
     /// Contents.
     pub contents: Vec<Content>,
     /// Box of each cell.
-    box_of_cell: Vec<u32>,
+    pub(super) box_of_cell: Vec<u32>,
 }
 
 impl Cells {

@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::error::TransportError;
-use super::simulation::{BATCH, Histories, Simulation};
+use super::simulation::{Histories, Simulation};
 use super::tally::Tally;
 use crate::image::write_atomically;
 
@@ -14,6 +14,7 @@ use crate::image::write_atomically;
 #[serde(deny_unknown_fields)]
 pub struct Checkpoint {
     version: String,
+    device: String,
     histories_per_batch: u64,
     seed: u64,
     grid_px: [usize; 2],
@@ -24,12 +25,13 @@ pub struct Checkpoint {
 }
 
 impl Checkpoint {
-    /// Of a run of `histories` over a scene made of files with these SHA-256.
+    /// Of a run of `histories` on `device` over a scene made of files with these SHA-256.
     #[must_use]
-    pub fn new(histories: &Histories, inputs: &[String], tally: &Tally) -> Self {
+    pub fn new(histories: &Histories, device: &str, inputs: &[String], tally: &Tally) -> Self {
         Self {
             version: env!("CARGO_PKG_VERSION").to_owned(),
-            histories_per_batch: BATCH,
+            device: device.to_owned(),
+            histories_per_batch: tally.histories_per_batch,
             seed: histories.seed,
             grid_px: histories.grid_px,
             estimator: histories.estimator,
@@ -61,17 +63,23 @@ impl Checkpoint {
         read.map(Some).map_err(|error| TransportError::Unreadable { path: path.to_owned(), detail: error.to_string() })
     }
 
-    /// The sums, if they are of the same run; more or fewer histories may be asked for.
+    /// The sums, if they are of the same run on the same device, whose tallies are like `empty`; more or fewer histories may be asked for.
     ///
     /// # Errors
     /// When something that decides the result differs.
-    pub fn tally_for(self, simulation: &Simulation, inputs: &[String]) -> Result<Tally, TransportError> {
-        let here = Self::new(simulation.histories(), inputs, &self.tally);
+    pub fn tally_for(
+        self,
+        simulation: &Simulation,
+        (device, empty): (&str, &Tally),
+        inputs: &[String],
+    ) -> Result<Tally, TransportError> {
+        let here = Self::new(simulation.histories(), device, inputs, empty);
         let differs = |what: &'static str, saved: String, found: String| match saved == found {
             true => Ok(()),
             false => Err(TransportError::Checkpoint { what, saved, found }),
         };
         differs("the version", self.version, here.version)?;
+        differs("the device", self.device, here.device)?;
         differs("histories per batch", self.histories_per_batch.to_string(), here.histories_per_batch.to_string())?;
         differs("the seed", self.seed.to_string(), here.seed.to_string())?;
         differs("the grid", format!("{:?}", self.grid_px), format!("{:?}", here.grid_px))?;

@@ -191,7 +191,7 @@ mod tests {
     use crate::scene::optics::{Axis, BowTie, Field, Grid, Heel, Scintillator, Strips, Towards};
     use crate::scene::physics::{Material, Spectrum};
     use crate::transport::fixture::{everything, scene, solid};
-    use crate::transport::{BATCH, Histories, Page};
+    use crate::transport::{Histories, Page};
 
     /// A camera at the origin that looks along +z, 100 × 80 pixels of 1 mm, the detector 1000 mm away.
     fn view() -> View {
@@ -263,7 +263,7 @@ mod tests {
             let (column, row) = (cell % 10 * fine, cell / 10 * fine);
             let rays = (0..fine * fine).map(|n| found.channels[0][(row + n / fine) * 10 * fine + column + n % fine]);
             let mean = rays.map(f64::from).sum::<f64>() / (fine * fine) as f64;
-            let primary = tally.signal(Page::Primary, cell, BATCH);
+            let primary = tally.signal(Page::Primary, cell);
             let (truth, error) =
                 (primary.mean / simulation.unattenuated()[cell], primary.standard_error / simulation.unattenuated()[cell]);
             // The exponential of a drawn thickness is high by half its variance: no matter where hardly anything arrives.
@@ -299,7 +299,7 @@ mod tests {
             let (column, row) = (cell % 10 * fine, cell / 10 * fine);
             let rays = (0..fine * fine).map(|n| found.channels[0][(row + n / fine) * 10 * fine + column + n % fine]);
             let mean = rays.map(f64::from).sum::<f64>() / (fine * fine) as f64;
-            let primary = tally.signal(Page::Primary, cell, BATCH);
+            let primary = tally.signal(Page::Primary, cell);
             let (truth, error) = (primary.mean / unit, primary.standard_error / unit);
             assert!((mean - truth).abs() < 4.0 * error + 0.01 * truth, "cell {cell}: {mean}, photons find {truth} ± {error}");
         }

@@ -26,19 +26,19 @@ const NORMS_PER_KEV: f64 = 4.0;
 
 /// One energy box of the envelope: a bound of the cross section in each box of cosines, and how to draw a box by it.
 #[derive(Clone, Debug)]
-struct Envelope {
-    bounds: [f64; ENVELOPE_COSINES],
-    boxes: Alias,
+pub(super) struct Envelope {
+    pub(super) bounds: [f64; ENVELOPE_COSINES],
+    pub(super) boxes: Alias,
 }
 
 /// Compton scattering in one material.
 #[derive(Clone, Debug)]
 pub struct Compton {
     /// S over the electrons of the mixture: from 0 to 1.
-    incoherent: Vec<f64>,
-    envelopes: Vec<Envelope>,
+    pub(super) incoherent: Vec<f64>,
+    pub(super) envelopes: Vec<Envelope>,
     /// ∫ over all directions.
-    norms: Vec<f64>,
+    pub(super) norms: Vec<f64>,
 }
 
 impl Compton {

@@ -12,8 +12,8 @@ use super::stream::Stream;
 
 /// The matter of a scene, ready to fly through.
 pub struct Space<'a> {
-    things: Vec<Thing<'a>>,
-    cells: Cells,
+    pub(super) things: Vec<Thing<'a>>,
+    pub(super) cells: Cells,
 }
 
 /// A point on its way.

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde_json::json;
 
 use super::error::TransportError;
-use super::simulation::{BATCH, Simulation};
+use super::simulation::Simulation;
 use super::tally::{DETECTED, ESCAPED, Estimate, PAGE_NAMES, Page, STARTED, Tally};
 use crate::image::{Image, write_atomically, write_tiff_f32};
 use crate::scene::model::Scene;
@@ -23,6 +23,8 @@ pub struct ScatterImage {
     pub scatter_error: Image<f64>,
     /// Photons that were followed.
     pub histories: u64,
+    /// By so many the errors are told.
+    pub histories_per_batch: u64,
     /// Median over the pixels of the scatter's relative standard error; infinite where most have no scatter.
     pub relative_error: f64,
     /// Energy per history that stayed in each scene material, keV.
@@ -48,25 +50,26 @@ impl Simulation<'_> {
             };
             Image { width, height, pixels: (0..width * height).map(scaled).collect() }
         };
-        let page = |page: Page| image(&|pixel| tally.signal(page, pixel, BATCH).mean);
-        let error = |page: Page| image(&|pixel| tally.signal(page, pixel, BATCH).standard_error);
+        let page = |page: Page| image(&|pixel| tally.signal(page, pixel).mean);
+        let error = |page: Page| image(&|pixel| tally.signal(page, pixel).standard_error);
         ScatterImage {
             pages: Page::ALL.iter().map(|one| page(*one)).collect(),
             errors: Page::ALL.iter().map(|one| error(*one)).collect(),
-            scatter: image(&|pixel| tally.scatter(pixel, BATCH).mean),
-            scatter_error: image(&|pixel| tally.scatter(pixel, BATCH).standard_error),
-            histories: tally.batches * BATCH,
+            scatter: image(&|pixel| tally.scatter(pixel).mean),
+            scatter_error: image(&|pixel| tally.scatter(pixel).standard_error),
+            histories: tally.histories(),
+            histories_per_batch: tally.histories_per_batch,
             relative_error: self.relative_error(tally),
-            absorbed_kev: (0..self.materials()).map(|material| tally.absorbed(material, BATCH)).collect(),
-            started_kev: tally.fate(STARTED, BATCH).mean,
-            detected_kev: tally.fate(DETECTED, BATCH).mean,
-            escaped_kev: tally.fate(ESCAPED, BATCH).mean,
+            absorbed_kev: (0..self.materials()).map(|material| tally.absorbed(material)).collect(),
+            started_kev: tally.fate(STARTED).mean,
+            detected_kev: tally.fate(DETECTED).mean,
+            escaped_kev: tally.fate(ESCAPED).mean,
         }
     }
 
     /// What the numbers mean and where they come from, for `IMAGE.tif.json`.
     #[must_use]
-    pub fn describe(&self, image: &ScatterImage, scene: &Scene) -> serde_json::Value {
+    pub fn describe(&self, image: &ScatterImage, scene: &Scene, adapter: &str) -> serde_json::Value {
         let asked = self.histories();
         let absorbed: serde_json::Map<String, serde_json::Value> = scene
             .materials
@@ -85,7 +88,7 @@ impl Simulation<'_> {
             "stated_error": finite(image.relative_error),
             "plan": {
                 "estimator": asked.estimator,
-                "histories_per_batch": BATCH,
+                "histories_per_batch": image.histories_per_batch,
                 "stated_error": "median over the pixels of the relative standard error of all scatter",
                 "scoring": "each pixel covers its share of the image area; expected: at every start and scattering the expected signal, \
                             directions to an even point of the image and the photon's own weighed by the balance heuristic",
@@ -101,7 +104,7 @@ impl Simulation<'_> {
             "scatter_to_primary": finite(image.scatter_to_primary()),
             "inputs": scene.inputs,
             "version": env!("CARGO_PKG_VERSION"),
-            "adapter": "cpu",
+            "adapter": adapter,
         })
     }
 }

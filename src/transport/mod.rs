@@ -24,10 +24,12 @@ mod history;
 mod simulation;
 mod columns;
 mod image;
+pub mod wgsl;
 mod checkpoint;
 mod scatter;
 #[cfg(feature = "learn")]
 mod predicted;
+mod network;
 #[cfg(test)]
 mod fixture;
 
@@ -38,10 +40,12 @@ pub use compton::{Compton, energy_ratio};
 pub use error::TransportError;
 pub use history::Estimator;
 pub use image::{ScatterImage, written_with};
+pub use network::{NetworkError, NetworkScatter};
 #[cfg(feature = "learn")]
-pub use predicted::{PredictError, network_inputs, predicted};
+pub use predicted::{PredictError, predicted};
 pub use rayleigh::Rayleigh;
 pub use scatter::scatter;
 pub use simulation::{BATCH, Histories, Simulation};
 pub use stream::Stream;
 pub use tally::{DETECTED, ESCAPED, Estimate, FATES, PAGE_NAMES, PAGES, Page, STARTED, Tally};
+pub use wgsl::{GpuTransport, GpuTransportError};

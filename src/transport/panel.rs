@@ -14,7 +14,7 @@ const ROWS_PER_KEV: f64 = 16.0;
 /// The detector plane, its raster, and its response.
 #[derive(Clone, Debug)]
 pub struct Panel {
-    view: View,
+    pub(super) view: View,
     /// Columns and rows of the raster.
     pub grid_px: [usize; 2],
     /// Source to detector.
@@ -25,8 +25,8 @@ pub struct Panel {
     pub axes: [DVec3; 3],
     /// Area of the image on the plane.
     pub area_mm2: f64,
-    responses: Vec<f64>,
-    strips: Option<Strips>,
+    pub(super) responses: Vec<f64>,
+    pub(super) strips: Option<Strips>,
 }
 
 impl Panel {

@@ -1,6 +1,5 @@
 //! Scatter that a network says instead of photons.
 
-use super::columns::{CHANNELS, SCALARS};
 use super::error::TransportError;
 use super::simulation::{Histories, Simulation};
 use crate::geometry::View;
@@ -24,12 +23,6 @@ pub enum PredictError {
     /// The network.
     #[error(transparent)]
     Network(#[from] InferError),
-}
-
-/// What a network has to be trained on to be asked here: names of its channels and of its numbers.
-#[must_use]
-pub fn network_inputs() -> (&'static [&'static str], &'static [&'static str]) {
-    (&CHANNELS, &SCALARS)
 }
 
 /// Scatter of `scene` seen in `view` as `network` has it, with the error of its card; with one as large as the scatter where the scene is
@@ -67,9 +60,10 @@ mod tests {
 
     use super::*;
     use crate::geometry::{Intrinsics, Rigid};
-    use crate::infer::{Architecture, CELLS, Card, Prediction};
+    use crate::infer::{Architecture, CELLS, Card, JudgedBy, Prediction};
     use crate::scene::model::{Matter, Shape};
     use crate::scene::optics::{Heel, Towards};
+    use crate::transport::columns::{CHANNELS, SCALARS};
     use crate::transport::fixture::{scene, solid};
 
     /// Says the same wherever it is asked.
@@ -101,6 +95,8 @@ mod tests {
             training_seed: 1,
             sample_count: 1,
             specimens: Vec::new(),
+            samples_sha256: String::new(),
+            judged_by: JudgedBy::Seeds,
             held_out,
         };
         Known { card, outside: outside.iter().map(|text| (*text).to_owned()).collect() }

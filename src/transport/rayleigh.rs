@@ -20,13 +20,13 @@ const NORMS_PER_KEV: f64 = 4.0;
 #[derive(Clone, Debug)]
 pub struct Rayleigh {
     /// Mean of F² over each step, per unit of the mixture's mass.
-    squares: Vec<f64>,
+    pub(super) squares: Vec<f64>,
     /// ∫F² d(x²) up to each step.
-    below: Vec<f64>,
+    pub(super) below: Vec<f64>,
     /// The step in which the cumulative passes n/GUIDES of its end.
-    guides: Vec<u32>,
+    pub(super) guides: Vec<u32>,
     /// ∫ over all directions.
-    norms: Vec<f64>,
+    pub(super) norms: Vec<f64>,
 }
 
 impl Rayleigh {

@@ -4,7 +4,7 @@ use std::convert::Infallible;
 
 use super::error::TransportError;
 use super::image::ScatterImage;
-use super::simulation::{BATCH, Histories, Simulation};
+use super::simulation::{Histories, Simulation};
 use crate::geometry::View;
 use crate::scene::model::Scene;
 
@@ -21,7 +21,7 @@ pub fn scatter(
     let simulation = Simulation::new(scene, view, histories)?;
     let mut tally = simulation.tally();
     let run = simulation.run(&mut tally, |tally| {
-        progress(tally.batches * BATCH);
+        progress(tally.histories());
         Ok::<(), Infallible>(())
     });
     match run {

@@ -117,7 +117,7 @@ impl<'a> Simulation<'a> {
     /// An empty tally for this scene.
     #[must_use]
     pub fn tally(&self) -> Tally {
-        Tally::new(self.world.panel.pixels(), self.materials())
+        Tally::new(self.world.panel.pixels(), self.materials(), BATCH)
     }
 
     /// Batches that are asked for.
@@ -155,7 +155,7 @@ impl<'a> Simulation<'a> {
             return f64::INFINITY;
         }
         let of_pixel = |pixel: usize| {
-            let found = tally.scatter(pixel, BATCH);
+            let found = tally.scatter(pixel);
             if found.mean > 0.0 { found.standard_error / found.mean } else { f64::INFINITY }
         };
         let mut errors: Vec<f64> = (0..self.unattenuated.len()).map(of_pixel).collect();

@@ -51,15 +51,15 @@ pub struct Groups {
 
 /// The beam.
 pub struct Source {
-    field: Option<Field>,
+    pub(super) field: Option<Field>,
     /// Bounds of the field on the plane, mm from the principal point.
-    low_mm: DVec2,
-    high_mm: DVec2,
-    sigma_mm: DVec2,
-    energies_kev: Vec<f64>,
+    pub(super) low_mm: DVec2,
+    pub(super) high_mm: DVec2,
+    pub(super) sigma_mm: DVec2,
+    pub(super) energies_kev: Vec<f64>,
     fractions: Vec<f64>,
-    energies: Alias,
-    left: Left,
+    pub(super) energies: Alias,
+    pub(super) left: Left,
     /// ∫ (SDD/d)³ over the open field, mm².
     open_mm2: f64,
 }

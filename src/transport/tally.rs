@@ -76,6 +76,8 @@ impl Batch {
 pub struct Tally {
     /// Batches so far.
     pub batches: u64,
+    /// Histories of each.
+    pub histories_per_batch: u64,
     sums: Vec<f64>,
     squares: Vec<f64>,
     /// By pixel, squares of what all pages but the primary add up to.
@@ -94,9 +96,15 @@ pub struct Estimate {
 impl Tally {
     /// Nothing yet.
     #[must_use]
-    pub fn new(pixels: usize, materials: usize) -> Self {
+    pub fn new(pixels: usize, materials: usize, histories_per_batch: u64) -> Self {
         let count = PAGES * pixels + materials + FATES;
-        Self { batches: 0, sums: vec![0.0; count], squares: vec![0.0; count], scatter_squares: vec![0.0; pixels] }
+        Self {
+            batches: 0,
+            histories_per_batch,
+            sums: vec![0.0; count],
+            squares: vec![0.0; count],
+            scatter_squares: vec![0.0; pixels],
+        }
     }
 
     /// Adds a batch. The order of batches decides the last bits, so it is that of their numbers.
@@ -112,6 +120,12 @@ impl Tally {
         }
     }
 
+    /// Histories so far.
+    #[must_use]
+    pub fn histories(&self) -> u64 {
+        self.batches * self.histories_per_batch
+    }
+
     /// Whether this has the sums of so many pixels and materials.
     #[must_use]
     pub fn fits(&self, pixels: usize, materials: usize) -> bool {
@@ -125,35 +139,35 @@ impl Tally {
 
     /// Signal per history in a pixel of a page.
     #[must_use]
-    pub fn signal(&self, page: Page, pixel: usize, histories_per_batch: u64) -> Estimate {
+    pub fn signal(&self, page: Page, pixel: usize) -> Estimate {
         let index = page as usize * self.pixels() + pixel;
-        self.estimate(self.sums[index], self.squares[index], histories_per_batch)
+        self.estimate(self.sums[index], self.squares[index])
     }
 
     /// Signal per history in a pixel, of all pages but the primary.
     #[must_use]
-    pub fn scatter(&self, pixel: usize, histories_per_batch: u64) -> Estimate {
+    pub fn scatter(&self, pixel: usize) -> Estimate {
         let sum = (1..PAGES).map(|page| self.sums[page * self.pixels() + pixel]).sum();
-        self.estimate(sum, self.scatter_squares[pixel], histories_per_batch)
+        self.estimate(sum, self.scatter_squares[pixel])
     }
 
     /// Energy per history that a scene material absorbs, keV.
     #[must_use]
-    pub fn absorbed(&self, material: usize, histories_per_batch: u64) -> Estimate {
+    pub fn absorbed(&self, material: usize) -> Estimate {
         let index = PAGES * self.pixels() + material;
-        self.estimate(self.sums[index], self.squares[index], histories_per_batch)
+        self.estimate(self.sums[index], self.squares[index])
     }
 
     /// Energy per history that met a fate, keV.
     #[must_use]
-    pub fn fate(&self, fate: usize, histories_per_batch: u64) -> Estimate {
+    pub fn fate(&self, fate: usize) -> Estimate {
         let index = self.sums.len() - FATES + fate;
-        self.estimate(self.sums[index], self.squares[index], histories_per_batch)
+        self.estimate(self.sums[index], self.squares[index])
     }
 
     // A batch of n histories sums to B; the mean of N batches estimates E[B] with the standard error √((⟨B²⟩ − ⟨B⟩²)/(N − 1)).
-    fn estimate(&self, sum: f64, sum_of_squares: f64, histories_per_batch: u64) -> Estimate {
-        let (batches, per_batch) = (self.batches as f64, histories_per_batch as f64);
+    fn estimate(&self, sum: f64, sum_of_squares: f64) -> Estimate {
+        let (batches, per_batch) = (self.batches as f64, self.histories_per_batch as f64);
         let mean = sum / batches;
         let spread = (sum_of_squares / batches - mean * mean).max(0.0);
         let error = if self.batches > 1 { (spread / (batches - 1.0)).sqrt() } else { f64::NAN };
@@ -167,16 +181,16 @@ mod tests {
 
     #[test]
     fn the_spread_of_batches_gives_the_textbook_error() {
-        let mut tally = Tally::new(1, 1);
+        let mut tally = Tally::new(1, 1, 10);
         for value in [2.0, 4.0, 9.0] {
             let mut batch = Batch::new(1, 1);
             batch.detect(Page::Rayleigh, 0, value);
             tally.add(&batch);
         }
-        let found = tally.signal(Page::Rayleigh, 0, 10);
+        let found = tally.signal(Page::Rayleigh, 0);
         // Mean 5, sample variance 13, standard error √(13/3); per history a tenth.
         assert!((found.mean - 0.5).abs() < 1e-15 && (found.standard_error - (13.0_f64 / 3.0).sqrt() / 10.0).abs() < 1e-12);
-        assert_eq!(tally.scatter(0, 10), found);
-        assert_eq!(tally.signal(Page::Primary, 0, 10).mean, 0.0);
+        assert_eq!(tally.scatter(0), found);
+        assert_eq!(tally.signal(Page::Primary, 0).mean, 0.0);
     }
 }

@@ -5,22 +5,20 @@ mod pass_times;
 mod pipelines;
 mod request;
 mod resident;
-mod sources;
 mod workspace;
 
 use std::ops::Range;
 use std::sync::Arc;
 
 pub use request::{NoiseKey, Request};
-pub use sources::{STEMS, source};
 
-use self::pipelines::{Pipelines, dispatch, flat_groups};
+use self::pipelines::Pipelines;
 use self::resident::Resident;
-use self::workspace::{Needs, Workspace, finish, wait};
+use self::workspace::{Needs, Workspace};
 use super::cells::BRICK;
 use super::cpu::attenuate_spectrum::{Arriving, Signal};
 use super::prepared::{Prepared, Step};
-use crate::gpu::{Gpu, GpuError};
+use crate::gpu::{Gpu, GpuError, dispatch, finish, flat_groups, wait};
 use crate::scene::model::{Matter, Scene, Volume};
 
 /// Materials that a ray can accumulate.

@@ -4,8 +4,7 @@ use std::ops::Range;
 
 use wgpu::util::DeviceExt;
 
-use super::workspace::finish;
-use crate::gpu::{Gpu, GpuError};
+use crate::gpu::{Gpu, GpuError, finish};
 use crate::render::cells::BRICK;
 use crate::render::prepared::SeenVolume;
 

@@ -3,7 +3,7 @@
 use super::layout;
 use super::pass_times::PassTimes;
 use super::request::Request;
-use crate::gpu::{Gpu, GpuError};
+use crate::gpu::{Gpu, GpuError, wait};
 
 /// What a view needs room for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -244,31 +244,4 @@ fn mapped(gpu: &Gpu, buffer: &wgpu::Buffer) -> Result<Vec<f32>, GpuError> {
     drop(view);
     buffer.unmap();
     Ok(words)
-}
-
-/// Waits for everything that was submitted.
-///
-/// # Errors
-/// When the device is lost.
-pub fn finish(gpu: &Gpu) -> Result<(), GpuError> {
-    let lost = |error: wgpu::PollError| GpuError::Lost { adapter: gpu.adapter.clone(), detail: error.to_string() };
-    gpu.device.poll(wgpu::PollType::wait_indefinitely()).map(drop).map_err(lost)
-}
-
-/// Waits for the device, and for `count` buffers to be mapped.
-///
-/// # Errors
-/// When the device is lost.
-pub fn wait(
-    gpu: &Gpu,
-    mapped: &std::sync::mpsc::Receiver<Result<(), wgpu::BufferAsyncError>>,
-    count: usize,
-) -> Result<(), GpuError> {
-    finish(gpu)?;
-    let lost = |detail: String| GpuError::Lost { adapter: gpu.adapter.clone(), detail };
-    for _ in 0..count {
-        let result = mapped.recv().map_err(|_| lost("the device gave no answer".to_owned()))?;
-        result.map_err(|error| lost(error.to_string()))?;
-    }
-    Ok(())
 }

@@ -1,0 +1,99 @@
+// What is at a point: twin of src/transport/matter.rs.
+
+const PARTS: u32 = 8u;
+const NO_THING: u32 = 0xffffffffu;
+
+var<private> part_material: array<u32, 8>;
+var<private> part_density: array<f32, 8>;
+var<private> parts: u32;
+
+fn add_part(material: u32, density: f32) {
+    if parts == PARTS { give_up(TOO_MANY_PARTS); return; }
+    part_material[parts] = material;
+    part_density[parts] = density;
+    parts += 1u;
+}
+
+// Draws what the `count` things named from `first` on in `indices`, the scene's last first, have at a point.
+fn draw_at(first: u32, count: u32, keeps_air: bool, point: vec3<f32>) {
+    parts = 0u;
+    for (var air = 0u; air < 2u; air += 1u) {
+        if air == 1u && !keeps_air { return; }
+        var present = NO_THING;
+        for (var n = 0u; n < count; n += 1u) {
+            let thing = indices[first + n];
+            if things[thing].own != present && parts > 0u { return; }
+            present = things[thing].own;
+            draw_thing(thing, air == 1u, count == 1u, point);
+        }
+        if parts > 0u { return; }
+    }
+}
+
+fn draw_thing(thing: u32, air: bool, alone: bool, point: vec3<f32>) {
+    let at = vec4<f32>(point, 1.0);
+    let local = vec3<f32>(dot(things[thing].row_x, at), dot(things[thing].row_y, at), dot(things[thing].row_z, at));
+    let kind = things[thing].kind;
+    if kind == 3u { draw_voxel(thing, air, alone, local); return; }
+    if (things[thing].is_air != 0u) == air && contains(kind, things[thing].shape.xyz, local) {
+        add_part(things[thing].material, things[thing].density_g_per_cm3);
+    }
+}
+
+fn contains(kind: u32, shape: vec3<f32>, p: vec3<f32>) -> bool {
+    if kind == 0u { let q = p / shape; return dot(q, q) <= 1.0; }
+    if kind == 1u { return all(abs(p) <= shape); }
+    let squared = dot(p.xy, p.xy);
+    return p.z >= 0.0 && p.z <= shape.x && squared <= shape.y * shape.y && !(shape.z > 0.0 && squared < shape.z * shape.z);
+}
+
+fn voxel_at(thing: u32, at: vec3<u32>) -> u32 {
+    let size = things[thing].size;
+    return voxels[things[thing].first_voxel + at.x + size.x * (at.y + size.y * at.z)];
+}
+
+// 0 where nothing is, 1 for air, 2 for other matter.
+fn kind_of(thing: u32, voxel: u32) -> u32 {
+    let class_number = voxel >> 28u;
+    if class_number == 0u || (voxel & 0x0fffffffu) == 0u { return 0u; }
+    return 2u - indices[things[thing].classes + 2u * (class_number - 1u) + 1u];
+}
+
+fn draw_voxel(thing: u32, air: bool, alone: bool, at: vec3<f32>) {
+    let last = vec3<f32>(things[thing].size - vec3<u32>(1u));
+    if any(at < vec3<f32>(-0.5)) || any(at > last + 0.5) { return; }
+    var low: vec3<u32>;
+    var upper = vec3<f32>(0.0);
+    if things[thing].is_piecewise != 0u {
+        low = vec3<u32>(min(at + 0.5, last));
+    } else {
+        let x = clamp(at, vec3<f32>(0.0), last);
+        low = vec3<u32>(min(floor(x), max(last - 1.0, vec3<f32>(0.0))));
+        upper = x - vec3<f32>(low);
+    }
+    let chance = vec3<f32>(random(), random(), random());
+    let voxel = voxel_at(thing, low + select(vec3<u32>(0u), vec3<u32>(1u), chance < upper));
+    let kind = kind_of(thing, voxel);
+    var holds_matter = true;
+    if kind != 2u { if alone { holds_matter = !air; } else { holds_matter = has_matter(thing, low, upper); } }
+    if kind != 0u {
+        if holds_matter != air {
+            let class_number = voxel >> 28u;
+            add_part(indices[things[thing].classes + 2u * (class_number - 1u)], f32(voxel & 0x0fffffffu) * DENSITY_UNIT);
+        }
+    } else if holds_matter && !air {
+        // It displaces what lies below all the same.
+        add_part(indices[things[thing].classes], 0.0);
+    }
+}
+
+// Whether a corner with weight holds anything but air.
+fn has_matter(thing: u32, low: vec3<u32>, upper: vec3<f32>) -> bool {
+    for (var bits = 0u; bits < 8u; bits += 1u) {
+        let step = vec3<u32>(bits & 1u, (bits >> 1u) & 1u, bits >> 2u);
+        let is_upper = step == vec3<u32>(1u);
+        let weight = select(1.0 - upper, upper, is_upper);
+        if all(weight != vec3<f32>(0.0)) && kind_of(thing, voxel_at(thing, low + step)) == 2u { return true; }
+    }
+    return false;
+}

@@ -1,0 +1,339 @@
+//! The transport on a GPU: `shaders/follow_photons.wgsl` over the same tables and boxes as on the processor, in f32.
+//!
+//! Its random numbers are its own, so it agrees with the processor within statistics, not bit by bit. Its sums are whole numbers, so that on one
+//! device it gives the same bits every time.
+
+pub mod layout;
+mod pack;
+
+use wgpu::util::DeviceExt;
+
+use self::pack::{Packed, unsupported};
+use super::simulation::Simulation;
+use super::tally::{Batch, FATES, PAGES, Tally};
+use crate::gpu::{Gpu, GpuError, compile, dispatch, wait};
+
+/// Units of the shader's sums per keV, or photon.
+const QUANTA: f64 = 64.0;
+/// Batches of one dispatch.
+pub const BATCHES: u64 = 64;
+/// Histories of one batch, where a processor plays the GPU and elsewhere: a second of work at most.
+const SOFTWARE_BATCH: u64 = 4096;
+const BATCH: u64 = 131_072;
+/// Why the shader gives a history up, in the order of its constants.
+const CAUSES: [&str; 5] =
+    ["a signal that is no number", "no direction in the field", "a flight without end", "no angle", "too many parts at a point"];
+const TROUBLE_BYTES: u64 = 4 * CAUSES.len() as u64;
+/// Histories of one invocation. Mesa's software Vulkan ends every loop of an invocation once all of them together have turned 65535 times.
+const EACH: u64 = 16;
+const SOFTWARE_EACH: u64 = 1;
+/// Invocations of one group.
+const GROUP: u64 = 64;
+
+/// Why a GPU follows no photons.
+#[derive(Debug, thiserror::Error)]
+pub enum GpuTransportError {
+    /// What the scene holds.
+    #[error("{0}: use --device cpu")]
+    Unsupported(String),
+    /// The device.
+    #[error(transparent)]
+    Gpu(#[from] GpuError),
+    /// Loops that did not end.
+    #[error("{adapter}: histories were given up ({what}), so the sums are not whole; use --device cpu")]
+    GivenUp {
+        /// Device.
+        adapter: String,
+        /// How many, and why.
+        what: String,
+    },
+}
+
+/// A simulation on a device.
+pub struct GpuTransport<'a> {
+    gpu: &'a Gpu,
+    pipeline: wgpu::ComputePipeline,
+    job: layout::Job,
+    uniform: wgpu::Buffer,
+    inputs: Vec<wgpu::Buffer>,
+    sums: wgpu::Buffer,
+    trouble: wgpu::Buffer,
+    read_back: wgpu::Buffer,
+    pixels: usize,
+    materials: usize,
+    histories_per_batch: u64,
+    dispatches: u64,
+}
+
+impl<'a> GpuTransport<'a> {
+    /// Brings `simulation` to `gpu`.
+    ///
+    /// # Errors
+    /// When the shader cannot follow photons through it, or the device has no room.
+    pub fn new(gpu: &'a Gpu, simulation: &Simulation) -> Result<Self, GpuTransportError> {
+        if let Some(reason) = unsupported(simulation.world()) {
+            return Err(GpuTransportError::Unsupported(reason));
+        }
+        let packed = Packed::new(simulation.world());
+        let (pixels, materials) = (simulation.unattenuated().len(), simulation.materials());
+        let (histories_per_batch, each) = if gpu.software { (SOFTWARE_BATCH, SOFTWARE_EACH) } else { (BATCH, EACH) };
+        let seed = simulation.histories().seed;
+        let job = layout::Job {
+            seed: [seed as u32, (seed >> 32) as u32],
+            each: each as u32,
+            groups_per_batch: (histories_per_batch / (each * GROUP)) as u32,
+            ..packed.job
+        };
+        let sums_bytes = BATCHES * (PAGES * pixels + materials + FATES) as u64 * 8;
+        let tables: [(&'static str, &[u8]); 5] = [
+            ("tables", bytemuck::cast_slice(&packed.numbers)),
+            ("indices", bytemuck::cast_slice(&packed.indices)),
+            ("super-voxels", bytemuck::cast_slice(&packed.boxes)),
+            ("shapes", bytemuck::cast_slice(&packed.things)),
+            ("the CT", bytemuck::cast_slice(&packed.voxels)),
+        ];
+        let limit = gpu.device.limits().max_storage_buffer_binding_size;
+        let needs = tables.iter().map(|(what, bytes)| (*what, bytes.len() as u64)).chain([("the sums", sums_bytes)]);
+        for (what, needed) in needs {
+            if needed > limit {
+                return Err(GpuError::Limit { adapter: gpu.adapter.clone(), what, needed, limit }.into());
+            }
+        }
+        let scope = gpu.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
+        let upload = |(label, contents): (&'static str, &[u8])| {
+            let descriptor =
+                wgpu::util::BufferInitDescriptor { label: Some(label), contents, usage: wgpu::BufferUsages::STORAGE };
+            gpu.device.create_buffer_init(&descriptor)
+        };
+        let inputs = tables.map(upload).to_vec();
+        let buffer = |label, size, usage| {
+            gpu.device.create_buffer(&wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false })
+        };
+        use wgpu::BufferUsages as Usage;
+        let uniform = buffer("job", size_of::<layout::Job>() as u64, Usage::UNIFORM | Usage::COPY_DST);
+        let sums = buffer("sums", sums_bytes, Usage::STORAGE | Usage::COPY_SRC | Usage::COPY_DST);
+        let trouble = buffer("trouble", TROUBLE_BYTES, Usage::STORAGE | Usage::COPY_SRC | Usage::COPY_DST);
+        let read_back = buffer("read back", sums_bytes + TROUBLE_BYTES, Usage::MAP_READ | Usage::COPY_DST);
+        if pollster::block_on(scope.pop()).is_some() {
+            let needed_mib = (tables.iter().map(|(_, bytes)| bytes.len() as u64).sum::<u64>() + 2 * sums_bytes) >> 20;
+            return Err(GpuError::Memory { adapter: gpu.adapter.clone(), what: "photons' surroundings", needed_mib }.into());
+        }
+        let pipeline = compile(gpu, "follow_photons", &[])?;
+        let batches = simulation.histories().count.div_ceil(histories_per_batch);
+        let dispatches = batches.div_ceil(BATCHES);
+        Ok(Self {
+            gpu,
+            pipeline,
+            job,
+            uniform,
+            inputs,
+            sums,
+            trouble,
+            read_back,
+            pixels,
+            materials,
+            histories_per_batch,
+            dispatches,
+        })
+    }
+
+    /// An empty tally for this device's batches.
+    #[must_use]
+    pub fn tally(&self) -> Tally {
+        Tally::new(self.pixels, self.materials, self.histories_per_batch)
+    }
+
+    /// Histories of all dispatches.
+    #[must_use]
+    pub fn histories(&self) -> u64 {
+        self.dispatches * BATCHES * self.histories_per_batch
+    }
+
+    /// Whether `tally` has all histories that `simulation` asks for, or its precision.
+    #[must_use]
+    pub fn is_done(&self, simulation: &Simulation, tally: &Tally) -> bool {
+        let wanted = simulation.histories().rel_error;
+        tally.batches >= self.dispatches * BATCHES || wanted.is_some_and(|wanted| simulation.relative_error(tally) <= wanted)
+    }
+
+    /// The next [`BATCHES`], added to `tally`.
+    ///
+    /// # Errors
+    /// When the device is lost, or a history did not end.
+    pub fn advance(&mut self, tally: &mut Tally) -> Result<(), GpuTransportError> {
+        let first = tally.batches * self.histories_per_batch;
+        self.job.first = [first as u32, (first >> 32) as u32];
+        self.gpu.queue.write_buffer(&self.uniform, 0, bytemuck::bytes_of(&self.job));
+        let mut commands = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("photons") });
+        commands.clear_buffer(&self.sums, 0, None);
+        commands.clear_buffer(&self.trouble, 0, None);
+        let buffers = std::iter::once(&self.uniform).chain(&self.inputs).chain([&self.sums, &self.trouble]);
+        let bindings: Vec<_> = buffers.map(wgpu::Buffer::as_entire_binding).collect();
+        let groups = (BATCHES * u64::from(self.job.groups_per_batch)) as u32;
+        dispatch(self.gpu, &mut commands, &self.pipeline, &bindings, [groups, 1], None);
+        commands.copy_buffer_to_buffer(&self.sums, 0, &self.read_back, 0, self.sums.size());
+        commands.copy_buffer_to_buffer(&self.trouble, 0, &self.read_back, self.sums.size(), TROUBLE_BYTES);
+        self.gpu.queue.submit([commands.finish()]);
+        let (sender, receiver) = std::sync::mpsc::channel();
+        self.read_back.slice(..).map_async(wgpu::MapMode::Read, move |result| drop(sender.send(result)));
+        wait(self.gpu, &receiver, 1)?;
+        let what = {
+            let lost =
+                |error: wgpu::MapRangeError| GpuError::Lost { adapter: self.gpu.adapter.clone(), detail: error.to_string() };
+            let bytes = self.read_back.slice(..).get_mapped_range().map_err(lost)?;
+            let words: &[u32] = bytemuck::cast_slice(&bytes);
+            let (sums, trouble) = words.split_at(words.len() - CAUSES.len());
+            let slots = sums.len() / (2 * BATCHES as usize);
+            for slots in sums.chunks_exact(2 * slots) {
+                let mut batch = Batch::new(self.pixels, self.materials);
+                for (sum, pair) in batch.sums.iter_mut().zip(slots.chunks_exact(2)) {
+                    *sum = (f64::from(pair[1]) * 4_294_967_296.0 + f64::from(pair[0])) / QUANTA;
+                }
+                tally.add(&batch);
+            }
+            let causes = CAUSES.iter().zip(trouble).filter(|(_, histories)| **histories > 0);
+            causes.map(|(cause, histories)| format!("{histories}: {cause}")).collect::<Vec<_>>().join(", ")
+        };
+        self.read_back.unmap();
+        match what.is_empty() {
+            true => Ok(()),
+            false => Err(GpuTransportError::GivenUp { adapter: self.gpu.adapter.clone(), what }),
+        }
+    }
+
+    /// Runs until all histories or the wanted precision are there, and says after every step how far it is.
+    ///
+    /// # Errors
+    /// As [`Self::advance`]; what `after` says.
+    pub fn run<E: From<GpuTransportError>>(
+        &mut self,
+        simulation: &Simulation,
+        tally: &mut Tally,
+        mut after: impl FnMut(&Tally) -> Result<(), E>,
+    ) -> Result<(), E> {
+        while !self.is_done(simulation, tally) {
+            self.advance(tally)?;
+            after(tally)?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DQuat, DVec2, DVec3};
+
+    use super::*;
+    use crate::geometry::{Intrinsics, Rigid, View};
+    use crate::gpu::{Device, DeviceChoice};
+    use crate::reporter::Reporter;
+    use crate::scene::model::{Matter, Scene, Voxels};
+    use crate::scene::optics::{Axis, BowTie, Field, Grid, Heel, Strips, Towards};
+    use crate::scene::physics::{Material, Spectrum};
+    use crate::transport::fixture::everything;
+    use crate::transport::{Estimator, Histories, Page};
+
+    /// Everything but what only the processor takes, 600 mm from the source.
+    fn lab() -> (Scene, View) {
+        let mut scene = everything();
+        scene.objects.retain(|object| !matches!(object.matter, Matter::Mesh(_)));
+        let aluminium = Material::parse("aluminium").expect("known");
+        scene.beam.spectrum = Spectrum::tungsten(90.0, 12.0, &[(aluminium, 3.0)]).expect("inside");
+        scene.detector.pitch_mm = 1.0;
+        let intrinsics = Intrinsics { fx: 1000.0, fy: 990.0, skew: 3.0, cx: 165.0, cy: 118.0 };
+        let camera_from_lps = Rigid { rotation: DQuat::from_rotation_x(0.4), translation_mm: DVec3::new(5.0, -10.0, 600.0) };
+        (scene, View { size_px: [320, 240], intrinsics, camera_from_lps })
+    }
+
+    fn run(gpu: &Gpu, scene: &Scene, view: &View, asked: Histories) -> Tally {
+        let simulation = Simulation::new(scene, view, asked).expect("good");
+        let mut transport = GpuTransport::new(gpu, &simulation).expect("the shader takes it");
+        let mut tally = transport.tally();
+        transport.run(&simulation, &mut tally, |_| Ok::<(), GpuTransportError>(())).expect("runs");
+        tally
+    }
+
+    /// Mean of the squares of z over pixels and pages, and the largest |z| of what materials absorb and of fates.
+    fn apart(gpu: &Tally, cpu: &Tally, pixels: usize, materials: usize) -> (f64, f64) {
+        let z = |a: crate::transport::Estimate, b: crate::transport::Estimate| {
+            // Where hardly a photon comes, errors are no better known than themselves.
+            (a.mean - b.mean) / (a.standard_error.hypot(b.standard_error) + 1e-4 * a.mean.abs() + 1e-12)
+        };
+        let pages = Page::ALL.iter().flat_map(|page| (0..pixels).map(move |pixel| (*page, pixel)));
+        let squares: Vec<f64> = pages.map(|(page, pixel)| z(gpu.signal(page, pixel), cpu.signal(page, pixel)).powi(2)).collect();
+        let sums = (0..materials).map(|n| z(gpu.absorbed(n), cpu.absorbed(n)));
+        let fates = (0..FATES).map(|n| z(gpu.fate(n), cpu.fate(n)));
+        (squares.iter().sum::<f64>() / squares.len() as f64, sums.chain(fates).map(f64::abs).fold(0.0, f64::max))
+    }
+
+    /// Scenes with every kind of field, grid and estimator: page by page, pixel by pixel, and in energy.
+    #[test]
+    fn a_gpu_finds_what_the_processor_finds() {
+        let Ok(Device::Gpu(gpu)) = Device::open(DeviceChoice::SoftwareVulkan, &Reporter::silent()) else {
+            println!("skipped: no software Vulkan");
+            return;
+        };
+        let (plain, view) = lab();
+        let mut shaped = plain.clone();
+        shaped.beam.shape.heel = Some(Heel { tube_kvp: 90.0, anode_angle_deg: 12.0, anode_towards: Towards::PlusRow });
+        shaped.beam.shape.field =
+            Some(Field::Rectangle { size_mm: DVec2::new(180.0, 150.0), centre_mm: DVec2::new(10.0, -8.0), rotation_deg: 20.0 });
+        let thickness_mm = vec![[-8.0, 15.0], [0.5, 0.5], [8.0, 12.0]];
+        let material = Material::parse("aluminium").expect("known");
+        shaped.beam.shape.bowtie = Some(BowTie { material, density_g_per_cm3: 2.7, axis: Axis::Column, thickness_mm });
+        shaped.beam.shape.focal_spot_mm = [0.8, 1.2];
+        let strips = Strips { ratio: 6.0, across: Axis::Row };
+        shaped.detector.panel.grid = Some(Grid { primary_transmission: 0.7, strips: Some(strips) });
+        let mut round = plain.clone();
+        round.beam.shape.field = Some(Field::Circle { diameter_mm: 200.0, centre_mm: DVec2::new(-6.0, 4.0) });
+        round.model.voxels = Voxels::PiecewiseConstant;
+        let mut cut = plain.clone();
+        let corners_mm = [[-90.0, -60.0], [80.0, -70.0], [60.0, 75.0], [-20.0, 20.0]].map(DVec2::from_array).to_vec();
+        cut.beam.shape.field = Some(Field::Polygon { corners_mm });
+        let asked = Histories { count: 200_000, seed: 3, grid_px: [8, 6], ..Histories::default() };
+        for (name, scene, estimator) in [
+            ("plain", &plain, Estimator::Expected),
+            ("shaped", &shaped, Estimator::Expected),
+            ("round", &round, Estimator::Expected),
+            ("cut", &cut, Estimator::Analogue),
+        ] {
+            let asked = Histories { estimator, ..asked };
+            let tally = run(&gpu, scene, &view, asked);
+            let simulation = Simulation::new(scene, &view, Histories { count: 600_000, ..asked }).expect("good");
+            let mut cpu = simulation.tally();
+            let Ok(()) = simulation.run(&mut cpu, |_| Ok::<(), std::convert::Infallible>(()));
+            let (square, largest) = apart(&tally, &cpu, 48, simulation.materials());
+            println!("{name}: mean square of z {square:.2}, largest of sums {largest:.2}");
+            // 192 squares of z: a standard deviation of 0.1 about 1, and what empty pixels leave.
+            assert!(square < 1.6 && largest < 4.5, "{name}: {square} {largest}");
+            let balance = |tally: &Tally| {
+                let absorbed: f64 = (0..simulation.materials()).map(|n| tally.absorbed(n).mean).sum();
+                (absorbed + tally.fate(1).mean + tally.fate(2).mean) / tally.fate(0).mean
+            };
+            assert!((balance(&tally) - 1.0).abs() < 1e-4, "{name}: {}", balance(&tally));
+        }
+        // The control: a tenth more density is seen, and another seed is another image.
+        let mut denser = plain.clone();
+        for object in &mut denser.objects {
+            if let Matter::Solids(solids) = &mut object.matter {
+                solids.iter_mut().for_each(|solid| solid.density_g_per_cm3 *= 1.1);
+            }
+        }
+        let (first, again) = (run(&gpu, &plain, &view, asked), run(&gpu, &plain, &view, asked));
+        assert!(first == again, "the same bits");
+        let other = run(&gpu, &plain, &view, Histories { seed: 4, ..asked });
+        assert!(other != first && apart(&other, &first, 48, 6).0 < 1.6);
+        let (square, _) = apart(&run(&gpu, &denser, &view, asked), &first, 48, 6);
+        assert!(square > 3.0, "{square}");
+    }
+
+    #[test]
+    fn what_has_no_shader_is_said() {
+        let Ok(Device::Gpu(gpu)) = Device::open(DeviceChoice::SoftwareVulkan, &Reporter::silent()) else { return };
+        let (_, view) = lab();
+        let scene = Scene { beam: lab().0.beam, detector: lab().0.detector, ..everything() };
+        let simulation = Simulation::new(&scene, &view, Histories::default()).expect("good");
+        let said = GpuTransport::new(&gpu, &simulation).err().expect("refused").to_string();
+        assert!(said.contains("meshes") && said.contains("--device cpu"), "{said}");
+    }
+}

@@ -1,0 +1,276 @@
+//! A world as buffers: the same tables that the processor's histories read.
+
+use glam::{DAffine3, DVec3};
+
+use super::layout::{CellBox, Job, Thing};
+use crate::scene::model::Shape;
+use crate::scene::optics::{Axis, Field};
+use crate::scene::physics::ENERGY_RANGE_KEV;
+use crate::transport::cells::{Cells, Content};
+use crate::transport::flight::Space;
+use crate::transport::history::{Estimator, World};
+use crate::transport::matter::{Body, Grid};
+use glam::DVec2;
+
+/// Materials and parts of a point that the shader holds.
+const MATERIALS: usize = 16;
+/// Classes of a voxel.
+const CLASSES: usize = 15;
+/// What a voxel's density is counted in, g/cm³, and the largest count.
+const DENSITY_UNIT: f64 = 1e-7;
+const MOST_DENSITY: u32 = 0x0fff_ffff;
+/// What rounding to f32 may take from a bound of densities.
+const ROUNDING: f64 = 1e-6;
+
+/// The buffers.
+#[derive(Clone, Debug, Default)]
+pub struct Packed {
+    pub job: Job,
+    pub numbers: Vec<f32>,
+    pub indices: Vec<u32>,
+    pub boxes: Vec<CellBox>,
+    pub things: Vec<Thing>,
+    pub voxels: Vec<u32>,
+}
+
+/// Why the shader cannot follow photons through this world; `None` when it can.
+#[must_use]
+pub fn unsupported(world: &World) -> Option<String> {
+    if world.materials.len() > MATERIALS {
+        return Some(format!("{} materials, the shader takes {MATERIALS}", world.materials.len()));
+    }
+    let things = world.space.iter().flat_map(|space| &space.things);
+    for thing in things {
+        match &thing.body {
+            Body::Mesh(_) => return Some("meshes have no shader for photons yet".to_owned()),
+            Body::Volume(grid) if grid.classes.len() > CLASSES => {
+                return Some(format!("a CT of {} materials, the shader takes {CLASSES}", grid.classes.len()));
+            }
+            Body::Solid(_) | Body::Volume(_) => {}
+        }
+    }
+    None
+}
+
+impl Packed {
+    /// `world`, which is not [`unsupported`].
+    #[must_use]
+    pub fn new(world: &World) -> Self {
+        let mut packed = Self::default();
+        packed.add_physics(world);
+        let origin = world.space.as_ref().map_or(world.panel.source, |space| {
+            let bounds = space.cells.bounds();
+            0.5 * (bounds.low + bounds.high)
+        });
+        packed.add_beam(world, origin);
+        if let Some(space) = &world.space {
+            packed.job.has_space = 1;
+            packed.add_space(space, origin);
+        }
+        // A buffer of nothing is none.
+        packed.voxels.push(0);
+        packed.things.push(Thing::default());
+        packed.boxes.push(CellBox::default());
+        packed
+    }
+
+    fn numbers(&mut self, rows: usize, values: impl IntoIterator<Item = f64>) -> [u32; 2] {
+        let first = self.numbers.len() as u32;
+        self.numbers.extend(values.into_iter().map(|value| value as f32));
+        [first, rows as u32]
+    }
+
+    fn indices(&mut self, values: impl IntoIterator<Item = u32>) -> u32 {
+        let first = self.indices.len() as u32;
+        self.indices.extend(values);
+        first
+    }
+
+    fn add_physics(&mut self, world: &World) {
+        let materials = &world.materials;
+        let first = &materials.first().map(|material| (material.attenuation.mm2_per_mg.len(), material.compton.incoherent.len()));
+        let (rows, incoherent) = first.unwrap_or((2, 2));
+        let attenuation = materials.iter().flat_map(|material| {
+            let shares = || material.attenuation.shares.iter();
+            let mu = material.attenuation.mm2_per_mg.iter().copied();
+            mu.chain(shares().map(|share| share.photo)).chain(shares().map(|share| share.photo_or_compton))
+        });
+        self.job.attenuation = self.numbers(rows, attenuation);
+        self.job.incoherent = self.numbers(incoherent, materials.iter().flat_map(|material| material.compton.incoherent.clone()));
+        let envelopes = || materials.iter().flat_map(|material| &material.compton.envelopes);
+        let entries =
+            envelopes().flat_map(|one| one.bounds.iter().zip(&one.boxes.slots).flat_map(|(bound, (own, _))| [*bound, *own]));
+        let rows = |count: fn(&crate::transport::history::Material) -> usize| materials.first().map_or(2, count);
+        self.job.envelope = self.numbers(rows(|material| material.compton.envelopes.len()), entries);
+        self.job.envelope_other = self.indices(envelopes().flat_map(|one| one.boxes.slots.iter().map(|(_, other)| *other)));
+        let norms = materials.iter().flat_map(|material| material.compton.norms.clone());
+        self.job.compton_norm = self.numbers(rows(|material| material.compton.norms.len()), norms);
+        let squares = materials.iter().flat_map(|material| material.rayleigh.squares.clone());
+        self.job.squares = self.numbers(rows(|material| material.rayleigh.squares.len()), squares);
+        let below = materials.iter().flat_map(|material| material.rayleigh.below.clone());
+        self.job.below = self.numbers(rows(|material| material.rayleigh.below.len()), below);
+        let norms = materials.iter().flat_map(|material| material.rayleigh.norms.clone());
+        self.job.rayleigh_norm = self.numbers(rows(|material| material.rayleigh.norms.len()), norms);
+        let guides = self.indices(materials.iter().flat_map(|material| material.rayleigh.guides.clone()));
+        self.job.guides = [guides, 0];
+        self.job.materials = materials.len() as u32;
+    }
+
+    fn add_beam(&mut self, world: &World, origin: DVec3) {
+        let (panel, source) = (&world.panel, &world.source);
+        let with = |v: DVec3, w: f64| [v.x as f32, v.y as f32, v.z as f32, w as f32];
+        self.job.source = with(panel.source - origin, panel.distance_mm);
+        self.job.axis_x = with(panel.axes[0], source.sigma_mm.x);
+        self.job.axis_y = with(panel.axes[1], source.sigma_mm.y);
+        self.job.axis_z = with(panel.axes[2], panel.area_mm2);
+        let (k, size) = (&panel.view.intrinsics, panel.view.size_px.map(f64::from));
+        let per_mm = [k.fx / size[0], k.skew / size[0], k.fy / size[1]].map(|value| value / panel.distance_mm);
+        self.job.share_from_plane = [per_mm[0], per_mm[1], (k.cx + 0.5) / size[0], per_mm[2]].map(|value| value as f32);
+        let (from_kev, to_kev) = ENERGY_RANGE_KEV;
+        self.job.share_offset = [0.0, (k.cy + 0.5) / size[1], from_kev, to_kev].map(|value| value as f32);
+        self.job.field = [source.low_mm.x, source.low_mm.y, source.high_mm.x, source.high_mm.y].map(|value| value as f32);
+        let shape = |centre: DVec2, a: f64, b: f64| [centre.x, centre.y, a, b].map(|value| value as f32);
+        let mut turn = DVec2::X;
+        match &source.field {
+            None => {}
+            Some(Field::Rectangle { size_mm, centre_mm, rotation_deg }) => {
+                (self.job.field_kind, self.job.field_shape) = (1, shape(*centre_mm, 0.5 * size_mm.x, 0.5 * size_mm.y));
+                turn = DVec2::from_angle(rotation_deg.to_radians());
+            }
+            Some(Field::Circle { diameter_mm, centre_mm }) => {
+                (self.job.field_kind, self.job.field_shape) = (2, shape(*centre_mm, 0.5 * diameter_mm, 0.0));
+            }
+            Some(Field::Polygon { corners_mm }) => {
+                (self.job.field_kind, self.job.corners) = (3, corners_mm.len() as u32);
+                self.job.polygon = self.numbers(corners_mm.len(), corners_mm.iter().flat_map(|corner| corner.to_array()));
+            }
+        }
+        let (ratio, along) = match panel.strips {
+            Some(strips) => (strips.ratio, if strips.across == Axis::Row { 1.0 } else { 0.0 }),
+            None => (0.0, 0.0),
+        };
+        self.job.field_turn = [turn.x, turn.y, ratio, along].map(|value| value as f32);
+        if let Some((bowtie, coefficients)) = &source.left.bowtie {
+            // cm²/g · g/cm³ · 0.1 cm: per mm.
+            let per_mm = coefficients.iter().map(|cm2_per_g| 0.1 * cm2_per_g * bowtie.density_g_per_cm3);
+            let entries: Vec<f64> = per_mm.chain(bowtie.thickness_mm.iter().flatten().copied()).collect();
+            self.job.bowtie = self.numbers(bowtie.thickness_mm.len(), entries);
+            self.job.share_offset[0] = if bowtie.axis == Axis::Row { 1.0 } else { 0.0 };
+        }
+        if let Some((heel, rows)) = &source.left.heel {
+            let (sine, cosine) = heel.anode_angle_deg.to_radians().sin_cos();
+            self.job.heel = with(sine * DVec3::Z - cosine * heel.anode_towards.in_camera(), 1.0);
+            self.job.heel_table = self.numbers(rows.len(), rows.iter().flatten().copied());
+        }
+        self.job.grid_px = panel.grid_px.map(|n| n as u32);
+        self.job.response = self.numbers(panel.responses.len(), panel.responses.clone());
+        self.job.bins = source.energies_kev.len() as u32;
+        let bins = source.energies_kev.iter().zip(&source.energies.slots);
+        let entries: Vec<f64> = bins.flat_map(|(energy_kev, (own, other))| [*energy_kev, *own, f64::from(*other)]).collect();
+        self.job.spectrum = self.numbers(source.energies_kev.len(), entries);
+        self.job.analogue = u32::from(world.estimator == Estimator::Analogue);
+    }
+
+    fn add_space(&mut self, space: &Space, origin: DVec3) {
+        let Cells { planes, boxes, contents, box_of_cell } = &space.cells;
+        let bounds = space.cells.bounds();
+        let place = |p: DVec3| (p - origin).as_vec3().to_array();
+        let [low, high] = [bounds.low, bounds.high].map(place);
+        self.job.bounds_low = [low[0], low[1], low[2], 0.0];
+        self.job.bounds_high = [high[0], high[1], high[2], 0.0];
+        for (axis, planes) in planes.iter().enumerate() {
+            self.job.cells[axis] = planes.cells() as u32;
+            self.job.planes[axis] = self.numbers(planes.at.len(), planes.at.iter().map(|at| at - origin[axis]))[0];
+        }
+        self.job.box_of_cell = self.indices(box_of_cell.iter().copied());
+        let starts: Vec<u32> = contents.iter().map(|content| self.content(content)).collect();
+        self.job.contents = self.indices(starts);
+        self.boxes.extend(boxes.iter().map(|one| {
+            let [[x_below, x_above], [y_below, y_above], [z_below, z_above]] = one.neighbours;
+            CellBox {
+                low: place(one.low),
+                content: one.content,
+                high: place(one.high),
+                padding: 0,
+                low_cell: one.low_cell.map(u32::from),
+                x_below,
+                high_cell: one.high_cell.map(u32::from),
+                x_above,
+                y_below,
+                y_above,
+                z_below,
+                z_above,
+            }
+        }));
+        for thing in &space.things {
+            let packed = match &thing.body {
+                Body::Solid(body) => {
+                    let (kind, shape) = match body.solid.shape {
+                        Shape::Ellipsoid { semi_axes_mm } => (0, semi_axes_mm),
+                        Shape::Cuboid { half_size_mm } => (1, half_size_mm),
+                        Shape::Cylinder { length_mm, radius_mm, inner_radius_mm } => {
+                            (2, DVec3::new(length_mm, radius_mm, inner_radius_mm))
+                        }
+                    };
+                    Thing {
+                        shape: shape.extend(0.0).as_vec4().to_array(),
+                        kind,
+                        material: body.solid.material as u32,
+                        density_g_per_cm3: body.solid.density_g_per_cm3 as f32,
+                        is_air: u32::from(body.is_air),
+                        ..placed(&body.local_from_lps, origin)
+                    }
+                }
+                Body::Volume(grid) => self.volume(grid, origin),
+                Body::Mesh(_) => Thing::default(),
+            };
+            self.things.push(Thing { own: thing.own as u32, ..packed });
+        }
+    }
+
+    /// Words of a content; where they begin.
+    fn content(&mut self, content: &Content) -> u32 {
+        let bits = |density: f64| (density as f32).to_bits();
+        let words =
+            match content {
+                Content::Empty => vec![0],
+                Content::Uniform { material, density } => vec![1, *material, bits(*density)],
+                Content::Mixed(mixture) => {
+                    let flags = u32::from(mixture.keeps_air) + 2 * u32::from(mixture.is_full);
+                    let mut words = vec![2, mixture.things.len() as u32, flags, mixture.ranges.len() as u32];
+                    words.extend(&mixture.things);
+                    words.extend(mixture.ranges.iter().flat_map(|range| {
+                        [range.material, bits(range.from * (1.0 - ROUNDING)), bits(range.to * (1.0 + ROUNDING))]
+                    }));
+                    words
+                }
+            };
+        self.indices(words)
+    }
+
+    fn volume(&mut self, grid: &Grid, origin: DVec3) -> Thing {
+        let classes = self.indices(grid.classes.iter().flat_map(|(material, is_air)| [*material, u32::from(*is_air)]));
+        let first_voxel = self.voxels.len() as u32;
+        let volume = grid.volume;
+        let voxel = |(class, density): (&u8, &f32)| {
+            let counted = ((f64::from(*density) / DENSITY_UNIT).round() as u32).min(MOST_DENSITY);
+            u32::from(*class) << 28 | counted
+        };
+        self.voxels.extend(volume.class.iter().zip(&volume.density_g_per_cm3).map(voxel));
+        Thing {
+            kind: 3,
+            size: volume.size.map(|n| n as u32),
+            first_voxel,
+            classes,
+            is_piecewise: u32::from(grid.is_piecewise_constant()),
+            ..placed(&grid.voxel_from_lps, origin)
+        }
+    }
+}
+
+/// Rows of `local_from_lps` for places about `origin`.
+fn placed(local_from_lps: &DAffine3, origin: DVec3) -> Thing {
+    let (matrix, offset) = (local_from_lps.matrix3, local_from_lps.transform_point3(origin));
+    let row = |n: usize| [matrix.x_axis[n], matrix.y_axis[n], matrix.z_axis[n], offset[n]].map(|value| value as f32);
+    Thing { row_x: row(0), row_y: row(1), row_z: row(2), ..Thing::default() }
+}

@@ -11,9 +11,12 @@ const EIGHT_BITS: f32 = 255.0;
 /// Where water, muscle and fat are, HU; and by how much a scale without its intercept, or with it twice, is off.
 const TISSUE_HU: f32 = 200.0;
 const INTERCEPT_HU: f32 = 1024.0;
-/// Without tissue, and with it somewhere else: shares of the voxels.
+/// Air, and how far a scanner has it from there: padding is farther off.
+const AIR_HU: f32 = -1000.0;
+const AIR_WITHIN_HU: f32 = 15.0;
+/// Next to nothing, and plenty: shares of the voxels.
 const NONE: f64 = 1e-3;
-const MUCH: f64 = 0.05;
+const MUCH: f64 = 0.15;
 /// Voxels in which cortical bone is not seen any more.
 const COARSE_MM: f64 = 4.0;
 
@@ -23,23 +26,24 @@ struct Spread {
     low: f32,
     high: f32,
     whole: bool,
-    tissue: usize,
-    above: usize,
-    below: usize,
+    air: usize,
+    air_below: usize,
+    tissue_above: usize,
 }
 
 impl Spread {
-    const NOTHING: Self = Self { low: f32::INFINITY, high: f32::NEG_INFINITY, whole: true, tissue: 0, above: 0, below: 0 };
+    const NOTHING: Self =
+        Self { low: f32::INFINITY, high: f32::NEG_INFINITY, whole: true, air: 0, air_below: 0, tissue_above: 0 };
 
     fn with(self, value: f32) -> Self {
-        let near = |hu: f32| usize::from((value - hu).abs() <= TISSUE_HU);
+        let near = |hu: f32, within: f32| usize::from((value - hu).abs() <= within);
         Self {
             low: self.low.min(value),
             high: self.high.max(value),
             whole: self.whole && value.fract() == 0.0,
-            tissue: self.tissue + near(0.0),
-            above: self.above + near(INTERCEPT_HU),
-            below: self.below + near(-INTERCEPT_HU),
+            air: self.air + near(AIR_HU, AIR_WITHIN_HU),
+            air_below: self.air_below + near(AIR_HU - INTERCEPT_HU, AIR_WITHIN_HU),
+            tissue_above: self.tissue_above + near(INTERCEPT_HU, TISSUE_HU),
         }
     }
 
@@ -48,9 +52,9 @@ impl Spread {
             low: self.low.min(other.low),
             high: self.high.max(other.high),
             whole: self.whole && other.whole,
-            tissue: self.tissue + other.tissue,
-            above: self.above + other.above,
-            below: self.below + other.below,
+            air: self.air + other.air,
+            air_below: self.air_below + other.air_below,
+            tissue_above: self.tissue_above + other.tissue_above,
         }
     }
 }
@@ -62,19 +66,17 @@ pub(super) fn doubts(ct: &VolumeFile) -> (f32, Vec<(&'static str, String)>) {
         ct.values.par_iter().fold(|| Spread::NOTHING, |all, value| all.with(*value)).reduce(|| Spread::NOTHING, Spread::and);
     let Spread { low, high, .. } = spread;
     let share = |count: usize| count as f64 / ct.values.len() as f64;
-    let misses_tissue = share(spread.tissue) < NONE;
     let scale = if low >= 0.0 && high <= MOST_DENSITY && high > 0.0 {
         Some(format!("values from {low} to {high} hardly are Hounsfield numbers: densities, fractions or attenuation?"))
     } else if spread.whole && low >= 0.0 && high > 0.5 * EIGHT_BITS && high <= EIGHT_BITS {
         Some(format!("whole numbers from {low} to {high} hardly are Hounsfield numbers: grey levels of 8 bits?"))
     } else if low >= 0.0 && high > 900.0 {
         Some(format!("no value below 0 HU (up to {high}): was the rescale of -1024 left out?"))
-    } else if misses_tissue && share(spread.above) > MUCH {
-        Some("no soft tissue near 0 HU, but much near 1024: was the rescale of -1024 left out?".to_owned())
-    } else if misses_tissue && share(spread.below) > MUCH && low < -INTERCEPT_HU - TISSUE_HU {
-        Some(format!(
-            "no soft tissue near 0 HU, but much near -1024, and values down to {low}: was the rescale of -1024 applied twice?"
-        ))
+    } else if share(spread.air) < NONE && share(spread.tissue_above) > MUCH {
+        Some("no air near -1000 HU, but much near 1024: was the rescale of -1024 left out?".to_owned())
+    } else if share(spread.air_below) > MUCH {
+        // Tissue then lies where air does.
+        Some("much lies near -2024 HU, where air is after a rescale of -1024 that was applied twice".to_owned())
     } else {
         None
     };
@@ -112,7 +114,7 @@ mod tests {
 
     /// Air, tissue and bone, as a CT of HU has them.
     fn hu(n: usize) -> f32 {
-        [-1000.0, -980.5, 40.0, 55.0, -90.0, 30.0, 20.0, 900.0][n % 8]
+        [-1000.0, -990.5, 40.0, 55.0, -90.0, 30.0, 20.0, 900.0][n % 8]
     }
 
     #[test]

@@ -58,6 +58,9 @@ fn turned(direction: vec3<f32>, cosine: f32, azimuth: vec2<f32>) -> vec3<f32> {
 
 // What a photon that is scattered onto a point of the image sends there on average, against a direction drawn evenly over the image.
 fn expect_at(material: u32, is_compton: bool, direction: vec3<f32>, path_mm: f32, pixel: u32) {
+    // A photon on the plane sends nothing to it.
+    let towards = dot(direction, job.axis_z.xyz);
+    if !(towards > 0.0) { return; }
     let place = on_plane(photon.ray.position + direction * path_mm);
     let through = passed(place, direction);
     if through == 0.0 { return; }
@@ -72,7 +75,7 @@ fn expect_at(material: u32, is_compton: bool, direction: vec3<f32>, path_mm: f32
     } else {
         density = rayleigh_density(material, photon.energy_kev, cosine);
     }
-    let even = path_mm * path_mm / (dot(direction, job.axis_z.xyz) * job.axis_z.w);
+    let even = path_mm * path_mm / (towards * job.axis_z.w);
     let signal = through * photon.weight * response(energy_kev) * density / (density + even);
     let ray = Ray(photon.ray.position, direction, photon.ray.in_box);
     detect(photon.page, pixel, signal * transmission(ray, path_mm, is_compton));
@@ -200,7 +203,9 @@ fn main(
         follow();
         if given_up { atomicAdd(&trouble[cause], 1u); }
     }
+    given_up = false;
     let pixels = PAGES * job.grid_px.x * job.grid_px.y;
     for (var material = 0u; material < job.materials; material += 1u) { add(pixels + material, absorbed[material]); }
     for (var fate = 0u; fate < FATES; fate += 1u) { add(pixels + job.materials + fate, fates[fate]); }
+    if given_up { atomicAdd(&trouble[cause], 1u); }
 }

@@ -81,7 +81,7 @@ fn a_resumed_training_ends_where_a_straight_one_does() {
     assert_eq!((stopped.end, stopped.history.len()), (TrainingEnd::ByCaller, 1));
     assert_ne!(files(&stopped)[0], files(&straight)[0], "the control");
     parts.resume = true;
-    assert_eq!(recipe_of_checkpoint(&parts.output).unwrap(), Some(short()));
+    assert_eq!(recipe_of_checkpoint(&parts.output).unwrap(), Some((short(), Vec::new())));
     let resumed = run(&parts);
     assert!(files(&resumed) == files(&straight), "weights, card or history differ");
     let checkpoint = |trained: &Trained| std::fs::read(&trained.files.checkpoint).unwrap();
@@ -117,13 +117,18 @@ fn a_checkpoint_of_another_training_is_refused() {
 fn a_training_that_no_longer_gets_better_stops_and_keeps_its_best() {
     let folder = folder_of(6);
     // So fast that it can only get worse.
-    let recipe = Recipe { epochs: 12, patience: Some(2), learning_rate: 0.5, warm_up: 0.0, ..short() };
+    let hold_out = HoldOut::Seeds { share: 0.4 };
+    let recipe = Recipe { epochs: 12, patience: Some(2), learning_rate: 0.5, warm_up: 0.0, hold_out, ..short() };
     let trained = run(&options(folder.path(), "fast", recipe));
     assert_eq!((trained.end, trained.history.len()), (TrainingEnd::NoBetter, trained.epoch + 2));
     let kept = trained.history[trained.epoch - 1].held_out_nmse;
     assert!(trained.history.iter().all(|record| record.held_out_nmse >= kept));
     assert_eq!(trained.card.held_out.get("nmse").copied(), kept);
     assert_eq!(trained.held_out.map(|figures| figures.nmse()), kept);
+    // A specimen that is to be unknown chooses nothing.
+    let recipe = Recipe { epochs: 12, patience: Some(2), learning_rate: 0.5, warm_up: 0.0, ..short() };
+    let trained = run(&options(folder.path(), "specimen", recipe));
+    assert_eq!((trained.end, trained.epoch, trained.history.len()), (TrainingEnd::Complete, 12, 12));
 }
 
 #[test]
@@ -287,7 +292,7 @@ fn a_network_of_all_samples_has_the_figures_of_its_siblings() {
     refused(&asked, "holds out no specimen");
     asked.siblings = vec![folder.path().join("without-hip")];
     asked.recipe.seed += 1;
-    refused(&asked, "its seed are others");
+    refused(&asked, "its seed or its epochs are others");
     asked.recipe.seed -= 1;
     samples::shard(100, 2).write(&folder.path().join("samples/c.safetensors")).unwrap();
     refused(&asked, "other samples");

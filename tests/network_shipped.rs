@@ -57,4 +57,4 @@ fn the_shipped_network_is_as_good_as_its_card_says() {
 }
 
 /// `nmse` and bias of these weights on these samples.
-const PINNED: (f64, f64) = (0.017275, -0.024941);
+const PINNED: (f64, f64) = (0.021816, -0.029552);

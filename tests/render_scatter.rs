@@ -125,7 +125,7 @@ fn even(signal: f64) -> Arc<Scatter> {
         signal: image(signal),
         error: image(0.0),
         unattenuated: image(1.0),
-        from: sidecarm::render::Origin::Photons { histories: 1, seed: 1 },
+        from: sidecarm::render::Origin::Photons { histories: 1, seed: 1, device: "cpu".to_owned() },
         relative_error: 0.0,
     })
 }

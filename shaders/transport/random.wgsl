@@ -26,18 +26,18 @@ fn random_u32() -> u32 {
     return result;
 }
 
-// In the open interval (0, 1), with 24 bits.
+// In the open interval (0, 1): 23 bits and a half, which f32 holds exactly.
 fn random() -> f32 {
-    return (f32(random_u32() >> 8u) + 0.5) * 5.9604644775390625e-8;
+    return (f32(random_u32() >> 9u) + 0.5) * 1.1920928955078125e-7;
 }
 
-// Exponential with mean 1; the second word reaches what 24 bits cut off.
+// Exponential with mean 1; the second word reaches what 23 bits cut off. A logarithm near 0 may err to the other side of it.
 fn exponential() -> f32 {
-    return -log((f32(random_u32() >> 8u) + random()) * 5.9604644775390625e-8);
+    return max(-log((f32(random_u32() >> 9u) + random()) * 1.1920928955078125e-7), 0.0);
 }
 
-// Cosine and sine of a uniform angle.
+// Cosine and sine of a uniform angle, within the turn for which their errors are bounded.
 fn random_direction() -> vec2<f32> {
-    let angle = 6.283185307179586 * random();
+    let angle = 6.283185307179586 * (random() - 0.5);
     return vec2<f32>(cos(angle), sin(angle));
 }

@@ -11,8 +11,8 @@ use super::read_aloud::frame_aloud;
 use super::scattered::{Asked, SCATTER_ERROR, scattered};
 use crate::acquire::{AcquireError, DetectorCalibration, DetectorCalibrationError, Domain, Frame};
 use crate::compare::{
-    AirLevel, CompareError, CompareInput, Compared, NullRenders, OffsetRule, Tone, bead_marks, compare, elsewhere, posed_scene,
-    tool_mask,
+    AirLevel, CompareError, CompareInput, Compared, NullRenders, NullScatter, OffsetRule, Tone, bead_marks, compare, elsewhere,
+    posed_scene, tool_mask,
 };
 use crate::geometry::{PanelWindow, View};
 use crate::gpu::DeviceChoice;
@@ -23,6 +23,7 @@ use crate::report::{Standing, StripInput, score_words, strip};
 use crate::reporter::Reporter;
 use crate::scene::model::Scene;
 use crate::scene::{SceneError, input_files, load};
+use crate::transport::NetworkScatter;
 
 /// Compare an acquired radiograph with a simulated one: scores, masks, and every score against wrong poses.
 #[derive(Clone, Debug, clap::Args)]
@@ -346,8 +347,11 @@ fn add_null(compared: &mut Compared, scene: &Scene, reporter: &Reporter) -> Resu
         compared.comparison.flags.push(words);
         None
     });
+    let network = scatter.as_ref().and_then(|_| NetworkScatter::open(None).ok());
+    let far = |scene: &Scene, view: &View| network.as_ref()?.say(scene, view, &Reporter::silent()).ok();
+    let scatter = NullScatter { near: scatter.map(Arc::new), far: Some(&far) };
     let bar = reporter.progress("null", crate::compare::NULL_RENDERS as u64);
-    let mut renders = NullRenders::new(&mut renderer, scene, None, scatter.map(Arc::new));
+    let mut renders = NullRenders::new(&mut renderer, scene, None, scatter);
     let mut rerender = |view: &View| {
         bar.advance(1);
         renders.render(view)

@@ -11,6 +11,8 @@ use crate::image::{Image, ImageFileError, sha256_file};
 use crate::pose::Pose;
 use crate::reporter::Reporter;
 use crate::scene::Scene;
+use crate::scene::model::{Formation, ScatterModel};
+use crate::transport::NetworkScatter;
 
 /// A pose that shows the field further off than this is another pose: wrong poses are told from right ones by less than a millimetre.
 const SAME_POSE_PX: f64 = 1.0;
@@ -119,6 +121,7 @@ pub(super) fn doubts(given: &Given) -> Result<Vec<String>, OriginError> {
             if rendered.is_some() { "its camera is the same; bodies were not compared" } else { "its camera is not known" };
         found.push(format!("{} is not the file that {name} was rendered from ({rest})", path.display()));
     }
+    found.extend(given.scene.and_then(|scene| other_scatter(given.described, scene)));
     let others: Vec<&str> = given
         .scene
         .iter()
@@ -130,6 +133,26 @@ pub(super) fn doubts(given: &Given) -> Result<Vec<String>, OriginError> {
         found.push(format!("{name} was not rendered from {} as it is now: the null renders what it says now", others.join(", ")));
     }
     Ok(found)
+}
+
+/// What to say where the scatter in the simulated image is not what the null has; of photons only whether there is any is known.
+fn other_scatter(described: &Value, scene: &Scene) -> Option<String> {
+    let from = &described["scatter"]["from"];
+    let network = from["network"]["sha256"].as_str();
+    let there = match (network, from["photons"].is_object()) {
+        (Some(_), _) => ScatterModel::Network,
+        (None, true) => ScatterModel::MonteCarlo,
+        (None, false) => ScatterModel::Off,
+    };
+    let is_naive = scene.model.formation == Formation::Naive;
+    let here = if is_naive { ScatterModel::Off } else { scene.model.scatter };
+    if there != here {
+        return Some(format!("the simulated image's scatter is {there:?}, the null's {here:?}: scores differ by that too"));
+    }
+    let asked = network.and_then(|_| NetworkScatter::open(None).ok())?.sha256();
+    let words =
+        "the simulated image has the scatter of another network than the one that comes with the program, which the null has";
+    (network != Some(asked.as_str())).then(|| words.to_owned())
 }
 
 /// From where an image was rendered, as `render` wrote it.

@@ -4,14 +4,14 @@ use std::convert::Infallible;
 use std::path::Path;
 
 use crate::geometry::View;
-use crate::gpu::Gpu;
+use crate::gpu::{Gpu, cpu_name};
 use crate::image::Image;
 use crate::render::{Origin, Scatter};
 use crate::reporter::Reporter;
 use crate::scene::model::{Formation, ScatterModel, Scene};
 use crate::time::Stopwatch;
 use crate::transport::{
-    GpuTransport, GpuTransportError, Histories, NetworkError, NetworkScatter, Page, Simulation, Tally, TransportError,
+    BATCH, GpuTransport, GpuTransportError, Histories, NetworkError, NetworkScatter, Page, Simulation, Tally, TransportError,
 };
 
 /// Columns and rows of the raster: scatter is smooth over centimetres.
@@ -135,22 +135,22 @@ pub fn ways(scene: &Scene, view: &View, asked: &Asked<'_>) -> String {
     format!("scatter, cost and error of each way:{}", rows.iter().map(line).collect::<String>())
 }
 
-/// Where the photons of `simulation` are followed: on the GPU that is asked, where its shader takes the scene.
-fn on_gpu<'a>(simulation: &Simulation, asked: &Asked<'a>) -> Result<Option<GpuTransport<'a>>, GpuTransportError> {
-    let Some(gpu) = asked.gpu else { return Ok(None) };
-    match GpuTransport::new(gpu, simulation) {
-        Ok(transport) => Ok(Some(transport)),
-        Err(GpuTransportError::Unsupported(_)) => Ok(None),
-        Err(error) => Err(error),
-    }
+/// Where the photons of `simulation` are followed: on the GPU that is asked, where it can; else on the processor, which is said.
+fn on_gpu<'a>(simulation: &Simulation, asked: &Asked<'a>, reporter: &Reporter) -> Option<GpuTransport<'a>> {
+    let told = |error: GpuTransportError| {
+        reporter.note(format_args!("photons are followed on {}: {error}", cpu_name()));
+    };
+    GpuTransport::new(asked.gpu?, simulation).map_err(told).ok()
 }
 
 /// How long following photons to the wanted relative standard error takes, by a few.
 fn photons_ms(scene: &Scene, view: &View, asked: &Asked<'_>) -> Result<f64, ScatteredError> {
+    let watch = Stopwatch::start();
     let pilot = Histories { count: PILOT_HISTORIES, seed: scene.model.seed, grid_px: GRID_PX, ..Histories::default() };
     let simulation = Simulation::new(scene, view, pilot)?;
-    let mut gpu = on_gpu(&simulation, asked)?;
+    let mut gpu = on_gpu(&simulation, asked, &Reporter::silent());
     let mut tally = gpu.as_ref().map_or_else(|| simulation.tally(), GpuTransport::tally);
+    let prepared_ms = watch.ms();
     let watch = Stopwatch::start();
     match &mut gpu {
         Some(gpu) => gpu.advance(&mut tally)?,
@@ -159,9 +159,12 @@ fn photons_ms(scene: &Scene, view: &View, asked: &Asked<'_>) -> Result<f64, Scat
             let Ok(()) = run;
         }
     }
-    let times = (simulation.relative_error(&tally) / asked.rel_error).powi(2);
-    let most = MOST_HISTORIES as f64 / tally.histories() as f64;
-    Ok(watch.ms() * if times <= most { times } else { most })
+    let needed = tally.histories() as f64 * (simulation.relative_error(&tally) / asked.rel_error).powi(2);
+    let needed = if needed <= MOST_HISTORIES as f64 { needed } else { MOST_HISTORIES as f64 };
+    // Precision is judged after whole steps.
+    let step = if gpu.is_some() { tally.histories() } else { simulation.batches_at_once() * BATCH } as f64;
+    let followed = (needed / step).ceil().max(1.0) * step;
+    Ok(prepared_ms + watch.ms() / tally.histories() as f64 * followed)
 }
 
 fn follow_photons(scene: &Scene, view: &View, asked: &Asked<'_>, reporter: &Reporter) -> Result<Scatter, ScatteredError> {
@@ -169,11 +172,9 @@ fn follow_photons(scene: &Scene, view: &View, asked: &Asked<'_>, reporter: &Repo
     let wanted = Histories { count: MOST_HISTORIES, seed, grid_px: GRID_PX, rel_error: Some(rel_error), ..Histories::default() };
     let simulation = Simulation::new(scene, view, wanted)?;
     let cells = 0..simulation.unattenuated().len();
-    let mut gpu = on_gpu(&simulation, asked)?;
-    let mut tally = gpu.as_ref().map_or_else(|| simulation.tally(), GpuTransport::tally);
     let progress = reporter.progress("scatter: per mille of the photons", 1000);
     let mut shown = 0;
-    let after = |tally: &Tally| {
+    let mut after = |tally: &Tally| {
         let done = (1000.0 * (rel_error / simulation.relative_error(tally)).powi(2)).min(1000.0) as u64;
         progress.advance(done.saturating_sub(shown));
         shown = done.max(shown);
@@ -186,13 +187,20 @@ fn follow_photons(scene: &Scene, view: &View, asked: &Asked<'_>, reporter: &Repo
             false => Ok(()),
         }
     };
-    let run = match &mut gpu {
-        Some(gpu) => gpu.run(&simulation, &mut tally, after),
-        None => simulation.run(&mut tally, after),
-    };
-    if let Err(Stop::Device(error)) = run {
-        return Err(error.into());
+    let mut found = None;
+    if let Some(mut gpu) = on_gpu(&simulation, asked, reporter) {
+        let mut tally = gpu.tally();
+        match gpu.run(&simulation, &mut tally, &mut after) {
+            Err(Stop::Device(error)) => reporter.warn("scatter", format_args!("{error}: followed again on {}", cpu_name())),
+            _ => found = Some((tally, gpu.adapter().to_owned())),
+        }
     }
+    let (tally, device) = found.unwrap_or_else(|| {
+        let mut tally = simulation.tally();
+        // What stops it early is no error.
+        let _ = simulation.run(&mut tally, &mut after);
+        (tally, "cpu".to_owned())
+    });
     let (histories, relative_error) = (tally.histories(), simulation.relative_error(&tally));
     if histories >= MOST_HISTORIES && !(relative_error <= rel_error) {
         let good = 100.0 * relative_error;
@@ -203,7 +211,7 @@ fn follow_photons(scene: &Scene, view: &View, asked: &Asked<'_>, reporter: &Repo
         signal: image(cells.clone().map(|cell| tally.scatter(cell).mean).collect()),
         error: image(cells.map(|cell| tally.scatter(cell).standard_error).collect()),
         unattenuated: image(simulation.unattenuated().to_vec()),
-        from: Origin::Photons { histories, seed },
+        from: Origin::Photons { histories, seed, device },
         relative_error,
     })
 }

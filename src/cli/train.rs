@@ -33,8 +33,8 @@ enum TrainOf {
   sidecarm train scatter scatter-set --out everything --sibling without-chest --sibling without-pelvis
 
 Written after every epoch: NAME.safetensors (weights) and NAME.json (its card: what it takes, what it was trained on, how good it is on what
-it was not), NAME.csv (losses), NAME.checkpoint (from where --resume goes on); at the end NAME.svg. The epoch that is best on what is held out
-is kept, so its figure there is a little too good. A resumed training gives bit for bit what an uninterrupted one gives.")]
+it was not), NAME.csv (losses), NAME.checkpoint (from where --resume goes on); at the end NAME.svg. Without --hold-out the epoch that is best
+on the tenth is kept, so its figure there is a little too good; with it the last one is. A resumed training gives bit for bit what an uninterrupted one gives.")]
 struct TrainScatterArgs {
     /// Folder of the samples
     dataset: PathBuf,
@@ -56,7 +56,7 @@ struct TrainScatterArgs {
     hold_out: Vec<String>,
     /// A network of the same samples and layers that was trained with --hold-out of one specimen (repeat it for each specimen): this one is
     /// trained on everything, and its card has their figures
-    #[arg(long, value_name = "NAME", conflicts_with = "hold_out")]
+    #[arg(long, value_name = "NAME", conflicts_with_all = ["hold_out", "resume"])]
     sibling: Vec<PathBuf>,
     /// Its layers: few wide ones at low resolution, or those of the paper
     #[arg(long, value_enum, default_value = "default", conflicts_with = "resume")]
@@ -107,13 +107,8 @@ pub enum TrainError {
 /// When samples or settings cannot be used, a file cannot be written, or the training diverges.
 pub fn run(args: &TrainArgs, reporter: &Reporter) -> Result<u8, TrainError> {
     let TrainOf::Scatter(args) = &args.of;
-    let options = TrainOptions {
-        dataset: args.dataset.clone(),
-        output: args.out.clone(),
-        resume: args.resume,
-        siblings: args.sibling.clone(),
-        recipe: recipe(args)?,
-    };
+    let (recipe, siblings) = recipe(args)?;
+    let options = TrainOptions { dataset: args.dataset.clone(), output: args.out.clone(), resume: args.resume, siblings, recipe };
     let watch = Stopwatch::start();
     let bar = reporter.progress("steps", 0);
     let mut first = true;
@@ -150,7 +145,7 @@ pub fn run(args: &TrainArgs, reporter: &Reporter) -> Result<u8, TrainError> {
     Ok(0)
 }
 
-fn recipe(args: &TrainScatterArgs) -> Result<Recipe, TrainError> {
+fn recipe(args: &TrainScatterArgs) -> Result<(Recipe, Vec<PathBuf>), TrainError> {
     let files = TrainFiles::of(&args.out);
     if args.resume {
         let found = recipe_of_checkpoint(&args.out)?;
@@ -168,7 +163,7 @@ fn recipe(args: &TrainScatterArgs) -> Result<Recipe, TrainError> {
         [] => standard.hold_out.clone(),
         names => HoldOut::Specimens { names: names.to_vec() },
     };
-    Ok(Recipe { seed: args.seed, epochs: args.epochs, hold_out, ..standard })
+    Ok((Recipe { seed: args.seed, epochs: args.epochs, hold_out, ..standard }, args.sibling.clone()))
 }
 
 fn line(record: &EpochRecord, progress: &Progress) -> String {

@@ -88,19 +88,58 @@ pub fn tool_mask(scene: &Scene, view: &View) -> Option<Image<bool>> {
     Some(Image { width, height, pixels: (0..width * height).map(straight).collect() })
 }
 
+/// Says the scatter of a scene that is seen in a view; `None` where nobody knows.
+pub type SayScatter<'a> = dyn Fn(&Scene, &View) -> Option<Scatter> + 'a;
+
+/// The scatter in renders for a null.
+#[derive(Clone, Default)]
+pub struct NullScatter<'a> {
+    /// That of the DRR, which poses near to its own have too; without it there is none in any.
+    pub near: Option<Arc<Scatter>>,
+    /// Says that of a pose far away, such as one for a layout turned about; where nobody does, there is none.
+    pub far: Option<&'a SayScatter<'a>>,
+}
+
+/// How far a pose may be from the DRR's with its scatter: scatter is smooth over centimetres.
+const NEAR_MM: f64 = 20.0;
+const NEAR_DEG: f64 = 5.0;
+const NEAR_SHARE: f64 = 0.02;
+
+impl NullScatter<'_> {
+    /// Of `scene`, whose own view is `view`; the DRR is seen in `drr`.
+    fn of(&self, scene: &Scene, view: &View, drr: Option<&View>) -> Option<Arc<Scatter>> {
+        let near = self.near.as_ref()?;
+        if drr.is_some_and(|drr| is_near(drr, view)) {
+            return Some(Arc::clone(near));
+        }
+        self.far.and_then(|say| say(scene, view)).map(Arc::new)
+    }
+}
+
+/// Whether two views, perhaps of other pixels, show the same from about the same place.
+fn is_near(a: &View, b: &View) -> bool {
+    let turn_deg = a.camera_from_lps.rotation.angle_between(b.camera_from_lps.rotation).to_degrees();
+    let centre = |view: &View| view.camera_from_lps.inverse().translation_mm;
+    let shares = |view: &View| {
+        let (k, [width, height]) = (view.intrinsics, view.size_px.map(f64::from));
+        [(k.cx + 0.5) / width, (k.cy + 0.5) / height, k.fx / width, k.fy / height]
+    };
+    let apart = shares(a).iter().zip(shares(b)).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    turn_deg <= NEAR_DEG && centre(a).distance(centre(b)) <= NEAR_MM && apart <= NEAR_SHARE
+}
+
 /// Renders of one scene from poses about its own, for a null.
 pub struct NullRenders<'a> {
     renderer: &'a mut Renderer,
     scene: &'a Scene,
-    scatter: Option<Arc<Scatter>>,
+    scatter: NullScatter<'a>,
     plan: Option<Plan>,
 }
 
 impl<'a> NullRenders<'a> {
     /// `scene` has the view of the DRR, on its panel; `plan` is what rendered it: nothing is planned anew by what this machine is fast
-    /// at, so that two replays agree. Without one, one is made for all. `scatter` is that of the DRR: poses so near to each other have the
-    /// same.
-    pub fn new(renderer: &'a mut Renderer, scene: &'a Scene, plan: Option<Plan>, scatter: Option<Arc<Scatter>>) -> Self {
+    /// at, so that two replays agree. Without one, one is made for all.
+    pub fn new(renderer: &'a mut Renderer, scene: &'a Scene, plan: Option<Plan>, scatter: NullScatter<'a>) -> Self {
         Self { renderer, scene, scatter, plan: plan.map(|plan| plan.whole()) }
     }
 
@@ -111,10 +150,10 @@ impl<'a> NullRenders<'a> {
     pub fn render(&mut self, view: &View) -> Result<Image<f32>, String> {
         let mut coarse = self.scene.with_binned_view(*view);
         coarse.model.noise = Noise::Off;
-        if self.scatter.is_none() {
+        let scatter = self.scatter.of(&coarse, view, self.scene.view.as_ref());
+        if scatter.is_none() {
             coarse.model.scatter = ScatterModel::Off;
         }
-        let scatter = self.scatter.clone();
         let options = Options { quantity: Quantity::LineIntegral, scatter, ..Options::default() };
         let plan = match &self.plan {
             Some(plan) => plan.clone(),
@@ -127,5 +166,54 @@ impl<'a> NullRenders<'a> {
         let invalid = rendered.valid.pixels.iter().map(|valid| *valid == 0);
         page.pixels.iter_mut().zip(invalid).filter(|(_, invalid)| *invalid).for_each(|(pixel, _)| *pixel = f32::NAN);
         Ok(page)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DQuat;
+
+    use super::*;
+    use crate::geometry::{Intrinsics, Rigid};
+    use crate::render::Origin;
+    use crate::scene::physics::Spectrum;
+
+    /// Near poses have the DRR's scatter, at whatever size; others what somebody says of them, or none.
+    #[test]
+    fn scatter_goes_with_poses_that_are_near() {
+        let view = |size: u32, deg: f64, mm: f64, cx: f64| View {
+            size_px: [size, size],
+            intrinsics: Intrinsics {
+                fx: 2.0 * f64::from(size),
+                fy: 2.0 * f64::from(size),
+                skew: 0.0,
+                cx: cx * f64::from(size),
+                cy: 0.0,
+            },
+            camera_from_lps: Rigid {
+                rotation: DQuat::from_rotation_y(deg.to_radians()),
+                translation_mm: DVec3::new(mm, 0.0, 700.0),
+            },
+        };
+        let image = |value: f64| Image { width: 1, height: 1, pixels: vec![value] };
+        let scatter = |value: f64| Scatter {
+            signal: image(value),
+            error: image(0.0),
+            unattenuated: image(1.0),
+            from: Origin::Photons { histories: 1, seed: 1, device: "cpu".to_owned() },
+            relative_error: 0.0,
+        };
+        let (scene, drr) = (Scene::plain(Spectrum::mono(60.0).expect("inside")), view(640, 0.0, 0.0, 0.5));
+        let say = |_: &Scene, _: &View| Some(scatter(2.0));
+        let told = NullScatter { near: Some(Arc::new(scatter(1.0))), far: Some(&say) };
+        let untold = NullScatter { far: None, ..told.clone() };
+        let value = |of: &NullScatter, view: &View| of.of(&scene, view, Some(&drr)).map(|found| found.signal.pixels[0]);
+        for near in [view(640, 0.0, 0.0, 0.5), view(80, 0.0, 10.0, 0.505), view(640, 0.5, 0.0, 0.5)] {
+            assert_eq!((value(&told, &near), value(&untold, &near)), (Some(1.0), Some(1.0)));
+        }
+        for far in [view(640, 180.0, 0.0, 0.5), view(640, 0.0, 30.0, 0.5), view(640, 0.0, 0.0, 0.6)] {
+            assert_eq!((value(&told, &far), value(&untold, &far)), (Some(2.0), None));
+        }
+        assert_eq!(value(&NullScatter { near: None, ..told }, &drr), None, "without scatter in the DRR");
     }
 }

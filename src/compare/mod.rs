@@ -32,7 +32,7 @@ pub use displacement::farthest_apart_px;
 pub use domain::{AirContradiction, AirLevel, AirReport, CommonDomain};
 pub use elsewhere::{Elsewhere, elsewhere};
 pub use input::{CompareError, CompareInput};
-pub use matched::{NullRenders, bead_marks, posed_scene, tool_mask};
+pub use matched::{NullRenders, NullScatter, bead_marks, posed_scene, tool_mask};
 pub use null::{NULL_WIDTH_PX, NullError, NullPlan, Rerender};
 pub use pedestal::{OffsetReport, OffsetRule};
 pub use ranking::{NullScore, ShiftedScore};

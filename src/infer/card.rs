@@ -49,6 +49,8 @@ pub struct Card {
     pub weights_sha256: String,
     /// Seed of the training.
     pub training_seed: u64,
+    /// Passes over the samples that it was trained for.
+    pub training_epochs: usize,
     /// Samples trained on, without those held out.
     pub sample_count: usize,
     /// Specimens trained on, sorted.

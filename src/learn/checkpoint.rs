@@ -3,12 +3,12 @@
 //! Random numbers have no state of their own: they are keyed by the seed and the epoch.
 
 use std::collections::HashMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
 use super::adam::Adam;
-use super::{EpochRecord, LearnError, Recipe, TrainFiles};
+use super::{EpochRecord, LearnError, Recipe, TrainFiles, TrainOptions};
 use crate::image::write_atomically;
 use crate::infer::{TensorFault, bytes_from_tensors, floats_of, metadata_of, tensors_from_bytes};
 
@@ -29,6 +29,7 @@ pub(super) struct State {
 #[serde(deny_unknown_fields)]
 struct Beside {
     recipe: Recipe,
+    siblings: Vec<PathBuf>,
     samples_sha256: String,
     steps: u64,
     best_epoch: Option<usize>,
@@ -37,9 +38,10 @@ struct Beside {
 
 impl State {
     /// Writes it, whole or not at all.
-    pub(super) fn write(&self, path: &Path, recipe: &Recipe, samples_sha256: &str) -> Result<(), LearnError> {
+    pub(super) fn write(&self, path: &Path, options: &TrainOptions, samples_sha256: &str) -> Result<(), LearnError> {
         let beside = Beside {
-            recipe: recipe.clone(),
+            recipe: options.recipe.clone(),
+            siblings: options.siblings.clone(),
             samples_sha256: samples_sha256.to_owned(),
             steps: self.adam.steps,
             best_epoch: self.best.as_ref().map(|(epoch, _)| *epoch),
@@ -110,16 +112,16 @@ fn beside_of(bytes: &[u8]) -> Result<Beside, TensorFault> {
     serde_json::from_str(text).map_err(|error| TensorFault::MetadataForm { key: KEY.to_owned(), detail: error.to_string() })
 }
 
-/// The recipe of the training that left a checkpoint beside the network `output`; `None` where there is no checkpoint.
+/// The recipe and the siblings of the training that left a checkpoint beside the network `output`; `None` where there is no checkpoint.
 ///
 /// # Errors
 /// When the checkpoint is unreadable.
-pub fn recipe_of_checkpoint(output: &Path) -> Result<Option<Recipe>, LearnError> {
+pub fn recipe_of_checkpoint(output: &Path) -> Result<Option<(Recipe, Vec<PathBuf>)>, LearnError> {
     let path = TrainFiles::of(output).checkpoint;
     match std::fs::read(&path) {
         Ok(bytes) => {
             let beside = beside_of(&bytes).map_err(|fault| LearnError::Checkpoint { path, fault })?;
-            Ok(Some(beside.recipe))
+            Ok(Some((beside.recipe, beside.siblings)))
         }
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
         Err(source) => Err(LearnError::Io { path, source }),

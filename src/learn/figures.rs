@@ -12,6 +12,7 @@ use crate::infer::{CELL_COLUMNS, CELL_ROWS, CELLS, COLUMNS, Card, Input, Network
 /// Names of figures in a card.
 pub(super) const SAMPLES: &str = "samples";
 pub(super) const MEAN_RMS: &str = "mean_rms";
+pub(super) const EDGE_BIAS: &str = "edge_bias";
 pub(super) const EDGE_CELLS: &str = "edge_cells";
 
 /// Place of the channel of absorbing thickness among [`crate::transport::CHANNELS`], and how much of it ends at an edge.
@@ -69,7 +70,7 @@ impl Figures {
             ("nmse_noise", self.noise),
             ("mean_bias", self.mean_bias),
             (MEAN_RMS, self.mean_rms),
-            ("edge_bias", self.edge_bias),
+            (EDGE_BIAS, self.edge_bias),
             (EDGE_CELLS, self.edge_cells as f64),
         ]
         .map(|(name, value)| (format!("{name}{suffix}"), value))

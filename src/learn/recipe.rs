@@ -31,7 +31,7 @@ pub struct Recipe {
     pub mirror: bool,
     /// What is not trained on.
     pub hold_out: HoldOut,
-    /// Stop after so many epochs without a better held-out figure.
+    /// Stop after so many epochs without a better held-out figure, where that chooses ([`HoldOut::chooses`]).
     pub patience: Option<usize>,
 }
 
@@ -51,6 +51,15 @@ pub enum HoldOut {
     },
     /// Nothing: the last epoch is kept.
     Nothing,
+}
+
+impl HoldOut {
+    /// Whether what is held out chooses the epoch that is kept, and says when to stop. A specimen does not: it would no longer be one that
+    /// the network knows nothing of, so the last epoch is kept.
+    #[must_use]
+    pub fn chooses(&self) -> bool {
+        matches!(self, Self::Seeds { .. })
+    }
 }
 
 impl Default for Recipe {

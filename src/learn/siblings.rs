@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use super::LearnError;
-use super::figures::{EDGE_CELLS, MEAN_RMS, SAMPLES};
+use super::figures::{EDGE_BIAS, EDGE_CELLS, MEAN_RMS, SAMPLES};
 use crate::infer::{Card, JudgedBy, NetworkFiles};
 
 /// Writes into `card` the figures of `siblings`: of each by the specimen it was not trained on, and their mean by samples. Without siblings
@@ -27,29 +27,36 @@ pub(super) fn judge(card: &mut Card, siblings: &[PathBuf]) -> Result<(), LearnEr
         if sibling.samples_sha256 != card.samples_sha256 {
             return no("it was trained on other samples");
         }
-        if sibling.architecture != card.architecture || sibling.training_seed != card.training_seed {
-            return no("its layers or its seed are others");
+        let made = |card: &Card| (card.architecture, card.training_seed, card.training_epochs);
+        if made(&sibling) != made(card) {
+            return no("its layers, its seed or its epochs are others");
         }
         let JudgedBy::Specimens { names } = &sibling.judged_by else { return no("it holds out no specimen") };
         let [name] = names.as_slice() else { return no("it holds out more than one specimen") };
         if weights_sha256.insert(name.clone(), sibling.weights_sha256.clone()).is_some() {
             return no("another one holds out the same specimen");
         }
-        let samples = sibling.held_out.get(SAMPLES).copied().unwrap_or(f64::NAN);
+        let count = |figure: &str| sibling.held_out.get(figure).copied().unwrap_or(f64::NAN);
+        let (samples, cells) = (count(SAMPLES), count(EDGE_CELLS));
         for (figure, value) in &sibling.held_out {
             card.held_out.insert(format!("{figure} of {name}"), *value);
             *sums.entry(figure.clone()).or_default() += match figure.as_str() {
                 SAMPLES | EDGE_CELLS => *value,
                 MEAN_RMS => samples * value * value,
+                EDGE_BIAS => cells * value,
                 _ => samples * value,
             };
         }
     }
     let all = sums.get(SAMPLES).copied().unwrap_or(f64::NAN);
+    let cells = sums.get(EDGE_CELLS).copied().unwrap_or(f64::NAN);
     for (figure, sum) in sums {
         let of_all = match figure.as_str() {
             SAMPLES | EDGE_CELLS => sum,
             MEAN_RMS => (sum / all).sqrt(),
+            // Nothing ends anywhere where there are none.
+            EDGE_BIAS if cells == 0.0 => 0.0,
+            EDGE_BIAS => sum / cells,
             _ => sum / all,
         };
         card.held_out.insert(figure, of_all);

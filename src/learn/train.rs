@@ -36,6 +36,7 @@ pub fn train(options: &TrainOptions, told: &mut dyn FnMut(&Progress<'_>) -> Cont
     siblings::judge(&mut card, &options.siblings)?;
     let layers = recipe.architecture.layers(dataset.channels.len(), dataset.scalar_names.len());
     let training = Training {
+        options,
         recipe,
         held_out: held_out.iter().map(|index| &dataset.samples[*index]).collect(),
         files: TrainFiles::of(&options.output),
@@ -79,6 +80,7 @@ type Evaluation = Option<(Figures, BTreeMap<String, Figures>)>;
 
 /// What does not change from epoch to epoch.
 struct Training<'a> {
+    options: &'a TrainOptions,
     recipe: &'a Recipe,
     dataset: &'a Dataset,
     train: Vec<usize>,
@@ -111,7 +113,7 @@ impl Training<'_> {
             };
             let known = state.best.as_ref().and_then(|(epoch, _)| state.history[epoch - 1].held_out_nmse);
             let best = match (record.held_out_nmse, known) {
-                (Some(new), Some(known)) => new < known,
+                (Some(new), Some(known)) if self.recipe.hold_out.chooses() => new < known,
                 _ => true,
             };
             state.adam = next;
@@ -197,7 +199,8 @@ impl Training<'_> {
 
     fn no_better(&self, state: &State) -> bool {
         let best = state.best.as_ref().map_or(0, |(epoch, _)| *epoch);
-        self.recipe.patience.is_some_and(|patience| !self.held_out.is_empty() && state.history.len() >= best + patience)
+        let chooses = self.recipe.hold_out.chooses();
+        self.recipe.patience.is_some_and(|patience| chooses && state.history.len() >= best + patience)
     }
 
     fn progress<'a>(
@@ -221,7 +224,7 @@ impl Training<'_> {
         }
         let bytes = table.into_inner().map_err(|error| io(error.into_error()))?;
         write_atomically(path, |file| file.write_all(&bytes))?;
-        state.write(&self.files.checkpoint, self.recipe, &self.card.samples_sha256)
+        state.write(&self.files.checkpoint, self.options, &self.card.samples_sha256)
     }
 
     /// Writes `parameters`, then their card: until it is there too, a reader meets a checksum that disagrees.

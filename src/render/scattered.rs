@@ -41,6 +41,8 @@ pub enum Origin {
         histories: u64,
         /// Seed of their random numbers.
         seed: u64,
+        /// `cpu`, or the GPU that followed them: each has random numbers of its own.
+        device: String,
     },
     /// A network was asked.
     Network {

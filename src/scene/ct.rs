@@ -15,6 +15,8 @@ use super::object_file::{AirFile, BODY, CtFile, DensityFile, ElseFile, LabelMate
 use super::physics::Material;
 use super::volumes::VolumeFile;
 
+/// Matter without bone of which more than this is remarkable.
+const SPECIMEN_MM3: f64 = 1e5;
 /// What a threshold takes for bone.
 const BONE: &str = "bone_cortical";
 /// Beyond any metal: tantalum is 60 000 to 100 000 HU on an extended scale.
@@ -54,7 +56,11 @@ impl Builder<'_> {
             self.reporter.warn("empty CT", format_args!("{}: no voxel is matter: everything is air", path.display()));
         }
         let is_bone = |class: &Class| local[class.material].name == BONE;
-        if file.materials == MaterialsFile::Threshold && !order.is_empty() && !order.iter().any(is_bone) {
+        let matter_mm3 = || {
+            let voxels = volume.class.iter().filter(|class| **class != 0).count();
+            voxels as f64 * volume.lps_from_voxel.matrix3.determinant().abs()
+        };
+        if file.materials == MaterialsFile::Threshold && !order.iter().any(is_bone) && matter_mm3() > SPECIMEN_MM3 {
             self.reporter.note(format_args!("{}: no voxel is dense enough for bone", path.display()));
         }
         if doubtful_slices > 0 {

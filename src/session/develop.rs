@@ -11,7 +11,7 @@ use super::file::Setup;
 use super::posing::Posed;
 use crate::beads::{Bead, BeadLayout};
 use crate::calibrate::robot::{SeenTip, tip_in_frame};
-use crate::compare::{CompareInput, Compared, NullError, NullRenders, bead_marks, compare, tool_mask};
+use crate::compare::{CompareInput, Compared, NullError, NullRenders, NullScatter, bead_marks, compare, tool_mask};
 use crate::geometry::View;
 use crate::image::{Image, sha256_bytes};
 use crate::mask::{Cause, MaskShares};
@@ -19,6 +19,7 @@ use crate::render::{Options, Plan, Quantity, Renderer, Scatter};
 use crate::report::{self, Pair, PairStatus, PoseSource, StripInput};
 use crate::reporter::Reporter;
 use crate::scene::Scene;
+use crate::scene::model::ScatterModel;
 use crate::time::Stopwatch;
 use crate::timeline::{Binding, BindingFlag, BindingHow};
 use crate::transport::NetworkScatter;
@@ -54,6 +55,7 @@ impl Bench {
             Err(reason) => return self.without(posed, pair, &reason),
         };
         let scatter = self.scatter_of(&scene, &view, &mut pair);
+        let scene = if self.network.is_some() && scatter.is_none() { Arc::new(without_scatter(&scene)) } else { scene };
         let watch = Stopwatch::start();
         let (quantity, frame_index) = (Quantity::LineIntegral, posed.number);
         let options = Options { quantity, frame_index, plan, guessed: true, scatter: scatter.clone(), ..Options::default() };
@@ -264,7 +266,11 @@ impl Bench {
             Ok(plan) => plan,
             Err(error) => return Some(developed.without_null(&error.to_string())),
         };
-        let mut renders = NullRenders::new(&mut self.renderer, &scene, Some(plan), developed.scatter.clone());
+        let network = self.network.as_ref();
+        // Poses that nobody has are unlike what it knows: that is not worth a word.
+        let far = |scene: &Scene, view: &View| network?.say(scene, view, &Reporter::silent()).ok();
+        let scatter = NullScatter { near: developed.scatter.clone(), far: Some(&far) };
+        let mut renders = NullRenders::new(&mut self.renderer, &scene, Some(plan), scatter);
         match compared.add_null(&mut |view| renders.render(view), cancelled) {
             Ok(()) => {
                 developed.pair.flags.retain(|flag| flag != UNCHECKED);
@@ -300,6 +306,13 @@ impl Bench {
         let strip = Arc::new(draw(&posed, &pair, None, Some(reason)));
         Developed { posed, pair, drr: None, scatter: None, compared: None, strip, drr_sha256: None, complete: true }
     }
+}
+
+/// The same scene, whose DRR nobody expects to have scatter.
+fn without_scatter(scene: &Scene) -> Scene {
+    let mut scene = scene.clone();
+    scene.model.scatter = ScatterModel::Off;
+    scene
 }
 
 fn draw(posed: &Posed, pair: &Pair, compared: Option<&Compared>, without: Option<&str>) -> Image<[u8; 3]> {

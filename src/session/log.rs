@@ -32,6 +32,8 @@ pub(super) const CLOCK_TOPIC: &str = "/session/clock";
 pub(super) const ORDER_TOPIC: &str = "/session/order";
 /// Frames whose image prefers another pose, by number, when the engine was told.
 pub(super) const DISAGREES_TOPIC: &str = "/session/image_disagrees";
+/// Key of the provenance: SHA-256 of the weights of the network that says the scatter, where one is asked.
+pub(super) const SCATTER_NETWORK: &str = "scatter_network_sha256";
 /// The end of the session's inputs.
 pub(super) const END_TOPIC: &str = "/session/end";
 /// Number and SHA-256 of each DRR's pixels.
@@ -67,7 +69,10 @@ impl SessionLog {
         let path = out.join("session.mcap");
         let started_us = host_now_us();
         let names = workshop.names().clone();
-        let details = json!({"adapter": workshop.adapter(), "inputs": names.shown()});
+        let mut details = json!({"adapter": workshop.adapter(), "inputs": names.shown()});
+        if let Some(sha256) = workshop.network_sha256() {
+            details[SCATTER_NETWORK] = json!(sha256);
+        }
         let setup = names.setup(setup);
         let provenance = Provenance::of_this_program(started_us, details);
         let (recorder, unkept) = match crate::foreign::installed().program() {

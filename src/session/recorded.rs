@@ -6,9 +6,9 @@ use std::path::Path;
 use super::SessionError;
 use super::against_log::PairDigest;
 use super::file::Setup;
-use super::log::{DRR_HASH_TOPIC, ORDER_TOPIC, SETUP_TOPIC};
+use super::log::{DRR_HASH_TOPIC, ORDER_TOPIC, SCATTER_NETWORK, SETUP_TOPIC};
 use crate::image::{Image, sha256_bytes};
-use crate::record::{LogEntry, LogReader, Tolerance, topic};
+use crate::record::{LogEntry, LogReader, Provenance, Tolerance, topic};
 use crate::render::Plan;
 
 /// Number of a frame, and how often it was posed before.
@@ -18,6 +18,8 @@ pub(super) type Development = (u32, u32);
 #[derive(Default)]
 pub(super) struct Recorded {
     pub(super) setup: Option<Setup>,
+    /// SHA-256 of the weights of the network that was asked for scatter.
+    pub(super) network_sha256: Option<String>,
     pub(super) started_us: i64,
     /// Messages in the log.
     pub(super) messages: u64,
@@ -75,6 +77,11 @@ impl Recorded {
             }
             found.messages += 1;
             match &*entry.topic {
+                topic::PROVENANCE if found.network_sha256.is_none() => {
+                    let provenance: Option<Provenance> = tolerance.take(entry.json());
+                    let sha256 = provenance.and_then(|found| found.details[SCATTER_NETWORK].as_str().map(str::to_owned));
+                    found.network_sha256 = sha256;
+                }
                 SETUP_TOPIC if found.setup.is_none() => found.setup = tolerance.take(entry.json()),
                 topic::FRAME_TAGS => {
                     let label: Option<Label> = tolerance.take(entry.json());

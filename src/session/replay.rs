@@ -25,6 +25,7 @@ use super::posing::{Posed, Registered};
 use super::recorded::{Development, Recorded, drrs_of};
 use super::records::{CUT_TOPIC, CutRecord, RESTART_TOPIC};
 pub use super::replay_report::ReplayReport;
+use super::replay_report::{another_network, planned_error};
 use super::servers::IgtlServer;
 use super::tracks::Tracks;
 use super::workshop::Workshop;
@@ -75,6 +76,11 @@ pub fn run(
         reporter.warn("log damaged", format!("{}: {loss}", log.display()));
     }
     let mut workshop = Workshop::open(&setup, DeviceChoice::Auto, reporter)?;
+    let mut losses = recorded.losses.clone();
+    if let Some(words) = another_network(recorded.network_sha256.as_deref(), workshop.network_sha256()) {
+        reporter.warn("scatter network", format!("{}: {words}", log.display()));
+        losses.push(words);
+    }
     let collector = Collector::create(&options.out, recorded.started_us, Times::Apart, &workshop)?;
     let broadcast = Broadcast::open(options.igtl.as_ref(), &setup, workshop.robot(), reporter)?;
     let (pairs, developed) = sync_channel(MOST_OPEN);
@@ -88,7 +94,7 @@ pub fn run(
         developed,
         tracks: Tracks::new(),
         board,
-        report: ReplayReport { losses: recorded.losses.clone(), ..ReplayReport::default() },
+        report: ReplayReport { losses, ..ReplayReport::default() },
         seen: BTreeSet::new(),
         without_pixels: BTreeSet::new(),
         has_end: false,
@@ -280,7 +286,8 @@ impl Replay<'_> {
         if let (Some(sha256), Some((drr, _)), false) = (&developed.drr_sha256, &developed.drr, self.collector.knows(&developed)) {
             let against_log = match self.recorded.hashes.get(&number) {
                 Some(then) if then == sha256 => AgainstLog::Same,
-                Some(_) => AgainstLog::Different { bound: drr.stated_error },
+                // What a network or photons leave uncertain of scatter is the same in both.
+                Some(_) => AgainstLog::Different { bound: planned_error(&drr.plan) },
                 None => AgainstLog::NotInLog,
             };
             self.rendered.insert(number, against_log);

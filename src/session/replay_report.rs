@@ -46,6 +46,18 @@ impl ReplayReport {
     }
 }
 
+/// What to say where scatter is said by another network than then, or by one where there was none.
+pub(super) fn another_network(then: Option<&str>, now: Option<&str>) -> Option<String> {
+    let name = |sha256: Option<&str>| sha256.map_or_else(|| "no network".to_owned(), |sha256| format!("the network {sha256}"));
+    let words = || format!("{} said the session's scatter, {} says it now: DRRs differ by that", name(then), name(now));
+    (then != now).then(words)
+}
+
+/// What the plan of a DRR states, without what is uncertain about its scatter: by no more may it differ from itself.
+pub(super) fn planned_error(plan: &serde_json::Value) -> f64 {
+    plan["stated_error"].as_f64().unwrap_or(0.0)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -56,5 +68,15 @@ mod tests {
         assert!(ReplayReport::default().is_faithful());
         let report = ReplayReport { images_different: vec![unknown], ..ReplayReport::default() };
         assert!(!report.is_faithful());
+    }
+
+    #[test]
+    fn another_network_is_said_and_its_uncertainty_is_no_excuse() {
+        assert_eq!((another_network(None, None), another_network(Some("a1"), Some("a1"))), (None, None));
+        let said = another_network(Some("a1"), Some("b2")).expect("others");
+        assert!(said.contains("network a1 said") && said.contains("network b2 says"), "{said}");
+        assert!(another_network(None, Some("b2")).is_some_and(|said| said.starts_with("no network")));
+        assert_eq!(planned_error(&serde_json::json!({"stated_error": 1e-5})), 1e-5);
+        assert_eq!(planned_error(&serde_json::Value::Null), 0.0);
     }
 }

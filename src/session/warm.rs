@@ -9,6 +9,7 @@ use crate::beads::{Expectation, detect};
 use crate::compare::{CompareInput, compare};
 use crate::mask;
 use crate::render::{Options, Quantity};
+use crate::reporter::Reporter;
 
 impl Bench {
     /// Of the renderer, and as long as no frame `waits` of what comes before and after it, so
@@ -22,7 +23,12 @@ impl Bench {
         if self.renderer.warm(&self.scene, view, &options).is_err() || waits() {
             return;
         }
-        let Ok(rendered) = self.renderer.render(&self.scene.with_view(view), &options) else { return };
+        let scene = self.scene.with_view(view);
+        if let Some(network) = &self.network {
+            // What it says of a view that nobody has is nobody's concern.
+            let _ = network.say(&scene, &view, &Reporter::silent());
+        }
+        let Ok(rendered) = self.renderer.render(&scene, &options) else { return };
         let Ok(frame) = Frame::from_pixels("none", rendered.pages[0].clone(), Domain::Log) else { return };
         let masks = mask::of_frame(&frame);
         if !waits() {

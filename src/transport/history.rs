@@ -218,6 +218,11 @@ impl World<'_> {
         batch: &mut Batch,
     ) {
         let Hit { direction, path_mm, pixel } = *hit;
+        // A photon on the plane sends nothing to it.
+        let towards = direction.dot(self.panel.axes[2]);
+        if !(towards > 0.0) {
+            return;
+        }
         let passed = self.panel.passed(photon.ray.position + direction * path_mm, direction);
         if passed == 0.0 {
             return;
@@ -234,7 +239,7 @@ impl World<'_> {
             }
             Kind::Rayleigh => (material.rayleigh.density(photon.energy_kev, cosine), photon.energy_kev, medium),
         };
-        let even = path_mm * path_mm / (direction.dot(self.panel.axes[2]) * self.panel.area_mm2);
+        let even = path_mm * path_mm / (towards * self.panel.area_mm2);
         let signal = passed * photon.weight * self.panel.response(energy_kev) * density / (density + even);
         let ray = Ray { direction, ..photon.ray };
         batch.detect(photon.page, pixel, signal * space.transmission(ray, path_mm, medium, stream));

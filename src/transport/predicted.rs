@@ -93,6 +93,7 @@ mod tests {
             scale_bounds: [0.0, 1.0],
             weights_sha256: "of the weights".to_owned(),
             training_seed: 1,
+            training_epochs: 1,
             sample_count: 1,
             specimens: Vec::new(),
             samples_sha256: String::new(),

@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 
 use super::super::against_log::METADATA_TOPIC;
 use super::super::file::Setup;
-use super::super::log::{CLOCK_TOPIC, DISAGREES_TOPIC, DRR_HASH_TOPIC, END_TOPIC, ORDER_TOPIC, SETUP_TOPIC};
+use super::super::log::{CLOCK_TOPIC, DISAGREES_TOPIC, DRR_HASH_TOPIC, END_TOPIC, ORDER_TOPIC, SCATTER_NETWORK, SETUP_TOPIC};
 use super::super::pictures::{PictureDigest, Pictures};
 use super::super::records::{CUT_TOPIC, REDACTED_TOPIC, RESTART_TOPIC, RedactedRecord, SEEN_TOPIC, SeenRecord};
 use super::LogbookError;
@@ -210,7 +210,13 @@ impl Redacting {
                 if let Some(scene) = inputs.get_mut(0).and_then(|scene| scene.get_mut("path")) {
                     *scene = json!("scene.json");
                 }
-                let details = json!({"adapter": details["adapter"], "inputs": inputs});
+                let mut kept = json!({"adapter": details["adapter"], "inputs": inputs});
+                // A hash of weights names nobody.
+                let is_hash = |text: &str| text.len() == 64 && text.bytes().all(|byte| byte.is_ascii_hexdigit());
+                if let Some(sha256) = details[SCATTER_NETWORK].as_str().filter(|text| is_hash(text)) {
+                    kept[SCATTER_NETWORK] = json!(sha256);
+                }
+                let details = kept;
                 let host = String::new();
                 value = as_value(&Provenance { program, version, started_us, host, details });
             }

@@ -6,8 +6,6 @@
 pub mod layout;
 mod pack;
 
-use wgpu::util::DeviceExt;
-
 use self::pack::{Packed, unsupported};
 use super::simulation::Simulation;
 use super::tally::{Batch, FATES, PAGES, Tally};
@@ -17,9 +15,10 @@ use crate::gpu::{Gpu, GpuError, compile, dispatch, wait};
 const QUANTA: f64 = 64.0;
 /// Batches of one dispatch.
 pub const BATCHES: u64 = 64;
-/// Histories of one batch, where a processor plays the GPU and elsewhere: a second of work at most.
+/// Histories of one batch, where a processor plays the GPU and elsewhere: a dispatch of two million takes a small GPU a second or two, which
+/// is as long as drivers wait.
 const SOFTWARE_BATCH: u64 = 4096;
-const BATCH: u64 = 131_072;
+const BATCH: u64 = 32_768;
 /// Why the shader gives a history up, in the order of its constants.
 const CAUSES: [&str; 5] =
     ["a signal that is no number", "no direction in the field", "a flight without end", "no angle", "too many parts at a point"];
@@ -74,6 +73,12 @@ impl<'a> GpuTransport<'a> {
         if let Some(reason) = unsupported(simulation.world()) {
             return Err(GpuTransportError::Unsupported(reason));
         }
+        let limit = gpu.device.limits().max_storage_buffer_binding_size;
+        let adapter = || gpu.adapter.clone();
+        let voxels = 4 * pack::voxels(simulation.world());
+        if voxels > limit {
+            return Err(GpuError::Limit { adapter: adapter(), what: "the CT", needed: voxels, limit }.into());
+        }
         let packed = Packed::new(simulation.world());
         let (pixels, materials) = (simulation.unattenuated().len(), simulation.materials());
         let (histories_per_batch, each) = if gpu.software { (SOFTWARE_BATCH, SOFTWARE_EACH) } else { (BATCH, EACH) };
@@ -92,24 +97,18 @@ impl<'a> GpuTransport<'a> {
             ("shapes", bytemuck::cast_slice(&packed.things)),
             ("the CT", bytemuck::cast_slice(&packed.voxels)),
         ];
-        let limit = gpu.device.limits().max_storage_buffer_binding_size;
         let needs = tables.iter().map(|(what, bytes)| (*what, bytes.len() as u64)).chain([("the sums", sums_bytes)]);
         for (what, needed) in needs {
             if needed > limit {
-                return Err(GpuError::Limit { adapter: gpu.adapter.clone(), what, needed, limit }.into());
+                return Err(GpuError::Limit { adapter: adapter(), what, needed, limit }.into());
             }
         }
         let scope = gpu.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
-        let upload = |(label, contents): (&'static str, &[u8])| {
-            let descriptor =
-                wgpu::util::BufferInitDescriptor { label: Some(label), contents, usage: wgpu::BufferUsages::STORAGE };
-            gpu.device.create_buffer_init(&descriptor)
-        };
-        let inputs = tables.map(upload).to_vec();
         let buffer = |label, size, usage| {
             gpu.device.create_buffer(&wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false })
         };
         use wgpu::BufferUsages as Usage;
+        let inputs = tables.map(|(label, bytes)| buffer(label, bytes.len() as u64, Usage::STORAGE | Usage::COPY_DST)).to_vec();
         let uniform = buffer("job", size_of::<layout::Job>() as u64, Usage::UNIFORM | Usage::COPY_DST);
         let sums = buffer("sums", sums_bytes, Usage::STORAGE | Usage::COPY_SRC | Usage::COPY_DST);
         let trouble = buffer("trouble", TROUBLE_BYTES, Usage::STORAGE | Usage::COPY_SRC | Usage::COPY_DST);
@@ -117,6 +116,9 @@ impl<'a> GpuTransport<'a> {
         if pollster::block_on(scope.pop()).is_some() {
             let needed_mib = (tables.iter().map(|(_, bytes)| bytes.len() as u64).sum::<u64>() + 2 * sums_bytes) >> 20;
             return Err(GpuError::Memory { adapter: gpu.adapter.clone(), what: "photons' surroundings", needed_mib }.into());
+        }
+        for (input, (_, bytes)) in inputs.iter().zip(tables) {
+            gpu.queue.write_buffer(input, 0, bytes);
         }
         let pipeline = compile(gpu, "follow_photons", &[])?;
         let batches = simulation.histories().count.div_ceil(histories_per_batch);
@@ -141,6 +143,12 @@ impl<'a> GpuTransport<'a> {
     #[must_use]
     pub fn tally(&self) -> Tally {
         Tally::new(self.pixels, self.materials, self.histories_per_batch)
+    }
+
+    /// The device.
+    #[must_use]
+    pub fn adapter(&self) -> &str {
+        &self.gpu.adapter
     }
 
     /// Histories of all dispatches.
@@ -227,10 +235,10 @@ mod tests {
     use crate::geometry::{Intrinsics, Rigid, View};
     use crate::gpu::{Device, DeviceChoice};
     use crate::reporter::Reporter;
-    use crate::scene::model::{Matter, Scene, Voxels};
+    use crate::scene::model::{Matter, Scene, Shape, Voxels};
     use crate::scene::optics::{Axis, BowTie, Field, Grid, Heel, Strips, Towards};
     use crate::scene::physics::{Material, Spectrum};
-    use crate::transport::fixture::everything;
+    use crate::transport::fixture::{everything, solid};
     use crate::transport::{Estimator, Histories, Page};
 
     /// Everything but what only the processor takes, 600 mm from the source.
@@ -327,6 +335,31 @@ mod tests {
         assert!(square > 3.0, "{square}");
     }
 
+    /// Nothing in the beam: the flood, and no buffer is empty. Matter down to the detector: nothing beyond it counts.
+    #[test]
+    fn an_empty_scene_and_one_on_the_detector_are_followed() {
+        let Ok(Device::Gpu(gpu)) = Device::open(DeviceChoice::SoftwareVulkan, &Reporter::silent()) else { return };
+        let (mut scene, view) = lab();
+        scene.objects.clear();
+        scene.materials.clear();
+        let asked = Histories { count: 200_000, seed: 3, grid_px: [4, 3], ..Histories::default() };
+        let tally = run(&gpu, &scene, &view, asked);
+        let simulation = Simulation::new(&scene, &view, asked).expect("good");
+        for (pixel, unattenuated) in simulation.unattenuated().iter().enumerate() {
+            let found = tally.signal(Page::Primary, pixel);
+            assert!((found.mean - unattenuated).abs() < 5.0 * found.standard_error + 1e-3 * unattenuated, "{pixel}: {found:?}");
+        }
+        assert!(tally.fate(1).mean > 0.0 && (tally.fate(1).mean / tally.fate(0).mean - 1.0).abs() < 1e-5);
+        let slab = Shape::Cuboid { half_size_mm: DVec3::new(200.0, 200.0, 60.0) };
+        let behind = view.camera_from_lps.inverse();
+        let mut lying = solid(slab, DVec3::ZERO, DVec3::ZERO, 0, 1.0);
+        lying.lps_from_local = Rigid { translation_mm: behind.transform_point(DVec3::new(0.0, 0.0, 990.0)), ..behind };
+        let mut on_panel = crate::transport::fixture::scene(&["water"], vec![Matter::Solids(vec![lying])]);
+        (on_panel.beam, on_panel.detector) = (scene.beam, scene.detector);
+        let tally = run(&gpu, &on_panel, &view, asked);
+        assert!(tally.scatter(5).mean > 0.0);
+    }
+
     #[test]
     fn what_has_no_shader_is_said() {
         let Ok(Device::Gpu(gpu)) = Device::open(DeviceChoice::SoftwareVulkan, &Reporter::silent()) else { return };
@@ -335,5 +368,14 @@ mod tests {
         let simulation = Simulation::new(&scene, &view, Histories::default()).expect("good");
         let said = GpuTransport::new(&gpu, &simulation).err().expect("refused").to_string();
         assert!(said.contains("meshes") && said.contains("--device cpu"), "{said}");
+        let (mut dense, _) = lab();
+        for object in &mut dense.objects {
+            if let Matter::Parts(parts) = &mut object.matter {
+                std::sync::Arc::make_mut(&mut parts[0]).density_g_per_cm3[7] = 42.0;
+            }
+        }
+        let simulation = Simulation::new(&dense, &view, Histories::default()).expect("good");
+        let said = GpuTransport::new(&gpu, &simulation).err().expect("refused").to_string();
+        assert!(said.contains("42.0 g/cm3"), "{said}");
     }
 }

@@ -46,10 +46,26 @@ pub fn unsupported(world: &World) -> Option<String> {
             Body::Volume(grid) if grid.classes.len() > CLASSES => {
                 return Some(format!("a CT of {} materials, the shader takes {CLASSES}", grid.classes.len()));
             }
-            Body::Solid(_) | Body::Volume(_) => {}
+            Body::Volume(grid) => {
+                let most = grid.volume.density_g_per_cm3.iter().copied().fold(0.0, f32::max);
+                if f64::from(most) > DENSITY_UNIT * f64::from(MOST_DENSITY) {
+                    return Some(format!("a CT of up to {most:.1} g/cm3, the shader counts to 26.8"));
+                }
+            }
+            Body::Solid(_) => {}
         }
     }
     None
+}
+
+/// Voxels of all volumes.
+#[must_use]
+pub fn voxels(world: &World) -> u64 {
+    let of_thing = |thing: &crate::transport::matter::Thing| match &thing.body {
+        Body::Volume(grid) => grid.volume.density_g_per_cm3.len() as u64,
+        Body::Solid(_) | Body::Mesh(_) => 0,
+    };
+    world.space.iter().flat_map(|space| &space.things).map(of_thing).sum()
 }
 
 impl Packed {
@@ -68,6 +84,8 @@ impl Packed {
             packed.add_space(space, origin);
         }
         // A buffer of nothing is none.
+        packed.numbers.push(0.0);
+        packed.indices.push(0);
         packed.voxels.push(0);
         packed.things.push(Thing::default());
         packed.boxes.push(CellBox::default());

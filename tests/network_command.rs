@@ -132,6 +132,10 @@ fn a_network_is_trained_and_asked() {
         assert!(ran.stdout.contains(words), "{words}: {}", ran.stdout);
     }
     let other = read_tiff_f32(&image).expect("an image").remove(0);
+    let ran = render("monte_carlo", &["--scatter-error", "0.3", "--budget-ms", "1"]);
+    assert!(ran.code == Some(0) && ran.stderr.contains("following photons is predicted to take"), "{}", ran.stderr);
+    let ran = render("monte_carlo", &["--scatter-error", "0.3", "--budget-ms", "1e6"]);
+    assert!(ran.code == Some(0) && !ran.stderr.contains("is predicted to take"), "the control: {}", ran.stderr);
     assert!(other.pixels.iter().zip(&with.pixels).any(|(other, with)| other != with), "another network says another thing");
     let weights = at("network.safetensors");
     let bytes = std::fs::read(&weights).expect("weights");

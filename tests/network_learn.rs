@@ -277,6 +277,31 @@ fn a_network_of_all_samples_has_the_figures_of_its_siblings() {
     assert!((card.held_out["nmse"] - 0.5 * (of_hip + of_knee)).abs() < 1e-12 && card.held_out["samples"] == 6.0);
     let [rms_hip, rms_knee] = [&hip, &knee].map(|card| card.held_out["mean_rms"]);
     assert!((card.held_out["mean_rms"] - (0.5 * (rms_hip.powi(2) + rms_knee.powi(2))).sqrt()).abs() < 1e-12);
+    // They go on being trained: the last word is theirs at the end.
+    let longer = Recipe { epochs: 2, hold_out: HoldOut::Nothing, ..short() };
+    let mut alike = options(folder.path(), "longer", longer.clone());
+    alike.siblings = ["hip", "knee"].map(|name| folder.path().join(format!("longer-{name}"))).to_vec();
+    let train_sibling = |name: &str, epochs: usize, resume: bool| {
+        let hold_out = HoldOut::Specimens { names: vec![name.to_owned()] };
+        let recipe = Recipe { hold_out, ..longer.clone() };
+        let sibling = TrainOptions { resume, ..options(folder.path(), &format!("longer-{name}"), recipe) };
+        let mut left = epochs;
+        let stopped = train(&sibling, &mut |progress| {
+            left -= usize::from(progress.done.is_some());
+            if left == 0 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        });
+        stopped.unwrap().card.held_out["nmse"]
+    };
+    let early = ["hip", "knee"].map(|name| train_sibling(name, 1, false));
+    let mut late = early;
+    let card_then = train(&alike, &mut |progress| {
+        if progress.epoch == 1 && progress.done.is_some() {
+            late = ["hip", "knee"].map(|name| train_sibling(name, 1, true));
+        }
+        ControlFlow::Continue(())
+    });
+    let found = card_then.unwrap().card.held_out["nmse of hip"];
+    assert!(found == late[0] && late[0] != early[0], "{found} {early:?} {late:?}");
     let JudgedBy::Siblings { weights_sha256 } = &card.judged_by else { panic!("{:?}", card.judged_by) };
     assert_eq!(weights_sha256["hip"], hip.weights_sha256);
     assert_eq!(hip.judged_by, JudgedBy::Specimens { names: vec!["hip".to_owned()] });

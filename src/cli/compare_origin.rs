@@ -11,7 +11,7 @@ use crate::image::{Image, ImageFileError, sha256_file};
 use crate::pose::Pose;
 use crate::reporter::Reporter;
 use crate::scene::Scene;
-use crate::scene::model::{Formation, ScatterModel};
+use crate::scene::model::ScatterModel;
 use crate::transport::NetworkScatter;
 
 /// A pose that shows the field further off than this is another pose: wrong poses are told from right ones by less than a millimetre.
@@ -144,8 +144,7 @@ fn other_scatter(described: &Value, scene: &Scene) -> Option<String> {
         (None, true) => ScatterModel::MonteCarlo,
         (None, false) => ScatterModel::Off,
     };
-    let is_naive = scene.model.formation == Formation::Naive;
-    let here = if is_naive { ScatterModel::Off } else { scene.model.scatter };
+    let here = scene.model.possible_scatter();
     if there != here {
         return Some(format!("the simulated image's scatter is {there:?}, the null's {here:?}: scores differ by that too"));
     }
@@ -164,4 +163,34 @@ fn rendered_view(described: &Value) -> Option<View> {
         intrinsics: serde_json::from_value::<Intrinsics>(read("intrinsics")?).ok()?,
         camera_from_lps: serde_json::from_value::<Rigid>(read("camera_from_lps")?).ok()?,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+    use crate::scene::model::Formation;
+    use crate::scene::physics::Spectrum;
+
+    /// No, another, and the same scatter in the simulated image as in the null; a naive scene has none.
+    #[test]
+    fn scatter_that_the_null_has_otherwise_is_doubted() {
+        let mut scene = Scene::plain(Spectrum::mono(60.0).expect("inside"));
+        let said = |described: &Value, scene: &Scene| other_scatter(described, scene).unwrap_or_default();
+        let photons = json!({"scatter": {"from": {"photons": {"histories": 1}}}});
+        assert_eq!(said(&json!({}), &scene), "");
+        assert!(said(&photons, &scene).contains("MonteCarlo, the null's Off"), "{}", said(&photons, &scene));
+        scene.model.scatter = ScatterModel::MonteCarlo;
+        assert_eq!(said(&photons, &scene), "");
+        scene.model.scatter = ScatterModel::Network;
+        assert!(said(&json!({"scatter": null}), &scene).contains("Off, the null's Network"));
+        let by = |sha256: &str| json!({"scatter": {"from": {"network": {"sha256": sha256}}}});
+        if let Ok(network) = NetworkScatter::open(None) {
+            assert_eq!(said(&by(&network.sha256()), &scene), "");
+            assert!(said(&by("a1"), &scene).contains("another network"));
+        }
+        scene.model.formation = Formation::Naive;
+        assert_eq!(said(&json!({}), &scene), "");
+    }
 }

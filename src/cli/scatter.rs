@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::render::DeviceArg;
+use super::scattered::gpu_or_said;
 use crate::gpu::{Device, GpuError, cpu_name};
 use crate::image::{ImageFileError, check_writable, refuse_overwrite, sha256_file};
 use crate::reporter::Reporter;
@@ -113,7 +114,11 @@ pub fn run(args: &ScatterArgs, reporter: &Reporter) -> Result<u8, ScatterError> 
     let mut stages = StageTimes::default();
     let simulation = stages.measure("prepare", || Simulation::new(&scene, &view, histories))?;
     let device = Device::open(args.device.into(), reporter)?;
-    let mut gpu = stages.measure("upload", || on_gpu(&device, &simulation, args, reporter))?;
+    let mut gpu = stages.measure("upload", || match &device {
+        Device::Cpu => Ok(None),
+        Device::Gpu(gpu) if args.device == DeviceArg::Auto => Ok(gpu_or_said(gpu, &simulation, reporter)),
+        Device::Gpu(gpu) => GpuTransport::new(gpu, &simulation).map(Some),
+    })?;
     let adapter = gpu.as_ref().map_or_else(cpu_name, |_| device.name());
     let empty = gpu.as_ref().map_or_else(|| simulation.tally(), GpuTransport::tally);
     let hashes = hashes(&args.scene, &scene)?;
@@ -149,24 +154,6 @@ pub fn run(args: &ScatterArgs, reporter: &Reporter) -> Result<u8, ScatterError> 
         println!("{}", line(args, &image, per_second));
     }
     Ok(0)
-}
-
-/// The simulation on a GPU, where there is one that can follow its photons; an error where one was asked for.
-fn on_gpu<'a>(
-    device: &'a Device,
-    simulation: &Simulation,
-    args: &ScatterArgs,
-    reporter: &Reporter,
-) -> Result<Option<GpuTransport<'a>>, GpuTransportError> {
-    let Device::Gpu(gpu) = device else { return Ok(None) };
-    match GpuTransport::new(gpu, simulation) {
-        Ok(gpu) => Ok(Some(gpu)),
-        Err(error) if args.device == DeviceArg::Auto => {
-            reporter.note(format_args!("photons are followed on {}: {error}", cpu_name()));
-            Ok(None)
-        }
-        Err(error) => Err(error),
-    }
 }
 
 /// Runs to the end, keeping what is there so far on disk.

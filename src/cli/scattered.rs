@@ -74,9 +74,8 @@ pub struct Asked<'a> {
 /// # Errors
 /// As [`Simulation::new`]; when there is no such network.
 pub fn scattered(scene: &Scene, view: &View, asked: &Asked<'_>, reporter: &Reporter) -> Result<Option<Scatter>, ScatteredError> {
-    match scene.model.scatter {
+    match scene.model.possible_scatter() {
         ScatterModel::Off => Ok(None),
-        _ if scene.model.formation == Formation::Naive => Ok(None),
         ScatterModel::MonteCarlo => {
             if let Some(budget_ms) = asked.budget_ms {
                 let predicted_ms = photons_ms(scene, view, asked)?;
@@ -135,12 +134,12 @@ pub fn ways(scene: &Scene, view: &View, asked: &Asked<'_>) -> String {
     format!("scatter, cost and error of each way:{}", rows.iter().map(line).collect::<String>())
 }
 
-/// Where the photons of `simulation` are followed: on the GPU that is asked, where it can; else on the processor, which is said.
-fn on_gpu<'a>(simulation: &Simulation, asked: &Asked<'a>, reporter: &Reporter) -> Option<GpuTransport<'a>> {
+/// `simulation` on `gpu`; where it cannot be, the processor follows the photons, which is said.
+pub fn gpu_or_said<'a>(gpu: &'a Gpu, simulation: &Simulation, reporter: &Reporter) -> Option<GpuTransport<'a>> {
     let told = |error: GpuTransportError| {
         reporter.note(format_args!("photons are followed on {}: {error}", cpu_name()));
     };
-    GpuTransport::new(asked.gpu?, simulation).map_err(told).ok()
+    GpuTransport::new(gpu, simulation).map_err(told).ok()
 }
 
 /// How long following photons to the wanted relative standard error takes, by a few.
@@ -148,7 +147,7 @@ fn photons_ms(scene: &Scene, view: &View, asked: &Asked<'_>) -> Result<f64, Scat
     let watch = Stopwatch::start();
     let pilot = Histories { count: PILOT_HISTORIES, seed: scene.model.seed, grid_px: GRID_PX, ..Histories::default() };
     let simulation = Simulation::new(scene, view, pilot)?;
-    let mut gpu = on_gpu(&simulation, asked, &Reporter::silent());
+    let mut gpu = asked.gpu.and_then(|gpu| gpu_or_said(gpu, &simulation, &Reporter::silent()));
     let mut tally = gpu.as_ref().map_or_else(|| simulation.tally(), GpuTransport::tally);
     let prepared_ms = watch.ms();
     let watch = Stopwatch::start();
@@ -188,7 +187,7 @@ fn follow_photons(scene: &Scene, view: &View, asked: &Asked<'_>, reporter: &Repo
         }
     };
     let mut found = None;
-    if let Some(mut gpu) = on_gpu(&simulation, asked, reporter) {
+    if let Some(mut gpu) = asked.gpu.and_then(|gpu| gpu_or_said(gpu, &simulation, reporter)) {
         let mut tally = gpu.tally();
         match gpu.run(&simulation, &mut tally, &mut after) {
             Err(Stop::Device(error)) => reporter.warn("scatter", format_args!("{error}: followed again on {}", cpu_name())),

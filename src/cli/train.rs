@@ -154,6 +154,8 @@ fn recipe(args: &TrainScatterArgs) -> Result<(Recipe, Vec<PathBuf>), TrainError>
     if let Some(path) = [files.network.weights, files.checkpoint].into_iter().find(|path| path.exists()) {
         return Err(TrainError::Exists { path });
     }
+    // A training may go on from another folder.
+    let siblings = args.sibling.iter().map(|path| std::path::absolute(path).unwrap_or_else(|_| path.clone())).collect();
     let standard = Recipe::of(match args.architecture {
         ArchitectureArg::Default => Architecture::Default,
         ArchitectureArg::Paper => Architecture::Paper,
@@ -163,7 +165,7 @@ fn recipe(args: &TrainScatterArgs) -> Result<(Recipe, Vec<PathBuf>), TrainError>
         [] => standard.hold_out.clone(),
         names => HoldOut::Specimens { names: names.to_vec() },
     };
-    Ok((Recipe { seed: args.seed, epochs: args.epochs, hold_out, ..standard }, args.sibling.clone()))
+    Ok((Recipe { seed: args.seed, epochs: args.epochs, hold_out, ..standard }, siblings))
 }
 
 fn line(record: &EpochRecord, progress: &Progress) -> String {

@@ -32,8 +32,9 @@ pub fn train(options: &TrainOptions, told: &mut dyn FnMut(&Progress<'_>) -> Cont
     check_output(options)?;
     let dataset = Dataset::read(&options.dataset)?;
     let (train, held_out) = dataset.split(&recipe.hold_out, recipe.seed)?;
-    let mut card = card_of(&dataset, &train, recipe);
-    siblings::judge(&mut card, &options.siblings)?;
+    let card = card_of(&dataset, &train, recipe);
+    // What is no sibling is refused now; what they say is read when it is written, for they may be in training too.
+    siblings::judge(&mut card.clone(), &options.siblings)?;
     let layers = recipe.architecture.layers(dataset.channels.len(), dataset.scalar_names.len());
     let training = Training {
         options,
@@ -239,6 +240,7 @@ impl Training<'_> {
                 by_specimen.iter().for_each(|(name, own)| card.held_out.extend(own.named(&format!(" of {name}"))));
             }
         }
+        siblings::judge(&mut card, &self.options.siblings)?;
         let NetworkFiles { weights: weights_path, card: card_path } = &self.files.network;
         write_atomically(weights_path, |file| file.write_all(&weights))?;
         write_atomically(card_path, |file| Ok(serde_json::to_writer_pretty(file, &card)?))?;

@@ -82,7 +82,7 @@ pub fn scatter_left_out(scene: &Scene, quantity: Quantity) -> Option<&'static st
         }
         (_, Quantity::AreaDensity) => Some("area density is that of the objects alone"),
         (ScatterModel::MonteCarlo, _) => {
-            Some("scatter is left out of this image: following photons takes seconds, and only `sidecarm render` does it")
+            Some("scatter is left out of this image: nobody has followed photons, which takes seconds")
         }
         (ScatterModel::Network, _) => Some("scatter is left out of this image: nobody has asked the network"),
     }

@@ -393,6 +393,14 @@ pub struct Model {
     pub seed: u64,
 }
 
+impl Model {
+    /// The scatter that images have: naive formation (Eq. 8) has none, whatever is asked.
+    #[must_use]
+    pub fn possible_scatter(&self) -> ScatterModel {
+        if self.formation == Formation::Naive { ScatterModel::Off } else { self.scatter }
+    }
+}
+
 /// What becomes of scattered radiation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ScatterModel {

@@ -18,7 +18,7 @@ use crate::beads::{BeadLayout, parse_markups};
 use crate::gpu::DeviceChoice;
 use crate::render::{Plan, Renderer};
 use crate::reporter::Reporter;
-use crate::scene::model::{Formation, ScatterModel};
+use crate::scene::model::ScatterModel;
 use crate::scene::{self, Robot};
 use crate::transport::NetworkScatter;
 
@@ -99,7 +99,7 @@ impl Workshop {
         let adapter = renderer.adapter();
         let declared = Declared::of(setup);
         let robot = scene.robot.clone();
-        let asks = scene.model.scatter == ScatterModel::Network && scene.model.formation != Formation::Naive;
+        let asks = scene.model.possible_scatter() == ScatterModel::Network;
         let network = if asks { Some(NetworkScatter::open(None)?) } else { None };
         let network_sha256 = network.as_ref().map(NetworkScatter::sha256);
         let (setup, layout_of_bench, reporter) = (setup.clone(), layout.clone(), reporter.clone());

@@ -253,6 +253,18 @@ mod tests {
         (scene, View { size_px: [320, 240], intrinsics, camera_from_lps })
     }
 
+    /// Software Vulkan, or `None` with the reason printed.
+    fn software() -> Option<Box<Gpu>> {
+        match Device::open(DeviceChoice::SoftwareVulkan, &Reporter::silent()) {
+            Ok(Device::Gpu(gpu)) => Some(gpu),
+            Ok(Device::Cpu) => None,
+            Err(error) => {
+                println!("skipped: {error}");
+                None
+            }
+        }
+    }
+
     fn run(gpu: &Gpu, scene: &Scene, view: &View, asked: Histories) -> Tally {
         let simulation = Simulation::new(scene, view, asked).expect("good");
         let mut transport = GpuTransport::new(gpu, &simulation).expect("the shader takes it");
@@ -277,10 +289,7 @@ mod tests {
     /// Scenes with every kind of field, grid and estimator: page by page, pixel by pixel, and in energy.
     #[test]
     fn a_gpu_finds_what_the_processor_finds() {
-        let Ok(Device::Gpu(gpu)) = Device::open(DeviceChoice::SoftwareVulkan, &Reporter::silent()) else {
-            println!("skipped: no software Vulkan");
-            return;
-        };
+        let Some(gpu) = software() else { return };
         let (plain, view) = lab();
         let mut shaped = plain.clone();
         shaped.beam.shape.heel = Some(Heel { tube_kvp: 90.0, anode_angle_deg: 12.0, anode_towards: Towards::PlusRow });
@@ -338,7 +347,7 @@ mod tests {
     /// Nothing in the beam: the flood, and no buffer is empty. Matter down to the detector: nothing beyond it counts.
     #[test]
     fn an_empty_scene_and_one_on_the_detector_are_followed() {
-        let Ok(Device::Gpu(gpu)) = Device::open(DeviceChoice::SoftwareVulkan, &Reporter::silent()) else { return };
+        let Some(gpu) = software() else { return };
         let (mut scene, view) = lab();
         scene.objects.clear();
         scene.materials.clear();
@@ -362,7 +371,7 @@ mod tests {
 
     #[test]
     fn what_has_no_shader_is_said() {
-        let Ok(Device::Gpu(gpu)) = Device::open(DeviceChoice::SoftwareVulkan, &Reporter::silent()) else { return };
+        let Some(gpu) = software() else { return };
         let (_, view) = lab();
         let scene = Scene { beam: lab().0.beam, detector: lab().0.detector, ..everything() };
         let simulation = Simulation::new(&scene, &view, Histories::default()).expect("good");

@@ -9,7 +9,7 @@
 // #include transport/matter.wgsl
 // #include transport/flight.wgsl
 
-const QUANTA: f32 = 64.0;
+override QUANTA: f32;            // units of sums per keV
 const MOST_COLLISIONS: u32 = 100000u;
 const PRIMARY: u32 = 0u;
 const COMPTON: u32 = 1u;

@@ -1,8 +1,8 @@
 // Beam and detector: twin of src/transport/source.rs, beam_shape.rs and panel.rs. Places on the plane are mm from the principal point.
 
 const NO_PIXEL: u32 = 0xffffffffu;
-const HEEL_FIRST_DEG: f32 = 0.25;
-const HEEL_STEP_DEG: f32 = 0.25;
+override HEEL_FIRST_DEG: f32;
+override HEEL_STEP_DEG: f32;
 
 fn on_plane(point: vec3<f32>) -> vec2<f32> {
     let way = point - job.source.xyz;

@@ -91,11 +91,11 @@ struct Thing {
 @group(0) @binding(2) var<storage, read> indices: array<u32>;
 @group(0) @binding(3) var<storage, read> boxes: array<CellBox>;
 @group(0) @binding(4) var<storage, read> things: array<Thing>;
-@group(0) @binding(5) var<storage, read> voxels: array<u32>;    // class in the upper 4 bits (0 nothing), density in units of 1e-7 g/cm³
+@group(0) @binding(5) var<storage, read> voxels: array<u32>;    // class in the upper 4 bits (0 nothing), density in units of DENSITY_UNIT
 @group(0) @binding(6) var<storage, read_write> sums: array<atomic<u32>>; // by batch, then slot: low and high word, in units of 1/64
 @group(0) @binding(7) var<storage, read_write> trouble: array<atomic<u32>>; // by cause, histories that were given up
 
-const DENSITY_UNIT: f32 = 1e-7;
+override DENSITY_UNIT: f32;   // g/cm³ that a voxel counts in
 
 // A history that cannot be followed to its end, and why; the host is told.
 const NO_NUMBER: u32 = 0u;

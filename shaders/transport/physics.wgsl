@@ -1,14 +1,17 @@
 // What happens at a collision: twins of src/transport/attenuation.rs, compton.rs, rayleigh.rs, on their tables.
 
-const ELECTRON_KEV: f32 = 510.99895;
-const KEV_ANGSTROM: f32 = 12.3984198;
-const ROWS_PER_KEV: f32 = 16.0;
-const NORMS_PER_KEV: f32 = 4.0;
-const INCOHERENT_PER_UNIT_X: f32 = 80.0;
-const SQUARES_PER_UNIT_X: f32 = 200.0;
-const ENVELOPE_KEV: f32 = 2.0;
-const COSINES: u32 = 32u;
-const GUIDES: u32 = 2048u;
+// The host's own constants.
+override ELECTRON_KEV: f32;
+override KEV_ANGSTROM: f32;
+override ROWS_PER_KEV: f32;
+override RESPONSE_PER_KEV: f32;
+override COMPTON_NORMS_PER_KEV: f32;
+override RAYLEIGH_NORMS_PER_KEV: f32;
+override INCOHERENT_PER_UNIT_X: f32;
+override SQUARES_PER_UNIT_X: f32;
+override ENVELOPE_KEV: f32;
+override COSINES: u32;
+override GUIDES: u32;
 
 // Linear between rows of a table that begins at `from`.
 fn between_rows(from_row: u32, rows: u32, position: f32) -> f32 {
@@ -31,7 +34,7 @@ fn shares(material: u32, energy_kev: f32) -> vec2<f32> {
 }
 
 fn response(energy_kev: f32) -> f32 {
-    return between_rows(job.response.x, job.response.y, (energy_kev - job.share_offset.z) * ROWS_PER_KEV);
+    return between_rows(job.response.x, job.response.y, (energy_kev - job.share_offset.z) * RESPONSE_PER_KEV);
 }
 
 fn energy_ratio(energy_kev: f32, one_less_cosine: f32) -> f32 {
@@ -51,7 +54,7 @@ fn compton_shape(material: u32, energy_kev: f32, cosine: f32) -> f32 {
 
 fn compton_density(material: u32, energy_kev: f32, cosine: f32) -> f32 {
     let rows = job.compton_norm.y;
-    let norm = between_rows(job.compton_norm.x + material * rows, rows, (energy_kev - job.share_offset.z) * NORMS_PER_KEV);
+    let norm = between_rows(job.compton_norm.x + material * rows, rows, (energy_kev - job.share_offset.z) * COMPTON_NORMS_PER_KEV);
     return compton_shape(material, energy_kev, cosine) / norm;
 }
 
@@ -75,7 +78,7 @@ fn rayleigh_density(material: u32, energy_kev: f32, cosine: f32) -> f32 {
     let steps = job.squares.y;
     let step = min(u32(transfer(energy_kev, 1.0 - cosine) * SQUARES_PER_UNIT_X), steps - 1u);
     let rows = job.rayleigh_norm.y;
-    let norm = between_rows(job.rayleigh_norm.x + material * rows, rows, (energy_kev - job.share_offset.z) * NORMS_PER_KEV);
+    let norm = between_rows(job.rayleigh_norm.x + material * rows, rows, (energy_kev - job.share_offset.z) * RAYLEIGH_NORMS_PER_KEV);
     return 0.5 * (1.0 + cosine * cosine) * numbers[job.squares.x + material * steps + step] / norm;
 }
 

@@ -3,7 +3,7 @@
 use crate::scene::physics::{ENERGY_RANGE_KEV, Material, PhysicsError};
 
 /// Rows per keV. Between rows the tables are linear: 2e-4 of μ/ρ at 5 keV, 6e-5 at 10 keV; an absorption edge is 1/16 keV wide.
-const ROWS_PER_KEV: f64 = 16.0;
+pub(super) const ROWS_PER_KEV: f64 = 16.0;
 
 /// What a photon of one energy may do in a material.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -7,8 +7,8 @@ use crate::render::reference::left_of;
 use crate::scene::optics::{BeamShape, BowTie, Heel};
 
 /// Take-off angles of the heel's table, degrees: from the target's surface to where no tube opens.
-const FIRST_DEG: f64 = 0.25;
-const STEP_DEG: f64 = 0.25;
+pub(super) const FIRST_DEG: f64 = 0.25;
+pub(super) const STEP_DEG: f64 = 0.25;
 const ANGLES: usize = 240;
 
 /// Shares by direction and energy.

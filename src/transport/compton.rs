@@ -15,14 +15,14 @@ pub const ELECTRON_KEV: f64 = 510.998_95;
 pub const KEV_ANGSTROM: f64 = 12.398_419_8;
 
 /// Rows of S per 1/Å: linear between them.
-const ROWS_PER_UNIT_X: f64 = 80.0;
+pub(super) const ROWS_PER_UNIT_X: f64 = 80.0;
 
 /// Boxes of the envelope along the energy and along the cosine.
-const ENVELOPE_KEV: f64 = 2.0;
-const ENVELOPE_COSINES: usize = 32;
+pub(super) const ENVELOPE_KEV: f64 = 2.0;
+pub(super) const ENVELOPE_COSINES: usize = 32;
 
 /// Rows of the normalisation per keV.
-const NORMS_PER_KEV: f64 = 4.0;
+pub(super) const NORMS_PER_KEV: f64 = 4.0;
 
 /// One energy box of the envelope: a bound of the cross section in each box of cosines, and how to draw a box by it.
 #[derive(Clone, Debug)]

@@ -9,7 +9,7 @@ use crate::scene::optics::{Axis, Strips};
 use crate::scene::physics::ENERGY_RANGE_KEV;
 
 /// Rows of the response per keV.
-const ROWS_PER_KEV: f64 = 16.0;
+pub(super) const ROWS_PER_KEV: f64 = 16.0;
 
 /// The detector plane, its raster, and its response.
 #[derive(Clone, Debug)]

@@ -8,13 +8,13 @@ use super::stream::Stream;
 use crate::scene::physics::{ENERGY_RANGE_KEV, Material, PhysicsError, atomic_weight, form_factors};
 
 /// Steps of x per 1/Å; within one F² is taken as its mean.
-const STEPS_PER_UNIT_X: f64 = 200.0;
+pub(super) const STEPS_PER_UNIT_X: f64 = 200.0;
 
 /// Entries of the table that finds a step by its share of the cumulative.
-const GUIDES: usize = 2048;
+pub(super) const GUIDES: usize = 2048;
 
 /// Rows of the normalisation per keV.
-const NORMS_PER_KEV: f64 = 4.0;
+pub(super) const NORMS_PER_KEV: f64 = 4.0;
 
 /// Rayleigh scattering in one material.
 #[derive(Clone, Debug)]

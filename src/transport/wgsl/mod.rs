@@ -120,7 +120,8 @@ impl<'a> GpuTransport<'a> {
         for (input, (_, bytes)) in inputs.iter().zip(tables) {
             gpu.queue.write_buffer(input, 0, bytes);
         }
-        let pipeline = compile(gpu, "follow_photons", &[])?;
+        let constants: Vec<(&str, f64)> = pack::constants().into_iter().chain([("QUANTA", QUANTA)]).collect();
+        let pipeline = compile(gpu, "follow_photons", &constants)?;
         let batches = simulation.histories().count.div_ceil(histories_per_batch);
         let dispatches = batches.div_ceil(BATCHES);
         Ok(Self {
@@ -273,7 +274,7 @@ mod tests {
         tally
     }
 
-    /// Mean of the squares of z over pixels and pages, and the largest |z| of what materials absorb and of fates.
+    /// Mean of the squares of z over pixels and pages, and the largest |z| of whole pages, of what materials absorb, and of fates.
     fn apart(gpu: &Tally, cpu: &Tally, pixels: usize, materials: usize) -> (f64, f64) {
         let z = |a: crate::transport::Estimate, b: crate::transport::Estimate| {
             // Where hardly a photon comes, errors are no better known than themselves.
@@ -281,9 +282,15 @@ mod tests {
         };
         let pages = Page::ALL.iter().flat_map(|page| (0..pixels).map(move |pixel| (*page, pixel)));
         let squares: Vec<f64> = pages.map(|(page, pixel)| z(gpu.signal(page, pixel), cpu.signal(page, pixel)).powi(2)).collect();
+        let whole = |page: Page| {
+            let sum = |tally: &Tally| (0..pixels).map(|pixel| tally.signal(page, pixel).mean).sum::<f64>();
+            let variance = |tally: &Tally| (0..pixels).map(|pixel| tally.signal(page, pixel).standard_error.powi(2)).sum::<f64>();
+            (sum(gpu) - sum(cpu)) / ((variance(gpu) + variance(cpu)).sqrt() + 1e-4 * sum(gpu) + 1e-12)
+        };
+        let whole = Page::ALL.into_iter().map(whole);
         let sums = (0..materials).map(|n| z(gpu.absorbed(n), cpu.absorbed(n)));
         let fates = (0..FATES).map(|n| z(gpu.fate(n), cpu.fate(n)));
-        (squares.iter().sum::<f64>() / squares.len() as f64, sums.chain(fates).map(f64::abs).fold(0.0, f64::max))
+        (squares.iter().sum::<f64>() / squares.len() as f64, whole.chain(sums).chain(fates).map(f64::abs).fold(0.0, f64::max))
     }
 
     /// Scenes with every kind of field, grid and estimator: page by page, pixel by pixel, and in energy.

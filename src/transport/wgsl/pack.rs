@@ -33,6 +33,28 @@ pub struct Packed {
     pub voxels: Vec<u32>,
 }
 
+/// The constants that the shader shares with the tables.
+#[must_use]
+pub fn constants() -> [(&'static str, f64); 14] {
+    use crate::transport::{attenuation, beam_shape, compton, panel, rayleigh};
+    [
+        ("ELECTRON_KEV", compton::ELECTRON_KEV),
+        ("KEV_ANGSTROM", compton::KEV_ANGSTROM),
+        ("ROWS_PER_KEV", attenuation::ROWS_PER_KEV),
+        ("RESPONSE_PER_KEV", panel::ROWS_PER_KEV),
+        ("COMPTON_NORMS_PER_KEV", compton::NORMS_PER_KEV),
+        ("RAYLEIGH_NORMS_PER_KEV", rayleigh::NORMS_PER_KEV),
+        ("INCOHERENT_PER_UNIT_X", compton::ROWS_PER_UNIT_X),
+        ("SQUARES_PER_UNIT_X", rayleigh::STEPS_PER_UNIT_X),
+        ("ENVELOPE_KEV", compton::ENVELOPE_KEV),
+        ("COSINES", compton::ENVELOPE_COSINES as f64),
+        ("GUIDES", rayleigh::GUIDES as f64),
+        ("HEEL_FIRST_DEG", beam_shape::FIRST_DEG),
+        ("HEEL_STEP_DEG", beam_shape::STEP_DEG),
+        ("DENSITY_UNIT", DENSITY_UNIT),
+    ]
+}
+
 /// Why the shader cannot follow photons through this world; `None` when it can.
 #[must_use]
 pub fn unsupported(world: &World) -> Option<String> {

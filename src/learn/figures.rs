@@ -47,8 +47,8 @@ impl Figures {
     }
 
     fn new(of_samples: &[OfSample]) -> Self {
-        let mean = |value: &dyn Fn(&OfSample) -> f64| of_samples.iter().map(value).sum::<f64>() / of_samples.len() as f64;
-        let edges = |value: &dyn Fn(&OfSample) -> f64| of_samples.iter().map(value).sum::<f64>();
+        let sum = |value: &dyn Fn(&OfSample) -> f64| of_samples.iter().map(value).sum::<f64>();
+        let mean = |value: &dyn Fn(&OfSample) -> f64| sum(value) / of_samples.len() as f64;
         let edge_cells = of_samples.iter().map(|one| one.edge_cells).sum();
         Self {
             samples: of_samples.len(),
@@ -56,7 +56,7 @@ impl Figures {
             noise: mean(&|one| one.noise),
             mean_bias: mean(&|one| one.mean_error),
             mean_rms: mean(&|one| one.mean_error * one.mean_error).sqrt(),
-            edge_bias: if edge_cells > 0 { edges(&|one| one.edge_difference) / edges(&|one| one.edge_truth) } else { 0.0 },
+            edge_bias: if edge_cells > 0 { sum(&|one| one.edge_difference) / sum(&|one| one.edge_truth) } else { 0.0 },
             edge_cells,
         }
     }
@@ -181,6 +181,7 @@ mod tests {
                 && (one.noise - 0.04 / 15.96).abs() < 1e-6
                 && (one.mean_error - 0.1).abs() < 1e-6
         );
+        assert_eq!(crate::transport::CHANNELS[ABSORBING], "photo");
         assert!(one.edge_cells == 1 && (one.edge_difference - 0.1).abs() < 1e-6 && (one.edge_truth - 1.0).abs() < 1e-6);
         assert!(
             has_edge(&sample.input, CELL_COLUMNS) && !has_edge(&sample.input, 0) && !has_edge(&sample.input, CELL_COLUMNS + 1)

@@ -3,7 +3,7 @@ use std::path::Path;
 
 use sidecarm::infer::{Architecture, JudgedBy, LoadedNetwork, ScatterNetwork};
 use sidecarm::learn::{
-    Dataset, HoldOut, LearnError, Mirror, Recipe, TrainOptions, Trained, TrainingEnd, recipe_of_checkpoint, train,
+    Dataset, HoldOut, LearnError, Mirror, Recipe, StepRule, TrainOptions, Trained, TrainingEnd, recipe_of_checkpoint, train,
 };
 
 use crate::network_samples as samples;
@@ -28,12 +28,17 @@ fn files(trained: &Trained) -> [Vec<u8>; 3] {
         .map(|path| std::fs::read(path).expect("the test's own files"))
 }
 
+/// Steps too large to learn by.
+fn wild() -> StepRule {
+    StepRule { learning_rate: 0.5, warm_up: 0.0, ..StepRule::default() }
+}
+
 fn short() -> Recipe {
     Recipe {
         epochs: 3,
         batch: 3,
         hold_out: HoldOut::Specimens { names: vec!["hip".to_owned()] },
-        learning_rate: 5e-4,
+        rule: StepRule { learning_rate: 5e-4, ..StepRule::default() },
         ..Recipe::default()
     }
 }
@@ -41,8 +46,7 @@ fn short() -> Recipe {
 #[test]
 fn ten_samples_are_learnt_by_heart() {
     let folder = folder_of(10);
-    let recipe =
-        Recipe { epochs: 30, batch: 5, mirror: false, hold_out: HoldOut::Nothing, learning_rate: 2e-3, ..Recipe::default() };
+    let recipe = Recipe { epochs: 30, batch: 5, mirror: false, hold_out: HoldOut::Nothing, ..Recipe::default() };
     let trained = run(&options(folder.path(), "heart", recipe));
     assert_eq!(trained.end, TrainingEnd::Complete);
     let network = LoadedNetwork::load(&folder.path().join("heart"), &samples::CHANNELS, &samples::SCALARS).unwrap();
@@ -118,15 +122,15 @@ fn a_training_that_no_longer_gets_better_stops_and_keeps_its_best() {
     let folder = folder_of(6);
     // So fast that it can only get worse.
     let hold_out = HoldOut::Seeds { share: 0.4 };
-    let recipe = Recipe { epochs: 12, patience: Some(2), learning_rate: 0.5, warm_up: 0.0, hold_out, ..short() };
+    let recipe = Recipe { epochs: 12, patience: Some(2), rule: wild(), hold_out, ..short() };
     let trained = run(&options(folder.path(), "fast", recipe));
     assert_eq!((trained.end, trained.history.len()), (TrainingEnd::NoBetter, trained.epoch + 2));
-    let kept = trained.history[trained.epoch - 1].held_out_nmse;
-    assert!(trained.history.iter().all(|record| record.held_out_nmse >= kept));
+    let kept = trained.history[trained.epoch - 1].held_out;
+    assert!(trained.history.iter().all(|record| record.held_out >= kept));
     assert_eq!(trained.card.held_out.get("nmse").copied(), kept);
     assert_eq!(trained.held_out.map(|figures| figures.nmse()), kept);
     // A specimen that is to be unknown chooses nothing.
-    let recipe = Recipe { epochs: 12, patience: Some(2), learning_rate: 0.5, warm_up: 0.0, ..short() };
+    let recipe = Recipe { epochs: 12, patience: Some(2), rule: wild(), ..short() };
     let trained = run(&options(folder.path(), "specimen", recipe));
     assert_eq!((trained.end, trained.epoch, trained.history.len()), (TrainingEnd::Complete, 12, 12));
 }

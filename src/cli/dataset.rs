@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use super::dataset_materials::{MaterialsSetArgs, MaterialsSetError, materials_set};
 use crate::image::{ImageFileError, sha256_file};
 use crate::learn::{
     GRID_PX, LEAST_BATCHES, PHANTOM, SampleError, Sampled, Sampling, Shard, ShardError, Specimen, TRUTH_PX, sample,
@@ -23,6 +24,7 @@ pub struct DatasetArgs {
 #[derive(Clone, Debug, clap::Subcommand)]
 enum DatasetOf {
     Scatter(ScatterSetArgs),
+    Materials(MaterialsSetArgs),
 }
 
 /// Drawn scenes around specimens and phantoms, each with what its rays meet and the scatter that a Monte Carlo finds.
@@ -71,6 +73,9 @@ pub enum DatasetError {
     /// A scene's file.
     #[error(transparent)]
     File(#[from] ImageFileError),
+    /// Specimens of materials.
+    #[error(transparent)]
+    Materials(#[from] MaterialsSetError),
     /// The folder.
     #[error("{}: {source}", path.display())]
     Io {
@@ -89,7 +94,13 @@ pub enum DatasetError {
 /// # Errors
 /// When a scene is wrong, or a file cannot be written.
 pub fn run(args: &DatasetArgs, reporter: &Reporter) -> Result<u8, DatasetError> {
-    let DatasetOf::Scatter(args) = &args.of;
+    match &args.of {
+        DatasetOf::Scatter(args) => scatter_set(args, reporter),
+        DatasetOf::Materials(args) => Ok(materials_set(args, reporter)?),
+    }
+}
+
+fn scatter_set(args: &ScatterSetArgs, reporter: &Reporter) -> Result<u8, DatasetError> {
     let wrong = |what: String| Err(DatasetError::Arguments(what));
     if !(0.0..=1.0).contains(&args.phantoms) {
         return wrong(format!("--phantoms {}: expected a share from 0 to 1", args.phantoms));

@@ -27,6 +27,8 @@ mod compare_origin;
 mod compare_table;
 #[cfg(feature = "learn")]
 pub mod dataset;
+#[cfg(feature = "learn")]
+mod dataset_materials;
 pub mod demo;
 pub mod devices;
 pub mod hints;

@@ -5,17 +5,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::{COLUMNS, InferError, Input, PIXELS, ROWS};
-
-/// Which layers a network has.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Architecture {
-    /// Few wide layers at low resolution, with a branch that sees the whole image.
-    Default,
-    /// Ten layers at input resolution: six of 11×11 kernels in several channels, four of 31×31 in one (Unberath et al. 2018, DeepDRR).
-    Paper,
-}
+use super::{Architecture, COLUMNS, InferError, Input, Layer, NetworkCard, PIXELS, ROWS};
 
 /// One channel or scalar: its name, its normalisation, its range in training. All values in the unit that the name ends with.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -159,9 +149,18 @@ impl Card {
         }
         Ok(())
     }
+}
 
-    /// That every figure can be used.
-    pub(super) fn check(&self, path: &Path) -> Result<(), InferError> {
+impl NetworkCard for Card {
+    fn weights_sha256(&self) -> &str {
+        &self.weights_sha256
+    }
+
+    fn layers(&self) -> Vec<Layer> {
+        self.architecture.layers(self.channels.len(), self.scalars.len())
+    }
+
+    fn check(&self, path: &Path) -> Result<(), InferError> {
         let refuse = |field: String, expected: &'static str, found: String| {
             Err(InferError::CardValue { path: path.to_owned(), field, expected, found })
         };

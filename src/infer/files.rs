@@ -2,11 +2,27 @@
 
 use std::path::{Path, PathBuf};
 
+use serde::de::DeserializeOwned;
 use sha2::{Digest, Sha256};
 
-use super::{Architecture, Card, InferError, bytes_from_tensors, floats_of, tensors_from_bytes};
+use super::{InferError, bytes_from_tensors, floats_of, tensors_from_bytes};
 use super::{Layer, TensorFault};
 use crate::json::parse_json;
+
+/// What lies beside the weights of a network and says what they are.
+pub trait NetworkCard: DeserializeOwned {
+    /// SHA-256 of the weights file, in hexadecimal.
+    fn weights_sha256(&self) -> &str;
+
+    /// The layers, in the order of the parameters.
+    fn layers(&self) -> Vec<Layer>;
+
+    /// That every figure of the card, which lies at `path`, can be used.
+    ///
+    /// # Errors
+    /// Where one cannot.
+    fn check(&self, path: &Path) -> Result<(), InferError>;
+}
 
 /// The two files of a network.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -37,28 +53,27 @@ impl NetworkFiles {
     ///
     /// # Errors
     /// When a file is missing, truncated, of another network or no network at all.
-    pub fn read(&self) -> Result<(Card, Vec<f32>), InferError> {
+    pub fn read<C: NetworkCard>(&self) -> Result<(C, Vec<f32>), InferError> {
         let read = |path: &Path| std::fs::read(path).map_err(|source| InferError::Read { path: path.to_owned(), source });
         self.parse(&read(&self.weights)?, &read(&self.card)?)
     }
 
     /// The same from what the files hold.
-    pub(super) fn parse(&self, weights: &[u8], card: &[u8]) -> Result<(Card, Vec<f32>), InferError> {
-        let card: Card = parse_json(card).map_err(|fault| InferError::CardForm { path: self.card.clone(), fault })?;
+    pub(super) fn parse<C: NetworkCard>(&self, weights: &[u8], card: &[u8]) -> Result<(C, Vec<f32>), InferError> {
+        let card: C = parse_json(card).map_err(|fault| InferError::CardForm { path: self.card.clone(), fault })?;
         card.check(&self.card)?;
         let found = sha256(weights);
-        if found != card.weights_sha256 {
+        if found != card.weights_sha256() {
             return Err(InferError::Checksum {
                 path: self.weights.clone(),
                 card: self.card.clone(),
-                expected: card.weights_sha256,
+                expected: card.weights_sha256().to_owned(),
                 found,
                 byte_count: weights.len(),
             });
         }
-        let layers = card.architecture.layers(card.channels.len(), card.scalars.len());
-        let parameters =
-            parameters_from_bytes(&layers, weights).map_err(|fault| InferError::Weights { path: self.weights.clone(), fault })?;
+        let parameters = parameters_from_bytes(&card.layers(), weights)
+            .map_err(|fault| InferError::Weights { path: self.weights.clone(), fault })?;
         Ok((card, parameters))
     }
 }
@@ -69,29 +84,26 @@ pub fn sha256(bytes: &[u8]) -> String {
     Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-impl Architecture {
-    /// The weights file of a network with `parameters`, in the order of [`Architecture::layers`].
-    ///
-    /// # Errors
-    /// When there are more or fewer parameters than the layers have.
-    pub fn weights_file(self, channels: usize, scalars: usize, parameters: &[f32]) -> Result<Vec<u8>, TensorFault> {
-        let layers = self.layers(channels, scalars);
-        let expected: usize = layers.iter().map(Layer::value_count).sum();
-        if parameters.len() != expected {
-            let (name, found) = ("all parameters".to_owned(), vec![parameters.len()]);
-            return Err(TensorFault::Shape { name, expected: vec![expected], found });
-        }
-        let names: Vec<[String; 2]> = layers.iter().map(Layer::tensor_names).collect();
-        let (mut rest, mut list) = (parameters, Vec::new());
-        for (layer, [weight_name, bias_name]) in layers.iter().zip(&names) {
-            let (weight, behind) = rest.split_at(layer.weight_count());
-            let (bias, behind) = behind.split_at(layer.outputs);
-            rest = behind;
-            list.push((weight_name.as_str(), layer.weight_shape().to_vec(), weight));
-            list.push((bias_name.as_str(), vec![layer.outputs], bias));
-        }
-        bytes_from_tensors(&list, None)
+/// The weights file of a network of `layers` with `parameters`, in their order.
+///
+/// # Errors
+/// When there are more or fewer parameters than the layers have.
+pub fn weights_file(layers: &[Layer], parameters: &[f32]) -> Result<Vec<u8>, TensorFault> {
+    let expected: usize = layers.iter().map(Layer::value_count).sum();
+    if parameters.len() != expected {
+        let (name, found) = ("all parameters".to_owned(), vec![parameters.len()]);
+        return Err(TensorFault::Shape { name, expected: vec![expected], found });
     }
+    let names: Vec<[String; 2]> = layers.iter().map(Layer::tensor_names).collect();
+    let (mut rest, mut list) = (parameters, Vec::new());
+    for (layer, [weight_name, bias_name]) in layers.iter().zip(&names) {
+        let (weight, behind) = rest.split_at(layer.weight_count());
+        let (bias, behind) = behind.split_at(layer.outputs);
+        rest = behind;
+        list.push((weight_name.as_str(), layer.weight_shape(), weight));
+        list.push((bias_name.as_str(), vec![layer.outputs], bias));
+    }
+    bytes_from_tensors(&list, None)
 }
 
 fn parameters_from_bytes(layers: &[Layer], bytes: &[u8]) -> Result<Vec<f32>, TensorFault> {

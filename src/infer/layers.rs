@@ -1,6 +1,8 @@
 //! The layers of each architecture, written once: as shapes, and as what is made of them.
 
-use super::{Architecture, PAGES};
+use serde::{Deserialize, Serialize};
+
+use super::PAGES;
 
 /// Channels at 24 × 32.
 const HALF: usize = 32;
@@ -9,7 +11,17 @@ const WIDE: usize = 64;
 /// Channels of the six first layers of the paper's network; the paper says "multiple".
 const PAPER: usize = 8;
 
-/// A square convolution with bias, zero-padded so that its stride divides the size exactly.
+/// Which layers a network has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Architecture {
+    /// Few wide layers at low resolution, with a branch that sees the whole image.
+    Default,
+    /// Ten layers at input resolution: six of 11×11 kernels in several channels, four of 31×31 in one (Unberath et al. 2018, DeepDRR).
+    Paper,
+}
+
+/// A convolution with bias over a square or a cube, zero-padded so that its stride divides the size exactly.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Layer {
     /// Name of its tensors in a file, before `.weight` and `.bias`.
@@ -18,23 +30,32 @@ pub struct Layer {
     pub inputs: usize,
     /// Channels out.
     pub outputs: usize,
-    /// Rows and columns of the kernel.
+    /// 2 or 3.
+    pub dimensions: usize,
+    /// Side of the kernel.
     pub kernel: usize,
-    /// Step in both directions.
+    /// Step in every direction.
     pub stride: usize,
-    /// First weights are normal with deviation `gain · √(2 / (inputs · kernel²))`.
+    /// First weights are normal with deviation `gain · √(2 / fan_in)`.
     pub gain: f32,
 }
 
 impl Layer {
     fn new(name: impl Into<String>, [inputs, outputs]: [usize; 2], kernel: usize, stride: usize, gain: f32) -> Self {
-        Self { name: name.into(), inputs, outputs, kernel, stride, gain }
+        Self { name: name.into(), inputs, outputs, dimensions: 2, kernel, stride, gain }
     }
 
-    /// [outputs, inputs, kernel, kernel].
+    /// [outputs, inputs, kernel, kernel], of a cube once more kernel.
     #[must_use]
-    pub fn weight_shape(&self) -> [usize; 4] {
-        [self.outputs, self.inputs, self.kernel, self.kernel]
+    pub fn weight_shape(&self) -> Vec<usize> {
+        let sides = std::iter::repeat_n(self.kernel, self.dimensions);
+        [self.outputs, self.inputs].into_iter().chain(sides).collect()
+    }
+
+    /// Values that one output is summed from.
+    #[must_use]
+    pub fn fan_in(&self) -> usize {
+        self.inputs * self.kernel.pow(self.dimensions as u32)
     }
 
     /// Values of its weight and bias together.

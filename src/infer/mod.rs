@@ -1,4 +1,4 @@
-//! Networks that were trained elsewhere: loaded with their card, asked for the scattered radiation of one image.
+//! Networks that were trained elsewhere: loaded with their card, asked for the scattered radiation of one image, or for the bone of a CT.
 //!
 //! Nothing here trains. A network is two files, `NAME.safetensors` (weights) and `NAME.json` (the [`Card`]); the card says what the inputs
 //! mean, how they are normalised and where they lay in training, and its checksum binds it to the weights.
@@ -8,15 +8,16 @@ mod error;
 mod files;
 mod input;
 mod layers;
+pub mod materials;
 mod network;
 mod scatter;
 mod tensors;
 
-pub use card::{Architecture, Card, JudgedBy, Quantity};
+pub use card::{Card, JudgedBy, Quantity};
 pub use error::InferError;
-pub use files::{NetworkFiles, sha256};
+pub use files::{NetworkCard, NetworkFiles, sha256, weights_file};
 pub use input::{Input, Prediction};
-pub use layers::Layer;
+pub use layers::{Architecture, Layer};
 pub use network::{Convolution, LOG_LIMIT, Network};
 pub use scatter::{LoadedNetwork, ScatterNetwork};
 pub use tensors::{TensorFault, bytes_from_tensors, floats_of, metadata_of, tensors_from_bytes};

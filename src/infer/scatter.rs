@@ -39,7 +39,7 @@ impl LoadedNetwork {
     /// When a file is missing, truncated or of another network, or the network takes other inputs.
     pub fn load(name: &Path, channels: &[&str], scalar_names: &[&str]) -> Result<Self, InferError> {
         let files = NetworkFiles::of(name);
-        let read = files.read()?;
+        let read = files.read::<Card>()?;
         Self::of(files, read, channels, scalar_names)
     }
 

@@ -2,7 +2,7 @@
 //!
 //! On the processor and in one loop: the state is three lists of numbers, kept and restored to the bit.
 
-use super::Recipe;
+use super::StepRule;
 use crate::infer::Layer;
 use crate::random::{Purpose, Stream};
 
@@ -28,8 +28,7 @@ impl Adam {
         let mut parameters = Vec::new();
         for (place, layer) in layers.iter().enumerate() {
             let mut stream = Stream::new(seed, 0, place as u32, Purpose::FirstWeights);
-            let fan_in = (layer.inputs * layer.kernel * layer.kernel) as f64;
-            let deviation = f64::from(layer.gain) * (2.0 / fan_in).sqrt();
+            let deviation = f64::from(layer.gain) * (2.0 / layer.fan_in() as f64).sqrt();
             parameters.extend((0..layer.weight_count()).map(|_| (deviation * stream.normal()) as f32));
             parameters.extend(std::iter::repeat_n(0.0, layer.outputs));
         }
@@ -38,17 +37,17 @@ impl Adam {
     }
 
     /// One step along `gradient`. The norm of the gradient as it came; the parameters are as before where that is not finite.
-    pub(super) fn step(&mut self, gradient: &[f32], learning_rate: f64, recipe: &Recipe) -> f64 {
+    pub(super) fn step(&mut self, gradient: &[f32], learning_rate: f64, rule: &StepRule) -> f64 {
         let norm = gradient.iter().map(|value| f64::from(*value).powi(2)).sum::<f64>().sqrt();
         if !norm.is_finite() {
             return norm;
         }
-        let clip = (recipe.largest_gradient / norm).min(1.0) as f32;
+        let clip = (rule.largest_gradient / norm).min(1.0) as f32;
         self.steps += 1;
         let unbiased = |decay: f32| 1.0 - f64::from(decay).powf(self.steps as f64);
         let mean_scale = (1.0 / unbiased(MEAN_DECAY)) as f32;
         let square_scale = (1.0 / unbiased(SQUARE_DECAY)) as f32;
-        let (rate, kept) = (learning_rate as f32, (1.0 - learning_rate * recipe.weight_decay) as f32);
+        let (rate, kept) = (learning_rate as f32, (1.0 - learning_rate * rule.weight_decay) as f32);
         let state = self.means.iter_mut().zip(&mut self.squares);
         for ((parameter, (mean, square)), slope) in self.parameters.iter_mut().zip(state).zip(gradient) {
             let slope = slope * clip;
@@ -61,15 +60,15 @@ impl Adam {
 }
 
 /// The learning rate of step `step` (from 0) of `steps`: a linear rise, then half a cosine.
-pub(super) fn learning_rate(recipe: &Recipe, step: u64, steps: u64) -> f64 {
-    let rise = (recipe.warm_up * steps as f64).ceil();
+pub(super) fn learning_rate(rule: &StepRule, step: u64, steps: u64) -> f64 {
+    let rise = (rule.warm_up * steps as f64).ceil();
     let step = step as f64;
     if step < rise {
-        return recipe.learning_rate * (step + 1.0) / rise;
+        return rule.learning_rate * (step + 1.0) / rise;
     }
     let share = (step - rise) / (steps as f64 - rise - 1.0).max(1.0);
     let cosine = 0.5 * (1.0 + (std::f64::consts::PI * share.min(1.0)).cos());
-    recipe.learning_rate * (LAST_RATE + (1.0 - LAST_RATE) * cosine)
+    rule.learning_rate * (LAST_RATE + (1.0 - LAST_RATE) * cosine)
 }
 
 #[cfg(test)]
@@ -83,9 +82,9 @@ mod tests {
 
     #[test]
     fn the_first_step_is_the_learning_rate_against_the_slope_whatever_its_size() {
-        let recipe = Recipe { weight_decay: 0.0, ..Recipe::default() };
+        let rule = StepRule { weight_decay: 0.0, ..StepRule::default() };
         let mut adam = at(vec![1.0, 1.0, 1.0]);
-        let norm = adam.step(&[3.0, -4.0, 0.0], 0.1, &recipe);
+        let norm = adam.step(&[3.0, -4.0, 0.0], 0.1, &rule);
         assert_eq!(norm, 5.0);
         for (found, expected) in adam.parameters.iter().zip([0.9_f32, 1.1, 1.0]) {
             assert!((found - expected).abs() < 1e-5, "{found} {expected}");
@@ -98,14 +97,14 @@ mod tests {
     fn a_gradient_that_is_no_number_moves_nothing() {
         let mut adam = at(vec![1.0, 2.0]);
         let before = adam.clone();
-        assert!(adam.step(&[f32::NAN, 0.0], 0.1, &Recipe::default()).is_nan());
+        assert!(adam.step(&[f32::NAN, 0.0], 0.1, &StepRule::default()).is_nan());
         assert_eq!(adam, before);
     }
 
     #[test]
     fn the_learning_rate_rises_and_falls_to_a_hundredth() {
-        let recipe = Recipe { learning_rate: 1.0, warm_up: 0.1, ..Recipe::default() };
-        let rates: Vec<f64> = (0..100).map(|step| learning_rate(&recipe, step, 100)).collect();
+        let rule = StepRule { learning_rate: 1.0, warm_up: 0.1, ..StepRule::default() };
+        let rates: Vec<f64> = (0..100).map(|step| learning_rate(&rule, step, 100)).collect();
         assert!((rates[0] - 0.1).abs() < 1e-12 && rates[9] == 1.0 && (rates[99] - 0.01).abs() < 1e-12);
         assert!(rates[10..].windows(2).all(|pair| pair[1] < pair[0]));
     }

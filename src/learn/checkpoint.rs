@@ -5,15 +5,21 @@
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::adam::Adam;
-use super::{EpochRecord, LearnError, Recipe, TrainFiles, TrainOptions};
+use super::{EpochRecord, LearnError, TrainFiles, TrainOptions};
 use crate::image::write_atomically;
 use crate::infer::{TensorFault, bytes_from_tensors, floats_of, metadata_of, tensors_from_bytes};
 
 /// The key of the metadata that holds [`Beside`].
 const KEY: &str = "state";
+
+/// All that decides what a training comes to, together with its samples.
+pub trait AnyRecipe: Clone + std::fmt::Debug + PartialEq + Serialize + DeserializeOwned {}
+
+impl<R: Clone + std::fmt::Debug + PartialEq + Serialize + DeserializeOwned> AnyRecipe for R {}
 
 /// All that the next epoch needs.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,8 +33,8 @@ pub(super) struct State {
 /// What of a checkpoint is no tensor.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Beside {
-    recipe: Recipe,
+struct Beside<R> {
+    recipe: R,
     siblings: Vec<PathBuf>,
     samples_sha256: String,
     steps: u64,
@@ -38,7 +44,12 @@ struct Beside {
 
 impl State {
     /// Writes it, whole or not at all.
-    pub(super) fn write(&self, path: &Path, options: &TrainOptions, samples_sha256: &str) -> Result<(), LearnError> {
+    pub(super) fn write<R: AnyRecipe>(
+        &self,
+        path: &Path,
+        options: &TrainOptions<R>,
+        samples_sha256: &str,
+    ) -> Result<(), LearnError> {
         let beside = Beside {
             recipe: options.recipe.clone(),
             siblings: options.siblings.clone(),
@@ -64,10 +75,15 @@ impl State {
     }
 
     /// The state that this training left in `path`.
-    pub(super) fn read(path: &Path, recipe: &Recipe, samples_sha256: &str, parameters: usize) -> Result<Self, LearnError> {
+    pub(super) fn read<R: AnyRecipe>(
+        path: &Path,
+        recipe: &R,
+        samples_sha256: &str,
+        parameters: usize,
+    ) -> Result<Self, LearnError> {
         let bytes = std::fs::read(path).map_err(|source| LearnError::Io { path: path.to_owned(), source })?;
         let fault = |fault| LearnError::Checkpoint { path: path.to_owned(), fault };
-        let beside = beside_of(&bytes).map_err(fault)?;
+        let beside = beside_of::<R>(&bytes).map_err(fault)?;
         let sha = ("sha256 of the samples".to_owned(), samples_sha256.to_owned(), beside.samples_sha256.clone());
         let other_samples = (beside.samples_sha256 != samples_sha256).then_some(sha);
         if let Some((what, expected, found)) = difference(recipe, &beside.recipe).or(other_samples) {
@@ -90,11 +106,11 @@ impl State {
 }
 
 /// The first setting in which `found` differs from `expected`, and both values.
-fn difference(expected: &Recipe, found: &Recipe) -> Option<(String, String, String)> {
+fn difference<R: AnyRecipe>(expected: &R, found: &R) -> Option<(String, String, String)> {
     if expected == found {
         return None;
     }
-    let fields = |recipe: &Recipe| match serde_json::to_value(recipe) {
+    let fields = |recipe: &R| match serde_json::to_value(recipe) {
         Ok(serde_json::Value::Object(fields)) => fields,
         _ => serde_json::Map::new(),
     };
@@ -106,7 +122,7 @@ fn difference(expected: &Recipe, found: &Recipe) -> Option<(String, String, Stri
     })
 }
 
-fn beside_of(bytes: &[u8]) -> Result<Beside, TensorFault> {
+fn beside_of<R: AnyRecipe>(bytes: &[u8]) -> Result<Beside<R>, TensorFault> {
     let lists = metadata_of(bytes)?;
     let text = lists.get(KEY).ok_or_else(|| TensorFault::MetadataMissing { key: KEY.to_owned() })?;
     serde_json::from_str(text).map_err(|error| TensorFault::MetadataForm { key: KEY.to_owned(), detail: error.to_string() })
@@ -116,7 +132,7 @@ fn beside_of(bytes: &[u8]) -> Result<Beside, TensorFault> {
 ///
 /// # Errors
 /// When the checkpoint is unreadable.
-pub fn recipe_of_checkpoint(output: &Path) -> Result<Option<(Recipe, Vec<PathBuf>)>, LearnError> {
+pub fn recipe_of_checkpoint<R: AnyRecipe>(output: &Path) -> Result<Option<(R, Vec<PathBuf>)>, LearnError> {
     let path = TrainFiles::of(output).checkpoint;
     match std::fs::read(&path) {
         Ok(bytes) => {

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::ShardError;
+use super::{ShardError, SpecimenError};
 use crate::image::ImageFileError;
 use crate::infer::{InferError, TensorFault};
 
@@ -25,6 +25,23 @@ pub enum LearnError {
     NoSamples {
         /// The folder.
         path: PathBuf,
+    },
+    /// A specimen cannot be used.
+    #[error(transparent)]
+    Specimen(#[from] SpecimenError),
+    /// The folder has no specimens.
+    #[error("folder of specimens {}: has no *.safetensors files; make some with `sidecarm dataset materials`", path.display())]
+    NoSpecimens {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// Two specimens of one name.
+    #[error("specimen {}: another one is called {name} too; keep one of them in the folder", path.display())]
+    SameName {
+        /// The file.
+        path: PathBuf,
+        /// Its name.
+        name: String,
     },
     /// Two files of one folder hold different things.
     #[error("file of samples {}: {what} are {found}, in the files before it {expected}; keep one kind of samples in a folder", path.display())]

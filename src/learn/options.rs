@@ -9,7 +9,7 @@ use crate::infer::{Card, NetworkFiles};
 
 /// A training.
 #[derive(Clone, Debug)]
-pub struct TrainOptions {
+pub struct TrainOptions<R = Recipe> {
     /// Folder of `*.safetensors` files of samples.
     pub dataset: PathBuf,
     /// Name of the network, a path without ending: `.safetensors`, `.json`, `.csv` and `.checkpoint` are added.
@@ -20,7 +20,7 @@ pub struct TrainOptions {
     /// [`NetworkFiles::of`]. Then nothing is held out.
     pub siblings: Vec<PathBuf>,
     /// All that decides the result, together with the samples.
-    pub recipe: Recipe,
+    pub recipe: R,
 }
 
 /// The files of a training.
@@ -52,10 +52,11 @@ pub struct EpochRecord {
     pub epoch: usize,
     /// Mean loss of the epoch's samples, each with the weights of its own step.
     pub train_loss: f64,
-    /// Normalised mean squared error of what was held out, less the noise of the truth; empty where nothing was.
-    pub held_out_nmse: Option<f64>,
+    /// How wrong it is on what was held out, empty where nothing was: of scatter the normalised mean squared error less the noise of the truth, of
+    /// materials the loss.
+    pub held_out: Option<f64>,
     /// The same with the noise of the truth.
-    pub held_out_nmse_raw: Option<f64>,
+    pub held_out_raw: Option<f64>,
     /// Of the epoch's last step.
     pub learning_rate: f64,
 }
@@ -92,15 +93,15 @@ pub enum TrainingEnd {
 
 /// A trained network, as it was written.
 #[derive(Clone, Debug)]
-pub struct Trained {
+pub struct Trained<C = Card, F = Option<Figures>> {
     /// Its card.
-    pub card: Card,
+    pub card: C,
     /// Its files.
     pub files: TrainFiles,
     /// The epoch whose weights these are, counted from 1.
     pub epoch: usize,
-    /// Figures on what was held out; `None` where nothing was.
-    pub held_out: Option<Figures>,
+    /// Figures on what was held out; of scatter `None` where nothing was.
+    pub held_out: F,
     /// One record an epoch.
     pub history: Vec<EpochRecord>,
     /// Why it ended.

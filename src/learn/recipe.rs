@@ -17,14 +17,8 @@ pub struct Recipe {
     pub epochs: usize,
     /// Samples of one step.
     pub batch: usize,
-    /// Highest learning rate, after warm-up.
-    pub learning_rate: f64,
-    /// Share of the steps in which the learning rate rises.
-    pub warm_up: f64,
-    /// Decay of the weights per step, as a share of the learning rate (Loshchilov & Hutter 2019).
-    pub weight_decay: f64,
-    /// Largest norm of a step's gradient over all parameters.
-    pub largest_gradient: f64,
+    /// How a step follows from its gradient.
+    pub rule: StepRule,
     /// Weight of each page by itself in the loss, beside 1 for their sum.
     pub page_weight: f64,
     /// Mirror samples at random, in columns and in rows.
@@ -33,6 +27,26 @@ pub struct Recipe {
     pub hold_out: HoldOut,
     /// Stop after so many epochs without a better held-out figure, where that chooses ([`HoldOut::chooses`]).
     pub patience: Option<usize>,
+}
+
+/// How a step follows from its gradient.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StepRule {
+    /// Highest learning rate, after warm-up.
+    pub learning_rate: f64,
+    /// Share of the steps in which the learning rate rises.
+    pub warm_up: f64,
+    /// Decay of the weights per step, as a share of the learning rate (Loshchilov & Hutter 2019).
+    pub weight_decay: f64,
+    /// Largest norm of a step's gradient over all parameters.
+    pub largest_gradient: f64,
+}
+
+impl Default for StepRule {
+    fn default() -> Self {
+        Self { learning_rate: 2e-3, warm_up: 0.05, weight_decay: 1e-2, largest_gradient: 1.0 }
+    }
 }
 
 /// What is not trained on but judged by, every epoch.
@@ -60,6 +74,15 @@ impl HoldOut {
     pub fn chooses(&self) -> bool {
         matches!(self, Self::Seeds { .. })
     }
+
+    pub(super) fn check(&self) -> Result<(), LearnError> {
+        match self {
+            Self::Seeds { share } => {
+                refuse_wrong(&[("share of seeds held out", "above 0, below 1", *share, *share > 0.0 && *share < 1.0)])
+            }
+            Self::Specimens { .. } | Self::Nothing => Ok(()),
+        }
+    }
 }
 
 impl Default for Recipe {
@@ -77,14 +100,11 @@ impl Recipe {
             seed: 1,
             epochs: 60,
             batch: 16,
-            learning_rate: match architecture {
-                Architecture::Default => 2e-3,
+            rule: match architecture {
+                Architecture::Default => StepRule::default(),
                 // The 961 weights of a kernel of 31×31 see much the same, and their steps add up.
-                Architecture::Paper => 2e-4,
+                Architecture::Paper => StepRule { learning_rate: 2e-4, ..StepRule::default() },
             },
-            warm_up: 0.05,
-            weight_decay: 1e-2,
-            largest_gradient: 1.0,
             page_weight: 0.25,
             mirror: true,
             hold_out: HoldOut::Seeds { share: 0.1 },
@@ -93,28 +113,36 @@ impl Recipe {
     }
 
     pub(super) fn check(&self) -> Result<(), LearnError> {
-        let at_least_one = "at least 1";
-        let settings = [
-            ("epochs", at_least_one, self.epochs as f64, self.epochs >= 1),
-            ("batch", at_least_one, self.batch as f64, self.batch >= 1),
+        let of_weight = ("page weight", "0 or more", self.page_weight, self.page_weight >= 0.0 && self.page_weight.is_finite());
+        refuse_wrong(&[counted("epochs", self.epochs), counted("batch", self.batch), of_weight])?;
+        self.rule.check()?;
+        self.hold_out.check()
+    }
+}
+
+/// A setting: its name, what it must be, what it is, and whether that will do.
+pub(super) type Setting = (&'static str, &'static str, f64, bool);
+
+/// A setting that counts something.
+pub(super) fn counted(name: &'static str, count: usize) -> Setting {
+    (name, "at least 1", count as f64, count >= 1)
+}
+
+/// The first setting that makes no sense, as an error.
+pub(super) fn refuse_wrong(settings: &[Setting]) -> Result<(), LearnError> {
+    match settings.iter().find(|(.., good)| !good) {
+        Some((setting, expected, found, _)) => Err(LearnError::Setting { setting, expected, found: found.to_string() }),
+        None => Ok(()),
+    }
+}
+
+impl StepRule {
+    pub(super) fn check(&self) -> Result<(), LearnError> {
+        refuse_wrong(&[
             ("learning rate", "above 0, at most 1", self.learning_rate, self.learning_rate > 0.0 && self.learning_rate <= 1.0),
             ("warm-up", "0 to 1", self.warm_up, self.warm_up >= 0.0 && self.warm_up <= 1.0),
             ("weight decay", "0 to 1", self.weight_decay, self.weight_decay >= 0.0 && self.weight_decay <= 1.0),
             ("largest gradient", "above 0", self.largest_gradient, self.largest_gradient > 0.0),
-            ("page weight", "0 or more", self.page_weight, self.page_weight >= 0.0 && self.page_weight.is_finite()),
-        ];
-        for (setting, expected, found, good) in settings {
-            if !good {
-                return Err(LearnError::Setting { setting, expected, found: found.to_string() });
-            }
-        }
-        match self.hold_out {
-            HoldOut::Seeds { share } if !(share > 0.0 && share < 1.0) => Err(LearnError::Setting {
-                setting: "share of seeds held out",
-                expected: "above 0, below 1",
-                found: share.to_string(),
-            }),
-            _ => Ok(()),
-        }
+        ])
     }
 }

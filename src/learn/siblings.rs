@@ -5,62 +5,123 @@ use std::path::PathBuf;
 
 use super::LearnError;
 use super::figures::{EDGE_BIAS, EDGE_CELLS, MEAN_RMS, SAMPLES};
-use crate::infer::{Card, JudgedBy, NetworkFiles};
+use crate::infer::materials::MaterialsCard;
+use crate::infer::{Card, JudgedBy, NetworkCard, NetworkFiles};
 
-/// Writes into `card` the figures of `siblings`: of each by the specimen it was not trained on, and their mean by samples. Without siblings
-/// nothing changes.
+/// A card whose figures can be those of siblings.
+pub(super) trait Judged: NetworkCard {
+    /// What siblings have in common, besides their samples.
+    fn made(&self) -> String;
+
+    /// SHA-256 of all samples.
+    fn samples_sha256(&self) -> &str;
+
+    /// The figures, and what they were found on.
+    fn judgement(&self) -> (&JudgedBy, &BTreeMap<String, f64>);
+
+    /// Sets them.
+    fn set_judgement(&mut self, by: JudgedBy, figures: BTreeMap<String, f64>);
+
+    /// What a figure is over all that the siblings were judged by.
+    fn together(figure: &str, of: &[&BTreeMap<String, f64>]) -> f64;
+}
+
+fn value(figures: &BTreeMap<String, f64>, name: &str) -> f64 {
+    figures.get(name).copied().unwrap_or(f64::NAN)
+}
+
+impl Judged for Card {
+    fn made(&self) -> String {
+        format!("{:?} {} {}", self.architecture, self.training_seed, self.training_epochs)
+    }
+
+    fn samples_sha256(&self) -> &str {
+        &self.samples_sha256
+    }
+
+    fn judgement(&self) -> (&JudgedBy, &BTreeMap<String, f64>) {
+        (&self.judged_by, &self.held_out)
+    }
+
+    fn set_judgement(&mut self, by: JudgedBy, figures: BTreeMap<String, f64>) {
+        (self.judged_by, self.held_out) = (by, figures);
+    }
+
+    fn together(figure: &str, of: &[&BTreeMap<String, f64>]) -> f64 {
+        let sum = |weight: &dyn Fn(&BTreeMap<String, f64>) -> f64| of.iter().map(|figures| weight(figures)).sum::<f64>();
+        let mean = |count: &str, power: i32| {
+            sum(&|figures| value(figures, count) * value(figures, figure).powi(power)) / sum(&|figures| value(figures, count))
+        };
+        match figure {
+            SAMPLES | EDGE_CELLS => sum(&|figures| value(figures, figure)),
+            MEAN_RMS => mean(SAMPLES, 2).sqrt(),
+            // Nothing ends anywhere where there are none.
+            EDGE_BIAS if sum(&|figures| value(figures, EDGE_CELLS)) == 0.0 => 0.0,
+            EDGE_BIAS => mean(EDGE_CELLS, 1),
+            _ => mean(SAMPLES, 1),
+        }
+    }
+}
+
+impl Judged for MaterialsCard {
+    fn made(&self) -> String {
+        let Self { materials, training_seed, training_epochs, training_steps, training_batch, .. } = self;
+        format!("{materials:?} {training_seed} {training_epochs} {training_steps} {training_batch}")
+    }
+
+    fn samples_sha256(&self) -> &str {
+        &self.samples_sha256
+    }
+
+    fn judgement(&self) -> (&JudgedBy, &BTreeMap<String, f64>) {
+        (&self.judged_by, &self.held_out)
+    }
+
+    fn set_judgement(&mut self, by: JudgedBy, figures: BTreeMap<String, f64>) {
+        (self.judged_by, self.held_out) = (by, figures);
+    }
+
+    fn together(figure: &str, of: &[&BTreeMap<String, f64>]) -> f64 {
+        of.iter().map(|figures| value(figures, figure)).sum::<f64>() / of.len() as f64
+    }
+}
+
+/// Writes into `card` the figures of `siblings`: of each by the specimen it was not trained on, and over all of them. Without siblings nothing
+/// changes.
 ///
 /// # Errors
 /// When a sibling is of other samples or layers, does not hold out one specimen of its own, or `card` is of a network that holds out.
-pub(super) fn judge(card: &mut Card, siblings: &[PathBuf]) -> Result<(), LearnError> {
+pub(super) fn judge<C: Judged>(card: &mut C, siblings: &[PathBuf]) -> Result<(), LearnError> {
     if siblings.is_empty() {
         return Ok(());
     }
-    let (mut weights_sha256, mut sums) = (BTreeMap::new(), BTreeMap::<String, f64>::new());
+    let (mut weights_sha256, mut figures, mut of_all) = (BTreeMap::new(), BTreeMap::new(), Vec::new());
     for path in siblings {
         let files = NetworkFiles::of(path);
-        let (sibling, _) = files.read()?;
+        let (sibling, _) = files.read::<C>()?;
         let no = |because: &'static str| Err(LearnError::NoSibling { path: files.card.clone(), because });
-        if card.judged_by != JudgedBy::Nothing {
+        if *card.judgement().0 != JudgedBy::Nothing {
             return no("this training holds out samples of its own");
         }
-        if sibling.samples_sha256 != card.samples_sha256 {
+        if sibling.samples_sha256() != card.samples_sha256() {
             return no("it was trained on other samples");
         }
-        let made = |card: &Card| (card.architecture, card.training_seed, card.training_epochs);
-        if made(&sibling) != made(card) {
+        if sibling.made() != card.made() {
             return no("its layers, its seed or its epochs are others");
         }
-        let JudgedBy::Specimens { names } = &sibling.judged_by else { return no("it holds out no specimen") };
+        let (judged_by, found) = sibling.judgement();
+        let JudgedBy::Specimens { names } = judged_by else { return no("it holds out no specimen") };
         let [name] = names.as_slice() else { return no("it holds out more than one specimen") };
-        if weights_sha256.insert(name.clone(), sibling.weights_sha256.clone()).is_some() {
+        if weights_sha256.insert(name.clone(), sibling.weights_sha256().to_owned()).is_some() {
             return no("another one holds out the same specimen");
         }
-        let count = |figure: &str| sibling.held_out.get(figure).copied().unwrap_or(f64::NAN);
-        let (samples, cells) = (count(SAMPLES), count(EDGE_CELLS));
-        for (figure, value) in &sibling.held_out {
-            card.held_out.insert(format!("{figure} of {name}"), *value);
-            *sums.entry(figure.clone()).or_default() += match figure.as_str() {
-                SAMPLES | EDGE_CELLS => *value,
-                MEAN_RMS => samples * value * value,
-                EDGE_BIAS => cells * value,
-                _ => samples * value,
-            };
-        }
+        figures.extend(found.iter().map(|(figure, value)| (format!("{figure} of {name}"), *value)));
+        of_all.push(found.clone());
     }
-    let all = sums.get(SAMPLES).copied().unwrap_or(f64::NAN);
-    let cells = sums.get(EDGE_CELLS).copied().unwrap_or(f64::NAN);
-    for (figure, sum) in sums {
-        let of_all = match figure.as_str() {
-            SAMPLES | EDGE_CELLS => sum,
-            MEAN_RMS => (sum / all).sqrt(),
-            // Nothing ends anywhere where there are none.
-            EDGE_BIAS if cells == 0.0 => 0.0,
-            EDGE_BIAS => sum / cells,
-            _ => sum / all,
-        };
-        card.held_out.insert(figure, of_all);
+    let of_all: Vec<&BTreeMap<String, f64>> = of_all.iter().collect();
+    for figure in of_all.iter().flat_map(|found| found.keys()) {
+        figures.insert(figure.clone(), C::together(figure, &of_all));
     }
-    card.judged_by = JudgedBy::Siblings { weights_sha256 };
+    card.set_judgement(JudgedBy::Siblings { weights_sha256 }, figures);
     Ok(())
 }

@@ -22,6 +22,17 @@ const BONE: &str = "bone_cortical";
 /// Beyond any metal: tantalum is 60 000 to 100 000 HU on an extended scale.
 const MOST_HU: f32 = 2e5;
 
+/// A CT whose labels say what is bone.
+#[derive(Clone, Debug)]
+pub struct LabelledCt {
+    /// The CT.
+    pub ct: VolumeFile,
+    /// Label of each voxel.
+    pub labels: Vec<u32>,
+    /// Labels of bones, ascending.
+    pub bone_labels: Vec<u32>,
+}
+
 impl Builder<'_> {
     /// A CT without the metal of the beads that come after it, `balls`.
     pub fn ct(&mut self, file: &CtFile, balls: &[Ball]) -> Result<Matter, SceneError> {
@@ -78,6 +89,24 @@ impl Builder<'_> {
         }
         volume.class_materials = order.iter().map(|class| index_of[&class.material]).collect();
         Ok(Matter::Volume(Arc::new(volume)))
+    }
+
+    /// The CT of `file`, the labels of its voxels, what they are called, and which of them are bone; `None` where it names no labels.
+    pub fn labelled_ct(&mut self, file: &CtFile) -> Result<Option<LabelledCt>, SceneError> {
+        let MaterialsFile::Labels(of_labels) = &file.materials else { return Ok(None) };
+        let source = self.find_volume("path", &file.path)?;
+        let path = source.path().to_owned();
+        let ct = source.read_voxels(self.reporter)?;
+        let source = self.find_volume("materials.labels", &of_labels.labels)?;
+        let labels_path = source.path().to_owned();
+        let grid = source.read_voxels(self.reporter)?;
+        let names = self.names(of_labels, &grid.label_names)?;
+        let labels = matter::labels_on_grid((&path, &ct), (&labels_path, grid))?;
+        let mut local = Vec::new();
+        let map = self.label_map(&mut local, of_labels, &names)?;
+        let is_bone = |class: &Option<Class>| class.is_some_and(|class| local[class.material].name.starts_with("bone"));
+        let bone_labels = map.iter().filter(|(_, class)| is_bone(class)).map(|(label, _)| *label).collect();
+        Ok(Some(LabelledCt { ct, labels, bone_labels }))
     }
 
     /// Takes the metal of `balls` out of the CT and says so; the voxels that changed, ascending.

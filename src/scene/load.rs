@@ -5,9 +5,10 @@ use std::path::{Path, PathBuf};
 
 use super::SceneError;
 use super::beam;
+use super::ct::LabelledCt;
 use super::file::{ScatterFile, SceneFile};
 use super::files::{Files, parse_json};
-use super::model::{Bodies, Detector, Formation, Model, Object, ScatterModel, Scene};
+use super::model::{Bodies, Detector, Formation, InputFile, Model, Object, ScatterModel, Scene};
 use super::objects;
 use super::physics::Spectrum;
 use super::view;
@@ -49,6 +50,19 @@ pub fn load_text_with(
     reporter: &Reporter,
 ) -> Result<Scene, SceneError> {
     load_bytes(text.as_bytes(), path, places, need_view, reporter)
+}
+
+/// The CTs of the scene file at `path` whose materials are labels, and the files that were read for them.
+///
+/// # Errors
+/// As [`load`].
+pub fn load_labelled(path: &Path, reporter: &Reporter) -> Result<(Vec<LabelledCt>, Vec<InputFile>), SceneError> {
+    let bytes = std::fs::read(path).map_err(|source| SceneError::Io { path: path.to_owned(), source })?;
+    let file: SceneFile = parse_json(path, &bytes)?;
+    let mut files = Files::new(path, &BTreeMap::new());
+    let mut scene = Scene::plain(Spectrum { bins: Vec::new() });
+    let found = objects::labelled_cts(&file.objects, &mut scene, &mut files, reporter)?;
+    Ok((found, files.into_inputs()))
 }
 
 /// The scene file at `path` and the files that it names, wherever they may lie: what no output may replace.

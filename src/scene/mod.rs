@@ -31,12 +31,13 @@ pub mod model;
 pub mod optics;
 pub mod physics;
 
+pub use ct::LabelledCt;
 pub use density::{DensityCurve, ThresholdClass};
 pub use error::SceneError;
 pub use fill::fill_harmonic;
 pub use foreign_files::{Triangle, read_triangles, serve};
 pub use inpaint::{Ball, Inpainted, inpaint_labels, inpaint_metal};
-pub use load::{input_files, load, load_text, load_text_with};
+pub use load::{input_files, load, load_labelled, load_text, load_text_with};
 pub use mesh::mesh_unit_doubt;
 pub use model::{InputFile, Robot, Scene};
 pub use volumes::{

@@ -6,6 +6,7 @@ use glam::{DAffine3, DMat3, DQuat, DVec3};
 
 use super::SceneError;
 use super::builder::Builder;
+use super::ct::LabelledCt;
 use super::files::Files;
 use super::inpaint::metal_balls;
 use super::matter;
@@ -43,6 +44,24 @@ pub(super) fn build(objects: &[ObjectFile], scene: &mut Scene, files: &mut Files
         builder.scene.objects.push(Object { name: builder.key.clone(), body, matter });
     }
     Ok(())
+}
+
+/// The CTs among the objects whose materials are labels.
+pub(super) fn labelled_cts(
+    objects: &[ObjectFile],
+    scene: &mut Scene,
+    files: &mut Files,
+    reporter: &Reporter,
+) -> Result<Vec<LabelledCt>, SceneError> {
+    let mut builder = Builder { scene, files, reporter, key: String::new() };
+    let mut found = Vec::new();
+    for (index, object) in objects.iter().enumerate() {
+        builder.key = format!("objects[{index}].{}", kind(object));
+        if let ObjectFile::Ct(file) = object {
+            found.extend(builder.labelled_ct(file)?);
+        }
+    }
+    Ok(found)
 }
 
 /// What is put into a body, and not around it.

@@ -1,0 +1,166 @@
+//! The bone of a CT, by a network from files.
+
+use std::path::Path;
+
+use burn::tensor::{Device, Tensor, TensorData};
+
+use super::card::MaterialsCard;
+use super::grid::{HuVolume, PassGrid, Reduced};
+use super::layers::{BONE, INPUTS, Pass};
+use super::network::{CubeNetwork, windows};
+use crate::infer::{InferError, NetworkFiles};
+
+/// What is thinner is no bone, whatever surrounds it: marrow is soft tissue.
+pub const DENSE_HU: f32 = 100.0;
+/// Where no pass so far sees more probability of bone than this, no finer one looks.
+const HARDLY: f32 = 0.05;
+/// What is denser is no tissue: metal attenuates like bone rather than like muscle.
+pub const METAL_HU: f32 = 1700.0;
+/// Beyond the scan there is air.
+pub const BEYOND_HU: f32 = -1000.0;
+
+/// A materials network from files, on the processor.
+#[derive(Clone, Debug)]
+pub struct LoadedMaterials {
+    card: MaterialsCard,
+    passes: Vec<(&'static Pass, CubeNetwork)>,
+    device: Device,
+}
+
+/// Probability of bone at the points of a pass; 0 where it did not look.
+struct Found {
+    grid: PassGrid,
+    bone: Vec<f32>,
+}
+
+impl LoadedMaterials {
+    /// The network `name`, a path with or without the ending of one of its files.
+    ///
+    /// # Errors
+    /// When a file is missing, truncated or of another network.
+    pub fn load(name: &Path) -> Result<Self, InferError> {
+        let (card, parameters) = NetworkFiles::of(name).read::<MaterialsCard>()?;
+        Ok(Self::new(card, &parameters))
+    }
+
+    /// A network with `parameters`, as many as the layers of its card take.
+    ///
+    /// # Panics
+    /// With more or fewer.
+    #[must_use]
+    pub fn new(card: MaterialsCard, parameters: &[f32]) -> Self {
+        let device = Device::flex();
+        let mut rest = parameters;
+        let passes = card.materials.passes().iter().map(|pass| {
+            let (own, behind) = rest.split_at(pass.parameter_count());
+            rest = behind;
+            (pass, CubeNetwork::new(pass, own, &device).expect("as many parameters as the layers have"))
+        });
+        Self { passes: passes.collect(), card, device }
+    }
+
+    /// What it is.
+    #[must_use]
+    pub fn card(&self) -> &MaterialsCard {
+        &self.card
+    }
+
+    /// Which voxels of `volume` are bone: those of at least [`DENSE_HU`] in a bone, and those
+    /// above [`METAL_HU`] anywhere. `told` hears, of each pass, how many patches are done and how
+    /// many there are.
+    pub fn bone(&self, volume: &HuVolume<'_>, told: &mut dyn FnMut(&Pass, usize, usize)) -> Vec<bool> {
+        let mut found: Option<Found> = None;
+        for (pass, network) in &self.passes {
+            let next = self.look(volume, (pass, network), found.as_ref(), told);
+            found = Some(next);
+        }
+        let Some(found) = found else { return vec![false; volume.hu.len()] };
+        let is_bone = |index: usize| {
+            let hu = volume.hu[index];
+            hu > METAL_HU || (hu >= DENSE_HU && found.at(volume, index) > 0.5)
+        };
+        (0..volume.hu.len()).map(is_bone).collect()
+    }
+
+    fn look(
+        &self,
+        volume: &HuVolume<'_>,
+        (pass, network): (&Pass, &CubeNetwork),
+        before: Option<&Found>,
+        told: &mut dyn FnMut(&Pass, usize, usize),
+    ) -> Found {
+        let reduced = Reduced::of(volume.size, &volume.lps_from_voxel, pass.spacing_mm, |index| volume.hu[index].max(BEYOND_HU));
+        let grid = PassGrid::covering(volume, pass.spacing_mm);
+        let mut is_wanted = vec![false; grid.points()];
+        for index in (0..volume.hu.len()).filter(|index| volume.hu[*index] >= DENSE_HU) {
+            if before.is_none_or(|before| before.at(volume, index) > HARDLY) {
+                grid.about(place(volume, index)).places().iter().for_each(|point| is_wanted[*point] = true);
+            }
+        }
+        let mut bone = vec![0.0; grid.points()];
+        let tiles = wanted_tiles(&grid, pass.keep, &is_wanted);
+        let margin = (pass.patch - pass.keep) / 2;
+        for (done, tile) in tiles.iter().enumerate() {
+            told(pass, done, tiles.len());
+            let from = tile.map(|at| (at * pass.keep) as i64 - margin as i64);
+            let mut hu = Vec::with_capacity(pass.points());
+            for_points(pass.patch, |step| {
+                let point = grid.point(std::array::from_fn(|axis| from[axis] + step[axis] as i64));
+                hu.push(reduced.interpolated(point, BEYOND_HU, |place| reduced.values[place]));
+            });
+            let kept = self.probabilities(pass, network, &hu);
+            for_points(pass.keep, |step| {
+                let at: [usize; 3] = std::array::from_fn(|axis| tile[axis] * pass.keep + step[axis]);
+                if (0..3).all(|axis| at[axis] < grid.size[axis]) {
+                    let [x, y, z] = step.map(|n| n + margin);
+                    bone[at[0] + grid.size[0] * (at[1] + grid.size[1] * at[2])] = kept[x + pass.patch * (y + pass.patch * z)];
+                }
+            });
+        }
+        told(pass, tiles.len(), tiles.len());
+        Found { grid, bone }
+    }
+
+    /// Probability of bone at the points of a patch.
+    fn probabilities(&self, pass: &Pass, network: &CubeNetwork, hu: &[f32]) -> Vec<f32> {
+        let side = pass.patch;
+        let seen = TensorData::new(windows(hu).collect::<Vec<f32>>(), [1, INPUTS, side, side, side]);
+        let all = network.probabilities(Tensor::from_data(seen, &self.device));
+        let bone = all.narrow(1, BONE, 1).into_data();
+        bone.iter::<f32>().collect()
+    }
+}
+
+impl Found {
+    fn at(&self, volume: &HuVolume<'_>, index: usize) -> f32 {
+        self.grid.about(place(volume, index)).sum(0.0, |point| self.bone[point])
+    }
+}
+
+/// Centre of a voxel, `lps` mm.
+fn place(volume: &HuVolume<'_>, index: usize) -> glam::DVec3 {
+    let [width, height, _] = volume.size;
+    let voxel = [index % width, index / width % height, index / (width * height)].map(|n| n as f64);
+    volume.lps_from_voxel.transform_point3(glam::DVec3::from_array(voxel))
+}
+
+/// `each` of the points (x, y, z) of a cube, x fastest.
+fn for_points(side: usize, mut each: impl FnMut([usize; 3])) {
+    for z in 0..side {
+        for y in 0..side {
+            (0..side).for_each(|x| each([x, y, z]));
+        }
+    }
+}
+
+/// Tiles of `keep`³ points with a wanted one among them.
+fn wanted_tiles(grid: &PassGrid, keep: usize, is_wanted: &[bool]) -> Vec<[usize; 3]> {
+    let count: [usize; 3] = grid.size.map(|size| size.div_ceil(keep));
+    let mut seen = vec![false; count.iter().product()];
+    for index in (0..is_wanted.len()).filter(|index| is_wanted[*index]) {
+        let [x, y, z] = [index % grid.size[0], index / grid.size[0] % grid.size[1], index / (grid.size[0] * grid.size[1])];
+        seen[x / keep + count[0] * (y / keep + count[1] * (z / keep))] = true;
+    }
+    let tile = |index: usize| [index % count[0], index / count[0] % count[1], index / (count[0] * count[1])];
+    (0..seen.len()).filter(|index| seen[*index]).map(tile).collect()
+}

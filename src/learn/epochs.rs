@@ -1,0 +1,153 @@
+//! Epochs of steps, each epoch judged and kept: the same for every kind of network.
+
+use std::ops::ControlFlow;
+
+use burn::tensor::{Device, Tensor};
+
+use super::adam::learning_rate;
+use super::checkpoint::State;
+use super::{EpochRecord, LearnError, Progress, StepRule, TrainFiles, TrainingEnd};
+use crate::image::write_atomically;
+
+/// How long a training goes on.
+#[derive(Clone, Debug)]
+pub(super) struct Pace {
+    /// At most.
+    pub epochs: usize,
+    /// Samples of a step.
+    pub batch: usize,
+    /// How a step follows from its gradient.
+    pub rule: StepRule,
+    /// Whether what is held out chooses the epoch that is kept.
+    pub chooses: bool,
+    /// Stop after so many epochs without a better one, where that chooses.
+    pub patience: Option<usize>,
+}
+
+/// What a kind of network adds to a training.
+pub(super) trait Learner {
+    /// What is found on that which was held out.
+    type Found;
+
+    /// How long to go on.
+    fn pace(&self) -> Pace;
+
+    /// The samples of an epoch, in order.
+    fn order(&self, epoch: usize) -> Vec<usize>;
+
+    /// Mean loss of the samples `chosen`, and its slopes by the parameters.
+    fn slopes(&self, epoch: usize, chosen: &[usize], parameters: &[f32], device: &Device) -> (f64, Vec<f32>);
+
+    /// How wrong `parameters` are on what was held out, without and with the noise of the truth, and what to write of it.
+    fn judge(&self, parameters: &[f32]) -> ([Option<f64>; 2], Self::Found);
+
+    /// Writes a network of `parameters` with its card.
+    fn write_network(&self, parameters: &[f32], found: &Self::Found) -> Result<(), LearnError>;
+
+    /// Its files.
+    fn files(&self) -> &TrainFiles;
+
+    /// Writes the checkpoint.
+    fn keep(&self, state: &State) -> Result<(), LearnError>;
+}
+
+/// Goes on from `state` to the end, writing the network and the history after every epoch.
+pub(super) fn run<L: Learner>(
+    learner: &L,
+    state: &mut State,
+    told: &mut dyn FnMut(&Progress<'_>) -> ControlFlow<()>,
+) -> Result<TrainingEnd, LearnError> {
+    let pace = learner.pace();
+    while state.history.len() < pace.epochs {
+        let best = state.best.as_ref().map_or(0, |(epoch, _)| *epoch);
+        if pace.patience.is_some_and(|patience| pace.chooses && state.history.len() >= best + patience) {
+            return Ok(TrainingEnd::NoBetter);
+        }
+        let epoch = state.history.len() + 1;
+        let mut next = state.clone();
+        let Some((train_loss, learning_rate, steps)) = run_epoch(learner, &pace, epoch, &mut next, told)? else {
+            return Ok(TrainingEnd::ByCaller);
+        };
+        let ([held_out, held_out_raw], found) = learner.judge(&next.adam.parameters);
+        let known = state.best.as_ref().and_then(|(epoch, _)| state.history[epoch - 1].held_out);
+        let is_best = match (held_out, known) {
+            (Some(new), Some(known)) if pace.chooses => new < known,
+            _ => true,
+        };
+        *state = next;
+        state.history.push(EpochRecord { epoch, train_loss, held_out, held_out_raw, learning_rate });
+        if is_best {
+            state.best = Some((epoch, state.adam.parameters.clone()));
+            learner.write_network(&state.adam.parameters, &found)?;
+        }
+        write_history(learner.files(), &state.history)?;
+        // Last: what a checkpoint speaks of is there.
+        learner.keep(state)?;
+        let done = Some(&state.history[epoch - 1]);
+        let progress = Progress { epoch, epochs: pace.epochs, step: steps, steps, train_loss, done, best: is_best };
+        if told(&progress).is_break() {
+            return Ok(TrainingEnd::ByCaller);
+        }
+    }
+    Ok(TrainingEnd::Complete)
+}
+
+/// One pass over the samples: their mean loss, the last learning rate and the number of steps; `None` where the caller stopped it.
+fn run_epoch<L: Learner>(
+    learner: &L,
+    pace: &Pace,
+    epoch: usize,
+    state: &mut State,
+    told: &mut dyn FnMut(&Progress<'_>) -> ControlFlow<()>,
+) -> Result<Option<(f64, f64, usize)>, LearnError> {
+    let device = Device::flex().autodiff();
+    let order = learner.order(epoch);
+    let steps = order.len().div_ceil(pace.batch);
+    let all_steps = (steps * pace.epochs) as u64;
+    let (mut loss_sum, mut seen, mut rate) = (0.0, 0, 0.0);
+    for (step, chosen) in order.chunks(pace.batch).enumerate() {
+        let (loss, slopes) = learner.slopes(epoch, chosen, &state.adam.parameters, &device);
+        rate = learning_rate(&pace.rule, state.adam.steps, all_steps);
+        let norm = state.adam.step(&slopes, rate, &pace.rule);
+        if !norm.is_finite() {
+            return Err(LearnError::Diverged { epoch, norm, learning_rate: rate });
+        }
+        loss_sum += loss * chosen.len() as f64;
+        seen += chosen.len();
+        let train_loss = loss_sum / seen as f64;
+        let progress = Progress { epoch, epochs: pace.epochs, step: step + 1, steps, train_loss, done: None, best: false };
+        // The last step of an epoch is told with the epoch.
+        if step + 1 < steps && told(&progress).is_break() {
+            return Ok(None);
+        }
+    }
+    Ok(Some((loss_sum / seen as f64, rate, steps)))
+}
+
+fn write_history(files: &TrainFiles, history: &[EpochRecord]) -> Result<(), LearnError> {
+    let mut table = csv::Writer::from_writer(Vec::new());
+    let path = &files.history;
+    let io = |source| LearnError::Io { path: path.clone(), source };
+    for record in history {
+        table.serialize(record).map_err(|error| io(error.into()))?;
+    }
+    let bytes = table.into_inner().map_err(|error| io(error.into_error()))?;
+    Ok(write_atomically(path, |file| file.write_all(&bytes))?)
+}
+
+/// The slopes of `loss` by parameters, each a weight and a bias, in their order.
+pub(super) fn slopes_of<'a, const D: usize>(
+    loss: &Tensor<1>,
+    layers: impl IntoIterator<Item = (&'a Tensor<D>, &'a Tensor<1>)>,
+) -> Vec<f32> {
+    let mut gradients = loss.backward();
+    let mut all = Vec::new();
+    for (weight, bias) in layers {
+        let of_weight = weight.grad_remove(&mut gradients).map(Tensor::into_data);
+        let of_bias = bias.grad_remove(&mut gradients).map(Tensor::into_data);
+        for data in [of_weight, of_bias] {
+            all.extend(data.expect("every parameter is used by the forward pass").iter::<f32>());
+        }
+    }
+    all
+}

@@ -1,0 +1,158 @@
+//! Patches of specimens as a pass sees them: turned, scaled, mirrored, with noise, on another scale, and with contrast medium where there was none.
+
+use glam::{DMat3, DVec3};
+
+use crate::infer::materials::{AIR, BEYOND_HU, BONE, CLASSES, DENSE_HU, Pass, Reduced, SOFT, windows};
+use crate::learn::specimen::{LabelledSpecimen, METAL};
+use crate::random::Stream;
+
+/// What is thinner is air, or lung.
+const AIR_BELOW_HU: f32 = -700.0;
+/// Weight of points that are too thin for bone: what is said of them decides nothing.
+const THIN_WEIGHT: f32 = 0.2;
+/// Below this no average over a few voxels hides one that is dense enough.
+const NEARLY_DENSE_HU: f32 = DENSE_HU - 30.0;
+/// Share of patches about a voxel of bone.
+const AT_BONE: f64 = 0.7;
+
+/// A specimen, averaged to the resolution of a pass.
+#[derive(Clone, Debug)]
+pub(super) struct Prepared {
+    hu: Reduced,
+    /// Structure of each block's middle.
+    structure: Vec<u8>,
+    /// Shares of each block.
+    air: Vec<f32>,
+    bone: Vec<f32>,
+    metal: Vec<f32>,
+    /// Blocks that are mostly bone.
+    bone_blocks: Vec<u32>,
+    bones: Vec<u8>,
+    is_phantom: bool,
+}
+
+/// One patch: row-major (z, y, x).
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Patch {
+    /// [2, n³].
+    pub windows: Vec<f32>,
+    /// Shares of the classes, [3, n³].
+    pub truth: Vec<f32>,
+    /// How much each point counts, [n³].
+    pub weight: Vec<f32>,
+}
+
+impl Prepared {
+    pub(super) fn new(specimen: &LabelledSpecimen, pass: &Pass) -> Self {
+        let reduced =
+            |value: &(dyn Fn(usize) -> f32 + Sync)| Reduced::of(specimen.size, &specimen.lps_from_voxel, pass.spacing_mm, value);
+        let share = |is: bool| f32::from(u8::from(is));
+        let hu = reduced(&|index| specimen.hu[index].max(BEYOND_HU));
+        let bone = reduced(&|index| share(specimen.is_in_bone(index))).values;
+        let structure = (0..hu.values.len()).map(|block| specimen.structure[hu.middle_voxel(block, specimen.size)]).collect();
+        let bone_blocks = (0..bone.len()).filter(|block| bone[*block] > 0.5).map(|block| block as u32).collect();
+        Self {
+            air: reduced(&|index| share(specimen.hu[index] < AIR_BELOW_HU)).values,
+            metal: reduced(&|index| share(specimen.structure[index] == METAL)).values,
+            structure,
+            bone_blocks,
+            bone,
+            hu,
+            bones: specimen.bones.clone(),
+            is_phantom: specimen.is_phantom,
+        }
+    }
+
+    /// A patch of `pass` that `stream` draws; with `changed`, as no scanner may have seen it.
+    pub(super) fn patch(&self, pass: &Pass, stream: &mut Stream, changed: bool) -> Patch {
+        let spacing_mm = DVec3::from_array(pass.spacing_mm);
+        let side = pass.patch;
+        let half = (side as f64 - 1.0) / 2.0;
+        let block = if stream.uniform() < AT_BONE && !self.bone_blocks.is_empty() {
+            self.bone_blocks[(stream.uniform() * self.bone_blocks.len() as f64) as usize] as usize
+        } else {
+            (stream.uniform() * self.structure.len() as f64) as usize
+        };
+        let jitter = DVec3::new(stream.uniform(), stream.uniform(), stream.uniform()) - 0.5;
+        let centre = self.hu.centre(block) + jitter * spacing_mm * side as f64 * 0.5;
+        let axes = if changed { turned(stream) } else { DMat3::IDENTITY };
+        let change = if changed { Change::drawn(stream, &self.bones, self.is_phantom) } else { Change::nothing() };
+        let points = pass.points();
+        let (mut hu, mut weight) = (Vec::with_capacity(points), Vec::with_capacity(points));
+        let mut truth = vec![0.0; CLASSES * points];
+        for z in 0..side {
+            for y in 0..side {
+                for x in 0..side {
+                    let step = DVec3::new(x as f64, y as f64, z as f64) - half;
+                    let shares = self.hu.about(centre + axes * (step * spacing_mm));
+                    let value = shares.sum(BEYOND_HU, |place| {
+                        let change = change.of_structure[usize::from(self.structure[place])];
+                        self.hu.values[place] + if self.air[place] > 0.0 { 0.0 } else { change }
+                    });
+                    let value = value * change.gain + change.shift_hu + change.noise_hu * stream_noise(stream, change.noise_hu);
+                    let at = hu.len();
+                    let air = shares.sum(1.0, |place| self.air[place]);
+                    let bone = shares.sum(0.0, |place| self.bone[place]).min(1.0 - air);
+                    truth[AIR * points + at] = air;
+                    truth[BONE * points + at] = bone;
+                    truth[SOFT * points + at] = 1.0 - air - bone;
+                    let known = 1.0 - shares.sum(0.0, |place| self.metal[place]);
+                    weight.push(known * if value >= NEARLY_DENSE_HU { 1.0 } else { THIN_WEIGHT });
+                    hu.push(value);
+                }
+            }
+        }
+        Patch { windows: windows(&hu).collect(), truth, weight }
+    }
+}
+
+fn stream_noise(stream: &mut Stream, deviation: f32) -> f32 {
+    if deviation > 0.0 { stream.normal() as f32 } else { 0.0 }
+}
+
+/// Turned about all axes by some 12°, left and right exchanged or not, scaled.
+fn turned(stream: &mut Stream) -> DMat3 {
+    let angle = |stream: &mut Stream| 0.2 * stream.normal();
+    let turn =
+        DMat3::from_rotation_x(angle(stream)) * DMat3::from_rotation_y(angle(stream)) * DMat3::from_rotation_z(angle(stream));
+    let mirror = if stream.uniform() < 0.5 { -1.0 } else { 1.0 };
+    let scale = (0.12 * stream.normal()).clamp(-0.3, 0.3).exp();
+    turn * DMat3::from_diagonal(DVec3::new(mirror * scale, scale, scale))
+}
+
+/// What is done to the Hounsfield numbers of a patch.
+struct Change {
+    gain: f32,
+    shift_hu: f32,
+    noise_hu: f32,
+    /// Added where a structure is.
+    of_structure: [f32; 256],
+}
+
+impl Change {
+    fn nothing() -> Self {
+        Self { gain: 1.0, shift_hu: 0.0, noise_hu: 0.0, of_structure: [0.0; 256] }
+    }
+
+    fn drawn(stream: &mut Stream, bones: &[u8], is_phantom: bool) -> Self {
+        let between = |stream: &mut Stream, low: f64, high: f64| (low + (high - low) * stream.uniform()) as f32;
+        let mut of_structure = [0.0; 256];
+        let (with_contrast, with_bone) = (stream.uniform() < 0.5, stream.uniform() < 0.4);
+        let of_bone = between(stream, -90.0, 90.0);
+        for (structure, change) in of_structure.iter_mut().enumerate().take(usize::from(METAL)).skip(1) {
+            let (is_filled, contrast) = (stream.uniform() < 0.25, between(stream, 40.0, 350.0));
+            if bones.contains(&(structure as u8)) {
+                *change = if with_bone { of_bone } else { 0.0 };
+            } else if with_contrast && is_filled && !is_phantom {
+                *change = contrast;
+            }
+        }
+        let is_noisy = stream.uniform() < 0.5;
+        Self {
+            gain: between(stream, 0.95, 1.05),
+            shift_hu: between(stream, -20.0, 20.0),
+            noise_hu: if is_noisy { between(stream, 0.0, 45.0) } else { 0.0 },
+            of_structure,
+        }
+    }
+}

@@ -1,0 +1,60 @@
+//! All that decides what the training of a materials network comes to, together with its specimens.
+
+use serde::{Deserialize, Serialize};
+
+use crate::infer::materials::MaterialsArchitecture;
+use crate::learn::recipe::{counted, refuse_wrong};
+use crate::learn::{HoldOut, LearnError, StepRule};
+
+/// All that decides the result of a training, together with the specimens.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MaterialsRecipe {
+    /// The passes.
+    pub materials: MaterialsArchitecture,
+    /// Of the first weights, the patches and the phantoms held out.
+    pub seed: u64,
+    /// Epochs; the learning rate has its end at the last.
+    pub epochs: usize,
+    /// Steps of an epoch.
+    pub steps: usize,
+    /// Patches of each pass in a step.
+    pub batch: usize,
+    /// How a step follows from its gradient.
+    pub rule: StepRule,
+    /// Share of the patches that are of phantoms, where there are CTs too.
+    pub phantoms: f64,
+    /// What is not trained on; a share of the seeds is one of the phantoms.
+    pub hold_out: HoldOut,
+    /// Stop after so many epochs without a better held-out loss, where that chooses.
+    pub patience: Option<usize>,
+}
+
+impl Default for MaterialsRecipe {
+    fn default() -> Self {
+        Self {
+            materials: MaterialsArchitecture::Default,
+            seed: 1,
+            epochs: 30,
+            steps: 40,
+            batch: 2,
+            rule: StepRule::default(),
+            phantoms: 0.35,
+            hold_out: HoldOut::Seeds { share: 0.1 },
+            patience: Some(10),
+        }
+    }
+}
+
+impl MaterialsRecipe {
+    pub(super) fn check(&self) -> Result<(), LearnError> {
+        refuse_wrong(&[
+            counted("epochs", self.epochs),
+            counted("steps", self.steps),
+            counted("batch", self.batch),
+            ("share of phantoms", "0 to 1", self.phantoms, self.phantoms >= 0.0 && self.phantoms <= 1.0),
+        ])?;
+        self.rule.check()?;
+        self.hold_out.check()
+    }
+}

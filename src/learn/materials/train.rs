@@ -1,0 +1,302 @@
+//! The training of a materials network.
+
+use std::collections::BTreeMap;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+
+use burn::tensor::Device;
+use sha2::{Digest, Sha256};
+
+use super::figures::MaterialsFigures;
+use super::loss::Batch;
+use super::patch::{Patch, Prepared};
+use super::recipe::MaterialsRecipe;
+use crate::image::write_atomically;
+use crate::infer::materials::{CubeNetwork, LoadedMaterials, MaterialsCard, Pass};
+use crate::infer::{JudgedBy, Layer, NetworkCard, NetworkFiles, sha256, weights_file};
+use crate::learn::adam::Adam;
+use crate::learn::checkpoint::State;
+use crate::learn::epochs::{self, Learner, Pace, slopes_of};
+use crate::learn::specimen::LabelledSpecimen;
+use crate::learn::train::check_output;
+use crate::learn::{HoldOut, LearnError, Progress, TrainFiles, TrainOptions, Trained, TrainingEnd, siblings};
+use crate::random::{Purpose, Stream};
+
+/// Patches of each pass that an epoch is judged by.
+const JUDGED_PATCHES: usize = 16;
+/// What the card says of the truth.
+const TRUTH: &str =
+    "bones of CTs: the labels of their scenes, whoever drew them (often another network), from 100 HU up; of phantoms: exact";
+
+/// A trained materials network, and its figures by name.
+pub type TrainedMaterials = Trained<MaterialsCard, BTreeMap<String, f64>>;
+
+/// Trains a network, tells `told` after every step, and writes the weights with their card, the history and a checkpoint after every epoch; the
+/// figures come at the end. When `told` breaks, the unfinished epoch is dropped. The same options and specimens give the same weights to the bit,
+/// on the same kind of processor, also when the training was interrupted and resumed.
+///
+/// # Errors
+/// When specimens, options or a checkpoint cannot be used, a file cannot be written, or the training diverges.
+pub fn train_materials(
+    options: &TrainOptions<MaterialsRecipe>,
+    told: &mut dyn FnMut(&Progress<'_>) -> ControlFlow<()>,
+) -> Result<TrainedMaterials, LearnError> {
+    let recipe = &options.recipe;
+    recipe.check()?;
+    check_output(options)?;
+    let (specimens, samples_sha256) = read(&options.dataset)?;
+    let held = held_out(&specimens, &recipe.hold_out, recipe.seed)?;
+    let card = card_of(&specimens, &held, recipe, samples_sha256);
+    siblings::judge(&mut card.clone(), &options.siblings)?;
+    let layers = recipe.materials.layers();
+    let training = Training::new(options, &specimens, &held, card);
+    let mut state = if options.resume && training.files.checkpoint.exists() {
+        let count = layers.iter().map(Layer::value_count).sum();
+        State::read(&training.files.checkpoint, recipe, &training.card.samples_sha256, count)?
+    } else {
+        State { adam: Adam::drawn(&layers, recipe.seed), history: Vec::new(), best: None }
+    };
+    let end = epochs::run(&training, &mut state, told)?;
+    training.trained(&specimens, &held, &state, end)
+}
+
+/// The specimens of `folder` by name, and the hash of their files.
+fn read(folder: &Path) -> Result<(Vec<LabelledSpecimen>, String), LearnError> {
+    let io = |source| LearnError::Io { path: folder.to_owned(), source };
+    let mut paths: Vec<PathBuf> = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(io)? {
+        paths.push(entry.map_err(io)?.path());
+    }
+    paths.retain(|path| path.extension().is_some_and(|ending| ending == "safetensors"));
+    paths.sort();
+    if paths.is_empty() {
+        return Err(LearnError::NoSpecimens { path: folder.to_owned() });
+    }
+    let mut hash = Sha256::new();
+    let mut specimens: Vec<LabelledSpecimen> = Vec::new();
+    for path in &paths {
+        let specimen = LabelledSpecimen::read(path)?;
+        hash.update(std::fs::read(path).map_err(io)?);
+        if let Some(other) = specimens.iter().find(|other| other.name == specimen.name) {
+            return Err(LearnError::SameName { path: path.clone(), name: other.name.clone() });
+        }
+        specimens.push(specimen);
+    }
+    Ok((specimens, hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()))
+}
+
+/// Which specimens are held out.
+fn held_out(specimens: &[LabelledSpecimen], hold_out: &HoldOut, seed: u64) -> Result<Vec<bool>, LearnError> {
+    let held: Vec<bool> = match hold_out {
+        HoldOut::Nothing => vec![false; specimens.len()],
+        HoldOut::Seeds { share } => {
+            let is_held = |index: usize| Stream::new(seed, 0, index as u32, Purpose::HeldOut).uniform() < *share;
+            specimens.iter().enumerate().map(|(index, specimen)| specimen.is_phantom && is_held(index)).collect()
+        }
+        HoldOut::Specimens { names } => {
+            if let Some(name) = names.iter().find(|name| specimens.iter().all(|specimen| specimen.name != **name)) {
+                let known = specimens.iter().map(|specimen| specimen.name.clone()).collect();
+                return Err(LearnError::UnknownSpecimen { name: name.clone(), known });
+            }
+            specimens.iter().map(|specimen| names.contains(&specimen.name)).collect()
+        }
+    };
+    let count = held.iter().filter(|held| **held).count();
+    let nothing_to_judge_by = *hold_out != HoldOut::Nothing && count == 0;
+    if count == specimens.len() || (nothing_to_judge_by && !matches!(hold_out, HoldOut::Seeds { .. })) {
+        return Err(LearnError::Split { train: specimens.len() - count, held_out: count });
+    }
+    Ok(held)
+}
+
+fn card_of(specimens: &[LabelledSpecimen], held: &[bool], recipe: &MaterialsRecipe, samples_sha256: String) -> MaterialsCard {
+    let trained = || specimens.iter().zip(held).filter(|(_, held)| !**held).map(|(specimen, _)| specimen);
+    let mut names: Vec<String> = trained().filter(|one| !one.is_phantom).map(|one| one.name.clone()).collect();
+    names.sort();
+    let phantoms = trained().filter(|one| one.is_phantom).count();
+    if phantoms > 0 {
+        names.push(format!("{phantoms} phantoms"));
+    }
+    let spacings = || trained().flat_map(|specimen| specimen.volume().spacing_mm());
+    let of_held = || specimens.iter().zip(held).filter(|(_, held)| **held).map(|(specimen, _)| specimen.name.clone());
+    MaterialsCard {
+        materials: recipe.materials,
+        weights_sha256: String::new(),
+        training_seed: recipe.seed,
+        training_epochs: recipe.epochs,
+        training_steps: recipe.steps,
+        training_batch: recipe.batch,
+        specimens: names,
+        truth: TRUTH.to_owned(),
+        samples_sha256,
+        spacing_bounds_mm: [spacings().fold(f64::INFINITY, f64::min), spacings().fold(0.0, f64::max)],
+        judged_by: match &recipe.hold_out {
+            HoldOut::Specimens { .. } => JudgedBy::Specimens { names: of_held().collect() },
+            HoldOut::Seeds { .. } if held.iter().any(|held| *held) => JudgedBy::Seeds,
+            HoldOut::Seeds { .. } | HoldOut::Nothing => JudgedBy::Nothing,
+        },
+        held_out: BTreeMap::new(),
+    }
+}
+
+/// What does not change from epoch to epoch.
+struct Training<'a> {
+    options: &'a TrainOptions<MaterialsRecipe>,
+    recipe: &'a MaterialsRecipe,
+    passes: &'static [Pass],
+    /// CTs and phantoms trained on, as each pass sees them.
+    trained: [Vec<Vec<Prepared>>; 2],
+    /// Patches of what was held out, of each pass.
+    judged: Vec<Vec<Patch>>,
+    card: MaterialsCard,
+    files: TrainFiles,
+}
+
+impl<'a> Training<'a> {
+    fn new(
+        options: &'a TrainOptions<MaterialsRecipe>,
+        specimens: &[LabelledSpecimen],
+        held: &[bool],
+        card: MaterialsCard,
+    ) -> Self {
+        let recipe = &options.recipe;
+        let passes = recipe.materials.passes();
+        let prepared = |specimen: &LabelledSpecimen| passes.iter().map(|pass| Prepared::new(specimen, pass)).collect::<Vec<_>>();
+        let (mut trained, mut of_held) = ([Vec::new(), Vec::new()], Vec::new());
+        for (specimen, is_held) in specimens.iter().zip(held) {
+            if *is_held {
+                of_held.push(prepared(specimen));
+            } else {
+                trained[usize::from(specimen.is_phantom)].push(prepared(specimen));
+            }
+        }
+        let judged = passes.iter().enumerate().map(|(place, pass)| {
+            let count = if of_held.is_empty() { 0 } else { JUDGED_PATCHES };
+            let patch = |number: usize| {
+                let mut stream = Stream::new(recipe.seed, 1, (number * passes.len() + place) as u32, Purpose::HeldOut);
+                of_held[number % of_held.len()][place].patch(pass, &mut stream, false)
+            };
+            (0..count).map(patch).collect()
+        });
+        Self { judged: judged.collect(), files: TrainFiles::of(&options.output), options, recipe, passes, trained, card }
+    }
+
+    /// Patch `number` of an epoch, of the pass at `place`.
+    fn patch(&self, epoch: usize, number: usize, place: usize) -> Patch {
+        // The same specimen for all passes, each with its own place in it.
+        let mut stream = Stream::new(self.recipe.seed, epoch as u32, (number * (self.passes.len() + 1)) as u32, Purpose::Epoch);
+        let of_phantom = stream.uniform() < self.recipe.phantoms;
+        let [cts, phantoms] = &self.trained;
+        let from = if cts.is_empty() || (of_phantom && !phantoms.is_empty()) { phantoms } else { cts };
+        let specimen = &from[(stream.uniform() * from.len() as f64) as usize];
+        let stream_of_pass = (number * (self.passes.len() + 1) + place + 1) as u32;
+        let mut stream = Stream::new(self.recipe.seed, epoch as u32, stream_of_pass, Purpose::Epoch);
+        specimen[place].patch(&self.passes[place], &mut stream, true)
+    }
+
+    /// The networks of the passes.
+    fn networks(&self, parameters: &[f32], device: &Device) -> Vec<CubeNetwork> {
+        let mut rest = parameters;
+        let network = |pass: &Pass| {
+            let (own, behind) = rest.split_at(pass.parameter_count());
+            rest = behind;
+            CubeNetwork::new(pass, own, device).expect("parameters were drawn or read for these layers")
+        };
+        self.passes.iter().map(network).collect()
+    }
+
+    /// Writes `parameters`, then their card with `figures`: until it is there too, a reader meets a checksum that disagrees.
+    fn written(&self, parameters: &[f32], figures: BTreeMap<String, f64>) -> Result<MaterialsCard, LearnError> {
+        let mut card = MaterialsCard { held_out: figures, ..self.card.clone() };
+        let weights = weights_file(&card.layers(), parameters).map_err(LearnError::Encode)?;
+        card.weights_sha256 = sha256(&weights);
+        siblings::judge(&mut card, &self.options.siblings)?;
+        let NetworkFiles { weights: weights_path, card: card_path } = &self.files.network;
+        write_atomically(weights_path, |file| file.write_all(&weights))?;
+        write_atomically(card_path, |file| Ok(serde_json::to_writer_pretty(file, &card)?))?;
+        Ok(card)
+    }
+
+    fn trained(
+        &self,
+        specimens: &[LabelledSpecimen],
+        held: &[bool],
+        state: &State,
+        end: TrainingEnd,
+    ) -> Result<TrainedMaterials, LearnError> {
+        let Some((epoch, parameters)) = &state.best else { return Err(LearnError::StoppedTooSoon) };
+        let network = LoadedMaterials::new(self.card.clone(), parameters);
+        let mut figures = BTreeMap::new();
+        if end != TrainingEnd::ByCaller {
+            let (mut phantoms, mut is_any) = (MaterialsFigures::default(), false);
+            for (specimen, _) in specimens.iter().zip(held).filter(|(_, held)| **held) {
+                let found = MaterialsFigures::of(specimen, &network.bone(&specimen.volume(), &mut |_, _, _| {}));
+                if specimen.is_phantom {
+                    (phantoms, is_any) = (phantoms.and(found), true);
+                } else {
+                    figures.extend(found.named(""));
+                }
+            }
+            if is_any {
+                figures.extend(phantoms.named(" of phantoms"));
+            }
+        }
+        let card = self.written(parameters, figures.clone())?;
+        Ok(Trained { card, files: self.files.clone(), epoch: *epoch, held_out: figures, history: state.history.clone(), end })
+    }
+}
+
+impl Learner for Training<'_> {
+    type Found = Option<f64>;
+
+    fn pace(&self) -> Pace {
+        let MaterialsRecipe { epochs, batch, rule, hold_out, patience, .. } = self.recipe;
+        let chooses = hold_out.chooses() && self.judged.iter().all(|patches| !patches.is_empty());
+        Pace { epochs: *epochs, batch: *batch, rule: rule.clone(), chooses, patience: *patience }
+    }
+
+    fn order(&self, _: usize) -> Vec<usize> {
+        (0..self.recipe.steps * self.recipe.batch).collect()
+    }
+
+    fn slopes(&self, epoch: usize, chosen: &[usize], parameters: &[f32], device: &Device) -> (f64, Vec<f32>) {
+        let (mut losses, mut slopes) = (0.0, Vec::new());
+        for (place, network) in self.networks(parameters, device).iter().enumerate() {
+            let patches: Vec<Patch> = chosen.iter().map(|number| self.patch(epoch, *number, place)).collect();
+            let loss = Batch::new(&patches, &self.passes[place], device).loss(network);
+            slopes.extend(slopes_of(&loss, network.layers().iter().map(|layer| (&layer.weight, &layer.bias))));
+            losses += f64::from(loss.into_scalar::<f32>());
+        }
+        (losses / self.passes.len() as f64, slopes)
+    }
+
+    fn judge(&self, parameters: &[f32]) -> ([Option<f64>; 2], Option<f64>) {
+        let device = Device::flex();
+        let networks = self.networks(parameters, &device);
+        let of_pass = |place: usize| {
+            let patches = &self.judged[place];
+            let of_batch = |patches: &[Patch]| {
+                let loss = Batch::new(patches, &self.passes[place], &device).loss(&networks[place]);
+                f64::from(loss.into_scalar::<f32>()) * patches.len() as f64
+            };
+            patches.chunks(self.recipe.batch).map(of_batch).sum::<f64>() / patches.len() as f64
+        };
+        let loss = (0..self.passes.len()).map(of_pass).sum::<f64>() / self.passes.len() as f64;
+        // Without patches it is 0/0.
+        let loss = loss.is_finite().then_some(loss);
+        ([loss, loss], loss)
+    }
+
+    fn write_network(&self, parameters: &[f32], found: &Option<f64>) -> Result<(), LearnError> {
+        let figures = found.iter().map(|loss| ("loss".to_owned(), *loss)).collect();
+        self.written(parameters, figures).map(drop)
+    }
+
+    fn files(&self) -> &TrainFiles {
+        &self.files
+    }
+
+    fn keep(&self, state: &State) -> Result<(), LearnError> {
+        state.write(&self.files.checkpoint, self.options, &self.card.samples_sha256)
+    }
+}

@@ -1,5 +1,6 @@
 //! The integration tests: one binary.
 
+mod ablations;
 mod acquire_foreign;
 mod acquire_altered;
 mod acquire_frames;
@@ -155,6 +156,10 @@ mod session_signals;
 mod replay_bad_logs;
 mod replay_meddled;
 mod wire_corruption;
+#[cfg(feature = "learn")]
+mod materials_learn;
+#[cfg(feature = "learn")]
+mod materials_scene;
 #[cfg(feature = "learn")]
 mod network_command;
 #[cfg(feature = "learn")]

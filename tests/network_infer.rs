@@ -1,7 +1,7 @@
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
-use sidecarm::infer::{Architecture, InferError, Input, LoadedNetwork, NetworkFiles, ScatterNetwork, sha256};
+use sidecarm::infer::{Architecture, Card, InferError, Input, LoadedNetwork, NetworkFiles, ScatterNetwork, sha256, weights_file};
 use sidecarm::learn::{Dataset, HoldOut, Recipe, TrainOptions, train};
 
 use crate::network_samples as samples;
@@ -27,10 +27,10 @@ fn a_saved_and_reloaded_network_predicts_the_same_bits() {
     let folder = tempfile::tempdir().unwrap();
     let (name, dataset) = small(folder.path());
     let network = load(&name).unwrap();
-    let (card, parameters) = NetworkFiles::of(&name).read().unwrap();
+    let (card, parameters) = NetworkFiles::of(&name).read::<Card>().unwrap();
     let again = folder.path().join("again");
     let files = NetworkFiles::of(&again);
-    std::fs::write(&files.weights, card.architecture.weights_file(9, 6, &parameters).unwrap()).unwrap();
+    std::fs::write(&files.weights, weights_file(&card.architecture.layers(9, 6), &parameters).unwrap()).unwrap();
     std::fs::write(&files.card, serde_json::to_vec(&card).unwrap()).unwrap();
     let reloaded = load(&files.weights).unwrap();
     assert_eq!(reloaded.card(), network.card());
@@ -103,15 +103,15 @@ fn a_wrong_truncated_or_foreign_file_is_refused_with_its_reason() {
     let (name, _) = small(folder.path());
     let files = NetworkFiles::of(&name);
     let (weights, card) = (std::fs::read(&files.weights).unwrap(), std::fs::read_to_string(&files.card).unwrap());
-    let parameters = files.read().unwrap().1;
+    let parameters = files.read::<Card>().unwrap().1;
     let with_sum = |weights: &[u8]| card.replace(&sha256(&std::fs::read(&files.weights).unwrap()), &sha256(weights));
     let truncated = &weights[..weights.len() - 1];
     let foreign = b"\x89PNG\r\n\x1a\nnot a network".as_slice();
     let paper_count = Architecture::Paper.layers(9, 6).iter().map(sidecarm::infer::Layer::value_count).sum();
-    let paper = Architecture::Paper.weights_file(9, 6, &vec![0.0; paper_count]).unwrap();
+    let paper = weights_file(&Architecture::Paper.layers(9, 6), &vec![0.0; paper_count]).unwrap();
     let mut not_finite = parameters;
     not_finite[17] = f32::NAN;
-    let not_finite = Architecture::Default.weights_file(9, 6, &not_finite).unwrap();
+    let not_finite = weights_file(&Architecture::Default.layers(9, 6), &not_finite).unwrap();
     let mut flipped = weights.clone();
     *flipped.last_mut().unwrap() ^= 1;
     let cases: Vec<(&str, &[u8], String)> = vec![

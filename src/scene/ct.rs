@@ -11,6 +11,8 @@ use super::inpaint::{Ball, inpaint_labels, inpaint_metal};
 use super::label_names::{LabelNames, preset_material};
 use super::matter::{self, Air, Class, Classes, Labelled};
 use super::model::{LabelledBody, Matter};
+#[cfg(feature = "learn")]
+use super::network_bone::BoneNetwork;
 use super::object_file::{AirFile, BODY, CtFile, DensityFile, ElseFile, LabelMaterialFile, LabelsFile, MapFile, MaterialsFile};
 use super::physics::Material;
 use super::volumes::VolumeFile;
@@ -61,6 +63,10 @@ impl Builder<'_> {
         let classes = match &file.materials {
             MaterialsFile::Threshold => self.threshold_classes(&mut local)?,
             MaterialsFile::Labels(labels) => self.labels(&mut local, file, labels, &path, &ct, &inpainted)?,
+            MaterialsFile::Network(name) => {
+                let seen = self.seen_bone(name.as_deref(), &path, &ct)?;
+                Classes { seen_bone: Some(seen), ..self.threshold_classes(&mut local)? }
+            }
         };
         let (mut volume, order, doubtful_slices) = matter::from_ct(&self.files.place(&self.key), ct, &classes, air)?;
         if order.is_empty() {
@@ -71,8 +77,10 @@ impl Builder<'_> {
             let voxels = volume.class.iter().filter(|class| **class != 0).count();
             voxels as f64 * volume.lps_from_voxel.matrix3.determinant().abs()
         };
-        if file.materials == MaterialsFile::Threshold && !order.iter().any(is_bone) && matter_mm3() > SPECIMEN_MM3 {
-            self.reporter.note(format_args!("{}: no voxel is dense enough for bone", path.display()));
+        if !matches!(file.materials, MaterialsFile::Labels(_)) && !order.iter().any(is_bone) && matter_mm3() > SPECIMEN_MM3 {
+            let words =
+                if file.materials == MaterialsFile::Threshold { "is dense enough for" } else { "looks to the network like" };
+            self.reporter.note(format_args!("{}: no voxel {words} bone", path.display()));
         }
         if doubtful_slices > 0 {
             let words = format!(
@@ -131,8 +139,38 @@ impl Builder<'_> {
         Ok(Classes {
             soft_tissue: Some(self.local_class(local, "materials", "soft_tissue", DensityFile::Hu)?),
             bone: Some(self.local_class(local, "materials", BONE, DensityFile::Hu)?),
+            seen_bone: None,
             labelled: None,
         })
+    }
+
+    /// Which voxels the network `name` says are bone, or the one that comes with the program.
+    #[cfg(feature = "learn")]
+    fn seen_bone(&mut self, name: Option<&str>, path: &Path, ct: &VolumeFile) -> Result<Vec<bool>, SceneError> {
+        let network = match name {
+            Some(name) if !name.ends_with(".safetensors") => {
+                return Err(self.value(
+                    "materials.network",
+                    format!("'{name}'"),
+                    "the weights, NAME.safetensors, with NAME.json beside them",
+                ));
+            }
+            Some(name) => BoneNetwork::open(Some(&self.find("materials.network", name)?)),
+            None => BoneNetwork::open(None),
+        };
+        let network = network.map_err(|source| SceneError::Network { place: self.place("materials"), source })?;
+        if name.is_none() {
+            self.files.remember("calibration/networks/materials.safetensors", network.sha256().to_owned(), None);
+        }
+        let name = path.file_name().map_or_else(|| path.display().to_string(), |name| name.to_string_lossy().into_owned());
+        Ok(network.bone(ct, &name, self.reporter))
+    }
+
+    /// Nobody says it in this build.
+    #[cfg(not(feature = "learn"))]
+    fn seen_bone(&mut self, _: Option<&str>, _: &Path, _: &VolumeFile) -> Result<Vec<bool>, SceneError> {
+        let detail = "\"network\" needs the feature `learn`, which this program was built without".to_owned();
+        Err(SceneError::Keys { place: self.place("materials"), detail })
     }
 
     /// Classes by the labels of `file`, and the bodies that it makes of them.
@@ -162,7 +200,7 @@ impl Builder<'_> {
                 let name = default.as_deref().unwrap_or("soft_tissue");
                 let default = self.local_class(local, "materials.default", name, DensityFile::Hu)?;
                 let default = (local[default.material].name != "air").then_some(default);
-                Classes { soft_tissue: default, bone: default, labelled: None }
+                Classes { soft_tissue: default, bone: default, seen_bone: None, labelled: None }
             }
         };
         let map = self.label_map(local, file, &names)?;

@@ -54,6 +54,15 @@ pub enum SceneError {
         /// Which keys.
         detail: String,
     },
+    /// A materials network cannot be used.
+    #[cfg(feature = "learn")]
+    #[error("{place}: {source}")]
+    Network {
+        /// File and key that ask for it.
+        place: String,
+        /// Why.
+        source: crate::infer::InferError,
+    },
     /// A material, an energy or a spectrum is wrong.
     #[error("{place}: {source}")]
     Physics {

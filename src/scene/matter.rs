@@ -24,8 +24,10 @@ pub(super) struct Class {
 pub(super) struct Classes {
     /// Up to the upper threshold, lung and gas included; `None`: nothing.
     pub soft_tissue: Option<Class>,
-    /// Above.
+    /// Above, or where a network saw it.
     pub bone: Option<Class>,
+    /// Which voxels are bone, where no threshold says it.
+    pub seen_bone: Option<Vec<bool>>,
     /// Labels, which go before thresholds.
     pub labelled: Option<Labelled>,
 }
@@ -91,8 +93,13 @@ pub(super) fn from_ct(
         .then(|| AmbientAir::find(&ct.grid(), &ct.values, curve.air_below_hu, &|index| named(index).is_some()));
     let by_threshold = |index: usize, hu: f64| match curve.class(hu) {
         ThresholdClass::Thin if ambient.as_ref().is_none_or(|ambient| ambient.holds(index)) => air_number,
-        ThresholdClass::Thin | ThresholdClass::SoftTissue => soft,
-        ThresholdClass::Bone => bone,
+        ThresholdClass::Thin => soft,
+        ThresholdClass::SoftTissue | ThresholdClass::Bone => match &classes.seen_bone {
+            Some(seen) if seen[index] => bone,
+            Some(_) => soft,
+            None if curve.class(hu) == ThresholdClass::Bone => bone,
+            None => soft,
+        },
     };
     let classify = |index: usize, hu: f64| named(index).unwrap_or_else(|| by_threshold(index, hu));
     let mut class = vec![0u8; ct.values.len()];

@@ -20,6 +20,8 @@ mod load;
 mod matter;
 mod mesh;
 pub mod object_file;
+#[cfg(feature = "learn")]
+mod network_bone;
 mod objects;
 mod optics_file;
 mod plain;

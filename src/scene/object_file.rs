@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use serde::Deserialize;
-use serde::de::{Deserializer, IntoDeserializer, MapAccess, Visitor, value::MapAccessDeserializer};
+use serde::de::{DeserializeSeed, Deserializer, Error as _, IntoDeserializer, MapAccess, Visitor, value::MapAccessDeserializer};
 
 use crate::geometry::Rigid;
 
@@ -62,7 +62,7 @@ pub enum AirFile {
     Drop,
 }
 
-/// `"threshold"` or `{"labels": …}`.
+/// `"threshold"`, `"network"`, `{"network": …}` or `{"labels": …}`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum MaterialsFile {
     /// By Hounsfield number.
@@ -70,6 +70,8 @@ pub enum MaterialsFile {
     Threshold,
     /// By a label map.
     Labels(LabelsFile),
+    /// By a network: the one that comes with the program, or the one of these weights, `NAME.safetensors`.
+    Network(Option<String>),
 }
 
 /// Labels to materials. Where a label is meant, its number or its name may stand.
@@ -310,19 +312,50 @@ impl<'de> Deserialize<'de> for MaterialsFile {
         impl<'de> Visitor<'de> for Materials {
             type Value = MaterialsFile;
             fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-                f.write_str("\"threshold\" or {\"labels\": …, \"map\": …}")
+                f.write_str("\"threshold\", \"network\", {\"network\": …} or {\"labels\": …, \"map\": …}")
             }
             fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<MaterialsFile, E> {
                 match text {
                     "threshold" => Ok(MaterialsFile::Threshold),
+                    "network" => Ok(MaterialsFile::Network(None)),
                     _ => Err(E::invalid_value(serde::de::Unexpected::Str(text), &self)),
                 }
             }
-            fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<MaterialsFile, A::Error> {
-                LabelsFile::deserialize(MapAccessDeserializer::new(map)).map(MaterialsFile::Labels)
+            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<MaterialsFile, A::Error> {
+                let first: Option<String> = map.next_key()?;
+                if first.as_deref() == Some("network") {
+                    let name = map.next_value()?;
+                    return match map.next_key::<String>()? {
+                        Some(other) => Err(A::Error::custom(format!("unknown field `{other}` beside `network`"))),
+                        None => Ok(MaterialsFile::Network(Some(name))),
+                    };
+                }
+                let whole = Again { first, rest: map };
+                LabelsFile::deserialize(MapAccessDeserializer::new(whole)).map(MaterialsFile::Labels)
             }
         }
         deserializer.deserialize_any(Materials)
+    }
+}
+
+/// A map whose first key was read already.
+struct Again<A> {
+    first: Option<String>,
+    rest: A,
+}
+
+impl<'de, A: MapAccess<'de>> MapAccess<'de> for Again<A> {
+    type Error = A::Error;
+
+    fn next_key_seed<K: DeserializeSeed<'de>>(&mut self, seed: K) -> Result<Option<K::Value>, A::Error> {
+        match self.first.take() {
+            Some(first) => seed.deserialize(first.into_deserializer()).map(Some),
+            None => self.rest.next_key_seed(seed),
+        }
+    }
+
+    fn next_value_seed<V: DeserializeSeed<'de>>(&mut self, seed: V) -> Result<V::Value, A::Error> {
+        self.rest.next_value_seed(seed)
     }
 }
 

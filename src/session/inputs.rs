@@ -84,6 +84,20 @@ impl InputNames {
         self.labelled().into_iter().map(shown).collect()
     }
 
+    /// What to say of files that come with the program and were others in the program that recorded the session: calibrations, and the network that
+    /// says what of a CT is bone.
+    pub(super) fn other_versions(&self) -> Vec<String> {
+        let of_program = self.inputs.iter().skip(1).filter(|(input, _)| input.place.is_none());
+        let others = of_program.filter(|(input, logged)| input.sha256 != logged.sha256);
+        let said = |(now, then): &(InputFile, LoggedInput)| {
+            let (label, then, now) = (&then.label, &then.sha256, &now.sha256);
+            format!(
+                "{label} was {then} in the program that recorded the session, it is {now} in this one: DRRs may differ by that"
+            )
+        };
+        others.map(said).collect()
+    }
+
     /// Each file once, however often the scene names it.
     fn labelled(&self) -> Vec<LoggedInput> {
         let mut labelled: Vec<LoggedInput> = Vec::new();

@@ -19,6 +19,11 @@ pub const METAL_HU: f32 = 1700.0;
 /// Beyond the scan there is air.
 pub const BEYOND_HU: f32 = -1000.0;
 
+/// The network that comes with the program: where its files are in the sources, and what they hold.
+const SHIPPED: &str = "calibration/networks/materials";
+const SHIPPED_WEIGHTS: &[u8] = include_bytes!("../../../calibration/networks/materials.safetensors");
+const SHIPPED_CARD: &[u8] = include_bytes!("../../../calibration/networks/materials.json");
+
 /// A materials network from files, on the processor.
 #[derive(Clone, Debug)]
 pub struct LoadedMaterials {
@@ -40,6 +45,15 @@ impl LoadedMaterials {
     /// When a file is missing, truncated or of another network.
     pub fn load(name: &Path) -> Result<Self, InferError> {
         let (card, parameters) = NetworkFiles::of(name).read::<MaterialsCard>()?;
+        Ok(Self::new(card, &parameters))
+    }
+
+    /// The network that comes with the program.
+    ///
+    /// # Errors
+    /// When its files are damaged.
+    pub fn shipped() -> Result<Self, InferError> {
+        let (card, parameters) = NetworkFiles::of(Path::new(SHIPPED)).parse::<MaterialsCard>(SHIPPED_WEIGHTS, SHIPPED_CARD)?;
         Ok(Self::new(card, &parameters))
     }
 

@@ -102,14 +102,11 @@ mod tests {
             let there: Vec<bool> = (0..210).map(|_| stream.uniform() < share).collect();
             let found = squared_mm2(size, spacing, |index| there[index]);
             for (index, found) in found.iter().enumerate() {
-                let apart = |other: usize| {
-                    (0..3).map(|axis| {
-                        let steps = at(index)[axis] as f64 - at(other)[axis] as f64;
-                        (steps * spacing[axis]).powi(2)
-                    })
+                let apart = |other: usize| -> f64 {
+                    let steps: [f64; 3] = std::array::from_fn(|axis| at(index)[axis] as f64 - at(other)[axis] as f64);
+                    (0..3).map(|axis| (steps[axis] * spacing[axis]).powi(2)).sum()
                 };
-                let nearest =
-                    (0..210).filter(|other| there[*other]).map(|other| apart(other).sum::<f64>()).fold(f64::INFINITY, f64::min);
+                let nearest = (0..210).filter(|other| there[*other]).map(apart).fold(f64::INFINITY, f64::min);
                 assert!(f64::from(*found) == nearest || (f64::from(*found) - nearest).abs() < 1e-4, "{index}: {found} {nearest}");
             }
         }

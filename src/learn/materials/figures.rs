@@ -112,3 +112,49 @@ impl MaterialsFigures {
         figures
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::learn::specimen::upright;
+
+    #[test]
+    fn voxels_are_counted_where_they_count() {
+        // In bone: marrow, spongy, dense; beside it: contrast medium, muscle; far away: muscle; air; metal.
+        let mut hu = vec![50.0, 180.0, 900.0, 300.0, 60.0];
+        hu.extend([40.0; 5]);
+        hu.extend([-990.0, 3000.0]);
+        let mut structure = vec![1, 1, 1, 2, 3];
+        structure.extend([3; 5]);
+        structure.extend([0, METAL]);
+        let specimen = LabelledSpecimen {
+            name: "a".into(),
+            is_phantom: false,
+            size: [12, 1, 1],
+            lps_from_voxel: upright([2.0, 1.0, 1.0]),
+            hu,
+            structure,
+            bones: vec![1],
+            origin: String::new(),
+        };
+        let mut said = vec![false; 12];
+        (said[1], said[2], said[4]) = (true, true, true);
+        let figures = MaterialsFigures::of(&specimen, &said).named(" of a");
+        let close = |name: &str, expected: f64| {
+            let found = figures[&format!("{name} of a")];
+            assert!((found - expected).abs() < 1e-12, "{name}: {found} {expected}");
+        };
+        // Ten voxels of tissue, of which the muscle beside is wrong; two are bone.
+        close("error", 0.1);
+        close("dice bone", 4.0 / 5.0);
+        close("dice soft tissue", 14.0 / 15.0);
+        // Six lie within 5 mm of the two: from the marrow to 4 mm behind the dense one.
+        close("error within 5 mm of bone", 1.0 / 5.0);
+        close("error from 100 to 400 HU", 0.0);
+        // Thresholding misses the spongy one and invents the contrast medium.
+        close("threshold error", 0.2);
+        close("threshold error from 100 to 400 HU", 1.0);
+        let twice = MaterialsFigures::of(&specimen, &said).and(MaterialsFigures::of(&specimen, &said));
+        assert_eq!(twice.named(" of a"), figures);
+    }
+}

@@ -156,3 +156,57 @@ impl Change {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::infer::materials::MaterialsArchitecture;
+    use crate::learn::materials::phantom;
+    use crate::random::Purpose;
+
+    #[test]
+    fn a_patch_is_that_of_its_stream_and_its_shares_are_whole() {
+        let specimen = phantom(5, &[], String::new());
+        let pass = &MaterialsArchitecture::Default.passes()[0];
+        let prepared = Prepared::new(&specimen, pass);
+        let draw = |number: u32, changed: bool| prepared.patch(pass, &mut Stream::new(1, 1, number, Purpose::Epoch), changed);
+        for changed in [false, true] {
+            let patch = draw(3, changed);
+            assert!(patch == draw(3, changed) && patch != draw(4, changed));
+            let points = pass.points();
+            assert_eq!((patch.windows.len(), patch.truth.len(), patch.weight.len()), (2 * points, 3 * points, points));
+            for at in 0..points {
+                let shares: [f32; 3] = std::array::from_fn(|class| patch.truth[class * points + at]);
+                assert!(
+                    (shares.iter().sum::<f32>() - 1.0).abs() < 1e-4 && shares.iter().all(|share| *share > -1e-4),
+                    "{shares:?}"
+                );
+            }
+            assert!(patch.truth[BONE * points..].iter().any(|share| *share > 0.9));
+        }
+    }
+
+    #[test]
+    fn truth_lies_where_the_numbers_do() {
+        // Unchanged patches: where a point is nearly all bone it is dense, and air is thin.
+        let specimen = phantom(5, &[], String::new());
+        let pass = &MaterialsArchitecture::Default.passes()[1];
+        let prepared = Prepared::new(&specimen, pass);
+        let points = pass.points();
+        let (mut bone, mut tissue) = (Vec::new(), Vec::new());
+        for number in 0..4 {
+            let patch = prepared.patch(pass, &mut Stream::new(1, 2, number, Purpose::Epoch), false);
+            for at in 0..points {
+                let hu = 1000.0 * patch.windows[at];
+                match [AIR, SOFT, BONE].map(|class| patch.truth[class * points + at] > 0.99) {
+                    [true, ..] => assert!(hu < -600.0, "{hu}"),
+                    [_, true, _] => tissue.push(hu),
+                    [.., true] => bone.push(hu),
+                    _ => {}
+                }
+            }
+        }
+        let mean = |values: &[f32]| values.iter().sum::<f32>() / values.len() as f32;
+        assert!(mean(&bone) > mean(&tissue) + 50.0, "{} {}", mean(&bone), mean(&tissue));
+    }
+}

@@ -1,0 +1,127 @@
+//! The bone of a CT by a network, asked once for each CT: what it said is kept in the user's cache folder.
+
+use std::io::{Read, Write};
+use std::path::Path;
+
+use flate2::Compression;
+use flate2::read::ZlibDecoder;
+use flate2::write::ZlibEncoder;
+use sha2::{Digest, Sha256};
+
+use super::volumes::VolumeFile;
+use crate::image::{cache_file, write_atomically};
+use crate::infer::InferError;
+use crate::infer::materials::{HuVolume, LoadedMaterials};
+use crate::reporter::{Progress, Reporter};
+
+/// Changes when the same weights would say something else.
+const VERSION: u32 = 1;
+
+/// A materials network, and what is asked of it.
+pub(super) struct BoneNetwork(LoadedMaterials);
+
+impl BoneNetwork {
+    /// The network `name`, or the one that comes with the program.
+    ///
+    /// # Errors
+    /// As [`LoadedMaterials::load`].
+    pub fn open(name: Option<&Path>) -> Result<Self, InferError> {
+        Ok(Self(match name {
+            Some(name) => LoadedMaterials::load(name)?,
+            None => LoadedMaterials::shipped()?,
+        }))
+    }
+
+    /// SHA-256 of its weights, in hexadecimal.
+    pub fn sha256(&self) -> &str {
+        &self.0.card().weights_sha256
+    }
+
+    /// Which voxels of `ct`, called `name`, are bone; a warning where it is unlike what the network was trained on.
+    pub fn bone(&self, ct: &VolumeFile, name: &str, reporter: &Reporter) -> Vec<bool> {
+        if let Some(words) = self.0.card().outside(ct.spacing_mm) {
+            reporter.warn("materials", format_args!("{name}: the network was not trained for this CT: {words}"));
+        }
+        let kept = cache_file(&format!("bone-{}.bits", self.key(ct)));
+        if let Some(bone) = kept.as_deref().and_then(|path| read(path, ct.values.len())) {
+            return bone;
+        }
+        let volume = HuVolume { size: ct.size, lps_from_voxel: ct.lps_from_voxel, hu: &ct.values };
+        let mut bar: Option<(&str, Progress, usize)> = None;
+        let bone = self.0.bone(&volume, &mut |pass, done, all| {
+            if bar.as_ref().is_none_or(|(of, ..)| *of != pass.name) {
+                bar = Some((pass.name, reporter.progress(&format!("{name}: bone, {}", pass.name), all as u64), 0));
+            }
+            if let Some((_, bar, told)) = &mut bar {
+                bar.advance((done - *told) as u64);
+                *told = done;
+            }
+        });
+        drop(bar);
+        // A cache that cannot be written is no error.
+        let _ = kept.map(|path| write(&path, &bone));
+        bone
+    }
+
+    /// What the answer hangs on.
+    fn key(&self, ct: &VolumeFile) -> String {
+        let mut hash = Sha256::new();
+        hash.update(VERSION.to_le_bytes());
+        hash.update(self.sha256());
+        ct.size.iter().for_each(|size| hash.update((*size as u64).to_le_bytes()));
+        ct.lps_from_voxel.to_cols_array().iter().for_each(|value| hash.update(value.to_le_bytes()));
+        for values in ct.values.chunks(1 << 14) {
+            let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+            hash.update(&bytes);
+        }
+        hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+}
+
+/// One bit a voxel and their hash, compressed.
+fn write(path: &Path, bone: &[bool]) -> std::io::Result<()> {
+    let bits: Vec<u8> =
+        bone.chunks(8).map(|eight| eight.iter().enumerate().map(|(at, is_bone)| u8::from(*is_bone) << at).sum()).collect();
+    let mut encoder = ZlibEncoder::new(Vec::new(), Compression::fast());
+    encoder.write_all(&Sha256::digest(&bits))?;
+    encoder.write_all(&bits)?;
+    let bytes = encoder.finish()?;
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder)?;
+    }
+    write_atomically(path, |file| file.write_all(&bytes)).map_err(std::io::Error::other)
+}
+
+/// What [`write`] left there of `count` voxels; `None` where it is not that.
+fn read(path: &Path, count: usize) -> Option<Vec<bool>> {
+    let file = std::fs::File::open(path).ok()?;
+    let (hash_bytes, most) = (32, count.div_ceil(8));
+    let mut bytes = Vec::new();
+    ZlibDecoder::new(file).take((hash_bytes + most + 1) as u64).read_to_end(&mut bytes).ok()?;
+    let (hash, bits) = bytes.split_at_checked(hash_bytes)?;
+    let is_whole = bits.len() == most && Sha256::digest(bits).as_slice() == hash;
+    is_whole.then(|| (0..count).map(|index| bits[index / 8] >> (index % 8) & 1 == 1).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_said_comes_back_and_a_damaged_file_says_nothing() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("deep/bone.bits");
+        let bone: Vec<bool> = (0..1003).map(|index| index % 7 == 0 || index % 31 == 3).collect();
+        write(&path, &bone).expect("written");
+        assert_eq!(read(&path, 1003), Some(bone));
+        assert_eq!(read(&path, 1020), None, "of another CT");
+        let bytes = std::fs::read(&path).expect("there");
+        std::fs::write(&path, &bytes[..bytes.len() - 9]).expect("written");
+        assert_eq!(read(&path, 1003), None, "cut off");
+        let mut other = bytes.clone();
+        other[60] ^= 4;
+        std::fs::write(&path, &other).expect("written");
+        assert_eq!(read(&path, 1003), None, "damaged");
+        assert_eq!(read(&folder.path().join("none"), 1003), None);
+    }
+}

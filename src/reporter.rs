@@ -11,6 +11,7 @@ use crate::time::Stopwatch;
 pub struct Reporter {
     state: Arc<Mutex<State>>,
     loud: bool,
+    shows_progress: bool,
 }
 
 #[derive(Debug, Default)]
@@ -38,13 +39,19 @@ impl Reporter {
     /// Prints to standard error.
     #[must_use]
     pub fn stderr() -> Self {
-        Self { state: Arc::default(), loud: true }
+        Self { state: Arc::default(), loud: true, shows_progress: true }
     }
 
     /// Only counts: for tests and libraries.
     #[must_use]
     pub fn silent() -> Self {
-        Self { state: Arc::default(), loud: false }
+        Self { state: Arc::default(), loud: false, shows_progress: false }
+    }
+
+    /// Only counts, and shows progress: for those who say in their own words what was counted.
+    #[must_use]
+    pub fn counting() -> Self {
+        Self { state: Arc::default(), loud: false, shows_progress: true }
     }
 
     /// Something went less well than it should: counted under `kind`, the first few of a kind are printed.
@@ -83,10 +90,10 @@ impl Reporter {
         self.lock().warnings.clone()
     }
 
-    /// A progress bar over `length` steps; invisible unless standard error is a terminal and the reporter prints.
+    /// A progress bar over `length` steps; invisible unless standard error is a terminal and the reporter shows any.
     #[must_use]
     pub fn progress(&self, label: &str, length: u64) -> Progress {
-        if !(self.loud && std::io::stderr().is_terminal()) {
+        if !(self.shows_progress && std::io::stderr().is_terminal()) {
             return Progress(indicatif::ProgressBar::hidden());
         }
         let bar = indicatif::ProgressBar::new(length);

@@ -1,14 +1,18 @@
 //! What each step of the image formation is worth on two real CTs: how far each is from photons followed through the same view.
 //!
 //! The paper renders its four ways side by side; here each is also measured against primary and scattered photons (Monte Carlo) through the CT
-//! whose materials are its labels, which no step below has seen.
+//! whose bone is its labels from 100 HU up. Networks that were trained without the specimen are asked where they are given; those that come with
+//! the program have seen both.
 
 use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 use sidecarm::image::{Image, read_tiff_f32, write_png_rgb};
+use sidecarm::reporter::Reporter;
+use sidecarm::scene::{LabelledCt, load_labelled};
 
 use crate::log_lab::{sidecarm, text};
+use crate::volume_files::Sample;
 
 const COLUMNS: usize = 310;
 const ROWS: usize = 240;
@@ -33,6 +37,21 @@ const fn step(name: &'static str, formation: &'static str, materials: &'static s
     Step { name, formation, materials: Some(materials), scatter, noise }
 }
 
+/// Where the CTs are, and the networks that were trained without one of them.
+struct Given {
+    data: PathBuf,
+    networks: Option<PathBuf>,
+}
+
+impl Given {
+    /// `KIND-without-NAME.safetensors`.
+    fn network(&self, kind: &str, name: &str) -> Option<PathBuf> {
+        let path = self.networks.as_ref()?.join(format!("{kind}-without-{name}.safetensors"));
+        assert!(path.is_file(), "{} is not there", path.display());
+        Some(path)
+    }
+}
+
 const STEPS: [Step; 5] = [
     step("naive", "naive", "threshold", "off", false),
     step("spectrum", "deepdrr", "threshold", "off", false),
@@ -42,11 +61,12 @@ const STEPS: [Step; 5] = [
 ];
 const TRUTH: Step = Step { name: "photons", formation: "deepdrr", materials: None, scatter: "monte_carlo", noise: false };
 
-fn scene(data: &Path, name: &str, middle: [f64; 3], step: &Step) -> Value {
-    let ct = data.join(format!("ct-{name}"));
+fn scene(folder: &Path, given: &Given, name: &str, middle: [f64; 3], step: &Step) -> Value {
+    let ct = given.data.join(format!("ct-{name}"));
     let materials = match step.materials {
+        Some("network") => given.network("materials", name).map_or(json!("network"), |path| json!({"network": text(&path)})),
         Some(materials) => json!(materials),
-        None => json!({"labels": text(&ct.join("labels.nii.gz")), "map": "totalsegmentator", "else": "threshold"}),
+        None => json!({"labels": text(&bone(folder, &ct, name)), "map": {"1": "bone_cortical"}, "default": "soft_tissue"}),
     };
     let [x, y, z] = middle;
     json!({
@@ -59,12 +79,33 @@ fn scene(data: &Path, name: &str, middle: [f64; 3], step: &Step) -> Value {
     })
 }
 
+/// A label volume: 1 where a bone's label is and at least 100 HU. Marrow is soft tissue.
+fn bone(folder: &Path, ct: &Path, name: &str) -> PathBuf {
+    let path = folder.join(format!("bone-{name}.nii"));
+    if path.is_file() {
+        return path;
+    }
+    let labels = json!({"labels": text(&ct.join("labels.nii.gz")), "map": "totalsegmentator"});
+    let scene =
+        json!({"objects": [{"ct": {"path": text(&ct.join("ct.nii.gz")), "materials": labels}}], "beam": {"mono_kev": 60}});
+    let labelled = folder.join("labelled.json");
+    std::fs::write(&labelled, scene.to_string()).expect("written");
+    let (mut found, _) = load_labelled(&labelled, &Reporter::silent()).expect("labels");
+    let LabelledCt { ct, labels, bone_labels } = found.remove(0);
+    let is_bone = |(label, hu): (&u32, &f32)| i16::from(bone_labels.contains(label) && *hu >= 100.0);
+    let hu = labels.iter().zip(&ct.values).map(is_bone).collect();
+    Sample { size: ct.size, lps_from_voxel: ct.lps_from_voxel, hu }.nifti(&path);
+    path
+}
+
 /// Line integrals, and what stands beside the image.
-fn formed(folder: &Path, data: &Path, (name, middle): (&str, [f64; 3]), step: &Step, more: &[&str]) -> (Vec<f64>, Value) {
+fn formed(folder: &Path, given: &Given, (name, middle): (&str, [f64; 3]), step: &Step, more: &[&str]) -> (Vec<f64>, Value) {
     let (path, image) = (folder.join("scene.json"), folder.join("image.tif"));
-    std::fs::write(&path, scene(data, name, middle, step).to_string()).expect("written");
+    std::fs::write(&path, scene(folder, given, name, middle, step).to_string()).expect("written");
     let base = ["render", text(&path), "--out", text(&image), "--quantity", "line_integral", "--device", "cpu", "--json"];
-    let ran = sidecarm(&[&base, more].concat());
+    let network = given.network("scatter", name).filter(|_| step.scatter == "network");
+    let with = network.as_ref().map_or(Vec::new(), |path| vec!["--scatter-network", text(path)]);
+    let ran = sidecarm(&[&base, more, &with].concat());
     assert_eq!(ran.code, Some(0), "{name}, {}: {}", step.name, ran.stderr);
     let page = read_tiff_f32(&image).expect("an image").remove(0);
     (page.pixels.into_iter().map(f64::from).collect(), ran.json())
@@ -96,15 +137,21 @@ fn montage(tiles: &[Vec<u8>], across: usize) -> Image<[u8; 3]> {
 }
 
 /// Prints the table and draws the figure of the README, into the folder `SIDECARM_OUT`. `SIDECARM_DATA` is the folder of `ct-pelvis` and
-/// `ct-chest`; `SIDECARM_REL_ERROR` is how well the photons' scatter is known.
+/// `ct-chest`, `SIDECARM_NETWORKS` that of networks trained without one of them; `SIDECARM_REL_ERROR` is how well the photons' scatter is known.
 #[test]
 #[ignore = "minutes long: scripts/evaluate ablations runs it"]
 fn ablations() {
     let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data");
-    let data = std::env::var_os("SIDECARM_DATA").map_or(beside, PathBuf::from);
-    if !data.join("ct-pelvis/ct.nii.gz").is_file() {
-        println!("skipped: {} has no ct-pelvis/ct.nii.gz", data.display());
+    let asked = std::env::var_os("SIDECARM_DATA").map(PathBuf::from);
+    let given =
+        Given { data: asked.clone().unwrap_or(beside), networks: std::env::var_os("SIDECARM_NETWORKS").map(PathBuf::from) };
+    if !given.data.join("ct-pelvis/ct.nii.gz").is_file() {
+        println!("skipped: {} has no ct-pelvis/ct.nii.gz", given.data.display());
+        assert!(asked.is_none(), "asked for");
         return;
+    }
+    if given.networks.is_none() {
+        println!("the networks that come with the program were trained on these specimens");
     }
     let out = PathBuf::from(std::env::var_os("SIDECARM_OUT").unwrap_or_else(|| "target/ablations".into()));
     std::fs::create_dir_all(&out).expect("a folder");
@@ -112,7 +159,7 @@ fn ablations() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut tiles = Vec::new();
     for (name, middle) in SPECIMENS {
-        let (truth, beside) = formed(folder.path(), &data, (name, middle), &TRUTH, &["--scatter-error", &rel_error]);
+        let (truth, beside) = formed(folder.path(), &given, (name, middle), &TRUTH, &["--scatter-error", &rel_error]);
         let scatter = &beside["scatter"];
         println!(
             "{name}: photons {} (scatter to primary {:.3})",
@@ -120,11 +167,11 @@ fn ablations() {
             scatter["scatter_to_primary"].as_f64().unwrap_or(f64::NAN)
         );
         let primary = Step { scatter: "off", name: "labels, no scatter", ..TRUTH };
-        let (without, _) = formed(folder.path(), &data, (name, middle), &primary, &[]);
+        let (without, _) = formed(folder.path(), &given, (name, middle), &primary, &[]);
         let mut images = Vec::new();
         let mut before = f64::NAN;
         for step in &STEPS {
-            let (image, _) = formed(folder.path(), &data, (name, middle), step, &[]);
+            let (image, _) = formed(folder.path(), &given, (name, middle), step, &[]);
             let ((mean, rms), (mean_primary, rms_primary)) = (apart(&image, &truth), apart(&image, &without));
             let closer = 100.0 * (1.0 - rms / before);
             println!(

@@ -146,6 +146,8 @@ mod igtl_session;
 mod session_late;
 mod session_optics;
 #[cfg(feature = "learn")]
+mod session_materials;
+#[cfg(feature = "learn")]
 mod session_scatter;
 mod session_names;
 mod session_parked;

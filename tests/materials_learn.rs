@@ -15,7 +15,7 @@ fn options(folder: &Path, name: &str, recipe: MaterialsRecipe) -> TrainOptions<M
 }
 
 fn short() -> MaterialsRecipe {
-    MaterialsRecipe { epochs: 2, steps: 2, batch: 1, hold_out: HoldOut::Nothing, ..MaterialsRecipe::default() }
+    MaterialsRecipe { epochs: 2, steps: 2, batch: 1, hold_out: HoldOut::Nothing, fresh_phantoms: 0, ..MaterialsRecipe::default() }
 }
 
 fn run(options: &TrainOptions<MaterialsRecipe>) -> TrainedMaterials {
@@ -30,25 +30,62 @@ fn phantoms(folder: &Path, seeds: std::ops::Range<u64>) {
     }
 }
 
-/// From the command line: specimens are made once, a training goes on where it was interrupted and comes to the same, bit for bit; a tenth of the
-/// phantoms judges, siblings lend their figures, and what is not there is said.
+/// From the command line: specimens are made once, what is not there or damaged is said, and the card has the figures.
 #[test]
-fn a_resumed_training_is_the_straight_one() {
+fn specimens_are_made_and_trained_on() {
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name);
     let set = at("set");
     let make = |more: &[&str]| sidecarm(&[&["dataset", "materials", "--out", text(&set)], more].concat());
+    let ran = make(&["--phantoms", "1", "--first-seed", "40"]);
+    assert!(ran.code == Some(0) && ran.stdout.contains("1 specimens made"), "{}", ran.stderr);
     let ran = make(&["--phantoms", "2", "--first-seed", "40"]);
-    assert!(ran.code == Some(0) && ran.stdout.contains("2 specimens made"), "{}", ran.stderr);
-    let ran = make(&["--phantoms", "3", "--first-seed", "40"]);
-    assert!(ran.code == Some(0) && ran.stdout.contains("1 specimens made, 2 were there"), "{}{}", ran.stdout, ran.stderr);
+    assert!(ran.code == Some(0) && ran.stdout.contains("1 specimens made, 1 were there"), "{}{}", ran.stdout, ran.stderr);
     let path = set.join("materials-phantom-41.safetensors");
-    assert!(
-        LabelledSpecimen::read(&path).expect("readable")
-            == phantom(41, &[], LabelledSpecimen::read(&path).expect("readable").origin)
-    );
+    let read = |path: &Path| LabelledSpecimen::read(path).unwrap_or_else(|error| panic!("{error}"));
+    assert!(read(&path) == phantom(41, &[], read(&path).origin));
     assert!(make(&["--phantoms", "0"]).stderr.contains("give SCENE.json"));
+    let open = at("open.stl");
+    std::fs::write(
+        &open,
+        "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 9 0 0\nvertex 0 9 0\nendloop\nendfacet\nendsolid a\n",
+    )
+    .expect("written");
+    let ran = make(&["--phantoms", "1", "--mesh", text(&open)]);
+    assert!(ran.code == Some(1) && ran.stderr.contains("open.stl"), "{}", ran.stderr);
 
+    let train = |more: &[&str]| sidecarm(&[&["train", "materials", text(&set), "--out", text(&at("told"))], more].concat());
+    let ran = train(&["--hold-out", "nobody"]);
+    assert!(ran.code == Some(1) && ran.stderr.contains("nobody") && ran.stderr.contains("phantom-40"), "{}", ran.stderr);
+    let ran = train(&["--epochs", "1", "--steps", "1", "--batch", "1", "--minutes", "0", "--hold-out", "phantom-41", "--json"]);
+    assert_eq!(ran.code, Some(0), "{}", ran.stderr);
+    let card = ran.json();
+    let figure = |name: &str| card["held_out"][name].as_f64().expect("a figure");
+    assert!(figure("error of phantoms held out") < 1.0 && figure("threshold error from 100 to 400 HU") > 0.0, "{card}");
+    assert!(figure("dice bone of fresh phantoms") < 1.0 && card["kept_epoch"] == 1, "{card}");
+    assert!(std::fs::read_to_string(at("told.svg")).expect("a drawing").contains("held out"));
+    assert!(train(&[]).stderr.contains("is there already"));
+
+    let bytes = std::fs::read(&path).expect("readable");
+    std::fs::write(&path, &bytes[..bytes.len() / 2]).expect("written");
+    let refused = |words: &[&str]| {
+        let ran = sidecarm(&["train", "materials", text(&set), "--out", text(&at("no"))]);
+        assert!(ran.code == Some(1) && words.iter().all(|words| ran.stderr.contains(words)), "{words:?}: {}", ran.stderr);
+    };
+    refused(&["materials-phantom-41", "delete it"]);
+    // The same voxels under another name would be trained on where they are held out.
+    let mut twin = read(&set.join("materials-phantom-40.safetensors"));
+    twin.name = "somebody".to_owned();
+    twin.write(&path).expect("written");
+    refused(&["phantom-40", "keep one of them"]);
+}
+
+/// A training goes on where it was interrupted and comes to the same, bit for bit; held-out phantoms choose the epoch; siblings lend their figures
+/// once they have them.
+#[test]
+fn a_resumed_training_is_the_straight_one() {
+    let folder = tempfile::tempdir().expect("a folder");
+    phantoms(folder.path(), 40..43);
     let straight = run(&options(folder.path(), "straight", short()));
     assert_eq!((straight.end, straight.epoch, straight.history.len()), (TrainingEnd::Complete, 2, 2));
     assert!(
@@ -58,49 +95,57 @@ fn a_resumed_training_is_the_straight_one() {
         (straight.card.judged_by.clone(), straight.card.specimens.clone()),
         (JudgedBy::Nothing, vec!["3 phantoms".to_owned()])
     );
+    let stop = |options: &TrainOptions<MaterialsRecipe>| {
+        let stopped = train_materials(options, &mut |progress| {
+            if progress.done.is_some() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        });
+        stopped.unwrap_or_else(|error| panic!("{error}"))
+    };
     let mut resumed = options(folder.path(), "resumed", short());
-    let stopped = train_materials(&resumed, &mut |progress| {
-        if progress.done.is_some() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-    });
-    assert_eq!(stopped.expect("an epoch").end, TrainingEnd::ByCaller);
+    assert_eq!(stop(&resumed).end, TrainingEnd::ByCaller);
     resumed.resume = true;
     let resumed = run(&resumed);
     assert_eq!((&resumed.card, &resumed.history), (&straight.card, &straight.history));
 
-    let ran = sidecarm(&[
-        "train",
-        "materials",
-        text(&set),
-        "--out",
-        text(&at("told")),
-        "--epochs",
-        "1",
-        "--steps",
-        "1",
-        "--hold-out",
-        "phantom-41",
-        "--json",
-    ]);
-    assert_eq!(ran.code, Some(0), "{}", ran.stderr);
-    let card = ran.json();
-    let figure = |name: &str| card["held_out"][name].as_f64().expect("a figure");
-    assert!(figure("error of phantoms") < 1.0 && figure("threshold error from 100 to 400 HU of phantoms") > 0.0, "{card}");
-    assert!(std::fs::read_to_string(at("told.svg")).expect("a drawing").contains("held out"));
-    let ran = sidecarm(&["train", "materials", text(&set), "--out", text(&at("no")), "--hold-out", "nobody"]);
-    assert!(ran.code == Some(1) && ran.stderr.contains("nobody") && ran.stderr.contains("phantom-40"), "{}", ran.stderr);
-    let bytes = std::fs::read(&path).expect("readable");
-    std::fs::write(&path, &bytes[..bytes.len() / 2]).expect("written");
-    let ran = sidecarm(&["train", "materials", text(&set), "--out", text(&at("no"))]);
-    assert!(
-        ran.code == Some(1) && ran.stderr.contains("materials-phantom-41") && ran.stderr.contains("delete it"),
-        "{}",
-        ran.stderr
-    );
-    let siblings: Vec<PathBuf> = vec![at("told")];
-    let wrong = TrainOptions { siblings, ..options(folder.path(), "all", short()) };
-    std::fs::write(&path, &bytes).expect("written");
-    let refused = train_materials(&wrong, &mut |_| ControlFlow::Continue(())).expect_err("trained otherwise");
-    assert!(refused.to_string().contains("its layers, its seed or its epochs are others"), "{refused}");
+    // Of three phantoms one is held out, and its loss chooses.
+    let hold_out = HoldOut::Seeds { share: 0.4 };
+    let chosen = run(&options(folder.path(), "chosen", MaterialsRecipe { epochs: 3, hold_out, patience: Some(1), ..short() }));
+    let losses: Vec<f64> = chosen.history.iter().filter_map(|record| record.held_out).collect();
+    assert!(losses.len() == chosen.history.len() && losses.iter().all(|loss| *loss >= losses[chosen.epoch - 1]), "{losses:?}");
+    assert_eq!((chosen.card.judged_by, chosen.card.kept_epoch), (JudgedBy::Seeds, chosen.epoch));
+
+    let one = |name: &str| MaterialsRecipe {
+        epochs: 1,
+        steps: 1,
+        hold_out: HoldOut::Specimens { names: vec![name.to_owned()] },
+        ..short()
+    };
+    let paths: Vec<PathBuf> = ["phantom-40", "phantom-41"].iter().map(|name| folder.path().join(name)).collect();
+    let first = run(&options(folder.path(), "phantom-40", one("phantom-40")));
+    let all = |recipe: MaterialsRecipe| TrainOptions { siblings: paths.clone(), ..options(folder.path(), "all", recipe) };
+    let whole = MaterialsRecipe { epochs: 1, steps: 1, ..short() };
+    let refused = |asked: &TrainOptions<MaterialsRecipe>, words: &str| {
+        let error = train_materials(asked, &mut |_| ControlFlow::Continue(())).expect_err("refused").to_string();
+        assert!(error.contains(words), "{words}: {error}");
+    };
+    refused(&all(whole.clone()), "phantom-41");
+    let longer = MaterialsRecipe { epochs: 2, ..one("phantom-41") };
+    stop(&options(folder.path(), "phantom-41", longer.clone()));
+    refused(&all(whole.clone()), "its layers, its seed or its epochs are others");
+    let second = run(&options(folder.path(), "second", one("phantom-41")));
+    let paths = [folder.path().join("phantom-40"), folder.path().join("second")].to_vec();
+    let together = run(&TrainOptions { siblings: paths, ..options(folder.path(), "all", whole) });
+    let key = "error of phantoms held out";
+    let mean = 0.5 * (first.card.held_out[key] + second.card.held_out[key]);
+    assert!((together.card.held_out[key] - mean).abs() < 1e-12);
+    assert_eq!(together.card.held_out[&format!("{key} of phantom-41")], second.card.held_out[key]);
+    assert!(matches!(&together.card.judged_by, JudgedBy::Siblings { weights_sha256 } if weights_sha256.len() == 2));
+    assert_eq!(together.card.specimens, ["3 phantoms"]);
+    // One that is not at its end has no figures to lend.
+    stop(&options(folder.path(), "third", longer));
+    let paths = [folder.path().join("third")].to_vec();
+    let whole = MaterialsRecipe { epochs: 2, steps: 1, fresh_phantoms: 1, ..short() };
+    refused(&TrainOptions { siblings: paths, ..options(folder.path(), "other", whole) }, "not at its end");
 }
 
 /// What it has seen often enough it knows: the loss of one phantom falls to a fraction.

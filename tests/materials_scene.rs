@@ -1,10 +1,12 @@
 //! Scenes whose bone a network sees: a CT that this file draws, in which contrast medium is denser than spongy bone.
 
+use std::io::Write;
 use std::path::Path;
 use std::process::Command;
 
 use glam::{DAffine3, DVec3};
 use serde_json::{Value, json};
+use sha2::{Digest, Sha256};
 use sidecarm::image::read_tiff_f32;
 
 use crate::ct_phantom::Luck;
@@ -78,6 +80,16 @@ fn bone(folder: &Path, cache: &Path, materials: &Value) -> (Vec<f64>, Value, Str
     (row, beside, ran.stderr)
 }
 
+/// A memory that says what thresholding says.
+fn otherwise(ct: &Sample) -> Vec<u8> {
+    let eight = |eight: &[i16]| eight.iter().enumerate().map(|(at, hu)| u8::from(*hu > 250) << at).sum();
+    let bits: Vec<u8> = ct.hu.chunks(8).map(eight).collect();
+    let mut encoder = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::fast());
+    encoder.write_all(&Sha256::digest(&bits)).expect("written");
+    encoder.write_all(&bits).expect("written");
+    encoder.finish().expect("written")
+}
+
 /// Where the network sees bone there is bone: spongy bone is, contrast medium is not; thresholding has both the other way round. It is asked once;
 /// a damaged memory of what it said is no memory.
 #[test]
@@ -103,6 +115,8 @@ fn contrast_medium_is_no_bone_and_spongy_bone_is() {
     let inputs = beside["inputs"].as_array().expect("a list");
     let network = inputs.iter().find(|input| input["path"] == "calibration/networks/materials.safetensors").expect("named");
     assert_eq!(network["sha256"].as_str().map(str::len), Some(64));
+    let said = inputs.iter().find(|input| input["path"] == "bone of objects[0].ct").expect("what it said too");
+    assert_eq!(said["sha256"].as_str().map(str::len), Some(64));
 
     let kept = || {
         let files = std::fs::read_dir(cache.path().join("sidecarm")).expect("a cache");
@@ -111,12 +125,14 @@ fn contrast_medium_is_no_bone_and_spongy_bone_is() {
     };
     let [path] = &kept()[..] else { panic!("{:?}", kept()) };
     let bytes = std::fs::read(path).expect("readable");
-    // A memory that says otherwise, to see that it is asked: nothing is bone.
-    assert!(!bytes.is_empty());
     std::fs::write(path, &bytes[..bytes.len() / 2]).expect("written");
     let (again, ..) = bone(folder.path(), cache.path(), &json!("network"));
     assert_eq!(again, seen);
     assert!(std::fs::read(path).expect("readable") == bytes, "asked anew and kept");
+    // A memory that says otherwise is believed: it is what is asked.
+    std::fs::write(path, otherwise(&limb(0.0))).expect("written");
+    let (remembered, ..) = bone(folder.path(), cache.path(), &json!("network"));
+    assert_eq!(remembered, by_threshold);
     assert_eq!(kept().len(), 1);
     // Another CT is asked anew.
     limb(5.0).nifti(&folder.path().join("ct.nii"));

@@ -39,8 +39,8 @@ fn stem(path: &Path) -> String {
 }
 
 /// Endings of the other files that a session reads, the longer ones first.
-const INPUT_ENDINGS: [&str; 11] =
-    [".nii.gz", ".mrk.json", ".nii", ".json", ".fcsv", ".csv", ".stl", ".nrrd", ".nhdr", ".mha", ".mhd"];
+const INPUT_ENDINGS: [&str; 12] =
+    [".safetensors", ".nii.gz", ".mrk.json", ".nii", ".json", ".fcsv", ".csv", ".stl", ".nrrd", ".nhdr", ".mha", ".mhd"];
 
 /// What a file that a session reads (CT, tool, calibration, beads) is called in what it writes: its own name without folders where that is
 /// harmless, else the first digits of its hash; the ending stays, because it says how the file is read.

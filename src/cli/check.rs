@@ -167,7 +167,7 @@ fn of_line(line: &CheckLine) -> Finding {
 
 fn load(loaded: &mut Loaded, tell: &dyn Fn(Finding)) {
     let setup = &loaded.setup;
-    let quiet = Reporter::silent();
+    let quiet = Reporter::counting();
     match scene::load_text(&setup.scene_json, &setup.scene_path, false, &quiet) {
         Ok(scene) => {
             tell(Finding::pass("scene", format!("{} objects, {} materials", scene.objects.len(), scene.materials.len())));

@@ -95,7 +95,7 @@ pub(super) fn materials_set(args: &MaterialsSetArgs, reporter: &Reporter) -> Res
     let mut meshes = Vec::new();
     let mut hashes = Vec::new();
     for path in &args.mesh {
-        meshes.push(PhantomMesh::read(path)?);
+        meshes.push(PhantomMesh::read(path, reporter)?);
         hashes.push(sha256_file(path)?);
     }
     let origin = serde_json::json!({"sha256": hashes, "version": version}).to_string();

@@ -41,8 +41,8 @@ pub(super) trait Learner {
     /// How wrong `parameters` are on what was held out, without and with the noise of the truth, and what to write of it.
     fn judge(&self, parameters: &[f32]) -> ([Option<f64>; 2], Self::Found);
 
-    /// Writes a network of `parameters` with its card.
-    fn write_network(&self, parameters: &[f32], found: &Self::Found) -> Result<(), LearnError>;
+    /// Writes a network of `parameters`, those after `epoch`, with its card.
+    fn write_network(&self, parameters: &[f32], epoch: usize, found: &Self::Found) -> Result<(), LearnError>;
 
     /// Its files.
     fn files(&self) -> &TrainFiles;
@@ -78,14 +78,15 @@ pub(super) fn run<L: Learner>(
         state.history.push(EpochRecord { epoch, train_loss, held_out, held_out_raw, learning_rate });
         if is_best {
             state.best = Some((epoch, state.adam.parameters.clone()));
-            learner.write_network(&state.adam.parameters, &found)?;
+            learner.write_network(&state.adam.parameters, epoch, &found)?;
         }
         write_history(learner.files(), &state.history)?;
         // Last: what a checkpoint speaks of is there.
         learner.keep(state)?;
         let done = Some(&state.history[epoch - 1]);
         let progress = Progress { epoch, epochs: pace.epochs, step: steps, steps, train_loss, done, best: is_best };
-        if told(&progress).is_break() {
+        // After the last one there is nothing left to stop.
+        if told(&progress).is_break() && epoch < pace.epochs {
             return Ok(TrainingEnd::ByCaller);
         }
     }

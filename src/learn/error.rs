@@ -30,17 +30,17 @@ pub enum LearnError {
     #[error(transparent)]
     Specimen(#[from] SpecimenError),
     /// The folder has no specimens.
-    #[error("folder of specimens {}: has no *.safetensors files; make some with `sidecarm dataset materials`", path.display())]
+    #[error("folder of specimens {}: has no materials-*.safetensors files; make some with `sidecarm dataset materials`", path.display())]
     NoSpecimens {
         /// The folder.
         path: PathBuf,
     },
-    /// Two specimens of one name.
-    #[error("specimen {}: another one is called {name} too; keep one of them in the folder", path.display())]
-    SameName {
+    /// Two specimens that are one, or are called so: one of them would be trained on where the other is held out.
+    #[error("specimen {}: {name} has its name or its voxels; keep one of them in the folder", path.display())]
+    SameSpecimen {
         /// The file.
         path: PathBuf,
-        /// Its name.
+        /// The other one.
         name: String,
     },
     /// Two files of one folder hold different things.

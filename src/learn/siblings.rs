@@ -86,16 +86,20 @@ impl Judged for MaterialsCard {
     }
 }
 
-/// Writes into `card` the figures of `siblings`: of each by the specimen it was not trained on, and over all of them. Without siblings nothing
-/// changes.
+/// Writes into `card` the figures of `siblings`, beside those that it has of its own: of each by the specimen it was not trained on, and over all of
+/// them. Without siblings nothing changes, nor while one is still in training, unless this is what the training comes to.
 ///
 /// # Errors
-/// When a sibling is of other samples or layers, does not hold out one specimen of its own, or `card` is of a network that holds out.
-pub(super) fn judge<C: Judged>(card: &mut C, siblings: &[PathBuf]) -> Result<(), LearnError> {
+/// When a sibling is of other samples or layers, does not hold out one specimen of its own, is not at its end when this is, or `card` is of a network
+/// that holds out.
+pub(super) fn judge<C: Judged>(card: &mut C, siblings: &[PathBuf], is_last: bool) -> Result<(), LearnError> {
     if siblings.is_empty() {
         return Ok(());
     }
-    let (mut weights_sha256, mut figures, mut of_all) = (BTreeMap::new(), BTreeMap::new(), Vec::new());
+    let mut weights_sha256 = BTreeMap::new();
+    let mut figures = card.judgement().1.clone();
+    let own = figures.clone();
+    let mut of_all: Vec<BTreeMap<String, f64>> = Vec::new();
     for path in siblings {
         let files = NetworkFiles::of(path);
         let (sibling, _) = files.read::<C>()?;
@@ -112,14 +116,23 @@ pub(super) fn judge<C: Judged>(card: &mut C, siblings: &[PathBuf]) -> Result<(),
         let (judged_by, found) = sibling.judgement();
         let JudgedBy::Specimens { names } = judged_by else { return no("it holds out no specimen") };
         let [name] = names.as_slice() else { return no("it holds out more than one specimen") };
+        // Those of the first are as good as any: a training that is not at its end has none, or fewer.
+        let of_first = of_all.first().unwrap_or(found);
+        if !is_last && found.is_empty() {
+            return Ok(());
+        }
+        if found.is_empty() || !found.keys().eq(of_first.keys()) || !found.values().all(|value| value.is_finite()) {
+            return no("its card lacks figures: its training is not at its end");
+        }
         if weights_sha256.insert(name.clone(), sibling.weights_sha256().to_owned()).is_some() {
             return no("another one holds out the same specimen");
         }
-        figures.extend(found.iter().map(|(figure, value)| (format!("{figure} of {name}"), *value)));
+        let of_sibling = found.iter().filter(|(figure, _)| !own.contains_key(*figure));
+        figures.extend(of_sibling.map(|(figure, value)| (format!("{figure} of {name}"), *value)));
         of_all.push(found.clone());
     }
     let of_all: Vec<&BTreeMap<String, f64>> = of_all.iter().collect();
-    for figure in of_all.iter().flat_map(|found| found.keys()) {
+    for figure in of_all.iter().flat_map(|found| found.keys()).filter(|figure| !own.contains_key(*figure)) {
         figures.insert(figure.clone(), C::together(figure, &of_all));
     }
     card.set_judgement(JudgedBy::Siblings { weights_sha256 }, figures);

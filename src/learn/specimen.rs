@@ -16,6 +16,9 @@ use crate::scene::LabelledCt;
 /// The structure of what is neither tissue nor bone: nothing is learnt and nothing judged there.
 pub const METAL: u8 = 255;
 
+/// From here on a CT's voxel is metal, whatever its label.
+const METAL_FROM_HU: f32 = 2500.0;
+
 /// The key of the metadata that holds [`About`].
 const KEY: &str = "specimen";
 
@@ -114,7 +117,12 @@ impl LabelledSpecimen {
             size: labelled.ct.size,
             lps_from_voxel: labelled.ct.lps_from_voxel,
             hu: labelled.ct.values.iter().map(|hu| rounded(*hu)).collect(),
-            structure: labelled.labels.iter().map(number).collect(),
+            structure: labelled
+                .labels
+                .iter()
+                .zip(&labelled.ct.values)
+                .map(|(label, hu)| if *hu >= METAL_FROM_HU { METAL } else { number(label) })
+                .collect(),
             bones,
             origin,
         })

@@ -33,7 +33,7 @@ pub fn train(options: &TrainOptions, told: &mut dyn FnMut(&Progress<'_>) -> Cont
     let (train, held_out) = dataset.split(&recipe.hold_out, recipe.seed)?;
     let card = card_of(&dataset, &train, recipe);
     // What is no sibling is refused now; what they say is read when it is written, for they may be in training too.
-    siblings::judge(&mut card.clone(), &options.siblings)?;
+    siblings::judge(&mut card.clone(), &options.siblings, false)?;
     let layers = recipe.architecture.layers(dataset.channels.len(), dataset.scalar_names.len());
     let training = Training {
         options,
@@ -116,7 +116,7 @@ impl Learner for Training<'_> {
         ([figures.map(Figures::nmse), figures.map(|figures| figures.nmse_raw)], evaluation)
     }
 
-    fn write_network(&self, parameters: &[f32], found: &Evaluation) -> Result<(), LearnError> {
+    fn write_network(&self, parameters: &[f32], _: usize, found: &Evaluation) -> Result<(), LearnError> {
         self.written(parameters, found).map(drop)
     }
 
@@ -175,7 +175,7 @@ impl Training<'_> {
                 by_specimen.iter().for_each(|(name, own)| card.held_out.extend(own.named(&format!(" of {name}"))));
             }
         }
-        siblings::judge(&mut card, &self.options.siblings)?;
+        siblings::judge(&mut card, &self.options.siblings, true)?;
         let NetworkFiles { weights: weights_path, card: card_path } = &self.files.network;
         write_atomically(weights_path, |file| file.write_all(&weights))?;
         write_atomically(card_path, |file| Ok(serde_json::to_writer_pretty(file, &card)?))?;

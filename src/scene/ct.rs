@@ -16,11 +16,18 @@ use super::network_bone::BoneNetwork;
 use super::object_file::{AirFile, BODY, CtFile, DensityFile, ElseFile, LabelMaterialFile, LabelsFile, MapFile, MaterialsFile};
 use super::physics::Material;
 use super::volumes::VolumeFile;
+#[cfg(feature = "learn")]
+use crate::image::sha256_file;
+#[cfg(feature = "learn")]
+use crate::infer::NetworkFiles;
 
 /// Matter without bone of which more than this is remarkable.
 const SPECIMEN_MM3: f64 = 1e5;
 /// What a threshold takes for bone.
 const BONE: &str = "bone_cortical";
+/// The network that comes with the program.
+#[cfg(feature = "learn")]
+const SHIPPED_BONE: &str = "calibration/networks/materials.safetensors";
 /// Beyond any metal: tantalum is 60 000 to 100 000 HU on an extended scale.
 const MOST_HU: f32 = 2e5;
 
@@ -147,23 +154,36 @@ impl Builder<'_> {
     /// Which voxels the network `name` says are bone, or the one that comes with the program.
     #[cfg(feature = "learn")]
     fn seen_bone(&mut self, name: Option<&str>, path: &Path, ct: &VolumeFile) -> Result<Vec<bool>, SceneError> {
-        let network = match name {
+        let own = match name {
+            None => None,
             Some(name) if !name.ends_with(".safetensors") => {
-                return Err(self.value(
-                    "materials.network",
-                    format!("'{name}'"),
-                    "the weights, NAME.safetensors, with NAME.json beside them",
-                ));
+                let expected = "the weights, NAME.safetensors, with NAME.json beside them";
+                return Err(self.value("materials.network", format!("'{name}'"), expected));
             }
-            Some(name) => BoneNetwork::open(Some(&self.find("materials.network", name)?)),
-            None => BoneNetwork::open(None),
+            Some(name) => match self.find("materials.network", name) {
+                Ok(weights) => Some(weights),
+                Err(SceneError::Missing { .. }) if name == SHIPPED_BONE => None,
+                Err(missing) => return Err(missing),
+            },
         };
+        let network = BoneNetwork::open(own.as_deref());
         let network = network.map_err(|source| SceneError::Network { place: self.place("materials"), source })?;
-        if name.is_none() {
-            self.files.remember("calibration/networks/materials.safetensors", network.sha256().to_owned(), None);
+        match &own {
+            None => self.files.remember(SHIPPED_BONE, network.sha256().to_owned(), None),
+            // Its card, which lies beside the weights, is an input too.
+            Some(weights) => {
+                let card = NetworkFiles::of(weights).card;
+                if let (Ok(sha256), Some(name)) = (sha256_file(&card), card.file_name()) {
+                    self.files.remember(&name.to_string_lossy(), sha256, Some(&card));
+                }
+            }
         }
         let name = path.file_name().map_or_else(|| path.display().to_string(), |name| name.to_string_lossy().into_owned());
-        Ok(network.bone(ct, &name, self.reporter))
+        let refused = |detail| SceneError::Volume { path: path.to_owned(), detail };
+        let (bone, sha256) = network.bone(ct, &name, self.reporter).map_err(refused)?;
+        // Another processor may round otherwise: whoever compares two images shall see it.
+        self.files.remember(&format!("bone of {}", self.key), sha256, None);
+        Ok(bone)
     }
 
     /// Nobody says it in this build.

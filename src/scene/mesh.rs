@@ -62,6 +62,15 @@ pub(super) fn read_surface(path: &Path, reporter: &Reporter) -> Result<Surface, 
     Ok(surface)
 }
 
+/// The triangles of a closed surface, corners in mm, in the frame of its file: repaired, and doubted, as those of a scene are.
+///
+/// # Errors
+/// When the file is damaged, or the surface has holes.
+pub fn read_closed_triangles(path: &Path, reporter: &Reporter) -> Result<Vec<[DVec3; 3]>, SceneError> {
+    let Surface { vertices_mm, triangles } = read_surface(path, reporter)?;
+    Ok(triangles.iter().map(|corners| corners.map(|corner| vertices_mm[corner as usize])).collect())
+}
+
 /// What speaks against millimetres in a mesh whose longest side has this length; nothing of the body or of a tool is so small or so large.
 #[must_use]
 pub fn mesh_unit_doubt(longest_mm: f64) -> Option<String> {

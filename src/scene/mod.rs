@@ -40,7 +40,7 @@ pub use fill::fill_harmonic;
 pub use foreign_files::{Triangle, read_triangles, serve};
 pub use inpaint::{Ball, Inpainted, inpaint_labels, inpaint_metal};
 pub use load::{input_files, load, load_labelled, load_text, load_text_with};
-pub use mesh::mesh_unit_doubt;
+pub use mesh::{mesh_unit_doubt, read_closed_triangles};
 pub use model::{InputFile, Robot, Scene};
 pub use volumes::{
     PlacedBy, VolumeContent, VolumeFacts, VolumeFile, VolumeFormat, VolumeSource, is_ct_slice, read_volume, read_volume_facts,

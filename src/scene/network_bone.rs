@@ -12,10 +12,16 @@ use super::volumes::VolumeFile;
 use crate::image::{cache_file, write_atomically};
 use crate::infer::InferError;
 use crate::infer::materials::{HuVolume, LoadedMaterials};
+use crate::memory;
 use crate::reporter::{Progress, Reporter};
 
 /// Changes when the same weights would say something else.
 const VERSION: u32 = 1;
+
+/// How the files of the cache begin.
+const KEPT: &str = "bone-";
+/// CTs whose bone is kept.
+const MOST_KEPT: usize = 16;
 
 /// A materials network, and what is asked of it.
 pub(super) struct BoneNetwork(LoadedMaterials);
@@ -37,18 +43,37 @@ impl BoneNetwork {
         &self.0.card().weights_sha256
     }
 
-    /// Which voxels of `ct`, called `name`, are bone; a warning where it is unlike what the network was trained on.
-    pub fn bone(&self, ct: &VolumeFile, name: &str, reporter: &Reporter) -> Vec<bool> {
+    /// Which voxels of `ct`, called `name`, are bone, and the hash of that; a warning where it is unlike what the network was trained on.
+    ///
+    /// # Errors
+    /// One sentence, when it takes more memory than is free.
+    pub fn bone(&self, ct: &VolumeFile, name: &str, reporter: &Reporter) -> Result<(Vec<bool>, String), String> {
         if let Some(words) = self.0.card().outside(ct.spacing_mm) {
             reporter.warn("materials", format_args!("{name}: the network was not trained for this CT: {words}"));
         }
-        let kept = cache_file(&format!("bone-{}.bits", self.key(ct)));
-        if let Some(bone) = kept.as_deref().and_then(|path| read(path, ct.values.len())) {
-            return bone;
-        }
         let volume = HuVolume { size: ct.size, lps_from_voxel: ct.lps_from_voxel, hu: &ct.values };
+        let what = format!("{name}: the grids of the network over voxels of {:.2?} mm", ct.spacing_mm);
+        if let Some(refusal) = memory::refusal(&what, self.0.bytes(&volume), memory::available_bytes()) {
+            return Err(refusal);
+        }
+        let kept = cache_file(&format!("{KEPT}{}.bits", self.key(ct)));
+        let bone = kept.as_deref().and_then(|path| read(path, ct.values.len())).unwrap_or_else(|| {
+            let bone = self.ask(&volume, name, reporter);
+            // A cache that cannot be written is no error.
+            if let Some(path) = &kept
+                && write(path, &bone).is_ok()
+            {
+                forget(path);
+            }
+            bone
+        });
+        let hash = hex(&Sha256::digest(bits(&bone)));
+        Ok((bone, hash))
+    }
+
+    fn ask(&self, volume: &HuVolume<'_>, name: &str, reporter: &Reporter) -> Vec<bool> {
         let mut bar: Option<(&str, Progress, usize)> = None;
-        let bone = self.0.bone(&volume, &mut |pass, done, all| {
+        self.0.bone(volume, &mut |pass, done, all| {
             if bar.as_ref().is_none_or(|(of, ..)| *of != pass.name) {
                 bar = Some((pass.name, reporter.progress(&format!("{name}: bone, {}", pass.name), all as u64), 0));
             }
@@ -56,11 +81,7 @@ impl BoneNetwork {
                 bar.advance((done - *told) as u64);
                 *told = done;
             }
-        });
-        drop(bar);
-        // A cache that cannot be written is no error.
-        let _ = kept.map(|path| write(&path, &bone));
-        bone
+        })
     }
 
     /// What the answer hangs on.
@@ -74,14 +95,23 @@ impl BoneNetwork {
             let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
             hash.update(&bytes);
         }
-        hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+        hex(&hash.finalize())
     }
 }
 
-/// One bit a voxel and their hash, compressed.
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// One bit a voxel.
+fn bits(bone: &[bool]) -> Vec<u8> {
+    let eight = |eight: &[bool]| eight.iter().enumerate().map(|(at, is_bone)| u8::from(*is_bone) << at).sum();
+    bone.chunks(8).map(eight).collect()
+}
+
+/// One bit a voxel and their hash, compressed, for nobody else to read: it has the shape of a person's bones.
 fn write(path: &Path, bone: &[bool]) -> std::io::Result<()> {
-    let bits: Vec<u8> =
-        bone.chunks(8).map(|eight| eight.iter().enumerate().map(|(at, is_bone)| u8::from(*is_bone) << at).sum()).collect();
+    let bits = bits(bone);
     let mut encoder = ZlibEncoder::new(Vec::new(), Compression::fast());
     encoder.write_all(&Sha256::digest(&bits))?;
     encoder.write_all(&bits)?;
@@ -89,7 +119,26 @@ fn write(path: &Path, bone: &[bool]) -> std::io::Result<()> {
     if let Some(folder) = path.parent() {
         std::fs::create_dir_all(folder)?;
     }
-    write_atomically(path, |file| file.write_all(&bytes)).map_err(std::io::Error::other)
+    write_atomically(path, |file| file.write_all(&bytes)).map_err(std::io::Error::other)?;
+    #[cfg(unix)]
+    std::fs::set_permissions(path, std::os::unix::fs::PermissionsExt::from_mode(0o600))?;
+    Ok(())
+}
+
+/// Removes what was said longest ago of other CTs, beside `path`, beyond the latest few.
+fn forget(path: &Path) {
+    let Some(folder) = path.parent().and_then(|folder| std::fs::read_dir(folder).ok()) else { return };
+    let is_kept = |name: &str| name.starts_with(KEPT) && name.ends_with(".bits");
+    let mut kept: Vec<_> = folder
+        .filter_map(Result::ok)
+        .filter(|entry| is_kept(&entry.file_name().to_string_lossy()))
+        .filter_map(|entry| Some((entry.metadata().ok()?.modified().ok()?, entry.path())))
+        .collect();
+    kept.sort();
+    let too_many = kept.len().saturating_sub(MOST_KEPT);
+    kept.iter().take(too_many).for_each(|(_, path)| {
+        let _ = std::fs::remove_file(path);
+    });
 }
 
 /// What [`write`] left there of `count` voxels; `None` where it is not that.
@@ -123,5 +172,22 @@ mod tests {
         std::fs::write(&path, &other).expect("written");
         assert_eq!(read(&path, 1003), None, "damaged");
         assert_eq!(read(&folder.path().join("none"), 1003), None);
+    }
+
+    #[test]
+    fn the_latest_few_are_kept() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = |number: usize| folder.path().join(format!("bone-{number:02}.bits"));
+        std::fs::write(folder.path().join("speed.json"), "{}").expect("written");
+        let start = std::time::SystemTime::UNIX_EPOCH + std::time::Duration::from_secs(1_000_000);
+        for number in 0..MOST_KEPT + 3 {
+            write(&path(number), &[true, false]).expect("written");
+            let at = start + std::time::Duration::from_secs(number as u64);
+            std::fs::File::options().write(true).open(path(number)).and_then(|file| file.set_modified(at)).expect("set");
+        }
+        forget(&path(0));
+        let there: Vec<usize> = (0..MOST_KEPT + 3).filter(|number| path(*number).exists()).collect();
+        assert_eq!(there, (3..MOST_KEPT + 3).collect::<Vec<_>>());
+        assert!(folder.path().join("speed.json").exists());
     }
 }

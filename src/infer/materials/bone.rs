@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use burn::tensor::{Device, Tensor, TensorData};
+use rayon::prelude::*;
 
 use super::card::MaterialsCard;
 use super::grid::{HuVolume, PassGrid, Reduced};
@@ -79,6 +80,14 @@ impl LoadedMaterials {
         &self.card
     }
 
+    /// Bytes that [`Self::bone`] takes beside the volume, about.
+    #[must_use]
+    pub fn bytes(&self, volume: &HuVolume<'_>) -> u64 {
+        let most = self.passes.iter().map(|(pass, _)| PassGrid::points_over(volume, pass.spacing_mm)).fold(0.0, f64::max);
+        // A probability and a mark of each point, means of blocks and a mark of each voxel.
+        (5.0 * most + 5.0 * volume.hu.len() as f64) as u64
+    }
+
     /// Which voxels of `volume` are bone: those of at least [`DENSE_HU`] in a bone, and those
     /// above [`METAL_HU`] anywhere. `told` hears, of each pass, how many patches are done and how
     /// many there are.
@@ -114,22 +123,28 @@ impl LoadedMaterials {
         let mut bone = vec![0.0; grid.points()];
         let tiles = wanted_tiles(&grid, pass.keep, &is_wanted);
         let margin = (pass.patch - pass.keep) / 2;
-        for (done, tile) in tiles.iter().enumerate() {
-            told(pass, done, tiles.len());
+        let look_at = |tile: &[usize; 3]| {
             let from = tile.map(|at| (at * pass.keep) as i64 - margin as i64);
             let mut hu = Vec::with_capacity(pass.points());
             for_points(pass.patch, |step| {
                 let point = grid.point(std::array::from_fn(|axis| from[axis] + step[axis] as i64));
                 hu.push(reduced.interpolated(point, BEYOND_HU, |place| reduced.values[place]));
             });
-            let kept = self.probabilities(pass, network, &hu);
-            for_points(pass.keep, |step| {
-                let at: [usize; 3] = std::array::from_fn(|axis| tile[axis] * pass.keep + step[axis]);
-                if (0..3).all(|axis| at[axis] < grid.size[axis]) {
-                    let [x, y, z] = step.map(|n| n + margin);
-                    bone[at[0] + grid.size[0] * (at[1] + grid.size[1] * at[2])] = kept[x + pass.patch * (y + pass.patch * z)];
-                }
-            });
+            self.probabilities(pass, network, &hu)
+        };
+        let at_once = rayon::current_num_threads();
+        for (done, some) in tiles.chunks(at_once).enumerate() {
+            told(pass, done * at_once, tiles.len());
+            let looked: Vec<Vec<f32>> = some.par_iter().map(look_at).collect();
+            for (tile, kept) in some.iter().zip(&looked) {
+                for_points(pass.keep, |step| {
+                    let at: [usize; 3] = std::array::from_fn(|axis| tile[axis] * pass.keep + step[axis]);
+                    if (0..3).all(|axis| at[axis] < grid.size[axis]) {
+                        let [x, y, z] = step.map(|n| n + margin);
+                        bone[at[0] + grid.size[0] * (at[1] + grid.size[1] * at[2])] = kept[x + pass.patch * (y + pass.patch * z)];
+                    }
+                });
+            }
         }
         told(pass, tiles.len(), tiles.len());
         Found { grid, bone }

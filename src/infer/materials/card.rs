@@ -18,8 +18,10 @@ pub struct MaterialsCard {
     pub weights_sha256: String,
     /// Seed of the training.
     pub training_seed: u64,
-    /// Epochs that it was trained for.
+    /// Epochs that the training was planned for: its learning rate ends there.
     pub training_epochs: usize,
+    /// The epoch whose weights these are, counted from 1.
+    pub kept_epoch: usize,
     /// Steps of an epoch.
     pub training_steps: usize,
     /// Patches of each pass in a step.
@@ -30,7 +32,7 @@ pub struct MaterialsCard {
     pub truth: String,
     /// SHA-256 of all specimens, held out or not, in hexadecimal.
     pub samples_sha256: String,
-    /// Least and greatest distance of voxels in training, along any axis.
+    /// Least and greatest distance of voxels in training, along any axis. Finer ones are averaged first.
     pub spacing_bounds_mm: [f64; 2],
     /// What the figures of `held_out` were found on.
     pub judged_by: JudgedBy,
@@ -39,11 +41,10 @@ pub struct MaterialsCard {
 }
 
 impl MaterialsCard {
-    /// What to say of a CT whose voxels lie farther apart, or closer together, than any that it was trained on; `None` where they do not.
+    /// What to say of a CT whose voxels lie farther apart than any that it was trained on; `None` where they do not.
     #[must_use]
     pub fn outside(&self, spacing_mm: [f64; 3]) -> Option<String> {
         let [low, high] = self.spacing_bounds_mm;
-        // Finer voxels are averaged first.
         let inside = spacing_mm.iter().all(|mm| *mm > 0.0 && *mm <= high * 1.01);
         (!inside).then(|| format!("voxels of {spacing_mm:.2?} mm, in training {low:.2} to {high:.2} mm"))
     }

@@ -36,7 +36,8 @@ pub struct Reduced {
     pub block: [usize; 3],
     /// Means of the blocks, i fastest.
     pub values: Vec<f32>,
-    block_from_lps: DAffine3,
+    voxels: [usize; 3],
+    voxel_from_lps: DAffine3,
 }
 
 impl Reduced {
@@ -70,32 +71,56 @@ impl Reduced {
                 *mean = sum / count as f32;
             }
         });
-        let scale = DVec3::from_array(block.map(|n| n as f64));
-        let voxel_from_block = DAffine3::from_translation((scale - 1.0) / 2.0) * DAffine3::from_scale(scale);
-        Self { size: blocks, block, values, block_from_lps: (*lps_from_voxel * voxel_from_block).inverse() }
+        Self { size: blocks, block, values, voxels: size, voxel_from_lps: lps_from_voxel.inverse() }
     }
 
-    /// The first voxel of the block's middle, as an index into the volume of `size`.
+    /// (i, j, k) of a block.
+    fn coordinates(&self, block: usize) -> [usize; 3] {
+        [block % self.size[0], block / self.size[0] % self.size[1], block / (self.size[0] * self.size[1])]
+    }
+
+    /// Middle of the block at `at` along `axis`, in voxels; the last one may have fewer.
+    fn middle(&self, axis: usize, at: usize) -> f64 {
+        let first = at * self.block[axis];
+        let end = (first + self.block[axis]).min(self.voxels[axis]);
+        (first + end - 1) as f64 / 2.0
+    }
+
+    /// The voxel in the block's middle, as an index into the volume.
     #[must_use]
-    pub fn middle_voxel(&self, block: usize, size: [usize; 3]) -> usize {
-        let at = [block % self.size[0], block / self.size[0] % self.size[1], block / (self.size[0] * self.size[1])];
-        let voxel: [usize; 3] =
-            std::array::from_fn(|axis| (at[axis] * self.block[axis] + self.block[axis] / 2).min(size[axis] - 1));
-        voxel[0] + size[0] * (voxel[1] + size[1] * voxel[2])
+    pub fn middle_voxel(&self, block: usize) -> usize {
+        let at = self.coordinates(block);
+        let voxel: [usize; 3] = std::array::from_fn(|axis| self.middle(axis, at[axis]).ceil() as usize);
+        voxel[0] + self.voxels[0] * (voxel[1] + self.voxels[1] * voxel[2])
     }
 
     /// Where a block lies, `lps` mm.
     #[must_use]
     pub fn centre(&self, block: usize) -> DVec3 {
-        let at = [block % self.size[0], block / self.size[0] % self.size[1], block / (self.size[0] * self.size[1])];
-        self.block_from_lps.inverse().transform_point3(DVec3::from_array(at.map(|n| n as f64)))
+        let at = self.coordinates(block);
+        let voxel = DVec3::from_array(std::array::from_fn(|axis| self.middle(axis, at[axis])));
+        self.voxel_from_lps.inverse().transform_point3(voxel)
     }
 
-    /// The blocks about a point and their trilinear shares; those beyond the volume are left out, so that the shares of a point outside sum
-    /// to less than 1.
+    /// The blocks about a point and their trilinear shares: constant beyond the middles of the outermost, none outside the volume.
     #[must_use]
     pub fn about(&self, point_lps_mm: DVec3) -> Shares {
-        Shares::about(self.block_from_lps.transform_point3(point_lps_mm), self.size)
+        let voxel = self.voxel_from_lps.transform_point3(point_lps_mm);
+        let mut block = DVec3::ZERO;
+        for axis in 0..3 {
+            let (at, last) = (voxel[axis], self.size[axis] - 1);
+            if !(at >= -0.5 && at <= self.voxels[axis] as f64 - 0.5) {
+                return Shares::NONE;
+            }
+            let nominal = (at - self.middle(axis, 0)) / self.block[axis] as f64;
+            let before_last = last.saturating_sub(1);
+            // The last step may be shorter.
+            let step = self.middle(axis, last) - self.middle(axis, before_last);
+            let is_last = last > 0 && nominal > before_last as f64;
+            let exact = if is_last { before_last as f64 + (at - self.middle(axis, before_last)) / step } else { nominal };
+            block[axis] = exact.clamp(0.0, last as f64);
+        }
+        Shares::about(block, self.size)
     }
 
     /// Trilinear interpolation of `value` of the blocks at a point; `outside` beyond the volume.
@@ -113,9 +138,11 @@ pub struct Shares {
 }
 
 impl Shares {
+    const NONE: Self = Self { places: [0; 8], shares: [0.0; 8], count: 0 };
+
     /// Of the points of a grid about the continuous index `at`.
     fn about(at: DVec3, size: [usize; 3]) -> Self {
-        let mut found = Self { places: [0; 8], shares: [0.0; 8], count: 0 };
+        let mut found = Self::NONE;
         let low = at.floor();
         let beyond = at - low;
         for corner in 0..8_usize {
@@ -176,6 +203,16 @@ impl PassGrid {
         Self { size: steps.to_array().map(|n| n as usize + 1), first_lps_mm: low, spacing_mm }
     }
 
+    /// Number of points of a grid over a volume, however many that would be.
+    #[must_use]
+    pub fn points_over(volume: &HuVolume<'_>, spacing_mm: [f64; 3]) -> f64 {
+        let axes = volume.lps_from_voxel.matrix3;
+        // The box about the volume.
+        let last = DVec3::from_array(volume.size.map(|n| n as f64 - 1.0));
+        let extent = axes.x_axis.abs() * last.x + axes.y_axis.abs() * last.y + axes.z_axis.abs() * last.z;
+        (extent / DVec3::from_array(spacing_mm) + 2.0).element_product()
+    }
+
     /// Where the point (x, y, z) lies; beyond the grid as well.
     #[must_use]
     pub fn point(&self, at: [i64; 3]) -> DVec3 {
@@ -216,14 +253,24 @@ mod tests {
         let value = |index: usize| field(lps_from_voxel.transform_point3(DVec3::from_array(at(index))));
         let reduced = Reduced::of(size, &lps_from_voxel, [3.0; 3], value);
         assert_eq!(reduced.block, [4, 3, 1]);
-        for voxel in [DVec3::new(9.3, 7.7, 4.2), DVec3::new(13.0, 10.0, 6.0)] {
+        // The last block of j has two voxels, 18 and 19.
+        for voxel in
+            [DVec3::new(9.3, 7.7, 4.2), DVec3::new(13.0, 10.0, 6.0), DVec3::new(13.0, 17.5, 6.0), DVec3::new(13.0, 18.2, 6.0)]
+        {
             let point = lps_from_voxel.transform_point3(voxel);
             let found = reduced.interpolated(point, -1000.0, |place| reduced.values[place]);
             assert!((found - field(point)).abs() < 1e-3, "{found} {}", field(point));
         }
         assert_eq!(reduced.interpolated(DVec3::splat(1e4), -1000.0, |_| 0.0), -1000.0);
+        // Constant over the outer half voxel and to the middles of the outermost blocks, nothing beyond.
+        let beside = |i: f64| {
+            let point = lps_from_voxel.transform_point3(DVec3::new(i, 10.0, 6.0));
+            reduced.interpolated(point, -1000.0, |place| reduced.values[place])
+        };
+        assert!((beside(-0.49) - beside(1.5)).abs() < 1e-3 && (beside(23.49) - beside(21.5)).abs() < 1e-3);
+        assert!(beside(-0.51) == -1000.0 && beside(23.51) == -1000.0);
         let block = 2 + 6 * (3 + 7 * 5);
-        assert_eq!(reduced.middle_voxel(block, size), 10 + 24 * (10 + 20 * 5));
+        assert_eq!(reduced.middle_voxel(block), 10 + 24 * (10 + 20 * 5));
         let shares = reduced.about(reduced.centre(block));
         assert!((shares.sum(0.0, |place| f32::from(u8::from(place == block))) - 1.0).abs() < 1e-4);
     }

@@ -65,7 +65,8 @@ pub struct MaterialsFigures {
 
 impl MaterialsFigures {
     /// Of one specimen, whose voxels are bone where `said`. Bone is what has at least 100 HU in a structure that is bone, all else from −700 HU
-    /// up soft tissue. Air and lung are told by the same rule whoever tells bone, and metal is neither: they do not count.
+    /// up soft tissue. Air and lung are told by the same rule whoever tells bone, and metal (of a CT what has 2500 HU and more) is neither: they do
+    /// not count.
     #[must_use]
     pub fn of(specimen: &LabelledSpecimen, said: &[bool]) -> Self {
         let curve = DensityCurve::shipped();

@@ -49,7 +49,7 @@ impl Prepared {
         let share = |is: bool| f32::from(u8::from(is));
         let hu = reduced(&|index| specimen.hu[index].max(BEYOND_HU));
         let bone = reduced(&|index| share(specimen.is_in_bone(index))).values;
-        let structure = (0..hu.values.len()).map(|block| specimen.structure[hu.middle_voxel(block, specimen.size)]).collect();
+        let structure = (0..hu.values.len()).map(|block| specimen.structure[hu.middle_voxel(block)]).collect();
         let bone_blocks = (0..bone.len()).filter(|block| bone[*block] > 0.5).map(|block| block as u32).collect();
         Self {
             air: reduced(&|index| share(specimen.hu[index] < AIR_BELOW_HU)).values,

@@ -8,7 +8,8 @@ use super::distance::squared_mm2;
 use super::solid::inside;
 use crate::learn::specimen::{LabelledSpecimen, METAL, rounded, upright};
 use crate::random::{Purpose, Stream};
-use crate::scene::{SceneError, read_triangles};
+use crate::reporter::Reporter;
+use crate::scene::{SceneError, read_closed_triangles};
 
 /// Structures of a phantom.
 const BONE: u8 = 1;
@@ -28,10 +29,9 @@ impl PhantomMesh {
     /// Reads an STL file, in mm.
     ///
     /// # Errors
-    /// When it is damaged.
-    pub fn read(path: &Path) -> Result<Self, SceneError> {
-        let corner = |[x, y, z]: [f32; 3]| DVec3::new(f64::from(x), f64::from(y), f64::from(z));
-        let mut triangles_mm: Vec<[DVec3; 3]> = read_triangles(path)?.into_iter().map(|triangle| triangle.map(corner)).collect();
+    /// When it is damaged, or the surface has holes.
+    pub fn read(path: &Path, reporter: &Reporter) -> Result<Self, SceneError> {
+        let mut triangles_mm = read_closed_triangles(path, reporter)?;
         let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
         triangles_mm.iter().flatten().for_each(|corner| (low, high) = (low.min(*corner), high.max(*corner)));
         triangles_mm.iter_mut().flatten().for_each(|corner| *corner -= 0.5 * (low + high));
@@ -119,7 +119,8 @@ impl Fine {
 pub fn phantom(seed: u64, meshes: &[PhantomMesh], origin: String) -> LabelledSpecimen {
     let mut draw = Draw(Stream::new(seed, 1, 0, Purpose::Training));
     let (in_plane, slice) = (draw.between(0.8, 2.5), draw.between(0.8, 3.0));
-    let thin = (slice / 1.2).ceil() as usize;
+    // An odd number: the middle one lies where their mean does.
+    let thin = (slice / 1.2).ceil() as usize | 1;
     let side = draw.between(110.0, 150.0);
     let slices = (side / slice) as usize;
     let columns = (side / in_plane) as usize;

@@ -28,6 +28,8 @@ pub struct MaterialsRecipe {
     pub hold_out: HoldOut,
     /// Stop after so many epochs without a better held-out loss, where that chooses.
     pub patience: Option<usize>,
+    /// Phantoms, of simple shapes, that the network is judged by at the end; their seeds are far from those that anybody trains on.
+    pub fresh_phantoms: u64,
 }
 
 impl Default for MaterialsRecipe {
@@ -42,6 +44,7 @@ impl Default for MaterialsRecipe {
             phantoms: 0.35,
             hold_out: HoldOut::Seeds { share: 0.1 },
             patience: Some(10),
+            fresh_phantoms: 6,
         }
     }
 }

@@ -5,11 +5,13 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use burn::tensor::Device;
+use rayon::prelude::*;
 use sha2::{Digest, Sha256};
 
 use super::figures::MaterialsFigures;
 use super::loss::Batch;
 use super::patch::{Patch, Prepared};
+use super::phantom::phantom;
 use super::recipe::MaterialsRecipe;
 use crate::image::write_atomically;
 use crate::infer::materials::{CubeNetwork, LoadedMaterials, MaterialsCard, Pass};
@@ -24,6 +26,8 @@ use crate::random::{Purpose, Stream};
 
 /// Patches of each pass that an epoch is judged by.
 const JUDGED_PATCHES: usize = 16;
+/// Seed of the first phantom that every network is judged by.
+const FRESH_PHANTOMS: u64 = 4_000_000_000;
 /// What the card says of the truth.
 const TRUTH: &str =
     "bones of CTs: the labels of their scenes, whoever drew them (often another network), from 100 HU up; of phantoms: exact";
@@ -47,7 +51,7 @@ pub fn train_materials(
     let (specimens, samples_sha256) = read(&options.dataset)?;
     let held = held_out(&specimens, &recipe.hold_out, recipe.seed)?;
     let card = card_of(&specimens, &held, recipe, samples_sha256);
-    siblings::judge(&mut card.clone(), &options.siblings)?;
+    siblings::judge(&mut card.clone(), &options.siblings, false)?;
     let layers = recipe.materials.layers();
     let training = Training::new(options, &specimens, &held, card);
     let mut state = if options.resume && training.files.checkpoint.exists() {
@@ -67,7 +71,8 @@ fn read(folder: &Path) -> Result<(Vec<LabelledSpecimen>, String), LearnError> {
     for entry in std::fs::read_dir(folder).map_err(io)? {
         paths.push(entry.map_err(io)?.path());
     }
-    paths.retain(|path| path.extension().is_some_and(|ending| ending == "safetensors"));
+    let is_specimen = |name: &str| name.starts_with("materials-") && name.ends_with(".safetensors");
+    paths.retain(|path| path.file_name().is_some_and(|name| is_specimen(&name.to_string_lossy())));
     paths.sort();
     if paths.is_empty() {
         return Err(LearnError::NoSpecimens { path: folder.to_owned() });
@@ -77,8 +82,8 @@ fn read(folder: &Path) -> Result<(Vec<LabelledSpecimen>, String), LearnError> {
     for path in &paths {
         let specimen = LabelledSpecimen::read(path)?;
         hash.update(std::fs::read(path).map_err(io)?);
-        if let Some(other) = specimens.iter().find(|other| other.name == specimen.name) {
-            return Err(LearnError::SameName { path: path.clone(), name: other.name.clone() });
+        if let Some(other) = specimens.iter().find(|other| other.name == specimen.name || other.hu == specimen.hu) {
+            return Err(LearnError::SameSpecimen { path: path.clone(), name: other.name.clone() });
         }
         specimens.push(specimen);
     }
@@ -124,6 +129,7 @@ fn card_of(specimens: &[LabelledSpecimen], held: &[bool], recipe: &MaterialsReci
         weights_sha256: String::new(),
         training_seed: recipe.seed,
         training_epochs: recipe.epochs,
+        kept_epoch: 0,
         training_steps: recipe.steps,
         training_batch: recipe.batch,
         specimens: names,
@@ -206,11 +212,12 @@ impl<'a> Training<'a> {
     }
 
     /// Writes `parameters`, then their card with `figures`: until it is there too, a reader meets a checksum that disagrees.
-    fn written(&self, parameters: &[f32], figures: BTreeMap<String, f64>) -> Result<MaterialsCard, LearnError> {
-        let mut card = MaterialsCard { held_out: figures, ..self.card.clone() };
+    fn written(&self, parameters: &[f32], epoch: usize, figures: BTreeMap<String, f64>) -> Result<MaterialsCard, LearnError> {
+        let mut card = MaterialsCard { held_out: figures, kept_epoch: epoch, ..self.card.clone() };
         let weights = weights_file(&card.layers(), parameters).map_err(LearnError::Encode)?;
         card.weights_sha256 = sha256(&weights);
-        siblings::judge(&mut card, &self.options.siblings)?;
+        let is_last = !card.held_out.is_empty();
+        siblings::judge(&mut card, &self.options.siblings, is_last)?;
         let NetworkFiles { weights: weights_path, card: card_path } = &self.files.network;
         write_atomically(weights_path, |file| file.write_all(&weights))?;
         write_atomically(card_path, |file| Ok(serde_json::to_writer_pretty(file, &card)?))?;
@@ -225,29 +232,55 @@ impl<'a> Training<'a> {
         end: TrainingEnd,
     ) -> Result<TrainedMaterials, LearnError> {
         let Some((epoch, parameters)) = &state.best else { return Err(LearnError::StoppedTooSoon) };
-        let network = LoadedMaterials::new(self.card.clone(), parameters);
-        let mut figures = BTreeMap::new();
-        if end != TrainingEnd::ByCaller {
-            let (mut phantoms, mut is_any) = (MaterialsFigures::default(), false);
-            for (specimen, _) in specimens.iter().zip(held).filter(|(_, held)| **held) {
-                let found = MaterialsFigures::of(specimen, &network.bone(&specimen.volume(), &mut |_, _, _| {}));
-                if specimen.is_phantom {
-                    (phantoms, is_any) = (phantoms.and(found), true);
-                } else {
-                    figures.extend(found.named(""));
-                }
-            }
-            if is_any {
-                figures.extend(phantoms.named(" of phantoms"));
-            }
-        }
-        let card = self.written(parameters, figures.clone())?;
+        let figures = if end == TrainingEnd::ByCaller {
+            BTreeMap::new()
+        } else {
+            let network = LoadedMaterials::new(self.card.clone(), parameters);
+            let held_out = specimens.iter().zip(held).filter(|(_, held)| **held).map(|(specimen, _)| specimen);
+            figures_of(&network, held_out, self.recipe.fresh_phantoms)
+        };
+        let card = self.written(parameters, *epoch, figures.clone())?;
         Ok(Trained { card, files: self.files.clone(), epoch: *epoch, held_out: figures, history: state.history.clone(), end })
     }
 }
 
+/// Figures of all of `held_out`, of each CT among them, of its phantoms, and of phantoms that no training sees.
+fn figures_of<'a>(
+    network: &LoadedMaterials,
+    held_out: impl Iterator<Item = &'a LabelledSpecimen>,
+    fresh_phantoms: u64,
+) -> BTreeMap<String, f64> {
+    let of = |specimen: &LabelledSpecimen| MaterialsFigures::of(specimen, &network.bone(&specimen.volume(), &mut |_, _, _| {}));
+    let (mut figures, mut all, mut phantoms) = (BTreeMap::new(), None, None);
+    let and = |sum: &mut Option<MaterialsFigures>, found: MaterialsFigures| {
+        *sum = Some(sum.map_or(found, |sum| sum.and(found)));
+    };
+    let (mut cts, mut held) = (0, 0);
+    for specimen in held_out {
+        let found = of(specimen);
+        held += 1;
+        and(&mut all, found);
+        if specimen.is_phantom {
+            and(&mut phantoms, found);
+        } else {
+            cts += 1;
+            figures.extend(found.named(&format!(" of {}", specimen.name)));
+        }
+    }
+    // Of one CT alone all are its own.
+    if cts == 1 && held == 1 {
+        figures.clear();
+    }
+    figures.extend(all.iter().flat_map(|all| all.named("")));
+    figures.extend(phantoms.iter().flat_map(|phantoms| phantoms.named(" of phantoms held out")));
+    let fresh = (0..fresh_phantoms).map(|number| of(&phantom(FRESH_PHANTOMS + number, &[], String::new())));
+    let fresh = fresh.reduce(MaterialsFigures::and);
+    figures.extend(fresh.iter().flat_map(|fresh| fresh.named(" of fresh phantoms")));
+    figures
+}
+
 impl Learner for Training<'_> {
-    type Found = Option<f64>;
+    type Found = ();
 
     fn pace(&self) -> Pace {
         let MaterialsRecipe { epochs, batch, rule, hold_out, patience, .. } = self.recipe;
@@ -262,7 +295,7 @@ impl Learner for Training<'_> {
     fn slopes(&self, epoch: usize, chosen: &[usize], parameters: &[f32], device: &Device) -> (f64, Vec<f32>) {
         let (mut losses, mut slopes) = (0.0, Vec::new());
         for (place, network) in self.networks(parameters, device).iter().enumerate() {
-            let patches: Vec<Patch> = chosen.iter().map(|number| self.patch(epoch, *number, place)).collect();
+            let patches: Vec<Patch> = chosen.par_iter().map(|number| self.patch(epoch, *number, place)).collect();
             let loss = Batch::new(&patches, &self.passes[place], device).loss(network);
             slopes.extend(slopes_of(&loss, network.layers().iter().map(|layer| (&layer.weight, &layer.bias))));
             losses += f64::from(loss.into_scalar::<f32>());
@@ -270,7 +303,7 @@ impl Learner for Training<'_> {
         (losses / self.passes.len() as f64, slopes)
     }
 
-    fn judge(&self, parameters: &[f32]) -> ([Option<f64>; 2], Option<f64>) {
+    fn judge(&self, parameters: &[f32]) -> ([Option<f64>; 2], ()) {
         let device = Device::flex();
         let networks = self.networks(parameters, &device);
         let of_pass = |place: usize| {
@@ -284,12 +317,12 @@ impl Learner for Training<'_> {
         let loss = (0..self.passes.len()).map(of_pass).sum::<f64>() / self.passes.len() as f64;
         // Without patches it is 0/0.
         let loss = loss.is_finite().then_some(loss);
-        ([loss, loss], loss)
+        ([loss, loss], ())
     }
 
-    fn write_network(&self, parameters: &[f32], found: &Option<f64>) -> Result<(), LearnError> {
-        let figures = found.iter().map(|loss| ("loss".to_owned(), *loss)).collect();
-        self.written(parameters, figures).map(drop)
+    fn write_network(&self, parameters: &[f32], epoch: usize, _: &Self::Found) -> Result<(), LearnError> {
+        // Figures cost minutes: they come at the end.
+        self.written(parameters, epoch, BTreeMap::new()).map(drop)
     }
 
     fn files(&self) -> &TrainFiles {

@@ -52,6 +52,7 @@ pub mod render;
 pub mod replay;
 pub mod scatter;
 mod scattered;
+pub mod session_new;
 mod shot_files;
 pub mod spectrum;
 pub mod tags;
@@ -81,6 +82,7 @@ Exit codes: 0 good, 1 failed or refused, 2 usage, 3 finished with loss (said whi
 enum Command {
     Demo(demo::DemoArgs),
     Live(live::LiveArgs),
+    Session(session_new::SessionArgs),
     Check(check::CheckArgs),
     Replay(replay::ReplayArgs),
     Render(render::RenderArgs),
@@ -145,6 +147,7 @@ fn dispatch(command: &Command, reporter: &Reporter) -> u8 {
         Command::Attenuation(args) => end(attenuation::run(args, &mut std::io::stdout().lock()).map(|()| 0), reporter),
         Command::Spectrum(args) => end(spectrum::run(args, &mut std::io::stdout().lock()).map(|()| 0), reporter),
         Command::Materials(args) => end(materials::run(args, &mut std::io::stdout().lock()).map(|()| 0), reporter),
+        Command::Session(args) => end(session_new::run(args, reporter), reporter),
         Command::Check(args) => check::run(args, reporter),
         Command::Devices(args) => match &args.check {
             Some(session) => {

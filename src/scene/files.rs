@@ -19,6 +19,12 @@ const BUILT_IN: [(&str, &str); 3] = [
     ("calibration/robot/cdm.json", include_str!("../../calibration/robot/cdm.json")),
 ];
 
+/// The text of a calibration file that comes with the program.
+#[must_use]
+pub fn built_in(name: &str) -> Option<&'static str> {
+    BUILT_IN.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)
+}
+
 /// Resolves names against the scene file's folder and keeps the list of inputs.
 #[derive(Debug)]
 pub(super) struct Files {
@@ -90,8 +96,8 @@ impl Files {
     pub(super) fn read_json<T: DeserializeOwned>(&mut self, key: &str, name: &str) -> Result<T, SceneError> {
         match self.find(key, name) {
             Ok(path) => read_json(&path),
-            Err(missing @ SceneError::Missing { .. }) => match BUILT_IN.iter().find(|(known, _)| *known == name) {
-                Some((_, text)) => {
+            Err(missing @ SceneError::Missing { .. }) => match built_in(name) {
+                Some(text) => {
                     self.remember(name, sha256_bytes(text.as_bytes()), None);
                     parse_json(Path::new(name), text.as_bytes())
                 }

@@ -1,0 +1,364 @@
+//! `sidecarm session new`: a session file from a few answers.
+
+use std::io::{BufRead, Write};
+use std::path::{Path, PathBuf};
+
+use serde::de::DeserializeOwned;
+
+use super::check::{self, CheckArgs};
+use super::devices::list_ports;
+use crate::beads::parse_markups;
+use crate::geometry::{CarmCalibration, RobotModel};
+use crate::image::{ImageFileError, write_atomically};
+use crate::json::parse_json;
+use crate::reporter::Reporter;
+use crate::scene::built_in;
+use crate::scene::file::SceneFile;
+use crate::session::file::{CarmLine, FrameSource, RobotLine, SessionFile};
+
+/// What stands for a thing that the lab does not have.
+const NONE: &str = "none";
+/// Bits per second, where nobody says otherwise.
+const BAUD: u32 = 921_600;
+
+/// What sends telemetry.
+struct Device {
+    name: &'static str,
+    /// What says its port, and its calibration, without being asked.
+    options: [&'static str; 2],
+    /// The calibration that comes with the program, and what it is called beside a session.
+    nominal: (&'static str, &'static str),
+    /// What is wrong with a calibration of its own.
+    looked: fn(&Path) -> Result<(), String>,
+}
+
+const CARM: Device = Device {
+    name: "C-arm",
+    options: ["--carm", "--carm-calibration"],
+    nominal: ("calibration/carm/nominal-mobile.json", "carm-nominal.json"),
+    looked: |path| read::<CarmCalibration>(path).map(drop),
+};
+const ROBOT: Device = Device {
+    name: "robot",
+    options: ["--robot", "--robot-model"],
+    nominal: ("calibration/robot/cdm.json", "robot-nominal.json"),
+    looked: |path| read::<RobotModel>(path)?.check().map_err(|error| error.to_string()),
+};
+
+/// Sessions.
+#[derive(Clone, Debug, clap::Args)]
+pub struct SessionArgs {
+    #[command(subcommand)]
+    of: SessionOf,
+}
+
+#[derive(Clone, Debug, clap::Subcommand)]
+enum SessionOf {
+    New(NewArgs),
+}
+
+/// Write a session file: what no option says is asked, every answer is looked at, and `check` has the last word.
+#[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Examples:
+  sidecarm session new session.json
+  sidecarm session new session.json --carm /dev/ttyUSB0 --robot none --frames /mnt/console/export --scene scene.json --beads beads.mrk.json
+
+`none` is an answer where the lab has no such thing. Exit code: that of `sidecarm check`.")]
+pub struct NewArgs {
+    /// The session file; none may be there yet
+    session: PathBuf,
+    /// Serial port of the C-arm's telemetry, or none
+    #[arg(long, value_name = "PORT")]
+    carm: Option<String>,
+    /// Its bits per second
+    #[arg(long, value_name = "BAUD", default_value_t = BAUD)]
+    carm_baud: u32,
+    /// Its calibration, or nominal: the one that comes with the program is written beside the session
+    #[arg(long, value_name = "FILE")]
+    carm_calibration: Option<String>,
+    /// Serial port of the robot's telemetry, or none
+    #[arg(long, value_name = "PORT")]
+    robot: Option<String>,
+    /// Its bits per second
+    #[arg(long, value_name = "BAUD", default_value_t = BAUD)]
+    robot_baud: u32,
+    /// Its model, or nominal
+    #[arg(long, value_name = "FILE")]
+    robot_model: Option<String>,
+    /// Folder in which frames appear
+    #[arg(long, value_name = "DIR")]
+    frames: Option<String>,
+    /// The scene: CT, tools, beam and detector, without a view
+    #[arg(long, value_name = "SCENE.json")]
+    scene: Option<String>,
+    /// Beads of the specimen (3D Slicer markups or .fcsv), or none
+    #[arg(long, value_name = "FILE")]
+    beads: Option<String>,
+    /// Folder of the results [default: out, beside the session]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Do not check what was written
+    #[arg(long)]
+    no_check: bool,
+}
+
+/// Why there is no session file.
+#[derive(Debug, thiserror::Error)]
+pub enum SessionNewError {
+    /// Nothing is overwritten.
+    #[error("{}: is there already; name another session file, or edit it and run `sidecarm check`", path.display())]
+    Exists {
+        /// It.
+        path: PathBuf,
+    },
+    /// An option that will not do.
+    #[error("{option} {given}: {reason}")]
+    Option {
+        /// Which.
+        option: &'static str,
+        /// Its value.
+        given: String,
+        /// Why.
+        reason: String,
+    },
+    /// Nobody answers.
+    #[error("no answer to \"{question}\": give {option}")]
+    Unanswered {
+        /// What was asked.
+        question: String,
+        /// What says it without being asked.
+        option: &'static str,
+    },
+    /// Writing.
+    #[error(transparent)]
+    File(#[from] ImageFileError),
+    /// The terminal.
+    #[error("the answers cannot be read ({0})")]
+    Input(#[from] std::io::Error),
+}
+
+/// One thing to find out.
+struct Question<'a> {
+    option: &'static str,
+    given: &'a Option<String>,
+    words: &'a str,
+    /// What an empty answer means.
+    default: Option<&'a str>,
+}
+
+/// Asks in the order of the answers that it gets.
+struct Asker<R, W> {
+    answers: R,
+    screen: W,
+}
+
+impl<R: BufRead, W: Write> Asker<R, W> {
+    /// The first answer that `looked` takes; an option is the only answer.
+    fn ask<T>(&mut self, question: &Question<'_>, looked: &dyn Fn(&str) -> Result<T, String>) -> Result<T, SessionNewError> {
+        let Question { option, given, words, default } = *question;
+        if let Some(given) = given {
+            return looked(given).map_err(|reason| SessionNewError::Option { option, given: given.clone(), reason });
+        }
+        let shown = default.map_or_else(String::new, |default| format!(" [{default}]"));
+        loop {
+            write!(self.screen, "{words}{shown}: ")?;
+            self.screen.flush()?;
+            let mut line = String::new();
+            if self.answers.read_line(&mut line)? == 0 {
+                return Err(SessionNewError::Unanswered { question: words.to_owned(), option });
+            }
+            let answer = match (line.trim(), default) {
+                ("", Some(default)) => default,
+                (answer, _) => answer,
+            };
+            match looked(answer) {
+                Ok(found) => return Ok(found),
+                Err(reason) => writeln!(self.screen, "  {reason}")?,
+            }
+        }
+    }
+}
+
+/// Writes a session file and checks it; the exit code of the check.
+///
+/// # Errors
+/// When a session of that name is there, an option will not do, a question is not answered, or the file cannot be written.
+pub fn run(args: &SessionArgs, reporter: &Reporter) -> Result<u8, SessionNewError> {
+    let SessionOf::New(args) = &args.of;
+    if args.session.exists() {
+        return Err(SessionNewError::Exists { path: args.session.clone() });
+    }
+    let ports = list_ports().iter().map(|port| port.by_id.first().unwrap_or(&port.path).display().to_string()).collect();
+    let mut asker = Asker { answers: std::io::stdin().lock(), screen: std::io::stderr() };
+    let (session, files) = answered(args, ports, &mut asker)?;
+    for (path, text) in &files {
+        write_atomically(path, |file| file.write_all(text.as_bytes()))?;
+    }
+    write_atomically(&args.session, |file| Ok(serde_json::to_writer_pretty(file, &session)?))?;
+    println!("{}", args.session.display());
+    if args.no_check {
+        return Ok(0);
+    }
+    let check = CheckArgs { session: args.session.clone(), out: args.out.clone(), limit: check::LIMIT_S, json: false };
+    Ok(check::run(&check, reporter))
+}
+
+/// The session, and files that belong beside it.
+type Answered = (SessionFile, Vec<(PathBuf, &'static str)>);
+
+fn answered<R: BufRead, W: Write>(
+    args: &NewArgs,
+    ports: Vec<String>,
+    asker: &mut Asker<R, W>,
+) -> Result<Answered, SessionNewError> {
+    let folder = args.session.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = std::path::absolute(folder).unwrap_or_else(|_| folder.to_owned());
+    let named = |path: &Path| {
+        let whole = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+        // A session that is moved with its files still finds them.
+        whole.strip_prefix(&folder).map(Path::to_owned).unwrap_or(whole)
+    };
+    let mut ports = ports.into_iter();
+    let carm = line(asker, &CARM, [&args.carm, &args.carm_calibration], ports.next(), &named)?;
+    let robot = line(asker, &ROBOT, [&args.robot, &args.robot_model], ports.next(), &named)?;
+    let nominal = [(&carm, &CARM), (&robot, &ROBOT)].into_iter().filter_map(|(line, device)| {
+        let (_, file) = line.as_ref()?;
+        let (built, beside) = device.nominal;
+        (*file == Path::new(beside)).then(|| (folder.join(beside), built_in(built).unwrap_or_default()))
+    });
+    let files = nominal.filter(|(path, _)| !path.exists()).collect();
+    let frames = Question { option: "--frames", given: &args.frames, words: "Folder in which frames appear", default: None };
+    let frames = asker.ask(&frames, &|answer| {
+        let path = Path::new(answer);
+        if path.is_dir() { Ok(named(path)) } else { Err(format!("'{answer}' is no folder; mount it, or make it")) }
+    })?;
+    let scene = Question { option: "--scene", given: &args.scene, words: "Scene (CT, tools, beam, detector)", default: None };
+    let scene = asker.ask(&scene, &|answer| read::<SceneFile>(Path::new(answer)).map(|_| named(Path::new(answer))))?;
+    let words = format!("Beads of the specimen (markups), or {NONE}");
+    let beads = Question { option: "--beads", given: &args.beads, words: &words, default: None };
+    let beads = asker.ask(&beads, &|answer| {
+        if answer == NONE {
+            return Ok(None);
+        }
+        let path = Path::new(answer);
+        let content = std::fs::read(path).map_err(|error| format!("{answer}: {error}"))?;
+        parse_markups(path, &content).map_err(|error| error.to_string())?;
+        Ok(Some(named(path)))
+    })?;
+    let session = SessionFile {
+        carm: carm.map(|(port, calibration)| CarmLine { port, baud: args.carm_baud, calibration }),
+        robot: robot.map(|(port, model)| RobotLine { port, baud: args.robot_baud, model }),
+        frames: FrameSource { folder: frames, domain: None, dicom: None },
+        scene,
+        beads,
+        world_from_lps: None,
+        world_from_tracker: None,
+        out: Some(args.out.as_deref().map_or_else(|| PathBuf::from("out"), named)),
+        domain: None,
+        tone: None,
+        air_level: None,
+        bead_radius_mm: None,
+        landmarks: None,
+        console: None,
+        detector: None,
+        intensifier: None,
+        tags: None,
+        igtl: None,
+    };
+    Ok((session, files))
+}
+
+/// Port and calibration of a device, if the lab has it.
+fn line<R: BufRead, W: Write>(
+    asker: &mut Asker<R, W>,
+    device: &Device,
+    [port, file]: [&Option<String>; 2],
+    seen: Option<String>,
+    named: &dyn Fn(&Path) -> PathBuf,
+) -> Result<Option<(PathBuf, PathBuf)>, SessionNewError> {
+    let words = format!("Serial port of the {}, or {NONE}", device.name);
+    let default = Some(seen.as_deref().unwrap_or(NONE));
+    let port = Question { option: device.options[0], given: port, words: &words, default };
+    let Some(port) = asker.ask(&port, &|answer| Ok((answer != NONE).then(|| PathBuf::from(answer))))? else {
+        return Ok(None);
+    };
+    let words = format!("Calibration of the {}, or nominal", device.name);
+    let file = Question { option: device.options[1], given: file, words: &words, default: Some("nominal") };
+    let file = asker.ask(&file, &|answer| match answer {
+        "nominal" => Ok(PathBuf::from(device.nominal.1)),
+        path => (device.looked)(Path::new(path)).map(|()| named(Path::new(path))),
+    })?;
+    Ok(Some((port, file)))
+}
+
+/// One of our JSON files, or what is wrong with it.
+fn read<T: DeserializeOwned>(path: &Path) -> Result<T, String> {
+    let bytes = std::fs::read(path).map_err(|error| format!("{}: {error}", path.display()))?;
+    parse_json(&bytes).map_err(|fault| format!("{}: {fault}", path.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn args(session: &Path) -> NewArgs {
+        NewArgs {
+            session: session.to_owned(),
+            carm: None,
+            carm_baud: BAUD,
+            carm_calibration: None,
+            robot: None,
+            robot_baud: 115_200,
+            robot_model: None,
+            frames: None,
+            scene: None,
+            beads: None,
+            out: None,
+            no_check: true,
+        }
+    }
+
+    #[test]
+    fn an_answer_that_will_not_do_is_asked_again_and_an_option_is_not_asked() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let at = |name: &str| folder.path().join(name).display().to_string();
+        std::fs::create_dir(at("frames")).expect("a folder");
+        std::fs::write(at("scene.json"), r#"{"objects": [], "beam": {"mono_kev": 60}}"#).expect("written");
+        std::fs::write(at("wrong.json"), r#"{"objects": [], "beam": {"mono_keV": 60}}"#).expect("written");
+        // The port that is there, no calibration of that name, the nominal one; no robot; a folder that is none; a scene with a wrong key; no beads.
+        let lines = ["", "nowhere.json", "nominal", NONE, "nothing", &at("frames"), &at("wrong.json"), &at("scene.json"), NONE];
+        let answers = lines.join("\n") + "\n";
+        let mut asker = Asker { answers: answers.as_bytes(), screen: Vec::new() };
+        let session = folder.path().join("session.json");
+        let (found, files) = answered(&args(&session), vec!["/dev/ttyUSB7".to_owned()], &mut asker).expect("answered");
+        let screen = String::from_utf8(asker.screen).expect("text");
+        for words in ["[/dev/ttyUSB7]", "nowhere.json", "'nothing' is no folder", "mono_keV"] {
+            assert!(screen.contains(words), "{words}: {screen}");
+        }
+        assert_eq!(screen.matches("Serial port").count(), 2);
+        let carm = found.carm.expect("a C-arm");
+        assert_eq!(
+            (carm.port.as_path(), carm.calibration.as_path(), carm.baud),
+            (Path::new("/dev/ttyUSB7"), Path::new(CARM.nominal.1), BAUD)
+        );
+        assert!(found.robot.is_none() && found.beads.is_none());
+        assert_eq!((found.frames.folder.as_path(), found.scene.as_path()), (Path::new("frames"), Path::new("scene.json")));
+        let [(path, text)] = &files[..] else { panic!("{files:?}") };
+        assert!(*path == folder.path().join(CARM.nominal.1) && parse_json::<CarmCalibration>(text.as_bytes()).is_ok());
+
+        let mut given = args(&session);
+        (given.carm, given.robot, given.frames) = (Some(NONE.to_owned()), Some("/dev/ttyACM0".to_owned()), Some(at("frames")));
+        (given.robot_model, given.scene, given.beads) =
+            (Some("nominal".to_owned()), Some(at("scene.json")), Some(NONE.to_owned()));
+        let mut silent = Asker { answers: &b""[..], screen: Vec::new() };
+        let (found, files) = answered(&given, Vec::new(), &mut silent).expect("nothing to ask");
+        assert!(silent.screen.is_empty() && found.carm.is_none() && found.robot.is_some_and(|robot| robot.baud == 115_200));
+        assert!(parse_json::<RobotModel>(files[0].1.as_bytes()).is_ok());
+        given.frames = Some(at("nothing"));
+        let refused = answered(&given, Vec::new(), &mut silent).expect_err("no folder").to_string();
+        assert!(refused.starts_with("--frames ") && refused.contains("is no folder"), "{refused}");
+        given.frames = None;
+        let refused = answered(&given, Vec::new(), &mut silent).expect_err("nobody answers").to_string();
+        assert!(refused.contains("give --frames"), "{refused}");
+    }
+}

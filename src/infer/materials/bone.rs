@@ -13,8 +13,8 @@ use crate::infer::{InferError, NetworkFiles};
 
 /// What is thinner is no bone, whatever surrounds it: marrow is soft tissue.
 pub const DENSE_HU: f32 = 100.0;
-/// Where no pass so far sees more probability of bone than this, no finer one looks.
-const HARDLY: f32 = 0.05;
+/// Where the pass before sees no more probability of bone than this, no finer one looks.
+const HARDLY: f32 = 0.25;
 /// What is denser is no tissue: metal attenuates like bone rather than like muscle.
 pub const METAL_HU: f32 = 1700.0;
 /// Beyond the scan there is air.

@@ -29,7 +29,13 @@ pub struct MaterialsRecipe {
     /// Stop after so many epochs without a better held-out loss, where that chooses.
     pub patience: Option<usize>,
     /// Phantoms, of simple shapes, that the network is judged by at the end; their seeds are far from those that anybody trains on.
+    #[serde(default = "fresh_phantoms")]
     pub fresh_phantoms: u64,
+}
+
+/// Enough for figures that hardly change with more.
+fn fresh_phantoms() -> u64 {
+    6
 }
 
 impl Default for MaterialsRecipe {
@@ -44,7 +50,7 @@ impl Default for MaterialsRecipe {
             phantoms: 0.35,
             hold_out: HoldOut::Seeds { share: 0.1 },
             patience: Some(10),
-            fresh_phantoms: 6,
+            fresh_phantoms: fresh_phantoms(),
         }
     }
 }

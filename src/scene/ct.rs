@@ -167,7 +167,8 @@ impl Builder<'_> {
             },
         };
         let network = BoneNetwork::open(own.as_deref());
-        let network = network.map_err(|source| SceneError::Network { place: self.place("materials"), source })?;
+        let network =
+            network.map_err(|source| SceneError::Network { place: self.place("materials"), source: Box::new(source) })?;
         match &own {
             None => self.files.remember(SHIPPED_BONE, network.sha256().to_owned(), None),
             // Its card, which lies beside the weights, is an input too.

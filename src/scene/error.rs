@@ -61,7 +61,7 @@ pub enum SceneError {
         /// File and key that ask for it.
         place: String,
         /// Why.
-        source: crate::infer::InferError,
+        source: Box<crate::infer::InferError>,
     },
     /// A material, an energy or a spectrum is wrong.
     #[error("{place}: {source}")]

@@ -7,9 +7,10 @@ use glam::{DAffine3, DMat3, DVec3};
 use sidecarm::beads::{parse_markups, read_markups};
 use sidecarm::calibrate::beads::{BeadsInCtError, CtBead, CtBeads, Known, NotBead, find_beads, markups};
 use sidecarm::cli::calibrate_beads::{BeadsArgs, run};
+use sidecarm::geometry::VoxelGrid;
 use sidecarm::reporter::Reporter;
+use sidecarm::scene;
 use sidecarm::scene::model::{Matter, Scene, Volume};
-use sidecarm::scene::{self, VoxelGrid};
 
 use crate::ct_phantom::{Luck, Phantom};
 use crate::scene_support::NiftiFile;

@@ -1,7 +1,8 @@
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
-use sidecarm::infer::{Architecture, Card, InferError, Input, LoadedNetwork, NetworkFiles, ScatterNetwork, sha256, weights_file};
+use sidecarm::image::sha256_bytes;
+use sidecarm::infer::{Architecture, Card, InferError, Input, LoadedNetwork, NetworkFiles, ScatterNetwork, weights_file};
 use sidecarm::learn::{Dataset, HoldOut, Recipe, TrainOptions, train};
 
 use crate::network_samples as samples;
@@ -104,7 +105,7 @@ fn a_wrong_truncated_or_foreign_file_is_refused_with_its_reason() {
     let files = NetworkFiles::of(&name);
     let (weights, card) = (std::fs::read(&files.weights).unwrap(), std::fs::read_to_string(&files.card).unwrap());
     let parameters = files.read::<Card>().unwrap().1;
-    let with_sum = |weights: &[u8]| card.replace(&sha256(&std::fs::read(&files.weights).unwrap()), &sha256(weights));
+    let with_sum = |weights: &[u8]| card.replace(&sha256_bytes(&std::fs::read(&files.weights).unwrap()), &sha256(weights));
     let truncated = &weights[..weights.len() - 1];
     let foreign = b"\x89PNG\r\n\x1a\nnot a network".as_slice();
     let paper_count = Architecture::Paper.layers(9, 6).iter().map(sidecarm::infer::Layer::value_count).sum();

@@ -7,8 +7,8 @@ mod ticks;
 mod vectors;
 
 pub use files::{
-    ImageFileError, cache_file, check_writable, read_png_rgb, read_tiff_f32, refuse_overwrite, refuse_same_content, refuse_twice,
-    sha256_bytes, sha256_file, write_atomically, write_png_rgb, write_tiff_f32,
+    ImageFileError, cache_file, check_writable, hex, read_png_rgb, read_tiff_f32, refuse_overwrite, refuse_same_content,
+    refuse_twice, sha256_bytes, sha256_file, write_atomically, write_png_rgb, write_tiff_f32,
 };
 
 pub use new_file::NewFile;

@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use serde::de::DeserializeOwned;
-use sha2::{Digest, Sha256};
 
 use super::{InferError, bytes_from_tensors, floats_of, tensors_from_bytes};
 use super::{Layer, TensorFault};
+use crate::image::sha256_bytes;
 use crate::json::parse_json;
 
 /// What lies beside the weights of a network and says what they are.
@@ -62,7 +62,7 @@ impl NetworkFiles {
     pub(super) fn parse<C: NetworkCard>(&self, weights: &[u8], card: &[u8]) -> Result<(C, Vec<f32>), InferError> {
         let card: C = parse_json(card).map_err(|fault| InferError::CardForm { path: self.card.clone(), fault })?;
         card.check(&self.card)?;
-        let found = sha256(weights);
+        let found = sha256_bytes(weights);
         if found != card.weights_sha256() {
             return Err(InferError::Checksum {
                 path: self.weights.clone(),
@@ -76,12 +76,6 @@ impl NetworkFiles {
             .map_err(|fault| InferError::Weights { path: self.weights.clone(), fault })?;
         Ok((card, parameters))
     }
-}
-
-/// SHA-256 of `bytes`, in hexadecimal.
-#[must_use]
-pub fn sha256(bytes: &[u8]) -> String {
-    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// The weights file of a network of `layers` with `parameters`, in their order.

@@ -4,6 +4,7 @@
 //! mean, how they are normalised and where they lay in training, and its checksum binds it to the weights.
 
 mod card;
+mod convolution;
 mod error;
 mod files;
 mod input;
@@ -14,11 +15,12 @@ mod scatter;
 mod tensors;
 
 pub use card::{Card, JudgedBy, Quantity};
+pub use convolution::Convolution;
 pub use error::InferError;
-pub use files::{NetworkCard, NetworkFiles, sha256, weights_file};
+pub use files::{NetworkCard, NetworkFiles, weights_file};
 pub use input::{Input, Prediction};
 pub use layers::{Architecture, Layer};
-pub use network::{Convolution, LOG_LIMIT, Network};
+pub use network::{LOG_LIMIT, Network};
 pub use scatter::{LoadedNetwork, ScatterNetwork};
 pub use tensors::{TensorFault, bytes_from_tensors, floats_of, metadata_of, tensors_from_bytes};
 

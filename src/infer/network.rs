@@ -1,10 +1,11 @@
 //! A network as tensors on a device: parameters in, logarithms out.
 
 use burn::tensor::activation::{leaky_relu, relu};
-use burn::tensor::module::{avg_pool2d, conv2d};
-use burn::tensor::ops::{AvgPoolOptions, ConvOptions};
+use burn::tensor::module::avg_pool2d;
+use burn::tensor::ops::AvgPoolOptions;
 use burn::tensor::{Device, Tensor, TensorData};
 
+use super::convolution::Convolution;
 use super::layers::Stages;
 use super::{Architecture, CELL_COLUMNS, CELL_ROWS, COLUMNS, Layer, ROWS};
 
@@ -13,31 +14,13 @@ pub const LOG_LIMIT: f64 = 8.0;
 /// Slope below 0 of the paper's network: a layer of a single channel that is 0 everywhere would never learn again.
 const LEAK: f64 = 0.1;
 
-/// The parameters of one layer.
-#[derive(Clone, Debug)]
-pub struct Convolution {
-    /// [outputs, inputs, kernel, kernel].
-    pub weight: Tensor<4>,
-    /// [outputs].
-    pub bias: Tensor<1>,
-    stride: usize,
-    padding: usize,
-}
-
 /// All layers of a network.
 #[derive(Clone, Debug)]
 pub struct Network {
-    stages: Stages<Convolution>,
-    layers: Vec<Convolution>,
+    stages: Stages<Convolution<4>>,
+    layers: Vec<Convolution<4>>,
     from_sixteenth: Tensor<2>,
     from_eighth: Tensor<2>,
-}
-
-impl Convolution {
-    fn forward(&self, x: Tensor<4>) -> Tensor<4> {
-        let options = ConvOptions::new([self.stride; 2], [self.padding; 2], [1, 1], 1);
-        conv2d(x, self.weight.clone(), Some(self.bias.clone()), options)
-    }
 }
 
 impl Network {
@@ -50,15 +33,7 @@ impl Network {
         }
         let (mut rest, mut layers) = (parameters, Vec::new());
         let stages = Stages::build(architecture, channels + scalars, |layer| {
-            let (weight, behind) = rest.split_at(layer.weight_count());
-            let (bias, behind) = behind.split_at(layer.outputs);
-            rest = behind;
-            let mut weight = Tensor::from_data(TensorData::new(weight.to_vec(), layer.weight_shape()), device);
-            let mut bias = Tensor::from_data(TensorData::new(bias.to_vec(), [layer.outputs]), device);
-            if device.is_autodiff() {
-                (weight, bias) = (weight.require_grad(), bias.require_grad());
-            }
-            let convolution = Convolution { weight, bias, stride: layer.stride, padding: layer.padding() };
+            let convolution = Convolution::take(&layer, &mut rest, device);
             layers.push(convolution.clone());
             convolution
         });
@@ -69,7 +44,7 @@ impl Network {
 
     /// The layers in the order of the parameters.
     #[must_use]
-    pub fn layers(&self) -> &[Convolution] {
+    pub fn layers(&self) -> &[Convolution<4>] {
         &self.layers
     }
 
@@ -101,7 +76,7 @@ impl Network {
     }
 }
 
-fn residual([first, second]: &[Convolution; 2], x: Tensor<4>) -> Tensor<4> {
+fn residual([first, second]: &[Convolution<4>; 2], x: Tensor<4>) -> Tensor<4> {
     relu(x.clone() + second.forward(relu(first.forward(x))))
 }
 

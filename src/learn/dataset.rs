@@ -6,6 +6,7 @@ use sha2::{Digest, Sha256};
 
 use super::shard::ERRORS;
 use super::{HoldOut, LearnError, Shard};
+use crate::image::hex;
 use crate::infer::{CELL_COLUMNS, CELL_ROWS, CELLS, COLUMNS, Input, PAGES, PIXELS, ROWS};
 use crate::random::{Purpose, Stream};
 
@@ -114,7 +115,7 @@ impl Dataset {
             hash.update(sample.specimen.as_bytes());
             hash.update(sample.seed.to_le_bytes());
         }
-        hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+        hex(&hash.finalize())
     }
 
     /// Indices of the samples to train on, and of those held out.

@@ -8,6 +8,7 @@ use super::adam::learning_rate;
 use super::checkpoint::State;
 use super::{EpochRecord, LearnError, Progress, StepRule, TrainFiles, TrainingEnd};
 use crate::image::write_atomically;
+use crate::infer::Convolution;
 
 /// How long a training goes on.
 #[derive(Clone, Debug)]
@@ -136,14 +137,11 @@ fn write_history(files: &TrainFiles, history: &[EpochRecord]) -> Result<(), Lear
     Ok(write_atomically(path, |file| file.write_all(&bytes))?)
 }
 
-/// The slopes of `loss` by parameters, each a weight and a bias, in their order.
-pub(super) fn slopes_of<'a, const D: usize>(
-    loss: &Tensor<1>,
-    layers: impl IntoIterator<Item = (&'a Tensor<D>, &'a Tensor<1>)>,
-) -> Vec<f32> {
+/// The slopes of `loss` by the parameters of `layers`, in their order.
+pub(super) fn slopes_of<const D: usize>(loss: &Tensor<1>, layers: &[Convolution<D>]) -> Vec<f32> {
     let mut gradients = loss.backward();
     let mut all = Vec::new();
-    for (weight, bias) in layers {
+    for Convolution { weight, bias, .. } in layers {
         let of_weight = weight.grad_remove(&mut gradients).map(Tensor::into_data);
         let of_bias = bias.grad_remove(&mut gradients).map(Tensor::into_data);
         for data in [of_weight, of_bias] {

@@ -1,9 +1,10 @@
 //! Scatter networks, trained on samples of the Monte Carlo, and materials networks, trained on labelled CTs and phantoms.
 //!
-//! Data flows down this list: a scene drawn around a specimen, files of samples, a sample of a scene, files of labelled specimens, the
+//! Data flows down this list: what is drawn with, a scene drawn around a specimen, files of samples, a sample of a scene, files of labelled specimens, the
 //! recipe, the set of samples, its mirror images and statistics, siblings, the loss, the figures of what was held out, the step, the state
 //! between epochs, the epochs, the training; `materials` has what is its own. `infer` runs what comes out and needs nothing of this.
 
+mod draw;
 mod scatter_scene;
 mod shard;
 mod scatter_sample;

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use glam::{DAffine3, DMat3, DQuat, DVec2, DVec3};
 
+use super::draw::Draw;
 use crate::geometry::{Intrinsics, Rigid, View};
 use crate::random::{Purpose, Stream};
 use crate::scene::model::{Matter, Object, Response, Scene, Shape, Solid, Volume};
@@ -88,30 +89,6 @@ fn bounds_mm(matter: &Matter) -> (DVec3, DVec3) {
             grow(grow(bounds, centre - radius), centre + radius)
         }),
         Matter::Mesh(mesh) => mesh.vertices_lps_mm.iter().fold(none, |bounds, p| grow(bounds, *p)),
-    }
-}
-
-struct Draw(Stream);
-
-impl Draw {
-    fn between(&mut self, low: f64, high: f64) -> f64 {
-        low + (high - low) * self.0.uniform()
-    }
-
-    fn between3(&mut self, low: DVec3, high: DVec3) -> DVec3 {
-        DVec3::new(self.between(low.x, high.x), self.between(low.y, high.y), self.between(low.z, high.z))
-    }
-
-    fn chance(&mut self, share: f64) -> bool {
-        self.0.uniform() < share
-    }
-
-    fn one_of<T: Copy>(&mut self, list: &[T]) -> T {
-        list[(self.0.uniform() * list.len() as f64) as usize % list.len()]
-    }
-
-    fn rotation(&mut self) -> DQuat {
-        DQuat::from_xyzw(self.0.normal(), self.0.normal(), self.0.normal(), self.0.normal()).normalize()
     }
 }
 

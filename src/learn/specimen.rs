@@ -3,11 +3,12 @@
 use std::collections::{BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 
-use glam::{DAffine3, DMat3, DVec3};
+use glam::{DAffine3, DVec3};
 use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors};
 use serde::{Deserialize, Serialize};
 
+use crate::geometry::VoxelGrid;
 use crate::image::{ImageFileError, write_atomically};
 use crate::infer::materials::HuVolume;
 use crate::infer::{TensorFault, metadata_of, tensors_from_bytes};
@@ -29,10 +30,8 @@ pub struct LabelledSpecimen {
     pub name: String,
     /// Whether its truth is exact: nobody, and no other network, drew it.
     pub is_phantom: bool,
-    /// Voxels along i, j, k.
-    pub size: [usize; 3],
-    /// Continuous voxel index to `lps`, mm.
-    pub lps_from_voxel: DAffine3,
+    /// Where its voxels lie.
+    pub grid: VoxelGrid,
     /// Hounsfield numbers, i fastest.
     pub hu: Vec<f32>,
     /// Structure of each voxel; 0 is none.
@@ -114,8 +113,7 @@ impl LabelledSpecimen {
         Ok(Self {
             name: name.to_owned(),
             is_phantom: false,
-            size: labelled.ct.size,
-            lps_from_voxel: labelled.ct.lps_from_voxel,
+            grid: labelled.ct.grid(),
             hu: labelled.ct.values.iter().map(|hu| rounded(*hu)).collect(),
             structure: labelled
                 .labels
@@ -131,7 +129,7 @@ impl LabelledSpecimen {
     /// As a network sees it.
     #[must_use]
     pub fn volume(&self) -> HuVolume<'_> {
-        HuVolume { size: self.size, lps_from_voxel: self.lps_from_voxel, hu: &self.hu }
+        HuVolume { grid: self.grid, hu: &self.hu }
     }
 
     /// Whether a voxel lies in a bone, marrow included.
@@ -145,14 +143,13 @@ impl LabelledSpecimen {
     /// # Errors
     /// When it cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), SpecimenError> {
-        let [width, height, depth] = self.size;
+        let [width, height, depth] = self.grid.size;
         let shape = vec![depth, height, width];
         let hu: Vec<u8> = self.hu.iter().flat_map(|hu| (rounded(*hu) as i16).to_le_bytes()).collect();
-        let axes = self.lps_from_voxel;
         let about = About {
             name: self.name.clone(),
             is_phantom: self.is_phantom,
-            lps_from_voxel: axes.to_cols_array(),
+            lps_from_voxel: self.grid.lps_from_voxel.to_cols_array(),
             bones: self.bones.clone(),
             origin: self.origin.clone(),
         };
@@ -175,7 +172,12 @@ impl LabelledSpecimen {
     /// When it is not there, damaged or something else.
     pub fn read(path: &Path) -> Result<Self, SpecimenError> {
         let bytes = std::fs::read(path).map_err(|source| SpecimenError::Io { path: path.to_owned(), source })?;
-        Self::parse(&bytes).map_err(|fault| SpecimenError::Content { path: path.to_owned(), fault })
+        Self::of_bytes(&bytes, path)
+    }
+
+    /// The one that the file at `path` holds, whose content is `bytes`.
+    pub(super) fn of_bytes(bytes: &[u8], path: &Path) -> Result<Self, SpecimenError> {
+        Self::parse(bytes).map_err(|fault| SpecimenError::Content { path: path.to_owned(), fault })
     }
 
     fn parse(bytes: &[u8]) -> Result<Self, TensorFault> {
@@ -200,8 +202,7 @@ impl LabelledSpecimen {
         Ok(Self {
             name: about.name,
             is_phantom: about.is_phantom,
-            size: [*width, *height, *depth],
-            lps_from_voxel,
+            grid: VoxelGrid { size: [*width, *height, *depth], lps_from_voxel },
             hu: words.iter().map(|word| f32::from(i16::from_le_bytes(*word))).collect(),
             structure: structure.to_vec(),
             bones: about.bones,
@@ -224,6 +225,6 @@ fn bytes_of<'a>(tensors: &SafeTensors<'a>, name: &str, dtype: Dtype) -> Result<(
 }
 
 /// Axes along x, y, z of `lps`, the first voxel at 0.
-pub(super) fn upright(spacing_mm: [f64; 3]) -> DAffine3 {
-    DAffine3::from_mat3(DMat3::from_diagonal(DVec3::from_array(spacing_mm)))
+pub(super) fn upright(size: [usize; 3], spacing_mm: [f64; 3]) -> VoxelGrid {
+    VoxelGrid { size, lps_from_voxel: DAffine3::from_scale(DVec3::from_array(spacing_mm)) }
 }

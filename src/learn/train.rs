@@ -15,8 +15,8 @@ use super::loss::Batch;
 use super::siblings;
 use super::statistics::card_of;
 use super::{Dataset, Figures, LearnError, Mirror, Progress, Recipe, Sample, TrainFiles, TrainOptions, Trained, TrainingEnd};
-use crate::image::{check_writable, write_atomically};
-use crate::infer::{CELLS, Card, LOG_LIMIT, Layer, Network, NetworkCard, NetworkFiles, PAGES, sha256, weights_file};
+use crate::image::{check_writable, sha256_bytes, write_atomically};
+use crate::infer::{CELLS, Card, LOG_LIMIT, Layer, Network, NetworkCard, NetworkFiles, PAGES, weights_file};
 use crate::random::{Purpose, Stream};
 
 /// Trains a network, tells `told` after every step, and writes the best weights with their card, the history and a checkpoint after every
@@ -106,7 +106,7 @@ impl Learner for Training<'_> {
         let samples: Vec<Sample> = chosen.iter().map(|index| self.augmented(*index, epoch)).collect();
         let network = self.network(parameters, device);
         let loss = Batch::new(&samples, &self.card, self.recipe.page_weight, device).loss(&network);
-        let slopes = slopes_of(&loss, network.layers().iter().map(|layer| (&layer.weight, &layer.bias)));
+        let slopes = slopes_of(&loss, network.layers());
         (f64::from(loss.into_scalar::<f32>()), slopes)
     }
 
@@ -168,7 +168,7 @@ impl Training<'_> {
     fn written(&self, parameters: &[f32], evaluation: &Evaluation) -> Result<Card, LearnError> {
         let mut card = self.card.clone();
         let weights = weights_file(&card.layers(), parameters).map_err(LearnError::Encode)?;
-        card.weights_sha256 = sha256(&weights);
+        card.weights_sha256 = sha256_bytes(&weights);
         if let Some((all, by_specimen)) = evaluation {
             card.held_out.extend(all.named(""));
             if by_specimen.len() > 1 {

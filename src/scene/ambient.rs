@@ -3,7 +3,7 @@
 use glam::DAffine3;
 use rayon::prelude::*;
 
-use super::voxel_grid::VoxelGrid;
+use crate::geometry::VoxelGrid;
 
 /// A slice with more than this share of its voxels both open to the border and denser than room air holds a lung that is cut open there.
 const OPEN_SHARE: f64 = 0.1;

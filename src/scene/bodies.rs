@@ -18,8 +18,8 @@ use rayon::prelude::*;
 use super::SceneError;
 use super::fill::fill_harmonic;
 use super::model::{Filling, LabelledBody, Matter, Motion, Object, Scene, Volume, is_still};
-use super::voxel_grid::VoxelGrid;
 use crate::geometry::Rigid;
+use crate::geometry::VoxelGrid;
 
 /// Shares of a voxel that are as good as nothing.
 const ROUNDING: f64 = 1e-9;

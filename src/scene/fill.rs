@@ -1,6 +1,6 @@
 //! Voxels that are hidden are given what surrounds them: the smoothest values that agree with their neighbours.
 
-use super::voxel_grid::VoxelGrid;
+use crate::geometry::VoxelGrid;
 
 /// Relative change at which the fill is done, of the largest change that the first guess needed.
 const SETTLED: f64 = 1e-4;

@@ -12,7 +12,7 @@ use super::density::DensityCurve;
 use super::fill::fill_harmonic;
 use super::object_file::{ObjectFile, SphereFile};
 use super::physics::Material;
-use super::voxel_grid::VoxelGrid;
+use crate::geometry::VoxelGrid;
 
 /// Spheres larger than this are no beads.
 const LARGEST_BEAD_MM: f64 = 5.0;

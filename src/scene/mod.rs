@@ -27,7 +27,6 @@ mod optics_file;
 mod plain;
 mod view;
 mod volumes;
-mod voxel_grid;
 
 pub mod model;
 pub mod optics;
@@ -46,4 +45,3 @@ pub use model::{InputFile, Robot, Scene};
 pub use volumes::{
     PlacedBy, VolumeContent, VolumeFacts, VolumeFile, VolumeFormat, VolumeSource, is_ct_slice, read_volume, read_volume_facts,
 };
-pub use voxel_grid::VoxelGrid;

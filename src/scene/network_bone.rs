@@ -9,7 +9,7 @@ use flate2::write::ZlibEncoder;
 use sha2::{Digest, Sha256};
 
 use super::volumes::VolumeFile;
-use crate::image::{cache_file, write_atomically};
+use crate::image::{cache_file, hex, sha256_bytes, write_atomically};
 use crate::infer::InferError;
 use crate::infer::materials::{HuVolume, LoadedMaterials};
 use crate::memory;
@@ -51,7 +51,7 @@ impl BoneNetwork {
         if let Some(words) = self.0.card().outside(ct.spacing_mm) {
             reporter.warn("materials", format_args!("{name}: the network was not trained for this CT: {words}"));
         }
-        let volume = HuVolume { size: ct.size, lps_from_voxel: ct.lps_from_voxel, hu: &ct.values };
+        let volume = HuVolume { grid: ct.grid(), hu: &ct.values };
         let what = format!("{name}: the grids of the network over voxels of {:.2?} mm", ct.spacing_mm);
         if let Some(refusal) = memory::refusal(&what, self.0.bytes(&volume), memory::available_bytes()) {
             return Err(refusal);
@@ -67,7 +67,7 @@ impl BoneNetwork {
             }
             bone
         });
-        let hash = hex(&Sha256::digest(bits(&bone)));
+        let hash = sha256_bytes(&bits(&bone));
         Ok((bone, hash))
     }
 
@@ -97,10 +97,6 @@ impl BoneNetwork {
         }
         hex(&hash.finalize())
     }
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// One bit a voxel.

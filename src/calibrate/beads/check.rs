@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use super::lumps::METAL_HU;
-use crate::scene::VoxelGrid;
+use crate::geometry::VoxelGrid;
 
 /// Voxels of this and more hold a bead and its halo in one or two: no centre.
 const COARSEST_MM: f64 = 4.0;

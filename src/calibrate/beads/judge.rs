@@ -2,7 +2,7 @@
 
 use super::fit::Fitted;
 use super::lumps::{Lump, METAL_HU};
-use crate::scene::VoxelGrid;
+use crate::geometry::VoxelGrid;
 
 /// A bead and its halo span less than this.
 const LARGEST_MM: f64 = 14.0;

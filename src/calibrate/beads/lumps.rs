@@ -4,7 +4,7 @@ use glam::{DMat3, DVec3};
 use nalgebra::{Matrix3, SymmetricEigen};
 use rayon::prelude::*;
 
-use crate::scene::VoxelGrid;
+use crate::geometry::VoxelGrid;
 
 /// From here on a voxel may hold metal: above nearly all bone, below what a 1 mm steel ball makes of a voxel of 1 mm.
 pub(super) const METAL_HU: f32 = 1800.0;

@@ -25,7 +25,7 @@ mod window;
 use glam::DVec3;
 
 use crate::beads::{BeadLayout, DEFAULT_BODY};
-use crate::scene::VoxelGrid;
+use crate::geometry::VoxelGrid;
 
 pub use check::BeadsInCtError;
 pub use ct_bead::CtBead;

@@ -11,7 +11,7 @@ use super::lumps::{Lump, METAL_HU, lumps, summits};
 use super::slices::{ASKED, Trial, choose, doubt, slice_axis};
 use super::sphere::{SliceProfile, VoxelPoints};
 use super::window::{Candidate, Window, window};
-use crate::scene::VoxelGrid;
+use crate::geometry::VoxelGrid;
 
 /// Contrast of bead metals at the energies of a CT: titanium 8 000 HU, steel 20 000, tantalum 60 000.
 const CONTRAST: Prior = Prior { expected: 16_000.0, sigma_ln: 0.6 };

@@ -5,7 +5,7 @@ use glam::DVec3;
 
 use super::fit::Fitted;
 use super::sphere::SliceProfile;
-use crate::scene::VoxelGrid;
+use crate::geometry::VoxelGrid;
 
 /// What is tried: thin slices with gaps, boxes as wide as their distance, overlapping ones, triangles, Gaussians.
 const PROFILES: [SliceProfile; 15] = [

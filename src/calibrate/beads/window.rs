@@ -6,7 +6,8 @@ use glam::DVec3;
 
 use super::fit::Sample;
 use super::lumps::METAL_HU;
-use crate::scene::{VoxelGrid, fill_harmonic};
+use crate::geometry::VoxelGrid;
+use crate::scene::fill_harmonic;
 
 /// Past the last voxel above the threshold a bead's halo reaches this far, plus half a voxel's diagonal; mm.
 const HALO_MM: f64 = 1.0;

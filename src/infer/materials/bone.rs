@@ -83,7 +83,7 @@ impl LoadedMaterials {
     /// Bytes that [`Self::bone`] takes beside the volume, about.
     #[must_use]
     pub fn bytes(&self, volume: &HuVolume<'_>) -> u64 {
-        let most = self.passes.iter().map(|(pass, _)| PassGrid::points_over(volume, pass.spacing_mm)).fold(0.0, f64::max);
+        let most = self.passes.iter().map(|(pass, _)| PassGrid::points_over(&volume.grid, pass.spacing_mm)).fold(0.0, f64::max);
         // A probability and a mark of each point, means of blocks and a mark of each voxel.
         (5.0 * most + 5.0 * volume.hu.len() as f64) as u64
     }
@@ -102,7 +102,7 @@ impl LoadedMaterials {
             let hu = volume.hu[index];
             hu > METAL_HU || (hu >= DENSE_HU && found.at(volume, index) > 0.5)
         };
-        (0..volume.hu.len()).map(is_bone).collect()
+        (0..volume.hu.len()).into_par_iter().map(is_bone).collect()
     }
 
     fn look(
@@ -112,12 +112,12 @@ impl LoadedMaterials {
         before: Option<&Found>,
         told: &mut dyn FnMut(&Pass, usize, usize),
     ) -> Found {
-        let reduced = Reduced::of(volume.size, &volume.lps_from_voxel, pass.spacing_mm, |index| volume.hu[index].max(BEYOND_HU));
-        let grid = PassGrid::covering(volume, pass.spacing_mm);
+        let reduced = Reduced::of(&volume.grid, pass.spacing_mm, |index| volume.hu[index].max(BEYOND_HU));
+        let grid = PassGrid::covering(&volume.grid, pass.spacing_mm);
         let mut is_wanted = vec![false; grid.points()];
         for index in (0..volume.hu.len()).filter(|index| volume.hu[*index] >= DENSE_HU) {
             if before.is_none_or(|before| before.at(volume, index) > HARDLY) {
-                grid.about(place(volume, index)).places().iter().for_each(|point| is_wanted[*point] = true);
+                grid.about(volume.grid.centre(index)).places().iter().for_each(|point| is_wanted[*point] = true);
             }
         }
         let mut bone = vec![0.0; grid.points()];
@@ -162,15 +162,8 @@ impl LoadedMaterials {
 
 impl Found {
     fn at(&self, volume: &HuVolume<'_>, index: usize) -> f32 {
-        self.grid.about(place(volume, index)).sum(0.0, |point| self.bone[point])
+        self.grid.about(volume.grid.centre(index)).sum(0.0, |point| self.bone[point])
     }
-}
-
-/// Centre of a voxel, `lps` mm.
-fn place(volume: &HuVolume<'_>, index: usize) -> glam::DVec3 {
-    let [width, height, _] = volume.size;
-    let voxel = [index % width, index / width % height, index / (width * height)].map(|n| n as f64);
-    volume.lps_from_voxel.transform_point3(glam::DVec3::from_array(voxel))
 }
 
 /// `each` of the points (x, y, z) of a cube, x fastest.

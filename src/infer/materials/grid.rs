@@ -3,28 +3,15 @@
 use glam::{DAffine3, DVec3};
 use rayon::prelude::*;
 
+use crate::geometry::VoxelGrid;
+
 /// A CT.
 #[derive(Clone, Copy, Debug)]
 pub struct HuVolume<'a> {
-    /// Voxels along i, j, k.
-    pub size: [usize; 3],
-    /// Continuous voxel index to `lps`, mm.
-    pub lps_from_voxel: DAffine3,
+    /// Where its voxels lie.
+    pub grid: VoxelGrid,
     /// Hounsfield numbers, i fastest.
     pub hu: &'a [f32],
-}
-
-impl HuVolume<'_> {
-    /// Distance of voxel centres along i, j, k.
-    #[must_use]
-    pub fn spacing_mm(&self) -> [f64; 3] {
-        spacing_mm(&self.lps_from_voxel)
-    }
-}
-
-fn spacing_mm(lps_from_voxel: &DAffine3) -> [f64; 3] {
-    let axes = lps_from_voxel.matrix3;
-    [axes.x_axis, axes.y_axis, axes.z_axis].map(DVec3::length)
 }
 
 /// A volume averaged over blocks of voxels, as many along each axis as fit between the points of a pass.
@@ -36,15 +23,16 @@ pub struct Reduced {
     pub block: [usize; 3],
     /// Means of the blocks, i fastest.
     pub values: Vec<f32>,
-    voxels: [usize; 3],
+    voxels: VoxelGrid,
     voxel_from_lps: DAffine3,
 }
 
 impl Reduced {
     /// `value` of the voxels of a volume, averaged for points `wanted_mm` apart along x, y, z of `lps`.
-    pub fn of(size: [usize; 3], lps_from_voxel: &DAffine3, wanted_mm: [f64; 3], value: impl Fn(usize) -> f32 + Sync) -> Self {
+    pub fn of(voxels: &VoxelGrid, wanted_mm: [f64; 3], value: impl Fn(usize) -> f32 + Sync) -> Self {
+        let VoxelGrid { size, lps_from_voxel } = *voxels;
         let axes = lps_from_voxel.matrix3;
-        let spacing = spacing_mm(lps_from_voxel);
+        let spacing = voxels.spacing_mm();
         let wanted = DVec3::from_array(wanted_mm);
         let block: [usize; 3] = std::array::from_fn(|axis| {
             // How far the points lie apart along this axis of voxels.
@@ -71,7 +59,7 @@ impl Reduced {
                 *mean = sum / count as f32;
             }
         });
-        Self { size: blocks, block, values, voxels: size, voxel_from_lps: lps_from_voxel.inverse() }
+        Self { size: blocks, block, values, voxels: *voxels, voxel_from_lps: lps_from_voxel.inverse() }
     }
 
     /// (i, j, k) of a block.
@@ -82,7 +70,7 @@ impl Reduced {
     /// Middle of the block at `at` along `axis`, in voxels; the last one may have fewer.
     fn middle(&self, axis: usize, at: usize) -> f64 {
         let first = at * self.block[axis];
-        let end = (first + self.block[axis]).min(self.voxels[axis]);
+        let end = (first + self.block[axis]).min(self.voxels.size[axis]);
         (first + end - 1) as f64 / 2.0
     }
 
@@ -90,8 +78,7 @@ impl Reduced {
     #[must_use]
     pub fn middle_voxel(&self, block: usize) -> usize {
         let at = self.coordinates(block);
-        let voxel: [usize; 3] = std::array::from_fn(|axis| self.middle(axis, at[axis]).ceil() as usize);
-        voxel[0] + self.voxels[0] * (voxel[1] + self.voxels[1] * voxel[2])
+        self.voxels.index(std::array::from_fn(|axis| self.middle(axis, at[axis]).ceil() as usize))
     }
 
     /// Where a block lies, `lps` mm.
@@ -99,7 +86,7 @@ impl Reduced {
     pub fn centre(&self, block: usize) -> DVec3 {
         let at = self.coordinates(block);
         let voxel = DVec3::from_array(std::array::from_fn(|axis| self.middle(axis, at[axis])));
-        self.voxel_from_lps.inverse().transform_point3(voxel)
+        self.voxels.lps_from_voxel.transform_point3(voxel)
     }
 
     /// The blocks about a point and their trilinear shares: constant beyond the middles of the outermost, none outside the volume.
@@ -109,7 +96,7 @@ impl Reduced {
         let mut block = DVec3::ZERO;
         for axis in 0..3 {
             let (at, last) = (voxel[axis], self.size[axis] - 1);
-            if !(at >= -0.5 && at <= self.voxels[axis] as f64 - 0.5) {
+            if !(at >= -0.5 && at <= self.voxels.size[axis] as f64 - 0.5) {
                 return Shares::NONE;
             }
             let nominal = (at - self.middle(axis, 0)) / self.block[axis] as f64;
@@ -192,10 +179,10 @@ pub struct PassGrid {
 impl PassGrid {
     /// Over all voxel centres of a volume.
     #[must_use]
-    pub fn covering(volume: &HuVolume<'_>, spacing_mm: [f64; 3]) -> Self {
-        let last = DVec3::from_array(volume.size.map(|n| n as f64 - 1.0));
+    pub fn covering(voxels: &VoxelGrid, spacing_mm: [f64; 3]) -> Self {
+        let last = DVec3::from_array(voxels.size.map(|n| n as f64 - 1.0));
         let corner = |bits: u32| DVec3::new(f64::from(bits & 1), f64::from(bits >> 1 & 1), f64::from(bits >> 2)) * last;
-        let corners = (0..8).map(|bits| volume.lps_from_voxel.transform_point3(corner(bits)));
+        let corners = (0..8).map(|bits| voxels.lps_from_voxel.transform_point3(corner(bits)));
         let (low, high) =
             corners.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), corner| (low.min(corner), high.max(corner)));
         let spacing_mm = DVec3::from_array(spacing_mm);
@@ -205,10 +192,10 @@ impl PassGrid {
 
     /// Number of points of a grid over a volume, however many that would be.
     #[must_use]
-    pub fn points_over(volume: &HuVolume<'_>, spacing_mm: [f64; 3]) -> f64 {
-        let axes = volume.lps_from_voxel.matrix3;
+    pub fn points_over(voxels: &VoxelGrid, spacing_mm: [f64; 3]) -> f64 {
+        let axes = voxels.lps_from_voxel.matrix3;
         // The box about the volume.
-        let last = DVec3::from_array(volume.size.map(|n| n as f64 - 1.0));
+        let last = DVec3::from_array(voxels.size.map(|n| n as f64 - 1.0));
         let extent = axes.x_axis.abs() * last.x + axes.y_axis.abs() * last.y + axes.z_axis.abs() * last.z;
         (extent / DVec3::from_array(spacing_mm) + 2.0).element_product()
     }
@@ -251,7 +238,7 @@ mod tests {
         let field = |p: DVec3| (3.0 * p.x - 2.0 * p.y + 0.5 * p.z) as f32;
         let at = |index: usize| [index % 24, index / 24 % 20, index / 480].map(|n| n as f64);
         let value = |index: usize| field(lps_from_voxel.transform_point3(DVec3::from_array(at(index))));
-        let reduced = Reduced::of(size, &lps_from_voxel, [3.0; 3], value);
+        let reduced = Reduced::of(&VoxelGrid { size, lps_from_voxel }, [3.0; 3], value);
         assert_eq!(reduced.block, [4, 3, 1]);
         // The last block of j has two voxels, 18 and 19.
         for voxel in
@@ -278,12 +265,10 @@ mod tests {
     #[test]
     fn a_grid_covers_every_voxel() {
         let lps_from_voxel = oblique();
-        let volume = HuVolume { size: [9, 7, 5], lps_from_voxel, hu: &[] };
-        let grid = PassGrid::covering(&volume, [1.5; 3]);
+        let voxels = VoxelGrid { size: [9, 7, 5], lps_from_voxel };
+        let grid = PassGrid::covering(&voxels, [1.5; 3]);
         for index in 0..315 {
-            let voxel = [index % 9, index / 9 % 7, index / 63].map(|n| n as f64);
-            let shares = grid.about(lps_from_voxel.transform_point3(DVec3::from_array(voxel)));
-            assert!(shares.sum(0.0, |_| 1.0) > 1.0 - 1e-6, "{voxel:?}");
+            assert!(grid.about(voxels.centre(index)).sum(0.0, |_| 1.0) > 1.0 - 1e-6, "{index}");
         }
         let at = [2, 1, 3];
         let index = 2 + grid.size[0] * (1 + grid.size[1] * 3);

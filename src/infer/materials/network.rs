@@ -1,30 +1,17 @@
 //! One pass as tensors on a device: Hounsfield numbers of patches in, logits of the classes out.
 
 use burn::tensor::activation::{relu, softmax};
-use burn::tensor::module::conv3d;
-use burn::tensor::ops::ConvOptions;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 
 use super::layers::{CLASSES, Levels, Pass};
-use crate::infer::Layer;
-
-/// The parameters of one layer.
-#[derive(Clone, Debug)]
-pub struct CubeConvolution {
-    /// [outputs, inputs, kernel, kernel, kernel].
-    pub weight: Tensor<5>,
-    /// [outputs].
-    pub bias: Tensor<1>,
-    stride: usize,
-    padding: usize,
-}
+use crate::infer::{Convolution, Layer};
 
 /// All layers of a pass.
 #[derive(Clone, Debug)]
 pub struct CubeNetwork {
     fold: usize,
-    levels: Levels<CubeConvolution>,
-    layers: Vec<CubeConvolution>,
+    levels: Levels<Convolution<5>>,
+    layers: Vec<Convolution<5>>,
 }
 
 /// `hu` of the points of patches in the two windows, [2, points]; below −1000 as −1000.
@@ -32,13 +19,6 @@ pub fn windows(hu: &[f32]) -> impl Iterator<Item = f32> + '_ {
     let wide = hu.iter().map(|hu| hu.clamp(-1000.0, 2000.0) / 1000.0);
     let narrow = hu.iter().map(|hu| (hu.clamp(-200.0, 600.0) - 200.0) / 200.0);
     wide.chain(narrow)
-}
-
-impl CubeConvolution {
-    fn forward(&self, x: Tensor<5>) -> Tensor<5> {
-        let options = ConvOptions::new([self.stride; 3], [self.padding; 3], [1; 3], 1);
-        conv3d(x, self.weight.clone(), Some(self.bias.clone()), options)
-    }
 }
 
 impl CubeNetwork {
@@ -51,15 +31,7 @@ impl CubeNetwork {
         }
         let (mut rest, mut layers) = (parameters, Vec::new());
         let levels = Levels::build(pass, |layer: Layer| {
-            let (weight, behind) = rest.split_at(layer.weight_count());
-            let (bias, behind) = behind.split_at(layer.outputs);
-            rest = behind;
-            let mut weight = Tensor::from_data(TensorData::new(weight.to_vec(), layer.weight_shape()), device);
-            let mut bias = Tensor::from_data(TensorData::new(bias.to_vec(), [layer.outputs]), device);
-            if device.is_autodiff() {
-                (weight, bias) = (weight.require_grad(), bias.require_grad());
-            }
-            let convolution = CubeConvolution { weight, bias, stride: layer.stride, padding: layer.padding() };
+            let convolution = Convolution::take(&layer, &mut rest, device);
             layers.push(convolution.clone());
             convolution
         });
@@ -68,7 +40,7 @@ impl CubeNetwork {
 
     /// The layers in the order of the parameters.
     #[must_use]
-    pub fn layers(&self) -> &[CubeConvolution] {
+    pub fn layers(&self) -> &[Convolution<5>] {
         &self.layers
     }
 
@@ -126,6 +98,8 @@ fn doubled(x: Tensor<5>) -> Tensor<5> {
 
 #[cfg(test)]
 mod tests {
+    use burn::tensor::TensorData;
+
     use super::*;
 
     fn counting(shape: [usize; 5]) -> Tensor<5> {

@@ -72,7 +72,7 @@ impl MaterialsFigures {
         let curve = DensityCurve::shipped();
         let truth: Vec<bool> =
             (0..specimen.hu.len()).map(|index| specimen.hu[index] >= DENSE_HU && specimen.is_in_bone(index)).collect();
-        let near = squared_mm2(specimen.size, specimen.volume().spacing_mm(), |index| truth[index]);
+        let near = squared_mm2(specimen.grid.size, specimen.grid.spacing_mm(), |index| truth[index]);
         let mut found = Self::default();
         for (index, hu) in specimen.hu.iter().enumerate() {
             let class = curve.class(f64::from(*hu));
@@ -131,8 +131,7 @@ mod tests {
         let specimen = LabelledSpecimen {
             name: "a".into(),
             is_phantom: false,
-            size: [12, 1, 1],
-            lps_from_voxel: upright([2.0, 1.0, 1.0]),
+            grid: upright([12, 1, 1], [2.0, 1.0, 1.0]),
             hu,
             structure,
             bones: vec![1],

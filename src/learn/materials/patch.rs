@@ -44,8 +44,7 @@ pub(super) struct Patch {
 
 impl Prepared {
     pub(super) fn new(specimen: &LabelledSpecimen, pass: &Pass) -> Self {
-        let reduced =
-            |value: &(dyn Fn(usize) -> f32 + Sync)| Reduced::of(specimen.size, &specimen.lps_from_voxel, pass.spacing_mm, value);
+        let reduced = |value: &(dyn Fn(usize) -> f32 + Sync)| Reduced::of(&specimen.grid, pass.spacing_mm, value);
         let share = |is: bool| f32::from(u8::from(is));
         let hu = reduced(&|index| specimen.hu[index].max(BEYOND_HU));
         let bone = reduced(&|index| share(specimen.is_in_bone(index))).values;
@@ -89,7 +88,8 @@ impl Prepared {
                         let change = change.of_structure[usize::from(self.structure[place])];
                         self.hu.values[place] + if self.air[place] > 0.0 { 0.0 } else { change }
                     });
-                    let value = value * change.gain + change.shift_hu + change.noise_hu * stream_noise(stream, change.noise_hu);
+                    let noise = if change.noise_hu > 0.0 { change.noise_hu * stream.normal() as f32 } else { 0.0 };
+                    let value = value * change.gain + change.shift_hu + noise;
                     let at = hu.len();
                     let air = shares.sum(1.0, |place| self.air[place]);
                     let bone = shares.sum(0.0, |place| self.bone[place]).min(1.0 - air);
@@ -104,10 +104,6 @@ impl Prepared {
         }
         Patch { windows: windows(&hu).collect(), truth, weight }
     }
-}
-
-fn stream_noise(stream: &mut Stream, deviation: f32) -> f32 {
-    if deviation > 0.0 { stream.normal() as f32 } else { 0.0 }
 }
 
 /// Turned about all axes by some 12°, left and right exchanged or not, scaled.

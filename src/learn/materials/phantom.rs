@@ -1,11 +1,12 @@
 //! Phantoms: bones of surfaces or of simple shapes in soft tissue, with all that thresholding takes for bone, seen by a CT that blurs and is noisy.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use glam::{DMat3, DVec3};
 
 use super::distance::squared_mm2;
 use super::solid::inside;
+use crate::learn::draw::Draw;
 use crate::learn::specimen::{LabelledSpecimen, METAL, rounded, upright};
 use crate::random::{Purpose, Stream};
 use crate::reporter::Reporter;
@@ -19,8 +20,6 @@ const TISSUE: u8 = 3;
 /// A surface that phantoms have a bone of.
 #[derive(Clone, Debug)]
 pub struct PhantomMesh {
-    /// Its file.
-    pub path: PathBuf,
     /// Corners about the middle of its bounds, mm.
     triangles_mm: Vec<[DVec3; 3]>,
 }
@@ -35,39 +34,14 @@ impl PhantomMesh {
         let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
         triangles_mm.iter().flatten().for_each(|corner| (low, high) = (low.min(*corner), high.max(*corner)));
         triangles_mm.iter_mut().flatten().for_each(|corner| *corner -= 0.5 * (low + high));
-        Ok(Self { path: path.to_owned(), triangles_mm })
+        Ok(Self { triangles_mm })
     }
 }
 
-struct Draw(Stream);
-
-impl Draw {
-    fn between(&mut self, low: f64, high: f64) -> f64 {
-        low + (high - low) * self.0.uniform()
-    }
-
-    fn count(&mut self, below: usize) -> usize {
-        ((self.0.uniform() * below as f64) as usize).min(below - 1)
-    }
-
-    fn chance(&mut self, share: f64) -> bool {
-        self.0.uniform() < share
-    }
-
-    fn direction(&mut self) -> DVec3 {
-        DVec3::new(self.0.normal(), self.0.normal(), self.0.normal()).normalize_or(DVec3::Z)
-    }
-
-    fn turn(&mut self) -> DMat3 {
-        DMat3::from_axis_angle(self.direction(), self.between(0.0, std::f64::consts::PI))
-    }
-
-    /// A place in the middle `share` of the grid.
-    fn place(&mut self, grid: &Fine, share: f64) -> DVec3 {
-        let extent = grid.extent_mm();
-        let at = DVec3::new(self.0.uniform(), self.0.uniform(), self.0.uniform());
-        extent * (DVec3::splat(0.5) + (at - 0.5) * share)
-    }
+/// A place in the middle `share` of the grid.
+fn place(draw: &mut Draw, grid: &Fine, share: f64) -> DVec3 {
+    let at = draw.between3(DVec3::ZERO, DVec3::ONE);
+    grid.extent_mm() * (DVec3::splat(0.5) + (at - 0.5) * share)
 }
 
 /// The grid that a phantom is drawn on; its CT's is this one, or has thicker slices.
@@ -144,8 +118,7 @@ pub fn phantom(seed: u64, meshes: &[PhantomMesh], origin: String) -> LabelledSpe
     LabelledSpecimen {
         name: format!("phantom-{seed}"),
         is_phantom: true,
-        size: [columns, columns, slices],
-        lps_from_voxel: upright([in_plane, in_plane, slice]),
+        grid: upright([columns, columns, slices], [in_plane, in_plane, slice]),
         hu,
         structure,
         bones: vec![BONE],
@@ -226,7 +199,7 @@ fn of_mesh(draw: &mut Draw, grid: &Fine, meshes: &[PhantomMesh]) -> Vec<bool> {
     let axes = draw.turn() * mirror * draw.between(0.8, 1.2);
     let corner = mesh.triangles_mm[draw.count(mesh.triangles_mm.len())][0];
     // Somewhere on its surface lies near the middle of the scan.
-    let shift = draw.place(grid, 0.5) - axes * corner;
+    let shift = place(draw, grid, 0.5) - axes * corner;
     let placed: Vec<[DVec3; 3]> = mesh.triangles_mm.iter().map(|triangle| triangle.map(|corner| axes * corner + shift)).collect();
     inside(&placed, grid.size, grid.spacing_mm)
 }
@@ -235,7 +208,7 @@ fn of_mesh(draw: &mut Draw, grid: &Fine, meshes: &[PhantomMesh]) -> Vec<bool> {
 fn of_shape(draw: &mut Draw, grid: &Fine) -> Vec<bool> {
     let mut solid = vec![false; grid.voxels()];
     if draw.chance(0.5) {
-        let (centre, axes) = (draw.place(grid, 0.7), draw.turn());
+        let (centre, axes) = (place(draw, grid, 0.7), draw.turn());
         let sizes = DVec3::new(draw.between(8.0, 30.0), draw.between(8.0, 25.0), draw.between(6.0, 25.0));
         let power = draw.between(2.0, 6.0);
         for (index, is_inside) in solid.iter_mut().enumerate() {
@@ -243,7 +216,7 @@ fn of_shape(draw: &mut Draw, grid: &Fine) -> Vec<bool> {
             *is_inside = p.x.powf(power) + p.y.powf(power) + p.z.powf(power) < 1.0;
         }
     } else {
-        let (centre, axes) = (draw.place(grid, 0.8), draw.turn());
+        let (centre, axes) = (place(draw, grid, 0.8), draw.turn());
         let (bend_mm, radius_mm) = (draw.between(40.0, 120.0), draw.between(3.0, 9.0));
         let on = |angle: f64| centre + axes * (bend_mm * DVec3::new(angle.cos() - 1.0, angle.sin(), 0.0));
         let half = draw.between(0.4, 1.5);
@@ -265,7 +238,7 @@ fn dense_tissue(draw: &mut Draw, grid: &Fine, hu: &mut [f32], structure: &mut [u
     };
     for _ in 0..draw.count(5) {
         let value = draw.between(110.0, 450.0) as f32;
-        let (mut from, radius_mm) = (draw.place(grid, 0.9), draw.between(1.5, 11.0));
+        let (mut from, radius_mm) = (place(draw, grid, 0.9), draw.between(1.5, 11.0));
         let mut heading = draw.direction();
         for _ in 0..6 {
             let to = from + 22.0 * heading;
@@ -276,7 +249,7 @@ fn dense_tissue(draw: &mut Draw, grid: &Fine, hu: &mut [f32], structure: &mut [u
     }
     for _ in 0..draw.count(3) {
         let value = draw.between(100.0, 400.0) as f32;
-        let (centre, axes) = (draw.place(grid, 0.8), draw.turn());
+        let (centre, axes) = (place(draw, grid, 0.8), draw.turn());
         let sizes = DVec3::new(draw.between(8.0, 35.0), draw.between(8.0, 30.0), draw.between(8.0, 30.0));
         for index in 0..grid.voxels() {
             if (axes * (grid.centre(index) - centre) / sizes).length_squared() < 1.0 {
@@ -285,7 +258,7 @@ fn dense_tissue(draw: &mut Draw, grid: &Fine, hu: &mut [f32], structure: &mut [u
         }
     }
     for _ in 0..draw.count(6) {
-        let (value, at) = (draw.between(200.0, 1200.0) as f32, draw.place(grid, 0.8));
+        let (value, at) = (draw.between(200.0, 1200.0) as f32, place(draw, grid, 0.8));
         let radius_mm = draw.between(0.8, 3.0);
         grid.near_segment(at, at, radius_mm, |index| fill(index, value, hu));
     }
@@ -297,14 +270,14 @@ fn metal(draw: &mut Draw, grid: &Fine, hu: &mut [f32], structure: &mut [u8]) {
         (hu[index], structure[index]) = (value, METAL);
     };
     if draw.chance(0.3) {
-        let (from, heading) = (draw.place(grid, 0.5), draw.direction());
+        let (from, heading) = (place(draw, grid, 0.5), draw.direction());
         let (length_mm, radius_mm, value) =
             (draw.between(20.0, 90.0), draw.between(1.5, 6.0), draw.between(2500.0, 8000.0) as f32);
         grid.near_segment(from, from + length_mm * heading, radius_mm, |index| put(index, value));
     }
     if draw.chance(0.3) {
         for _ in 0..1 + draw.count(8) {
-            let at = draw.place(grid, 0.9);
+            let at = place(draw, grid, 0.9);
             grid.near_segment(at, at, 1.0, |index| put(index, 8000.0));
         }
     }

@@ -13,9 +13,9 @@ use super::loss::Batch;
 use super::patch::{Patch, Prepared};
 use super::phantom::phantom;
 use super::recipe::MaterialsRecipe;
-use crate::image::write_atomically;
+use crate::image::{hex, sha256_bytes, write_atomically};
 use crate::infer::materials::{CubeNetwork, LoadedMaterials, MaterialsCard, Pass};
-use crate::infer::{JudgedBy, Layer, NetworkCard, NetworkFiles, sha256, weights_file};
+use crate::infer::{JudgedBy, Layer, NetworkCard, NetworkFiles, weights_file};
 use crate::learn::adam::Adam;
 use crate::learn::checkpoint::State;
 use crate::learn::epochs::{self, Learner, Pace, slopes_of};
@@ -80,14 +80,15 @@ fn read(folder: &Path) -> Result<(Vec<LabelledSpecimen>, String), LearnError> {
     let mut hash = Sha256::new();
     let mut specimens: Vec<LabelledSpecimen> = Vec::new();
     for path in &paths {
-        let specimen = LabelledSpecimen::read(path)?;
-        hash.update(std::fs::read(path).map_err(io)?);
+        let bytes = std::fs::read(path).map_err(|source| LearnError::Io { path: path.clone(), source })?;
+        let specimen = LabelledSpecimen::of_bytes(&bytes, path)?;
+        hash.update(&bytes);
         if let Some(other) = specimens.iter().find(|other| other.name == specimen.name || other.hu == specimen.hu) {
             return Err(LearnError::SameSpecimen { path: path.clone(), name: other.name.clone() });
         }
         specimens.push(specimen);
     }
-    Ok((specimens, hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()))
+    Ok((specimens, hex(&hash.finalize())))
 }
 
 /// Which specimens are held out.
@@ -122,7 +123,7 @@ fn card_of(specimens: &[LabelledSpecimen], held: &[bool], recipe: &MaterialsReci
     if phantoms > 0 {
         names.push(format!("{phantoms} phantoms"));
     }
-    let spacings = || trained().flat_map(|specimen| specimen.volume().spacing_mm());
+    let spacings = || trained().flat_map(|specimen| specimen.grid.spacing_mm());
     let of_held = || specimens.iter().zip(held).filter(|(_, held)| **held).map(|(specimen, _)| specimen.name.clone());
     MaterialsCard {
         materials: recipe.materials,
@@ -215,7 +216,7 @@ impl<'a> Training<'a> {
     fn written(&self, parameters: &[f32], epoch: usize, figures: BTreeMap<String, f64>) -> Result<MaterialsCard, LearnError> {
         let mut card = MaterialsCard { held_out: figures, kept_epoch: epoch, ..self.card.clone() };
         let weights = weights_file(&card.layers(), parameters).map_err(LearnError::Encode)?;
-        card.weights_sha256 = sha256(&weights);
+        card.weights_sha256 = sha256_bytes(&weights);
         let is_last = !card.held_out.is_empty();
         siblings::judge(&mut card, &self.options.siblings, is_last)?;
         let NetworkFiles { weights: weights_path, card: card_path } = &self.files.network;
@@ -297,7 +298,7 @@ impl Learner for Training<'_> {
         for (place, network) in self.networks(parameters, device).iter().enumerate() {
             let patches: Vec<Patch> = chosen.par_iter().map(|number| self.patch(epoch, *number, place)).collect();
             let loss = Batch::new(&patches, &self.passes[place], device).loss(network);
-            slopes.extend(slopes_of(&loss, network.layers().iter().map(|layer| (&layer.weight, &layer.bias))));
+            slopes.extend(slopes_of(&loss, network.layers()));
             losses += f64::from(loss.into_scalar::<f32>());
         }
         (losses / self.passes.len() as f64, slopes)

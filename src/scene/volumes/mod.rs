@@ -24,8 +24,8 @@ use std::path::Path;
 use glam::DAffine3;
 
 use super::SceneError;
-use super::voxel_grid::VoxelGrid;
 use crate::foreign::Kind;
+use crate::geometry::VoxelGrid;
 use crate::reporter::Reporter;
 
 use head::{VolumeHead, VoxelSummary};

@@ -169,17 +169,18 @@ fn ablations() {
         let primary = Step { scatter: "off", name: "labels, no scatter", ..TRUTH };
         let (without, _) = formed(folder.path(), &given, (name, middle), &primary, &[]);
         let mut images = Vec::new();
-        let mut before = f64::NAN;
+        let mut before = None;
         for step in &STEPS {
             let (image, _) = formed(folder.path(), &given, (name, middle), step, &[]);
             let ((mean, rms), (mean_primary, rms_primary)) = (apart(&image, &truth), apart(&image, &without));
-            let closer = 100.0 * (1.0 - rms / before);
+            let closer =
+                before.map_or_else(String::new, |before: f64| format!(" ({:+.0} % closer)", 100.0 * (1.0 - rms / before)));
             println!(
-                "{name} | {:31} | to photons: mean {mean:+.4}, rms {rms:.4} nepers ({closer:+.0} % closer) | to their primary: mean {mean_primary:+.4}, rms {rms_primary:.4}",
+                "{name} | {:31} | to photons: mean {mean:+.4}, rms {rms:.4} nepers{closer} | to their primary: mean {mean_primary:+.4}, rms {rms_primary:.4}",
                 step.name
             );
             if !step.noise {
-                before = rms;
+                before = Some(rms);
             }
             images.push(image);
         }

@@ -105,7 +105,7 @@ fn a_wrong_truncated_or_foreign_file_is_refused_with_its_reason() {
     let files = NetworkFiles::of(&name);
     let (weights, card) = (std::fs::read(&files.weights).unwrap(), std::fs::read_to_string(&files.card).unwrap());
     let parameters = files.read::<Card>().unwrap().1;
-    let with_sum = |weights: &[u8]| card.replace(&sha256_bytes(&std::fs::read(&files.weights).unwrap()), &sha256(weights));
+    let with_sum = |weights: &[u8]| card.replace(&sha256_bytes(&std::fs::read(&files.weights).unwrap()), &sha256_bytes(weights));
     let truncated = &weights[..weights.len() - 1];
     let foreign = b"\x89PNG\r\n\x1a\nnot a network".as_slice();
     let paper_count = Architecture::Paper.layers(9, 6).iter().map(sidecarm::infer::Layer::value_count).sum();

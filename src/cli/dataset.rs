@@ -2,13 +2,12 @@
 
 use std::path::PathBuf;
 
-use super::dataset_materials::{MaterialsSetArgs, MaterialsSetError, materials_set};
-use crate::image::{ImageFileError, sha256_file};
-use crate::learn::{
-    GRID_PX, LEAST_BATCHES, PHANTOM, SampleError, Sampled, Sampling, Shard, ShardError, Specimen, TRUTH_PX, sample,
-};
+pub use super::dataset_error::DatasetError;
+use super::dataset_materials::{MaterialsSetArgs, materials_set};
+use crate::image::sha256_file;
+use crate::learn::{GRID_PX, LEAST_BATCHES, PHANTOM, Sampled, Sampling, Shard, Specimen, TRUTH_PX, sample};
 use crate::reporter::Reporter;
-use crate::scene::{self, SceneError};
+use crate::scene;
 use crate::transport::{BATCH, CHANNELS, SCALARS};
 
 /// Samples of one file.
@@ -58,37 +57,6 @@ pub struct ScatterSetArgs {
     phantoms: f64,
 }
 
-/// Why there are no samples.
-#[derive(Debug, thiserror::Error)]
-pub enum DatasetError {
-    /// A scene.
-    #[error(transparent)]
-    Scene(#[from] SceneError),
-    /// A sample.
-    #[error(transparent)]
-    Sample(#[from] SampleError),
-    /// A file of samples.
-    #[error(transparent)]
-    Shard(#[from] ShardError),
-    /// A scene's file.
-    #[error(transparent)]
-    File(#[from] ImageFileError),
-    /// Specimens of materials.
-    #[error(transparent)]
-    Materials(#[from] MaterialsSetError),
-    /// The folder.
-    #[error("{}: {source}", path.display())]
-    Io {
-        /// It.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// Nothing to draw.
-    #[error("{0}")]
-    Arguments(String),
-}
-
 /// Makes what is asked for; 0 on success.
 ///
 /// # Errors
@@ -96,7 +64,7 @@ pub enum DatasetError {
 pub fn run(args: &DatasetArgs, reporter: &Reporter) -> Result<u8, DatasetError> {
     match &args.of {
         DatasetOf::Scatter(args) => scatter_set(args, reporter),
-        DatasetOf::Materials(args) => Ok(materials_set(args, reporter)?),
+        DatasetOf::Materials(args) => materials_set(args, reporter),
     }
 }
 

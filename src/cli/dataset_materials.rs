@@ -1,12 +1,13 @@
 //! `sidecarm dataset materials`: labelled CTs and phantoms, as a materials network is trained on them.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use crate::image::{ImageFileError, sha256_file};
+use super::dataset_error::DatasetError;
+use crate::image::sha256_file;
+use crate::learn::LabelledSpecimen;
 use crate::learn::materials::{PhantomMesh, phantom};
-use crate::learn::{LabelledSpecimen, SpecimenError};
 use crate::reporter::Reporter;
-use crate::scene::{self, SceneError};
+use crate::scene;
 
 /// Labelled CTs, and phantoms whose truth is exact.
 #[derive(Clone, Debug, clap::Args)]
@@ -35,41 +36,16 @@ pub struct MaterialsSetArgs {
     mesh: Vec<PathBuf>,
 }
 
-/// Why there are no specimens.
-#[derive(Debug, thiserror::Error)]
-pub enum MaterialsSetError {
-    /// A scene, or a mesh.
-    #[error(transparent)]
-    Scene(#[from] SceneError),
-    /// A specimen.
-    #[error(transparent)]
-    Specimen(#[from] SpecimenError),
-    /// A file.
-    #[error(transparent)]
-    File(#[from] ImageFileError),
-    /// The folder.
-    #[error("{}: {source}", path.display())]
-    Io {
-        /// It.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// Nothing to make.
-    #[error("{0}")]
-    Arguments(String),
-}
-
 /// Makes what is asked for; 0 on success.
-pub(super) fn materials_set(args: &MaterialsSetArgs, reporter: &Reporter) -> Result<u8, MaterialsSetError> {
-    let wrong = |what: String| Err(MaterialsSetError::Arguments(what));
+pub(super) fn materials_set(args: &MaterialsSetArgs, reporter: &Reporter) -> Result<u8, DatasetError> {
+    let wrong = |what: String| Err(DatasetError::Arguments(what));
     if args.scenes.is_empty() && args.phantoms == 0 {
         return wrong("neither a scene nor a phantom: give SCENE.json, or --phantoms N".to_owned());
     }
     let Some(end) = args.first_seed.checked_add(args.phantoms) else {
         return wrong(format!("--first-seed {}: there are no {} seeds after it", args.first_seed, args.phantoms));
     };
-    std::fs::create_dir_all(&args.out).map_err(|source| MaterialsSetError::Io { path: args.out.clone(), source })?;
+    std::fs::create_dir_all(&args.out).map_err(|source| DatasetError::Io { path: args.out.clone(), source })?;
     let version = env!("CARGO_PKG_VERSION");
     let progress = reporter.progress("specimens", args.scenes.len() as u64 + args.phantoms);
     let mut counts = [0, 0];
@@ -124,7 +100,7 @@ pub(super) fn materials_set(args: &MaterialsSetArgs, reporter: &Reporter) -> Res
 }
 
 /// Writes it; `false` where the very same is there.
-fn keep_or_write(specimen: &LabelledSpecimen, path: &std::path::Path) -> Result<bool, MaterialsSetError> {
+fn keep_or_write(specimen: &LabelledSpecimen, path: &Path) -> Result<bool, DatasetError> {
     if !path.is_file() {
         specimen.write(path)?;
         return Ok(true);
@@ -132,5 +108,5 @@ fn keep_or_write(specimen: &LabelledSpecimen, path: &std::path::Path) -> Result<
     if LabelledSpecimen::read(path)? == *specimen {
         return Ok(false);
     }
-    Err(MaterialsSetError::Arguments(format!("{}: is of another CT or of other labels; take another folder", path.display())))
+    Err(DatasetError::Arguments(format!("{}: is of another CT or of other labels; take another folder", path.display())))
 }

@@ -28,6 +28,8 @@ mod compare_table;
 #[cfg(feature = "learn")]
 pub mod dataset;
 #[cfg(feature = "learn")]
+mod dataset_error;
+#[cfg(feature = "learn")]
 mod dataset_materials;
 pub mod demo;
 pub mod devices;

@@ -10,8 +10,8 @@ use crate::infer::Architecture;
 use crate::infer::materials::MaterialsArchitecture;
 use crate::learn::materials::{MaterialsRecipe, train_materials};
 use crate::learn::{
-    EpochRecord, HoldOut, LearnError, Progress, Recipe, TrainFiles, TrainOptions, Trained, TrainingEnd, recipe_of_checkpoint,
-    train,
+    AnyRecipe, EpochRecord, HoldOut, LearnError, Progress, Recipe, TrainFiles, TrainOptions, Trained, TrainingEnd,
+    recipe_of_checkpoint, train,
 };
 use crate::reporter::Reporter;
 use crate::time::Stopwatch;
@@ -40,37 +40,11 @@ Written after every epoch: NAME.safetensors (weights) and NAME.json (its card: w
 it was not), NAME.csv (losses), NAME.checkpoint (from where --resume goes on); at the end NAME.svg. Without --hold-out the epoch that is best
 on the tenth is kept, so its figure there is a little too good; with it the last one is. A resumed training gives bit for bit what an uninterrupted one gives.")]
 struct TrainScatterArgs {
-    /// Folder of the samples
-    dataset: PathBuf,
-    /// The network, a path without ending
-    #[arg(long, value_name = "NAME")]
-    out: PathBuf,
+    #[command(flatten)]
+    common: CommonArgs,
     /// Passes over the samples
     #[arg(long, value_name = "N", default_value_t = 60, conflicts_with = "resume")]
     epochs: usize,
-    /// Stop at the end of the epoch in which so many minutes are over; --resume goes on
-    #[arg(long, value_name = "MINUTES")]
-    minutes: Option<f64>,
-    /// Seed of first weights, order and mirroring
-    #[arg(long, value_name = "SEED", default_value_t = 1, conflicts_with = "resume")]
-    seed: u64,
-    /// A specimen that the network is judged by and never trained on [default: a tenth of the samples, of the same specimens as the others: that
-    /// says less of a specimen that is none of them]
-    #[arg(long, value_name = "SPECIMEN", conflicts_with = "resume")]
-    hold_out: Vec<String>,
-    /// A network of the same samples and layers that was trained with --hold-out of one specimen (repeat it for each specimen): this one is
-    /// trained on everything, and its card has their figures
-    #[arg(long, value_name = "NAME", conflicts_with_all = ["hold_out", "resume"])]
-    sibling: Vec<PathBuf>,
-    /// Its layers: few wide ones at low resolution, or those of the paper
-    #[arg(long, value_enum, default_value = "default", conflicts_with = "resume")]
-    architecture: ArchitectureArg,
-    /// Go on from NAME.checkpoint, with the settings it was begun with
-    #[arg(long)]
-    resume: bool,
-    /// Print the card
-    #[arg(long)]
-    json: bool,
 }
 
 /// A network that says what of a CT is bone.
@@ -84,11 +58,8 @@ Written after every epoch: NAME.safetensors (weights) and NAME.json (its card), 
 the end NAME.svg, and in the card the errors on what was held out, beside those of thresholding. Without --hold-out a tenth of the phantoms is held
 out and chooses the epoch that is kept; with it the last one is. A resumed training gives bit for bit what an uninterrupted one gives.")]
 struct TrainMaterialsArgs {
-    /// Folder of the specimens, of `sidecarm dataset materials`
-    dataset: PathBuf,
-    /// The network, a path without ending
-    #[arg(long, value_name = "NAME")]
-    out: PathBuf,
+    #[command(flatten)]
+    common: CommonArgs,
     /// Epochs
     #[arg(long, value_name = "N", default_value_t = MaterialsRecipe::default().epochs, conflicts_with = "resume")]
     epochs: usize,
@@ -98,20 +69,31 @@ struct TrainMaterialsArgs {
     /// Patches of each pass in a step
     #[arg(long, value_name = "N", default_value_t = MaterialsRecipe::default().batch, conflicts_with = "resume")]
     batch: usize,
+}
+
+/// What every training is told.
+#[derive(Clone, Debug, clap::Args)]
+struct CommonArgs {
+    /// Folder of the samples, of `sidecarm dataset`
+    dataset: PathBuf,
+    /// The network, a path without ending
+    #[arg(long, value_name = "NAME")]
+    out: PathBuf,
     /// Stop at the end of the epoch in which so many minutes are over; --resume goes on
     #[arg(long, value_name = "MINUTES")]
     minutes: Option<f64>,
-    /// Seed of first weights and patches
+    /// Seed of all that is drawn: first weights, order, patches, mirroring
     #[arg(long, value_name = "SEED", default_value_t = 1, conflicts_with = "resume")]
     seed: u64,
-    /// A specimen that the network is judged by and never trained on
+    /// A specimen that the network is judged by and never trained on [default: a tenth of the samples (of materials: of the phantoms), of the same
+    /// kind as the others: that says less of a specimen that is none of them]
     #[arg(long, value_name = "SPECIMEN", conflicts_with = "resume")]
     hold_out: Vec<String>,
-    /// A network of the same specimens and settings that was trained with --hold-out of one of them (repeat it for each): this one is trained on
-    /// everything, and its card has their figures
+    /// A network of the same samples and settings that was trained with --hold-out of one specimen (repeat it for each specimen): this one is
+    /// trained on everything, and its card has their figures
     #[arg(long, value_name = "NAME", conflicts_with_all = ["hold_out", "resume"])]
     sibling: Vec<PathBuf>,
-    /// Its passes: coarse, then fine where bone is, or the one of the paper
+    /// Its layers, or passes: those chosen here, or those of the paper
     #[arg(long, value_enum, default_value = "default", conflicts_with = "resume")]
     architecture: ArchitectureArg,
     /// Go on from NAME.checkpoint, with the settings it was begun with
@@ -166,38 +148,59 @@ pub fn run(args: &TrainArgs, reporter: &Reporter) -> Result<u8, TrainError> {
 }
 
 fn scatter(args: &TrainScatterArgs, reporter: &Reporter) -> Result<u8, TrainError> {
-    let (recipe, siblings) = recipe(args)?;
-    let epochs = recipe.epochs;
-    let options = TrainOptions { dataset: args.dataset.clone(), output: args.out.clone(), resume: args.resume, siblings, recipe };
-    let trained = followed(args.minutes, reporter, |told| train(&options, told))?;
+    let TrainScatterArgs { common, epochs } = args;
+    let options = common.options(|hold_out| {
+        let standard = Recipe::of(match common.architecture {
+            ArchitectureArg::Default => Architecture::Default,
+            ArchitectureArg::Paper => Architecture::Paper,
+        });
+        let hold_out = hold_out.unwrap_or(standard.hold_out);
+        Recipe { seed: common.seed, epochs: *epochs, hold_out, ..standard }
+    })?;
+    let trained = followed(common.minutes, reporter, |told| train(&options, told))?;
     draw(&trained, "Scatter network: loss by epoch", "normalised squared error", "held out, noise taken off")?;
-    let card = &trained.card;
-    say(&trained, (epochs, args.json), &card.held_out, &serde_json::to_value(card).expect("plain data"), reporter);
+    say(&trained, (options.recipe.epochs, common.json), &trained.card.held_out, reporter);
     Ok(0)
 }
 
 fn materials(args: &TrainMaterialsArgs, reporter: &Reporter) -> Result<u8, TrainError> {
-    let files = TrainFiles::of(&args.out);
-    let (recipe, siblings) = if args.resume {
-        recipe_of_checkpoint(&args.out)?.ok_or(TrainError::Nothing { path: files.checkpoint })?
-    } else {
-        refuse_present(&files)?;
-        let hold_out = held_out(&args.hold_out, &args.sibling, MaterialsRecipe::default().hold_out);
-        let materials = match args.architecture {
+    let &TrainMaterialsArgs { ref common, epochs, steps, batch } = args;
+    let options = common.options(|hold_out| {
+        let materials = match common.architecture {
             ArchitectureArg::Default => MaterialsArchitecture::Default,
             ArchitectureArg::Paper => MaterialsArchitecture::Paper,
         };
-        let &TrainMaterialsArgs { seed, epochs, steps, batch, .. } = args;
-        let recipe = MaterialsRecipe { materials, seed, epochs, steps, batch, hold_out, ..MaterialsRecipe::default() };
-        (recipe, absolute(&args.sibling))
-    };
-    let epochs = recipe.epochs;
-    let options = TrainOptions { dataset: args.dataset.clone(), output: args.out.clone(), resume: args.resume, siblings, recipe };
-    let trained = followed(args.minutes, reporter, |told| train_materials(&options, told))?;
+        let standard = MaterialsRecipe::default();
+        let hold_out = hold_out.unwrap_or(standard.hold_out);
+        MaterialsRecipe { materials, seed: common.seed, epochs, steps, batch, hold_out, ..standard }
+    })?;
+    let trained = followed(common.minutes, reporter, |told| train_materials(&options, told))?;
     draw(&trained, "Materials network: loss by epoch", "1 - Dice", "held out")?;
-    let card = &trained.card;
-    say(&trained, (epochs, args.json), &card.held_out, &serde_json::to_value(card).expect("plain data"), reporter);
+    say(&trained, (options.recipe.epochs, common.json), &trained.card.held_out, reporter);
     Ok(0)
+}
+
+impl CommonArgs {
+    /// The training that was interrupted, or a new one with the recipe `begun`, which is told what to hold out where anybody says it.
+    fn options<R: AnyRecipe>(&self, begun: impl FnOnce(Option<HoldOut>) -> R) -> Result<TrainOptions<R>, TrainError> {
+        let files = TrainFiles::of(&self.out);
+        let (recipe, siblings) = if self.resume {
+            recipe_of_checkpoint(&self.out)?.ok_or(TrainError::Nothing { path: files.checkpoint })?
+        } else {
+            if let Some(path) = [files.network.weights, files.checkpoint].into_iter().find(|path| path.exists()) {
+                return Err(TrainError::Exists { path });
+            }
+            let hold_out = match self.hold_out.as_slice() {
+                [] if !self.sibling.is_empty() => Some(HoldOut::Nothing),
+                [] => None,
+                names => Some(HoldOut::Specimens { names: names.to_vec() }),
+            };
+            // A training may go on from another folder.
+            let whole = |path: &PathBuf| std::path::absolute(path).unwrap_or_else(|_| path.clone());
+            (begun(hold_out), self.sibling.iter().map(whole).collect())
+        };
+        Ok(TrainOptions { dataset: self.dataset.clone(), output: self.out.clone(), resume: self.resume, siblings, recipe })
+    }
 }
 
 /// Runs a training with a bar and a line for every epoch, until it ends or `minutes` are over.
@@ -227,11 +230,10 @@ fn followed<T>(
 }
 
 /// Says what came of a training of at most `epochs`, as its card with `--json`.
-fn say<C, F>(
+fn say<C: serde::Serialize, F>(
     trained: &Trained<C, F>,
     (epochs, json): (usize, bool),
     held_out: &BTreeMap<String, f64>,
-    card: &serde_json::Value,
     reporter: &Reporter,
 ) {
     if trained.end == TrainingEnd::ByCaller {
@@ -239,45 +241,12 @@ fn say<C, F>(
         reporter.note(format_args!("stopped by --minutes after {done} of {epochs} epochs: --resume goes on"));
     }
     if json {
-        println!("{}", serde_json::to_string_pretty(card).expect("plain data"));
+        println!("{}", serde_json::to_string_pretty(&trained.card).expect("plain data"));
         return;
     }
     let figures: Vec<String> = held_out.iter().map(|(name, value)| format!("{name} {value:.4}")).collect();
     let judged = if figures.is_empty() { "nothing was held out".to_owned() } else { figures.join(", ") };
     println!("{}: epoch {} of {}; {judged}", trained.files.network.weights.display(), trained.epoch, trained.history.len());
-}
-
-/// A training may go on from another folder.
-fn absolute(paths: &[PathBuf]) -> Vec<PathBuf> {
-    paths.iter().map(|path| std::path::absolute(path).unwrap_or_else(|_| path.clone())).collect()
-}
-
-fn refuse_present(files: &TrainFiles) -> Result<(), TrainError> {
-    let there = [&files.network.weights, &files.checkpoint].into_iter().find(|path| path.exists());
-    there.map_or(Ok(()), |path| Err(TrainError::Exists { path: path.clone() }))
-}
-
-fn held_out(names: &[String], siblings: &[PathBuf], standard: HoldOut) -> HoldOut {
-    match names {
-        [] if !siblings.is_empty() => HoldOut::Nothing,
-        [] => standard,
-        names => HoldOut::Specimens { names: names.to_vec() },
-    }
-}
-
-fn recipe(args: &TrainScatterArgs) -> Result<(Recipe, Vec<PathBuf>), TrainError> {
-    let files = TrainFiles::of(&args.out);
-    if args.resume {
-        let found = recipe_of_checkpoint(&args.out)?;
-        return found.ok_or(TrainError::Nothing { path: files.checkpoint });
-    }
-    refuse_present(&files)?;
-    let standard = Recipe::of(match args.architecture {
-        ArchitectureArg::Default => Architecture::Default,
-        ArchitectureArg::Paper => Architecture::Paper,
-    });
-    let hold_out = held_out(&args.hold_out, &args.sibling, standard.hold_out.clone());
-    Ok((Recipe { seed: args.seed, epochs: args.epochs, hold_out, ..standard }, absolute(&args.sibling)))
 }
 
 fn line(record: &EpochRecord, progress: &Progress) -> String {

@@ -17,10 +17,7 @@ pub(super) trait Judged: NetworkCard {
     fn samples_sha256(&self) -> &str;
 
     /// The figures, and what they were found on.
-    fn judgement(&self) -> (&JudgedBy, &BTreeMap<String, f64>);
-
-    /// Sets them.
-    fn set_judgement(&mut self, by: JudgedBy, figures: BTreeMap<String, f64>);
+    fn judgement(&mut self) -> (&mut JudgedBy, &mut BTreeMap<String, f64>);
 
     /// What a figure is over all that the siblings were judged by.
     fn together(figure: &str, of: &[&BTreeMap<String, f64>]) -> f64;
@@ -39,12 +36,8 @@ impl Judged for Card {
         &self.samples_sha256
     }
 
-    fn judgement(&self) -> (&JudgedBy, &BTreeMap<String, f64>) {
-        (&self.judged_by, &self.held_out)
-    }
-
-    fn set_judgement(&mut self, by: JudgedBy, figures: BTreeMap<String, f64>) {
-        (self.judged_by, self.held_out) = (by, figures);
+    fn judgement(&mut self) -> (&mut JudgedBy, &mut BTreeMap<String, f64>) {
+        (&mut self.judged_by, &mut self.held_out)
     }
 
     fn together(figure: &str, of: &[&BTreeMap<String, f64>]) -> f64 {
@@ -73,12 +66,8 @@ impl Judged for MaterialsCard {
         &self.samples_sha256
     }
 
-    fn judgement(&self) -> (&JudgedBy, &BTreeMap<String, f64>) {
-        (&self.judged_by, &self.held_out)
-    }
-
-    fn set_judgement(&mut self, by: JudgedBy, figures: BTreeMap<String, f64>) {
-        (self.judged_by, self.held_out) = (by, figures);
+    fn judgement(&mut self) -> (&mut JudgedBy, &mut BTreeMap<String, f64>) {
+        (&mut self.judged_by, &mut self.held_out)
     }
 
     fn together(figure: &str, of: &[&BTreeMap<String, f64>]) -> f64 {
@@ -102,7 +91,7 @@ pub(super) fn judge<C: Judged>(card: &mut C, siblings: &[PathBuf], is_last: bool
     let mut of_all: Vec<BTreeMap<String, f64>> = Vec::new();
     for path in siblings {
         let files = NetworkFiles::of(path);
-        let (sibling, _) = files.read::<C>()?;
+        let (mut sibling, _) = files.read::<C>()?;
         let no = |because: &'static str| Err(LearnError::NoSibling { path: files.card.clone(), because });
         if *card.judgement().0 != JudgedBy::Nothing {
             return no("this training holds out samples of its own");
@@ -113,8 +102,9 @@ pub(super) fn judge<C: Judged>(card: &mut C, siblings: &[PathBuf], is_last: bool
         if sibling.made() != card.made() {
             return no("its layers, its seed or its epochs are others");
         }
+        let sha256 = sibling.weights_sha256().to_owned();
         let (judged_by, found) = sibling.judgement();
-        let JudgedBy::Specimens { names } = judged_by else { return no("it holds out no specimen") };
+        let JudgedBy::Specimens { names } = &*judged_by else { return no("it holds out no specimen") };
         let [name] = names.as_slice() else { return no("it holds out more than one specimen") };
         // Those of the first are as good as any: a training that is not at its end has none, or fewer.
         let of_first = of_all.first().unwrap_or(found);
@@ -124,7 +114,7 @@ pub(super) fn judge<C: Judged>(card: &mut C, siblings: &[PathBuf], is_last: bool
         if found.is_empty() || !found.keys().eq(of_first.keys()) || !found.values().all(|value| value.is_finite()) {
             return no("its card lacks figures: its training is not at its end");
         }
-        if weights_sha256.insert(name.clone(), sibling.weights_sha256().to_owned()).is_some() {
+        if weights_sha256.insert(name.clone(), sha256).is_some() {
             return no("another one holds out the same specimen");
         }
         let of_sibling = found.iter().filter(|(figure, _)| !own.contains_key(*figure));
@@ -135,6 +125,7 @@ pub(super) fn judge<C: Judged>(card: &mut C, siblings: &[PathBuf], is_last: bool
     for figure in of_all.iter().flat_map(|found| found.keys()).filter(|figure| !own.contains_key(*figure)) {
         figures.insert(figure.clone(), C::together(figure, &of_all));
     }
-    card.set_judgement(JudgedBy::Siblings { weights_sha256 }, figures);
+    let (by, own) = card.judgement();
+    (*by, *own) = (JudgedBy::Siblings { weights_sha256 }, figures);
     Ok(())
 }

@@ -112,11 +112,7 @@ impl Builder<'_> {
         let source = self.find_volume("path", &file.path)?;
         let path = source.path().to_owned();
         let ct = source.read_voxels(self.reporter)?;
-        let source = self.find_volume("materials.labels", &of_labels.labels)?;
-        let labels_path = source.path().to_owned();
-        let grid = source.read_voxels(self.reporter)?;
-        let names = self.names(of_labels, &grid.label_names)?;
-        let labels = matter::labels_on_grid((&path, &ct), (&labels_path, grid))?;
+        let (_, names, labels) = self.read_labels(of_labels, (&path, &ct))?;
         let mut local = Vec::new();
         let map = self.label_map(&mut local, of_labels, &names)?;
         let is_bone = |class: &Option<Class>| class.is_some_and(|class| local[class.material].name.starts_with("bone"));
@@ -204,11 +200,7 @@ impl Builder<'_> {
         ct: &VolumeFile,
         inpainted: &[usize],
     ) -> Result<Classes, SceneError> {
-        let source = self.find_volume("materials.labels", &file.labels)?;
-        let labels_path = source.path().to_owned();
-        let grid = source.read_voxels(self.reporter)?;
-        let names = self.names(file, &grid.label_names)?;
-        let mut numbers = matter::labels_on_grid((path, ct), (&labels_path, grid))?;
+        let (labels_path, names, mut numbers) = self.read_labels(file, (path, ct))?;
         inpaint_labels(&ct.grid(), &mut numbers, inpainted);
         self.labelled_bodies(of.body.as_deref().unwrap_or(BODY), file, &names, &numbers)?;
         let mut classes = match (file.otherwise, &file.default) {
@@ -239,6 +231,20 @@ impl Builder<'_> {
         }
         classes.labelled = Some(Labelled { numbers, map });
         Ok(classes)
+    }
+
+    /// The label volume of `file`: where it is, what its labels are called, and the label of each voxel of the CT.
+    fn read_labels(
+        &mut self,
+        file: &LabelsFile,
+        ct: (&Path, &VolumeFile),
+    ) -> Result<(PathBuf, LabelNames, Vec<u32>), SceneError> {
+        let source = self.find_volume("materials.labels", &file.labels)?;
+        let path = source.path().to_owned();
+        let grid = source.read_voxels(self.reporter)?;
+        let names = self.names(file, &grid.label_names)?;
+        let numbers = matter::labels_on_grid(ct, (&path, grid))?;
+        Ok((path, names, numbers))
     }
 
     /// What the labels are called: by the file that the scene names, by the label volume itself, or by `label-names.csv` beside it.

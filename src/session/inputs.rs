@@ -212,3 +212,26 @@ fn told_folder(path: &Path) -> PathBuf {
 fn last_part(path: &Path) -> PathBuf {
     path.file_name().map(PathBuf::from).unwrap_or_default()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_that_came_with_the_program_in_another_version_is_said() {
+        let pair = |label: &str, now: &str, then: &str, place: Option<&str>| {
+            let input = InputFile { path: label.into(), sha256: now.into(), place: place.map(Into::into), parts: Vec::new() };
+            (input, LoggedInput { label: label.into(), sha256: then.into(), bytes: 0, part: None })
+        };
+        let same = [
+            pair("scene.json", "s2", "s1", None),
+            pair("calibration/a.json", "a1", "a1", None),
+            pair("ct.nii", "c2", "c1", Some("/ct.nii")),
+        ];
+        let mut names = InputNames { inputs: same.to_vec(), hidden: Vec::new() };
+        assert_eq!(names.other_versions(), Vec::<String>::new(), "a scene, the same file, a file of the session's own");
+        names.inputs.push(pair("bone of objects[0].ct", "b2", "b1", None));
+        let said = names.other_versions();
+        assert!(said.len() == 1 && said[0].contains("bone of objects[0].ct was b1") && said[0].contains("b2"), "{said:?}");
+    }
+}

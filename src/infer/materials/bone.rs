@@ -13,7 +13,8 @@ use crate::infer::{InferError, NetworkFiles};
 
 /// What is thinner is no bone, whatever surrounds it: marrow is soft tissue.
 pub const DENSE_HU: f32 = 100.0;
-/// Where the pass before sees no more probability of bone than this, no finer one looks.
+/// A tile none of whose dense voxels has more probability of bone than this in the pass before is not looked at by a finer one. Where one has, the
+/// finer pass decides of all of them: it carries over to other bodies better than the coarse one.
 const HARDLY: f32 = 0.25;
 /// What is denser is no tissue: metal attenuates like bone rather than like muscle.
 pub const METAL_HU: f32 = 1700.0;

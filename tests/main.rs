@@ -164,6 +164,8 @@ mod materials_learn;
 mod materials_scene;
 #[cfg(feature = "learn")]
 mod network_command;
+#[cfg(feature = "learn-gpu")]
+mod network_device;
 #[cfg(feature = "learn")]
 mod network_infer;
 #[cfg(feature = "learn")]

@@ -4,14 +4,21 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use sidecarm::infer::materials::{LoadedMaterials, MaterialsCard};
-use sidecarm::infer::{JudgedBy, NetworkFiles};
+use sidecarm::infer::{JudgedBy, NetworkDevice, NetworkFiles};
 use sidecarm::learn::materials::{MaterialsFigures, MaterialsRecipe, TrainedMaterials, phantom, train_materials};
 use sidecarm::learn::{HoldOut, LabelledSpecimen, StepRule, TrainOptions, TrainingEnd};
 
 use crate::log_lab::{sidecarm, text};
 
 fn options(folder: &Path, name: &str, recipe: MaterialsRecipe) -> TrainOptions<MaterialsRecipe> {
-    TrainOptions { dataset: folder.join("set"), output: folder.join(name), resume: false, siblings: Vec::new(), recipe }
+    TrainOptions {
+        dataset: folder.join("set"),
+        output: folder.join(name),
+        resume: false,
+        siblings: Vec::new(),
+        recipe,
+        device: NetworkDevice::default(),
+    }
 }
 
 fn short() -> MaterialsRecipe {
@@ -89,7 +96,7 @@ fn a_resumed_training_is_the_straight_one() {
     let straight = run(&options(folder.path(), "straight", short()));
     assert_eq!((straight.end, straight.epoch, straight.history.len()), (TrainingEnd::Complete, 2, 2));
     assert!(
-        straight.history.iter().all(|record| record.train_loss > 0.0 && record.train_loss < 1.0 && record.held_out.is_none())
+        straight.history.iter().all(|record| record.train_loss > 0.0 && record.train_loss < 4.0 && record.held_out.is_none())
     );
     assert_eq!(
         (straight.card.judged_by.clone(), straight.card.specimens.clone()),
@@ -163,27 +170,28 @@ fn a_training_learns_what_it_sees() {
     let trained = run(&options(folder.path(), "one", MaterialsRecipe { epochs: 4, steps: 10, batch: 1, rule, ..short() }));
     let losses: Vec<f64> = trained.history.iter().map(|record| record.train_loss).collect();
     println!("losses {losses:?}");
-    // It was 0.79; what learns nothing stays at 1.
+    // What learns nothing stays where it was.
     assert!(losses[3] < 0.85 * losses[0], "{losses:?}");
 }
 
 /// Bone of the network, of thresholding and of the truth, on phantoms that nothing was trained on.
 #[test]
 fn the_shipped_network_is_as_good_as_its_figures() {
-    let network = LoadedMaterials::shipped().expect("it comes with the program");
+    let network = LoadedMaterials::shipped(NetworkDevice::default()).expect("it comes with the program");
     let card = network.card();
     let JudgedBy::Siblings { weights_sha256 } = &card.judged_by else { panic!("{:?}", card.judged_by) };
     assert_eq!(weights_sha256.keys().collect::<Vec<_>>(), ["chest", "pelvis"]);
-    // Of its share of errors over that of thresholding: half in a pelvis; in a chest full of contrast medium it is no better yet.
+    // Of its share of errors over that of thresholding, in a pelvis and in a chest full of contrast medium.
     let share = |figure: &str, of: &str| {
         card.held_out[&format!("{figure} of {of}")] / card.held_out[&format!("threshold {figure} of {of}")]
     };
     for (figure, of, most) in [
-        ("error", "pelvis", 0.55),
-        ("error from 100 to 400 HU", "pelvis", 0.55),
-        ("error within 5 mm of bone", "pelvis", 0.55),
-        ("error within 5 mm of bone", "chest", 0.75),
-        ("error from 100 to 400 HU", "chest", 1.15),
+        ("error", "pelvis", 0.75),
+        ("error from 100 to 400 HU", "pelvis", 0.7),
+        ("error within 5 mm of bone", "pelvis", 0.75),
+        ("error", "chest", 0.65),
+        ("error from 100 to 400 HU", "chest", 0.65),
+        ("error within 5 mm of bone", "chest", 0.8),
     ] {
         assert!(share(figure, of) < most, "{figure} of {of}: {}", share(figure, of));
     }
@@ -201,11 +209,11 @@ fn the_shipped_network_is_as_good_as_its_figures() {
         // Another processor rounds otherwise, which moves few voxels across a half.
         assert!((value - card.held_out[name]).abs() < 2e-3, "{name}: {value} {}", card.held_out[name]);
     }
-    let near = "error within 5 mm of bone of fresh phantoms";
-    assert!(figures[near] < 0.7 * figures[&format!("threshold {near}")]);
+    let doubtful = "error from 100 to 400 HU of fresh phantoms";
+    assert!(figures[doubtful] < 0.5 * figures[&format!("threshold {doubtful}")]);
     let (_, mut parameters) = files.read::<MaterialsCard>().expect("it comes with the program");
     parameters.iter_mut().step_by(2).for_each(|value| *value = 0.0);
-    let off = of(&LoadedMaterials::new(card.clone(), &parameters), FRESH.start);
+    let off = of(&LoadedMaterials::new(card.clone(), &parameters, NetworkDevice::default()), FRESH.start);
     let [off, right] = [off, each[0]].map(|figures| figures.named("")["dice bone"]);
     assert!((off - right).abs() > 2e-2, "the control: {off} {right}");
 }

@@ -113,7 +113,7 @@ fn a_checkpoint_of_something_else_is_refused_and_fresh_starts_anew() {
     assert!(!checkpoint.exists());
 }
 
-/// On a GPU: another image within the errors, in dispatches of 64 batches; what a processor has left is none of it.
+/// On a GPU: another image within the errors, in two dispatches of 32 batches; what a processor has left is none of it.
 #[test]
 fn a_gpu_follows_photons_too_and_goes_on_only_from_its_own() {
     let folder = tempfile::tempdir().expect("folder");
@@ -129,7 +129,7 @@ fn a_gpu_follows_photons_too_and_goes_on_only_from_its_own() {
         (pages, json)
     };
     let (gpu, json) = read();
-    assert_eq!((json["histories"].as_u64(), json["plan"]["histories_per_batch"].as_u64()), (Some(262_144), Some(4096)));
+    assert_eq!((json["histories"].as_u64(), json["plan"]["histories_per_batch"].as_u64()), (Some(262_144), Some(8192)));
     assert!(json["adapter"].as_str().is_some_and(|adapter| adapter.contains("Vulkan")), "{json}");
     transport(folder.path(), &more("cpu")).expect("transports");
     let (cpu, json) = read();

@@ -32,7 +32,7 @@ pub struct ScatterArgs {
     /// The image, 32-bit float TIFF
     #[arg(long, value_name = "SCATTER.tif")]
     pub out: PathBuf,
-    /// Photons to follow (1e8); rounded up to whole batches of 4096, on a GPU to 64 of 32768
+    /// Photons to follow (1e8); rounded up to whole batches of 4096, on a GPU to some two or eight million
     #[arg(long, value_name = "N", value_parser = whole)]
     pub histories: u64,
     /// Stop earlier, once the median over the pixels of the scatter's relative standard error is no larger

@@ -4,10 +4,12 @@ use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 
+use super::render::DeviceArg;
+use crate::gpu::{Device, GpuError};
 use crate::image::plot::{Axis, Plot, PlotError, Scale, Series};
 use crate::image::{ImageFileError, write_atomically};
-use crate::infer::Architecture;
 use crate::infer::materials::MaterialsArchitecture;
+use crate::infer::{Architecture, NetworkDevice};
 use crate::learn::materials::{MaterialsRecipe, train_materials};
 use crate::learn::{
     AnyRecipe, EpochRecord, HoldOut, LearnError, Progress, Recipe, TrainFiles, TrainOptions, Trained, TrainingEnd,
@@ -38,7 +40,8 @@ enum TrainOf {
 
 Written after every epoch: NAME.safetensors (weights) and NAME.json (its card: what it takes, what it was trained on, how good it is on what
 it was not), NAME.csv (losses), NAME.checkpoint (from where --resume goes on); at the end NAME.svg. Without --hold-out the epoch that is best
-on the tenth is kept, so its figure there is a little too good; with it the last one is. A resumed training gives bit for bit what an uninterrupted one gives.")]
+on the tenth is kept, so its figure there is a little too good; with it the last one is. On one device a resumed training gives bit for bit what an
+uninterrupted one gives.")]
 struct TrainScatterArgs {
     #[command(flatten)]
     common: CommonArgs,
@@ -51,12 +54,14 @@ struct TrainScatterArgs {
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Examples:
   sidecarm train materials materials-set --out my-materials --hold-out chest --minutes 60
+  sidecarm train materials materials-set --out my-materials --batch 8 --device gpu
   sidecarm train materials materials-set --out my-materials --resume
   sidecarm train materials materials-set --out everything --sibling without-chest --sibling without-pelvis
 
 Written after every epoch: NAME.safetensors (weights) and NAME.json (its card), NAME.csv (losses), NAME.checkpoint (from where --resume goes on); at
 the end NAME.svg, and in the card the errors on what was held out, beside those of thresholding. Without --hold-out a tenth of the phantoms is held
-out and chooses the epoch that is kept; with it the last one is. A resumed training gives bit for bit what an uninterrupted one gives.")]
+out and chooses the epoch that is kept; with it the last one is. On one device a resumed training gives bit for bit what an
+uninterrupted one gives.")]
 struct TrainMaterialsArgs {
     #[command(flatten)]
     common: CommonArgs,
@@ -99,6 +104,9 @@ struct CommonArgs {
     /// Go on from NAME.checkpoint, with the settings it was begun with
     #[arg(long)]
     resume: bool,
+    /// Where to train
+    #[arg(long, value_enum, default_value = "cpu")]
+    device: DeviceArg,
     /// Print the card
     #[arg(long)]
     json: bool,
@@ -128,6 +136,9 @@ pub enum TrainError {
         /// Its weights, or its checkpoint.
         path: PathBuf,
     },
+    /// The device.
+    #[error(transparent)]
+    Device(#[from] GpuError),
     /// The drawing of the losses.
     #[error(transparent)]
     Plot(#[from] PlotError),
@@ -149,7 +160,7 @@ pub fn run(args: &TrainArgs, reporter: &Reporter) -> Result<u8, TrainError> {
 
 fn scatter(args: &TrainScatterArgs, reporter: &Reporter) -> Result<u8, TrainError> {
     let TrainScatterArgs { common, epochs } = args;
-    let options = common.options(|hold_out| {
+    let options = common.options(reporter, |hold_out| {
         let standard = Recipe::of(match common.architecture {
             ArchitectureArg::Default => Architecture::Default,
             ArchitectureArg::Paper => Architecture::Paper,
@@ -165,7 +176,7 @@ fn scatter(args: &TrainScatterArgs, reporter: &Reporter) -> Result<u8, TrainErro
 
 fn materials(args: &TrainMaterialsArgs, reporter: &Reporter) -> Result<u8, TrainError> {
     let &TrainMaterialsArgs { ref common, epochs, steps, batch } = args;
-    let options = common.options(|hold_out| {
+    let options = common.options(reporter, |hold_out| {
         let materials = match common.architecture {
             ArchitectureArg::Default => MaterialsArchitecture::Default,
             ArchitectureArg::Paper => MaterialsArchitecture::Paper,
@@ -175,14 +186,18 @@ fn materials(args: &TrainMaterialsArgs, reporter: &Reporter) -> Result<u8, Train
         MaterialsRecipe { materials, seed: common.seed, epochs, steps, batch, hold_out, ..standard }
     })?;
     let trained = followed(common.minutes, reporter, |told| train_materials(&options, told))?;
-    draw(&trained, "Materials network: loss by epoch", "1 - Dice", "held out")?;
+    draw(&trained, "Materials network: loss by epoch", "1 - Dice, cross-entropy", "held out")?;
     say(&trained, (options.recipe.epochs, common.json), &trained.card.held_out, reporter);
     Ok(0)
 }
 
 impl CommonArgs {
     /// The training that was interrupted, or a new one with the recipe `begun`, which is told what to hold out where anybody says it.
-    fn options<R: AnyRecipe>(&self, begun: impl FnOnce(Option<HoldOut>) -> R) -> Result<TrainOptions<R>, TrainError> {
+    fn options<R: AnyRecipe>(
+        &self,
+        reporter: &Reporter,
+        begun: impl FnOnce(Option<HoldOut>) -> R,
+    ) -> Result<TrainOptions<R>, TrainError> {
         let files = TrainFiles::of(&self.out);
         let (recipe, siblings) = if self.resume {
             recipe_of_checkpoint(&self.out)?.ok_or(TrainError::Nothing { path: files.checkpoint })?
@@ -199,7 +214,15 @@ impl CommonArgs {
             let whole = |path: &PathBuf| std::path::absolute(path).unwrap_or_else(|_| path.clone());
             (begun(hold_out), self.sibling.iter().map(whole).collect())
         };
-        Ok(TrainOptions { dataset: self.dataset.clone(), output: self.out.clone(), resume: self.resume, siblings, recipe })
+        let device = match (NetworkDevice::of(&Device::open(self.device.into(), reporter)?), self.device) {
+            (Err(error), DeviceArg::Auto) => {
+                reporter.note(format_args!("training on the processor: {error}"));
+                NetworkDevice::default()
+            }
+            (opened, _) => opened?,
+        };
+        let (dataset, output) = (self.dataset.clone(), self.out.clone());
+        Ok(TrainOptions { dataset, output, resume: self.resume, siblings, recipe, device })
     }
 }
 

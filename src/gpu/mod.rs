@@ -79,6 +79,10 @@ pub enum GpuError {
 /// An open device.
 #[derive(Debug)]
 pub struct Gpu {
+    /// What it was found through, for those who share it.
+    pub instance: wgpu::Instance,
+    /// Of which it is a device.
+    pub wgpu_adapter: wgpu::Adapter,
     /// The device.
     pub device: wgpu::Device,
     /// Its queue.
@@ -176,13 +180,23 @@ fn open_gpu(software: bool) -> Result<Gpu, GpuError> {
     };
     let info = adapter.get_info();
     let name = format!("{} ({:?}, {} {})", info.name, info.backend, info.driver, info.driver_info);
-    // Timestamps where there are any; nothing else beyond the standard.
     let request = adapter.request_device(&wgpu::DeviceDescriptor {
-        required_features: adapter.features() & wgpu::Features::TIMESTAMP_QUERY,
+        required_features: adapter.features() & wanted_features(),
         required_limits: adapter.limits(),
         ..wgpu::DeviceDescriptor::default()
     });
     let (device, queue) =
         pollster::block_on(request).map_err(|error| GpuError::Open { adapter: name.clone(), detail: error.to_string() })?;
-    Ok(Gpu { device, queue, adapter: name, software })
+    Ok(Gpu { instance, wgpu_adapter: adapter, device, queue, adapter: name, software })
+}
+
+/// Beyond the standard, where the adapter has them: timestamps, and what the networks' kernels take for granted on an adapter that has it.
+fn wanted_features() -> wgpu::Features {
+    use wgpu::Features as F;
+    let for_networks = if cfg!(feature = "learn-gpu") {
+        F::SUBGROUP | F::SHADER_INT64 | F::SHADER_F64 | F::SHADER_F16 | F::SHADER_FLOAT32_ATOMIC
+    } else {
+        F::empty()
+    };
+    F::TIMESTAMP_QUERY | for_networks
 }

@@ -41,6 +41,9 @@ pub struct Card {
     pub training_seed: u64,
     /// Passes over the samples that it was trained for.
     pub training_epochs: usize,
+    /// The devices that it was trained on, in their order; none where nobody noted it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub training_devices: Vec<String>,
     /// Samples trained on, without those held out.
     pub sample_count: usize,
     /// Specimens trained on, sorted.

@@ -8,6 +8,14 @@ use crate::json::JsonFault;
 /// Why a network cannot be loaded or does not answer.
 #[derive(Debug, thiserror::Error)]
 pub enum InferError {
+    /// The device fails: it is lost, or has no memory left.
+    #[error("{name}: {detail}; ask the network on the processor")]
+    Device {
+        /// Its name.
+        name: String,
+        /// What it said.
+        detail: String,
+    },
     /// One of the two files is missing or unreadable.
     #[error("network file {}: cannot be read ({source}); a network is NAME.safetensors with NAME.json beside it", path.display())]
     Read {

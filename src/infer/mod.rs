@@ -5,6 +5,7 @@
 
 mod card;
 mod convolution;
+mod device;
 mod error;
 mod files;
 mod input;
@@ -16,6 +17,7 @@ mod tensors;
 
 pub use card::{Card, JudgedBy, Quantity};
 pub use convolution::Convolution;
+pub use device::{NetworkDevice, fetched};
 pub use error::InferError;
 pub use files::{NetworkCard, NetworkFiles, weights_file};
 pub use input::{Input, Prediction};

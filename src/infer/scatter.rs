@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Tensor, TensorData};
 
-use super::{CELLS, COLUMNS, Card, InferError, Input, Network, NetworkFiles, Prediction, ROWS};
+use super::{CELLS, COLUMNS, Card, InferError, Input, Network, NetworkDevice, NetworkFiles, Prediction, ROWS, fetched};
 
 /// The network that comes with the program: where its files are in the sources, and what they hold.
 const SHIPPED: &str = "calibration/networks/scatter";
@@ -19,16 +19,16 @@ pub trait ScatterNetwork {
     /// The scatter of `sample`. Inputs outside the training's range are predicted all the same, and named.
     ///
     /// # Errors
-    /// When `sample` has another size than the network takes, or its scale is no positive number.
+    /// When `sample` has another size than the network takes, or its scale is no positive number; when the device fails.
     fn predict(&self, sample: &Input) -> Result<Prediction, InferError>;
 }
 
-/// A network from files, on the processor.
+/// A network from files.
 #[derive(Clone, Debug)]
 pub struct LoadedNetwork {
     card: Card,
     network: Network,
-    device: Device,
+    device: NetworkDevice,
 }
 
 impl LoadedNetwork {
@@ -40,7 +40,7 @@ impl LoadedNetwork {
     pub fn load(name: &Path, channels: &[&str], scalar_names: &[&str]) -> Result<Self, InferError> {
         let files = NetworkFiles::of(name);
         let read = files.read::<Card>()?;
-        Self::of(files, read, channels, scalar_names)
+        Self::of(files, read, channels, scalar_names, &NetworkDevice::default())
     }
 
     /// The network that comes with the program.
@@ -48,9 +48,17 @@ impl LoadedNetwork {
     /// # Errors
     /// When it takes other inputs.
     pub fn shipped(channels: &[&str], scalar_names: &[&str]) -> Result<Self, InferError> {
+        Self::shipped_on(&NetworkDevice::default(), channels, scalar_names)
+    }
+
+    /// The same on `device`.
+    ///
+    /// # Errors
+    /// As [`Self::shipped`].
+    pub fn shipped_on(device: &NetworkDevice, channels: &[&str], scalar_names: &[&str]) -> Result<Self, InferError> {
         let files = NetworkFiles::of(Path::new(SHIPPED));
         let read = files.parse(SHIPPED_WEIGHTS, SHIPPED_CARD)?;
-        Self::of(files, read, channels, scalar_names)
+        Self::of(files, read, channels, scalar_names, device)
     }
 
     fn of(
@@ -58,6 +66,7 @@ impl LoadedNetwork {
         (card, parameters): (Card, Vec<f32>),
         channels: &[&str],
         scalar_names: &[&str],
+        device: &NetworkDevice,
     ) -> Result<Self, InferError> {
         for (what, expected, found) in
             [("channels", channels, card.channel_names()), ("scalars", scalar_names, card.scalar_names())]
@@ -67,10 +76,9 @@ impl LoadedNetwork {
                 return Err(InferError::Names { path: files.card, what, expected, found });
             }
         }
-        let device = Device::flex();
-        let network = Network::new(card.architecture, channels.len(), scalar_names.len(), &parameters, &device)
+        let network = Network::new(card.architecture, channels.len(), scalar_names.len(), &parameters, &device.device)
             .expect("as many parameters as the layers have were read");
-        Ok(Self { card, network, device })
+        Ok(Self { card, network, device: device.clone() })
     }
 }
 
@@ -88,10 +96,15 @@ impl ScatterNetwork for LoadedNetwork {
         }
         let (channels, scalars) = self.card.normalised(sample);
         let shape = [1, self.card.channels.len(), ROWS, COLUMNS];
-        let channels = Tensor::<4>::from_data(TensorData::new(channels, shape), &self.device);
-        let scalars = Tensor::<2>::from_data(TensorData::new(scalars, [1, self.card.scalars.len()]), &self.device);
-        let logarithm = self.network.forward(channels, scalars).into_data();
-        let scatter = logarithm.iter::<f32>().map(|value| f64::from(sample.scale) * f64::from(value).exp());
+        let on = &self.device.device;
+        let channels = Tensor::<4>::from_data(TensorData::new(channels, shape), on);
+        let scalars = Tensor::<2>::from_data(TensorData::new(scalars, [1, self.card.scalars.len()]), on);
+        let failed = |detail: String| InferError::Device { name: self.device.name.clone(), detail };
+        let logarithm = fetched(self.network.forward(channels, scalars)).map_err(failed)?;
+        if let Some(fault) = self.device.fault() {
+            return Err(failed(fault.to_owned()));
+        }
+        let scatter = logarithm.iter().map(|value| f64::from(sample.scale) * f64::from(*value).exp());
         let mut single: Vec<f64> = scatter.collect();
         let multiple = single.split_off(CELLS);
         Ok(Prediction { single, multiple, outside })

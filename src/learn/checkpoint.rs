@@ -28,6 +28,8 @@ pub(super) struct State {
     pub history: Vec<EpochRecord>,
     /// The parameters to keep, and their epoch, counted from 1.
     pub best: Option<(usize, Vec<f32>)>,
+    /// Names of the devices that it was trained on, in their order.
+    pub devices: Vec<String>,
 }
 
 /// What of a checkpoint is no tensor.
@@ -40,9 +42,16 @@ struct Beside<R> {
     steps: u64,
     best_epoch: Option<usize>,
     history: Vec<EpochRecord>,
+    #[serde(default)]
+    devices: Vec<String>,
 }
 
 impl State {
+    /// Before the first epoch.
+    pub(super) fn new(adam: Adam) -> Self {
+        Self { adam, history: Vec::new(), best: None, devices: Vec::new() }
+    }
+
     /// Writes it, whole or not at all.
     pub(super) fn write<R: AnyRecipe>(
         &self,
@@ -57,6 +66,7 @@ impl State {
             steps: self.adam.steps,
             best_epoch: self.best.as_ref().map(|(epoch, _)| *epoch),
             history: self.history.clone(),
+            devices: self.devices.clone(),
         };
         let metadata = |error: serde_json::Error| TensorFault::MetadataForm { key: KEY.to_owned(), detail: error.to_string() };
         let text = serde_json::to_string(&beside).map_err(|error| LearnError::Encode(metadata(error)))?;
@@ -101,7 +111,7 @@ impl State {
         };
         let adam =
             Adam { parameters: values("parameters")?, means: values("means")?, squares: values("squares")?, steps: beside.steps };
-        Ok(Self { adam, history: beside.history, best })
+        Ok(Self { adam, history: beside.history, best, devices: beside.devices })
     }
 }
 

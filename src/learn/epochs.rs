@@ -8,7 +8,7 @@ use super::adam::learning_rate;
 use super::checkpoint::State;
 use super::{EpochRecord, LearnError, Progress, StepRule, TrainFiles, TrainingEnd};
 use crate::image::write_atomically;
-use crate::infer::Convolution;
+use crate::infer::{Convolution, NetworkDevice, fetched};
 
 /// How long a training goes on.
 #[derive(Clone, Debug)]
@@ -26,9 +26,11 @@ pub(super) struct Pace {
 }
 
 /// What a kind of network adds to a training.
-pub(super) trait Learner {
+pub(super) trait Learner: Sync {
     /// What is found on that which was held out.
     type Found;
+    /// Samples of a step, as they are drawn.
+    type Drawn: Send;
 
     /// How long to go on.
     fn pace(&self) -> Pace;
@@ -36,14 +38,18 @@ pub(super) trait Learner {
     /// The samples of an epoch, in order.
     fn order(&self, epoch: usize) -> Vec<usize>;
 
-    /// Mean loss of the samples `chosen`, and its slopes by the parameters.
-    fn slopes(&self, epoch: usize, chosen: &[usize], parameters: &[f32], device: &Device) -> (f64, Vec<f32>);
+    /// The samples `chosen`, as this epoch sees them.
+    fn draw(&self, epoch: usize, chosen: &[usize]) -> Self::Drawn;
 
-    /// How wrong `parameters` are on what was held out, without and with the noise of the truth, and what to write of it.
-    fn judge(&self, parameters: &[f32]) -> ([Option<f64>; 2], Self::Found);
+    /// Mean loss of the samples of a step, and its slopes by the parameters; what the device says where it fails.
+    fn slopes(&self, drawn: Self::Drawn, parameters: &[f32], device: &Device) -> Result<(f64, Vec<f32>), String>;
 
-    /// Writes a network of `parameters`, those after `epoch`, with its card.
-    fn write_network(&self, parameters: &[f32], epoch: usize, found: &Self::Found) -> Result<(), LearnError>;
+    /// How wrong `parameters` are on what was held out, without and with the noise of the truth, and what to write of it; what the device says
+    /// where it fails.
+    fn judge(&self, parameters: &[f32], device: &Device) -> Result<([Option<f64>; 2], Self::Found), String>;
+
+    /// Writes the best network of `state`, with its card.
+    fn write_network(&self, state: &State, found: &Self::Found) -> Result<(), LearnError>;
 
     /// Its files.
     fn files(&self) -> &TrainFiles;
@@ -55,6 +61,7 @@ pub(super) trait Learner {
 /// Goes on from `state` to the end, writing the network and the history after every epoch.
 pub(super) fn run<L: Learner>(
     learner: &L,
+    device: &NetworkDevice,
     state: &mut State,
     told: &mut dyn FnMut(&Progress<'_>) -> ControlFlow<()>,
 ) -> Result<TrainingEnd, LearnError> {
@@ -66,20 +73,23 @@ pub(super) fn run<L: Learner>(
         }
         let epoch = state.history.len() + 1;
         let mut next = state.clone();
-        let Some((train_loss, learning_rate, steps)) = run_epoch(learner, &pace, epoch, &mut next, told)? else {
+        let Some((train_loss, learning_rate, steps)) = run_epoch(learner, (&pace, device), epoch, &mut next, told)? else {
             return Ok(TrainingEnd::ByCaller);
         };
-        let ([held_out, held_out_raw], found) = learner.judge(&next.adam.parameters);
+        let ([held_out, held_out_raw], found) = sound(device, learner.judge(&next.adam.parameters, &device.device))?;
         let known = state.best.as_ref().and_then(|(epoch, _)| state.history[epoch - 1].held_out);
         let is_best = match (held_out, known) {
             (Some(new), Some(known)) if pace.chooses => new < known,
             _ => true,
         };
         *state = next;
+        if state.devices.last() != Some(&device.name) {
+            state.devices.push(device.name.clone());
+        }
         state.history.push(EpochRecord { epoch, train_loss, held_out, held_out_raw, learning_rate });
         if is_best {
             state.best = Some((epoch, state.adam.parameters.clone()));
-            learner.write_network(&state.adam.parameters, epoch, &found)?;
+            learner.write_network(state, &found)?;
         }
         write_history(learner.files(), &state.history)?;
         // Last: what a checkpoint speaks of is there.
@@ -97,29 +107,41 @@ pub(super) fn run<L: Learner>(
 /// One pass over the samples: their mean loss, the last learning rate and the number of steps; `None` where the caller stopped it.
 fn run_epoch<L: Learner>(
     learner: &L,
-    pace: &Pace,
+    (pace, place): (&Pace, &NetworkDevice),
     epoch: usize,
     state: &mut State,
     told: &mut dyn FnMut(&Progress<'_>) -> ControlFlow<()>,
 ) -> Result<Option<(f64, f64, usize)>, LearnError> {
-    let device = Device::flex().autodiff();
+    let device = place.device.clone().autodiff();
     let order = learner.order(epoch);
-    let steps = order.len().div_ceil(pace.batch);
+    let mut batches = order.chunks(pace.batch);
+    let steps = batches.len();
     let all_steps = (steps * pace.epochs) as u64;
     let (mut loss_sum, mut seen, mut rate) = (0.0, 0, 0.0);
-    for (step, chosen) in order.chunks(pace.batch).enumerate() {
-        let (loss, slopes) = learner.slopes(epoch, chosen, &state.adam.parameters, &device);
+    let mut next = batches.next().map(|chosen| (chosen.len(), learner.draw(epoch, chosen)));
+    let mut step = 0;
+    while let Some((count, drawn)) = next {
+        // While the device works, the processor draws what comes after.
+        let mut ahead = || batches.next().map(|chosen| (chosen.len(), learner.draw(epoch, chosen)));
+        next = None;
+        let found = rayon::in_place_scope(|scope| {
+            scope.spawn(|_| next = ahead());
+            // On this thread always: each that asks a GPU for something has memory of its own there.
+            learner.slopes(drawn, &state.adam.parameters, &device)
+        });
+        let (loss, slopes) = sound(place, found)?;
+        step += 1;
         rate = learning_rate(&pace.rule, state.adam.steps, all_steps);
         let norm = state.adam.step(&slopes, rate, &pace.rule);
         if !norm.is_finite() {
             return Err(LearnError::Diverged { epoch, norm, learning_rate: rate });
         }
-        loss_sum += loss * chosen.len() as f64;
-        seen += chosen.len();
+        loss_sum += loss * count as f64;
+        seen += count;
         let train_loss = loss_sum / seen as f64;
-        let progress = Progress { epoch, epochs: pace.epochs, step: step + 1, steps, train_loss, done: None, best: false };
+        let progress = Progress { epoch, epochs: pace.epochs, step, steps, train_loss, done: None, best: false };
         // The last step of an epoch is told with the epoch.
-        if step + 1 < steps && told(&progress).is_break() {
+        if step < steps && told(&progress).is_break() {
             return Ok(None);
         }
     }
@@ -137,16 +159,28 @@ fn write_history(files: &TrainFiles, history: &[EpochRecord]) -> Result<(), Lear
     Ok(write_atomically(path, |file| file.write_all(&bytes))?)
 }
 
-/// The slopes of `loss` by the parameters of `layers`, in their order.
-pub(super) fn slopes_of<const D: usize>(loss: &Tensor<1>, layers: &[Convolution<D>]) -> Vec<f32> {
+/// What was `found` on `device`, unless it failed meanwhile.
+fn sound<T>(device: &NetworkDevice, found: Result<T, String>) -> Result<T, LearnError> {
+    // What it met first says more than what became of it.
+    let detail = match (device.fault(), found) {
+        (None, Ok(found)) => return Ok(found),
+        (Some(detail), _) => detail.to_owned(),
+        (None, Err(detail)) => detail,
+    };
+    let detail = detail.lines().next().unwrap_or("it says nothing").to_owned();
+    Err(LearnError::Device { name: device.name.clone(), detail })
+}
+
+/// `loss` and its slopes by the parameters of `layers`, in their order.
+pub(super) fn slopes_of<const D: usize>(loss: &Tensor<1>, layers: &[Convolution<D>]) -> Result<(f64, Vec<f32>), String> {
     let mut gradients = loss.backward();
-    let mut all = Vec::new();
+    let mut all: Vec<Tensor<1>> = vec![loss.clone().inner()];
     for Convolution { weight, bias, .. } in layers {
-        let of_weight = weight.grad_remove(&mut gradients).map(Tensor::into_data);
-        let of_bias = bias.grad_remove(&mut gradients).map(Tensor::into_data);
-        for data in [of_weight, of_bias] {
-            all.extend(data.expect("every parameter is used by the forward pass").iter::<f32>());
-        }
+        let of_weight = weight.grad_remove(&mut gradients).map(|slopes| slopes.reshape([weight.shape().num_elements()]));
+        let of_bias = bias.grad_remove(&mut gradients);
+        all.extend([of_weight, of_bias].map(|slopes| slopes.expect("every parameter is used by the forward pass")));
     }
-    all
+    // At once: every fetch waits for the device.
+    let mut slopes = fetched(Tensor::cat(all, 0))?;
+    Ok((f64::from(slopes.remove(0)), slopes))
 }

@@ -17,6 +17,14 @@ pub enum LearnError {
         /// What the system said.
         source: std::io::Error,
     },
+    /// The device fails: it is lost, or has no memory left.
+    #[error("{name}: {detail}; whole epochs are kept: --resume --device gpu goes on with them, --resume alone on the processor")]
+    Device {
+        /// Its name.
+        name: String,
+        /// What it said.
+        detail: String,
+    },
     /// A file of samples cannot be used.
     #[error(transparent)]
     Shard(#[from] ShardError),

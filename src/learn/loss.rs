@@ -55,7 +55,9 @@ impl Batch {
         let difference = self.predicted(network) - self.target.clone();
         let of_sum = difference.clone().sum_dim(1);
         let all = Tensor::cat(vec![of_sum, difference], 1);
-        (all.square() * self.weights.clone()).sum() / self.size as f64
+        // Axis by axis: a GPU adds up a whole tensor in the order in which its groups are done.
+        let squares: Tensor<4> = all.square() * self.weights.clone();
+        squares.sum_dim(3).sum_dim(2).sum_dim(1).sum_dim(0).reshape([1]) / self.size as f64
     }
 }
 

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::{Figures, Recipe};
-use crate::infer::{Card, NetworkFiles};
+use crate::infer::{Card, NetworkDevice, NetworkFiles};
 
 /// A training.
 #[derive(Clone, Debug)]
@@ -19,8 +19,10 @@ pub struct TrainOptions<R = Recipe> {
     /// Cards of networks that were trained alike without one specimen each, whose figures this one shall have: names or paths, as in
     /// [`NetworkFiles::of`]. Then nothing is held out.
     pub siblings: Vec<PathBuf>,
-    /// All that decides the result, together with the samples.
+    /// All that decides the result, together with the samples and, in the last bits, the device.
     pub recipe: R,
+    /// Where it is computed.
+    pub device: NetworkDevice,
 }
 
 /// The files of a training.

@@ -81,6 +81,7 @@ pub(super) fn card_of(dataset: &Dataset, train: &[usize], recipe: &Recipe) -> Ca
         weights_sha256: String::new(),
         training_seed: recipe.seed,
         training_epochs: recipe.epochs,
+        training_devices: Vec::new(),
         sample_count: train.len(),
         specimens: dataset.specimens(train.iter().copied()),
         samples_sha256: dataset.fingerprint(),

@@ -24,7 +24,7 @@ use crate::random::{Purpose, Stream};
 /// kind of processor, also when the training was interrupted and resumed.
 ///
 /// # Errors
-/// When samples, options or a checkpoint cannot be used, a file cannot be written, or the training diverges.
+/// When samples, options or a checkpoint cannot be used, a file cannot be written, the training diverges, or the device fails.
 pub fn train(options: &TrainOptions, told: &mut dyn FnMut(&Progress<'_>) -> ControlFlow<()>) -> Result<Trained, LearnError> {
     let recipe = &options.recipe;
     recipe.check()?;
@@ -52,9 +52,9 @@ pub fn train(options: &TrainOptions, told: &mut dyn FnMut(&Progress<'_>) -> Cont
         // The last layer's biases are the last parameters: the training begins at the usual scatter of each page.
         let first = adam.parameters.len() - PAGES;
         adam.parameters[first..].copy_from_slice(&training.usual_logarithms());
-        State { adam, history: Vec::new(), best: None }
+        State::new(adam)
     };
-    let end = epochs::run(&training, &mut state, told)?;
+    let end = epochs::run(&training, &options.device, &mut state, told)?;
     training.trained(&state, end)
 }
 
@@ -90,6 +90,7 @@ struct Training<'a> {
 
 impl Learner for Training<'_> {
     type Found = Evaluation;
+    type Drawn = Vec<Sample>;
 
     fn pace(&self) -> Pace {
         let Recipe { epochs, batch, rule, hold_out, patience, .. } = self.recipe;
@@ -102,22 +103,24 @@ impl Learner for Training<'_> {
         order
     }
 
-    fn slopes(&self, epoch: usize, chosen: &[usize], parameters: &[f32], device: &Device) -> (f64, Vec<f32>) {
-        let samples: Vec<Sample> = chosen.iter().map(|index| self.augmented(*index, epoch)).collect();
+    fn draw(&self, epoch: usize, chosen: &[usize]) -> Vec<Sample> {
+        chosen.iter().map(|index| self.augmented(*index, epoch)).collect()
+    }
+
+    fn slopes(&self, samples: Vec<Sample>, parameters: &[f32], device: &Device) -> Result<(f64, Vec<f32>), String> {
         let network = self.network(parameters, device);
         let loss = Batch::new(&samples, &self.card, self.recipe.page_weight, device).loss(&network);
-        let slopes = slopes_of(&loss, network.layers());
-        (f64::from(loss.into_scalar::<f32>()), slopes)
+        slopes_of(&loss, network.layers())
     }
 
-    fn judge(&self, parameters: &[f32]) -> ([Option<f64>; 2], Evaluation) {
+    fn judge(&self, parameters: &[f32], _: &Device) -> Result<([Option<f64>; 2], Evaluation), String> {
         let evaluation = self.evaluate(parameters);
         let figures = evaluation.as_ref().map(|(figures, _)| figures);
-        ([figures.map(Figures::nmse), figures.map(|figures| figures.nmse_raw)], evaluation)
+        Ok(([figures.map(Figures::nmse), figures.map(|figures| figures.nmse_raw)], evaluation))
     }
 
-    fn write_network(&self, parameters: &[f32], _: usize, found: &Evaluation) -> Result<(), LearnError> {
-        self.written(parameters, found).map(drop)
+    fn write_network(&self, state: &State, found: &Evaluation) -> Result<(), LearnError> {
+        self.written(state, found).map(drop)
     }
 
     fn files(&self) -> &TrainFiles {
@@ -159,14 +162,16 @@ impl Training<'_> {
             .expect("parameters were drawn or read for these layers")
     }
 
+    /// On the processor, as users will ask it.
     fn evaluate(&self, parameters: &[f32]) -> Evaluation {
         let device = Device::flex();
         figures_of(&self.network(parameters, &device), &self.card, &self.held_out, self.recipe.batch, &device)
     }
 
-    /// Writes `parameters`, then their card: until it is there too, a reader meets a checksum that disagrees.
-    fn written(&self, parameters: &[f32], evaluation: &Evaluation) -> Result<Card, LearnError> {
-        let mut card = self.card.clone();
+    /// Writes the best parameters of `state`, then their card: until it is there too, a reader meets a checksum that disagrees.
+    fn written(&self, state: &State, evaluation: &Evaluation) -> Result<Card, LearnError> {
+        let Some((_, parameters)) = &state.best else { return Err(LearnError::StoppedTooSoon) };
+        let mut card = Card { training_devices: state.devices.clone(), ..self.card.clone() };
         let weights = weights_file(&card.layers(), parameters).map_err(LearnError::Encode)?;
         card.weights_sha256 = sha256_bytes(&weights);
         if let Some((all, by_specimen)) = evaluation {
@@ -185,7 +190,7 @@ impl Training<'_> {
     fn trained(&self, state: &State, end: TrainingEnd) -> Result<Trained, LearnError> {
         let Some((epoch, parameters)) = &state.best else { return Err(LearnError::StoppedTooSoon) };
         let evaluation = self.evaluate(parameters);
-        let card = self.written(parameters, &evaluation)?;
+        let card = self.written(state, &evaluation)?;
         let held_out = evaluation.map(|(figures, _)| figures);
         Ok(Trained { card, files: self.files.clone(), epoch: *epoch, held_out, history: state.history.clone(), end })
     }

@@ -10,8 +10,8 @@ use sha2::{Digest, Sha256};
 
 use super::volumes::VolumeFile;
 use crate::image::{cache_file, hex, sha256_bytes, write_atomically};
-use crate::infer::InferError;
 use crate::infer::materials::{HuVolume, LoadedMaterials};
+use crate::infer::{InferError, NetworkDevice};
 use crate::memory;
 use crate::reporter::{Progress, Reporter};
 
@@ -34,7 +34,7 @@ impl BoneNetwork {
     pub fn open(name: Option<&Path>) -> Result<Self, InferError> {
         Ok(Self(match name {
             Some(name) => LoadedMaterials::load(name)?,
-            None => LoadedMaterials::shipped()?,
+            None => LoadedMaterials::shipped(NetworkDevice::default())?,
         }))
     }
 

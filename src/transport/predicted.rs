@@ -94,6 +94,7 @@ mod tests {
             weights_sha256: "of the weights".to_owned(),
             training_seed: 1,
             training_epochs: 1,
+            training_devices: Vec::new(),
             sample_count: 1,
             specimens: Vec::new(),
             samples_sha256: String::new(),

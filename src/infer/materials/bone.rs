@@ -2,20 +2,20 @@
 
 use std::path::Path;
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Tensor, TensorData};
 use rayon::prelude::*;
 
 use super::card::MaterialsCard;
 use super::grid::{HuVolume, PassGrid, Reduced};
 use super::layers::{BONE, INPUTS, Pass};
 use super::network::{CubeNetwork, windows};
-use crate::infer::{InferError, NetworkFiles};
+use crate::infer::{InferError, NetworkDevice, NetworkFiles, fetched};
 
 /// What is thinner is no bone, whatever surrounds it: marrow is soft tissue.
 pub const DENSE_HU: f32 = 100.0;
 /// A tile none of whose dense voxels has more probability of bone than this in the pass before is not looked at by a finer one. Where one has, the
 /// finer pass decides of all of them: it carries over to other bodies better than the coarse one.
-const HARDLY: f32 = 0.25;
+const HARDLY: f32 = 0.05;
 /// What is denser is no tissue: metal attenuates like bone rather than like muscle.
 pub const METAL_HU: f32 = 1700.0;
 /// Beyond the scan there is air.
@@ -26,12 +26,15 @@ const SHIPPED: &str = "calibration/networks/materials";
 const SHIPPED_WEIGHTS: &[u8] = include_bytes!("../../../calibration/networks/materials.safetensors");
 const SHIPPED_CARD: &[u8] = include_bytes!("../../../calibration/networks/materials.json");
 
-/// A materials network from files, on the processor.
+/// Patches that a GPU looks at together.
+const PATCHES: usize = 16;
+
+/// A materials network from files.
 #[derive(Clone, Debug)]
 pub struct LoadedMaterials {
     card: MaterialsCard,
     passes: Vec<(&'static Pass, CubeNetwork)>,
-    device: Device,
+    device: NetworkDevice,
 }
 
 /// Probability of bone at the points of a pass; 0 where it did not look.
@@ -47,16 +50,16 @@ impl LoadedMaterials {
     /// When a file is missing, truncated or of another network.
     pub fn load(name: &Path) -> Result<Self, InferError> {
         let (card, parameters) = NetworkFiles::of(name).read::<MaterialsCard>()?;
-        Ok(Self::new(card, &parameters))
+        Ok(Self::new(card, &parameters, NetworkDevice::default()))
     }
 
     /// The network that comes with the program.
     ///
     /// # Errors
     /// When its files are damaged.
-    pub fn shipped() -> Result<Self, InferError> {
+    pub fn shipped(device: NetworkDevice) -> Result<Self, InferError> {
         let (card, parameters) = NetworkFiles::of(Path::new(SHIPPED)).parse::<MaterialsCard>(SHIPPED_WEIGHTS, SHIPPED_CARD)?;
-        Ok(Self::new(card, &parameters))
+        Ok(Self::new(card, &parameters, device))
     }
 
     /// A network with `parameters`, as many as the layers of its card take.
@@ -64,13 +67,12 @@ impl LoadedMaterials {
     /// # Panics
     /// With more or fewer.
     #[must_use]
-    pub fn new(card: MaterialsCard, parameters: &[f32]) -> Self {
-        let device = Device::flex();
+    pub fn new(card: MaterialsCard, parameters: &[f32], device: NetworkDevice) -> Self {
         let mut rest = parameters;
         let passes = card.materials.passes().iter().map(|pass| {
             let (own, behind) = rest.split_at(pass.parameter_count());
             rest = behind;
-            (pass, CubeNetwork::new(pass, own, &device).expect("as many parameters as the layers have"))
+            (pass, CubeNetwork::new(pass, own, &device.device).expect("as many parameters as the layers have"))
         });
         Self { passes: passes.collect(), card, device }
     }
@@ -92,6 +94,9 @@ impl LoadedMaterials {
     /// Which voxels of `volume` are bone: those of at least [`DENSE_HU`] in a bone, and those
     /// above [`METAL_HU`] anywhere. `told` hears, of each pass, how many patches are done and how
     /// many there are.
+    ///
+    /// # Panics
+    /// When a GPU is lost, or has no memory left.
     pub fn bone(&self, volume: &HuVolume<'_>, told: &mut dyn FnMut(&Pass, usize, usize)) -> Vec<bool> {
         let mut found: Option<Found> = None;
         for (pass, network) in &self.passes {
@@ -124,19 +129,23 @@ impl LoadedMaterials {
         let mut bone = vec![0.0; grid.points()];
         let tiles = wanted_tiles(&grid, pass.keep, &is_wanted);
         let margin = (pass.patch - pass.keep) / 2;
-        let look_at = |tile: &[usize; 3]| {
+        let seen_in = |tile: &[usize; 3]| {
             let from = tile.map(|at| (at * pass.keep) as i64 - margin as i64);
             let mut hu = Vec::with_capacity(pass.points());
             for_points(pass.patch, |step| {
                 let point = grid.point(std::array::from_fn(|axis| from[axis] + step[axis] as i64));
                 hu.push(reduced.interpolated(point, BEYOND_HU, |place| reduced.values[place]));
             });
-            self.probabilities(pass, network, &hu)
+            windows(&hu).collect::<Vec<f32>>()
         };
-        let at_once = rayon::current_num_threads();
+        let at_once = if self.device.is_processor() { rayon::current_num_threads() } else { PATCHES };
         for (done, some) in tiles.chunks(at_once).enumerate() {
             told(pass, done * at_once, tiles.len());
-            let looked: Vec<Vec<f32>> = some.par_iter().map(look_at).collect();
+            let looked: Vec<Vec<f32>> = if self.device.is_processor() {
+                some.par_iter().flat_map(|tile| self.probabilities(pass, network, &[seen_in(tile)])).collect()
+            } else {
+                self.probabilities(pass, network, &some.par_iter().map(seen_in).collect::<Vec<_>>())
+            };
             for (tile, kept) in some.iter().zip(&looked) {
                 for_points(pass.keep, |step| {
                     let at: [usize; 3] = std::array::from_fn(|axis| tile[axis] * pass.keep + step[axis]);
@@ -151,13 +160,14 @@ impl LoadedMaterials {
         Found { grid, bone }
     }
 
-    /// Probability of bone at the points of a patch.
-    fn probabilities(&self, pass: &Pass, network: &CubeNetwork, hu: &[f32]) -> Vec<f32> {
+    /// Probability of bone at the points of patches, each as its two windows.
+    fn probabilities(&self, pass: &Pass, network: &CubeNetwork, patches: &[Vec<f32>]) -> Vec<Vec<f32>> {
         let side = pass.patch;
-        let seen = TensorData::new(windows(hu).collect::<Vec<f32>>(), [1, INPUTS, side, side, side]);
-        let all = network.probabilities(Tensor::from_data(seen, &self.device));
-        let bone = all.narrow(1, BONE, 1).into_data();
-        bone.iter::<f32>().collect()
+        let seen = TensorData::new(patches.concat(), [patches.len(), INPUTS, side, side, side]);
+        let all = network.probabilities(Tensor::from_data(seen, &self.device.device));
+        let bone = fetched(all.narrow(1, BONE, 1)).unwrap_or_else(|detail| panic!("{}: {detail}", self.device.name));
+        assert_eq!(self.device.fault(), None, "{}", self.device.name);
+        bone.chunks_exact(pass.points()).map(<[f32]>::to_vec).collect()
     }
 }
 

@@ -26,6 +26,9 @@ pub struct MaterialsCard {
     pub training_steps: usize,
     /// Patches of each pass in a step.
     pub training_batch: usize,
+    /// The devices that it was trained on, in their order; none where nobody noted it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub training_devices: Vec<String>,
     /// Specimens trained on, sorted; of phantoms their number.
     pub specimens: Vec<String>,
     /// Who said what bone is in them.

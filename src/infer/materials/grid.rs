@@ -156,11 +156,16 @@ impl Shares {
         &self.places[..self.count]
     }
 
+    /// The places, each with its share.
+    pub fn each(&self) -> impl Iterator<Item = (usize, f32)> + '_ {
+        self.places().iter().copied().zip(self.shares)
+    }
+
     /// Σ share · value, what is missing to 1 being `outside`.
     pub fn sum(&self, outside: f32, value: impl Fn(usize) -> f32) -> f32 {
         let (mut sum, mut shares) = (0.0, 0.0);
-        for (place, share) in self.places().iter().zip(&self.shares) {
-            sum += share * value(*place);
+        for (place, share) in self.each() {
+            sum += share * value(place);
             shares += share;
         }
         sum + outside * (1.0 - shares)

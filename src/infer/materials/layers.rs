@@ -44,7 +44,7 @@ pub struct Pass {
 
 const DEFAULT: [Pass; 2] = [
     Pass { name: "coarse", spacing_mm: [4.0; 3], patch: 48, keep: 32, fold: 2, channels: &[16, 32, 64] },
-    Pass { name: "fine", spacing_mm: [1.5; 3], patch: 48, keep: 32, fold: 2, channels: &[16, 32, 32] },
+    Pass { name: "fine", spacing_mm: [1.5; 3], patch: 64, keep: 48, fold: 2, channels: &[16, 32, 64, 64] },
 ];
 const PAPER: [Pass; 1] =
     [Pass { name: "paper", spacing_mm: [0.86, 0.86, 1.0], patch: 128, keep: 64, fold: 1, channels: &[8, 16, 32, 64] }];

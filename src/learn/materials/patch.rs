@@ -9,11 +9,14 @@ use crate::random::Stream;
 /// What is thinner is air, or lung.
 const AIR_BELOW_HU: f32 = -700.0;
 /// Weight of points that are too thin for bone: what is said of them decides nothing.
-const THIN_WEIGHT: f32 = 0.2;
+const THIN_WEIGHT: f32 = 0.02;
 /// Below this no average over a few voxels hides one that is dense enough.
 const NEARLY_DENSE_HU: f32 = DENSE_HU - 30.0;
-/// Share of patches about a voxel of bone.
-const AT_BONE: f64 = 0.7;
+/// Shares of patches about a block of bone, and about a dense one that is none; the others are anywhere.
+const AT_BONE: f64 = 0.5;
+const AT_DENSE: f64 = 0.3;
+/// Share of patches with contrast medium in places of its own.
+const WITH_POOLS: f64 = 0.6;
 
 /// A specimen, averaged to the resolution of a pass.
 #[derive(Clone, Debug)]
@@ -27,6 +30,8 @@ pub(super) struct Prepared {
     metal: Vec<f32>,
     /// Blocks that are mostly bone.
     bone_blocks: Vec<u32>,
+    /// Blocks that are as dense, and no bone.
+    dense_blocks: Vec<u32>,
     bones: Vec<u8>,
     is_phantom: bool,
 }
@@ -49,12 +54,15 @@ impl Prepared {
         let hu = reduced(&|index| specimen.hu[index].max(BEYOND_HU));
         let bone = reduced(&|index| share(specimen.is_in_bone(index))).values;
         let structure = (0..hu.values.len()).map(|block| specimen.structure[hu.middle_voxel(block)]).collect();
-        let bone_blocks = (0..bone.len()).filter(|block| bone[*block] > 0.5).map(|block| block as u32).collect();
+        let blocks = |is: &dyn Fn(usize) -> bool| (0..bone.len()).filter(|block| is(*block)).map(|block| block as u32).collect();
+        let bone_blocks = blocks(&|block| bone[block] > 0.5);
+        let dense_blocks = blocks(&|block| bone[block] < 0.1 && hu.values[block] >= DENSE_HU);
         Self {
             air: reduced(&|index| share(specimen.hu[index] < AIR_BELOW_HU)).values,
             metal: reduced(&|index| share(specimen.structure[index] == METAL)).values,
             structure,
             bone_blocks,
+            dense_blocks,
             bone,
             hu,
             bones: specimen.bones.clone(),
@@ -67,15 +75,20 @@ impl Prepared {
         let spacing_mm = DVec3::from_array(pass.spacing_mm);
         let side = pass.patch;
         let half = (side as f64 - 1.0) / 2.0;
-        let block = if stream.uniform() < AT_BONE && !self.bone_blocks.is_empty() {
-            self.bone_blocks[(stream.uniform() * self.bone_blocks.len() as f64) as usize] as usize
-        } else {
-            (stream.uniform() * self.structure.len() as f64) as usize
+        let (of, at) = (stream.uniform(), stream.uniform());
+        let one_of = |blocks: &[u32]| blocks.get((at * blocks.len() as f64) as usize).map(|block| *block as usize);
+        let block = match of {
+            of if of < AT_BONE => one_of(&self.bone_blocks),
+            of if of < AT_BONE + AT_DENSE => one_of(&self.dense_blocks),
+            _ => None,
         };
+        let block = block.unwrap_or((at * self.structure.len() as f64) as usize);
         let jitter = DVec3::new(stream.uniform(), stream.uniform(), stream.uniform()) - 0.5;
         let centre = self.hu.centre(block) + jitter * spacing_mm * side as f64 * 0.5;
         let axes = if changed { turned(stream) } else { DMat3::IDENTITY };
         let change = if changed { Change::drawn(stream, &self.bones, self.is_phantom) } else { Change::nothing() };
+        let half_mm = spacing_mm * half;
+        let pools = if changed && stream.uniform() < WITH_POOLS { Pool::some(stream, centre, half_mm) } else { Vec::new() };
         let points = pass.points();
         let (mut hu, mut weight) = (Vec::with_capacity(points), Vec::with_capacity(points));
         let mut truth = vec![0.0; CLASSES * points];
@@ -83,20 +96,27 @@ impl Prepared {
             for y in 0..side {
                 for x in 0..side {
                     let step = DVec3::new(x as f64, y as f64, z as f64) - half;
-                    let shares = self.hu.about(centre + axes * (step * spacing_mm));
-                    let value = shares.sum(BEYOND_HU, |place| {
+                    let p = centre + axes * (step * spacing_mm);
+                    let (mut value, mut air, mut bone, mut metal, mut beyond) = (0.0, 0.0, 0.0, 0.0, 1.0);
+                    for (place, share) in self.hu.about(p).each() {
                         let change = change.of_structure[usize::from(self.structure[place])];
-                        self.hu.values[place] + if self.air[place] > 0.0 { 0.0 } else { change }
-                    });
+                        value += share * (self.hu.values[place] + if self.air[place] > 0.0 { 0.0 } else { change });
+                        air += share * self.air[place];
+                        bone += share * self.bone[place];
+                        metal += share * self.metal[place];
+                        beyond -= share;
+                    }
+                    (value, air) = (value + beyond * BEYOND_HU, air + beyond);
+                    bone = bone.min(1.0 - air);
+                    let soft = 1.0 - air - bone;
+                    value += soft * pools.iter().map(|pool| pool.at(p)).fold(0.0, f32::max);
                     let noise = if change.noise_hu > 0.0 { change.noise_hu * stream.normal() as f32 } else { 0.0 };
                     let value = value * change.gain + change.shift_hu + noise;
                     let at = hu.len();
-                    let air = shares.sum(1.0, |place| self.air[place]);
-                    let bone = shares.sum(0.0, |place| self.bone[place]).min(1.0 - air);
                     truth[AIR * points + at] = air;
                     truth[BONE * points + at] = bone;
-                    truth[SOFT * points + at] = 1.0 - air - bone;
-                    let known = 1.0 - shares.sum(0.0, |place| self.metal[place]);
+                    truth[SOFT * points + at] = soft;
+                    let known = 1.0 - metal;
                     weight.push(known * if value >= NEARLY_DENSE_HU { 1.0 } else { THIN_WEIGHT });
                     hu.push(value);
                 }
@@ -106,14 +126,66 @@ impl Prepared {
     }
 }
 
-/// Turned about all axes by some 12°, left and right exchanged or not, scaled.
+/// Turned about all axes by some 17°, left and right exchanged or not, scaled.
 fn turned(stream: &mut Stream) -> DMat3 {
-    let angle = |stream: &mut Stream| 0.2 * stream.normal();
+    let angle = |stream: &mut Stream| 0.3 * stream.normal();
     let turn =
         DMat3::from_rotation_x(angle(stream)) * DMat3::from_rotation_y(angle(stream)) * DMat3::from_rotation_z(angle(stream));
     let mirror = if stream.uniform() < 0.5 { -1.0 } else { 1.0 };
     let scale = (0.12 * stream.normal()).clamp(-0.3, 0.3).exp();
     turn * DMat3::from_diagonal(DVec3::new(mirror * scale, scale, scale))
+}
+
+/// Contrast medium where the specimen has none: a rounded body or a tube of it, in all but bone and air.
+struct Pool {
+    centre_mm: DVec3,
+    /// To where the surface is at a distance of 1 from the centre, or from the axis z of a tube.
+    unit_from_mm: DMat3,
+    is_tube: bool,
+    /// 1 / the share of the radius over which it ends.
+    steepness: f32,
+    hu: f32,
+    /// Change of `hu` to the surface.
+    slope: DVec3,
+}
+
+impl Pool {
+    /// One to five of them within `half_mm` of `centre_mm`.
+    fn some(stream: &mut Stream, centre_mm: DVec3, half_mm: DVec3) -> Vec<Self> {
+        let between = |stream: &mut Stream, low: f64, high: f64| low + (high - low) * stream.uniform();
+        let count = 1 + (5.0 * stream.uniform()) as usize;
+        let pool = |stream: &mut Stream| {
+            let is_tube = stream.uniform() < 0.5;
+            let [low, high] = if is_tube { [1.5_f64, 14.0] } else { [4.0, 45.0] };
+            let radius = |stream: &mut Stream| low * (high / low).powf(stream.uniform());
+            let mean = radius(stream);
+            let radii = DVec3::from_array(std::array::from_fn(|_| mean * between(stream, 0.6, 1.6)));
+            let angle = |stream: &mut Stream| std::f64::consts::TAU * stream.uniform();
+            let turn = DMat3::from_rotation_z(angle(stream))
+                * DMat3::from_rotation_x(angle(stream))
+                * DMat3::from_rotation_z(angle(stream));
+            let offset = DVec3::new(stream.uniform(), stream.uniform(), stream.uniform()) * 2.0 - 1.0;
+            let slope = DVec3::new(stream.normal(), stream.normal(), stream.normal());
+            let hu = between(stream, 60.0, 450.0) as f32;
+            Self {
+                centre_mm: centre_mm + offset * half_mm,
+                unit_from_mm: DMat3::from_diagonal(1.0 / radii) * turn,
+                is_tube,
+                steepness: (mean / between(stream, 0.8, 3.0)) as f32,
+                hu,
+                slope: slope * 0.1,
+            }
+        };
+        (0..count).map(|_| pool(stream)).collect()
+    }
+
+    /// Hounsfield numbers that it adds at `p_mm`.
+    fn at(&self, p_mm: DVec3) -> f32 {
+        let q = self.unit_from_mm * (p_mm - self.centre_mm);
+        let far = if self.is_tube { q.x.hypot(q.y) } else { q.length() } as f32;
+        let share = ((1.0 - far) * self.steepness + 0.5).clamp(0.0, 1.0);
+        share * self.hu * (1.0 + self.slope.dot(q) as f32).clamp(0.5, 1.5)
+    }
 }
 
 /// What is done to the Hounsfield numbers of a patch.

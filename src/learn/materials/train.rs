@@ -15,7 +15,7 @@ use super::phantom::phantom;
 use super::recipe::MaterialsRecipe;
 use crate::image::{hex, sha256_bytes, write_atomically};
 use crate::infer::materials::{CubeNetwork, LoadedMaterials, MaterialsCard, Pass};
-use crate::infer::{JudgedBy, Layer, NetworkCard, NetworkFiles, weights_file};
+use crate::infer::{JudgedBy, Layer, NetworkCard, NetworkDevice, NetworkFiles, fetched, weights_file};
 use crate::learn::adam::Adam;
 use crate::learn::checkpoint::State;
 use crate::learn::epochs::{self, Learner, Pace, slopes_of};
@@ -40,7 +40,7 @@ pub type TrainedMaterials = Trained<MaterialsCard, BTreeMap<String, f64>>;
 /// on the same kind of processor, also when the training was interrupted and resumed.
 ///
 /// # Errors
-/// When specimens, options or a checkpoint cannot be used, a file cannot be written, or the training diverges.
+/// When specimens, options or a checkpoint cannot be used, a file cannot be written, the training diverges, or the device fails.
 pub fn train_materials(
     options: &TrainOptions<MaterialsRecipe>,
     told: &mut dyn FnMut(&Progress<'_>) -> ControlFlow<()>,
@@ -58,9 +58,9 @@ pub fn train_materials(
         let count = layers.iter().map(Layer::value_count).sum();
         State::read(&training.files.checkpoint, recipe, &training.card.samples_sha256, count)?
     } else {
-        State { adam: Adam::drawn(&layers, recipe.seed), history: Vec::new(), best: None }
+        State::new(Adam::drawn(&layers, recipe.seed))
     };
-    let end = epochs::run(&training, &mut state, told)?;
+    let end = epochs::run(&training, &options.device, &mut state, told)?;
     training.trained(&specimens, &held, &state, end)
 }
 
@@ -133,6 +133,7 @@ fn card_of(specimens: &[LabelledSpecimen], held: &[bool], recipe: &MaterialsReci
         kept_epoch: 0,
         training_steps: recipe.steps,
         training_batch: recipe.batch,
+        training_devices: Vec::new(),
         specimens: names,
         truth: TRUTH.to_owned(),
         samples_sha256,
@@ -212,9 +213,11 @@ impl<'a> Training<'a> {
         self.passes.iter().map(network).collect()
     }
 
-    /// Writes `parameters`, then their card with `figures`: until it is there too, a reader meets a checksum that disagrees.
-    fn written(&self, parameters: &[f32], epoch: usize, figures: BTreeMap<String, f64>) -> Result<MaterialsCard, LearnError> {
-        let mut card = MaterialsCard { held_out: figures, kept_epoch: epoch, ..self.card.clone() };
+    /// Writes the best parameters of `state`, then their card with `figures`: until it is there too, a reader meets a checksum that disagrees.
+    fn written(&self, state: &State, figures: BTreeMap<String, f64>) -> Result<MaterialsCard, LearnError> {
+        let Some((kept_epoch, parameters)) = &state.best else { return Err(LearnError::StoppedTooSoon) };
+        let training_devices = state.devices.clone();
+        let mut card = MaterialsCard { held_out: figures, kept_epoch: *kept_epoch, training_devices, ..self.card.clone() };
         let weights = weights_file(&card.layers(), parameters).map_err(LearnError::Encode)?;
         card.weights_sha256 = sha256_bytes(&weights);
         let is_last = !card.held_out.is_empty();
@@ -236,11 +239,11 @@ impl<'a> Training<'a> {
         let figures = if end == TrainingEnd::ByCaller {
             BTreeMap::new()
         } else {
-            let network = LoadedMaterials::new(self.card.clone(), parameters);
+            let network = LoadedMaterials::new(self.card.clone(), parameters, NetworkDevice::default());
             let held_out = specimens.iter().zip(held).filter(|(_, held)| **held).map(|(specimen, _)| specimen);
             figures_of(&network, held_out, self.recipe.fresh_phantoms)
         };
-        let card = self.written(parameters, *epoch, figures.clone())?;
+        let card = self.written(state, figures.clone())?;
         Ok(Trained { card, files: self.files.clone(), epoch: *epoch, held_out: figures, history: state.history.clone(), end })
     }
 }
@@ -282,6 +285,8 @@ fn figures_of<'a>(
 
 impl Learner for Training<'_> {
     type Found = ();
+    /// Of each pass.
+    type Drawn = Vec<Vec<Patch>>;
 
     fn pace(&self) -> Pace {
         let MaterialsRecipe { epochs, batch, rule, hold_out, patience, .. } = self.recipe;
@@ -293,37 +298,40 @@ impl Learner for Training<'_> {
         (0..self.recipe.steps * self.recipe.batch).collect()
     }
 
-    fn slopes(&self, epoch: usize, chosen: &[usize], parameters: &[f32], device: &Device) -> (f64, Vec<f32>) {
+    fn draw(&self, epoch: usize, chosen: &[usize]) -> Vec<Vec<Patch>> {
+        let of_pass = |place: usize| chosen.par_iter().map(|number| self.patch(epoch, *number, place)).collect();
+        (0..self.passes.len()).into_par_iter().map(of_pass).collect()
+    }
+
+    fn slopes(&self, drawn: Vec<Vec<Patch>>, parameters: &[f32], device: &Device) -> Result<(f64, Vec<f32>), String> {
         let (mut losses, mut slopes) = (0.0, Vec::new());
-        for (place, network) in self.networks(parameters, device).iter().enumerate() {
-            let patches: Vec<Patch> = chosen.par_iter().map(|number| self.patch(epoch, *number, place)).collect();
-            let loss = Batch::new(&patches, &self.passes[place], device).loss(network);
-            slopes.extend(slopes_of(&loss, network.layers()));
-            losses += f64::from(loss.into_scalar::<f32>());
+        for ((pass, patches), network) in self.passes.iter().zip(&drawn).zip(&self.networks(parameters, device)) {
+            let loss = Batch::new(patches, pass, device).loss(network);
+            let (loss, of_pass) = slopes_of(&loss, network.layers())?;
+            slopes.extend(of_pass);
+            losses += loss;
         }
-        (losses / self.passes.len() as f64, slopes)
+        Ok((losses / self.passes.len() as f64, slopes))
     }
 
-    fn judge(&self, parameters: &[f32]) -> ([Option<f64>; 2], ()) {
-        let device = Device::flex();
-        let networks = self.networks(parameters, &device);
-        let of_pass = |place: usize| {
-            let patches = &self.judged[place];
-            let of_batch = |patches: &[Patch]| {
-                let loss = Batch::new(patches, &self.passes[place], &device).loss(&networks[place]);
-                f64::from(loss.into_scalar::<f32>()) * patches.len() as f64
-            };
-            patches.chunks(self.recipe.batch).map(of_batch).sum::<f64>() / patches.len() as f64
-        };
-        let loss = (0..self.passes.len()).map(of_pass).sum::<f64>() / self.passes.len() as f64;
+    fn judge(&self, parameters: &[f32], device: &Device) -> Result<([Option<f64>; 2], ()), String> {
+        let networks = self.networks(parameters, device);
+        let (mut losses, mut points) = (0.0, 0.0);
+        for ((pass, patches), network) in self.passes.iter().zip(&self.judged).zip(&networks) {
+            for some in patches.chunks(self.recipe.batch) {
+                let loss = fetched(Batch::new(some, pass, device).loss(network))?;
+                losses += f64::from(loss[0]) * some.len() as f64;
+                points += some.len() as f64;
+            }
+        }
         // Without patches it is 0/0.
-        let loss = loss.is_finite().then_some(loss);
-        ([loss, loss], ())
+        let loss = Some(losses / points).filter(|loss| loss.is_finite());
+        Ok(([loss, loss], ()))
     }
 
-    fn write_network(&self, parameters: &[f32], epoch: usize, _: &Self::Found) -> Result<(), LearnError> {
+    fn write_network(&self, state: &State, _: &Self::Found) -> Result<(), LearnError> {
         // Figures cost minutes: they come at the end.
-        self.written(parameters, epoch, BTreeMap::new()).map(drop)
+        self.written(state, BTreeMap::new()).map(drop)
     }
 
     fn files(&self) -> &TrainFiles {

@@ -13,18 +13,21 @@ use crate::gpu::{Gpu, GpuError, compile, dispatch, wait};
 
 /// Units of the shader's sums per keV, or photon.
 const QUANTA: f64 = 64.0;
-/// Batches of one dispatch.
-pub const BATCHES: u64 = 64;
-/// Histories of one batch, where a processor plays the GPU and elsewhere: a dispatch of two million takes a small GPU a second or two, which
-/// is as long as drivers wait.
+/// Batches that are followed at once.
+pub const BATCHES: u64 = 32;
+/// Histories of one batch in one dispatch, where a processor plays the GPU and elsewhere: a dispatch of two million takes a small GPU a second or
+/// two, which is as long as drivers wait.
 const SOFTWARE_BATCH: u64 = 4096;
-const BATCH: u64 = 32_768;
+const BATCH: u64 = 65_536;
+/// Dispatches at most, one after the other, whose sums are fetched together: a large GPU is done with one sooner than its sums are fetched.
+const SOFTWARE_ROUNDS: u64 = 2;
+const ROUNDS: u64 = 4;
 /// Why the shader gives a history up, in the order of its constants.
 const CAUSES: [&str; 5] =
     ["a signal that is no number", "no direction in the field", "a flight without end", "no angle", "too many parts at a point"];
 const TROUBLE_BYTES: u64 = 4 * CAUSES.len() as u64;
 /// Histories of one invocation. Mesa's software Vulkan ends every loop of an invocation once all of them together have turned 65535 times.
-const EACH: u64 = 16;
+const EACH: u64 = 8;
 const SOFTWARE_EACH: u64 = 1;
 /// Invocations of one group.
 const GROUP: u64 = 64;
@@ -60,8 +63,10 @@ pub struct GpuTransport<'a> {
     read_back: wgpu::Buffer,
     pixels: usize,
     materials: usize,
+    /// Of one dispatch.
     histories_per_batch: u64,
-    dispatches: u64,
+    rounds: u64,
+    advances: u64,
 }
 
 impl<'a> GpuTransport<'a> {
@@ -81,7 +86,12 @@ impl<'a> GpuTransport<'a> {
         }
         let packed = Packed::new(simulation.world());
         let (pixels, materials) = (simulation.unattenuated().len(), simulation.materials());
-        let (histories_per_batch, each) = if gpu.software { (SOFTWARE_BATCH, SOFTWARE_EACH) } else { (BATCH, EACH) };
+        let (histories_per_batch, each, most_rounds) = match gpu.software {
+            true => (SOFTWARE_BATCH, SOFTWARE_EACH, SOFTWARE_ROUNDS),
+            false => (BATCH, EACH, ROUNDS),
+        };
+        // A pilot takes no longer than it must.
+        let rounds = simulation.histories().count.div_ceil(BATCHES * histories_per_batch).clamp(1, most_rounds);
         let seed = simulation.histories().seed;
         let job = layout::Job {
             seed: [seed as u32, (seed >> 32) as u32],
@@ -122,8 +132,7 @@ impl<'a> GpuTransport<'a> {
         }
         let constants: Vec<(&str, f64)> = pack::constants().into_iter().chain([("QUANTA", QUANTA)]).collect();
         let pipeline = compile(gpu, "follow_photons", &constants)?;
-        let batches = simulation.histories().count.div_ceil(histories_per_batch);
-        let dispatches = batches.div_ceil(BATCHES);
+        let advances = simulation.histories().count.div_ceil(rounds * BATCHES * histories_per_batch);
         Ok(Self {
             gpu,
             pipeline,
@@ -136,14 +145,15 @@ impl<'a> GpuTransport<'a> {
             pixels,
             materials,
             histories_per_batch,
-            dispatches,
+            rounds,
+            advances,
         })
     }
 
     /// An empty tally for this device's batches.
     #[must_use]
     pub fn tally(&self) -> Tally {
-        Tally::new(self.pixels, self.materials, self.histories_per_batch)
+        Tally::new(self.pixels, self.materials, self.rounds * self.histories_per_batch)
     }
 
     /// The device.
@@ -152,17 +162,17 @@ impl<'a> GpuTransport<'a> {
         &self.gpu.adapter
     }
 
-    /// Histories of all dispatches.
+    /// All histories.
     #[must_use]
     pub fn histories(&self) -> u64 {
-        self.dispatches * BATCHES * self.histories_per_batch
+        self.advances * self.rounds * BATCHES * self.histories_per_batch
     }
 
     /// Whether `tally` has all histories that `simulation` asks for, or its precision.
     #[must_use]
     pub fn is_done(&self, simulation: &Simulation, tally: &Tally) -> bool {
         let wanted = simulation.histories().rel_error;
-        tally.batches >= self.dispatches * BATCHES || wanted.is_some_and(|wanted| simulation.relative_error(tally) <= wanted)
+        tally.batches >= self.advances * BATCHES || wanted.is_some_and(|wanted| simulation.relative_error(tally) <= wanted)
     }
 
     /// The next [`BATCHES`], added to `tally`.
@@ -170,16 +180,23 @@ impl<'a> GpuTransport<'a> {
     /// # Errors
     /// When the device is lost, or a history did not end.
     pub fn advance(&mut self, tally: &mut Tally) -> Result<(), GpuTransportError> {
-        let first = tally.batches * self.histories_per_batch;
-        self.job.first = [first as u32, (first >> 32) as u32];
-        self.gpu.queue.write_buffer(&self.uniform, 0, bytemuck::bytes_of(&self.job));
-        let mut commands = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("photons") });
-        commands.clear_buffer(&self.sums, 0, None);
-        commands.clear_buffer(&self.trouble, 0, None);
+        let encoder = || self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("photons") });
         let buffers = std::iter::once(&self.uniform).chain(&self.inputs).chain([&self.sums, &self.trouble]);
         let bindings: Vec<_> = buffers.map(wgpu::Buffer::as_entire_binding).collect();
         let groups = (BATCHES * u64::from(self.job.groups_per_batch)) as u32;
-        dispatch(self.gpu, &mut commands, &self.pipeline, &bindings, [groups, 1], None);
+        for round in 0..self.rounds {
+            let first = (tally.batches * self.rounds + round * BATCHES) * self.histories_per_batch;
+            self.job.first = [first as u32, (first >> 32) as u32];
+            self.gpu.queue.write_buffer(&self.uniform, 0, bytemuck::bytes_of(&self.job));
+            let mut commands = encoder();
+            if round == 0 {
+                commands.clear_buffer(&self.sums, 0, None);
+                commands.clear_buffer(&self.trouble, 0, None);
+            }
+            dispatch(self.gpu, &mut commands, &self.pipeline, &bindings, [groups, 1], None);
+            self.gpu.queue.submit([commands.finish()]);
+        }
+        let mut commands = encoder();
         commands.copy_buffer_to_buffer(&self.sums, 0, &self.read_back, 0, self.sums.size());
         commands.copy_buffer_to_buffer(&self.trouble, 0, &self.read_back, self.sums.size(), TROUBLE_BYTES);
         self.gpu.queue.submit([commands.finish()]);

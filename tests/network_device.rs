@@ -16,34 +16,50 @@ use sidecarm::transport::{CHANNELS, SCALARS};
 
 use crate::network_samples as samples;
 
-fn opened(choice: DeviceChoice) -> NetworkDevice {
-    let device = Device::open(choice, &Reporter::silent()).unwrap_or_else(|error| panic!("{error}"));
-    NetworkDevice::of(&device).unwrap_or_else(|error| panic!("{error}"))
+fn shared(device: &Device) -> NetworkDevice {
+    NetworkDevice::of(device).unwrap_or_else(|error| panic!("{error}"))
 }
 
-fn trained(folder: &Path, name: &str, device: NetworkDevice) -> (Trained, Vec<f32>) {
-    let recipe =
-        Recipe { epochs: 2, batch: 3, hold_out: HoldOut::Specimens { names: vec!["hip".to_owned()] }, ..Recipe::default() };
-    let output = folder.join(name);
-    let options = TrainOptions { dataset: folder.join("samples"), output, resume: false, siblings: Vec::new(), recipe, device };
-    let trained = train(&options, &mut |_| ControlFlow::Continue(())).unwrap_or_else(|error| panic!("{error}"));
+/// Software Vulkan, or `None` with the reason printed.
+fn software() -> Option<Device> {
+    let opened = Device::open(DeviceChoice::SoftwareVulkan, &Reporter::silent());
+    opened.map_err(|error| println!("skipped: {error}")).ok()
+}
+
+/// A folder with twelve samples.
+fn twelve() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().expect("a folder");
+    std::fs::create_dir(folder.path().join("samples")).expect("a folder");
+    samples::write(&folder.path().join("samples"), 12);
+    folder
+}
+
+fn options(folder: &Path, name: &str, epochs: usize, device: NetworkDevice) -> TrainOptions {
+    let hold_out = HoldOut::Specimens { names: vec!["hip".to_owned()] };
+    let recipe = Recipe { epochs, batch: 3, hold_out, ..Recipe::default() };
+    TrainOptions { device, ..TrainOptions::new(folder.join("samples"), folder.join(name), recipe) }
+}
+
+fn trained(options: &TrainOptions) -> (Trained, Vec<f32>) {
+    let trained = train(options, &mut |_| ControlFlow::Continue(())).unwrap_or_else(|error| panic!("{error}"));
     let (_, parameters) = trained.files.network.read::<sidecarm::infer::Card>().expect("just written");
     (trained, parameters)
 }
 
 #[test]
 fn a_gpu_trains_as_the_processor_does() {
-    let folder = tempfile::tempdir().expect("a folder");
-    std::fs::create_dir(folder.path().join("samples")).expect("a folder");
-    samples::write(&folder.path().join("samples"), 12);
-    let (processor, of_processor) = trained(folder.path(), "processor", NetworkDevice::default());
-    let gpu = opened(DeviceChoice::SoftwareVulkan);
-    let (on_gpu, of_gpu) = trained(folder.path(), "gpu", gpu.clone());
+    let Some(device) = software() else { return };
+    let folder = twelve();
+    let on = |name: &str, device: NetworkDevice| trained(&options(folder.path(), name, 2, device));
+    let (processor, of_processor) = on("processor", NetworkDevice::default());
+    let gpu = shared(&device);
+    let (on_gpu, of_gpu) = on("gpu", gpu.clone());
     assert!(
         on_gpu.card.training_devices == [gpu.name.as_str()] && !processor.card.training_devices.contains(&gpu.name),
         "{}",
         gpu.name
     );
+    // Rounding alone, which a few steps make larger: slopes that are wrong move the losses by a tenth.
     for (epoch, [a, b]) in processor.history.iter().zip(&on_gpu.history).map(|(a, b)| [a, b]).enumerate() {
         assert!((a.train_loss / b.train_loss - 1.0).abs() < 1e-3, "epoch {epoch}: {} {}", a.train_loss, b.train_loss);
         let [a, b] = [a, b].map(|record| record.held_out.expect("one is held out"));
@@ -54,22 +70,15 @@ fn a_gpu_trains_as_the_processor_does() {
     assert!(of_gpu.len() == of_processor.len() && apart / size < 1e-2, "{}", apart / size);
     // Other bits: it was computed elsewhere. And the same ones again.
     assert!(of_gpu != of_processor);
-    assert!(of_gpu == trained(folder.path(), "again", gpu).1);
+    assert!(of_gpu == on("again", gpu).1);
 }
 
 /// One that is lost, as by a driver's reset: a sentence, and what was done goes on elsewhere.
 #[test]
 fn a_training_on_a_lost_gpu_goes_on_from_the_last_epoch() {
-    let folder = tempfile::tempdir().expect("a folder");
-    std::fs::create_dir(folder.path().join("samples")).expect("a folder");
-    samples::write(&folder.path().join("samples"), 12);
-    let device = Device::open(DeviceChoice::SoftwareVulkan, &Reporter::silent()).unwrap_or_else(|error| panic!("{error}"));
-    let recipe = Recipe { epochs: 3, batch: 3, hold_out: HoldOut::Nothing, ..Recipe::default() };
-    let options = |resume: bool, device: NetworkDevice| {
-        let (dataset, output) = (folder.path().join("samples"), folder.path().join("lost"));
-        TrainOptions { dataset, output, resume, siblings: Vec::new(), recipe: recipe.clone(), device }
-    };
-    let lost = options(false, NetworkDevice::of(&device).unwrap_or_else(|error| panic!("{error}")));
+    let Some(device) = software() else { return };
+    let folder = twelve();
+    let lost = options(folder.path(), "lost", 3, shared(&device));
     let error = train(&lost, &mut |progress| {
         if let (Some(_), Device::Gpu(gpu)) = (progress.done, &device) {
             gpu.device.destroy();
@@ -78,14 +87,16 @@ fn a_training_on_a_lost_gpu_goes_on_from_the_last_epoch() {
     });
     let error = error.expect_err("it is lost").to_string();
     assert!(error.contains(&lost.device.name) && error.contains("--resume"), "{error}");
-    let whole = train(&options(true, NetworkDevice::default()), &mut |_| ControlFlow::Continue(())).expect("on the processor");
+    let resumed = TrainOptions { resume: true, ..options(folder.path(), "lost", 3, NetworkDevice::default()) };
+    let (whole, _) = trained(&resumed);
     assert_eq!((whole.history.len(), whole.card.training_devices.len()), (3, 2), "{:?}", whole.card.training_devices);
 }
 
 #[test]
 fn a_gpu_says_the_scatter_that_the_processor_says() {
+    let Some(device) = software() else { return };
     let on = |device: &NetworkDevice| LoadedNetwork::shipped_on(device, &CHANNELS, &SCALARS).expect("it comes with the program");
-    let networks = [NetworkDevice::default(), opened(DeviceChoice::SoftwareVulkan)].map(|device| on(&device));
+    let networks = [NetworkDevice::default(), shared(&device)].map(|device| on(&device));
     for number in 0..3 {
         let mut stream = Stream::new(7, 0, number, Purpose::Evaluation);
         let mut values = |count: usize| (0..count).map(|_| stream.uniform() as f32).collect::<Vec<f32>>();
@@ -99,8 +110,9 @@ fn a_gpu_says_the_scatter_that_the_processor_says() {
 
 #[test]
 fn a_gpu_finds_the_bone_that_the_processor_finds() {
+    let Some(device) = software() else { return };
     let specimen = corner_of(&phantom(3, &[], String::new()), 24);
-    let [a, b] = [NetworkDevice::default(), opened(DeviceChoice::SoftwareVulkan)].map(|device| {
+    let [a, b] = [NetworkDevice::default(), shared(&device)].map(|device| {
         let network = LoadedMaterials::shipped(device).expect("it comes with the program");
         network.bone(&HuVolume { grid: specimen.0, hu: &specimen.1 }, &mut |_, _, _| {})
     });
@@ -136,7 +148,8 @@ fn speed() {
         || phantom(3, &[], String::new()),
         |path| LabelledSpecimen::read(&path).unwrap_or_else(|error| panic!("{error}")),
     );
-    for device in [NetworkDevice::default(), opened(choice)] {
+    let gpu = Device::open(choice, &Reporter::silent()).unwrap_or_else(|error| panic!("{error}"));
+    for device in [NetworkDevice::default(), shared(&gpu)] {
         println!("{}", device.name);
         let network = LoadedNetwork::shipped_on(&device, &CHANNELS, &SCALARS).expect("it comes with the program");
         let input = Input { inputs: vec![0.5; CHANNELS.len() * PIXELS], scalars: vec![1.0; SCALARS.len()], scale: 1.0 };

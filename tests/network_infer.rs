@@ -2,9 +2,7 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use sidecarm::image::sha256_bytes;
-use sidecarm::infer::{
-    Architecture, Card, InferError, Input, LoadedNetwork, NetworkDevice, NetworkFiles, ScatterNetwork, weights_file,
-};
+use sidecarm::infer::{Architecture, Card, InferError, Input, LoadedNetwork, NetworkFiles, ScatterNetwork, weights_file};
 use sidecarm::learn::{Dataset, HoldOut, Recipe, TrainOptions, train};
 
 use crate::network_samples as samples;
@@ -15,14 +13,7 @@ fn small(folder: &Path) -> (PathBuf, Dataset) {
     samples::write(&folder.join("samples"), 4);
     let recipe = Recipe { epochs: 1, batch: 2, hold_out: HoldOut::Nothing, ..Recipe::default() };
     let output = folder.join("net.v1");
-    let options = TrainOptions {
-        dataset: folder.join("samples"),
-        output: output.clone(),
-        resume: false,
-        siblings: Vec::new(),
-        recipe,
-        device: NetworkDevice::default(),
-    };
+    let options = TrainOptions::new(folder.join("samples"), output.clone(), recipe);
     train(&options, &mut |_| ControlFlow::Continue(())).expect("the test's own files");
     (output, Dataset::read(&folder.join("samples")).expect("the test's own files"))
 }

@@ -1,7 +1,7 @@
 use std::ops::ControlFlow;
 use std::path::Path;
 
-use sidecarm::infer::{Architecture, JudgedBy, LoadedNetwork, NetworkDevice, ScatterNetwork};
+use sidecarm::infer::{Architecture, JudgedBy, LoadedNetwork, ScatterNetwork};
 use sidecarm::learn::{
     Dataset, HoldOut, LearnError, Mirror, Recipe, StepRule, TrainOptions, Trained, TrainingEnd, recipe_of_checkpoint, train,
 };
@@ -9,14 +9,7 @@ use sidecarm::learn::{
 use crate::network_samples as samples;
 
 fn options(folder: &Path, name: &str, recipe: Recipe) -> TrainOptions {
-    TrainOptions {
-        dataset: folder.join("samples"),
-        output: folder.join(name),
-        resume: false,
-        siblings: Vec::new(),
-        recipe,
-        device: NetworkDevice::default(),
-    }
+    TrainOptions::new(folder.join("samples"), folder.join(name), recipe)
 }
 
 fn folder_of(count: u64) -> tempfile::TempDir {

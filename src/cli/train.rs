@@ -216,13 +216,14 @@ impl CommonArgs {
         };
         let device = match (NetworkDevice::of(&Device::open(self.device.into(), reporter)?), self.device) {
             (Err(error), DeviceArg::Auto) => {
-                reporter.note(format_args!("training on the processor: {error}"));
+                reporter.note(format_args!("{error}"));
                 NetworkDevice::default()
             }
             (opened, _) => opened?,
         };
-        let (dataset, output) = (self.dataset.clone(), self.out.clone());
-        Ok(TrainOptions { dataset, output, resume: self.resume, siblings, recipe, device })
+        reporter.note(format_args!("training on {}", device.name));
+        let options = TrainOptions::new(self.dataset.clone(), self.out.clone(), recipe);
+        Ok(TrainOptions { resume: self.resume, siblings, device, ..options })
     }
 }
 

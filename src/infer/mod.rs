@@ -17,7 +17,8 @@ mod tensors;
 
 pub use card::{Card, JudgedBy, Quantity};
 pub use convolution::Convolution;
-pub use device::{NetworkDevice, fetched};
+pub use device::NetworkDevice;
+pub(crate) use device::fetched;
 pub use error::InferError;
 pub use files::{NetworkCard, NetworkFiles, weights_file};
 pub use input::{Input, Prediction};

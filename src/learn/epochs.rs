@@ -118,14 +118,13 @@ fn run_epoch<L: Learner>(
     let steps = batches.len();
     let all_steps = (steps * pace.epochs) as u64;
     let (mut loss_sum, mut seen, mut rate) = (0.0, 0, 0.0);
-    let mut next = batches.next().map(|chosen| (chosen.len(), learner.draw(epoch, chosen)));
+    let draw = |chosen: &[usize]| (chosen.len(), learner.draw(epoch, chosen));
+    let mut next = batches.next().map(draw);
     let mut step = 0;
-    while let Some((count, drawn)) = next {
-        // While the device works, the processor draws what comes after.
-        let mut ahead = || batches.next().map(|chosen| (chosen.len(), learner.draw(epoch, chosen)));
-        next = None;
+    while let Some((count, drawn)) = next.take() {
         let found = rayon::in_place_scope(|scope| {
-            scope.spawn(|_| next = ahead());
+            // While the device works, the processor draws what comes after.
+            scope.spawn(|_| next = batches.next().map(draw));
             // On this thread always: each that asks a GPU for something has memory of its own there.
             learner.slopes(drawn, &state.adam.parameters, &device)
         });

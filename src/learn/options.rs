@@ -25,6 +25,14 @@ pub struct TrainOptions<R = Recipe> {
     pub device: NetworkDevice,
 }
 
+impl<R> TrainOptions<R> {
+    /// A training from its beginning, on the processor, without siblings.
+    #[must_use]
+    pub fn new(dataset: PathBuf, output: PathBuf, recipe: R) -> Self {
+        Self { dataset, output, resume: false, siblings: Vec::new(), recipe, device: NetworkDevice::default() }
+    }
+}
+
 /// The files of a training.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TrainFiles {

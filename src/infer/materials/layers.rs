@@ -19,7 +19,7 @@ pub const BONE: usize = 2;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MaterialsArchitecture {
-    /// Coarse over all that is dense, fine where that found bone.
+    /// Coarse over all that is dense, fine where that does not rule bone out.
     Default,
     /// One pass at 0.86 × 0.86 × 1.0 mm, patches of 128³ every 64 voxels whose central 64³ are kept (Unberath et al. 2018, DeepDRR).
     Paper,

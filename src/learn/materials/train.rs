@@ -316,16 +316,16 @@ impl Learner for Training<'_> {
 
     fn judge(&self, parameters: &[f32], device: &Device) -> Result<([Option<f64>; 2], ()), String> {
         let networks = self.networks(parameters, device);
-        let (mut losses, mut points) = (0.0, 0.0);
+        let (mut losses, mut count) = (0.0, 0.0);
         for ((pass, patches), network) in self.passes.iter().zip(&self.judged).zip(&networks) {
             for some in patches.chunks(self.recipe.batch) {
                 let loss = fetched(Batch::new(some, pass, device).loss(network))?;
                 losses += f64::from(loss[0]) * some.len() as f64;
-                points += some.len() as f64;
+                count += some.len() as f64;
             }
         }
         // Without patches it is 0/0.
-        let loss = Some(losses / points).filter(|loss| loss.is_finite());
+        let loss = Some(losses / count).filter(|loss| loss.is_finite());
         Ok(([loss, loss], ()))
     }
 

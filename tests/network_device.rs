@@ -59,7 +59,7 @@ fn a_gpu_trains_as_the_processor_does() {
         "{}",
         gpu.name
     );
-    // Rounding alone, which a few steps make larger: slopes that are wrong move the losses by a tenth.
+    // Sums of f32 in another order, and what a few steps make of that.
     for (epoch, [a, b]) in processor.history.iter().zip(&on_gpu.history).map(|(a, b)| [a, b]).enumerate() {
         assert!((a.train_loss / b.train_loss - 1.0).abs() < 1e-3, "epoch {epoch}: {} {}", a.train_loss, b.train_loss);
         let [a, b] = [a, b].map(|record| record.held_out.expect("one is held out"));

@@ -40,6 +40,7 @@ fn bound(joints: CarmJoints, flags: Vec<BindingFlag>) -> Binding {
         tube_kvp: 80.0,
         tube_ma: 2.0,
         joints: Some(answer),
+        beam: None,
         joint_range: [0.0; 7],
         control_angles_deg: None,
         tracker_from_base: None,

@@ -130,7 +130,7 @@ fn open(folder: &Path, calling: &[&str]) -> ReceivedSource {
     let watched = FolderSource::new(folder, None, false, ForeignReader::in_process());
     let calling_ae_titles = calling.iter().map(|title| (*title).to_owned()).collect();
     let options = ReceiverOptions { address: LOOPBACK, ae_title: "SIDECARM".to_owned(), calling_ae_titles };
-    ReceivedSource::open(watched, folder, options).expect("a free port")
+    ReceivedSource::open(Box::new(watched), folder, options).expect("a free port")
 }
 
 /// What a source has seen: frames, and what was said.
@@ -225,7 +225,17 @@ fn who_is_not_meant_is_refused_with_the_reason() {
         let sender = Sender::associate(source.address(), "SIDECARM", class, syntax).expect("verification is agreed on");
         let agreed = sender.association.presentation_contexts();
         assert!(agreed.iter().all(|context| context.abstract_syntax == uids::VERIFICATION), "{agreed:?}");
+        if class == XA {
+            seen.until(&mut source, "why it will not send", |seen| seen.said.iter().any(|(_, words)| words.contains(class)));
+        }
     }
+    // A sender that takes no notice of it was told Success, and its object was kept under a syntax that it was not written in.
+    let mut heedless =
+        Sender::associate(source.address(), "SIDECARM", XA, uids::JPEG2000_LOSSLESS).expect("verification is agreed on");
+    heedless.fragment(1, PDataValueType::Command, true, &store_request(XA, "2.25.4"));
+    let answer = heedless.association.receive();
+    assert!(!matches!(answer, Ok(Pdu::PData { .. })), "{answer:?}");
+    assert_eq!(written(folder.path()).len(), 0);
     // More at one time than there is room for.
     let mut there: Vec<Sender> = Vec::new();
     let full = eventually(20.0, || match Sender::associate(source.address(), "SIDECARM", XA, uids::EXPLICIT_VR_LITTLE_ENDIAN) {
@@ -238,6 +248,36 @@ fn who_is_not_meant_is_refused_with_the_reason() {
         Err(other) => panic!("{other}"),
     });
     assert!(matches!(full.expect("refused").source, AssociationRJSource::ServiceProviderPresentation(_)));
+}
+
+/// dcmtk's own sender, which offers every class that there is.
+#[test]
+fn storescu_of_dcmtk_stores() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (mut source, mut seen) = (open(folder.path(), &[]), Seen::default());
+    let outside = tempfile::tempdir().expect("a folder");
+    let files = [1u16, 2].map(|n| {
+        let path = outside.path().join(format!("{n}.dcm"));
+        let meta = dicom_object::FileMetaTableBuilder::new()
+            .transfer_syntax(uids::EXPLICIT_VR_LITTLE_ENDIAN)
+            .media_storage_sop_class_uid(XA)
+            .media_storage_sop_instance_uid(format!("2.25.7{n}"));
+        object(&format!("2.25.7{n}"), n).with_meta(meta).expect("meta").write_to_file(&path).expect("written");
+        path
+    });
+    let port = source.address().port().to_string();
+    let store = |title: &str| {
+        let mut command = std::process::Command::new("storescu");
+        command.args(["-aet", "ARM", "-aec", title, "127.0.0.1", &port]).args(&files).output()
+    };
+    let Ok(sent) = store("SIDECARM") else {
+        println!("skipped: storescu of dcmtk is not installed");
+        return;
+    };
+    assert!(sent.status.success(), "{}", String::from_utf8_lossy(&sent.stderr));
+    seen.until(&mut source, "two frames", |seen| seen.frames.len() == 2);
+    assert!(seen.said.is_empty(), "{:?}", seen.said);
+    assert!(!store("OTHER").expect("it is there").status.success(), "the control: another AE title");
 }
 
 #[test]

@@ -4,7 +4,7 @@ use std::process::Command;
 
 use glam::{DVec2, DVec3};
 use sidecarm::acquire::{Domain, Frame};
-use sidecarm::beads::{BeadLayout, Correspondence};
+use sidecarm::beads::{BeadLayout, Correspondence, Detection};
 use sidecarm::geometry::View;
 use sidecarm::image::write_tiff_f32;
 use sidecarm::pose::{Pose, Prior, Refusal, Registration, Rival, Status, register, register_shadows};
@@ -22,6 +22,22 @@ fn symmetric() -> BeadLayout {
 fn marks(view: &View, layout: &BeadLayout, pairs: &[(usize, usize)]) -> Vec<Correspondence> {
     let place = |bead: usize| view.projection().project(layout.beads[bead].lps_mm).0 + DVec2::new(1.5, -1.0);
     pairs.iter().map(|(named, at)| Correspondence { bead: layout.beads[*named].name.clone(), image_px: place(*at) }).collect()
+}
+
+/// A frame full of what looks like beads: the best forty are tried, and the others were not in the pose's file.
+#[test]
+fn every_shadow_is_told_of_tried_or_not() {
+    let (view, layout) = (synthetic::view(620, 480, 8), synthetic::layout(9, 0.75, 3));
+    let mut found = shadows(&view, &layout, 0.05, 0.0, 2);
+    let beads = found.len();
+    let stray = |n: usize| DVec2::new(20.0 + 37.0 * (n % 15) as f64, 15.0 + 53.0 * (n / 15) as f64 + 3.0 * (n % 7) as f64);
+    let model = found[0];
+    found.extend((0..60).map(|n| Detection { image_px: stray(n), snr: 1.0, ..model }));
+    let pose = register_shadows(&matching(&view, &layout), &found);
+    assert_eq!((pose.shadows.len(), pose.detections), (beads + 60, beads + 60), "{:?}", pose.reason);
+    assert!(pose.notes.iter().any(|note| note.starts_with(&format!("{} more shadows", beads + 20))), "{:?}", pose.notes);
+    let few = register_shadows(&matching(&view, &layout), &found[..beads]);
+    assert!(few.is_accepted() && !few.notes.iter().any(|note| note.contains("more shadows")), "{:?} {:?}", few.reason, few.notes);
 }
 
 #[test]
@@ -42,6 +58,10 @@ fn named_shadows_settle_what_a_symmetric_layout_leaves_open() {
         register_shadows(&request, &found).cautions.iter().any(|caution| caution.contains("rests on the prior alone"))
     };
     assert!(rests_on_prior(&[]) && !rests_on_prior(&right));
+    // What leaves open whether the pose is this one is set apart from what makes it less certain.
+    let guided = register_shadows(&Registration { prior: Some(&prior), ..matching(&view, &layout) }, &found);
+    assert!(guided.is_accepted() && guided.doubt.as_ref() == guided.cautions.first(), "{:?} {:?}", guided.doubt, guided.cautions);
+    assert_eq!(named.doubt, None);
 
     // Two names exchanged: no rigid box has its corners so.
     let wrong = marks(&view, &layout, &[(0, 1), (1, 0), (2, 2)]);

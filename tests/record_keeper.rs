@@ -101,6 +101,28 @@ fn a_keeper_that_is_killed_is_said_and_replaced() {
     assert!(keeper(&live.log).is_none(), "the second left with the session");
 }
 
+/// A disk that stood still was said to nobody, and whoever left at once waited for it for ever.
+#[test]
+fn whoever_leaves_at_once_does_not_wait_for_a_disk_that_stands_still() {
+    let Some((lab, _, folder)) = quiet_lab("60") else { return };
+    let mut live = Live::start(&lab.kit.join("session.json"), &folder.path().join("session"), &[]);
+    let stopped = Stopped::of(&live.log);
+    let said = eventually(HANG_S, || live.stderr().contains("its disk is slow or stands still").then_some(()));
+    assert!(said.is_some(), "nobody said it: {}", live.stderr());
+    let signal_us = live.signalled(Signal::INT);
+    live.program.signal(Signal::INT);
+    let status = live.program.end(HANG_S).unwrap_or_else(|| panic!("still there: {}", live.stderr()));
+    let words = live.stderr();
+    assert!(words.contains("goes on until it is written") && !words.contains("left without a report"), "{words}");
+    assert!(status.code() == Some(0) && live.report().contains("</html>"), "{status:?} {words} {}", live.stdout());
+    drop(stopped);
+    assert!(eventually(HANG_S, || keeper(&live.log).is_none().then_some(())).is_some(), "the keeper leaves");
+    let heard = live.heard();
+    assert!(heard.losses.is_empty() && heard.end_us.is_some(), "{:?}", heard.losses);
+    let missing = heard.missing(&lab.sent(), live.recording_us, signal_us);
+    assert!(missing.lost == 0 && missing.sent > 0, "{missing:?}");
+}
+
 /// Ctrl-C goes to the whole group of the terminal.
 #[test]
 fn an_interrupt_of_the_group_leaves_a_finished_log() {

@@ -1,7 +1,10 @@
 //! The main job, end to end: mocked devices on pseudo-terminals, log, replay, a log that was cut.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
+
+use sidecarm::record::{LogEntry, read_log, topic};
 
 fn sidecarm(args: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_sidecarm")).args(args).output().expect("the program starts")
@@ -52,6 +55,7 @@ fn a_mocked_session_matches_its_frames_and_replays_byte_for_byte() {
     let pairs = json(&std::fs::read(session.join("pairs.json")).expect("pairs"));
     let pairs = pairs["pairs"].as_array().expect("a list");
     assert!(pairs.len() >= 6, "{} pairs", pairs.len());
+    assert_foxglove_shows(&session.join("session.mcap"));
     let accepted: Vec<_> = pairs.iter().filter(|pair| pair["status"] == "accepted").collect();
     assert!(accepted.len() >= 5, "{} accepted", accepted.len());
     // On a crowded machine the session may end before the seventh exposure's frame.
@@ -126,6 +130,29 @@ fn a_mocked_session_matches_its_frames_and_replays_byte_for_byte() {
     assert!(found["losses"].as_array().is_some_and(|losses| !losses.is_empty()));
     assert_eq!(found["poses_different"].as_array().map(Vec::len), Some(0), "{found}");
     crate::replay_meddled::every_change_is_seen(&log, folder.path());
+}
+
+/// Foxglove's annotations lay 0.6 s beside the only image that there was, the tree had one frame, and joints had no message of theirs.
+fn assert_foxglove_shows(log: &Path) {
+    let entries = read_log(log).expect("the log").entries;
+    let of = |name: &str| entries.iter().filter(|entry| &*entry.topic == name).collect::<Vec<_>>();
+    let times = |name: &str| of(name).iter().map(|entry| entry.host_us).collect::<BTreeSet<_>>();
+    let (shown, annotated) = (times(topic::SHOWN), times(topic::ANNOTATIONS));
+    assert!(annotated.len() >= 5 && annotated.is_subset(&shown), "{annotated:?} {shown:?}");
+    assert_eq!(of(topic::SHOWN).len(), of(topic::FRAME_TAGS).len(), "each frame is shown");
+    let names = |name: &str, wanted: &[&str]| {
+        let messages = of(name);
+        assert!(!messages.is_empty(), "{name}");
+        for word in wanted {
+            let says = |entry: &&&LogEntry| entry.data.windows(word.len()).any(|part| part == word.as_bytes());
+            assert!(messages.iter().any(|entry| says(&entry)), "{name}: {word}");
+        }
+    };
+    names(topic::TRANSFORMS, &["lps", "camera", "world"]);
+    names(topic::CARM_TRANSFORMS, &["world", "camera_by_telemetry"]);
+    names(topic::ROBOT_TRANSFORMS, &["lps", "base", "piece_27", "tip"]);
+    names(topic::CARM_JOINT_STATES, &["orbital"]);
+    names(topic::ROBOT_JOINT_STATES, &["control_5"]);
 }
 
 #[test]

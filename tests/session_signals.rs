@@ -66,6 +66,60 @@ fn every_signal_ends_the_session_in_order() {
     assert_eq!(cases, 3);
 }
 
+/// Ctrl-C was heard while the scene was loaded, and the session began all the same; so was the second one.
+#[cfg(target_os = "linux")]
+#[test]
+fn an_interrupt_while_the_scene_is_loaded_ends_the_program() {
+    let Some((lab, _, folder)) = quiet_lab("60") else { return };
+    let slow = lab.kit.join("slow.nii.gz");
+    nothing_but_air(&slow, [512, 512, 500]);
+    let text = std::fs::read_to_string(lab.kit.join("scene.json")).expect("the scene");
+    std::fs::write(lab.kit.join("slow.json"), text.replace("ct.nii.gz", "slow.nii.gz")).expect("written");
+    let session = lab.session("session-slow.json", |session| session["scene"] = "slow.json".into());
+    let mut live = Live::launch(&session, &folder.path().join("session"), &[]);
+    let catches = || {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", live.program.id())).unwrap_or_default();
+        let caught = status.lines().find_map(|line| u64::from_str_radix(line.strip_prefix("SigCgt:")?.trim(), 16).ok());
+        caught.is_some_and(|mask| mask & (1 << (Signal::INT.as_raw() - 1)) != 0).then_some(())
+    };
+    assert!(eventually(HANG_S, catches).is_some(), "it listens: {}", live.stderr());
+    live.program.signal(Signal::INT);
+    let status = live.program.end(HANG_S).unwrap_or_else(|| panic!("still there: {}", live.stderr()));
+    let words = live.stderr();
+    assert!(status.code() == Some(1) && words.contains("ended before the session began"), "{status:?} {words}");
+    assert!(!live.log.exists(), "nothing was recorded");
+}
+
+/// A volume of air alone, which takes seconds to load.
+#[cfg(target_os = "linux")]
+fn nothing_but_air(path: &std::path::Path, size: [i16; 3]) {
+    use std::io::Write;
+    let mut header = vec![0u8; 352];
+    header[..4].copy_from_slice(&348i32.to_le_bytes());
+    for (n, extent) in [3, size[0], size[1], size[2], 1, 1, 1, 1].into_iter().enumerate() {
+        header[40 + 2 * n..42 + 2 * n].copy_from_slice(&extent.to_le_bytes());
+    }
+    // int16, 16 bits.
+    header[70..72].copy_from_slice(&4i16.to_le_bytes());
+    header[72..74].copy_from_slice(&16i16.to_le_bytes());
+    (0..4).for_each(|n| header[76 + 4 * n..80 + 4 * n].copy_from_slice(&1f32.to_le_bytes()));
+    header[108..112].copy_from_slice(&352f32.to_le_bytes());
+    // One slope, the sform in scanner coordinates, millimetres.
+    header[112..116].copy_from_slice(&1f32.to_le_bytes());
+    header[123] = 2;
+    header[254..256].copy_from_slice(&1i16.to_le_bytes());
+    for row in 0..3 {
+        header[280 + 20 * row..284 + 20 * row].copy_from_slice(&1f32.to_le_bytes());
+    }
+    header[344..348].copy_from_slice(b"n+1\0");
+    let mut packed = flate2::write::GzEncoder::new(std::fs::File::create(path).expect("created"), flate2::Compression::fast());
+    packed.write_all(&header).expect("written");
+    let slice: Vec<u8> =
+        (0..usize::from(size[0] as u16) * usize::from(size[1] as u16)).flat_map(|_| (-1000i16).to_le_bytes()).collect();
+    (0..size[2]).for_each(|_| packed.write_all(&slice).expect("written"));
+    packed.finish().expect("written");
+}
+
 /// `count` frames at once, then Ctrl-C: telemetry is complete whatever the workshop does. Gives images in the log and the words.
 fn burst(count: usize, record_s: f64) {
     let Some((lab, frame, folder)) = quiet_lab("300") else { return };

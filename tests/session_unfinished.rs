@@ -4,13 +4,14 @@
 
 use std::collections::BTreeSet;
 use std::fs::File;
+use std::io::Write;
 use std::os::unix::fs::FileExt;
 use std::path::Path;
 use std::time::Duration;
 
 use serde_json::{Value, json};
 
-use crate::live_lab::{HANG_S, Lab, Live, eventually};
+use crate::live_lab::{HANG_S, Lab, Live, Signal, eventually, quiet_lab};
 
 /// How a frame gets into the watched folder.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -53,6 +54,33 @@ fn relay(from: &Path, to: &Path, way: Way) {
     file.write_all_at(&whole, 0).expect("all");
     if way == Way::ClosedAndSetBack {
         file.set_modified(modified).expect("time is set");
+    }
+}
+
+/// Half of a file had come when the session was told to end: it was left out without a word, and the report said that nothing was lost.
+#[test]
+fn what_is_being_written_at_the_end_is_waited_for_or_said() {
+    for completes in [true, false] {
+        let Some((lab, frame, folder)) = quiet_lab("60") else { return };
+        let whole = std::fs::read(&frame).expect("a frame");
+        let mut live = Live::start(&lab.kit.join("session.json"), &folder.path().join("session"), &[]);
+        let mut file = File::create(lab.frames().join("half.dcm")).expect("created");
+        let (first, second) = whole.split_at(whole.len() / 2);
+        file.write_all(first).expect("half of it");
+        std::thread::sleep(Duration::from_millis(300));
+        live.signalled(Signal::INT);
+        let waits = eventually(HANG_S, || live.stderr().contains("a frame is still being written").then_some(()));
+        assert!(waits.is_some(), "it is said why the session does not end: {}", live.stderr());
+        if completes {
+            file.write_all(second).expect("the rest");
+            drop(file);
+        }
+        let status = live.program.end(HANG_S).unwrap_or_else(|| panic!("still there: {}", live.stderr()));
+        let words = live.stdout() + &live.stderr();
+        let heard = live.heard();
+        assert_eq!((status.code(), heard.frames.len()), if completes { (Some(0), 1) } else { (Some(3), 0) }, "{words}");
+        assert_eq!(words.contains("lost: ") && live.report().contains("the file "), !completes, "{words}");
+        assert!(heard.losses.is_empty() && heard.end_us.is_some(), "{:?}", heard.losses);
     }
 }
 

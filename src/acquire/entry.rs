@@ -3,6 +3,7 @@
 use super::Fault;
 use super::notices::Held;
 use super::offer::{Delivered, Zeros};
+use super::source::Trouble;
 use crate::foreign::FileStamp;
 
 /// A file lies still when its stamp was the same for this long.
@@ -88,6 +89,20 @@ impl Entry {
             (true, _) => Zeros::Content,
             (false, true) => Zeros::HolesUnwritten,
             (false, false) => Zeros::Unwritten,
+        }
+    }
+
+    /// Whether it is on its way still.
+    pub(super) fn is_expected(&self) -> bool {
+        self.state != State::Done
+    }
+
+    /// Nobody waits for it any longer: what is to be said of it, if it was on its way.
+    pub(super) fn give_up(&mut self, label: impl FnOnce(u64) -> String) -> Option<Trouble> {
+        match std::mem::replace(&mut self.state, State::Done) {
+            State::Done => None,
+            State::Unfinished(fault) => Some(Trouble::Unfinished { label: label(self.number), fault }),
+            State::Settling | State::Offered(_) | State::Blank => Some(Trouble::StillWritten { label: label(self.number) }),
         }
     }
 

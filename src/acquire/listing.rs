@@ -20,6 +20,7 @@ pub(super) fn is_suspicious(name: &OsStr, kind: NotRegular) -> bool {
 }
 
 /// What lies in a folder, by name.
+#[derive(Default)]
 pub(super) struct Listing {
     pub(super) files: BTreeMap<OsString, FileStamp>,
     /// What is none, with its stamp unless it cannot be told.

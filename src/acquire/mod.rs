@@ -35,6 +35,7 @@ mod stored_values;
 mod tag_reader;
 mod tags;
 mod terms;
+mod tree;
 mod watch;
 mod whole;
 
@@ -57,6 +58,7 @@ pub use receiver::{MOST_ASSOCIATIONS, ReceiverError, ReceiverOptions};
 pub use source::{Arrival, Earlier, FrameSource, QueuedFrames, Reading, Sighting, Trouble};
 pub use stored_values::{StoredValue, StoredValues, is_dicom, parse_dicom};
 pub use tags::{FrameTags, KEPT_TAGS, KeptTag};
+pub use tree::FolderTree;
 pub use watch::FolderSource;
 
 use beside::Beside;

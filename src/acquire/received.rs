@@ -7,11 +7,10 @@ use std::sync::mpsc::{self, channel};
 use super::receiver::{Receiver, ReceiverError, ReceiverOptions};
 use super::source::{FrameSource, Sighting};
 use super::spool::Spool;
-use super::watch::FolderSource;
 
 /// See the module: objects become files of the folder, and from there on are what all its files are.
 pub struct ReceivedSource {
-    folder: FolderSource,
+    folder: Box<dyn FrameSource>,
     receiver: Receiver,
     told: mpsc::Receiver<Sighting>,
 }
@@ -21,7 +20,7 @@ impl ReceivedSource {
     ///
     /// # Errors
     /// When the port is not to be had.
-    pub fn open(folder: FolderSource, path: &Path, options: ReceiverOptions) -> Result<Self, ReceiverError> {
+    pub fn open(folder: Box<dyn FrameSource>, path: &Path, options: ReceiverOptions) -> Result<Self, ReceiverError> {
         let (sender, told) = channel();
         let receiver = Receiver::open(options, Spool::new(path), sender)?;
         Ok(Self { folder, receiver, told })
@@ -43,5 +42,14 @@ impl FrameSource for ReceivedSource {
 
     fn close(&mut self) {
         self.receiver.close();
+        self.folder.close();
+    }
+
+    fn is_expecting(&self) -> bool {
+        self.folder.is_expecting()
+    }
+
+    fn give_up(&mut self) -> Vec<Sighting> {
+        self.folder.give_up()
     }
 }

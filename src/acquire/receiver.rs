@@ -16,7 +16,8 @@ use dicom_dictionary_std::uids;
 use dicom_ul::association::server::{AccessControl, ServerAssociation, ServerAssociationOptions};
 use dicom_ul::pdu::{
     AbortRQSource, AssociationRJ, AssociationRJResult, AssociationRJServiceProviderPresentationReason,
-    AssociationRJServiceUserReason, AssociationRJSource, PDataValue, PDataValueType, Pdu, UserIdentity, write_pdu,
+    AssociationRJServiceUserReason, AssociationRJSource, PDataValue, PDataValueType, Pdu, PresentationContextNegotiated,
+    PresentationContextResultReason, UserIdentity, write_pdu,
 };
 
 use super::dimse::{Outcome, Request};
@@ -183,6 +184,24 @@ impl Shared {
         }
     }
 
+    /// That a sender's offers cannot be taken: it gives up, and nobody would hear why. Many offer all there is for the case that they need it.
+    fn say_unread(&self, offered: &[PresentationContextNegotiated], number: u64) {
+        let is_taken = |class: &str| offered.iter().any(|offer| offer.abstract_syntax == class && is_agreed(offer));
+        let is_offered = |class: &&&str| offered.iter().any(|offer| offer.abstract_syntax == **class);
+        let unread: Vec<&str> = STORAGE_CLASSES.iter().filter(is_offered).filter(|class| !is_taken(class)).copied().collect();
+        let words = if !unread.is_empty() {
+            format!(
+                "objects of class {} only in transfer syntaxes that are not read here; let it send Explicit or Implicit VR Little Endian",
+                unread.join(", ")
+            )
+        } else if offered.iter().any(is_agreed) || offered.is_empty() {
+            return;
+        } else {
+            "only objects that are none of the images taken here (XA, RF, DX, CR, secondary capture)".to_owned()
+        };
+        self.say("DICOM object not agreed on", format!("a sender offers {words} (association {number})"));
+    }
+
     fn serve(&self, stream: TcpStream, number: u64) {
         let mut options = ServerAssociationOptions::new()
             .ae_access_control(Door(self))
@@ -206,6 +225,7 @@ impl Shared {
                 return self.say("DICOM garbage", words);
             }
         };
+        self.say_unread(association.presentation_contexts(), number);
         let mut served = Served { shared: self, association, number, command: Vec::new(), state: State::Idle };
         let whole = served.run();
         if let State::Storing { incoming, .. } = &served.state {
@@ -216,6 +236,11 @@ impl Shared {
             let _ = served.association.abort();
         }
     }
+}
+
+/// Whether objects may come in this context.
+fn is_agreed(offer: &PresentationContextNegotiated) -> bool {
+    offer.reason == PresentationContextResultReason::Acceptance
 }
 
 /// Who may come in.
@@ -311,7 +336,9 @@ impl Served<'_> {
 
     /// A request is whole: it is answered, or its data set begins.
     fn begin(&mut self, request: Request, context: u8) -> Option<()> {
-        let agreed = self.association.presentation_contexts().iter().find(|agreed| agreed.id == context)?;
+        // A context that was turned down is listed as well, under a syntax that nobody agreed on.
+        let agreed =
+            self.association.presentation_contexts().iter().find(|offered| offered.id == context && is_agreed(offered))?;
         let outcome = if request.is_echo() {
             Outcome::Success
         } else if !request.is_store() {

@@ -13,6 +13,16 @@ pub trait FrameSource: Send {
 
     /// Nothing new is let in from now on; what is there is still seen by a few looks.
     fn close(&mut self) {}
+
+    /// Whether something that was seen is on its way still: a file that is being written, or lies still for too short a time.
+    fn is_expecting(&self) -> bool {
+        false
+    }
+
+    /// What is on its way still will not be waited for any longer: each is reported.
+    fn give_up(&mut self) -> Vec<Sighting> {
+        Vec::new()
+    }
 }
 
 /// What a look found.
@@ -63,7 +73,7 @@ pub enum Trouble {
     },
     /// Something came into a folder below the watched one.
     #[error(
-        "{label}: something came into this sub-folder of the watched folder, and sub-folders are not read; let the console write into the watched folder itself, or name the sub-folder in the session"
+        "{label}: something came into this sub-folder of the watched folder, and sub-folders are not read; let the console write into the watched folder itself, or set \"sub_folders\": true under \"frames\" in the session"
     )]
     SubFolder {
         /// The folder.
@@ -76,6 +86,14 @@ pub enum Trouble {
         label: String,
         /// What is missing.
         fault: Fault,
+    },
+    /// The session ended before the file lay still.
+    #[error(
+        "{label}: the file was still being written when the session ended, and is not part of it; tie it to its exposure with `sidecarm attach`"
+    )]
+    StillWritten {
+        /// The file.
+        label: String,
     },
     /// A sender went away in the middle of an object.
     #[error(
@@ -107,6 +125,7 @@ impl Trouble {
             Self::NotAFile { .. } => "not a file",
             Self::SubFolder { .. } => "sub-folder not read",
             Self::Unfinished { .. } => "unfinished frame",
+            Self::StillWritten { .. } => "frame still being written",
             Self::HalfReceived { .. } => "half a DICOM object",
             Self::NotReceived { .. } => "DICOM object not taken",
         }

@@ -20,7 +20,7 @@ const fn kept(tag: Tag, field: &'static str, reason: &'static str) -> KeptTag {
 
 /// The whitelist. Whatever is not here never leaves the import: names, identifiers, institutions, comments, private groups. Dates and
 /// times of the acquisition itself are kept, because they bind a frame to telemetry; birth, study and series dates are not.
-pub const KEPT_TAGS: [KeptTag; 32] = [
+pub const KEPT_TAGS: [KeptTag; 33] = [
     kept(tags::MODALITY, "modality", "decides how a console presents the image"),
     kept(tags::IMAGE_TYPE, "image_type", "ORIGINAL or DERIVED: evidence of processing"),
     kept(tags::ACQUISITION_DATE, "acquired_date", "binds the frame to telemetry"),
@@ -33,6 +33,7 @@ pub const KEPT_TAGS: [KeptTag; 32] = [
     kept(tags::DISTANCE_SOURCE_TO_DETECTOR, "sid_mm", "focal length"),
     kept(tags::DISTANCE_SOURCE_TO_PATIENT, "sod_mm", "magnification"),
     kept(tags::EXPOSURE_TIME, "exposure_ms", "length of the exposure interval"),
+    kept(tags::FRAME_TIME, "frame_time_ms", "from image to image of a run"),
     kept(tags::X_RAY_TUBE_CURRENT, "tube_ma", "dose"),
     kept(tags::EXPOSURE, "exposure_uas", "dose, in mAs, when the finer attribute is missing"),
     kept(tags::EXPOSURE_INU_AS, "exposure_uas", "dose"),
@@ -86,6 +87,9 @@ pub struct FrameTags {
     /// Exposure time.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub exposure_ms: Option<f64>,
+    /// From image to image of a run.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub frame_time_ms: Option<f64>,
     /// Exposure in µAs.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub exposure_uas: Option<f64>,

@@ -10,7 +10,7 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 
 use super::entry::{Entry, PATIENCE_US, State};
 use super::label;
-use super::listing::{is_wanted, list};
+use super::listing::{Listing, is_wanted, list};
 use super::notices::{Held, HeldCount, Notice, Notices, What};
 use super::offer::{Delivered, Offer, Outcome, Told, Zeros};
 use super::passed_over::PassedOver;
@@ -20,6 +20,17 @@ use crate::foreign::{FileStamp, ForeignReader};
 
 /// Versions that are remembered after their name is gone, so that a renamed file is not taken for a new one.
 const REMEMBERED: usize = 4096;
+
+/// Whether others watch what is around a folder.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Place {
+    /// Nobody does: that something came into a folder below is said.
+    Alone,
+    /// The folders below are watched as well.
+    Above,
+    /// So is the one above, and this one may go.
+    Below,
+}
 
 /// Watches one folder, not those below it: that something came into one is said. Hidden files and names that end in `.tmp`, `.part`, `.partial`, `.json` are passed over.
 #[derive(Debug)]
@@ -37,6 +48,7 @@ pub struct FolderSource {
     departed: VecDeque<(FileStamp, Option<Delivered>)>,
     /// Versions that were said to have vanished before they were read: a notice of them may come later.
     vanished: VecDeque<FileStamp>,
+    place: Place,
     held: HeldCount,
     notices: Notices,
     told: (Sender<Told>, Receiver<Told>),
@@ -62,11 +74,18 @@ impl FolderSource {
             departed: VecDeque::new(),
             vanished: VecDeque::new(),
             notices: Notices::of(folder, &held, is_wanted),
+            place: Place::Alone,
             held,
             told: channel(),
             offers: 0,
             seen: 0,
         }
+    }
+
+    /// The same as one of several, each of which watches a folder of a tree.
+    #[must_use]
+    pub(super) fn in_tree(self, place: Place) -> Self {
+        Self { place, ..self }
     }
 
     fn label(&self, name: &OsStr, number: u64) -> String {
@@ -319,6 +338,8 @@ impl FrameSource for FolderSource {
         }
         let listing = match list(&self.folder) {
             Ok(listing) => listing,
+            // It is gone with all that lay in it.
+            Err(_) if self.place == Place::Below => Listing::default(),
             Err(error) => {
                 if !std::mem::replace(&mut self.lost, true) {
                     found.push(Sighting::FolderLost { detail: error.to_string() });
@@ -337,8 +358,9 @@ impl FrameSource for FolderSource {
             *seen += 1;
             label::of_unread(Path::new(name), *seen)
         };
-        let passed_over = self.passed_over.look(&self.folder, listing.others, &mut label);
-        found.extend(passed_over.into_iter().map(Sighting::Trouble));
+        let passed_over = self.passed_over.look(&self.folder, listing.others, &mut label).into_iter();
+        let told = passed_over.filter(|trouble| self.place == Place::Alone || !matches!(trouble, Trouble::SubFolder { .. }));
+        found.extend(told.map(Sighting::Trouble));
         for name in missed {
             self.seen += 1;
             found.push(Sighting::Trouble(Trouble::Vanished { label: self.label(&name, self.seen) }));
@@ -377,5 +399,17 @@ impl FrameSource for FolderSource {
             self.settle(&name, now_us, &mut found);
         }
         found
+    }
+
+    fn is_expecting(&self) -> bool {
+        self.entries.values().any(Entry::is_expected)
+    }
+
+    fn give_up(&mut self) -> Vec<Sighting> {
+        let reported = self
+            .entries
+            .iter_mut()
+            .filter_map(|(name, entry)| entry.give_up(|number| label::of_unread(Path::new(name), number)).map(Sighting::Trouble));
+        reported.collect()
     }
 }

@@ -103,11 +103,32 @@ pub(super) fn stop_on_signals(stop: &Stop, reporter: &Reporter) {
             while signals.next().await {
                 match stop.ask() {
                     1 => reporter.note("ending the session; again to leave at once"),
-                    _ => reporter.note("leaving at once; what is recorded is kept"),
+                    2 => {
+                        reporter.note("leaving at once; what is recorded is kept");
+                        leave_in_any_case(&reporter);
+                    }
+                    _ => leave_now(&reporter),
                 }
             }
         });
     });
+}
+
+/// Whoever leaves at once waits no longer than this, whatever stands still.
+const LEAVES_WITHIN: std::time::Duration = std::time::Duration::from_secs(10);
+
+/// Where a disk stands still, so does who writes the report.
+fn leave_in_any_case(reporter: &Reporter) {
+    let reporter = reporter.clone();
+    std::thread::spawn(move || {
+        std::thread::sleep(LEAVES_WITHIN);
+        leave_now(&reporter);
+    });
+}
+
+fn leave_now(reporter: &Reporter) -> ! {
+    reporter.note("left without a report: `sidecarm replay` makes it from the log");
+    std::process::exit(3);
 }
 
 #[cfg(unix)]

@@ -8,11 +8,12 @@ pub use super::register_args::RegisterArgs;
 use super::register_error::RegisterError;
 use super::register_seen::{Console, Seen};
 use super::register_together;
+use crate::acquire::Frame;
 use crate::beads::read_correspondences;
 use crate::beads::tags::{find_tags, read_tags};
 use crate::image::write_png_rgb;
 use crate::mask;
-use crate::pose::{Pose, Registration, Shadow, register_masked, register_tagged};
+use crate::pose::{Pose, Registration, Shadow, intrinsics_of, register_masked, register_tagged};
 use crate::report;
 use crate::reporter::Reporter;
 
@@ -64,11 +65,33 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
         pose.notes.extend(intensifier.note.clone());
     }
     pose.notes.extend(pose.beyond_sigma());
+    if let Some(words) = off_header(&pose, &seen.frame).filter(|_| args.console.is_none()) {
+        pose.doubt(words);
+    }
     let drawn = request.distortion.map(|distortion| pose.drawn_on_distorted(distortion));
     if let Some(path) = &args.overlay {
         write_png_rgb(path, &report::overlay(&seen.frame, drawn.as_ref().unwrap_or(&pose), &masks))?;
     }
     answer(args, &pose, reporter)
+}
+
+/// The focal length of a calibrated panel is hardly off by more than this share of what the frame's header says.
+const OFF_HEADER: f64 = 0.03;
+
+/// That K as given is not that of the frame's own header, where the header has one.
+fn off_header(pose: &Pose, frame: &Frame) -> Option<String> {
+    let given = pose.intrinsics.filter(|_| pose.is_accepted() && pose.intrinsics_source.as_deref() == Some("given"))?;
+    let (header, ..) = intrinsics_of(frame)?;
+    let off = given.fx / header.fx - 1.0;
+    (!(off.abs() <= OFF_HEADER)).then(|| {
+        format!(
+            "the frame's own header says a focal length of {:.0} px (SID {:.0} mm), K as given is {:.1} % {}: one of the two is not this panel's at this distance, and depth goes wrong by as much",
+            header.fx,
+            frame.tags.sid_mm.unwrap_or(f64::NAN),
+            100.0 * off.abs(),
+            if off > 0.0 { "longer" } else { "shorter" }
+        )
+    })
 }
 
 /// Writes and prints.
@@ -92,7 +115,11 @@ pub fn summary(pose: &Pose, explain: bool) -> String {
     let used = pose.beads.iter().filter(|bead| bead.used).count();
     if pose.is_accepted() {
         let number = |value: Option<f64>, digits: usize| value.map_or("?".to_owned(), |v| format!("{v:.digits$}"));
-        let with_caution = if pose.cautions.is_empty() { "" } else { " with caution" };
+        let with_caution = match (&pose.doubt, pose.cautions.is_empty()) {
+            (Some(_), _) => " in doubt",
+            (None, false) => " with caution",
+            (None, true) => "",
+        };
         let (rms_px, rms_mm) = (number(pose.rms_px, 3), number(pose.rms_mm, 3));
         if used == 0 {
             let tags = pose.tags.iter().filter(|tag| tag.used).count();

@@ -248,7 +248,7 @@ fn answered<R: BufRead, W: Write>(
     let session = SessionFile {
         carm: carm.map(|(port, calibration)| CarmLine { port, baud: args.carm_baud, calibration }),
         robot: robot.map(|(port, model)| RobotLine { port, baud: args.robot_baud, model }),
-        frames: FrameSource { folder: frames, domain: None, dicom: None },
+        frames: FrameSource { folder: frames, sub_folders: false, domain: None, dicom: None },
         scene,
         beads,
         world_from_lps: None,

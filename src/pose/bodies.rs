@@ -197,7 +197,7 @@ fn together(request: &Registration, first: Pose, bodies: &[Apart], reference: &s
     let mm_per_px = pose.rms_mm.zip(pose.rms_px).map_or(f64::NAN, |(mm, px)| mm / px);
     let row = |bead: &Bead, check: bool| {
         let solved = beads.iter().find(|row| row.name == bead.name).cloned();
-        let without = "its body has too few beads seen for a pose of its own";
+        let without = "its body gave no pose of its own: too few of its beads are seen, or they do not fit";
         solved.unwrap_or_else(|| BeadResidual { check, ..request.row(bead, without) })
     };
     let checks = request.layout.checks.iter().map(|bead| row(bead, true));

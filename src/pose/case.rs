@@ -12,7 +12,7 @@ use super::record::{Pose, Shadow};
 use super::refusal::{Refusal, Rival};
 use super::request::Registration;
 use super::search::{Found, Hypothesis, ROUGH_GATE, Search};
-use super::solve::{image_by_point, point_by_pose};
+use super::solve::{Free, image_by_point, point_by_pose};
 use super::tables::{Depths, Target};
 use super::verdict::chance;
 use crate::beads::{Detection, Probe};
@@ -148,8 +148,8 @@ impl<'a> Case<'a> {
         (angle.to_degrees(), shift)
     }
 
-    /// Accidents expected behind a match of `detections` after `tried` tries.
-    pub fn chance_among(&self, hypothesis: &Hypothesis, tried: u64, detections: &[Detection]) -> f64 {
+    /// Accidents expected behind a match of `detections` after `tried` tries, where so many `parameters` were solved.
+    fn chance_with(&self, hypothesis: &Hypothesis, tried: u64, detections: &[Detection], parameters: usize) -> f64 {
         let [width, height] = self.request.size_px.map(f64::from);
         let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
         for detection in detections {
@@ -157,12 +157,23 @@ impl<'a> Case<'a> {
             high = high.max(detection.image_px);
         }
         let area = ((high - low).x * (high - low).y).clamp(0.05 * width * height, width * height);
-        chance(tried, hypothesis.matches.len(), hypothesis.in_view, hypothesis.rms_px, detections.len(), area)
+        chance(tried, hypothesis.matches.len(), hypothesis.in_view, hypothesis.rms_px, detections.len(), area, parameters)
+    }
+
+    /// Accidents expected behind a match of `detections` after `tried` tries, K held.
+    pub fn chance_among(&self, hypothesis: &Hypothesis, tried: u64, detections: &[Detection]) -> f64 {
+        self.chance_with(hypothesis, tried, detections, 6)
     }
 
     /// The same among all shadows.
     pub fn chance_of(&self, hypothesis: &Hypothesis, tried: u64) -> f64 {
         self.chance_among(hypothesis, tried, self.detections)
+    }
+
+    /// The same of what is solved for the frame: a free K makes up for accidents as well.
+    pub fn chance_of_solved(&self, hypothesis: &Hypothesis, tried: u64) -> f64 {
+        let parameters = if self.request.free() == Free::Square { 9 } else { 6 };
+        self.chance_with(hypothesis, tried, self.detections, parameters)
     }
 }
 

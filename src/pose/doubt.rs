@@ -9,6 +9,7 @@ use nalgebra::Matrix6;
 
 use super::besides::Besides;
 use super::case::{Case, GATE};
+use super::cautions::Cautions;
 use super::prior::Prior;
 use super::refusal::{Refusal, Rival};
 use super::search::Hypothesis;
@@ -59,11 +60,11 @@ struct OtherK {
 
 impl Case<'_> {
     /// Refuses a match although it fits, or gives the cautions that a person should look at.
-    pub fn doubt(&self, last: &Settled, hypothesis: &Hypothesis) -> Result<Vec<String>, Refusal> {
+    pub fn doubt(&self, last: &Settled, hypothesis: &Hypothesis) -> Result<Cautions, Refusal> {
         let matched = last.matches.len();
         let besides = self.besides(last);
         let Besides { missing, displaced, unexplained } = &besides;
-        let mut cautions = Vec::new();
+        let mut cautions = Cautions::default();
         let strays = match &self.probe {
             Some(_) => missing.len() + displaced.len() >= ORDINARY && unexplained.len() + displaced.len() >= ORDINARY,
             // Without the picture nobody knows whether a bead is hidden, nor whether a shadow is like a bead's.
@@ -94,13 +95,13 @@ impl Case<'_> {
         self.check_second(last, hypothesis, unexplained, &mut cautions)?;
         self.check_prior(last, hypothesis, &mut cautions)?;
         if !missing.is_empty() {
-            cautions.push(format!("not seen although their places are clear: {}", missing.join(", ")));
+            cautions.say(format!("not seen although their places are clear: {}", missing.join(", ")));
         }
         Ok(cautions)
     }
 
     /// Where the layout fits the frame as well elsewhere, the prior alone, if the match is `guided` by one, tells which of the two it is.
-    fn check_moved_twin(&self, last: &Settled, guided: bool, cautions: &mut Vec<String>) -> Result<(), Refusal> {
+    fn check_moved_twin(&self, last: &Settled, guided: bool, cautions: &mut Cautions) -> Result<(), Refusal> {
         let Some(twin) = self.moved_twin(last) else { return Ok(()) };
         let (own, matched) = (&last.solution.camera_from_lps, last.matches.len());
         if !guided || twin.excess < -FAR_BETTER * last.chi2_per_dof.max(1.0) {
@@ -108,7 +109,7 @@ impl Case<'_> {
             return Err(self.ambiguous(Rival::OtherNames, (own, matched, last.rms_px()), other));
         }
         let (angle_deg, shift_mm) = self.distance(&twin.camera_from_lps, own);
-        cautions.push(format!(
+        cautions.doubt(format!(
             "the beads fit the frame as well {angle_deg:.1}° and {shift_mm:.1} mm away, under other names: that they are not seen from there \
              rests on the prior alone"
         ));
@@ -116,7 +117,7 @@ impl Case<'_> {
     }
 
     /// Shadows beside the places of their beads are outliers where the others fit as they should, and a wrong layout or K where not.
-    fn check_residual(&self, last: &Settled, displaced: &[String], cautions: &mut Vec<String>) -> Result<(), Refusal> {
+    fn check_residual(&self, last: &Settled, displaced: &[String], cautions: &mut Cautions) -> Result<(), Refusal> {
         let (chi2, matched) = (last.chi2_per_dof, last.matches.len());
         let limit = match displaced.len() {
             0 => f64::INFINITY,
@@ -127,14 +128,14 @@ impl Case<'_> {
             return Err(Refusal::Displaced { matched, rms_px: last.rms_px(), times: chi2.sqrt(), displaced: displaced.to_vec() });
         }
         if chi2 > LOOSE_CHI2 {
-            cautions.push(format!("residuals are {:.1} times what noise and bead positions allow", chi2.sqrt()));
+            cautions.say(format!("residuals are {:.1} times what noise and bead positions allow", chi2.sqrt()));
         }
         Ok(())
     }
 
     /// The size of the shadows against depth and size of the beads: the same pose of a larger layout is farther away. Only values that
     /// are proportional to quanta, or their logarithms, show the size of what is in the beam.
-    fn check_radii(&self, last: &Settled, cautions: &mut Vec<String>) -> Result<(), Refusal> {
+    fn check_radii(&self, last: &Settled, cautions: &mut Cautions) -> Result<(), Refusal> {
         let quantitative = self.probe.as_ref().is_some_and(Probe::is_quantitative);
         let Some(ratio) = self.radius_ratio(last) else { return Ok(()) };
         let off = (ratio - 1.0).abs();
@@ -142,7 +143,7 @@ impl Case<'_> {
             return Err(Refusal::Radii { ratio });
         }
         if off > OTHER_RADIUS.0 {
-            cautions.push(format!(
+            cautions.doubt(format!(
                 "the shadows are {:.0} % {} than the beads' radii give at their depth: check the layout's scale, the beads' radius, and SID and pitch",
                 100.0 * off,
                 if ratio < 1.0 { "smaller" } else { "larger" }
@@ -173,7 +174,7 @@ impl Case<'_> {
         last: &Settled,
         hypothesis: &Hypothesis,
         unexplained: &[usize],
-        cautions: &mut Vec<String>,
+        cautions: &mut Cautions,
     ) -> Result<(), Refusal> {
         let refusal = |second: &Hypothesis| {
             let own = (&hypothesis.camera_from_lps, last.matches.len(), hypothesis.rms_px);
@@ -184,7 +185,7 @@ impl Case<'_> {
             return Err(refusal(&second));
         }
         if cut_short {
-            cautions.push(format!(
+            cautions.doubt(format!(
                 "so many of the {} shadows belong to no bead that not all could be tried for a second reading: narrow the collimator, or give \
                  --bead-radius and --prior",
                 self.detections.len()
@@ -198,7 +199,7 @@ impl Case<'_> {
             return Err(refusal(&second));
         }
         let (angle_deg, shift_mm) = self.distance(&second.camera_from_lps, &hypothesis.camera_from_lps);
-        cautions.push(format!(
+        cautions.doubt(format!(
             "{explains} of {} clear shadows that belong to no bead fit the layout {angle_deg:.1}° and {shift_mm:.1} mm away",
             unexplained.len()
         ));
@@ -206,7 +207,7 @@ impl Case<'_> {
     }
 
     /// A pose that few beads carry is not believed far from the prior; of others it is said.
-    fn check_prior(&self, last: &Settled, hypothesis: &Hypothesis, cautions: &mut Vec<String>) -> Result<(), Refusal> {
+    fn check_prior(&self, last: &Settled, hypothesis: &Hypothesis, cautions: &mut Cautions) -> Result<(), Refusal> {
         let pose = &last.solution.camera_from_lps;
         let Some((prior, (squares, _))) = self.request.prior.zip(self.off_prior(pose)) else { return Ok(()) };
         if squares <= FAR_FROM_PRIOR {
@@ -221,7 +222,7 @@ impl Case<'_> {
         if let Some(refusal) = self.better_elsewhere(last, hypothesis, -ALIKE * last.chi2_per_dof.max(1.0)) {
             return Err(refusal);
         }
-        cautions.push(format!(
+        cautions.doubt(format!(
             "{angle_deg:.1}° and {shift_mm:.1} mm from the prior, {:.1} standard deviations: check K, SID, the layout's scale, and the prior",
             squares.sqrt()
         ));
@@ -241,7 +242,7 @@ impl Case<'_> {
 
     /// The beads may fit far better with another K than with the one given: a wrong focal length or principal point is made up for by depth
     /// and turn, but not without a trace.
-    fn check_given_intrinsics(&self, last: &Settled, cautions: &mut Vec<String>) -> Result<(), Refusal> {
+    fn check_given_intrinsics(&self, last: &Settled, cautions: &mut Cautions) -> Result<(), Refusal> {
         let Some(OtherK { given_px, freed_px, focal_ratio, shift_px }) = self.other_intrinsics(last) else { return Ok(()) };
         let focal_off = (focal_ratio - 1.0).abs();
         let width_px = f64::from(self.request.size_px[0]);
@@ -251,7 +252,7 @@ impl Case<'_> {
         }
         if beyond(OTHER_FOCAL.0, OTHER_CENTRE.0) {
             let way = if focal_ratio < 1.0 { "shorter" } else { "longer" };
-            cautions.push(format!(
+            cautions.doubt(format!(
                 "the beads fit to {given_px:.3} px with K as given, to {freed_px:.3} px with a focal length {:.1} % {way} and the principal point {shift_px:.0} px away: check K, SID and pitch",
                 100.0 * focal_off
             ));

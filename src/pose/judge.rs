@@ -4,6 +4,7 @@ use glam::DVec3;
 use nalgebra::DMatrix;
 
 use super::case::Case;
+use super::cautions::Cautions;
 use super::flat::{looseness, off_plane};
 use super::propose::Candidate;
 use super::record::Pose;
@@ -37,7 +38,8 @@ impl Case<'_> {
         }
         match self.verdict(candidate, &mut notes) {
             Ok(Believed { settled, covariance, chance, cautions }) => {
-                Pose { cautions, ..self.accept(&settled, &covariance, chance, notes) }
+                let Cautions { words, doubt } = cautions;
+                Pose { cautions: words, doubt, ..self.accept(&settled, &covariance, chance, notes) }
             }
             Err(refusal) => self.refuse(&refusal, notes),
         }
@@ -65,7 +67,7 @@ impl Case<'_> {
         }
         self.check_twins(candidate, &settled, &hypothesis)?;
         let mut cautions = self.doubt(&settled, &hypothesis)?;
-        cautions.extend(off_intrinsics);
+        off_intrinsics.into_iter().for_each(|words| cautions.doubt(words));
         let alone = self.request.prior.is_none() || self.without_prior;
         if alone && (is_plate || self.has_mirror_twin(&settled)) {
             let (why, remedy) = if is_plate {
@@ -73,13 +75,13 @@ impl Case<'_> {
             } else {
                 ("the layout resembles its own mirror image", "a bead that no mirror puts onto another")
             };
-            cautions.push(format!(
+            cautions.doubt(format!(
                 "{why}: from the beads alone nobody can tell whether the picture is mirrored, and the pose with it; give --prior, or {remedy}"
             ));
         }
         if !alone && !is_plate && self.has_mirror_twin_near(&settled) {
-            cautions.push(
-                "the layout resembles its own mirror image, and the prior lets both be: whether the picture is mirrored nobody can tell".to_owned(),
+            cautions.doubt(
+                "the layout resembles its own mirror image, and the prior lets both be: whether the picture is mirrored nobody can tell",
             );
         }
         let covariance = &settled.solution.covariance * settled.chi2_per_dof.max(1.0);
@@ -91,13 +93,13 @@ impl Case<'_> {
             ));
         }
         if matched == self.request.fewest() {
-            cautions.push(format!(
+            cautions.say(format!(
                 "no more than {matched} beads carry the pose: if one of them has moved, nothing here can tell; bring more into view"
             ));
         }
         let off_plane = off_plane(&settled.solution, &settled.matches, &covariance);
         if let Some(loose) = looseness(&settled.solution, &off_plane, self.request.landmarks, &covariance) {
-            cautions.push(loose);
+            cautions.say(loose);
         } else if off_plane.is_degenerate() {
             notes.push(format!(
                 "the beads are nearly flat: off their plane the pose is uncertain by {:.1} px, which their own residuals do not show",
@@ -112,7 +114,7 @@ impl Case<'_> {
 
     /// The number of accidents expected behind the match.
     fn check_chance(&self, candidate: &Candidate, settled: &Settled, hypothesis: &Hypothesis) -> Result<f64, Refusal> {
-        let expected = self.chance_of(hypothesis, candidate.tried);
+        let expected = self.chance_of_solved(hypothesis, candidate.tried);
         if expected <= MOST_CHANCE {
             return Ok(expected);
         }
@@ -213,5 +215,5 @@ struct Believed {
     settled: Settled,
     covariance: DMatrix<f64>,
     chance: f64,
-    cautions: Vec<String>,
+    cautions: Cautions,
 }

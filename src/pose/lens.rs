@@ -3,6 +3,7 @@
 use glam::{DVec2, DVec3};
 
 use super::case::Case;
+use super::cautions::Cautions;
 use super::refusal::Refusal;
 use super::settle::Settled;
 use super::solve::{Free, Match, Options, image_of, solve};
@@ -19,7 +20,7 @@ const SHIFT_PX: (f64, f64) = (0.7, 2.0);
 
 impl Case<'_> {
     /// A distortion that the matched beads show: a word, or where it moves what lies among them, a refusal.
-    pub(super) fn check_lens(&self, last: &Settled, cautions: &mut Vec<String>) -> Result<(), Refusal> {
+    pub(super) fn check_lens(&self, last: &Settled, cautions: &mut Cautions) -> Result<(), Refusal> {
         if self.request.distortion.is_some() || self.request.free() != Free::Pose {
             return Ok(());
         }
@@ -29,7 +30,7 @@ impl Case<'_> {
             return Err(Refusal::Distorted { given_px, bent_px, shift_px });
         }
         if bent.shift_px > SHIFT_PX.0 {
-            cautions.push(format!(
+            cautions.say(format!(
                 "the beads agree to {:.2} px instead of {:.2} px if the picture is distorted by {:.1} px at the outermost of them: calibrate the intensifier or lens",
                 bent.bent_px, bent.given_px, bent.shift_px
             ));

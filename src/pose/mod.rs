@@ -8,6 +8,7 @@ mod accept;
 mod besides;
 mod bodies;
 mod case;
+mod cautions;
 mod doubt;
 mod file;
 mod flat;

@@ -135,6 +135,9 @@ pub struct Pose {
     /// What a person should look at before an accepted pose is used.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub cautions: Vec<String>,
+    /// The first of the cautions that leaves open whether the pose is this one: another reading, another scale, a mirror image.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub doubt: Option<String>,
     /// P: `lps` mm to `image` px, third coordinate the depth in mm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub projection: Option<Projection>,
@@ -210,6 +213,12 @@ impl Pose {
     #[must_use]
     pub fn refused_for(self, refusal: Refusal) -> Self {
         Self { status: Status::Refused, reason: Some(refusal.to_string()), refusal: Some(refusal), ..self }
+    }
+
+    /// A caution that leaves open whether the pose is this one.
+    pub fn doubt(&mut self, words: String) {
+        self.doubt.get_or_insert_with(|| words.clone());
+        self.cautions.push(words);
     }
 
     /// An accepted pose, refused after all: what was found stays, what must not be used goes.

@@ -5,7 +5,7 @@ use glam::DVec3;
 use super::bodies;
 use super::case::Case;
 use super::prior::Prior;
-use super::record::Pose;
+use super::record::{Pose, Shadow};
 use super::refusal::Refusal;
 use super::request::Registration;
 use super::residual::BeadResidual;
@@ -52,7 +52,7 @@ fn either_polarity(request: &Registration, frame: &Frame, masks: &Masks) -> Pose
         let mut other = attempt(request, &detections.opposite, probe(polarity));
         if other.is_accepted() {
             other.notes.insert(0, detections.evidence);
-            other.notes.push("the beads matched in the other polarity than most shadows have".to_owned());
+            other.cautions.push("the beads matched in the other polarity than most shadows have".to_owned());
             pose = other;
         }
     }
@@ -79,11 +79,15 @@ pub fn rough_pose(request: &Registration, detections: &[Detection]) -> Option<Ri
 }
 
 fn best_of(detections: &[Detection]) -> Vec<Detection> {
-    detections.iter().filter(|d| d.image_px.is_finite() && d.sigma_px.is_finite()).take(MOST_DETECTIONS).copied().collect()
+    placed(detections).take(MOST_DETECTIONS).copied().collect()
 }
 
-fn attempt(request: &Registration, detections: &[Detection], probe: Option<Probe>) -> Pose {
-    let detections = best_of(detections);
+fn placed(detections: &[Detection]) -> impl Iterator<Item = &Detection> {
+    detections.iter().filter(|d| d.image_px.is_finite() && d.sigma_px.is_finite())
+}
+
+fn attempt(request: &Registration, seen: &[Detection], probe: Option<Probe>) -> Pose {
+    let detections = best_of(seen);
     let one = |request: &Registration, detections: &[Detection]| match request.fault() {
         Some(fault) => request.refuse(&fault),
         None => match Case::new(request, detections, probe) {
@@ -92,11 +96,22 @@ fn attempt(request: &Registration, detections: &[Detection], probe: Option<Probe
         },
     };
     let pose = bodies::apart(request, &detections, one(request, &detections), &one);
-    match wrong_radius(request, &pose, &|request| one(request, &detections)) {
+    let mut pose = match wrong_radius(request, &pose, &|request| one(request, &detections)) {
         // The other match is no match, and what was said of it means nothing.
-        Some(refusal) => Pose { cautions: Vec::new(), ..pose }.refused_for(refusal),
+        Some(refusal) => Pose { cautions: Vec::new(), doubt: None, ..pose }.refused_for(refusal),
         None => pose,
+    };
+    let untried = placed(seen).skip(MOST_DETECTIONS).map(|detection| Shadow::of(detection, None));
+    let tried = pose.shadows.len();
+    pose.shadows.extend(untried);
+    let more = pose.shadows.len() - tried;
+    if more > 0 {
+        pose.detections += more;
+        pose.notes.push(format!(
+            "{more} more shadows, which look less like beads than the {MOST_DETECTIONS} others, were not tried: narrow the collimator, or give --bead-radius"
+        ));
     }
+    pose
 }
 
 /// That the frame gives a pose once the beads' stated radius, which bounds their depth, is left out, and how far that radius is off.
@@ -178,7 +193,7 @@ impl Case<'_> {
         let caution = format!(
             "nothing matched near the prior; this match is {angle_deg:.1}° and {shift_mm:.1} mm away from it: check the prior"
         );
-        far.cautions.push(caution);
+        far.doubt(caution);
         (far.is_accepted() || nothing_near).then_some(far)
     }
 }

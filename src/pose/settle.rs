@@ -77,10 +77,17 @@ impl Case<'_> {
         let options = Options { loss: 3.0, measured, ..Options::least_squares(free) };
         let starts = [Some(candidate.hypothesis.camera_from_lps), start::opencv(&matches, &candidate.intrinsics)];
         let total = |s: &Solution| s.chi2.iter().map(|c| c.min(MISSED)).sum::<f64>();
+        // What is found near the prior must not be carried away from it by another start.
+        let is_kept = |found: &Solution| {
+            self.gate_excludes(&candidate.hypothesis.camera_from_lps) || !self.gate_excludes(&found.camera_from_lps)
+        };
         let mut best = starts
             .into_iter()
             .flatten()
             .filter_map(|pose| solve(&matches, &pose, &candidate.intrinsics, &options))
+            .enumerate()
+            .filter(|(start, found)| *start == 0 || is_kept(found))
+            .map(|(_, found)| found)
             .min_by(|a, b| total(a).total_cmp(&total(b)))?;
         let mut left_out = Vec::new();
         loop {

@@ -70,18 +70,27 @@ pub fn check_geometry(points: &[DVec3], k_known: bool, of: Points) -> Result<(),
 /// Expected number of accidental poses, of `tried`, that agree with at least `matched` of `in_view` beads as closely as `rms_px`, when
 /// `detections` shadows lie at random on `area_px2`.
 ///
-/// Three matches make the pose, each other is an accident of probability p = detections · π r² / area with r = 2.5 rms (at least
-/// 0.75 px); so the number is tried · P(Binomial(in_view − 3, p) ≥ matched − 3).
-pub fn chance(tried: u64, matched: usize, in_view: usize, rms_px: f64, detections: usize, area_px2: f64) -> f64 {
-    if matched < 4 {
+/// k matches make what is solved, two `parameters` each (three a pose, five a pose and K), each other is an accident of probability
+/// p = detections · π r² / area with r = 2.5 rms (at least 0.75 px); so the number is tried · P(Binomial(in_view − k, p) ≥ matched − k).
+pub fn chance(
+    tried: u64,
+    matched: usize,
+    in_view: usize,
+    rms_px: f64,
+    detections: usize,
+    area_px2: f64,
+    parameters: usize,
+) -> f64 {
+    let made_of = parameters.div_ceil(2);
+    if matched <= made_of {
         return f64::INFINITY;
     }
     let degrees = (2 * matched) as f64;
-    let radius = 2.5 * (rms_px * (degrees / (degrees - 6.0)).sqrt()).max(0.3);
-    let others = detections.saturating_sub(3).max(1) as f64;
+    let radius = 2.5 * (rms_px * (degrees / (degrees - parameters as f64)).sqrt()).max(0.3);
+    let others = detections.saturating_sub(made_of).max(1) as f64;
     let p = (others * std::f64::consts::PI * radius * radius / area_px2.max(1.0)).min(1.0);
-    let n = in_view.max(matched) - 3;
-    let tail: f64 = (matched - 3..=n).map(|k| choose(n, k) * p.powi(k as i32) * (1.0 - p).powi((n - k) as i32)).sum();
+    let n = in_view.max(matched) - made_of;
+    let tail: f64 = (matched - made_of..=n).map(|k| choose(n, k) * p.powi(k as i32) * (1.0 - p).powi((n - k) as i32)).sum();
     tried.max(1) as f64 * tail
 }
 
@@ -153,7 +162,10 @@ mod tests {
 
     #[test]
     fn accidents_get_rarer_with_every_bead() {
-        let e = |n| chance(100_000, n, 8, 0.5, 20, 300_000.0);
+        let e = |n| chance(100_000, n, 8, 0.5, 20, 300_000.0, 6);
         assert!(e(5) > e(6) && e(6) > e(7) && e(8) < 1e-6 && e(4) > 1.0);
+        // A free K makes up for two beads more.
+        let free = |n| chance(100_000, n, 8, 0.5, 20, 300_000.0, 9);
+        assert!(free(5).is_infinite() && free(6) > 10.0 * e(6) && free(8) > 10.0 * e(8));
     }
 }

@@ -125,7 +125,7 @@ impl Tags<'_> {
                 ..self.request.refuse(&refusal)
             };
         }
-        pose.cautions.push(format!(
+        pose.doubt(format!(
             "tags and beads agree on a pose {angle_deg:.1}° and {shift_mm:.1} mm away from the prior: check the prior"
         ));
         pose
@@ -149,7 +149,7 @@ impl Tags<'_> {
             .ok()
             .filter(|found| found.agrees.iter().enumerate().filter(|(n, agrees)| **agrees && wrong(*n)).count() >= WITNESSES);
         let Some(found) = together else {
-            pose.cautions.push(format!(
+            pose.doubt(format!(
                 "the corners of tags {contradicting:?} are up to {off_px:.1} px from where the beads put them: the beads are believed; check lps_from_tag and size_mm, and whether a tag has moved"
             ));
             return pose;

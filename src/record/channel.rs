@@ -64,8 +64,15 @@ impl Kind {
         kinds.extend(json.map(|topic| (topic, Self::json(topic))));
         kinds.push((t::FRAME_PIXELS, Self::foxglove::<fg::RawImage>()));
         kinds.push((t::DRR, Self::foxglove::<fg::RawImage>()));
+        kinds.push((t::SHOWN, Self::foxglove::<fg::RawImage>()));
         kinds.push((t::CALIBRATION, Self::foxglove::<fg::CameraCalibration>()));
         kinds.push((t::TRANSFORMS, Self::foxglove::<fg::FrameTransforms>()));
+        for topic in [t::CARM_TRANSFORMS, t::ROBOT_TRANSFORMS] {
+            kinds.push((topic, Self::foxglove::<fg::FrameTransforms>()));
+        }
+        for topic in [t::CARM_JOINT_STATES, t::ROBOT_JOINT_STATES] {
+            kinds.push((topic, Self::foxglove::<fg::JointStates>()));
+        }
         kinds.push((t::ANNOTATIONS, Self::foxglove::<fg::ImageAnnotations>()));
         kinds.push((t::EVENTS, Self::foxglove::<fg::Log>()));
         kinds

@@ -5,7 +5,8 @@ use foxglove::messages as fg;
 use glam::DVec2;
 
 use crate::acquire::{Frame, Samples};
-use crate::geometry::View;
+use crate::geometry::{Rigid, View};
+use crate::image::Image;
 
 /// How much an event matters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -108,18 +109,50 @@ pub(super) fn calibration(view: &View, host_us: i64) -> fg::CameraCalibration {
     }
 }
 
+/// A frame of the tree in its parent.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Placed {
+    /// `lps`, `world`, `base` …
+    pub parent: &'static str,
+    /// Its name.
+    pub child: String,
+    /// Where it is, mm.
+    pub parent_from_child: Rigid,
+}
+
+impl Placed {
+    /// `child` in `parent`.
+    #[must_use]
+    pub fn new(parent: &'static str, child: impl Into<String>, parent_from_child: Rigid) -> Self {
+        Self { parent, child: child.into(), parent_from_child }
+    }
+}
+
 /// Foxglove wants the pose of the child in its parent, in metres.
-pub(super) fn transforms(view: &View, host_us: i64) -> fg::FrameTransforms {
-    let lps_from_camera = view.camera_from_lps.inverse();
-    let (at, turn) = (lps_from_camera.translation_mm / 1000.0, lps_from_camera.rotation);
-    fg::FrameTransforms {
-        transforms: vec![fg::FrameTransform {
+pub(super) fn transforms(placed: &[Placed], host_us: i64) -> fg::FrameTransforms {
+    let transform = |placed: &Placed| {
+        let (at, turn) = (placed.parent_from_child.translation_mm / 1000.0, placed.parent_from_child.rotation);
+        fg::FrameTransform {
             timestamp: timestamp(host_us),
-            parent_frame_id: "lps".into(),
-            child_frame_id: "camera".into(),
+            parent_frame_id: placed.parent.into(),
+            child_frame_id: placed.child.clone(),
             translation: Some(fg::Vector3 { x: at.x, y: at.y, z: at.z }),
             rotation: Some(fg::Quaternion { x: turn.x, y: turn.y, z: turn.z, w: turn.w }),
-        }],
+        }
+    };
+    fg::FrameTransforms { transforms: placed.iter().map(transform).collect() }
+}
+
+/// A picture for the eye, row by row.
+pub(super) fn gray_image(image: &Image<u8>, frame_id: &str, host_us: i64) -> fg::RawImage {
+    fg::RawImage {
+        timestamp: timestamp(host_us),
+        frame_id: frame_id.into(),
+        width: image.width as u32,
+        height: image.height as u32,
+        encoding: "mono8".into(),
+        step: image.width as u32,
+        data: image.pixels.clone().into(),
     }
 }
 

@@ -9,7 +9,10 @@
 //! | `/frames/drr` | `foxglove.RawImage` | the matched DRR, `32FC1`; `frame_id` is `camera` |
 //! | `/pose`, `/plan`, `/scores`, `/provenance` | JSON | results as they were used |
 //! | `/camera/calibration` | `foxglove.CameraCalibration` | K, and P = K \[I\|0\] of the camera frame (`/pose` has P of `lps`) |
-//! | `/tf` | `foxglove.FrameTransforms` | `camera` in `lps`, in metres |
+//! | `/camera/image` | `foxglove.RawImage` | the acquired frame for the eye, `mono8`, at the time of its exposure, as the annotations are |
+//! | `/tf` | `foxglove.FrameTransforms` | `camera` in `lps`, and `lps` in `world` where it is known, in metres; at each exposure |
+//! | `/carm/tf`, `/robot/tf` | `foxglove.FrameTransforms` | `camera_by_telemetry` in `world`; `base` in `lps`, its pieces and `tip` in `base`; ten times a second |
+//! | `/carm/joint_states`, `/robot/joint_states` | `foxglove.JointStates` | rad and m, ten times a second |
 //! | `/camera/annotations` | `foxglove.ImageAnnotations` | beads detected (green) and projected (red) |
 //! | `/events` | `foxglove.Log` | what was told to the person |
 //!
@@ -58,7 +61,7 @@ pub use decode::{FrameAssembler, RawBytes};
 pub use error::RecordError;
 #[cfg(target_os = "linux")]
 pub use keeper::keep;
-pub use messages::{BeadMark, Level};
+pub use messages::{BeadMark, Level, Placed};
 pub use queue::RecorderHealth;
 pub use reader::{Attachment, LogContents, LogEntry, LogLoss, LogReader, read_log};
 pub use recorder::{Prepared, Recorder};
@@ -95,8 +98,18 @@ pub mod topic {
     pub const EVENTS: &str = "/events";
     /// Intrinsics.
     pub const CALIBRATION: &str = "/camera/calibration";
+    /// The acquired frame for the eye, at the time of its exposure.
+    pub const SHOWN: &str = "/camera/image";
     /// Frames.
     pub const TRANSFORMS: &str = "/tf";
+    /// Where telemetry puts the C-arm.
+    pub const CARM_TRANSFORMS: &str = "/carm/tf";
+    /// Where telemetry puts the robot.
+    pub const ROBOT_TRANSFORMS: &str = "/robot/tf";
+    /// The C-arm's joints by name.
+    pub const CARM_JOINT_STATES: &str = "/carm/joint_states";
+    /// The robot's control angles by name.
+    pub const ROBOT_JOINT_STATES: &str = "/robot/joint_states";
     /// Beads.
     pub const ANNOTATIONS: &str = "/camera/annotations";
 }

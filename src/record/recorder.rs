@@ -11,15 +11,19 @@ use foxglove::Encode;
 
 use super::channel::Kind;
 use super::chunk::{ClosedChunk, OpenChunk};
-use super::messages::{self, BeadMark, Level};
+use super::messages::{self, BeadMark, Level, Placed};
 use super::place::Watched;
 use super::queue::{Queue, RecorderHealth};
 use super::sink::{LogTarget, OwnFile, Sink};
 use super::writer::{Summary, write_until_finished};
 use super::{Provenance, RecordError, topic};
 use crate::acquire::{Frame, Samples};
-use crate::geometry::View;
+use crate::geometry::{Rigid, View};
 use crate::image::{Image, sha256_bytes};
+use crate::time::Stopwatch;
+
+/// How often whoever leaves looks whether the writer has ended.
+const LOOK: Duration = Duration::from_millis(5);
 
 /// Records a session. All methods take `&self`; several threads may record at once, and the log keeps the order of their calls.
 ///
@@ -233,10 +237,35 @@ impl Recorder {
     ///
     /// # Errors
     /// When recording has stopped.
-    pub fn pose_geometry(&self, view: &View, beads: &[BeadMark], host_us: i64) -> Result<(), RecordError> {
+    pub fn pose_geometry(
+        &self,
+        view: &View,
+        world_from_lps: Option<Rigid>,
+        beads: &[BeadMark],
+        host_us: i64,
+    ) -> Result<(), RecordError> {
+        let mut placed = vec![Placed::new("lps", "camera", view.camera_from_lps.inverse())];
+        placed.extend(world_from_lps.map(|world_from_lps| Placed::new("world", "lps", world_from_lps)));
         self.foxglove(topic::CALIBRATION, host_us, &messages::calibration(view, host_us))?;
-        self.foxglove(topic::TRANSFORMS, host_us, &messages::transforms(view, host_us))?;
+        self.transforms(topic::TRANSFORMS, &placed, host_us)?;
         self.foxglove(topic::ANNOTATIONS, host_us, &messages::annotations(beads, host_us))
+    }
+
+    /// Frames in their parents, on `topic`.
+    ///
+    /// # Errors
+    /// When recording has stopped.
+    pub fn transforms(&self, topic: &str, placed: &[Placed], host_us: i64) -> Result<(), RecordError> {
+        self.foxglove(topic, host_us, &messages::transforms(placed, host_us))
+    }
+
+    /// A picture for the eye, on `/camera/image`. Waits until there is room.
+    ///
+    /// # Errors
+    /// When recording has stopped.
+    pub fn shown(&self, image: &Image<u8>, host_us: i64) -> Result<(), RecordError> {
+        self.wait_for_room(image.pixels.len())?;
+        self.foxglove(topic::SHOWN, host_us, &messages::gray_image(image, "camera", host_us))
     }
 
     /// Joint positions (radians, metres; NaN is left out) as `foxglove.JointStates` on `topic`.
@@ -272,6 +301,38 @@ impl Recorder {
         let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take().ok_or_else(finished)?;
         // When the writer has already stopped, its own result says why.
         self.queue.finish();
+        self.ended(thread)
+    }
+
+    /// As [`Self::finish`], of a disk that may stand still: waits for so long. `None` when the file is not written to its end by then, and
+    /// a process of its own writes what is left of it: all is handed over, and this process may end.
+    ///
+    /// # Errors
+    /// As [`Self::finish`]; when the disk does not follow in time, and nobody else has what is left.
+    pub fn finish_within(&self, limit: Duration) -> Result<Option<Summary>, RecordError> {
+        let finished = || RecordError::Finished { path: self.path.clone() };
+        let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take().ok_or_else(finished)?;
+        self.queue.finish();
+        let watch = Stopwatch::start();
+        while !thread.is_finished() && watch.ms() < limit.as_secs_f64() * 1e3 {
+            std::thread::sleep(LOOK);
+        }
+        if thread.is_finished() {
+            return self.ended(thread).map(Some);
+        }
+        let health = self.health();
+        match health.kill_loses_ms > 0.0 {
+            false => Ok(None),
+            true => Err(RecordError::Behind {
+                path: self.path.clone(),
+                waiting_bytes: health.waiting_bytes,
+                behind_ms: health.behind_ms as u64,
+            }),
+        }
+    }
+
+    /// How the writer's thread ended.
+    fn ended(&self, thread: JoinHandle<Result<Summary, RecordError>>) -> Result<Summary, RecordError> {
         match thread.join() {
             Ok(result) => result,
             Err(_) => Err(RecordError::Stopped {

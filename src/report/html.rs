@@ -80,6 +80,9 @@ fn summary(page: &mut String, report: &SessionReport, title: &str) {
             card("caution", count.to_string(), &format!("accepted, {what} disagrees"));
         }
     }
+    if counts.in_doubt > 0 {
+        card("caution", counts.in_doubt.to_string(), "accepted, in doubt");
+    }
     card(lit("bad", counts.refused), counts.refused.to_string(), "refused");
     card(lit("caution", counts.no_pose), counts.no_pose.to_string(), "not registered");
     card("", number(rms, 3), "median rms, px");

@@ -32,10 +32,23 @@ pub enum PairStatus {
     AcceptedImageDisagrees,
     /// The beads agree on P, but telemetry puts the specimen, or the detector, elsewhere.
     AcceptedTelemetryDisagrees,
+    /// The beads agree on P, and something leaves open whether it is this one: another reading, another scale, a mirror image.
+    AcceptedInDoubt,
     /// Tried and refused, with a reason.
     Refused,
     /// Not tried: the frame could not be bound, or there are no beads to look for.
     NoPose,
+}
+
+impl PairStatus {
+    /// Whether P rests on beads, doubted or not.
+    #[must_use]
+    pub fn is_accepted(self) -> bool {
+        match self {
+            Self::Accepted | Self::AcceptedImageDisagrees | Self::AcceptedTelemetryDisagrees | Self::AcceptedInDoubt => true,
+            Self::Refused | Self::NoPose => false,
+        }
+    }
 }
 
 /// Status and fallback in one, as pictures and tables show it.
@@ -47,6 +60,8 @@ pub enum Standing {
     ImageDisagrees,
     /// Registered on beads; telemetry contradicts them.
     TelemetryDisagrees,
+    /// Registered on beads; another pose may be the right one.
+    InDoubt,
     /// Refused or not tried, shown with the pose from telemetry.
     Telemetry,
     /// Refused, nothing rendered.
@@ -63,6 +78,7 @@ impl Standing {
             Self::Accepted => "ACCEPTED",
             Self::ImageDisagrees => "ACCEPTED, IMAGE DISAGREES",
             Self::TelemetryDisagrees => "ACCEPTED, TELEMETRY DISAGREES",
+            Self::InDoubt => "ACCEPTED, IN DOUBT",
             Self::Telemetry => "POSE FROM TELEMETRY",
             Self::Refused => "REFUSED",
             Self::NoPose => "NO POSE",
@@ -76,6 +92,7 @@ impl Standing {
             Self::Accepted => "accepted",
             Self::ImageDisagrees => "image disagrees",
             Self::TelemetryDisagrees => "telemetry disagrees",
+            Self::InDoubt => "in doubt",
             Self::Telemetry => "telemetry",
             Self::Refused => "refused",
             Self::NoPose => "no pose",
@@ -87,7 +104,7 @@ impl Standing {
     pub fn colour(self) -> Rgb {
         match self {
             Self::Accepted => colour::GOOD,
-            Self::ImageDisagrees | Self::TelemetryDisagrees | Self::Telemetry | Self::NoPose => colour::CAUTION,
+            Self::ImageDisagrees | Self::TelemetryDisagrees | Self::InDoubt | Self::Telemetry | Self::NoPose => colour::CAUTION,
             Self::Refused => colour::BAD,
         }
     }
@@ -96,7 +113,7 @@ impl Standing {
     pub(super) fn class(self) -> &'static str {
         match self {
             Self::Accepted => "good",
-            Self::ImageDisagrees | Self::TelemetryDisagrees | Self::Telemetry | Self::NoPose => "caution",
+            Self::ImageDisagrees | Self::TelemetryDisagrees | Self::InDoubt | Self::Telemetry | Self::NoPose => "caution",
             Self::Refused => "bad",
         }
     }
@@ -294,8 +311,16 @@ impl Pair {
 
     /// Turns an accepted pair into one that telemetry contradicts, with the reason.
     pub fn doubt_by_telemetry(&mut self, reason: &str) {
-        if self.status == PairStatus::Accepted {
+        if matches!(self.status, PairStatus::Accepted | PairStatus::AcceptedInDoubt) {
             self.status = PairStatus::AcceptedTelemetryDisagrees;
+            self.reason = Some(reason.to_owned());
+        }
+    }
+
+    /// Turns an accepted pair into one whose pose may be another, with the reason.
+    pub fn doubt(&mut self, reason: &str) {
+        if self.status == PairStatus::Accepted {
+            self.status = PairStatus::AcceptedInDoubt;
             self.reason = Some(reason.to_owned());
         }
     }
@@ -340,7 +365,7 @@ impl Pair {
     /// Whether P rests on beads, agreed with by the image or not.
     #[must_use]
     pub fn is_from_beads(&self) -> bool {
-        matches!(self.status, PairStatus::Accepted | PairStatus::AcceptedImageDisagrees | PairStatus::AcceptedTelemetryDisagrees)
+        self.status.is_accepted()
     }
 
     /// Status and fallback in one.
@@ -350,6 +375,7 @@ impl Pair {
             (PairStatus::Accepted, _) => Standing::Accepted,
             (PairStatus::AcceptedImageDisagrees, _) => Standing::ImageDisagrees,
             (PairStatus::AcceptedTelemetryDisagrees, _) => Standing::TelemetryDisagrees,
+            (PairStatus::AcceptedInDoubt, _) => Standing::InDoubt,
             (_, PoseSource::Telemetry) => Standing::Telemetry,
             (PairStatus::Refused, _) => Standing::Refused,
             (PairStatus::NoPose, _) => Standing::NoPose,

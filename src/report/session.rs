@@ -97,6 +97,9 @@ pub struct Counts {
     /// P from beads, but telemetry puts specimen or detector elsewhere.
     #[serde(default)]
     pub telemetry_disagrees: usize,
+    /// P from beads, but another pose may be the right one.
+    #[serde(default)]
+    pub in_doubt: usize,
     /// Registration refused.
     pub refused: usize,
     /// Not tried.
@@ -115,6 +118,7 @@ impl SessionReport {
             accepted: with(PairStatus::Accepted),
             image_disagrees: with(PairStatus::AcceptedImageDisagrees),
             telemetry_disagrees: with(PairStatus::AcceptedTelemetryDisagrees),
+            in_doubt: with(PairStatus::AcceptedInDoubt),
             refused: with(PairStatus::Refused),
             no_pose: with(PairStatus::NoPose),
             from_telemetry: self.pairs.iter().filter(|pair| pair.pose_source == PoseSource::Telemetry).count(),
@@ -128,12 +132,14 @@ pub fn counted(pairs: &[Pair]) -> String {
     let count = |keep: &dyn Fn(&Pair) -> bool| pairs.iter().filter(|pair| keep(pair)).count();
     let accepted = count(&|pair| pair.status == PairStatus::Accepted);
     let mut words = format!("{} frames, {accepted} accepted", pairs.len());
-    for (status, what) in
-        [(PairStatus::AcceptedImageDisagrees, "the image"), (PairStatus::AcceptedTelemetryDisagrees, "telemetry")]
-    {
+    for (status, what) in [
+        (PairStatus::AcceptedImageDisagrees, "but the image disagrees"),
+        (PairStatus::AcceptedTelemetryDisagrees, "but telemetry disagrees"),
+        (PairStatus::AcceptedInDoubt, "in doubt"),
+    ] {
         let doubtful = count(&|pair| pair.status == status);
         if doubtful > 0 {
-            words += &format!(", {doubtful} accepted but {what} disagrees");
+            words += &format!(", {doubtful} accepted {what}");
         }
     }
     for (status, what) in [(PairStatus::Refused, "refused"), (PairStatus::NoPose, "without a pose")] {

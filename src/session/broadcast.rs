@@ -23,15 +23,14 @@ use glam::DQuat;
 
 use super::SessionError;
 use super::developed::Developed;
-use super::file::Setup;
 use super::posing::Posed;
 use super::servers::IgtlServer;
-use crate::geometry::{CarmCalibration, Rigid};
+use super::whereabouts::Whereabouts;
+use crate::geometry::Rigid;
 use crate::igtl::{Content, Message, Picture, Placement, Server, Status};
 use crate::image::Image;
 use crate::report::{PoseSource, Standing};
 use crate::reporter::Reporter;
-use crate::scene::Robot;
 use crate::telemetry::{AngleSource, CarmSample, RobotSample, Sample};
 
 /// The name under which the status is sent.
@@ -51,20 +50,13 @@ struct Newest {
 /// See the module; without a server it says nothing.
 pub(super) struct Broadcast {
     server: Option<Server>,
-    carm: Option<CarmCalibration>,
-    robot: Option<Robot>,
-    world_from_tracker: Option<Rigid>,
+    whereabouts: Whereabouts,
     newest: Mutex<Newest>,
 }
 
 impl Broadcast {
-    /// Listens where `server` says, if anywhere; `robot` is the scene's.
-    pub(super) fn open(
-        server: Option<&IgtlServer>,
-        setup: &Setup,
-        robot: Option<&Robot>,
-        reporter: &Reporter,
-    ) -> Result<Self, SessionError> {
+    /// Listens where `server` says, if anywhere.
+    pub(super) fn open(server: Option<&IgtlServer>, whereabouts: Whereabouts, reporter: &Reporter) -> Result<Self, SessionError> {
         let words = "no frame has come yet".to_owned();
         let waiting = Status { code: Status::NOT_READY, frame: 0, name: "no frame yet".to_owned(), words };
         let open = |server: &IgtlServer| Server::open(server.bind, server.port, DEVICE, waiting, reporter);
@@ -75,8 +67,7 @@ impl Broadcast {
             reporter.note(format!("OpenIGTLink listens on {address}{whom}"));
         }
         let newest = Newest { pose_us: i64::MIN, pictures_us: i64::MIN, status_us: i64::MIN, doubted: BTreeSet::new() };
-        let world_from_tracker = setup.session.world_from_tracker.and_then(|rows| Rigid::from_rows(&rows).ok());
-        Ok(Self { server, carm: setup.carm.clone(), robot: robot.cloned(), world_from_tracker, newest: Mutex::new(newest) })
+        Ok(Self { server, whereabouts, newest: Mutex::new(newest) })
     }
 
     /// Where somebody listens.
@@ -99,27 +90,22 @@ impl Broadcast {
     }
 
     fn carm_sample(&self, server: &Server, time_us: i64, sample: &CarmSample) {
-        // Joints without encoders have no pose; that is said with each frame.
-        let world_from_camera = self.carm.as_ref().and_then(|carm| carm.world_from_camera(&sample.joints).ok());
-        if let Some(world_from_camera) = world_from_camera {
+        if let Some(world_from_camera) = self.whereabouts.world_from_camera(sample) {
             server.send(transform("CameraToWorld", time_us, world_from_camera));
         }
     }
 
     fn robot_sample(&self, server: &Server, time_us: i64, sample: &RobotSample, world_from_lps: Option<Rigid>) {
-        let Some(robot) = &self.robot else { return };
-        let Some(lps_from_base) = lps_from_base(robot, sample, self.world_from_tracker, world_from_lps) else { return };
-        server.send(transform("BaseToLps", time_us, lps_from_base));
-        let (angles_deg, source) = sample.control_angles_deg();
-        let angles_deg = std::array::from_fn(|point| angles_deg[point] + robot.control_angle_offsets_deg[point]);
-        let Ok(shape) = robot.model.shape(&angles_deg) else { return };
-        let lps_from_tip = lps_from_base * shape.base_from_tip;
-        let (name, place) = match source {
+        let Some(place) = self.whereabouts.robot(sample, world_from_lps) else { return };
+        server.send(transform("BaseToLps", time_us, place.lps_from_base));
+        let Some(shape) = &place.shape else { return };
+        let lps_from_tip = place.lps_from_base * shape.base_from_tip;
+        let (name, tip) = match place.source {
             AngleSource::Sensed => ("TipToLps", "Tip"),
             AngleSource::Commanded => ("TipCommandedToLps", "TipCommanded"),
         };
         server.send(transform(name, time_us, lps_from_tip));
-        server.send(Message { device: place.to_owned(), time_us, content: Content::Position(lps_from_tip) });
+        server.send(Message { device: tip.to_owned(), time_us, content: Content::Position(lps_from_tip) });
     }
 
     /// A frame that was registered, and what the terminal says of it.
@@ -145,7 +131,7 @@ impl Broadcast {
         let Some(server) = &self.server else { return };
         let (posed, standing) = (&developed.posed, developed.pair.standing());
         let mut newest = self.newest();
-        let is_doubted = matches!(standing, Standing::ImageDisagrees | Standing::TelemetryDisagrees);
+        let is_doubted = matches!(standing, Standing::ImageDisagrees | Standing::TelemetryDisagrees | Standing::InDoubt);
         if is_doubted && newest.doubted.insert(posed.number) {
             let words = format!("{}: {}: {}", posed.label(), standing.word().to_lowercase(), developed.pair.status_line());
             let content = Content::Text(words.clone());
@@ -185,28 +171,12 @@ fn transform(device: &str, time_us: i64, transform: Rigid) -> Message {
     Message { device: device.to_owned(), time_us, content: Content::Transform(transform) }
 }
 
-/// The base by this sample alone: tracked, or the scene's where nothing is tracked. A base that the tracker does not see now, or that is
-/// not tied to the specimen, is nowhere.
-fn lps_from_base(
-    robot: &Robot,
-    sample: &RobotSample,
-    world_from_tracker: Option<Rigid>,
-    world_from_lps: Option<Rigid>,
-) -> Option<Rigid> {
-    match (sample.tracker_from_base, world_from_tracker) {
-        (None, None) => Some(robot.lps_from_base),
-        (Some(tracker_from_marker), Some(world_from_tracker)) => {
-            Some(world_from_lps?.inverse() * world_from_tracker * tracker_from_marker * robot.marker_from_base)
-        }
-        _ => None,
-    }
-}
-
 fn status_of(posed: &Posed, words: &str) -> Status {
-    let (code, name) = match (posed.pose.is_accepted(), posed.telemetry_disagreement) {
-        (true, None) => (Status::OK, Standing::Accepted.short()),
-        (true, Some(_)) => (Status::ERROR, Standing::TelemetryDisagrees.short()),
-        (false, _) => (Status::ERROR, Standing::Refused.short()),
+    let (code, name) = match (posed.pose.is_accepted(), posed.telemetry_disagreement, &posed.pose.doubt) {
+        (true, None, None) => (Status::OK, Standing::Accepted.short()),
+        (true, Some(_), _) => (Status::ERROR, Standing::TelemetryDisagrees.short()),
+        (true, None, Some(_)) => (Status::ERROR, Standing::InDoubt.short()),
+        (false, _, _) => (Status::ERROR, Standing::Refused.short()),
     };
     Status { code, frame: i64::from(posed.number), name: name.to_owned(), words: words.to_owned() }
 }

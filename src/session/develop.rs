@@ -6,17 +6,18 @@ use glam::DVec3;
 
 use super::crosscheck::{ExposureFacts, check_exposure, innovation};
 use super::declared::Declared;
-use super::developed::{Developed, UNCHECKED};
+use super::developed::{Developed, UNCHECKED, draw};
 use super::file::Setup;
 use super::posing::Posed;
 use crate::beads::{Bead, BeadLayout};
 use crate::calibrate::robot::{SeenTip, tip_in_frame};
-use crate::compare::{CompareInput, Compared, NullError, NullRenders, NullScatter, bead_marks, compare, tool_mask};
+use crate::compare::{CompareInput, NullError, NullRenders, NullScatter, bead_marks, compare, tool_mask};
 use crate::geometry::View;
-use crate::image::{Image, sha256_bytes};
+use crate::image::sha256_bytes;
 use crate::mask::{Cause, MaskShares};
+use crate::pose::Refusal;
 use crate::render::{Options, Plan, Quantity, Renderer, Scatter};
-use crate::report::{self, Pair, PairStatus, PoseSource, StripInput};
+use crate::report::{Pair, PairStatus, PoseSource};
 use crate::reporter::Reporter;
 use crate::scene::Scene;
 use crate::scene::model::ScatterModel;
@@ -315,18 +316,6 @@ fn without_scatter(scene: &Scene) -> Scene {
     scene
 }
 
-fn draw(posed: &Posed, pair: &Pair, compared: Option<&Compared>, without: Option<&str>) -> Image<[u8; 3]> {
-    report::strip(&StripInput {
-        acquired: &posed.frame,
-        pictures: compared.map(|compared| &compared.pictures),
-        without,
-        standing: pair.standing(),
-        status: &pair.status_line(),
-        scores: &pair.score_words(),
-        mm_per_px: compared.and_then(|compared| compared.comparison.mm_per_px),
-    })
-}
-
 /// The report's row of a posed frame, before anything is rendered.
 fn row(posed: &Posed) -> Pair {
     let mut pair = Pair::unmatched(&posed.frame.name, "");
@@ -337,11 +326,16 @@ fn row(posed: &Posed) -> Pair {
     pair.binding = how(&posed.binding).to_owned();
     pair.binding_evidence = posed.binding.evidence.clone();
     pair.pose_source = posed.pose_source;
-    pair.status = match (posed.pose.is_accepted(), posed.pose_source) {
-        (true, _) => PairStatus::Accepted,
-        (false, PoseSource::None) => PairStatus::NoPose,
-        (false, _) => PairStatus::Refused,
+    // Without beads to look for, nothing was tried.
+    let tried = posed.pose.refusal.as_ref().filter(|refusal| !matches!(refusal, Refusal::Layout { .. }));
+    pair.status = match (posed.pose.is_accepted(), posed.pose_source, tried) {
+        (true, _, _) => PairStatus::Accepted,
+        (false, PoseSource::None, None) => PairStatus::NoPose,
+        (false, _, _) => PairStatus::Refused,
     };
+    if let Some(doubt) = &posed.pose.doubt {
+        pair.doubt(doubt);
+    }
     pair.flags.extend(posed.frame.altered.iter().chain(&posed.warnings).chain(&posed.pose.cautions).cloned());
     if posed.pose.is_accepted() && !posed.pose.beads.iter().any(|bead| bead.used) {
         pair.flags.push("the pose is that of tags alone".to_owned());

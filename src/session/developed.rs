@@ -7,7 +7,7 @@ use super::posing::Posed;
 use crate::compare::Compared;
 use crate::image::Image;
 use crate::render::{Rendered, Scatter};
-use crate::report::{self, Pair};
+use crate::report::{self, Pair, StripInput};
 use crate::scene::Scene;
 
 /// Stands in a pair until its null is made.
@@ -34,11 +34,28 @@ pub struct Developed {
     pub complete: bool,
 }
 
+/// The strip of a pair as it stands; in place of a DRR the words why there is none.
+pub(super) fn draw(posed: &Posed, pair: &Pair, compared: Option<&Compared>, without: Option<&str>) -> Image<[u8; 3]> {
+    report::strip(&StripInput {
+        acquired: &posed.frame,
+        pictures: compared.map(|compared| &compared.pictures),
+        without,
+        standing: pair.standing(),
+        status: &pair.status_line(),
+        scores: &pair.score_words(),
+        mm_per_px: compared.and_then(|compared| compared.comparison.mm_per_px),
+    })
+}
+
 impl Developed {
     /// Complete as it is, and why there is no null.
     pub(super) fn without_null(mut self, because: &str) -> Self {
         self.pair.flags.retain(|flag| flag != UNCHECKED);
-        self.pair.flags.push(format!("no null, so the image has not been put against other poses: {because}"));
+        let words = format!("no null, so the image has not been put against other poses: {because}");
+        // An image that nobody has looked at may prefer another pose.
+        self.pair.doubt(&words);
+        self.pair.flags.push(words);
+        self.strip = Arc::new(draw(&self.posed, &self.pair, self.compared.as_deref(), None));
         self.complete = true;
         self
     }

@@ -51,6 +51,9 @@ fn default_baud() -> u32 {
 pub struct FrameSource {
     /// Watched folder.
     pub folder: PathBuf,
+    /// Folders below it are watched as well.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub sub_folders: bool,
     /// As the session's `domain`, which is the better place.
     #[serde(default)]
     pub domain: Option<Domain>,

@@ -21,6 +21,7 @@ use super::file::Setup;
 use super::folder::{Collector, Folder, Times};
 use super::input::{Input, Output};
 use super::log::SessionLog;
+use super::onlooker::Onlooker;
 use super::places;
 use super::posing::{PoseJob, Registered};
 use super::registrar::start_registrar;
@@ -28,6 +29,7 @@ use super::scribe::Scribe;
 use super::sources::{Frames, Lines, frame_source};
 use super::stop::Stop;
 use super::tracks::Tracks;
+use super::whereabouts::Whereabouts;
 use super::workshop::Workshop;
 use crate::gpu::DeviceChoice;
 use crate::record::Level;
@@ -61,7 +63,9 @@ const MOST_OPEN: usize = 8;
 /// Frames that are newer than all of those are posed meanwhile, until so many wait.
 const MOST_POSED: usize = 24;
 /// Whoever leaves at once waits this long for the log.
-const FLUSH: Duration = Duration::from_millis(500);
+const LEAVE: Duration = Duration::from_secs(1);
+/// A log that is so far behind is said.
+const BEHIND_MS: f64 = 1_000.0;
 
 /// Runs until stopped; returns the finished session's folder.
 ///
@@ -72,12 +76,13 @@ pub fn run(setup: Setup, options: &LiveOptions, board: &Board, reporter: &Report
     let setup = Arc::new(setup);
     // Before anything that takes time: a frame that arrives meanwhile is the session's.
     let source = frame_source(&setup, options.include_existing, reporter)?;
-    let mut workshop = Workshop::open(&setup, DeviceChoice::Auto, reporter)?;
+    let mut workshop = open_unless_stopped(&setup, &options.stop, reporter)?;
     places::remember(workshop.names());
     let started_us = host_now_us();
     let (events, inbox) = channel();
     SessionLog::refuse_occupied(&options.out)?;
-    let broadcast = Arc::new(Broadcast::open(setup.session.igtl.as_ref(), &setup, workshop.robot(), reporter)?);
+    let whereabouts = Whereabouts::new(&setup, workshop.robot());
+    let broadcast = Arc::new(Broadcast::open(setup.session.igtl.as_ref(), whereabouts.clone(), reporter)?);
     let collector = Collector::create(&options.out, started_us, Times::Told, &workshop)?;
     let log = Arc::new(SessionLog::create(&options.out, &setup, &workshop, events, reporter)?);
     let mut engine = Engine::new(Arc::clone(&setup), workshop.layout().cloned(), reporter.clone());
@@ -95,6 +100,7 @@ pub fn run(setup: Setup, options: &LiveOptions, board: &Board, reporter: &Report
         broadcast,
         scribe,
         tracks: Tracks::new(),
+        onlooker: Onlooker::new(whereabouts),
         board: board.clone(),
         reporter: reporter.clone(),
         stage: Stage::Open { lines, frames },
@@ -111,6 +117,22 @@ pub fn run(setup: Setup, options: &LiveOptions, board: &Board, reporter: &Report
         finishing: None,
     };
     session.run(&inbox, options, started_us)
+}
+
+/// Loads scene and renderer, which may take long: nothing is recorded yet, and whoever wants to leave may.
+fn open_unless_stopped(setup: &Arc<Setup>, stop: &Stop, reporter: &Reporter) -> Result<Workshop, SessionError> {
+    let (setup, told) = (Arc::clone(setup), reporter.clone());
+    let opening = std::thread::Builder::new()
+        .name("opening".to_owned())
+        .spawn(move || Workshop::open(&setup, DeviceChoice::Auto, &told))
+        .map_err(|source| SessionError::Thread { source })?;
+    while !opening.is_finished() {
+        if stop.is_asked() {
+            return Err(SessionError::NotBegun);
+        }
+        std::thread::sleep(LOOK);
+    }
+    opening.join().map_err(|_| SessionError::WorkshopDied)?
 }
 
 /// How far a session has come.
@@ -131,6 +153,7 @@ struct Session {
     broadcast: Arc<Broadcast>,
     scribe: Scribe,
     tracks: Tracks,
+    onlooker: Onlooker,
     board: Board,
     reporter: Reporter,
     stage: Stage,
@@ -202,7 +225,9 @@ impl Session {
         match output {
             Output::Sample { device, host_us, sample } => {
                 self.log.sample(device, host_us, &sample);
-                self.broadcast.sample(host_us, &sample, self.engine.world_from_lps());
+                let world_from_lps = self.engine.world_from_lps();
+                self.broadcast.sample(host_us, &sample, world_from_lps);
+                self.onlooker.sample(&self.log, host_us, &sample, world_from_lps);
                 if let Some(words) = self.tracks.sample(host_us, &sample) {
                     // One status must not hide another; what bits without a meaning say is counted together.
                     let kind = if words.contains("status bit") { "device status" } else { words.as_str() };
@@ -232,7 +257,7 @@ impl Session {
                 for caution in posed.pose.cautions.iter().filter(|_| posed.pose.is_accepted()) {
                     self.reporter.warn("doubtful pose", format!("{}: {caution}", posed.label()));
                 }
-                self.log.pose(&posed);
+                self.log.pose(&posed, self.engine.world_from_lps());
                 self.broadcast.posed(&posed, &words);
                 self.workshop.submit(*posed, None);
             }
@@ -302,6 +327,20 @@ impl Session {
         if let Some(failure) = recorder.failure {
             self.log.fail(&failure);
         }
+        if recorder.behind_ms > BEHIND_MS && !self.log.has_failed() {
+            let safe =
+                if recorder.kill_loses_ms > BEHIND_MS { "" } else { "; all of it is with the process that writes the log" };
+            let words =
+                format!("the log's file is {:.0} s behind: its disk is slow or stands still{safe}", recorder.behind_ms / 1e3);
+            self.reporter.warn("recording behind", words);
+        }
+        if self.scribe.has_ended() && !matches!(self.stage, Stage::Finishing) {
+            self.log.lose(format!("the thread that writes files died; {}", self.log.again()));
+            self.reporter.warn(
+                "files not written",
+                "the thread that writes files died; recording goes on, replay the log for pairs and report",
+            );
+        }
         if self.workshop.has_ended() && !matches!(self.stage, Stage::Finishing) {
             self.log.lose("the rendering thread died: frames after that have no DRR; a replay of the log makes them".to_owned());
             self.reporter
@@ -367,7 +406,7 @@ impl Session {
         if died {
             self.log.lose(format!("the rendering thread died: some frames have no DRR; {}", self.log.again()));
         }
-        Ok(self.report())
+        Ok(self.report(None))
     }
 
     /// Somebody wants to leave at once: what is recorded is kept, what is not developed is said.
@@ -378,16 +417,15 @@ impl Session {
             Stage::Closing { asked_us } if !self.end_is_logged => self.log.end(asked_us),
             Stage::Closing { .. } | Stage::Finishing => {}
         }
-        self.log.flush_now(FLUSH);
         self.workshop.abandon();
         self.scribe.leave();
         if open > 0 {
             self.log.lose(format!("left at once: {open} frames were not finished; {}", self.log.again()));
         }
-        self.report()
+        self.report(Some(LEAVE))
     }
 
-    fn report(mut self) -> Folder {
+    fn report(mut self, limit: Option<Duration>) -> Folder {
         self.finishing = None;
         self.engine.line_losses().into_iter().for_each(|lost| self.log.lose(lost));
         self.engine.hardly_bound().into_iter().for_each(|words| self.log.lose(words));
@@ -397,7 +435,7 @@ impl Session {
         }
         self.publish(host_now_us());
         self.board.update(|state| state.finished = true);
-        self.log.finish();
+        self.log.finish(limit);
         let path = self.log.path().to_owned();
         match self.scribe.join() {
             Some(collector) => {

@@ -17,9 +17,10 @@ use super::input::Input;
 use super::inputs::InputNames;
 use super::posing::Posed;
 use super::workshop::Workshop;
-use crate::record::{BeadMark, Level, Provenance, RecordError, Recorder, RecorderHealth, topic};
+use crate::geometry::Rigid;
+use crate::record::{BeadMark, Level, Placed, Provenance, RecordError, Recorder, RecorderHealth, topic};
 use crate::render::Rendered;
-use crate::report::PoseSource;
+use crate::report::{self, PoseSource};
 use crate::reporter::Reporter;
 use crate::telemetry::{DeviceKind, Sample};
 use crate::time::host_now_us;
@@ -197,10 +198,28 @@ impl SessionLog {
         self.check(self.recorder.json(topic_of(device, sample), host_us, sample));
     }
 
-    pub(super) fn pose(&self, posed: &Posed) {
+    /// What onlookers want of a device at once: joints by name (rad, m), frames of the tree.
+    pub(super) fn onlooker(&self, device: &str, host_us: i64, joints: &[(&str, f64)], placed: &[Placed]) {
+        self.check(self.recorder.joint_states(&format!("/{device}/joint_states"), host_us, joints));
+        if !placed.is_empty() {
+            self.check(self.recorder.transforms(&format!("/{device}/tf"), placed, host_us));
+        }
+    }
+
+    /// The acquired frame for the eye, at the time of its exposure.
+    pub(super) fn shown(&self, posed: &Posed) {
+        let pixels = &posed.frame.pixels;
+        let window = report::window(&[pixels], None);
+        self.check(self.recorder.shown(&pixels.map(|value| report::gray(*value, window)[0]), posed.time_us));
+    }
+
+    pub(super) fn pose(&self, posed: &Posed, world_from_lps: Option<Rigid>) {
         self.check(self.recorder.json(topic::POSE, posed.time_us, &PoseRecord::of(posed)));
         if let Some(view) = &posed.view {
             let projection = view.projection();
+            let seen: Vec<f64> =
+                posed.pose.shadows.iter().filter(|shadow| shadow.bead.is_some()).map(|shadow| shadow.radius_px).collect();
+            let usual_px = if seen.is_empty() { 4.0 } else { seen.iter().sum::<f64>() / seen.len() as f64 };
             let mark = |bead: &crate::pose::BeadResidual| {
                 let (projected_px, depth_mm) = projection.project(bead.lps_mm);
                 let detected_px = bead.image_px.map(glam::DVec2::from_array);
@@ -208,10 +227,12 @@ impl SessionLog {
                 let shown =
                     |p: glam::DVec2| posed.intensifier.as_ref().map_or(Some(p), |through| through.distortion.distorted(p).ok());
                 let (projected_px, detected_px) = (shown(projected_px)?, detected_px.and_then(shown));
-                (depth_mm > 0.0).then(|| BeadMark { name: bead.name.clone(), detected_px, projected_px, radius_px: 4.0 })
+                let own = |shadow: &&crate::pose::Shadow| shadow.bead.as_deref() == Some(bead.name.as_str());
+                let radius_px = posed.pose.shadows.iter().find(own).map_or(usual_px, |shadow| shadow.radius_px);
+                (depth_mm > 0.0).then(|| BeadMark { name: bead.name.clone(), detected_px, projected_px, radius_px })
             };
             let marks: Vec<BeadMark> = posed.pose.beads.iter().filter_map(mark).collect();
-            self.check(self.recorder.pose_geometry(view, &marks, posed.time_us));
+            self.check(self.recorder.pose_geometry(view, world_from_lps, &marks, posed.time_us));
         }
     }
 
@@ -238,15 +259,18 @@ impl SessionLog {
         self.check(self.recorder.json(END_TOPIC, host_us, &json!({ "host_us": host_us })));
     }
 
-    /// Everything so far is in the file, or it is said why not.
-    pub(super) fn flush_now(&self, limit: Duration) {
-        self.check(self.recorder.flush_now(limit));
-    }
-
-    /// Finishes the log.
-    pub(super) fn finish(&self) {
+    /// Finishes the log; within a `limit` where somebody leaves at once.
+    pub(super) fn finish(&self, limit: Option<Duration>) {
         self.engine.lock().unwrap_or_else(PoisonError::into_inner).take();
-        self.check(self.recorder.finish().map(|_| ()));
+        let Some(limit) = limit else { return self.check(self.recorder.finish().map(|_| ())) };
+        match self.recorder.finish_within(limit) {
+            Ok(Some(_)) => {}
+            Ok(None) => self.reporter.warn(
+                "disk stands still",
+                "the log's disk stands still: the process that writes the log has all of it, and goes on until it is written",
+            ),
+            Err(error) => self.check(Err(error)),
+        }
     }
 }
 

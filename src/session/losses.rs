@@ -51,6 +51,11 @@ pub(super) fn without_frame(exposures: &[ExposureInterval], shown: &BTreeSet<u64
 
 /// That `unbound` frames could not be tied to one of `exposures`, and no more (`bound`) could; `None` where most could.
 pub(super) fn few_bound(exposures: usize, unbound: usize, bound: usize) -> Option<String> {
+    if exposures > 0 && unbound == 0 && bound == 0 {
+        return Some(format!(
+            "telemetry tells of {exposures} exposures, and no frame came: check that the console writes into the session's frame folder"
+        ));
+    }
     if exposures == 0 || unbound == 0 || bound > unbound {
         return None;
     }
@@ -94,8 +99,9 @@ mod tests {
     #[test]
     fn a_session_that_ties_no_more_frames_than_it_leaves_has_lost_them() {
         assert!(few_bound(8, 4, 4).is_some_and(|words| words.contains("4 of 8 frames")));
+        assert!(few_bound(8, 0, 0).is_some_and(|words| words.contains("no frame came")));
         assert!(few_bound(8, 3, 0).is_some_and(|words| words.contains("not one of 3")));
-        for (exposures, unbound, bound) in [(8, 3, 5), (0, 3, 0), (8, 0, 0), (8, 0, 8)] {
+        for (exposures, unbound, bound) in [(8, 3, 5), (0, 3, 0), (0, 0, 0), (8, 0, 8)] {
             assert_eq!(few_bound(exposures, unbound, bound), None);
         }
     }

@@ -40,6 +40,7 @@ mod log_inputs;
 mod logged_frames;
 mod losses;
 mod pace;
+mod onlooker;
 mod park;
 mod pictures;
 mod places;
@@ -58,6 +59,7 @@ mod told_field;
 mod tracks;
 mod waiting;
 mod warm;
+mod whereabouts;
 mod workshop;
 
 pub use developed::Developed;
@@ -126,6 +128,9 @@ pub enum SessionError {
         /// What the system said.
         source: std::io::Error,
     },
+    /// Ended before anything was recorded.
+    #[error("ended before the session began: the scene was still being loaded, and nothing was recorded")]
+    NotBegun,
     /// A thread died.
     #[error("the rendering thread ended unexpectedly; the log up to now is complete")]
     WorkshopDied,

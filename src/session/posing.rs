@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 
-use super::crosscheck::beam_at;
 use super::file::Setup;
 use super::import::Imported;
 use super::intensifier::seen_through;
@@ -117,7 +116,9 @@ impl Bound {
             time_us: mid_us.unwrap_or(arrival_us),
             joints: joints.as_ref().map(|answer| answer.value),
             carm_gap_us: joints.as_ref().map(|answer| answer.gap_us),
-            beam: mid_us.and_then(|mid_us| beam_at(timeline, mid_us)).map(Box::new),
+            beam: mid_us
+                .and_then(|mid_us| timeline.beam_at(mid_us).map(Box::new))
+                .or_else(|| exposure.and_then(|exposure| exposure.beam.clone())),
             binding,
             robot,
         }

@@ -28,6 +28,7 @@ pub use super::replay_report::ReplayReport;
 use super::replay_report::{another_network, planned_error};
 use super::servers::IgtlServer;
 use super::tracks::Tracks;
+use super::whereabouts::Whereabouts;
 use super::workshop::Workshop;
 use crate::gpu::DeviceChoice;
 use crate::image::read_tiff_f32;
@@ -86,7 +87,7 @@ pub fn run(
         losses.push(words);
     }
     let collector = Collector::create(&options.out, recorded.started_us, Times::Apart, &workshop)?;
-    let broadcast = Broadcast::open(options.igtl.as_ref(), &setup, workshop.robot(), reporter)?;
+    let broadcast = Broadcast::open(options.igtl.as_ref(), Whereabouts::new(&setup, workshop.robot()), reporter)?;
     let (pairs, developed) = sync_channel(MOST_OPEN);
     workshop.start(false, move |pair| pairs.send(pair).is_ok())?;
     let replay = Replay {

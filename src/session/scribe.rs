@@ -111,6 +111,9 @@ impl Work {
         if let (Some((drr, _)), Some(sha256), true) = (&developed.drr, &developed.drr_sha256, is_new) {
             self.log.drr(&developed.posed, drr, sha256);
         }
+        if is_new {
+            self.log.shown(&developed.posed);
+        }
         if complete {
             self.log.scores(&developed.pair, time_us);
         }

@@ -11,7 +11,7 @@ use super::event::{Event, Source};
 use super::file::Setup;
 use super::input::Input;
 use super::log::SessionLog;
-use crate::acquire::{Arrival, FolderSource, Frame, FrameSource, Reading, ReceivedSource, Sighting};
+use crate::acquire::{Arrival, FolderSource, FolderTree, Frame, FrameSource, Reading, ReceivedSource, Sighting};
 use crate::foreign;
 use crate::record::Level;
 use crate::reporter::Reporter;
@@ -26,11 +26,47 @@ const DRAIN: Duration = Duration::from_millis(200);
 const FOLDER_POLL: Duration = Duration::from_millis(25);
 /// Looks at the folder after the session was told to end.
 const LAST_LOOKS: u32 = 8;
+/// What is being written by then is waited for so long: as long as for a file whose copy has stopped.
+const LAST_PATIENCE_US: i64 = 10_000_000;
+/// A wait that is longer is said.
+const SAY_WAIT_US: i64 = 700_000;
 /// So many files are read in the order in which they came.
 const FEW: usize = 4;
 /// Pixels of frames that wait to be developed may take this much memory, those on the disk apart; then reading waits, and files wait in their
 /// folder.
 const MOST_PIXEL_BYTES: usize = 2 << 30;
+
+/// Tells the session that a thread has ended, however it did; one that died is a loss at once, and nobody waits for it.
+struct Ending {
+    source: Source,
+    log: Arc<SessionLog>,
+    reporter: Reporter,
+}
+
+impl Ending {
+    fn new(source: Source, log: &Arc<SessionLog>, reporter: &Reporter) -> Self {
+        Self { source, log: Arc::clone(log), reporter: reporter.clone() }
+    }
+}
+
+impl Drop for Ending {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            let words = match self.source {
+                Source::Lines => {
+                    "the thread that reads the serial lines died: no telemetry is recorded any more; end the session and start it again"
+                }
+                Source::Frames => {
+                    "the thread that reads frames died: no frame is taken any more; end the session, start it again, and attach what came meanwhile"
+                }
+            };
+            self.log.event(Level::Error, host_now_us(), words);
+            self.log.lose(words.to_owned());
+            self.reporter.warn("reading died", words);
+        }
+        self.log.tell(Event::Ended(self.source));
+    }
+}
 
 /// The serial lines.
 pub(super) struct Lines {
@@ -57,10 +93,10 @@ impl Lines {
         std::thread::Builder::new()
             .name("lines".to_owned())
             .spawn(move || {
+                let _told = Ending::new(Source::Lines, &intake.log, &intake.reporter);
                 while let Some((device, event)) = arrivals.blocking_recv() {
                     intake.take(device, event);
                 }
-                intake.log.tell(Event::Ended(Source::Lines));
             })
             .map_err(|source| SessionError::Thread { source })?;
         Ok(Self { runtime, tasks })
@@ -144,8 +180,12 @@ pub(super) fn frame_source(
     reporter: &Reporter,
 ) -> Result<Box<dyn FrameSource>, SessionError> {
     let path = &setup.session.frames.folder;
-    let folder = FolderSource::new(path, setup.domain(), include_existing, foreign::installed());
-    let Some(dicom) = &setup.session.frames.dicom else { return Ok(Box::new(folder)) };
+    let (domain, reader) = (setup.domain(), foreign::installed());
+    let folder: Box<dyn FrameSource> = match setup.session.frames.sub_folders {
+        true => Box::new(FolderTree::new(path, domain, include_existing, reader)),
+        false => Box::new(FolderSource::new(path, domain, include_existing, reader)),
+    };
+    let Some(dicom) = &setup.session.frames.dicom else { return Ok(folder) };
     let received = ReceivedSource::open(folder, path, dicom.options())?;
     let whom = if dicom.bind.is_loopback() { "" } else { "; whoever reaches this address may send" };
     reporter.note(format!("DICOM storage {:?} listens on {}{whom}", dicom.ae_title, received.address()));
@@ -180,8 +220,8 @@ impl Frames {
         std::thread::Builder::new()
             .name("frames".to_owned())
             .spawn(move || {
+                let _told = Ending::new(Source::Frames, &intake.log, &intake.reporter);
                 intake.run(&told);
-                intake.log.tell(Event::Ended(Source::Frames));
             })
             .map_err(|source| SessionError::Thread { source })?;
         Ok(Self { closing })
@@ -217,10 +257,13 @@ impl FrameIntake {
     fn run(&mut self, closing: &AtomicBool) {
         // What was being written when the session was told to end gets its chance to lie still.
         let mut last_looks = LAST_LOOKS;
+        let mut closing_since_us = None;
+        let mut wait_said = false;
         loop {
             let is_closing = closing.load(Ordering::Relaxed);
             if is_closing {
                 self.source.close();
+                closing_since_us = closing_since_us.or_else(|| Some(host_now_us()));
             }
             self.look();
             let has_room = is_closing || self.held_bytes() <= MOST_PIXEL_BYTES;
@@ -229,9 +272,20 @@ impl FrameIntake {
                 continue;
             }
             if is_closing && self.backlog.is_empty() {
-                last_looks -= 1;
-                if last_looks == 0 {
+                last_looks = last_looks.saturating_sub(1);
+                let waited_us = closing_since_us.map_or(0, |since_us| host_now_us() - since_us);
+                if last_looks == 0 && !self.source.is_expecting() {
                     return;
+                }
+                if waited_us > LAST_PATIENCE_US {
+                    let given_up = self.source.give_up();
+                    return given_up.into_iter().for_each(|sighting| drop(self.sighted(sighting)));
+                }
+                if waited_us > SAY_WAIT_US && !std::mem::replace(&mut wait_said, true) {
+                    let most_s = LAST_PATIENCE_US / 1_000_000;
+                    self.reporter.note(format!(
+                        "a frame is still being written: it is waited for, at most {most_s} s; Ctrl-C again leaves at once, without it"
+                    ));
                 }
             }
             std::thread::sleep(FOLDER_POLL);
@@ -240,27 +294,31 @@ impl FrameIntake {
 
     fn look(&mut self) {
         let host_us = host_now_us();
-        let mut ready = Vec::new();
-        for sighting in self.source.look(host_us) {
-            match sighting {
-                Sighting::Ready(arrival) => ready.push(arrival),
-                Sighting::Trouble(trouble) => {
-                    self.log.lose(trouble.to_string());
-                    self.say(trouble.kind(), &trouble.to_string());
-                }
-                Sighting::FolderLost { detail } => {
-                    let words = format!("the frame folder cannot be listed ({detail}); check that it is there and mounted");
-                    self.say("frame folder", &words);
-                }
-                Sighting::Said { kind, words } => self.say(kind, &words),
-                Sighting::FolderBack => self.say("frame folder", "the frame folder is back"),
-            }
-        }
+        let sightings = self.source.look(host_us);
+        let mut ready: Vec<Arrival> = sightings.into_iter().filter_map(|sighting| self.sighted(sighting)).collect();
         ready.sort_by_key(Arrival::modified_us);
         for arrival in ready {
             self.numbered += 1;
             self.backlog.push(Seen { number: self.numbered, host_us: arrival.seen_us().min(host_us), arrival });
         }
+    }
+
+    /// What can be read; all else is said, and what is lost is noted.
+    fn sighted(&self, sighting: Sighting) -> Option<Arrival> {
+        match sighting {
+            Sighting::Ready(arrival) => return Some(arrival),
+            Sighting::Trouble(trouble) => {
+                self.log.lose(trouble.to_string());
+                self.say(trouble.kind(), &trouble.to_string());
+            }
+            Sighting::FolderLost { detail } => {
+                let words = format!("the frame folder cannot be listed ({detail}); check that it is there and mounted");
+                self.say("frame folder", &words);
+            }
+            Sighting::Said { kind, words } => self.say(kind, &words),
+            Sighting::FolderBack => self.say("frame folder", "the frame folder is back"),
+        }
+        None
     }
 
     /// The oldest file while there are few, else the newest: that is the one somebody waits for.

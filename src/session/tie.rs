@@ -42,6 +42,15 @@ pub struct TieVerdict {
     pub words: Option<String>,
 }
 
+/// A frame and where it puts the specimen.
+#[derive(Clone, Debug)]
+struct Witness {
+    number: u32,
+    /// Hash of its file: the images of one run are one witness.
+    content: String,
+    world_from_lps: Rigid,
+}
+
 /// See the module.
 #[derive(Clone, Debug)]
 pub struct SpecimenTie {
@@ -50,8 +59,8 @@ pub struct SpecimenTie {
     centre_lps_mm: DVec3,
     /// Frames that the tie rests on.
     tied_by: Vec<u32>,
-    /// Latest frames that do not support the tie: number and where they put the specimen.
-    dissenting: Vec<(u32, Rigid)>,
+    /// Latest frames that do not support the tie.
+    dissenting: Vec<Witness>,
 }
 
 impl SpecimenTie {
@@ -69,18 +78,20 @@ impl SpecimenTie {
 
     /// Frames without which the tie, or the next one, would be another.
     pub fn rests_on(&self) -> impl Iterator<Item = u32> + '_ {
-        self.tied_by.iter().copied().chain(self.dissenting.iter().map(|(number, _)| *number))
+        self.tied_by.iter().copied().chain(self.dissenting.iter().map(|witness| witness.number))
     }
 
-    /// Takes where an accepted frame puts the specimen.
-    pub fn observe(&mut self, number: u32, world_from_lps: Rigid) -> TieVerdict {
+    /// Takes where an accepted frame of the file `content` puts the specimen.
+    pub fn observe(&mut self, number: u32, content: &str, world_from_lps: Rigid) -> TieVerdict {
         let apart = self.tied.map(|tied| Disagreement::between(&tied, &world_from_lps, self.centre_lps_mm));
         if apart.is_some_and(Disagreement::agrees) {
             self.dissenting.clear();
             return TieVerdict::default();
         }
-        let agrees = |(_, other): &&(u32, Rigid)| Disagreement::between(other, &world_from_lps, self.centre_lps_mm).agrees();
-        let supporters: Vec<u32> = self.dissenting.iter().rev().take_while(agrees).map(|(number, _)| *number).collect();
+        let agrees =
+            |other: &&Witness| Disagreement::between(&other.world_from_lps, &world_from_lps, self.centre_lps_mm).agrees();
+        let others = self.dissenting.iter().rev().filter(|other| other.content != content);
+        let supporters: Vec<u32> = others.take_while(agrees).map(|other| other.number).collect();
         let words = match (apart, supporters.len() + 1 >= REPLACED_BY, self.declared) {
             (Some(apart), _, true) => Some(format!(
                 "its beads put the specimen {:.1} mm and {:.1} degrees from where the session's world_from_lps and telemetry do: check \
@@ -98,7 +109,7 @@ impl SpecimenTie {
                 apart.mm, apart.deg
             )),
             (None, true, _) => None,
-            (None, false, _) if self.dissenting.is_empty() => None,
+            (None, false, _) if self.dissenting.iter().all(|other| other.content == content) => None,
             (None, false, _) => Some(
                 "it does not agree with the frame before on where the specimen lies in the room: there is no pose from telemetry until \
                  two frames agree"
@@ -110,7 +121,7 @@ impl SpecimenTie {
             self.tied_by = supporters.into_iter().chain([number]).collect();
             self.dissenting.clear();
         } else {
-            self.dissenting.push((number, world_from_lps));
+            self.dissenting.push(Witness { number, content: content.to_owned(), world_from_lps });
             if self.dissenting.len() > REPLACED_BY {
                 self.dissenting.remove(0);
             }
@@ -120,7 +131,7 @@ impl SpecimenTie {
 
     /// A frame turned out to be wrong: what rests on it is given up. Returns what changed, for a person.
     pub fn retract(&mut self, number: u32, because: &str) -> Option<String> {
-        self.dissenting.retain(|(other, _)| *other != number);
+        self.dissenting.retain(|other| other.number != number);
         if self.declared || !self.tied_by.contains(&number) {
             return None;
         }
@@ -134,6 +145,20 @@ impl SpecimenTie {
 mod tests {
     use super::*;
 
+    /// Each number is a file of its own.
+    fn observe(tie: &mut SpecimenTie, number: u32, world_from_lps: Rigid) -> TieVerdict {
+        tie.observe(number, &number.to_string(), world_from_lps)
+    }
+
+    #[test]
+    fn the_images_of_one_run_are_one_witness() {
+        let mut tie = SpecimenTie::new(None, DVec3::ZERO);
+        (1..9).for_each(|number| drop(tie.observe(number, "run", at(0.0))));
+        assert_eq!(tie.world_from_lps(), None);
+        tie.observe(9, "another", at(1.0));
+        assert_eq!(tie.world_from_lps(), Some(at(1.0)));
+    }
+
     fn at(x: f64) -> Rigid {
         Rigid::translation(DVec3::new(x, 0.0, 0.0))
     }
@@ -141,26 +166,26 @@ mod tests {
     #[test]
     fn one_frame_does_not_tie_the_specimen_and_two_that_agree_do() {
         let mut tie = SpecimenTie::new(None, DVec3::ZERO);
-        assert_eq!(tie.observe(1, at(0.0)), TieVerdict::default());
+        assert_eq!(observe(&mut tie, 1, at(0.0)), TieVerdict::default());
         assert_eq!(tie.world_from_lps(), None);
-        assert!(tie.observe(2, at(500.0)).words.is_some(), "a contradiction is said");
+        assert!(observe(&mut tie, 2, at(500.0)).words.is_some(), "a contradiction is said");
         assert_eq!(tie.world_from_lps(), None);
-        tie.observe(3, at(501.0));
+        observe(&mut tie, 3, at(501.0));
         assert_eq!(tie.world_from_lps(), Some(at(501.0)));
     }
 
     #[test]
     fn a_tie_survives_one_outlier_and_is_replaced_by_two_frames_that_agree() {
         let mut tie = SpecimenTie::new(None, DVec3::ZERO);
-        tie.observe(1, at(0.0));
-        tie.observe(2, at(1.0));
-        let outlier = tie.observe(3, at(170.0));
+        observe(&mut tie, 1, at(0.0));
+        observe(&mut tie, 2, at(1.0));
+        let outlier = observe(&mut tie, 3, at(170.0));
         assert_eq!(outlier.disagreement.map(|apart| apart.mm), Some(169.0));
         assert_eq!(tie.world_from_lps(), Some(at(1.0)));
-        tie.observe(4, at(0.0));
-        assert!(tie.observe(5, at(171.0)).disagreement.is_some());
+        observe(&mut tie, 4, at(0.0));
+        assert!(observe(&mut tie, 5, at(171.0)).disagreement.is_some());
         assert_eq!(tie.world_from_lps(), Some(at(1.0)), "the outlier before an agreeing frame does not count");
-        assert!(tie.observe(6, at(172.0)).words.is_some());
+        assert!(observe(&mut tie, 6, at(172.0)).words.is_some());
         assert_eq!(tie.world_from_lps(), Some(at(172.0)));
         assert_eq!(tie.retract(1, "why"), None, "an old frame no longer matters");
         assert!(tie.retract(5, "why").is_some());
@@ -171,9 +196,9 @@ mod tests {
     fn the_sessions_word_is_not_overruled_but_its_contradiction_is_said() {
         let mut tie = SpecimenTie::new(Some(at(0.0)), DVec3::ZERO);
         for number in 1..5 {
-            assert!(tie.observe(number, at(100.0)).words.is_some());
+            assert!(observe(&mut tie, number, at(100.0)).words.is_some());
         }
         assert_eq!(tie.world_from_lps(), Some(at(0.0)));
-        assert!(tie.observe(9, at(f64::NAN)).disagreement.is_some(), "NaN does not agree");
+        assert!(observe(&mut tie, 9, at(f64::NAN)).disagreement.is_some(), "NaN does not agree");
     }
 }

@@ -41,7 +41,7 @@ impl FrameEvidence {
             console_us: tags.acquired_local_us(),
             console_resolution_us: resolution_us(tags.acquired_time.as_deref().unwrap_or_default()),
             arrival_us,
-            frame_time_us: None,
+            frame_time_us: tags.frame_time_ms.map(|ms| (ms * 1e3).round() as i64),
             completes: None,
         }
     }

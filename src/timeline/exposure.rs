@@ -53,6 +53,9 @@ pub struct ExposureInterval {
     pub tube_ma: f64,
     /// Joints at the middle; `None` while open, or when no sample is near.
     pub joints: Option<Answer<CarmJoints>>,
+    /// The sample nearest the middle: voltage, filter and field of a frame that comes when the samples are gone.
+    #[serde(skip)]
+    pub beam: Option<Box<CarmSample>>,
     /// How far each joint moved while the beam was on, beyond its encoder's noise (order of [`CarmJoints::to_array`], mm and rad).
     pub joint_range: [f64; 7],
     /// Robot's control angles in degrees at the middle, once the robot's samples have reached it.
@@ -243,6 +246,7 @@ impl ExposureTracker {
             tube_kvp: f64::NAN,
             tube_ma: f64::NAN,
             joints: None,
+            beam: None,
             joint_range: [0.0; 7],
             control_angles_deg: None,
             tracker_from_base: None,
@@ -305,6 +309,7 @@ impl ExposureTracker {
                 tube_kvp: f64::NAN,
                 tube_ma: f64::NAN,
                 joints: None,
+                beam: None,
                 joint_range: [f64::NAN; 7],
                 control_angles_deg: None,
                 tracker_from_base: None,

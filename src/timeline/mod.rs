@@ -111,6 +111,8 @@ impl Default for Timeline {
 
 /// Closed exposures younger than this many are asked again for what other devices measured.
 const FILLED_BACK: usize = 32;
+/// Samples further apart than this around an exposure tell nothing of its beam.
+const BEAM_GAP_US: i64 = 500_000;
 /// An exposure takes joints and angles only from samples nearer than this to its middle.
 const EXPOSURE_REACH_US: i64 = 500_000;
 
@@ -231,6 +233,14 @@ impl Timeline {
         travel.map(|(_, travel)| travel.range().map(f64::to_degrees))
     }
 
+    /// The C-arm's sample nearest a host time; `None` in silences.
+    #[must_use]
+    pub fn beam_at(&self, host_us: i64) -> Option<CarmSample> {
+        let bracket = self.carm.bracket(host_us)?;
+        let nearest = bracket.right.filter(|_| bracket.fraction > 0.5).unwrap_or(bracket.left);
+        (bracket.answer(()).gap_us <= BEAM_GAP_US).then(|| nearest.value.clone())
+    }
+
     /// Tracked robot base at a host time, along the geodesic; `None` unless both samples around it have it.
     #[must_use]
     pub fn tracker_from_base_at(&self, host_us: i64) -> Option<Answer<Rigid>> {
@@ -309,6 +319,9 @@ impl Timeline {
         let robot_newest_us = self.robot.newest_mapped_us();
         for interval in exposures.closed_mut().iter_mut().rev().take(FILLED_BACK) {
             let mid_us = interval.mid_us();
+            if interval.beam.is_none() {
+                interval.beam = self.beam_at(mid_us).map(Box::new);
+            }
             if interval.joints.is_none() {
                 interval.joints = self.joints_at(mid_us).filter(|answer| answer.age_us <= EXPOSURE_REACH_US);
             }

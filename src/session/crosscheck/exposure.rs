@@ -9,7 +9,6 @@ use crate::geometry::{CarmCalibration, Rigid};
 use crate::report::Innovation;
 use crate::scene::Scene;
 use crate::telemetry::CarmSample;
-use crate::timeline::Timeline;
 
 /// Generators and consoles round to whole kilovolts.
 const KVP_TOLERANCE: f64 = 3.0;
@@ -33,17 +32,6 @@ const POSE_TOLERANCE: (f64, f64, f64) = (3.0, 18.0, 25.0);
 
 /// An innovation beyond this is a jump.
 const JUMP_SIGMAS: f64 = 5.0;
-
-/// Samples further apart than this around an exposure tell nothing of its beam.
-const MOST_GAP_US: i64 = 500_000;
-
-/// The C-arm's sample nearest a host time; `None` in silences.
-#[must_use]
-pub fn beam_at(timeline: &Timeline, host_us: i64) -> Option<CarmSample> {
-    let bracket = timeline.carm().bracket(host_us)?;
-    let nearest = bracket.right.filter(|_| bracket.fraction > 0.5).unwrap_or(bracket.left);
-    (bracket.answer(()).gap_us <= MOST_GAP_US).then(|| nearest.value.clone())
-}
 
 /// What is known of one exposure; what is absent is not checked.
 #[derive(Clone, Copy, Debug)]

@@ -22,7 +22,7 @@ use glam::DVec3;
 pub use alignment::{Alignment, Mistake, Strictness, align, mistakes};
 pub use disk::check_disk;
 pub(super) use disk::free_bytes;
-pub use exposure::{ExposureFacts, PoseDifference, beam_at, check_exposure, innovation, pose_difference};
+pub use exposure::{ExposureFacts, PoseDifference, check_exposure, innovation, pose_difference};
 pub use finding::{Finding, Level, refusal, tell};
 pub use line::{LineWatch, check_line};
 pub use listened::{Listened, check_listened};

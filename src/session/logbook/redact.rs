@@ -168,7 +168,7 @@ impl Redacting {
                     return Ok(());
                 }
             }
-            topic::DRR | DRR_HASH_TOPIC if no_pixels => return Ok(()),
+            topic::DRR | topic::SHOWN | DRR_HASH_TOPIC if no_pixels => return Ok(()),
             topic::ANNOTATIONS => match self.tolerance.take(entry.reworded(&|text| self.names.word(text))) {
                 Some(reworded) => entry = reworded,
                 None => return Ok(()),
@@ -176,8 +176,13 @@ impl Redacting {
             topic::CARM_JOINTS
             | topic::ROBOT_JOINTS
             | topic::DRR
+            | topic::SHOWN
             | topic::CALIBRATION
             | topic::TRANSFORMS
+            | topic::CARM_TRANSFORMS
+            | topic::ROBOT_TRANSFORMS
+            | topic::CARM_JOINT_STATES
+            | topic::ROBOT_JOINT_STATES
             | DRR_HASH_TOPIC
             | CLOCK_TOPIC
             | ORDER_TOPIC

@@ -1,0 +1,24 @@
+//! What a person should look at before an accepted pose is used, and which of it means that the pose may be another one altogether.
+
+/// Gathered while a match is judged.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Cautions {
+    /// All of them, a sentence each.
+    pub(super) words: Vec<String>,
+    /// The first that leaves open whether the pose is this one: another reading, another scale, a mirror image.
+    pub(super) doubt: Option<String>,
+}
+
+impl Cautions {
+    /// Something that makes a good pose less certain, or that a person should know.
+    pub(super) fn say(&mut self, words: impl Into<String>) {
+        self.words.push(words.into());
+    }
+
+    /// Something that leaves open whether the pose is this one.
+    pub(super) fn doubt(&mut self, words: impl Into<String>) {
+        let words = words.into();
+        self.doubt.get_or_insert_with(|| words.clone());
+        self.words.push(words);
+    }
+}

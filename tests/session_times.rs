@@ -1,0 +1,57 @@
+//! How long a pair takes in a session, from the frame that is read to the strip that is written, and its null.
+#![cfg(unix)]
+
+use std::collections::BTreeMap;
+
+use serde_json::Value;
+
+use crate::live_lab::{HANG_S, Lab, Live};
+
+/// Smallest, median and largest; `None` of nothing.
+fn spread(mut values: Vec<f64>) -> Option<[f64; 3]> {
+    values.sort_by(f64::total_cmp);
+    Some([*values.first()?, values[values.len() / 2], *values.last()?])
+}
+
+fn times_of(panel_px: Option<&str>) {
+    let mut args = vec!["--duration-s", "80", "--exposures", "12", "--faults", "none", "--linger-s", "10"];
+    args.extend(panel_px.iter().flat_map(|panel| ["--panel-px", panel]));
+    let Some(lab) = Lab::start(&args) else { return };
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let mut live = Live::launch(&lab.kit.join("session.json"), &folder.path().join("session"), &["--seconds", "84"]);
+    let code = live.program.end(HANG_S).expect("it ends").code();
+    let text = std::fs::read(live.out.join("timings.json")).expect("timings");
+    let timings: Value = serde_json::from_slice(&text).expect("JSON");
+    let frames = timings["frames"].as_array().expect("a list");
+    let stages = |row: &Value| serde_json::from_value(row["stages_ms"].clone()).expect("milliseconds by stage");
+    let timings: BTreeMap<u64, BTreeMap<String, f64>> =
+        frames.iter().map(|row| (row["number"].as_u64().expect("a number"), stages(row))).collect();
+    let text = std::fs::read(live.out.join("pairs.json")).expect("pairs");
+    let pairs: Value = serde_json::from_slice(&text).expect("JSON");
+    let accepted = |number: &u64| {
+        pairs["pairs"].as_array().into_iter().flatten().any(|pair| pair["number"] == *number && pair["status"] == "accepted")
+    };
+    let rows: Vec<_> = timings.iter().filter(|(number, _)| accepted(number)).map(|(_, stages)| stages).collect();
+    assert!(rows.len() >= 4, "{} of {} frames: {code:?} {}", rows.len(), timings.len(), live.stderr());
+    let whole = |stages: &BTreeMap<String, f64>| stages.iter().filter(|(name, _)| *name != "null").map(|(_, ms)| ms).sum::<f64>();
+    let title = panel_px.unwrap_or("620x480 (the live size)");
+    println!("{title}: {} accepted pairs, milliseconds least, median, most", rows.len());
+    println!("  first pair {:.0}", whole(rows[0]));
+    println!("  pair       {:.0?}", spread(rows.iter().map(|stages| whole(stages)).collect()).expect("rows"));
+    let mut names: Vec<&String> = rows.iter().flat_map(|stages| stages.keys()).collect();
+    names.sort();
+    names.dedup();
+    for name in names {
+        println!(
+            "  {name:10} {:.0?}",
+            spread(rows.iter().filter_map(|stages| stages.get(name)).copied().collect()).expect("rows")
+        );
+    }
+}
+
+#[test]
+#[ignore = "minutes long: scripts/evaluate pairs runs it"]
+fn pairs_and_their_nulls() {
+    times_of(None);
+    times_of(Some("1536"));
+}

@@ -94,6 +94,7 @@ mod render_scenes;
 mod render_closed_forms;
 mod render_command;
 mod render_cut_faces;
+mod render_dicom;
 mod render_displacement;
 mod render_executors;
 mod render_extreme_places;

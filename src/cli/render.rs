@@ -12,7 +12,8 @@ use crate::gpu::DeviceChoice;
 use crate::image::{ImageFileError, check_writable, refuse_overwrite, refuse_twice, sha256_file};
 use crate::pose::{Pose, PoseFileError};
 use crate::render::{
-    Goal, Options, Origin, Quantity, RenderError, Rendered, Renderer, guessed_share, write_image, write_picture, written_with,
+    Goal, Options, Origin, Quantity, RenderError, Rendered, Renderer, guessed_share, write_dicom, write_image, write_picture,
+    written_with,
 };
 use crate::reporter::Reporter;
 use crate::scene::model::{InputFile, ScatterModel, Scene};
@@ -27,6 +28,7 @@ use crate::time::StageTimes;
   sidecarm render scene.json --out drr.tif --max-error 1e-3 --explain
   sidecarm render scene.json --out drr.tif --budget-ms 20
   sidecarm render scene.json --out drr.tif --pose POSE.json --explain
+  sidecarm render scene.json --out drr.tif --dicom drr.dcm
 
 Where the scene's model.scatter is monte_carlo, photons are followed before the image is made: seconds to minutes, which no budget counts.
 Where it is network, one that `sidecarm train scatter` has made is asked: a fraction of a second.
@@ -74,6 +76,9 @@ pub struct RenderArgs {
     /// An 8-bit picture for eyes as well
     #[arg(long, value_name = "FILE.png", value_parser = PathBufValueParser::new().try_map(no_stream))]
     pub png: Option<PathBuf>,
+    /// The same as a DICOM object (digital X-ray, 16 bits) with its geometry
+    #[arg(long, value_name = "FILE.dcm", value_parser = PathBufValueParser::new().try_map(no_stream))]
+    pub dicom: Option<PathBuf>,
     /// Print a summary as JSON
     #[arg(long)]
     pub json: bool,
@@ -90,7 +95,7 @@ fn image_name(path: PathBuf) -> Result<PathBuf, String> {
     let ending = path.extension().map(|ending| ending.to_string_lossy().to_lowercase()).unwrap_or_default();
     if OTHER_IMAGES.contains(&ending.as_str()) {
         return Err(format!(
-            "a 32-bit float TIFF is written here, name it .tif; --png {} writes a picture for eyes",
+            "a 32-bit float TIFF is written here, name it .tif; --png {} writes a picture for eyes, --dicom a DICOM object",
             path.with_extension("png").display()
         ));
     }
@@ -215,7 +220,7 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
     if let Some(path) = &args.pose {
         scene = posed(&scene, path)?;
     }
-    let outputs: Vec<PathBuf> = written_with(&args.out).into_iter().chain(args.png.clone()).collect();
+    let outputs: Vec<PathBuf> = written_with(&args.out).into_iter().chain(args.png.clone()).chain(args.dicom.clone()).collect();
     let inputs: Vec<PathBuf> = scene::input_files(&args.scene, &scene).into_iter().chain(args.pose.clone()).collect();
     refuse_twice(&outputs)?;
     refuse_overwrite(&outputs, &inputs)?;
@@ -301,6 +306,9 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
     write_image(&args.out, &rendered, &scene)?;
     if let Some(path) = &args.png {
         write_picture(path, &rendered)?;
+    }
+    if let Some(path) = &args.dicom {
+        write_dicom(path, &rendered, &scene)?;
     }
     if args.json {
         println!("{}", serde_json::to_string_pretty(&summary(args, &rendered)).expect("plain data"));

@@ -16,6 +16,7 @@ pub mod costs;
 mod cut_faces;
 pub mod cpu;
 pub mod detector;
+mod dicom;
 mod execute;
 pub mod explain;
 mod face_sums;
@@ -54,6 +55,7 @@ pub mod ways;
 pub mod words;
 mod write;
 
+pub use dicom::write_dicom;
 pub use guessed::{LEAST_GUESSED_MM, guessed, guessed_share};
 pub use plan::Plan;
 pub use planner::Goal;
@@ -167,6 +169,14 @@ pub enum RenderError {
     ReferenceOnly {
         /// Key and value in the scene.
         what: &'static str,
+    },
+    /// No DICOM object can be made of it.
+    #[error("{path}: {detail}", path = path.display())]
+    Dicom {
+        /// The file.
+        path: std::path::PathBuf,
+        /// Why.
+        detail: String,
     },
     /// A file could not be written.
     #[error(transparent)]

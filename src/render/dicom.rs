@@ -1,0 +1,158 @@
+//! A rendered image as a DICOM object that others open: Digital X-Ray (for processing), with the geometry that DICOM has words for, and
+//! with P itself where it has none.
+//!
+//! | attribute | says |
+//! |---|---|
+//! | Imager Pixel Spacing, Distance Source to Detector | K, but for its principal point |
+//! | Positioner Primary and Secondary Angle | the beam, as if the patient lay head first, supine |
+//! | Pixel Intensity Relationship and its sign | `LIN` +1 of `intensity` and `counts`, `LOG` −1 of `line_integral` |
+//! | Pixel Padding Value | 0: no valid pixel has it |
+//! | Image Comments | JSON: quantity, stored values a unit, projection, intrinsics, camera_from_lps, size, what is not modelled |
+//!
+//! Nothing in it depends on the time, and its identifiers are hashes of its content: the same image is the same object.
+
+use std::path::Path;
+
+use dicom_core::{DataElement, PrimitiveValue, Tag, VR};
+use dicom_dictionary_std::{tags, uids};
+use dicom_object::{FileMetaTableBuilder, InMemDicomObject};
+
+use super::{Quantity, RenderError, Rendered};
+use crate::geometry::{AngleConvention, PatientPosition, View};
+use crate::image::{sha256_bytes, write_atomically};
+use crate::scene::model::Scene;
+
+/// Stored values of 1 (the unattenuated signal), and of a neper; fewer where the image would not fit.
+const PER_UNIT: f64 = 50_000.0;
+const PER_NEPER: f64 = 4_000.0;
+/// The largest stored value.
+const MOST: f64 = 65_535.0;
+
+/// Writes the first page as 16-bit DICOM.
+///
+/// # Errors
+/// When the image is of a kind that DICOM has no word for (`area_density`), the scene has no view, or the file cannot be written.
+pub fn write_dicom(path: &Path, rendered: &Rendered, scene: &Scene) -> Result<(), RenderError> {
+    let view = scene.view.ok_or(RenderError::NoView)?;
+    let failed = |detail: String| RenderError::Dicom { path: path.to_owned(), detail };
+    let bytes = encoded(rendered, scene, &view).map_err(failed)?;
+    Ok(write_atomically(path, |file| file.write_all(&bytes))?)
+}
+
+fn encoded(rendered: &Rendered, scene: &Scene, view: &View) -> Result<Vec<u8>, String> {
+    let page = rendered.pages.first().ok_or("it has no page")?;
+    let (relationship, sign, wanted) = match rendered.quantity {
+        Quantity::Intensity => ("LIN", 1i16, PER_UNIT),
+        Quantity::Counts => ("LIN", 1, 1.0),
+        Quantity::LineIntegral => ("LOG", -1, PER_NEPER),
+        Quantity::AreaDensity => {
+            return Err("area densities are no radiograph; write intensity, line_integral or counts".to_owned());
+        }
+    };
+    let is_valid = |n: usize| rendered.valid.pixels[n] == 1 && page.pixels[n].is_finite();
+    let largest = (0..page.pixels.len()).filter(|n| is_valid(*n)).map(|n| f64::from(page.pixels[n])).fold(0.0, f64::max);
+    let per_unit = if largest * wanted > MOST { MOST / largest } else { wanted };
+    let stored = |n: usize| match is_valid(n) {
+        true => (f64::from(page.pixels[n]) * per_unit).round().clamp(1.0, MOST) as u16,
+        false => 0,
+    };
+    let values: Vec<u16> = (0..page.pixels.len()).map(stored).collect();
+    let pixels: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+    let comments = serde_json::json!({
+        "quantity": rendered.quantity,
+        "stored_per_unit": per_unit,
+        "projection": view.projection(),
+        "intrinsics": view.intrinsics,
+        "camera_from_lps": view.camera_from_lps,
+        "size_px": view.size_px,
+        "stated_error": rendered.stated_error,
+    })
+    .to_string();
+    // Identifiers are of what is in the object: the same image is the same object.
+    let content = sha256_bytes(&[&pixels, comments.as_bytes()].concat());
+    let uid = |role: &str| {
+        let hash = sha256_bytes(format!("{role} {content}").as_bytes());
+        // Valid hexadecimal digits, so that 128 bits of them are a number.
+        u128::from_str_radix(&hash[..32], 16).map(|number| format!("2.25.{number}")).map_err(|error| error.to_string())
+    };
+    let instance = uid("instance")?;
+    let text = |tag: Tag, vr: VR, value: &str| DataElement::new(tag, vr, PrimitiveValue::from(value));
+    let number = |tag: Tag, value: u16| DataElement::new(tag, VR::US, PrimitiveValue::from(value));
+    // A decimal string has sixteen characters at most.
+    let decimal = |tag: Tag, value: f64| text(tag, VR::DS, &short(value));
+    let empty = |tag: Tag, vr: VR| DataElement::new(tag, vr, PrimitiveValue::Empty);
+    let none = |tag: Tag| DataElement::new(tag, VR::SQ, dicom_core::value::DataSetSequence::<InMemDicomObject>::empty());
+    let pitch_mm = scene.detector.pitch_mm;
+    let distance_mm = view.intrinsics.fx * pitch_mm;
+    let row_mm = distance_mm / view.intrinsics.fy;
+    let lps_from_camera = view.camera_from_lps.rotation.conjugate();
+    let [primary_deg, secondary_deg, _] =
+        AngleConvention::Dicom.angles(lps_from_camera, PatientPosition::HeadFirstSupine).to_degrees();
+    let object = InMemDicomObject::from_element_iter([
+        text(tags::SOP_CLASS_UID, VR::UI, uids::DIGITAL_X_RAY_IMAGE_STORAGE_FOR_PROCESSING),
+        text(tags::SOP_INSTANCE_UID, VR::UI, &instance),
+        text(tags::STUDY_INSTANCE_UID, VR::UI, &uid("study")?),
+        text(tags::SERIES_INSTANCE_UID, VR::UI, &uid("series")?),
+        empty(tags::PATIENT_NAME, VR::PN),
+        empty(tags::PATIENT_ID, VR::LO),
+        empty(tags::PATIENT_BIRTH_DATE, VR::DA),
+        empty(tags::PATIENT_SEX, VR::CS),
+        empty(tags::STUDY_DATE, VR::DA),
+        empty(tags::STUDY_TIME, VR::TM),
+        empty(tags::STUDY_ID, VR::SH),
+        empty(tags::ACCESSION_NUMBER, VR::SH),
+        empty(tags::REFERRING_PHYSICIAN_NAME, VR::PN),
+        text(tags::MODALITY, VR::CS, "DX"),
+        text(tags::PRESENTATION_INTENT_TYPE, VR::CS, "FOR PROCESSING"),
+        text(tags::SERIES_NUMBER, VR::IS, "1"),
+        text(tags::INSTANCE_NUMBER, VR::IS, "1"),
+        text(tags::MANUFACTURER, VR::LO, "Sidecarm"),
+        text(tags::MANUFACTURER_MODEL_NAME, VR::LO, "simulated radiograph"),
+        text(tags::SOFTWARE_VERSIONS, VR::LO, env!("CARGO_PKG_VERSION")),
+        text(tags::IMAGE_TYPE, VR::CS, "DERIVED\\PRIMARY\\"),
+        text(tags::DERIVATION_DESCRIPTION, VR::ST, "rendered from CT: no exposure of a patient"),
+        text(tags::IMAGE_COMMENTS, VR::LT, &comments),
+        empty(tags::PATIENT_ORIENTATION, VR::CS),
+        text(tags::IMAGE_LATERALITY, VR::CS, "U"),
+        none(tags::ANATOMIC_REGION_SEQUENCE),
+        none(tags::ACQUISITION_CONTEXT_SEQUENCE),
+        empty(tags::DETECTOR_TYPE, VR::CS),
+        text(tags::IMAGER_PIXEL_SPACING, VR::DS, &format!("{}\\{}", short(row_mm), short(pitch_mm))),
+        decimal(tags::DISTANCE_SOURCE_TO_DETECTOR, distance_mm),
+        text(tags::POSITIONER_TYPE, VR::CS, "CARM"),
+        decimal(tags::POSITIONER_PRIMARY_ANGLE, primary_deg),
+        decimal(tags::POSITIONER_SECONDARY_ANGLE, secondary_deg),
+        text(tags::PIXEL_INTENSITY_RELATIONSHIP, VR::CS, relationship),
+        DataElement::new(tags::PIXEL_INTENSITY_RELATIONSHIP_SIGN, VR::SS, PrimitiveValue::from(sign)),
+        text(tags::RESCALE_INTERCEPT, VR::DS, "0"),
+        text(tags::RESCALE_SLOPE, VR::DS, "1"),
+        text(tags::RESCALE_TYPE, VR::LO, "US"),
+        text(tags::PRESENTATION_LUT_SHAPE, VR::CS, "IDENTITY"),
+        text(tags::LOSSY_IMAGE_COMPRESSION, VR::CS, "00"),
+        text(tags::BURNED_IN_ANNOTATION, VR::CS, "NO"),
+        number(tags::SAMPLES_PER_PIXEL, 1),
+        text(tags::PHOTOMETRIC_INTERPRETATION, VR::CS, "MONOCHROME2"),
+        number(tags::ROWS, page.height as u16),
+        number(tags::COLUMNS, page.width as u16),
+        number(tags::BITS_ALLOCATED, 16),
+        number(tags::BITS_STORED, 16),
+        number(tags::HIGH_BIT, 15),
+        number(tags::PIXEL_REPRESENTATION, 0),
+        number(tags::PIXEL_PADDING_VALUE, 0),
+        DataElement::new(tags::PIXEL_DATA, VR::OW, PrimitiveValue::U16(values.into())),
+    ]);
+    let meta = FileMetaTableBuilder::new()
+        .transfer_syntax(uids::EXPLICIT_VR_LITTLE_ENDIAN)
+        .media_storage_sop_class_uid(uids::DIGITAL_X_RAY_IMAGE_STORAGE_FOR_PROCESSING)
+        .media_storage_sop_instance_uid(instance);
+    let mut bytes = Vec::new();
+    object.with_meta(meta).map_err(|error| error.to_string())?.write_all(&mut bytes).map_err(|error| error.to_string())?;
+    Ok(bytes)
+}
+
+/// A number in at most sixteen characters.
+fn short(value: f64) -> String {
+    let plain = format!("{value:.6}");
+    let trimmed = plain.trim_end_matches('0').trim_end_matches('.');
+    if trimmed.len() <= 16 { trimmed.to_owned() } else { format!("{value:.8e}") }
+}

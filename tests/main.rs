@@ -135,6 +135,7 @@ mod scene_volumes;
 mod session_copies;
 mod volume_files;
 mod session_demo;
+mod first_use;
 mod live_lab;
 mod session_faults;
 mod session_kill;

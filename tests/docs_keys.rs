@@ -263,3 +263,29 @@ fn keys_are_read_as_serde_writes_them() {
     assert_eq!(found[1].keys, ["two_words"]);
     assert_eq!(assembled("fn f(a) {\n    j!({\"a_b\": 1});\n    map.insert(\"c\".to_owned(), \"d\");\n}\n", "fn f("), ["a_b", "c"]);
 }
+
+/// The table of joints in DICOM's words, against the program's own conversion.
+#[test]
+fn the_angles_in_the_conventions_are_those_of_the_program() {
+    use sidecarm::geometry::{AngleConvention, CarmAngles, PatientPosition};
+    let document = read("docs/conventions.md");
+    let mut rows = 0;
+    for line in document.lines().filter(|line| ["| HFS ", "| HFP ", "| FFS ", "| FFP "].iter().any(|start| line.starts_with(start))) {
+        let cells: Vec<&str> = line.trim_matches('|').split('|').map(str::trim).collect();
+        let [position, joints, stated @ ..] = &cells[..] else { panic!("{line}") };
+        let position: PatientPosition = position.parse().expect("a position");
+        let degrees = match joints.split_once(' ') {
+            None => [0.0; 3],
+            Some(("angulation", degrees)) => [degrees.parse().expect("a number"), 0.0, 0.0],
+            Some((_, degrees)) => [0.0, degrees.parse().expect("a number"), 0.0],
+        };
+        let device = CarmAngles::from_degrees(degrees);
+        let found = AngleConvention::Device.convert(device, AngleConvention::Dicom, position).to_degrees();
+        for (stated, found) in stated.iter().zip(found) {
+            let off = (stated.parse::<f64>().expect("a number") - found).rem_euclid(360.0);
+            assert!(off.min(360.0 - off) < 1e-9, "{line}: {found}");
+        }
+        rows += 1;
+    }
+    assert_eq!(rows, 12);
+}

@@ -30,6 +30,24 @@ fn text_files_are_recognised_by_what_they_hold() {
         ("session.json", r#"{"frames": {"folder": "x"}, "scene": "s.json"}"#, "session"),
         ("pairs.json", r#"{"pairs": []}"#, "pairs"),
         ("arm.json", r#"{"origin": "nominal", "detector": {}}"#, "calibration"),
+        // What a session, a kit and the other commands write; a kit's truth has beads and frames, as a session has.
+        ("truth.json", r#"{"frames": [{"frame": "a"}], "landmarks": [], "beads": [], "air_value": 40000, "world_from_lps": []}"#, "truth"),
+        ("timings.json", r#"{"frames": [{"number": 1, "stages_ms": {"render": 5}}]}"#, "timings"),
+        ("timings.json", r#"{"frames": []}"#, "timings"),
+        ("POSES.json", r#"{"status": "accepted", "frames": ["a"], "views": [], "beads": [], "bumps": []}"#, "poses"),
+        ("compare.json", r#"{"version": "1", "acquired": {}, "simulated": {}, "comparison": {}, "image_prefers": null}"#, "comparison"),
+        ("trade.json", r#"{"size_px": [2, 2], "adapter": "cpu", "judged_rays": 4, "judged": "x", "rows": [1, 2]}"#, "trade"),
+        ("score.json", r#"{"beads": 8, "extents_mm": [3, 2, 1], "flatness": 0.3, "views": [], "notes": []}"#, "layout_score"),
+        ("attached.json", r#"{"exposures": 8, "frames_in_log": 0, "console": null, "frames": [{}], "losses": []}"#, "attachment"),
+        ("tags.json", r#"{"family": "tag36h11", "tags": [{"id": 1}]}"#, "tags"),
+        ("marks.json", r#"{"correspondences": [{"bead": "B1", "image_px": [1, 2]}]}"#, "correspondences"),
+        ("net.json", r#"{"weights_sha256": "00", "held_out": []}"#, "network"),
+        ("console.json", r#"{"rotation_deg": 90, "flip": "horizontal"}"#, "console"),
+        ("scatter.tif.checkpoint", r#"{"tally": {}, "histories_per_batch": 9, "seed": 1}"#, "scatter_checkpoint"),
+        ("arm.report.json", r#"{"origin": "x", "shots": [], "left_out": [], "chi2_per_dof": 1.0}"#, "calibration_report"),
+        ("robot.report.json", r#"{"calibration": {}, "shots": [], "left_out": [], "chi2_per_dof": 1.0}"#, "calibration_report"),
+        ("phantom.report.json", r#"{"frame": "x", "beads": [], "shots": [], "scale": {}}"#, "phantom_report"),
+        ("joints.csv", "shot,orbital_deg\na,1\nb,2\n", "table"),
     ];
     for (name, text, kind) in cases {
         let info = examine(&write(folder.path(), name, text)).unwrap_or_else(|error| panic!("{name}: {error}"));
@@ -52,6 +70,8 @@ fn what_is_not_known_is_said() {
         ("empty", "", "an empty file"),
         ("x.nii", "short", "NIfTI volume is damaged"),
         ("x.stl", "solid", "STL mesh is damaged"),
+        ("x.csv", "a,b\n1,2,3\n", "table is damaged"),
+        ("x.safetensors", "12345678{}", "longer than the file"),
     ];
     for (name, text, words) in cases {
         let error = examine(&write(folder.path(), name, text)).expect_err(name).to_string();
@@ -59,6 +79,23 @@ fn what_is_not_known_is_said() {
     }
     assert!(matches!(examine(folder.path()), Err(InfoError::NoVolume { .. })));
     assert!(matches!(examine(&folder.path().join("none")), Err(InfoError::Io { .. })));
+}
+
+/// `info` called the network that comes with the program "not a kind of file that is known here".
+#[test]
+fn networks_that_come_with_the_program_are_known_and_a_cut_one_is_a_loss() {
+    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("calibration/networks");
+    let folder = tempfile::tempdir().expect("folder");
+    for name in ["scatter", "materials"] {
+        let weights = shipped.join(format!("{name}.safetensors"));
+        let info = examine(&weights).expect("known");
+        assert_eq!(info.facts["kind"], "tensors");
+        assert!(info.losses.is_empty() && info.facts["values"].as_u64().is_some_and(|values| values > 1000), "{:?}", info.facts);
+        assert_eq!(examine(&shipped.join(format!("{name}.json"))).expect("known").facts["kind"], "network");
+        let (cut, bytes) = (folder.path().join(format!("{name}.safetensors")), std::fs::read(&weights).expect("readable"));
+        std::fs::write(&cut, &bytes[..bytes.len() - 7]).expect("written");
+        assert_eq!(examine(&cut).expect("its header is there").losses.len(), 1);
+    }
 }
 
 #[test]

@@ -136,6 +136,8 @@ mod scene_volumes;
 mod session_copies;
 mod volume_files;
 mod session_demo;
+mod first_use;
+mod docs_keys;
 mod live_lab;
 mod session_faults;
 mod session_folders;

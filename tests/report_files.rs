@@ -7,7 +7,7 @@ use sidecarm::compare::{CompareInput, Tone, compare};
 use sidecarm::geometry::{Rigid, View};
 use sidecarm::image::Image;
 use sidecarm::report::{
-    Gap, LinkReport, Pair, PairStatus, PairsFile, PoseSource, Provenance, SessionReport, Standing, StripInput, Track, TruthError,
+    BeadRow, Gap, LinkReport, Pair, PairStatus, PairsFile, PoseSource, Provenance, SessionReport, Standing, StripInput, Track, TruthError,
     html, png_bytes, strip, write_session,
 };
 
@@ -82,6 +82,17 @@ fn session(folder: &Path) -> SessionReport {
         let path = format!("strips/{:03}.png", index + 1);
         std::fs::write(folder.join(&path), png_bytes(&picture)).expect("writes");
         pair.strip = Some(path);
+        if index == 0 {
+            let row = |name: &str, used, reason: Option<&str>, check| BeadRow {
+                name: name.into(),
+                found_px: Some([100.25, 90.5]).filter(|_| used),
+                residual_px: Some([0.03, -0.04]).filter(|_| used),
+                used,
+                reason: reason.map(str::to_owned),
+                check,
+            };
+            pair.beads = vec![row("B1", true, None, false), row("B2", false, Some("behind the robot"), false), row("B3", false, None, true)];
+        }
         pairs.push(pair);
     }
     let angle =
@@ -131,7 +142,10 @@ fn a_session_becomes_one_page_without_outside_resources() {
     for outside in ["http://", "https://", "<script", "src=\"", "@import", "<session>"] {
         assert!(!page.contains(outside), "{outside}");
     }
-    assert_eq!(page.matches("data:image/png;base64,").count(), 6, "every picture once");
+    assert_eq!(page.matches("data:image/jpeg;base64,").count(), 6, "every picture once");
+    // Strips of ten frames made a page of ten megabytes.
+    assert!(page.len() < 6 * 100_000, "{} bytes for 6 frames", page.len());
+    assert_eq!(page.matches("href=\"strips/").count(), 12, "each strip is linked, as picture and by name");
     for wanted in [
         "prefers-color-scheme",
         "pose from telemetry",
@@ -146,6 +160,20 @@ fn a_session_becomes_one_page_without_outside_resources() {
     assert_eq!(page.matches("class=\"tile ").count(), 6);
     let counts = report.counts();
     assert_eq!((counts.exposures, counts.accepted, counts.refused, counts.no_pose, counts.from_telemetry), (6, 4, 1, 1, 1));
+
+    // The score beside its null is of the same size; that of the full picture stood there before.
+    let null = &report.pairs[0].null["zncc"];
+    let (here, wrong) = (null.at_pose.expect("scored"), null.best_shifted.expect("scored"));
+    let table = page.split("<h2>Exposures</h2>").nth(1).and_then(|rest| rest.split("</table>").next()).expect("the table");
+    let cells = format!("<td>{here:.4}</td><td>{wrong:.4}</td><td class=\"l words\">better by {:.4}</td>", here - wrong);
+    assert!(table.contains(&cells), "{cells}");
+    let full = report.pairs[0].scores.zncc.expect("scored");
+    assert!((full - here).abs() > 1e-4 && !table.contains(&format!("<td>{full:.4}</td><td>{wrong:.4}</td>")), "{full} {here}");
+    // Each bead: used, or why not.
+    assert_eq!(page.matches("part in P").count(), 1, "one frame has beads");
+    for cell in ["<td>100.25, 90.50</td><td>0.030, −0.040</td><td>0.050</td><td class=\"l words\">used</td>", "behind the robot", "kept to check P"] {
+        assert!(page.contains(cell), "{cell}");
+    }
 
     let text = std::fs::read_to_string(folder.join("pairs.json")).expect("pairs");
     let value: serde_json::Value = serde_json::from_str(&text).expect("json");

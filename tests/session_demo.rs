@@ -88,6 +88,8 @@ fn a_mocked_session_matches_its_frames_and_replays_byte_for_byte() {
         assert!(session.join(file).exists(), "{file}");
     }
     let report = std::fs::read_to_string(session.join("report.html")).expect("report");
+    // The truth is read after the session; the report was written before that, and never had it.
+    assert!(report.contains("truth error"), "the report tells the error against the truth");
     assert!(!report.contains("Mockpatient") && !report.contains("MOCK-ID-4711"));
 
     let log = session.join("session.mcap");

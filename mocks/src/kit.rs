@@ -63,7 +63,10 @@ pub fn write(folder: &Path, script: &Script, phantom: &Phantom, with_carm: bool,
     put(folder, "robot.json", &lab.robot)?;
     put(folder, "detector.json", &detector(lab))?;
     put(folder, "beads.mrk.json", &beads(phantom))?;
-    put(folder, "scene.json", &scene(lab, phantom))?;
+    let (k, scene) = (intrinsics(&arm(lab)?), scene(lab, phantom));
+    put(folder, "k.json", &k)?;
+    put(folder, "scene.json", &scene)?;
+    put(folder, "scene-ap.json", &seen_from_the_front(lab, &arm(lab)?, scene, &k))?;
     let carm = with_carm.then(|| json!({"port": "ttyCARM", "baud": 921_600, "calibration": "carm.json"}));
     let robot = with_robot.then(|| json!({"port": "ttyROBOT", "baud": 921_600, "model": "robot.json"}));
     let session = json!({
@@ -112,6 +115,19 @@ fn scene(lab: &Lab, phantom: &Phantom) -> Value {
         "detector": {"response": "energy", "pitch_mm": lab.carm["pitch_mm"], "gain": 1.0, "offset": 0.0},
         "model": {"formation": "deepdrr", "scatter": "off", "noise": false, "seed": 1}
     })
+}
+
+/// K of every frame: it is exact, and the same throughout.
+fn intrinsics(arm: &Arm) -> Value {
+    let (f, [cx, cy]) = (arm.geometry.focal_px, arm.geometry.principal_px);
+    json!({"intrinsics": [[f, 0.0, cx], [0.0, f, cy], [0.0, 0.0, 1.0]], "size_px": arm.size_px, "pitch_mm": arm.pitch_mm})
+}
+
+/// The scene with a view: all joints at zero, the specimen where the session has it.
+fn seen_from_the_front(lab: &Lab, arm: &Arm, mut scene: Value, k: &Value) -> Value {
+    let camera = camera_from_lps(&arm.geometry, &[0.0; 6], &lab.world_from_lps);
+    scene["view"] = json!({"size_px": arm.size_px, "intrinsics": k["intrinsics"], "camera_from_lps": camera});
+    scene
 }
 
 fn detector(lab: &Lab) -> Value {

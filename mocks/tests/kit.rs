@@ -38,6 +38,20 @@ fn the_kit_is_whole_and_its_files_agree() {
     assert!(seen.iter().filter(|count| **count >= 8).count() >= 6, "{seen:?}");
     assert_eq!(json(&folder, "detector.json")["air_value"], truth["air_value"]);
 
+    // K of the file is that of the truth, and the scene with a view is the session's scene.
+    let k = json(&folder, "k.json");
+    let number = |value: &Value| value.as_f64().expect("a number");
+    for frame in frames {
+        let (camera, projection) = (&frame["camera_from_lps"], &frame["projection"]);
+        for (row, column) in (0..3).flat_map(|row| (0..4).map(move |column| (row, column))) {
+            let by_k: f64 = (0..3).map(|n| number(&k["intrinsics"][row][n]) * number(&camera[n][column])).sum();
+            assert!((by_k - number(&projection[row][column])).abs() < 1e-6, "{row} {column}: {by_k}");
+        }
+    }
+    let (scene, seen) = (json(&folder, "scene.json"), json(&folder, "scene-ap.json"));
+    assert!(scene["view"].is_null() && seen["view"]["size_px"] == k["size_px"] && seen["objects"] == scene["objects"]);
+    assert!(scene["objects"].as_array().is_some_and(|objects| objects.len() > 2));
+
     let mut bytes = Vec::new();
     let file = std::fs::File::open(folder.join("ct.nii.gz")).expect("ct");
     flate2::read::GzDecoder::new(file).read_to_end(&mut bytes).expect("unpacks");

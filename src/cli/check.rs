@@ -1,11 +1,12 @@
 //! `sidecarm check`: everything that a session needs, before the session.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::time::Duration;
 
 use super::line_checks::{CheckFile, CheckLine, CheckList, FileCheck, check_lines};
-use crate::acquire::read_frames;
+use crate::acquire::{Domain, read_frames};
 use crate::beads::{BeadLayout, parse_markups};
 use crate::gpu::DeviceChoice;
 use crate::render::Renderer;
@@ -15,6 +16,7 @@ use crate::session::crosscheck::{
     ExposureFacts, Finding, Level, check_disk, check_exposure, check_listened, check_ports, check_session, rehearse,
 };
 use crate::session::file::Setup;
+use crate::session::import::Import;
 use crate::telemetry::{DeviceKind, PortConfig};
 use crate::time::Stopwatch;
 
@@ -206,25 +208,35 @@ fn check_newest_frame(loaded: &Loaded, scene: &Scene, tell: &dyn Fn(Finding)) {
         Some((metadata.modified().ok()?, entry.path()))
     });
     let Some((_, path)) = dated.max() else { return };
+    let setup = &loaded.setup;
     // A file of another kind in the folder is no fault of the session.
-    let Ok(frames) = read_frames(&path, loaded.setup.session.frames.domain) else { return };
-    let Some(frame) = frames.first() else { return };
+    let Ok(frames) = read_frames(&path, setup.domain()) else { return };
+    let Some(read) = frames.into_iter().next() else { return };
+    let imported = Import::of(setup).frame(&Arc::new(read));
+    for (kind, words) in &imported.warnings {
+        tell(Finding::warn(kind, words, "correct \"console\" or \"detector\" in the session, or the calibration that it names"));
+    }
+    let frame = imported.frame.as_ref();
+    let carm = setup.carm_of_frame(frame);
     let findings = check_exposure(&ExposureFacts {
         frame,
-        carm: loaded.setup.carm.as_ref(),
+        carm: carm.as_ref(),
         scene,
-        scene_json: &loaded.setup.scene_json,
+        scene_json: &setup.scene_json,
         beam: None,
         from_beads: None,
         nominal: None,
         centre_lps_mm: None,
         shuttered_share: None,
     });
+    if frame.domain == Domain::Unknown {
+        let detail = format!("{}: nothing says what its values mean: which of them are brighter is guessed, and no score in nepers is made", frame.name);
+        tell(Finding::warn("frame values", detail, "name \"domain\" in the session: linear, log or display"));
+    }
     if findings.is_empty() {
-        tell(Finding::pass(
-            "newest frame",
-            format!("{}: {} x {} px, as the calibration has it", frame.name, frame.size_px[0], frame.size_px[1]),
-        ));
+        let [columns, rows] = frame.size_px;
+        let fits = if carm.is_some() { ", as the calibration has it" } else { "" };
+        tell(Finding::pass("newest frame", format!("{}: {columns} x {rows} px, {} values{fits}", frame.name, frame.domain)));
     }
     findings.into_iter().for_each(tell);
 }

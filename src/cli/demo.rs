@@ -184,7 +184,7 @@ impl Drop for MockLab {
     }
 }
 
-/// Adds to each pair how far the pose used puts the landmarks from where they are.
+/// Adds to each pair how far the pose used puts the landmarks from where they are, in `pairs.json` and the report.
 fn judge(folder: &mut Folder, truth: &Path) -> Result<(), DemoError> {
     let wrong = |detail: String| DemoError::Mock { detail: format!("{}: {detail}", truth.display()) };
     let text = std::fs::read_to_string(truth).map_err(|error| wrong(error.to_string()))?;
@@ -211,8 +211,7 @@ fn judge(folder: &mut Folder, truth: &Path) -> Result<(), DemoError> {
             pair.truth = Some(TruthError { mean_px: mean(&shifts_px), mean_mm: Some(mean(&shifts_mm)) });
         }
     }
-    crate::report::write_pairs(&folder.path.join("pairs.json"), &folder.pairs).map_err(SessionError::from)?;
-    Ok(())
+    Ok(folder.write_again()?)
 }
 
 fn same_file(a: &str, b: &str) -> bool {

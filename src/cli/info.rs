@@ -3,7 +3,9 @@
 mod documents;
 mod found;
 mod frames;
+mod kinds;
 mod logs;
+mod tables;
 mod volumes;
 
 use std::path::{Path, PathBuf};
@@ -26,8 +28,8 @@ const LOSS: u8 = 3;
 /// Says what a file is and what is in it.
 ///
 /// Knows frames (DICOM, PNG, TIFF), logs (MCAP), volumes (NIfTI, NRRD, MetaImage, the folder or one slice of a DICOM
-/// series), beads and landmarks (.mrk.json, .fcsv), meshes (STL), and this
-/// program's own JSON files. Patient data are never shown.
+/// series), beads and landmarks (.mrk.json, .fcsv), meshes (STL), tables (CSV), networks (safetensors), and this
+/// program's own JSON files: sessions, scenes, poses, pairs, calibrations and what else a command writes. Patient data are never shown.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Example:\n  sidecarm info frame-01.dcm\n  sidecarm info session.mcap --json\n\nExit codes: 0 good, 1 unreadable, 3 readable with losses (said which)."
@@ -88,6 +90,10 @@ pub fn examine(path: &Path) -> Result<Info, InfoError> {
         volumes::examine(path)?
     } else if name.ends_with(".stl") {
         volumes::stl(path)?
+    } else if name.ends_with(".csv") {
+        tables::csv(path)?
+    } else if name.ends_with(".safetensors") || (name.ends_with(".checkpoint") && !head.starts_with(b"{")) {
+        tables::tensors(path)?
     } else if name.ends_with(".fcsv") || name.ends_with(".json") || head.trim_ascii_start().starts_with(b"{") {
         documents::examine(path, &name)?
     } else if is_dicom(&head) && is_ct_slice(path) {

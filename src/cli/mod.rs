@@ -54,6 +54,7 @@ pub mod render;
 pub mod replay;
 pub mod scatter;
 mod scattered;
+mod session_ask;
 pub mod session_new;
 mod shot_files;
 pub mod spectrum;

@@ -7,14 +7,18 @@ use serde::de::DeserializeOwned;
 
 use super::check::{self, CheckArgs};
 use super::devices::list_ports;
+pub use super::session_ask::SessionNewError;
+use super::session_ask::{Asker, Question};
+use crate::acquire::Domain;
 use crate::beads::parse_markups;
-use crate::geometry::{CarmCalibration, RobotModel};
-use crate::image::{ImageFileError, write_atomically};
+use crate::geometry::{CarmCalibration, ConsoleGeometry, RobotModel};
+use crate::image::write_atomically;
 use crate::json::parse_json;
 use crate::reporter::Reporter;
 use crate::scene::built_in;
 use crate::scene::file::SceneFile;
 use crate::session::file::{CarmLine, FrameSource, RobotLine, SessionFile};
+use crate::session::servers::{DicomServer, IgtlServer};
 
 /// What stands for a thing that the lab does not have.
 const NONE: &str = "none";
@@ -94,89 +98,24 @@ pub struct NewArgs {
     /// Beads of the specimen (3D Slicer markups or .fcsv), or none
     #[arg(long, value_name = "FILE")]
     beads: Option<String>,
+    /// What the frames' values mean: linear, log, display, or file for what each file says of itself
+    #[arg(long, value_name = "DOMAIN")]
+    domain: Option<String>,
+    /// TCP port on which frames may be sent to this machine over DICOM, or none
+    #[arg(long, value_name = "PORT")]
+    dicom: Option<String>,
+    /// TCP port on which 3D Slicer and others may listen over OpenIGTLink, or none
+    #[arg(long, value_name = "PORT")]
+    igtl: Option<String>,
+    /// What the console does to the panel's picture: degrees clockwise, a file with the keys of "console", or none
+    #[arg(long, value_name = "DEG|FILE")]
+    console: Option<String>,
     /// Folder of the results [default: out, beside the session]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Do not check what was written
     #[arg(long)]
     no_check: bool,
-}
-
-/// Why there is no session file.
-#[derive(Debug, thiserror::Error)]
-pub enum SessionNewError {
-    /// Nothing is overwritten.
-    #[error("{}: is there already; name another session file, or edit it and run `sidecarm check`", path.display())]
-    Exists {
-        /// It.
-        path: PathBuf,
-    },
-    /// An option that will not do.
-    #[error("{option} {given}: {reason}")]
-    Option {
-        /// Which.
-        option: &'static str,
-        /// Its value.
-        given: String,
-        /// Why.
-        reason: String,
-    },
-    /// Nobody answers.
-    #[error("no answer to \"{question}\": give {option}")]
-    Unanswered {
-        /// What was asked.
-        question: String,
-        /// What says it without being asked.
-        option: &'static str,
-    },
-    /// Writing.
-    #[error(transparent)]
-    File(#[from] ImageFileError),
-    /// The terminal.
-    #[error("the answers cannot be read ({0})")]
-    Input(#[from] std::io::Error),
-}
-
-/// One thing to find out.
-struct Question<'a> {
-    option: &'static str,
-    given: &'a Option<String>,
-    words: &'a str,
-    /// What an empty answer means.
-    default: Option<&'a str>,
-}
-
-/// Asks in the order of the answers that it gets.
-struct Asker<R, W> {
-    answers: R,
-    screen: W,
-}
-
-impl<R: BufRead, W: Write> Asker<R, W> {
-    /// The first answer that `looked` takes; an option is the only answer.
-    fn ask<T>(&mut self, question: &Question<'_>, looked: &dyn Fn(&str) -> Result<T, String>) -> Result<T, SessionNewError> {
-        let Question { option, given, words, default } = *question;
-        if let Some(given) = given {
-            return looked(given).map_err(|reason| SessionNewError::Option { option, given: given.clone(), reason });
-        }
-        let shown = default.map_or_else(String::new, |default| format!(" [{default}]"));
-        loop {
-            write!(self.screen, "{words}{shown}: ")?;
-            self.screen.flush()?;
-            let mut line = String::new();
-            if self.answers.read_line(&mut line)? == 0 {
-                return Err(SessionNewError::Unanswered { question: words.to_owned(), option });
-            }
-            let answer = match (line.trim(), default) {
-                ("", Some(default)) => default,
-                (answer, _) => answer,
-            };
-            match looked(answer) {
-                Ok(found) => return Ok(found),
-                Err(reason) => writeln!(self.screen, "  {reason}")?,
-            }
-        }
-    }
 }
 
 /// Writes a session file and checks it; the exit code of the check.
@@ -218,24 +157,26 @@ fn answered<R: BufRead, W: Write>(
         // A session that is moved with its files still finds them.
         whole.strip_prefix(&folder).map(Path::to_owned).unwrap_or(whole)
     };
-    let mut ports = ports.into_iter();
-    let carm = line(asker, &CARM, [&args.carm, &args.carm_calibration], ports.next(), &named)?;
-    let robot = line(asker, &ROBOT, [&args.robot, &args.robot_model], ports.next(), &named)?;
+    let carm = line(asker, &CARM, [&args.carm, &args.carm_calibration], ports.first().cloned(), &named)?;
+    // A port that the C-arm does not have is the robot's, whatever was offered before.
+    let taken = carm.as_ref().map(|(port, _)| place_of(port));
+    let free = ports.into_iter().find(|port| taken != Some(place_of(Path::new(port))));
+    let robot = line(asker, &ROBOT, [&args.robot, &args.robot_model], free, &named)?;
     let nominal = [(&carm, &CARM), (&robot, &ROBOT)].into_iter().filter_map(|(line, device)| {
         let (_, file) = line.as_ref()?;
         let (built, beside) = device.nominal;
         (*file == Path::new(beside)).then(|| (folder.join(beside), built_in(built).unwrap_or_default()))
     });
     let files = nominal.filter(|(path, _)| !path.exists()).collect();
-    let frames = Question { option: "--frames", given: &args.frames, words: "Folder in which frames appear", default: None };
+    let frames = Question { option: "--frames", given: &args.frames, words: "Folder in which frames appear", default: None, may_be_silent: false };
     let frames = asker.ask(&frames, &|answer| {
         let path = Path::new(answer);
         if path.is_dir() { Ok(named(path)) } else { Err(format!("'{answer}' is no folder; mount it, or make it")) }
     })?;
-    let scene = Question { option: "--scene", given: &args.scene, words: "Scene (CT, tools, beam, detector)", default: None };
+    let scene = Question { option: "--scene", given: &args.scene, words: "Scene (CT, tools, beam, detector)", default: None, may_be_silent: false };
     let scene = asker.ask(&scene, &|answer| read::<SceneFile>(Path::new(answer)).map(|_| named(Path::new(answer))))?;
     let words = format!("Beads of the specimen (markups), or {NONE}");
-    let beads = Question { option: "--beads", given: &args.beads, words: &words, default: None };
+    let beads = Question { option: "--beads", given: &args.beads, words: &words, default: None, may_be_silent: false };
     let beads = asker.ask(&beads, &|answer| {
         if answer == NONE {
             return Ok(None);
@@ -245,27 +186,70 @@ fn answered<R: BufRead, W: Write>(
         parse_markups(path, &content).map_err(|error| error.to_string())?;
         Ok(Some(named(path)))
     })?;
+    let further = Further::ask(args, asker)?;
     let session = SessionFile {
         carm: carm.map(|(port, calibration)| CarmLine { port, baud: args.carm_baud, calibration }),
         robot: robot.map(|(port, model)| RobotLine { port, baud: args.robot_baud, model }),
-        frames: FrameSource { folder: frames, sub_folders: false, domain: None, dicom: None },
+        frames: FrameSource { folder: frames, sub_folders: false, domain: None, dicom: further.dicom },
         scene,
         beads,
         world_from_lps: None,
         world_from_tracker: None,
         out: Some(args.out.as_deref().map_or_else(|| PathBuf::from("out"), named)),
-        domain: None,
+        domain: further.domain,
         tone: None,
         air_level: None,
         bead_radius_mm: None,
         landmarks: None,
-        console: None,
+        console: further.console,
         detector: None,
         intensifier: None,
         tags: None,
-        igtl: None,
+        igtl: further.igtl,
     };
     Ok((session, files))
+}
+
+/// What few labs need to say; no answer is an answer.
+struct Further {
+    domain: Option<Domain>,
+    dicom: Option<DicomServer>,
+    igtl: Option<IgtlServer>,
+    console: Option<ConsoleGeometry>,
+}
+
+impl Further {
+    fn ask<R: BufRead, W: Write>(args: &NewArgs, asker: &mut Asker<R, W>) -> Result<Self, SessionNewError> {
+        let question = |option, given, words, default| Question { option, given, words, default: Some(default), may_be_silent: true };
+        let words = "Values of the frames: linear, log or display, or file: what each says of itself";
+        let domain = asker.ask(&question("--domain", &args.domain, words, "file"), &|answer| match answer {
+            "file" => Ok(None),
+            word => word.parse().map(Some),
+        })?;
+        let port = |answer: &str| match answer {
+            NONE => Ok(None),
+            number => number.parse().map(Some).map_err(|_| format!("'{number}' is no TCP port, 1 to 65535")),
+        };
+        let words = "TCP port on which frames may be sent here over DICOM (11112), or none";
+        let dicom: Option<u16> = asker.ask(&question("--dicom", &args.dicom, words, NONE), &port)?;
+        let words = "TCP port for 3D Slicer over OpenIGTLink (18944), or none";
+        let igtl: Option<u16> = asker.ask(&question("--igtl", &args.igtl, words, NONE), &port)?;
+        let words = "The console turns the picture: degrees clockwise, a file with the keys of \"console\", or none";
+        let console = asker.ask(&question("--console", &args.console, words, NONE), &|answer| {
+            let geometry = match (answer, answer.parse::<f64>()) {
+                (NONE, _) => return Ok(None),
+                (_, Ok(rotation_deg)) => ConsoleGeometry { rotation_deg, ..ConsoleGeometry::default() },
+                (path, Err(_)) => read(Path::new(path))?,
+            };
+            geometry.check().map(|()| Some(geometry)).map_err(|error| error.to_string())
+        })?;
+        Ok(Self { domain, dicom: dicom.map(DicomServer::on_port), igtl: igtl.map(IgtlServer::on_port), console })
+    }
+}
+
+/// Where a port really is: an adapter has several names.
+fn place_of(port: &Path) -> PathBuf {
+    std::fs::canonicalize(port).unwrap_or_else(|_| port.to_owned())
 }
 
 /// Port and calibration of a device, if the lab has it.
@@ -278,12 +262,17 @@ fn line<R: BufRead, W: Write>(
 ) -> Result<Option<(PathBuf, PathBuf)>, SessionNewError> {
     let words = format!("Serial port of the {}, or {NONE}", device.name);
     let default = Some(seen.as_deref().unwrap_or(NONE));
-    let port = Question { option: device.options[0], given: port, words: &words, default };
-    let Some(port) = asker.ask(&port, &|answer| Ok((answer != NONE).then(|| PathBuf::from(answer))))? else {
+    let port = Question { option: device.options[0], given: port, words: &words, default, may_be_silent: false };
+    let port = asker.ask(&port, &|answer| {
+        let path = Path::new(answer);
+        // A port beside the session, as mocks have it, is found from wherever the session is started.
+        Ok((answer != NONE).then(|| if path.exists() { named(path) } else { path.to_owned() }))
+    })?;
+    let Some(port) = port else {
         return Ok(None);
     };
     let words = format!("Calibration of the {}, or nominal", device.name);
-    let file = Question { option: device.options[1], given: file, words: &words, default: Some("nominal") };
+    let file = Question { option: device.options[1], given: file, words: &words, default: Some("nominal"), may_be_silent: false };
     let file = asker.ask(&file, &|answer| match answer {
         "nominal" => Ok(PathBuf::from(device.nominal.1)),
         path => (device.looked)(Path::new(path)).map(|()| named(Path::new(path))),
@@ -313,6 +302,10 @@ mod tests {
             frames: None,
             scene: None,
             beads: None,
+            domain: None,
+            dicom: None,
+            igtl: None,
+            console: None,
             out: None,
             no_check: true,
         }
@@ -326,13 +319,17 @@ mod tests {
         std::fs::write(at("scene.json"), r#"{"objects": [], "beam": {"mono_kev": 60}}"#).expect("written");
         std::fs::write(at("wrong.json"), r#"{"objects": [], "beam": {"mono_keV": 60}}"#).expect("written");
         // The port that is there, no calibration of that name, the nominal one; no robot; a folder that is none; a scene with a wrong key; no beads.
-        let lines = ["", "nowhere.json", "nominal", NONE, "nothing", &at("frames"), &at("wrong.json"), &at("scene.json"), NONE];
+        let mut lines = vec!["", "nowhere.json", "nominal", NONE, "nothing"];
+        let (frames, wrong, scene) = (at("frames"), at("wrong.json"), at("scene.json"));
+        lines.extend([frames.as_str(), wrong.as_str(), scene.as_str(), NONE]);
+        // Log values; no DICOM; OpenIGTLink, after a port that is none; a console that turns.
+        lines.extend(["log", "", "many", "18944", "90"]);
         let answers = lines.join("\n") + "\n";
         let mut asker = Asker { answers: answers.as_bytes(), screen: Vec::new() };
         let session = folder.path().join("session.json");
         let (found, files) = answered(&args(&session), vec!["/dev/ttyUSB7".to_owned()], &mut asker).expect("answered");
         let screen = String::from_utf8(asker.screen).expect("text");
-        for words in ["[/dev/ttyUSB7]", "nowhere.json", "'nothing' is no folder", "mono_keV"] {
+        for words in ["[/dev/ttyUSB7]", "nowhere.json", "'nothing' is no folder", "mono_keV", "'many' is no TCP port"] {
             assert!(screen.contains(words), "{words}: {screen}");
         }
         assert_eq!(screen.matches("Serial port").count(), 2);
@@ -343,6 +340,8 @@ mod tests {
         );
         assert!(found.robot.is_none() && found.beads.is_none());
         assert_eq!((found.frames.folder.as_path(), found.scene.as_path()), (Path::new("frames"), Path::new("scene.json")));
+        assert_eq!((found.domain, found.frames.dicom, found.igtl), (Some(Domain::Log), None, Some(IgtlServer::on_port(18_944))));
+        assert_eq!(found.console.map(|console| console.rotation_deg), Some(90.0));
         let [(path, text)] = &files[..] else { panic!("{files:?}") };
         assert!(*path == folder.path().join(CARM.nominal.1) && parse_json::<CarmCalibration>(text.as_bytes()).is_ok());
 
@@ -351,8 +350,11 @@ mod tests {
         (given.robot_model, given.scene, given.beads) =
             (Some("nominal".to_owned()), Some(at("scene.json")), Some(NONE.to_owned()));
         let mut silent = Asker { answers: &b""[..], screen: Vec::new() };
-        let (found, files) = answered(&given, Vec::new(), &mut silent).expect("nothing to ask");
-        assert!(silent.screen.is_empty() && found.carm.is_none() && found.robot.is_some_and(|robot| robot.baud == 115_200));
+        let (found, files) = answered(&given, Vec::new(), &mut silent).expect("nothing that needs an answer");
+        let asked = String::from_utf8(std::mem::take(&mut silent.screen)).expect("text");
+        assert!(!asked.contains("Serial port") && !asked.contains("Scene") && asked.contains("OpenIGTLink"), "{asked}");
+        assert_eq!((found.domain, found.frames.dicom, found.igtl, found.console), (None, None, None, None));
+        assert!(found.carm.is_none() && found.robot.is_some_and(|robot| robot.baud == 115_200));
         assert!(parse_json::<RobotModel>(files[0].1.as_bytes()).is_ok());
         given.frames = Some(at("nothing"));
         let refused = answered(&given, Vec::new(), &mut silent).expect_err("no folder").to_string();
@@ -360,5 +362,26 @@ mod tests {
         given.frames = None;
         let refused = answered(&given, Vec::new(), &mut silent).expect_err("nobody answers").to_string();
         assert!(refused.contains("give --frames"), "{refused}");
+    }
+    /// With one adapter plugged in and no C-arm, the robot's default was `none`: the C-arm's question had used the port up.
+    #[test]
+    fn a_port_that_the_c_arm_does_not_have_is_offered_for_the_robot() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let mut given = args(&folder.path().join("session.json"));
+        let scene = folder.path().join("scene.json");
+        std::fs::write(&scene, r#"{"objects": [], "beam": {"mono_kev": 60}}"#).expect("written");
+        let folder_name = folder.path().display().to_string();
+        (given.frames, given.scene, given.beads) = (Some(folder_name), Some(scene.display().to_string()), Some(NONE.to_owned()));
+        (given.carm_calibration, given.robot_model) = (Some("nominal".to_owned()), Some("nominal".to_owned()));
+        let robot_port = |answers: &str, ports: &[&str]| {
+            let mut asker = Asker { answers: answers.as_bytes(), screen: Vec::new() };
+            let ports = ports.iter().map(|port| (*port).to_owned()).collect();
+            let (found, _) = answered(&given, ports, &mut asker).expect("answered");
+            found.robot.map(|robot| robot.port.display().to_string())
+        };
+        assert_eq!(robot_port("none\n\n", &["/dev/ttyUSB7"]).as_deref(), Some("/dev/ttyUSB7"));
+        assert_eq!(robot_port("\n\n", &["/dev/ttyUSB7"]), None, "the C-arm has the only one");
+        assert_eq!(robot_port("\n\n", &["/dev/ttyUSB7", "/dev/ttyUSB8"]).as_deref(), Some("/dev/ttyUSB8"));
+        assert_eq!(robot_port("/dev/ttyUSB8\n\n", &["/dev/ttyUSB7", "/dev/ttyUSB8"]).as_deref(), Some("/dev/ttyUSB7"));
     }
 }

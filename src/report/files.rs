@@ -21,20 +21,15 @@ pub enum ReportError {
     },
 }
 
-/// Writes `pairs.json` and `report.html` into `folder`; each file is whole or absent. Strips that pairs name and `pictures` lacks are
-/// read from the folder; one that is not there is left out, and the report says so.
+/// Writes `pairs.json` and `report.html` into `folder`; each file is whole or absent. The page holds a small picture of each strip and
+/// links to the strip itself; strips that `pictures` lacks are read from the folder, and the page says which is not there.
 ///
 /// # Errors
 /// When the folder is not writable.
 pub fn write_session(folder: &Path, report: &SessionReport) -> Result<(), ReportError> {
     write_pairs(&folder.join("pairs.json"), &report.pairs)?;
-    let mut with_pictures = report.clone();
-    for strip in report.pairs.iter().filter_map(|pair| pair.strip.as_ref()) {
-        if let (false, Ok(bytes)) = (report.pictures.contains_key(strip), std::fs::read(folder.join(strip))) {
-            with_pictures.pictures.insert(strip.clone(), bytes);
-        }
-    }
-    let text = html::html(&with_pictures);
+    let strip = |path: &str| report.pictures.get(path).cloned().or_else(|| std::fs::read(folder.join(path)).ok());
+    let text = html::page(report, &strip);
     write_atomically(&folder.join("report.html"), |file| file.write_all(text.as_bytes()))?;
     Ok(())
 }

@@ -1,9 +1,11 @@
-//! The session's report as one HTML file: no script, no network, every picture once.
+//! The session's report as one HTML file: no script, no network, a small picture of every strip, and links to the files beside it.
 
 use std::fmt::Write as _;
 
+use rayon::prelude::*;
+
 use super::html_exposures::each_exposure;
-use super::html_parts::{Shown, number, shown};
+use super::html_parts::{Shown, margin_words, number, shown};
 use super::pair::{Pair, PairStatus};
 use super::plots::{self, Dot, escape};
 use super::session::SessionReport;
@@ -13,9 +15,14 @@ use crate::time::utc;
 /// Width of a tile of the contact sheet in CSS pixels.
 const TILE_PX: f64 = 220.0;
 
-/// The whole page.
+/// The whole page, with the strips that the report holds.
 #[must_use]
 pub fn html(report: &SessionReport) -> String {
+    page(report, &|path| report.pictures.get(path).cloned())
+}
+
+/// The whole page; `strip` gives the bytes of the PNG that a pair names.
+pub(super) fn page(report: &SessionReport, strip: &(dyn Fn(&str) -> Option<Vec<u8>> + Sync)) -> String {
     let mut page = String::with_capacity(64 * 1024);
     let title = if report.title.is_empty() { "Session" } else { &report.title };
     let _ = write!(
@@ -26,11 +33,12 @@ pub fn html(report: &SessionReport) -> String {
         escape(title),
         include_str!("style.css")
     );
-    let strips: Vec<Option<Shown>> = report.pairs.iter().map(|pair| shown(report, pair)).collect();
+    let small = |pair: &Pair| shown(&strip(pair.strip.as_deref()?)?);
+    let strips: Vec<Option<Shown>> = report.pairs.par_iter().map(small).collect();
     for (index, strip) in strips.iter().enumerate() {
         if let Some(strip) = strip {
             // As a background the picture is in the file once, for the tile and for the strip.
-            let _ = writeln!(page, ".p{index}{{background-image:url(data:image/png;base64,{})}}", strip.base64);
+            let _ = writeln!(page, ".p{index}{{background-image:url(data:image/jpeg;base64,{})}}", strip.base64);
         }
     }
     page.push_str("</style></head><body><main>\n");
@@ -145,24 +153,13 @@ fn table(page: &mut String, report: &SessionReport) {
     if truth {
         page.push_str("<th>truth error<br>px</th>");
     }
-    page.push_str("<th>ZNCC</th><th>best of its<br>null</th><th>gradient<br>NCC</th><th>SSIM</th><th>RMSE<br>nepers</th><th>edges<br>mm</th><th>masked<br>%</th><th>total<br>ms</th></tr></thead><tbody>");
+    page.push_str("<th>ZNCC</th><th>best wrong<br>pose</th><th class=\"l\">here, against that</th><th>RMSE<br>nepers</th><th>edges<br>mm</th><th>masked<br>%</th><th>total<br>ms</th></tr></thead><tbody>");
     for (index, pair) in report.pairs.iter().enumerate() {
         let standing = pair.standing();
-        let null = pair.null.get("zncc").map_or_else(
-            || "–".into(),
-            |null| {
-                let mark = if null.discriminating {
-                    ""
-                } else {
-                    " <span class=\"caution\" title=\"not discriminating: a wrong pose scores at least as well\">?</span>"
-                };
-                number(null.best_shifted, 4) + mark
-            },
-        );
         let total: f64 = pair.stages_ms.iter().map(|(_, ms)| ms).sum();
         let _ = write!(
             page,
-            "<tr><td class=\"l\"><a href=\"#e{index}\">{}</a></td><td>{}</td><td class=\"l\">{}</td><td class=\"l\"><span class=\"badge {}\">{}</span></td><td>{}</td><td>{}</td>",
+            "<tr><td class=\"l name\"><a href=\"#e{index}\">{}</a></td><td>{}</td><td class=\"l\">{}</td><td class=\"l words\"><span class=\"badge {}\">{}</span></td><td>{}</td><td>{}</td>",
             escape(&pair.frame),
             number(pair.time_us.map(|us| seconds(report, us)), 2),
             escape(&pair.binding),
@@ -175,22 +172,31 @@ fn table(page: &mut String, report: &SessionReport) {
             let _ = write!(page, "<td>{}</td>", number(pair.truth.map(|truth| truth.mean_px), 3));
         }
         let scores = &pair.scores;
+        // Scores of pictures of two sizes do not compare: beside its null stands the score at null size.
+        let _ = match pair.null.get("zncc") {
+            Some(null) => write!(
+                page,
+                "<td>{}</td><td>{}</td><td class=\"l words{}\">{}</td>",
+                number(null.at_pose, 4),
+                number(null.best_shifted, 4),
+                if null.discriminating { "" } else { " caution" },
+                margin_words(null)
+            ),
+            None => write!(page, "<td>{}</td><td>–</td><td class=\"l words dim\">no null</td>", number(scores.zncc, 4)),
+        };
         let _ = write!(
             page,
-            "<td>{}</td><td>{null}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td></tr>",
-            number(scores.zncc, 4),
-            number(scores.gradient_ncc, 3),
-            number(scores.ssim, 3),
+            "<td>{}</td><td>{}</td><td>{}</td><td>{}</td></tr>",
             number(scores.rmse_nepers, 3),
             number(scores.edge_distance_mm, 2),
             number(pair.masks.as_ref().map(|masks| 100.0 * masks.masked), 1),
             number((total > 0.0).then_some(total), 0)
         );
     }
-    let _ = write!(
-        page,
-        "</tbody></table></div><p class=\"dim\" style=\"margin-top:8px\">Best of its null: the highest ZNCC at other poses (±1, 3, 10 mm; ±1, 3°; turned round, negated, mirrored) and in mirrored pictures, \
-        at reduced size; a score marked ? does not tell the stated pose from a wrong one.</p>"
+    page.push_str(
+        "</tbody></table></div><p class=\"dim\" style=\"margin-top:8px\">ZNCC and best wrong pose are both of pictures at reduced size, at most 256 px wide: \
+        the score at the stated pose, and the highest at other poses (±1, 3, 10 mm; ±1, 3°; turned round, negated, mirrored) and in mirrored pictures. Where a wrong \
+        pose is better, the score does not tell the stated pose from it. Scores of the full picture stand with each exposure.</p>",
     );
 }
 

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use super::html_parts::{Shown, number};
+use super::html_parts::{Shown, margin_words, number};
 use super::pair::{Pair, Standing};
 use super::plots::escape;
 use super::session::SessionReport;
@@ -24,12 +24,19 @@ pub(super) fn each_exposure(page: &mut String, report: &SessionReport, strips: &
         match (strip, &pair.strip) {
             (Some(strip), _) => {
                 let words = format!("{}: acquired, matched DRR, difference, edges", pair.frame);
+                let path = pair.strip.as_deref().map(escape).unwrap_or_default();
                 let _ = write!(
                     page,
-                    "<div class=\"strip p{index}\" role=\"img\" aria-label=\"{}\" style=\"aspect-ratio:{}/{}\"></div>",
+                    "<a class=\"strip p{index}\" role=\"img\" aria-label=\"{}\" href=\"{path}\" style=\"aspect-ratio:{}/{}\"></a>",
                     escape(&words),
                     strip.width,
                     strip.height
+                );
+                let drr = pair.drr.as_deref().map(escape).map(|drr| format!(", DRR <a href=\"{drr}\">{drr}</a>"));
+                let _ = write!(
+                    page,
+                    "<p class=\"dim\">In full, beside this page: <a href=\"{path}\">{path}</a>{}</p>",
+                    drr.unwrap_or_default()
                 );
             }
             (None, Some(path)) => {
@@ -40,12 +47,14 @@ pub(super) fn each_exposure(page: &mut String, report: &SessionReport, strips: &
         page.push_str("<div class=\"two wide\">");
         score_table(page, pair);
         circumstances(page, pair, standing);
-        page.push_str("</div></div></details>");
+        page.push_str("</div>");
+        bead_table(page, pair);
+        page.push_str("</div></details>");
     }
 }
 
 fn score_table(page: &mut String, pair: &Pair) {
-    page.push_str("<div class=\"over\"><table><thead><tr><th class=\"l\">score</th><th>here</th><th>without tone</th><th>at null size</th><th>best wrong pose</th><th>rank</th></tr></thead><tbody>");
+    page.push_str("<div class=\"over\"><table><thead><tr><th class=\"l\">score</th><th>in full</th><th>without tone</th><th>at null size</th><th>best wrong pose,<br>at null size</th><th class=\"l\">here, against that</th><th>rank</th></tr></thead><tbody>");
     for (name, _) in NULL_SCORES {
         let plain = pair.scores_without_tone.as_ref().and_then(|scores| scores.get(name));
         let null = pair.null.get(name);
@@ -66,16 +75,41 @@ fn score_table(page: &mut String, pair: &Pair) {
                 )
             },
         );
+        let margin = null.map_or_else(|| "no null".to_owned(), margin_words);
         let here = pair.scores.get(name);
         let reason = pair.scores.reasons.get(name).filter(|_| here.is_none());
         let title = reason.map(|reason| format!(" title=\"{}\"", escape(reason))).unwrap_or_default();
         let _ = write!(
             page,
-            "<tr><td class=\"l\"{title}>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{best}</td><td>{rank}</td></tr>",
+            "<tr><td class=\"l\"{title}>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{best}</td><td class=\"l words\">{margin}</td><td>{rank}</td></tr>",
             name.replace('_', " "),
             number(here, 4),
             number(plain, 4),
             number(null.and_then(|null| null.at_pose), 4)
+        );
+    }
+    page.push_str("</tbody></table></div>");
+}
+
+/// Each bead of the layout: where its shadow was found, by how much P misses it, and whether P rests on it.
+fn bead_table(page: &mut String, pair: &Pair) {
+    if pair.beads.is_empty() {
+        return;
+    }
+    page.push_str("<div class=\"over\"><table><thead><tr><th class=\"l\">bead</th><th>found<br>column, row px</th><th>found minus P<br>column, row px</th><th>distance<br>px</th><th class=\"l\">part in P</th></tr></thead><tbody>");
+    let both = |place: Option<[f64; 2]>, decimals| {
+        place.map_or_else(|| "–".to_owned(), |place| place.map(|px| number(Some(px), decimals)).join(", "))
+    };
+    for bead in &pair.beads {
+        let class = if bead.used { "l words" } else { "l words caution" };
+        let _ = write!(
+            page,
+            "<tr><td class=\"l\">{}</td><td>{}</td><td>{}</td><td>{}</td><td class=\"{class}\">{}</td></tr>",
+            escape(&bead.name),
+            both(bead.found_px, 2),
+            both(bead.residual_px, 3),
+            number(bead.residual_px.map(|[u, v]| u.hypot(v)), 3),
+            escape(bead.part())
         );
     }
     page.push_str("</tbody></table></div>");

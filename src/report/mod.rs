@@ -1,5 +1,6 @@
 //! What people look at afterwards: the strip of each pair, the session's report in one HTML file, and `pairs.json` for scripts.
 
+mod bead_row;
 mod canvas;
 mod colour;
 mod files;
@@ -12,6 +13,7 @@ mod plots;
 mod session;
 mod strip;
 
+pub use bead_row::BeadRow;
 pub use canvas::{Align, Canvas, Rgb};
 pub use colour::{diverging, gray, window};
 pub use files::{ReportError, png_bytes, write_pairs, write_session};

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use super::bead_row::BeadRow;
 use super::canvas::Rgb;
 use super::colour;
 use crate::calibrate::robot::SeenTip;
@@ -172,6 +173,9 @@ pub struct Pair {
     pub rms_px: Option<f64>,
     /// The same at the isocentre, mm.
     pub rms_mm: Option<f64>,
+    /// Beads of the layout, in its order; empty where none were looked for.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub beads: Vec<BeadRow>,
     /// Telemetry against the beads, where both have a pose.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub innovation: Option<Innovation>,
@@ -250,6 +254,7 @@ impl Pair {
             reason: Some(reason.to_owned()),
             rms_px: None,
             rms_mm: None,
+            beads: Vec::new(),
             innovation: None,
             tip: None,
             scores: Scores::default(),
@@ -348,6 +353,7 @@ impl Pair {
         self.binding = "none".to_owned();
         self.binding_evidence = vec![reason];
         (self.rms_px, self.rms_mm, self.innovation, self.tip) = (None, None, None, None);
+        self.beads.clear();
     }
 
     /// What to say of the robot's shape where telemetry does not tell it.

@@ -17,7 +17,7 @@ use crate::image::sha256_bytes;
 use crate::mask::{Cause, MaskShares};
 use crate::pose::Refusal;
 use crate::render::{Options, Plan, Quantity, Renderer, Scatter};
-use crate::report::{Pair, PairStatus, PoseSource};
+use crate::report::{BeadRow, Pair, PairStatus, PoseSource};
 use crate::reporter::Reporter;
 use crate::scene::Scene;
 use crate::scene::model::ScatterModel;
@@ -342,6 +342,7 @@ fn row(posed: &Posed) -> Pair {
     }
     pair.flags.extend(posed.binding.flags.iter().map(ToString::to_string));
     pair.rms_px = posed.pose.rms_px.filter(|_| posed.pose.is_accepted());
+    pair.beads = posed.pose.beads.iter().map(BeadRow::of).collect();
     pair.rms_mm = posed.pose.rms_mm.filter(|_| posed.pose.is_accepted());
     pair.robot_source = Some(match &posed.robot {
         Some(robot) => robot.source.clone(),

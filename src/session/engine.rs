@@ -207,7 +207,7 @@ impl Engine {
     }
 
     /// Lines that have fallen silent since this was last asked, a sentence each.
-    pub fn silent_lines(&mut self) -> Vec<String> {
+    pub fn silent_lines(&mut self) -> Vec<(DeviceKind, String)> {
         let Self { hearing, links, now_us, .. } = self;
         hearing.look(*now_us, |device| links.get(&device).map(|link| *link.health()))
     }

@@ -7,6 +7,7 @@ use super::SessionError;
 use super::developed::Developed;
 use super::engine::Engine;
 use super::inputs::InputNames;
+use super::left_out::LeftOut;
 use super::losses::none_accepted;
 use super::tracks::Tracks;
 use super::workshop::Workshop;
@@ -29,6 +30,20 @@ pub struct Folder {
     pub views: BTreeMap<u32, crate::geometry::View>,
     /// What was lost.
     pub losses: Vec<String>,
+    /// What the report says besides the pairs; `None` where none was written.
+    pub report: Option<Box<SessionReport>>,
+}
+
+impl Folder {
+    /// Writes `pairs.json` and `report.html` again, with what has been added to the pairs since.
+    ///
+    /// # Errors
+    /// When the folder is not writable.
+    pub fn write_again(&self) -> Result<(), SessionError> {
+        let Some(report) = &self.report else { return Ok(write_pairs(&self.path.join("pairs.json"), &self.pairs)?) };
+        let report = SessionReport { pairs: self.pairs.clone(), ..SessionReport::clone(report) };
+        Ok(write_session(&self.path, &report)?)
+    }
 }
 
 /// Whether derived files say how long things took.
@@ -52,6 +67,7 @@ pub(super) struct Collector {
     /// Frames of unfinished files, and those that are the whole pictures.
     replaced: BTreeMap<u32, u32>,
     report: SessionReport,
+    left_out: LeftOut,
     timings: BTreeMap<u32, StageTimes>,
     /// Files that could not be written, and why the latest could not.
     unwritten: BTreeMap<String, String>,
@@ -71,12 +87,7 @@ impl Collector {
             std::fs::create_dir_all(&folder)
                 .map_err(|source| SessionError::Folder { path: folder.display().to_string(), source })?;
         }
-        let mut not_modelled =
-            vec!["detector blur, focal spot, anode heel, lag", "the operating table and whatever else is not in the CT"];
         let network = workshop.network_sha256();
-        if network.is_none() {
-            not_modelled.insert(0, "scatter: it is not in the DRR, so acquired frames are brighter behind thick tissue");
-        }
         let names = workshop.names().clone();
         let inputs: Vec<_> = names.shown().into_iter().map(|input| (input.path, input.sha256)).collect();
         let scene = inputs.first().map(|(label, _)| ("scene".to_owned(), label.clone()));
@@ -93,7 +104,6 @@ impl Collector {
         let report = SessionReport {
             title: "Sidecarm session".to_owned(),
             started_us: Some(started_us),
-            not_modelled: not_modelled.into_iter().map(str::to_owned).collect(),
             provenance,
             ..SessionReport::default()
         };
@@ -106,6 +116,7 @@ impl Collector {
             views: BTreeMap::new(),
             replaced: BTreeMap::new(),
             report,
+            left_out: LeftOut::default(),
             timings: BTreeMap::new(),
             unwritten: BTreeMap::new(),
             pairs_are_old: false,
@@ -129,6 +140,7 @@ impl Collector {
         pair.strip = Some(strip);
         if let Some((drr, scene)) = &developed.drr {
             let name = format!("drr/{number:03}.tif");
+            self.left_out.take(number, &drr.plan);
             if !known {
                 let written = write_image_without_times(&self.path.join(&name), drr, scene);
                 failures.extend(self.note(&name, written));
@@ -225,6 +237,7 @@ impl Collector {
         self.report.losses = losses;
         self.report.losses.extend(none_accepted(&self.report.pairs).filter(|_| engine.seeks_beads()));
         self.report.warnings = reporter.warnings();
+        self.report.not_modelled = self.left_out.sentences();
         self.unwritten.remove("pairs.json");
         if let Some((file, reason)) = self.unwritten.iter().next_back() {
             let others = match self.unwritten.len() {
@@ -239,6 +252,7 @@ impl Collector {
             reporter.warn("report not written", &error);
             self.report.losses.push(format!("{error}; {again}"));
         }
-        Folder { path: self.path, log, pairs: self.report.pairs, views: self.views, losses: self.report.losses }
+        let (pairs, losses) = (std::mem::take(&mut self.report.pairs), self.report.losses.clone());
+        Folder { path: self.path, log, pairs, views: self.views, losses, report: Some(Box::new(self.report)) }
     }
 }

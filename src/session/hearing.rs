@@ -116,7 +116,7 @@ impl Hearing {
     }
 
     /// What there is to say, once per silence, about lines that cannot be heard.
-    pub(super) fn look(&mut self, now_us: i64, health: impl Fn(DeviceKind) -> Option<Health>) -> Vec<String> {
+    pub(super) fn look(&mut self, now_us: i64, health: impl Fn(DeviceKind) -> Option<Health>) -> Vec<(DeviceKind, String)> {
         let mut words = Vec::new();
         for (device, line) in self.lines.iter_mut().filter(|(_, line)| !line.told && line.silence_until(now_us).is_some()) {
             line.told = true;
@@ -133,9 +133,10 @@ impl Hearing {
                 }
             };
             let silent_s = SILENT_US as f64 * 1e-6;
-            words.push(format!(
+            let sentence = format!(
                 "nothing to be used from the {device} for {silent_s:.0} s, frames that come now have no telemetry of it; {why}"
-            ));
+            );
+            words.push((*device, sentence));
         }
         words
     }

@@ -6,6 +6,7 @@
 //! ```
 //! Nothing that is slow or dead behind the engine stops what is in front of it from being recorded.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -21,6 +22,7 @@ use super::file::Setup;
 use super::folder::{Collector, Folder, Times};
 use super::input::{Input, Output};
 use super::log::SessionLog;
+use super::losses::line_losses;
 use super::onlooker::Onlooker;
 use super::places;
 use super::posing::{PoseJob, Registered};
@@ -112,7 +114,7 @@ pub fn run(setup: Setup, options: &LiveOptions, board: &Board, reporter: &Report
         faults_this_tick: 0,
         next_tick_us: started_us,
         tell_losses_us: started_us,
-        told_losses: 0,
+        told_losses: BTreeMap::new(),
         told_keepers_lost: 0,
         finishing: None,
     };
@@ -166,7 +168,7 @@ struct Session {
     faults_this_tick: u32,
     next_tick_us: i64,
     tell_losses_us: i64,
-    told_losses: u64,
+    told_losses: BTreeMap<DeviceKind, u64>,
     told_keepers_lost: u32,
     finishing: Option<(Progress, usize)>,
 }
@@ -306,15 +308,16 @@ impl Session {
 
     /// Lost telemetry and a log that fails reach the person while there is something to be done.
     fn tell_losses(&mut self) {
-        let healths = DeviceKind::ALL.into_iter().filter_map(|device| self.engine.health(device));
-        let lost: u64 = healths.map(|health| health.lost_in_all()).sum();
-        if lost > self.told_losses {
-            self.told_losses = lost;
-            self.reporter.warn("telemetry lost", self.engine.line_losses().join("; "));
+        for device in DeviceKind::ALL {
+            let Some(health) = self.engine.health(device).filter(|health| health.lost_in_all() > 0) else { continue };
+            let told = self.told_losses.insert(device, health.lost_in_all());
+            if let (true, Some(words)) = (told < Some(health.lost_in_all()), line_losses(device, &health)) {
+                self.reporter.warn(&format!("{device} telemetry lost"), words);
+            }
         }
         if matches!(self.stage, Stage::Open { .. }) {
-            for words in self.engine.silent_lines() {
-                self.reporter.warn("line silent", &words);
+            for (device, words) in self.engine.silent_lines() {
+                self.reporter.warn(&format!("{device} line silent"), &words);
                 self.log.event(Level::Warning, host_now_us(), &words);
             }
         }
@@ -445,7 +448,8 @@ impl Session {
             None => {
                 self.log.lose(format!("the thread that writes files died; {}", self.log.again()));
                 let folder = path.parent().map(PathBuf::from).unwrap_or_default();
-                Folder { path: folder, log: Some(path), pairs: Vec::new(), views: Default::default(), losses: self.log.losses() }
+                let (pairs, views, losses) = (Vec::new(), Default::default(), self.log.losses());
+                Folder { path: folder, log: Some(path), pairs, views, losses, report: None }
             }
         }
     }

@@ -35,6 +35,7 @@ mod event;
 mod file_error;
 mod image_difference;
 mod intensifier;
+mod left_out;
 mod log;
 mod log_inputs;
 mod logged_frames;

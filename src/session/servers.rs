@@ -55,6 +55,12 @@ fn ae_title() -> String {
 }
 
 impl DicomServer {
+    /// On this machine, for whoever calls the default title.
+    #[must_use]
+    pub fn on_port(port: u16) -> Self {
+        Self { port, bind: loopback(), ae_title: ae_title(), calling_ae_titles: Vec::new() }
+    }
+
     /// The first name in it that is none (PS3.5 §6.2, AE: 1 to 16 characters, no backslash, no control characters, not only spaces).
     #[must_use]
     pub fn wrong_title(&self) -> Option<&str> {

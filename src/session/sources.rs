@@ -139,6 +139,9 @@ impl LineIntake {
         let link = |change: &dyn Fn(&mut Link)| {
             self.board.update(|state| state.links.iter_mut().filter(|link| link.device == device).for_each(change));
         };
+        if let Some((kind, words)) = warning(device, &event) {
+            self.reporter.warn(&kind, words);
+        }
         match event {
             PortEvent::Bytes { host_us, epoch, bytes } => {
                 self.log.input(Input::Bytes { device, epoch, host_us, bytes });
@@ -159,17 +162,25 @@ impl LineIntake {
                     link.trouble = Some(reason.clone());
                 });
                 self.log.event(Level::Warning, host_us, &format!("{} line lost: {reason}", device.key()));
-                let advice = format!("{} line lost ({reason}); it is re-opened as soon as it is back", device.key());
-                self.reporter.warn("line lost", advice);
                 self.log.tell(Event::LineLost { device, host_us, reason });
             }
-            PortEvent::Retry { error, attempt, .. } => {
-                link(&|link| link.trouble = Some(error.to_string()));
-                if attempt == 1 {
-                    self.reporter.warn("line not open", format!("{error}; {}", crate::telemetry::hint(&error)));
-                }
-            }
+            PortEvent::Retry { error, .. } => link(&|link| link.trouble = Some(error.to_string())),
         }
+    }
+}
+
+/// What a person is told of a line's trouble: the kind, which names the line, so that counts and latest words are those of one line, and
+/// the words.
+fn warning(device: DeviceKind, event: &PortEvent) -> Option<(String, String)> {
+    match event {
+        PortEvent::Lost { reason, .. } => Some((
+            format!("{device} line lost"),
+            format!("{device} line lost ({reason}); it is re-opened as soon as it is back"),
+        )),
+        PortEvent::Retry { error, attempt: 1, .. } => {
+            Some((format!("{device} line not open"), format!("{error}; {}", crate::telemetry::hint(error))))
+        }
+        PortEvent::Retry { .. } | PortEvent::Bytes { .. } | PortEvent::Opened { .. } => None,
     }
 }
 
@@ -397,5 +408,26 @@ impl FrameIntake {
     fn held_bytes(&mut self) -> usize {
         self.held.retain(|frame| frame.strong_count() > 0);
         self.held.iter().filter_map(Weak::upgrade).map(|frame| frame.pixels.pixels.len() * 4).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Both lines were counted together: after five losses of the C-arm and one of the robot the report said "line lost, 6 times: robot".
+    #[test]
+    fn each_line_s_losses_are_counted_and_worded_by_themselves() {
+        let reporter = Reporter::silent();
+        for device in [DeviceKind::Carm, DeviceKind::Carm, DeviceKind::Robot] {
+            let lost = PortEvent::Lost { epoch: 1, host_us: 0, reason: "unplugged".to_owned() };
+            let (kind, words) = warning(device, &lost).expect("a person must know");
+            reporter.warn(&kind, words);
+        }
+        let counted: Vec<_> = reporter.warnings().into_iter().map(|(kind, counted)| (kind, counted.count, counted.latest)).collect();
+        assert_eq!(counted.iter().map(|(_, count, _)| *count).collect::<Vec<_>>(), [2, 1]);
+        for ((kind, _, latest), device) in counted.iter().zip(["C-arm", "robot"]) {
+            assert!(kind.starts_with(device) && latest.starts_with(device), "{kind}: {latest}");
+        }
     }
 }

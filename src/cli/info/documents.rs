@@ -5,6 +5,7 @@ use std::path::Path;
 use serde_json::{Map, Value, json};
 
 use super::found::{Found, InfoError, object};
+use super::kinds::{COUNTED, recognise, shown};
 
 pub(super) fn examine(path: &Path, name: &str) -> Result<Found, InfoError> {
     let text = std::fs::read_to_string(path).map_err(|source| InfoError::Io { path: path.to_owned(), source })?;
@@ -26,32 +27,6 @@ pub(super) fn examine(path: &Path, name: &str) -> Result<Found, InfoError> {
             let keys = map.keys().take(8).cloned().collect::<Vec<_>>().join(", ");
             Err(InfoError::Unknown { path: path.to_owned(), found: format!("JSON with the keys {keys}") })
         }
-    }
-}
-
-/// The kind of a JSON file, by the keys that only this kind has.
-fn recognise(map: &Map<String, Value>) -> Option<&'static str> {
-    let has = |key: &str| map.contains_key(key);
-    if has("markups") {
-        Some("markups")
-    } else if has("objects") {
-        Some("scene")
-    } else if has("pairs") {
-        Some("pairs")
-    } else if has("status") && (has("projection") || has("reason") || has("beads")) {
-        Some("pose")
-    } else if has("frames") && (has("scene") || has("beads") || has("carm") || has("robot")) {
-        Some("session")
-    } else if has("quantity") && has("pages") {
-        Some("image_description")
-    } else if has("camera_from_lps") {
-        Some("prior")
-    } else if has("intrinsics") {
-        Some("intrinsics")
-    } else if has("origin") {
-        Some("calibration")
-    } else {
-        None
     }
 }
 
@@ -81,15 +56,20 @@ fn facts(kind: &str, map: &Map<String, Value>) -> Map<String, Value> {
             }
             facts
         }
-        "pairs" => object(json!({"pairs": map.get("pairs").and_then(Value::as_array).map_or(0, Vec::len)})),
-        "image_description" => pick(&["quantity", "unit", "pages", "size_px", "stated_error", "adapter", "version"]),
-        "calibration" => {
-            let mut facts = pick(&["origin"]);
-            facts.insert("keys".into(), map.keys().cloned().collect::<Vec<_>>().into());
+        "session" | "intrinsics" | "prior" | "console" => map.clone(),
+        _ => {
+            let mut facts = pick(shown(kind));
+            for key in COUNTED {
+                if let (Some(Value::Array(list)), false) = (map.get(key), facts.contains_key(key)) {
+                    facts.insert(key.to_owned(), list.len().into());
+                }
+            }
             facts
         }
-        _ => map.clone(),
     };
+    if kind == "calibration" {
+        facts.insert("keys".into(), map.keys().cloned().collect::<Vec<_>>().into());
+    }
     facts.insert("format".into(), "JSON".into());
     facts
 }

@@ -14,8 +14,10 @@ mod targets;
 
 type Target = (&'static str, fn(&[u8]));
 
-const TARGETS: [Target; 11] = [
+const TARGETS: [Target; 13] = [
     ("decoder", targets::decoder),
+    ("lines", targets::lines),
+    ("adapter", targets::adapter),
     ("nifti", targets::nifti),
     ("nrrd", targets::nrrd),
     ("metaimage", targets::metaimage),

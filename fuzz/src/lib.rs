@@ -9,7 +9,8 @@ use sidecarm::pose::{Pose, Prior};
 use sidecarm::record::{FrameAssembler, LogReader, Tolerance};
 use sidecarm::reporter::Reporter;
 use sidecarm::scene::{load, read_volume};
-use sidecarm::telemetry::{Decoder, DeviceKind, Link};
+use sidecarm::telemetry::lines::LineBlanker;
+use sidecarm::telemetry::{Decoder, DeviceKind, Event, LineAdapter, Link};
 
 /// Serial bytes: first as they are, then in openings and at times that the bytes themselves choose.
 pub fn decoder(data: &[u8]) {
@@ -27,6 +28,56 @@ pub fn decoder(data: &[u8]) {
             link.feed(host_us, u32::from(part[0]), part, &mut |_| {});
         }
     }
+}
+
+/// Lines of text, read as the declarations that come with the program have them.
+pub fn lines(data: &[u8]) {
+    let declarations = [
+        include_str!("../../calibration/telemetry/generic-robot-csv.json"),
+        include_str!("../../calibration/telemetry/generic-robot-json.json"),
+        include_str!("../../calibration/telemetry/generic-carm-regex.json"),
+    ];
+    for declaration in declarations {
+        let adapter: LineAdapter = serde_json::from_str(declaration).expect("they hold");
+        read_lines(&adapter, data);
+    }
+}
+
+/// A declaration; lines of the others are read with it.
+pub fn adapter(data: &[u8]) {
+    let Ok(adapter) = serde_json::from_slice::<LineAdapter>(data) else { return };
+    let text = serde_json::to_string(&adapter).expect("serialises");
+    assert_eq!(serde_json::from_str::<LineAdapter>(&text).expect("what was one is one"), adapter);
+    read_lines(&adapter, b"1,2,3,4,5,6,7\n1500,65535,100,200,50,-100,0,112.5,225,,-125,6.25,3500,-3500,100,home\n{\"joints\":[1,2,3,4,5]}\n");
+    read_lines(&adapter, data);
+}
+
+fn read_lines(adapter: &LineAdapter, data: &[u8]) {
+    let samples = |chunk: usize, data: &[u8]| {
+        let mut link = Link::of_lines(adapter, true);
+        let mut found = Vec::new();
+        for part in data.chunks(chunk) {
+            link.feed(1_000_000, 0, part, &mut |received| {
+                if let Event::Sample(sample, _) = received.event {
+                    found.push(format!("{sample:?}"));
+                }
+            });
+        }
+        found
+    };
+    let whole = samples(data.len().max(1), data);
+    assert_eq!(whole, samples(7, data), "how bytes are split makes no difference");
+    let mut blanker = LineBlanker::new(adapter);
+    let lines = data.split_inclusive(|byte| matches!(byte, b'\n' | b'\r')).take(64);
+    let blanked: Vec<u8> = lines
+        .flat_map(|line| {
+            let end = line.len() - usize::from(matches!(line.last(), Some(b'\n' | b'\r')));
+            let blanked = blanker.blanked(&line[..end]);
+            assert_eq!(blanked.len(), end);
+            [&blanked, &line[end..]].concat()
+        })
+        .collect();
+    assert_eq!(samples(97, &blanked), samples(97, &data[..blanked.len()]), "what is taken out no sample rests on");
 }
 
 /// Writes `data` into a file of its own and hands over its path.

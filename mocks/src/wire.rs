@@ -180,6 +180,43 @@ fn cobs(bytes: &[u8]) -> Vec<u8> {
 mod tests {
     use super::*;
 
+    /// The frames that the reference senders are held against, beyond those of the protocol.
+    #[test]
+    fn the_senders_golden_frames_are_those_of_this_encoder() {
+        let text = include_str!("../../senders/golden.txt");
+        let golden = |name: &str| {
+            let line = text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' ')).expect(name);
+            (0..line.len() / 2).map(|i| u8::from_str_radix(&line[2 * i..2 * i + 2], 16).expect("hex")).collect::<Vec<u8>>()
+        };
+        for (nth, name) in ["robot", "carm", "metadata"].into_iter().enumerate() {
+            assert_eq!(golden(name), self::golden(nth), "{name}");
+        }
+        let unmeasured = RobotMessage {
+            commanded_deg: [0.0; 5],
+            sensed_deg: None,
+            tendons: [[f32::NAN; 4]; 2],
+            tracker_from_base: None,
+            drill_rpm: f32::NAN,
+            status: 5,
+        };
+        assert_eq!(golden("robot_unmeasured"), encode_robot(Stamp { sequence: 0, device_us: 0 }, &unmeasured));
+        let dark = CarmMessage {
+            joints: [0.0; 7],
+            tube_kvp: 0.0,
+            tube_ma: 0.0,
+            pulse_width_ms: 0.0,
+            filter_mm: [0.0; 2],
+            field_mm: [f32::NAN; 4],
+            xray_on: false,
+            exposure_counter: NO_COUNTER,
+            status: 3,
+        };
+        assert_eq!(golden("carm_dark"), encode_carm(Stamp { sequence: u32::MAX, device_us: u64::MAX }, &dark));
+        let texts = ["S".repeat(100), "f".repeat(100), "c".repeat(60), "mm,deg".to_owned()];
+        let long = MetadataMessage { kind: 1, texts, limits: Vec::new() };
+        assert_eq!(golden("metadata_long"), encode_metadata(Stamp { sequence: 7, device_us: 1 }, &long));
+    }
+
     fn golden(nth: usize) -> Vec<u8> {
         let text = include_str!("../PROTOCOL.md");
         let section = text.split("## Golden frames").nth(1).expect("section");

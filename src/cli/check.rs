@@ -112,6 +112,10 @@ fn work(args: &CheckArgs, reporter: &Reporter, found: &Sender<Finding>) {
     check_disk(&out_folder(args, &setup), &setup.session.frames.folder).into_iter().for_each(tell);
     check_ports(&setup).into_iter().for_each(tell);
     reporter.note("check: listening to the ports, reading files");
+    for words in setup.adapters.unknowns() {
+        let remedy = "declare device_time and sequence in the adapter where the device sends them; else this is how it is";
+        tell(Finding::warn("line adapter", words, remedy));
+    }
     let lines = check_lines(&check_list(&setup));
     lines.iter().map(of_line).for_each(tell);
     reporter.note("check: loading the scene");
@@ -141,7 +145,10 @@ fn out_folder(args: &CheckArgs, setup: &Setup) -> PathBuf {
 
 fn check_list(setup: &Setup) -> CheckList {
     let session = &setup.session;
-    let port = |device, path: &PathBuf, baud| PortConfig { device, path: path.clone(), baud };
+    let port = |device, path: &PathBuf, baud| {
+        let adapter = setup.adapters.of(device).cloned();
+        PortConfig { device, path: path.clone(), baud, adapter }
+    };
     let file = |role: &str, path: &PathBuf, check| CheckFile { role: role.to_owned(), path: path.clone(), check };
     let mut files = vec![file("frames", &session.frames.folder, FileCheck::Folder)];
     files.extend(session.carm.as_ref().map(|line| file("calibration file", &line.calibration, FileCheck::CarmCalibration)));

@@ -9,7 +9,7 @@ use tokio::sync::mpsc;
 use crate::geometry::{CarmCalibration, RobotModel};
 use crate::json::parse_json;
 use crate::session::crosscheck::Listened;
-use crate::telemetry::{DeviceKind, Event, Health, Link, Metadata, PortConfig, PortEvent, Sample, hint, spawn_port};
+use crate::telemetry::{DeviceKind, Event, Health, Link, Metadata, PortAddress, PortConfig, PortEvent, Sample, hint, spawn_port};
 use crate::time::host_now_us;
 
 /// How long each port is listened to.
@@ -51,7 +51,7 @@ impl From<PathBuf> for CheckFile {
 }
 
 /// What a session needs.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct CheckList {
     /// The C-arm's port.
     pub carm: Option<PortConfig>,
@@ -116,7 +116,7 @@ impl Heard {
             PortEvent::Lost { reason, .. } => self.lost = Some(format!("the device went away: {reason}; check the cable")),
             // An earlier attempt may have failed because another program was just letting go.
             PortEvent::Opened { .. } => self.closed = None,
-            PortEvent::Bytes { .. } => {}
+            PortEvent::Bytes { .. } | PortEvent::Said { .. } => {}
         }
         let Self { link, as_other, listened, samples, first_last_us, .. } = self;
         as_other.handle(event, &mut |_| {});
@@ -133,6 +133,8 @@ impl Heard {
 
     fn verdict(self, config: &PortConfig) -> CheckLine {
         let health = *self.link.health();
+        let of_lines = config.adapter.is_some();
+        let address = PortAddress::of(&config.path);
         let rate_hz = match self.first_last_us {
             Some((first, last)) if last > first => (self.samples.saturating_sub(1)) as f64 * 1e6 / (last - first) as f64,
             _ => 0.0,
@@ -141,10 +143,17 @@ impl Heard {
         let (ok, detail) = if let Some(trouble) = self.lost.or(self.closed) {
             (false, trouble)
         } else if health.bytes == 0 {
-            (false, "open, but silent; switch the device on, and check that its baud rate is the session's".to_owned())
+            let silent = match address {
+                Ok(PortAddress::Udp(_)) => "listened to, but no datagram came; start the sender, and check where it sends to",
+                Ok(PortAddress::File(_)) => "read, but nothing was written to it; start the program that writes it",
+                Ok(PortAddress::Serial(_)) | Err(_) => {
+                    "open, but silent; switch the device on, and check that its baud rate is the session's"
+                }
+            };
+            (false, silent.to_owned())
         } else if self.samples == 0 && health.schema_mismatch + health.version_mismatch > 0 {
             (false, format!("speaks another protocol version ({health}); update the device's firmware or sidecarm"))
-        } else if self.samples == 0 && self.as_other.health().frames > 0 {
+        } else if self.samples == 0 && !of_lines && self.as_other.health().frames > 0 {
             let other = self.as_other.device();
             (
                 false,
@@ -152,6 +161,9 @@ impl Heard {
                     "the {other} speaks here, not the {device}: the two ports are swapped; exchange carm.port and robot.port"
                 ),
             )
+        } else if self.samples == 0 && of_lines {
+            let latest = self.link.latest_fault().unwrap_or("not one whole line");
+            (false, format!("{} bytes, but no line is as its adapter declares it ({latest}); correct the adapter", health.bytes))
         } else if self.samples == 0 {
             let detail = format!(
                 "{} bytes, but no {device} sample ({health}); check that its baud rate is the session's ({}), then the cable",
@@ -159,8 +171,10 @@ impl Heard {
             );
             (false, detail)
         } else {
-            let about = self.listened.metadata.as_ref().map_or("no metadata yet".to_owned(), Metadata::summary);
-            (true, format!("{rate_hz:.1} Hz, {health}; {about}"))
+            let none = if of_lines { "lines as declared" } else { "no metadata yet" };
+            let about = self.listened.metadata.as_ref().map_or(none.to_owned(), Metadata::summary);
+            let latest = self.link.latest_fault().map(|fault| format!(", of the latest: {fault}")).unwrap_or_default();
+            (true, format!("{rate_hz:.1} Hz, {health}{latest}; {about}"))
         };
         CheckLine {
             what: device.to_string(),
@@ -178,7 +192,10 @@ fn listen(ports: &[&PortConfig]) -> std::io::Result<Vec<Heard>> {
     let mut heard: Vec<Heard> = ports
         .iter()
         .map(|config| Heard {
-            link: Link::new(config.device),
+            link: match &config.adapter {
+                Some(adapter) => Link::of_lines(adapter, PortAddress::begins_whole(&config.path)),
+                None => Link::new(config.device),
+            },
             as_other: Link::new(match config.device {
                 DeviceKind::Carm => DeviceKind::Robot,
                 DeviceKind::Robot => DeviceKind::Carm,

@@ -71,7 +71,7 @@ enum SessionOf {
 pub struct NewArgs {
     /// The session file; none may be there yet
     session: PathBuf,
-    /// Serial port of the C-arm's telemetry, or none
+    /// Port of the C-arm's telemetry (serial, udp://ADDRESS:PORT or file:PATH), or none
     #[arg(long, value_name = "PORT")]
     carm: Option<String>,
     /// Its bits per second
@@ -80,7 +80,10 @@ pub struct NewArgs {
     /// Its calibration, or nominal: the one that comes with the program is written beside the session
     #[arg(long, value_name = "FILE")]
     carm_calibration: Option<String>,
-    /// Serial port of the robot's telemetry, or none
+    /// How its lines are read, where it does not speak Sidecarm's packets
+    #[arg(long, value_name = "FILE")]
+    carm_adapter: Option<PathBuf>,
+    /// Port of the robot's telemetry (as --carm), or none
     #[arg(long, value_name = "PORT")]
     robot: Option<String>,
     /// Its bits per second
@@ -89,6 +92,9 @@ pub struct NewArgs {
     /// Its model, or nominal
     #[arg(long, value_name = "FILE")]
     robot_model: Option<String>,
+    /// How its lines are read, where it does not speak Sidecarm's packets
+    #[arg(long, value_name = "FILE")]
+    robot_adapter: Option<PathBuf>,
     /// Folder in which frames appear
     #[arg(long, value_name = "DIR")]
     frames: Option<String>,
@@ -188,8 +194,8 @@ fn answered<R: BufRead, W: Write>(
     })?;
     let further = Further::ask(args, asker)?;
     let session = SessionFile {
-        carm: carm.map(|(port, calibration)| CarmLine { port, baud: args.carm_baud, calibration }),
-        robot: robot.map(|(port, model)| RobotLine { port, baud: args.robot_baud, model }),
+        carm: carm.map(|(port, calibration)| CarmLine { port, baud: args.carm_baud, calibration, adapter: args.carm_adapter.as_deref().map(named) }),
+        robot: robot.map(|(port, model)| RobotLine { port, baud: args.robot_baud, model, adapter: args.robot_adapter.as_deref().map(named) }),
         frames: FrameSource { folder: frames, sub_folders: false, domain: None, dicom: further.dicom },
         scene,
         beads,
@@ -296,9 +302,11 @@ mod tests {
             carm: None,
             carm_baud: BAUD,
             carm_calibration: None,
+            carm_adapter: None,
             robot: None,
             robot_baud: 115_200,
             robot_model: None,
+            robot_adapter: None,
             frames: None,
             scene: None,
             beads: None,

@@ -5,6 +5,8 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
+use super::file::Setup;
+use super::log::SETUP_TOPIC;
 use super::pictures::{PictureDigest, Pictures};
 use super::records::{RESTART_TOPIC, SEEN_TOPIC, SeenRecord};
 use super::studies::Studies;
@@ -197,6 +199,7 @@ struct Recorded {
 impl Recorded {
     fn read(&mut self, log: &Path) -> Result<(), AttachError> {
         let mut links = DeviceKind::ALL.map(Link::new);
+        let mut has_setup = false;
         let mut assembler = FrameAssembler::default();
         // A frame whose pixels have not come yet, and when it arrived.
         let mut tagged: Option<(Frame, i64)> = None;
@@ -230,6 +233,15 @@ impl Recorded {
                             self.take_frame(Some((frame, entry.host_us)), Some(content));
                         }
                         Err(error) => self.losses.push(error.to_string()),
+                    }
+                    continue;
+                }
+                SETUP_TOPIC if !has_setup => {
+                    // What is no setup says nothing of how bytes are read: they are packets.
+                    if let Ok(setup) = entry.json::<Setup>() {
+                        links = DeviceKind::ALL.map(|device| setup.link(device));
+                        self.timeline = setup.adapters.timeline();
+                        has_setup = true;
                     }
                     continue;
                 }

@@ -96,7 +96,8 @@ impl Engine {
         let world_from_tracker = rigid(setup.session.world_from_tracker);
         let present = [(DeviceKind::Carm, setup.carm.is_some()), (DeviceKind::Robot, setup.robot.is_some())];
         let present: Vec<DeviceKind> = present.into_iter().filter(|(_, there)| *there).map(|(device, _)| device).collect();
-        let links = present.iter().map(|device| (*device, Link::new(*device))).collect();
+        let links = present.iter().map(|device| (*device, setup.link(*device))).collect();
+        let timeline = setup.adapters.timeline();
         Self {
             import: Import::of(&setup),
             landmarks: setup.landmark_points().into(),
@@ -106,7 +107,7 @@ impl Engine {
             links,
             line_watch: LineWatch::default(),
             hearing: Hearing::new(present),
-            timeline: Timeline::new(),
+            timeline,
             tie,
             standstill: Standstill::new(centre),
             world_from_tracker,
@@ -175,7 +176,7 @@ impl Engine {
     /// What the lines have lost, a sentence each.
     #[must_use]
     pub fn line_losses(&self) -> Vec<String> {
-        let packets = self.links.iter().filter_map(|(device, link)| line_losses(*device, link.health()));
+        let packets = self.links.values().filter_map(line_losses);
         packets.chain(self.hearing.losses(self.ended_us.unwrap_or(self.now_us))).collect()
     }
 

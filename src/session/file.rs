@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use super::adapters::{self, Adapters};
 use super::air_word::AirWord;
 pub use super::file_error::SessionFileError;
 use super::servers::{DicomServer, IgtlServer};
@@ -14,31 +15,38 @@ use crate::beads::{Landmark, parse_landmarks};
 use crate::compare::Tone;
 use crate::geometry::{CarmCalibration, ConsoleGeometry, IntensifierCalibration, PanelWindow, Rigid, RobotModel};
 use crate::json::{JsonFault, parse_json};
+use crate::telemetry::{DeviceKind, LineAdapter, Link, PortAddress};
 
 /// The C-arm's line.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CarmLine {
-    /// Serial device.
+    /// Serial device, `udp://ADDRESS:PORT`, or `file:PATH` for what is written to a file's end.
     pub port: PathBuf,
     /// Bits per second.
     #[serde(default = "default_baud")]
     pub baud: u32,
     /// A file of `calibration/carm/`.
     pub calibration: PathBuf,
+    /// How its lines are read, where it does not speak packets: a file such as those of `calibration/telemetry/`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub adapter: Option<PathBuf>,
 }
 
 /// The robot's line.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RobotLine {
-    /// Serial device.
+    /// As the C-arm's.
     pub port: PathBuf,
     /// Bits per second.
     #[serde(default = "default_baud")]
     pub baud: u32,
     /// A file of `calibration/robot/`.
     pub model: PathBuf,
+    /// As the C-arm's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub adapter: Option<PathBuf>,
 }
 
 fn default_baud() -> u32 {
@@ -154,6 +162,9 @@ pub struct Setup {
     pub carm: Option<CarmCalibration>,
     /// The robot's model.
     pub robot: Option<RobotModel>,
+    /// How the lines of devices are read that do not speak packets.
+    #[serde(default, skip_serializing_if = "Adapters::is_empty")]
+    pub adapters: Adapters,
     /// Text of the scene file.
     pub scene_json: String,
     /// Where the scene file was.
@@ -212,9 +223,31 @@ fn locate(session: &Path, key: &'static str, named: &Path) -> Result<PathBuf, Se
     })
 }
 
-/// A folder or device that need not exist yet: relative names are beside the session file.
+/// A folder that need not exist yet: relative names are beside the session file.
 fn beside(session: &Path, named: &Path) -> PathBuf {
     session.parent().unwrap_or(Path::new(".")).join(named)
+}
+
+/// A port that need not be there yet, likewise.
+fn port_of(session: &Path, key: &'static str, named: &Path) -> Result<PathBuf, SessionFileError> {
+    PortAddress::of(named).map_err(|error| SessionFileError::Json {
+        path: session.to_owned(),
+        place: key.to_owned(),
+        detail: error.to_string(),
+    })?;
+    Ok(PortAddress::beside(named, session.parent().unwrap_or(Path::new("."))))
+}
+
+/// The adapter that a line names, if it does; the name becomes that of the file.
+fn adapter_of(
+    session: &Path,
+    key: &'static str,
+    named: &mut Option<PathBuf>,
+    device: DeviceKind,
+) -> Result<Option<LineAdapter>, SessionFileError> {
+    let Some(file) = named else { return Ok(None) };
+    *file = locate(session, key, file)?;
+    adapters::parse(file, &read_text(file)?, device).map(Some)
 }
 
 impl Setup {
@@ -230,17 +263,20 @@ impl Setup {
                 return Err(SessionFileError::Json { path: path.to_owned(), place: key.to_owned(), detail: error.to_string() });
             }
         }
+        let mut adapters = Adapters::default();
         let mut carm = None;
         if let Some(line) = &mut session.carm {
             check_baud(path, "carm.baud", line.baud)?;
-            line.port = beside(path, &line.port);
+            line.port = port_of(path, "carm.port", &line.port)?;
+            adapters.carm = adapter_of(path, "carm.adapter", &mut line.adapter, DeviceKind::Carm)?;
             line.calibration = locate(path, "carm.calibration", &line.calibration)?;
             carm = Some(parse::<CarmCalibration>(&line.calibration, &read_text(&line.calibration)?)?);
         }
         let mut robot = None;
         if let Some(line) = &mut session.robot {
             check_baud(path, "robot.baud", line.baud)?;
-            line.port = beside(path, &line.port);
+            line.port = port_of(path, "robot.port", &line.port)?;
+            adapters.robot = adapter_of(path, "robot.adapter", &mut line.adapter, DeviceKind::Robot)?;
             line.model = locate(path, "robot.model", &line.model)?;
             let model: RobotModel = parse(&line.model, &read_text(&line.model)?)?;
             model.check().map_err(|error| SessionFileError::Json {
@@ -266,7 +302,7 @@ impl Setup {
         let (inputs, places) = Default::default();
         let (landmarks, detector, intensifier, tags) = (None, None, None, None);
         let mut setup =
-            Self { session, carm, robot, scene_json, scene_path, beads, landmarks, detector, intensifier, tags, inputs, places };
+            Self { session, carm, robot, adapters, scene_json, scene_path, beads, landmarks, detector, intensifier, tags, inputs, places };
         setup.load_declared(path)?;
         Ok(setup)
     }
@@ -342,6 +378,20 @@ impl Setup {
             self.tags = Some((found, text));
         }
         Ok(())
+    }
+
+    /// The port of `device` as the session names it, if it has one.
+    fn port(&self, device: DeviceKind) -> Option<&Path> {
+        match device {
+            DeviceKind::Carm => self.session.carm.as_ref().map(|line| line.port.as_path()),
+            DeviceKind::Robot => self.session.robot.as_ref().map(|line| line.port.as_path()),
+        }
+    }
+
+    /// The decoder of a device's bytes.
+    #[must_use]
+    pub fn link(&self, device: DeviceKind) -> Link {
+        self.adapters.link(device, self.port(device))
     }
 
     /// The C-arm's calibration with cropping, binning and enlargement of the console folded in, as it holds for an imported frame; as it

@@ -10,6 +10,7 @@ pub use super::file::LoggedInput;
 use super::file::{LoggedPart, Setup};
 use crate::acquire::{hashed_input_label, input_label};
 use crate::scene::InputFile;
+use crate::telemetry::PortAddress;
 
 /// What is written in place of what.
 #[derive(Clone, Debug, Default)]
@@ -38,6 +39,8 @@ impl InputNames {
         let calibrations = [
             (session.carm.as_ref().map(|line| &line.calibration), "carm"),
             (session.robot.as_ref().map(|line| &line.model), "robot"),
+            (session.carm.as_ref().and_then(|line| line.adapter.as_ref()), "carm-lines"),
+            (session.robot.as_ref().and_then(|line| line.adapter.as_ref()), "robot-lines"),
             (session.detector.as_ref(), "detector"),
             (session.intensifier.as_ref(), "intensifier"),
         ];
@@ -46,6 +49,12 @@ impl InputNames {
         let mut hidden: Vec<(String, String)> = Vec::new();
         for (path, label) in std::iter::once(folder).chain(files).chain(calibrations) {
             hide(&mut hidden, path, &label.to_string_lossy());
+        }
+        let ports = [session.carm.as_ref().map(|line| &line.port), session.robot.as_ref().map(|line| &line.port)];
+        for port in ports.into_iter().flatten() {
+            if let Ok(PortAddress::File(path)) = PortAddress::of(port) {
+                hide(&mut hidden, &path, "the telemetry file");
+            }
         }
         for (input, logged) in &names.inputs {
             let Some(place) = &input.place else { continue };
@@ -120,12 +129,14 @@ impl InputNames {
         let mut kept = setup.clone();
         let session = &mut kept.session;
         if let Some(line) = &mut session.carm {
-            line.port = last_part(&line.port);
+            line.port = PortAddress::told(&line.port);
             line.calibration = told(&line.calibration, "carm");
+            line.adapter = line.adapter.as_deref().map(|path| told(path, "carm-lines"));
         }
         if let Some(line) = &mut session.robot {
-            line.port = last_part(&line.port);
+            line.port = PortAddress::told(&line.port);
             line.model = told(&line.model, "robot");
+            line.adapter = line.adapter.as_deref().map(|path| told(path, "robot-lines"));
         }
         session.frames.folder = told_folder(&session.frames.folder);
         session.out = None;

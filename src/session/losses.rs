@@ -3,29 +3,32 @@
 use std::collections::BTreeSet;
 
 use crate::report::Pair;
-use crate::telemetry::{DeviceKind, Health};
+use crate::telemetry::Link;
 use crate::timeline::ExposureInterval;
 
 /// So many exposures are named.
 const NAMED: usize = 8;
 
 /// `None` when nothing was lost.
-pub(super) fn line_losses(device: DeviceKind, health: &Health) -> Option<String> {
+pub(super) fn line_losses(link: &Link) -> Option<String> {
+    let (device, health, [one, all]) = (link.device(), link.health(), link.units());
     let counted = [
-        (health.lost, "packets lost on the line"),
-        (health.missed_unplugged, "packets missed while it was unplugged"),
-        (health.corrupt, "corrupt packets"),
-        (health.wrong_device, "packets of the other device (are the ports swapped?)"),
-        (health.schema_mismatch + health.version_mismatch, "packets of another protocol (other firmware?)"),
-        (health.malformed + health.unknown_message, "packets that make no sense"),
-        (health.overlong, "stretches of bytes that are no packets (another speed, or another device?)"),
+        (health.lost, format!("{all} lost on the line")),
+        (health.missed_unplugged, format!("{all} missed while it was unplugged")),
+        (health.corrupt, format!("corrupt {all}")),
+        (health.wrong_device, "packets of the other device (are the ports swapped?)".to_owned()),
+        (health.schema_mismatch + health.version_mismatch, "packets of another protocol (other firmware?)".to_owned()),
+        (health.malformed + health.unknown_message, "packets that make no sense".to_owned()),
+        (health.overlong, format!("stretches of bytes that are no {all} (another speed, or another device?)")),
     ];
     let mut words: Vec<String> =
         counted.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")).collect();
     if health.bytes > 0 && health.frames == 0 {
-        words.push(format!("{} bytes and not one packet of it", health.bytes));
+        words.push(format!("{} bytes and not one {one} of it", health.bytes));
     }
-    (!words.is_empty()).then(|| format!("{device}: {}", words.join(", ")))
+    // Counters do not say what is wrong with a declaration.
+    let latest = link.latest_fault().map(|fault| format!("; of the latest corrupt one: {fault}")).unwrap_or_default();
+    (!words.is_empty()).then(|| format!("{device}: {}{latest}", words.join(", ")))
 }
 
 /// Exposures that are not among those that frames show, and how many frames (`unbound`) may be of them; `None` where each has one.

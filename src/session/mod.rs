@@ -25,6 +25,7 @@ pub mod replay;
 pub mod servers;
 mod replay_report;
 
+mod adapters;
 mod against_log;
 mod air_word;
 mod background;
@@ -63,6 +64,7 @@ mod warm;
 mod whereabouts;
 mod workshop;
 
+pub use adapters::Adapters;
 pub use developed::Developed;
 pub use logged_frames::logged_frames;
 pub use posing::{PoseJob, Posed, Registered};

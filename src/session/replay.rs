@@ -86,6 +86,9 @@ pub fn run(
         reporter.warn("files of the program", format!("{}: {words}", log.display()));
         losses.push(words);
     }
+    for words in setup.adapters.unknowns() {
+        reporter.warn("line adapter", words);
+    }
     let collector = Collector::create(&options.out, recorded.started_us, Times::Apart, &workshop)?;
     let broadcast = Broadcast::open(options.igtl.as_ref(), Whereabouts::new(&setup, workshop.robot()), reporter)?;
     let (pairs, developed) = sync_channel(MOST_OPEN);

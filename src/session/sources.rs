@@ -1,4 +1,4 @@
-//! What comes into a session, each kind on a thread that does nothing else: bytes of the serial lines, frames of the folder.
+//! What comes into a session, each kind on a thread that does nothing else: bytes of the devices' lines, frames of the folder.
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -89,6 +89,10 @@ impl Lines {
             tasks.push(spawn_port(runtime.handle(), config, sender.clone()));
         }
         drop(sender);
+        for words in setup.adapters.unknowns() {
+            reporter.warn("line adapter", &words);
+            log.event(Level::Warning, host_now_us(), &words);
+        }
         let intake = LineIntake { log: Arc::clone(log), board: board.clone(), reporter: reporter.clone() };
         std::thread::Builder::new()
             .name("lines".to_owned())
@@ -120,7 +124,8 @@ impl Lines {
 fn ports(setup: &Setup) -> Vec<PortConfig> {
     let carm = setup.session.carm.as_ref().map(|line| (DeviceKind::Carm, line.port.clone(), line.baud));
     let robot = setup.session.robot.as_ref().map(|line| (DeviceKind::Robot, line.port.clone(), line.baud));
-    [carm, robot].into_iter().flatten().map(|(device, path, baud)| PortConfig { device, path, baud }).collect()
+    let config = |(device, path, baud)| PortConfig { device, path, baud, adapter: setup.adapters.of(device).cloned() };
+    [carm, robot].into_iter().flatten().map(config).collect()
 }
 
 fn new_link(device: DeviceKind) -> Link {
@@ -164,6 +169,9 @@ impl LineIntake {
                 self.log.event(Level::Warning, host_us, &format!("{} line lost: {reason}", device.key()));
                 self.log.tell(Event::LineLost { device, host_us, reason });
             }
+            PortEvent::Said { host_us, words } => {
+                self.log.event(Level::Warning, host_us, &format!("{} line: {words}", device.key()));
+            }
             PortEvent::Retry { error, .. } => link(&|link| link.trouble = Some(error.to_string())),
         }
     }
@@ -180,6 +188,7 @@ fn warning(device: DeviceKind, event: &PortEvent) -> Option<(String, String)> {
         PortEvent::Retry { error, attempt: 1, .. } => {
             Some((format!("{device} line not open"), format!("{error}; {}", crate::telemetry::hint(error))))
         }
+        PortEvent::Said { words, .. } => Some((format!("{device} line"), format!("{device} line: {words}"))),
         PortEvent::Retry { .. } | PortEvent::Bytes { .. } | PortEvent::Opened { .. } => None,
     }
 }

@@ -1,75 +1,12 @@
-//! Bytes in, events out: framing, checksum, sequence. Does no input or output and knows no time.
+//! Packets: bytes in, events out: framing, checksum, sequence. Does no input or output and knows no time.
 
-use serde::Serialize;
-
+use super::counting;
 use super::device::DeviceKind;
+use super::event::{DecodeFault, Event};
 use super::health::Health;
 use super::sample::Sample;
 use super::sequence::{SequenceTracker, Sequenced};
 use super::wire::{self, FrameFault, Stamp, Unread};
-
-/// What the decoder found.
-#[derive(Clone, Debug, PartialEq)]
-#[expect(
-    clippy::large_enum_variant,
-    reason = "nearly every event is a sample and none is kept: a box would cost an allocation each"
-)]
-pub enum Event {
-    /// An intact frame, and how its sequence number follows. This is the only verdict on sequence and restart: whoever keeps samples goes
-    /// by it. Never [`Sequenced::Duplicate`], whose samples are not delivered.
-    Sample(Sample, Sequenced),
-    /// Something else; decoding goes on after the next delimiter.
-    Fault(DecodeFault),
-}
-
-/// What was wrong; counted in [`Health`].
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, thiserror::Error)]
-#[serde(rename_all = "snake_case", tag = "fault")]
-pub enum DecodeFault {
-    /// The frame is damaged or of no known form.
-    #[error(transparent)]
-    Frame(FrameFault),
-    /// More bytes without a delimiter than any frame has.
-    #[error("no delimiter in {limit} bytes: the line carries something else, or at another speed")]
-    Overlong {
-        /// Longest frame.
-        limit: usize,
-    },
-    /// Sequence numbers are missing before the sample that follows.
-    #[error("{count} frames lost")]
-    Lost {
-        /// How many.
-        count: u32,
-        /// Whether the port was closed meanwhile.
-        while_closed: bool,
-    },
-    /// The frame was here before; its sample is not delivered again.
-    #[error("frame {sequence} came twice")]
-    Duplicate {
-        /// Its number.
-        sequence: u32,
-    },
-    /// The frame comes after later ones; its sample follows.
-    #[error("frame {sequence} came late")]
-    Reordered {
-        /// Its number.
-        sequence: u32,
-    },
-    /// The device's count began anew; the first sample of it follows.
-    #[error("the device restarted: its sequence is at {sequence}")]
-    Reset {
-        /// The new number.
-        sequence: u32,
-    },
-    /// The frame is of the other device: the ports are swapped.
-    #[error("a message of the {found} on the port of the {expected}")]
-    WrongDevice {
-        /// Whose port this is.
-        expected: DeviceKind,
-        /// Whose message it is.
-        found: DeviceKind,
-    },
-}
 
 /// Decodes one device's line. Memory is bounded by the longest frame.
 #[derive(Clone, Debug)]
@@ -197,42 +134,6 @@ impl Decoder {
 
     /// What the number of an intact packet says; `None` for one that was here before.
     fn count(&mut self, stamp: Stamp, sink: &mut dyn FnMut(Event)) -> Option<Sequenced> {
-        let sequence = stamp.sequence;
-        let sequenced = self.sequence.take(sequence, stamp.device_us);
-        let fault = match sequenced {
-            Sequenced::Next => None,
-            Sequenced::Gap(count) => {
-                self.health.lost += u64::from(count);
-                Some(DecodeFault::Lost { count, while_closed: false })
-            }
-            Sequenced::GapWhileClosed(count) => {
-                self.health.missed_unplugged += u64::from(count);
-                Some(DecodeFault::Lost { count, while_closed: true })
-            }
-            Sequenced::Duplicate => {
-                self.health.duplicate += 1;
-                sink(Event::Fault(DecodeFault::Duplicate { sequence }));
-                return None;
-            }
-            Sequenced::Reordered => {
-                self.health.reordered += 1;
-                // It was counted as lost when the later one came.
-                self.health.lost = self.health.lost.saturating_sub(1);
-                Some(DecodeFault::Reordered { sequence })
-            }
-            Sequenced::Early(missing) => {
-                self.health.reordered += 1;
-                self.health.lost += u64::from(missing);
-                Some(DecodeFault::Reordered { sequence })
-            }
-            Sequenced::Reset => {
-                self.health.resets += 1;
-                Some(DecodeFault::Reset { sequence })
-            }
-        };
-        if let Some(fault) = fault {
-            sink(Event::Fault(fault));
-        }
-        Some(sequenced)
+        counting::count(&mut self.sequence, &mut self.health, stamp.sequence, stamp.device_us, sink)
     }
 }

@@ -1,6 +1,4 @@
-//! Which device, and where it is plugged in.
-
-use std::path::PathBuf;
+//! Which device.
 
 use serde::{Deserialize, Serialize};
 
@@ -39,22 +37,3 @@ impl std::fmt::Display for DeviceKind {
 
 /// Bits per second unless the session says otherwise: 104-byte frames at 100 Hz would fill 95 % of 115 200.
 pub const DEFAULT_BAUD: u32 = 921_600;
-
-/// A serial port and the device expected behind it.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct PortConfig {
-    /// What speaks there.
-    pub device: DeviceKind,
-    /// Device file; a stable symbolic link (`/dev/serial/by-id/…`) survives unplugging, it is resolved anew at every opening.
-    pub path: PathBuf,
-    /// Bits per second; pseudo-terminals ignore it.
-    pub baud: u32,
-}
-
-impl PortConfig {
-    /// `path` at [`DEFAULT_BAUD`].
-    #[must_use]
-    pub fn new(device: DeviceKind, path: impl Into<PathBuf>) -> Self {
-        Self { device, path: path.into(), baud: DEFAULT_BAUD }
-    }
-}

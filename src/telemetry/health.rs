@@ -8,9 +8,9 @@ use serde::{Deserialize, Serialize};
 pub struct Health {
     /// Bytes taken.
     pub bytes: u64,
-    /// Frames decoded into samples.
+    /// Frames, or lines of text, decoded into samples.
     pub frames: u64,
-    /// Frames whose checksum or stuffing was wrong.
+    /// Frames whose checksum or stuffing was wrong; lines that are not as declared.
     pub corrupt: u64,
     /// Sequence numbers that never came while the port was open.
     pub lost: u64,
@@ -30,9 +30,9 @@ pub struct Health {
     pub schema_mismatch: u64,
     /// Intact frames whose content is impossible (length, enumeration).
     pub malformed: u64,
-    /// Runs of bytes without a delimiter longer than any frame.
+    /// Runs of bytes without a delimiter longer than any frame or line.
     pub overlong: u64,
-    /// Frames cut by opening the port in the middle of them; no fault of the line.
+    /// Frames or lines cut by opening the port in the middle of them; no fault of the line.
     pub partial_at_open: u64,
     /// Restarts of the device: its sequence began anew.
     pub resets: u64,

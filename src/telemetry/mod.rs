@@ -1,23 +1,40 @@
 //! Bytes from the devices to samples.
 //!
-//! [`spawn_port`] reads a serial port and reports bytes with their arrival; a [`Link`] decodes them, whether they come from a port, a
-//! log or a script. The wire is specified in `mocks/PROTOCOL.md`. Nothing here can write to a device.
+//! [`spawn_port`] reads a serial port, datagrams or a growing file and reports bytes with their arrival; a [`Link`] decodes them, whether
+//! they come from a port, a log or a script. What they are is specified in `mocks/PROTOCOL.md` (packets), or declared for a device that
+//! sends lines of text ([`LineAdapter`]). Nothing here can write to a device.
 
+mod address;
+mod counting;
 mod decoder;
 mod device;
+mod event;
 mod health;
+mod line_fault;
+pub mod lines;
 mod link;
+mod outlet;
 mod port;
+mod port_error;
 mod sample;
 mod sequence;
+mod serial;
 mod status;
+mod tail;
+mod udp;
 mod wire;
 
-pub use decoder::{DecodeFault, Decoder, Event};
-pub use device::{DEFAULT_BAUD, DeviceKind, PortConfig};
+pub use address::{AddressError, PortAddress, PortConfig};
+pub use decoder::Decoder;
+pub use device::{DEFAULT_BAUD, DeviceKind};
+pub use event::{DecodeFault, Event};
 pub use health::Health;
+pub use line_fault::LineFault;
+pub use lines::LineAdapter;
 pub use link::{ByteSource, Link, Received, STALE_SILENCE_US};
-pub use port::{FIRST_BACKOFF, LONGEST_BACKOFF, PortError, PortEvent, PortTask, hint, spawn_port};
+pub use outlet::PortEvent;
+pub use port::{FIRST_BACKOFF, LONGEST_BACKOFF, PortTask, spawn_port};
+pub use port_error::{PortError, hint};
 pub use sample::{AngleSource, CarmSample, Limit, Metadata, RobotSample, Sample, Tendon};
 pub use sequence::{SequenceTracker, Sequenced};
 pub use status::status_words;

@@ -55,6 +55,8 @@ pub struct ClockMap {
     prior_sigma: f64,
     line: Line,
     points: u64,
+    /// The device has no clock and its times are the host's: this is their standard deviation, and nothing is learnt of them.
+    host_sigma_us: Option<f64>,
 }
 
 /// What the map believes, for people and logs.
@@ -93,14 +95,24 @@ impl ClockMap {
             prior_sigma: if carried_drift.is_some() { CARRIED_DRIFT_SIGMA } else { PRIOR_DRIFT_SIGMA },
             line,
             points: 0,
+            host_sigma_us: None,
         };
         map.push(device_us, host_us);
         map
     }
 
+    /// Of a device without a clock, whose samples carry the host's time of their arrival with this standard deviation: no offset, no drift.
+    #[must_use]
+    pub fn of_host(host_us: i64, sigma_us: f64) -> Self {
+        Self { host_sigma_us: Some(sigma_us), ..Self::new(host_us, host_us, None) }
+    }
+
     /// Takes one more pair of stamps of the same clock; late and reordered ones do no harm.
     pub fn push(&mut self, device_us: i64, host_us: i64) {
         self.points += 1;
+        if self.host_sigma_us.is_some() {
+            return;
+        }
         let point = self.point(device_us, host_us);
         let bucket = device_us.saturating_sub(self.reference_device_us).div_euclid(BUCKET_US);
         let height = |p: &Point, drift: f64| p.r_us - drift * p.x_us;
@@ -138,6 +150,9 @@ impl ClockMap {
     /// Uncertainty (one standard deviation, least delay included) of the host time of `device_us`.
     #[must_use]
     pub fn uncertainty_us(&self, device_us: i64) -> f64 {
+        if let Some(sigma_us) = self.host_sigma_us {
+            return sigma_us;
+        }
         let x = device_us.saturating_sub(self.reference_device_us) as f64;
         let tilt_us = self.line.drift_sigma * (x - self.line.centre_us);
         let excess_us = if x >= self.line.excess_from_us { self.line.excess_us } else { 0.0 };
@@ -153,7 +168,7 @@ impl ClockMap {
     /// The slope and how well it is known.
     #[must_use]
     pub fn drift(&self) -> (f64, f64) {
-        (self.line.drift, self.line.drift_sigma)
+        if self.host_sigma_us.is_some() { (0.0, 0.0) } else { (self.line.drift, self.line.drift_sigma) }
     }
 
     /// The numbers behind the map.
@@ -163,8 +178,8 @@ impl ClockMap {
         let device_us = self.reference_device_us.saturating_add(latest as i64);
         ClockEstimate {
             offset_us: self.host_from_device_us(device_us).saturating_sub(device_us) as f64,
-            drift_ppm: self.line.drift * 1e6,
-            drift_sigma_ppm: self.line.drift_sigma * 1e6,
+            drift_ppm: self.drift().0 * 1e6,
+            drift_sigma_ppm: self.drift().1 * 1e6,
             uncertainty_us: self.uncertainty_us(device_us),
             points: self.points,
         }

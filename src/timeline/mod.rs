@@ -90,6 +90,9 @@ pub struct TrackSummary {
     pub clock_steps: u64,
     /// Restarts of the device within an epoch.
     pub resets: u64,
+    /// Of a device without a clock: the standard deviation of the host's times that stand for it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub host_time_sigma_us: Option<f64>,
     /// Clock maps, oldest first.
     pub segments: Vec<SegmentSummary>,
 }
@@ -131,6 +134,15 @@ impl Timeline {
             robot: Track::new(retention),
             metadata: [None, None],
             exposures: ExposureTracker::default(),
+        }
+    }
+
+    /// `device` has no clock: the times of its samples are the host's at their arrival, with this standard deviation. Said before its first
+    /// sample.
+    pub fn keep_host_time(&mut self, device: DeviceKind, sigma_us: f64) {
+        match device {
+            DeviceKind::Carm => self.carm.keep_host_time(sigma_us),
+            DeviceKind::Robot => self.robot.keep_host_time(sigma_us),
         }
     }
 
@@ -339,7 +351,9 @@ fn summary<T>(device: DeviceKind, track: &Track<T>) -> TrackSummary {
     let (dropped, unusable, late) = track.dropped_unusable_late();
     let (clock_steps, resets) = track.clock().steps_and_resets();
     let segments = track.clock().summaries();
-    TrackSummary { device, samples: track.entries().len(), dropped, unusable, late, clock_steps, resets, segments }
+    let host_time_sigma_us = track.clock().host_sigma_us();
+    let samples = track.entries().len();
+    TrackSummary { device, samples, dropped, unusable, late, clock_steps, resets, host_time_sigma_us, segments }
 }
 
 /// Linear between two numbers; an end that is met exactly does not see the other one.

@@ -97,9 +97,23 @@ pub struct DeviceClock {
     next_id: u32,
     steps: u64,
     resets: u64,
+    /// See [`ClockMap::of_host`].
+    host_sigma_us: Option<f64>,
 }
 
 impl DeviceClock {
+    /// Of a device without a clock: its times are the host's, with this standard deviation.
+    #[must_use]
+    pub fn of_host(sigma_us: f64) -> Self {
+        Self { host_sigma_us: Some(sigma_us), ..Self::default() }
+    }
+
+    /// The standard deviation of the host's times, where the device has no clock.
+    #[must_use]
+    pub fn host_sigma_us(&self) -> Option<f64> {
+        self.host_sigma_us
+    }
+
     /// Takes the stamps of one sample and says where it belongs; `sequenced` is the decoder's verdict on its number.
     pub fn observe(&mut self, epoch: u32, sequenced: Sequenced, sequence: u32, device_us: i64, host_us: i64) -> Placed {
         let now = Last { epoch, sequence, device_us, host_us };
@@ -113,6 +127,12 @@ impl DeviceClock {
             return self.begin(now, SegmentStart::Reset, 0);
         }
         let device_delta = device_us.saturating_sub(last.device_us);
+        // When a line was measured that came late, or in a time that runs back, nobody knows who has only its arrival.
+        if self.host_sigma_us.is_some()
+            && (device_delta < 0 || !matches!(sequenced, Sequenced::Next | Sequenced::Gap(_) | Sequenced::GapWhileClosed(_)))
+        {
+            return Placed::Stray;
+        }
         if matches!(sequenced, Sequenced::Reordered | Sequenced::Early(_) | Sequenced::Duplicate) {
             let behind = last.sequence.wrapping_sub(sequence);
             return match self.segments.back_mut() {
@@ -125,7 +145,9 @@ impl DeviceClock {
         }
         // Messages without a measurement took numbers, but no sample period.
         let ahead = sequence.wrapping_sub(last.sequence).saturating_sub(std::mem::take(&mut self.others)).max(1);
-        if let Some(step_us) = self.step(&last, &now, ahead) {
+        if self.host_sigma_us.is_none()
+            && let Some(step_us) = self.step(&last, &now, ahead)
+        {
             self.steps += 1;
             return self.begin(now, SegmentStart::Step, step_us);
         }
@@ -201,7 +223,10 @@ impl DeviceClock {
         let carried = self.segments.back().map(|s| s.map.drift()).filter(|(_, sigma)| *sigma < 20e-6).map(|(drift, _)| drift);
         let id = self.next_id;
         self.next_id = self.next_id.wrapping_add(1);
-        let map = ClockMap::new(now.device_us, now.host_us, carried);
+        let map = match self.host_sigma_us {
+            Some(sigma_us) => ClockMap::of_host(now.device_us, sigma_us),
+            None => ClockMap::new(now.device_us, now.host_us, carried),
+        };
         self.segments.push_back(Segment { id, epoch: now.epoch, start, step_us, first_host_us: now.host_us, map });
         if self.segments.len() > SEGMENTS {
             self.segments.pop_front();

@@ -146,6 +146,11 @@ impl<T> Track<T> {
         }
     }
 
+    /// The device has no clock: the times of its samples are the host's, with this standard deviation. Before the first sample.
+    pub fn keep_host_time(&mut self, sigma_us: f64) {
+        self.clock = DeviceClock::of_host(sigma_us);
+    }
+
     /// Notes a message that carries no sample (metadata).
     pub fn skip(&mut self, host_us: i64, epoch: u32, sequenced: Sequenced) {
         self.clock.skip(epoch, sequenced);

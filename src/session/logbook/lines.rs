@@ -1,5 +1,7 @@
 //! The devices of a log: its serial bytes through the decoder into a timeline, as the session had them.
 
+use super::super::file::Setup;
+use super::super::log::SETUP_TOPIC;
 use super::super::losses::line_losses;
 use super::super::records::RESTART_TOPIC;
 use crate::record::{LogEntry, RecordError, topic};
@@ -21,12 +23,14 @@ pub(super) struct Lines {
     links: [Link; 2],
     timeline: Timeline,
     /// Exposures of the logs that were joined before, and what their lines had lost.
-    before: Vec<(Vec<ExposureInterval>, [Health; 2])>,
+    before: Vec<(Vec<ExposureInterval>, [Link; 2])>,
+    /// How the bytes are read: packets, until the session's setup says otherwise.
+    setup: Option<Setup>,
 }
 
 impl Lines {
     pub(super) fn new() -> Self {
-        Self { links: DeviceKind::ALL.map(Link::new), timeline: Timeline::new(), before: Vec::new() }
+        Self { links: DeviceKind::ALL.map(Link::new), timeline: Timeline::new(), before: Vec::new(), setup: None }
     }
 
     /// Logs joined on before.
@@ -42,8 +46,15 @@ impl Lines {
         let device = match &*entry.topic {
             topic::CARM_RAW => DeviceKind::Carm,
             topic::ROBOT_RAW => DeviceKind::Robot,
+            SETUP_TOPIC if self.setup.is_none() => {
+                // What is no setup says nothing of how bytes are read.
+                self.setup = entry.json().ok();
+                self.listen_anew();
+                return Ok(());
+            }
             RESTART_TOPIC => {
-                self.begin_anew();
+                self.before.push((self.timeline.exposures(), self.links.clone()));
+                self.listen_anew();
                 return Ok(());
             }
             _ => return Ok(()),
@@ -63,10 +74,13 @@ impl Lines {
         Ok(())
     }
 
-    fn begin_anew(&mut self) {
-        let ended = std::mem::replace(self, Self::new());
-        self.before = ended.before;
-        self.before.push((ended.timeline.exposures(), ended.links.map(|link| *link.health())));
+    /// As a session that begins.
+    fn listen_anew(&mut self) {
+        let Some(setup) = &self.setup else {
+            (self.links, self.timeline) = (DeviceKind::ALL.map(Link::new), Timeline::new());
+            return;
+        };
+        (self.links, self.timeline) = (DeviceKind::ALL.map(|device| setup.link(device)), setup.adapters.timeline());
     }
 
     /// Exposures of each of the logs that were joined, in order.
@@ -74,15 +88,17 @@ impl Lines {
         self.before.iter().map(|(exposures, _)| exposures.clone()).chain([self.timeline.exposures()]).collect()
     }
 
+    fn links(&self, device: DeviceKind) -> impl Iterator<Item = &Link> {
+        self.before.iter().map(|(_, links)| links).chain([&self.links]).map(move |links| &links[device as usize])
+    }
+
     /// Counters of a device in each of the logs that were joined, in order.
     pub(super) fn health(&self, device: DeviceKind) -> Vec<Health> {
-        let now = *self.links[device as usize].health();
-        self.before.iter().map(|(_, health)| health[device as usize]).chain([now]).collect()
+        self.links(device).map(|link| *link.health()).collect()
     }
 
     /// What the session had lost on its lines, a sentence each: the log holds it as it was.
     pub(super) fn losses(&self) -> Vec<String> {
-        let of = |device: DeviceKind| self.health(device).into_iter().filter_map(move |health| line_losses(device, &health));
-        DeviceKind::ALL.into_iter().flat_map(of).collect()
+        DeviceKind::ALL.into_iter().flat_map(|device| self.links(device).filter_map(line_losses)).collect()
     }
 }

@@ -9,6 +9,7 @@ use serde_json::{Value, json};
 use super::super::file::Setup;
 use crate::acquire::{hashed_input_label, input_label};
 use crate::beads::{Bead, BeadLayout, DEFAULT_BODY, parse_landmarks, parse_markups};
+use crate::telemetry::PortAddress;
 
 /// What stands in place of free text.
 const REMOVED: &str = "removed";
@@ -96,10 +97,12 @@ impl Names {
         let mut kept = setup.clone();
         let session = &mut kept.session;
         if let Some(line) = &mut session.carm {
-            (line.port, line.calibration) = ("carm".into(), "carm.json".into());
+            (line.port, line.calibration) = (port(&line.port, "carm"), "carm.json".into());
+            line.adapter = line.adapter.as_ref().map(|_| "carm-lines.json".into());
         }
         if let Some(line) = &mut session.robot {
-            (line.port, line.model) = ("robot".into(), "robot.json".into());
+            (line.port, line.model) = (port(&line.port, "robot"), "robot.json".into());
+            line.adapter = line.adapter.as_ref().map(|_| "robot-lines.json".into());
         }
         session.frames.folder = "frames".into();
         (session.frames.dicom, session.igtl, session.out) = (None, None, None);
@@ -116,6 +119,7 @@ impl Names {
         (session.scene, kept.scene_path) = ("scene.json".into(), "scene.json".into());
         kept.carm.iter_mut().for_each(|carm| REMOVED.clone_into(&mut carm.origin));
         kept.robot.iter_mut().for_each(|robot| REMOVED.clone_into(&mut robot.origin));
+        kept.adapters = kept.adapters.with_origin(REMOVED);
         if let Some(detector) = &mut kept.detector {
             let record = &mut detector.record;
             REMOVED.clone_into(&mut record.origin);
@@ -184,6 +188,11 @@ impl Names {
             Value::Null | Value::Bool(_) | Value::Number(_) | Value::String(_) => {}
         }
     }
+}
+
+/// A port without its name; how its bytes begin stays.
+fn port(port: &Path, device: &str) -> PathBuf {
+    if PortAddress::begins_whole(port) { PortAddress::told(port) } else { device.into() }
 }
 
 /// Names of bodies in a scene.

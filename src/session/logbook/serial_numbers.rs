@@ -1,14 +1,17 @@
 //! Serial numbers of devices, taken out of the bytes that came from them without moving one byte: packets keep their length, their place and
-//! a right checksum, so everything decodes as before.
+//! a right checksum, lines of text all that a sample rests on, so everything decodes as before.
 
 use std::collections::HashMap;
 use std::path::Path;
 
+use super::super::file::Setup;
+use super::super::log::SETUP_TOPIC;
 use super::super::records::RESTART_TOPIC;
 use super::LogbookError;
 use super::inventory::Reading;
 use crate::record::{LogEntry, LogReader, topic};
 use crate::reporter::Reporter;
+use crate::telemetry::lines::{LineBlanker, MAX_LINE_BYTES};
 use crate::telemetry::{Decoder, DeviceKind, Event, MAX_ENCODED_BYTES, Sample, Telling, blanked};
 
 /// The epoch in front of the bytes of a message.
@@ -24,9 +27,11 @@ type Placed = (u8, u64, usize);
 /// Changes of the raw bytes of one device.
 struct Line {
     device: DeviceKind,
+    /// Of a device that does not speak packets.
+    blanker: Option<LineBlanker>,
     epoch: Option<[u8; EPOCH_BYTES]>,
     messages: u64,
-    /// Of a packet whose end has not come.
+    /// Of a packet or a line of text whose end has not come.
     open: Vec<Placed>,
     changes: HashMap<u64, Vec<(usize, u8)>>,
     written: u64,
@@ -37,7 +42,7 @@ pub(super) struct SerialNumbers {
     lines: [Line; 2],
     /// What metadata messages say now, by device, sequence number and device time.
     said: HashMap<(DeviceKind, u32, u64), Sample>,
-    /// Packets that were changed.
+    /// Packets and lines that were changed.
     pub(super) packets: usize,
 }
 
@@ -55,7 +60,7 @@ impl SerialNumbers {
     /// # Errors
     /// When the log cannot be read.
     pub(super) fn find(log: &Path, reporter: &Reporter) -> Result<Self, LogbookError> {
-        let line = |device| Line { device, epoch: None, messages: 0, open: Vec::new(), changes: HashMap::new(), written: 0 };
+        let line = |device| Line { device, blanker: None, epoch: None, messages: 0, open: Vec::new(), changes: HashMap::new(), written: 0 };
         let mut found = Self { lines: DeviceKind::ALL.map(line), said: HashMap::new(), packets: 0 };
         let mut reader = LogReader::open(log)?;
         let mut reading = Reading::new("looking for serial numbers", &reader, reporter);
@@ -63,6 +68,12 @@ impl SerialNumbers {
             reading.at(&reader);
             if &*entry.topic == RESTART_TOPIC {
                 found.lines.iter_mut().for_each(Line::interrupt);
+            } else if &*entry.topic == SETUP_TOPIC {
+                // What is no setup says nothing of how bytes are read.
+                let Ok(setup) = entry.json::<Setup>() else { continue };
+                for line in &mut found.lines {
+                    line.blanker = setup.adapters.of(line.device).map(LineBlanker::new);
+                }
             } else if let Some(device) = device_of(&entry) {
                 found.take(device, &entry.data);
             }
@@ -82,13 +93,15 @@ impl SerialNumbers {
             line.interrupt();
             line.epoch = Some(*epoch);
         }
+        let longest = if line.blanker.is_some() { MAX_LINE_BYTES } else { 2 * MAX_ENCODED_BYTES };
         for (place, byte) in (EPOCH_BYTES..).zip(bytes) {
-            if *byte == 0 {
-                *packets += usize::from(line.end_packet(said));
+            let ends = if line.blanker.is_some() { matches!(byte, b'\n' | b'\r') } else { *byte == 0 };
+            if ends {
+                *packets += usize::from(if line.blanker.is_some() { line.end_line() } else { line.end_packet(said) });
                 continue;
             }
             line.open.push((*byte, line.messages, place));
-            if line.open.len() > 2 * MAX_ENCODED_BYTES {
+            if line.open.len() > longest {
                 line.interrupt();
             }
         }
@@ -145,6 +158,22 @@ impl Line {
             }
         }
         false
+    }
+
+    /// The end of a line of text came; whether there was something in it that no sample rests on.
+    fn end_line(&mut self) -> bool {
+        let Some(blanker) = &mut self.blanker else { return false };
+        let line: Vec<u8> = self.open.iter().map(|(byte, ..)| *byte).collect();
+        let blanked = blanker.blanked(&line);
+        let open = std::mem::take(&mut self.open);
+        let mut changed = false;
+        for (placed, now) in open.into_iter().zip(blanked) {
+            if placed.0 != now {
+                self.change(placed, now);
+                changed = true;
+            }
+        }
+        changed
     }
 
     /// What is open will not be completed, or is not intact: whatever may be a word in it is taken out.

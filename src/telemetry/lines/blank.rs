@@ -1,0 +1,69 @@
+//! Words in a line that no sample rests on: a log that is given away does without them.
+
+use super::adapter::{LineAdapter, Read};
+use super::split::Columns;
+
+/// Shorter words name nobody.
+const LEAST_WORD_BYTES: usize = 2;
+
+/// Takes words out of lines, in the order in which they came.
+#[derive(Clone, Debug)]
+pub struct LineBlanker {
+    adapter: LineAdapter,
+    header: Option<Columns>,
+}
+
+/// What a line says, as text.
+#[derive(PartialEq)]
+enum Said {
+    Values(String),
+    Header(Columns),
+    Nothing,
+    NoSample,
+}
+
+impl LineBlanker {
+    /// For lines as declared.
+    #[must_use]
+    pub fn new(adapter: &LineAdapter) -> Self {
+        Self { adapter: adapter.clone(), header: None }
+    }
+
+    /// A line without its end, as long as it was and saying the same, with other letters and digits for all that its sample does not rest on:
+    /// columns that nobody reads, comments, lines that are none.
+    #[must_use]
+    pub fn blanked(&mut self, line: &[u8]) -> Vec<u8> {
+        let said = self.said(line);
+        let mut kept = line.to_vec();
+        let mut at = 0;
+        while at < line.len() {
+            let end = at + line[at..].iter().take_while(|byte| is_word(**byte)).count();
+            if end - at >= LEAST_WORD_BYTES {
+                let before = kept[at..end].to_vec();
+                kept[at..end].iter_mut().for_each(|byte| *byte = if byte.is_ascii_digit() { b'0' } else { b'x' });
+                if self.said(&kept) != said {
+                    kept[at..end].copy_from_slice(&before);
+                }
+            }
+            at = end.max(at + 1);
+        }
+        if let Said::Header(columns) = said {
+            self.header = Some(columns);
+        }
+        kept
+    }
+
+    fn said(&self, line: &[u8]) -> Said {
+        let Ok(text) = std::str::from_utf8(line) else { return Said::NoSample };
+        match self.adapter.read(text.trim(), self.header.as_ref()) {
+            Ok(Read::Values(values)) => values.told().map_or(Said::NoSample, Said::Values),
+            Ok(Read::Header(columns)) => Said::Header(columns),
+            Ok(Read::Nothing) => Said::Nothing,
+            Err(_) => Said::NoSample,
+        }
+    }
+}
+
+fn is_word(byte: u8) -> bool {
+    byte.is_ascii_alphanumeric() || byte >= 0x80 || byte == b'_'
+}

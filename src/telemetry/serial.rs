@@ -1,0 +1,123 @@
+//! Serial ports: opened exclusively and raw, read until the device goes.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use tokio::io::AsyncReadExt;
+use tokio_serial::SerialStream;
+
+use super::address::PortConfig;
+use super::outlet::{Deaf, Ended, Outlet, PortEvent};
+use super::port_error::PortError;
+use crate::time::host_now_us;
+
+/// Bytes take at most this long from the line to the reader.
+const IN_THE_DRIVER: Duration = Duration::from_millis(25);
+/// Most bytes in one event.
+const CHUNK_BYTES: usize = 4096;
+
+/// Reads until the device goes; returns why, and whether anything arrived at all.
+pub(super) async fn pump(mut port: SerialStream, epoch: u32, outlet: &mut Outlet) -> Result<Ended, Deaf> {
+    let mut buffer = vec![0; CHUNK_BYTES];
+    let mut received = false;
+    loop {
+        // What has arrived comes first: when the port is to be closed, it is read to the end before.
+        let outcome = tokio::select! {
+            biased;
+            outcome = port.read(&mut buffer) => Some(outcome),
+            () = outlet.asked_to_finish() => None,
+        };
+        let Some(outcome) = outcome else {
+            drain(&mut port, epoch, outlet, &mut buffer).await?;
+            return Err(Deaf);
+        };
+        let host_us = host_now_us();
+        match outcome {
+            // After an unplug Linux returns nothing, at once and for ever.
+            Ok(0) => return Ok(("the device returns no bytes any more (unplugged?)".to_owned(), received)),
+            Ok(count) => {
+                received = true;
+                outlet.send(PortEvent::Bytes { host_us, epoch, bytes: buffer[..count].to_vec() }).await?;
+            }
+            Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
+            Err(error) => return Ok((error.to_string(), received)),
+        }
+    }
+}
+
+/// Reads what is left. What the device sent a moment ago may not have come through the driver yet, and what has, the runtime need not have
+/// noticed: the reads ask the system itself.
+async fn drain(port: &mut SerialStream, epoch: u32, outlet: &mut Outlet, buffer: &mut [u8]) -> Result<(), Deaf> {
+    tokio::time::sleep(IN_THE_DRIVER).await;
+    while let Ok(count @ 1..) = port.try_read(buffer) {
+        let bytes = buffer[..count].to_vec();
+        outlet.send(PortEvent::Bytes { host_us: host_now_us(), epoch, bytes }).await?;
+    }
+    Ok(())
+}
+
+/// Opens the port exclusively, raw, 8N1, without flow control. Returns it with the device file behind symbolic links.
+///
+/// # Errors
+/// As [`PortError`] tells apart.
+pub(super) fn open(config: &PortConfig, is_first: bool) -> Result<(SerialStream, PathBuf), PortError> {
+    let path = config.path.clone();
+    let resolved = std::fs::canonicalize(&path).map_err(|error| match error.kind() {
+        std::io::ErrorKind::NotFound => PortError::NotFound { path: path.clone() },
+        std::io::ErrorKind::PermissionDenied => PortError::NotPermitted { path: path.clone() },
+        _ => PortError::Io { path: path.clone(), reason: error.to_string() },
+    })?;
+    let pty = is_pseudo_terminal(&resolved);
+    // macOS refuses to set a speed on a pseudo-terminal; there 0 means to leave it.
+    let baud = if pty && cfg!(target_os = "macos") { 0 } else { config.baud };
+    let builder = tokio_serial::new(resolved.to_string_lossy(), baud);
+    let port = SerialStream::open(&builder).map_err(|error| classify(&path, &resolved, &error))?;
+    if !pty {
+        use tokio_serial::SerialPort as _;
+        // Drivers round to what they can do; beyond 3 % every byte is garbage.
+        if let Ok(found) = port.baud_rate()
+            && found.abs_diff(config.baud) > config.baud * 3 / 100
+        {
+            return Err(PortError::Baud { path, wanted: config.baud, found });
+        }
+    }
+    if is_first {
+        // What an earlier reader left in the system's buffer is of another session: its end would look like a loss. A driver that cannot
+        // drop it keeps it.
+        use tokio_serial::SerialPort as _;
+        let _ = port.clear(tokio_serial::ClearBuffer::Input);
+    }
+    Ok((port, resolved))
+}
+
+/// Whether a device file is one end of a pseudo-terminal.
+fn is_pseudo_terminal(resolved: &Path) -> bool {
+    resolved.starts_with("/dev/pts") || resolved.to_string_lossy().starts_with("/dev/ttys")
+}
+
+fn classify(path: &Path, resolved: &Path, error: &tokio_serial::Error) -> PortError {
+    use std::io::ErrorKind as Io;
+    use tokio_serial::ErrorKind;
+    let path = path.to_owned();
+    let reason = error.description.clone();
+    match error.kind {
+        // The serial library reports both kinds of foreign lock as "no device".
+        ErrorKind::NoDevice => PortError::Busy { path },
+        ErrorKind::Io(Io::NotFound) => PortError::NotFound { path },
+        ErrorKind::Io(Io::PermissionDenied) => PortError::NotPermitted { path },
+        _ if !is_character_device(resolved) => PortError::NotAPort { path, reason },
+        ErrorKind::InvalidInput => PortError::NotAPort { path, reason },
+        _ => PortError::Io { path, reason },
+    }
+}
+
+#[cfg(unix)]
+fn is_character_device(path: &Path) -> bool {
+    use std::os::unix::fs::FileTypeExt;
+    std::fs::metadata(path).is_ok_and(|metadata| metadata.file_type().is_char_device())
+}
+
+#[cfg(not(unix))]
+fn is_character_device(_path: &Path) -> bool {
+    true
+}

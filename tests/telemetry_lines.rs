@@ -1,0 +1,535 @@
+//! Devices that send lines of text: what is read of them, what is refused, and that nothing else is taken for a sample.
+
+use std::path::Path;
+
+use serde_json::{Value, json};
+use sidecarm::telemetry::lines::{Declaration, LineBlanker, MAX_LINE_BYTES};
+use sidecarm::telemetry::{CarmSample, DeviceKind, Event, Health, LineAdapter, Link, RobotSample, Sample, Sequenced};
+use sidecarm::timeline::Timeline;
+
+/// A sample adapter of `calibration/telemetry/`.
+pub fn shipped(name: &str) -> Value {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("calibration/telemetry").join(name);
+    serde_json::from_str(&std::fs::read_to_string(path).expect("the file is there")).expect("JSON")
+}
+
+pub fn adapter(declaration: &Value) -> LineAdapter {
+    serde_json::from_value(declaration.clone()).expect("a declaration that holds")
+}
+
+/// Five columns of degrees, and nothing else.
+pub fn plain() -> Value {
+    let angles = ["a", "b", "c", "d", "e"].map(|column| json!({"from": column, "unit": "deg"}));
+    json!({
+        "origin": "these tests",
+        "format": {"csv": {"columns": ["a", "b", "c", "d", "e"]}},
+        "robot": {"sensed_angles": angles}
+    })
+}
+
+/// The same with a clock in ms and a number in front.
+fn clocked() -> Value {
+    let mut declaration = plain();
+    declaration["format"]["csv"]["columns"] = json!(["t", "n", "a", "b", "c", "d", "e"]);
+    declaration["device_time"] = json!({"from": "t", "unit": "ms", "wraps_at": 65536});
+    declaration["sequence"] = json!({"from": "n", "wraps_at": 256});
+    declaration
+}
+
+/// What a link makes of `bytes` that come at one time.
+struct Heard {
+    samples: Vec<(Sample, Sequenced)>,
+    faults: Vec<String>,
+    link: Link,
+}
+
+impl Heard {
+    fn new(declaration: &Value, begins_whole: bool) -> Self {
+        Self { samples: Vec::new(), faults: Vec::new(), link: Link::of_lines(&adapter(declaration), begins_whole) }
+    }
+
+    fn feed(&mut self, host_us: i64, epoch: u32, bytes: &[u8]) {
+        let Self { samples, faults, link } = self;
+        link.feed(host_us, epoch, bytes, &mut |received| match received.event {
+            Event::Sample(sample, sequenced) => samples.push((sample, sequenced)),
+            Event::Fault(fault) => faults.push(fault.to_string()),
+        });
+    }
+
+    fn of(declaration: &Value, text: &[u8]) -> Self {
+        let mut heard = Self::new(declaration, true);
+        heard.feed(1_000_000, 0, text);
+        heard
+    }
+
+    fn health(&self) -> Health {
+        *self.link.health()
+    }
+
+    fn robots(&self) -> Vec<RobotSample> {
+        let robot = |(sample, _): &(Sample, Sequenced)| if let Sample::Robot(robot) = sample { Some(robot.clone()) } else { None };
+        self.samples.iter().filter_map(robot).collect()
+    }
+
+    fn robot(&self) -> RobotSample {
+        let robots = self.robots();
+        assert_eq!(robots.len(), 1, "{:?}", self.faults);
+        robots[0].clone()
+    }
+
+    fn carms(&self) -> Vec<CarmSample> {
+        let carm = |(sample, _): &(Sample, Sequenced)| if let Sample::Carm(carm) = sample { Some(carm.clone()) } else { None };
+        self.samples.iter().filter_map(carm).collect()
+    }
+}
+
+#[test]
+fn a_robot_of_columns_has_its_values() {
+    let declaration = shipped("generic-robot-csv.json");
+    let line = "# a comment\r\n1500,65535,100,200,50,-100,0,112.5,225,,-125,6.25,3500,-3500,100,home\r\n";
+    let heard = Heard::of(&declaration, line.as_bytes());
+    let robot = heard.robot();
+    assert_eq!((robot.device_us, robot.sequence, robot.status), (1_500_000, 65_535, 4), "homing is bit 2");
+    assert_eq!(robot.commanded_deg, [1.0, 2.0, 0.5, -1.0, 0.0]);
+    let sensed = robot.sensed_deg.expect("declared");
+    assert_eq!([sensed[0], sensed[1], sensed[3], sensed[4]], [1.125, 2.25, -1.25, 0.0625]);
+    assert!(sensed[2].is_nan(), "not measured, and need not be");
+    assert_eq!([robot.tendons[0].position_mm, robot.tendons[1].position_mm], [3.5, -3.5]);
+    assert!(robot.tendons[0].tension_n.is_nan(), "nobody says");
+    assert_eq!(robot.drill_rpm, 6000.0);
+    assert_eq!(robot.tracker_from_base, None);
+    assert_eq!((heard.health().frames, heard.health().corrupt), (1, 0));
+}
+
+#[test]
+fn a_robot_of_objects_has_its_values_and_the_time_of_its_arrival() {
+    let declaration = shipped("generic-robot-json.json");
+    let object = json!({"joints": [0.1, -0.2, "0.05", 1e-3, 0], "stopped": true,
+        "base": {"x": 0.1005, "y": -0.02025, "z": 1.5, "qx": 0, "qy": 0, "qz": 0.6, "qw": 0.8}, "operator": "nobody"});
+    let robot = Heard::of(&declaration, format!("{object}\n").as_bytes()).robot();
+    let sensed = robot.sensed_deg.expect("declared");
+    for (found, expected_rad) in sensed.iter().zip([0.1f64, -0.2, 0.05, 1e-3, 0.0]) {
+        assert!((found - expected_rad.to_degrees()).abs() < 1e-12, "{sensed:?}");
+    }
+    assert!(robot.commanded_deg.iter().all(|angle| angle.is_nan()), "nobody says");
+    let base = robot.tracker_from_base.expect("seen");
+    assert!((base.translation_mm - glam::DVec3::new(100.5, -20.25, 1500.0)).length() < 1e-9);
+    assert!((base.rotation.to_array()[2] - 0.6).abs() < 1e-12);
+    assert_eq!(robot.status, 2, "emergency stop is bit 1");
+    // It arrived at 1 s, and was measured 5 ms before on the average.
+    assert_eq!((robot.device_us, robot.sequence), (995_000, 1));
+    let unseen = json!({"joints": [0, 0, 0, 0, 0], "stopped": false, "base": null});
+    assert_eq!(Heard::of(&declaration, format!("{unseen}\n").as_bytes()).robot().tracker_from_base, None);
+    let mut other_way = declaration;
+    other_way["robot"]["base"]["holds"] = json!("base_from_tracker");
+    let inverse = Heard::of(&other_way, format!("{object}\n").as_bytes()).robot().tracker_from_base.expect("seen");
+    assert!((inverse * base).translation_mm.length() < 1e-9);
+}
+
+#[test]
+fn a_carm_of_words_has_its_values() {
+    let declaration = shipped("generic-carm-regex.json");
+    let lines = "INFO ready\nt=123456 orb=120.25 ang=12.5 lift=12.05cm sid=40in kV=74 x=ON exp=17\n---\n\
+                 t=4294967295 orb=90 ang=-1 lift=0cm sid=40in kV=0 x=OFF exp=-\n";
+    let heard = Heard::of(&declaration, lines.as_bytes());
+    let carms = heard.carms();
+    assert_eq!((carms.len(), heard.health().corrupt), (2, 0), "{:?}", heard.faults);
+    let (first, joints) = (&carms[0], carms[0].joints);
+    // The arm counts the other way, from 90 degrees.
+    assert!((joints.orbital_rad.to_degrees() + 30.25).abs() < 1e-12 && (joints.angulation_rad.to_degrees() - 12.5).abs() < 1e-12);
+    assert!((joints.lift_mm - 120.5).abs() < 1e-9 && joints.source_to_detector_mm == 1016.0 && joints.wig_wag_rad.is_nan());
+    assert_eq!((first.tube_kvp, first.xray_on, first.exposure_counter, first.device_us), (74.0, true, Some(17), 123_456));
+    assert_eq!((carms[1].xray_on, carms[1].exposure_counter), (false, None));
+}
+
+/// Lines that are none, of the columns `t n a b c d e`, and what is said of each.
+const BAD: [(&[u8], &str); 16] = [
+    (b"100,1,1,2,3,4", "6 columns, expected 7"),
+    (b"100,1,1,2,3,4,5,6", "8 columns, expected 7"),
+    (b"100,1,1,2,3,4,nan", "robot.sensed_angles[4] is 'nan', expected a finite number"),
+    (b"100,1,inf,2,3,4,5", "expected a finite number"),
+    (b"100,1,-Infinity,2,3,4,5", "expected a finite number"),
+    (b"100,1,1e999,2,3,4,5", "expected a finite number"),
+    (b"100,1,1,2,,4,5", "robot.sensed_angles[2] is missing ('c')"),
+    (b"100,1,1,2,3 4,4,5", "expected a finite number"),
+    (b"100,1,1,2,0x3,4,5", "expected a finite number"),
+    (b"-100,1,1,2,3,4,5", "device_time is '-100'"),
+    (b"65536,1,1,2,3,4,5", "less than where it wraps"),
+    (b"100,1.5,1,2,3,4,5", "sequence is '1.5', expected a whole number"),
+    (b"100,256,1,2,3,4,5", "sequence is '256'"),
+    (b"100,1,1,2,3,4,5\0", "hold a zero"),
+    (b"100,1,1,2,3,4,\xff5", "not UTF-8"),
+    (b"\x1b[31mboom", "1 columns, expected 7"),
+];
+
+#[test]
+fn a_line_that_does_not_parse_is_counted_and_said_and_gives_no_sample() {
+    let declaration = clocked();
+    for (bad, words) in BAD {
+        let mut heard = Heard::new(&declaration, true);
+        let text = [b"100,1,1,2,3,4,5\n", bad, b"\n110,2,1,2,3,4,5\n"].concat();
+        heard.feed(1_000_000, 0, &text);
+        let name = String::from_utf8_lossy(bad);
+        assert_eq!((heard.health().frames, heard.health().corrupt), (2, 1), "{name}");
+        assert!(heard.faults.len() == 1 && heard.faults[0].contains(words), "{name}: {:?}", heard.faults);
+        assert!(!heard.faults[0].contains('\x1b'), "what a device sends is no command to a terminal");
+        assert_eq!(heard.link.latest_fault(), Some(heard.faults[0].as_str()));
+        // It leaves no trace in what follows.
+        assert_eq!(heard.robots().iter().map(|robot| robot.device_us).collect::<Vec<_>>(), [100_000, 110_000], "{name}");
+        assert!(heard.samples.iter().all(|(_, sequenced)| *sequenced == Sequenced::Next), "{name}");
+    }
+}
+
+#[test]
+fn a_line_without_end_is_dropped_and_bounded() {
+    let mut heard = Heard::new(&plain(), true);
+    for _ in 0..40 {
+        heard.feed(1_000_000, 0, &[b'1'; 8192]);
+    }
+    heard.feed(1_000_000, 0, b"\n1,2,3,4,5\n");
+    assert_eq!((heard.health().overlong, heard.health().corrupt, heard.health().frames), (1, 0, 1));
+    assert!(heard.faults[0].contains(&MAX_LINE_BYTES.to_string()), "{:?}", heard.faults);
+    // The longest line that is one.
+    let mut long = "1,2,3,4,".to_owned();
+    long.push_str(&"0".repeat(MAX_LINE_BYTES - long.len() - 1));
+    long.push('5');
+    assert_eq!(long.len(), MAX_LINE_BYTES);
+    assert_eq!(Heard::of(&plain(), format!("{long}\n").as_bytes()).robot().sensed_deg.expect("declared")[4], 5.0);
+    long.insert(8, '0');
+    assert_eq!(Heard::of(&plain(), format!("{long}\n").as_bytes()).health().frames, 0, "one byte more");
+}
+
+#[test]
+fn ends_of_lines_and_chunks_do_not_matter() {
+    let lines = ["1,2,3,4,5", " 2 ,3,\t4,5,6 ", "", "\"3\",4,5,6,7"];
+    let whole = Heard::of(&plain(), (lines.join("\n") + "\n").as_bytes());
+    assert_eq!(whole.robots().len(), 3, "{:?}", whole.faults);
+    for end in ["\n", "\r\n", "\r"] {
+        let text = lines.join(end) + end;
+        for chunk in [1, 2, 3, 7, 64] {
+            let mut heard = Heard::new(&plain(), true);
+            text.as_bytes().chunks(chunk).for_each(|part| heard.feed(1_000_000, 0, part));
+            let angles = |heard: &Heard| heard.robots().iter().map(|robot| robot.sensed_deg).collect::<Vec<_>>();
+            assert_eq!(angles(&heard), angles(&whole), "{end:?} in chunks of {chunk}");
+            assert_eq!(heard.health().corrupt, 0);
+        }
+    }
+    // What is not ended yet is no line.
+    assert_eq!(Heard::of(&plain(), b"1,2,3,4,5\n1,2,3,4,5").robots().len(), 1);
+}
+
+/// A serial port is opened within a line, and the rest of a number is a number.
+#[test]
+fn the_rest_of_a_line_is_no_line() {
+    let line = b"100,7,11.5,-12.5,13.5,-14.5,15.5\n";
+    let mut cases = 0;
+    for cut in 1..line.len() {
+        let mut heard = Heard::new(&clocked(), false);
+        heard.feed(1_000_000, 0, &[&line[cut..], b"110,8,1,2,3,4,5\n"].concat());
+        let sensed: Vec<f64> = heard.robots().iter().map(|robot| robot.sensed_deg.expect("declared")[0]).collect();
+        assert_eq!(sensed, [1.0], "cut at {cut}");
+        assert_eq!(heard.health().corrupt, 0, "opening a port is no fault of the line");
+        cases += 1;
+    }
+    assert!(cases > 30);
+    // The port closes within a line, and opens within another one.
+    let mut heard = Heard::new(&clocked(), false);
+    heard.feed(1_000_000, 0, b"\n100,7,1,2,3,4,5\n110,8,11.5");
+    heard.feed(2_000_000, 1, b"5,2,3,4,5\n120,9,1,2,3,4,5\n");
+    assert_eq!(heard.robots().iter().map(|robot| robot.device_us).collect::<Vec<_>>(), [100_000, 120_000]);
+    assert_eq!((heard.health().corrupt, heard.health().partial_at_open, heard.health().epochs), (1, 1, 2));
+    assert!(heard.link.latest_fault().is_some_and(|fault| fault.contains("cut")), "{:?}", heard.link.latest_fault());
+}
+
+#[test]
+fn a_header_names_the_columns_and_may_come_again() {
+    let mut declaration = plain();
+    declaration["format"]["csv"] = json!({"separator": ";", "decimal": ",", "header": true});
+    let text = b"1;2;3;4;5;6\nx;e;d;c;b;a\n9;5,5;4;3;2;1\n9;5;4;3;2\na;b;c;d;e\n1;2;3;4;6,25\n";
+    let heard = Heard::of(&declaration, text);
+    let sensed: Vec<[f64; 5]> = heard.robots().iter().map(|robot| robot.sensed_deg.expect("declared")).collect();
+    assert_eq!(sensed, [[1.0, 2.0, 3.0, 4.0, 5.5], [1.0, 2.0, 3.0, 4.0, 6.25]]);
+    assert!(heard.faults.len() == 2 && heard.faults[0].contains("no header yet"), "{:?}", heard.faults);
+    // A device that is reset by opening its port begins with its header; columns are kept when the port comes back.
+    let mut heard = Heard::new(&declaration, false);
+    heard.feed(1_000_000, 0, b"a;b;c;d;e\n1;2;3;4;5\n");
+    heard.feed(2_000_000, 1, b"2;3;4;5\n2;2;3;4;5\n");
+    assert_eq!(heard.robots().iter().map(|robot| robot.sensed_deg.expect("declared")[0]).collect::<Vec<_>>(), [1.0, 2.0]);
+    // Half a header fits no line.
+    let mut heard = Heard::new(&declaration, false);
+    heard.feed(1_000_000, 0, b"x;a;b;c;d;e\n9;9;1;2;3;4;5\n");
+    assert_eq!((heard.robots().len(), heard.health().corrupt), (0, 1));
+}
+
+#[test]
+fn blanks_may_separate_columns() {
+    let mut declaration = plain();
+    declaration["format"]["csv"]["separator"] = json!("whitespace");
+    declaration["ignore"] = json!(["ok.*"]);
+    let heard = Heard::of(&declaration, b"ok\n 1  2\t3 4   5 \nok then\n");
+    assert_eq!(heard.robot().sensed_deg, Some([1.0, 2.0, 3.0, 4.0, 5.0]));
+    assert_eq!(heard.health().corrupt, 0, "{:?}", heard.faults);
+}
+
+/// Bytes of no sense, and lines with one byte changed: no panic, and the counters tell of every line.
+#[test]
+fn whatever_comes_every_line_is_counted() {
+    let mut state = 1u64;
+    let mut random = || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 33) as u8
+    };
+    let alphabet = b"0123456789,.-+eEnaif{}[]\":\"\\\n\r\t \x00\xff\xc3\xa4";
+    for name in ["generic-robot-csv.json", "generic-robot-json.json", "generic-carm-regex.json"] {
+        let mut heard = Heard::new(&shipped(name), true);
+        for _ in 0..20_000 {
+            let byte = if random() < 200 { alphabet[usize::from(random()) % alphabet.len()] } else { random() };
+            heard.feed(1_000_000, 0, &[byte]);
+        }
+        let health = heard.health();
+        assert!(health.corrupt > 300 && health.bytes == 20_000, "{name}: {health}");
+        assert_eq!(health.frames as usize, heard.samples.len());
+    }
+    let line = b"100,7,1,2,3,4,5";
+    let mut heard = Heard::new(&clocked(), true);
+    let mut fed = 0;
+    for at in 0..line.len() {
+        for byte in 0..=255u8 {
+            let mut changed = line.to_vec();
+            changed[at] = byte;
+            changed.push(b'\n');
+            // An end of a line within it makes two.
+            if !matches!(byte, b'\n' | b'\r') {
+                heard.feed(1_000_000, fed, &changed);
+                fed += 1;
+            }
+        }
+    }
+    let health = heard.health();
+    let told = health.frames + health.corrupt + health.duplicate;
+    assert_eq!(told, u64::from(fed), "{health}");
+}
+
+/// Samples of a robot whose clock begins anew every 65.5 s and whose number every 256 lines.
+#[test]
+fn clock_and_number_go_on_over_their_ends() {
+    let mut heard = Heard::new(&clocked(), true);
+    let mut timeline = Timeline::new();
+    for at in 0..12_000i64 {
+        // Lines 700 to 709 are lost.
+        if (700..710).contains(&at) {
+            continue;
+        }
+        let line = format!("{},{},1,2,3,4,5\n", (60_000 + at * 20) % 65_536, (200 + at) % 256);
+        heard.feed(5_000_000_000 + at * 20_000 + at % 7 * 300, 0, line.as_bytes());
+        let (sample, sequenced) = heard.samples.last().expect("a sample").clone();
+        let host_us = 5_000_000_000 + at * 20_000 + at % 7 * 300;
+        timeline.push_sample(DeviceKind::Robot, host_us, 0, sequenced, sample);
+    }
+    assert_eq!((heard.health().lost, heard.health().resets, heard.health().corrupt), (10, 0, 0));
+    let last = heard.robots().pop().expect("samples");
+    assert_eq!((last.device_us, last.sequence), ((60_000 + 11_999 * 20) * 1000, 200 + 11_999));
+    let [_, robot] = timeline.summaries();
+    assert_eq!((robot.clock_steps, robot.resets, robot.segments.len(), robot.unusable), (0, 0, 1, 0));
+    let clock = robot.segments[0].clock;
+    assert!(clock.drift_ppm.abs() < 5.0 && robot.host_time_sigma_us.is_none(), "{clock:?}");
+}
+
+/// A robot of 200 ppm whose clock starts over is followed; one without a clock has no drift, however its lines come.
+#[test]
+fn without_a_clock_arrival_is_the_time_and_nothing_is_learnt_of_it() {
+    let mut declaration = plain();
+    declaration["host_time_sigma_ms"] = json!(15);
+    let adapter = adapter(&declaration);
+    assert_eq!(adapter.host_time_sigma_us(), Some(15_000.0));
+    let mut link = Link::of_lines(&adapter, true);
+    let mut timeline = Timeline::new();
+    timeline.keep_host_time(DeviceKind::Robot, 15_000.0);
+    for at in 0..2_000i64 {
+        // Delayed by up to 190 ms, in bunches.
+        let host_us = 1_000_000_000 + at * 20_000 + at % 20 * 10_000 - at % 20 * 20_000 + 200_000;
+        let host_us = host_us.max(1_000_000_000 + (at - 1) * 20_000);
+        let line = format!("{at},2,3,4,5\n");
+        link.feed(host_us, 0, line.as_bytes(), &mut |received| {
+            if let Event::Sample(sample, sequenced) = received.event {
+                let stamps = timeline.push_sample(DeviceKind::Robot, received.host_us, 0, sequenced, sample);
+                if let Some(stamps) = stamps {
+                    assert_eq!((stamps.mapped_us, stamps.uncertainty_us), (host_us, 15_000.0));
+                }
+            }
+        });
+    }
+    let [_, robot] = timeline.summaries();
+    let clock = robot.segments[0].clock;
+    assert_eq!((clock.drift_ppm, clock.drift_sigma_ppm, clock.offset_us, clock.uncertainty_us), (0.0, 0.0, 0.0, 15_000.0));
+    assert_eq!((robot.segments.len(), robot.clock_steps, robot.host_time_sigma_us), (1, 0, Some(15_000.0)));
+    let answer = timeline.robot_at(1_020_000_000).expect("samples around");
+    assert_eq!(answer.uncertainty_us, 15_000.0);
+    let words = adapter.unknowns();
+    assert!(words.len() == 2 && words[0].contains("±15 ms") && words[1].contains("cannot be known"), "{words:?}");
+    // The control: a clock that is declared is learnt.
+    assert!(self::adapter(&clocked()).unknowns().is_empty() && self::adapter(&clocked()).host_time_sigma_us().is_none());
+    assert_eq!(self::adapter(&plain()).host_time_sigma_us(), Some(20_000.0));
+}
+
+/// Over UDP lines come twice, or in disorder; their arrival must not make a restart of it.
+#[test]
+fn a_line_that_comes_twice_or_late_is_no_restart() {
+    let mut declaration = clocked();
+    declaration.as_object_mut().expect("an object").remove("device_time");
+    let mut heard = Heard::new(&declaration, true);
+    for (at, number) in [10, 11, 11, 13, 12, 14].iter().enumerate() {
+        heard.feed(1_000_000 + at as i64 * 10_000, 0, format!("0,{number},1,2,3,4,5\n").as_bytes());
+    }
+    use Sequenced::{Gap, Next, Reordered};
+    let verdicts: Vec<Sequenced> = heard.samples.iter().map(|(_, sequenced)| *sequenced).collect();
+    assert_eq!(verdicts, [Next, Next, Gap(1), Reordered, Next]);
+    assert_eq!((heard.health().duplicate, heard.health().reordered, heard.health().lost, heard.health().resets), (1, 1, 0, 0));
+    // When the late one was measured nobody knows: it is no sample of the timeline.
+    let mut timeline = Timeline::new();
+    timeline.keep_host_time(DeviceKind::Robot, 20_000.0);
+    for (at, (sample, sequenced)) in heard.samples.iter().enumerate() {
+        timeline.push_sample(DeviceKind::Robot, 1_000_000 + at as i64 * 10_000, 0, *sequenced, sample.clone());
+    }
+    let [_, robot] = timeline.summaries();
+    assert_eq!((robot.samples, robot.unusable), (4, 1));
+}
+
+#[test]
+fn a_declaration_that_cannot_hold_names_the_key() {
+    type Change = fn(&mut Value);
+    let cases: [(Change, &str, &str); 20] = [
+        (|d| d["robot"]["sensed_angles"][2]["unit"] = json!("mm"), "robot.sensed_angles[2].unit", "no unit of an angle, expected one of deg"),
+        (|d| _ = d["robot"]["sensed_angles"][0].as_object_mut().map(|o| o.remove("unit")), "sensed_angles[0].unit", "no unit is stated"),
+        (|d| d["robot"]["sensed_angles"][0]["from"] = json!("z"), "robot.sensed_angles[0].from", "\"z\" is none of the columns"),
+        (|d| d["robot"]["sensed_angles"][0]["sign"] = json!(2), "sensed_angles[0].sign", "expected 1 or -1"),
+        (|d| d["robot"]["sensed_angles"][0]["scale"] = json!(0), "sensed_angles[0].scale", "positive"),
+        (|d| d["robot"]["sensed_angles"][0]["min"] = json!(5), "x", "x"),
+        (|d| d["robot"]["sensed_angles"][0]["max"] = json!(-5), "x", "x"),
+        (|d| d["device_time"]["unit"] = json!("m"), "device_time.unit", "no unit of a time"),
+        (|d| d["device_time"]["wraps_at"] = json!(10), "device_time.wraps_at", "a second or more"),
+        (|d| d["sequence"]["wraps_at"] = json!(1), "sequence.wraps_at", "expected 16"),
+        (|d| d["host_time_sigma_ms"] = json!(5), "host_time_sigma_ms", "leave one of the two out"),
+        (|d| d["origin"] = json!(" "), "origin", "is empty"),
+        (|d| d["format"]["csv"]["separator"] = json!("::"), "format.csv.separator", "one character"),
+        (|d| d["format"]["csv"]["decimal"] = json!(","), "format.csv.decimal", "separator as well"),
+        (|d| d["format"]["csv"]["header"] = json!(true), "format.csv.columns", "leave one of the two out"),
+        (|d| d["format"]["csv"]["columns"].as_array_mut().expect("a list").push(json!("a")), "format.csv.columns", "named twice"),
+        (|d| d["format"] = json!({"regex": {"pattern": "(?<t>\\d+"}}), "format.regex.pattern", "no regular expression"),
+        (|d| d["format"] = json!({"regex": {"pattern": "(?<t>\\d+)"}}), "sequence.from", "none of the named groups t"),
+        (|d| d["ignore"] = json!(["ok", "*"]), "ignore[1]", "no regular expression"),
+        (|d| d["robot"] = json!({"drill_speed": {"from": "a", "unit": "rpm"}}), "robot", "says no angles"),
+    ];
+    let mut refused = 0;
+    for (change, place, words) in cases {
+        let mut declaration = clocked();
+        change(&mut declaration);
+        if place == "x" {
+            // A bound alone is none of these faults.
+            assert!(LineAdapter::try_from(typed(&declaration)).is_ok());
+            continue;
+        }
+        let error = LineAdapter::try_from(typed(&declaration)).expect_err(place);
+        assert!(error.place.contains(place) && error.detail.contains(words), "{place}: {error}");
+        refused += 1;
+    }
+    assert_eq!(refused, 18);
+    // Both bounds, the wrong way round.
+    let mut declaration = clocked();
+    declaration["robot"]["sensed_angles"][1]["min"] = json!(5);
+    declaration["robot"]["sensed_angles"][1]["max"] = json!(-5);
+    assert!(LineAdapter::try_from(typed(&declaration)).is_err_and(|error| error.place == "robot.sensed_angles[1].min"));
+    // Keys that are not known, and four angles.
+    for (key, value) in [("colour", json!("red")), ("robot", json!({"sensed_angles": [1, 2, 3, 4]}))] {
+        let mut declaration = clocked();
+        declaration[key] = value;
+        assert!(serde_json::from_value::<Declaration>(declaration).is_err(), "{key}");
+    }
+}
+
+fn typed(declaration: &Value) -> Declaration {
+    serde_json::from_value(declaration.clone()).expect("the keys are known")
+}
+
+#[test]
+fn what_is_beyond_its_bounds_or_no_rotation_is_refused() {
+    let mut declaration = plain();
+    declaration["robot"]["sensed_angles"][0] = json!({"from": "a", "unit": "deg", "scale": 0.5, "offset": -1, "min": -2, "max": 2});
+    let heard = Heard::of(&declaration, b"6,2,3,4,5\n7,2,3,4,5\n-2,2,3,4,5\n-3,2,3,4,5\n");
+    assert_eq!(heard.robots().iter().map(|robot| robot.sensed_deg.expect("declared")[0]).collect::<Vec<_>>(), [2.0, -2.0]);
+    assert!(heard.faults.len() == 2 && heard.faults[0].contains("expected -2 to 2 deg"), "{:?}", heard.faults);
+    let base = shipped("generic-robot-json.json");
+    let object = |qw: f64| json!({"joints": [0, 0, 0, 0, 0], "stopped": false,
+        "base": {"x": 0, "y": 0, "z": 0, "qx": 0, "qy": 0, "qz": 0.6, "qw": qw}});
+    let heard = Heard::of(&base, format!("{}\n{}\n", object(0.8), object(0.5)).as_bytes());
+    assert_eq!((heard.health().frames, heard.health().corrupt), (1, 1));
+    assert!(heard.faults[0].contains("no rotation") && heard.faults[0].contains("0.781"), "{:?}", heard.faults);
+    let unknown = format!("{}\n", object(0.8)).replace("false", "\"perhaps\"");
+    let heard = Heard::of(&base, unknown.as_bytes());
+    assert!(heard.faults[0].contains("'perhaps', expected true or false"), "{:?}", heard.faults);
+    for text in ["[1,2]", "{\"joints\": [0,0,0,0,0]", "{\"joints\": [0,0,0,0], \"stopped\": false}", "{} {}", "null"] {
+        assert_eq!(Heard::of(&base, format!("{text}\n").as_bytes()).health().corrupt, 1, "{text}");
+    }
+}
+
+/// A log keeps the declaration: what comes back from it reads the same.
+#[test]
+fn a_declaration_comes_back_from_a_log_as_it_was() {
+    for name in ["generic-robot-csv.json", "generic-robot-json.json", "generic-carm-regex.json"] {
+        let declared = adapter(&shipped(name));
+        let text = serde_json::to_string(&declared).expect("serialises");
+        let back: LineAdapter = serde_json::from_str(&text).expect("is one");
+        assert_eq!(back, declared, "{name}");
+        assert_eq!(serde_json::to_string(&back).expect("serialises"), text);
+        assert_eq!(declared.with_origin("removed").declaration().origin, "removed");
+    }
+}
+
+/// What a log that is given away may hold of lines: all that a sample rests on, and nothing else.
+#[test]
+fn words_that_no_sample_rests_on_are_taken_out_and_the_sample_is_the_same() {
+    let mut declaration = plain();
+    declaration["format"]["csv"]["columns"] = json!(["a", "who", "b", "c", "d", "e", "id"]);
+    declaration["format"]["csv"]["comment"] = json!("#");
+    let mut blanker = LineBlanker::new(&adapter(&declaration));
+    let mut blanked = |line: &str| String::from_utf8(blanker.blanked(line.as_bytes())).expect("text");
+    assert_eq!(blanked("11.5,Quaxwelk_7,2,33,4,5,4711"), "11.5,xxxxxxxxx0,2,33,4,5,0000");
+    assert_eq!(blanked("# Dr. Müller, 1961"), "# xx. xxxxxxx, 0000");
+    assert_eq!(blanked("no sample of Quaxwelk"), "xx xxxxxx xx xxxxxxxx");
+    let json = adapter(&shipped("generic-robot-json.json"));
+    let object = r#"{"joints":[0.1,-0.2,0.05,12,0],"stopped":false,"operator":"Quaxwelk","base":null}"#;
+    let kept = String::from_utf8(LineBlanker::new(&json).blanked(object.as_bytes())).expect("text");
+    assert!(kept.len() == object.len() && !kept.contains("Quax") && !kept.contains("operator"), "{kept}");
+    let of = |text: &str| Heard::of(&shipped("generic-robot-json.json"), format!("{text}\n").as_bytes()).robot().sensed_deg;
+    assert_eq!(of(&kept), of(object));
+    // A header keeps the names that are read, and goes on to name them.
+    declaration["format"]["csv"] = json!({"header": true});
+    let mut blanker = LineBlanker::new(&adapter(&declaration));
+    let mut blanked = |line: &str| String::from_utf8(blanker.blanked(line.as_bytes())).expect("text");
+    assert_eq!([blanked("a,surgeon,b,c,d,e"), blanked("11,Quaxwelk,2,3,4,5")], ["a,xxxxxxx,b,c,d,e", "11,xxxxxxxx,2,3,4,5"]);
+}
+
+/// What `docs/robot-lines.md` says of its examples.
+#[test]
+fn the_examples_of_the_documentation_are_as_it_says() {
+    let text = include_str!("../docs/robot-lines.md");
+    let blocks: Vec<Value> = text
+        .split("```json\n")
+        .skip(1)
+        .filter_map(|rest| serde_json::from_str(rest.split("```").next()?).ok())
+        .filter(|block: &Value| block["origin"].is_string())
+        .collect();
+    let [columns, pattern, objects] = &blocks[..] else { panic!("{} examples", blocks.len()) };
+    for line in ["1500,42,112,225,50,-125,6", "t=123456 orb=120.25 lift=12.05cm sid=40in kV=74 x=ON"] {
+        assert!(text.contains(&format!("`{line}`")), "{line}");
+    }
+    let robot = Heard::of(columns, b"1500,42,112,225,50,-125,6\n").robot();
+    assert_eq!((robot.device_us, robot.sequence, robot.sensed_deg), (1_500_000, 42, Some([1.12, 2.25, 0.5, -1.25, 0.06])));
+    let carm = Heard::of(pattern, b"t=123456 orb=120.25 lift=12.05cm sid=40in kV=74 x=ON\n").carms().remove(0);
+    assert!((carm.joints.orbital_rad.to_degrees() + 30.25).abs() < 1e-12 && (carm.joints.lift_mm - 120.5).abs() < 1e-9);
+    assert_eq!((carm.joints.source_to_detector_mm, carm.tube_kvp, carm.xray_on), (1016.0, 74.0, true));
+    let object = "{\"joints\": [0.02, 0.04, 0.009, -0.022, 0.001], \"stopped\": false}";
+    assert!(text.contains(object));
+    let robot = Heard::of(objects, format!("{object}\n").as_bytes()).robot();
+    assert!((robot.sensed_deg.expect("declared")[1] - 0.04f64.to_degrees()).abs() < 1e-12 && robot.device_us == 995_000);
+}

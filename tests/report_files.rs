@@ -64,7 +64,7 @@ fn exposure(index: usize) -> (Pair, Image<[u8; 3]>) {
     pair.set_comparison(&compared.comparison);
     let picture = strip(&StripInput {
         acquired: &frame,
-        pictures: Some(&compared.pictures),
+        pictures: Some(&*compared.pictures),
         without: None,
         standing: pair.standing(),
         status: &pair.status_line(),
@@ -188,7 +188,7 @@ fn a_strip_shows_four_panels_even_without_a_drr() {
     let simulated = line_integral(&view());
     let compared = compare(&CompareInput::new(&frame, &simulated)).expect("comparable");
     let full = strip(&StripInput {
-        pictures: Some(&compared.pictures),
+        pictures: Some(&*compared.pictures),
         without: None,
         standing: Standing::Accepted,
         ..StripInput {

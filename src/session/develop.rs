@@ -318,7 +318,7 @@ fn without_scatter(scene: &Scene) -> Scene {
 fn draw(posed: &Posed, pair: &Pair, compared: Option<&Compared>, without: Option<&str>) -> Image<[u8; 3]> {
     report::strip(&StripInput {
         acquired: &posed.frame,
-        pictures: compared.map(|compared| &compared.pictures),
+        pictures: compared.map(|compared| &*compared.pictures),
         without,
         standing: pair.standing(),
         status: &pair.status_line(),

@@ -49,7 +49,7 @@ impl Lines {
         let (sender, mut arrivals) = tokio::sync::mpsc::channel::<(DeviceKind, PortEvent)>(PORT_QUEUE);
         let mut tasks = Vec::new();
         for config in ports(setup) {
-            board.update(|state| state.links.push(new_link(config.device)));
+            board.update(|state| state.links.push(Link::new(config.device)));
             tasks.push(spawn_port(runtime.handle(), config, sender.clone()));
         }
         drop(sender);
@@ -87,10 +87,6 @@ fn ports(setup: &Setup) -> Vec<PortConfig> {
     [carm, robot].into_iter().flatten().map(|(device, path, baud)| PortConfig { device, path, baud }).collect()
 }
 
-fn new_link(device: DeviceKind) -> Link {
-    Link { device, open: false, epoch: 0, health: Default::default(), last_byte_us: None, trouble: None }
-}
-
 struct LineIntake {
     log: Arc<SessionLog>,
     board: Board,
@@ -106,7 +102,13 @@ impl LineIntake {
         match event {
             PortEvent::Bytes { host_us, epoch, bytes } => {
                 self.log.input(Input::Bytes { device, epoch, host_us, bytes });
-                link(&|link| link.last_byte_us = Some(host_us));
+                self.board.tick(|state| {
+                    state
+                        .links
+                        .iter_mut()
+                        .filter(|link| link.device == device)
+                        .for_each(|link| link.last_byte_us = Some(host_us));
+                });
             }
             PortEvent::Opened { epoch, host_us, .. } => {
                 link(&|link| {

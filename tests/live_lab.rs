@@ -195,8 +195,24 @@ impl Live {
         Self::spawn(Command::new(env!("CARGO_BIN_EXE_sidecarm")), session, out, args)
     }
 
-    fn spawn(mut command: Command, session: &Path, out: &Path, args: &[&str]) -> Self {
-        command.arg("live").arg(session).arg("--headless").arg("--out").arg(out).args(args);
+    /// Starts the program with its window on the screen `display`, without waiting for anything.
+    pub fn launch_windowed(session: &Path, out: &Path, display: &str) -> Self {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
+        command.env("DISPLAY", display).env_remove("WAYLAND_DISPLAY").env_remove("WAYLAND_SOCKET");
+        Self::spawned(command, session, out, &[])
+    }
+
+    /// The same, and waits until telemetry has reached the log.
+    pub fn windowed(session: &Path, out: &Path, display: &str) -> Self {
+        Self::launch_windowed(session, out, display).recording()
+    }
+
+    fn spawn(command: Command, session: &Path, out: &Path, args: &[&str]) -> Self {
+        Self::spawned(command, session, out, &[&["--headless"], args].concat())
+    }
+
+    fn spawned(mut command: Command, session: &Path, out: &Path, args: &[&str]) -> Self {
+        command.arg("live").arg(session).arg("--out").arg(out).args(args);
         let child = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn();
         let mut program = Running(child.expect("the program starts"));
         let words = [collect(program.0.stdout.take().expect("piped")), collect(program.0.stderr.take().expect("piped"))];

@@ -6,7 +6,9 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use serde_json::{Value, json};
-use sidecarm::telemetry::{DeviceKind, Event, Health, Link, PortConfig, PortError, PortEvent, PortTask, Sample, hint, spawn_port};
+use sidecarm::telemetry::{
+    DeviceKind, Event, Health, Link, PortConfig, PortError, PortEvent, PortTask, Sample, hint, spawn_port,
+};
 use tokio::sync::mpsc;
 
 use crate::telemetry_frames;

@@ -1,26 +1,28 @@
-//! The window's panes, driven without a display.
+//! The window's panes, driven without a display: what can be read in them.
 #![cfg(feature = "viewer")]
 
-use std::sync::Arc;
+use std::cell::RefCell;
+use std::rc::Rc;
 
+use eframe::egui::{Key, Vec2};
 use egui_kittest::Harness;
 use egui_kittest::kittest::NodeT;
-use sidecarm::image::Image;
-use sidecarm::report::Standing;
-use sidecarm::session::board::{BoardState, Link, PairView};
-use sidecarm::telemetry::{DeviceKind, Health};
-use sidecarm::viewer::{ViewState, draw};
+use sidecarm::session::board::{BoardState, Link};
+use sidecarm::viewer::{Arrangement, Mark, Overlay, ViewState, draw};
 
-fn board(last_byte_us: Option<i64>, open: bool) -> BoardState {
-    let link = Link { device: DeviceKind::Carm, open, epoch: 1, health: Health::default(), last_byte_us, trouble: None };
-    BoardState { links: vec![link], now_us: 10_000_000, ..BoardState::default() }
+use crate::viewer_boards::{NOW_US, accepted, amber, board, line, refused};
+
+/// A window of the size that it opens with, and what it remembers.
+fn window(board: BoardState) -> (Harness<'static>, Rc<RefCell<ViewState>>) {
+    let state = Rc::new(RefCell::new(ViewState::default()));
+    let shared = Rc::clone(&state);
+    let show = move |ui: &mut eframe::egui::Ui| draw(ui, &board, &mut shared.borrow_mut());
+    let mut harness = Harness::builder().with_size(Vec2::new(1400.0, 900.0)).build_ui(show);
+    harness.run_steps(3);
+    (harness, state)
 }
 
-fn texts(board: &BoardState) -> String {
-    let mut state = ViewState::default();
-    let board = board.clone();
-    let mut harness = Harness::new_ui(move |ui| draw(ui, &board, &mut state));
-    harness.run_steps(3);
+fn said(harness: &Harness) -> String {
     let words = |node: egui_kittest::Node| {
         let node = node.accesskit_node();
         node.label().or_else(|| node.value())
@@ -29,29 +31,142 @@ fn texts(board: &BoardState) -> String {
     found.join("\n")
 }
 
-#[test]
-fn a_silent_line_looks_stale_and_a_live_one_does_not() {
-    assert!(texts(&board(Some(9_900_000), true)).contains("live"));
-    let stale = texts(&board(Some(8_000_000), true));
-    assert!(stale.contains("STALE 2.0 s") && !stale.contains("live"), "{stale}");
-    assert!(texts(&board(Some(9_900_000), false)).contains("unplugged"));
-    assert!(texts(&board(None, true)).contains("silent"));
+fn texts(board: BoardState) -> String {
+    said(&window(board).0)
 }
 
 #[test]
-fn a_refused_pair_shows_its_reason_and_no_drr() {
-    let pair = PairView {
-        number: 7,
-        name: "frame-007".to_owned(),
-        time_us: 1,
-        status: "refused: two beads found, four needed".to_owned(),
-        standing: Standing::ImageDisagrees,
-        acquired: Image::filled(8, 6, 100),
-        drr: None,
-        difference: None,
-        scores: vec![("zncc".to_owned(), None)],
+fn a_silent_line_looks_stale_and_a_live_one_does_not() {
+    let with = |link: Link| texts(BoardState { links: vec![link], now_us: NOW_US, ..BoardState::default() });
+    let live = with(line(100_000));
+    assert!(
+        live.contains("C-arm live") && live.contains("50 Hz") && live.contains("orbital") && live.contains("28.6°"),
+        "{live}"
+    );
+    let stale = with(line(2_000_000));
+    assert!(stale.contains("STALE 2.0 s") && !stale.contains("live") && !stale.contains("50 Hz"), "{stale}");
+    assert!(with(Link { open: false, ..line(100_000) }).contains("unplugged"));
+    assert!(with(Link { last_byte_us: None, ..line(0) }).contains("silent"));
+}
+
+#[test]
+fn an_accepted_pair_says_so_with_its_residuals_its_scores_and_its_latency() {
+    let seen = texts(board(vec![accepted(1), accepted(7)]));
+    for words in [
+        "ACCEPTED",
+        "frame 7",
+        "0.21 px = 0.05 mm",
+        "acetabulum",
+        "0.05 mm",
+        "1.2 mm",
+        "better than all wrong poses",
+        "latency 0.8 s",
+        "backlog 0",
+        "matched DRR",
+        "exposure 2 of 2",
+        "Live",
+    ] {
+        assert!(seen.contains(words), "{words}: {seen}");
+    }
+    assert!(!seen.contains("REFUSED") && !seen.contains("DISAGREES"), "{seen}");
+}
+
+#[test]
+fn a_refused_pair_shows_its_reason_and_what_to_do_and_no_drr() {
+    let seen = texts(board(vec![accepted(1), refused(7)]));
+    for words in
+        ["REFUSED", "2 bead-like shadows in the frame", "bring more beads", "matched DRR: no matched DRR", "nothing was compared"]
+    {
+        assert!(seen.contains(words), "{words}: {seen}");
+    }
+    assert!(!seen.contains("ACCEPTED") && seen.contains("not known"), "{seen}");
+}
+
+#[test]
+fn a_doubted_pair_is_amber_and_says_what_doubts_it() {
+    let seen = texts(board(vec![amber(3)]));
+    for words in ["IMAGE DISAGREES", "accepted but", "3 of 4 scores prefer", "expose once more"] {
+        assert!(seen.contains(words), "{words}: {seen}");
+    }
+}
+
+/// Backlog, log and failure were published and never drawn.
+#[test]
+fn a_backlog_a_slow_log_and_a_failed_one_are_said() {
+    let quiet = texts(board(vec![accepted(1)]));
+    assert!(!quiet.contains("NOT RECORDING") && quiet.contains("log 0 ms behind"), "{quiet}");
+    let failure = Some("session.mcap: no space left on device".to_owned());
+    let seen = texts(BoardState {
+        frames_waiting: 5,
+        recorder_behind_ms: 2_400.0,
+        recorder_failure: failure,
+        ..board(vec![accepted(1)])
+    });
+    for words in
+        ["NOT RECORDING", "no space left on device", "backlog 5", "log 2400 ms behind", "5 newer frames are being developed"]
+    {
+        assert!(seen.contains(words), "{words}: {seen}");
+    }
+}
+
+#[test]
+fn a_replay_says_that_it_is_one_and_no_latency() {
+    let mut pair = accepted(2);
+    pair.latency_ms = None;
+    let seen = texts(BoardState { replayed: true, ..board(vec![pair.clone()]) });
+    assert!(seen.contains("Replay") && seen.contains("developed in 0.4 s") && !seen.contains("log 0 ms behind"), "{seen}");
+    let ended = texts(BoardState { replayed: true, finished: true, ..board(vec![pair]) });
+    assert!(ended.contains("Replay ended"), "{ended}");
+}
+
+/// Everything has a key: exposures are stepped through by their frames' numbers, and the newest one is followed again.
+#[test]
+fn keys_step_through_exposures_and_choose_what_is_shown() {
+    let (mut harness, state) = window(board(vec![accepted(1), refused(4), accepted(9)]));
+    let mut press = |key: Key| {
+        harness.key_press(key);
+        harness.run_steps(2);
+        said(&harness)
     };
-    let seen = texts(&BoardState { pairs: vec![Arc::new(pair)], ..board(None, true) });
-    assert!(seen.contains("refused: two beads found, four needed") && seen.contains("frame-007"), "{seen}");
-    assert!(seen.contains("no pose: nothing to render") && seen.contains("not known"), "{seen}");
+    assert!(press(Key::ArrowLeft).contains("frame 4 of"));
+    assert_eq!(state.borrow().selected, Some(4));
+    assert!(press(Key::Home).contains("frame 1 of"));
+    assert!(press(Key::End).contains("frame 9 of"));
+    assert_eq!(state.borrow().selected, None, "the newest one is followed");
+    assert!(press(Key::C).contains("acquired and DRR in squares"));
+    assert!(press(Key::Num2).contains("matched DRR"));
+    assert_eq!((state.borrow().arrangement, state.borrow().overlay), (Arrangement::Two, Overlay::Checkerboard));
+    press(Key::M);
+    press(Key::Z);
+    assert!(state.borrow().draws(Mark::Masks) && state.borrow().sight.zoom > 1.2);
+    let keys = press(Key::F1);
+    assert!(keys.contains("the exposure before") && keys.contains("more contrast"), "{keys}");
+    assert!(!press(Key::Escape).contains("the exposure before"));
+}
+
+/// Space plays from the first exposure at the pace at which they came, and stops at the last.
+#[test]
+fn play_steps_at_the_recorded_pace() {
+    let (mut harness, state) = window(board(vec![accepted(1), accepted(2), accepted(3)]));
+    harness.key_press(Key::Space);
+    harness.run_steps(1);
+    assert!(state.borrow().player.is_playing());
+    assert_eq!(state.borrow().selected, Some(1));
+    // A step of the harness is a quarter of a second, exposures are one second apart.
+    harness.run_steps(5);
+    assert_eq!(state.borrow().selected, Some(2));
+    harness.run_steps(5);
+    assert_eq!((state.borrow().selected, state.borrow().player.is_playing()), (None, false));
+}
+
+/// A pair that was posed again stands in the place of the one before: its own words, and its own pictures (see `viewer_drawn`).
+#[test]
+fn a_pair_posed_again_says_so() {
+    let mut again = accepted(7);
+    again.development = 1;
+    let mut state = board(vec![refused(7)]);
+    state.show(again);
+    assert_eq!(state.pairs.len(), 1);
+    let seen = texts(state);
+    assert!(seen.contains("posed again") && seen.contains("ACCEPTED"), "{seen}");
 }

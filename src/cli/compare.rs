@@ -378,7 +378,7 @@ fn picture(frame: &Frame, compared: &Compared, pose: Option<&Pose>) -> Image<[u8
     };
     strip(&StripInput {
         acquired: frame,
-        pictures: Some(&compared.pictures),
+        pictures: Some(&*compared.pictures),
         without: None,
         standing,
         status: &status,

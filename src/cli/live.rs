@@ -67,7 +67,7 @@ fn keep_memory() {
     }
 }
 
-/// Runs the session, in a window unless `headless` or where no window can be opened.
+/// Runs the session, in a window unless `headless` or where no window can be opened. A session that cannot start closes its window.
 ///
 /// # Errors
 /// As [`run_session`].
@@ -80,15 +80,10 @@ pub(super) fn watch(setup: Setup, options: LiveOptions, headless: bool, reporter
     unreachable!("returned above");
     #[cfg(feature = "viewer")]
     {
-        board.update(|state| state.watched = true);
-        let stop = options.stop.clone();
-        let (shown, for_thread) = (board.clone(), reporter.clone());
-        let session = std::thread::spawn(move || run_session(setup, &options, &board, &for_thread));
-        // The window needs the main thread; closing it ends the session.
-        if let Err(error) = crate::viewer::run(shown, move || stop.finish()) {
-            reporter.warn("no window", error);
-        }
-        session.join().map_err(|_| SessionError::WorkshopDied)?
+        let (stop, asked) = (options.stop.clone(), options.stop.clone());
+        let (of_session, words) = (board.clone(), reporter.clone());
+        let session = move || run_session(setup, &options, &of_session, &words);
+        super::windowed::beside_window(board, reporter, session, move || asked.is_interrupted(), move || stop.finish())
     }
 }
 

@@ -64,6 +64,8 @@ pub mod time_changes;
 pub mod trade;
 #[cfg(feature = "learn")]
 pub mod train;
+#[cfg(feature = "viewer")]
+mod windowed;
 
 /// Rides beside a mobile C-arm and a snake robot: finds beads in each radiograph, recovers its pose, renders the matched DeepDRR,
 /// compares, records and replays. For research; not a medical device.

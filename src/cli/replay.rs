@@ -5,7 +5,8 @@ use std::path::PathBuf;
 use crate::reporter::Reporter;
 use crate::session::SessionError;
 use crate::session::board::Board;
-use crate::session::replay::{ReplayOptions, run as replay};
+use crate::session::folder::Folder;
+use crate::session::replay::{ReplayOptions, ReplayReport, run as replay};
 use crate::session::servers::IgtlServer;
 
 /// Replay a log: the same poses byte for byte, the same images.
@@ -26,6 +27,10 @@ pub struct ReplayArgs {
     /// Send what is replayed over OpenIGTLink as well, on this port of this machine; best with --rate 1.
     #[arg(long, value_name = "PORT")]
     pub igtl: Option<u16>,
+    /// Show it in a window; closing that does not end the replay.
+    #[cfg(feature = "viewer")]
+    #[arg(long)]
+    pub window: bool,
     /// Print JSON.
     #[arg(long)]
     pub json: bool,
@@ -45,6 +50,18 @@ fn rate(text: &str) -> Result<Rate, String> {
     }
 }
 
+/// With the window where one is asked for.
+fn replayed(args: &ReplayArgs, options: ReplayOptions, reporter: &Reporter) -> Result<(Folder, ReplayReport), SessionError> {
+    let board = Board::default();
+    #[cfg(feature = "viewer")]
+    if args.window {
+        let (log, of_replay, words) = (args.log.clone(), board.clone(), reporter.clone());
+        let work = move || replay(&log, &options, &of_replay, &words);
+        return super::windowed::beside_window(board, reporter, work, || false, || ());
+    }
+    replay(&args.log, &options, &board, reporter)
+}
+
 /// Replays; exit code 0, or 3 when the log had lost something or something came out differently.
 ///
 /// # Errors
@@ -52,7 +69,7 @@ fn rate(text: &str) -> Result<Rate, String> {
 pub fn run(args: &ReplayArgs, reporter: &Reporter) -> Result<u8, SessionError> {
     let out = args.out.clone().unwrap_or_else(|| args.log.with_extension("replay"));
     let options = ReplayOptions { out, data: args.data.clone(), rate: args.rate.0, igtl: args.igtl.map(IgtlServer::on_port) };
-    let (folder, report) = replay(&args.log, &options, &Board::default(), reporter)?;
+    let (folder, report) = replayed(args, options, reporter)?;
     if args.json {
         println!("{}", serde_json::to_string_pretty(&report).unwrap_or_default());
     } else {

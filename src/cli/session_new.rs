@@ -174,12 +174,24 @@ fn answered<R: BufRead, W: Write>(
         (*file == Path::new(beside)).then(|| (folder.join(beside), built_in(built).unwrap_or_default()))
     });
     let files = nominal.filter(|(path, _)| !path.exists()).collect();
-    let frames = Question { option: "--frames", given: &args.frames, words: "Folder in which frames appear", default: None, may_be_silent: false };
+    let frames = Question {
+        option: "--frames",
+        given: &args.frames,
+        words: "Folder in which frames appear",
+        default: None,
+        may_be_silent: false,
+    };
     let frames = asker.ask(&frames, &|answer| {
         let path = Path::new(answer);
         if path.is_dir() { Ok(named(path)) } else { Err(format!("'{answer}' is no folder; mount it, or make it")) }
     })?;
-    let scene = Question { option: "--scene", given: &args.scene, words: "Scene (CT, tools, beam, detector)", default: None, may_be_silent: false };
+    let scene = Question {
+        option: "--scene",
+        given: &args.scene,
+        words: "Scene (CT, tools, beam, detector)",
+        default: None,
+        may_be_silent: false,
+    };
     let scene = asker.ask(&scene, &|answer| read::<SceneFile>(Path::new(answer)).map(|_| named(Path::new(answer))))?;
     let words = format!("Beads of the specimen (markups), or {NONE}");
     let beads = Question { option: "--beads", given: &args.beads, words: &words, default: None, may_be_silent: false };
@@ -194,8 +206,18 @@ fn answered<R: BufRead, W: Write>(
     })?;
     let further = Further::ask(args, asker)?;
     let session = SessionFile {
-        carm: carm.map(|(port, calibration)| CarmLine { port, baud: args.carm_baud, calibration, adapter: args.carm_adapter.as_deref().map(named) }),
-        robot: robot.map(|(port, model)| RobotLine { port, baud: args.robot_baud, model, adapter: args.robot_adapter.as_deref().map(named) }),
+        carm: carm.map(|(port, calibration)| CarmLine {
+            port,
+            baud: args.carm_baud,
+            calibration,
+            adapter: args.carm_adapter.as_deref().map(named),
+        }),
+        robot: robot.map(|(port, model)| RobotLine {
+            port,
+            baud: args.robot_baud,
+            model,
+            adapter: args.robot_adapter.as_deref().map(named),
+        }),
         frames: FrameSource { folder: frames, sub_folders: false, domain: None, dicom: further.dicom },
         scene,
         beads,
@@ -226,7 +248,8 @@ struct Further {
 
 impl Further {
     fn ask<R: BufRead, W: Write>(args: &NewArgs, asker: &mut Asker<R, W>) -> Result<Self, SessionNewError> {
-        let question = |option, given, words, default| Question { option, given, words, default: Some(default), may_be_silent: true };
+        let question =
+            |option, given, words, default| Question { option, given, words, default: Some(default), may_be_silent: true };
         let words = "Values of the frames: linear, log or display, or file: what each says of itself";
         let domain = asker.ask(&question("--domain", &args.domain, words, "file"), &|answer| match answer {
             "file" => Ok(None),

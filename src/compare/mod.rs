@@ -23,6 +23,7 @@ mod tone;
 mod wrong_poses;
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use glam::DVec3;
 
@@ -55,7 +56,7 @@ pub struct Compared {
     /// The numbers.
     pub comparison: Comparison,
     /// The images.
-    pub pictures: Pictures,
+    pub pictures: Arc<Pictures>,
     view: Option<View>,
     centre_lps_mm: Option<DVec3>,
 }
@@ -198,7 +199,7 @@ pub fn compare(input: &CompareInput) -> Result<Compared, CompareError> {
         flags,
     };
     let pictures = Pictures { acquired: common.acquired, simulated: toned, usable, edges, unit };
-    Ok(Compared { comparison, pictures, view: input.view.copied(), centre_lps_mm: input.centre_lps_mm })
+    Ok(Compared { comparison, pictures: Arc::new(pictures), view: input.view.copied(), centre_lps_mm: input.centre_lps_mm })
 }
 
 impl Compared {

@@ -1,8 +1,9 @@
 //! What people look at afterwards: the strip of each pair, the session's report in one HTML file, and `pairs.json` for scripts.
 
+mod alone;
 mod bead_row;
 mod canvas;
-mod colour;
+pub mod colour;
 mod files;
 mod html;
 mod html_exposures;
@@ -11,14 +12,17 @@ mod overlay;
 mod pair;
 mod plots;
 mod session;
+mod signed_difference;
 mod strip;
 
+pub use alone::alone;
 pub use bead_row::BeadRow;
 pub use canvas::{Align, Canvas, Rgb};
-pub use colour::{diverging, gray, window};
+pub use colour::{diverging, gray, short, window};
 pub use files::{ReportError, png_bytes, write_pairs, write_session};
 pub use html::html;
 pub use overlay::overlay;
 pub use pair::{Innovation, Pair, PairStatus, PoseSource, Standing, TruthError, score_words};
 pub use session::{Counts, Gap, LinkReport, PairsFile, Provenance, SessionReport, Track, counted};
+pub use signed_difference::{NOT_COMPARABLE, SignedDifference};
 pub use strip::{StripInput, restated, strip};

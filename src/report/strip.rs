@@ -2,10 +2,12 @@
 
 use rayon::prelude::*;
 
+use super::alone::alone;
 use super::canvas::{Align, Canvas, Rgb};
 use super::colour::{self, BACKGROUND, CAUTION, DIM, EDGE, LINE, TEXT, WELL};
 use super::pair::Standing;
-use crate::acquire::{Domain, Frame};
+use super::signed_difference::{NOT_COMPARABLE, SignedDifference};
+use crate::acquire::Frame;
 use crate::compare::Pictures;
 use crate::image::Image;
 
@@ -73,20 +75,6 @@ pub fn strip(input: &StripInput) -> Image<Rgb> {
     canvas.image
 }
 
-/// A frame without a partner, as it would look beside one: larger (brighter) is more attenuation.
-fn alone(frame: &Frame) -> (Image<f32>, String) {
-    let unit = frame.unit.as_deref().unwrap_or("");
-    match frame.domain {
-        Domain::Linear => {
-            let air = if unit == "1" { 1.0 } else { colour::window(&[&frame.pixels], None)[1] };
-            let words = if unit == "1" { "nepers" } else { "nepers below the brightest" };
-            (frame.pixels.map(|&v| if v > 0.0 { -(f64::from(v) / air).ln() as f32 } else { f32::NAN }), words.into())
-        }
-        Domain::Log => (frame.pixels.clone(), if unit == "neper" { "nepers".into() } else { "log value".into() }),
-        Domain::Display | Domain::Unknown => (frame.pixels.map(|v| -v), format!("{} value, sign turned", frame.domain)),
-    }
-}
-
 /// Writes a new status over the header of a strip that was drawn before.
 #[must_use]
 pub fn restated(strip: Image<Rgb>, name: &str, standing: Standing, status: &str) -> Image<Rgb> {
@@ -130,31 +118,13 @@ fn compared(panel: &mut Panels, pictures: &Pictures, place: impl Fn(i64) -> i64,
     panel.picture(place(1), "matched DRR", &scaled(&pictures.simulated, scale), |v| colour::gray(v, window));
     panel.gray_scale(place(1), window, pictures.unit);
 
-    let difference =
-        Image {
-            width: pictures.acquired.width,
-            height: pictures.acquired.height,
-            pixels: (0..pictures.acquired.pixels.len())
-                .map(|at| {
-                    if pictures.usable.pixels[at] {
-                        pictures.acquired.pixels[at] - pictures.simulated.pixels[at]
-                    } else {
-                        f32::NAN
-                    }
-                })
-                .collect(),
-        };
-    // Nepers of unknown offset have no common zero; their medians are laid upon each other.
-    let offset = if pictures.unit == "nepers (offset unknown)" { median(&difference) } else { 0.0 };
-    let difference = difference.map(|d| d - offset as f32);
-    let comparable = !pictures.unit.starts_with("gray") || spread_is_common(pictures);
-    if comparable {
-        let limit = symmetric_limit(&difference);
+    let (signed, difference) = SignedDifference::of(pictures);
+    if signed.comparable {
+        let limit = signed.limit;
         panel.picture(place(2), "acquired − DRR", &scaled(&difference, scale), |v| colour::diverging(v / limit as f32));
-        let unit = if offset == 0.0 { pictures.unit } else { "nepers, median removed" };
-        panel.diverging_scale(place(2), limit, unit);
+        panel.diverging_scale(place(2), limit, signed.unit);
     } else {
-        panel.empty(place(2), "acquired − DRR", "gray values and nepers have no difference; --tone monotone relates them");
+        panel.empty(place(2), "acquired − DRR", NOT_COMPARABLE);
     }
 
     let edges = edge_opacity(&pictures.edges, scale);
@@ -166,30 +136,6 @@ fn compared(panel: &mut Panels, pictures: &Pictures, place: impl Fn(i64) -> i64,
     panel.legend(place(3), "edges of the DRR");
     let masked = pictures.usable.pixels.iter().filter(|u| !**u).count() as f64 / pictures.usable.pixels.len().max(1) as f64;
     panel.right_note(place(3), &format!("{:.0} % masked", 100.0 * masked));
-}
-
-/// Gray values are comparable with the simulation once a tone has brought it to their range.
-fn spread_is_common(pictures: &Pictures) -> bool {
-    let (a, s) = (
-        colour::window(&[&pictures.acquired], Some(&pictures.usable)),
-        colour::window(&[&pictures.simulated], Some(&pictures.usable)),
-    );
-    let (wide_a, wide_s) = (a[1] - a[0], s[1] - s[0]);
-    let apart = (0.5 * (a[0] + a[1]) - 0.5 * (s[0] + s[1])).abs();
-    wide_a < 4.0 * wide_s && wide_s < 4.0 * wide_a && apart < wide_a.max(wide_s)
-}
-
-fn median(image: &Image<f32>) -> f64 {
-    let mut values: Vec<f32> = image.pixels.iter().copied().filter(|v| v.is_finite()).collect();
-    let middle = values.len() / 2;
-    colour::ranked(&mut values, middle).unwrap_or(0.0)
-}
-
-/// A round limit that 99 % of the differences stay within.
-fn symmetric_limit(difference: &Image<f32>) -> f64 {
-    let mut sizes: Vec<f32> = difference.pixels.iter().filter(|v| v.is_finite()).map(|v| v.abs()).collect();
-    let at = (sizes.len().max(1) - 1) * 99 / 100;
-    colour::round_up(colour::ranked(&mut sizes, at).unwrap_or(0.0).max(1e-6))
 }
 
 /// Area means when shrinking, bilinear when enlarging; NaN counts for nothing, and stays where there is nothing else.

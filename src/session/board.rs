@@ -1,57 +1,21 @@
 //! What a person should see right now: the latest state, published by the session, drawn by the window.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
-use crate::image::Image;
-use crate::report::Standing;
-use crate::telemetry::{DeviceKind, Health};
-
-/// The state of one serial line.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Link {
-    /// Which device.
-    pub device: DeviceKind,
-    /// Whether the port is open.
-    pub open: bool,
-    /// Times the port was opened.
-    pub epoch: u32,
-    /// Counters.
-    pub health: Health,
-    /// Host time of the latest byte.
-    pub last_byte_us: Option<i64>,
-    /// Latest trouble in words.
-    pub trouble: Option<String>,
-}
-
-/// One frame with its matched DRR, as the window shows it.
-#[derive(Clone, Debug)]
-pub struct PairView {
-    /// The frame's number of arrival.
-    pub number: u32,
-    /// The frame's name.
-    pub name: String,
-    /// When it was exposed, host time.
-    pub time_us: i64,
-    /// One line: accepted, refused and why, pose from telemetry.
-    pub status: String,
-    /// Colour and word of the status line.
-    pub standing: Standing,
-    /// Acquired frame, gray 0..255.
-    pub acquired: Image<u8>,
-    /// Matched DRR; absent without a pose.
-    pub drr: Option<Image<u8>>,
-    /// Signed difference in colour; absent without a pose.
-    pub difference: Option<Image<[u8; 3]>>,
-    /// Name and value of each score.
-    pub scores: Vec<(String, Option<f64>)>,
-}
+use super::bell::Bell;
+pub use super::bell::LEAST_BETWEEN;
+pub use super::link_view::{Link, STALE_AFTER_US};
+pub use super::pair_marks::{BeadMark, LandmarkMark, PairMarks, RobotMark};
+pub use super::pair_pictures::PairPictures;
+pub use super::pair_view::PairView;
 
 /// Everything at once.
 #[derive(Clone, Debug, Default)]
 pub struct BoardState {
     /// Serial lines.
     pub links: Vec<Link>,
-    /// Pairs in order of exposure.
+    /// Pairs in order of their frames' arrival.
     pub pairs: Vec<Arc<PairView>>,
     /// Frames seen so far.
     pub frames_seen: usize,
@@ -61,8 +25,10 @@ pub struct BoardState {
     pub recorder_behind_ms: f64,
     /// Why nothing is recorded any more.
     pub recorder_failure: Option<String>,
-    /// Host time of this state.
+    /// Host time of this state; in a replay the time of the log.
     pub now_us: i64,
+    /// What is shown was recorded: ages are those of the log.
+    pub replayed: bool,
     /// The session has ended.
     pub finished: bool,
     /// Somebody looks: pictures of pairs are made for the eye.
@@ -71,68 +37,74 @@ pub struct BoardState {
     pub warnings: Vec<(String, u64)>,
 }
 
-/// Telemetry older than this is shown as stale.
-pub const STALE_AFTER_US: i64 = 500_000;
-
 /// Pairs whose pictures are kept whole; of older ones a small picture is kept.
 const WHOLE_PICTURES: usize = 16;
-/// Widest small picture.
-const THUMBNAIL_PX: usize = 155;
-
-impl PairView {
-    fn shrink(&mut self) {
-        fn small<T: Clone>(image: &Image<T>) -> Image<T> {
-            let step = image.width.div_ceil(THUMBNAIL_PX).max(1);
-            let (width, height) = (image.width / step, image.height / step);
-            let at = |index: usize| image.at(index % width * step, index / width * step).clone();
-            Image { width, height, pixels: (0..width * height).map(at).collect() }
-        }
-        self.acquired = small(&self.acquired);
-        self.drr = self.drr.as_ref().map(small);
-        self.difference = self.difference.as_ref().map(small);
-    }
-}
 
 impl BoardState {
     /// Shows a pair, or what is new about it; memory stays bounded.
-    pub fn show(&mut self, pair: PairView) {
-        let pair = Arc::new(pair);
-        match self.pairs.iter_mut().find(|known| known.number == pair.number) {
-            Some(slot) => *slot = pair,
+    pub fn show(&mut self, mut pair: PairView) {
+        match self.pairs.iter_mut().find(|known| known.number() == pair.number()) {
+            Some(slot) => {
+                // It was shown when it was shown first; another pose is another showing.
+                if slot.development == pair.development {
+                    pair.latency_ms = slot.latency_ms;
+                }
+                *slot = Arc::new(pair);
+            }
             None => {
-                let at = self.pairs.partition_point(|known| known.number < pair.number);
-                self.pairs.insert(at, pair);
+                let at = self.pairs.partition_point(|known| known.number() < pair.number());
+                self.pairs.insert(at, Arc::new(pair));
             }
         }
         let old = self.pairs.len().saturating_sub(WHOLE_PICTURES);
         // Any of the older ones may have come just now: the newest frame is developed first, and nulls come late.
-        for pair in self.pairs[..old].iter_mut().filter(|pair| pair.acquired.width > THUMBNAIL_PX) {
+        for pair in self.pairs[..old].iter_mut().filter(|pair| !pair.pictures.is_small()) {
             Arc::make_mut(pair).shrink();
         }
     }
-}
 
-impl Link {
-    /// Whether nothing came for [`STALE_AFTER_US`], or ever.
-    #[must_use]
-    pub fn is_stale(&self, now_us: i64) -> bool {
-        self.last_byte_us.is_none_or(|last_us| now_us - last_us > STALE_AFTER_US)
+    /// What must be seen at once when it changes.
+    fn urgent(&self) -> (usize, usize, bool, bool, usize) {
+        (self.frames_seen, self.frames_waiting, self.recorder_failure.is_some(), self.finished, self.warnings.len())
     }
 }
 
 /// A shared slot with the latest state; cheap to clone.
-#[derive(Clone, Debug, Default)]
-pub struct Board(Arc<Mutex<BoardState>>);
+#[derive(Clone, Default)]
+pub struct Board {
+    state: Arc<Mutex<BoardState>>,
+    bell: Arc<Bell>,
+}
+
+impl std::fmt::Debug for Board {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_tuple("Board").field(&*self.lock()).finish()
+    }
+}
 
 impl Board {
-    /// Changes the state.
+    /// Changes the state; whoever shows it hears of it.
     pub fn update(&self, change: impl FnOnce(&mut BoardState)) {
-        change(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner));
+        change(&mut self.lock());
+        self.bell.ring();
+    }
+
+    /// Changes what changes all the time, as readings do: whoever shows the state hears of it only where something else changed as well.
+    pub fn tick(&self, change: impl FnOnce(&mut BoardState)) {
+        let changed = {
+            let mut state = self.lock();
+            let before = state.urgent();
+            change(&mut state);
+            state.urgent() != before
+        };
+        if changed {
+            self.bell.ring();
+        }
     }
 
     /// Asks the state.
     pub fn read<T>(&self, ask: impl FnOnce(&BoardState) -> T) -> T {
-        ask(&self.0.lock().unwrap_or_else(PoisonError::into_inner))
+        ask(&self.lock())
     }
 
     /// Shows a pair where somebody looks.
@@ -143,35 +115,61 @@ impl Board {
         }
     }
 
-    /// A copy of the state; images are shared, not copied.
+    /// A copy of the state, for whoever shows it; images are shared, not copied.
     #[must_use]
     pub fn snapshot(&self) -> BoardState {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.bell.looked();
+        self.lock().clone()
+    }
+
+    /// `waker` is called when there is something new to show, with how long to wait before that: looks are [`LEAST_BETWEEN`] apart or more.
+    pub fn on_change(&self, waker: impl Fn(Duration) + Send + 'static) {
+        self.bell.tell(Box::new(waker));
+    }
+
+    /// Counts the changes that whoever shows the state hears of.
+    #[must_use]
+    pub fn generation(&self) -> u64 {
+        self.bell.generation()
+    }
+
+    fn lock(&self) -> MutexGuard<'_, BoardState> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::acquire::{Domain, Frame};
+    use crate::image::Image;
+    use crate::mask::Masks;
+    use crate::report::Pair;
+
+    fn pair(number: u32) -> PairView {
+        let frame = Frame::from_pixels("a", Image::filled(620, 4, 1.0f32), Domain::Linear).expect("a frame");
+        PairView {
+            pair: Arc::new(Pair { number, ..Pair::unmatched("a", "") }),
+            pose: Arc::default(),
+            time_us: 0,
+            development: 0,
+            complete: true,
+            mm_per_px: None,
+            remedy: None,
+            marks: Arc::default(),
+            pictures: Arc::new(PairPictures::alone(&frame, &Masks::default())),
+            latency_ms: Some(f64::from(number)),
+        }
+    }
 
     #[test]
     fn few_pictures_stay_whole_in_whatever_order_pairs_and_nulls_come() {
-        let pair = |number: u32| PairView {
-            number,
-            name: String::new(),
-            time_us: 0,
-            status: String::new(),
-            standing: Standing::Accepted,
-            acquired: Image::filled(620, 4, 0),
-            drr: None,
-            difference: None,
-            scores: Vec::new(),
-        };
         let mut state = BoardState::default();
         // The newest first, then each once more with its null.
         (1..=60).rev().chain(1..=60).for_each(|number| state.show(pair(number)));
-        let whole = state.pairs.iter().filter(|pair| pair.acquired.width > THUMBNAIL_PX).count();
+        let whole = state.pairs.iter().filter(|pair| !pair.pictures.is_small()).count();
         assert_eq!((state.pairs.len(), whole), (60, WHOLE_PICTURES));
+        assert!(state.pairs.iter().all(|pair| pair.pictures.size_px == [620, 4]), "marks keep their places");
 
         // Nobody looks: no picture is made.
         let board = Board::default();
@@ -179,5 +177,25 @@ mod tests {
         board.update(|state| state.watched = true);
         board.show(|| pair(3));
         assert_eq!(board.read(|state| state.pairs.len()), 1);
+    }
+
+    #[test]
+    fn a_pair_was_shown_when_it_was_shown_first_unless_it_was_posed_again() {
+        let mut state = BoardState::default();
+        state.show(pair(3));
+        state.show(PairView { latency_ms: Some(9e3), ..pair(3) });
+        assert_eq!(state.pairs[0].latency_ms, Some(3.0));
+        state.show(PairView { latency_ms: Some(9e3), development: 1, ..pair(3) });
+        assert_eq!(state.pairs[0].latency_ms, Some(9e3));
+    }
+
+    #[test]
+    fn readings_do_not_ring_and_what_must_be_seen_does() {
+        let board = Board::default();
+        board.tick(|state| (state.now_us, state.recorder_behind_ms) = (5, 3.0));
+        assert_eq!(board.generation(), 0);
+        board.tick(|state| state.recorder_failure = Some("the disk is full".to_owned()));
+        board.tick(|state| state.frames_waiting = 1);
+        assert_eq!(board.generation(), 2);
     }
 }

@@ -2,8 +2,11 @@
 
 use std::sync::Arc;
 
-use super::board::PairView;
+use super::pair_marks::PairMarks;
+use super::pair_pictures::PairPictures;
+use super::pair_view::PairView;
 use super::posing::Posed;
+use super::remedy::remedy;
 use crate::compare::Compared;
 use crate::image::Image;
 use crate::render::{Rendered, Scatter};
@@ -38,7 +41,7 @@ pub struct Developed {
 pub(super) fn draw(posed: &Posed, pair: &Pair, compared: Option<&Compared>, without: Option<&str>) -> Image<[u8; 3]> {
     report::strip(&StripInput {
         acquired: &posed.frame,
-        pictures: compared.map(|compared| &compared.pictures),
+        pictures: compared.map(|compared| &*compared.pictures),
         without,
         standing: pair.standing(),
         status: &pair.status_line(),
@@ -69,31 +72,28 @@ impl Developed {
     /// What the window shows.
     #[must_use]
     pub fn picture(&self) -> PairView {
-        let frame = &self.posed.frame;
-        let shown = self.compared.as_ref().map(|compared| &compared.pictures);
-        let gray = |image: &Image<f32>, window: [f64; 2]| image.map(|value| report::gray(*value, window)[0]);
-        let (acquired, drr, difference) = match shown {
-            Some(pictures) => {
-                let window = report::window(&[&pictures.acquired, &pictures.simulated], Some(&pictures.usable));
-                let half = 0.5 * (window[1] - window[0]).max(1e-9);
-                let signed = |(a, b): (&f32, &f32)| report::diverging(((a - b) as f64 / half) as f32);
-                let pixels = pictures.acquired.pixels.iter().zip(&pictures.simulated.pixels).map(signed).collect();
-                let difference = Image::from_pixels(pictures.acquired.width, pictures.acquired.height, pixels);
-                (gray(&pictures.acquired, window), Some(gray(&pictures.simulated, window)), difference)
-            }
-            None => (gray(&frame.pixels, report::window(&[&frame.pixels], None)), None, None),
+        let Self { posed, pair, .. } = self;
+        let comparison = self.compared.as_ref().map(|compared| &compared.comparison);
+        let of_comparison = comparison.and_then(|found| Some(found.mm_per_px? / found.binning.max(1) as f64));
+        let of_pose = || {
+            let (view, centre) = posed.view.zip(posed.pose.centroid_lps_mm)?;
+            Some(view.camera_from_lps.transform_point(centre).z / view.intrinsics.fx)
         };
-        let scores = ["zncc", "gradient_ncc", "ssim", "local_ncc", "edge_distance_mm", "rmse_nepers"];
+        let pictures = match &self.compared {
+            Some(compared) => PairPictures::compared(posed.frame.size_px, &compared.pictures),
+            None => PairPictures::alone(&posed.frame, &posed.masks),
+        };
         PairView {
-            number: self.posed.number,
-            name: frame.name.clone(),
-            time_us: self.posed.time_us,
-            status: self.pair.status_line(),
-            standing: self.pair.standing(),
-            acquired,
-            drr,
-            difference,
-            scores: scores.iter().map(|name| ((*name).to_owned(), self.pair.scores.get(name))).collect(),
+            pair: Arc::new(pair.clone()),
+            pose: Arc::new(posed.pose.clone()),
+            time_us: posed.time_us,
+            development: posed.development,
+            complete: self.complete,
+            mm_per_px: of_comparison.or_else(of_pose),
+            remedy: remedy(posed, pair),
+            marks: Arc::new(PairMarks::of(posed, self.drr.as_ref().map(|(_, scene)| &**scene))),
+            pictures: Arc::new(pictures),
+            latency_ms: None,
         }
     }
 }

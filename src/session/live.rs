@@ -21,6 +21,7 @@ use super::event::{Event, Source};
 use super::file::Setup;
 use super::folder::{Collector, Folder, Times};
 use super::input::{Input, Output};
+use super::link_view::LinkReadings;
 use super::log::SessionLog;
 use super::losses::line_losses;
 use super::onlooker::Onlooker;
@@ -117,6 +118,7 @@ pub fn run(setup: Setup, options: &LiveOptions, board: &Board, reporter: &Report
         told_losses: BTreeMap::new(),
         told_keepers_lost: 0,
         finishing: None,
+        readings: LinkReadings::default(),
     };
     session.run(&inbox, options, started_us)
 }
@@ -171,6 +173,7 @@ struct Session {
     told_losses: BTreeMap<DeviceKind, u64>,
     told_keepers_lost: u32,
     finishing: Option<(Progress, usize)>,
+    readings: LinkReadings,
 }
 
 impl Session {
@@ -351,21 +354,18 @@ impl Session {
         }
     }
 
-    fn publish(&self, now_us: i64) {
+    fn publish(&mut self, now_us: i64) {
         let recorder = self.log.health();
         let waiting =
             self.engine.waiting() + self.engine.bound().count() + usize::from(self.registering) + self.workshop.open_jobs();
-        self.board.update(|state| {
+        let Self { board, readings, engine, reporter, .. } = self;
+        board.tick(|state| {
             state.now_us = now_us;
             state.frames_waiting = waiting;
             state.recorder_behind_ms = recorder.behind_ms;
             state.recorder_failure = recorder.failure;
-            for link in &mut state.links {
-                if let Some(health) = self.engine.health(link.device) {
-                    link.health = health;
-                }
-            }
-            state.warnings = self.reporter.warnings().into_iter().map(|(kind, counted)| (kind, counted.count)).collect();
+            readings.update(&mut state.links, engine, now_us);
+            state.warnings = reporter.warnings().into_iter().map(|(kind, counted)| (kind, counted.count)).collect();
         });
     }
 

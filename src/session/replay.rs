@@ -24,6 +24,7 @@ use super::places;
 use super::posing::{Posed, Registered};
 use super::recorded::{Development, Recorded, drrs_of};
 use super::records::{CUT_TOPIC, CutRecord, RESTART_TOPIC};
+use super::replay_board::ReplayBoard;
 pub use super::replay_report::ReplayReport;
 use super::replay_report::{another_network, planned_error};
 use super::servers::IgtlServer;
@@ -95,13 +96,14 @@ pub fn run(
     workshop.start(false, move |pair| pairs.send(pair).is_ok())?;
     let replay = Replay {
         engine: engine(&setup, &workshop, &options.out, reporter),
+        board: ReplayBoard::open(board, &setup),
         setup,
         workshop,
         broadcast,
         collector,
         developed,
         tracks: Tracks::new(),
-        board,
+        last_us: 0,
         report: ReplayReport { losses, ..ReplayReport::default() },
         seen: BTreeSet::new(),
         without_pixels: BTreeSet::new(),
@@ -140,7 +142,9 @@ struct Replay<'a> {
     collector: Collector,
     developed: Receiver<Developed>,
     tracks: Tracks,
-    board: &'a Board,
+    board: ReplayBoard<'a>,
+    /// Host time of the latest input.
+    last_us: i64,
     recorded: Recorded,
     report: ReplayReport,
     /// What was posed by now.
@@ -169,7 +173,7 @@ impl Replay<'_> {
     fn run(mut self, log: &Path, options: &ReplayOptions, reporter: &Reporter) -> Result<(Folder, ReplayReport), SessionError> {
         let progress = reporter.progress("replaying", self.recorded.messages);
         let mut pace = Pace::new(options.rate);
-        let mut last_us = self.recorded.started_us;
+        self.last_us = self.recorded.started_us;
         for entry in LogReader::open(log)? {
             progress.advance(1);
             if self.samples.says(&entry) {
@@ -178,14 +182,14 @@ impl Replay<'_> {
             let is_input = matches!(&*entry.topic, topic::CARM_RAW | topic::ROBOT_RAW | topic::FRAME_PIXELS | CLOCK_TOPIC);
             if is_input {
                 pace.wait_for(entry.host_us);
-                last_us = last_us.max(entry.host_us);
+                self.last_us = self.last_us.max(entry.host_us);
             }
             if &*entry.topic == END_TOPIC {
                 self.has_end = true;
                 self.with_engine(|engine, sink| engine.finish(entry.host_us, sink));
             } else if &*entry.topic == RESTART_TOPIC {
                 // As the session had, the engine learns clocks, counters and the specimen's place anew.
-                self.end_engine(last_us, reporter);
+                self.end_engine(reporter);
                 self.engine = engine(&self.setup, &self.workshop, &options.out, reporter);
                 self.samples.begin_anew();
             } else if let Some(cut) = self.cut(&entry) {
@@ -196,9 +200,10 @@ impl Replay<'_> {
                 }
                 self.with_engine(|engine, sink| engine.push(input, sink));
             }
+            self.board.tick(&self.engine, self.last_us, self.report.frames, self.workshop.open_jobs());
             self.take_pairs(reporter);
         }
-        self.end_engine(last_us, reporter);
+        self.end_engine(reporter);
         self.workshop.close();
         while let Ok(developed) = self.developed.recv() {
             self.take_pair(developed, reporter);
@@ -208,7 +213,8 @@ impl Replay<'_> {
     }
 
     /// The inputs of a session, or of one of the logs that were joined, are over.
-    fn end_engine(&mut self, last_us: i64, reporter: &Reporter) {
+    fn end_engine(&mut self, reporter: &Reporter) {
+        let last_us = self.last_us;
         if !std::mem::take(&mut self.has_end) {
             self.report.losses.push("the log has no end: the session was cut short".to_owned());
             self.with_engine(|engine, sink| engine.finish(last_us, sink));
@@ -302,7 +308,7 @@ impl Replay<'_> {
         }
         self.compare_scores(&developed);
         self.broadcast.developed(&developed, !self.collector.knows(&developed));
-        self.board.show(|| developed.picture());
+        self.board.board().show(|| developed.picture());
         for failure in self.collector.take(developed) {
             reporter.warn("file not written", &failure);
             if self.report.losses.len() < 20 {
@@ -373,7 +379,7 @@ impl Replay<'_> {
             self.report.losses.push(format!("the pixels of {posed} frames {words}"));
         }
         self.report.losses.extend(self.inputs.tolerance.losses().into_iter().filter(|loss| !self.recorded.losses.contains(loss)));
-        self.board.update(|state| state.finished = true);
+        self.board.finish(&self.engine, self.last_us, self.report.frames);
         let losses = self.report.losses.iter().chain(&self.report.session_losses).cloned().collect();
         let folder =
             self.collector.finish(&self.engine, self.tracks, (losses, "another replay makes what is missing"), reporter, None);

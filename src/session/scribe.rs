@@ -14,8 +14,10 @@ use super::developed::Developed;
 use super::folder::Collector;
 use super::input::Input;
 use super::log::SessionLog;
+use super::pair_view::PairView;
 use crate::report::PairStatus;
 use crate::reporter::Reporter;
+use crate::time::host_now_us;
 
 /// Pairs that wait for a slow disk; then the workshop waits, and once many posed frames wait for it, those that are not posed yet.
 const QUEUE: usize = 4;
@@ -106,7 +108,10 @@ impl Work {
 
     fn take(&mut self, developed: Developed) {
         let (number, time_us, complete) = (developed.posed.number, developed.posed.time_us, developed.complete);
-        self.board.show(|| developed.picture());
+        self.board.show(|| {
+            let latency_ms = Some((host_now_us() - time_us) as f64 * 1e-3);
+            PairView { latency_ms, ..developed.picture() }
+        });
         let is_new = !self.collector.knows(&developed);
         if let (Some((drr, _)), Some(sha256), true) = (&developed.drr, &developed.drr_sha256, is_new) {
             self.log.drr(&developed.posed, drr, sha256);

@@ -85,7 +85,7 @@ impl Lines {
         let (sender, mut arrivals) = tokio::sync::mpsc::channel::<(DeviceKind, PortEvent)>(PORT_QUEUE);
         let mut tasks = Vec::new();
         for config in ports(setup) {
-            board.update(|state| state.links.push(new_link(config.device)));
+            board.update(|state| state.links.push(Link::new(config.device)));
             tasks.push(spawn_port(runtime.handle(), config, sender.clone()));
         }
         drop(sender);
@@ -128,10 +128,6 @@ fn ports(setup: &Setup) -> Vec<PortConfig> {
     [carm, robot].into_iter().flatten().map(config).collect()
 }
 
-fn new_link(device: DeviceKind) -> Link {
-    Link { device, open: false, epoch: 0, health: Default::default(), last_byte_us: None, trouble: None }
-}
-
 struct LineIntake {
     log: Arc<SessionLog>,
     board: Board,
@@ -150,7 +146,13 @@ impl LineIntake {
         match event {
             PortEvent::Bytes { host_us, epoch, bytes } => {
                 self.log.input(Input::Bytes { device, epoch, host_us, bytes });
-                link(&|link| link.last_byte_us = Some(host_us));
+                self.board.tick(|state| {
+                    state
+                        .links
+                        .iter_mut()
+                        .filter(|link| link.device == device)
+                        .for_each(|link| link.last_byte_us = Some(host_us));
+                });
             }
             PortEvent::Opened { epoch, host_us, .. } => {
                 link(&|link| {
@@ -181,10 +183,9 @@ impl LineIntake {
 /// the words.
 fn warning(device: DeviceKind, event: &PortEvent) -> Option<(String, String)> {
     match event {
-        PortEvent::Lost { reason, .. } => Some((
-            format!("{device} line lost"),
-            format!("{device} line lost ({reason}); it is re-opened as soon as it is back"),
-        )),
+        PortEvent::Lost { reason, .. } => {
+            Some((format!("{device} line lost"), format!("{device} line lost ({reason}); it is re-opened as soon as it is back")))
+        }
         PortEvent::Retry { error, attempt: 1, .. } => {
             Some((format!("{device} line not open"), format!("{error}; {}", crate::telemetry::hint(error))))
         }
@@ -433,7 +434,8 @@ mod tests {
             let (kind, words) = warning(device, &lost).expect("a person must know");
             reporter.warn(&kind, words);
         }
-        let counted: Vec<_> = reporter.warnings().into_iter().map(|(kind, counted)| (kind, counted.count, counted.latest)).collect();
+        let counted: Vec<_> =
+            reporter.warnings().into_iter().map(|(kind, counted)| (kind, counted.count, counted.latest)).collect();
         assert_eq!(counted.iter().map(|(_, count, _)| *count).collect::<Vec<_>>(), [2, 1]);
         for ((kind, _, latest), device) in counted.iter().zip(["C-arm", "robot"]) {
             assert!(kind.starts_with(device) && latest.starts_with(device), "{kind}: {latest}");

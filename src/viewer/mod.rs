@@ -1,29 +1,27 @@
-//! The window: acquired, DRR and difference side by side, link states, stale marks. Panes draw; they decide nothing.
+//! The window: acquired frame and matched DRR large, difference and overlay beside them; what is known of the exposure, the devices and the
+//! agreement on the left; the exposures in a row below. Panes draw what a [`crate::session::board::BoardState`] holds; they decide nothing.
 
-mod panes;
+mod theme;
+mod sight;
+mod player;
+mod picture_cache;
+mod state;
+mod keys;
+mod marks;
+mod readout;
+mod arrange;
+mod pictures;
+mod standing;
+mod devices;
+mod pose_pane;
+mod scores;
+mod timeline;
+mod toolbar;
+mod layout;
 mod window;
 
-pub use panes::draw;
+pub use layout::draw;
+pub use player::{Player, Speed};
+pub use sight::Sight;
+pub use state::{Arrangement, Mark, Overlay, ViewState};
 pub use window::{ViewerError, run};
-
-/// What the window remembers between frames: which pair is shown and how.
-#[derive(Default)]
-pub struct ViewState {
-    /// Index of the pair shown; `None` follows the latest.
-    pub selected: Option<usize>,
-    /// Show acquired and DRR alternating in one place.
-    pub blink: bool,
-    /// Zoom factor, common to all panes; 0 means fit.
-    pub zoom: f32,
-    /// Common offset of the panes in screen points.
-    pub pan: eframe::egui::Vec2,
-    textures: Option<Textures>,
-}
-
-/// Uploaded pictures of one pair.
-struct Textures {
-    pair: (u32, usize),
-    acquired: eframe::egui::TextureHandle,
-    drr: Option<eframe::egui::TextureHandle>,
-    difference: Option<eframe::egui::TextureHandle>,
-}

@@ -1,9 +1,13 @@
 //! The native window around the panes.
 
+use std::time::Duration;
+
 use eframe::egui;
 
-use super::ViewState;
+use super::layout::draw;
+use super::state::ViewState;
 use crate::session::board::Board;
+use crate::time::host_now_us;
 
 /// Why no window opens.
 #[derive(Debug, thiserror::Error)]
@@ -16,18 +20,32 @@ pub enum ViewerError {
     },
 }
 
+/// Stale marks appear within this, even when nothing arrives; joints are read this often.
+const TICK: Duration = Duration::from_millis(1_000);
+
 struct Window {
     board: Board,
     state: ViewState,
+    leaves: Box<dyn Fn() -> bool>,
     on_close: Box<dyn Fn()>,
 }
 
 impl eframe::App for Window {
+    fn logic(&mut self, context: &egui::Context, _frame: &mut eframe::Frame) {
+        if (self.leaves)() {
+            context.send_viewport_cmd(egui::ViewportCommand::Close);
+        }
+        // A hidden window is asked too whether it leaves.
+        context.request_repaint_after(TICK);
+    }
+
     fn ui(&mut self, ui: &mut egui::Ui, _frame: &mut eframe::Frame) {
-        let snapshot = self.board.snapshot();
-        super::draw(ui, &snapshot, &mut self.state);
-        // Stale marks must appear by themselves, so the window repaints even when nothing arrives.
-        ui.ctx().request_repaint_after(std::time::Duration::from_millis(100));
+        let mut snapshot = self.board.snapshot();
+        if !(snapshot.replayed || snapshot.finished) {
+            // Ages are those of this moment, even where the session's own thread stands still.
+            snapshot.now_us = host_now_us();
+        }
+        draw(ui, &snapshot, &mut self.state);
     }
 
     fn on_exit(&mut self) {
@@ -35,16 +53,16 @@ impl eframe::App for Window {
     }
 }
 
-/// Shows `board` until the window is closed; `on_close` runs then.
+/// Shows `board` until the window is closed, or `leaves` says that there is nothing more to see; `on_close` runs then. It is drawn when the
+/// board changes, and once a second.
 ///
 /// # Errors
 /// When there is no display or no graphics adapter.
-pub fn run(board: Board, on_close: impl Fn() + 'static) -> Result<(), ViewerError> {
+pub fn run(board: Board, leaves: impl Fn() -> bool + 'static, on_close: impl Fn() + 'static) -> Result<(), ViewerError> {
     let options = eframe::NativeOptions {
-        viewport: egui::ViewportBuilder::default().with_title("Sidecarm").with_inner_size([1400.0, 760.0]),
+        viewport: egui::ViewportBuilder::default().with_title("Sidecarm").with_inner_size([1400.0, 900.0]),
         ..Default::default()
     };
-    let window = Window { board, state: ViewState::default(), on_close: Box::new(on_close) };
     // Opening a window without a display server ends in an error or, in some back ends, a panic: both become one sentence.
     let has_display = cfg!(not(target_os = "linux"))
         || ["DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"]
@@ -53,6 +71,11 @@ pub fn run(board: Board, on_close: impl Fn() + 'static) -> Result<(), ViewerErro
     if !has_display {
         return Err(ViewerError::NoWindow { detail: "neither DISPLAY nor WAYLAND_DISPLAY is set".to_owned() });
     }
-    eframe::run_native("sidecarm", options, Box::new(move |_| Ok(Box::new(window))))
-        .map_err(|error| ViewerError::NoWindow { detail: error.to_string() })
+    let window = move |context: &eframe::CreationContext| {
+        let woken = context.egui_ctx.clone();
+        board.on_change(move |after| woken.request_repaint_after(after));
+        let (leaves, on_close) = (Box::new(leaves), Box::new(on_close));
+        Ok(Box::new(Window { board, state: ViewState::default(), leaves, on_close }) as Box<dyn eframe::App>)
+    };
+    eframe::run_native("sidecarm", options, Box::new(window)).map_err(|error| ViewerError::NoWindow { detail: error.to_string() })
 }

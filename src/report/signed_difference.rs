@@ -1,0 +1,68 @@
+//! Acquired minus simulated, as strips and the window show it.
+
+use super::colour;
+use crate::compare::Pictures;
+use crate::image::Image;
+
+/// In place of a difference between what has no common unit.
+pub const NOT_COMPARABLE: &str = "gray values and nepers have no difference; --tone monotone relates them";
+
+/// How the difference of two pictures is shown: only where both mean something, about a common zero.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SignedDifference {
+    /// Taken off everywhere: the median, where the pictures have no common zero.
+    pub offset: f64,
+    /// The ends of the colour scale are at ± this.
+    pub limit: f64,
+    /// Of offset and limit.
+    pub unit: &'static str,
+    /// Whether the pictures have a common unit at all.
+    pub comparable: bool,
+}
+
+impl SignedDifference {
+    /// The scale for `pictures`, and the difference itself: NaN where it means nothing.
+    #[must_use]
+    pub fn of(pictures: &Pictures) -> (Self, Image<f32>) {
+        let Pictures { acquired, simulated, usable, .. } = pictures;
+        let signed = |at: usize| if usable.pixels[at] { acquired.pixels[at] - simulated.pixels[at] } else { f32::NAN };
+        let pixels = (0..acquired.pixels.len()).map(signed).collect();
+        let difference = Image { width: acquired.width, height: acquired.height, pixels };
+        // Nepers of unknown offset have no common zero; their medians are laid upon each other.
+        let offset = if pictures.unit == "nepers (offset unknown)" { median(&difference) } else { 0.0 };
+        let difference = difference.map(|d| d - offset as f32);
+        let comparable = !pictures.unit.starts_with("gray") || spread_is_common(pictures);
+        let unit = if offset == 0.0 { pictures.unit } else { "nepers, median removed" };
+        (Self { offset, limit: symmetric_limit(&difference), unit, comparable }, difference)
+    }
+
+    /// The difference of two pixels that mean something.
+    #[must_use]
+    pub fn between(&self, acquired: f32, simulated: f32) -> f32 {
+        acquired - simulated - self.offset as f32
+    }
+}
+
+/// Gray values are comparable with the simulation once a tone has brought it to their range.
+fn spread_is_common(pictures: &Pictures) -> bool {
+    let (a, s) = (
+        colour::window(&[&pictures.acquired], Some(&pictures.usable)),
+        colour::window(&[&pictures.simulated], Some(&pictures.usable)),
+    );
+    let (wide_a, wide_s) = (a[1] - a[0], s[1] - s[0]);
+    let apart = (0.5 * (a[0] + a[1]) - 0.5 * (s[0] + s[1])).abs();
+    wide_a < 4.0 * wide_s && wide_s < 4.0 * wide_a && apart < wide_a.max(wide_s)
+}
+
+fn median(image: &Image<f32>) -> f64 {
+    let mut values: Vec<f32> = image.pixels.iter().copied().filter(|v| v.is_finite()).collect();
+    let middle = values.len() / 2;
+    colour::ranked(&mut values, middle).unwrap_or(0.0)
+}
+
+/// A round limit that 99 % of the differences stay within.
+fn symmetric_limit(difference: &Image<f32>) -> f64 {
+    let mut sizes: Vec<f32> = difference.pixels.iter().filter(|v| v.is_finite()).map(|v| v.abs()).collect();
+    let at = (sizes.len().max(1) - 1) * 99 / 100;
+    colour::round_up(colour::ranked(&mut sizes, at).unwrap_or(0.0).max(1e-6))
+}

@@ -1,0 +1,117 @@
+//! The pictures of a pair as the window draws them: values, not colours, so that it chooses the window and reads what lies under the cursor.
+
+use std::sync::Arc;
+
+use crate::acquire::Frame;
+use crate::compare::Pictures;
+use crate::image::Image;
+use crate::mask::Masks;
+use crate::report::{self, SignedDifference};
+
+/// Widest small picture.
+pub(super) const THUMBNAIL_PX: usize = 155;
+
+/// A matched DRR beside the frame, or a frame alone; larger is more attenuation.
+#[derive(Clone, Debug)]
+pub struct PairPictures {
+    /// Columns and rows of the frame; the pictures may be smaller.
+    pub size_px: [usize; 2],
+    /// Gray values from black to white, where nobody chose others.
+    pub window: [f64; 2],
+    /// How acquired minus simulated is shown; absent without a matched DRR.
+    pub difference: Option<SignedDifference>,
+    /// Of the values.
+    pub unit: String,
+    source: Source,
+}
+
+#[derive(Clone, Debug)]
+enum Source {
+    Compared(Arc<Pictures>),
+    Alone { shown: Image<f32>, usable: Image<bool> },
+}
+
+impl PairPictures {
+    /// A frame of `size_px` that was compared.
+    #[must_use]
+    pub fn compared(size_px: [usize; 2], pictures: &Arc<Pictures>) -> Self {
+        let window = report::window(&[&pictures.acquired, &pictures.simulated], Some(&pictures.usable));
+        let (difference, _) = SignedDifference::of(pictures);
+        let unit = pictures.unit.to_owned();
+        Self { size_px, window, difference: Some(difference), unit, source: Source::Compared(Arc::clone(pictures)) }
+    }
+
+    /// A frame that has no partner.
+    #[must_use]
+    pub fn alone(frame: &Frame, masks: &Masks) -> Self {
+        let (shown, unit) = report::alone(frame);
+        let usable = masks.usable(shown.width, shown.height, &[]);
+        let window = report::window(&[&shown], Some(&usable));
+        let size_px = [shown.width, shown.height];
+        Self { size_px, window, difference: None, unit, source: Source::Alone { shown, usable } }
+    }
+
+    /// The frame.
+    #[must_use]
+    pub fn acquired(&self) -> &Image<f32> {
+        match &self.source {
+            Source::Compared(pictures) => &pictures.acquired,
+            Source::Alone { shown, .. } => shown,
+        }
+    }
+
+    /// The matched DRR.
+    #[must_use]
+    pub fn simulated(&self) -> Option<&Image<f32>> {
+        match &self.source {
+            Source::Compared(pictures) => Some(&pictures.simulated),
+            Source::Alone { .. } => None,
+        }
+    }
+
+    /// Edges of the DRR.
+    #[must_use]
+    pub fn edges(&self) -> Option<&Image<bool>> {
+        match &self.source {
+            Source::Compared(pictures) => Some(&pictures.edges),
+            Source::Alone { .. } => None,
+        }
+    }
+
+    /// True where the pixels mean something, and are scored.
+    #[must_use]
+    pub fn usable(&self) -> &Image<bool> {
+        match &self.source {
+            Source::Compared(pictures) => &pictures.usable,
+            Source::Alone { usable, .. } => usable,
+        }
+    }
+
+    /// Whether only small pictures are left.
+    #[must_use]
+    pub fn is_small(&self) -> bool {
+        self.acquired().width <= THUMBNAIL_PX
+    }
+
+    /// The same with small pictures.
+    pub(super) fn small(&self) -> Self {
+        let source = match &self.source {
+            Source::Compared(pictures) => Source::Compared(Arc::new(Pictures {
+                acquired: small(&pictures.acquired),
+                simulated: small(&pictures.simulated),
+                usable: small(&pictures.usable),
+                edges: small(&pictures.edges),
+                unit: pictures.unit,
+            })),
+            Source::Alone { shown, usable } => Source::Alone { shown: small(shown), usable: small(usable) },
+        };
+        Self { source, ..self.clone() }
+    }
+}
+
+fn small<T: Clone>(image: &Image<T>) -> Image<T> {
+    let step = image.width.div_ceil(THUMBNAIL_PX).max(1);
+    let (width, height) = (image.width / step, image.height / step);
+    let at = |index: usize| image.at(index % width * step, index / width * step).clone();
+    Image { width, height, pixels: (0..width * height).map(at).collect() }
+}

@@ -1,0 +1,69 @@
+//! What the people at the C-arm can do about a frame whose pose is refused or doubted.
+
+use super::posing::Posed;
+use crate::pose::Refusal;
+use crate::report::{Pair, Standing};
+
+/// In a sentence; `None` where nothing needs mending.
+pub(super) fn remedy(posed: &Posed, pair: &Pair) -> Option<String> {
+    let caution = posed.robot.iter().flat_map(|robot| &robot.cautions).map(|caution| caution.remedy()).next();
+    let words = match pair.standing() {
+        Standing::Accepted => return caution.map(str::to_owned),
+        Standing::ImageDisagrees => {
+            "expose once more with nothing moving; if the image disagrees again, check which scan and which side the layout is of"
+        }
+        Standing::TelemetryDisagrees => {
+            "check that the specimen has not moved and that the arm's joints read right, then expose again"
+        }
+        _ => match &posed.pose.refusal {
+            Some(refusal) => of_refusal(refusal),
+            None if pair.binding == "none" => "check the C-arm's line: no exposure in its telemetry belongs to this frame",
+            None => return None,
+        },
+    };
+    Some(words.to_owned())
+}
+
+/// The sentence of a refusal says what was found; this is where to look first.
+fn of_refusal(refusal: &Refusal) -> &'static str {
+    match refusal {
+        Refusal::TooFewBeads { .. } | Refusal::TooFewShadows { .. } | Refusal::NoMatch { .. } | Refusal::Chance { .. } => {
+            "bring more beads into the open field: open the collimator, or aim at them, and expose again"
+        }
+        Refusal::Collinear { .. } | Refusal::Coplanar { .. } | Refusal::Ambiguous { .. } | Refusal::FlatTags { .. } => {
+            "bring beads into the field that lie deeper or higher than these, or give a prior"
+        }
+        Refusal::Residual { .. } | Refusal::Displaced { .. } | Refusal::Missing { .. } | Refusal::Radii { .. } => {
+            "check that no bead has moved since the scan, and that layout and calibration belong to this specimen and arm"
+        }
+        Refusal::PriorContradicted { .. }
+        | Refusal::PriorAgainstTags { .. }
+        | Refusal::BehindSource { .. }
+        | Refusal::Prior { .. } => "check the arm's telemetry and where the session puts the specimen (world_from_lps)",
+        Refusal::Mirrored { .. }
+        | Refusal::MirroredTags { .. }
+        | Refusal::SeenFromBehind { .. }
+        | Refusal::NoOrientation { .. }
+        | Refusal::EitherOrientation { .. }
+        | Refusal::Axes { .. } => "check the console's flip and rotation, and the axes (LPS or RAS) of the layout",
+        Refusal::Distorted { .. } | Refusal::Distortion { .. } => {
+            "calibrate the image intensifier in this field and at these angles"
+        }
+        Refusal::Intrinsics { .. } | Refusal::IntrinsicsContradicted { .. } | Refusal::FocalDegenerate { .. } => {
+            "check the calibration of the arm: SID, pitch, binning, crop"
+        }
+        Refusal::Bodies { .. } | Refusal::BodySplit { .. } => "a part of the specimen has moved: fix it, or register on one body",
+        Refusal::Uncertain { .. } => "bring more beads, farther apart, into the field and expose again",
+        Refusal::TagsWithoutIntrinsics
+        | Refusal::NoTags { .. }
+        | Refusal::TagsDisagree { .. }
+        | Refusal::TagCorners { .. }
+        | Refusal::TagsContradicted { .. } => {
+            "bring the listed tags into the field, flat and unmoved, and check their sizes and places"
+        }
+        Refusal::Layout { .. } => "run sidecarm check on the session: its bead layout is not usable",
+        Refusal::Fault { .. } | Refusal::Unsolved | Refusal::Correspondences { .. } => {
+            "expose again; the log keeps this frame as it came"
+        }
+    }
+}

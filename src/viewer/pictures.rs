@@ -1,0 +1,236 @@
+//! The panes with pictures: one zoom, one window and one cursor for all of them.
+
+use std::sync::Arc;
+
+use eframe::egui::{
+    Align2, Color32, Context, Painter, PointerButton, Pos2, Rect, Response, RichText, Role, Sense, Stroke, TextureHandle, Ui,
+    WidgetInfo, pos2, vec2,
+};
+
+use super::arrange::{Pane, panes};
+use super::marks::{self, STRETCH};
+use super::picture_cache::Picture;
+use super::sight::Placed;
+use super::state::{Mark, Overlay, ViewState};
+use super::theme::{BODY, DIM, EDGE, SMALL, TEXT, WELL, font};
+use crate::report::{NOT_COMPARABLE, diverging, short};
+use crate::session::board::{BoardState, PairView};
+
+/// How often the blinking picture changes, a second.
+const BLINKS_HZ: f64 = 2.0;
+/// Squares of the checkerboard across the frame.
+const SQUARES: usize = 8;
+/// The whole range of gray is moved, or doubled, by dragging so many points.
+const WINDOW_POINTS: f64 = 300.0;
+
+/// Draws the panes into what is left of `ui`; without a pair it says so.
+pub(super) fn show(ui: &mut Ui, board: &BoardState, state: &mut ViewState) {
+    let area = ui.available_rect_before_wrap();
+    let Some(pair) = state.shown(board).map(Arc::clone) else {
+        let words = if board.frames_seen > 0 { "The first frame is being registered and rendered" } else { "No frame yet" };
+        ui.centered_and_justified(|ui| ui.label(RichText::new(words).size(24.0).color(DIM)));
+        return;
+    };
+    let size_px = pair.pictures.size_px;
+    let window = state.window_of(&pair);
+    state.cache.show(&pair.pictures, window);
+    let aspect = size_px[0].max(1) as f32 / size_px[1].max(1) as f32;
+    let mut under = None;
+    for (pane, rect) in panes(area, aspect, state.arrangement) {
+        let response = ui.interact(rect, ui.scope_id().with(format!("{pane:?}")), Sense::click_and_drag());
+        // What eyes see is also said, for those who are read to and for tests.
+        response.widget_info(|| WidgetInfo::labeled(Role::Image, true, said(pane, &pair, state)));
+        let placed = state.sight.place(rect, size_px);
+        steer(ui, &response, &placed, &pair, state);
+        let placed = state.sight.place(rect, size_px);
+        draw(ui, pane, &placed, &pair, state);
+        if let Some(at) = response.hover_pos() {
+            under = Some(placed.image(at));
+        }
+        if let Some(at) = state.cursor_px.filter(|_| !response.hovered()) {
+            crosshair(&ui.painter_at(placed.seen()), placed.screen(at));
+        }
+    }
+    ui.advance_cursor_after_rect(area);
+    state.cursor_px = under;
+}
+
+fn title(pane: Pane, state: &ViewState) -> String {
+    match pane {
+        Pane::Acquired => "acquired".to_owned(),
+        Pane::Drr => "matched DRR".to_owned(),
+        Pane::Difference => "acquired − DRR".to_owned(),
+        Pane::Overlay => match state.overlay {
+            Overlay::Edges => "edges of the DRR over acquired".to_owned(),
+            Overlay::Blink => "acquired and DRR in turn".to_owned(),
+            Overlay::Checkerboard => "acquired and DRR in squares".to_owned(),
+            Overlay::Opacity => format!("DRR over acquired, {:.0} %", 100.0 * state.opacity),
+        },
+    }
+}
+
+/// Why a pane is empty.
+fn empty(pane: Pane, pair: &PairView) -> Option<&'static str> {
+    match (pane, pair.pictures.simulated()) {
+        (Pane::Acquired, _) => None,
+        (Pane::Difference, Some(_)) if !pair.pictures.difference.is_some_and(|scale| scale.comparable) => Some(NOT_COMPARABLE),
+        (_, Some(_)) => None,
+        (Pane::Drr, None) => Some("no matched DRR"),
+        (_, None) => Some("nothing to lay beside the frame"),
+    }
+}
+
+fn said(pane: Pane, pair: &PairView, state: &ViewState) -> String {
+    let words = empty(pane, pair).map(|words| format!(": {words}")).unwrap_or_default();
+    format!("{}{words}", title(pane, state))
+}
+
+/// What the mouse does in a pane, to all panes.
+fn steer(ui: &Ui, response: &Response, placed: &Placed, pair: &PairView, state: &mut ViewState) {
+    if let Some(at) = response.hover_pos() {
+        let (scroll, pinch) = ui.input(|input| (input.smooth_scroll_delta.y, input.zoom_delta()));
+        let factor = (scroll * 0.004).exp() * pinch;
+        if factor != 1.0 {
+            state.sight.zoom_about(placed, at, factor);
+        }
+    }
+    if response.dragged_by(PointerButton::Secondary) {
+        let by = response.drag_delta();
+        state.shift_window(pair, -f64::from(by.y) / WINDOW_POINTS, f64::from(by.x) / WINDOW_POINTS);
+    } else if response.dragged() {
+        state.sight.drag(placed, response.drag_delta());
+    }
+    if response.double_clicked() {
+        state.sight = Default::default();
+    }
+}
+
+fn draw(ui: &Ui, pane: Pane, placed: &Placed, pair: &PairView, state: &mut ViewState) {
+    let painter = ui.painter_at(placed.pane);
+    painter.rect_filled(placed.pane, 2.0, WELL);
+    if let Some(words) = empty(pane, pair) {
+        let centre = placed.pane.center();
+        painter.text(centre, Align2::CENTER_CENTER, words, font(BODY), DIM);
+    } else {
+        let context = ui.ctx();
+        match pane {
+            Pane::Acquired => paint(&painter, placed, state.cache.texture(context, Picture::Acquired), Color32::WHITE),
+            Pane::Drr => paint(&painter, placed, state.cache.texture(context, Picture::Drr), Color32::WHITE),
+            Pane::Difference => paint(&painter, placed, state.cache.texture(context, Picture::Difference), Color32::WHITE),
+            Pane::Overlay => overlay(ui, &painter, placed, state),
+        }
+        if state.draws(Mark::Masks) && pane != Pane::Difference {
+            paint(&painter, placed, state.cache.texture(context, Picture::Masks), Color32::WHITE);
+        }
+        let within = painter.with_clip_rect(placed.seen());
+        match pane {
+            Pane::Acquired | Pane::Overlay => marks::all(&within, placed, pair, state),
+            Pane::Drr => marks::predicted(&within, placed, pair, state),
+            Pane::Difference => {}
+        }
+        if let Some(mm_per_px) = pair.mm_per_px {
+            marks::scale_bar(&within, placed, mm_per_px);
+        }
+        legend(&within, pane, placed, pair, state);
+    }
+    let corner = placed.pane.left_top() + vec2(7.0, 5.0);
+    marks::words(&painter, corner, Align2::LEFT_TOP, &title(pane, state), TEXT);
+}
+
+fn paint(painter: &Painter, placed: &Placed, texture: Option<TextureHandle>, tint: Color32) {
+    if let Some(texture) = texture {
+        painter.image(texture.id(), placed.frame(), whole(), tint);
+    }
+}
+
+fn whole() -> Rect {
+    Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0))
+}
+
+fn overlay(ui: &Ui, painter: &Painter, placed: &Placed, state: &mut ViewState) {
+    let context: &Context = ui.ctx();
+    let mut texture = |picture| state.cache.texture(context, picture);
+    match state.overlay {
+        Overlay::Edges => {
+            paint(painter, placed, texture(Picture::Acquired), Color32::from_gray(210));
+            paint(painter, placed, texture(Picture::Edges), Color32::WHITE);
+        }
+        Overlay::Blink => {
+            let beats = ui.input(|input| input.time) * BLINKS_HZ;
+            let picture = if beats as u64 % 2 == 0 { Picture::Acquired } else { Picture::Drr };
+            paint(painter, placed, texture(picture), Color32::WHITE);
+            let rests_s = (1.0 - beats.fract()) / BLINKS_HZ;
+            context.request_repaint_after(std::time::Duration::from_secs_f64(rests_s));
+        }
+        Overlay::Checkerboard => {
+            paint(painter, placed, texture(Picture::Acquired), Color32::WHITE);
+            let Some(drr) = texture(Picture::Drr) else { return };
+            let side = |n: usize| n as f32 / SQUARES as f32;
+            for square in (0..SQUARES * SQUARES).filter(|n| (n / SQUARES + n % SQUARES) % 2 == 1) {
+                let (row, column) = (square / SQUARES, square % SQUARES);
+                let (on_screen, of_texture) = placed.part([side(column), side(row)], [side(column + 1), side(row + 1)]);
+                painter.image(drr.id(), on_screen, of_texture, Color32::WHITE);
+            }
+        }
+        Overlay::Opacity => {
+            paint(painter, placed, texture(Picture::Acquired), Color32::WHITE);
+            let over = Color32::from_white_alpha((255.0 * state.opacity).round() as u8);
+            paint(painter, placed, texture(Picture::Drr), over);
+        }
+    }
+}
+
+fn crosshair(painter: &Painter, at: Pos2) {
+    let stroke = Stroke::new(1.0, Color32::from_white_alpha(110));
+    for (near, far) in [(5.0, 16.0), (-5.0, -16.0)] {
+        painter.line_segment([at + vec2(near, 0.0), at + vec2(far, 0.0)], stroke);
+        painter.line_segment([at + vec2(0.0, near), at + vec2(0.0, far)], stroke);
+    }
+}
+
+/// What the colours of a pane mean, in its lower right corner.
+fn legend(painter: &Painter, pane: Pane, placed: &Placed, pair: &PairView, state: &ViewState) {
+    let seen = placed.seen();
+    let bar = Rect::from_min_max(seen.right_bottom() - vec2(130.0, 16.0), seen.right_bottom() - vec2(10.0, 9.0));
+    let scale = |low: f64, high: f64, colour: &dyn Fn(f32) -> Color32| {
+        const STEPS: u32 = 24;
+        for step in 0..STEPS {
+            let at = |n: u32| bar.left() + bar.width() * n as f32 / STEPS as f32;
+            let part = Rect::from_min_max(pos2(at(step), bar.top()), pos2(at(step + 1), bar.bottom()));
+            painter.rect_filled(part, 0.0, colour((step as f32 + 0.5) / STEPS as f32));
+        }
+        let range = high - low;
+        marks::words(painter, bar.left_top() - vec2(0.0, 2.0), Align2::LEFT_BOTTOM, &short(low, range), TEXT);
+        marks::words(painter, bar.right_top() - vec2(0.0, 2.0), Align2::RIGHT_BOTTOM, &short(high, range), TEXT);
+    };
+    match (pane, pair.pictures.difference) {
+        (Pane::Acquired | Pane::Drr, _) => {
+            let [low, high] = state.window_of(pair);
+            scale(low, high, &|share| Color32::from_gray((10.0 + 240.0 * share) as u8));
+        }
+        (Pane::Difference, Some(difference)) => {
+            let colour = |share: f32| {
+                let [red, green, blue] = diverging(2.0 * share - 1.0);
+                Color32::from_rgb(red, green, blue)
+            };
+            scale(-difference.limit, difference.limit, &colour);
+        }
+        (Pane::Overlay, _) if state.overlay == Overlay::Edges => {
+            marks::words(painter, seen.right_bottom() - vec2(10.0, 8.0), Align2::RIGHT_BOTTOM, "edges of the DRR", EDGE);
+        }
+        _ => {}
+    }
+    let unit = match (pane, pair.pictures.difference) {
+        (Pane::Difference, Some(difference)) if difference.offset != 0.0 => {
+            format!("{} ({})", difference.unit, short(difference.offset, 1.0))
+        }
+        (Pane::Difference | Pane::Acquired | Pane::Drr, _) => pair.pictures.unit.clone(),
+        (Pane::Overlay, _) => String::new(),
+    };
+    marks::words(painter, bar.center_top() - vec2(0.0, 2.0 + SMALL + 2.0), Align2::CENTER_BOTTOM, &unit, TEXT);
+    let enlarged = [Mark::Residuals, Mark::Landmarks].into_iter().any(|mark| state.draws(mark));
+    if pane == Pane::Acquired && enlarged && !(pair.marks.beads.is_empty() && pair.marks.landmarks.is_empty()) {
+        let words = format!("residuals and uncertainties {STRETCH:.0}×");
+        marks::words(painter, seen.right_top() + vec2(-7.0, 5.0), Align2::RIGHT_TOP, &words, TEXT);
+    }
+}

@@ -1,0 +1,128 @@
+//! The exposures in a row, each in the colour of its state: to scrub, to step through, to play.
+
+use eframe::egui::{self, Align2, Color32, Painter, Rect, RichText, Role, Sense, Stroke, StrokeKind, Ui, WidgetInfo, pos2, vec2};
+
+use super::keys::{Command, run};
+use super::state::ViewState;
+use super::theme::{DIM, INK, LINE, SMALL, TEXT, WELL, font, of_standing};
+use crate::report::Standing;
+use crate::session::board::BoardState;
+use crate::time::utc;
+
+const HEIGHT: f32 = 34.0;
+/// Widest tile.
+const WIDEST: f32 = 46.0;
+/// Narrower tiles have no number.
+const NUMBERED: f32 = 20.0;
+
+/// Moves on where it plays, and asks to be drawn again in time.
+pub(super) fn advance(ui: &Ui, board: &BoardState, state: &mut ViewState) {
+    if !state.player.is_playing() {
+        return;
+    }
+    let Some(at) = state.shown_index(board) else { return state.player.stop() };
+    let times_us: Vec<i64> = board.pairs.iter().map(|pair| pair.time_us).collect();
+    let now = state.player.advance(ui.input(|input| input.time), &times_us, at);
+    state.select(board, now);
+    if let Some(rests_s) = state.player.rests_s(&times_us, now) {
+        ui.ctx().request_repaint_after(std::time::Duration::from_secs_f64(rests_s));
+    }
+}
+
+/// Draws it.
+pub(super) fn show(ui: &mut Ui, board: &BoardState, state: &mut ViewState) {
+    let mut asked = None;
+    ui.horizontal(|ui| {
+        let playing = state.player.is_playing();
+        let buttons = [
+            ("first", Command::Oldest),
+            ("back", Command::Step(-1)),
+            (if playing { "stop" } else { "play" }, Command::Play),
+            ("next", Command::Step(1)),
+            ("newest", Command::Newest),
+            ("slower", Command::Speed(-1)),
+            ("faster", Command::Speed(1)),
+        ];
+        for (words, command) in buttons {
+            if ui.button(RichText::new(words).size(SMALL)).clicked() {
+                asked = Some(command);
+            }
+        }
+        ui.label(RichText::new(format!("speed {}", state.player.speed().word())).size(SMALL).color(TEXT));
+        let words = match state.shown(board) {
+            Some(pair) => {
+                let follows = if state.selected.is_none() { ", following" } else { "" };
+                format!("frame {} of {}, {}{follows}", pair.number(), board.frames_seen.max(board.pairs.len()), utc(pair.time_us))
+            }
+            None => "no exposure yet".to_owned(),
+        };
+        ui.label(RichText::new(words).size(SMALL).color(DIM));
+    });
+    if let Some(command) = asked {
+        run(command, ui.input(|input| input.time), board, state);
+    }
+    tiles(ui, board, state);
+}
+
+fn tiles(ui: &mut Ui, board: &BoardState, state: &mut ViewState) {
+    let (strip, response) = ui.allocate_exact_size(vec2(ui.available_width(), HEIGHT), Sense::click_and_drag());
+    let painter = ui.painter_at(strip);
+    painter.rect_filled(strip, 2.0, WELL);
+    let count = board.pairs.len() + board.frames_waiting;
+    let shown = state.shown_index(board);
+    let said =
+        shown.map(|at| format!("exposure {} of {}", at + 1, board.pairs.len())).unwrap_or_else(|| "no exposures".to_owned());
+    response.widget_info(|| WidgetInfo::labeled(Role::Slider, true, &said));
+    if count == 0 {
+        return;
+    }
+    let wide = (strip.width() / count as f32).min(WIDEST);
+    if let Some(at) = response.interact_pointer_pos().filter(|_| response.dragged() || response.clicked()) {
+        state.player.stop();
+        state.select(board, (((at.x - strip.left()) / wide).max(0.0) as usize).min(board.pairs.len().saturating_sub(1)));
+    }
+    for n in 0..count {
+        let gap = if wide > 6.0 { 1.0 } else { 0.0 };
+        let left = strip.left() + n as f32 * wide;
+        let tile = Rect::from_min_max(pos2(left + gap, strip.top() + 3.0), pos2(left + wide - gap, strip.bottom() - 3.0));
+        match board.pairs.get(n) {
+            Some(pair) => {
+                let standing = pair.pair.standing();
+                exposure(&painter, tile, standing, (wide >= NUMBERED).then(|| pair.number().to_string()));
+                if shown == Some(n) {
+                    painter.rect_stroke(tile.expand(1.5), 3.0, Stroke::new(2.5, Color32::WHITE), StrokeKind::Middle);
+                }
+            }
+            None => {
+                painter.rect_stroke(tile.shrink(0.5), 2.0, Stroke::new(1.0, LINE), StrokeKind::Inside);
+                painter.text(tile.center(), Align2::CENTER_CENTER, "…", font(SMALL), DIM);
+            }
+        }
+    }
+    if let Some(pair) = response.hover_pos().and_then(|at| board.pairs.get(((at.x - strip.left()) / wide) as usize)) {
+        let words = format!(
+            "frame {} ({})\n{}\n{}",
+            pair.number(),
+            pair.pair.frame,
+            pair.pair.standing().word(),
+            pair.pair.status_line()
+        );
+        response.on_hover_ui_at_pointer(|ui| {
+            ui.label(egui::RichText::new(words).size(SMALL));
+        });
+    }
+}
+
+/// A tile whose height tells its state too, for those who do not tell its colours.
+fn exposure(painter: &Painter, tile: Rect, standing: Standing, number: Option<String>) {
+    let share = match standing {
+        Standing::Accepted => 1.0,
+        Standing::Refused | Standing::NoPose => 0.45,
+        _ => 0.72,
+    };
+    let filled = Rect::from_min_max(pos2(tile.left(), tile.bottom() - share * tile.height()), tile.max);
+    painter.rect_filled(filled, 2.0, of_standing(standing));
+    if let Some(number) = number {
+        painter.text(pos2(tile.center().x, tile.bottom() - 1.0), Align2::CENTER_BOTTOM, number, font(SMALL), INK);
+    }
+}

@@ -1,0 +1,130 @@
+//! A real window, on a screen of its own: it opens, shows something, is quiet, and goes when it is told to.
+#![cfg(all(feature = "viewer", target_os = "linux"))]
+
+use std::io::Read;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+use crate::live_lab::{HANG_S, Lab, Live, Signal, deliver, eventually, quiet_lab};
+
+/// A screen without a monitor.
+struct Screen {
+    server: Child,
+    display: String,
+    /// Holds what the screen shows, as XWD.
+    folder: tempfile::TempDir,
+}
+
+impl Screen {
+    /// `None` (said) where there is no Xvfb.
+    fn open() -> Option<Self> {
+        let folder = tempfile::tempdir().expect("temporary folder");
+        let mut command = Command::new("Xvfb");
+        // The server chooses a free number and says it; what it shows lies in a file.
+        command.args(["-displayfd", "1", "-screen", "0", "1400x900x24", "-nolisten", "tcp", "-fbdir"]).arg(folder.path());
+        let server = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn();
+        let Ok(mut server) = server else {
+            println!("skipped: no Xvfb on this machine; scripts/install installs it");
+            return None;
+        };
+        let mut told = server.stdout.take().expect("piped");
+        let mut number = Vec::new();
+        let mut byte = [0];
+        while told.read(&mut byte).is_ok_and(|read| read == 1) && byte[0] != b'\n' {
+            number.push(byte[0]);
+        }
+        let number = String::from_utf8(number).expect("a number");
+        assert!(!number.is_empty(), "Xvfb says its display");
+        Some(Self { server, display: format!(":{number}"), folder })
+    }
+
+    /// Different colours on the screen, and the share of pixels that are not black.
+    fn look(&self) -> (usize, f64) {
+        let bytes = std::fs::read(self.folder.path().join("Xvfb_screen0")).expect("the screen's file");
+        let word = |at: usize| u32::from_be_bytes(bytes[4 * at..][..4].try_into().expect("four bytes")) as usize;
+        // XWD: size of the header, then (from the 4th word) depth, columns, rows; bytes a row; colours of 12 bytes behind the header.
+        let (header, columns, rows, row_bytes, colours) = (word(0), word(4), word(5), word(12), word(19));
+        let from = header + 12 * colours;
+        let pixels = (0..rows).flat_map(|row| bytes[from + row * row_bytes..][..4 * columns].chunks_exact(4));
+        let (mut seen, mut lit, mut all) = (std::collections::BTreeSet::new(), 0, 0);
+        for pixel in pixels {
+            all += 1;
+            lit += usize::from(pixel[..3].iter().any(|channel| *channel > 4));
+            seen.insert([pixel[0], pixel[1], pixel[2]]);
+        }
+        (seen.len(), f64::from(lit as u32) / f64::from(all as u32))
+    }
+}
+
+impl Drop for Screen {
+    fn drop(&mut self) {
+        let _ = self.server.kill();
+        let _ = self.server.wait();
+    }
+}
+
+/// `sidecarm live` in a window shows the exposure, and goes with SIGTERM: log and report complete, exit code 0.
+#[test]
+fn a_live_window_shows_the_exposure_and_goes_when_it_is_told_to() {
+    let Some(screen) = Screen::open() else { return };
+    let Some((lab, frame, folder)) = quiet_lab("120") else { return };
+    let mut live = Live::windowed(&lab.kit.join("session.json"), &folder.path().join("session"), &screen.display);
+    let opened = eventually(HANG_S, || (screen.look().1 > 0.5).then_some(()));
+    assert!(opened.is_some(), "no window: {}", live.stderr());
+    let (before, _) = screen.look();
+    deliver(&[frame], &lab);
+    // A radiograph has more grays than a window without one.
+    let shown = eventually(HANG_S, || Some(screen.look().0).filter(|colours| *colours > before + 100));
+    assert!(shown.is_some(), "no picture: {:?} after {before}: {}", screen.look(), live.stderr());
+    live.program.signal(Signal::TERM);
+    let status = live.program.end(HANG_S).unwrap_or_else(|| panic!("still there: {}", live.stderr()));
+    assert_eq!(status.code(), Some(0), "{} {}", live.stderr(), live.stdout());
+    assert!(live.report().contains("</html>") && live.pairs() == 1, "{}", live.stderr());
+}
+
+/// A session that could not start left an empty window, and its reason unsaid until that was closed.
+#[test]
+fn a_session_that_cannot_start_leaves_no_window() {
+    let Some(screen) = Screen::open() else { return };
+    let Some(lab) = Lab::start(&["--kit-only"]) else { return };
+    let out = lab.kit.join("taken");
+    std::fs::create_dir_all(&out).expect("a folder");
+    std::fs::write(out.join("session.mcap"), "a log").expect("written");
+    let mut live = Live::launch_windowed(&lab.kit.join("session.json"), &out, &screen.display);
+    let status = live.program.end(HANG_S).unwrap_or_else(|| panic!("the window is still there: {}", live.stderr()));
+    assert_eq!(status.code(), Some(1), "{}", live.stderr());
+    assert!(live.stderr().contains("there is a session in this folder already"), "{}", live.stderr());
+}
+
+/// Time that a process has used, in seconds.
+pub fn used_s(id: u32) -> f64 {
+    let stat = std::fs::read_to_string(Path::new("/proc").join(id.to_string()).join("stat")).unwrap_or_default();
+    let after = stat.rsplit_once(')').map_or("", |(_, after)| after);
+    let ticks = |field: usize| after.split_whitespace().nth(field).and_then(|word| word.parse::<f64>().ok()).unwrap_or(0.0);
+    (ticks(11) + ticks(12)) / 100.0
+}
+
+/// How much of a core the window of a live session takes while nothing happens, beside the same session without one.
+#[test]
+#[ignore = "a figure, not a fact: scripts/evaluate window runs it"]
+fn what_an_idle_window_costs() {
+    let Some(screen) = Screen::open() else { return };
+    let Some((lab, frame, folder)) = quiet_lab("300") else { return };
+    let mut shares = Vec::new();
+    for windowed in [false, true] {
+        let out = folder.path().join(format!("session-{windowed}"));
+        let session = lab.kit.join("session.json");
+        let live = if windowed { Live::windowed(&session, &out, &screen.display) } else { Live::start(&session, &out, &[]) };
+        let copy = folder.path().join(format!("{windowed}.dcm"));
+        std::fs::copy(&frame, &copy).expect("copied");
+        deliver(&[copy], &lab);
+        let done = eventually(HANG_S, || (live.pairs() == 1).then_some(()));
+        assert!(done.is_some(), "{}", live.stderr());
+        std::thread::sleep(Duration::from_secs(20));
+        let (id, before_s) = (live.program.id(), used_s(live.program.id()));
+        std::thread::sleep(Duration::from_secs(20));
+        shares.push((used_s(id) - before_s) / 20.0);
+    }
+    println!("idle: {:.1} % of a core without a window, {:.1} % with one", 100.0 * shares[0], 100.0 * shares[1]);
+}

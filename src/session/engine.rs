@@ -139,6 +139,11 @@ impl Engine {
         self.links.get(&device).map(|link| *link.health())
     }
 
+    /// What a device's line has lost so far, in words; `None` when nothing.
+    pub(super) fn losses_of(&self, device: DeviceKind) -> Option<String> {
+        self.links.get(&device).and_then(line_losses)
+    }
+
     /// The timeline, for plots and states.
     #[must_use]
     pub fn timeline(&self) -> &Timeline {

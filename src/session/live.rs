@@ -23,7 +23,6 @@ use super::folder::{Collector, Folder, Times};
 use super::input::{Input, Output};
 use super::link_view::LinkReadings;
 use super::log::SessionLog;
-use super::losses::line_losses;
 use super::onlooker::Onlooker;
 use super::places;
 use super::posing::{PoseJob, Registered};
@@ -314,7 +313,7 @@ impl Session {
         for device in DeviceKind::ALL {
             let Some(health) = self.engine.health(device).filter(|health| health.lost_in_all() > 0) else { continue };
             let told = self.told_losses.insert(device, health.lost_in_all());
-            if let (true, Some(words)) = (told < Some(health.lost_in_all()), line_losses(device, &health)) {
+            if let (true, Some(words)) = (told < Some(health.lost_in_all()), self.engine.losses_of(device)) {
                 self.reporter.warn(&format!("{device} telemetry lost"), words);
             }
         }

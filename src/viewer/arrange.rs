@@ -1,6 +1,6 @@
 //! Where the panes lie, so that pictures fill the screen.
 
-use eframe::egui::{Rect, pos2, vec2};
+use eframe::egui::{Rect, pos2};
 
 use super::state::Arrangement;
 

@@ -31,11 +31,19 @@ fn text_files_are_recognised_by_what_they_hold() {
         ("pairs.json", r#"{"pairs": []}"#, "pairs"),
         ("arm.json", r#"{"origin": "nominal", "detector": {}}"#, "calibration"),
         // What a session, a kit and the other commands write; a kit's truth has beads and frames, as a session has.
-        ("truth.json", r#"{"frames": [{"frame": "a"}], "landmarks": [], "beads": [], "air_value": 40000, "world_from_lps": []}"#, "truth"),
+        (
+            "truth.json",
+            r#"{"frames": [{"frame": "a"}], "landmarks": [], "beads": [], "air_value": 40000, "world_from_lps": []}"#,
+            "truth",
+        ),
         ("timings.json", r#"{"frames": [{"number": 1, "stages_ms": {"render": 5}}]}"#, "timings"),
         ("timings.json", r#"{"frames": []}"#, "timings"),
         ("POSES.json", r#"{"status": "accepted", "frames": ["a"], "views": [], "beads": [], "bumps": []}"#, "poses"),
-        ("compare.json", r#"{"version": "1", "acquired": {}, "simulated": {}, "comparison": {}, "image_prefers": null}"#, "comparison"),
+        (
+            "compare.json",
+            r#"{"version": "1", "acquired": {}, "simulated": {}, "comparison": {}, "image_prefers": null}"#,
+            "comparison",
+        ),
         ("trade.json", r#"{"size_px": [2, 2], "adapter": "cpu", "judged_rays": 4, "judged": "x", "rows": [1, 2]}"#, "trade"),
         ("score.json", r#"{"beads": 8, "extents_mm": [3, 2, 1], "flatness": 0.3, "views": [], "notes": []}"#, "layout_score"),
         ("attached.json", r#"{"exposures": 8, "frames_in_log": 0, "console": null, "frames": [{}], "losses": []}"#, "attachment"),

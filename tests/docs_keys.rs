@@ -163,7 +163,8 @@ fn assembled(source: &str, marker: &str) -> Vec<String> {
     let from = source.split(marker).nth(1).unwrap_or_else(|| panic!("no {marker}"));
     let body = from.split("\n}\n").next().unwrap_or_default();
     let body = body.split("let text = ").next().unwrap_or_default();
-    let word = |text: &str| text.chars().take_while(|c| c.is_ascii_lowercase() || *c == '_' || c.is_ascii_digit()).collect::<String>();
+    let word =
+        |text: &str| text.chars().take_while(|c| c.is_ascii_lowercase() || *c == '_' || c.is_ascii_digit()).collect::<String>();
     let mut keys = Vec::new();
     for (place, _) in body.match_indices('"') {
         let name = word(&body[place + 1..]);
@@ -217,7 +218,11 @@ fn missing(document: &str) -> Vec<String> {
     let is_there = |(key, heading, _): &(String, &str, String)| section(document, heading).contains(&format!("`{key}`"));
     let wanted = wanted();
     assert!(wanted.len() > 350, "{} keys", wanted.len());
-    wanted.iter().filter(|one| !is_there(one)).map(|(key, heading, from)| format!("`{key}` under \"{heading}\" ({from})")).collect()
+    wanted
+        .iter()
+        .filter(|one| !is_there(one))
+        .map(|(key, heading, from)| format!("`{key}` under \"{heading}\" ({from})"))
+        .collect()
 }
 
 #[test]
@@ -237,15 +242,22 @@ fn no_type_that_refuses_unknown_keys_is_left_out() {
     let mut files = Vec::new();
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     rust_files(&root.join("src"), &mut files);
-    let known: BTreeSet<&str> =
-        DESCRIBED.iter().map(|(path, ..)| *path).chain(CALIBRATIONS.iter().map(|(path, _)| *path)).chain(INTERNAL.iter().map(|(path, _)| *path)).collect();
+    let known: BTreeSet<&str> = DESCRIBED
+        .iter()
+        .map(|(path, ..)| *path)
+        .chain(CALIBRATIONS.iter().map(|(path, _)| *path))
+        .chain(INTERNAL.iter().map(|(path, _)| *path))
+        .collect();
     let mut seen = 0;
     for file in files {
         let text = std::fs::read_to_string(&file).expect("readable");
         let refuses = text.lines().any(|line| line.trim().starts_with("#[serde(") && line.contains("deny_unknown_fields"));
         if refuses {
             let path = file.strip_prefix(root).expect("inside").display().to_string();
-            assert!(known.contains(path.as_str()), "{path} has keys of a file: list it here, and its keys in docs/file-formats.md");
+            assert!(
+                known.contains(path.as_str()),
+                "{path} has keys of a file: list it here, and its keys in docs/file-formats.md"
+            );
             seen += 1;
         }
     }
@@ -261,7 +273,10 @@ fn keys_are_read_as_serde_writes_them() {
     assert!(found[0].refuses_unknown && !found[1].refuses_unknown);
     assert_eq!(found[0].keys, ["one_mm", "else"]);
     assert_eq!(found[1].keys, ["two_words"]);
-    assert_eq!(assembled("fn f(a) {\n    j!({\"a_b\": 1});\n    map.insert(\"c\".to_owned(), \"d\");\n}\n", "fn f("), ["a_b", "c"]);
+    assert_eq!(
+        assembled("fn f(a) {\n    j!({\"a_b\": 1});\n    map.insert(\"c\".to_owned(), \"d\");\n}\n", "fn f("),
+        ["a_b", "c"]
+    );
 }
 
 /// The table of joints in DICOM's words, against the program's own conversion.
@@ -270,7 +285,9 @@ fn the_angles_in_the_conventions_are_those_of_the_program() {
     use sidecarm::geometry::{AngleConvention, CarmAngles, PatientPosition};
     let document = read("docs/conventions.md");
     let mut rows = 0;
-    for line in document.lines().filter(|line| ["| HFS ", "| HFP ", "| FFS ", "| FFP "].iter().any(|start| line.starts_with(start))) {
+    for line in
+        document.lines().filter(|line| ["| HFS ", "| HFP ", "| FFS ", "| FFP "].iter().any(|start| line.starts_with(start)))
+    {
         let cells: Vec<&str> = line.trim_matches('|').split('|').map(str::trim).collect();
         let [position, joints, stated @ ..] = &cells[..] else { panic!("{line}") };
         let position: PatientPosition = position.parse().expect("a position");

@@ -62,7 +62,12 @@ fn the_first_commands_of_the_readme_run_in_a_fresh_kit() {
     let kit = folder.path().join("kit");
     for line in &lines[1..] {
         let done = run(line, &kit);
-        assert!(done.status.success(), "{line}: {}{}", String::from_utf8_lossy(&done.stdout), String::from_utf8_lossy(&done.stderr));
+        assert!(
+            done.status.success(),
+            "{line}: {}{}",
+            String::from_utf8_lossy(&done.stdout),
+            String::from_utf8_lossy(&done.stderr)
+        );
     }
     let (pose, truth) = (json(&kit.join("pose.json")), json(&kit.join("truth.json")));
     assert_eq!(pose["status"], "accepted");
@@ -86,12 +91,14 @@ fn the_first_commands_of_the_readme_run_in_a_fresh_kit() {
 fn a_session_that_was_asked_for_passes_its_check() {
     use std::io::Write;
     use std::process::Stdio;
-    let Some(lab) = crate::live_lab::Lab::start(&["--duration-s", "60", "--exposures", "1", "--faults", "none", "--start-delay-s", "0"])
+    let Some(lab) =
+        crate::live_lab::Lab::start(&["--duration-s", "60", "--exposures", "1", "--faults", "none", "--start-delay-s", "0"])
     else {
         return;
     };
     // C-arm and robot with their calibrations, frames, scene, beads; then what each frame says, no DICOM, OpenIGTLink, no console.
-    let answers = ["ttyCARM", "carm.json", "ttyROBOT", "robot.json", "frames", "scene.json", "beads.mrk.json", "", "", "18944", ""];
+    let answers =
+        ["ttyCARM", "carm.json", "ttyROBOT", "robot.json", "frames", "scene.json", "beads.mrk.json", "", "", "18944", ""];
     let asked = Command::new(env!("CARGO_BIN_EXE_sidecarm"))
         .args(["session", "new", "asked.json", "--no-check"])
         .current_dir(&lab.kit)
@@ -108,13 +115,17 @@ fn a_session_that_was_asked_for_passes_its_check() {
     let written = json(&lab.kit.join("asked.json"));
     assert_eq!((&written["carm"]["port"], &written["igtl"]["port"]), (&"ttyCARM".into(), &18944.into()));
     let check = |session: &str| {
-        let run = Command::new(env!("CARGO_BIN_EXE_sidecarm")).args(["check", session, "--json", "--limit", "300"]).current_dir(&lab.kit);
+        let run = Command::new(env!("CARGO_BIN_EXE_sidecarm"))
+            .args(["check", session, "--json", "--limit", "300"])
+            .current_dir(&lab.kit);
         let run = run.output().expect("runs");
         (serde_json::from_slice::<Value>(&run.stdout).expect("JSON"), run.status.code())
     };
     let (found, code) = check("asked.json");
     assert!(found["ok"] == true && code == Some(0), "{found:#}");
-    let passed = |name: &str| found["checks"].as_array().is_some_and(|rows| rows.iter().any(|row| row["check"] == name && row["level"] == "pass"));
+    let passed = |name: &str| {
+        found["checks"].as_array().is_some_and(|rows| rows.iter().any(|row| row["check"] == name && row["level"] == "pass"))
+    };
     for name in ["C-arm port", "robot port", "scene", "beads", "synthetic exposure"] {
         assert!(passed(name), "{name}: {found:#}");
     }

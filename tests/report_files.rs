@@ -7,8 +7,8 @@ use sidecarm::compare::{CompareInput, Tone, compare};
 use sidecarm::geometry::{Rigid, View};
 use sidecarm::image::Image;
 use sidecarm::report::{
-    BeadRow, Gap, LinkReport, Pair, PairStatus, PairsFile, PoseSource, Provenance, SessionReport, Standing, StripInput, Track, TruthError,
-    html, png_bytes, strip, write_session,
+    BeadRow, Gap, LinkReport, Pair, PairStatus, PairsFile, PoseSource, Provenance, SessionReport, Standing, StripInput, Track,
+    TruthError, html, png_bytes, strip, write_session,
 };
 
 use crate::compare_synthetic::{acquired, line_integral, pose, view};
@@ -91,7 +91,11 @@ fn session(folder: &Path) -> SessionReport {
                 reason: reason.map(str::to_owned),
                 check,
             };
-            pair.beads = vec![row("B1", true, None, false), row("B2", false, Some("behind the robot"), false), row("B3", false, None, true)];
+            pair.beads = vec![
+                row("B1", true, None, false),
+                row("B2", false, Some("behind the robot"), false),
+                row("B3", false, None, true),
+            ];
         }
         pairs.push(pair);
     }
@@ -171,7 +175,11 @@ fn a_session_becomes_one_page_without_outside_resources() {
     assert!((full - here).abs() > 1e-4 && !table.contains(&format!("<td>{full:.4}</td><td>{wrong:.4}</td>")), "{full} {here}");
     // Each bead: used, or why not.
     assert_eq!(page.matches("part in P").count(), 1, "one frame has beads");
-    for cell in ["<td>100.25, 90.50</td><td>0.030, −0.040</td><td>0.050</td><td class=\"l words\">used</td>", "behind the robot", "kept to check P"] {
+    for cell in [
+        "<td>100.25, 90.50</td><td>0.030, −0.040</td><td>0.050</td><td class=\"l words\">used</td>",
+        "behind the robot",
+        "kept to check P",
+    ] {
         assert!(page.contains(cell), "{cell}");
     }
 

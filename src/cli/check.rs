@@ -230,7 +230,10 @@ fn check_newest_frame(loaded: &Loaded, scene: &Scene, tell: &dyn Fn(Finding)) {
         shuttered_share: None,
     });
     if frame.domain == Domain::Unknown {
-        let detail = format!("{}: nothing says what its values mean: which of them are brighter is guessed, and no score in nepers is made", frame.name);
+        let detail = format!(
+            "{}: nothing says what its values mean: which of them are brighter is guessed, and no score in nepers is made",
+            frame.name
+        );
         tell(Finding::warn("frame values", detail, "name \"domain\" in the session: linear, log or display"));
     }
     if findings.is_empty() {

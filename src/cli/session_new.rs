@@ -168,12 +168,24 @@ fn answered<R: BufRead, W: Write>(
         (*file == Path::new(beside)).then(|| (folder.join(beside), built_in(built).unwrap_or_default()))
     });
     let files = nominal.filter(|(path, _)| !path.exists()).collect();
-    let frames = Question { option: "--frames", given: &args.frames, words: "Folder in which frames appear", default: None, may_be_silent: false };
+    let frames = Question {
+        option: "--frames",
+        given: &args.frames,
+        words: "Folder in which frames appear",
+        default: None,
+        may_be_silent: false,
+    };
     let frames = asker.ask(&frames, &|answer| {
         let path = Path::new(answer);
         if path.is_dir() { Ok(named(path)) } else { Err(format!("'{answer}' is no folder; mount it, or make it")) }
     })?;
-    let scene = Question { option: "--scene", given: &args.scene, words: "Scene (CT, tools, beam, detector)", default: None, may_be_silent: false };
+    let scene = Question {
+        option: "--scene",
+        given: &args.scene,
+        words: "Scene (CT, tools, beam, detector)",
+        default: None,
+        may_be_silent: false,
+    };
     let scene = asker.ask(&scene, &|answer| read::<SceneFile>(Path::new(answer)).map(|_| named(Path::new(answer))))?;
     let words = format!("Beads of the specimen (markups), or {NONE}");
     let beads = Question { option: "--beads", given: &args.beads, words: &words, default: None, may_be_silent: false };
@@ -220,7 +232,8 @@ struct Further {
 
 impl Further {
     fn ask<R: BufRead, W: Write>(args: &NewArgs, asker: &mut Asker<R, W>) -> Result<Self, SessionNewError> {
-        let question = |option, given, words, default| Question { option, given, words, default: Some(default), may_be_silent: true };
+        let question =
+            |option, given, words, default| Question { option, given, words, default: Some(default), may_be_silent: true };
         let words = "Values of the frames: linear, log or display, or file: what each says of itself";
         let domain = asker.ask(&question("--domain", &args.domain, words, "file"), &|answer| match answer {
             "file" => Ok(None),

@@ -69,7 +69,8 @@ mod tests {
     use super::*;
 
     fn plan(choices: &[(&str, bool, &str)]) -> serde_json::Value {
-        let choice = |(what, modelled, why): &(&str, bool, &str)| serde_json::json!({"what": what, "modelled": modelled, "why": why});
+        let choice =
+            |(what, modelled, why): &(&str, bool, &str)| serde_json::json!({"what": what, "modelled": modelled, "why": why});
         serde_json::json!({"choices": choices.iter().map(choice).collect::<Vec<_>>()})
     }
 

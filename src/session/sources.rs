@@ -137,10 +137,9 @@ impl LineIntake {
 /// the words.
 fn warning(device: DeviceKind, event: &PortEvent) -> Option<(String, String)> {
     match event {
-        PortEvent::Lost { reason, .. } => Some((
-            format!("{device} line lost"),
-            format!("{device} line lost ({reason}); it is re-opened as soon as it is back"),
-        )),
+        PortEvent::Lost { reason, .. } => {
+            Some((format!("{device} line lost"), format!("{device} line lost ({reason}); it is re-opened as soon as it is back")))
+        }
         PortEvent::Retry { error, attempt: 1, .. } => {
             Some((format!("{device} line not open"), format!("{error}; {}", crate::telemetry::hint(error))))
         }
@@ -366,7 +365,8 @@ mod tests {
             let (kind, words) = warning(device, &lost).expect("a person must know");
             reporter.warn(&kind, words);
         }
-        let counted: Vec<_> = reporter.warnings().into_iter().map(|(kind, counted)| (kind, counted.count, counted.latest)).collect();
+        let counted: Vec<_> =
+            reporter.warnings().into_iter().map(|(kind, counted)| (kind, counted.count, counted.latest)).collect();
         assert_eq!(counted.iter().map(|(_, count, _)| *count).collect::<Vec<_>>(), [2, 1]);
         for ((kind, _, latest), device) in counted.iter().zip(["C-arm", "robot"]) {
             assert!(kind.starts_with(device) && latest.starts_with(device), "{kind}: {latest}");

@@ -56,7 +56,8 @@ pub(super) fn tensors(path: &Path) -> Result<Found, InfoError> {
         .filter_map(|tensor| tensor["shape"].as_array())
         .map(|shape| shape.iter().filter_map(Value::as_u64).fold(1, u64::saturating_mul))
         .fold(0, u64::saturating_add);
-    let listed: Vec<String> = header.iter().map(|(name, tensor)| format!("{name} {} {}", tensor["dtype"], tensor["shape"])).collect();
+    let listed: Vec<String> =
+        header.iter().map(|(name, tensor)| format!("{name} {} {}", tensor["dtype"], tensor["shape"])).collect();
     let facts = json!({
         "format": "safetensors",
         "tensors": listed.len(),

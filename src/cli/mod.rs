@@ -78,8 +78,8 @@ struct Cli {
 
 const EXAMPLES: &str = "Examples:
   sidecarm demo --headless
-  sidecarm render scene.json --out drr.tif --explain
   sidecarm register frame.dcm --beads beads.mrk.json --intrinsics k.json --out pose.json
+  sidecarm render scene.json --pose pose.json --out drr.tif --explain
 
 Exit codes: 0 good, 1 failed or refused, 2 usage, 3 finished with loss (said which).";
 

@@ -55,7 +55,8 @@ fn the_golden_frames_are_the_protocol_s() {
         assert!(protocol.contains(hex), "{name}");
     }
     let floats = |count: usize, value: f32| value.to_le_bytes().repeat(count);
-    let unmeasured = [floats(5, 0.0), floats(13, f32::NAN), f64::NAN.to_le_bytes().repeat(7), floats(1, f32::NAN), vec![5, 0, 0, 0]];
+    let unmeasured =
+        [floats(5, 0.0), floats(13, f32::NAN), f64::NAN.to_le_bytes().repeat(7), floats(1, f32::NAN), vec![5, 0, 0, 0]];
     assert_eq!(of("robot_unmeasured"), frame(1, 1, 0, 0, 0, &unmeasured.concat()));
     let dark = [vec![0; 76], floats(4, f32::NAN), vec![255; 4], vec![3, 0, 0, 0]];
     assert_eq!(of("carm_dark"), frame(1, 2, 0, u32::MAX, u64::MAX, &dark.concat()));
@@ -79,7 +80,10 @@ fn the_golden_frames_are_read() {
                 assert!(robot.drill_rpm.is_nan() && robot.tendons[1].tension_n.is_nan());
             }
             Sample::Carm(carm) if name == "carm_dark" => {
-                assert_eq!((carm.exposure_counter, carm.xray_on, carm.sequence, carm.device_us), (None, false, u32::MAX, u64::MAX));
+                assert_eq!(
+                    (carm.exposure_counter, carm.xray_on, carm.sequence, carm.device_us),
+                    (None, false, u32::MAX, u64::MAX)
+                );
             }
             Sample::Metadata(metadata) if name == "metadata_long" => {
                 assert_eq!((metadata.serial_number.len(), metadata.calibration_id.as_str()), (100, &*"c".repeat(60)));

@@ -67,7 +67,8 @@ impl Heard {
     }
 
     fn robots(&self) -> Vec<RobotSample> {
-        let robot = |(sample, _): &(Sample, Sequenced)| if let Sample::Robot(robot) = sample { Some(robot.clone()) } else { None };
+        let robot =
+            |(sample, _): &(Sample, Sequenced)| if let Sample::Robot(robot) = sample { Some(robot.clone()) } else { None };
         self.samples.iter().filter_map(robot).collect()
     }
 
@@ -340,6 +341,7 @@ fn clock_and_number_go_on_over_their_ends() {
 fn without_a_clock_arrival_is_the_time_and_nothing_is_learnt_of_it() {
     let mut declaration = plain();
     declaration["host_time_sigma_ms"] = json!(15);
+    declaration["host_time_delay_ms"] = json!(5);
     let adapter = adapter(&declaration);
     assert_eq!(adapter.host_time_sigma_us(), Some(15_000.0));
     let mut link = Link::of_lines(&adapter, true);
@@ -354,7 +356,7 @@ fn without_a_clock_arrival_is_the_time_and_nothing_is_learnt_of_it() {
             if let Event::Sample(sample, sequenced) = received.event {
                 let stamps = timeline.push_sample(DeviceKind::Robot, received.host_us, 0, sequenced, sample);
                 if let Some(stamps) = stamps {
-                    assert_eq!((stamps.mapped_us, stamps.uncertainty_us), (host_us, 15_000.0));
+                    assert_eq!((stamps.mapped_us, stamps.uncertainty_us), (host_us - 5_000, 15_000.0));
                 }
             }
         });
@@ -393,14 +395,26 @@ fn a_line_that_comes_twice_or_late_is_no_restart() {
     }
     let [_, robot] = timeline.summaries();
     assert_eq!((robot.samples, robot.unusable), (4, 1));
+    // Nor when one was whose arrival lies before that of the last.
+    let (sample, sequenced) = Heard::of(&plain(), b"1,2,3,4,5\n").samples.remove(0);
+    timeline.push_sample(DeviceKind::Robot, 1_000_000, 0, sequenced, sample);
+    assert_eq!(timeline.summaries().map(|track| (track.samples, track.unusable, track.clock_steps))[1], (4, 2, 0));
 }
 
 #[test]
 fn a_declaration_that_cannot_hold_names_the_key() {
     type Change = fn(&mut Value);
     let cases: [(Change, &str, &str); 20] = [
-        (|d| d["robot"]["sensed_angles"][2]["unit"] = json!("mm"), "robot.sensed_angles[2].unit", "no unit of an angle, expected one of deg"),
-        (|d| _ = d["robot"]["sensed_angles"][0].as_object_mut().map(|o| o.remove("unit")), "sensed_angles[0].unit", "no unit is stated"),
+        (
+            |d| d["robot"]["sensed_angles"][2]["unit"] = json!("mm"),
+            "robot.sensed_angles[2].unit",
+            "no unit of an angle, expected one of deg",
+        ),
+        (
+            |d| _ = d["robot"]["sensed_angles"][0].as_object_mut().map(|o| o.remove("unit")),
+            "sensed_angles[0].unit",
+            "no unit is stated",
+        ),
         (|d| d["robot"]["sensed_angles"][0]["from"] = json!("z"), "robot.sensed_angles[0].from", "\"z\" is none of the columns"),
         (|d| d["robot"]["sensed_angles"][0]["sign"] = json!(2), "sensed_angles[0].sign", "expected 1 or -1"),
         (|d| d["robot"]["sensed_angles"][0]["scale"] = json!(0), "sensed_angles[0].scale", "positive"),
@@ -454,13 +468,16 @@ fn typed(declaration: &Value) -> Declaration {
 #[test]
 fn what_is_beyond_its_bounds_or_no_rotation_is_refused() {
     let mut declaration = plain();
-    declaration["robot"]["sensed_angles"][0] = json!({"from": "a", "unit": "deg", "scale": 0.5, "offset": -1, "min": -2, "max": 2});
+    declaration["robot"]["sensed_angles"][0] =
+        json!({"from": "a", "unit": "deg", "scale": 0.5, "offset": -1, "min": -2, "max": 2});
     let heard = Heard::of(&declaration, b"6,2,3,4,5\n7,2,3,4,5\n-2,2,3,4,5\n-3,2,3,4,5\n");
     assert_eq!(heard.robots().iter().map(|robot| robot.sensed_deg.expect("declared")[0]).collect::<Vec<_>>(), [2.0, -2.0]);
     assert!(heard.faults.len() == 2 && heard.faults[0].contains("expected -2 to 2 deg"), "{:?}", heard.faults);
     let base = shipped("generic-robot-json.json");
-    let object = |qw: f64| json!({"joints": [0, 0, 0, 0, 0], "stopped": false,
-        "base": {"x": 0, "y": 0, "z": 0, "qx": 0, "qy": 0, "qz": 0.6, "qw": qw}});
+    let object = |qw: f64| {
+        json!({"joints": [0, 0, 0, 0, 0], "stopped": false,
+        "base": {"x": 0, "y": 0, "z": 0, "qx": 0, "qy": 0, "qz": 0.6, "qw": qw}})
+    };
     let heard = Heard::of(&base, format!("{}\n{}\n", object(0.8), object(0.5)).as_bytes());
     assert_eq!((heard.health().frames, heard.health().corrupt), (1, 1));
     assert!(heard.faults[0].contains("no rotation") && heard.faults[0].contains("0.781"), "{:?}", heard.faults);

@@ -76,7 +76,13 @@ fn columns(robot: &RobotSample) -> String {
     // The mock's clock, as one that begins anew during the session.
     let t_ms = (4_294_962_296 + robot.device_us / 1000) % 4_294_967_296;
     let (number, micrometres) = (robot.sequence % 65_536, |tendon: usize| robot.tendons[tendon].position_mm * 1e3);
-    format!("{t_ms},{number},{},{:.0},{:.0},{:.3},run,{CANARY}\n", angles.join(","), micrometres(0), micrometres(1), robot.drill_rpm / 60.0)
+    format!(
+        "{t_ms},{number},{},{:.0},{:.0},{:.3},run,{CANARY}\n",
+        angles.join(","),
+        micrometres(0),
+        micrometres(1),
+        robot.drill_rpm / 60.0
+    )
 }
 
 fn robots(entries: &[LogEntry]) -> Vec<Value> {
@@ -116,7 +122,10 @@ fn a_robot_that_prints_lines_rides_along_and_its_log_replays_the_same() {
     let said = live.stdout() + &live.stderr();
     assert!(ended.is_some_and(|status| matches!(status.code(), Some(0 | 3))), "{said}");
     assert!(printer.end() > 500 && !said.contains("corrupt"), "{said}");
-    assert!(!said.contains("no device time") && !said.contains("clock jumped"), "a clock that begins anew is none that jumps: {said}");
+    assert!(
+        !said.contains("no device time") && !said.contains("clock jumped"),
+        "a clock that begins anew is none that jumps: {said}"
+    );
     assert!(live.pairs() >= 3, "{said}");
 
     let log = read_log(&live.log).expect("a log");
@@ -130,7 +139,10 @@ fn a_robot_that_prints_lines_rides_along_and_its_log_replays_the_same() {
 
     // The log knows the lines by what they are, and where they came from by what kind of port it was.
     let setup: Value = log.entries.iter().find(|entry| &*entry.topic == "/session/setup").expect("a setup").json().expect("JSON");
-    assert_eq!((&setup["session"]["robot"]["port"], &setup["session"]["robot"]["adapter"]), (&json!("udp:"), &json!("robot-lines.json")));
+    assert_eq!(
+        (&setup["session"]["robot"]["port"], &setup["session"]["robot"]["adapter"]),
+        (&json!("udp:"), &json!("robot-lines.json"))
+    );
     assert_eq!(setup["adapters"]["robot"], declaration);
     let written = std::fs::read(&live.log).expect("the log");
     assert!(!holds(&written, "Annegrund"));
@@ -196,7 +208,8 @@ fn bad_lines_are_counted_shown_and_kept_and_what_cannot_be_known_is_said() {
     }
     let log = read_log(&live.log).expect("a log");
     let (robots, raw) = (robots(&log.entries), String::from_utf8(raw_bytes(&log.entries)).expect("text"));
-    let (good, bad) = (raw.lines().filter(|line| !line.contains("NaN")).count(), raw.lines().filter(|line| line.contains("NaN")).count());
+    let (good, bad) =
+        (raw.lines().filter(|line| !line.contains("NaN")).count(), raw.lines().filter(|line| line.contains("NaN")).count());
     assert!(robots.len() > 200 && bad > 10 && !raw.contains("yesterday"), "{} {bad}", robots.len());
     // The last line may lack its end.
     assert!(robots.len() == good || robots.len() + 1 == good, "{} of {good}", robots.len());
@@ -245,7 +258,8 @@ fn a_check_listens_to_lines_and_says_what_is_wrong_with_an_adapter() {
     assert!(found[0].contains("\"fail\"") && found[0].contains("robot.sensed_angles[4] is missing ('joints.5')"), "{found:?}");
     other["robot"]["sensed_angles"][4]["unit"] = json!("mm");
     let found = checked(&other)("session file");
-    let words = "robot-lines.json: at robot.sensed_angles[4].unit: \\\"mm\\\" is no unit of an angle, expected one of deg, rad, mrad";
+    let words =
+        "robot-lines.json: at robot.sensed_angles[4].unit: \\\"mm\\\" is no unit of an angle, expected one of deg, rad, mrad";
     assert!(found[0].contains("\"fail\"") && found[0].contains(words), "{found:?}");
     let found = checked(&shipped("generic-carm-regex.json"))("session file");
     assert!(found[0].contains("these are the lines of a C-arm"), "{found:?}");

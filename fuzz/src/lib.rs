@@ -48,7 +48,10 @@ pub fn adapter(data: &[u8]) {
     let Ok(adapter) = serde_json::from_slice::<LineAdapter>(data) else { return };
     let text = serde_json::to_string(&adapter).expect("serialises");
     assert_eq!(serde_json::from_str::<LineAdapter>(&text).expect("what was one is one"), adapter);
-    read_lines(&adapter, b"1,2,3,4,5,6,7\n1500,65535,100,200,50,-100,0,112.5,225,,-125,6.25,3500,-3500,100,home\n{\"joints\":[1,2,3,4,5]}\n");
+    read_lines(
+        &adapter,
+        b"1,2,3,4,5,6,7\n1500,65535,100,200,50,-100,0,112.5,225,,-125,6.25,3500,-3500,100,home\n{\"joints\":[1,2,3,4,5]}\n",
+    );
     read_lines(&adapter, data);
 }
 

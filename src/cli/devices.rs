@@ -8,7 +8,9 @@ use crate::reporter::Reporter;
 
 /// List serial ports, or check what a session needs.
 #[derive(Clone, Debug, clap::Args)]
-#[command(after_help = "Examples:\n  sidecarm devices\n  sidecarm check session.json\n\nA session's port may also be udp://ADDRESS:PORT (datagrams) or file:PATH (what is written to a file's end).")]
+#[command(
+    after_help = "Examples:\n  sidecarm devices\n  sidecarm check session.json\n\nA session's port may also be udp://ADDRESS:PORT (datagrams) or file:PATH (what is written to a file's end)."
+)]
 pub struct DevicesArgs {
     /// The same as `sidecarm check SESSION.json`.
     #[arg(long, value_name = "SESSION.json")]

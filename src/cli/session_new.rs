@@ -252,8 +252,18 @@ fn answered<R: BufRead, W: Write>(
         Ok(Some(named(path)))
     })?;
     let session = SessionFile {
-        carm: carm.map(|(port, calibration)| CarmLine { port, baud: args.carm_baud, calibration, adapter: args.carm_adapter.as_deref().map(named) }),
-        robot: robot.map(|(port, model)| RobotLine { port, baud: args.robot_baud, model, adapter: args.robot_adapter.as_deref().map(named) }),
+        carm: carm.map(|(port, calibration)| CarmLine {
+            port,
+            baud: args.carm_baud,
+            calibration,
+            adapter: args.carm_adapter.as_deref().map(named),
+        }),
+        robot: robot.map(|(port, model)| RobotLine {
+            port,
+            baud: args.robot_baud,
+            model,
+            adapter: args.robot_adapter.as_deref().map(named),
+        }),
         frames: FrameSource { folder: frames, domain: None, dicom: None },
         scene,
         beads,

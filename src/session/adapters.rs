@@ -79,12 +79,14 @@ impl Adapters {
 /// When it is none, contradicts itself, or is of the other device; the message names file and key.
 pub(super) fn parse(path: &Path, text: &str, device: DeviceKind) -> Result<LineAdapter, SessionFileError> {
     let wrong = |place: String, detail: String| SessionFileError::Json { path: path.to_owned(), place, detail };
-    let declaration: Declaration =
-        parse_json(text.as_bytes()).map_err(|JsonFault { place, detail }| wrong(place, detail))?;
+    let declaration: Declaration = parse_json(text.as_bytes()).map_err(|JsonFault { place, detail }| wrong(place, detail))?;
     let adapter = LineAdapter::try_from(declaration).map_err(|AdapterError { place, detail }| wrong(place, detail))?;
     if adapter.device() != device {
         let (found, key) = (adapter.device(), adapter.device().key());
-        return Err(wrong(key.to_owned(), format!("these are the lines of a {found}, and the session names them for its {device}")));
+        return Err(wrong(
+            key.to_owned(),
+            format!("these are the lines of a {found}, and the session names them for its {device}"),
+        ));
     }
     Ok(adapter)
 }

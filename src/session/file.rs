@@ -298,8 +298,21 @@ impl Setup {
         let scene_path = session.scene.clone();
         let (inputs, places) = Default::default();
         let (landmarks, detector, intensifier, tags) = (None, None, None, None);
-        let mut setup =
-            Self { session, carm, robot, adapters, scene_json, scene_path, beads, landmarks, detector, intensifier, tags, inputs, places };
+        let mut setup = Self {
+            session,
+            carm,
+            robot,
+            adapters,
+            scene_json,
+            scene_path,
+            beads,
+            landmarks,
+            detector,
+            intensifier,
+            tags,
+            inputs,
+            places,
+        };
         setup.load_declared(path)?;
         Ok(setup)
     }

@@ -123,7 +123,10 @@ mod tests {
         assert_eq!(beside("file:///srv/robot.csv"), "file:/srv/robot.csv");
         assert_eq!(beside("udp://:5005"), "udp://:5005");
         let told = |port: &str| PortAddress::told(Path::new(port));
-        assert_eq!([told("/dev/ttyUSB0"), told("file:/lab/robot.csv"), told("udp://10.0.0.7:5005")], ["ttyUSB0", "file:", "udp:"].map(PathBuf::from));
+        assert_eq!(
+            [told("/dev/ttyUSB0"), told("file:/lab/robot.csv"), told("udp://10.0.0.7:5005")],
+            ["ttyUSB0", "file:", "udp:"].map(PathBuf::from)
+        );
         // A log keeps what is told: a replay reads from it how the bytes begin.
         for port in ["/dev/ttyUSB0", "file:/lab/robot.csv", "udp://:5005"] {
             let port = Path::new(port);

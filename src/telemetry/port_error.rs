@@ -83,7 +83,9 @@ fn expected(path: &Path) -> &'static str {
 pub fn hint(error: &PortError) -> &'static str {
     let address = PortAddress::of(error.path());
     match (error, address) {
-        (PortError::NotFound { .. }, Ok(PortAddress::File(_))) => "it is read from its beginning as soon as it is there; check its path",
+        (PortError::NotFound { .. }, Ok(PortAddress::File(_))) => {
+            "it is read from its beginning as soon as it is there; check its path"
+        }
         (PortError::NotPermitted { .. }, Ok(PortAddress::File(_))) => "give this user the right to read it",
         (PortError::NotAPort { .. }, Ok(PortAddress::File(_))) => "name the file that the device's program writes",
         (_, Ok(PortAddress::File(_))) => "check the disk and the path",
@@ -93,7 +95,9 @@ pub fn hint(error: &PortError) -> &'static str {
         (PortError::NotPermitted { .. }, Ok(PortAddress::Udp(_)) | Err(_)) => "take a port from 1024 on",
         (_, Ok(PortAddress::Udp(_)) | Err(_)) => "give an address of this machine, as udp://127.0.0.1:5005",
         (PortError::NotFound { .. }, _) => "check the cable and the path; `sidecarm devices` lists the ports that exist",
-        (PortError::Busy { .. }, _) => "close the other program (a terminal, ModemManager, a second sidecarm); `fuser PORT` names it",
+        (PortError::Busy { .. }, _) => {
+            "close the other program (a terminal, ModemManager, a second sidecarm); `fuser PORT` names it"
+        }
         (PortError::NotPermitted { .. }, _) => {
             "add yourself to the group that owns the port (`sudo usermod -aG dialout $USER`), then log in again"
         }

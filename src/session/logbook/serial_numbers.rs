@@ -60,7 +60,15 @@ impl SerialNumbers {
     /// # Errors
     /// When the log cannot be read.
     pub(super) fn find(log: &Path, reporter: &Reporter) -> Result<Self, LogbookError> {
-        let line = |device| Line { device, blanker: None, epoch: None, messages: 0, open: Vec::new(), changes: HashMap::new(), written: 0 };
+        let line = |device| Line {
+            device,
+            blanker: None,
+            epoch: None,
+            messages: 0,
+            open: Vec::new(),
+            changes: HashMap::new(),
+            written: 0,
+        };
         let mut found = Self { lines: DeviceKind::ALL.map(line), said: HashMap::new(), packets: 0 };
         let mut reader = LogReader::open(log)?;
         let mut reading = Reading::new("looking for serial numbers", &reader, reporter);

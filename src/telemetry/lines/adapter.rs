@@ -63,7 +63,9 @@ impl TryFrom<Declaration> for LineAdapter {
         let (device, plan) = match (&declaration.robot, &declaration.carm) {
             (Some(fields), None) => (DeviceKind::Robot, Plan::Robot(Box::new(RobotPlan::new(fields, &mut names)?))),
             (None, Some(fields)) => (DeviceKind::Carm, Plan::Carm(Box::new(CarmPlan::new(fields, &mut names)?))),
-            _ => return Err(AdapterError::new("the top level", "expected one of the keys robot and carm: whose lines these are")),
+            _ => {
+                return Err(AdapterError::new("the top level", "expected one of the keys robot and carm: whose lines these are"));
+            }
         };
         let splitter = Splitter::new(&declaration.format, &declaration.ignore, names)?;
         Ok(Self(Arc::new(Parts { declaration, splitter, time, sequence, plan, device })))
@@ -187,7 +189,9 @@ impl LineAdapter {
             words.push(format!("the {device}'s lines carry no number: what of them is lost on the way cannot be known"));
         }
         if declaration.carm.as_ref().is_some_and(|carm| carm.xray_on.is_none()) {
-            words.push("the C-arm's lines do not say when X-ray is on: no exposure is known, and no frame is tied to one".to_owned());
+            words.push(
+                "the C-arm's lines do not say when X-ray is on: no exposure is known, and no frame is tied to one".to_owned(),
+            );
         }
         words
     }

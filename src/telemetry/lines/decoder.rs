@@ -137,8 +137,7 @@ impl LineDecoder {
         match self.read(host_us, line) {
             Ok(None) => {}
             Ok(Some((sample, judged_us))) => {
-                let counted =
-                    counting::count(&mut self.sequence, &mut self.health, sample.sequence(), judged_us, sink);
+                let counted = counting::count(&mut self.sequence, &mut self.health, sample.sequence(), judged_us, sink);
                 if let Some(sequenced) = counted {
                     self.deliver(sample, sequenced, sink);
                 }

@@ -187,7 +187,9 @@ fn fields(line: &str, separator: Option<u8>) -> Result<Vec<String>, LineFault> {
 fn separator(csv: &CsvFormat) -> Result<Option<u8>, AdapterError> {
     match csv.separator.as_bytes() {
         _ if csv.separator == WHITESPACE => Ok(None),
-        [byte] if byte.is_ascii() && !byte.is_ascii_alphanumeric() && !matches!(byte, b'"' | b'.' | b'-' | b'+' | b'\r' | b'\n') => {
+        [byte]
+            if byte.is_ascii() && !byte.is_ascii_alphanumeric() && !matches!(byte, b'"' | b'.' | b'-' | b'+' | b'\r' | b'\n') =>
+        {
             Ok(Some(*byte))
         }
         _ => {

@@ -341,6 +341,7 @@ fn clock_and_number_go_on_over_their_ends() {
 fn without_a_clock_arrival_is_the_time_and_nothing_is_learnt_of_it() {
     let mut declaration = plain();
     declaration["host_time_sigma_ms"] = json!(15);
+    declaration["host_time_delay_ms"] = json!(5);
     let adapter = adapter(&declaration);
     assert_eq!(adapter.host_time_sigma_us(), Some(15_000.0));
     let mut link = Link::of_lines(&adapter, true);
@@ -355,7 +356,7 @@ fn without_a_clock_arrival_is_the_time_and_nothing_is_learnt_of_it() {
             if let Event::Sample(sample, sequenced) = received.event {
                 let stamps = timeline.push_sample(DeviceKind::Robot, received.host_us, 0, sequenced, sample);
                 if let Some(stamps) = stamps {
-                    assert_eq!((stamps.mapped_us, stamps.uncertainty_us), (host_us, 15_000.0));
+                    assert_eq!((stamps.mapped_us, stamps.uncertainty_us), (host_us - 5_000, 15_000.0));
                 }
             }
         });
@@ -394,6 +395,10 @@ fn a_line_that_comes_twice_or_late_is_no_restart() {
     }
     let [_, robot] = timeline.summaries();
     assert_eq!((robot.samples, robot.unusable), (4, 1));
+    // Nor when one was whose arrival lies before that of the last.
+    let (sample, sequenced) = Heard::of(&plain(), b"1,2,3,4,5\n").samples.remove(0);
+    timeline.push_sample(DeviceKind::Robot, 1_000_000, 0, sequenced, sample);
+    assert_eq!(timeline.summaries().map(|track| (track.samples, track.unusable, track.clock_steps))[1], (4, 2, 0));
 }
 
 #[test]

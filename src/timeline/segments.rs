@@ -127,10 +127,8 @@ impl DeviceClock {
             return self.begin(now, SegmentStart::Reset, 0);
         }
         let device_delta = device_us.saturating_sub(last.device_us);
-        // When a line was measured that came late, or in a time that runs back, nobody knows who has only its arrival.
-        if self.host_sigma_us.is_some()
-            && (device_delta < 0 || !matches!(sequenced, Sequenced::Next | Sequenced::Gap(_) | Sequenced::GapWhileClosed(_)))
-        {
+        // The host's time does not step; what runs back in it has none.
+        if self.host_sigma_us.is_some() && device_delta < 0 {
             return Placed::Stray;
         }
         if matches!(sequenced, Sequenced::Reordered | Sequenced::Early(_) | Sequenced::Duplicate) {

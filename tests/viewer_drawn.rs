@@ -1,7 +1,7 @@
 //! What the window looks like: drawn by software Vulkan into a picture, and looked at.
 #![cfg(feature = "viewer")]
 
-use eframe::egui::{self, Context, Pos2, RawInput, Rect, TexturesDelta, pos2, vec2};
+use eframe::egui::{self, Context, Pos2, RawInput, Rect, pos2, vec2};
 use eframe::egui_wgpu::{Renderer, RendererOptions, ScreenDescriptor};
 use sidecarm::gpu::{Device, DeviceChoice, Gpu};
 use sidecarm::image::Image;
@@ -52,12 +52,12 @@ impl Drawn {
         let input = RawInput { screen_rect: Some(screen), time: Some(0.01 * self.looks), ..RawInput::default() };
         let Self { context, state, .. } = self;
         let mut output = context.run_ui(input, |ui| draw(ui, board, state));
-        let TexturesDelta { set, .. } = std::mem::take(&mut output.textures_delta);
-        for (id, deltas) in set {
+        for (id, deltas) in output.textures_delta.set.drain() {
             for delta in deltas {
                 self.renderer.update_texture(&self.gpu.device, &self.gpu.queue, id, &delta);
             }
         }
+        output.textures_delta.free.drain().for_each(|id| self.renderer.free_texture(&id));
         output
     }
 

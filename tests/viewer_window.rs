@@ -128,10 +128,10 @@ fn keys_step_through_exposures_and_choose_what_is_shown() {
         harness.run_steps(2);
         said(&harness)
     };
-    assert!(press(Key::ArrowLeft).contains("frame 4 of"));
+    assert!(press(Key::ArrowLeft).contains("frame 4, 2 of 3"));
     assert_eq!(state.borrow().selected, Some(4));
-    assert!(press(Key::Home).contains("frame 1 of"));
-    assert!(press(Key::End).contains("frame 9 of"));
+    assert!(press(Key::Home).contains("frame 1, 1 of 3"));
+    assert!(press(Key::End).contains("frame 9, 3 of 3"));
     assert_eq!(state.borrow().selected, None, "the newest one is followed");
     assert!(press(Key::C).contains("acquired and DRR in squares"));
     assert!(press(Key::Num2).contains("matched DRR"));

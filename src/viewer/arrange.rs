@@ -74,16 +74,17 @@ fn below(area: Rect, [upper, lower]: [Pane; 2]) -> Vec<(Pane, Rect)> {
     vec![(upper, first), (lower, second)]
 }
 
-/// A pane's picture where the whole frame is seen.
-#[cfg(test)]
-fn picture(pane: Rect, aspect: f32) -> Rect {
-    let width = pane.width().min(pane.height() * aspect);
-    Rect::from_center_size(pane.center(), vec2(width, width / aspect))
-}
-
 #[cfg(test)]
 mod tests {
+    use eframe::egui::vec2;
+
     use super::*;
+
+    /// A pane's picture where the whole frame is seen.
+    fn picture(pane: Rect, aspect: f32) -> Rect {
+        let width = pane.width().min(pane.height() * aspect);
+        Rect::from_center_size(pane.center(), vec2(width, width / aspect))
+    }
 
     #[test]
     fn panes_do_not_overlap_and_acquired_and_drr_are_the_larger_ones() {

@@ -10,7 +10,7 @@ use crate::telemetry::{AngleSource, CarmSample, RobotSample, Sample, status_word
 pub(super) fn show(ui: &mut Ui, board: &BoardState) {
     title(ui, "DEVICES");
     if board.links.is_empty() {
-        ui.label(dim("No serial lines in this session"));
+        ui.label(dim("No serial line is open"));
     }
     for link in &board.links {
         device(ui, link, board.now_us);

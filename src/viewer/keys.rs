@@ -176,7 +176,7 @@ pub(super) fn show(ui: &mut Ui, state: &ViewState) {
             for row in KEYS.chunks(3) {
                 for Binding { key, shift, words, .. } in row {
                     let shift = if *shift { "Shift " } else { "" };
-                    ui.label(RichText::new(format!("{shift}{}", key.symbol_or_name())).size(BODY).color(TEXT));
+                    ui.label(RichText::new(format!("{shift}{}", key.name())).size(BODY).color(TEXT));
                     ui.label(RichText::new(*words).size(BODY).color(DIM));
                 }
                 ui.end_row();

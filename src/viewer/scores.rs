@@ -1,10 +1,10 @@
 //! The scores, each within what it is at poses known to be wrong.
 
-use eframe::egui::{self, Color32, Rect, RichText, Role, Sense, Stroke, Ui, WidgetInfo, pos2, vec2};
+use eframe::egui::{Align2, Color32, Rect, RichText, Role, Sense, Stroke, Ui, WidgetInfo, pos2, vec2};
 
-use super::theme::{CAUTION, DIM, GOOD, LINE, SMALL, TEXT, WELL, dim, title};
+use super::theme::{CAUTION, DIM, GOOD, LINE, SMALL, TEXT, WELL, dim, font, title};
 use crate::compare::{NULL_SCORES, NullScore};
-use crate::report::{Pair, short};
+use crate::report::Pair;
 use crate::session::board::PairView;
 
 /// Scores that are shown, as people call them; `null` is the name under which wrong poses are scored.
@@ -52,11 +52,12 @@ fn score(ui: &mut Ui, pair: &Pair, shown: &Shown) {
     let value = pair.scores.get(shown.name);
     let null = pair.null.get(shown.null);
     let unit = if shown.name.ends_with("_mm") { " mm" } else { "" };
-    let words = value.map_or_else(|| "not known".to_owned(), |value| format!("{}{unit}", short(value, 1.0)));
+    let words = value.map_or_else(|| "not known".to_owned(), |value| format!("{value:.2}{unit}").replace('-', "−"));
     let discriminates = null.is_none_or(|null| null.discriminating);
     let response = ui
         .horizontal(|ui| {
-            ui.add_sized([58.0, 15.0], egui::Label::new(dim(shown.words)));
+            let (name, _) = ui.allocate_exact_size(vec2(58.0, 15.0), Sense::hover());
+            ui.painter().text(name.left_center(), Align2::LEFT_CENTER, shown.words, font(SMALL), DIM);
             let (bar, response) = ui.allocate_exact_size(vec2(ui.available_width() - 66.0, 14.0), Sense::hover());
             let larger_is_better = NULL_SCORES.iter().find(|(name, _)| *name == shown.null).is_none_or(|(_, larger)| *larger);
             let told = match null {

@@ -2,7 +2,7 @@
 
 use eframe::egui::{self, Color32, RichText, Ui};
 
-use super::theme::{BAD, BODY, CAUTION, DIM, INK, SMALL, TEXT, font, of_standing};
+use super::theme::{BAD, BODY, CAUTION, DIM, INK, LINE, SMALL, TEXT, font, of_standing};
 use crate::session::board::{BoardState, PairView};
 
 /// Letters of the state where there is room; less where a word is long.
@@ -15,7 +15,14 @@ const REASON_CHARS: usize = 260;
 pub(super) fn show(ui: &mut Ui, board: &BoardState, pair: Option<&PairView>) {
     match pair {
         Some(pair) => of_pair(ui, board, pair),
-        None => block(ui, Color32::from_rgb(0x2b, 0x32, 0x3b), "no exposure yet", "WAITING", TEXT),
+        None => {
+            let small = match board.frames_waiting {
+                0 => "no exposure yet".to_owned(),
+                1 => "the first frame is being developed".to_owned(),
+                waiting => format!("{waiting} frames are being developed"),
+            };
+            block(ui, LINE, &small, "WAITING", TEXT);
+        }
     }
 }
 

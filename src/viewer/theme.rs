@@ -58,6 +58,7 @@ pub(super) fn dress(ui: &mut Ui) {
     let style = ui.style_mut();
     style.spacing.item_spacing = egui::vec2(6.0, 3.0);
     style.spacing.button_padding = egui::vec2(6.0, 2.0);
+    style.spacing.interact_size.y = 15.0;
     style.text_styles.insert(egui::TextStyle::Body, font(BODY));
     style.text_styles.insert(egui::TextStyle::Button, font(SMALL));
     style.text_styles.insert(egui::TextStyle::Small, font(SMALL));

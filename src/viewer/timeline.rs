@@ -49,10 +49,11 @@ pub(super) fn show(ui: &mut Ui, board: &BoardState, state: &mut ViewState) {
             }
         }
         ui.label(RichText::new(format!("speed {}", state.player.speed().word())).size(SMALL).color(TEXT));
-        let words = match state.shown(board) {
-            Some(pair) => {
+        let words = match state.shown_index(board) {
+            Some(at) => {
+                let (pair, count) = (&board.pairs[at], board.pairs.len());
                 let follows = if state.selected.is_none() { ", following" } else { "" };
-                format!("frame {} of {}, {}{follows}", pair.number(), board.frames_seen.max(board.pairs.len()), utc(pair.time_us))
+                format!("frame {}, {} of {count}, {}{follows}", pair.number(), at + 1, utc(pair.time_us))
             }
             None => "no exposure yet".to_owned(),
         };

@@ -42,7 +42,7 @@ pub(super) fn show(ui: &mut Ui, board: &BoardState, state: &mut ViewState) {
 
 /// A button for what a key does; the key is said under the cursor.
 fn button(ui: &mut Ui, words: &str, chosen: bool, command: Command, asked: &mut Option<Command>) {
-    let key = KEYS.iter().find(|binding| binding.command == command).map(|binding| binding.key.symbol_or_name()).unwrap_or("");
+    let key = KEYS.iter().find(|binding| binding.command == command).map(|binding| binding.key.name()).unwrap_or("");
     let response = ui.selectable_label(chosen, RichText::new(words).size(SMALL).color(if chosen { TEXT } else { DIM }));
     if response.on_hover_text(key).clicked() {
         *asked = Some(command);

@@ -115,10 +115,8 @@ fn a_session_that_was_asked_for_passes_its_check() {
     let written = json(&lab.kit.join("asked.json"));
     assert_eq!((&written["carm"]["port"], &written["igtl"]["port"]), (&"ttyCARM".into(), &18944.into()));
     let check = |session: &str| {
-        let run = Command::new(env!("CARGO_BIN_EXE_sidecarm"))
-            .args(["check", session, "--json", "--limit", "300"])
-            .current_dir(&lab.kit);
-        let run = run.output().expect("runs");
+        let mut run = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
+        let run = run.args(["check", session, "--json", "--limit", "300"]).current_dir(&lab.kit).output().expect("runs");
         (serde_json::from_slice::<Value>(&run.stdout).expect("JSON"), run.status.code())
     };
     let (found, code) = check("asked.json");

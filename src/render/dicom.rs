@@ -16,6 +16,7 @@ use std::path::Path;
 use dicom_core::{DataElement, PrimitiveValue, Tag, VR};
 use dicom_dictionary_std::{tags, uids};
 use dicom_object::{FileMetaTableBuilder, InMemDicomObject};
+use glam::DVec3;
 
 use super::{Quantity, RenderError, Rendered};
 use crate::geometry::{AngleConvention, PatientPosition, View};
@@ -112,7 +113,11 @@ fn encoded(rendered: &Rendered, scene: &Scene, view: &View) -> Result<Vec<u8>, S
         text(tags::IMAGE_TYPE, VR::CS, "DERIVED\\PRIMARY\\"),
         text(tags::DERIVATION_DESCRIPTION, VR::ST, "rendered from CT: no exposure of a patient"),
         text(tags::IMAGE_COMMENTS, VR::LT, &comments),
-        empty(tags::PATIENT_ORIENTATION, VR::CS),
+        text(
+            tags::PATIENT_ORIENTATION,
+            VR::CS,
+            &format!("{}\\{}", towards(lps_from_camera * DVec3::X), towards(lps_from_camera * DVec3::Y)),
+        ),
         text(tags::IMAGE_LATERALITY, VR::CS, "U"),
         none(tags::ANATOMIC_REGION_SEQUENCE),
         none(tags::ACQUISITION_CONTEXT_SEQUENCE),
@@ -148,6 +153,15 @@ fn encoded(rendered: &Rendered, scene: &Scene, view: &View) -> Result<Vec<u8>, S
     let mut bytes = Vec::new();
     object.with_meta(meta).map_err(|error| error.to_string())?.write_all(&mut bytes).map_err(|error| error.to_string())?;
     Ok(bytes)
+}
+
+/// Where a direction in LPS goes, in DICOM's letters, the most first: `LH` is to the left and somewhat to the head.
+fn towards(direction: DVec3) -> String {
+    let mut axes = [(direction.x, ['L', 'R']), (direction.y, ['P', 'A']), (direction.z, ['H', 'F'])];
+    axes.sort_by(|a, b| b.0.abs().total_cmp(&a.0.abs()));
+    // Less than a degree is none.
+    let told = axes.iter().filter(|(along, _)| along.abs() > 0.0175);
+    told.map(|(along, [positive, negative])| if *along > 0.0 { positive } else { negative }).collect()
 }
 
 /// A number in at most sixteen characters.

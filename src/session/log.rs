@@ -49,6 +49,8 @@ pub(super) struct SessionLog {
     /// Held while an input is recorded and handed to the engine.
     engine: Mutex<Option<Sender<Event>>>,
     failed: AtomicBool,
+    /// The log has its end.
+    finished: AtomicBool,
     losses: Mutex<Vec<String>>,
 }
 
@@ -99,6 +101,7 @@ impl SessionLog {
             names,
             engine: Mutex::new(Some(engine)),
             failed: AtomicBool::new(false),
+            finished: AtomicBool::new(false),
             losses: Mutex::default(),
         })
     }
@@ -114,8 +117,11 @@ impl SessionLog {
 
     /// A failed log is said once, loudly; the session goes on without it, because the frames still need their pairs.
     fn check(&self, outcome: Result<(), RecordError>) {
-        if let Err(error) = outcome {
-            self.fail(&error.to_string());
+        match outcome {
+            // Whoever leaves at once does not wait for what still comes in.
+            Err(RecordError::Finished { .. }) if self.finished.load(Ordering::Relaxed) => {}
+            Err(error) => self.fail(&error.to_string()),
+            Ok(()) => {}
         }
     }
 
@@ -262,6 +268,7 @@ impl SessionLog {
     /// Finishes the log; within a `limit` where somebody leaves at once.
     pub(super) fn finish(&self, limit: Option<Duration>) {
         self.engine.lock().unwrap_or_else(PoisonError::into_inner).take();
+        self.finished.store(true, Ordering::Relaxed);
         let Some(limit) = limit else { return self.check(self.recorder.finish().map(|_| ())) };
         match self.recorder.finish_within(limit) {
             Ok(Some(_)) => {}

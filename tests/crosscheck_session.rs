@@ -122,7 +122,7 @@ const FILE_FAULTS: [Fault; 16] = [
         |lab| edit(lab, "carm.json", |c| (c["columns_px"], c["rows_px"]) = (value!(1240), value!(960))),
         "frame size",
         "warn",
-        &["620 x 480", "1240 x 960", "binned 2 x 2"],
+        &["[620, 480]", "[1240, 960]", "\"binning\": 2"],
     ),
     (
         "room",

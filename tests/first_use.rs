@@ -71,16 +71,16 @@ fn the_first_commands_of_the_readme_run_in_a_fresh_kit() {
     }
     let (pose, truth) = (json(&kit.join("pose.json")), json(&kit.join("truth.json")));
     assert_eq!(pose["status"], "accepted");
-    let of_frame = |frame: &&Value| frame["frame"] == "frame-002.dcm";
+    let of_frame = |frame: &&Value| frame["frame"] == "frame-001.dcm";
     let frames = truth["frames"].as_array().expect("frames");
     let known = frames.iter().find(of_frame).expect("its truth");
     let px = apart_px(&pose["projection"], &known["projection"], &truth["beads"]);
-    assert!(px < 0.5, "{px} px from the truth");
+    assert!(px < 0.2, "{px} px from the truth");
     let other = frames.iter().find(|frame| !of_frame(frame)).expect("another frame");
     assert!(apart_px(&pose["projection"], &other["projection"], &truth["beads"]) > 20.0, "control: another frame's truth");
     let compared = json(&kit.join("comparison/compare.json"));
     let comparison = &compared["comparison"];
-    assert!(number(&comparison["scores"]["zncc"]) > 0.97, "{}", comparison["scores"]);
+    assert!(number(&comparison["scores"]["zncc"]) > 0.999, "{}", comparison["scores"]);
     let null = &comparison["null"]["zncc"];
     assert!(number(&null["at_pose"]) > number(&null["best_shifted"]) && null["discriminating"] == true, "{null}");
     assert!(compared["image_prefers"].is_null(), "{}", compared["image_prefers"]);
@@ -113,10 +113,14 @@ fn a_session_that_was_asked_for_passes_its_check() {
     let asked = asked.wait_with_output().expect("ends");
     assert!(asked.status.success(), "{}", String::from_utf8_lossy(&asked.stderr));
     let written = json(&lab.kit.join("asked.json"));
-    assert_eq!((&written["carm"]["port"], &written["igtl"]["port"]), (&"ttyCARM".into(), &18944.into()));
+    assert_eq!(written["carm"]["port"], "ttyCARM");
+    assert_eq!(written["igtl"]["port"], 18944);
     let check = |session: &str| {
-        let mut run = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
-        let run = run.args(["check", session, "--json", "--limit", "300"]).current_dir(&lab.kit).output().expect("runs");
+        let run = Command::new(env!("CARGO_BIN_EXE_sidecarm"))
+            .args(["check", session, "--json", "--limit", "300"])
+            .current_dir(&lab.kit)
+            .output()
+            .expect("runs");
         (serde_json::from_slice::<Value>(&run.stdout).expect("JSON"), run.status.code())
     };
     let (found, code) = check("asked.json");

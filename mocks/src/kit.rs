@@ -66,7 +66,7 @@ pub fn write(folder: &Path, script: &Script, phantom: &Phantom, with_carm: bool,
     let (k, scene) = (intrinsics(&arm(lab)?), scene(lab, phantom));
     put(folder, "k.json", &k)?;
     put(folder, "scene.json", &scene)?;
-    put(folder, "scene-ap.json", &seen_from_the_front(lab, &arm(lab)?, scene, &k))?;
+    put(folder, "scene-001.json", &of_first_frame(lab, &arm(lab)?, scene, &k))?;
     let carm = with_carm.then(|| json!({"port": "ttyCARM", "baud": 921_600, "calibration": "carm.json"}));
     let robot = with_robot.then(|| json!({"port": "ttyROBOT", "baud": 921_600, "model": "robot.json"}));
     let session = json!({
@@ -99,6 +99,9 @@ fn beads(phantom: &Phantom) -> Value {
     })
 }
 
+/// Place of the robot among the scene's objects.
+const ROBOT: usize = 1;
+
 fn scene(lab: &Lab, phantom: &Phantom) -> Value {
     let mut objects = vec![
         json!({"ct": {"path": "ct.nii.gz", "materials": "threshold"}}),
@@ -123,10 +126,12 @@ fn intrinsics(arm: &Arm) -> Value {
     json!({"intrinsics": [[f, 0.0, cx], [0.0, f, cy], [0.0, 0.0, 1.0]], "size_px": arm.size_px, "pitch_mm": arm.pitch_mm})
 }
 
-/// The scene with a view: all joints at zero, the specimen where the session has it.
-fn seen_from_the_front(lab: &Lab, arm: &Arm, mut scene: Value, k: &Value) -> Value {
-    let camera = camera_from_lps(&arm.geometry, &[0.0; 6], &lab.world_from_lps);
+/// The scene of the first frame as the devices tell it: seen from where the joints put the camera, the robot bent by its angles.
+fn of_first_frame(lab: &Lab, arm: &Arm, mut scene: Value, k: &Value) -> Value {
+    let Some(exposure) = lab.exposures.first() else { return scene };
+    let camera = camera_from_lps(&arm.geometry, &exposure.joints(), &lab.world_from_lps);
     scene["view"] = json!({"size_px": arm.size_px, "intrinsics": k["intrinsics"], "camera_from_lps": camera});
+    scene["objects"][ROBOT]["robot"]["control_angles_deg"] = json!(exposure.control_deg);
     scene
 }
 

@@ -52,10 +52,12 @@ impl Samples {
         }
     }
 
-    /// Reads what [`Samples::to_bytes`] wrote; `None` when `encoding` is another one or the byte count does not fit.
+    /// Reads what [`Samples::to_bytes`] wrote, and 8-bit pictures; `None` when `encoding` is another one or the byte count does not fit.
     #[must_use]
     pub fn from_bytes(encoding: &str, bytes: &[u8]) -> Option<Self> {
         match encoding {
+            // Pictures for the eye.
+            "mono8" => Some(Self::U16(bytes.iter().copied().map(u16::from).collect())),
             "mono16" if bytes.len().is_multiple_of(2) => {
                 Some(Self::U16(bytes.chunks_exact(2).map(|pair| u16::from_le_bytes([pair[0], pair[1]])).collect()))
             }

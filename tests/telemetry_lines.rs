@@ -368,7 +368,7 @@ fn without_a_clock_arrival_is_the_time_and_nothing_is_learnt_of_it() {
     let answer = timeline.robot_at(1_020_000_000).expect("samples around");
     assert_eq!(answer.uncertainty_us, 15_000.0);
     let words = adapter.unknowns();
-    assert!(words.len() == 2 && words[0].contains("±15 ms") && words[1].contains("cannot be known"), "{words:?}");
+    assert!(words.len() == 2 && words[0].1.contains("±15 ms") && words[1].1.contains("cannot be known"), "{words:?}");
     // The control: a clock that is declared is learnt.
     assert!(self::adapter(&clocked()).unknowns().is_empty() && self::adapter(&clocked()).host_time_sigma_us().is_none());
     assert_eq!(self::adapter(&plain()).host_time_sigma_us(), Some(20_000.0));

@@ -112,7 +112,7 @@ fn work(args: &CheckArgs, reporter: &Reporter, found: &Sender<Finding>) {
     check_disk(&out_folder(args, &setup), &setup.session.frames.folder).into_iter().for_each(tell);
     check_ports(&setup).into_iter().for_each(tell);
     reporter.note("check: listening to the ports, reading files");
-    for words in setup.adapters.unknowns() {
+    for (_, words) in setup.adapters.unknowns() {
         let remedy = "declare device_time and sequence in the adapter where the device sends them; else this is how it is";
         tell(Finding::warn("line adapter", words, remedy));
     }

@@ -59,9 +59,9 @@ impl Adapters {
         timeline
     }
 
-    /// What cannot be known because the lines do not say it, a sentence each.
+    /// What cannot be known because the lines do not say it: of what, and a sentence.
     #[must_use]
-    pub fn unknowns(&self) -> Vec<String> {
+    pub fn unknowns(&self) -> Vec<(&'static str, String)> {
         DeviceKind::ALL.into_iter().filter_map(|device| self.of(device)).flat_map(LineAdapter::unknowns).collect()
     }
 

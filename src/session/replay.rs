@@ -87,8 +87,8 @@ pub fn run(
         reporter.warn("files of the program", format!("{}: {words}", log.display()));
         losses.push(words);
     }
-    for words in setup.adapters.unknowns() {
-        reporter.warn("line adapter", words);
+    for (what, words) in setup.adapters.unknowns() {
+        reporter.warn(what, words);
     }
     let collector = Collector::create(&options.out, recorded.started_us, Times::Apart, &workshop)?;
     let broadcast = Broadcast::open(options.igtl.as_ref(), Whereabouts::new(&setup, workshop.robot()), reporter)?;

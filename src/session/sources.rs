@@ -89,8 +89,8 @@ impl Lines {
             tasks.push(spawn_port(runtime.handle(), config, sender.clone()));
         }
         drop(sender);
-        for words in setup.adapters.unknowns() {
-            reporter.warn("line adapter", &words);
+        for (what, words) in setup.adapters.unknowns() {
+            reporter.warn(what, &words);
             log.event(Level::Warning, host_now_us(), &words);
         }
         let intake = LineIntake { log: Arc::clone(log), board: board.clone(), reporter: reporter.clone() };

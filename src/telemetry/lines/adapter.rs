@@ -174,24 +174,27 @@ impl LineAdapter {
         [&self.0.time, &self.0.sequence].map(|cyclic| cyclic.as_ref().and_then(|cyclic| cyclic.period))
     }
 
-    /// What cannot be known of this device because its lines do not say it, a sentence each.
+    /// What cannot be known of this device because its lines do not say it: of what, and a sentence.
     #[must_use]
-    pub fn unknowns(&self) -> Vec<String> {
+    pub fn unknowns(&self) -> Vec<(&'static str, String)> {
         let Parts { device, declaration, .. } = &*self.0;
         let mut words = Vec::new();
         if let Some(sigma_us) = self.host_time_sigma_us() {
-            words.push(format!(
-                "the {device}'s lines carry no device time: the host's time of arrival stands for it, ±{} ms",
-                sigma_us * 1e-3
+            let sigma_ms = sigma_us * 1e-3;
+            words.push((
+                "no device time",
+                format!("the {device}'s lines carry no device time: the host's time of arrival stands for it, ±{sigma_ms} ms"),
             ));
         }
         if self.0.sequence.is_none() {
-            words.push(format!("the {device}'s lines carry no number: what of them is lost on the way cannot be known"));
+            words.push((
+                "no line number",
+                format!("the {device}'s lines carry no number: what of them is lost on the way cannot be known"),
+            ));
         }
         if declaration.carm.as_ref().is_some_and(|carm| carm.xray_on.is_none()) {
-            words.push(
-                "the C-arm's lines do not say when X-ray is on: no exposure is known, and no frame is tied to one".to_owned(),
-            );
+            let said = "the C-arm's lines do not say when X-ray is on: no exposure is known, and no frame is tied to one";
+            words.push(("no exposures", said.to_owned()));
         }
         words
     }

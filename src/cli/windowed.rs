@@ -2,10 +2,14 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
+use std::time::Duration;
 
 use crate::reporter::Reporter;
 use crate::session::SessionError;
 use crate::session::board::Board;
+
+/// How often it is asked whether a window leaves.
+const LOOK: Duration = Duration::from_millis(200);
 
 const RUNS: u8 = 0;
 const ENDED: u8 = 1;
@@ -16,6 +20,16 @@ struct Fate {
     told: Arc<AtomicU8>,
     board: Board,
     is: u8,
+}
+
+/// A window that is not drawn is not asked whether it leaves: it is woken when it does.
+fn wake_when(board: Board, leaves: impl Fn() -> bool + Send + 'static) {
+    std::thread::spawn(move || {
+        while !leaves() {
+            std::thread::sleep(LOOK);
+        }
+        board.update(|_| ());
+    });
 }
 
 impl Fate {
@@ -40,15 +54,19 @@ pub(super) fn beside_window<T: Send + 'static>(
     board: Board,
     reporter: &Reporter,
     work: impl FnOnce() -> Result<T, SessionError> + Send + 'static,
-    leaves: impl Fn() -> bool + 'static,
+    leaves: impl Fn() -> bool + Clone + Send + 'static,
     closed: impl Fn() + 'static,
 ) -> Result<T, SessionError> {
     board.update(|state| state.watched = true);
     let told = Arc::new(AtomicU8::new(RUNS));
     let mut fate = Fate { told: Arc::clone(&told), board: board.clone(), is: FAILED };
+    let asked = leaves.clone();
     let thread = std::thread::spawn(move || {
         let done = work();
         fate.is(done.is_ok());
+        if done.is_ok() {
+            wake_when(fate.board.clone(), asked);
+        }
         done
     });
     let is_over = move || match told.load(Ordering::Relaxed) {

@@ -63,10 +63,22 @@ impl BoardState {
         }
     }
 
-    /// What must be seen at once when it changes.
-    fn urgent(&self) -> (usize, usize, bool, bool, usize) {
-        (self.frames_seen, self.frames_waiting, self.recorder_failure.is_some(), self.finished, self.warnings.len())
+    /// What is drawn anew when it changes.
+    fn telling(&self) -> Telling {
+        Telling {
+            frames: [self.frames_seen, self.frames_waiting, self.warnings.len()],
+            said: [self.recorder_failure.is_some(), self.finished],
+            lines: self.links.iter().map(|link| (link.silent_steps(self.now_us), link.moves)).collect(),
+        }
     }
+}
+
+/// See [`BoardState::telling`].
+#[derive(PartialEq)]
+struct Telling {
+    frames: [usize; 3],
+    said: [bool; 2],
+    lines: Vec<(Option<i64>, u64)>,
 }
 
 /// A shared slot with the latest state; cheap to clone.
@@ -89,13 +101,13 @@ impl Board {
         self.bell.ring();
     }
 
-    /// Changes what changes all the time, as readings do: whoever shows the state hears of it only where something else changed as well.
+    /// Changes what changes all the time, as readings do: whoever shows the state hears of it only where that is worth a look.
     pub fn tick(&self, change: impl FnOnce(&mut BoardState)) {
         let changed = {
             let mut state = self.lock();
-            let before = state.urgent();
+            let before = state.telling();
             change(&mut state);
-            state.urgent() != before
+            state.telling() != before
         };
         if changed {
             self.bell.ring();
@@ -120,6 +132,11 @@ impl Board {
     pub fn snapshot(&self) -> BoardState {
         self.bell.looked();
         self.lock().clone()
+    }
+
+    /// Whoever shows the state has heard that it changed, and looks where anything is to be seen: a hidden window is not drawn.
+    pub fn heard(&self) {
+        self.bell.looked();
     }
 
     /// `waker` is called when there is something new to show, with how long to wait before that: looks are [`LEAST_BETWEEN`] apart or more.
@@ -197,5 +214,14 @@ mod tests {
         board.tick(|state| state.recorder_failure = Some("the disk is full".to_owned()));
         board.tick(|state| state.frames_waiting = 1);
         assert_eq!(board.generation(), 2);
+        // A line is heard, goes on, and falls silent.
+        board.update(|state| state.links.push(Link::new(crate::telemetry::DeviceKind::Carm)));
+        for (now_us, last_us, generation) in [(1_000_000, 1_000_000, 4), (1_100_000, 1_050_000, 4), (2_000_000, 1_050_000, 5)] {
+            board.tick(|state| {
+                state.now_us = now_us;
+                state.links[0].last_byte_us = Some(last_us);
+            });
+            assert_eq!(board.generation(), generation, "{now_us}");
+        }
     }
 }

@@ -29,10 +29,18 @@ pub struct Link {
     pub clock: Option<ClockEstimate>,
     /// Steps of the device's clock, and its restarts.
     pub clock_steps: u64,
+    /// Counts the samples that are so far from the one shown before that they are worth a look.
+    pub moves: u64,
 }
 
 /// Telemetry older than this is shown as stale.
 pub const STALE_AFTER_US: i64 = 500_000;
+/// The age of what is stale is shown anew this often.
+const SILENCE_STEP_US: i64 = 2_000_000;
+/// Angles and lengths that change by more than these are worth a look, and no more than one in so long is.
+const MOVE_DEG: f64 = 0.5;
+const MOVE_MM: f64 = 2.0;
+const LOOK_US: i64 = 1_000_000;
 /// Rates are means over at least this.
 const RATE_OVER_US: i64 = 1_000_000;
 
@@ -51,7 +59,14 @@ impl Link {
             latest: None,
             clock: None,
             clock_steps: 0,
+            moves: 0,
         }
+    }
+
+    /// How long it has been silent, in steps in which that is worth a look; `None` where it is not stale.
+    pub(super) fn silent_steps(&self, now_us: i64) -> Option<i64> {
+        let silent_us = now_us - self.last_byte_us?;
+        self.is_stale(now_us).then_some(silent_us / SILENCE_STEP_US)
     }
 
     /// Whether nothing came for [`STALE_AFTER_US`], or ever.
@@ -66,6 +81,8 @@ impl Link {
 pub(super) struct LinkReadings {
     /// Of each device when its samples were counted, how many there were, and the rate since the time before.
     counted: BTreeMap<DeviceKind, (i64, u64, Option<f64>)>,
+    /// Of each device the sample that was worth the latest look, and when that was.
+    looked: BTreeMap<DeviceKind, (i64, Sample)>,
 }
 
 impl LinkReadings {
@@ -89,7 +106,21 @@ impl LinkReadings {
             link.clock = clock.summaries().last().map(|segment| segment.clock);
             let (steps, resets) = clock.steps_and_resets();
             link.clock_steps = steps + resets;
+            if let Some(sample) = &link.latest {
+                link.moves += u64::from(self.is_worth_a_look(link.device, sample, now_us));
+            }
         }
+    }
+
+    fn is_worth_a_look(&mut self, device: DeviceKind, sample: &Sample, now_us: i64) -> bool {
+        let worth = match self.looked.get(&device) {
+            Some((then_us, before)) => now_us - then_us >= LOOK_US && has_moved(before, sample),
+            None => true,
+        };
+        if worth {
+            self.looked.insert(device, (now_us, sample.clone()));
+        }
+        worth
     }
 
     fn rate_hz(&mut self, device: DeviceKind, frames: u64, now_us: i64) -> Option<f64> {
@@ -104,9 +135,69 @@ impl LinkReadings {
     }
 }
 
+/// Whether an eye would see the difference, or somebody must.
+fn has_moved(before: &Sample, now: &Sample) -> bool {
+    let apart = |a: f64, b: f64, limit: f64| (a - b).abs() > limit || a.is_nan() != b.is_nan();
+    match (before, now) {
+        (Sample::Carm(before), Sample::Carm(now)) => {
+            let [a, b] = [before, now].map(|sample| &sample.joints);
+            let angles = [
+                (a.orbital_rad, b.orbital_rad),
+                (a.angulation_rad, b.angulation_rad),
+                (a.wig_wag_rad, b.wig_wag_rad),
+                (a.detector_rotation_rad, b.detector_rotation_rad),
+            ];
+            let lengths = [
+                (a.lift_mm, b.lift_mm),
+                (a.longitudinal_mm, b.longitudinal_mm),
+                (a.source_to_detector_mm, b.source_to_detector_mm),
+            ];
+            angles.iter().any(|(a, b)| apart(a.to_degrees(), b.to_degrees(), MOVE_DEG))
+                || lengths.iter().any(|(a, b)| apart(*a, *b, MOVE_MM))
+                || (before.xray_on, before.exposure_counter, before.status) != (now.xray_on, now.exposure_counter, now.status)
+        }
+        (Sample::Robot(before), Sample::Robot(now)) => {
+            let [(a, sensed_before), (b, sensed_now)] = [before, now].map(|sample| sample.control_angles_deg());
+            a.iter().zip(b).any(|(a, b)| apart(*a, b, MOVE_DEG)) || (sensed_before, before.status) != (sensed_now, now.status)
+        }
+        _ => true,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::CarmJoints;
+    use crate::telemetry::CarmSample;
+
+    #[test]
+    fn an_arm_at_rest_is_worth_one_look_and_one_that_moves_one_a_second() {
+        let mut readings = LinkReadings::default();
+        let sample = |orbital_deg: f64| {
+            let joints = CarmJoints { orbital_rad: orbital_deg.to_radians(), ..CarmJoints::ZERO };
+            Sample::Carm(CarmSample {
+                device_us: 0,
+                sequence: 0,
+                joints,
+                tube_kvp: 90.0,
+                tube_ma: 3.0,
+                pulse_width_ms: 8.0,
+                filter_mm_al: 4.3,
+                filter_mm_cu: 0.0,
+                field_mm: [f64::NAN; 4],
+                xray_on: false,
+                exposure_counter: None,
+                status: 0,
+            })
+        };
+        let mut looks = |from_ms: i64, deg_per_s: f64| {
+            let at = |ms: i64| (1000 * ms, sample(10.0 + 1e-3 * ms as f64 * deg_per_s + 0.05 * (ms as f64).sin()));
+            let times = (from_ms..from_ms + 10_000).step_by(100).map(at);
+            times.filter(|(now_us, sample)| readings.is_worth_a_look(DeviceKind::Carm, sample, *now_us)).count()
+        };
+        assert_eq!(looks(0, 0.0), 1);
+        assert_eq!(looks(10_000, 5.0), 10);
+    }
 
     #[test]
     fn a_rate_is_a_mean_over_a_second_or_more() {

@@ -20,8 +20,9 @@ pub enum ViewerError {
     },
 }
 
-/// Stale marks appear within this, even when nothing arrives; joints are read this often.
-const TICK: Duration = Duration::from_millis(1_000);
+/// The board rings for whatever is worth a look. This is for readings that creep, and for a session that has stopped to publish anything: its
+/// lines look stale after this at the latest.
+const TICK: Duration = Duration::from_secs(10);
 
 struct Window {
     board: Board,
@@ -32,6 +33,7 @@ struct Window {
 
 impl eframe::App for Window {
     fn logic(&mut self, context: &egui::Context, _frame: &mut eframe::Frame) {
+        self.board.heard();
         if (self.leaves)() {
             context.send_viewport_cmd(egui::ViewportCommand::Close);
         }
@@ -54,13 +56,15 @@ impl eframe::App for Window {
 }
 
 /// Shows `board` until the window is closed, or `leaves` says that there is nothing more to see; `on_close` runs then. It is drawn when the
-/// board changes, and once a second.
+/// board changes, and every ten seconds.
 ///
 /// # Errors
 /// When there is no display or no graphics adapter.
 pub fn run(board: Board, leaves: impl Fn() -> bool + 'static, on_close: impl Fn() + 'static) -> Result<(), ViewerError> {
     let options = eframe::NativeOptions {
         viewport: egui::ViewportBuilder::default().with_title("Sidecarm").with_inner_size([1400.0, 900.0]),
+        // Noise for each pixel is dear where software draws.
+        dithering: false,
         ..Default::default()
     };
     // Opening a window without a display server ends in an error or, in some back ends, a panic: both become one sentence.

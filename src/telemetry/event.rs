@@ -10,10 +10,6 @@ use super::wire::FrameFault;
 
 /// What the decoder found.
 #[derive(Clone, Debug, PartialEq)]
-#[expect(
-    clippy::large_enum_variant,
-    reason = "nearly every event is a sample and none is kept: a box would cost an allocation each"
-)]
 pub enum Event {
     /// An intact frame or line, and how its sequence number follows. This is the only verdict on sequence and restart: whoever keeps samples
     /// goes by it. Never [`Sequenced::Duplicate`], whose samples are not delivered.

@@ -36,7 +36,6 @@ impl<I: Iterator<Item = (i64, u32, Vec<u8>)>> ByteSource for I {
 
 /// What a device's bytes are.
 #[derive(Clone, Debug)]
-#[expect(clippy::large_enum_variant, reason = "a session has two of them")]
 enum Decoding {
     /// Of `mocks/PROTOCOL.md`.
     Packets(Decoder),

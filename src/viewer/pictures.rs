@@ -157,7 +157,7 @@ fn overlay(ui: &Ui, painter: &Painter, placed: &Placed, state: &mut ViewState) {
         }
         Overlay::Blink => {
             let beats = ui.input(|input| input.time) * BLINKS_HZ;
-            let picture = if beats as u64 % 2 == 0 { Picture::Acquired } else { Picture::Drr };
+            let picture = if (beats as u64).is_multiple_of(2) { Picture::Acquired } else { Picture::Drr };
             paint(painter, placed, texture(picture), Color32::WHITE);
             let rests_s = (1.0 - beats.fract()) / BLINKS_HZ;
             context.request_repaint_after(std::time::Duration::from_secs_f64(rests_s));

@@ -30,7 +30,7 @@ impl Speed {
 }
 
 /// See the module.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct Player {
     /// Index in the speeds to choose from.
     speed: usize,
@@ -44,12 +44,6 @@ struct Playing {
     stepped_s: f64,
     /// Of the recorded clock.
     head_us: f64,
-}
-
-impl Default for Player {
-    fn default() -> Self {
-        Self { speed: 0, playing: None }
-    }
 }
 
 impl Player {

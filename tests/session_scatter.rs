@@ -27,9 +27,9 @@ fn a_session_asks_the_network_and_its_replay_asks_again() {
         (pairs, report)
     };
     let (without, report) = run("off");
-    assert!(report.contains("scatter: it is not in the DRR"), "the control");
+    assert!(report.contains("scatter: not asked for"), "the control");
     let (with, report) = run("network");
-    assert!(!report.contains("scatter: it is not in the DRR") && report.contains("scatter network"), "{report}");
+    assert!(!report.contains("scatter: not asked for") && report.contains("scatter network"), "{report}");
     let brightness = |pair: &Value| pair["scores"]["rmse_nepers"].as_f64().expect("a number");
     for (with, without) in with.iter().zip(&without) {
         assert!(with["stages_ms"]["scatter"].as_f64().is_some_and(|ms| ms > 0.0), "{with:#}");

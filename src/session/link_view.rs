@@ -63,9 +63,10 @@ impl Link {
         }
     }
 
-    /// How long it has been silent, in steps in which that is worth a look; `None` where it is not stale.
+    /// How long it has been silent, in steps in which that is worth a look; `None` where it is not stale, −1 where nothing ever came.
     pub(super) fn silent_steps(&self, now_us: i64) -> Option<i64> {
-        let silent_us = now_us - self.last_byte_us?;
+        let Some(last_us) = self.last_byte_us else { return Some(-1) };
+        let silent_us = now_us - last_us;
         self.is_stale(now_us).then_some(silent_us / SILENCE_STEP_US)
     }
 

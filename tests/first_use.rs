@@ -75,11 +75,13 @@ fn the_first_commands_of_the_readme_run_in_a_fresh_kit() {
     let frames = truth["frames"].as_array().expect("frames");
     let known = frames.iter().find(of_frame).expect("its truth");
     let px = apart_px(&pose["projection"], &known["projection"], &truth["beads"]);
+    // 0.024 px as the kit is made now: what is left is the frame's noise.
     assert!(px < 0.2, "{px} px from the truth");
     let other = frames.iter().find(|frame| !of_frame(frame)).expect("another frame");
     assert!(apart_px(&pose["projection"], &other["projection"], &truth["beads"]) > 20.0, "control: another frame's truth");
     let compared = json(&kit.join("comparison/compare.json"));
     let comparison = &compared["comparison"];
+    // 0.9997 as it is made now; a straight robot in place of the bent one gives 0.987.
     assert!(number(&comparison["scores"]["zncc"]) > 0.999, "{}", comparison["scores"]);
     let null = &comparison["null"]["zncc"];
     assert!(number(&null["at_pose"]) > number(&null["best_shifted"]) && null["discriminating"] == true, "{null}");

@@ -11,6 +11,7 @@ mod acquire_unwhole;
 mod acquire_watch;
 mod architecture;
 mod architecture_inside;
+mod telemetry_declarations;
 mod telemetry_devices;
 mod telemetry_frames;
 mod telemetry_line_ports;

@@ -141,7 +141,8 @@ fn assert_foxglove_shows(log: &Path) {
     let times = |name: &str| of(name).iter().map(|entry| entry.host_us).collect::<BTreeSet<_>>();
     let (shown, annotated) = (times(topic::SHOWN), times(topic::ANNOTATIONS));
     assert!(annotated.len() >= 5 && annotated.is_subset(&shown), "{annotated:?} {shown:?}");
-    assert_eq!(of(topic::SHOWN).len(), of(topic::FRAME_TAGS).len(), "each frame is shown");
+    // A frame whose exposure becomes clear late is posed again, and shown at that time as well.
+    assert!(of(topic::SHOWN).len() >= of(topic::FRAME_TAGS).len(), "each frame is shown");
     let names = |name: &str, wanted: &[&str]| {
         let messages = of(name);
         assert!(!messages.is_empty(), "{name}");

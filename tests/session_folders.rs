@@ -1,8 +1,14 @@
 //! Consoles that write a folder for each study, through `live`.
 #![cfg(unix)]
 
+use std::path::Path;
 use std::time::Duration;
 
+use sidecarm::acquire::{FolderTree, FrameSource, Reading, Sighting, Trouble};
+use sidecarm::foreign::ForeignReader;
+use sidecarm::time::host_now_us;
+
+use crate::acquire_watch::frame_bytes;
 use crate::live_lab::{HANG_S, Live, Signal, copies, eventually, quiet_lab};
 
 /// Frames in folders that were there, that came, and that went again: all are the session's, each once.
@@ -42,4 +48,82 @@ fn what_comes_into_folders_below_is_read_where_the_session_says_so() {
     assert_eq!((status.code(), live.heard().frames.len()), (Some(0), 4), "{words}");
     // Folders may be named after patients.
     assert!(!words.contains("there before") && !live.report().contains("there before"), "{words}");
+}
+
+/// A tree that is looked at by hand.
+struct Tree {
+    source: FolderTree,
+    now_us: i64,
+    frames: usize,
+    troubles: Vec<Trouble>,
+}
+
+impl Tree {
+    fn new(root: &Path) -> Self {
+        let source = FolderTree::new(root, None, false, ForeignReader::in_process());
+        Self { source, now_us: host_now_us(), frames: 0, troubles: Vec::new() }
+    }
+
+    fn settle(&mut self) {
+        for _ in 0..8 {
+            self.now_us += 250_000;
+            for sighting in self.source.look(self.now_us) {
+                match sighting {
+                    Sighting::Ready(arrival) => {
+                        if let Reading::Frames { frames, .. } = arrival.read() {
+                            self.frames += frames.len();
+                        }
+                    }
+                    Sighting::Trouble(trouble) => self.troubles.push(trouble),
+                    _ => {}
+                }
+            }
+        }
+    }
+}
+
+/// All that a share held came again as new when it had been away for a moment.
+#[test]
+fn a_tree_that_is_away_for_a_moment_brings_nothing_twice() {
+    let outside = tempfile::tempdir().expect("a folder");
+    let (root, away) = (outside.path().join("root"), outside.path().join("away"));
+    std::fs::create_dir_all(root.join("study")).expect("made");
+    std::fs::write(root.join("study/old.dcm"), frame_bytes(1)).expect("written");
+    let mut tree = Tree::new(&root);
+    tree.settle();
+    std::fs::write(root.join("study/new.dcm"), frame_bytes(2)).expect("written");
+    tree.settle();
+    assert_eq!(tree.frames, 1);
+    std::fs::rename(&root, &away).expect("moved");
+    tree.settle();
+    std::fs::rename(&away, &root).expect("moved");
+    tree.settle();
+    assert_eq!((tree.frames, &tree.troubles[..]), (1, &[][..]));
+    std::fs::write(root.join("study/newer.dcm"), frame_bytes(3)).expect("written");
+    tree.settle();
+    assert_eq!(tree.frames, 2, "the control");
+}
+
+/// More folders than are watched: those that come are read all the same, and what comes into one that is not is a loss.
+#[test]
+fn of_many_folders_those_that_come_are_read_and_what_is_not_is_said() {
+    let root = tempfile::tempdir().expect("a folder");
+    (0..130).for_each(|n| std::fs::create_dir(root.path().join(format!("study-{n:03}"))).expect("made"));
+    let mut tree = Tree::new(root.path());
+    tree.settle();
+    let today = root.path().join("today");
+    std::fs::create_dir(&today).expect("made");
+    std::fs::write(today.join("frame.dcm"), frame_bytes(2)).expect("written");
+    tree.settle();
+    assert_eq!((tree.frames, &tree.troubles[..]), (1, &[][..]));
+    for n in 0..130 {
+        std::fs::write(root.path().join(format!("study-{n:03}/frame.dcm")), frame_bytes(10 + n)).expect("written");
+    }
+    tree.settle();
+    assert!(matches!(tree.troubles[..], [Trouble::TooManyFolders { .. }]), "{:?}", tree.troubles);
+    assert_eq!(tree.frames, 101, "of those that were there a hundred are watched");
+    // A link to a folder is none, and that is said.
+    std::os::unix::fs::symlink(&today, root.path().join("link")).expect("linked");
+    tree.settle();
+    assert!(matches!(tree.troubles[..], [_, Trouble::SubFolder { .. }]), "{:?}", tree.troubles);
 }

@@ -195,6 +195,30 @@ fn a_file_that_comes_later_is_read_from_its_beginning_and_a_header_always() {
     assert_eq!(second.health().corrupt, 0);
 }
 
+/// Lines that end in a carriage return alone were read from the beginning of yesterday's; a comment before the header stood for it; and of
+/// two headers the first was taken.
+#[test]
+fn what_stood_in_a_file_before_is_its_latest_header_alone() {
+    let mut declaration = plain();
+    declaration["format"]["csv"] = json!({"header": true, "comment": "#"});
+    let folder = tempfile::tempdir().expect("a folder");
+    let columns = ["a,b,c,d,e", "e,d,c,b,a"];
+    for (name, before, end) in [
+        ("old Mac", format!("{}\r1,0,0,0,0\r2,0,0,0,0\r", columns[0]), "\r"),
+        ("comment", format!("# exported\n{}\n1,0,0,0,0\n", columns[0]), "\n"),
+        ("again", format!("{}\n1,0,0,0,0\n{}\n0,0,0,0,2\n", columns[0], columns[1]), "\n"),
+    ] {
+        let path = folder.path().join(format!("{name}.csv"));
+        append(&path, &before);
+        let mut listening = Listening::new(DeviceKind::Robot, &format!("file:{}", path.display()), Some(&declaration));
+        listening.until("open", |listening| listening.epochs == 1);
+        let line = if name == "again" { "0,0,0,0,7" } else { "7,0,0,0,0" };
+        append(&path, &format!("{line}{end}"));
+        listening.until("the line", |listening| !listening.values.is_empty());
+        assert_eq!((&listening.values[..], listening.health().corrupt), (&[7.0][..], 0), "{name}");
+    }
+}
+
 #[test]
 fn what_is_no_file_and_no_address_is_said() {
     let folder = tempfile::tempdir().expect("a folder");

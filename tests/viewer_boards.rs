@@ -74,6 +74,7 @@ pub fn accepted(number: u32) -> PairView {
         pose: Arc::new(Pose { rms_px: Some(0.21), rms_mm: Some(0.05), detections: 9, ..Pose::default() }),
         time_us: NOW_US - 5_000_000 + 1_000_000 * i64::from(number),
         development: 0,
+        replaces: None,
         complete: true,
         mm_per_px: Some(0.2),
         remedy: None,
@@ -125,8 +126,7 @@ pub fn line(age_us: i64) -> Link {
     };
     Link {
         open: true,
-        epoch: 1,
-        last_byte_us: Some(NOW_US - age_us),
+        last_sample_us: Some(NOW_US - age_us),
         rate_hz: Some(50.0),
         latest: Some(Sample::Carm(sample)),
         ..Link::new(DeviceKind::Carm)

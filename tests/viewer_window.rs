@@ -46,7 +46,7 @@ fn a_silent_line_looks_stale_and_a_live_one_does_not() {
     let stale = with(line(2_000_000));
     assert!(stale.contains("STALE 2.0 s") && !stale.contains("live") && !stale.contains("50 Hz"), "{stale}");
     assert!(with(Link { open: false, ..line(100_000) }).contains("unplugged"));
-    assert!(with(Link { last_byte_us: None, ..line(0) }).contains("silent"));
+    assert!(with(Link { last_sample_us: None, ..line(0) }).contains("silent"));
 }
 
 #[test]
@@ -134,6 +134,7 @@ fn keys_step_through_exposures_and_choose_what_is_shown() {
     assert!(press(Key::End).contains("frame 9, 3 of 3"));
     assert_eq!(state.borrow().selected, None, "the newest one is followed");
     assert!(press(Key::C).contains("acquired and DRR in squares"));
+    assert!(press(Key::Plus).contains("2×"));
     assert!(press(Key::Num2).contains("matched DRR"));
     assert_eq!((state.borrow().arrangement, state.borrow().overlay), (Arrangement::Two, Overlay::Checkerboard));
     press(Key::M);

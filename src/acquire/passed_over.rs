@@ -20,10 +20,11 @@ pub(super) struct PassedOver {
 }
 
 impl PassedOver {
-    /// What is new among `others` in `folder`; `label` names it without giving its name away.
+    /// What is new among `others` in `folder`, where folders below are read or not; `label` names it without giving its name away.
     pub(super) fn look(
         &mut self,
         folder: &Path,
+        reads_below: bool,
         others: BTreeMap<OsString, (NotRegular, Option<FileStamp>)>,
         label: &mut dyn FnMut(&OsStr) -> String,
     ) -> Vec<Trouble> {
@@ -37,6 +38,8 @@ impl PassedOver {
                 && kind == NotRegular::Folder
                 && before != Some(now)
                 && !is_servers_own(name)
+                // Those are looked at by themselves, but for links.
+                && !(reads_below && is_folder_itself(&folder.join(name)))
                 && holds_something(&folder.join(name))
                 // Once is enough for all that comes into it.
                 && self.told.insert(name.clone())
@@ -53,6 +56,11 @@ impl PassedOver {
 /// Whether a file server keeps thumbnails, snapshots or deleted files there.
 fn is_servers_own(name: &OsStr) -> bool {
     name.to_string_lossy().starts_with(['@', '#', '$'])
+}
+
+/// A folder, and no link to one.
+fn is_folder_itself(path: &Path) -> bool {
+    std::fs::symlink_metadata(path).is_ok_and(|metadata| metadata.is_dir())
 }
 
 /// Whether there is a file or a folder that could hold frames.

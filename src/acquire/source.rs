@@ -79,6 +79,14 @@ pub enum Trouble {
         /// The folder.
         label: String,
     },
+    /// More folders than are watched.
+    #[error(
+        "more than {most} folders lie below the frame folder: what comes into the oldest of them is not read; move old ones away, and start the session again"
+    )]
+    TooManyFolders {
+        /// So many are.
+        most: usize,
+    },
     /// Did not become whole for a long time. Should it be completed later, it becomes a frame.
     #[error("{label}: the file has not been completed: {fault}")]
     Unfinished {
@@ -124,6 +132,7 @@ impl Trouble {
             Self::Overwritten { .. } => "frame overwritten before it was read",
             Self::NotAFile { .. } => "not a file",
             Self::SubFolder { .. } => "sub-folder not read",
+            Self::TooManyFolders { .. } => "too many sub-folders",
             Self::Unfinished { .. } => "unfinished frame",
             Self::StillWritten { .. } => "frame still being written",
             Self::HalfReceived { .. } => "half a DICOM object",

@@ -1,11 +1,12 @@
 //! A watched folder with those below it: consoles write a folder for each study, or for each day.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
+use std::time::SystemTime;
 
 use super::Domain;
 use super::listing::is_wanted;
-use super::source::{FrameSource, Sighting};
+use super::source::{FrameSource, Sighting, Trouble};
 use super::watch::{FolderSource, Place};
 use crate::foreign::ForeignReader;
 
@@ -13,16 +14,21 @@ use crate::foreign::ForeignReader;
 const DEPTH: usize = 6;
 /// So many folders are watched at once; each has a thread of its own where the system tells of what is written.
 const MOST_FOLDERS: usize = 200;
+/// Of those that are there at the start so many, which leaves room for those that come.
+const MOST_OLD: usize = 100;
 /// New folders are sought so often.
 const SEEK_US: i64 = 200_000;
 
-/// See the module. What lies in a folder that appears later is new; links to folders are not followed.
+/// See the module. What lies in a folder that appears later is new; links to folders are not followed, which is said.
 #[derive(Debug)]
 pub struct FolderTree {
     root: PathBuf,
     domain: Option<Domain>,
     reader: ForeignReader,
+    /// Those that are gone stay while there is room: a share that is away for a moment brings nothing new with it.
     folders: BTreeMap<PathBuf, FolderSource>,
+    /// Those that were there at the start and are not watched, and when they were changed last.
+    left_out: BTreeMap<PathBuf, Option<SystemTime>>,
     next_us: i64,
     crowded: bool,
 }
@@ -31,52 +37,69 @@ impl FolderTree {
     /// Watches `root` and all below it; the arguments are those of [`FolderSource::new`].
     #[must_use]
     pub fn new(root: &Path, domain: Option<Domain>, include_existing: bool, reader: ForeignReader) -> Self {
-        let mut tree =
-            Self { root: root.to_owned(), domain, reader, folders: BTreeMap::new(), next_us: i64::MIN, crowded: false };
-        tree.watch(root.to_owned(), include_existing);
-        for folder in below(root).into_iter().take(MOST_FOLDERS - 1) {
-            tree.watch(folder, include_existing);
-        }
+        let mut old = below(root).unwrap_or_default();
+        let left_out = old.split_off(old.len().min(MOST_OLD));
+        let mut tree = Self {
+            root: root.to_owned(),
+            domain,
+            reader,
+            folders: BTreeMap::new(),
+            left_out: left_out.into_iter().map(|found| (found.path, found.modified)).collect(),
+            next_us: i64::MIN,
+            crowded: false,
+        };
+        tree.watch(Found { path: root.to_owned(), depth: 0, modified: None }, include_existing);
+        old.into_iter().for_each(|found| tree.watch(found, include_existing));
         tree
     }
 
-    fn watch(&mut self, folder: PathBuf, include_existing: bool) {
-        let place = if folder == self.root { Place::Above } else { Place::Below };
-        let source = FolderSource::new(&folder, self.domain, include_existing, self.reader.clone()).in_tree(place);
-        self.folders.insert(folder, source);
+    fn watch(&mut self, found: Found, include_existing: bool) {
+        let Found { path, depth, .. } = found;
+        let place = Place { reads_below: depth < DEPTH, may_go: depth > 0 };
+        let source = FolderSource::new(&path, self.domain, include_existing, self.reader.clone());
+        self.folders.insert(path, source.in_tree(place));
     }
 
-    /// Folders that have come are watched, those that have gone are given up.
+    /// Folders that have come are watched.
     fn seek(&mut self, found: &mut Vec<Sighting>) {
-        let there = below(&self.root);
-        // One that is gone stays until what was seen in it is read from the open files, or reported.
-        self.folders.retain(|folder, source| *folder == self.root || there.contains(folder) || source.is_expecting());
-        let new: Vec<PathBuf> = there.into_iter().filter(|folder| !self.folders.contains_key(folder)).collect();
-        let room = MOST_FOLDERS.saturating_sub(self.folders.len());
-        if new.len() > room && !std::mem::replace(&mut self.crowded, true) {
-            let words = format!(
-                "more than {MOST_FOLDERS} folders lie below the frame folder: what comes into the others is not read; move old ones away"
-            );
-            found.push(Sighting::Said { kind: "too many sub-folders", words });
+        // Where the root cannot be listed, its own source says so.
+        let Ok(there) = below(&self.root) else { return };
+        let is_new = |found: &&Found| !self.folders.contains_key(&found.path) && !self.left_out.contains_key(&found.path);
+        let new: Vec<Found> = there.iter().filter(is_new).cloned().collect();
+        let is_unread = |found: &Found| self.left_out.get(&found.path).is_some_and(|modified| *modified != found.modified);
+        let unread = there.iter().any(is_unread);
+        if self.folders.len() + new.len() > MOST_FOLDERS {
+            let there: BTreeSet<&PathBuf> = there.iter().map(|found| &found.path).collect();
+            let Self { root, folders, .. } = self;
+            folders.retain(|folder, source| folder == root || there.contains(folder) || source.is_expecting());
         }
-        new.into_iter().take(room).for_each(|folder| self.watch(folder, true));
+        let room = MOST_FOLDERS.saturating_sub(self.folders.len());
+        if (new.len() > room || unread) && !std::mem::replace(&mut self.crowded, true) {
+            found.push(Sighting::Trouble(Trouble::TooManyFolders { most: MOST_FOLDERS }));
+        }
+        new.into_iter().take(room).for_each(|found| self.watch(found, true));
     }
 }
 
 impl FrameSource for FolderTree {
     fn look(&mut self, now_us: i64) -> Vec<Sighting> {
         let mut found = Vec::new();
-        if now_us >= self.next_us {
+        let all = now_us >= self.next_us;
+        if all {
             self.next_us = now_us.saturating_add(SEEK_US);
             self.seek(&mut found);
         }
-        for source in self.folders.values_mut() {
-            found.extend(source.look(now_us));
+        // In between, the root and those in which something is on its way.
+        for (folder, source) in &mut self.folders {
+            if all || *folder == self.root || source.is_expecting() {
+                found.extend(source.look(now_us));
+            }
         }
         found
     }
 
     fn close(&mut self) {
+        self.next_us = i64::MIN;
         self.folders.values_mut().for_each(FolderSource::close);
     }
 
@@ -89,26 +112,34 @@ impl FrameSource for FolderTree {
     }
 }
 
-/// Folders below `root`, nearest first; what cannot be listed has none.
-fn below(root: &Path) -> Vec<PathBuf> {
-    let mut found = Vec::new();
-    let mut level = vec![root.to_owned()];
-    for _ in 0..DEPTH {
-        let mut next = Vec::new();
-        for folder in level {
-            let Ok(entries) = std::fs::read_dir(&folder) else { continue };
-            // The kind of the entry itself: a link is none.
-            let is_folder = |entry: &std::fs::DirEntry| entry.file_type().is_ok_and(|kind| kind.is_dir());
-            let mut own: Vec<PathBuf> =
-                entries.flatten().filter(|entry| is_wanted(&entry.file_name()) && is_folder(entry)).map(|e| e.path()).collect();
-            own.sort();
-            next.extend(own);
-        }
-        found.extend(next.iter().cloned());
-        if found.len() > 5 * MOST_FOLDERS {
-            break;
-        }
+/// A folder below the root.
+#[derive(Clone, Debug)]
+struct Found {
+    path: PathBuf,
+    /// Levels below the root.
+    depth: usize,
+    modified: Option<SystemTime>,
+}
+
+/// Folders below `root`, those first that were changed last; of those that cannot be listed, nothing.
+fn below(root: &Path) -> std::io::Result<Vec<Found>> {
+    let (mut found, mut level) = (Vec::new(), folders_in(root, 1)?);
+    while !level.is_empty() && found.len() < 5 * MOST_FOLDERS {
+        let deeper = level.iter().filter(|folder| folder.depth < DEPTH);
+        let next = deeper.flat_map(|folder| folders_in(&folder.path, folder.depth + 1).unwrap_or_default()).collect();
+        found.append(&mut level);
         level = next;
     }
-    found
+    found.sort_by(|a, b| b.modified.cmp(&a.modified).then_with(|| a.path.cmp(&b.path)));
+    Ok(found)
+}
+
+fn folders_in(folder: &Path, depth: usize) -> std::io::Result<Vec<Found>> {
+    let found = |entry: std::fs::DirEntry| {
+        // The kind of the entry itself: a link is none.
+        let is_folder = is_wanted(&entry.file_name()) && entry.file_type().is_ok_and(|kind| kind.is_dir());
+        let modified = || entry.metadata().and_then(|metadata| metadata.modified()).ok();
+        is_folder.then(|| Found { path: entry.path(), depth, modified: modified() })
+    };
+    Ok(std::fs::read_dir(folder)?.flatten().filter_map(found).collect())
 }

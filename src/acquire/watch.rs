@@ -21,15 +21,13 @@ use crate::foreign::{FileStamp, ForeignReader};
 /// Versions that are remembered after their name is gone, so that a renamed file is not taken for a new one.
 const REMEMBERED: usize = 4096;
 
-/// Whether others watch what is around a folder.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Place {
-    /// Nobody does: that something came into a folder below is said.
-    Alone,
-    /// The folders below are watched as well.
-    Above,
-    /// So is the one above, and this one may go.
-    Below,
+/// Where a folder stands among those that are watched.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Place {
+    /// Others watch the folders below it: that something comes into them needs no word.
+    pub(super) reads_below: bool,
+    /// It lies below another one, and may go.
+    pub(super) may_go: bool,
 }
 
 /// Watches one folder, not those below it: that something came into one is said. Hidden files and names that end in `.tmp`, `.part`, `.partial`, `.json` are passed over.
@@ -74,7 +72,7 @@ impl FolderSource {
             departed: VecDeque::new(),
             vanished: VecDeque::new(),
             notices: Notices::of(folder, &held, is_wanted),
-            place: Place::Alone,
+            place: Place::default(),
             held,
             told: channel(),
             offers: 0,
@@ -339,7 +337,7 @@ impl FrameSource for FolderSource {
         let listing = match list(&self.folder) {
             Ok(listing) => listing,
             // It is gone with all that lay in it.
-            Err(_) if self.place == Place::Below => Listing::default(),
+            Err(error) if self.place.may_go && error.kind() == std::io::ErrorKind::NotFound => Listing::default(),
             Err(error) => {
                 if !std::mem::replace(&mut self.lost, true) {
                     found.push(Sighting::FolderLost { detail: error.to_string() });
@@ -358,9 +356,8 @@ impl FrameSource for FolderSource {
             *seen += 1;
             label::of_unread(Path::new(name), *seen)
         };
-        let passed_over = self.passed_over.look(&self.folder, listing.others, &mut label).into_iter();
-        let told = passed_over.filter(|trouble| self.place == Place::Alone || !matches!(trouble, Trouble::SubFolder { .. }));
-        found.extend(told.map(Sighting::Trouble));
+        let passed_over = self.passed_over.look(&self.folder, self.place.reads_below, listing.others, &mut label);
+        found.extend(passed_over.into_iter().map(Sighting::Trouble));
         for name in missed {
             self.seen += 1;
             found.push(Sighting::Trouble(Trouble::Vanished { label: self.label(&name, self.seen) }));

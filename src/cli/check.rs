@@ -17,7 +17,6 @@ use crate::session::crosscheck::{
 };
 use crate::session::file::Setup;
 use crate::session::import::Import;
-use crate::telemetry::{DeviceKind, PortConfig};
 use crate::time::Stopwatch;
 
 /// Check a session before it starts: ports, files, beads, units, disk, and one synthetic exposure through the whole path.
@@ -145,19 +144,12 @@ fn out_folder(args: &CheckArgs, setup: &Setup) -> PathBuf {
 
 fn check_list(setup: &Setup) -> CheckList {
     let session = &setup.session;
-    let port = |device, path: &PathBuf, baud| {
-        let adapter = setup.adapters.of(device).cloned();
-        PortConfig { device, path: path.clone(), baud, adapter }
-    };
+    let [carm, robot] = setup.ports();
     let file = |role: &str, path: &PathBuf, check| CheckFile { role: role.to_owned(), path: path.clone(), check };
     let mut files = vec![file("frames", &session.frames.folder, FileCheck::Folder)];
     files.extend(session.carm.as_ref().map(|line| file("calibration file", &line.calibration, FileCheck::CarmCalibration)));
     files.extend(session.robot.as_ref().map(|line| file("robot model", &line.model, FileCheck::RobotModel)));
-    CheckList {
-        carm: session.carm.as_ref().map(|line| port(DeviceKind::Carm, &line.port, line.baud)),
-        robot: session.robot.as_ref().map(|line| port(DeviceKind::Robot, &line.port, line.baud)),
-        files,
-    }
+    CheckList { carm, robot, files }
 }
 
 /// The verdict on a port or a file.

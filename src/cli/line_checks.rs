@@ -107,6 +107,8 @@ struct Heard {
     closed: Option<String>,
     /// The device went away while it was listened to.
     lost: Option<String>,
+    /// What the port had to say.
+    said: Option<String>,
 }
 
 impl Heard {
@@ -116,7 +118,8 @@ impl Heard {
             PortEvent::Lost { reason, .. } => self.lost = Some(format!("the device went away: {reason}; check the cable")),
             // An earlier attempt may have failed because another program was just letting go.
             PortEvent::Opened { .. } => self.closed = None,
-            PortEvent::Bytes { .. } | PortEvent::Said { .. } => {}
+            PortEvent::Said { words, .. } => self.said = Some(words.clone()),
+            PortEvent::Bytes { .. } => {}
         }
         let Self { link, as_other, listened, samples, first_last_us, .. } = self;
         as_other.handle(event, &mut |_| {});
@@ -140,7 +143,7 @@ impl Heard {
             _ => 0.0,
         };
         let device = config.device;
-        let (ok, detail) = if let Some(trouble) = self.lost.or(self.closed) {
+        let (ok, detail) = if let Some(trouble) = self.lost.or(self.closed).or(self.said) {
             (false, trouble)
         } else if health.bytes == 0 {
             let silent = match address {
@@ -192,10 +195,7 @@ fn listen(ports: &[&PortConfig]) -> std::io::Result<Vec<Heard>> {
     let mut heard: Vec<Heard> = ports
         .iter()
         .map(|config| Heard {
-            link: match &config.adapter {
-                Some(adapter) => Link::of_lines(adapter, PortAddress::begins_whole(&config.path)),
-                None => Link::new(config.device),
-            },
+            link: Link::of_port(config),
             as_other: Link::new(match config.device {
                 DeviceKind::Carm => DeviceKind::Robot,
                 DeviceKind::Robot => DeviceKind::Carm,
@@ -205,6 +205,7 @@ fn listen(ports: &[&PortConfig]) -> std::io::Result<Vec<Heard>> {
             first_last_us: None,
             closed: None,
             lost: None,
+            said: None,
         })
         .collect();
     if ports.is_empty() {

@@ -19,6 +19,7 @@ use crate::scene::built_in;
 use crate::scene::file::SceneFile;
 use crate::session::file::{CarmLine, FrameSource, RobotLine, SessionFile};
 use crate::session::servers::{DicomServer, IgtlServer};
+use crate::telemetry::PortAddress;
 
 /// What stands for a thing that the lab does not have.
 const NONE: &str = "none";
@@ -289,13 +290,17 @@ fn line<R: BufRead, W: Write>(
     seen: Option<String>,
     named: &dyn Fn(&Path) -> PathBuf,
 ) -> Result<Option<(PathBuf, PathBuf)>, SessionNewError> {
-    let words = format!("Serial port of the {}, or {NONE}", device.name);
+    let words = format!("Port of the {} (a serial port, udp://…, file:…), or {NONE}", device.name);
     let default = Some(seen.as_deref().unwrap_or(NONE));
     let port = Question { option: device.options[0], given: port, words: &words, default, may_be_silent: false };
     let port = asker.ask(&port, &|answer| {
         let path = Path::new(answer);
-        // A port beside the session, as mocks have it, is found from wherever the session is started.
-        Ok((answer != NONE).then(|| if path.exists() { named(path) } else { path.to_owned() }))
+        // A port beside the session, as mocks have it, and a file that a device writes are found from wherever the session is started.
+        Ok((answer != NONE).then(|| match PortAddress::of(path) {
+            Ok(PortAddress::File(file)) => PathBuf::from(format!("file:{}", named(&file).display())),
+            _ if path.exists() => named(path),
+            _ => path.to_owned(),
+        }))
     })?;
     let Some(port) = port else {
         return Ok(None);

@@ -264,8 +264,11 @@ impl Recorder {
     /// # Errors
     /// When recording has stopped.
     pub fn shown(&self, image: &Image<u8>, host_us: i64) -> Result<(), RecordError> {
-        self.wait_for_room(image.pixels.len())?;
-        self.foxglove(topic::SHOWN, host_us, &messages::gray_image(image, "camera", host_us))
+        let message = messages::encoded(&messages::gray_image(image, "camera", host_us));
+        // In a chunk of its own: the writer has no pixels to compress.
+        let chunk = self.chunk_of(topic::SHOWN, host_us, &message);
+        self.wait_for_room(chunk.bytes.len())?;
+        self.queue.put(std::iter::empty::<(&str, fn() -> Kind, u64, Vec<u8>)>(), Some(chunk))
     }
 
     /// Joint positions (radians, metres; NaN is left out) as `foxglove.JointStates` on `topic`.
@@ -297,10 +300,7 @@ impl Recorder {
     /// # Errors
     /// When writing failed now or earlier, or the log was finished before.
     pub fn finish(&self) -> Result<Summary, RecordError> {
-        let finished = || RecordError::Finished { path: self.path.clone() };
-        let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take().ok_or_else(finished)?;
-        // When the writer has already stopped, its own result says why.
-        self.queue.finish();
+        let thread = self.last_taken()?;
         self.ended(thread)
     }
 
@@ -310,9 +310,7 @@ impl Recorder {
     /// # Errors
     /// As [`Self::finish`]; when the disk does not follow in time, and nobody else has what is left.
     pub fn finish_within(&self, limit: Duration) -> Result<Option<Summary>, RecordError> {
-        let finished = || RecordError::Finished { path: self.path.clone() };
-        let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take().ok_or_else(finished)?;
-        self.queue.finish();
+        let thread = self.last_taken()?;
         let watch = Stopwatch::start();
         while !thread.is_finished() && watch.ms() < limit.as_secs_f64() * 1e3 {
             std::thread::sleep(LOOK);
@@ -329,6 +327,15 @@ impl Recorder {
                 behind_ms: health.behind_ms as u64,
             }),
         }
+    }
+
+    /// Takes no more; the thread that writes what there is.
+    fn last_taken(&self) -> Result<JoinHandle<Result<Summary, RecordError>>, RecordError> {
+        let finished = || RecordError::Finished { path: self.path.clone() };
+        let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take().ok_or_else(finished)?;
+        // When the writer has already stopped, its own result says why.
+        self.queue.finish();
+        Ok(thread)
     }
 
     /// How the writer's thread ended.

@@ -7,7 +7,7 @@
 //! | Positioner Primary and Secondary Angle | the beam, as if the patient lay head first, supine |
 //! | Pixel Intensity Relationship and its sign | `LIN` +1 of `intensity` and `counts`, `LOG` −1 of `line_integral` |
 //! | Pixel Padding Value | 0: no valid pixel has it |
-//! | Image Comments | JSON: quantity, stored values a unit, projection, intrinsics, camera_from_lps, size, what is not modelled |
+//! | Image Comments | JSON: quantity, stored values a unit, projection, intrinsics, camera_from_lps, size, stated error |
 //!
 //! Nothing in it depends on the time, and its identifiers are hashes of its content: the same image is the same object.
 

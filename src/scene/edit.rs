@@ -148,10 +148,17 @@ impl Robot {
     /// # Errors
     /// When an angle is not finite.
     pub fn bend(&mut self) -> Result<Vec<Solid>, RobotModelError> {
-        let angles_deg = std::array::from_fn(|k| self.control_angles_deg[k] + self.control_angle_offsets_deg[k]);
-        let shape = self.model.shape(&angles_deg)?;
+        let shape = self.shape_at(&self.control_angles_deg)?;
         self.clamped = shape.clamped;
         Ok(self.solids(&shape, &self.lps_from_base))
+    }
+
+    /// The shape where these control angles are read, its offsets added.
+    ///
+    /// # Errors
+    /// When an angle is not finite.
+    pub fn shape_at(&self, control_angles_deg: &[f64; 5]) -> Result<RobotShape, RobotModelError> {
+        self.model.shape(&std::array::from_fn(|k| control_angles_deg[k] + self.control_angle_offsets_deg[k]))
     }
 
     /// Solids of a robot of any `shape` with its base anywhere, in the order body, shaft, drill.

@@ -43,6 +43,13 @@ const WHOLE_PICTURES: usize = 16;
 impl BoardState {
     /// Shows a pair, or what is new about it; memory stays bounded.
     pub fn show(&mut self, mut pair: PairView) {
+        // Whichever of the two comes first: the newest frame is developed first.
+        if let Some(by) = self.pairs.iter().find(|other| other.replaces == Some(pair.number())) {
+            Arc::make_mut(&mut pair.pair).replace_by(by.number());
+        }
+        if let Some(before) = self.pairs.iter_mut().find(|other| pair.replaces == Some(other.number())) {
+            Arc::make_mut(&mut Arc::make_mut(before).pair).replace_by(pair.number());
+        }
         match self.pairs.iter_mut().find(|known| known.number() == pair.number()) {
             Some(slot) => {
                 // It was shown when it was shown first; another pose is another showing.
@@ -161,7 +168,7 @@ mod tests {
     use crate::acquire::{Domain, Frame};
     use crate::image::Image;
     use crate::mask::Masks;
-    use crate::report::Pair;
+    use crate::report::{Pair, PairStatus};
 
     fn pair(number: u32) -> PairView {
         let frame = Frame::from_pixels("a", Image::filled(620, 4, 1.0f32), Domain::Linear).expect("a frame");
@@ -170,12 +177,28 @@ mod tests {
             pose: Arc::default(),
             time_us: 0,
             development: 0,
+            replaces: None,
             complete: true,
             mm_per_px: None,
             remedy: None,
             marks: Arc::default(),
             pictures: Arc::new(PairPictures::alone(&frame, &Masks::default())),
             latency_ms: Some(f64::from(number)),
+        }
+    }
+
+    /// A torn picture stayed accepted in the window when the whole one had taken its exposure.
+    #[test]
+    fn a_picture_that_was_not_finished_is_taken_back_whichever_comes_first() {
+        let torn = || PairView { pair: Arc::new(Pair { status: PairStatus::Accepted, ..(*pair(1).pair).clone() }), ..pair(1) };
+        let whole = || PairView { replaces: Some(1), ..pair(2) };
+        for order in [[torn(), whole()], [whole(), torn()]] {
+            let mut state = BoardState::default();
+            order.into_iter().for_each(|view| state.show(view));
+            assert_eq!(
+                state.pairs.iter().map(|view| view.pair.status).collect::<Vec<_>>(),
+                [PairStatus::Refused, PairStatus::NoPose]
+            );
         }
     }
 
@@ -219,7 +242,7 @@ mod tests {
         for (now_us, last_us, generation) in [(1_000_000, 1_000_000, 4), (1_100_000, 1_050_000, 4), (2_000_000, 1_050_000, 5)] {
             board.tick(|state| {
                 state.now_us = now_us;
-                state.links[0].last_byte_us = Some(last_us);
+                state.links[0].last_sample_us = Some(last_us);
             });
             assert_eq!(board.generation(), generation, "{now_us}");
         }

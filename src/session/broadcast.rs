@@ -9,7 +9,7 @@
 //! | `Tip` | POSITION | the drill's tip in LPS, mm, with its orientation | as `TipToLps` |
 //! | `TipCommandedToLps`, `TipCommanded` | | the same by angles that were commanded and not sensed | in place of those |
 //! | `Acquired`, `Drr` | IMAGE | the newest pair: the frame as it is registered, the DRR's line integral in nepers | each pair |
-//! | `Frame` | STRING | the terminal's line | each frame; again when its image or telemetry disagrees |
+//! | `Frame` | STRING | the terminal's line | each frame; again when its image or telemetry disagrees, or it is in doubt |
 //! | `Sidecarm` | STATUS | the same in a code: 1 accepted, 2 refused or doubted, 13 no frame yet, 19 leaving | each frame, once a second, when asked |
 //!
 //! `AToB` takes points from A to B. Stamps are those of the exposure (its middle), of telemetry those of its arrival. A frame without an
@@ -43,8 +43,8 @@ struct Newest {
     pose_us: i64,
     pictures_us: i64,
     status_us: i64,
-    /// Frames of which it was said that they are doubted.
-    doubted: BTreeSet<u32>,
+    /// Frames of which it was said that they are doubted, and what of.
+    doubted: BTreeSet<(u32, &'static str)>,
 }
 
 /// See the module; without a server it says nothing.
@@ -132,7 +132,7 @@ impl Broadcast {
         let (posed, standing) = (&developed.posed, developed.pair.standing());
         let mut newest = self.newest();
         let is_doubted = matches!(standing, Standing::ImageDisagrees | Standing::TelemetryDisagrees | Standing::InDoubt);
-        if is_doubted && newest.doubted.insert(posed.number) {
+        if is_doubted && newest.doubted.insert((posed.number, standing.short())) {
             let words = format!("{}: {}: {}", posed.label(), standing.word().to_lowercase(), developed.pair.status_line());
             let content = Content::Text(words.clone());
             server.send(Message { device: "Frame".to_owned(), time_us: posed.time_us, content });

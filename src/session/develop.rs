@@ -98,6 +98,7 @@ impl Bench {
                 Some(Arc::new(compared))
             }
             Err(error) => {
+                pair.doubt(&error.to_string());
                 pair.flags.push(error.to_string());
                 None
             }
@@ -282,7 +283,7 @@ impl Bench {
                 }
             }
             Err(NullError::Cancelled { .. }) => return None,
-            Err(error) => developed.pair.flags.push(error.to_string()),
+            Err(error) => return Some(developed.without_null(&error.to_string())),
         }
         developed.pair.stages_ms.add("null", watch.ms());
         self.look_for_tip(&developed.posed, &scene, &mut developed.pair);

@@ -88,6 +88,7 @@ impl Developed {
             pose: Arc::new(posed.pose.clone()),
             time_us: posed.time_us,
             development: posed.development,
+            replaces: posed.frame.completes,
             complete: self.complete,
             mm_per_px: of_comparison.or_else(of_pose),
             remedy: remedy(posed, pair),

@@ -94,8 +94,7 @@ impl Engine {
         let centre = layout.as_ref().map(|layout| layout.centroid_lps_mm()).or(of_tags).unwrap_or_default();
         let tie = SpecimenTie::new(rigid(setup.session.world_from_lps), centre);
         let world_from_tracker = rigid(setup.session.world_from_tracker);
-        let present = [(DeviceKind::Carm, setup.carm.is_some()), (DeviceKind::Robot, setup.robot.is_some())];
-        let present: Vec<DeviceKind> = present.into_iter().filter(|(_, there)| *there).map(|(device, _)| device).collect();
+        let present: Vec<DeviceKind> = setup.devices().collect();
         let links = present.iter().map(|device| (*device, setup.link(*device))).collect();
         let timeline = setup.adapters.timeline();
         Self {

@@ -15,7 +15,7 @@ use crate::beads::{Landmark, parse_landmarks};
 use crate::compare::Tone;
 use crate::geometry::{CarmCalibration, ConsoleGeometry, IntensifierCalibration, PanelWindow, Rigid, RobotModel};
 use crate::json::{JsonFault, parse_json};
-use crate::telemetry::{DeviceKind, LineAdapter, Link, PortAddress};
+use crate::telemetry::{DeviceKind, LineAdapter, Link, PortAddress, PortConfig};
 
 /// The C-arm's line.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -251,6 +251,24 @@ fn adapter_of(
 }
 
 impl Setup {
+    /// The devices that are heard.
+    pub(super) fn devices(&self) -> impl Iterator<Item = DeviceKind> + use<> {
+        let present = [(DeviceKind::Carm, self.carm.is_some()), (DeviceKind::Robot, self.robot.is_some())];
+        present.into_iter().filter(|(_, there)| *there).map(|(device, _)| device)
+    }
+
+    /// Where C-arm and robot are heard, if they are.
+    #[must_use]
+    pub fn ports(&self) -> [Option<PortConfig>; 2] {
+        let carm = self.session.carm.as_ref().map(|line| (DeviceKind::Carm, &line.port, line.baud));
+        let robot = self.session.robot.as_ref().map(|line| (DeviceKind::Robot, &line.port, line.baud));
+        let config = |(device, path, baud): (DeviceKind, &PathBuf, u32)| {
+            let adapter = self.adapters.of(device).cloned();
+            PortConfig { device, path: path.clone(), baud, adapter }
+        };
+        [carm, robot].map(|line| line.map(config))
+    }
+
     /// Reads a session file and every small file that it names.
     ///
     /// # Errors

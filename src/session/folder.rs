@@ -140,8 +140,8 @@ impl Collector {
         pair.strip = Some(strip);
         if let Some((drr, scene)) = &developed.drr {
             let name = format!("drr/{number:03}.tif");
-            self.left_out.take(number, &drr.plan);
             if !known {
+                self.left_out.take(number, &drr.plan);
                 let written = write_image_without_times(&self.path.join(&name), drr, scene);
                 failures.extend(self.note(&name, written));
             }

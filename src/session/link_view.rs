@@ -13,12 +13,10 @@ pub struct Link {
     pub device: DeviceKind,
     /// Whether the port is open.
     pub open: bool,
-    /// Times the port was opened.
-    pub epoch: u32,
     /// Counters.
     pub health: Health,
-    /// Host time of the latest byte.
-    pub last_byte_us: Option<i64>,
+    /// Host time of the arrival of the latest sample: bytes that are none do not make a line live.
+    pub last_sample_us: Option<i64>,
     /// Latest trouble in words.
     pub trouble: Option<String>,
     /// Samples a second, lately.
@@ -51,9 +49,8 @@ impl Link {
         Self {
             device,
             open: false,
-            epoch: 0,
             health: Health::default(),
-            last_byte_us: None,
+            last_sample_us: None,
             trouble: None,
             rate_hz: None,
             latest: None,
@@ -65,7 +62,7 @@ impl Link {
 
     /// How long it has been silent, in steps in which that is worth a look; `None` where it is not stale, −1 where nothing ever came.
     pub(super) fn silent_steps(&self, now_us: i64) -> Option<i64> {
-        let Some(last_us) = self.last_byte_us else { return Some(-1) };
+        let Some(last_us) = self.last_sample_us else { return Some(-1) };
         let silent_us = now_us - last_us;
         self.is_stale(now_us).then_some(silent_us / SILENCE_STEP_US)
     }
@@ -73,7 +70,7 @@ impl Link {
     /// Whether nothing came for [`STALE_AFTER_US`], or ever.
     #[must_use]
     pub fn is_stale(&self, now_us: i64) -> bool {
-        self.last_byte_us.is_none_or(|last_us| now_us - last_us > STALE_AFTER_US)
+        self.last_sample_us.is_none_or(|last_us| now_us - last_us > STALE_AFTER_US)
     }
 }
 
@@ -103,6 +100,10 @@ impl LinkReadings {
                     link.latest = timeline.robot().newest().map(|entry| Sample::Robot(entry.value.clone()));
                     timeline.robot().clock()
                 }
+            };
+            link.last_sample_us = match link.device {
+                DeviceKind::Carm => timeline.carm().last_arrival_us(),
+                DeviceKind::Robot => timeline.robot().last_arrival_us(),
             };
             link.clock = clock.summaries().last().map(|segment| segment.clock);
             let (steps, resets) = clock.steps_and_resets();

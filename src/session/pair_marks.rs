@@ -104,8 +104,7 @@ const SAME_SHADOW_PX: f64 = 2.0;
 
 fn robot_in(scene: &Scene, view: &View, place: &dyn Fn(DVec2) -> Option<[f64; 2]>) -> Option<RobotMark> {
     let robot = scene.robot.as_ref()?;
-    let angles_deg = std::array::from_fn(|k| robot.control_angles_deg[k] + robot.control_angle_offsets_deg[k]);
-    let shape = robot.model.shape(&angles_deg).ok()?;
+    let shape = robot.shape_at(&robot.control_angles_deg).ok()?;
     let in_frame = |p_in_base: DVec3| {
         let (at, depth_mm) = view.projection().project(robot.lps_from_base.transform_point(p_in_base));
         (depth_mm > 0.0 && at.is_finite()).then(|| place(at))?

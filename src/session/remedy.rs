@@ -12,7 +12,10 @@ pub(super) fn remedy(posed: &Posed, pair: &Pair) -> Option<String> {
         Standing::ImageDisagrees => {
             "expose once more with nothing moving; if the image disagrees again, check which scan and which side the layout is of"
         }
-        Standing::InDoubt => "another direction, or more beads in view, tells which of the readings it is: expose again",
+        Standing::InDoubt if posed.pose.doubt.is_none() => "a replay of the log puts its image against other poses",
+        Standing::InDoubt => {
+            "check what the reason names; where it leaves two readings, another direction or more beads in view tell them apart"
+        }
         Standing::TelemetryDisagrees => {
             "check that the specimen has not moved and that the arm's joints read right, then expose again"
         }

@@ -4,7 +4,6 @@ use super::board::{Board, Link};
 use super::engine::Engine;
 use super::file::Setup;
 use super::link_view::LinkReadings;
-use crate::telemetry::DeviceKind;
 use crate::time::Stopwatch;
 
 /// Wall time between two looks at the engine.
@@ -23,9 +22,7 @@ impl<'a> ReplayBoard<'a> {
     pub(super) fn open(board: &'a Board, setup: &Setup) -> Self {
         let watched = board.read(|state| state.watched);
         if watched {
-            let present = [(DeviceKind::Carm, setup.carm.is_some()), (DeviceKind::Robot, setup.robot.is_some())];
-            let links =
-                present.into_iter().filter(|(_, there)| *there).map(|(device, _)| Link { open: true, ..Link::new(device) });
+            let links = setup.devices().map(|device| Link { open: true, ..Link::new(device) });
             board.update(|state| {
                 state.links = links.collect();
                 state.replayed = true;
@@ -46,12 +43,6 @@ impl<'a> ReplayBoard<'a> {
             state.frames_seen = seen;
             state.frames_waiting = waiting + engine.waiting() + engine.bound().count();
             readings.update(&mut state.links, engine, now_us);
-            for link in &mut state.links {
-                link.last_byte_us = match link.device {
-                    DeviceKind::Carm => engine.timeline().carm().last_arrival_us(),
-                    DeviceKind::Robot => engine.timeline().robot().last_arrival_us(),
-                };
-            }
         });
     }
 

@@ -108,10 +108,6 @@ impl Work {
 
     fn take(&mut self, developed: Developed) {
         let (number, time_us, complete) = (developed.posed.number, developed.posed.time_us, developed.complete);
-        self.board.show(|| {
-            let latency_ms = Some((host_now_us() - time_us) as f64 * 1e-3);
-            PairView { latency_ms, ..developed.picture() }
-        });
         let is_new = !self.collector.knows(&developed);
         if let (Some((drr, _)), Some(sha256), true) = (&developed.drr, &developed.drr_sha256, is_new) {
             self.log.drr(&developed.posed, drr, sha256);
@@ -126,6 +122,10 @@ impl Work {
             self.log.input(Input::ImageDisagrees { number });
         }
         // What is recorded comes first.
+        self.board.show(|| {
+            let latency_ms = Some((host_now_us() - time_us) as f64 * 1e-3);
+            PairView { latency_ms, ..developed.picture() }
+        });
         self.broadcast.developed(&developed, is_new);
         let failures = self.collector.take(developed);
         failures.into_iter().for_each(|failure| self.say(Some(failure)));

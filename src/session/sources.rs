@@ -15,7 +15,7 @@ use crate::acquire::{Arrival, FolderSource, FolderTree, Frame, FrameSource, Read
 use crate::foreign;
 use crate::record::Level;
 use crate::reporter::Reporter;
-use crate::telemetry::{DeviceKind, PortConfig, PortEvent, PortTask, spawn_port};
+use crate::telemetry::{DeviceKind, PortEvent, PortTask, spawn_port};
 use crate::time::host_now_us;
 
 /// Capacity of the channel from the ports; when full, bytes wait in the system's buffers.
@@ -84,7 +84,7 @@ impl Lines {
             .map_err(|source| SessionError::Thread { source })?;
         let (sender, mut arrivals) = tokio::sync::mpsc::channel::<(DeviceKind, PortEvent)>(PORT_QUEUE);
         let mut tasks = Vec::new();
-        for config in ports(setup) {
+        for config in setup.ports().into_iter().flatten() {
             board.update(|state| state.links.push(Link::new(config.device)));
             tasks.push(spawn_port(runtime.handle(), config, sender.clone()));
         }
@@ -121,13 +121,6 @@ impl Lines {
     }
 }
 
-fn ports(setup: &Setup) -> Vec<PortConfig> {
-    let carm = setup.session.carm.as_ref().map(|line| (DeviceKind::Carm, line.port.clone(), line.baud));
-    let robot = setup.session.robot.as_ref().map(|line| (DeviceKind::Robot, line.port.clone(), line.baud));
-    let config = |(device, path, baud)| PortConfig { device, path, baud, adapter: setup.adapters.of(device).cloned() };
-    [carm, robot].into_iter().flatten().map(config).collect()
-}
-
 struct LineIntake {
     log: Arc<SessionLog>,
     board: Board,
@@ -146,18 +139,10 @@ impl LineIntake {
         match event {
             PortEvent::Bytes { host_us, epoch, bytes } => {
                 self.log.input(Input::Bytes { device, epoch, host_us, bytes });
-                self.board.tick(|state| {
-                    state
-                        .links
-                        .iter_mut()
-                        .filter(|link| link.device == device)
-                        .for_each(|link| link.last_byte_us = Some(host_us));
-                });
             }
             PortEvent::Opened { epoch, host_us, .. } => {
                 link(&|link| {
                     link.open = true;
-                    link.epoch = epoch;
                     link.trouble = None;
                 });
                 self.log.event(Level::Info, host_us, &format!("{} line opened, epoch {epoch}", device.key()));

@@ -38,8 +38,7 @@ impl Whereabouts {
         let robot = self.robot.as_ref()?;
         let lps_from_base = self.lps_from_base(robot, sample, world_from_lps)?;
         let (angles_deg, source) = sample.control_angles_deg();
-        let angles_deg = std::array::from_fn(|point| angles_deg[point] + robot.control_angle_offsets_deg[point]);
-        Some(RobotPlace { lps_from_base, shape: robot.model.shape(&angles_deg).ok(), source })
+        Some(RobotPlace { lps_from_base, shape: robot.shape_at(&angles_deg).ok(), source })
     }
 
     /// The base by this sample alone: tracked, or the scene's where nothing is tracked. A base that the tracker does not see now, or that is

@@ -1,5 +1,6 @@
 //! The one way from bytes to samples: live ports, replayed logs and test scripts all go through a [`Link`].
 
+use super::address::{PortAddress, PortConfig};
 use super::decoder::Decoder;
 use super::device::DeviceKind;
 use super::event::Event;
@@ -57,6 +58,15 @@ impl Link {
     #[must_use]
     pub fn new(device: DeviceKind) -> Self {
         Self { device, decoding: Decoding::Packets(Decoder::new(device)), epoch: None, last_us: None }
+    }
+
+    /// For what comes through a port.
+    #[must_use]
+    pub fn of_port(config: &PortConfig) -> Self {
+        match &config.adapter {
+            Some(adapter) => Self::of_lines(adapter, PortAddress::begins_whole(&config.path)),
+            None => Self::new(config.device),
+        }
     }
 
     /// For a device that sends lines as declared. `begins_whole`: bytes of an opening begin with a whole line.

@@ -92,10 +92,7 @@ impl Source {
         match PortAddress::of(&config.path) {
             Ok(PortAddress::Serial(_)) => Ok(Self::Serial),
             Ok(PortAddress::Udp(address)) => Ok(Self::Udp(udp::Listener::new(address, of_lines))),
-            Ok(PortAddress::File(path)) => {
-                let has_header = config.adapter.as_ref().is_some_and(|adapter| adapter.has_header());
-                Ok(Self::File(Tail::new(path, has_header)))
-            }
+            Ok(PortAddress::File(path)) => Ok(Self::File(Tail::new(path, config.adapter.clone()))),
             Err(error) => Err(PortError::Io { path: config.path.clone(), reason: error.to_string() }),
         }
     }
@@ -119,7 +116,7 @@ impl Source {
                 }
                 Err(error) => Ok(Err(error)),
             },
-            Self::File(tail) => match tail.open(&path) {
+            Self::File(tail) => match tail.open(&path).await {
                 Ok(open) => {
                     outlet.send(opened(path.clone())).await?;
                     tail::pump(tail, open, epoch, outlet).await.map(Ok)
@@ -135,7 +132,10 @@ async fn run(config: PortConfig, mut outlet: Outlet) {
     let mut attempt = 0;
     let mut backoff = FIRST_BACKOFF;
     let mut source = Source::of(&config);
+    let is_whole = PortAddress::begins_whole(&config.path);
     loop {
+        // What waits in a socket or stands in another file must not wait longer: its time would be that of the wait's end.
+        let mut at_once = false;
         let read = match &mut source {
             Ok(source) => source.read(&config, epoch, &mut outlet).await,
             Err(error) => Ok(Err(error.clone())),
@@ -147,6 +147,7 @@ async fn run(config: PortConfig, mut outlet: Outlet) {
                 // A port that opens and dies at once must not be hammered.
                 if received {
                     backoff = FIRST_BACKOFF;
+                    at_once = is_whole;
                 }
                 epoch += 1;
                 PortEvent::Lost { epoch: epoch - 1, host_us: host_now_us(), reason }
@@ -158,6 +159,9 @@ async fn run(config: PortConfig, mut outlet: Outlet) {
         };
         if outlet.send(event).await.is_err() {
             return;
+        }
+        if at_once {
+            continue;
         }
         tokio::select! {
             () = tokio::time::sleep(backoff) => {}

@@ -54,6 +54,19 @@ pub enum PortError {
 }
 
 impl PortError {
+    /// Of what the system says of a port as configured.
+    pub(super) fn of(path: &Path, error: &std::io::Error) -> Self {
+        use std::io::ErrorKind;
+        let path = path.to_owned();
+        match error.kind() {
+            ErrorKind::NotFound => Self::NotFound { path },
+            ErrorKind::AddrInUse => Self::Busy { path },
+            ErrorKind::PermissionDenied => Self::NotPermitted { path },
+            ErrorKind::IsADirectory | ErrorKind::InvalidInput => Self::NotAPort { path, reason: error.to_string() },
+            _ => Self::Io { path, reason: error.to_string() },
+        }
+    }
+
     fn path(&self) -> &Path {
         match self {
             Self::NotFound { path }

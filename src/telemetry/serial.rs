@@ -62,11 +62,7 @@ async fn drain(port: &mut SerialStream, epoch: u32, outlet: &mut Outlet, buffer:
 /// As [`PortError`] tells apart.
 pub(super) fn open(config: &PortConfig, is_first: bool) -> Result<(SerialStream, PathBuf), PortError> {
     let path = config.path.clone();
-    let resolved = std::fs::canonicalize(&path).map_err(|error| match error.kind() {
-        std::io::ErrorKind::NotFound => PortError::NotFound { path: path.clone() },
-        std::io::ErrorKind::PermissionDenied => PortError::NotPermitted { path: path.clone() },
-        _ => PortError::Io { path: path.clone(), reason: error.to_string() },
-    })?;
+    let resolved = std::fs::canonicalize(&path).map_err(|error| PortError::of(&path, &error))?;
     let pty = is_pseudo_terminal(&resolved);
     // macOS refuses to set a speed on a pseudo-terminal; there 0 means to leave it.
     let baud = if pty && cfg!(target_os = "macos") { 0 } else { config.baud };

@@ -5,6 +5,7 @@ use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use super::lines::LineAdapter;
 use super::outlet::{Deaf, Ended, Outlet, PortEvent};
 use super::port_error::PortError;
 use crate::time::host_now_us;
@@ -13,17 +14,18 @@ use crate::time::host_now_us;
 const POLL: Duration = Duration::from_millis(5);
 /// Most bytes in one event.
 const CHUNK_BYTES: u64 = 64 << 10;
-/// Where the beginning of the last line is sought, bytes before the end.
-const LAST_LINE_BYTES: u64 = 64 << 10;
+/// Ends of lines and headers are sought in so many bytes before the end, headers in as many at the beginning as well.
+const NEAR_BYTES: u64 = 64 << 10;
 
 /// Which file stands at a path.
 type Identity = (u64, u64);
 
 /// Follows the file at a path.
+#[derive(Clone)]
 pub(super) struct Tail {
     path: PathBuf,
-    /// The first line names the columns: it is read as well.
-    has_header: bool,
+    /// How its lines are read: a header that names their columns is read as well. None where they are packets.
+    adapter: Option<LineAdapter>,
     /// The file that was read last, and how far.
     known: Option<(Identity, u64)>,
     /// There was no file: whatever is in one that appears was written since.
@@ -39,25 +41,18 @@ pub(super) struct Open {
 }
 
 impl Tail {
-    pub(super) fn new(path: PathBuf, has_header: bool) -> Self {
-        Self { path, has_header, known: None, was_missing: false }
+    pub(super) fn new(path: PathBuf, adapter: Option<LineAdapter>) -> Self {
+        Self { path, adapter, known: None, was_missing: false }
     }
 
     /// Opens the file at the beginning of its last line where it was there before, at its beginning where it is new, and where reading
-    /// ended where it is the same.
-    pub(super) fn open(&mut self, configured: &Path) -> Result<Open, PortError> {
-        let opened = self.opened();
-        let path = configured.to_owned();
-        let failed = |error: std::io::Error| match error.kind() {
-            std::io::ErrorKind::NotFound => PortError::NotFound { path },
-            std::io::ErrorKind::PermissionDenied => PortError::NotPermitted { path },
-            std::io::ErrorKind::IsADirectory | std::io::ErrorKind::InvalidInput => {
-                PortError::NotAPort { path, reason: error.to_string() }
-            }
-            _ => PortError::Io { path, reason: error.to_string() },
-        };
+    /// ended where it is the same; on a thread for what may take long, as [`look`] does.
+    pub(super) async fn open(&mut self, configured: &Path) -> Result<Open, PortError> {
+        let seen = self.clone();
+        let opening = tokio::task::spawn_blocking(move || seen.opened());
+        let opened = opening.await.map_err(std::io::Error::other).flatten();
         self.was_missing |= opened.as_ref().is_err_and(|error| error.kind() == std::io::ErrorKind::NotFound);
-        opened.map_err(failed)
+        opened.map_err(|error| PortError::of(configured, &error))
     }
 
     fn opened(&self) -> std::io::Result<Open> {
@@ -74,8 +69,9 @@ impl Tail {
             Some(_) => (0, Vec::new()),
             None if self.was_missing => (0, Vec::new()),
             None => {
-                let at = last_line(&mut file, length)?;
-                (at, if self.has_header && at > 0 { first_line(&mut file)? } else { Vec::new() })
+                let at = last_unit(&mut file, length, self.adapter.is_some())?;
+                let header = self.adapter.as_ref().map(|adapter| last_header(&mut file, at, adapter));
+                (at, header.transpose()?.unwrap_or_default())
             }
         };
         Ok(Open { file, identity, at, header })
@@ -148,13 +144,11 @@ pub(super) async fn pump(tail: &mut Tail, open: Open, epoch: u32, outlet: &mut O
     }
 }
 
-/// Where the line begins that is not ended yet.
-fn last_line(file: &mut File, length: u64) -> std::io::Result<u64> {
-    let from = length.saturating_sub(LAST_LINE_BYTES);
-    file.seek(SeekFrom::Start(from))?;
-    let mut bytes = Vec::new();
-    file.take(length - from).read_to_end(&mut bytes)?;
-    let end = bytes.iter().rposition(|byte| *byte == b'\n');
+/// Where the line, or the packet, begins that is not ended yet.
+fn last_unit(file: &mut File, length: u64, of_lines: bool) -> std::io::Result<u64> {
+    let from = length.saturating_sub(NEAR_BYTES);
+    let bytes = part(file, from, length)?;
+    let end = bytes.iter().rposition(|byte| if of_lines { is_end(*byte) } else { *byte == 0 });
     Ok(match end {
         Some(end) => from + end as u64 + 1,
         None if from == 0 => 0,
@@ -162,13 +156,26 @@ fn last_line(file: &mut File, length: u64) -> std::io::Result<u64> {
     })
 }
 
-/// The first line with its end.
-fn first_line(file: &mut File) -> std::io::Result<Vec<u8>> {
-    file.seek(SeekFrom::Start(0))?;
+/// The header that what is written from `at` on follows, with an end; nothing where there is none near the beginning or near `at`.
+fn last_header(file: &mut File, at: u64, adapter: &LineAdapter) -> std::io::Result<Vec<u8>> {
+    // The rest of a line at the beginning of what is near may look like one that has fewer columns; none of the lines after it fits it then.
+    for [from, to] in [[at.saturating_sub(NEAR_BYTES), at], [0, at.min(NEAR_BYTES)]] {
+        let bytes = part(file, from, to)?;
+        if let Some(header) = bytes.rsplit(|byte| is_end(*byte)).find(|line| adapter.is_header(line)) {
+            return Ok([header, b"\n"].concat());
+        }
+    }
+    Ok(Vec::new())
+}
+
+fn is_end(byte: u8) -> bool {
+    matches!(byte, b'\n' | b'\r')
+}
+
+fn part(file: &mut File, from: u64, to: u64) -> std::io::Result<Vec<u8>> {
+    file.seek(SeekFrom::Start(from))?;
     let mut bytes = Vec::new();
-    file.take(LAST_LINE_BYTES).read_to_end(&mut bytes)?;
-    let end = bytes.iter().position(|byte| *byte == b'\n').map_or(0, |end| end + 1);
-    bytes.truncate(end);
+    file.take(to - from).read_to_end(&mut bytes)?;
     Ok(bytes)
 }
 

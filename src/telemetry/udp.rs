@@ -24,7 +24,7 @@ pub(super) struct Listener {
     /// The sender that is listened to, and when it was heard last.
     sender: Option<(SocketAddr, i64)>,
     /// A datagram of another sender that came when the last one had gone: the first one after the next opening.
-    waiting: Option<Vec<u8>>,
+    waiting: Option<(i64, Vec<u8>)>,
     told: bool,
 }
 
@@ -38,21 +38,16 @@ impl Listener {
         if let Some(socket) = self.socket.take() {
             return Ok(socket);
         }
-        let path = path.to_owned();
-        UdpSocket::bind(self.address).await.map_err(|error| match error.kind() {
-            std::io::ErrorKind::AddrInUse => PortError::Busy { path },
-            std::io::ErrorKind::PermissionDenied => PortError::NotPermitted { path },
-            _ => PortError::Io { path, reason: error.to_string() },
-        })
+        UdpSocket::bind(self.address).await.map_err(|error| PortError::of(path, &error))
     }
 
     /// Reads until another sender begins: what follows is of another opening, for nothing is known of how the two belong together.
     pub(super) async fn pump(&mut self, socket: UdpSocket, epoch: u32, outlet: &mut Outlet) -> Result<Ended, Deaf> {
         let mut buffer = vec![0; DATAGRAM_BYTES];
         let mut received = false;
-        if let Some(bytes) = self.waiting.take() {
+        if let Some((host_us, bytes)) = self.waiting.take() {
             received = true;
-            outlet.send(PortEvent::Bytes { host_us: host_now_us(), epoch, bytes }).await?;
+            outlet.send(PortEvent::Bytes { host_us, epoch, bytes }).await?;
         }
         loop {
             let outcome = tokio::select! {
@@ -73,7 +68,7 @@ impl Listener {
                         self.tell_intruder(host_us, outlet).await?;
                         continue;
                     }
-                    (self.sender, self.waiting, self.socket) = (Some((from, host_us)), Some(bytes), Some(socket));
+                    (self.sender, self.waiting, self.socket) = (Some((from, host_us)), Some((host_us, bytes)), Some(socket));
                     return Ok(("datagrams come from another sender now".to_owned(), received));
                 }
                 _ => self.sender = Some((from, host_us)),

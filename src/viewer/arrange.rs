@@ -80,12 +80,6 @@ mod tests {
 
     use super::*;
 
-    /// A pane's picture where the whole frame is seen.
-    fn picture(pane: Rect, aspect: f32) -> Rect {
-        let width = pane.width().min(pane.height() * aspect);
-        Rect::from_center_size(pane.center(), vec2(width, width / aspect))
-    }
-
     #[test]
     fn panes_do_not_overlap_and_acquired_and_drr_are_the_larger_ones() {
         for (size, aspect) in [((1090.0, 800.0), 1.29), ((1090.0, 800.0), 1.0), ((1600.0, 500.0), 1.29), ((700.0, 1000.0), 0.8)] {
@@ -95,12 +89,12 @@ mod tests {
                 assert!(!panes.is_empty());
                 for (n, (pane, rect)) in panes.iter().enumerate() {
                     assert!(area.expand(0.1).contains_rect(*rect), "{pane:?}");
-                    assert!(rect.expand(0.1).contains_rect(picture(*rect, aspect)));
                     assert!(panes[n + 1..].iter().all(|(_, other)| !rect.shrink(0.1).intersects(*other)), "{arrangement:?}");
                 }
                 let of = |wanted: Pane| panes.iter().find(|(pane, _)| *pane == wanted).map(|(_, r)| picture_area(*r, aspect));
                 if let (Some(acquired), Some(difference)) = (of(Pane::Acquired), of(Pane::Difference)) {
-                    assert!(acquired >= 0.99 * difference, "{arrangement:?} {size:?}");
+                    // Halves of the same width are as large.
+                    assert!(acquired >= (1.0 - 1e-5) * difference, "{arrangement:?} {size:?}");
                 }
             }
         }

@@ -18,7 +18,7 @@ pub(super) fn show(ui: &mut Ui, board: &BoardState) {
 }
 
 fn device(ui: &mut Ui, link: &Link, now_us: i64) {
-    let age_s = link.last_byte_us.map(|last_us| (now_us - last_us).max(0) as f64 * 1e-6);
+    let age_s = link.last_sample_us.map(|last_us| (now_us - last_us).max(0) as f64 * 1e-6);
     let stale = link.is_stale(now_us);
     let (colour, words) = match (link.open, stale, age_s) {
         (false, _, _) => (BAD, "unplugged".to_owned()),
@@ -37,7 +37,12 @@ fn device(ui: &mut Ui, link: &Link, now_us: i64) {
     });
     let health = &link.health;
     let lost = health.lost_in_all();
-    let faults = [("lost", lost), ("corrupt", health.corrupt), ("duplicate", health.duplicate), ("reordered", health.reordered)];
+    let faults = [
+        ("lost", health.lost + health.missed_unplugged),
+        ("corrupt", health.corrupt),
+        ("duplicate", health.duplicate),
+        ("reordered", health.reordered),
+    ];
     let told: Vec<String> = faults.iter().filter(|(_, n)| *n > 0).map(|(what, n)| format!("{n} {what}")).collect();
     let told = if told.is_empty() { "none lost".to_owned() } else { told.join(", ") };
     ui.label(RichText::new(format!("{} samples, {told}", health.frames)).size(SMALL).color(if lost > 0 { CAUTION } else { DIM }));

@@ -49,7 +49,7 @@ const fn shifted(key: Key, command: Command, words: &'static str) -> Binding {
 }
 
 /// All of them, as they are listed.
-pub(super) const KEYS: [Binding; 43] = [
+pub(super) const KEYS: [Binding; 44] = [
     on(Key::ArrowLeft, Command::Step(-1), "the exposure before"),
     on(Key::ArrowRight, Command::Step(1), "the next exposure"),
     on(Key::PageUp, Command::Step(-10), "ten exposures back"),
@@ -58,6 +58,8 @@ pub(super) const KEYS: [Binding; 43] = [
     on(Key::End, Command::Newest, "the newest exposure, and follow it"),
     on(Key::Space, Command::Play, "play, or stand still"),
     on(Key::Plus, Command::Speed(1), "play faster"),
+    // Where it is above another sign.
+    shifted(Key::Plus, Command::Speed(1), "play faster"),
     on(Key::Minus, Command::Speed(-1), "play slower"),
     on(Key::Num1, Command::Arrange(Arrangement::All), "all four panes"),
     on(Key::Num2, Command::Arrange(Arrangement::Two), "acquired and DRR"),

@@ -15,8 +15,6 @@ pub(super) const SPEEDS: [Speed; 6] =
 
 /// Between two exposures at [`Speed::Max`].
 const FASTEST_S: f64 = 0.05;
-/// The playhead moves at least this often.
-const HEAD_S: f64 = 0.25;
 
 impl Speed {
     /// As a button shows it.
@@ -57,12 +55,6 @@ impl Player {
     #[must_use]
     pub fn is_playing(&self) -> bool {
         self.playing.is_some()
-    }
-
-    /// Where it stands on the recorded clock.
-    #[must_use]
-    pub fn head_us(&self) -> Option<f64> {
-        self.playing.map(|playing| playing.head_us)
     }
 
     /// The next faster speed, or slower.
@@ -112,7 +104,7 @@ impl Player {
         let playing = self.playing?;
         let next_us = *times_us.get(at + 1)? as f64;
         Some(match self.speed() {
-            Speed::Times(times) => ((next_us - playing.head_us) * 1e-6 / times).clamp(0.01, HEAD_S),
+            Speed::Times(times) => ((next_us - playing.head_us) * 1e-6 / times).max(0.01),
             Speed::Max => FASTEST_S,
         })
     }

@@ -151,10 +151,10 @@ impl LineAdapter {
         Self::try_from(declaration).unwrap_or_else(|_| self.clone())
     }
 
-    /// Whether a line before the first one names the columns.
-    #[must_use]
-    pub fn has_header(&self) -> bool {
-        self.0.splitter.has_header
+    /// Whether a line (without its end) names all columns that are read.
+    pub(in crate::telemetry) fn is_header(&self, line: &[u8]) -> bool {
+        let text = std::str::from_utf8(line).unwrap_or_default();
+        self.0.splitter.has_header && matches!(self.read(text, None), Ok(Read::Header(_)))
     }
 
     /// Where the host's time of arrival stands for a clock of the device: its standard deviation, µs.
@@ -192,8 +192,8 @@ impl LineAdapter {
                 format!("the {device}'s lines carry no number: what of them is lost on the way cannot be known"),
             ));
         }
-        if declaration.carm.as_ref().is_some_and(|carm| carm.xray_on.is_none()) {
-            let said = "the C-arm's lines do not say when X-ray is on: no exposure is known, and no frame is tied to one";
+        if declaration.carm.as_ref().is_some_and(|carm| carm.xray_on.is_none() && carm.exposure_counter.is_none()) {
+            let said = "the C-arm's lines say neither when X-ray is on nor how many exposures there were: no exposure is known, and no frame is tied to one";
             words.push(("no exposures", said.to_owned()));
         }
         words

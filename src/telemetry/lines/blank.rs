@@ -40,8 +40,12 @@ impl LineBlanker {
             let end = at + line[at..].iter().take_while(|byte| is_word(**byte)).count();
             if end - at >= LEAST_WORD_BYTES {
                 let before = kept[at..end].to_vec();
-                kept[at..end].iter_mut().for_each(|byte| *byte = if byte.is_ascii_digit() { b'0' } else { b'x' });
-                if self.said(&kept) != said {
+                // The letter of an escape in a JSON string (`\n`, `\u00fc`) stays, where nothing is one without it.
+                for from in [at, at + 1] {
+                    kept[from..end].iter_mut().for_each(|byte| *byte = filler(*byte));
+                    if self.said(&kept) == said {
+                        break;
+                    }
                     kept[at..end].copy_from_slice(&before);
                 }
             }
@@ -55,13 +59,18 @@ impl LineBlanker {
 
     fn said(&self, line: &[u8]) -> Said {
         let Ok(text) = std::str::from_utf8(line) else { return Said::NoSample };
-        match self.adapter.read(text.trim(), self.header.as_ref()) {
+        match self.adapter.read(text, self.header.as_ref()) {
             Ok(Read::Values(values)) => values.told().map_or(Said::NoSample, Said::Values),
             Ok(Read::Header(columns)) => Said::Header(columns),
             Ok(Read::Nothing) => Said::Nothing,
             Err(_) => Said::NoSample,
         }
     }
+}
+
+/// A hexadecimal digit, and none that a number must not begin with: what is JSON stays JSON.
+fn filler(byte: u8) -> u8 {
+    if byte.is_ascii_digit() { b'1' } else { b'a' }
 }
 
 fn is_word(byte: u8) -> bool {

@@ -12,8 +12,8 @@ impl Cycle {
         Self { period, last: None }
     }
 
-    /// `found` counted on: of all that it may stand for the one nearest to `expected`. A device that starts over stays below: it is nearer to
-    /// what it was than to another turn.
+    /// `found` counted on: of all that it may stand for the one nearest to `expected`. A device that starts over before half a
+    /// turn stays below: it is nearer to what it was than to another turn.
     pub(super) fn take(&mut self, found: i64, since_last: i64) -> i64 {
         let counted = match (self.period, self.last) {
             (Some(period), Some(last)) => {

@@ -5,7 +5,7 @@ use super::super::event::{DecodeFault, Event};
 use super::super::health::Health;
 use super::super::line_fault::LineFault;
 use super::super::sample::Sample;
-use super::super::sequence::{SequenceTracker, Sequenced};
+use super::super::sequence::SequenceTracker;
 use super::adapter::{LineAdapter, Read};
 use super::cycle::Cycle;
 use super::sample::Stamp;
@@ -116,7 +116,8 @@ impl LineDecoder {
         let overflowed = std::mem::take(&mut self.overflowing);
         let line = std::mem::take(&mut self.buffer);
         if !overflowed && !line.is_empty() {
-            if may_be_cut && !self.is_header(&line) {
+            // A header that is cut has fewer columns than the lines after it, and none of them is taken.
+            if may_be_cut && !self.adapter.is_header(&line) {
                 self.health.partial_at_open += 1;
             } else {
                 self.take_line(host_us, &line, sink);
@@ -127,19 +128,14 @@ impl LineDecoder {
         self.buffer.clear();
     }
 
-    /// Whether a line names all columns that are read. One that is cut has fewer columns than the lines after it, and none of them is taken.
-    fn is_header(&self, line: &[u8]) -> bool {
-        let text = std::str::from_utf8(line).unwrap_or_default().trim();
-        self.adapter.has_header() && matches!(self.adapter.read(text, None), Ok(Read::Header(_)))
-    }
-
     fn take_line(&mut self, host_us: i64, line: &[u8], sink: &mut dyn FnMut(Event)) {
         match self.read(host_us, line) {
             Ok(None) => {}
             Ok(Some((sample, judged_us))) => {
                 let counted = counting::count(&mut self.sequence, &mut self.health, sample.sequence(), judged_us, sink);
                 if let Some(sequenced) = counted {
-                    self.deliver(sample, sequenced, sink);
+                    self.health.frames += 1;
+                    sink(Event::Sample(sample, sequenced));
                 }
             }
             Err(fault) => {
@@ -149,16 +145,11 @@ impl LineDecoder {
         }
     }
 
-    fn deliver(&mut self, sample: Sample, sequenced: Sequenced, sink: &mut dyn FnMut(Event)) {
-        self.health.frames += 1;
-        sink(Event::Sample(sample, sequenced));
-    }
-
     /// The sample of a line, and the time by which its number is judged; none of a line that means nothing.
     fn read(&mut self, host_us: i64, line: &[u8]) -> Result<Option<(Sample, u64)>, LineFault> {
         let not_text = || LineFault::NotText { bytes: line.len() };
-        let text = std::str::from_utf8(line).ok().filter(|text| !text.contains('\0')).ok_or_else(not_text)?.trim();
-        if text.is_empty() {
+        let text = std::str::from_utf8(line).ok().filter(|text| !text.contains('\0')).ok_or_else(not_text)?;
+        if text.trim().is_empty() {
             return Ok(None);
         }
         let Self { adapter, header, clock, count, counted, last_host_us, .. } = self;

@@ -115,6 +115,12 @@ impl Splitter {
 
     /// `header` are the columns that an earlier line has named.
     pub(super) fn split(&self, line: &str, header: Option<&Columns>) -> Result<Split, LineFault> {
+        let separator = match &self.how {
+            How::Csv { separator, .. } => separator.map(char::from),
+            How::Regex(_) | How::Json(_) => None,
+        };
+        // A tab that separates stands for an empty column, at either end as well.
+        let line = line.trim_matches(|c: char| c.is_whitespace() && Some(c) != separator);
         if self.ignore.iter().any(|pattern| pattern.is_match(line)) {
             return Ok(Split::Nothing);
         }
@@ -171,6 +177,9 @@ fn fields(line: &str, separator: Option<u8>) -> Result<Vec<String>, LineFault> {
     let Some(separator) = separator else {
         return Ok(line.split_whitespace().map(str::to_owned).collect());
     };
+    if !line.contains('"') {
+        return Ok(line.split(char::from(separator)).map(|field| field.trim().to_owned()).collect());
+    }
     let mut reader = csv::ReaderBuilder::new()
         .has_headers(false)
         .flexible(true)

@@ -290,7 +290,7 @@ impl Engine {
         }
         let posed = match world_from_lps {
             Some(world_from_lps) => {
-                let verdict = self.tie.observe(number, &posed.frame.sha256, world_from_lps);
+                let verdict = self.tie.observe(number, &posed.frame.sha256, world_from_lps, posed.pose.doubt.is_some());
                 if let Some(words) = &verdict.words {
                     self.reporter.warn("specimen in the room", format!("frame {number}: {words}"));
                 }

@@ -67,7 +67,7 @@ fn a_device_that_cannot_be_heard_is_said_at_once_and_costs_what_it_costs() {
 }
 
 /// Steps of the device's clock, as the report's table of links has them.
-fn steps_of(report: &str, device: &str) -> Option<u64> {
+pub fn steps_of(report: &str, device: &str) -> Option<u64> {
     let head = report.split("<th class=\"l\">link</th>").nth(1)?;
     let column = head.split("</tr>").next()?.split("<th>").position(|name| name.starts_with("clock_steps"))?;
     let row = head.split(&format!("<td class=\"l\">{device}</td>")).nth(1)?;

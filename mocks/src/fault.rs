@@ -22,7 +22,8 @@ use serde::{Deserialize, Serialize};
 use crate::MockError;
 use crate::pty::Line;
 
-/// What goes wrong on a line: with one packet, for a while (`Delay`, `Unplug`), or for good (`Mute`, `Gone`, `Freeze`, `Restart`, `Jump`).
+/// What goes wrong on a line: with one packet, for a while (`Delay`, `Unplug`), or for good (`Mute`, `Gone`,
+/// `Freeze`, `Restart`, `Jump`, `Ahead`, `Back`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FaultKind {
@@ -50,11 +51,15 @@ pub enum FaultKind {
     Restart,
     /// The device's clock is set 5 s ahead; the numbers of its packets go on.
     Jump,
+    /// The same, an hour ahead.
+    Ahead,
+    /// The same, an hour back, to zero at most.
+    Back,
 }
 
 impl FaultKind {
     /// All of them.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 14] = [
         Self::Drop,
         Self::Flip,
         Self::Tear,
@@ -67,6 +72,8 @@ impl FaultKind {
         Self::Freeze,
         Self::Restart,
         Self::Jump,
+        Self::Ahead,
+        Self::Back,
     ];
 
     /// The kind's name in files, events and on the command line.
@@ -85,6 +92,8 @@ impl FaultKind {
             Self::Freeze => "freeze",
             Self::Restart => "restart",
             Self::Jump => "jump",
+            Self::Ahead => "ahead",
+            Self::Back => "back",
         }
     }
 }
@@ -172,7 +181,9 @@ impl Channel {
         }
         match self.due.pop_front() {
             // A clock is the device's, not the line's.
-            None | Some(FaultKind::Freeze | FaultKind::Restart | FaultKind::Jump) => self.line.write(packet),
+            None | Some(FaultKind::Freeze | FaultKind::Restart | FaultKind::Jump | FaultKind::Ahead | FaultKind::Back) => {
+                self.line.write(packet);
+            }
             Some(FaultKind::Drop) => {}
             Some(FaultKind::Flip) => self.line.write(&flipped(packet, random)),
             Some(FaultKind::Tear) => self.line.write(&packet[..packet.len() / 2]),

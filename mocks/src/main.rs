@@ -44,15 +44,21 @@ struct Args {
     /// Seconds between that and the first packet.
     #[arg(long, default_value_t = 1.0)]
     start_delay_s: f64,
+    /// Seconds in which the devices go on telling where they are when the session is over.
+    #[arg(long, default_value_t = 0.0)]
+    idle_s: f64,
     /// Seconds between the last packet and the lines' end.
     #[arg(long, default_value_t = 3.0)]
     linger_s: f64,
+    /// Length of an exposure in seconds, other than the script's.
+    #[arg(long, value_name = "SECONDS")]
+    exposure_s: Option<f64>,
     /// Exposures, at most all of the script's.
     #[arg(long, default_value_t = usize::MAX, hide_default_value = true)]
     exposures: usize,
     /// `default`, `none`, or a list of KIND (those of the script), DEVICE:KIND or DEVICE:KIND@SHARE of the session.
     ///
-    /// Kinds: drop, flip, tear, duplicate, reorder, delay, unplug, mute (silent for good), gone (unplugged for good), freeze (its clock), restart (its clock and its numbers begin anew), jump (its clock, by 5 s); devices: carm, robot.
+    /// Kinds: drop, flip, tear, duplicate, reorder, delay, unplug, mute (silent for good), gone (unplugged for good), freeze (its clock), restart (its clock and its numbers begin anew), jump (its clock, by 5 s), ahead and back (its clock, by an hour); devices: carm, robot.
     #[arg(long, default_value = "default", value_name = "LIST")]
     faults: String,
     /// Packets per second, relative to 100 Hz (robot) and 30 Hz (C-arm).
@@ -61,6 +67,12 @@ struct Args {
     /// How often the scripted exposures are played within the session.
     #[arg(long, default_value_t = 1)]
     repeat: usize,
+    /// Seconds for which an unplugged line stays away.
+    #[arg(long, value_name = "SECONDS")]
+    unplugged_s: Option<f64>,
+    /// Share of the time in which a device holds its packets back, at random, and then sends them at once.
+    #[arg(long, default_value_t = 0.0, value_name = "SHARE")]
+    stalled: f64,
     /// Share of the packets that never leave the device, at random.
     #[arg(long, default_value_t = 0.0, value_name = "SHARE")]
     missing: f64,
@@ -122,6 +134,9 @@ fn run(args: &Args) -> Result<(), MockError> {
     within("--await-reader-s", args.await_reader_s, 0.0, 3600.0)?;
     within("--start-delay-s", args.start_delay_s, 0.0, 3600.0)?;
     within("--linger-s", args.linger_s, 0.0, 3600.0)?;
+    within("--idle-s", args.idle_s, 0.0, 86_400.0)?;
+    within("--unplugged-s", args.unplugged_s.unwrap_or(1.0), 0.01, 86_400.0)?;
+    within("--stalled", args.stalled, 0.0, 0.9)?;
     within("--rate", args.rate, 0.01, 100.0)?;
     within("--repeat", args.repeat as f64, 1.0, 1000.0)?;
     within("--missing", args.missing, 0.0, 1.0)?;
@@ -129,6 +144,11 @@ fn run(args: &Args) -> Result<(), MockError> {
     if let Some(side_px) = args.panel_px {
         within("--panel-px", f64::from(side_px), 64.0, 4096.0)?;
         lab = lab.with_square_panel(side_px);
+    }
+    if let Some(exposure_s) = args.exposure_s {
+        let apart = lab.exposures.windows(2).map(|pair| (pair[1].at - pair[0].at) * args.duration_s);
+        within("--exposure-s", exposure_s, 0.05, apart.fold(3600.0, f64::min) - 0.3)?;
+        lab.exposure_s = exposure_s;
     }
     let faults = choose(&args.faults, &lab.faults)?;
     let phantom = Phantom::embedded()?;
@@ -159,9 +179,12 @@ fn run(args: &Args) -> Result<(), MockError> {
     let performance = Performance {
         await_reader_s: args.await_reader_s,
         start_delay_s: args.start_delay_s,
+        idle_s: args.idle_s,
         linger_s: args.linger_s,
         rate: args.rate,
         faults,
+        unplugged_s: args.unplugged_s,
+        stalled: args.stalled,
         missing: args.missing,
         garbage: args.garbage.clone(),
         oddities: args.odd.clone(),
@@ -208,7 +231,9 @@ fn choose(list: &str, scripted: &[Fault]) -> Result<Vec<Fault>, MockError> {
         };
         let known = FaultKind::ALL.into_iter().find(|known| known.name() == kind);
         let kind = known.ok_or_else(|| {
-            wrong("not one of drop, flip, tear, duplicate, reorder, delay, unplug, mute, gone, freeze, restart, jump")
+            wrong(
+                "not one of drop, flip, tear, duplicate, reorder, delay, unplug, mute, gone, freeze, restart, jump, ahead, back",
+            )
         })?;
         match (device, share) {
             (Some(device), Some(at)) => out.push(Fault { device, at, kind }),

@@ -23,12 +23,18 @@ pub struct Performance {
     pub await_reader_s: f64,
     /// Wait before the first packet, once the lines are read.
     pub start_delay_s: f64,
+    /// How long the devices go on telling where they are when the script is over.
+    pub idle_s: f64,
     /// How long the lines stay open after the last packet.
     pub linger_s: f64,
     /// Packets per second, relative to 100 Hz and 30 Hz.
     pub rate: f64,
     /// Faults, in any order.
     pub faults: Vec<Fault>,
+    /// How long an unplugged line stays away; by itself no longer than the next exposure allows.
+    pub unplugged_s: Option<f64>,
+    /// Share of the time in which a device holds its packets back, at random, about a tenth of a second each time.
+    pub stalled: f64,
     /// Share of the packets that never leave the device, at random.
     pub missing: f64,
     /// Lines that carry random bytes instead of packets.
@@ -59,6 +65,11 @@ const HALF_PAUSE_S: f64 = 0.4;
 
 /// What [`FaultKind::Jump`] adds to a device's clock.
 const JUMP_US: u64 = 5_000_000;
+/// What [`FaultKind::Ahead`] adds to it and [`FaultKind::Back`] takes away.
+const HOUR_US: u64 = 3_600_000_000;
+
+/// How long a device holds its packets back at a time: at least and at most.
+const STALL_S: [f64; 2] = [0.07, 0.15];
 
 /// Prints one event as a line of JSON.
 pub fn say(event: &serde_json::Value) {
@@ -90,31 +101,38 @@ pub fn play(
     let mut files = Files { script, frames, delivered: 0, half: None, started_us: now_us() };
     let mut faults = performance.faults.clone();
     let mut announced = 0;
+    let end_s = script.end_s() + performance.idle_s;
     let start = Instant::now();
     loop {
         let elapsed_s = start.elapsed().as_secs_f64();
         // However late this thread is woken, everything until the end is sent.
-        let now_s = elapsed_s.min(script.end_s());
+        let now_s = elapsed_s.min(end_s);
         for fault in faults.extract_if(.., |fault| fault.at * script.duration_s <= now_s) {
             if let Some(sender) = senders.iter_mut().find(|sender| sender.device == fault.device) {
                 match fault.kind {
                     FaultKind::Freeze => sender.frozen_s = Some(now_s),
                     FaultKind::Restart => (sender.began_s, sender.epoch_us, sender.sequence) = (now_s, 0, 0),
                     FaultKind::Jump => sender.epoch_us += JUMP_US,
+                    FaultKind::Ahead => sender.epoch_us += HOUR_US,
+                    FaultKind::Back => sender.epoch_us = sender.epoch_us.saturating_sub(HOUR_US),
                     kind => sender.channel.inject(kind),
                 }
                 tell(json!({"event": "fault", "device": fault.device, "kind": fault.kind, "at_s": now_s}));
             }
         }
+        // Nothing is held back for ever.
+        let last = elapsed_s >= end_s;
         for sender in &mut senders {
-            sender.advance(script, now_s, &mut notes, tell)?;
+            if last || !sender.is_stalled(now_s) {
+                sender.advance(script, now_s, &mut notes, tell)?;
+            }
         }
         if announced < script.count() && now_s >= script.start_s(announced) {
             announced += 1;
             tell(json!({"event": "exposure", "counter": announced, "at_s": now_s}));
         }
         files.advance(now_s, tell)?;
-        if elapsed_s >= script.end_s() {
+        if last {
             break;
         }
         std::thread::sleep(Duration::from_millis(1));
@@ -165,6 +183,10 @@ struct Sender {
     /// Decides which packets are missing; apart from `random`, so that what is sent does not depend on it.
     missing_random: ChaCha8Rng,
     missed: u64,
+    stalled: f64,
+    /// When the next stall begins and ends; apart from `random` as well.
+    stall_s: [f64; 2],
+    stall_random: ChaCha8Rng,
     garbage: bool,
     oddities: Vec<Oddity>,
     /// When the clock stopped.
@@ -192,7 +214,7 @@ impl Sender {
     fn new(device: Device, line: Line, script: &Script, performance: &Performance) -> Self {
         let mut channel = Channel::new(line);
         // In a short session the plug must be back before the next exposure.
-        channel.unplugged_s = (0.05 * script.duration_s).min(1.0);
+        channel.unplugged_s = performance.unplugged_s.unwrap_or((0.05 * script.duration_s).min(1.0));
         let clock = &script.lab.clock;
         let (ppm, epoch_us, nominal_s, stream) = match device {
             Device::Carm => (clock.carm_ppm, clock.carm_epoch_us, 1.0 / 30.0, 1),
@@ -204,6 +226,8 @@ impl Sender {
         let period_s = nominal_s / performance.rate;
         let mut missing_random = random.clone();
         missing_random.set_stream(stream + 2);
+        let mut stall_random = random.clone();
+        stall_random.set_stream(stream + 4);
         let garbage = performance.garbage.contains(&device);
         let missing = performance.missing;
         Self {
@@ -219,11 +243,29 @@ impl Sender {
             missing,
             missing_random,
             missed: 0,
+            stalled: performance.stalled,
+            stall_s: [0.0; 2],
+            stall_random,
             garbage,
             oddities: performance.oddities.clone(),
             frozen_s: None,
             began_s: 0.0,
         }
+    }
+
+    /// Whether the device holds back what it has measured; it sends all of it at once when it goes on.
+    fn is_stalled(&mut self, now_s: f64) -> bool {
+        if self.stalled <= 0.0 {
+            return false;
+        }
+        let [shortest_s, longest_s] = STALL_S;
+        if now_s >= self.stall_s[1] {
+            // Between stalls as much time, on average, as gives the share that is asked for.
+            let free_s = 0.5 * (shortest_s + longest_s) * (1.0 - self.stalled) / self.stalled;
+            let begin_s = now_s + 2.0 * free_s * self.stall_random.random::<f64>();
+            self.stall_s = [begin_s, begin_s + self.stall_random.random_range(shortest_s..longest_s)];
+        }
+        now_s >= self.stall_s[0]
     }
 
     fn stamp(&mut self, at_s: f64) -> Stamp {

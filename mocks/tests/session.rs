@@ -19,10 +19,13 @@ fn play_two_seconds_with(name: &str, change: impl FnOnce(&mut Performance)) -> (
     let mut performance = Performance {
         await_reader_s: 0.0,
         start_delay_s: 0.0,
+        idle_s: 0.0,
         linger_s: 0.0,
         rate: 1.0,
         faults: Vec::new(),
         seed: 1,
+        unplugged_s: None,
+        stalled: 0.0,
         missing: 0.0,
         garbage: Vec::new(),
         oddities: Vec::new(),

@@ -350,9 +350,6 @@ fn row(posed: &Posed) -> Pair {
         None => "scene".to_owned(),
     });
     pair.robot_cautions = posed.robot.iter().flat_map(|robot| &robot.cautions).map(ToString::to_string).collect();
-    if posed.robot.as_ref().is_some_and(|robot| robot.stale) {
-        pair.flags.push("robot: telemetry is stale at the exposure".to_owned());
-    }
     if let Some(apart) = posed.telemetry_disagreement {
         let words = format!("telemetry and beads are {:.1} mm and {:.1} degrees apart", apart.mm, apart.deg);
         pair.doubt_by_telemetry(&words);

@@ -147,8 +147,8 @@ impl Bound {
     #[must_use]
     pub fn is_known_to(&self, device: DeviceKind) -> bool {
         match device {
-            DeviceKind::Carm => self.binding.exposure.is_some(),
-            DeviceKind::Robot => self.robot.as_ref().is_some_and(|robot| !robot.is_stale()),
+            DeviceKind::Carm => self.joints.is_some(),
+            DeviceKind::Robot => self.robot.is_some(),
         }
     }
 }

@@ -5,7 +5,7 @@ use crate::geometry::Rigid;
 use crate::telemetry::AngleSource;
 use crate::timeline::{Binding, BindingFlag, ExposureInterval, Support, Timeline};
 
-/// Robot or C-arm samples further apart than this around an exposure are stale.
+/// Robot or C-arm samples further apart than this around an exposure say nothing of it.
 pub(super) const MAX_GAP_US: i64 = 500_000;
 /// A control angle that changes by more than this while the beam is on moves the tip by more than its sensors' noise does.
 const BENT_DEG: f64 = 0.5;
@@ -21,8 +21,6 @@ pub struct RobotState {
     pub source: String,
     /// Span of the samples that were interpolated.
     pub gap_us: i64,
-    /// Too old to be trusted at the exposure.
-    pub stale: bool,
     /// Why it may be otherwise than it is drawn.
     pub cautions: Vec<RobotCaution>,
 }
@@ -119,7 +117,8 @@ pub(super) struct BoundRobot {
 }
 
 impl BoundRobot {
-    /// What `timeline`, or the exposure itself where the samples are gone, says of the robot at `mid_us`, for a frame bound so.
+    /// What `timeline`, or the exposure itself where the samples are gone, says of the robot at `mid_us`, for a frame bound so; `None` where
+    /// it was not heard around then.
     pub(super) fn at(timeline: &Timeline, mid_us: i64, binding: &Binding) -> Option<Self> {
         let exposure = binding.exposure.as_ref();
         let mut state = live(timeline, mid_us).or_else(|| stored(exposure?))?;
@@ -129,10 +128,6 @@ impl BoundRobot {
         state.cautions.extend(whole.and_then(|exposure| bent(timeline, exposure)));
         let tracked = timeline.tracker_from_base_at(mid_us).or_else(|| exposure.and_then(|exposure| exposure.tracker_from_base));
         Some(Self { state, tracked: tracked.map(|answer| (answer.value, answer.gap_us)) })
-    }
-
-    pub(super) fn is_stale(&self) -> bool {
-        self.state.stale
     }
 
     /// The state with its base, where tracker and specimen are tied to the room.
@@ -158,10 +153,11 @@ impl BoundRobot {
 
 fn live(timeline: &Timeline, mid_us: i64) -> Option<RobotState> {
     let (answer, source) = timeline.robot_and_source_at(mid_us)?;
-    if !answer.value.iter().all(|angle| angle.is_finite()) {
+    // How the robot stood before it was last heard is not how it stood at the exposure.
+    let fresh = answer.gap_us <= MAX_GAP_US && answer.support == Support::Between;
+    if !(fresh && answer.value.iter().all(|angle| angle.is_finite())) {
         return None;
     }
-    let stale = !(answer.gap_us <= MAX_GAP_US && answer.support == Support::Between);
     let (source, caution) = match source {
         AngleSource::Sensed => ("sensed", apart(timeline, mid_us)),
         AngleSource::Commanded => ("commanded", Some(RobotCaution::Commanded)),
@@ -171,19 +167,20 @@ fn live(timeline: &Timeline, mid_us: i64) -> Option<RobotState> {
         lps_from_base: None,
         source: source.to_owned(),
         gap_us: answer.gap_us,
-        stale,
         cautions: caution.into_iter().collect(),
     })
 }
 
 fn stored(exposure: &ExposureInterval) -> Option<RobotState> {
-    let answer = exposure.control_angles_deg.filter(|answer| answer.value.iter().all(|angle| angle.is_finite()))?;
+    let answer = exposure.control_angles_deg.filter(|answer| answer.gap_us <= MAX_GAP_US)?;
+    if !answer.value.iter().all(|angle| angle.is_finite()) {
+        return None;
+    }
     Some(RobotState {
         control_angles_deg: answer.value,
         lps_from_base: None,
         source: "stored with the exposure".to_owned(),
         gap_us: answer.gap_us,
-        stale: answer.gap_us > MAX_GAP_US,
         cautions: Vec::new(),
     })
 }

@@ -1,0 +1,89 @@
+//! Lines that are away for long while frames go on coming, through `live`: nothing of before stands for what nobody heard.
+#![cfg(unix)]
+
+use std::path::PathBuf;
+
+use sidecarm::telemetry::DeviceKind;
+
+use crate::lab_truth::{counter_of, has_its_own_exposure, pairs, poses, prior_is_right, robot_is_right, wait_for_pairs};
+use crate::live_lab::{HANG_S, Lab, Live, Signal, eventually};
+
+const DURATION_S: f64 = 30.0;
+/// Much longer than telemetry may be old, and long enough to be said while it lasts. An hour is no other case: what is stale after half a
+/// second is stale.
+const AWAY_S: f64 = 5.0;
+/// Of the session, when each plug is pulled: two exposures fall into either time.
+const PULLED: [(DeviceKind, f64, [u32; 2]); 2] = [(DeviceKind::Carm, 0.25, [3, 4]), (DeviceKind::Robot, 0.62, [6, 7])];
+
+/// What a line's path leads to.
+fn behind(lab: &Lab, device: DeviceKind) -> Option<PathBuf> {
+    std::fs::read_link(lab.kit.join(if device == DeviceKind::Carm { "ttyCARM" } else { "ttyROBOT" })).ok()
+}
+
+/// First the C-arm's plug, then the robot's; both come back as another terminal behind the same path.
+#[test]
+fn frames_that_come_while_a_line_is_away_have_nothing_of_it_and_those_after_have_all() {
+    let faults = PULLED.map(|(device, at, _)| format!("{}:unplug@{at}", device.key())).join(",");
+    let (duration_s, away_s) = (DURATION_S.to_string(), AWAY_S.to_string());
+    let lab = ["--duration-s", &duration_s, "--faults", &faults, "--unplugged-s", &away_s, "--idle-s", "300"];
+    let Some(lab) = Lab::start(&lab) else { return };
+    let mut live = Live::start(&lab.kit.join("session.json"), &lab.kit.with_file_name("session"), &[]);
+    for (device, ..) in PULLED {
+        let gone = eventually(HANG_S, || behind(&lab, device).is_none().then_some(()));
+        assert!(gone.is_some(), "the mock pulls the {device}'s plug");
+        // Said while something can be done, and not only in the report.
+        let silent = format!("nothing to be used from the {device} for 3 s");
+        let said = eventually(HANG_S, || (live.stderr().contains(&silent) || behind(&lab, device).is_some()).then_some(()));
+        assert!(said.is_some() && live.stderr().contains(&silent), "{device}: {}", live.stderr());
+        assert!(eventually(HANG_S, || behind(&lab, device)).is_some(), "it comes back");
+    }
+    wait_for_pairs(&live, 8);
+    live.signalled(Signal::INT);
+    let code = live.program.end(HANG_S).unwrap_or_else(|| panic!("still there: {}", live.stderr())).code();
+    let (words, report) = (format!("exit code {code:?}: {} {}", live.stdout(), live.stderr()), live.report());
+
+    assert_eq!(code, Some(3), "{words}");
+    for (device, ..) in PULLED {
+        let lost = format!("{device}: ");
+        let line = words.lines().find(|line| line.contains(&lost) && line.contains("missed while it was unplugged"));
+        assert!(line.is_some(), "what the {device} said meanwhile is missed: {words}");
+        assert!(report.contains(&format!("{device}: silent for")), "the report says what it cost: {words}");
+    }
+    // Both lines go on after their silence.
+    let heard = live.heard();
+    for (device, ..) in PULLED {
+        let at_us: Vec<i64> = heard.packets.iter().filter(|((of, _), _)| *of == device).map(|(_, at_us)| *at_us).collect();
+        let pauses_us: Vec<i64> = at_us.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        let longest = (0..pauses_us.len()).max_by_key(|at| pauses_us[*at]).expect("packets");
+        let (before, after) = (longest + 1, at_us.len() - longest - 1);
+        assert!(pauses_us[longest] as f64 > 1e6 * (AWAY_S - 0.5), "{device}: its longest silence is {} µs", pauses_us[longest]);
+        assert!(before > 100 && after > 100, "{device}: {before} packets before its silence, {after} after");
+    }
+
+    let (pairs, poses) = (pairs(&live), poses(&live));
+    assert_eq!((pairs.len(), poses.len()), (8, 8), "{words}");
+    let [(.., without_arm), (.., without_robot)] = PULLED;
+    for (pair, pose) in pairs.iter().zip(&poses) {
+        let name = pose["frame"].as_str().expect("a name");
+        let counter = counter_of(name);
+        // All of them show their beads but the seventh, which is collimated: that the arm is not heard costs no pose.
+        assert!(counter == 7 || pair["pose_source"] == "beads", "{pair:#}");
+        if without_arm.contains(&counter) {
+            assert!(pair["innovation"].is_null(), "no prior without joints: {pair:#}");
+            assert!(pose["binding"]["exposure"]["joints"].is_null(), "joints of another time: {pose:#}");
+            continue;
+        }
+        has_its_own_exposure(pose, counter, &lab.frames().join(format!("{name}.dcm")), 0.3);
+        if pair["pose_source"] == "beads" {
+            prior_is_right(pair);
+        }
+        if without_robot.contains(&counter) {
+            assert!(pair["robot_source"] == "scene" && pose["control_angles_deg"].is_null(), "a shape of another time: {pair:#}");
+            let said = format!("({name}): robot drawn as in the scene file: no telemetry covers the exposure");
+            assert!(words.contains(&said), "'{said}' is not in {words}");
+        } else {
+            robot_is_right(pose, counter);
+            assert_eq!(pair["robot_source"], "sensed", "{pair:#}");
+        }
+    }
+}

@@ -27,6 +27,11 @@ impl Disagreement {
         Self { mm, deg: a.rotation.angle_between(b.rotation).to_degrees() }
     }
 
+    /// How far the two are apart, where they do not agree.
+    pub(super) fn where_they_disagree(a: &Rigid, b: &Rigid, centre_lps_mm: DVec3) -> Option<Self> {
+        Some(Self::between(a, b, centre_lps_mm)).filter(|apart| !apart.agrees())
+    }
+
     /// NaN does not agree.
     fn agrees(self) -> bool {
         self.mm <= AGREE_MM && self.deg <= AGREE_DEG

@@ -30,8 +30,9 @@ struct Outcome {
     seed: u64,
     drawn: Drawn,
     beads: Vec<Found>,
-    /// Shadows of nothing.
+    /// Shadows of nothing: clear ones, and ones that are flagged.
     extra: Vec<Detection>,
+    flagged: usize,
     ms: f64,
 }
 
@@ -69,8 +70,9 @@ fn outcome(seed: u64) -> Outcome {
         Found { bead: *bead, off, flagged: own.is_some_and(|n| found[n].flags.any()) }
     });
     let beads = beads.collect();
-    let extra = found.iter().zip(&taken).filter(|(_, taken)| !**taken).map(|(shadow, _)| *shadow).collect();
-    Outcome { seed, drawn, beads, extra, ms }
+    let of_nothing = found.iter().zip(&taken).filter(|(_, taken)| !**taken).map(|(shadow, _)| *shadow);
+    let (flagged, extra): (Vec<_>, Vec<_>) = of_nothing.partition(|shadow| shadow.flags.any());
+    Outcome { seed, drawn, beads, extra, flagged: flagged.len(), ms }
 }
 
 #[derive(Default)]
@@ -79,6 +81,7 @@ struct Row {
     plain: [usize; 2],
     edge: [usize; 2],
     extra: usize,
+    flagged: usize,
     px: Vec<f64>,
     pulls: Vec<f64>,
 }
@@ -91,6 +94,7 @@ impl Row {
     fn take(&mut self, outcome: &Outcome) {
         self.frames += 1;
         self.extra += outcome.extra.len();
+        self.flagged += outcome.flagged;
         for found in outcome.beads.iter().filter(|found| is_clear(&found.bead)) {
             let counts = if found.bead.relief < PLAIN_NEPERS { &mut self.plain } else { &mut self.edge };
             counts[1] += 1;
@@ -128,16 +132,17 @@ fn table(outcomes: &[Outcome]) -> BTreeMap<String, Row> {
         ];
         names.into_iter().for_each(|name| rows.entry(name).or_default().take(outcome));
     }
-    println!("{:24} frames  found/clear  over edges  extra a frame  error, px  pull", "");
+    println!("{:24} frames  found/clear  over edges  of nothing, a frame: clear, flagged  error, px  pull", "");
     for (name, row) in &rows {
         println!(
-            "{name:24} {:6} {:6}/{:<6} {:4}/{:<4} {:12.3} {:11.4} {:7.2}",
+            "{name:24} {:6} {:6}/{:<6} {:4}/{:<4} {:19.3} {:15.3} {:11.4} {:7.2}",
             row.frames,
             row.plain[0],
             row.plain[1],
             row.edge[0],
             row.edge[1],
             row.extra as f64 / row.frames as f64,
+            row.flagged as f64 / row.frames as f64,
             rms(&row.px),
             rms(&row.pulls)
         );

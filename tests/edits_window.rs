@@ -25,7 +25,9 @@ struct Window {
 impl Window {
     fn open(board: BoardState) -> Self {
         let size_px = board.pairs[0].pictures.size_px;
-        let state = Rc::new(RefCell::new(ViewState { arrangement: Arrangement::Two, ..ViewState::default() }));
+        let mut state = ViewState::default();
+        state.arrangement = Arrangement::Two;
+        let state = Rc::new(RefCell::new(state));
         let shared = Rc::clone(&state);
         let show = move |ui: &mut eframe::egui::Ui| draw(ui, &board, &mut shared.borrow_mut());
         let mut harness = Harness::builder().with_size(Vec2::new(1400.0, 900.0)).build_ui(show);
@@ -72,6 +74,12 @@ impl Window {
     fn asked(&self) -> Vec<EditRequest> {
         self.state.borrow_mut().editing.take_asked()
     }
+
+    fn one_asked(&self) -> EditRequest {
+        let asked = self.asked();
+        assert_eq!(asked.len(), 1, "{asked:?}");
+        asked[0].clone()
+    }
 }
 
 fn window() -> Window {
@@ -95,13 +103,16 @@ fn a_click_and_a_key_ask_for_the_edit_that_they_mean() {
     window.click(FOUND_PX);
     assert!(window.said().contains("EDITING bead B1"), "{}", window.said());
     window.press(Modifiers::NONE, Key::Delete);
-    let [dropped] = &window.asked()[..] else { panic!("one edit") };
-    assert!(dropped.number == 7 && matches!(dropped.edit, BeadEdit::Drop { .. }) && near(dropped, FOUND_PX, 1e-6), "{dropped:?}");
+    let dropped = window.one_asked();
+    assert!(
+        dropped.number == 7 && matches!(dropped.edit, BeadEdit::Drop { .. }) && near(&dropped, FOUND_PX, 1e-6),
+        "{dropped:?}"
+    );
 
     // The shadow without a name gets the first that is free: P does not rest on B2.
     window.click([30.0, 30.0]);
     window.press(Modifiers::NONE, Key::Num1);
-    let [name] = &window.asked()[..] else { panic!("one edit") };
+    let name = window.one_asked();
     assert_eq!(name.edit, BeadEdit::Name { bead: "B2".to_owned(), image_px: DVec2::new(30.0, 30.0) });
 
     window.press(Modifiers::COMMAND, Key::Z);
@@ -111,8 +122,8 @@ fn a_click_and_a_key_ask_for_the_edit_that_they_mean() {
 
     window.hover([200.0, 40.0]);
     window.press(Modifiers::NONE, Key::A);
-    let [added] = &window.asked()[..] else { panic!("one edit") };
-    assert!(added.edit.bead() == Some("B2") && near(added, [200.0, 40.0], 1.0), "{added:?}");
+    let added = window.one_asked();
+    assert!(added.edit.bead() == Some("B2") && near(&added, [200.0, 40.0], 1.0), "{added:?}");
     assert!(matches!(added.edit, BeadEdit::Put { .. }));
 
     window.press(Modifiers::NONE, Key::Escape);
@@ -135,8 +146,8 @@ fn a_bead_is_moved_by_dragging_and_by_arrows() {
     assert!(window.asked().is_empty(), "it is asked when it is let go");
     window.harness.drop_at(window.at(to));
     window.harness.run_steps(4);
-    let [moved] = &window.asked()[..] else { panic!("one edit") };
-    assert!(moved.edit.bead() == Some("B1") && near(moved, to, 1.0), "{moved:?}");
+    let moved = window.one_asked();
+    assert!(moved.edit.bead() == Some("B1") && near(&moved, to, 1.0), "{moved:?}");
     let sight = window.state.borrow().sight;
     assert_eq!(sight, Default::default(), "the picture stays");
 
@@ -147,8 +158,8 @@ fn a_bead_is_moved_by_dragging_and_by_arrows() {
     window.press(Modifiers::SHIFT, Key::ArrowUp);
     assert!(window.asked().is_empty());
     window.press(Modifiers::NONE, Key::Enter);
-    let [moved] = &window.asked()[..] else { panic!("one edit") };
-    assert!(moved.edit.bead() == Some("B1") && near(moved, [FOUND_PX[0] + 2.0, FOUND_PX[1] - 0.1], 1e-6), "{moved:?}");
+    let moved = window.one_asked();
+    assert!(moved.edit.bead() == Some("B1") && near(&moved, [FOUND_PX[0] + 2.0, FOUND_PX[1] - 0.1], 1e-6), "{moved:?}");
     assert!(window.press(Modifiers::NONE, Key::Enter).asked().is_empty(), "what was not moved is not put");
 }
 

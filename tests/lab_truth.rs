@@ -16,7 +16,8 @@ use crate::live_lab::{HANG_S, Lab, Live, eventually};
 /// Beginnings of exposures are found to half a sample of the C-arm, and clocks to some milliseconds on a crowded machine.
 pub const TIME_US: i64 = 60_000;
 /// Encoders' noise in the mean of some samples, and what the arm still moves before an exposure.
-pub const JOINT: f64 = 0.6;
+const NEAR_DEG: f64 = 0.6;
+const NEAR_MM: f64 = 2.0;
 
 /// What is scripted of the `counter`th exposure, from 1.
 pub fn scripted(counter: u32) -> Value {
@@ -103,10 +104,10 @@ pub fn has_its_own_exposure(pose: &Value, counter: u32, file: &Path, exposure_s:
     let off_us = binding["time_us"].as_i64().expect("a time") - began_us(file) - (0.5e6 * exposure_s) as i64;
     assert!(off_us.abs() < TIME_US, "exposure {counter}: {off_us} µs off");
     let told = scripted(counter);
-    for joint in ["orbital_deg", "angulation_deg", "lift_mm"] {
+    for (joint, near) in [("orbital_deg", NEAR_DEG), ("angulation_deg", NEAR_DEG), ("lift_mm", NEAR_MM)] {
         let (found, expected) = (exposure["joints"]["value"][joint].as_f64(), told[joint].as_f64().expect("scripted"));
-        let near = found.is_some_and(|found| (found - expected).abs() < JOINT);
-        assert!(near, "exposure {counter}: {joint} is {found:?}, the arm stood at {expected}: {exposure:#}");
+        let is_near = found.is_some_and(|found| (found - expected).abs() < near);
+        assert!(is_near, "exposure {counter}: {joint} is {found:?}, the arm stood at {expected}: {exposure:#}");
     }
 }
 

@@ -36,9 +36,9 @@ pub struct DrawnBead {
     pub sphere: Sphere,
     /// Expected quanta a pixel where it stands, without it.
     pub quanta: f64,
-    /// What it changes at its middle over the deviation of a pixel's value there, times √(pixels of its shadow).
+    /// Quanta that it takes at its middle over their deviation there, times √(pixels of its shadow).
     pub snr: f64,
-    /// The same in steps between neighbouring values, where those are coarse.
+    /// What it changes at its middle, in steps between neighbouring values, where those are coarse.
     pub steps: f64,
     /// Nepers between the thickest and the thinnest that lies in front of it, within two radii.
     pub relief: f64,
@@ -389,9 +389,7 @@ fn draw(seed: u64, collimated: bool, beaded: bool) -> Drawn {
         let (quanta, shaded) = (expected(at), behind(at, steel_passes(1.5)));
         let deviation = (shaded + readout * readout).sqrt();
         let value = |quanta: f64| f64::from(domain.value(quanta, air));
-        let noise = 0.5 * (value(shaded + deviation) - value(shaded - deviation)).abs();
-        let change = (value(quanta) - value(shaded)).abs();
-        let step = f64::from(domain.step()) / 3.0;
+        let (change, step) = ((value(quanta) - value(shaded)).abs(), f64::from(domain.step()) / 3.0);
         let around = (0..32).map(|n| at + DVec2::from_angle(0.4 * f64::from(n)) * sphere.radius_px * f64::from(n) / 16.0);
         let nepers: Vec<f64> = around.map(|x| anatomy.iter().map(|part| part.nepers(x)).sum()).collect();
         let relief =
@@ -402,7 +400,7 @@ fn draw(seed: u64, collimated: bool, beaded: bool) -> Drawn {
         DrawnBead {
             sphere: *sphere,
             quanta,
-            snr: change / noise.hypot(0.3 * step).max(1e-12) * (std::f64::consts::PI * sphere.radius_px.powi(2)).sqrt(),
+            snr: (quanta - shaded) / deviation * (std::f64::consts::PI * sphere.radius_px.powi(2)).sqrt(),
             steps: if step > 0.0 { change / step } else { f64::INFINITY },
             relief,
             free_px: nearest - sphere.radius_px,

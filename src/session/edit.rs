@@ -78,10 +78,11 @@ pub struct EditRequest {
 #[serde(deny_unknown_fields)]
 pub(super) struct EditRecord {
     /// The frame's number of arrival.
-    pub(super) number: u32,
+    pub number: u32,
     /// When it was asked for, host time.
-    pub(super) host_us: i64,
-    pub(super) edit: BeadEdit,
+    pub host_us: i64,
+    /// What was asked for.
+    pub edit: BeadEdit,
 }
 
 /// What `edits`, in their order and without those that were taken back, say of a frame: of no bead twice, and of no place.

@@ -16,7 +16,14 @@ pub(super) enum Event {
     Registered(Box<Registered>),
     /// An edited frame with its pose.
     Edited(Box<Posed>),
-    LineOpened { device: DeviceKind, host_us: i64 },
-    LineLost { device: DeviceKind, host_us: i64, reason: String },
+    LineOpened {
+        device: DeviceKind,
+        host_us: i64,
+    },
+    LineLost {
+        device: DeviceKind,
+        host_us: i64,
+        reason: String,
+    },
     Ended(Source),
 }

@@ -11,8 +11,8 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::super::against_log::METADATA_TOPIC;
-use super::super::file::Setup;
 use super::super::edit::EDIT_TOPIC;
+use super::super::file::Setup;
 use super::super::log::{CLOCK_TOPIC, DISAGREES_TOPIC, DRR_HASH_TOPIC, END_TOPIC, ORDER_TOPIC, SCATTER_NETWORK, SETUP_TOPIC};
 use super::super::pictures::{PictureDigest, Pictures};
 use super::super::records::{CUT_TOPIC, REDACTED_TOPIC, RESTART_TOPIC, RedactedRecord, SEEN_TOPIC, SeenRecord};

@@ -16,9 +16,7 @@ pub(super) fn renumbered(entry: &LogEntry, by: u32) -> Result<LogEntry, RecordEr
     let change: fn(&mut Value, u32) = match &*entry.topic {
         topic::FRAME_TAGS => frame,
         SEEN_TOPIC => |value, by| frame(&mut value["frame"], by),
-        ORDER_TOPIC | EDIT_TOPIC | DISAGREES_TOPIC | DRR_HASH_TOPIC | topic::PLAN => {
-            |value, by| add(value.get_mut("number"), by)
-        }
+        ORDER_TOPIC | EDIT_TOPIC | DISAGREES_TOPIC | DRR_HASH_TOPIC | topic::PLAN => |value, by| add(value.get_mut("number"), by),
         topic::POSE => pose,
         topic::SCORES => pair,
         CUT_TOPIC => |value, by| {

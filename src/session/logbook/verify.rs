@@ -7,8 +7,8 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::super::against_log::Samples;
-use super::super::file::Setup;
 use super::super::edit::{EDIT_TOPIC, EditRecord};
+use super::super::file::Setup;
 use super::super::log::{DISAGREES_TOPIC, DRR_HASH_TOPIC, END_TOPIC, ORDER_TOPIC, PoseRecord, SETUP_TOPIC};
 use super::super::recorded::sha256_of;
 use super::super::records::{CUT_TOPIC, CutRecord, RESTART_TOPIC};

@@ -88,7 +88,7 @@ impl Drawn {
         let tilt = (within(-2e-3, 2e-3), within(-2e-3, 2e-3));
         let lobes = std::array::from_fn(|_| within(0.0, std::f64::consts::TAU));
         // Three energies of a filtered beam: hardening makes the shadow a little flatter than one energy would.
-        let steel = vec![(0.3, 1.5), (0.4, 0.8), (0.3, 0.45)];
+        let steel = BEAM.to_vec();
         Self { columns: across * CELL_PX, rows: down * CELL_PX, quanta, blur_px: 0.8, beads, clutter, steel, tilt, lobes, lines }
     }
 
@@ -170,6 +170,42 @@ impl Drawn {
         out.pixels.iter_mut().for_each(|value| *value *= scale);
         out
     }
+}
+
+/// Three energies of a filtered beam: share, and attenuation of steel in 1/mm.
+const BEAM: [(f64, f64); 3] = [(0.3, 1.5), (0.4, 0.8), (0.3, 0.45)];
+
+/// What steel lets pass.
+pub fn steel_passes(mm: f64) -> f64 {
+    BEAM.iter().map(|(share, mu)| share * (-mu * mm).exp()).sum()
+}
+
+/// What 1.5 mm spheres let pass at each pixel, blurred by a Gaussian.
+pub fn shade(width: usize, height: usize, spheres: &[Sphere], blur_px: f64) -> Image<f64> {
+    let mut all = Image::filled(width, height, 1.0);
+    for sphere in spheres {
+        let reach = (sphere.radius_px + 5.0).ceil();
+        let first = |at: f64| (at - reach).floor().max(0.0);
+        let (left, top) = (first(sphere.u_px), first(sphere.v_px));
+        let span = |at: f64, first: f64, end: usize| (((at + reach).ceil() + 1.0).min(end as f64) - first).max(0.0) as usize;
+        let (w, h) = (span(sphere.u_px, left, width), span(sphere.v_px, top, height));
+        let mut fine = vec![0.0; w * FINE * h * FINE];
+        for (n, value) in fine.iter_mut().enumerate() {
+            let place = |n: usize| (n as f64 + 0.5) / FINE as f64 - 0.5;
+            let (u, v) = (left + place(n % (w * FINE)), top + place(n / (w * FINE)));
+            let off2 = ((u - sphere.u_px).powi(2) + (v - sphere.v_px).powi(2)) / sphere.radius_px.powi(2);
+            *value = steel_passes(1.5 * (1.0 - off2).max(0.0).sqrt());
+        }
+        let blurred = gaussian(&fine, w * FINE, h * FINE, blur_px * FINE as f64);
+        for row in 0..h {
+            for column in 0..w {
+                let fine = |n: usize| blurred[(row * FINE + n / FINE) * w * FINE + column * FINE + n % FINE];
+                let mean = (0..FINE * FINE).map(fine).sum::<f64>() / (FINE * FINE) as f64;
+                all.pixels[(top as usize + row) * width + left as usize + column] *= mean;
+            }
+        }
+    }
+    all
 }
 
 /// Gaussian blur, the border repeated.

@@ -9,7 +9,7 @@ use crate::architecture::rust_files;
 const ALL: &[&str] = &[];
 
 /// Sources, and the heading under which the keys of their types stand. No names: every type that refuses unknown keys.
-const DESCRIBED: [(&str, &[&str], &str); 36] = [
+const DESCRIBED: [(&str, &[&str], &str); 38] = [
     ("src/session/file.rs", &[], "Session"),
     ("src/session/servers.rs", &[], "Session"),
     ("src/geometry/console/declared.rs", &[], "Session"),
@@ -20,6 +20,8 @@ const DESCRIBED: [(&str, &[&str], &str); 36] = [
     ("src/scene/optics.rs", &[], "Scene"),
     ("src/scene/model.rs", &[], "Scene"),
     ("src/pose/record.rs", &[], "Pose"),
+    ("src/pose/hand_marks.rs", &[], "Pose"),
+    ("src/session/edit.rs", &[], "The log"),
     ("src/pose/residual.rs", &[], "Pose"),
     ("src/pose/unseen.rs", &[], "Pose"),
     ("src/pose/together/record.rs", &[], "Poses of several views"),

@@ -12,7 +12,7 @@ use sidecarm::record::{read_log, topic};
 use crate::igtl_client::{Client, Told};
 use crate::live_lab::{HANG_S, Lab, Live, Signal, eventually};
 
-type Matrix = [[f64; 4]; 4];
+pub type Matrix = [[f64; 4]; 4];
 
 fn product(a: &Matrix, b: &Matrix) -> Matrix {
     std::array::from_fn(|row| std::array::from_fn(|column| (0..4).map(|k| a[row][k] * b[k][column]).sum()))
@@ -27,12 +27,12 @@ fn apart_mm(a: [f64; 3], b: [f64; 3]) -> f64 {
 }
 
 /// The address that the program says.
-fn address(words: &str) -> Option<std::net::SocketAddr> {
+pub fn address(words: &str) -> Option<std::net::SocketAddr> {
     words.split("OpenIGTLink listens on ").nth(1)?.split_whitespace().next()?.parse().ok()
 }
 
 /// Poses of the log by time: number, whether accepted, `camera_from_lps`.
-fn poses(log: &Path) -> BTreeMap<i64, (u64, bool, Option<Matrix>)> {
+pub fn poses(log: &Path) -> BTreeMap<i64, (u64, bool, Option<Matrix>)> {
     let mut found = BTreeMap::new();
     for entry in &read_log(log).expect("the log opens").entries {
         if &*entry.topic == topic::POSE {

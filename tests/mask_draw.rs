@@ -7,6 +7,7 @@ use sidecarm::image::Image;
 use sidecarm::mask::{FieldShape, HalfPlane};
 use sidecarm::random::{Purpose, Stream};
 
+use crate::beads_drawn::{Sphere, shade, steel_passes};
 use crate::mask_matter::draw_anatomy;
 
 /// A frame and what is true about it.
@@ -25,6 +26,24 @@ pub struct Drawn {
     pub told: FieldShape,
     /// Which parts and numbers were drawn, for people.
     pub note: String,
+    /// Beads in the beam, where they were asked for.
+    pub beads: Vec<DrawnBead>,
+}
+
+/// A steel sphere in the beam, and how well its shadow stands out.
+#[derive(Clone, Copy, Debug)]
+pub struct DrawnBead {
+    pub sphere: Sphere,
+    /// Expected quanta a pixel where it stands, without it.
+    pub quanta: f64,
+    /// Quanta that it takes at its middle over their deviation there, times √(pixels of its shadow).
+    pub snr: f64,
+    /// What it changes at its middle, in steps between neighbouring values, where those are coarse.
+    pub steps: f64,
+    /// Nepers between the thickest and the thinnest that lies in front of it, within two radii.
+    pub relief: f64,
+    /// From the shadow's rim to the nearest of: half of the beam, the frame's border, writing.
+    pub free_px: f64,
 }
 
 /// Uniform numbers of one seed.
@@ -223,7 +242,9 @@ impl Domain {
 }
 
 /// Letters of 5 × 7 dots, some with a plate behind them, near the border.
-fn burn_text(draw: &mut Draw, pixels: &mut Image<f32>, ink: f32) {
+///
+/// Gives the first and the last of its pixels.
+fn burn_text(draw: &mut Draw, pixels: &mut Image<f32>, ink: f32) -> [DVec2; 2] {
     let dot = draw.count(1, 1 + pixels.width.min(pixels.height) / 300);
     let letters = draw.count(1, 12);
     let (width, height) = (6 * dot * letters, 7 * dot);
@@ -245,6 +266,7 @@ fn burn_text(draw: &mut Draw, pixels: &mut Image<f32>, ink: f32) {
             }
         }
     }
+    [DVec2::new(left as f64, top as f64), DVec2::new((left + width) as f64, (top + height) as f64)]
 }
 
 fn smooth(share: f64) -> f64 {
@@ -265,12 +287,39 @@ pub fn frame_size(seed: u64, collimated: bool) -> (usize, usize) {
 
 /// The frame of `seed`, with or without blades.
 pub fn draw_frame(seed: u64, collimated: bool) -> Drawn {
+    draw(seed, collimated, false)
+}
+
+/// The same with six to fourteen beads, and nothing else that is round and of metal.
+pub fn draw_beaded_frame(seed: u64, collimated: bool) -> Drawn {
+    draw(seed, collimated, true)
+}
+
+/// Spheres that lie beside each other, of one size or nearly so.
+fn draw_spheres(seed: u64, size: DVec2) -> Vec<Sphere> {
+    let mut draw = Draw(Stream::new(seed, 4, 0, Purpose::Evaluation));
+    let (count, radius) = (draw.count(6, 14), draw.log(2.5, 9.0));
+    let mut spheres: Vec<Sphere> = Vec::new();
+    for _ in 0..400 {
+        let (place, radius_px) = (draw.place(size, 0.0), radius * draw.between(0.93, 1.07));
+        let apart = |other: &Sphere| DVec2::new(other.u_px, other.v_px).distance(place) > 6.0 * radius;
+        if spheres.len() < count && spheres.iter().all(apart) {
+            spheres.push(Sphere { u_px: place.x, v_px: place.y, radius_px });
+        }
+    }
+    spheres
+}
+
+fn draw(seed: u64, collimated: bool, beaded: bool) -> Drawn {
     let mut draw = Draw(Stream::new(seed, u32::from(collimated), 0, Purpose::Evaluation));
     let (width, height) = draw_size(&mut draw);
     let size = DVec2::new(width as f64 - 1.0, height as f64 - 1.0);
     let (shape, blades) = if collimated { seen_blades(&mut draw, size) } else { ("open", Blades::none()) };
     let penumbra_px = if draw.chance(0.2) { 0.0 } else { draw.between(0.5, 20.0) * (width.min(height) as f64 / 600.0).min(1.0) };
-    let anatomy = draw_anatomy(&mut draw, size);
+    let mut anatomy = draw_anatomy(&mut draw, size);
+    let spheres = if beaded { draw_spheres(seed, size) } else { Vec::new() };
+    anatomy.retain(|part| !beaded || !part.is_round_metal());
+    let shade = beaded.then(|| shade(width, height, &spheres, 0.5 + 0.5 * (seed % 7) as f64 / 6.0));
     let air = draw.log(5.0, 1e5);
     let readout = draw.log(0.3, 10.0).min(0.5 + 0.1 * air);
     let leak = draw.between(0.0, 0.003);
@@ -284,7 +333,7 @@ pub fn draw_frame(seed: u64, collimated: bool) -> Drawn {
             .collect();
         places.iter().sum::<f64>() / 200.0
     };
-    let expected = |x: DVec2| {
+    let behind = |x: DVec2, shade: f64| {
         let depth = blades.depth_px(x);
         let open = if penumbra_px > 0.0 {
             smooth(depth / penumbra_px + 0.5)
@@ -295,8 +344,9 @@ pub fn draw_frame(seed: u64, collimated: bool) -> Drawn {
         };
         let passed = (-anatomy.iter().map(|part| part.nepers(x)).sum::<f64>()).exp();
         let tail = if depth < 0.0 { glare * (depth / glare_px).exp() } else { glare };
-        air * (passed * (open + leak * (1.0 - open)) + anatomy_mean * (scatter * open + tail))
+        air * (passed * shade * (open + leak * (1.0 - open)) + anatomy_mean * (scatter * open + tail))
     };
+    let expected = |x: DVec2| behind(x, 1.0);
     let mut pixels = Image::filled(width, height, 0.0_f32);
     let mut depth_px = Image::filled(width, height, f32::INFINITY);
     let faulty = if draw.chance(0.2) { 1e-4 } else { 0.0 };
@@ -306,7 +356,8 @@ pub fn draw_frame(seed: u64, collimated: bool) -> Drawn {
                 let x = DVec2::new(column as f64, row as f64);
                 let mut stream =
                     Stream::new(seed, 2 + u32::from(collimated), (row * width + column) as u32, Purpose::QuantumNoise);
-                let quanta = poisson(expected(x), &mut stream) + readout * stream.normal();
+                let shade = shade.as_ref().map_or(1.0, |shade| shade.pixels[row * width + column]);
+                let quanta = poisson(behind(x, shade), &mut stream) + readout * stream.normal();
                 values[column] = domain.value(quanta, air);
                 if faulty > 0.0 && stream.uniform() < faulty && matches!(domain, Domain::Linear { .. } | Domain::Nepers) {
                     values[column] = f32::NAN;
@@ -323,15 +374,39 @@ pub fn draw_frame(seed: u64, collimated: bool) -> Drawn {
             }
         }
     }
+    let mut written = Vec::new();
     if draw.chance(0.35) {
         let finite = pixels.pixels.iter().copied().filter(|value| value.is_finite());
         let (least, most) =
             finite.fold((f32::INFINITY, f32::NEG_INFINITY), |(least, most), value| (least.min(value), most.max(value)));
         for _ in 0..draw.count(1, 3) {
             let ink = draw.pick(&[least, most, most]);
-            burn_text(&mut draw, &mut pixels, ink);
+            written.push(burn_text(&mut draw, &mut pixels, ink));
         }
     }
+    let seen = |sphere: &Sphere| {
+        let at = DVec2::new(sphere.u_px, sphere.v_px);
+        let (quanta, shaded) = (expected(at), behind(at, steel_passes(1.5)));
+        let deviation = (shaded + readout * readout).sqrt();
+        let value = |quanta: f64| f64::from(domain.value(quanta, air));
+        let (change, step) = ((value(quanta) - value(shaded)).abs(), f64::from(domain.step()) / 3.0);
+        let around = (0..32).map(|n| at + DVec2::from_angle(0.4 * f64::from(n)) * sphere.radius_px * f64::from(n) / 16.0);
+        let nepers: Vec<f64> = around.map(|x| anatomy.iter().map(|part| part.nepers(x)).sum()).collect();
+        let relief =
+            nepers.iter().copied().fold(f64::NEG_INFINITY, f64::max) - nepers.iter().copied().fold(f64::INFINITY, f64::min);
+        let border = at.min(size - at).min_element();
+        let writing = written.iter().map(|[first, last]| (*first - at).max(at - *last).max(DVec2::ZERO).length());
+        let nearest = writing.fold(border.min(blades.depth_px(at) - 0.5 * penumbra_px), f64::min);
+        DrawnBead {
+            sphere: *sphere,
+            quanta,
+            snr: (quanta - shaded) / deviation * (std::f64::consts::PI * sphere.radius_px.powi(2)).sqrt(),
+            steps: if step > 0.0 { change / step } else { f64::INFINITY },
+            relief,
+            free_px: nearest - sphere.radius_px,
+        }
+    };
+    let beads = spheres.iter().map(seen).collect();
     let faint = collimated
         && is_faint(&blades, size, penumbra_px, expected, |quanta| domain.value(quanta, air), readout, paint, domain.step());
     let note = format!(
@@ -353,6 +428,7 @@ pub fn draw_frame(seed: u64, collimated: bool) -> Drawn {
         penumbra_px,
         faint,
         note,
+        beads,
     }
 }
 

@@ -34,6 +34,11 @@ pub enum Matter {
 }
 
 impl Matter {
+    /// A rod that the beam goes along: the shadow of a sphere.
+    pub fn is_round_metal(&self) -> bool {
+        matches!(*self, Self::Rod { from, to, .. } if from.distance(to) < 1.0)
+    }
+
     pub fn nepers(&self, x: DVec2) -> f64 {
         match *self {
             Self::Blob { centre, spread_px, nepers } => {

@@ -10,7 +10,7 @@ use crate::pose_registration::{matching, shadows};
 use crate::pose_synthetic as synthetic;
 
 /// Eight beads over 160 × 160 × 120 mm whose places are known to 0.05 mm.
-fn eight(seed: u64) -> BeadLayout {
+pub fn eight(seed: u64) -> BeadLayout {
     let layout = synthetic::layout(8, 0.75, seed);
     let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
     layout.beads.iter().for_each(|bead| (low, high) = (low.min(bead.lps_mm), high.max(bead.lps_mm)));

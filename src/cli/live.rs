@@ -74,7 +74,7 @@ fn keep_memory() {
 pub(super) fn watch(setup: Setup, options: LiveOptions, headless: bool, reporter: &Reporter) -> Result<Folder, SessionError> {
     let board = Board::default();
     if headless || !cfg!(feature = "viewer") {
-        return run_session(setup, &options, &board, reporter);
+        return run_session(setup, &options, None, &board, reporter);
     }
     #[cfg(not(feature = "viewer"))]
     unreachable!("returned above");
@@ -82,8 +82,10 @@ pub(super) fn watch(setup: Setup, options: LiveOptions, headless: bool, reporter
     {
         let (stop, asked) = (options.stop.clone(), options.stop.clone());
         let (of_session, words) = (board.clone(), reporter.clone());
-        let session = move || run_session(setup, &options, &of_session, &words);
-        super::windowed::beside_window(board, reporter, session, move || asked.is_interrupted(), move || stop.finish())
+        let (requests, edits) = std::sync::mpsc::channel();
+        let session = move || run_session(setup, &options, Some(edits), &of_session, &words);
+        let asks = move || asked.is_interrupted();
+        super::windowed::beside_window(board, Some(requests), reporter, session, asks, move || stop.finish())
     }
 }
 

@@ -57,7 +57,7 @@ fn replayed(args: &ReplayArgs, options: ReplayOptions, reporter: &Reporter) -> R
     if args.window {
         let (log, of_replay, words) = (args.log.clone(), board.clone(), reporter.clone());
         let work = move || replay(&log, &options, &of_replay, &words);
-        return super::windowed::beside_window(board, reporter, work, || false, || ());
+        return super::windowed::beside_window(board, None, reporter, work, || false, || ());
     }
     replay(&args.log, &options, &board, reporter)
 }

@@ -368,7 +368,7 @@ mod tests {
         for words in ["[/dev/ttyUSB7]", "nowhere.json", "'nothing' is no folder", "mono_keV", "'many' is no TCP port"] {
             assert!(screen.contains(words), "{words}: {screen}");
         }
-        assert_eq!(screen.matches("Serial port").count(), 2);
+        assert_eq!(screen.matches("Port of the ").count(), 2);
         let carm = found.carm.expect("a C-arm");
         assert_eq!(
             (carm.port.as_path(), carm.calibration.as_path(), carm.baud),
@@ -388,7 +388,7 @@ mod tests {
         let mut silent = Asker { answers: &b""[..], screen: Vec::new() };
         let (found, files) = answered(&given, Vec::new(), &mut silent).expect("nothing that needs an answer");
         let asked = String::from_utf8(std::mem::take(&mut silent.screen)).expect("text");
-        assert!(!asked.contains("Serial port") && !asked.contains("Scene") && asked.contains("OpenIGTLink"), "{asked}");
+        assert!(!asked.contains("Port of the ") && !asked.contains("Scene") && asked.contains("OpenIGTLink"), "{asked}");
         assert_eq!((found.domain, found.frames.dicom, found.igtl, found.console), (None, None, None, None));
         assert!(found.carm.is_none() && found.robot.is_some_and(|robot| robot.baud == 115_200));
         assert!(parse_json::<RobotModel>(files[0].1.as_bytes()).is_ok());
@@ -399,6 +399,7 @@ mod tests {
         let refused = answered(&given, Vec::new(), &mut silent).expect_err("nobody answers").to_string();
         assert!(refused.contains("give --frames"), "{refused}");
     }
+
     /// With one adapter plugged in and no C-arm, the robot's default was `none`: the C-arm's question had used the port up.
     #[test]
     fn a_port_that_the_c_arm_does_not_have_is_offered_for_the_robot() {

@@ -2,11 +2,13 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
+use std::sync::mpsc::Sender;
 use std::time::Duration;
 
 use crate::reporter::Reporter;
 use crate::session::SessionError;
 use crate::session::board::Board;
+use crate::session::edit::EditRequest;
 
 /// How often it is asked whether a window leaves.
 const LOOK: Duration = Duration::from_millis(200);
@@ -45,13 +47,14 @@ impl Drop for Fate {
     }
 }
 
-/// Runs `work` beside a window that shows `board`. Closing the window runs `closed`; the window closes by itself where the work fails, and
+/// Runs `work` beside a window that shows `board` and sends what a person edits to `edits`. Closing the window runs `closed`; the window closes by itself where the work fails, and
 /// where it has ended and `leaves` says that nobody wants to look any more. Without a window the work goes on alone.
 ///
 /// # Errors
 /// Those of `work`.
 pub(super) fn beside_window<T: Send + 'static>(
     board: Board,
+    edits: Option<Sender<EditRequest>>,
     reporter: &Reporter,
     work: impl FnOnce() -> Result<T, SessionError> + Send + 'static,
     leaves: impl Fn() -> bool + Clone + Send + 'static,
@@ -74,7 +77,7 @@ pub(super) fn beside_window<T: Send + 'static>(
         ENDED => leaves(),
         _ => false,
     };
-    if let Err(error) = crate::viewer::run(board.clone(), is_over, closed) {
+    if let Err(error) = crate::viewer::run(board.clone(), edits, is_over, closed) {
         reporter.warn("no window", error);
     }
     // Pictures that nobody looks at are not made.

@@ -7,6 +7,7 @@ use glam::{DVec2, DVec3};
 use nalgebra::{Matrix2, Matrix3, Matrix6, Vector2};
 
 use super::gate::{Gate, information_about};
+use super::hand_marks::nearest_shadow;
 use super::prior::Prior;
 use super::record::{Pose, Shadow};
 use super::refusal::{Refusal, Rival};
@@ -24,8 +25,6 @@ pub const PRIOR_SIGMA: (f64, f64) = (5.0 * std::f64::consts::PI / 180.0, 15.0);
 pub const GATE: (f64, f64) = (30.0, 60.0);
 /// Turns within a gate up to which it bounds depths.
 const MOST_TURN_RAD: f64 = 1.0;
-/// Shadows of which a person's mark means the nearest one: so many radii from it, at most.
-const MARK_RADII: f64 = 2.0;
 
 /// See the module.
 pub(super) struct Case<'a> {
@@ -34,6 +33,8 @@ pub(super) struct Case<'a> {
     pub detections: &'a [Detection],
     /// Bead and shadow that a person has put together.
     pub pinned: Vec<(usize, usize)>,
+    /// Shadows of which a person has said that they are no bead's; other readings may take them all the same.
+    pub barred: Vec<usize>,
     /// Looks at the frame; `None` where there is none.
     pub probe: Option<Probe<'a>>,
     /// Nothing matched near the prior: it no longer gates.
@@ -52,11 +53,7 @@ impl<'a> Case<'a> {
             let Some(bead) = request.layout.beads.iter().position(|bead| bead.name == given.bead) else {
                 return Err(refuse(format!("the layout has no bead called {:?}", given.bead)));
             };
-            let marked = request.straight(given.image_px);
-            let distance = |n: &usize| detections[*n].image_px.distance(marked);
-            let nearest = (0..detections.len()).min_by(|a, b| distance(a).total_cmp(&distance(b)));
-            let within = |n: &usize| distance(n) <= (MARK_RADII * detections[*n].radius_px).max(6.0);
-            let Some(shadow) = nearest.filter(within) else {
+            let Some(shadow) = nearest_shadow(detections, request.straight(given.image_px)) else {
                 return Err(refuse(format!("there is no bead-like shadow where {place} is said to be")));
             };
             if pinned.iter().any(|(other, n)| *other == bead || *n == shadow) {
@@ -64,7 +61,9 @@ impl<'a> Case<'a> {
             }
             pinned.push((bead, shadow));
         }
-        Ok(Self { request, detections, pinned, probe, without_prior: false, everywhere: RefCell::default() })
+        let (of_hand, barred) = request.by_hand.pairs(request.layout, detections, |at| request.straight(at));
+        pinned.extend(of_hand);
+        Ok(Self { request, detections, pinned, barred, probe, without_prior: false, everywhere: RefCell::default() })
     }
 
     /// The answer that there is no pose, with what the frame shows.
@@ -128,6 +127,7 @@ impl<'a> Case<'a> {
             allowed: allowed(targets, detections, k, gate.as_ref()),
             in_gate: in_gate(targets, gate.as_ref()),
             pinned: pinned.collect(),
+            barred: Vec::new(),
             gate,
             slack_px: 0.0,
             budget: super::search::BUDGET,

@@ -94,6 +94,7 @@ impl Case<'_> {
         self.check_radii(last, &mut cautions)?;
         self.check_second(last, hypothesis, unexplained, &mut cautions)?;
         self.check_prior(last, hypothesis, &mut cautions)?;
+        self.doubt_put(last, &mut cautions);
         if !missing.is_empty() {
             cautions.say(format!("not seen although their places are clear: {}", missing.join(", ")));
         }

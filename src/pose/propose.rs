@@ -61,14 +61,18 @@ impl Case<'_> {
         let k = self.request.intrinsics?;
         let targets = self.targets();
         let gate = self.request.prior.map(|prior| self.gate(prior));
-        let search = Search { budget: ROUGH_BUDGET, ..self.search(&targets, self.detections, Some, &k, gate) };
+        let search = Search {
+            budget: ROUGH_BUDGET,
+            barred: self.barred.clone(),
+            ..self.search(&targets, self.detections, Some, &k, gate)
+        };
         let found = search.run(|best, tried| self.is_enough(best, tried));
         found.hypotheses.first().map(|best| best.camera_from_lps)
     }
 
     fn find(&self, k: &Intrinsics, slack_px: f64, gate: Option<Gate>) -> Option<Candidate> {
         let targets = self.targets();
-        let search = Search { slack_px, ..self.search(&targets, self.detections, Some, k, gate) };
+        let search = Search { slack_px, barred: self.barred.clone(), ..self.search(&targets, self.detections, Some, k, gate) };
         let Found { hypotheses, tried, .. } = search.run(|best, tried| self.is_enough(best, tried));
         let mut all = hypotheses.into_iter();
         let best = all.next()?;

@@ -6,6 +6,7 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use super::file::{PoseFileError, read_json, write_json};
+use super::hand_marks::Edited;
 use super::refusal::Refusal;
 use super::residual::{BeadResidual, TagResidual};
 use super::unseen::Unseen;
@@ -201,6 +202,9 @@ pub struct Pose {
     /// The same pose in the panel's own pixels and axes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub detector: Option<DetectorPose>,
+    /// What of its observations comes from a hand; absent where nothing does.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub edited: Option<Edited>,
     /// Assumptions and warnings.
     pub notes: Vec<String>,
     /// Software that wrote it.

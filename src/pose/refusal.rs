@@ -89,6 +89,17 @@ pub enum Refusal {
     /// Correspondences that cannot be kept.
     #[error("correspondences: {detail}")]
     Correspondences { detail: String },
+    /// What a hand said of a bead, and what the others say.
+    #[error(
+        "by_hand: {bead}, which a hand put or named at ({:.1}, {:.1}) px, {}; undo that edit, or correct it", image_px[0], image_px[1], against_others(*off_px)
+    )]
+    ByHand {
+        bead: String,
+        /// Of the frame.
+        image_px: [f64; 2],
+        /// From where the pose of the others has it; absent where that is nowhere.
+        off_px: Option<f64>,
+    },
     /// The picture is not straight.
     #[error(
         "distorted: the beads agree to {bent_px:.2} px instead of {given_px:.2} px if the picture is distorted by {shift_px:.1} px at the outermost of them; calibrate the intensifier or lens (calibrate intensifier) and give --distortion"
@@ -254,6 +265,13 @@ pub enum Refusal {
 
 fn others_seen(others: &[u32]) -> String {
     if others.is_empty() { String::new() } else { format!("; others do: {others:?}") }
+}
+
+fn against_others(off_px: Option<f64>) -> String {
+    match off_px {
+        Some(off_px) => format!("is {off_px:.1} px from where the other beads have it"),
+        None => "has no place in the pose of the other beads".to_owned(),
+    }
 }
 
 fn more_shadows(prior_puts_into_frame: Option<&[usize; 2]>) -> String {

@@ -12,6 +12,7 @@ use super::residual::BeadResidual;
 use crate::acquire::Frame;
 use crate::beads::{Detection, Detections, Polarity, Probe, detect};
 use crate::geometry::{Intrinsics, Rigid};
+use crate::image::Image;
 use crate::mask::{self, Cause, Masks};
 
 /// Shadows used in the search: the best.
@@ -26,14 +27,29 @@ pub fn register(request: &Registration, frame: &Frame) -> Pose {
 /// [`register`] where the frame's masks are known.
 #[must_use]
 pub fn register_masked(request: &Registration, frame: &Frame, masks: &Masks) -> Pose {
-    let pose = match request.fault() {
-        Some(fault) => request.refuse(&fault),
-        None => either_polarity(request, frame, masks),
-    };
-    pose.on_panel(frame)
+    match request.fault() {
+        Some(fault) => request.refuse(&fault).on_panel(frame),
+        None => register_looked(request, frame, &look(request, frame, masks)),
+    }
 }
 
-fn either_polarity(request: &Registration, frame: &Frame, masks: &Masks) -> Pose {
+/// What a frame shows that looks like beads: the slow half of a registration, which does not depend on what a person says of the beads.
+#[derive(Clone, Debug)]
+pub struct Looked {
+    /// In the undistorted picture.
+    detections: Detections,
+    usable: Image<bool>,
+}
+
+/// Looks for bead-like shadows.
+#[must_use]
+pub fn look(request: &Registration, frame: &Frame, masks: &Masks) -> Looked {
+    if request.fault().is_some() {
+        // No picture makes it good.
+        let (found, opposite, evidence) = (Vec::new(), Vec::new(), String::new());
+        let detections = Detections { found, polarity: Polarity::Dark, opposite, evidence };
+        return Looked { detections, usable: Image { width: 0, height: 0, pixels: Vec::new() } };
+    }
     // A bead before clipped air is still a shadow, and a row of beads clipped to black looks like writing; writing has no round shadows.
     // What is behind the shutters or dead is none.
     let [width, height] = frame.size_px;
@@ -41,7 +57,22 @@ fn either_polarity(request: &Registration, frame: &Frame, masks: &Masks) -> Pose
     let found = detect(frame, Some(&usable), &request.expectation());
     let straight = |shadows| request.straight_shadows(shadows);
     let detections = Detections { found: straight(found.found), opposite: straight(found.opposite), ..found };
-    let probe = |polarity| Some(Probe::new(frame, &usable, polarity));
+    Looked { detections, usable }
+}
+
+/// [`register_masked`] where it is known what the frame shows.
+#[must_use]
+pub fn register_looked(request: &Registration, frame: &Frame, looked: &Looked) -> Pose {
+    let pose = match request.fault() {
+        Some(fault) => request.refuse(&fault),
+        None => either_polarity(request, frame, looked),
+    };
+    pose.on_panel(frame)
+}
+
+fn either_polarity(request: &Registration, frame: &Frame, looked: &Looked) -> Pose {
+    let Looked { detections, usable } = looked;
+    let probe = |polarity| Some(Probe::new(frame, usable, polarity));
     let mut pose = attempt(request, &detections.found, probe(detections.polarity));
     pose.notes.insert(0, detections.evidence.clone());
     if !pose.is_accepted() && !detections.opposite.is_empty() {
@@ -51,7 +82,7 @@ fn either_polarity(request: &Registration, frame: &Frame, masks: &Masks) -> Pose
         };
         let mut other = attempt(request, &detections.opposite, probe(polarity));
         if other.is_accepted() {
-            other.notes.insert(0, detections.evidence);
+            other.notes.insert(0, detections.evidence.clone());
             other.cautions.push("the beads matched in the other polarity than most shadows have".to_owned());
             pose = other;
         }
@@ -87,6 +118,7 @@ fn placed(detections: &[Detection]) -> impl Iterator<Item = &Detection> {
 }
 
 fn attempt(request: &Registration, seen: &[Detection], probe: Option<Probe>) -> Pose {
+    let seen = &request.with_put(seen);
     let detections = best_of(seen);
     let one = |request: &Registration, detections: &[Detection]| match request.fault() {
         Some(fault) => request.refuse(&fault),

@@ -2,6 +2,7 @@
 
 use glam::{DVec2, DVec3};
 
+use super::hand_marks::ByHand;
 use super::prior::Prior;
 use super::record::{Pose, Status};
 use super::refusal::{Points, Refusal};
@@ -37,6 +38,8 @@ pub struct Registration<'a> {
     pub one_body: bool,
     /// Which shadow is which bead, where a person has said so.
     pub correspondences: &'a [Correspondence],
+    /// What a person has changed of what was found.
+    pub by_hand: ByHand<'a>,
     /// Where uncertainty is wanted.
     pub landmarks: &'a [Landmark],
     /// Radius of beads whose description gives none.
@@ -59,6 +62,7 @@ impl<'a> Registration<'a> {
             ignore_prior: false,
             one_body: false,
             correspondences: &[],
+            by_hand: ByHand::default(),
             landmarks: &[],
             bead_radius_mm: None,
         }

@@ -27,6 +27,8 @@ pub struct Search<'a> {
     pub in_gate: Vec<Depths>,
     /// Bead and shadow that belong together, whatever else seems to fit.
     pub pinned: Vec<(usize, usize)>,
+    /// Shadows that are no bead's.
+    pub barred: Vec<usize>,
     /// Extra slack where K is only a guess, px.
     pub slack_px: f64,
     /// Poses from three points, at most about so many.
@@ -111,7 +113,7 @@ impl Search<'_> {
 
     /// Whether a bead and a shadow may belong together by what a person has pinned.
     fn may_pair(&self, bead: usize, detection: usize) -> bool {
-        self.pinned.iter().all(|(b, d)| (*b == bead) == (*d == detection))
+        !self.barred.contains(&detection) && self.pinned.iter().all(|(b, d)| (*b == bead) == (*d == detection))
     }
 
     /// Index triples of detections, best first.
@@ -369,10 +371,23 @@ mod tests {
             let allowed = vec![true; targets.len() * detections.len()];
             let in_gate = vec![Depths::ALL; targets.len()];
             let (size_px, depth_mm) = ([512, 512], (300.0, 1200.0));
-            let (gate, pinned, slack_px) = (None, Vec::new(), 0.0);
+            let (gate, pinned, barred, slack_px) = (None, Vec::new(), Vec::new(), 0.0);
             let (targets, detections) = (&targets, &detections);
-            Search { targets, detections, intrinsics, size_px, depth_mm, gate, allowed, in_gate, pinned, slack_px, budget: 0 }
-                .run(|_, _| false)
+            Search {
+                targets,
+                detections,
+                intrinsics,
+                size_px,
+                depth_mm,
+                gate,
+                allowed,
+                in_gate,
+                pinned,
+                barred,
+                slack_px,
+                budget: 0,
+            }
+            .run(|_, _| false)
         };
         // Four triples are one batch, 56 are two.
         assert!(!found(4).cut_short && found(8).cut_short);

@@ -72,6 +72,7 @@ impl Tags<'_> {
             request: self.request,
             detections: &[],
             pinned: Vec::new(),
+            barred: Vec::new(),
             probe: None,
             without_prior: false,
             everywhere: Default::default(),

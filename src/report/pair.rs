@@ -8,6 +8,7 @@ use super::colour;
 use crate::calibrate::robot::SeenTip;
 use crate::compare::{AirReport, Comparison, Disagreement, Elsewhere, NullPlan, NullScore, Scores, ToneFit, elsewhere};
 use crate::mask::{Cause, MaskShares};
+use crate::pose::Edited;
 use crate::time::StageTimes;
 use crate::timeline::NO_EXPOSURE;
 
@@ -169,6 +170,9 @@ pub struct Pair {
     /// Why it was refused, not tried, or doubted.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
+    /// What of the pose comes from a hand; absent where nothing does.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub edited: Option<Edited>,
     /// √mean(dx² + dy²) over the used beads, px.
     pub rms_px: Option<f64>,
     /// The same at the isocentre, mm.
@@ -252,6 +256,7 @@ impl Pair {
             pose_source: PoseSource::None,
             status: PairStatus::NoPose,
             reason: Some(reason.to_owned()),
+            edited: None,
             rms_px: None,
             rms_mm: None,
             beads: Vec::new(),
@@ -391,7 +396,7 @@ impl Pair {
     /// The status line of the strip: residuals, or the reason.
     #[must_use]
     pub fn status_line(&self) -> String {
-        let mut parts: Vec<String> = Vec::new();
+        let mut parts: Vec<String> = self.edited.iter().map(ToString::to_string).collect();
         if let Some(px) = self.rms_px.filter(|_| self.is_from_beads()) {
             let mm = self.rms_mm.map(|mm| format!(" ({mm:.3} mm)")).unwrap_or_default();
             parts.push(format!("rms {px:.3} px{mm}"));

@@ -95,8 +95,8 @@ impl Samples {
 }
 
 /// What follows from pose, DRR and frame alone.
-const FROM_IMAGES: [&str; 9] =
-    ["scores", "scores_without_tone", "scores_tool", "masks", "tone", "air", "disagreements", "rms_px", "rms_mm"];
+const FROM_IMAGES: [&str; 10] =
+    ["edited", "scores", "scores_without_tone", "scores_tool", "masks", "tone", "air", "disagreements", "rms_px", "rms_mm"];
 /// What follows from these and all other poses, unless the null was left out.
 const WITH_NULL: [&str; 7] = ["null", "status", "binding", "pose_source", "time_us", "innovation", "tip"];
 

@@ -33,6 +33,8 @@ pub struct BoardState {
     pub finished: bool,
     /// Somebody looks: pictures of pairs are made for the eye.
     pub watched: bool,
+    /// The beads of the exposures shown may be edited: the session takes [`super::edit::EditRequest`]s.
+    pub editable: bool,
     /// Warnings by kind.
     pub warnings: Vec<(String, u64)>,
 }
@@ -51,6 +53,8 @@ impl BoardState {
             Arc::make_mut(&mut Arc::make_mut(before).pair).replace_by(pair.number());
         }
         match self.pairs.iter_mut().find(|known| known.number() == pair.number()) {
+            // The null of the pose before came late: an edit was quicker.
+            Some(slot) if slot.development > pair.development => {}
             Some(slot) => {
                 // It was shown when it was shown first; another pose is another showing.
                 if slot.development == pair.development {
@@ -227,6 +231,8 @@ mod tests {
         assert_eq!(state.pairs[0].latency_ms, Some(3.0));
         state.show(PairView { latency_ms: Some(9e3), development: 1, ..pair(3) });
         assert_eq!(state.pairs[0].latency_ms, Some(9e3));
+        state.show(pair(3));
+        assert_eq!(state.pairs[0].development, 1, "what was said before does not come back");
     }
 
     #[test]

@@ -8,12 +8,13 @@ use super::crosscheck::{ExposureFacts, check_exposure, innovation};
 use super::declared::Declared;
 use super::developed::{Developed, UNCHECKED, draw};
 use super::file::Setup;
+use super::pair_view::PairView;
 use super::posing::Posed;
 use crate::beads::{Bead, BeadLayout};
 use crate::calibrate::robot::{SeenTip, tip_in_frame};
 use crate::compare::{CompareInput, NullError, NullRenders, NullScatter, bead_marks, compare, tool_mask};
 use crate::geometry::View;
-use crate::image::sha256_bytes;
+use crate::image::{Image, sha256_bytes};
 use crate::mask::{Cause, MaskShares};
 use crate::pose::Refusal;
 use crate::render::{Options, Plan, Quantity, Renderer, Scatter};
@@ -317,6 +318,17 @@ fn without_scatter(scene: &Scene) -> Scene {
     scene
 }
 
+/// What the window shows of a frame that was solved again, until its DRR is there.
+pub(super) fn solved(posed: Posed) -> PairView {
+    let mut pair = row(&posed);
+    if posed.view.is_some() {
+        pair.flags.push("the DRR of this pose is being made".to_owned());
+    }
+    let strip = Arc::new(Image { width: 0, height: 0, pixels: Vec::new() });
+    let (drr, compared, scatter, drr_sha256) = (None, None, None, None);
+    Developed { posed: Arc::new(posed), pair, drr, scatter, compared, strip, drr_sha256, complete: false }.picture()
+}
+
 /// The report's row of a posed frame, before anything is rendered.
 fn row(posed: &Posed) -> Pair {
     let mut pair = Pair::unmatched(&posed.frame.name, "");
@@ -342,6 +354,7 @@ fn row(posed: &Posed) -> Pair {
         pair.flags.push("the pose is that of tags alone".to_owned());
     }
     pair.flags.extend(posed.binding.flags.iter().map(ToString::to_string));
+    pair.edited = posed.pose.edited.clone();
     pair.rms_px = posed.pose.rms_px.filter(|_| posed.pose.is_accepted());
     pair.beads = posed.pose.beads.iter().map(BeadRow::of).collect();
     pair.rms_mm = posed.pose.rms_mm.filter(|_| posed.pose.is_accepted());

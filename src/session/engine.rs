@@ -9,7 +9,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::Arc;
 
+use super::basis::Basis;
 use super::crosscheck::LineWatch;
+use super::edit::BeadEdit;
+use super::editing::Editing;
 use super::file::Setup;
 use super::hearing::Hearing;
 use super::import::Import;
@@ -81,6 +84,7 @@ pub struct Engine {
     replaced: BTreeSet<u32>,
     pictures: Pictures,
     studies: Studies,
+    editing: Editing,
     reporter: Reporter,
 }
 
@@ -123,6 +127,7 @@ impl Engine {
             replaced: BTreeSet::new(),
             pictures: Pictures::default(),
             studies: Studies::default(),
+            editing: Editing::default(),
             reporter,
         }
     }
@@ -130,6 +135,11 @@ impl Engine {
     /// Pictures of the many frames of a burst wait in `folder` from now on.
     pub fn park_in(&mut self, folder: &Path) {
         self.bound.park_in(folder);
+    }
+
+    /// From now on the beads of posed frames may be edited ([`Input::Edit`]): what their poses rest on is kept.
+    pub fn keep_for_edits(&mut self) {
+        self.editing.begin();
     }
 
     /// Counters of a line.
@@ -238,7 +248,9 @@ impl Engine {
             Input::ImageDisagrees { number } => {
                 return self.retract(number, "the image of this frame, on which the tie rested, prefers another pose");
             }
+            Input::Edit { number, edit, .. } => return self.edit(number, &edit, sink),
             Input::Develop { number } => {
+                self.editing.forget(number);
                 if let Some((bound, lost)) = self.bound.take(number) {
                     let job = Box::new(self.job(bound));
                     sink(match lost {
@@ -280,6 +292,7 @@ impl Engine {
     /// Takes the result of a job: ties the specimen to the room, chooses the pose that is used.
     pub fn registered(&mut self, registered: Registered, sink: &mut dyn FnMut(Output)) {
         let number = registered.number();
+        let basis = self.editing.keeps().then(|| Basis::of(&registered));
         let (mut posed, world_from_lps) = registered.into_posed(self.world_from_tracker);
         // A picture that was torn says nothing of where the specimen lies.
         let world_from_lps = world_from_lps.filter(|_| !self.replaced.contains(&number));
@@ -290,7 +303,7 @@ impl Engine {
         }
         let posed = match world_from_lps {
             Some(world_from_lps) => {
-                let verdict = self.tie.observe(number, &posed.frame.sha256, world_from_lps);
+                let verdict = self.tie.observe(number, &posed.frame.sha256, world_from_lps, posed.pose.doubt.is_some());
                 if let Some(words) = &verdict.words {
                     self.reporter.warn("specimen in the room", format!("frame {number}: {words}"));
                 }
@@ -298,7 +311,29 @@ impl Engine {
             }
             None => posed,
         };
+        if let Some(basis) = basis {
+            self.editing.keep(basis, posed.clone());
+        }
         sink(Output::Posed(Box::new(posed)));
+    }
+
+    /// A person's edit of a frame's beads.
+    fn edit(&mut self, number: u32, edit: &BeadEdit, sink: &mut dyn FnMut(Output)) {
+        let development = self.developments.get(&number).copied().unwrap_or(0) + 1;
+        let job = if self.replaced.contains(&number) {
+            Err("it was not finished, and another frame is the whole picture".to_owned())
+        } else if self.bound.numbers().any(|waiting| waiting == number) {
+            Err("its exposure has become clear only now, and it is about to be posed again".to_owned())
+        } else {
+            self.editing.edit(number, edit, development)
+        };
+        match job {
+            Ok(job) => {
+                self.developments.insert(number, development);
+                sink(Output::Edit(Box::new(job)));
+            }
+            Err(why) => sink(Output::NotEdited { number, words: format!("frame {number} is not edited: {why}") }),
+        }
     }
 
     /// The frame says nothing about where the specimen lies.

@@ -1,7 +1,7 @@
 //! What the session's own thread is told.
 
 use super::input::Input;
-use super::posing::Registered;
+use super::posing::{Posed, Registered};
 use crate::telemetry::DeviceKind;
 
 /// Which source has ended.
@@ -14,7 +14,16 @@ pub(super) enum Source {
 pub(super) enum Event {
     Input(Input),
     Registered(Box<Registered>),
-    LineOpened { device: DeviceKind, host_us: i64 },
-    LineLost { device: DeviceKind, host_us: i64, reason: String },
+    /// An edited frame with its pose.
+    Edited(Box<Posed>),
+    LineOpened {
+        device: DeviceKind,
+        host_us: i64,
+    },
+    LineLost {
+        device: DeviceKind,
+        host_us: i64,
+        reason: String,
+    },
     Ended(Source),
 }

@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use super::edit::BeadEdit;
+use super::editing::EditJob;
 use super::pictures::PictureDigest;
 use super::posing::{PoseJob, Posed};
 use crate::acquire::Frame;
@@ -46,6 +48,15 @@ pub enum Input {
     Develop {
         /// Which.
         number: u32,
+    },
+    /// A person has edited the beads of a frame.
+    Edit {
+        /// Which.
+        number: u32,
+        /// How.
+        edit: BeadEdit,
+        /// When it was asked for.
+        host_us: i64,
     },
     /// The image of an accepted frame prefers another pose: it says nothing about where the specimen lies.
     ImageDisagrees {
@@ -94,6 +105,15 @@ pub enum Output {
     PictureLost {
         /// Without the picture.
         job: Box<PoseJob>,
+        /// Why, for a person.
+        words: String,
+    },
+    /// An edited frame to be posed again; its result is ready to be rendered and compared.
+    Edit(Box<EditJob>),
+    /// An edit that comes to nothing.
+    NotEdited {
+        /// The frame that it was of.
+        number: u32,
         /// Why, for a person.
         words: String,
     },

@@ -2,7 +2,8 @@
 //!
 //! ```text
 //! ports ─ lines ──┬─ log (first) ─┬─ engine ─ registrar ─ engine ─ workshop ─ scribe ─ log, folder, board
-//! folder ─ frames ┘               └─ file
+//! folder ─ frames ┤               └─ file
+//! window ─ edits ─┘                      engine ─ editor ─ workshop
 //! ```
 //! Nothing that is slow or dead behind the engine stops what is in front of it from being recorded.
 
@@ -16,6 +17,9 @@ use super::SessionError;
 use super::background::loops_stand_back;
 use super::board::Board;
 use super::broadcast::Broadcast;
+use super::develop::solved;
+use super::edit::EditRequest;
+use super::editor::Editor;
 use super::engine::Engine;
 use super::event::{Event, Source};
 use super::file::Setup;
@@ -69,11 +73,18 @@ const LEAVE: Duration = Duration::from_secs(1);
 /// A log that is so far behind is said.
 const BEHIND_MS: f64 = 1_000.0;
 
-/// Runs until stopped; returns the finished session's folder.
+/// Runs until stopped; returns the finished session's folder. `edits` are what a person asks for who looks at `board`; without them frames
+/// cannot be edited.
 ///
 /// # Errors
 /// When the scene cannot be loaded, the folder cannot be written, or no renderer is available. What was recorded stays readable.
-pub fn run(setup: Setup, options: &LiveOptions, board: &Board, reporter: &Reporter) -> Result<Folder, SessionError> {
+pub fn run(
+    setup: Setup,
+    options: &LiveOptions,
+    edits: Option<Receiver<EditRequest>>,
+    board: &Board,
+    reporter: &Reporter,
+) -> Result<Folder, SessionError> {
     loops_stand_back();
     let setup = Arc::new(setup);
     // Before anything that takes time: a frame that arrives meanwhile is the session's.
@@ -89,6 +100,11 @@ pub fn run(setup: Setup, options: &LiveOptions, board: &Board, reporter: &Report
     let log = Arc::new(SessionLog::create(&options.out, &setup, &workshop, events, reporter)?);
     let mut engine = Engine::new(Arc::clone(&setup), workshop.layout().cloned(), reporter.clone());
     engine.park_in(&options.out);
+    let editor = edits.map(|edits| Editor::start(edits, Arc::clone(&log))).transpose()?;
+    if editor.is_some() {
+        engine.keep_for_edits();
+        board.update(|state| state.editable = true);
+    }
     let (scribe, pairs) = Scribe::start(collector, Arc::clone(&log), board.clone(), Arc::clone(&broadcast), reporter)?;
     workshop.start(true, move |developed| pairs.send(developed).is_ok())?;
     let jobs = start_registrar(Arc::clone(&log))?;
@@ -109,7 +125,8 @@ pub fn run(setup: Setup, options: &LiveOptions, board: &Board, reporter: &Report
         lines_ended: false,
         frames_ended: false,
         end_is_logged: false,
-        registering: false,
+        registering: None,
+        editor,
         newest_posed: 0,
         faults_this_tick: 0,
         next_tick_us: started_us,
@@ -163,7 +180,10 @@ struct Session {
     lines_ended: bool,
     frames_ended: bool,
     end_is_logged: bool,
-    registering: bool,
+    /// The frame that is being registered.
+    registering: Option<u32>,
+    /// Who edits beads; absent without a window.
+    editor: Option<Editor>,
     /// Number of the newest frame that was handed to be posed.
     newest_posed: u32,
     faults_this_tick: u32,
@@ -183,6 +203,7 @@ impl Session {
                 Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {}
             }
             self.register_next();
+            self.take_edits();
             let now_us = host_now_us();
             if now_us >= self.next_tick_us {
                 self.tick(now_us);
@@ -202,8 +223,14 @@ impl Session {
         match event {
             Event::Input(input) => self.with_engine(|engine, sink| engine.push(input, sink)),
             Event::Registered(registered) => {
-                self.registering = false;
+                self.registering = None;
                 self.with_engine(|engine, sink| engine.registered(*registered, sink));
+            }
+            Event::Edited(posed) => {
+                self.editor.iter_mut().for_each(Editor::done);
+                self.take_output(Output::Posed(posed.clone()));
+                // The pose is seen at once, its DRR when it is made.
+                self.board.show(|| solved(*posed));
             }
             Event::LineOpened { device, host_us } => self.tracks.line_opened(device, host_us),
             Event::LineLost { device, host_us, reason } => self.tracks.line_lost(device, host_us, &reason),
@@ -255,6 +282,16 @@ impl Session {
                 self.log.lose(format!("frame {}: {words}; {}", job.number(), self.log.again()));
                 self.log.tell(Event::Registered(Box::new(Registered::failed(*job, &words))));
             }
+            Output::Edit(job) => {
+                if let Some(editor) = &self.editor {
+                    editor.submit(*job);
+                }
+            }
+            Output::NotEdited { words, .. } => {
+                self.editor.iter_mut().for_each(Editor::done);
+                self.reporter.warn("not edited", &words);
+                self.log.event(Level::Warning, host_now_us(), &words);
+            }
             Output::Posed(posed) => {
                 let words = posed.announcement();
                 self.reporter.note(&words);
@@ -274,12 +311,22 @@ impl Session {
         // Posed frames wait with all that is known of them; those before are lighter.
         let most = if newest > self.newest_posed { MOST_POSED } else { MOST_OPEN };
         let crowded = self.workshop.open_jobs() >= most && !self.workshop.has_ended();
-        if self.registering || crowded || !self.engine.is_ready(newest) {
+        // An edit is of the pose that a frame has, not of one to come.
+        let edits = self.editor.as_ref().is_some_and(|editor| !editor.is_idle());
+        if self.registering.is_some() || edits || crowded || !self.engine.is_ready(newest) {
             return;
         }
         self.newest_posed = self.newest_posed.max(newest);
-        self.registering = true;
+        self.registering = Some(newest);
         self.log.input(Input::Develop { number: newest });
+    }
+
+    /// What a person asks for is logged, and comes to the engine as all else does.
+    fn take_edits(&mut self) {
+        let Some(editor) = self.editor.as_mut().filter(|_| matches!(self.stage, Stage::Open { .. })) else { return };
+        for EditRequest { number, edit } in editor.take(self.registering) {
+            self.log.input(Input::Edit { number, edit, host_us: host_now_us() });
+        }
     }
 
     fn tick(&mut self, now_us: i64) {
@@ -355,8 +402,10 @@ impl Session {
 
     fn publish(&mut self, now_us: i64) {
         let recorder = self.log.health();
-        let waiting =
-            self.engine.waiting() + self.engine.bound().count() + usize::from(self.registering) + self.workshop.open_jobs();
+        let waiting = self.engine.waiting()
+            + self.engine.bound().count()
+            + usize::from(self.registering.is_some())
+            + self.workshop.open_jobs();
         let Self { board, readings, engine, reporter, .. } = self;
         board.tick(|state| {
             state.now_us = now_us;
@@ -374,6 +423,7 @@ impl Session {
             Stage::Open { lines, frames } if is_over => {
                 lines.close();
                 frames.close();
+                self.board.update(|state| state.editable = false);
                 self.stage = Stage::Closing { asked_us: host_now_us() };
             }
             Stage::Closing { asked_us } if self.lines_ended && !self.end_is_logged => {
@@ -393,7 +443,8 @@ impl Session {
                 self.finishing = Some((progress, complete));
             }
             Stage::Finishing => {
-                let drained = self.engine.waiting() == 0 && self.engine.bound().next().is_none() && !self.registering;
+                let drained = self.engine.waiting() == 0 && self.engine.bound().next().is_none() && self.registering.is_none();
+                let drained = drained && self.editor.as_ref().is_none_or(Editor::is_idle);
                 if drained {
                     self.workshop.close();
                 }

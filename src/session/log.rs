@@ -11,6 +11,7 @@ use serde_json::json;
 
 use super::SessionError;
 use super::against_log::topic_of;
+use super::edit::{EDIT_TOPIC, EditRecord};
 use super::event::Event;
 use super::file::Setup;
 use super::input::Input;
@@ -177,6 +178,10 @@ impl SessionLog {
             (Input::Develop { number }, _) => self.recorder.json(ORDER_TOPIC, host_now_us(), &json!({ "number": number })),
             (Input::ImageDisagrees { number }, _) => {
                 self.recorder.json(DISAGREES_TOPIC, host_now_us(), &json!({ "number": number }))
+            }
+            (Input::Edit { number, edit, host_us }, _) => {
+                let record = EditRecord { number: *number, host_us: *host_us, edit: edit.clone() };
+                self.recorder.json(EDIT_TOPIC, *host_us, &record)
             }
             // Of a log, never of a session.
             (Input::Frame { .. } | Input::Seen { .. }, _) => Ok(()),

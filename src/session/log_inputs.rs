@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::edit::{EDIT_TOPIC, EditRecord};
 use super::input::Input;
 use super::log::{CLOCK_TOPIC, DISAGREES_TOPIC, ORDER_TOPIC};
 use super::records::{SEEN_TOPIC, SeenRecord};
@@ -44,6 +45,10 @@ impl LogInputs {
             ORDER_TOPIC => {
                 let Numbered { number } = tolerance.take(entry.json())?;
                 return Some(Input::Develop { number });
+            }
+            EDIT_TOPIC => {
+                let EditRecord { number, host_us, edit } = tolerance.take(entry.json())?;
+                return Some(Input::Edit { number, edit, host_us });
             }
             DISAGREES_TOPIC => {
                 let Numbered { number } = tolerance.take(entry.json())?;

@@ -1,7 +1,8 @@
 //! The live pipeline and its replay.
 //!
 //! ```text
-//! ports, folder, DICOM ─ live ─── log (first) ─ engine ─ workshop ─ folder: strips, DRRs, pairs, report
+//! ports, folder, DICOM,
+//! edits in the window ── live ─── log (first) ─ engine ─ workshop ─ folder: strips, DRRs, pairs, report
 //! log ────────── replay ──────────────── engine ─ workshop ─ folder
 //!                                       └─────────┴─ broadcast: OpenIGTLink
 //! ```
@@ -12,6 +13,7 @@ pub mod attach;
 pub mod board;
 pub mod crosscheck;
 pub mod declared;
+pub mod edit;
 pub mod engine;
 pub mod file;
 pub mod folder;
@@ -30,10 +32,13 @@ mod adapters;
 mod against_log;
 mod air_word;
 mod background;
+mod basis;
 mod bell;
 mod broadcast;
 mod develop;
 mod developed;
+mod editing;
+mod editor;
 mod event;
 mod file_error;
 mod image_difference;
@@ -73,6 +78,7 @@ mod workshop;
 
 pub use adapters::Adapters;
 pub use developed::Developed;
+pub use editing::EditJob;
 pub use logged_frames::logged_frames;
 pub use posing::{PoseJob, Posed, Registered};
 pub use robot_state::{RobotCaution, RobotState};

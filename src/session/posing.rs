@@ -14,7 +14,7 @@ use crate::beads::{BeadLayout, Landmark};
 use crate::geometry::{CarmJoints, Intensifier, Intrinsics, Rigid, View};
 use crate::image::Image;
 use crate::mask::{self, Masks};
-use crate::pose::{self, Pose, Prior, Refusal, Registration};
+use crate::pose::{self, Looked, Pose, Prior, Refusal, Registration};
 use crate::report::PoseSource;
 use crate::reporter::Reporter;
 use crate::telemetry::{CarmSample, DeviceKind};
@@ -26,7 +26,7 @@ use crate::timeline::{Binding, Support, Timeline};
 pub struct Posed {
     /// Counts frames of the session from 1, in order of arrival.
     pub number: u32,
-    /// How often the frame was posed before: 0, or more where its exposure became clear only later.
+    /// How often the frame was posed before: 0, or more where its exposure became clear only later, or where its beads were edited.
     pub development: u32,
     /// The frame.
     pub frame: Arc<Frame>,
@@ -66,7 +66,11 @@ impl Posed {
     /// How people are told of the frame.
     #[must_use]
     pub fn label(&self) -> String {
-        let again = if self.development > 0 { ", posed again" } else { "" };
+        let again = match (&self.pose.edited, self.development) {
+            (Some(_), _) => ", edited by hand",
+            (None, 0) => "",
+            (None, _) => ", posed again",
+        };
         format!("frame {} ({}){again}", self.number, self.frame.name)
     }
 
@@ -236,6 +240,18 @@ impl PoseJob {
     }
 
     fn register(self, masks: Masks, watch: &Stopwatch) -> Registered {
+        let looks = self.known.tags.is_none() && self.known.layout.is_some();
+        let (pose, looked) = self.asking(|registration| {
+            let looked = looks.then(|| Arc::new(pose::look(registration, &self.bound.frame, &masks)));
+            (self.posed(registration, &masks, looked.as_deref()), looked)
+        });
+        let mut stages = StageTimes::default();
+        stages.add("register", watch.ms());
+        Registered { job: self, pose, looked, masks: Arc::new(masks), stages }
+    }
+
+    /// What everything that is known of the frame comes to when it is asked of a registration.
+    pub(super) fn asking<T>(&self, ask: impl FnOnce(&Registration) -> T) -> T {
         let none = BeadLayout::none();
         let layout = self.known.layout.as_deref().unwrap_or(&none);
         let prior = self.nominal().map(|camera_from_lps| Prior { camera_from_lps, covariance: None });
@@ -249,17 +265,19 @@ impl PoseJob {
             distortion: self.intensifier.iter().flatten().next().map(|intensifier| &intensifier.distortion),
             ..Registration::new(size_px, layout)
         };
-        let mut pose = self.posed(&registration, &masks);
-        if let Some(Err(detail)) = &self.intensifier {
-            pose = pose.refused_for(Refusal::Distortion { detail: detail.clone() });
-        }
-        let mut stages = StageTimes::default();
-        stages.add("register", watch.ms());
-        Registered { job: self, pose, masks: Arc::new(masks), stages }
+        ask(&registration)
     }
 
-    /// By the beads and tags that the session names.
-    fn posed(&self, registration: &Registration, masks: &Masks) -> Pose {
+    /// By the beads and tags that the session names; `looked` is what the frame shows, if that is known.
+    pub(super) fn posed(&self, registration: &Registration, masks: &Masks, looked: Option<&Looked>) -> Pose {
+        let pose = self.registered(registration, masks, looked);
+        match &self.intensifier {
+            Some(Err(detail)) => pose.refused_for(Refusal::Distortion { detail: detail.clone() }),
+            _ => pose,
+        }
+    }
+
+    fn registered(&self, registration: &Registration, masks: &Masks, looked: Option<&Looked>) -> Pose {
         let frame = &self.bound.frame;
         match (&self.known.tags, self.known.layout.is_some()) {
             (Some(tags), _) => match find_tags(frame, tags.family) {
@@ -270,7 +288,10 @@ impl PoseJob {
                     pose
                 }
             },
-            (None, true) => pose::register_masked(registration, frame, masks),
+            (None, true) => match looked {
+                Some(looked) => pose::register_looked(registration, frame, looked),
+                None => pose::register_masked(registration, frame, masks),
+            },
             (None, false) => {
                 let detail = "the session names no beads".to_owned();
                 pose::register_masked(registration, frame, masks).refused_for(Refusal::Layout { detail })
@@ -282,6 +303,40 @@ impl PoseJob {
     fn nominal(&self) -> Option<Rigid> {
         self.camera_from_world.zip(self.known.world_from_lps).map(|(camera, world)| camera * world)
     }
+
+    /// What a pose of the frame comes to.
+    pub(super) fn used(&self, pose: &Pose) -> Used {
+        let (pose_source, camera) = match (pose.camera(), self.intrinsics.zip(self.nominal())) {
+            (Some(camera), _) => (PoseSource::Beads, Some(camera)),
+            (None, Some(camera)) => (PoseSource::Telemetry, Some(camera)),
+            (None, None) => (PoseSource::None, None),
+        };
+        // world_from_lps = world_from_camera · camera_from_lps.
+        let world_from_lps = match (pose_source, camera, self.camera_from_world) {
+            (PoseSource::Beads, Some((_, camera_from_lps)), Some(camera_from_world)) => {
+                Some(camera_from_world.inverse() * camera_from_lps)
+            }
+            _ => None,
+        };
+        let pixels = &self.bound.frame.pixels;
+        let size_px = [pixels.width as u32, pixels.height as u32];
+        let view = camera.map(|(intrinsics, camera_from_lps)| View { size_px, intrinsics, camera_from_lps });
+        Used { pose_source, view, world_from_lps }
+    }
+
+    /// What was known of the session.
+    pub(super) fn known(&self) -> &Known {
+        &self.known
+    }
+}
+
+/// Which pose of a frame is used, and what it says.
+pub(super) struct Used {
+    pub(super) pose_source: PoseSource,
+    /// The view to render; absent without a pose.
+    pub(super) view: Option<View>,
+    /// Where the beads put the specimen in the room.
+    pub(super) world_from_lps: Option<Rigid>,
 }
 
 /// The outcome of a [`PoseJob`].
@@ -289,6 +344,8 @@ impl PoseJob {
 pub struct Registered {
     job: PoseJob,
     pose: Pose,
+    /// What the frame shows, where it was looked at for beads alone.
+    looked: Option<Arc<Looked>>,
     masks: Arc<Masks>,
     stages: StageTimes,
 }
@@ -312,27 +369,18 @@ impl Registered {
 
     /// The result that a log has: nothing is computed.
     pub(super) fn recorded(job: PoseJob, pose: Pose) -> Self {
-        Self { job, pose, masks: Arc::default(), stages: StageTimes::default() }
+        Self { job, pose, looked: None, masks: Arc::default(), stages: StageTimes::default() }
+    }
+
+    /// What its pose rests on: the job, and what the frame shows.
+    pub(super) fn rests_on(&self) -> (&PoseJob, Option<&Arc<Looked>>) {
+        (&self.job, self.looked.as_ref())
     }
 
     /// The frame with its pose, and where its beads put the specimen in the room, if both are known.
     pub(super) fn into_posed(self, world_from_tracker: Option<Rigid>) -> (Posed, Option<Rigid>) {
-        let Self { job, pose, masks, stages } = self;
-        let (pose_source, camera) = match (pose.camera(), job.intrinsics.zip(job.nominal())) {
-            (Some(camera), _) => (PoseSource::Beads, Some(camera)),
-            (None, Some(camera)) => (PoseSource::Telemetry, Some(camera)),
-            (None, None) => (PoseSource::None, None),
-        };
-        // world_from_lps = world_from_camera · camera_from_lps.
-        let seen = match (pose_source, camera, job.camera_from_world) {
-            (PoseSource::Beads, Some((_, camera_from_lps)), Some(camera_from_world)) => {
-                Some(camera_from_world.inverse() * camera_from_lps)
-            }
-            _ => None,
-        };
-        let pixels = &job.bound.frame.pixels;
-        let size_px = [pixels.width as u32, pixels.height as u32];
-        let view = camera.map(|(intrinsics, camera_from_lps)| View { size_px, intrinsics, camera_from_lps });
+        let Self { job, pose, masks, stages, .. } = self;
+        let Used { pose_source, view, world_from_lps: seen } = job.used(&pose);
         let nominal = job.nominal();
         let Bound { frame, time_us, binding, joints, carm_gap_us, robot, beam } = job.bound;
         let robot = robot.map(|robot| robot.in_lps(world_from_tracker, job.known.world_from_lps));

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use super::SessionError;
 use super::against_log::PairDigest;
+use super::edit::EDIT_TOPIC;
 use super::file::Setup;
 use super::log::{DRR_HASH_TOPIC, ORDER_TOPIC, SCATTER_NETWORK, SETUP_TOPIC};
 use crate::image::{Image, sha256_bytes};
@@ -31,6 +32,8 @@ pub(super) struct Recorded {
     pub(super) scores: BTreeMap<u32, PairDigest>,
     /// The log says in which order frames were registered.
     pub(super) has_order: bool,
+    /// Beads were edited.
+    pub(super) has_edits: bool,
     pub(super) losses: Vec<String>,
     /// Frames by their label, for logs that know no numbers.
     labels: Vec<String>,
@@ -125,6 +128,7 @@ impl Recorded {
                     }
                 }
                 ORDER_TOPIC => found.has_order = true,
+                EDIT_TOPIC => found.has_edits = true,
                 _ => {}
             }
         }
@@ -132,6 +136,16 @@ impl Recorded {
         found.losses.splice(0..0, damage);
         found.losses.extend(tolerance.losses());
         Ok(found)
+    }
+
+    /// Whether the session drew no DRR of this development, because the frame's next edit came first.
+    pub(super) fn is_passed_over(&self, (number, development): Development) -> bool {
+        let is_later = |(of, later): &Development| *of == number && *later > development;
+        let is_drawn = |(of, _): &Development| *of == number;
+        self.has_edits
+            && !self.plans.contains_key(&(number, development))
+            && self.poses.keys().any(is_later)
+            && self.plans.keys().any(is_drawn)
     }
 
     /// Of which frame a message speaks; `is_known` says whether that frame has such a message already.

@@ -95,7 +95,7 @@ pub fn run(
     let (pairs, developed) = sync_channel(MOST_OPEN);
     workshop.start(false, move |pair| pairs.send(pair).is_ok())?;
     let replay = Replay {
-        engine: engine(&setup, &workshop, &options.out, reporter),
+        engine: engine(&setup, &workshop, &recorded, &options.out, reporter),
         board: ReplayBoard::open(board, &setup),
         setup,
         workshop,
@@ -128,9 +128,12 @@ fn refuse_own_folder(log: &Path, out: &Path) -> Result<(), SessionError> {
 }
 
 /// One that knows nothing yet.
-fn engine(setup: &Arc<Setup>, workshop: &Workshop, out: &Path, reporter: &Reporter) -> Engine {
+fn engine(setup: &Arc<Setup>, workshop: &Workshop, recorded: &Recorded, out: &Path, reporter: &Reporter) -> Engine {
     let mut engine = Engine::new(Arc::clone(setup), workshop.layout().cloned(), reporter.clone());
     engine.park_in(out);
+    if recorded.has_edits {
+        engine.keep_for_edits();
+    }
     engine
 }
 
@@ -190,7 +193,7 @@ impl Replay<'_> {
             } else if &*entry.topic == RESTART_TOPIC {
                 // As the session had, the engine learns clocks, counters and the specimen's place anew.
                 self.end_engine(reporter);
-                self.engine = engine(&self.setup, &self.workshop, &options.out, reporter);
+                self.engine = engine(&self.setup, &self.workshop, &self.recorded, &options.out, reporter);
                 self.samples.begin_anew();
             } else if let Some(cut) = self.cut(&entry) {
                 self.samples.cut(cut.from_us, cut.to_us);
@@ -248,12 +251,13 @@ impl Replay<'_> {
                 }
                 // A log that keeps no order registered each frame when it was bound.
                 Output::Bound { number } if !self.recorded.has_order => engine.push(Input::Develop { number }, &mut sink),
-                Output::Fault { .. } | Output::Bound { .. } | Output::BoundLate { .. } => {}
+                Output::Fault { .. } | Output::Bound { .. } | Output::BoundLate { .. } | Output::NotEdited { .. } => {}
                 Output::Job(job) => engine.registered(job.run(), &mut sink),
                 Output::PictureLost { job, words } => {
                     self.report.losses.push(format!("frame {}: {words}", job.number()));
                     engine.registered(Registered::failed(*job, &words), &mut sink);
                 }
+                Output::Edit(job) => self.take_posed(job.run()),
                 Output::Posed(posed) => self.take_posed(*posed),
             }
         }
@@ -276,6 +280,9 @@ impl Replay<'_> {
             None => self.report.not_in_log.push(format!("pose of frame {number}")),
         }
         self.broadcast.posed(&posed, &posed.announcement());
+        if posed.view.is_some() && self.recorded.is_passed_over(development) {
+            return;
+        }
         let plan = self.recorded.plans.get(&development).cloned();
         self.workshop.submit(posed, plan);
     }

@@ -118,12 +118,15 @@ impl Work {
         if complete {
             self.log.scores(&developed.pair, time_us);
         }
-        if developed.pair.status == PairStatus::AcceptedImageDisagrees {
+        // Where the specimen lies does not rest on a pose that a hand changed.
+        if developed.pair.status == PairStatus::AcceptedImageDisagrees && developed.pair.edited.is_none() {
             self.log.input(Input::ImageDisagrees { number });
         }
         // What is recorded comes first.
         self.board.show(|| {
-            let latency_ms = Some((host_now_us() - time_us) as f64 * 1e-3);
+            let late_ms = (host_now_us() - time_us) as f64 * 1e-3;
+            // A hand takes its time.
+            let latency_ms = developed.pair.edited.is_none().then_some(late_ms);
             PairView { latency_ms, ..developed.picture() }
         });
         self.broadcast.developed(&developed, is_new);

@@ -27,6 +27,11 @@ impl Disagreement {
         Self { mm, deg: a.rotation.angle_between(b.rotation).to_degrees() }
     }
 
+    /// How far the two are apart, where they do not agree.
+    pub(super) fn where_they_disagree(a: &Rigid, b: &Rigid, centre_lps_mm: DVec3) -> Option<Self> {
+        Some(Self::between(a, b, centre_lps_mm)).filter(|apart| !apart.agrees())
+    }
+
     /// NaN does not agree.
     fn agrees(self) -> bool {
         self.mm <= AGREE_MM && self.deg <= AGREE_DEG
@@ -81,8 +86,13 @@ impl SpecimenTie {
         self.tied_by.iter().copied().chain(self.dissenting.iter().map(|witness| witness.number))
     }
 
-    /// Takes where an accepted frame of the file `content` puts the specimen.
-    pub fn observe(&mut self, number: u32, content: &str, world_from_lps: Rigid) -> TieVerdict {
+    /// Takes where an accepted frame of the file `content` puts the specimen; `in_doubt` when its pose may be another. What is in doubt ties
+    /// nothing: a reading that is wrong in one view is as wrong in the next, and the two agree. It may end a tie that it is far from.
+    pub fn observe(&mut self, number: u32, content: &str, world_from_lps: Rigid, in_doubt: bool) -> TieVerdict {
+        if in_doubt && self.tied.is_none() {
+            let words = "its pose is in doubt and does not tie the specimen to the room".to_owned();
+            return TieVerdict { disagreement: None, words: Some(words) };
+        }
         let apart = self.tied.map(|tied| Disagreement::between(&tied, &world_from_lps, self.centre_lps_mm));
         if apart.is_some_and(Disagreement::agrees) {
             self.dissenting.clear();
@@ -147,15 +157,32 @@ mod tests {
 
     /// Each number is a file of its own.
     fn observe(tie: &mut SpecimenTie, number: u32, world_from_lps: Rigid) -> TieVerdict {
-        tie.observe(number, &number.to_string(), world_from_lps)
+        tie.observe(number, &number.to_string(), world_from_lps, false)
+    }
+
+    #[test]
+    fn poses_in_doubt_agree_with_each_other_and_tie_nothing() {
+        let mut tie = SpecimenTie::new(None, DVec3::ZERO);
+        for number in 1..5 {
+            let verdict = tie.observe(number, &number.to_string(), at(0.0), true);
+            assert!(verdict.words.is_some_and(|words| words.contains("in doubt")));
+        }
+        assert_eq!(tie.world_from_lps(), None);
+        observe(&mut tie, 5, at(60.0));
+        observe(&mut tie, 6, at(61.0));
+        assert_eq!(tie.world_from_lps(), Some(at(61.0)), "what is in doubt contradicts nothing");
+        // A specimen that was moved is found far from where it was expected, which is a doubt.
+        tie.observe(7, "7", at(200.0), true);
+        tie.observe(8, "8", at(201.0), true);
+        assert_eq!(tie.world_from_lps(), Some(at(201.0)));
     }
 
     #[test]
     fn the_images_of_one_run_are_one_witness() {
         let mut tie = SpecimenTie::new(None, DVec3::ZERO);
-        (1..9).for_each(|number| drop(tie.observe(number, "run", at(0.0))));
+        (1..9).for_each(|number| drop(tie.observe(number, "run", at(0.0), false)));
         assert_eq!(tie.world_from_lps(), None);
-        tie.observe(9, "another", at(1.0));
+        tie.observe(9, "another", at(1.0), false);
         assert_eq!(tie.world_from_lps(), Some(at(1.0)));
     }
 

@@ -162,7 +162,15 @@ impl Workshop {
 
     /// Hands in a frame; `plan` is executed as it is where there is one, else the renderer plans.
     pub fn submit(&self, posed: Posed, plan: Option<Plan>) {
-        self.shared.change(|queue| queue.jobs.push(Job { posed, plan }));
+        self.shared.change(|queue| {
+            // Of a frame that is edited step by step, the last step is looked at.
+            queue.jobs.retain(|Job { posed: other, plan }| {
+                // What a log has a plan for was drawn in its session.
+                let is_older = plan.is_none() && other.number == posed.number && other.development < posed.development;
+                !(is_older && [other, &posed].iter().any(|posed| posed.pose.edited.is_some()))
+            });
+            queue.jobs.push(Job { posed, plan });
+        });
     }
 
     /// Frames that wait or are being developed.

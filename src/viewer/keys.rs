@@ -1,7 +1,8 @@
 //! What keys do: one table, which is both obeyed and shown.
 
-use eframe::egui::{self, Align2, Key, Modifiers, RichText, Ui};
+use eframe::egui::{self, Align2, Event, Key, Modifiers, RichText, Ui};
 
+use super::editing::EditCommand;
 use super::state::{Arrangement, Mark, Overlay, ViewState};
 use super::theme::{BODY, DIM, TEXT};
 use crate::session::board::BoardState;
@@ -28,6 +29,7 @@ pub(super) enum Command {
     },
     AutoWindow,
     Toggle(Mark),
+    Edit(EditCommand),
     Keys,
     Close,
 }
@@ -35,21 +37,45 @@ pub(super) enum Command {
 /// A key and what it does.
 pub(super) struct Binding {
     pub(super) key: Key,
-    pub(super) shift: bool,
+    pub(super) with: Modifiers,
     pub(super) command: Command,
     pub(super) words: &'static str,
 }
 
 const fn on(key: Key, command: Command, words: &'static str) -> Binding {
-    Binding { key, shift: false, command, words }
+    Binding { key, with: Modifiers::NONE, command, words }
 }
 
 const fn shifted(key: Key, command: Command, words: &'static str) -> Binding {
-    Binding { key, shift: true, command, words }
+    Binding { key, with: Modifiers::SHIFT, command, words }
+}
+
+const fn edits(key: Key, command: EditCommand, words: &'static str) -> Binding {
+    on(key, Command::Edit(command), words)
+}
+
+const fn with_control(key: Key, command: EditCommand, words: &'static str) -> Binding {
+    Binding { key, with: Modifiers::COMMAND, command: Command::Edit(command), words }
+}
+
+impl Binding {
+    /// A question mark needs shift on some keyboards and not on others; everywhere else what is held makes another key.
+    fn is_pressed_by(&self, event: &Event) -> bool {
+        let Event::Key { key, pressed: true, modifiers, .. } = event else { return false };
+        *key == self.key && modifiers.shift == self.with.shift && modifiers.command == self.with.command
+    }
+
+    /// As it is listed.
+    fn label(&self) -> String {
+        let held = [(self.with.command, "Ctrl "), (self.with.shift, "Shift ")];
+        let held: String = held.into_iter().filter(|(is_held, _)| *is_held).map(|(_, word)| word).collect();
+        format!("{held}{}", self.key.name())
+    }
 }
 
 /// All of them, as they are listed.
-pub(super) const KEYS: [Binding; 44] = [
+pub(super) const KEYS: [Binding; 45] = [
+    with_control(Key::E, EditCommand::Toggle, "edit the beads of this exposure, or stop"),
     on(Key::ArrowLeft, Command::Step(-1), "the exposure before"),
     on(Key::ArrowRight, Command::Step(1), "the next exposure"),
     on(Key::PageUp, Command::Step(-10), "ten exposures back"),
@@ -97,14 +123,50 @@ pub(super) const KEYS: [Binding; 44] = [
     on(Key::Escape, Command::Close, "close this list"),
 ];
 
+/// A step with an arrow, px of the frame, and a fine one.
+const STEP_PX: f64 = 1.0;
+const FINE_PX: f64 = 0.1;
+
+/// Those that hold while beads are edited, before all others.
+pub(super) const EDIT_KEYS: [Binding; 24] = [
+    edits(Key::N, EditCommand::Next(1), "choose the next bead or shadow"),
+    shifted(Key::N, Command::Edit(EditCommand::Next(-1)), "choose the one before"),
+    edits(Key::A, EditCommand::Add, "add the nearest free bead under the cursor"),
+    edits(Key::Delete, EditCommand::Drop, "what is chosen is no bead"),
+    edits(Key::Backspace, EditCommand::Drop, "what is chosen is no bead"),
+    edits(Key::Num1, EditCommand::Name(0), "name it as the first that is listed"),
+    edits(Key::Num2, EditCommand::Name(1), "the second"),
+    edits(Key::Num3, EditCommand::Name(2), "the third"),
+    edits(Key::Num4, EditCommand::Name(3), "the fourth"),
+    edits(Key::Num5, EditCommand::Name(4), "the fifth"),
+    edits(Key::Num6, EditCommand::Name(5), "the sixth"),
+    edits(Key::Num7, EditCommand::Name(6), "the seventh"),
+    edits(Key::Num8, EditCommand::Name(7), "the eighth"),
+    edits(Key::Num9, EditCommand::Name(8), "the ninth"),
+    edits(Key::ArrowLeft, EditCommand::Nudge([-STEP_PX, 0.0]), "move it a pixel left"),
+    edits(Key::ArrowRight, EditCommand::Nudge([STEP_PX, 0.0]), "right"),
+    edits(Key::ArrowUp, EditCommand::Nudge([0.0, -STEP_PX]), "up"),
+    edits(Key::ArrowDown, EditCommand::Nudge([0.0, STEP_PX]), "down"),
+    shifted(Key::ArrowLeft, Command::Edit(EditCommand::Nudge([-FINE_PX, 0.0])), "a tenth of a pixel left"),
+    shifted(Key::ArrowRight, Command::Edit(EditCommand::Nudge([FINE_PX, 0.0])), "right"),
+    shifted(Key::ArrowUp, Command::Edit(EditCommand::Nudge([0.0, -FINE_PX])), "up"),
+    shifted(Key::ArrowDown, Command::Edit(EditCommand::Nudge([0.0, FINE_PX])), "down"),
+    edits(Key::Enter, EditCommand::Put, "put it where it was moved to"),
+    edits(Key::Escape, EditCommand::Leave, "stop editing"),
+];
+
+/// As it is in every program.
+const UNDO: Binding = with_control(Key::Z, EditCommand::Undo, "take the latest edit of this exposure back");
+
 /// Does what the keys pressed since the last look ask for.
 pub(super) fn obey(ui: &Ui, board: &BoardState, state: &mut ViewState) {
-    for binding in &KEYS {
-        let modifiers = if binding.shift { Modifiers::SHIFT } else { Modifiers::NONE };
+    let edits = state.editing.is_on();
+    let of_edits = EDIT_KEYS.iter().chain([&UNDO]).filter(|_| edits);
+    for binding in of_edits.chain(&KEYS) {
         let pressed = ui.input_mut(|input| {
-            // A question mark needs shift on some keyboards and not on others; everywhere else shift is another key.
-            let shift = input.modifiers.shift;
-            (shift == binding.shift) && input.consume_key(modifiers, binding.key)
+            let before = input.events.len();
+            input.events.retain(|event| !binding.is_pressed_by(event));
+            input.events.len() < before
         });
         if pressed {
             run(binding.command, ui.input(|input| input.time), board, state);
@@ -155,6 +217,8 @@ pub(super) fn run(command: Command, now_s: f64, board: &BoardState, state: &mut 
         }
         Command::AutoWindow => state.window = None,
         Command::Toggle(mark) => state.toggle(mark),
+        Command::Edit(EditCommand::Leave) if state.shows_keys => state.shows_keys = false,
+        Command::Edit(edit) => state.edit(edit, board),
         Command::Keys => state.shows_keys = !state.shows_keys,
         Command::Close => state.shows_keys = false,
     }
@@ -174,18 +238,25 @@ pub(super) fn show(ui: &mut Ui, state: &ViewState) {
         return;
     }
     egui::Window::new("Keys").anchor(Align2::CENTER_CENTER, [0.0, 0.0]).collapsible(false).resizable(false).show(ui.ctx(), |ui| {
-        egui::Grid::new("keys").num_columns(6).spacing([14.0, 3.0]).show(ui, |ui| {
-            for row in KEYS.chunks(3) {
-                for Binding { key, shift, words, .. } in row {
-                    let shift = if *shift { "Shift " } else { "" };
-                    ui.label(RichText::new(format!("{shift}{}", key.name())).size(BODY).color(TEXT));
-                    ui.label(RichText::new(*words).size(BODY).color(DIM));
-                }
-                ui.end_row();
-            }
-        });
+        list(ui, "keys", KEYS.iter());
+        ui.label(RichText::new("While beads are edited, before all others:").size(BODY).color(TEXT));
+        list(ui, "keys of edits", EDIT_KEYS.iter().chain([&UNDO]));
+        let edit = "Mouse while beads are edited, in the acquired picture and the overlay: a click chooses, dragging a bead or a shadow moves it";
+        ui.label(RichText::new(edit).size(BODY).color(DIM));
         let mouse = "Mouse in a picture: wheel zooms, drag moves, right drag sets gray levels (up and down, left and right), double click shows the whole frame";
         ui.label(RichText::new(mouse).size(BODY).color(DIM));
+    });
+}
+
+fn list<'a>(ui: &mut Ui, name: &str, bindings: impl Iterator<Item = &'a Binding>) {
+    egui::Grid::new(name).num_columns(6).spacing([14.0, 3.0]).show(ui, |ui| {
+        for (n, binding) in bindings.enumerate() {
+            if n > 0 && n % 3 == 0 {
+                ui.end_row();
+            }
+            ui.label(RichText::new(binding.label()).size(BODY).color(TEXT));
+            ui.label(RichText::new(binding.words).size(BODY).color(DIM));
+        }
     });
 }
 
@@ -195,8 +266,11 @@ mod tests {
 
     #[test]
     fn no_key_does_two_things_and_each_does_what_it_says() {
-        let keys: std::collections::BTreeSet<_> = KEYS.iter().map(|binding| (binding.key.name(), binding.shift)).collect();
-        assert_eq!(keys.len(), KEYS.len());
+        let of_edits: Vec<&Binding> = EDIT_KEYS.iter().chain([&UNDO]).collect();
+        for table in [KEYS.iter().collect::<Vec<_>>(), of_edits] {
+            let keys: std::collections::BTreeSet<String> = table.iter().map(|binding| binding.label()).collect();
+            assert_eq!(keys.len(), table.len());
+        }
         let board = BoardState::default();
         let mut state = ViewState::default();
         run(Command::Overlay(Overlay::Checkerboard), 0.0, &board, &mut state);

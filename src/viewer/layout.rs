@@ -13,6 +13,12 @@ const COLUMN: f32 = 316.0;
 /// Draws everything into `ui`.
 pub fn draw(ui: &mut Ui, board: &BoardState, state: &mut ViewState) {
     dress(ui);
+    if state.editing.is_on() {
+        match state.shown(board).filter(|_| board.editable).cloned() {
+            Some(pair) => state.editing.look_at(&pair),
+            None => state.leave_editing(),
+        }
+    }
     keys::obey(ui, board, state);
     timeline::advance(ui, board, state);
     let bare = |horizontal, vertical| Frame::new().fill(BACKGROUND).inner_margin(Margin::symmetric(horizontal, vertical));

@@ -2,6 +2,7 @@
 
 use eframe::egui::{Align2, Color32, Painter, Pos2, Shape, Stroke, Vec2, epaint::EllipseShape, pos2, vec2};
 
+use super::editing::names;
 use super::sight::Placed;
 use super::state::{Mark, ViewState};
 use super::theme::{SMALL, TEXT, font};
@@ -12,6 +13,9 @@ pub(super) const STRETCH: f64 = 20.0;
 const USED: Color32 = Color32::from_rgb(40, 230, 80);
 const LEFT_OUT: Color32 = Color32::from_rgb(240, 50, 40);
 const PREDICTED: Color32 = Color32::from_rgb(250, 220, 30);
+/// Put or named by a hand.
+const OF_HAND: Color32 = Color32::from_rgb(80, 220, 250);
+const CHOSEN: Color32 = Color32::WHITE;
 const SHADOW: Color32 = Color32::from_rgb(190, 190, 200);
 const RESIDUAL: Color32 = Color32::from_rgb(255, 110, 230);
 const ROBOT: Color32 = Color32::from_rgb(90, 190, 255);
@@ -35,11 +39,25 @@ pub(super) fn all(painter: &Painter, placed: &Placed, pair: &PairView, state: &V
         }
     }
     for mark in &marks.beads {
-        bead(painter, placed, mark, state);
+        let of_hand = pair.pair.edited.as_ref().is_some_and(|edited| edited.is_of(&mark.name));
+        bead(painter, placed, mark, of_hand, state);
     }
     if state.draws(Mark::Landmarks) {
         marks.landmarks.iter().for_each(|mark| landmark(painter, placed, mark, state.draws(Mark::Names)));
     }
+}
+
+/// What is chosen while beads are edited, where it was moved to, and the names that it may get.
+pub(super) fn chosen(painter: &Painter, placed: &Placed, pair: &PairView, state: &ViewState) {
+    let Some(chosen) = state.editing.chosen().filter(|_| state.editing.is_on()) else { return };
+    let at = chosen.now_px();
+    ring(painter, placed, at, RADIUS_PX + GAP_PX, 2.5, CHOSEN);
+    cross(painter, placed.screen(at), 7.0, CHOSEN);
+    let beside = ring_points(placed, RADIUS_PX + GAP_PX) + 4.0;
+    let listed: Vec<String> =
+        names(pair, chosen.image_px).iter().enumerate().map(|(n, name)| format!("{} {name}", n + 1)).collect();
+    let corner = placed.screen(at) + vec2(beside, beside);
+    words(painter, corner, Align2::LEFT_TOP, &listed.join("  "), CHOSEN);
 }
 
 /// Where P puts things, over the DRR.
@@ -53,11 +71,16 @@ pub(super) fn predicted(painter: &Painter, placed: &Placed, pair: &PairView, sta
     at.filter(|_| state.draws(Mark::Beads)).for_each(|at| cross(painter, placed.screen(at), 5.0, PREDICTED));
 }
 
-fn bead(painter: &Painter, placed: &Placed, mark: &BeadMark, state: &ViewState) {
+fn bead(painter: &Painter, placed: &Placed, mark: &BeadMark, of_hand: bool, state: &ViewState) {
     let radius_px = mark.radius_px.unwrap_or(RADIUS_PX);
     if state.draws(Mark::Beads) {
         if let Some(at) = mark.found_px {
-            ring(painter, placed, at, radius_px, 1.8, if mark.used { USED } else { LEFT_OUT });
+            let colour = match (mark.used, of_hand) {
+                (true, true) => OF_HAND,
+                (true, false) => USED,
+                (false, _) => LEFT_OUT,
+            };
+            ring(painter, placed, at, radius_px, 1.8, colour);
         }
         if let Some(at) = mark.predicted_px {
             cross(painter, placed.screen(at), 4.0, PREDICTED);

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use eframe::egui::{
     Align2, Color32, Context, Painter, PointerButton, Pos2, Rect, Response, RichText, Role, Sense, Stroke, TextureHandle, Ui,
-    WidgetInfo, pos2, vec2,
+    Vec2, WidgetInfo, pos2, vec2,
 };
 
 use super::arrange::{Pane, panes};
@@ -20,6 +20,8 @@ use crate::session::board::{BoardState, PairView};
 const BLINKS_HZ: f64 = 2.0;
 /// Squares of the checkerboard across the frame.
 const SQUARES: usize = 8;
+/// Points of the screen within which a click means a bead.
+const REACH_POINTS: f32 = 18.0;
 /// The whole range of gray is moved, or doubled, by dragging so many points.
 const WINDOW_POINTS: f64 = 300.0;
 
@@ -41,7 +43,9 @@ pub(super) fn show(ui: &mut Ui, board: &BoardState, state: &mut ViewState) {
         // What eyes see is also said, for those who are read to and for tests.
         response.widget_info(|| WidgetInfo::labeled(Role::Image, true, said(pane, &pair, state)));
         let placed = state.sight.place(rect, size_px);
-        steer(ui, &response, &placed, &pair, state);
+        if !edit(ui, pane, &response, &placed, &pair, state) {
+            steer(ui, &response, &placed, &pair, state);
+        }
         let placed = state.sight.place(rect, size_px);
         draw(ui, pane, &placed, &pair, state);
         if let Some(at) = response.hover_pos() {
@@ -105,6 +109,37 @@ fn steer(ui: &Ui, response: &Response, placed: &Placed, pair: &PairView, state: 
     }
 }
 
+/// What the mouse does where beads are edited; whether nothing else is to be done with it.
+fn edit(ui: &Ui, pane: Pane, response: &Response, placed: &Placed, pair: &PairView, state: &mut ViewState) -> bool {
+    if !(state.editing.is_on() && matches!(pane, Pane::Acquired | Pane::Overlay)) {
+        return false;
+    }
+    let reach_px = f64::from(REACH_POINTS / placed.scale);
+    if response.clicked()
+        && let Some(at) = response.interact_pointer_pos()
+    {
+        state.editing.choose_at(pair, placed.image(at), reach_px);
+    }
+    if response.drag_started_by(PointerButton::Primary)
+        && let Some(from) = ui.input(|input| input.pointer.press_origin())
+    {
+        state.editing.drag_from(pair, placed.image(from), reach_px);
+        // The drag is told when it has gone some points.
+        let gone = response.interact_pointer_pos().map_or(Vec2::ZERO, |at| at - from) - response.drag_delta();
+        state.editing.drag(in_px(gone, placed), false, pair);
+    }
+    let moves = state.editing.is_dragging();
+    if moves {
+        state.editing.drag(in_px(response.drag_delta(), placed), response.drag_stopped(), pair);
+    }
+    // A double click shows the whole frame where nothing is edited; here it is two clicks.
+    moves || response.double_clicked()
+}
+
+fn in_px(points: Vec2, placed: &Placed) -> [f64; 2] {
+    [points.x, points.y].map(|points| f64::from(points / placed.scale))
+}
+
 fn draw(ui: &Ui, pane: Pane, placed: &Placed, pair: &PairView, state: &mut ViewState) {
     let painter = ui.painter_at(placed.pane);
     painter.rect_filled(placed.pane, 2.0, WELL);
@@ -124,7 +159,10 @@ fn draw(ui: &Ui, pane: Pane, placed: &Placed, pair: &PairView, state: &mut ViewS
         }
         let within = painter.with_clip_rect(placed.seen());
         match pane {
-            Pane::Acquired | Pane::Overlay => marks::all(&within, placed, pair, state),
+            Pane::Acquired | Pane::Overlay => {
+                marks::all(&within, placed, pair, state);
+                marks::chosen(&within, placed, pair, state);
+            }
             Pane::Drr => marks::predicted(&within, placed, pair, state),
             Pane::Difference => {}
         }

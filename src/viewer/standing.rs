@@ -31,11 +31,18 @@ fn of_pair(ui: &mut Ui, board: &BoardState, pair: &PairView) {
     // "ACCEPTED, IMAGE DISAGREES": what doubts it is what must be read across the room.
     let word = standing.word();
     let (before, large) = word.rsplit_once(", ").unwrap_or(("", word));
-    let again = if pair.development > 0 { ", posed again" } else { "" };
+    let again = match (&pair.pair.edited, pair.development) {
+        (Some(_), _) => ", edited by hand",
+        (None, 0) => "",
+        (None, _) => ", posed again",
+    };
     let before = if before.is_empty() { String::new() } else { format!(" · {} but", before.to_lowercase()) };
     block(ui, of_standing(standing), &format!("frame {} · {}{again}{before}", pair.number(), pair.pair.frame), large, INK);
     if let Some(words) = newer(board, pair) {
         ui.label(RichText::new(words).size(BODY).color(CAUTION));
+    }
+    if let Some(edited) = &pair.pair.edited {
+        ui.label(RichText::new(edited.to_string()).size(BODY).color(CAUTION));
     }
     let reason = pair.pair.reason.as_deref().unwrap_or("");
     if !reason.is_empty() {

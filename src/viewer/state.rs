@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::editing::{EditCommand, Editing};
 use super::picture_cache::PictureCache;
 use super::player::Player;
 use super::sight::Sight;
@@ -122,6 +123,8 @@ pub struct ViewState {
     pub player: Player,
     /// The keys are listed over everything.
     pub shows_keys: bool,
+    /// Beads that are edited.
+    pub editing: Editing,
     /// What lies under the cursor, in pixels of the frame.
     pub(super) cursor_px: Option<[f64; 2]>,
     pub(super) cache: PictureCache,
@@ -139,6 +142,7 @@ impl Default for ViewState {
             hidden: vec![Mark::Masks],
             player: Player::default(),
             shows_keys: false,
+            editing: Editing::default(),
             cursor_px: None,
             cache: PictureCache::default(),
         }
@@ -163,6 +167,31 @@ impl ViewState {
     pub fn select(&mut self, board: &BoardState, index: usize) {
         let last = board.pairs.len().saturating_sub(1);
         self.selected = board.pairs.get(index.min(last)).filter(|_| index < last).map(|pair| pair.number());
+    }
+
+    /// Does what a key asks for while beads are edited, and begins and ends that.
+    pub(super) fn edit(&mut self, command: EditCommand, board: &BoardState) {
+        let begins = command == EditCommand::Toggle && !self.editing.is_on();
+        match self.shown(board).map(Arc::clone) {
+            // Nobody wants to be shown another exposure under the hand.
+            Some(pair) if begins && board.editable => {
+                self.player.stop();
+                self.editing.begin(self.selected.is_none());
+                self.selected = Some(pair.number());
+            }
+            Some(pair) if self.editing.is_on() && !matches!(command, EditCommand::Toggle | EditCommand::Leave) => {
+                self.editing.run(command, &pair, self.cursor_px);
+            }
+            _ if self.editing.is_on() => self.leave_editing(),
+            _ => {}
+        }
+    }
+
+    /// Beads are edited no longer.
+    pub(super) fn leave_editing(&mut self) {
+        if self.editing.end() {
+            self.selected = None;
+        }
     }
 
     /// Whether `mark` is drawn.

@@ -2,10 +2,11 @@
 
 use eframe::egui::{self, RichText, Ui};
 
+use super::editing::{EditCommand, words};
 use super::keys::{Command, KEYS, run};
 use super::readout::under_cursor;
 use super::state::{Arrangement, Mark, Overlay, ViewState};
-use super::theme::{DIM, SMALL, TEXT};
+use super::theme::{CAUTION, DIM, SMALL, TEXT};
 use crate::report::short;
 use crate::session::board::BoardState;
 
@@ -30,6 +31,10 @@ pub(super) fn show(ui: &mut Ui, board: &BoardState, state: &mut ViewState) {
         ui.separator();
         button(ui, "fit", state.sight == Default::default(), Command::Fit, &mut asked);
         button(ui, "auto gray", state.window.is_none(), Command::AutoWindow, &mut asked);
+        if board.editable {
+            let toggle = Command::Edit(EditCommand::Toggle);
+            button(ui, "edit Ctrl E", state.editing.is_on(), toggle, &mut asked);
+        }
         button(ui, "keys F1", state.shows_keys, Command::Keys, &mut asked);
         if state.sight.zoom > 1.0 {
             ui.label(RichText::new(format!("zoom {:.1}×", state.sight.zoom)).size(SMALL).color(DIM));
@@ -52,6 +57,10 @@ fn button(ui: &mut Ui, words: &str, chosen: bool, command: Command, asked: &mut 
 /// A line about what lies under the cursor.
 pub(super) fn readout(ui: &mut Ui, board: &BoardState, state: &ViewState) {
     let pair = state.shown(board);
+    if let Some(pair) = pair.filter(|_| state.editing.is_on()) {
+        ui.label(RichText::new(words(pair, &state.editing)).size(SMALL).color(CAUTION));
+        return;
+    }
     let told = pair.zip(state.cursor_px).and_then(|(pair, at)| under_cursor(pair, at));
     let idle = || {
         let [low, high] = pair.map(|pair| state.window_of(pair))?;

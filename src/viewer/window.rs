@@ -1,5 +1,6 @@
 //! The native window around the panes.
 
+use std::sync::mpsc::Sender;
 use std::time::Duration;
 
 use eframe::egui;
@@ -7,6 +8,7 @@ use eframe::egui;
 use super::layout::draw;
 use super::state::ViewState;
 use crate::session::board::Board;
+use crate::session::edit::EditRequest;
 use crate::time::host_now_us;
 
 /// Why no window opens.
@@ -27,6 +29,8 @@ const TICK: Duration = Duration::from_secs(10);
 struct Window {
     board: Board,
     state: ViewState,
+    /// Where what a person edits goes; absent where nothing can be edited.
+    edits: Option<Sender<EditRequest>>,
     leaves: Box<dyn Fn() -> bool>,
     on_close: Box<dyn Fn()>,
 }
@@ -48,6 +52,11 @@ impl eframe::App for Window {
             snapshot.now_us = host_now_us();
         }
         draw(ui, &snapshot, &mut self.state);
+        let asked = self.state.editing.take_asked();
+        if let Some(edits) = &self.edits {
+            // A session that has ended takes none.
+            asked.into_iter().for_each(|request| drop(edits.send(request)));
+        }
     }
 
     fn on_exit(&mut self) {
@@ -55,12 +64,17 @@ impl eframe::App for Window {
     }
 }
 
-/// Shows `board` until the window is closed, or `leaves` says that there is nothing more to see; `on_close` runs then. It is drawn when the
+/// Shows `board`, and sends what a person edits to `edits`, until the window is closed, or `leaves` says that there is nothing more to see; `on_close` runs then. It is drawn when the
 /// board changes, and every ten seconds.
 ///
 /// # Errors
 /// When there is no display or no graphics adapter.
-pub fn run(board: Board, leaves: impl Fn() -> bool + 'static, on_close: impl Fn() + 'static) -> Result<(), ViewerError> {
+pub fn run(
+    board: Board,
+    edits: Option<Sender<EditRequest>>,
+    leaves: impl Fn() -> bool + 'static,
+    on_close: impl Fn() + 'static,
+) -> Result<(), ViewerError> {
     let options = eframe::NativeOptions {
         viewport: egui::ViewportBuilder::default().with_title("Sidecarm").with_inner_size([1400.0, 900.0]),
         // Noise for each pixel is dear where software draws.
@@ -79,7 +93,7 @@ pub fn run(board: Board, leaves: impl Fn() -> bool + 'static, on_close: impl Fn(
         let woken = context.egui_ctx.clone();
         board.on_change(move |after| woken.request_repaint_after(after));
         let (leaves, on_close) = (Box::new(leaves), Box::new(on_close));
-        Ok(Box::new(Window { board, state: ViewState::default(), leaves, on_close }) as Box<dyn eframe::App>)
+        Ok(Box::new(Window { board, state: ViewState::default(), edits, leaves, on_close }) as Box<dyn eframe::App>)
     };
     eframe::run_native("sidecarm", options, Box::new(window)).map_err(|error| ViewerError::NoWindow { detail: error.to_string() })
 }

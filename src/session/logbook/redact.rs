@@ -11,6 +11,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::super::against_log::METADATA_TOPIC;
+use super::super::edit::EDIT_TOPIC;
 use super::super::file::Setup;
 use super::super::log::{CLOCK_TOPIC, DISAGREES_TOPIC, DRR_HASH_TOPIC, END_TOPIC, ORDER_TOPIC, SCATTER_NETWORK, SETUP_TOPIC};
 use super::super::pictures::{PictureDigest, Pictures};
@@ -191,7 +192,14 @@ impl Redacting {
             | CUT_TOPIC => {}
             RESTART_TOPIC => self.pictures = Pictures::default(),
             REDACTED_TOPIC => return Ok(()),
-            topic::PROVENANCE | SETUP_TOPIC | METADATA_TOPIC | SEEN_TOPIC | topic::POSE | topic::PLAN | topic::SCORES => {
+            topic::PROVENANCE
+            | SETUP_TOPIC
+            | METADATA_TOPIC
+            | SEEN_TOPIC
+            | EDIT_TOPIC
+            | topic::POSE
+            | topic::PLAN
+            | topic::SCORES => {
                 let redacted = self.json(&entry);
                 let Some(value) = self.tolerance.take(redacted) else { return Ok(()) };
                 return self.copy.json(&entry.topic, entry.host_us, &value);

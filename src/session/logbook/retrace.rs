@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
 use std::sync::Arc;
 
+use super::super::edit::EDIT_TOPIC;
 use super::super::engine::Engine;
 use super::super::file::Setup;
 use super::super::input::{Input, Output};
@@ -27,6 +28,7 @@ pub(super) type TieAt = BTreeMap<u32, Vec<u32>>;
 struct Poses {
     setup: Option<Setup>,
     has_order: bool,
+    has_edits: bool,
     by_frame: BTreeMap<Development, Pose>,
 }
 
@@ -37,6 +39,7 @@ impl Poses {
             match &*entry.topic {
                 SETUP_TOPIC if found.setup.is_none() => found.setup = tolerance.take(entry.json()),
                 ORDER_TOPIC => found.has_order = true,
+                EDIT_TOPIC => found.has_edits = true,
                 topic::POSE => {
                     let record: Option<PoseRecord> = tolerance.take(entry.json());
                     let pose = record.and_then(|record| {
@@ -57,13 +60,17 @@ impl Poses {
 /// # Errors
 /// When the log cannot be read.
 pub(super) fn retrace(log: &Path, folder: &Path, reporter: &Reporter) -> Result<Option<TieAt>, LogbookError> {
-    let Poses { setup, has_order, by_frame } = Poses::read(log)?;
+    let Poses { setup, has_order, has_edits, by_frame } = Poses::read(log)?;
     let Some(setup) = setup.map(Arc::new) else { return Ok(None) };
     let layout = setup.beads.as_ref().and_then(|(path, text)| parse_markups(path, text.as_bytes()).ok()).map(Arc::new);
     // What there was to say was said when it was recorded.
     let engine = || {
         let mut engine = Engine::new(Arc::clone(&setup), layout.clone(), Reporter::silent());
         engine.park_in(folder);
+        // How often a frame was posed before counts edits.
+        if has_edits {
+            engine.keep_for_edits();
+        }
         engine
     };
     let mut trace = Trace { engine: engine(), by_frame, has_order, tie_at: TieAt::new() };
@@ -111,6 +118,8 @@ impl Trace {
                 | Output::Fault { .. }
                 | Output::Bound { .. }
                 | Output::BoundLate { .. }
+                | Output::Edit(_)
+                | Output::NotEdited { .. }
                 | Output::Posed(_) => {}
             }
         }

@@ -1,0 +1,73 @@
+//! The person who edits beads in the window, as the session's thread hears of it: requests come by a channel, are logged as inputs in an
+//! order that a replay has again, and their poses are solved on a thread of their own, one after the other.
+
+use std::collections::VecDeque;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, Sender, channel};
+
+use super::SessionError;
+use super::edit::EditRequest;
+use super::editing::EditJob;
+use super::event::Event;
+use super::log::SessionLog;
+
+/// See the module.
+pub(super) struct Editor {
+    requests: Receiver<EditRequest>,
+    /// Of the frame that is being registered: its edits are made upon what that comes to.
+    waiting: VecDeque<EditRequest>,
+    jobs: Sender<EditJob>,
+    /// Edits that were logged and are not posed, or refused, yet.
+    open: usize,
+}
+
+impl Editor {
+    /// Starts the thread; it ends with the editor.
+    ///
+    /// # Errors
+    /// When the system gives no thread.
+    pub(super) fn start(requests: Receiver<EditRequest>, log: Arc<SessionLog>) -> Result<Self, SessionError> {
+        let (jobs, inbox) = channel::<EditJob>();
+        // Somebody waits for it: it does not stand back.
+        std::thread::Builder::new()
+            .name("editor".to_owned())
+            .spawn(move || {
+                for job in inbox {
+                    let attempt = catch_unwind(AssertUnwindSafe(|| job.clone().run()));
+                    let posed = attempt.unwrap_or_else(|_| {
+                        job.failed("posing it with its edits failed (a fault of this program); the log has both")
+                    });
+                    log.tell(Event::Edited(Box::new(posed)));
+                }
+            })
+            .map_err(|source| SessionError::Thread { source })?;
+        Ok(Self { requests, waiting: VecDeque::new(), jobs, open: 0 })
+    }
+
+    /// Requests that may be logged now, while the frame `registering` is registered; each counts as open until [`Editor::done`].
+    pub(super) fn take(&mut self, registering: Option<u32>) -> Vec<EditRequest> {
+        self.waiting.extend(self.requests.try_iter().filter(|request| request.edit.is_finite()));
+        let (later, now): (Vec<_>, Vec<_>) =
+            std::mem::take(&mut self.waiting).into_iter().partition(|request| Some(request.number) == registering);
+        self.waiting = later.into();
+        self.open += now.len();
+        now
+    }
+
+    /// Poses an edited frame.
+    pub(super) fn submit(&self, job: EditJob) {
+        // The thread ends with this sender.
+        let _ = self.jobs.send(job);
+    }
+
+    /// An edit has come to its pose, or to nothing.
+    pub(super) fn done(&mut self) {
+        self.open = self.open.saturating_sub(1);
+    }
+
+    /// Whether every edit that was logged has come to its end.
+    pub(super) fn is_idle(&self) -> bool {
+        self.open == 0
+    }
+}

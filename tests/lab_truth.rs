@@ -2,7 +2,7 @@
 #![cfg(unix)]
 
 use std::collections::BTreeSet;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use chrono::NaiveDateTime;
 use dicom_core::{DataElement, PrimitiveValue, Tag, VR};
@@ -15,9 +15,8 @@ use crate::live_lab::{HANG_S, Lab, Live, eventually};
 
 /// Beginnings of exposures are found to half a sample of the C-arm, and clocks to some milliseconds on a crowded machine.
 pub const TIME_US: i64 = 60_000;
-/// Encoders' noise in the mean of some samples, and what the arm still moves before an exposure.
-const NEAR_DEG: f64 = 0.6;
-const NEAR_MM: f64 = 2.0;
+/// Five standard deviations of the encoders, and what the arm still moves before an exposure.
+const JOINTS: [(&str, f64); 3] = [("orbital_deg", 0.4), ("angulation_deg", 0.4), ("lift_mm", 1.6)];
 
 /// What is scripted of the `counter`th exposure, from 1.
 pub fn scripted(counter: u32) -> Value {
@@ -90,24 +89,40 @@ pub fn poses(live: &Live) -> Vec<Value> {
     last.into_values().collect()
 }
 
+/// The pairs in order, each with its pose in the log and the mock's own number of the exposure.
+pub fn told_frames(live: &Live) -> Vec<(Value, Value, u32)> {
+    let poses = poses(live);
+    let told = |pair: Value| {
+        let pose = poses.iter().find(|pose| pose["number"] == pair["number"]).cloned();
+        let counter = counter_of(pair["frame"].as_str().expect("a name"));
+        (pair, pose.unwrap_or_else(|| panic!("no pose of frame {counter}: {}", live.stderr())), counter)
+    };
+    pairs(live).into_iter().map(told).collect()
+}
+
+/// A frame as the mock wrote it.
+pub fn file_of(lab: &Lab, counter: u32) -> PathBuf {
+    lab.frames().join(format!("frame-{counter:03}.dcm"))
+}
+
 /// Waits until there are `count` pairs.
 pub fn wait_for_pairs(live: &Live, count: usize) {
     let all = eventually(HANG_S, || (live.pairs() >= count).then_some(()));
     assert!(all.is_some(), "{} of {count} pairs: {}", live.pairs(), live.stderr());
 }
 
-/// That a frame is bound to its own exposure, at its own time, with the joints at which the arm stood in it. `file` is what the mock wrote.
-pub fn has_its_own_exposure(pose: &Value, counter: u32, file: &Path, exposure_s: f64) {
+/// That a frame is bound to its own exposure of 0.3 s, at its own time, with the joints at which the arm stood in it.
+pub fn has_its_own_exposure(lab: &Lab, pose: &Value, counter: u32) {
     let binding = &pose["binding"];
     let exposure = &binding["exposure"];
     assert_eq!(exposure["counter"], counter, "frame of exposure {counter}: {binding:#}");
-    let off_us = binding["time_us"].as_i64().expect("a time") - began_us(file) - (0.5e6 * exposure_s) as i64;
+    let off_us = binding["time_us"].as_i64().expect("a time") - began_us(&file_of(lab, counter)) - 150_000;
     assert!(off_us.abs() < TIME_US, "exposure {counter}: {off_us} µs off");
     let told = scripted(counter);
-    for (joint, near) in [("orbital_deg", NEAR_DEG), ("angulation_deg", NEAR_DEG), ("lift_mm", NEAR_MM)] {
+    for (joint, near) in JOINTS {
         let (found, expected) = (exposure["joints"]["value"][joint].as_f64(), told[joint].as_f64().expect("scripted"));
-        let is_near = found.is_some_and(|found| (found - expected).abs() < near);
-        assert!(is_near, "exposure {counter}: {joint} is {found:?}, the arm stood at {expected}: {exposure:#}");
+        let near = found.is_some_and(|found| (found - expected).abs() < near);
+        assert!(near, "exposure {counter}: {joint} is {found:?}, the arm stood at {expected}: {exposure:#}");
     }
 }
 

@@ -1,7 +1,7 @@
 //! Device clocks that somebody sets in mid-session, through `live`.
 #![cfg(unix)]
 
-use crate::lab_truth::{counter_of, has_its_own_exposure, pairs, poses, prior_is_right, robot_is_right, wait_for_pairs};
+use crate::lab_truth::{has_its_own_exposure, prior_is_right, robot_is_right, told_frames, wait_for_pairs};
 use crate::live_lab::{HANG_S, Lab, Live, Signal};
 use crate::session_silence::steps_of;
 
@@ -10,7 +10,9 @@ use crate::session_silence::steps_of;
 #[test]
 fn clocks_that_jump_by_an_hour_and_back_cost_no_frame_its_exposure() {
     let jumps = "carm:ahead@0.23,robot:ahead@0.25,carm:back@0.578,robot:back@0.62";
-    let Some(lab) = Lab::start(&["--duration-s", "20", "--faults", jumps, "--idle-s", "300"]) else { return };
+    let Some(lab) = Lab::start(&["--duration-s", "20", "--faults", jumps, "--await-all", "--idle-s", "300"]) else {
+        return;
+    };
     let mut live = Live::start(&lab.kit.join("session.json"), &lab.kit.with_file_name("session"), &[]);
     wait_for_pairs(&live, 8);
     let signal_us = live.signalled(Signal::INT);
@@ -29,14 +31,12 @@ fn clocks_that_jump_by_an_hour_and_back_cost_no_frame_its_exposure() {
     let missing = live.heard().missing(&lab.sent(), live.recording_us, signal_us);
     assert_eq!(missing.lost, 0, "recording went on: {missing:?} {words}");
 
-    let (pairs, poses) = (pairs(&live), poses(&live));
-    assert_eq!((pairs.len(), poses.len()), (8, 8), "{words}");
-    for (pair, pose) in pairs.iter().zip(&poses) {
-        let name = pose["frame"].as_str().expect("a name");
-        let counter = counter_of(name);
+    let frames = told_frames(&live);
+    assert!(frames.len() == 8, "{} frames: {words}", frames.len());
+    for (pair, pose, counter) in &frames {
         assert!(pair["binding"] != "none", "{pair:#} {words}");
-        has_its_own_exposure(pose, counter, &lab.frames().join(format!("{name}.dcm")), 0.3);
-        robot_is_right(pose, counter);
+        has_its_own_exposure(&lab, pose, *counter);
+        robot_is_right(pose, *counter);
         if pair["pose_source"] == "beads" {
             prior_is_right(pair);
         }

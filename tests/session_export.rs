@@ -7,7 +7,7 @@ use dicom_core::VR;
 use dicom_dictionary_std::tags;
 use sidecarm::telemetry::DeviceKind;
 
-use crate::lab_truth::{counter_of, has_its_own_exposure, pairs, poses, prior_is_right, put, wait_for_pairs};
+use crate::lab_truth::{counter_of, has_its_own_exposure, prior_is_right, put, told_frames, wait_for_pairs};
 use crate::live_lab::{HANG_S, Lab, Live, Sent, Signal, eventually};
 
 /// Samples of a device that the timeline keeps: ten minutes at 300 Hz. At a hundred times the C-arm's rate that is a minute and some
@@ -27,8 +27,20 @@ fn of_the_arm(sent: &[Sent], after_us: i64) -> usize {
 #[test]
 fn frames_that_come_when_their_samples_are_forgotten_keep_exposure_joints_and_beam() {
     let frames = FRAMES.to_string();
-    let lab =
-        ["--duration-s", "12", "--exposures", &frames, "--rate", "100", "--no-robot", "--faults", "none", "--idle-s", "400"];
+    let lab = [
+        "--duration-s",
+        "12",
+        "--exposures",
+        &frames,
+        "--rate",
+        "100",
+        "--no-robot",
+        "--faults",
+        "none",
+        "--await-all",
+        "--idle-s",
+        "400",
+    ];
     let Some(lab) = Lab::start(&lab) else { return };
     let folder = lab.kit.join("exported");
     std::fs::create_dir(&folder).expect("a folder");
@@ -65,20 +77,18 @@ fn frames_that_come_when_their_samples_are_forgotten_keep_exposure_joints_and_be
     let came = live.heard().packets;
     let came = came.iter().filter(|((device, _), at_us)| *device == DeviceKind::Carm && (last_us..exported_us).contains(*at_us));
     assert!(came.count() > KEPT + 1000, "too few samples to forget any: {words}");
-    let (pairs, poses) = (pairs(&live), poses(&live));
-    assert_eq!((pairs.len(), poses.len()), (FRAMES, FRAMES), "{words}");
-    for (pair, pose) in pairs.iter().zip(&poses) {
-        let name = pose["frame"].as_str().expect("a name");
-        let counter = counter_of(name);
+    let frames = told_frames(&live);
+    assert!(frames.len() == FRAMES, "{} frames: {words}", frames.len());
+    for (pair, pose, counter) in &frames {
         let flags = pair["flags"].to_string();
         assert!(pair["binding"] != "none" && flags.contains("after its exposure"), "{pair:#}");
-        has_its_own_exposure(pose, counter, &lab.frames().join(format!("{name}.dcm")), 0.3);
+        has_its_own_exposure(&lab, pose, *counter);
         assert!(pair["gap_us"].as_i64().is_some_and(|gap_us| gap_us < 100_000), "joints of its own samples: {pair:#}");
         prior_is_right(pair);
         let (kvp, sid) =
             ("telemetry says 90 kVp, the frame 70", "the frame says 1100 mm from focal spot to detector, telemetry says 1020 mm");
-        assert_eq!(flags.contains(kvp), counter == OTHER_KVP, "{flags}");
-        assert_eq!(flags.contains(sid), counter == OTHER_SID, "{flags}");
+        assert_eq!(flags.contains(kvp), *counter == OTHER_KVP, "{flags}");
+        assert_eq!(flags.contains(sid), *counter == OTHER_SID, "{flags}");
     }
     assert!(
         words.contains("telemetry says 90 kVp, the frame 70") && words.contains("check that the frame belongs to this exposure"),

@@ -27,7 +27,9 @@ fn images_of_a_run_share_their_exposure_and_have_each_its_own_time_and_robot() {
     let exposure_s = EXPOSURE_S.to_string();
     let duration_s = DURATION_S.to_string();
     let lab = ["--duration-s", &duration_s, "--exposures", "2", "--exposure-s", &exposure_s, "--odd", "swaying"];
-    let Some(lab) = Lab::start(&[&lab[..], &["--faults", "none", "--idle-s", "300"]].concat()) else { return };
+    let Some(lab) = Lab::start(&[&lab[..], &["--faults", "none", "--await-all", "--idle-s", "300"]].concat()) else {
+        return;
+    };
     let folder = lab.kit.join("exported");
     std::fs::create_dir(&folder).expect("a folder");
     let session = lab.session("runs.json", |session| session["frames"]["folder"] = "exported".into());

@@ -1,11 +1,9 @@
 //! Lines that stall, through `live`: what a device or an adapter held back comes at once, and nothing of it is lost or moved in time.
 #![cfg(unix)]
 
-use std::collections::BTreeMap;
-
 use sidecarm::telemetry::DeviceKind;
 
-use crate::lab_truth::{counter_of, has_its_own_exposure, pairs, poses, prior_is_right, robot_is_right, wait_for_pairs};
+use crate::lab_truth::{has_its_own_exposure, prior_is_right, robot_is_right, told_frames, wait_for_pairs};
 use crate::live_lab::{HANG_S, Lab, Live, Sent, Signal};
 use crate::session_silence::steps_of;
 
@@ -24,7 +22,8 @@ fn stalls(sent: &[Sent], device: DeviceKind) -> (usize, bool) {
 fn stalls_of_a_twentieth_of_the_time_lose_and_move_nothing() {
     // A pseudo-terminal holds so much: on a machine that gives its reader no core for long, packets never get into the line.
     for attempt in 1..=3 {
-        let lab = ["--duration-s", "24", "--faults", "none", "--stalled", "0.05", "--seed", "7", "--idle-s", "300"];
+        let lab =
+            ["--duration-s", "24", "--faults", "none", "--stalled", "0.05", "--seed", "7", "--await-all", "--idle-s", "300"];
         let Some(lab) = Lab::start(&lab) else { return };
         let mut live = Live::start(&lab.kit.join("session.json"), &lab.kit.with_file_name("session"), &[]);
         wait_for_pairs(&live, 8);
@@ -51,15 +50,12 @@ fn stalls_of_a_twentieth_of_the_time_lose_and_move_nothing() {
 }
 
 fn check_frames(lab: &Lab, live: &Live) {
-    let (pairs, poses) = (pairs(live), poses(live));
-    let of: BTreeMap<u32, _> = poses.iter().map(|pose| (counter_of(pose["frame"].as_str().expect("a name")), pose)).collect();
-    assert_eq!((pairs.len(), of.len()), (8, 8), "{}", live.stderr());
-    for (pair, pose) in pairs.iter().zip(&poses) {
-        let name = pose["frame"].as_str().expect("a name");
-        let counter = counter_of(name);
+    let frames = told_frames(live);
+    assert!(frames.len() == 8, "{} frames: {}", frames.len(), live.stderr());
+    for (pair, pose, counter) in &frames {
         assert!(pair["binding"] != "none", "{pair:#}");
-        has_its_own_exposure(pose, counter, &lab.frames().join(format!("{name}.dcm")), 0.3);
-        robot_is_right(pose, counter);
+        has_its_own_exposure(lab, pose, *counter);
+        robot_is_right(pose, *counter);
         let gap_us = pair["gap_us"].as_i64().unwrap_or_else(|| panic!("{pair:#}"));
         assert!(gap_us < STALL_US, "no gap of telemetry where it only came late: {gap_us} µs");
         if pair["pose_source"] == "beads" {

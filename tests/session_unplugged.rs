@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use sidecarm::telemetry::DeviceKind;
 
-use crate::lab_truth::{counter_of, has_its_own_exposure, pairs, poses, prior_is_right, robot_is_right, wait_for_pairs};
+use crate::lab_truth::{has_its_own_exposure, prior_is_right, robot_is_right, told_frames, wait_for_pairs};
 use crate::live_lab::{HANG_S, Lab, Live, Signal, eventually};
 
 const DURATION_S: f64 = 30.0;
@@ -25,7 +25,7 @@ fn behind(lab: &Lab, device: DeviceKind) -> Option<PathBuf> {
 fn frames_that_come_while_a_line_is_away_have_nothing_of_it_and_those_after_have_all() {
     let faults = PULLED.map(|(device, at, _)| format!("{}:unplug@{at}", device.key())).join(",");
     let (duration_s, away_s) = (DURATION_S.to_string(), AWAY_S.to_string());
-    let lab = ["--duration-s", &duration_s, "--faults", &faults, "--unplugged-s", &away_s, "--idle-s", "300"];
+    let lab = ["--duration-s", &duration_s, "--faults", &faults, "--unplugged-s", &away_s, "--await-all", "--idle-s", "300"];
     let Some(lab) = Lab::start(&lab) else { return };
     let mut live = Live::start(&lab.kit.join("session.json"), &lab.kit.with_file_name("session"), &[]);
     for (device, ..) in PULLED {
@@ -60,29 +60,27 @@ fn frames_that_come_while_a_line_is_away_have_nothing_of_it_and_those_after_have
         assert!(before > 100 && after > 100, "{device}: {before} packets before its silence, {after} after");
     }
 
-    let (pairs, poses) = (pairs(&live), poses(&live));
-    assert_eq!((pairs.len(), poses.len()), (8, 8), "{words}");
+    let frames = told_frames(&live);
+    assert!(frames.len() == 8, "{} frames: {words}", frames.len());
     let [(.., without_arm), (.., without_robot)] = PULLED;
-    for (pair, pose) in pairs.iter().zip(&poses) {
-        let name = pose["frame"].as_str().expect("a name");
-        let counter = counter_of(name);
+    for (pair, pose, counter) in &frames {
         // All of them show their beads but the seventh, which is collimated: that the arm is not heard costs no pose.
-        assert!(counter == 7 || pair["pose_source"] == "beads", "{pair:#}");
-        if without_arm.contains(&counter) {
+        assert!(*counter == 7 || pair["pose_source"] == "beads", "{pair:#}");
+        if without_arm.contains(counter) {
             assert!(pair["innovation"].is_null(), "no prior without joints: {pair:#}");
             assert!(pose["binding"]["exposure"]["joints"].is_null(), "joints of another time: {pose:#}");
             continue;
         }
-        has_its_own_exposure(pose, counter, &lab.frames().join(format!("{name}.dcm")), 0.3);
+        has_its_own_exposure(&lab, pose, *counter);
         if pair["pose_source"] == "beads" {
             prior_is_right(pair);
         }
-        if without_robot.contains(&counter) {
+        if without_robot.contains(counter) {
             assert!(pair["robot_source"] == "scene" && pose["control_angles_deg"].is_null(), "a shape of another time: {pair:#}");
-            let said = format!("({name}): robot drawn as in the scene file: no telemetry covers the exposure");
+            let said = format!("(frame-{counter:03}): robot drawn as in the scene file: no telemetry covers the exposure");
             assert!(words.contains(&said), "'{said}' is not in {words}");
         } else {
-            robot_is_right(pose, counter);
+            robot_is_right(pose, *counter);
             assert_eq!(pair["robot_source"], "sensed", "{pair:#}");
         }
     }

@@ -41,6 +41,9 @@ struct Args {
     /// Waits at most so many seconds until somebody reads one of the ports.
     #[arg(long, default_value_t = 60.0)]
     await_reader_s: f64,
+    /// Waits until all ports are read.
+    #[arg(long)]
+    await_all: bool,
     /// Seconds between that and the first packet.
     #[arg(long, default_value_t = 1.0)]
     start_delay_s: f64,
@@ -178,6 +181,7 @@ fn run(args: &Args) -> Result<(), MockError> {
     say(&json!({"event": "ready", "session": session, "carm_port": carm, "robot_port": robot, "exposures": frames.len()}));
     let performance = Performance {
         await_reader_s: args.await_reader_s,
+        await_all: args.await_all,
         start_delay_s: args.start_delay_s,
         idle_s: args.idle_s,
         linger_s: args.linger_s,

@@ -21,6 +21,8 @@ use crate::wire::{Stamp, encode_carm, encode_metadata, encode_robot};
 pub struct Performance {
     /// Waits at most this long until somebody reads the lines.
     pub await_reader_s: f64,
+    /// Waits for a reader of every line, not only of one.
+    pub await_all: bool,
     /// Wait before the first packet, once the lines are read.
     pub start_delay_s: f64,
     /// How long the devices go on telling where they are when the script is over.
@@ -96,7 +98,7 @@ pub fn play(
     for sender in &mut senders {
         sender.channel.line.write(&[0]);
     }
-    await_reader(&senders, performance.await_reader_s)?;
+    await_reader(&senders, performance.await_reader_s, performance.await_all)?;
     std::thread::sleep(Duration::from_secs_f64(performance.start_delay_s));
     let mut files = Files { script, frames, delivered: 0, half: None, started_us: now_us() };
     let mut faults = performance.faults.clone();
@@ -150,14 +152,16 @@ pub fn play(
     Ok(())
 }
 
-/// Returns once one of the lines is read, so that the session starts with its listener, however long that takes to start.
-fn await_reader(senders: &[Sender], limit_s: f64) -> Result<(), MockError> {
+/// Returns once one of the lines is read, or `all` of them, so that the session starts with its listener, however long that takes to start.
+fn await_reader(senders: &[Sender], limit_s: f64, all: bool) -> Result<(), MockError> {
     let start = Instant::now();
     while !senders.is_empty() && start.elapsed().as_secs_f64() < limit_s {
+        let mut read = 0;
         for sender in senders {
-            if sender.channel.line.is_read()? {
-                return Ok(());
-            }
+            read += usize::from(sender.channel.line.is_read()?);
+        }
+        if read == senders.len() || read > 0 && !all {
+            return Ok(());
         }
         std::thread::sleep(Duration::from_millis(10));
     }

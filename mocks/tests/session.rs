@@ -18,6 +18,7 @@ fn play_two_seconds_with(name: &str, change: impl FnOnce(&mut Performance)) -> (
     let folder = folder(name);
     let mut performance = Performance {
         await_reader_s: 0.0,
+        await_all: false,
         start_delay_s: 0.0,
         idle_s: 0.0,
         linger_s: 0.0,

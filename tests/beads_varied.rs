@@ -42,7 +42,7 @@ fn is_clear(bead: &DrawnBead) -> bool {
 
 fn outcome(seed: u64) -> Outcome {
     // Every fourth frame is open.
-    let drawn = draw_beaded_frame(seed, seed % 4 != 0);
+    let drawn = draw_beaded_frame(seed, !seed.is_multiple_of(4));
     let domain = match drawn.domain {
         "display" => Domain::Display,
         "log" | "log clamped" => Domain::Log,

@@ -75,7 +75,7 @@ fn edits_change_the_pose_undo_restores_it_and_a_replay_makes_them_again() {
     ask(BeadEdit::Put { bead: a.clone(), image_px: *a_px + DVec2::new(0.5, 0.25) });
     let moved = seen(&board, 1, false);
     assert!(moved.pose.is_accepted() && moved.pose.projection != first.pose.projection, "{:?}", moved.pose.reason);
-    assert_eq!(moved.pair.edited.as_ref().expect("said").placed, [a.clone()]);
+    assert_eq!(moved.pair.edited.as_ref().expect("said").placed, std::slice::from_ref(a));
     let edit_ms = moved.pair.stages_ms.iter().find(|(stage, _)| *stage == "edit").map(|(_, ms)| ms);
     println!("solved again in {:.0} ms", edit_ms.expect("timed"));
     // A wrong name: refused.

@@ -96,6 +96,7 @@ mod viewer_boards;
 mod viewer_drawn;
 mod viewer_real;
 mod viewer_window;
+mod mask_blades;
 mod mask_draw;
 mod mask_field;
 mod mask_matter;

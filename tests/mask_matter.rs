@@ -2,7 +2,8 @@
 
 use glam::DVec2;
 
-use crate::mask_draw::{Draw, reach};
+use crate::mask_blades::reach;
+use crate::mask_draw::Draw;
 
 /// Something in the beam; nepers at a point.
 pub enum Matter {

@@ -47,8 +47,9 @@ impl Drop for Fate {
     }
 }
 
-/// Runs `work` beside a window that shows `board` and sends what a person edits to `edits`. Closing the window runs `closed`; the window closes by itself where the work fails, and
-/// where it has ended and `leaves` says that nobody wants to look any more. Without a window the work goes on alone.
+/// Runs `work` beside a window that shows `board` and sends what a person edits to `edits`. Closing the window runs `closed`; the window closes
+/// by itself where the work fails, and where it has ended and `leaves` says that nobody wants to look any more. Without a window the work goes
+/// on alone.
 ///
 /// # Errors
 /// Those of `work`.

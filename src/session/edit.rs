@@ -107,6 +107,16 @@ pub(super) fn marks_of(edits: &[BeadEdit]) -> Vec<HandMark> {
     marks
 }
 
+/// What is said of a frame that was posed before: `development` times, by itself or as a hand `edited` it.
+#[must_use]
+pub fn again(edited: bool, development: u32) -> &'static str {
+    match (edited, development) {
+        (true, _) => ", edited by hand",
+        (false, 0) => "",
+        (false, _) => ", posed again",
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -37,9 +37,9 @@ impl Editing {
         self.keeps
     }
 
-    /// What was said of a frame is said anew: its edits were of something else.
-    pub(super) fn forget(&mut self, number: u32) {
-        self.frames.remove(&number);
+    /// A frame is posed anew, upon other things than its edits were: how many of those are lost.
+    pub(super) fn forget(&mut self, number: u32) -> usize {
+        self.frames.remove(&number).map_or(0, |editable| editable.edits.len())
     }
 
     /// Keeps a frame with its pose; the pictures of the oldest are let go where there are too many.

@@ -55,10 +55,9 @@ impl Editor {
         now
     }
 
-    /// Poses an edited frame.
-    pub(super) fn submit(&self, job: EditJob) {
-        // The thread ends with this sender.
-        let _ = self.jobs.send(job);
+    /// Has an edited frame posed; false where the thread has died.
+    pub(super) fn submit(&self, job: EditJob) -> bool {
+        self.jobs.send(job).is_ok()
     }
 
     /// An edit has come to its pose, or to nothing.

@@ -250,7 +250,13 @@ impl Engine {
             }
             Input::Edit { number, edit, .. } => return self.edit(number, &edit, sink),
             Input::Develop { number } => {
-                self.editing.forget(number);
+                let lost_edits = self.editing.forget(number);
+                if lost_edits > 0 {
+                    let words = format!(
+                        "frame {number} is posed anew, as its exposure has become clear: {lost_edits} edits of its beads are to be made again"
+                    );
+                    self.reporter.warn("edits lost", words);
+                }
                 if let Some((bound, lost)) = self.bound.take(number) {
                     let job = Box::new(self.job(bound));
                     sink(match lost {

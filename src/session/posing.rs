@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::edit::again;
 use super::file::Setup;
 use super::import::Imported;
 use super::intensifier::seen_through;
@@ -66,11 +67,7 @@ impl Posed {
     /// How people are told of the frame.
     #[must_use]
     pub fn label(&self) -> String {
-        let again = match (&self.pose.edited, self.development) {
-            (Some(_), _) => ", edited by hand",
-            (None, 0) => "",
-            (None, _) => ", posed again",
-        };
+        let again = again(self.pose.edited.is_some(), self.development);
         format!("frame {} ({}){again}", self.number, self.frame.name)
     }
 

@@ -4,6 +4,7 @@ use eframe::egui::{self, Color32, RichText, Ui};
 
 use super::theme::{BAD, BODY, CAUTION, DIM, INK, LINE, SMALL, TEXT, font, of_standing};
 use crate::session::board::{BoardState, PairView};
+use crate::session::edit::again;
 
 /// Letters of the state where there is room; less where a word is long.
 const LARGEST: f32 = 50.0;
@@ -31,11 +32,7 @@ fn of_pair(ui: &mut Ui, board: &BoardState, pair: &PairView) {
     // "ACCEPTED, IMAGE DISAGREES": what doubts it is what must be read across the room.
     let word = standing.word();
     let (before, large) = word.rsplit_once(", ").unwrap_or(("", word));
-    let again = match (&pair.pair.edited, pair.development) {
-        (Some(_), _) => ", edited by hand",
-        (None, 0) => "",
-        (None, _) => ", posed again",
-    };
+    let again = again(pair.pair.edited.is_some(), pair.development);
     let before = if before.is_empty() { String::new() } else { format!(" · {} but", before.to_lowercase()) };
     block(ui, of_standing(standing), &format!("frame {} · {}{again}{before}", pair.number(), pair.pair.frame), large, INK);
     if let Some(words) = newer(board, pair) {

@@ -64,8 +64,8 @@ impl eframe::App for Window {
     }
 }
 
-/// Shows `board`, and sends what a person edits to `edits`, until the window is closed, or `leaves` says that there is nothing more to see; `on_close` runs then. It is drawn when the
-/// board changes, and every ten seconds.
+/// Shows `board`, and sends what a person edits to `edits`, until the window is closed, or `leaves` says that there is nothing more to see;
+/// `on_close` runs then. It is drawn when the board changes, and every ten seconds.
 ///
 /// # Errors
 /// When there is no display or no graphics adapter.

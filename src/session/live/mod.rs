@@ -7,6 +7,9 @@
 //! ```
 //! Nothing that is slow or dead behind the engine stops what is in front of it from being recorded.
 
+mod ending;
+mod telling;
+
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -56,22 +59,14 @@ pub struct LiveOptions {
     pub include_existing: bool,
 }
 
-/// Ticks keep waiting frames and stale marks moving when nothing arrives.
-const TICK_US: i64 = 100_000;
 /// The session's thread looks at the clock and the stop flag this often.
 const LOOK: Duration = Duration::from_millis(5);
-/// Losses on the lines are told at most this often.
-const TELL_LOSSES_US: i64 = 1_000_000;
 /// Faults of a line that are logged one by one within a tick; the counters hold all.
 const FAULTS_PER_TICK: u32 = 10;
 /// So many frames may be posed and wait for their DRR; the others wait to be posed.
 const MOST_OPEN: usize = 8;
 /// Frames that are newer than all of those are posed meanwhile, until so many wait.
 const MOST_POSED: usize = 24;
-/// Whoever leaves at once waits this long for the log.
-const LEAVE: Duration = Duration::from_secs(1);
-/// A log that is so far behind is said.
-const BEHIND_MS: f64 = 1_000.0;
 
 /// Runs until stopped; returns the finished session's folder. `edits` are what a person asks for who looks at `board`; without them frames
 /// cannot be edited.
@@ -283,15 +278,14 @@ impl Session {
                 self.log.tell(Event::Registered(Box::new(Registered::failed(*job, &words))));
             }
             Output::Edit(job) => {
-                if let Some(editor) = &self.editor {
-                    editor.submit(*job);
+                let number = job.number();
+                if !self.editor.as_ref().is_some_and(|editor| editor.submit(*job)) {
+                    self.not_edited(&format!(
+                        "frame {number} is not edited: the thread of edits died; a replay of the log makes the edit"
+                    ));
                 }
             }
-            Output::NotEdited { words, .. } => {
-                self.editor.iter_mut().for_each(Editor::done);
-                self.reporter.warn("not edited", &words);
-                self.log.event(Level::Warning, host_now_us(), &words);
-            }
+            Output::NotEdited { words, .. } => self.not_edited(&words),
             Output::Posed(posed) => {
                 let words = posed.announcement();
                 self.reporter.note(&words);
@@ -303,6 +297,13 @@ impl Session {
                 self.workshop.submit(*posed, None);
             }
         }
+    }
+
+    /// An edit came to nothing.
+    fn not_edited(&mut self, words: &str) {
+        self.editor.iter_mut().for_each(Editor::done);
+        self.reporter.warn("not edited", words);
+        self.log.event(Level::Warning, host_now_us(), words);
     }
 
     /// The newest frame that is bound is registered next; the log keeps the order.
@@ -326,181 +327,6 @@ impl Session {
         let Some(editor) = self.editor.as_mut().filter(|_| matches!(self.stage, Stage::Open { .. })) else { return };
         for EditRequest { number, edit } in editor.take(self.registering) {
             self.log.input(Input::Edit { number, edit, host_us: host_now_us() });
-        }
-    }
-
-    fn tick(&mut self, now_us: i64) {
-        self.next_tick_us = now_us + TICK_US;
-        self.faults_this_tick = 0;
-        if matches!(self.stage, Stage::Open { .. }) {
-            self.log.input(Input::Tick { host_us: now_us });
-        }
-        if now_us >= self.tell_losses_us {
-            self.tell_losses_us = now_us + TELL_LOSSES_US;
-            self.tell_losses();
-        }
-        self.publish(now_us);
-        if let Some((progress, complete)) = &mut self.finishing {
-            let now_complete = self.scribe.complete();
-            if now_complete > *complete {
-                progress.advance((now_complete - *complete) as u64);
-                *complete = now_complete;
-                self.reporter.note(format!("finishing {now_complete} of {}", self.frames()));
-            }
-        }
-    }
-
-    /// Frames that were given a number.
-    fn frames(&self) -> usize {
-        self.board.read(|state| state.frames_seen)
-    }
-
-    /// Lost telemetry and a log that fails reach the person while there is something to be done.
-    fn tell_losses(&mut self) {
-        for device in DeviceKind::ALL {
-            let Some(health) = self.engine.health(device).filter(|health| health.lost_in_all() > 0) else { continue };
-            let told = self.told_losses.insert(device, health.lost_in_all());
-            if let (true, Some(words)) = (told < Some(health.lost_in_all()), self.engine.losses_of(device)) {
-                self.reporter.warn(&format!("{device} telemetry lost"), words);
-            }
-        }
-        if matches!(self.stage, Stage::Open { .. }) {
-            for (device, words) in self.engine.silent_lines() {
-                self.reporter.warn(&format!("{device} line silent"), &words);
-                self.log.event(Level::Warning, host_now_us(), &words);
-            }
-        }
-        let recorder = self.log.health();
-        if recorder.keepers_lost > self.told_keepers_lost {
-            self.told_keepers_lost = recorder.keepers_lost;
-            self.reporter
-                .warn("log keeper lost", "the process that writes the log died; another one goes on, and nothing is lost");
-        }
-        if let Some(failure) = recorder.failure {
-            self.log.fail(&failure);
-        }
-        if recorder.behind_ms > BEHIND_MS && !self.log.has_failed() {
-            let safe =
-                if recorder.kill_loses_ms > BEHIND_MS { "" } else { "; all of it is with the process that writes the log" };
-            let words =
-                format!("the log's file is {:.0} s behind: its disk is slow or stands still{safe}", recorder.behind_ms / 1e3);
-            self.reporter.warn("recording behind", words);
-        }
-        if self.scribe.has_ended() && !matches!(self.stage, Stage::Finishing) {
-            self.log.lose(format!("the thread that writes files died; {}", self.log.again()));
-            self.reporter.warn(
-                "files not written",
-                "the thread that writes files died; recording goes on, replay the log for pairs and report",
-            );
-        }
-        if self.workshop.has_ended() && !matches!(self.stage, Stage::Finishing) {
-            self.log.lose("the rendering thread died: frames after that have no DRR; a replay of the log makes them".to_owned());
-            self.reporter
-                .warn("no rendering", "the rendering thread died; recording and registration go on, replay the log for the DRRs");
-        }
-    }
-
-    fn publish(&mut self, now_us: i64) {
-        let recorder = self.log.health();
-        let waiting = self.engine.waiting()
-            + self.engine.bound().count()
-            + usize::from(self.registering.is_some())
-            + self.workshop.open_jobs();
-        let Self { board, readings, engine, reporter, .. } = self;
-        board.tick(|state| {
-            state.now_us = now_us;
-            state.frames_waiting = waiting;
-            state.recorder_behind_ms = recorder.behind_ms;
-            state.recorder_failure = recorder.failure;
-            readings.update(&mut state.links, engine, now_us);
-            state.warnings = reporter.warnings().into_iter().map(|(kind, counted)| (kind, counted.count)).collect();
-        });
-    }
-
-    /// From one stage to the next, when its time has come.
-    fn advance(&mut self, is_over: bool) {
-        match std::mem::replace(&mut self.stage, Stage::Finishing) {
-            Stage::Open { lines, frames } if is_over => {
-                lines.close();
-                frames.close();
-                self.board.update(|state| state.editable = false);
-                self.stage = Stage::Closing { asked_us: host_now_us() };
-            }
-            Stage::Closing { asked_us } if self.lines_ended && !self.end_is_logged => {
-                self.stage = Stage::Closing { asked_us };
-                self.end_is_logged = true;
-                self.log.end(asked_us);
-                self.with_engine(|engine, sink| engine.finish(asked_us, sink));
-            }
-            Stage::Closing { .. } if self.end_is_logged && self.frames_ended => {
-                let (frames, complete) = (self.frames(), self.scribe.complete());
-                if complete < frames {
-                    let log = if self.log.has_failed() { "what is not finished is lost" } else { "the log is complete" };
-                    self.reporter.note(format!("finishing {complete} of {frames}; Ctrl-C again leaves at once, {log}"));
-                }
-                let progress = self.reporter.progress("finishing", frames as u64);
-                progress.advance(complete as u64);
-                self.finishing = Some((progress, complete));
-            }
-            Stage::Finishing => {
-                let drained = self.engine.waiting() == 0 && self.engine.bound().next().is_none() && self.registering.is_none();
-                let drained = drained && self.editor.as_ref().is_none_or(Editor::is_idle);
-                if drained {
-                    self.workshop.close();
-                }
-            }
-            stage => self.stage = stage,
-        }
-    }
-
-    /// Everything is developed and written.
-    fn close(mut self) -> Result<Folder, SessionError> {
-        let died = self.workshop.join().is_err();
-        if died {
-            self.log.lose(format!("the rendering thread died: some frames have no DRR; {}", self.log.again()));
-        }
-        Ok(self.report(None))
-    }
-
-    /// Somebody wants to leave at once: what is recorded is kept, what is not developed is said.
-    fn leave(self) -> Folder {
-        let open = self.frames().saturating_sub(self.scribe.complete());
-        match self.stage {
-            Stage::Open { .. } => self.log.end(host_now_us()),
-            Stage::Closing { asked_us } if !self.end_is_logged => self.log.end(asked_us),
-            Stage::Closing { .. } | Stage::Finishing => {}
-        }
-        self.workshop.abandon();
-        self.scribe.leave();
-        if open > 0 {
-            self.log.lose(format!("left at once: {open} frames were not finished; {}", self.log.again()));
-        }
-        self.report(Some(LEAVE))
-    }
-
-    fn report(mut self, limit: Option<Duration>) -> Folder {
-        self.finishing = None;
-        self.engine.line_losses().into_iter().for_each(|lost| self.log.lose(lost));
-        self.engine.hardly_bound().into_iter().for_each(|words| self.log.lose(words));
-        if let Some(words) = self.engine.exposures_without_frame() {
-            self.reporter.warn("exposures without a frame", &words);
-            self.log.event(Level::Warning, host_now_us(), &words);
-        }
-        self.publish(host_now_us());
-        self.board.update(|state| state.finished = true);
-        self.log.finish(limit);
-        let path = self.log.path().to_owned();
-        match self.scribe.join() {
-            Some(collector) => {
-                let (losses, again) = (self.log.losses(), self.log.again());
-                collector.finish(&self.engine, self.tracks, (losses, again), &self.reporter, Some(path))
-            }
-            None => {
-                self.log.lose(format!("the thread that writes files died; {}", self.log.again()));
-                let folder = path.parent().map(PathBuf::from).unwrap_or_default();
-                let (pairs, views, losses) = (Vec::new(), Default::default(), self.log.losses());
-                Folder { path: folder, log: Some(path), pairs, views, losses, report: None }
-            }
         }
     }
 }

@@ -1,0 +1,103 @@
+//! How a running session ends: in order, stage by stage, or at once.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use super::super::SessionError;
+use super::super::editor::Editor;
+use super::super::folder::Folder;
+use super::{Session, Stage};
+use crate::record::Level;
+use crate::time::host_now_us;
+
+/// Whoever leaves at once waits this long for the log.
+const LEAVE: Duration = Duration::from_secs(1);
+
+impl Session {
+    /// From one stage to the next, when its time has come.
+    pub(super) fn advance(&mut self, is_over: bool) {
+        match std::mem::replace(&mut self.stage, Stage::Finishing) {
+            Stage::Open { lines, frames } if is_over => {
+                lines.close();
+                frames.close();
+                self.board.update(|state| state.editable = false);
+                self.stage = Stage::Closing { asked_us: host_now_us() };
+            }
+            Stage::Closing { asked_us } if self.lines_ended && !self.end_is_logged => {
+                self.stage = Stage::Closing { asked_us };
+                self.end_is_logged = true;
+                self.log.end(asked_us);
+                self.with_engine(|engine, sink| engine.finish(asked_us, sink));
+            }
+            Stage::Closing { .. } if self.end_is_logged && self.frames_ended => {
+                let (frames, complete) = (self.frames(), self.scribe.complete());
+                if complete < frames {
+                    let log = if self.log.has_failed() { "what is not finished is lost" } else { "the log is complete" };
+                    self.reporter.note(format!("finishing {complete} of {frames}; Ctrl-C again leaves at once, {log}"));
+                }
+                let progress = self.reporter.progress("finishing", frames as u64);
+                progress.advance(complete as u64);
+                self.finishing = Some((progress, complete));
+            }
+            Stage::Finishing => {
+                let drained = self.engine.waiting() == 0 && self.engine.bound().next().is_none() && self.registering.is_none();
+                let drained = drained && self.editor.as_ref().is_none_or(Editor::is_idle);
+                if drained {
+                    self.workshop.close();
+                }
+            }
+            stage => self.stage = stage,
+        }
+    }
+
+    /// Everything is developed and written.
+    pub(super) fn close(mut self) -> Result<Folder, SessionError> {
+        let died = self.workshop.join().is_err();
+        if died {
+            self.log.lose(format!("the rendering thread died: some frames have no DRR; {}", self.log.again()));
+        }
+        Ok(self.report(None))
+    }
+
+    /// Somebody wants to leave at once: what is recorded is kept, what is not developed is said.
+    pub(super) fn leave(self) -> Folder {
+        let open = self.frames().saturating_sub(self.scribe.complete());
+        match self.stage {
+            Stage::Open { .. } => self.log.end(host_now_us()),
+            Stage::Closing { asked_us } if !self.end_is_logged => self.log.end(asked_us),
+            Stage::Closing { .. } | Stage::Finishing => {}
+        }
+        self.workshop.abandon();
+        self.scribe.leave();
+        if open > 0 {
+            self.log.lose(format!("left at once: {open} frames were not finished; {}", self.log.again()));
+        }
+        self.report(Some(LEAVE))
+    }
+
+    fn report(mut self, limit: Option<Duration>) -> Folder {
+        self.finishing = None;
+        self.engine.line_losses().into_iter().for_each(|lost| self.log.lose(lost));
+        self.engine.hardly_bound().into_iter().for_each(|words| self.log.lose(words));
+        if let Some(words) = self.engine.exposures_without_frame() {
+            self.reporter.warn("exposures without a frame", &words);
+            self.log.event(Level::Warning, host_now_us(), &words);
+        }
+        self.publish(host_now_us());
+        self.board.update(|state| state.finished = true);
+        self.log.finish(limit);
+        let path = self.log.path().to_owned();
+        match self.scribe.join() {
+            Some(collector) => {
+                let (losses, again) = (self.log.losses(), self.log.again());
+                collector.finish(&self.engine, self.tracks, (losses, again), &self.reporter, Some(path))
+            }
+            None => {
+                self.log.lose(format!("the thread that writes files died; {}", self.log.again()));
+                let folder = path.parent().map(PathBuf::from).unwrap_or_default();
+                let (pairs, views, losses) = (Vec::new(), Default::default(), self.log.losses());
+                Folder { path: folder, log: Some(path), pairs, views, losses, report: None }
+            }
+        }
+    }
+}

@@ -1,0 +1,104 @@
+//! What a running session tells while it runs: losses, what is behind, and how far it has come.
+
+use super::super::input::Input;
+use super::{Session, Stage};
+use crate::record::Level;
+use crate::telemetry::DeviceKind;
+use crate::time::host_now_us;
+
+/// Ticks keep waiting frames and stale marks moving when nothing arrives.
+const TICK_US: i64 = 100_000;
+/// Losses on the lines are told at most this often.
+const TELL_LOSSES_US: i64 = 1_000_000;
+/// A log that is so far behind is said.
+const BEHIND_MS: f64 = 1_000.0;
+
+impl Session {
+    pub(super) fn tick(&mut self, now_us: i64) {
+        self.next_tick_us = now_us + TICK_US;
+        self.faults_this_tick = 0;
+        if matches!(self.stage, Stage::Open { .. }) {
+            self.log.input(Input::Tick { host_us: now_us });
+        }
+        if now_us >= self.tell_losses_us {
+            self.tell_losses_us = now_us + TELL_LOSSES_US;
+            self.tell_losses();
+        }
+        self.publish(now_us);
+        if let Some((progress, complete)) = &mut self.finishing {
+            let now_complete = self.scribe.complete();
+            if now_complete > *complete {
+                progress.advance((now_complete - *complete) as u64);
+                *complete = now_complete;
+                self.reporter.note(format!("finishing {now_complete} of {}", self.frames()));
+            }
+        }
+    }
+
+    /// Frames that were given a number.
+    pub(super) fn frames(&self) -> usize {
+        self.board.read(|state| state.frames_seen)
+    }
+
+    /// Lost telemetry and a log that fails reach the person while there is something to be done.
+    fn tell_losses(&mut self) {
+        for device in DeviceKind::ALL {
+            let Some(health) = self.engine.health(device).filter(|health| health.lost_in_all() > 0) else { continue };
+            let told = self.told_losses.insert(device, health.lost_in_all());
+            if let (true, Some(words)) = (told < Some(health.lost_in_all()), self.engine.losses_of(device)) {
+                self.reporter.warn(&format!("{device} telemetry lost"), words);
+            }
+        }
+        if matches!(self.stage, Stage::Open { .. }) {
+            for (device, words) in self.engine.silent_lines() {
+                self.reporter.warn(&format!("{device} line silent"), &words);
+                self.log.event(Level::Warning, host_now_us(), &words);
+            }
+        }
+        let recorder = self.log.health();
+        if recorder.keepers_lost > self.told_keepers_lost {
+            self.told_keepers_lost = recorder.keepers_lost;
+            self.reporter
+                .warn("log keeper lost", "the process that writes the log died; another one goes on, and nothing is lost");
+        }
+        if let Some(failure) = recorder.failure {
+            self.log.fail(&failure);
+        }
+        if recorder.behind_ms > BEHIND_MS && !self.log.has_failed() {
+            let safe =
+                if recorder.kill_loses_ms > BEHIND_MS { "" } else { "; all of it is with the process that writes the log" };
+            let words =
+                format!("the log's file is {:.0} s behind: its disk is slow or stands still{safe}", recorder.behind_ms / 1e3);
+            self.reporter.warn("recording behind", words);
+        }
+        if self.scribe.has_ended() && !matches!(self.stage, Stage::Finishing) {
+            self.log.lose(format!("the thread that writes files died; {}", self.log.again()));
+            self.reporter.warn(
+                "files not written",
+                "the thread that writes files died; recording goes on, replay the log for pairs and report",
+            );
+        }
+        if self.workshop.has_ended() && !matches!(self.stage, Stage::Finishing) {
+            self.log.lose("the rendering thread died: frames after that have no DRR; a replay of the log makes them".to_owned());
+            self.reporter
+                .warn("no rendering", "the rendering thread died; recording and registration go on, replay the log for the DRRs");
+        }
+    }
+
+    pub(super) fn publish(&mut self, now_us: i64) {
+        let recorder = self.log.health();
+        let waiting = self.engine.waiting()
+            + self.engine.bound().count()
+            + usize::from(self.registering.is_some())
+            + self.workshop.open_jobs();
+        let Self { board, readings, engine, reporter, .. } = self;
+        board.tick(|state| {
+            state.now_us = now_us;
+            state.frames_waiting = waiting;
+            state.recorder_behind_ms = recorder.behind_ms;
+            state.recorder_failure = recorder.failure;
+            readings.update(&mut state.links, engine, now_us);
+            state.warnings = reporter.warnings().into_iter().map(|(kind, counted)| (kind, counted.count)).collect();
+        });
+    }
+}

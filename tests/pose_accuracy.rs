@@ -99,7 +99,7 @@ fn a_pose_of_eight_beads_is_as_good_as_is_promised_and_says_how_good() {
 #[test]
 #[ignore = "minutes long: scripts/evaluate accuracy runs it"]
 fn many_poses_of_eight_beads() {
-    let count = std::env::var("SIDECARM_POSES").ok().and_then(|n| n.parse().ok()).unwrap_or(25_000);
+    let count = std::env::var("SIDECARM_POSES").ok().and_then(|n| n.parse().ok()).unwrap_or(20_000);
     for fuse in [false, true] {
         let found = figures(1_000_000..1_000_000 + count, fuse);
         assert!(is_accurate(&found), "{fuse}");

@@ -154,17 +154,17 @@ fn a_resumed_training_is_the_straight_one() {
     refused(&TrainOptions { siblings: paths, ..options(folder.path(), "other", whole) }, "not at its end");
 }
 
-/// The loss falls: forty steps over patches of one phantom are a beginning.
+/// The loss falls: two dozen steps over patches of one phantom are a beginning.
 #[test]
 fn a_training_learns_what_it_sees() {
     let folder = tempfile::tempdir().expect("a folder");
     phantoms(folder.path(), 3..4);
     let rule = StepRule { learning_rate: 4e-3, ..StepRule::default() };
-    let trained = run(&options(folder.path(), "one", MaterialsRecipe { epochs: 4, steps: 10, batch: 1, rule, ..short() }));
+    let trained = run(&options(folder.path(), "one", MaterialsRecipe { epochs: 3, steps: 8, batch: 1, rule, ..short() }));
     let losses: Vec<f64> = trained.history.iter().map(|record| record.train_loss).collect();
     println!("losses {losses:?}");
     // What learns nothing stays where it was.
-    assert!(losses[3] < 0.85 * losses[0], "{losses:?}");
+    assert!(losses[2] < 0.9 * losses[0], "{losses:?}");
 }
 
 /// Bone of the network, of thresholding and of the truth, on phantoms that nothing was trained on.

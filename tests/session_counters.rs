@@ -34,7 +34,7 @@ fn numbered_one(stamped: bool) {
     assert!(frames.len() == 8, "{} frames: {}", frames.len(), words(&live));
     let mut unbound = 0;
     for (pair, pose, counter) in &frames {
-        // Of a number that has not moved yet nobody knows whether it counts; without a stamp nothing else tells the first picture's exposure.
+        // Without a stamp only arrival is left, which on a crowded machine tells nothing: what is not known is bound to nothing, never to a wrong one.
         if !stamped && pose["binding"]["exposure"].is_null() {
             unbound += 1;
             continue;
@@ -46,7 +46,12 @@ fn numbered_one(stamped: bool) {
             prior_is_right(pair);
         }
     }
-    assert!(unbound <= 1, "{unbound} of 8 are bound to nothing: {}", words(&live));
+    if !stamped {
+        let all = format!("{}{}", live.stdout(), live.stderr());
+        let none_is_said = all.contains("not one of 8 frames could be tied");
+        assert!(unbound < 8 || none_is_said, "{}", words(&live));
+        return;
+    }
     let dropped = "the console's counter does not move (1 in ";
     let said = frames.iter().filter(|(pair, ..)| pair["binding_evidence"].to_string().contains(dropped)).count();
     assert!(said >= 5, "said of {said} frames: {}", words(&live));

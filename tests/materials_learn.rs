@@ -164,7 +164,7 @@ fn a_training_learns_what_it_sees() {
     let losses: Vec<f64> = trained.history.iter().map(|record| record.train_loss).collect();
     println!("losses {losses:?}");
     // What learns nothing stays where it was.
-    assert!(losses[2] < 0.9 * losses[0], "{losses:?}");
+    assert!(losses[2] < 0.85 * losses[0], "{losses:?}");
 }
 
 /// Bone of the network, of thresholding and of the truth, on phantoms that nothing was trained on.

@@ -15,8 +15,28 @@ const PRIMARY: u32 = 0u;
 const COMPTON: u32 = 1u;
 const RAYLEIGH: u32 = 2u;
 const MULTIPLE: u32 = 3u;
+const FLIGHT: u32 = 2u;           // the last leg of a turn
+
+struct Photon {
+    ray: Ray,
+    energy_kev: f32,
+    weight: f32,
+    page: u32,
+}
 
 var<private> batch: u32;
+// The one that is followed, if there is one.
+var<private> photon: Photon;
+var<private> is_alive: bool;
+var<private> collisions: u32;
+// Of the beam that is walked: its pixel, and the signal if all of it arrived.
+var<private> aim: u32;
+var<private> carried: f32;
+// The latest collision, and where the photon goes from it.
+var<private> material: u32;
+var<private> is_compton: bool;
+var<private> onward: vec3<f32>;
+var<private> onward_cosine: f32;
 // Energy by material and by fate of this invocation's histories.
 var<private> absorbed: array<f32, 16>;
 var<private> fates: array<f32, 3>;
@@ -56,83 +76,39 @@ fn turned(direction: vec3<f32>, cosine: f32, azimuth: vec2<f32>) -> vec3<f32> {
     return normalize(direction * cosine + first * (sine * azimuth.x) + second * (sine * azimuth.y));
 }
 
-// What a photon that is scattered onto a point of the image sends there on average, against a direction drawn evenly over the image.
-fn expect_at(material: u32, is_compton: bool, direction: vec3<f32>, path_mm: f32, pixel: u32) {
+// Sends what a photon that is scattered onto a point of the image brings there on average, against a direction drawn evenly over the image.
+fn send(direction: vec3<f32>, cosine: f32, length_mm: f32, pixel: u32) {
+    carried = 0.0;
     // A photon on the plane sends nothing to it.
     let towards = dot(direction, job.axis_z.xyz);
-    if !(towards > 0.0) { return; }
-    let place = on_plane(photon.ray.position + direction * path_mm);
-    let through = passed(place, direction);
-    if through == 0.0 { return; }
-    let cosine = clamp(dot(photon.ray.direction, direction), -1.0, 1.0);
+    if pixel == NO_PIXEL || !(towards > 0.0) { return; }
+    let place = on_plane(photon.ray.position + direction * length_mm);
     var energy_kev = photon.energy_kev;
     var density: f32;
     if is_compton {
         energy_kev *= energy_ratio(photon.energy_kev, 1.0 - cosine);
         if energy_kev < job.share_offset.z { return; }
-        tune_aside(energy_kev);
         density = compton_density(material, photon.energy_kev, cosine);
     } else {
         density = rayleigh_density(material, photon.energy_kev, cosine);
     }
-    let even = path_mm * path_mm / (towards * job.axis_z.w);
-    let signal = through * photon.weight * response(energy_kev) * density / (density + even);
-    let ray = Ray(photon.ray.position, direction, photon.ray.in_box);
-    detect(photon.page, pixel, signal * transmission(ray, path_mm, is_compton));
+    let even = length_mm * length_mm / (towards * job.axis_z.w);
+    carried = passed(place, direction) * photon.weight * response(energy_kev) * density / (density + even);
+    aim = pixel;
+    tune(energy_kev);
+    ray = Ray(photon.ray.position, direction, photon.ray.in_box);
+    path_mm = length_mm;
 }
 
-// A collision with a material: false where the photon ends.
-fn collide(material: u32) -> bool {
-    let of_material = shares(material, photon.energy_kev);
-    let chance = random();
-    if chance < of_material.x {
-        absorbed[material] += photon.weight * photon.energy_kev;
-        return false;
-    }
-    let is_compton = chance < of_material.y;
-    if photon.page == PRIMARY {
-        photon.page = select(RAYLEIGH, COMPTON, is_compton);
-    } else {
-        photon.page = MULTIPLE;
-    }
-    let before_kev = photon.energy_kev;
-    if job.analogue == 0u {
-        let share = vec2<f32>(random(), random());
-        let cell = min(vec2<u32>(share * vec2<f32>(job.grid_px)), job.grid_px - vec2<u32>(1u));
-        let way = in_lps(plane_of(share)) - photon.ray.position;
-        let path_mm = length(way);
-        expect_at(material, is_compton, way / path_mm, path_mm, cell.x + job.grid_px.x * cell.y);
-    }
-    var cosine: f32;
-    if is_compton { cosine = compton_cosine(material, before_kev); } else { cosine = rayleigh_cosine(material, before_kev); }
-    let direction = turned(photon.ray.direction, cosine, random_direction());
-    if job.analogue == 0u {
-        let path_mm = path_to_plane(photon.ray.position, direction);
-        if path_mm < FAR_MM {
-            let pixel = pixel_of(on_plane(photon.ray.position + direction * path_mm));
-            if pixel != NO_PIXEL { expect_at(material, is_compton, direction, path_mm, pixel); }
-        }
-    }
-    photon.ray.direction = direction;
-    if is_compton {
-        photon.energy_kev = before_kev * energy_ratio(before_kev, 1.0 - cosine);
-        absorbed[material] += photon.weight * (before_kev - photon.energy_kev);
-        if photon.energy_kev < job.share_offset.z {
-            absorbed[material] += photon.weight * photon.energy_kev;
-            return false;
-        }
-        tune(photon.energy_kev);
-    }
-    return true;
-}
-
-fn follow() {
+// Draws a photon and leaves it where it enters the scene; one that misses it is detected.
+fn begin() {
     var place: vec2<f32>;
     var tries = 0u;
     for (; tries < 1000000u; tries += 1u) {
         place = job.field.xy + (job.field.zw - job.field.xy) * vec2<f32>(random(), random());
         if is_open(place) && random() < obliquity(place) { break; }
     }
+    carried = 0.0;
     if tries == 1000000u { give_up(NO_START); return; }
     let drawn = random() * f32(job.bins);
     var bin = min(u32(drawn), job.bins - 1u);
@@ -148,62 +124,135 @@ fn follow() {
     let whole_mm = length(way);
     let weight = left_of(bin, place);
     fates[STARTED] += weight * energy_kev;
-    let signal = weight * response(energy_kev);
-    let aim = pixel_of(place);
-    photon = Photon(Ray(start, way / whole_mm, 0u), energy_kev, weight, PRIMARY);
+    carried = weight * response(energy_kev);
+    aim = pixel_of(place);
+    ray = Ray(start, way / whole_mm, 0u);
     var gone_mm = -1.0;
     if job.has_space != 0u { gone_mm = enter(); }
     if !(gone_mm >= 0.0 && gone_mm < whole_mm) {
-        if aim != NO_PIXEL { detect(PRIMARY, aim, signal); }
+        if aim != NO_PIXEL { detect(PRIMARY, aim, carried); }
+        carried = 0.0;
         fates[DETECTED] += weight * energy_kev;
         return;
     }
+    photon = Photon(ray, energy_kev, weight, PRIMARY);
+    collisions = 0u;
     tune(energy_kev);
-    var path_mm = whole_mm - gone_mm;
-    if job.analogue == 0u && aim != NO_PIXEL { detect(PRIMARY, aim, signal * transmission(photon.ray, path_mm, false)); }
-    for (var collisions = 0u; collisions < MOST_COLLISIONS; collisions += 1u) {
-        let end = fly(path_mm);
-        if given_up { return; }
-        if end == COLLISION {
-            if !collide(struck) { return; }
-        } else {
-            let ends_on_plane = path_mm < FAR_MM;
-            if ends_on_plane && job.analogue != 0u {
-                let at = on_plane(photon.ray.position + photon.ray.direction * path_to_plane(photon.ray.position, photon.ray.direction));
-                let pixel = pixel_of(at);
-                if pixel != NO_PIXEL {
-                    var through = 1.0;
-                    if photon.page != PRIMARY { through = passed(at, photon.ray.direction); }
-                    detect(photon.page, pixel, through * photon.weight * response(photon.energy_kev));
-                }
-            }
-            let carried = photon.weight * photon.energy_kev;
-            if ends_on_plane { fates[DETECTED] += carried; } else { fates[ESCAPED] += carried; }
-            return;
-        }
-        path_mm = path_to_plane(photon.ray.position, photon.ray.direction);
+    path_mm = whole_mm - gone_mm;
+    if job.analogue != 0u || aim == NO_PIXEL { carried = 0.0; }
+    is_alive = true;
+}
+
+fn send_evenly() {
+    let share = vec2<f32>(random(), random());
+    let cell = min(vec2<u32>(share * vec2<f32>(job.grid_px)), job.grid_px - vec2<u32>(1u));
+    let way = in_lps(plane_of(share)) - photon.ray.position;
+    let length_mm = length(way);
+    let direction = way / length_mm;
+    send(direction, clamp(dot(photon.ray.direction, direction), -1.0, 1.0), length_mm, cell.x + job.grid_px.x * cell.y);
+}
+
+// Turns the photon at its latest collision, and sends what it would bring where it goes.
+fn turn() {
+    let before_kev = photon.energy_kev;
+    var cosine: f32;
+    if is_compton { cosine = compton_cosine(material, before_kev); } else { cosine = rayleigh_cosine(material, before_kev); }
+    let direction = turned(photon.ray.direction, cosine, random_direction());
+    let length_mm = path_to_plane(photon.ray.position, direction);
+    carried = 0.0;
+    if job.analogue == 0u && length_mm < FAR_MM {
+        send(direction, cosine, length_mm, pixel_of(on_plane(photon.ray.position + direction * length_mm)));
     }
-    give_up(NO_END);
+    photon.ray.direction = direction;
+    if !is_compton { return; }
+    photon.energy_kev = before_kev * energy_ratio(before_kev, 1.0 - cosine);
+    absorbed[material] += photon.weight * (before_kev - photon.energy_kev);
+    if photon.energy_kev < job.share_offset.z {
+        absorbed[material] += photon.weight * photon.energy_kev;
+        is_alive = false;
+    }
+}
+
+// Sends the photon itself.
+fn set_off() {
+    tune(photon.energy_kev);
+    ray = photon.ray;
+    path_mm = path_to_plane(ray.position, ray.direction);
+}
+
+// What a flight that ended so leads to.
+fn land(end: u32) {
+    if end != COLLISION { leave(); is_alive = false; return; }
+    photon.ray = ray;
+    material = struck;
+    collisions += 1u;
+    if collisions == MOST_COLLISIONS { give_up(NO_END); return; }
+    let of_material = shares(material, photon.energy_kev);
+    let chance = random();
+    if chance < of_material.x {
+        absorbed[material] += photon.weight * photon.energy_kev;
+        is_alive = false;
+        return;
+    }
+    is_compton = chance < of_material.y;
+    photon.page = select(MULTIPLE, select(RAYLEIGH, COMPTON, is_compton), photon.page == PRIMARY);
+}
+
+// A photon that leaves the scene.
+fn leave() {
+    let ends_on_plane = path_mm < FAR_MM;
+    if ends_on_plane && job.analogue != 0u {
+        let at = on_plane(photon.ray.position + photon.ray.direction * path_mm);
+        let pixel = pixel_of(at);
+        if pixel != NO_PIXEL {
+            var through = 1.0;
+            if photon.page != PRIMARY { through = passed(at, photon.ray.direction); }
+            detect(photon.page, pixel, through * photon.weight * response(photon.energy_kev));
+        }
+    }
+    let energy = photon.weight * photon.energy_kev;
+    if ends_on_plane { fates[DETECTED] += energy; } else { fates[ESCAPED] += energy; }
 }
 
 @compute @workgroup_size(64)
 fn main(
     @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) lane: u32,
 ) {
-    let number = group.x + groups.x * group.y;
+    let number = job.first_group + group.x;
     batch = number / job.groups_per_batch;
     let offset = (number * 64u + lane) * job.each;
-    for (var n = 0u; n < job.each; n += 1u) {
-        let low = job.first.x + offset + n;
-        let carry = select(0u, 1u, low < job.first.x);
-        given_up = false;
-        open_history(vec2<u32>(low, job.first.y + carry));
-        follow();
-        if given_up { atomicAdd(&trouble[cause], 1u); }
+    var n = 0u;
+    // Every turn takes a photon from one collision to the next, whosever history it is: those beside it do not wait for the longest one.
+    loop {
+        let is_new = !is_alive;
+        if is_new {
+            if n == job.each { break; }
+            let low = job.first.x + offset + n;
+            let carry = select(0u, 1u, low < job.first.x);
+            n += 1u;
+            open_history(vec2<u32>(low, job.first.y + carry));
+            begin();
+        }
+        // Two beams, evenly and where it turns, or the one that was never scattered; then the flight. One place walks them all: a program three
+        // times as long is slower.
+        for (var leg = job.analogue; leg <= FLIGHT; leg += 1u) {
+            if is_new { if leg == 1u { carried = 0.0; } }
+            else if leg == 0u { send_evenly(); }
+            else if leg == 1u { turn(); }
+            let is_flight = leg == FLIGHT;
+            if is_flight { if !is_alive || given_up { break; } set_off(); }
+            else if carried == 0.0 { continue; }
+            let end = walk(is_flight);
+            // Not if it is above 0: what is no number is told.
+            if is_flight { land(end); } else { detect(photon.page, aim, carried * arrived); }
+        }
+        if given_up {
+            atomicAdd(&trouble[cause], 1u);
+            given_up = false;
+            is_alive = false;
+        }
     }
-    given_up = false;
     let pixels = PAGES * job.grid_px.x * job.grid_px.y;
     for (var material = 0u; material < job.materials; material += 1u) { add(pixels + material, absorbed[material]); }
     for (var fate = 0u; fate < FATES; fate += 1u) { add(pixels + job.materials + fate, fates[fate]); }

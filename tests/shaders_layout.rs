@@ -151,11 +151,12 @@ fn what_photons_are_followed_in_has_the_layout_the_shader_reads() {
         envelope_other,
         guides,
         box_of_cell,
-        contents,
+        first_group,
+        buckets,
     );
     assert_eq!(members(PHOTONS, "Job"), job);
     let cell_box =
-        offsets!(CellBox, low, content, high, padding, low_cell, x_below, high_cell, x_above, y_below, y_above, z_below, z_above);
+        offsets!(CellBox, low, content, high, amount, x_below, x_above, y_below, y_above, z_below, z_above, low_cell, high_cell);
     assert_eq!(members(PHOTONS, "CellBox"), cell_box);
     let thing = offsets!(
         Thing,

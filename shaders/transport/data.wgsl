@@ -51,22 +51,23 @@ struct Job {
     envelope_other: u32,
     guides: vec2<u32>,
     box_of_cell: u32,
-    contents: u32,              // of a content where its words begin
+    first_group: u32,           // of this dispatch
+    buckets: vec3<u32>,         // by axis: the cell in which each of four buckets a plane begins
 }
 
 struct CellBox {
     low: vec3<f32>,
-    content: u32,
+    content: u32,               // kind in the lower 2 bits; above them a uniform's material, or where a mixture's ranges begin in `indices`
     high: vec3<f32>,
-    padding: u32,
-    low_cell: vec3<u32>,
+    amount: u32,                // bits of a uniform's density; of a mixture 8 bits of ranges, 8 of flags (1 keeps air, 2 is full), 16 of things
     x_below: u32,
-    high_cell: vec3<u32>,
     x_above: u32,
     y_below: u32,
     y_above: u32,
     z_below: u32,
     z_above: u32,
+    low_cell: u32,              // 10 bits an axis, x the lowest
+    high_cell: u32,
 }
 
 struct Thing {
@@ -102,7 +103,6 @@ const NO_NUMBER: u32 = 0u;
 const NO_START: u32 = 1u;
 const NO_END: u32 = 2u;
 const NO_ANGLE: u32 = 3u;
-const TOO_MANY_PARTS: u32 = 4u;
 
 var<private> given_up: bool;
 var<private> cause: u32;

@@ -10,7 +10,7 @@ const UNIFORM: u32 = 1u;
 
 const COLLISION: u32 = 0u;
 const ARRIVED: u32 = 1u;
-const LEFT: u32 = 2u;
+const LOST: u32 = 2u;
 
 struct Ray {
     position: vec3<f32>,
@@ -18,32 +18,18 @@ struct Ray {
     in_box: u32,
 }
 
-struct Photon {
-    ray: Ray,
-    energy_kev: f32,
-    weight: f32,
-    page: u32,
-}
-
-// The one that is followed.
-var<private> photon: Photon;
-// Attenuation by scene material at unit density: of the photon, and of what it would be after a scattering.
+// What is walked, how far, and of a beam the share that arrives.
+var<private> ray: Ray;
+var<private> path_mm: f32;
+var<private> arrived: f32;
+// Attenuation by scene material at unit density, at this energy.
 var<private> medium: array<f32, 16>;
-var<private> aside: array<f32, 16>;
-// The material of the latest collision.
-var<private> struck: u32;
+var<private> medium_kev: f32;
 
 fn tune(energy_kev: f32) {
+    if energy_kev == medium_kev { return; }
+    medium_kev = energy_kev;
     for (var material = 0u; material < job.materials; material += 1u) { medium[material] = per_mm_at_unit_density(material, energy_kev); }
-}
-
-fn tune_aside(energy_kev: f32) {
-    for (var material = 0u; material < job.materials; material += 1u) { aside[material] = per_mm_at_unit_density(material, energy_kev); }
-}
-
-fn per_mm(is_aside: bool, material: u32) -> f32 {
-    if is_aside { return aside[material]; }
-    return medium[material];
 }
 
 // 1/direction; far instead of infinite along an axis, so that no 0 · ∞ arises on a face.
@@ -53,38 +39,38 @@ fn inverse_of(direction: vec3<f32>) -> vec3<f32> {
     return select(1.0 / direction, signs * FAR_MM, small);
 }
 
+// The cell with coordinate x; the first or the last beyond the ends.
 fn cell_of(axis: u32, x: f32) -> u32 {
-    let first = job.planes[axis];
-    var low = 0u;
-    var high = job.cells[axis];
-    while high - low > 1u {
-        let middle = (low + high) / 2u;
-        if numbers[first + middle] <= x { low = middle; } else { high = middle; }
-    }
-    return low;
+    let cells = job.cells[axis];
+    let low = job.bounds_low[axis];
+    let buckets = 4u * (cells + 1u);
+    let share = clamp((x - low) / (job.bounds_high[axis] - low), 0.0, 1.0);
+    var cell = indices[job.buckets[axis] + min(u32(share * f32(buckets)), buckets - 1u)];
+    while cell + 1u < cells && numbers[job.planes[axis] + cell + 1u] <= x { cell += 1u; }
+    return cell;
 }
 
 fn box_of(cell: vec3<u32>) -> u32 {
     return indices[job.box_of_cell + cell.x + job.cells.x * (cell.y + job.cells.y * cell.z)];
 }
 
-// Leaves the photon where it first meets the scene's bounds: after how many mm, less than 0 if it never does.
+// Takes the ray to where it first meets the scene's bounds: after how many mm, less than 0 if it never does.
 fn enter() -> f32 {
-    let inverse = inverse_of(photon.ray.direction);
-    let a = (job.bounds_low.xyz - photon.ray.position) * inverse;
-    let b = (job.bounds_high.xyz - photon.ray.position) * inverse;
+    let inverse = inverse_of(ray.direction);
+    let a = (job.bounds_low.xyz - ray.position) * inverse;
+    let b = (job.bounds_high.xyz - ray.position) * inverse;
     let near = min(a, b);
     let far = max(a, b);
     let start = max(max(max(near.x, near.y), near.z), 0.0);
     if !(start < min(min(far.x, far.y), far.z)) { return -1.0; }
-    let position = clamp(photon.ray.position + photon.ray.direction * start, job.bounds_low.xyz, job.bounds_high.xyz);
-    photon.ray.position = position;
-    photon.ray.in_box = box_of(vec3<u32>(cell_of(0u, position.x), cell_of(1u, position.y), cell_of(2u, position.z)));
+    let position = clamp(ray.position + ray.direction * start, job.bounds_low.xyz, job.bounds_high.xyz);
+    ray.position = position;
+    ray.in_box = box_of(vec3<u32>(cell_of(0u, position.x), cell_of(1u, position.y), cell_of(2u, position.z)));
     return start;
 }
 
-// Distance to where a ray leaves its box, and the axis.
-fn exit_of(ray: Ray, inverse: vec3<f32>) -> vec2<f32> {
+// Distance to where the ray leaves its box, and the axis.
+fn exit_of(inverse: vec3<f32>) -> vec2<f32> {
     let faces = select(boxes[ray.in_box].low, boxes[ray.in_box].high, inverse > vec3<f32>(0.0));
     let d = (faces - ray.position) * inverse;
     var found = vec2<f32>(d.x, 0.0);
@@ -101,13 +87,14 @@ fn neighbour(index: u32, axis: u32, forwards: bool) -> u32 {
     }
 }
 
-// The box across the face on `axis` that a ray has reached; OUTSIDE beyond the last.
-fn across(ray: Ray, inverse: vec3<f32>, axis: u32) -> u32 {
+// The box across the face on `axis` that the ray has reached; OUTSIDE beyond the last.
+fn across(inverse: vec3<f32>, axis: u32) -> u32 {
     let forwards = inverse[axis] > 0.0;
     let next = neighbour(ray.in_box, axis, forwards);
     if next != SEVERAL { return next; }
-    let low = boxes[ray.in_box].low_cell;
-    let high = boxes[ray.in_box].high_cell;
+    let shifts = vec3<u32>(0u, 10u, 20u);
+    let low = (vec3<u32>(boxes[ray.in_box].low_cell) >> shifts) & vec3<u32>(1023u);
+    let high = (vec3<u32>(boxes[ray.in_box].high_cell) >> shifts) & vec3<u32>(1023u);
     var cell: vec3<u32>;
     for (var n = 0u; n < 3u; n += 1u) {
         if n == axis {
@@ -121,133 +108,84 @@ fn across(ray: Ray, inverse: vec3<f32>, axis: u32) -> u32 {
     return box_of(cell);
 }
 
-// A mixture's words: things, flags (1 keeps air, 2 is full), ranges; then the things; then by range the material and the bits of from and to.
-fn majorant(words: u32, is_aside: bool) -> f32 {
-    let ranges = words + 3u + indices[words];
-    var most = 0.0;
-    for (var n = 0u; n < indices[words + 2u]; n += 1u) {
-        most = max(most, bitcast<f32>(indices[ranges + 3u * n + 2u]) * per_mm(is_aside, indices[ranges + 3u * n]));
+// Attenuation at any point of a mixture is between these; at least 0 unless it is full.
+fn bounds_of(content: u32, amount: u32) -> vec2<f32> {
+    var bounds = vec2<f32>(FAR_MM, 0.0);
+    let last = content + 3u * (amount & 255u);
+    for (var at = content; at < last; at += 3u) {
+        let unit = medium[indices[at]];
+        bounds.x = min(bounds.x, bitcast<f32>(indices[at + 1u]) * unit);
+        bounds.y = max(bounds.y, bitcast<f32>(indices[at + 2u]) * unit);
     }
-    return most;
+    if (amount & 512u) == 0u { bounds.x = 0.0; }
+    return bounds;
 }
 
-fn minorant(words: u32, is_aside: bool) -> f32 {
-    if (indices[words + 1u] & 2u) == 0u { return 0.0; }
-    let ranges = words + 3u + indices[words];
-    var least = FAR_MM;
-    for (var n = 0u; n < indices[words + 2u]; n += 1u) {
-        least = min(least, bitcast<f32>(indices[ranges + 3u * n + 1u]) * per_mm(is_aside, indices[ranges + 3u * n]));
-    }
-    return least;
+fn attenuation_at(content: u32, amount: u32, point: vec3<f32>) -> f32 {
+    draw_at(content + 3u * (amount & 255u), amount >> 16u, (amount & 256u) != 0u, point);
+    return parts_per_mm;
 }
 
-fn attenuation_at(words: u32, point: vec3<f32>, is_aside: bool) -> f32 {
-    draw_at(words + 3u, indices[words], (indices[words + 1u] & 1u) != 0u, point);
-    var sum = 0.0;
-    for (var n = 0u; n < parts; n += 1u) { sum += part_density[n] * per_mm(is_aside, part_material[n]); }
-    return sum;
-}
-
-// Which of the materials at the point is struck where `real` lies in the sum of their attenuations.
-fn struck_at(real_at: f32) -> u32 {
-    var real = real_at;
-    var last = 0u;
-    for (var n = 0u; n < parts; n += 1u) {
-        last = part_material[n];
-        real -= part_density[n] * medium[last];
-        if real < 0.0 { break; }
-    }
-    return last;
-}
-
-// Flies until a collision, the end of the scene, or `path_mm`.
-fn fly(path_mm: f32) -> u32 {
-    let inverse = inverse_of(photon.ray.direction);
-    var left_mm = path_mm;
-    var depth = exponential();
-    for (var steps = 0u; steps < MOST_STEPS; steps += 1u) {
-        let exit = exit_of(photon.ray, inverse);
-        var step_mm = min(exit.x, left_mm);
-        let arrives = left_mm <= exit.x;
-        let words = indices[job.contents + boxes[photon.ray.in_box].content];
-        let kind = indices[words];
-        if kind == UNIFORM {
-            let material = indices[words + 1u];
-            let rate = bitcast<f32>(indices[words + 2u]) * medium[material];
-            if rate * step_mm > depth {
-                photon.ray.position += photon.ray.direction * (depth / rate);
-                struck = material;
-                return COLLISION;
-            }
-            depth -= rate * step_mm;
-        } else if kind != EMPTY {
-            let most = majorant(words + 1u, false);
-            for (var tries = 0u; most * step_mm > depth; tries += 1u) {
-                if tries == MOST_STEPS { give_up(NO_END); return LEFT; }
-                let flown_mm = depth / most;
-                photon.ray.position += photon.ray.direction * flown_mm;
-                step_mm -= flown_mm;
-                left_mm -= flown_mm;
-                let rate = attenuation_at(words + 1u, photon.ray.position, false);
-                let real = random() * most;
-                if real < rate {
-                    struck = struck_at(real);
-                    return COLLISION;
-                }
-                depth = exponential();
-            }
-            depth -= most * step_mm;
-        }
-        photon.ray.position += photon.ray.direction * step_mm;
-        if arrives { return ARRIVED; }
-        left_mm -= step_mm;
-        let next = across(photon.ray, inverse, u32(exit.y));
-        if next == OUTSIDE { return LEFT; }
-        photon.ray.in_box = next;
-    }
-    give_up(NO_END);
-    return LEFT;
-}
-
-// An unbiased estimate of the share that arrives after `path_mm`.
-fn transmission(from_ray: Ray, path_mm: f32, is_aside: bool) -> f32 {
-    var ray = from_ray;
+// Walks the ray over `path_mm` or to the scene's end. A flight ends at a collision with what is `struck`; of a beam `arrived` is an unbiased
+// estimate of the share that comes to the end. Both meet tentative collisions in mixtures: a flight at the majorant, a beam above the minorant.
+fn walk(is_flight: bool) -> u32 {
     let inverse = inverse_of(ray.direction);
     var left_mm = path_mm;
     var depth = 0.0;
     var share = 1.0;
     var next_at = exponential();
+    var end = LOST;
     for (var steps = 0u; steps < MOST_STEPS; steps += 1u) {
-        let exit = exit_of(ray, inverse);
+        let exit = exit_of(inverse);
         let step_mm = min(exit.x, left_mm);
-        let start = ray.position;
-        ray.position += ray.direction * step_mm;
-        let words = indices[job.contents + boxes[ray.in_box].content];
-        let kind = indices[words];
-        if kind == UNIFORM {
-            depth += bitcast<f32>(indices[words + 2u]) * per_mm(is_aside, indices[words + 1u]) * step_mm;
-        } else if kind != EMPTY {
-            let most = majorant(words + 1u, is_aside);
-            let least = minorant(words + 1u, is_aside);
+        let content = boxes[ray.in_box].content;
+        let amount = boxes[ray.in_box].amount;
+        var flown_mm = -1.0;
+        if (content & 3u) == UNIFORM {
+            let per_mm = bitcast<f32>(amount) * medium[content >> 2u];
+            let all_of_it = per_mm * step_mm;
+            if !is_flight {
+                depth += all_of_it;
+            } else if all_of_it > next_at {
+                flown_mm = next_at / per_mm;
+                struck = content >> 2u;
+            } else {
+                next_at -= all_of_it;
+            }
+        } else if (content & 3u) != EMPTY {
+            let bounds = bounds_of(content >> 2u, amount);
+            let least = select(bounds.x, 0.0, is_flight);
             depth += least * step_mm;
             // Above the minorant the box is crossed in units of what a tentative collision takes.
-            let all_of_it = (most - least) * step_mm;
-            var gone = next_at;
-            for (var tries = 0u; gone < all_of_it; tries += 1u) {
-                if tries == MOST_STEPS { give_up(NO_END); return 0.0; }
-                let rate = attenuation_at(words + 1u, start + ray.direction * (gone / (most - least)), is_aside);
-                share *= max((most - rate) / (most - least), 0.0);
-                gone += exponential();
+            let width = bounds.y - least;
+            let all_of_it = width * step_mm;
+            for (var tries = 0u; next_at < all_of_it; tries += 1u) {
+                if tries == MOST_STEPS { share = 0.0; give_up(NO_END); break; }
+                let at_mm = next_at / width;
+                let per_mm = attenuation_at(content >> 2u, amount, ray.position + ray.direction * at_mm);
+                if !is_flight {
+                    share *= max((bounds.y - per_mm) / width, 0.0);
+                } else if random() * bounds.y < per_mm {
+                    flown_mm = at_mm;
+                    break;
+                }
+                next_at += exponential();
             }
-            next_at = gone - all_of_it;
-            if share == 0.0 { return 0.0; }
+            next_at -= all_of_it;
         }
+        if flown_mm >= 0.0 {
+            ray.position += ray.direction * flown_mm;
+            end = COLLISION;
+            break;
+        }
+        ray.position += ray.direction * step_mm;
         left_mm -= step_mm;
-        if !(left_mm > 0.0) { return share * exp(-depth); }
-        let next = across(ray, inverse, u32(exit.y));
-        if next == OUTSIDE { return share * exp(-depth); }
+        if !(left_mm > 0.0) || share == 0.0 { end = ARRIVED; break; }
+        let next = across(inverse, u32(exit.y));
+        if next == OUTSIDE { end = ARRIVED; break; }
         ray.in_box = next;
     }
-    give_up(NO_END);
-    return 0.0;
+    if end == LOST { give_up(NO_END); }
+    arrived = share * exp(-depth);
+    return end;
 }

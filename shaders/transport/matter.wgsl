@@ -1,22 +1,23 @@
 // What is at a point: twin of src/transport/matter.rs.
 
-const PARTS: u32 = 8u;
 const NO_THING: u32 = 0xffffffffu;
 
-var<private> part_material: array<u32, 8>;
-var<private> part_density: array<f32, 8>;
+// Of the materials drawn at a point: how many, their attenuation together, and one of them, drawn by its share of it.
 var<private> parts: u32;
+var<private> parts_per_mm: f32;
+var<private> struck: u32;
 
 fn add_part(material: u32, density: f32) {
-    if parts == PARTS { give_up(TOO_MANY_PARTS); return; }
-    part_material[parts] = material;
-    part_density[parts] = density;
+    let per_mm = density * medium[material];
     parts += 1u;
+    parts_per_mm += per_mm;
+    if parts == 1u || random() * parts_per_mm < per_mm { struck = material; }
 }
 
 // Draws what the `count` things named from `first` on in `indices`, the scene's last first, have at a point.
 fn draw_at(first: u32, count: u32, keeps_air: bool, point: vec3<f32>) {
     parts = 0u;
+    parts_per_mm = 0.0;
     for (var air = 0u; air < 2u; air += 1u) {
         if air == 1u && !keeps_air { return; }
         var present = NO_THING;

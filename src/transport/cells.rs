@@ -10,41 +10,13 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::bounds::{Held, Range, Region, held};
+use super::contents::{Content, Mixture};
+use super::joined::{cells_between, join};
 use super::matter::{Body, Thing, bounds_of};
 use super::planes::{Planes, cut};
 
 /// Densities of mixtures are bounded in steps of this factor, so that neighbours can be merged.
 const LADDER: f64 = 1.05;
-
-/// What a box of space holds.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Content {
-    /// Nothing.
-    Empty,
-    /// One material of one density, g/cm³, everywhere.
-    Uniform {
-        /// Scene material.
-        material: u32,
-        /// Its density.
-        density: f64,
-    },
-    /// Whatever the things have at a point.
-    Mixed(Mixture),
-}
-
-/// Things that may have matter in a box, and bounds of it.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Mixture {
-    /// Indices of things, the scene's last first.
-    pub things: Vec<u32>,
-    /// Whether air that is kept has to be asked for.
-    pub keeps_air: bool,
-    /// Attenuation at any point is at most the largest of `to` · μ/ρ, and, if there is matter everywhere, at least the smallest of
-    /// `from` · μ/ρ.
-    pub ranges: Vec<Range>,
-    /// Whether there is matter everywhere, none of it fading.
-    pub is_full: bool,
-}
 
 /// Cells from one plane to another along each axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -107,14 +79,12 @@ impl Cells {
             for content in slab {
                 let index = match content {
                     Content::Empty => 0,
-                    content => *known.entry(key(&content)).or_insert_with(|| {
-                        contents.push(content);
-                        contents.len() as u32 - 1
-                    }),
+                    content => number_of(content, &mut contents, &mut known),
                 };
                 content_of_cell.push(index);
             }
         }
+        join(&mut content_of_cell, &planes, &mut contents, |content, contents| number_of(content, contents, &mut known));
         let mut order = [0, 1, 2];
         order.sort_by(|a, b| beam[*b].abs().total_cmp(&beam[*a].abs()));
         let (boxes, box_of_cell) = merge(&content_of_cell, &planes, order);
@@ -239,6 +209,14 @@ fn key(content: &Content) -> Vec<u64> {
     }
 }
 
+/// Its place in `contents`, where it is put if it is new.
+fn number_of(content: Content, contents: &mut Vec<Content>, known: &mut HashMap<Vec<u64>, u32>) -> u32 {
+    *known.entry(key(&content)).or_insert_with(|| {
+        contents.push(content);
+        contents.len() as u32 - 1
+    })
+}
+
 /// Boxes of cells with equal contents: each grows along the axes in this order as far as it finds nothing else. Long boxes along the beam
 /// are crossed by few faces.
 fn merge(content_of_cell: &[u32], planes: &[Planes; 3], order: [usize; 3]) -> (Vec<CellBox>, Vec<u32>) {
@@ -284,10 +262,6 @@ fn merge(content_of_cell: &[u32], planes: &[Planes; 3], order: [usize; 3]) -> (V
         }
     }
     (boxes, box_of_cell)
-}
-
-fn cells_between(from: [usize; 3], to: [usize; 3]) -> impl Iterator<Item = [usize; 3]> {
-    (from[2]..to[2]).flat_map(move |k| (from[1]..to[1]).flat_map(move |j| (from[0]..to[0]).map(move |i| [i, j, k])))
 }
 
 #[cfg(test)]

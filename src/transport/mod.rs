@@ -13,6 +13,8 @@ mod rayleigh;
 mod matter;
 mod bounds;
 mod planes;
+mod contents;
+mod joined;
 mod cells;
 mod flight;
 mod error;

@@ -14,8 +14,8 @@ const NEAREST_PLANES_MM: f64 = 0.5;
 pub struct Planes {
     /// Ascending, mm.
     pub at: Vec<f64>,
-    /// By bucket of equal width, the cell in which it begins.
-    buckets: Vec<u16>,
+    /// By bucket of equal width, four a plane, the cell in which it begins.
+    pub(super) buckets: Vec<u16>,
     per_mm: f64,
 }
 

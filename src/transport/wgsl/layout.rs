@@ -90,8 +90,12 @@ pub struct Job {
     pub guides: [u32; 2],
     /// Box of each cell.
     pub box_of_cell: u32,
-    /// Contents.
-    pub contents: u32,
+    /// First group of this dispatch.
+    pub first_group: u32,
+    /// By axis.
+    pub buckets: [u32; 3],
+    /// Nothing.
+    pub padding_d: u32,
 }
 
 /// A box of cells.
@@ -104,14 +108,10 @@ pub struct CellBox {
     pub content: u32,
     /// Upper corner.
     pub high: [f32; 3],
-    /// Nothing.
-    pub padding: u32,
-    /// First planes.
-    pub low_cell: [u32; 3],
+    /// How much of it.
+    pub amount: u32,
     /// Across the faces.
     pub x_below: u32,
-    /// Last planes.
-    pub high_cell: [u32; 3],
     /// Across the faces.
     pub x_above: u32,
     /// Across the faces.
@@ -122,6 +122,10 @@ pub struct CellBox {
     pub z_below: u32,
     /// Across the faces.
     pub z_above: u32,
+    /// First planes.
+    pub low_cell: u32,
+    /// Last planes.
+    pub high_cell: u32,
 }
 
 /// A shape or a volume.

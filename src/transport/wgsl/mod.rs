@@ -9,26 +9,27 @@ mod pack;
 use self::pack::{Packed, unsupported};
 use super::simulation::Simulation;
 use super::tally::{Batch, FATES, PAGES, Tally};
-use crate::gpu::{Gpu, GpuError, compile, dispatch, wait};
+use crate::gpu::{Gpu, GpuError, compile, dispatch, finish, wait};
+use crate::time::Stopwatch;
 
 /// Units of the shader's sums per keV, or photon.
 const QUANTA: f64 = 64.0;
 /// Batches that are followed at once.
 pub const BATCHES: u64 = 32;
-/// Histories of one batch in one dispatch, where a processor plays the GPU and elsewhere: a dispatch of two million takes a small GPU a second or
-/// two, which is as long as drivers wait.
+/// Histories of one batch at least, where a processor plays the GPU and elsewhere, and so many times more where many are asked for.
 const SOFTWARE_BATCH: u64 = 4096;
 const BATCH: u64 = 65_536;
-/// Dispatches at most, one after the other, whose sums are fetched together: a large GPU is done with one sooner than its sums are fetched.
-const SOFTWARE_ROUNDS: u64 = 2;
-const ROUNDS: u64 = 4;
-/// Why the shader gives a history up, in the order of its constants.
-const CAUSES: [&str; 5] =
-    ["a signal that is no number", "no direction in the field", "a flight without end", "no angle", "too many parts at a point"];
-const TROUBLE_BYTES: u64 = 4 * CAUSES.len() as u64;
-/// Histories of one invocation. Mesa's software Vulkan ends every loop of an invocation once all of them together have turned 65535 times.
+const MOST_BATCHES: u64 = 4;
+/// Histories of one invocation in the smallest batch; Mesa's software Vulkan ends every loop of an invocation once all of them together have turned
+/// 65535 times.
 const EACH: u64 = 8;
 const SOFTWARE_EACH: u64 = 1;
+/// What a dispatch may take: a driver waits for a second or two before it gives a device up. The first one is a small share of a batch.
+const DISPATCH_MS: f64 = 200.0;
+const FIRST_SHARE: u64 = 64;
+/// Why the shader gives a history up, in the order of its constants.
+const CAUSES: [&str; 4] = ["a signal that is no number", "no direction in the field", "a flight without end", "no angle"];
+const TROUBLE_BYTES: u64 = 4 * CAUSES.len() as u64;
 /// Invocations of one group.
 const GROUP: u64 = 64;
 
@@ -63,10 +64,10 @@ pub struct GpuTransport<'a> {
     read_back: wgpu::Buffer,
     pixels: usize,
     materials: usize,
-    /// Of one dispatch.
     histories_per_batch: u64,
-    rounds: u64,
     advances: u64,
+    /// Groups of one dispatch.
+    groups_at_once: u64,
 }
 
 impl<'a> GpuTransport<'a> {
@@ -86,12 +87,13 @@ impl<'a> GpuTransport<'a> {
         }
         let packed = Packed::new(simulation.world());
         let (pixels, materials) = (simulation.unattenuated().len(), simulation.materials());
-        let (histories_per_batch, each, most_rounds) = match gpu.software {
-            true => (SOFTWARE_BATCH, SOFTWARE_EACH, SOFTWARE_ROUNDS),
-            false => (BATCH, EACH, ROUNDS),
+        let (least, each, most) = match gpu.software {
+            true => (SOFTWARE_BATCH, SOFTWARE_EACH, 1),
+            false => (BATCH, EACH, MOST_BATCHES),
         };
         // A pilot takes no longer than it must.
-        let rounds = simulation.histories().count.div_ceil(BATCHES * histories_per_batch).clamp(1, most_rounds);
+        let times = simulation.histories().count.div_ceil(BATCHES * least).clamp(1, most);
+        let (histories_per_batch, each) = (least * times, each * times);
         let seed = simulation.histories().seed;
         let job = layout::Job {
             seed: [seed as u32, (seed >> 32) as u32],
@@ -132,7 +134,8 @@ impl<'a> GpuTransport<'a> {
         }
         let constants: Vec<(&str, f64)> = pack::constants().into_iter().chain([("QUANTA", QUANTA)]).collect();
         let pipeline = compile(gpu, "follow_photons", &constants)?;
-        let advances = simulation.histories().count.div_ceil(rounds * BATCHES * histories_per_batch);
+        let advances = simulation.histories().count.div_ceil(BATCHES * histories_per_batch);
+        let groups_at_once = (BATCHES * u64::from(job.groups_per_batch) / FIRST_SHARE).max(1);
         Ok(Self {
             gpu,
             pipeline,
@@ -145,15 +148,15 @@ impl<'a> GpuTransport<'a> {
             pixels,
             materials,
             histories_per_batch,
-            rounds,
             advances,
+            groups_at_once,
         })
     }
 
     /// An empty tally for this device's batches.
     #[must_use]
     pub fn tally(&self) -> Tally {
-        Tally::new(self.pixels, self.materials, self.rounds * self.histories_per_batch)
+        Tally::new(self.pixels, self.materials, self.histories_per_batch)
     }
 
     /// The device.
@@ -165,7 +168,7 @@ impl<'a> GpuTransport<'a> {
     /// All histories.
     #[must_use]
     pub fn histories(&self) -> u64 {
-        self.advances * self.rounds * BATCHES * self.histories_per_batch
+        self.advances * BATCHES * self.histories_per_batch
     }
 
     /// Whether `tally` has all histories that `simulation` asks for, or its precision.
@@ -183,18 +186,28 @@ impl<'a> GpuTransport<'a> {
         let encoder = || self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("photons") });
         let buffers = std::iter::once(&self.uniform).chain(&self.inputs).chain([&self.sums, &self.trouble]);
         let bindings: Vec<_> = buffers.map(wgpu::Buffer::as_entire_binding).collect();
-        let groups = (BATCHES * u64::from(self.job.groups_per_batch)) as u32;
-        for round in 0..self.rounds {
-            let first = (tally.batches * self.rounds + round * BATCHES) * self.histories_per_batch;
-            self.job.first = [first as u32, (first >> 32) as u32];
+        let first = tally.batches * self.histories_per_batch;
+        self.job.first = [first as u32, (first >> 32) as u32];
+        let groups = BATCHES * u64::from(self.job.groups_per_batch);
+        let mut done = 0;
+        while done < groups {
+            let these = self.groups_at_once.min(groups - done);
+            self.job.first_group = done as u32;
             self.gpu.queue.write_buffer(&self.uniform, 0, bytemuck::bytes_of(&self.job));
             let mut commands = encoder();
-            if round == 0 {
+            if done == 0 {
                 commands.clear_buffer(&self.sums, 0, None);
                 commands.clear_buffer(&self.trouble, 0, None);
             }
-            dispatch(self.gpu, &mut commands, &self.pipeline, &bindings, [groups, 1], None);
+            dispatch(self.gpu, &mut commands, &self.pipeline, &bindings, [these as u32, 1], None);
+            let watch = Stopwatch::start();
             self.gpu.queue.submit([commands.finish()]);
+            done += these;
+            if done < groups {
+                finish(self.gpu)?;
+                let grown = (DISPATCH_MS / watch.ms().max(1e-3)).clamp(0.25, 8.0);
+                self.groups_at_once = ((these as f64 * grown) as u64).max(1);
+            }
         }
         let mut commands = encoder();
         commands.copy_buffer_to_buffer(&self.sums, 0, &self.read_back, 0, self.sums.size());

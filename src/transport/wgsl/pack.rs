@@ -6,7 +6,8 @@ use super::layout::{CellBox, Job, Thing};
 use crate::scene::model::Shape;
 use crate::scene::optics::{Axis, Field};
 use crate::scene::physics::ENERGY_RANGE_KEV;
-use crate::transport::cells::{Cells, Content};
+use crate::transport::cells::Cells;
+use crate::transport::contents::Content;
 use crate::transport::flight::Space;
 use crate::transport::history::{Estimator, World};
 use crate::transport::matter::{Body, Grid};
@@ -14,6 +15,8 @@ use glam::DVec2;
 
 /// Materials and parts of a point that the shader holds.
 const MATERIALS: usize = 16;
+/// Things of a scene: a box counts them in 16 bits.
+const THINGS: usize = 0xffff;
 /// Classes of a voxel.
 const CLASSES: usize = 15;
 /// What a voxel's density is counted in, g/cm³, and the largest count.
@@ -61,8 +64,11 @@ pub fn unsupported(world: &World) -> Option<String> {
     if world.materials.len() > MATERIALS {
         return Some(format!("{} materials, the shader takes {MATERIALS}", world.materials.len()));
     }
-    let things = world.space.iter().flat_map(|space| &space.things);
-    for thing in things {
+    let things = || world.space.iter().flat_map(|space| &space.things);
+    if things().count() > THINGS {
+        return Some(format!("{} shapes and volumes, the shader takes {THINGS}", things().count()));
+    }
+    for thing in things() {
         match &thing.body {
             Body::Mesh(_) => return Some("meshes have no shader for photons yet".to_owned()),
             Body::Volume(grid) if grid.classes.len() > CLASSES => {
@@ -221,26 +227,17 @@ impl Packed {
         for (axis, planes) in planes.iter().enumerate() {
             self.job.cells[axis] = planes.cells() as u32;
             self.job.planes[axis] = self.numbers(planes.at.len(), planes.at.iter().map(|at| at - origin[axis]))[0];
+            self.job.buckets[axis] = self.indices(planes.buckets.iter().copied().map(u32::from));
         }
         self.job.box_of_cell = self.indices(box_of_cell.iter().copied());
-        let starts: Vec<u32> = contents.iter().map(|content| self.content(content)).collect();
-        self.job.contents = self.indices(starts);
+        let contents: Vec<[u32; 2]> = contents.iter().map(|content| self.content(content)).collect();
         self.boxes.extend(boxes.iter().map(|one| {
             let [[x_below, x_above], [y_below, y_above], [z_below, z_above]] = one.neighbours;
-            CellBox {
-                low: place(one.low),
-                content: one.content,
-                high: place(one.high),
-                padding: 0,
-                low_cell: one.low_cell.map(u32::from),
-                x_below,
-                high_cell: one.high_cell.map(u32::from),
-                x_above,
-                y_below,
-                y_above,
-                z_below,
-                z_above,
-            }
+            let [content, amount] = contents[one.content as usize];
+            let [low, high] = [one.low, one.high].map(place);
+            let [low_cell, high_cell] =
+                [one.low_cell, one.high_cell].map(|[x, y, z]| u32::from(x) | u32::from(y) << 10 | u32::from(z) << 20);
+            CellBox { low, content, high, amount, x_below, x_above, y_below, y_above, z_below, z_above, low_cell, high_cell }
         }));
         for thing in &space.things {
             let packed = match &thing.body {
@@ -268,24 +265,22 @@ impl Packed {
         }
     }
 
-    /// Words of a content; where they begin.
-    fn content(&mut self, content: &Content) -> u32 {
+    /// What a box says of its content: two words, and of a mixture the words that they name.
+    fn content(&mut self, content: &Content) -> [u32; 2] {
         let bits = |density: f64| (density as f32).to_bits();
-        let words =
-            match content {
-                Content::Empty => vec![0],
-                Content::Uniform { material, density } => vec![1, *material, bits(*density)],
-                Content::Mixed(mixture) => {
-                    let flags = u32::from(mixture.keeps_air) + 2 * u32::from(mixture.is_full);
-                    let mut words = vec![2, mixture.things.len() as u32, flags, mixture.ranges.len() as u32];
-                    words.extend(&mixture.things);
-                    words.extend(mixture.ranges.iter().flat_map(|range| {
-                        [range.material, bits(range.from * (1.0 - ROUNDING)), bits(range.to * (1.0 + ROUNDING))]
-                    }));
-                    words
-                }
-            };
-        self.indices(words)
+        match content {
+            Content::Empty => [0, 0],
+            Content::Uniform { material, density } => [1 | material << 2, bits(*density)],
+            Content::Mixed(mixture) => {
+                let flags = u32::from(mixture.keeps_air) + 2 * u32::from(mixture.is_full);
+                let ranges = mixture
+                    .ranges
+                    .iter()
+                    .flat_map(|range| [range.material, bits(range.from * (1.0 - ROUNDING)), bits(range.to * (1.0 + ROUNDING))]);
+                let first = self.indices(ranges.chain(mixture.things.iter().copied()));
+                [2 | first << 2, mixture.ranges.len() as u32 | flags << 8 | (mixture.things.len() as u32) << 16]
+            }
+        }
     }
 
     fn volume(&mut self, grid: &Grid, origin: DVec3) -> Thing {

@@ -129,7 +129,7 @@ fn a_gpu_follows_photons_too_and_goes_on_only_from_its_own() {
         (pages, json)
     };
     let (gpu, json) = read();
-    assert_eq!((json["histories"].as_u64(), json["plan"]["histories_per_batch"].as_u64()), (Some(262_144), Some(8192)));
+    assert_eq!((json["histories"].as_u64(), json["plan"]["histories_per_batch"].as_u64()), (Some(262_144), Some(4096)));
     assert!(json["adapter"].as_str().is_some_and(|adapter| adapter.contains("Vulkan")), "{json}");
     transport(folder.path(), &more("cpu")).expect("transports");
     let (cpu, json) = read();

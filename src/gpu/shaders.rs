@@ -1,6 +1,6 @@
 //! The shaders, embedded; `// #include shared/x.wgsl` is replaced by that file.
 
-const FILES: [(&str, &str); 17] = [
+const FILES: [(&str, &str); 18] = [
     ("integrate_density", include_str!("../../shaders/integrate_density.wgsl")),
     ("attenuate_spectrum", include_str!("../../shaders/attenuate_spectrum.wgsl")),
     ("add_noise", include_str!("../../shaders/add_noise.wgsl")),
@@ -18,6 +18,7 @@ const FILES: [(&str, &str); 17] = [
     ("transport/physics.wgsl", include_str!("../../shaders/transport/physics.wgsl")),
     ("transport/matter.wgsl", include_str!("../../shaders/transport/matter.wgsl")),
     ("transport/flight.wgsl", include_str!("../../shaders/transport/flight.wgsl")),
+    ("transport/photon.wgsl", include_str!("../../shaders/transport/photon.wgsl")),
 ];
 
 /// Stems of the shaders that are dispatched.

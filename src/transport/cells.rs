@@ -11,7 +11,6 @@ use rayon::prelude::*;
 
 use super::bounds::{Held, Range, Region, held};
 use super::contents::{Content, Mixture};
-use super::joined::{cells_between, join};
 use super::matter::{Body, Thing, bounds_of};
 use super::planes::{Planes, cut};
 
@@ -79,12 +78,14 @@ impl Cells {
             for content in slab {
                 let index = match content {
                     Content::Empty => 0,
-                    content => number_of(content, &mut contents, &mut known),
+                    content => *known.entry(key(&content)).or_insert_with(|| {
+                        contents.push(content);
+                        contents.len() as u32 - 1
+                    }),
                 };
                 content_of_cell.push(index);
             }
         }
-        join(&mut content_of_cell, &planes, &mut contents, |content, contents| number_of(content, contents, &mut known));
         let mut order = [0, 1, 2];
         order.sort_by(|a, b| beam[*b].abs().total_cmp(&beam[*a].abs()));
         let (boxes, box_of_cell) = merge(&content_of_cell, &planes, order);
@@ -209,14 +210,6 @@ fn key(content: &Content) -> Vec<u64> {
     }
 }
 
-/// Its place in `contents`, where it is put if it is new.
-fn number_of(content: Content, contents: &mut Vec<Content>, known: &mut HashMap<Vec<u64>, u32>) -> u32 {
-    *known.entry(key(&content)).or_insert_with(|| {
-        contents.push(content);
-        contents.len() as u32 - 1
-    })
-}
-
 /// Boxes of cells with equal contents: each grows along the axes in this order as far as it finds nothing else. Long boxes along the beam
 /// are crossed by few faces.
 fn merge(content_of_cell: &[u32], planes: &[Planes; 3], order: [usize; 3]) -> (Vec<CellBox>, Vec<u32>) {
@@ -262,6 +255,10 @@ fn merge(content_of_cell: &[u32], planes: &[Planes; 3], order: [usize; 3]) -> (V
         }
     }
     (boxes, box_of_cell)
+}
+
+fn cells_between(from: [usize; 3], to: [usize; 3]) -> impl Iterator<Item = [usize; 3]> {
+    (from[2]..to[2]).flat_map(move |k| (from[1]..to[1]).flat_map(move |j| (from[0]..to[0]).map(move |i| [i, j, k])))
 }
 
 #[cfg(test)]

@@ -14,7 +14,6 @@ mod matter;
 mod bounds;
 mod planes;
 mod contents;
-mod joined;
 mod cells;
 mod flight;
 mod error;

@@ -64,7 +64,7 @@ fn figures(seeds: std::ops::Range<u64>, fuse: bool) -> Figures {
             Ok(run) => Either::Left(run),
             Err(reason) => Either::Right(reason),
         });
-    // A prior drawn five deviations off contradicts the beads, rightly: one in some 50 000.
+    // A prior that is drawn five deviations off contradicts the beads, rightly: of three angles one in 65 000.
     refused.iter().for_each(|reason| println!("refused: {reason}"));
     assert!(
         refused.len() <= runs.len() / 5000 && refused.iter().all(|reason| reason.contains("prior_contradicted")),

@@ -22,15 +22,6 @@ struct Ray {
 var<private> ray: Ray;
 var<private> path_mm: f32;
 var<private> arrived: f32;
-// Attenuation by scene material at unit density, at this energy.
-var<private> medium: array<f32, 16>;
-var<private> medium_kev: f32;
-
-fn tune(energy_kev: f32) {
-    if energy_kev == medium_kev { return; }
-    medium_kev = energy_kev;
-    for (var material = 0u; material < job.materials; material += 1u) { medium[material] = per_mm_at_unit_density(material, energy_kev); }
-}
 
 // 1/direction; far instead of infinite along an axis, so that no 0 · ∞ arises on a face.
 fn inverse_of(direction: vec3<f32>) -> vec3<f32> {

@@ -2,6 +2,16 @@
 
 const NO_THING: u32 = 0xffffffffu;
 
+// Attenuation by scene material at unit density, at this energy.
+var<private> medium: array<f32, 16>;
+var<private> medium_kev: f32;
+
+fn tune(energy_kev: f32) {
+    if energy_kev == medium_kev { return; }
+    medium_kev = energy_kev;
+    for (var material = 0u; material < job.materials; material += 1u) { medium[material] = per_mm_at_unit_density(material, energy_kev); }
+}
+
 // Of the materials drawn at a point: how many, their attenuation together, and one of them, drawn by its share of it.
 var<private> parts: u32;
 var<private> parts_per_mm: f32;

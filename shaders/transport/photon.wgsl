@@ -21,11 +21,9 @@ var<private> collisions: u32;
 // Of the beam that is walked: its pixel, and the signal if all of it arrived.
 var<private> aim: u32;
 var<private> carried: f32;
-// The latest collision, and where the photon goes from it.
+// The latest collision.
 var<private> material: u32;
 var<private> is_compton: bool;
-var<private> onward: vec3<f32>;
-var<private> onward_cosine: f32;
 // Energy by material and by fate of this invocation's histories.
 var<private> absorbed: array<f32, 16>;
 var<private> fates: array<f32, 3>;

@@ -6,8 +6,7 @@
 
 use glam::{BVec3, DVec3};
 
-use super::cells::{CellBox, Cells, OUTSIDE, SEVERAL};
-use super::contents::{Content, Mixture};
+use super::cells::{CellBox, Cells, Content, Mixture, OUTSIDE, SEVERAL};
 use super::matter::{Mix, Thing, draw_at};
 use super::stream::Stream;
 

@@ -13,7 +13,6 @@ mod rayleigh;
 mod matter;
 mod bounds;
 mod planes;
-mod contents;
 mod cells;
 mod flight;
 mod error;

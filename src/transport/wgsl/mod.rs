@@ -16,15 +16,18 @@ use crate::time::Stopwatch;
 const QUANTA: f64 = 64.0;
 /// Batches that are followed at once.
 pub const BATCHES: u64 = 32;
-/// Histories of one batch at least, where a processor plays the GPU and elsewhere, and so many times more where many are asked for.
+/// Histories of the smallest batch, where a processor plays the GPU and elsewhere.
 const SOFTWARE_BATCH: u64 = 4096;
 const BATCH: u64 = 65_536;
-const MOST_BATCHES: u64 = 4;
-/// Histories of one invocation in the smallest batch; Mesa's software Vulkan ends every loop of an invocation once all of them together have turned
-/// 65535 times.
-const EACH: u64 = 8;
+/// Histories of one invocation in it. Mesa's software Vulkan ends every loop of an invocation once all of them together have turned 65535 times.
 const SOFTWARE_EACH: u64 = 1;
-/// What a dispatch may take: a driver waits for a second or two before it gives a device up. The first one is a small share of a batch.
+const EACH: u64 = 8;
+/// Where many histories are asked for, a batch and an invocation have so many times more at most: a large GPU is done with fewer sooner than their
+/// sums are fetched.
+const SOFTWARE_TIMES: u64 = 1;
+const MOST_TIMES: u64 = 4;
+/// What a dispatch may take: a driver waits for a second or two before it gives a device up. The first one is this share of the batches, whatever
+/// the device.
 const DISPATCH_MS: f64 = 200.0;
 const FIRST_SHARE: u64 = 64;
 /// Why the shader gives a history up, in the order of its constants.
@@ -88,8 +91,8 @@ impl<'a> GpuTransport<'a> {
         let packed = Packed::new(simulation.world());
         let (pixels, materials) = (simulation.unattenuated().len(), simulation.materials());
         let (least, each, most) = match gpu.software {
-            true => (SOFTWARE_BATCH, SOFTWARE_EACH, 1),
-            false => (BATCH, EACH, MOST_BATCHES),
+            true => (SOFTWARE_BATCH, SOFTWARE_EACH, SOFTWARE_TIMES),
+            false => (BATCH, EACH, MOST_TIMES),
         };
         // A pilot takes no longer than it must.
         let times = simulation.histories().count.div_ceil(BATCHES * least).clamp(1, most);

@@ -21,6 +21,10 @@ pub fn parse_json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, JsonFault> {
         let detail = "a byte order mark stands before the JSON: save the file as UTF-8 without one".to_owned();
         return Err(JsonFault { place: "the beginning".to_owned(), detail });
     }
+    if !matches!(bytes.trim_ascii_start().first(), None | Some(b'{' | b'[' | b'"' | b'-' | b'0'..=b'9' | b't' | b'f' | b'n')) {
+        let detail = "this is no JSON text; `sidecarm info FILE` says what the file is".to_owned();
+        return Err(JsonFault { place: "the beginning".to_owned(), detail });
+    }
     let mut deserializer = serde_json::Deserializer::from_slice(bytes);
     let value = serde_path_to_error::deserialize(&mut deserializer).map_err(|error| {
         // No key leads to the outermost value.
@@ -55,6 +59,7 @@ mod tests {
         for (text, place, words) in [
             (right.replace("2.0", "2.0, \"tilt\": 3"), "at joints[1]", "unknown field `tilt`"),
             (right.replace("2.0", "\"two\""), "at joints[1].orbital_deg: ", "invalid type"),
+            ("\u{1f}\u{8b}\u{8}".to_owned(), "at the beginning: ", "no JSON text"),
             ("{}".to_owned(), "at the top level: ", "missing field `joints`"),
             (format!("{right} x"), "at the end: ", "trailing characters"),
             (format!("\u{feff}{right}"), "at the beginning: ", "byte order mark"),

@@ -113,16 +113,22 @@ impl Reporter {
         match &self.lock().bars {
             Some(bars) => {
                 if bars.println(line).is_err() {
-                    eprintln!("{line}");
+                    to_stderr(line);
                 }
             }
-            None => eprintln!("{line}"),
+            None => to_stderr(line),
         }
     }
 
     fn lock(&self) -> std::sync::MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+/// Nobody may be there to read it, and a session does not end with its listener.
+pub(crate) fn to_stderr(line: &str) {
+    use std::io::Write;
+    let _ = writeln!(std::io::stderr(), "{line}");
 }
 
 /// `text` with everything escaped that a terminal would obey instead of showing: control characters other than newline and tab, and marks

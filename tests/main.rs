@@ -164,6 +164,7 @@ mod igtl_server;
 #[cfg(unix)]
 mod igtl_session;
 mod session_late;
+mod session_loading;
 mod session_optics;
 #[cfg(feature = "learn")]
 mod session_materials;
@@ -199,6 +200,7 @@ mod fuzz_smoke;
 mod session_soak;
 mod session_times;
 mod session_unfinished;
+mod session_unheard;
 mod ct_phantom;
 mod crosscheck_facts;
 mod crosscheck_image;

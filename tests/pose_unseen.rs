@@ -67,6 +67,40 @@ fn many_displaced_beads_are_named_worst() {
     assert!(accepted as u64 >= count / 4 && named as f64 >= 0.95 * accepted as f64, "{named} of {accepted}");
 }
 
+/// Six beads follow one that has moved: its own residual was no larger than theirs, and the pose half a millimetre off.
+#[test]
+fn one_of_six_beads_that_moved_is_left_out() {
+    let (mut right, mut kept, mut other, mut all) = (0, 0, 0, 0);
+    for seed in 0..80 {
+        let (view, mut truth) = (synthetic::view(1024, 1024, seed), eight(seed));
+        truth.beads.truncate(6);
+        truth.beads.iter_mut().for_each(|bead| bead.sigma_mm = None);
+        let found = shadows(&view, &truth, 0.05, 0.03, seed);
+        if found.len() < 6 {
+            continue;
+        }
+        let mut random = Stream::new(seed, 92, 0, Purpose::Evaluation);
+        let moved = (random.uniform() * 6.0) as usize % 6;
+        let way = view.camera_from_lps.rotation.conjugate() * DVec3::new(random.normal(), random.normal(), 0.0).normalize();
+        let mut layout = truth.clone();
+        layout.beads[moved].lps_mm += 1.4 * way;
+        let pose = register_shadows(&matching(&view, &layout), &found);
+        all += 1;
+        let used: Vec<bool> = pose.beads.iter().map(|bead| bead.used).collect();
+        if !pose.is_accepted() {
+            continue;
+        }
+        let out: Vec<usize> = (0..6).filter(|n| !used[*n]).collect();
+        match out[..] {
+            [] => kept += 1,
+            [n] if n == moved => right += 1,
+            _ => other += 1,
+        }
+    }
+    println!("of {all}: {right} leave it out, {kept} keep it, {other} leave out others");
+    assert!(all >= 20 && 10 * right >= 8 * all && other == 0, "of {all}: {right} leave it out, {kept} keep it, {other} others");
+}
+
 /// The last `checks` beads are to check by, and are said to stand `moved` from where their shadows put them.
 fn with_checks(layout: &BeadLayout, checks: usize, moved: DVec3) -> BeadLayout {
     let mut layout = layout.clone();

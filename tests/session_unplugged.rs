@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use sidecarm::telemetry::DeviceKind;
 
-use crate::lab_truth::{has_its_own_exposure, prior_is_right, robot_is_right, told_frames, wait_for_pairs};
+use crate::lab_truth::{began_us, file_of, has_its_own_exposure, prior_is_right, robot_is_right, told_frames, wait_for_pairs};
 use crate::live_lab::{HANG_S, Lab, Live, Signal, eventually};
 
 const DURATION_S: f64 = 30.0;
@@ -69,6 +69,12 @@ fn frames_that_come_while_a_line_is_away_have_nothing_of_it_and_those_after_have
         if without_arm.contains(counter) {
             assert!(pair["innovation"].is_null(), "no prior without joints: {pair:#}");
             assert!(pose["binding"]["exposure"]["joints"].is_null(), "joints of another time: {pose:#}");
+            // The console's stamp says when it was; without that a robot that moved meanwhile is drawn as in the scene.
+            let off_us = pose["binding"]["time_us"].as_i64().expect("a time") - began_us(&file_of(&lab, *counter)) - 150_000;
+            assert!(off_us.abs() < 600_000, "exposure {counter}: {off_us} µs off: {pose:#}");
+            if !pose["control_angles_deg"].is_null() {
+                robot_is_right(pose, *counter);
+            }
             continue;
         }
         has_its_own_exposure(&lab, pose, *counter);

@@ -316,22 +316,32 @@ pub fn area_densities(bodies: &[Body], origin: Vec3, target: Vec3, found: &mut V
         }
     }
     let mut sums = [0.0; 4];
+    if let [(from, to, index)] = found[..] {
+        add(&mut sums, &bodies[index], (to - from) * length_cm);
+        return sums;
+    }
     let mut cuts: Vec<f64> = found.iter().flat_map(|(from, to, _)| [*from, *to]).collect();
-    cuts.sort_by(f64::total_cmp);
+    cuts.sort_unstable_by(f64::total_cmp);
     for pair in cuts.windows(2) {
         let middle = 0.5 * (pair[0] + pair[1]);
         let last = found.iter().filter(|(from, to, _)| *from <= middle && middle <= *to).map(|(_, _, index)| *index).max();
-        let Some(body) = last.map(|index| &bodies[index]) else { continue };
-        let column = match body.matter {
-            Matter::Air => continue,
-            Matter::SoftTissue => 0,
-            Matter::Bone => 1,
-            Matter::Nitinol => 2,
-            Matter::Steel => 3,
-        };
-        sums[column] += (pair[1] - pair[0]) * length_cm * body.density_g_per_cm3;
+        if let Some(index) = last {
+            add(&mut sums, &bodies[index], (pair[1] - pair[0]) * length_cm);
+        }
     }
     sums
+}
+
+/// A path through a body, into the column of its matter.
+fn add(sums: &mut [f64; 4], body: &Body, path_cm: f64) {
+    let column = match body.matter {
+        Matter::Air => return,
+        Matter::SoftTissue => 0,
+        Matter::Bone => 1,
+        Matter::Nitinol => 2,
+        Matter::Steel => 3,
+    };
+    sums[column] += path_cm * body.density_g_per_cm3;
 }
 
 /// The tissue density (g/cm³) at a point.

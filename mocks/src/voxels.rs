@@ -5,7 +5,7 @@ use std::path::Path;
 
 use crate::MockError;
 use crate::matrix::Vec3;
-use crate::phantom::{Phantom, tissue_density_at};
+use crate::phantom::{Body, Phantom, tissue_density_at};
 
 /// HU on a grid; i (towards +x of LPS) varies fastest.
 #[derive(Clone, Debug)]
@@ -31,23 +31,22 @@ pub fn voxelise(phantom: &Phantom) -> Ct {
     let size: [usize; 3] = std::array::from_fn(|axis| (2.0 * half[axis] / spacing_mm[axis]).round() as usize);
     let first_lps_mm: Vec3 = std::array::from_fn(|axis| -half[axis] + 0.5 * spacing_mm[axis]);
     let tissue = phantom.tissue();
+    let grid = Grid { tissue: &tissue, size, spacing_mm, first_lps_mm };
     let plane = size[0] * size[1];
     let mut hu = vec![0i16; plane * size[2]];
     let workers = std::thread::available_parallelism().map_or(1, usize::from);
-    let slices: Vec<(usize, &mut [i16])> = hu.chunks_mut(plane).enumerate().collect();
-    let mut shares: Vec<Vec<(usize, &mut [i16])>> = (0..workers).map(|_| Vec::new()).collect();
-    for (k, slice) in slices {
-        shares[k % workers].push((k, slice));
-    }
+    let slices = size[2].div_ceil(workers);
     std::thread::scope(|scope| {
-        for share in shares {
-            let tissue = &tissue;
+        for (part, share) in hu.chunks_mut(plane * slices).enumerate() {
+            let grid = &grid;
             scope.spawn(move || {
-                for (k, slice) in share {
+                let mut above = grid.corners(part * slices);
+                for (k, slice) in share.chunks_mut(plane).enumerate() {
+                    let k = part * slices + k;
+                    let below = std::mem::replace(&mut above, grid.corners(k + 1));
                     for (index, value) in slice.iter_mut().enumerate() {
-                        let ijk = [index % size[0], index / size[0], k];
-                        let centre: Vec3 = std::array::from_fn(|axis| first_lps_mm[axis] + ijk[axis] as f64 * spacing_mm[axis]);
-                        *value = phantom.hu_of_density(mean_density(tissue, centre, spacing_mm)).round() as i16;
+                        let density = grid.mean_density([index % size[0], index / size[0], k], [&below, &above]);
+                        *value = phantom.hu_of_density(density).round() as i16;
                     }
                 }
             });
@@ -56,25 +55,45 @@ pub fn voxelise(phantom: &Phantom) -> Ct {
     Ct { size, spacing_mm, first_lps_mm, hu }
 }
 
-fn mean_density(tissue: &[crate::phantom::Body], centre: Vec3, spacing_mm: Vec3) -> f64 {
-    let air = 0.0012;
-    let at = |p: Vec3| tissue_density_at(tissue, p).max(air);
-    let corner = |sign: usize| -> Vec3 {
-        std::array::from_fn(|axis| centre[axis] + if sign >> axis & 1 == 1 { 0.5 } else { -0.5 } * spacing_mm[axis])
-    };
-    let middle = at(centre);
-    if (0..8).all(|sign| at(corner(sign)) == middle) {
-        return middle;
+/// Where voxels are, and what is there.
+struct Grid<'a> {
+    tissue: &'a [Body],
+    size: [usize; 3],
+    spacing_mm: Vec3,
+    first_lps_mm: Vec3,
+}
+
+impl Grid<'_> {
+    /// Density at a place in voxels.
+    fn at(&self, voxel: Vec3) -> f64 {
+        let air = 0.0012;
+        let p = std::array::from_fn(|axis| self.first_lps_mm[axis] + voxel[axis] * self.spacing_mm[axis]);
+        tissue_density_at(self.tissue, p).max(air)
     }
-    let n = SUBSAMPLES;
-    let part = |k: usize| (k as f64 + 0.5) / n as f64 - 0.5;
-    let sum: f64 = (0..n * n * n)
-        .map(|s| {
-            let offset = [part(s % n), part(s / n % n), part(s / (n * n))];
-            at(std::array::from_fn(|axis| centre[axis] + offset[axis] * spacing_mm[axis]))
-        })
-        .sum();
-    sum / (n * n * n) as f64
+
+    /// Densities at the corners that slices `k - 1` and `k` share.
+    fn corners(&self, k: usize) -> Vec<f64> {
+        let columns = self.size[0] + 1;
+        let corner = |index: usize| [index % columns, index / columns, k].map(|n| n as f64 - 0.5);
+        (0..columns * (self.size[1] + 1)).map(|index| self.at(corner(index))).collect()
+    }
+
+    /// Over a voxel between two planes of corners; sampled where corners and centre are not one density.
+    fn mean_density(&self, [i, j, k]: [usize; 3], planes: [&[f64]; 2]) -> f64 {
+        let centre = [i, j, k].map(|n| n as f64);
+        let middle = self.at(centre);
+        let columns = self.size[0] + 1;
+        let first = j * columns + i;
+        let corners =
+            planes.into_iter().flat_map(|plane| [first, first + 1, first + columns, first + columns + 1].map(|n| plane[n]));
+        if corners.into_iter().all(|corner| corner == middle) {
+            return middle;
+        }
+        let n = SUBSAMPLES;
+        let part = |k: usize| (k as f64 + 0.5) / n as f64 - 0.5;
+        let sample = |s: usize| self.at([centre[0] + part(s % n), centre[1] + part(s / n % n), centre[2] + part(s / (n * n))]);
+        (0..n * n * n).map(sample).sum::<f64>() / (n * n * n) as f64
+    }
 }
 
 impl Ct {

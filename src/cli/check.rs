@@ -15,7 +15,7 @@ use crate::scene::{self, Scene};
 use crate::session::crosscheck::{
     ExposureFacts, Finding, Level, check_disk, check_exposure, check_listened, check_ports, check_session, rehearse,
 };
-use crate::session::file::Setup;
+use crate::session::file::{SessionFileError, Setup};
 use crate::session::import::Import;
 use crate::time::Stopwatch;
 
@@ -105,7 +105,13 @@ fn work(args: &CheckArgs, reporter: &Reporter, found: &Sender<Finding>) {
     let tell = |finding: Finding| drop(found.send(finding));
     let setup = match Setup::load(&args.session) {
         Ok(setup) => setup,
-        Err(error) => return tell(Finding::fail("session file", error.to_string(), "correct the key that is named")),
+        Err(error) => {
+            let remedy = match error {
+                SessionFileError::Io { .. } => "name a session file; `sidecarm session new` makes one".to_owned(),
+                _ => "correct the key that is named".to_owned(),
+            };
+            return tell(Finding::fail("session file", error.to_string(), remedy));
+        }
     };
     tell(Finding::pass("session file", args.session.display().to_string()));
     check_disk(&out_folder(args, &setup), &setup.session.frames.folder).into_iter().for_each(tell);

@@ -4,7 +4,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-use crate::reporter::Reporter;
+use crate::reporter::{Reporter, to_stderr};
 
 pub mod attach;
 pub mod attenuation;
@@ -120,13 +120,25 @@ enum Command {
 pub fn main() -> ExitCode {
     // A fault of this program is one sentence for whoever uses it; where it happened is for whoever mends it.
     std::panic::set_hook(Box::new(|panic| {
+        if let Some(why) = unprintable(panic.payload()) {
+            // Whoever reads only the first lines closes the pipe: that is no fault.
+            if !why.contains("Broken pipe") {
+                to_stderr(&format!("sidecarm: standard output cannot be written{why}"));
+            }
+            std::process::exit(1);
+        }
         let place = panic.location().map(|place| format!(" ({}:{})", place.file(), place.line())).unwrap_or_default();
-        eprintln!("sidecarm: a fault of this program{place}; please report it with what you did");
+        to_stderr(&format!("sidecarm: a fault of this program{place}; please report it with what you did"));
     }));
     let cli = Cli::parse();
     crate::foreign::install(crate::foreign::ForeignReader::this_program());
     let reporter = Reporter::stderr();
     ExitCode::from(dispatch(&cli.command, &reporter))
+}
+
+/// Why standard output could not be written, where a panic is of that.
+fn unprintable(payload: &dyn std::any::Any) -> Option<&str> {
+    payload.downcast_ref::<String>()?.strip_prefix("failed printing to stdout")
 }
 
 fn dispatch(command: &Command, reporter: &Reporter) -> u8 {

@@ -12,8 +12,8 @@ use crate::gpu::DeviceChoice;
 use crate::image::{ImageFileError, check_writable, refuse_overwrite, refuse_twice, sha256_file};
 use crate::pose::{Pose, PoseFileError};
 use crate::render::{
-    Goal, Options, Origin, Quantity, RenderError, Rendered, Renderer, guessed_share, write_dicom, write_image, write_picture,
-    written_with,
+    Goal, Options, Origin, Quantity, RenderError, Rendered, Renderer, explain_unseen, guessed_share, write_dicom, write_image,
+    write_picture, written_with,
 };
 use crate::reporter::Reporter;
 use crate::scene::model::{InputFile, ScatterModel, Scene};
@@ -224,6 +224,9 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<u8, RenderCommandEr
     let inputs: Vec<PathBuf> = scene::input_files(&args.scene, &scene).into_iter().chain(args.pose.clone()).collect();
     refuse_twice(&outputs)?;
     refuse_overwrite(&outputs, &inputs)?;
+    for words in scene.view.iter().flat_map(|view| explain_unseen(&scene, view)) {
+        reporter.warn("objects", words);
+    }
     // The yardstick runs on the CPU whatever else there is.
     let device = if args.reference { DeviceChoice::Cpu } else { args.device.into() };
     let mut renderer = Renderer::new(device, reporter)?;
@@ -362,8 +365,12 @@ fn line(args: &RenderArgs, rendered: &Rendered) -> String {
         )
     });
     let times: Vec<String> = rendered.stages.iter().map(|(stage, ms)| format!("{stage} {ms:.1} ms")).collect();
+    let image_ms = rendered.image_ms() - rendered.stages.get("scatter").unwrap_or(0.0);
+    let missed = args.budget_ms.filter(|budget| !(image_ms <= *budget));
+    let missed =
+        missed.map_or_else(String::new, |budget| format!("\n--budget-ms {budget}: not met, the image took {image_ms:.1} ms"));
     format!(
-        "{}: {} x {} px, {} from {low:.4} to {high:.4}, stated error {:.1e}\n{}: {}{judged}",
+        "{}: {} x {} px, {} from {low:.4} to {high:.4}, stated error {:.1e}\n{}: {}{judged}{missed}",
         args.out.display(),
         rendered.valid.width,
         rendered.valid.height,

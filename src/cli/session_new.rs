@@ -295,6 +295,9 @@ fn line<R: BufRead, W: Write>(
     let port = Question { option: device.options[0], given: port, words: &words, default, may_be_silent: false };
     let port = asker.ask(&port, &|answer| {
         let path = Path::new(answer);
+        if path.is_file() || path.is_dir() {
+            return Err(format!("'{answer}' is no serial port; a file that a device writes is named file:{answer}"));
+        }
         // A port beside the session, as mocks have it, and a file that a device writes are found from wherever the session is started.
         Ok((answer != NONE).then(|| match PortAddress::of(path) {
             Ok(PortAddress::File(file)) => PathBuf::from(format!("file:{}", named(&file).display())),

@@ -72,6 +72,11 @@ impl<'a> Case<'a> {
         Pose { notes, detections: self.detections.len(), shadows, ..self.request.refuse(refusal) }
     }
 
+    /// Whether a bead could be seen at a place of the undistorted picture.
+    pub fn can_show(&self, at_px: DVec2) -> bool {
+        self.probe.is_none_or(|probe| probe.is_usable(self.request.in_frame(at_px)))
+    }
+
     pub fn targets(&self) -> Vec<Target> {
         let layout = self.request.layout;
         let target = |(n, bead): (usize, &crate::beads::Bead)| Target {
@@ -113,7 +118,11 @@ impl<'a> Case<'a> {
         own: impl Fn(usize) -> Option<usize>,
         k: &Intrinsics,
         gate: Option<Gate>,
-    ) -> Search<'s> {
+    ) -> Search<'s>
+    where
+        'a: 's,
+    {
+        let (probe, request) = (self.probe, self.request);
         let pinned = self
             .pinned
             .iter()
@@ -131,6 +140,7 @@ impl<'a> Case<'a> {
             gate,
             slack_px: 0.0,
             budget: super::search::BUDGET,
+            shows: Box::new(move |at_px| probe.is_none_or(|probe| probe.is_usable(request.in_frame(at_px)))),
         }
     }
 

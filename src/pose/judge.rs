@@ -12,11 +12,9 @@ use super::refusal::{Points, Refusal, Rival};
 use super::search::Hypothesis;
 use super::settle::Settled;
 use super::solve::{Free, Options, solve};
-use super::verdict::{check_geometry, extents_mm, is_plate, mirrored, rival};
+use super::verdict::{MOST_CHANCE, check_geometry, extents_mm, is_plate, mirrored, rival};
 use crate::beads::DEFAULT_SIGMA_MM;
 
-/// Accidents expected, at most, behind an accepted match.
-const MOST_CHANCE: f64 = 0.01;
 /// χ² per degree of freedom, at most, of an accepted match: residuals three times what image noise and bead uncertainty allow.
 pub(super) const MOST_CHI2_PER_DOF: f64 = 9.0;
 /// The same for so few beads that an outlier among them cannot be told.

@@ -6,6 +6,7 @@ use super::prior::Prior;
 use super::search::{Found, Hypothesis, Search};
 use super::solve::{Free, Match, Options, Solution, solve};
 use super::transform;
+use super::verdict::MOST_CHANCE;
 use crate::beads::Detection;
 use crate::geometry::{Intrinsics, Rigid};
 
@@ -56,6 +57,18 @@ impl Case<'_> {
         count >= 5 && 10 * count >= 7 * best.in_view && self.chance_of(best, tried) < 1e-6
     }
 
+    /// The best match, or the least accidental one where the best would be refused as an accident: few beads in view that fit so-so do not
+    /// hide many of which some are not seen.
+    fn first_worth_judging(&self, hypotheses: &[Hypothesis], tried: u64) -> Option<usize> {
+        let chance = |n: &usize| self.chance_of(&hypotheses[*n], tried);
+        let best = (!hypotheses.is_empty()).then_some(0)?;
+        if chance(&best) <= MOST_CHANCE {
+            Some(best)
+        } else {
+            (0..hypotheses.len()).min_by(|a, b| chance(a).total_cmp(&chance(b)))
+        }
+    }
+
     /// The pose of the best match that a short search finds, near the prior if there is one; K is known. Nobody has judged it.
     pub fn rough_pose(&self) -> Option<Rigid> {
         let k = self.request.intrinsics?;
@@ -73,10 +86,8 @@ impl Case<'_> {
     fn find(&self, k: &Intrinsics, slack_px: f64, gate: Option<Gate>) -> Option<Candidate> {
         let targets = self.targets();
         let search = Search { slack_px, barred: self.barred.clone(), ..self.search(&targets, self.detections, Some, k, gate) };
-        let Found { hypotheses, tried, .. } = search.run(|best, tried| self.is_enough(best, tried));
-        let mut all = hypotheses.into_iter();
-        let best = all.next()?;
-        let mut others: Vec<Hypothesis> = all.collect();
+        let Found { hypotheses: mut others, tried, .. } = search.run(|best, tried| self.is_enough(best, tried));
+        let best = others.remove(self.first_worth_judging(&others, tried)?);
         // The shadows of the best match against every other order of beads: symmetric layouts show here.
         let matched: Vec<Detection> = best.matches.iter().map(|m| self.detections[m.detection]).collect();
         let own = |n: usize| best.matches.get(n).map(|m| m.detection);

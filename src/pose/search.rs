@@ -33,6 +33,8 @@ pub struct Search<'a> {
     pub slack_px: f64,
     /// Poses from three points, at most about so many.
     pub budget: u64,
+    /// Whether a bead could be seen at a place in the frame.
+    pub shows: Box<dyn Fn(DVec2) -> bool + Sync + 'a>,
 }
 
 /// A refined match.
@@ -43,7 +45,7 @@ pub struct Hypothesis {
     pub rms_px: f64,
     /// Σ over beads in view of min(χ², `MISSED`): smaller is better.
     pub score: f64,
-    /// Beads that the pose puts in the frame.
+    /// Beads that the pose puts where the frame could show them.
     pub in_view: usize,
 }
 
@@ -270,7 +272,8 @@ impl Search<'_> {
                 && at.x > margin
                 && at.y > margin
                 && at.x < f64::from(self.size_px[0]) - 1.0 - margin
-                && at.y < f64::from(self.size_px[1]) - 1.0 - margin;
+                && at.y < f64::from(self.size_px[1]) - 1.0 - margin
+                && (self.shows)(at);
             let matched = matches.iter().position(|m| m.bead == bead);
             in_view += usize::from(inside || matched.is_some());
             score += match matched {
@@ -386,6 +389,7 @@ mod tests {
                 barred,
                 slack_px,
                 budget: 0,
+                shows: Box::new(|_| true),
             }
             .run(|_, _| false)
         };

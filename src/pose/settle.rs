@@ -17,6 +17,10 @@ const SHARPEST: f64 = 0.02;
 /// The lower three quarters of residuals that a pose was fitted to are smaller than all of them.
 const AGREED: f64 = 2.5;
 
+/// χ² per degree of freedom beyond which few beads may follow one that has moved, and up to which the others agree.
+const DISAGREE: f64 = 2.5;
+const AGREE: f64 = 1.5;
+
 /// A solved match.
 pub(super) struct Settled {
     pub solution: Solution,
@@ -57,6 +61,29 @@ impl Settled {
         let off = Vector2::new(off_px.x, off_px.y);
         Some((off.transpose() * spread.try_inverse()? * off)[(0, 0)].sqrt()).filter(|sigmas| sigmas.is_finite())
     }
+}
+
+/// Few beads follow one that has moved, and its own residual hides it. The bead without which all others agree, where that is one and no other,
+/// and the solution without it.
+fn the_one_that_moved(matches: &[Match], all: &Solution, plain: &Options, fewest: usize) -> Option<(usize, Solution)> {
+    let total = |s: &Solution| s.chi2.iter().sum::<f64>() + s.prior_chi2;
+    let per_dof = |s: &Solution| total(s) / s.degrees_of_freedom.max(1) as f64;
+    // Of five, any one that is left out leaves too little to agree.
+    if matches.len() < fewest + 2 || !(per_dof(all) > DISAGREE) {
+        return None;
+    }
+    let without = |n: usize| {
+        let others: Vec<Match> = matches.iter().enumerate().filter(|(m, _)| *m != n).map(|(_, other)| *other).collect();
+        Some((n, solve(&others, &all.camera_from_lps, &all.intrinsics, plain)?))
+    };
+    let mut found: Vec<(usize, Solution)> = (0..matches.len()).filter_map(without).collect();
+    found.sort_by(|a, b| total(&a.1).total_cmp(&total(&b.1)));
+    let mut found = found.into_iter();
+    let (best, next) = (found.next()?, found.next()?);
+    // Others that agree better than they need to leave less room.
+    let limit = OUTLIER * per_dof(&best.1).clamp(0.5, 1.0);
+    let is_clear = per_dof(&best.1) <= AGREE && total(all) - total(&best.1) > limit;
+    (is_clear && total(&next.1) - total(&best.1) > 0.5 * limit).then_some(best)
 }
 
 impl Case<'_> {
@@ -107,7 +134,11 @@ impl Case<'_> {
             best = solve(&matches, &best.camera_from_lps, &best.intrinsics, &options)?;
         }
         let plain = Options { loss: f64::INFINITY, ..options };
-        let first = solve(&matches, &best.camera_from_lps, &best.intrinsics, &plain)?;
+        let mut first = solve(&matches, &best.camera_from_lps, &best.intrinsics, &plain)?;
+        if let Some((moved, without)) = the_one_that_moved(&matches, &first, &plain, fewest) {
+            left_out.push((matches.remove(moved), first.residuals_px[moved]));
+            first = without;
+        }
         // A fused prior is an observation like the beads.
         let dof = first.degrees_of_freedom.max(1) as f64;
         let chi2_per_dof = (first.chi2.iter().sum::<f64>() + first.prior_chi2) / dof;

@@ -67,6 +67,9 @@ pub fn check_geometry(points: &[DVec3], k_known: bool, of: Points) -> Result<(),
     Ok(())
 }
 
+/// Accidents expected, at most, behind an accepted match.
+pub const MOST_CHANCE: f64 = 0.01;
+
 /// Expected number of accidental poses, of `tried`, that agree with at least `matched` of `in_view` beads as closely as `rms_px`, when
 /// `detections` shadows lie at random on `area_px2`.
 ///

@@ -53,6 +53,12 @@ pub enum RecordError {
         /// What the serializer said.
         source: serde_json::Error,
     },
+    /// Not a file.
+    #[error("{path}: is a folder; name the log in it, which a session calls session.mcap", path = path.display())]
+    Folder {
+        /// The folder.
+        path: PathBuf,
+    },
     /// The file does not start as MCAP files do.
     #[error("{path}: not an MCAP log (found {found}); it starts with other bytes", path = path.display())]
     NotALog {

@@ -133,7 +133,11 @@ impl LogReader {
     pub fn open(path: &Path) -> Result<Self, RecordError> {
         let io = |source| RecordError::Io { path: path.to_owned(), source };
         let file = File::open(path).map_err(io)?;
-        let length = file.metadata().map_err(io)?.len();
+        let metadata = file.metadata().map_err(io)?;
+        if metadata.is_dir() {
+            return Err(RecordError::Folder { path: path.to_owned() });
+        }
+        let length = metadata.len();
         Self::new(path, Box::new(BufReader::with_capacity(1 << 20, file)), length)
     }
 

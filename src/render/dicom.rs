@@ -23,7 +23,8 @@ use crate::geometry::{AngleConvention, PatientPosition, View};
 use crate::image::{sha256_bytes, write_atomically};
 use crate::scene::model::Scene;
 
-/// Stored values of 1 (the unattenuated signal), and of a neper; fewer where the image would not fit.
+/// Stored values of 1 (the unattenuated signal), and of a neper; fewer where the image would not fit, and of an intensity as many times two more
+/// as fit.
 const PER_UNIT: f64 = 50_000.0;
 const PER_NEPER: f64 = 4_000.0;
 /// The largest stored value.
@@ -52,7 +53,12 @@ fn encoded(rendered: &Rendered, scene: &Scene, view: &View) -> Result<Vec<u8>, S
     };
     let is_valid = |n: usize| rendered.valid.pixels[n] == 1 && page.pixels[n].is_finite();
     let largest = (0..page.pixels.len()).filter(|n| is_valid(*n)).map(|n| f64::from(page.pixels[n])).fold(0.0, f64::max);
-    let per_unit = if largest * wanted > MOST { MOST / largest } else { wanted };
+    let per_unit = match largest * wanted {
+        most if most > MOST => MOST / largest,
+        // Behind a thick body hardly a hundredth arrives: its steps are to be no coarser than those of air.
+        most if most > 0.0 && rendered.quantity == Quantity::Intensity => wanted * (MOST / most).log2().floor().exp2(),
+        _ => wanted,
+    };
     let stored = |n: usize| match is_valid(n) {
         true => (f64::from(page.pixels[n]) * per_unit).round().clamp(1.0, MOST) as u16,
         false => 0,

@@ -1,4 +1,4 @@
-//! Why an image is empty.
+//! Why an image is empty, and which objects are not in it.
 
 use std::sync::Arc;
 
@@ -54,6 +54,33 @@ pub fn explain_empty(scene: &Scene, prepared: &Prepared) -> String {
     let (pixel, _) = view.projection().project(centre);
     let [width, height] = view.size_px;
     format!("the image is empty: {place} and project to pixel ({:.0}, {:.0}), outside {width} x {height}", pixel.x, pixel.y)
+}
+
+/// Objects smaller than this are nobody's.
+const SMALLEST_MM: f64 = 0.05;
+
+/// What to say of objects that `view` does not show, or that are too small for anything: one sentence for each kind of fault. Beads are not
+/// spoken of, of which some lie outside most views.
+#[must_use]
+pub fn explain_unseen(scene: &Scene, view: &View) -> Vec<String> {
+    let detector_mm = view.intrinsics.source_to_detector_mm(scene.detector.pitch_mm);
+    let (mut outside, mut tiny) = (Vec::new(), Vec::new());
+    for object in &scene.objects {
+        let Some((centre, radius)) = bounding_sphere(object) else { continue };
+        if radius < SMALLEST_MM {
+            tiny.push(format!("{} ({:.1e} mm)", object.name, 2.0 * radius));
+        } else if !object.name.ends_with(".sphere") && !in_view(view, detector_mm, centre, radius) {
+            outside.push(format!("{} around ({:.0}, {:.0}, {:.0}) mm in lps", object.name, centre.x, centre.y, centre.z));
+        }
+    }
+    let mut words = Vec::new();
+    if !outside.is_empty() {
+        words.push(format!("not in view: {}", outside.join("; ")));
+    }
+    if !tiny.is_empty() {
+        words.push(format!("too small to be seen: {}: in metres where millimetres are expected?", tiny.join("; ")));
+    }
+    words
 }
 
 fn in_view(view: &View, detector_mm: f64, centre: DVec3, radius: f64) -> bool {

@@ -44,7 +44,8 @@ pub(super) fn shown(png: &[u8]) -> Option<Shown> {
 /// How a score at the stated pose stands to the best of the wrong ones, in words; both are of pictures of one size.
 pub(super) fn margin_words(null: &NullScore) -> String {
     let Some((here, wrong)) = null.at_pose.zip(null.best_shifted) else { return "–".to_owned() };
-    let by = number(Some((here - wrong).abs()), 4);
+    let by = (here - wrong).abs();
+    let by = if by >= 1e-3 || by == 0.0 { number(Some(by), 4) } else { format!("{by:.0e}") };
     match null.discriminating {
         true => format!("better by {by}"),
         false if here == wrong => "as good at a wrong pose".to_owned(),

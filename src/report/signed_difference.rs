@@ -36,6 +36,19 @@ impl SignedDifference {
         (Self { offset, limit: symmetric_limit(&difference), unit, comparable }, difference)
     }
 
+    /// Gray windows of both pictures: one where they have a common zero, the same width about medians that are laid upon each other where they
+    /// have not, and each its own where they have no common unit.
+    #[must_use]
+    pub fn windows(&self, pictures: &Pictures) -> [[f64; 2]; 2] {
+        let Pictures { acquired, simulated, usable, .. } = pictures;
+        if !self.comparable {
+            return [acquired, simulated].map(|image| colour::window(&[image], Some(usable)));
+        }
+        let moved = (self.offset != 0.0).then(|| simulated.map(|value| value + self.offset as f32));
+        let window = colour::window(&[acquired, moved.as_ref().unwrap_or(simulated)], Some(usable));
+        [window, window.map(|end| end - self.offset)]
+    }
+
     /// The difference of two pixels that mean something.
     #[must_use]
     pub fn between(&self, acquired: f32, simulated: f32) -> f32 {
@@ -65,4 +78,31 @@ fn symmetric_limit(difference: &Image<f32>) -> f64 {
     let mut sizes: Vec<f32> = difference.pixels.iter().filter(|v| v.is_finite()).map(|v| v.abs()).collect();
     let at = (sizes.len().max(1) - 1) * 99 / 100;
     colour::round_up(colour::ranked(&mut sizes, at).unwrap_or(0.0).max(1e-6))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pictures(unit: &'static str, level: f32, scale: f32) -> Pictures {
+        let simulated = Image { width: 40, height: 30, pixels: (0..1200).map(|n| (n % 40) as f32 * 0.1).collect() };
+        let usable = simulated.map(|value| *value < 3.5);
+        // What is masked is far from all else.
+        let acquired = simulated.map(|value| if *value < 3.5 { scale * value + level } else { 90.0 });
+        Pictures { acquired, edges: usable.clone(), simulated, usable, unit }
+    }
+
+    #[test]
+    fn pictures_without_a_common_zero_are_shown_in_the_same_grays() {
+        let of = |pictures: &Pictures| SignedDifference::of(pictures).0.windows(pictures);
+        let width = |window: [f64; 2]| window[1] - window[0];
+        let [acquired, simulated] = of(&pictures("nepers (offset unknown)", -10.0, 1.0));
+        assert!(acquired[1] < -6.0 && simulated[0] > -1.0, "{acquired:?} {simulated:?}");
+        assert!(width(acquired) < 4.0 && (width(acquired) - width(simulated)).abs() < 1e-9);
+        // With a common zero there is one window, whatever lies between them.
+        let [acquired, simulated] = of(&pictures("nepers", -1.0, 1.0));
+        assert!(acquired == simulated && acquired[0] < -0.9 && acquired[1] > 3.4, "{acquired:?}");
+        let [acquired, simulated] = of(&pictures("gray values", 500.0, 100.0));
+        assert!(acquired[0] > 400.0 && simulated[1] < 4.0, "{acquired:?} {simulated:?}");
+    }
 }

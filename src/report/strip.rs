@@ -111,14 +111,14 @@ fn header(canvas: &mut Canvas, input: &Header, width: i64) {
 }
 
 fn compared(panel: &mut Panels, pictures: &Pictures, place: impl Fn(i64) -> i64, scale: f64) {
-    let window = colour::window(&[&pictures.acquired, &pictures.simulated], Some(&pictures.usable));
+    let (signed, difference) = SignedDifference::of(pictures);
+    let [window, of_drr] = signed.windows(pictures);
     let acquired = scaled(&pictures.acquired, scale);
     panel.picture(place(0), "acquired", &acquired, |v| colour::gray(v, window));
     panel.gray_scale(place(0), window, pictures.unit);
-    panel.picture(place(1), "matched DRR", &scaled(&pictures.simulated, scale), |v| colour::gray(v, window));
-    panel.gray_scale(place(1), window, pictures.unit);
+    panel.picture(place(1), "matched DRR", &scaled(&pictures.simulated, scale), |v| colour::gray(v, of_drr));
+    panel.gray_scale(place(1), of_drr, pictures.unit);
 
-    let (signed, difference) = SignedDifference::of(pictures);
     if signed.comparable {
         let limit = signed.limit;
         panel.picture(place(2), "acquired − DRR", &scaled(&difference, scale), |v| colour::diverging(v / limit as f32));

@@ -22,7 +22,8 @@ pub(super) fn build(objects: &[ObjectFile], scene: &mut Scene, files: &mut Files
     for (index, object) in objects.iter().enumerate() {
         let kind = kind(object);
         builder.key = format!("objects[{index}].{kind}");
-        if let (ObjectFile::Ct(_), Some(tool)) = (object, objects[..index].iter().position(is_tool)) {
+        let tools = || (0..index).find(|n| is_tool(&objects[*n]) || is_metal(&builder.scene.objects[*n].matter));
+        if let (ObjectFile::Ct(_), Some(tool)) = (object, tools()) {
             let words = format_args!(
                 "{} comes after objects[{tool}].{}, which it displaces wherever it has matter; list the CT first, unless that is meant",
                 builder.files.place(&builder.key),
@@ -67,6 +68,11 @@ pub(super) fn labelled_cts(
 /// What is put into a body, and not around it.
 fn is_tool(object: &ObjectFile) -> bool {
     matches!(object, ObjectFile::Mesh(_) | ObjectFile::Voxels(_) | ObjectFile::Robot(_))
+}
+
+/// Shapes that are denser than bone.
+fn is_metal(matter: &Matter) -> bool {
+    matches!(matter, Matter::Solids(solids) if solids.iter().any(|solid| solid.density_g_per_cm3 > 2.5))
 }
 
 fn kind(object: &ObjectFile) -> &'static str {

@@ -17,7 +17,7 @@ use super::file::Setup;
 use super::hearing::Hearing;
 use super::import::Import;
 use super::input::{Input, Output};
-use super::losses::{few_bound, line_losses, without_frame};
+use super::losses::{few_bound, line_losses, of_no_exposure, without_frame};
 use super::pictures::{PictureDigest, Pictures};
 use super::posing::{Bound, Known, PoseJob, Registered};
 use super::standstill::Standstill;
@@ -204,6 +204,12 @@ impl Engine {
     #[must_use]
     pub fn exposures_without_frame(&self) -> Option<String> {
         without_frame(&self.timeline.exposures(), &self.shown, self.without_exposure())
+    }
+
+    /// Frames that are of none of the exposures, each of which has its frame, in words.
+    #[must_use]
+    pub fn frames_of_no_exposure(&self) -> Option<String> {
+        of_no_exposure(&self.timeline.exposures(), &self.shown, self.without_exposure())
     }
 
     /// Where no more frames were tied to exposures than were not, in words: the session has lost what telemetry knew of them.

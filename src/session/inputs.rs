@@ -52,8 +52,10 @@ impl InputNames {
         }
         let ports = [session.carm.as_ref().map(|line| &line.port), session.robot.as_ref().map(|line| &line.port)];
         for port in ports.into_iter().flatten() {
-            if let Ok(PortAddress::File(path)) = PortAddress::of(port) {
-                hide(&mut hidden, &path, "the telemetry file");
+            match PortAddress::of(port) {
+                Ok(PortAddress::File(path)) => hide(&mut hidden, &path, "the telemetry file"),
+                Ok(PortAddress::Serial(path)) => hide(&mut hidden, &path, &PortAddress::told(port).to_string_lossy()),
+                Ok(PortAddress::Udp(_)) | Err(_) => {}
             }
         }
         for (input, logged) in &names.inputs {

@@ -62,16 +62,15 @@ impl SessionLog {
         if path.exists() { Err(SessionError::Occupied { path: path.display().to_string() }) } else { Ok(()) }
     }
 
-    /// Creates the log; inputs go to `engine`.
+    /// Creates the log of a session that hears since `started_us`; inputs go to `engine`.
     pub(super) fn create(
-        out: &Path,
+        (out, started_us): (&Path, i64),
         setup: &Setup,
         workshop: &Workshop,
         engine: Sender<Event>,
         reporter: &Reporter,
     ) -> Result<Self, SessionError> {
         let path = out.join("session.mcap");
-        let started_us = host_now_us();
         let names = workshop.names().clone();
         let mut details = json!({"adapter": workshop.adapter(), "inputs": names.shown()});
         if let Some(sha256) = workshop.network_sha256() {

@@ -52,6 +52,17 @@ pub(super) fn without_frame(exposures: &[ExposureInterval], shown: &BTreeSet<u64
     })
 }
 
+/// That `unbound` frames are of none of the exposures that telemetry tells of, where each of those has its frame.
+pub(super) fn of_no_exposure(exposures: &[ExposureInterval], shown: &BTreeSet<u64>, unbound: usize) -> Option<String> {
+    let all_shown = !exposures.is_empty() && exposures.iter().all(|exposure| shown.contains(&exposure.index));
+    (all_shown && unbound > 0).then(|| {
+        format!(
+            "{unbound} frames are of no exposure that telemetry tells of: pictures of another day or another room? Their pairs have no joints, \
+             robot or beam of telemetry; `binding_evidence` of each pair says why"
+        )
+    })
+}
+
 /// That `unbound` frames could not be tied to one of `exposures`, and no more (`bound`) could; `None` where most could.
 pub(super) fn few_bound(exposures: usize, unbound: usize, bound: usize) -> Option<String> {
     if exposures > 0 && unbound == 0 && bound == 0 {

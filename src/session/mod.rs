@@ -44,6 +44,7 @@ mod file_error;
 mod image_difference;
 mod intensifier;
 mod left_out;
+mod lines;
 mod link_view;
 mod log;
 mod log_inputs;

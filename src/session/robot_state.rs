@@ -121,6 +121,9 @@ impl BoundRobot {
     /// it was not heard around then.
     pub(super) fn at(timeline: &Timeline, mid_us: i64, binding: &Binding) -> Option<Self> {
         let exposure = binding.exposure.as_ref();
+        if !stood_still(timeline, mid_us, binding) {
+            return None;
+        }
         let mut state = live(timeline, mid_us).or_else(|| stored(exposure?))?;
         // An image of a run is exposed for a part of it only, and nobody saw how long an exposure was of which only a counter tells.
         let is_run = binding.flags.iter().any(|flag| matches!(flag, BindingFlag::Run { .. }));
@@ -149,6 +152,18 @@ impl BoundRobot {
         }
         state
     }
+}
+
+/// Whether the robot stood as it did at `mid_us` in all the time in which the frame may have been taken, where nobody knows when it was.
+fn stood_still(timeline: &Timeline, mid_us: i64, binding: &Binding) -> bool {
+    let unseen = binding.flags.iter().find_map(|flag| match flag {
+        BindingFlag::Unseen { within_us } if *within_us > MAX_GAP_US => Some(*within_us),
+        _ => None,
+    });
+    unseen.is_none_or(|within_us| {
+        let travel_deg = timeline.robot_travel_deg(mid_us.saturating_sub(within_us / 2), mid_us.saturating_add(within_us / 2));
+        travel_deg.is_some_and(|travel_deg| travel_deg.into_iter().all(|deg| deg <= BENT_DEG))
+    })
 }
 
 fn live(timeline: &Timeline, mid_us: i64) -> Option<RobotState> {

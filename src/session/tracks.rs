@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use super::engine::Engine;
 use crate::geometry::CarmJoints;
 use crate::report::{Gap, LinkReport, Track};
-use crate::telemetry::{DeviceKind, Sample, status_words};
+use crate::telemetry::{DeviceKind, Metadata, Sample, status_words};
 
 /// Tracks are drawn with at most one sample per this, at first.
 const TRACK_STEP_US: i64 = 100_000;
@@ -48,11 +48,19 @@ pub(super) struct Tracks {
     angles: Thinned<[f64; 5]>,
     /// The latest status words.
     status: BTreeMap<DeviceKind, u32>,
+    /// Serial number and calibration that each device named last.
+    named: BTreeMap<DeviceKind, [String; 2]>,
 }
 
 impl Tracks {
     pub(super) fn new() -> Self {
-        Self { links: BTreeMap::new(), joints: Thinned::new(), angles: Thinned::new(), status: BTreeMap::new() }
+        Self {
+            links: BTreeMap::new(),
+            joints: Thinned::new(),
+            angles: Thinned::new(),
+            status: BTreeMap::new(),
+            named: BTreeMap::new(),
+        }
     }
 
     fn link(&mut self, device: DeviceKind) -> &mut LinkReport {
@@ -78,7 +86,7 @@ impl Tracks {
         }
     }
 
-    /// Takes a sample; what its status word says that the one before did not, in words.
+    /// Takes a sample; what it says of the device that the one before did not, in words.
     pub(super) fn sample(&mut self, host_us: i64, sample: &Sample) -> Option<String> {
         let (device, status) = match sample {
             Sample::Carm(carm) => {
@@ -89,12 +97,26 @@ impl Tracks {
                 self.angles.push(host_us, robot.control_angles_deg().0);
                 (DeviceKind::Robot, robot.status)
             }
-            Sample::Metadata(_) => return None,
+            Sample::Metadata(metadata) => return self.another(metadata),
         };
         let link = self.link(device);
         link.first_us.get_or_insert(host_us);
         link.last_us = Some(host_us);
         self.news_of(device, status)
+    }
+
+    /// Whether another device answers than before. Its numbers stand in the log alone.
+    fn another(&mut self, metadata: &Metadata) -> Option<String> {
+        let named = [metadata.serial_number.clone(), metadata.calibration_id.clone()];
+        let device = metadata.device;
+        let before = self.named.insert(device, named)?;
+        let [serial, calibration] = &self.named[&device];
+        let words = match (before[0] != *serial, before[1] != *calibration) {
+            (true, _) => "is another one than before: its serial number changed, and the session's calibration is of the first",
+            (false, true) => "names another calibration than before",
+            (false, false) => return None,
+        };
+        Some(format!("the {device} {words}"))
     }
 
     fn news_of(&mut self, device: DeviceKind, status: u32) -> Option<String> {

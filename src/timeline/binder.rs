@@ -296,8 +296,9 @@ fn waiting() -> Binding {
 fn within_run(run: &Binding, image: &FrameEvidence) -> Binding {
     let mut own = run.clone();
     if let Some(exposure) = &own.exposure {
-        own.time_us = Some(time_within(image, exposure));
-        own.flags = flags_of(image, exposure);
+        let span_us = [exposure.start_us, exposure.end_us];
+        own.time_us = Some(time_within(image, span_us));
+        own.flags = flags_of(image, exposure, span_us);
     }
     own
 }

@@ -14,7 +14,7 @@ use serde::Serialize;
 /// Fastest drift of console against host that is believed.
 const MOST_DRIFT: f64 = 250e-6;
 /// What a stamp may lie outside its exposure without a constant part, which the offset absorbs.
-const SCATTER_US: i64 = 100_000;
+pub(super) const SCATTER_US: i64 = 100_000;
 /// The same for the beginning or the end of the exposure: a console that scatters more is read as naming any instant.
 const END_SCATTER_US: i64 = 50_000;
 /// Bounds are merged over this time.

@@ -91,7 +91,10 @@ pub enum BindingFlag {
     /// Beam on or beam off fell into a gap: the interval is as long as it can be.
     OpenEnds,
     /// Only the C-arm's counter tells of the exposure.
-    Unseen,
+    Unseen {
+        /// How long the time is in which it was, by telemetry, arrival and stamp.
+        within_us: i64,
+    },
     /// The frame came long after its exposure.
     Late {
         /// How long.
@@ -122,7 +125,9 @@ impl std::fmt::Display for BindingFlag {
             Self::Moved { joint, moved, limit } => write!(f, "{joint} moved by {moved:.2} during the exposure (limit {limit})"),
             Self::TelemetryGap { gap_us } => write!(f, "joints are interpolated over {} without telemetry", seconds(*gap_us)),
             Self::OpenEnds => f.write_str("beam on or off fell into a gap of telemetry"),
-            Self::Unseen => f.write_str("telemetry missed the exposure; only its counter tells of it"),
+            Self::Unseen { within_us } => {
+                write!(f, "telemetry missed the exposure; only its counter tells of it, within {}", seconds(*within_us))
+            }
             Self::Late { by_us } => write!(f, "came {} after its exposure", seconds(*by_us)),
             Self::Run { image, count } => write!(f, "image {} of {count} of one run", image + 1),
             Self::Duplicate { of } => write!(f, "the same picture as frame {of}, exported again"),
@@ -163,8 +168,23 @@ const GAP_LIMIT_US: i64 = 200_000;
 /// A frame later than this is flagged.
 const LATE_LIMIT_US: i64 = 10_000_000;
 
-/// What to know of `frame` bound to `exposure`.
-pub(super) fn flags_of(frame: &FrameEvidence, exposure: &ExposureInterval) -> Vec<BindingFlag> {
+/// Host times between which `frame` was taken: those of its exposure. Where only a counter tells of that, it was before the frame arrived, and when
+/// the console's `stamp` says, if that is known in host time.
+pub(super) fn span_of(frame: &FrameEvidence, exposure: &ExposureInterval, stamp: Option<[i64; 2]>) -> [i64; 2] {
+    let whole = [exposure.start_us, exposure.end_us];
+    if exposure.samples > 0 {
+        return whole;
+    }
+    let narrowed = |[from_us, to_us]: [i64; 2], [low_us, high_us]: [i64; 2]| {
+        let both = [from_us.max(low_us), to_us.min(high_us)];
+        if both[0] <= both[1] { both } else { [from_us, to_us] }
+    };
+    let arrived = frame.arrival_us.map(|arrival_us| [i64::MIN, arrival_us]);
+    arrived.into_iter().chain(stamp).fold(whole, narrowed)
+}
+
+/// What to know of `frame` bound to `exposure`, taken within `span_us`.
+pub(super) fn flags_of(frame: &FrameEvidence, exposure: &ExposureInterval, span_us: [i64; 2]) -> Vec<BindingFlag> {
     let mut flags = Vec::new();
     for (i, (joint, limit)) in MOVED_LIMITS.into_iter().enumerate() {
         let range = exposure.joint_range[i];
@@ -175,7 +195,7 @@ pub(super) fn flags_of(frame: &FrameEvidence, exposure: &ExposureInterval) -> Ve
         }
     }
     if exposure.samples == 0 {
-        flags.push(BindingFlag::Unseen);
+        flags.push(BindingFlag::Unseen { within_us: span_us[1].saturating_sub(span_us[0]) });
     } else if !(exposure.start_seen && exposure.end_seen) {
         flags.push(BindingFlag::OpenEnds);
     }
@@ -193,19 +213,19 @@ pub(super) fn flags_of(frame: &FrameEvidence, exposure: &ExposureInterval) -> Ve
     flags
 }
 
-/// Host time of `frame` within `exposure`: its middle, or the image's share of the run.
-pub(super) fn time_within(frame: &FrameEvidence, exposure: &ExposureInterval) -> i64 {
+/// Host time of `frame` within `span_us`: the middle, or the image's share of the run.
+pub(super) fn time_within(frame: &FrameEvidence, [start_us, end_us]: [i64; 2]) -> i64 {
     let [image, count] = frame.image_of_file;
+    let length_us = end_us.saturating_sub(start_us).max(0);
     if count <= 1 {
-        return exposure.mid_us();
+        return start_us.saturating_add(length_us / 2);
     }
-    let length_us = exposure.end_us.saturating_sub(exposure.start_us).max(0);
     let even_us = length_us / i64::from(count);
     // The file's own pace, unless the run would not fit into the exposure with it.
     let step_us =
         frame.frame_time_us.filter(|step_us| *step_us > 0 && *step_us <= even_us.saturating_mul(5) / 4 + 1).unwrap_or(even_us);
     let at_us = step_us.saturating_mul(i64::from(image)).saturating_add(step_us / 2);
-    exposure.start_us.saturating_add(at_us.clamp(0, length_us))
+    start_us.saturating_add(at_us.clamp(0, length_us))
 }
 
 pub(super) fn seconds(us: i64) -> String {

@@ -3,9 +3,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::agreement::OCCASION_US;
-use super::console::{ConsoleClock, ConsoleOffset, Pair};
+use super::console::{ConsoleClock, ConsoleOffset, Pair, SCATTER_US};
 use super::counting::Counting;
-use super::evidence::{Binding, BindingHow, FrameEvidence, flags_of, time_within};
+use super::evidence::{Binding, BindingHow, FrameEvidence, flags_of, span_of, time_within};
 use super::exposure::ExposureInterval;
 use super::shots::Shots;
 
@@ -88,9 +88,19 @@ impl Known {
                 }
             }
         }
-        let time_us = Some(time_within(&said, &exposure));
-        let flags = flags_of(&said, &exposure);
+        let span_us = span_of(&said, &exposure, self.stamped_within(&said));
+        let time_us = Some(time_within(&said, span_us));
+        let flags = flags_of(&said, &exposure, span_us);
         Some(Binding { exposure: Some(exposure), how, evidence, settled: true, time_us, flags })
+    }
+
+    /// Host times that a frame's stamp names, once the console's clock is known.
+    fn stamped_within(&self, said: &FrameEvidence) -> Option<[i64; 2]> {
+        let (clock, console_us) = (self.clock()?, said.console_us?);
+        let (at_us, either_way_us) =
+            (console_us.saturating_add(clock.offset_us), clock.uncertainty_us.saturating_add(SCATTER_US));
+        let to_us = at_us.saturating_add(self.resolution_us(said)).saturating_add(either_way_us);
+        Some([at_us.saturating_sub(either_way_us), to_us])
     }
 
     /// What stamp and exposure together say of the console's offset.

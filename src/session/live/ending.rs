@@ -79,9 +79,15 @@ impl Session {
         self.finishing = None;
         self.engine.line_losses().into_iter().for_each(|lost| self.log.lose(lost));
         self.engine.hardly_bound().into_iter().for_each(|words| self.log.lose(words));
-        if let Some(words) = self.engine.exposures_without_frame() {
-            self.reporter.warn("exposures without a frame", &words);
-            self.log.event(Level::Warning, host_now_us(), &words);
+        let unmatched = [
+            ("exposures without a frame", self.engine.exposures_without_frame()),
+            ("frames of no exposure", self.engine.frames_of_no_exposure()),
+        ];
+        for (kind, words) in unmatched {
+            if let Some(words) = words {
+                self.reporter.warn(kind, &words);
+                self.log.event(Level::Warning, host_now_us(), &words);
+            }
         }
         self.publish(host_now_us());
         self.board.update(|state| state.finished = true);

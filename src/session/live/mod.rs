@@ -28,6 +28,7 @@ use super::event::{Event, Source};
 use super::file::Setup;
 use super::folder::{Collector, Folder, Times};
 use super::input::{Input, Output};
+use super::lines::{Lines, Ports};
 use super::link_view::LinkReadings;
 use super::log::SessionLog;
 use super::onlooker::Onlooker;
@@ -35,7 +36,7 @@ use super::places;
 use super::posing::{PoseJob, Registered};
 use super::registrar::start_registrar;
 use super::scribe::Scribe;
-use super::sources::{Frames, Lines, frame_source};
+use super::sources::{Frames, frame_source};
 use super::stop::Stop;
 use super::tracks::Tracks;
 use super::whereabouts::Whereabouts;
@@ -82,17 +83,19 @@ pub fn run(
 ) -> Result<Folder, SessionError> {
     loops_stand_back();
     let setup = Arc::new(setup);
-    // Before anything that takes time: a frame that arrives meanwhile is the session's.
+    SessionLog::refuse_occupied(&options.out)?;
+    // Before anything that takes time: what arrives meanwhile is the session's.
+    let heard_from_us = host_now_us();
     let source = frame_source(&setup, options.include_existing, reporter)?;
+    let ports = Ports::listen(&setup, board)?;
     let mut workshop = open_unless_stopped(&setup, &options.stop, reporter)?;
     places::remember(workshop.names());
     let started_us = host_now_us();
     let (events, inbox) = channel();
-    SessionLog::refuse_occupied(&options.out)?;
     let whereabouts = Whereabouts::new(&setup, workshop.robot());
     let broadcast = Arc::new(Broadcast::open(setup.session.igtl.as_ref(), whereabouts.clone(), reporter)?);
-    let collector = Collector::create(&options.out, started_us, Times::Told, &workshop)?;
-    let log = Arc::new(SessionLog::create(&options.out, &setup, &workshop, events, reporter)?);
+    let collector = Collector::create(&options.out, heard_from_us, Times::Told, &workshop)?;
+    let log = Arc::new(SessionLog::create((&options.out, heard_from_us), &setup, &workshop, events, reporter)?);
     let mut engine = Engine::new(Arc::clone(&setup), workshop.layout().cloned(), reporter.clone());
     engine.park_in(&options.out);
     let editor = edits.map(|edits| Editor::start(edits, Arc::clone(&log))).transpose()?;
@@ -103,7 +106,7 @@ pub fn run(
     let (scribe, pairs) = Scribe::start(collector, Arc::clone(&log), board.clone(), Arc::clone(&broadcast), reporter)?;
     workshop.start(true, move |developed| pairs.send(developed).is_ok())?;
     let jobs = start_registrar(Arc::clone(&log))?;
-    let lines = Lines::open(&setup, &log, board, reporter)?;
+    let lines = ports.record(&setup, &log, board, reporter)?;
     let frames = Frames::watch(source, &log, board, reporter)?;
     let session = Session {
         engine,
@@ -134,7 +137,7 @@ pub fn run(
     session.run(&inbox, options, started_us)
 }
 
-/// Loads scene and renderer, which may take long: nothing is recorded yet, and whoever wants to leave may.
+/// Loads scene and renderer, which may take long: what is heard meanwhile waits to be recorded, and whoever wants to leave may.
 fn open_unless_stopped(setup: &Arc<Setup>, stop: &Stop, reporter: &Reporter) -> Result<Workshop, SessionError> {
     let (setup, told) = (Arc::clone(setup), reporter.clone());
     let opening = std::thread::Builder::new()

@@ -101,6 +101,46 @@ fn one_of_six_beads_that_moved_is_left_out() {
     assert!(all >= 20 && 10 * right >= 8 * all && other == 0, "of {all}: {right} leave it out, {kept} keep it, {other} others");
 }
 
+/// Of two beads behind each other one shadow is seen, near the middle of theirs: taken for one of them it turned the pose, without a word.
+#[test]
+fn a_shadow_of_two_beads_carries_no_pose() {
+    let mut cases = 0;
+    for seed in 0..40 {
+        let (view, mut layout) = (synthetic::view(1024, 1024, seed), eight(seed));
+        layout.beads.iter_mut().for_each(|bead| bead.sigma_mm = None);
+        let mut found = shadows(&view, &layout, 0.05, 0.0, seed);
+        if found.len() < 8 {
+            continue;
+        }
+        let projection = view.projection();
+        let at = |lps_mm: DVec3| projection.project(lps_mm).0;
+        let front = layout.beads[3].lps_mm;
+        let ray = view.camera_from_lps.rotation.conjugate() * view.camera_from_lps.transform_point(front).normalize();
+        let behind = front + 25.0 * ray + 0.9 * ray.any_orthonormal_vector();
+        let own = (0..8).min_by(|a, b| found[*a].image_px.distance(at(front)).total_cmp(&found[*b].image_px.distance(at(front))));
+        let own = own.expect("shadows");
+        let apart_px = at(front).distance(at(behind));
+        assert!(apart_px > 2.0 && apart_px < 1.6 * found[own].radius_px, "{apart_px} {}", found[own].radius_px);
+        found[own].image_px = 0.5 * (at(front) + at(behind));
+        let mut second = layout.beads[3].clone();
+        (second.name, second.lps_mm) = ("behind".to_owned(), behind);
+        layout.beads.push(second);
+        let pose = register_shadows(&matching(&view, &layout), &found);
+        if !pose.is_accepted() {
+            continue;
+        }
+        cases += 1;
+        let projected = pose.projection.expect("accepted");
+        let off_px =
+            layout.beads.iter().map(|bead| projected.project(bead.lps_mm).0.distance(at(bead.lps_mm))).fold(0.0, f64::max);
+        let of_two: Vec<_> =
+            [3, 8].iter().map(|n| (pose.beads[*n].used, pose.beads[*n].reason.clone().unwrap_or_default())).collect();
+        assert!(of_two.iter().all(|(used, reason)| !used && reason.contains("run into one")), "seed {seed}: {of_two:?}");
+        assert!(off_px < 0.5, "seed {seed}: {off_px} px");
+    }
+    assert!(cases >= 12, "{cases}");
+}
+
 /// The last `checks` beads are to check by, and are said to stand `moved` from where their shadows put them.
 fn with_checks(layout: &BeadLayout, checks: usize, moved: DVec3) -> BeadLayout {
     let mut layout = layout.clone();

@@ -69,7 +69,8 @@ impl<'a> Probe<'a> {
     }
 
     /// Depth of a sphere's shadow of `radius_px` at `at_px` as a detection's contrast has it, and its standard deviation, structure of the
-    /// surroundings included; `None` where too little of the place can be used.
+    /// surroundings included; `None` where too little of the place can be used, or where the frame is saturated: what is in front of that does
+    /// not show.
     #[must_use]
     pub fn contrast(&self, at_px: DVec2, radius_px: f64) -> Option<(f64, f64)> {
         let radius = radius_px.max(1.5);
@@ -78,7 +79,7 @@ impl<'a> Probe<'a> {
             return None;
         }
         let (mut disc, mut ring, mut sectors) = (Moments::default(), Moments::default(), [Moments::default(); 8]);
-        let mut wanted = 0u32;
+        let (mut wanted, mut saturated) = (0u32, 0.0);
         let range = |centre: f64| (centre - reach).floor() as i64..=(centre + reach).ceil() as i64;
         for row in range(at_px.y) {
             for column in range(at_px.x) {
@@ -100,10 +101,14 @@ impl<'a> Probe<'a> {
                     ring.take(value);
                 } else {
                     disc.take(value);
+                    saturated += f64::from(u8::from(self.frame.clipping.saturated_at == Some(*self.frame.pixels.at(column, row))));
                 }
             }
         }
         let seen = disc.0[2] + ring.0[2];
+        if saturated > 0.5 * disc.0[2] {
+            return None;
+        }
         if !(disc.0[2] >= 2.0 && ring.0[2] >= 8.0 && seen >= COVERED * f64::from(wanted)) {
             return None;
         }
@@ -162,5 +167,12 @@ mod tests {
         let (none, sigma) = probe.contrast(DVec2::new(55.0, 30.0), 6.0).expect("inside");
         assert!(none.abs() < 0.05 && sigma < 0.05, "{none} {sigma}");
         assert!(probe.contrast(DVec2::new(1.0, 1.0), 6.0).is_none() && probe.contrast(DVec2::NAN, 6.0).is_none());
+        // Where the panel gives no more than this nobody sees what is in front of it; a shadow that goes below it is seen.
+        let mut clipped = frame.clone();
+        clipped.pixels = clipped.pixels.map(|value| value.min(900.0));
+        clipped.clipping.saturated_at = Some(900.0);
+        let probe = Probe::new(&clipped, &usable, Polarity::Dark);
+        assert!(probe.contrast(DVec2::new(55.0, 30.0), 6.0).is_none());
+        assert!(probe.contrast(DVec2::new(20.0, 30.0), 6.0).is_some_and(|(depth, _)| depth > 0.6));
     }
 }

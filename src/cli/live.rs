@@ -166,7 +166,9 @@ impl Signals {
 
 /// Where everything is, on standard output.
 fn summary(folder: &Folder, reporter: &Reporter) {
-    println!("{}: {}", crate::report::counted(&folder.pairs), folder.path.join("report.html").display());
+    let report = folder.path.join("report.html");
+    let place = if report.exists() { report.display().to_string() } else { "no report could be written".to_owned() };
+    println!("{}: {place}", crate::report::counted(&folder.pairs));
     for (kind, counted) in reporter.warnings() {
         println!("{} x {kind}: {}", counted.count, counted.latest);
     }

@@ -93,6 +93,9 @@ impl Case<'_> {
             (None, Some((_, off))) => Some(format!("its shadow is {:.2} px from where the other beads put it", off.length())),
             (None, None) if predicted.is_none() => Some("behind the source".to_owned()),
             (None, None) if self.request.is_outside(at) => Some("outside the frame".to_owned()),
+            (None, None) if last.merged.iter().any(|(m, other)| m.bead == index || *other == index) => {
+                Some("its shadow and another bead's run into one".to_owned())
+            }
             (None, None) if !self.can_show(at) => Some("behind the collimator, or where else the frame shows nothing".to_owned()),
             (None, None) => Some(match beside {
                 Some((off, _)) => {

@@ -58,6 +58,17 @@ struct OtherK {
     shift_px: f64,
 }
 
+/// Fewer beads than this follow one that is not where it should be.
+const FOLLOWING: usize = 10;
+/// Residuals that are larger by accident once in a thousand times, in standard deviations.
+const UNLIKELY: f64 = 3.1;
+
+/// How unlikely χ² per degree of freedom is, as standard deviations of a Gaussian (Wilson and Hilferty 1931).
+fn chi2_sigmas(per_dof: f64, dof: i64) -> f64 {
+    let ninth = 2.0 / (9.0 * dof.max(1) as f64);
+    (per_dof.max(0.0).cbrt() - (1.0 - ninth)) / ninth.sqrt()
+}
+
 impl Case<'_> {
     /// Refuses a match although it fits, or gives the cautions that a person should look at.
     pub fn doubt(&self, last: &Settled, hypothesis: &Hypothesis) -> Result<Cautions, Refusal> {
@@ -95,6 +106,15 @@ impl Case<'_> {
         self.check_second(last, hypothesis, unexplained, &mut cautions)?;
         self.check_prior(last, hypothesis, &mut cautions)?;
         self.doubt_put(last, &mut cautions);
+        if !last.used_merged.is_empty() {
+            let name = |bead: usize| self.request.layout.beads[bead].name.as_str();
+            let pairs: Vec<String> =
+                last.used_merged.iter().map(|(m, other)| format!("{} and {}", name(m.bead), name(*other))).collect();
+            cautions.doubt(format!(
+                "the shadows of {} run into one, and the pose rests on it for want of others: bring more beads into view, or turn the arm",
+                pairs.join(", of ")
+            ));
+        }
         if !missing.is_empty() {
             cautions.say(format!("not seen although their places are clear: {}", missing.join(", ")));
         }
@@ -128,7 +148,14 @@ impl Case<'_> {
         if !(chi2 <= limit) {
             return Err(Refusal::Displaced { matched, rms_px: last.rms_px(), times: chi2.sqrt(), displaced: displaced.to_vec() });
         }
-        if chi2 > LOOSE_CHI2 {
+        let dof = last.solution.degrees_of_freedom;
+        if matched < FOLLOWING && chi2_sigmas(chi2, dof) > UNLIKELY {
+            cautions.doubt(format!(
+                "{matched} beads fit {:.1} times worse than noise and bead positions allow, and so few follow one that has moved or another's \
+                 shadow: bring more into view, or state their sigma_mm",
+                chi2.sqrt()
+            ));
+        } else if chi2 > LOOSE_CHI2 {
             cautions.say(format!("residuals are {:.1} times what noise and bead positions allow", chi2.sqrt()));
         }
         Ok(())

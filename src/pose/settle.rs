@@ -21,21 +21,28 @@ const AGREED: f64 = 2.5;
 const DISAGREE: f64 = 2.5;
 const AGREE: f64 = 1.5;
 
+/// Two shadows run into one when their centres are closer than this share of both radii.
+const OVERLAPPING: f64 = 0.9;
+
 /// A solved match.
 pub(super) struct Settled {
     pub solution: Solution,
     pub matches: Vec<Match>,
     /// Outliers, and how far off they are.
     pub left_out: Vec<(Match, DVec2)>,
+    /// Shadows into which another bead's runs that has none of its own, and that bead: their centres are nobody's.
+    pub merged: Vec<(Match, usize)>,
+    /// The same of shadows on which the pose rests for want of others.
+    pub used_merged: Vec<(Match, usize)>,
     pub chi2_per_dof: f64,
     /// How the solution was asked for, priors among it.
     pub options: Options,
 }
 
 impl Settled {
-    /// Matched beads and outliers: all whose shadow is known.
+    /// Matched beads, outliers and merged ones: all whose shadow is known.
     pub fn known(&self) -> impl Iterator<Item = &Match> {
-        self.matches.iter().chain(self.left_out.iter().map(|(m, _)| m))
+        self.matches.iter().chain(self.left_out.iter().map(|(m, _)| m)).chain(self.merged.iter().map(|(m, _)| m))
     }
 
     /// √mean(dx² + dy²) of the beads that the pose rests on, px.
@@ -139,6 +146,13 @@ impl Case<'_> {
             left_out.push((matches.remove(moved), first.residuals_px[moved]));
             first = without;
         }
+        let merged = self.merged(&matches, &left_out, &first);
+        let (merged, used_merged) =
+            if matches.len() < fewest + merged.len() { (Vec::new(), merged) } else { (merged, Vec::new()) };
+        if !merged.is_empty() {
+            matches.retain(|m| merged.iter().all(|(other, _)| other.bead != m.bead));
+            first = solve(&matches, &first.camera_from_lps, &first.intrinsics, &plain)?;
+        }
         // A fused prior is an observation like the beads.
         let dof = first.degrees_of_freedom.max(1) as f64;
         let chi2_per_dof = (first.chi2.iter().sum::<f64>() + first.prior_chi2) / dof;
@@ -157,6 +171,33 @@ impl Case<'_> {
                 (m, off)
             })
             .collect();
-        Some(Settled { solution, matches, left_out, chi2_per_dof, options: plain })
+        Some(Settled { solution, matches, left_out, merged, used_merged, chi2_per_dof, options: plain })
+    }
+
+    /// Of the matches those whose shadow, by the pose, is also that of a bead without a shadow of its own, and that bead.
+    fn merged(&self, matches: &[Match], left_out: &[(Match, DVec2)], at: &Solution) -> Vec<(Match, usize)> {
+        let targets = self.targets();
+        let (pose, k) = (at.camera_from_lps, at.intrinsics);
+        let own = |bead: usize| matches.iter().chain(left_out.iter().map(|(m, _)| m)).any(|m| m.bead == bead);
+        let alone: Vec<(usize, DVec2, Option<f64>)> = (0..targets.len())
+            .filter(|bead| !own(*bead))
+            .filter_map(|bead| {
+                let p = pose.transform_point(targets[bead].lps_mm);
+                (p.z > 1.0).then(|| (bead, k.project(p), targets[bead].radius_mm.map(|radius_mm| k.fx * radius_mm / p.z)))
+            })
+            .filter(|(_, place, _)| self.can_show(*place))
+            .collect();
+        let merged = |m: &Match| {
+            let place = k.project(pose.transform_point(m.lps_mm));
+            let radius_px = self.detections[m.detection].radius_px;
+            let runs_into = |(bead, other, other_px): &&(usize, DVec2, Option<f64>)| {
+                // A bead that is listed twice is one.
+                let apart_mm = targets[*bead].lps_mm.distance(m.lps_mm);
+                apart_mm > targets[*bead].radius_mm.unwrap_or(1.0)
+                    && other.distance(place) < OVERLAPPING * (radius_px + other_px.unwrap_or(radius_px))
+            };
+            alone.iter().find(runs_into).map(|(bead, ..)| (*m, *bead))
+        };
+        matches.iter().filter_map(merged).collect()
     }
 }

@@ -101,7 +101,8 @@ impl<'a> Probe<'a> {
                     ring.take(value);
                 } else {
                     disc.take(value);
-                    saturated += f64::from(u8::from(self.frame.clipping.saturated_at == Some(*self.frame.pixels.at(column, row))));
+                    saturated +=
+                        f64::from(u8::from(self.frame.clipping.saturated_at == Some(*self.frame.pixels.at(column, row))));
                 }
             }
         }

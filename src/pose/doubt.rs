@@ -60,8 +60,8 @@ struct OtherK {
 
 /// Fewer beads than this follow one that is not where it should be.
 const FOLLOWING: usize = 10;
-/// Residuals that are larger by accident once in a thousand times, in standard deviations.
-const UNLIKELY: f64 = 3.1;
+/// Residuals that are larger by accident once in two hundred times, in standard deviations.
+const UNLIKELY: f64 = 2.6;
 
 /// How unlikely χ² per degree of freedom is, as standard deviations of a Gaussian (Wilson and Hilferty 1931).
 fn chi2_sigmas(per_dof: f64, dof: i64) -> f64 {
@@ -154,6 +154,12 @@ impl Case<'_> {
                 "{matched} beads fit {:.1} times worse than noise and bead positions allow, and so few follow one that has moved or another's \
                  shadow: bring more into view, or state their sigma_mm",
                 chi2.sqrt()
+            ));
+        } else if matched < FOLLOWING && 3 * last.left_out.len() >= matched {
+            cautions.doubt(format!(
+                "{} of {} beads whose shadows are found do not stand where the others have them: which of them moved one view hardly tells",
+                last.left_out.len(),
+                matched + last.left_out.len()
             ));
         } else if chi2 > LOOSE_CHI2 {
             cautions.say(format!("residuals are {:.1} times what noise and bead positions allow", chi2.sqrt()));

@@ -88,7 +88,7 @@ fn the_one_that_moved(matches: &[Match], all: &Solution, plain: &Options, fewest
     let mut found = found.into_iter();
     let (best, next) = (found.next()?, found.next()?);
     // Others that agree better than they need to leave less room.
-    let limit = OUTLIER * per_dof(&best.1).clamp(0.5, 1.0);
+    let limit = OUTLIER * per_dof(&best.1).clamp(0.25, 1.0);
     let is_clear = per_dof(&best.1) <= AGREE && total(all) - total(&best.1) > limit;
     (is_clear && total(&next.1) - total(&best.1) > 0.5 * limit).then_some(best)
 }

@@ -74,7 +74,9 @@ pub fn explain_unseen(scene: &Scene, view: &View) -> Vec<String> {
         }
     }
     let mut words = Vec::new();
-    if !outside.is_empty() {
+    // Why nothing at all is seen is said by the image.
+    let all = scene.objects.iter().filter_map(bounding_sphere).count();
+    if !outside.is_empty() && outside.len() + tiny.len() < all {
         words.push(format!("not in view: {}", outside.join("; ")));
     }
     if !tiny.is_empty() {

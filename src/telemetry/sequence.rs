@@ -6,8 +6,13 @@ const WINDOW: usize = 1024;
 const REORDER_DEPTH: u32 = 1000;
 /// A count may begin with packets in disorder: one from before the first is late by at most so many.
 const EARLIER_DEPTH: u32 = 8;
-/// Larger gaps are no losses but another count.
+/// Larger gaps are no losses but another count, unless the device's clock went on at the count's pace meanwhile.
 const LARGEST_GAP: u32 = 1 << 16;
+/// No device is away for longer than this and counts on: a week of 200 frames a second.
+const LONGEST_GAP: u32 = 1 << 27;
+/// By so much the pace of the count before a gap may differ from that within, and so many frames say what it was.
+const PACE: f64 = 1.25;
+const PACED: usize = 16;
 /// So many known frames in a row, in order, are no duplicates but a device that started over and repeats itself exactly.
 const REPEATED_RUN: u32 = 3;
 
@@ -96,7 +101,8 @@ impl SequenceTracker {
         if ahead == 1 && !reopened {
             return Sequenced::Next;
         }
-        if (1..=LARGEST_GAP).contains(&ahead) && device_us >= last_us {
+        let goes_on = (1..=LARGEST_GAP).contains(&ahead) || ahead <= LONGEST_GAP && self.keeps_pace(ahead, device_us);
+        if goes_on && device_us >= last_us {
             return match (ahead - 1, reopened) {
                 (0, _) => Sequenced::Next,
                 (missing, false) => Sequenced::Gap(missing),
@@ -121,6 +127,18 @@ impl SequenceTracker {
             }
         }
         Sequenced::Reset
+    }
+
+    /// Whether the device's clock has gone on by as much as it takes to send so many frames.
+    fn keeps_pace(&self, ahead: u32, device_us: u64) -> bool {
+        let Some((last, last_us)) = self.last else { return false };
+        let known = || self.seen.iter().flatten();
+        let Some((first, first_us)) = known().copied().max_by_key(|(number, _)| last.wrapping_sub(*number)) else { return false };
+        let (Some(elapsed_us), Some(before_us)) = (device_us.checked_sub(last_us), last_us.checked_sub(first_us)) else {
+            return false;
+        };
+        let counted = elapsed_us as f64 / before_us as f64 * f64::from(last.wrapping_sub(first));
+        known().count() >= PACED && (1.0 / PACE..=PACE).contains(&(counted / f64::from(ahead)))
     }
 
     /// Whether the packet was sent shortly before the first one that came: packets that come in disorder do so at the start as well.
@@ -199,6 +217,25 @@ mod tests {
         let seen = verdicts(&twice);
         assert_eq!(seen.iter().filter(|v| **v == Sequenced::Duplicate).count(), 2);
         assert_eq!(seen.iter().filter(|v| **v == Reset).count(), 1);
+    }
+
+    #[test]
+    fn an_hour_away_is_a_gap_where_count_and_clock_went_on_together() {
+        let after = |frames: u32, us: u64, reopened: bool| {
+            let mut tracker = SequenceTracker::default();
+            // A hundred a second; whoever joins late, near the wrap of the count.
+            (0..40u32).for_each(|n| drop(tracker.take(n.wrapping_sub(20), 5_000_000 + 10_000 * u64::from(n))));
+            if reopened {
+                tracker.reopen();
+            }
+            tracker.take(19 + frames, 5_390_000 + us)
+        };
+        assert_eq!(after(360_000, 3_600_000_000, true), Sequenced::GapWhileClosed(359_999));
+        assert_eq!(after(360_000, 3_610_000_000, false), Sequenced::Gap(359_999));
+        // Another count: the clock stood, or ran off.
+        assert_eq!(after(360_000, 360_000_000, true), Sequenced::Reset);
+        assert_eq!(after(360_000, 36_000_000_000, true), Sequenced::Reset);
+        assert_eq!(after(3_000_000_000, 30_000_000_000_000, true), Sequenced::Reset);
     }
 
     #[test]

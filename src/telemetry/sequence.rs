@@ -224,7 +224,9 @@ mod tests {
         let after = |frames: u32, us: u64, reopened: bool| {
             let mut tracker = SequenceTracker::default();
             // A hundred a second; whoever joins late, near the wrap of the count.
-            (0..40u32).for_each(|n| drop(tracker.take(n.wrapping_sub(20), 5_000_000 + 10_000 * u64::from(n))));
+            for n in 0..40u32 {
+                tracker.take(n.wrapping_sub(20), 5_000_000 + 10_000 * u64::from(n));
+            }
             if reopened {
                 tracker.reopen();
             }

@@ -169,7 +169,9 @@ fn a_session_becomes_one_page_without_outside_resources() {
     let null = &report.pairs[0].null["zncc"];
     let (here, wrong) = (null.at_pose.expect("scored"), null.best_shifted.expect("scored"));
     let table = page.split("<h2>Exposures</h2>").nth(1).and_then(|rest| rest.split("</table>").next()).expect("the table");
-    let cells = format!("<td>{here:.4}</td><td>{wrong:.4}</td><td class=\"l words\">better by {:.4}</td>", here - wrong);
+    let by = here - wrong;
+    let by = if by >= 1e-3 { format!("{by:.4}") } else { format!("{by:.0e}") };
+    let cells = format!("<td>{here:.4}</td><td>{wrong:.4}</td><td class=\"l words\">better by {by}</td>");
     assert!(table.contains(&cells), "{cells}");
     let full = report.pairs[0].scores.zncc.expect("scored");
     assert!((full - here).abs() > 1e-4 && !table.contains(&format!("<td>{full:.4}</td><td>{wrong:.4}</td>")), "{full} {here}");

@@ -75,8 +75,9 @@ pub fn explain_unseen(scene: &Scene, view: &View) -> Vec<String> {
     }
     let mut words = Vec::new();
     // Why nothing at all is seen is said by the image.
-    let all = scene.objects.iter().filter_map(bounding_sphere).count();
-    if !outside.is_empty() && outside.len() + tiny.len() < all {
+    let mut spheres = scene.objects.iter().filter_map(bounding_sphere);
+    let some_seen = spheres.any(|(centre, radius)| in_view(view, detector_mm, centre, radius));
+    if !outside.is_empty() && some_seen {
         words.push(format!("not in view: {}", outside.join("; ")));
     }
     if !tiny.is_empty() {

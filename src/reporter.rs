@@ -131,6 +131,12 @@ pub(crate) fn to_stderr(line: &str) {
     let _ = writeln!(std::io::stderr(), "{line}");
 }
 
+/// What a session came to, on standard output: where that is closed, the exit code says it all the same.
+pub(crate) fn to_stdout(line: &str) {
+    use std::io::Write;
+    let _ = writeln!(std::io::stdout(), "{line}");
+}
+
 /// `text` with everything escaped that a terminal would obey instead of showing: control characters other than newline and tab, and marks
 /// that reverse the direction of writing.
 #[must_use]

@@ -71,6 +71,7 @@ fn frames_that_come_while_a_line_is_away_have_nothing_of_it_and_those_after_have
             assert!(pose["binding"]["exposure"]["joints"].is_null(), "joints of another time: {pose:#}");
             // The console's stamp says when it was; without that a robot that moved meanwhile is drawn as in the scene.
             let off_us = pose["binding"]["time_us"].as_i64().expect("a time") - began_us(&file_of(&lab, *counter)) - 150_000;
+            // Half of what is left open by a clock known from a few frames and the scatter of stamps.
             assert!(off_us.abs() < 600_000, "exposure {counter}: {off_us} µs off: {pose:#}");
             if !pose["control_angles_deg"].is_null() {
                 robot_is_right(pose, *counter);

@@ -228,7 +228,7 @@ fn a_pair_posed_again_shows_its_new_pictures() {
     let mut other = accepted(7);
     other.development = 2;
     let mut pictures = (*other.pictures).clone();
-    pictures.window = [-9.0, -8.0];
+    (pictures.window, pictures.window_of_drr) = ([-9.0, -8.0], [-9.0, -8.0]);
     other.pictures = std::sync::Arc::new(pictures);
     shown.show(other);
     let white = mean(&drawn.picture(&shown), right);

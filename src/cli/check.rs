@@ -107,8 +107,8 @@ fn work(args: &CheckArgs, reporter: &Reporter, found: &Sender<Finding>) {
         Ok(setup) => setup,
         Err(error) => {
             let remedy = match error {
-                SessionFileError::Io { .. } => "name a session file; `sidecarm session new` makes one".to_owned(),
-                _ => "correct the key that is named".to_owned(),
+                SessionFileError::Io { .. } => "name a session file; `sidecarm session new` makes one",
+                _ => "correct the key that is named",
             };
             return tell(Finding::fail("session file", error.to_string(), remedy));
         }

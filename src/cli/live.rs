@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::reporter::Reporter;
+use crate::reporter::{Reporter, to_stdout};
 use crate::session::board::Board;
 use crate::session::file::Setup;
 use crate::session::folder::Folder;
@@ -168,11 +168,11 @@ impl Signals {
 fn summary(folder: &Folder, reporter: &Reporter) {
     let report = folder.path.join("report.html");
     let place = if report.exists() { report.display().to_string() } else { "no report could be written".to_owned() };
-    println!("{}: {place}", crate::report::counted(&folder.pairs));
+    to_stdout(&format!("{}: {place}", crate::report::counted(&folder.pairs)));
     for (kind, counted) in reporter.warnings() {
-        println!("{} x {kind}: {}", counted.count, counted.latest);
+        to_stdout(&format!("{} x {kind}: {}", counted.count, counted.latest));
     }
     for loss in &folder.losses {
-        println!("lost: {loss}");
+        to_stdout(&format!("lost: {loss}"));
     }
 }

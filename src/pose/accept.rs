@@ -152,7 +152,7 @@ impl Case<'_> {
     }
 
     /// The shadow next to `at` that is no bead's.
-    fn nearest_free(&self, last: &Settled, at: DVec2) -> Option<usize> {
+    pub(super) fn nearest_free(&self, last: &Settled, at: DVec2) -> Option<usize> {
         let free = |n: &usize| !last.known().any(|m| m.detection == *n);
         let distance = |n: &usize| self.detections[*n].image_px.distance(at);
         let near = |n: &usize| distance(n) < 4.0 * self.detections[*n].radius_px;

@@ -106,10 +106,11 @@ impl Case<'_> {
         self.check_second(last, hypothesis, unexplained, &mut cautions)?;
         self.check_prior(last, hypothesis, &mut cautions)?;
         self.doubt_put(last, &mut cautions);
-        if !last.used_merged.is_empty() {
+        let rests_on = |m: &Match| last.matches.iter().any(|used| used.bead == m.bead);
+        let merged: Vec<_> = last.merged.iter().filter(|(m, _)| rests_on(m)).collect();
+        if !merged.is_empty() {
             let name = |bead: usize| self.request.layout.beads[bead].name.as_str();
-            let pairs: Vec<String> =
-                last.used_merged.iter().map(|(m, other)| format!("{} and {}", name(m.bead), name(*other))).collect();
+            let pairs: Vec<String> = merged.iter().map(|(m, other)| format!("{} and {}", name(m.bead), name(*other))).collect();
             cautions.doubt(format!(
                 "the shadows of {} run into one, and the pose rests on it for want of others: bring more beads into view, or turn the arm",
                 pairs.join(", of ")
@@ -148,23 +149,35 @@ impl Case<'_> {
         if !(chi2 <= limit) {
             return Err(Refusal::Displaced { matched, rms_px: last.rms_px(), times: chi2.sqrt(), displaced: displaced.to_vec() });
         }
-        let dof = last.solution.degrees_of_freedom;
+        let (dof, elsewhere) = (last.solution.degrees_of_freedom, self.elsewhere(last));
         if matched < FOLLOWING && chi2_sigmas(chi2, dof) > UNLIKELY {
             cautions.doubt(format!(
                 "{matched} beads fit {:.1} times worse than noise and bead positions allow, and so few follow one that has moved or another's \
                  shadow: bring more into view, or state their sigma_mm",
                 chi2.sqrt()
             ));
-        } else if matched < FOLLOWING && 3 * last.left_out.len() >= matched {
+        } else if matched < FOLLOWING && 3 * elsewhere >= matched {
             cautions.doubt(format!(
-                "{} of {} beads whose shadows are found do not stand where the others have them: which of them moved one view hardly tells",
-                last.left_out.len(),
-                matched + last.left_out.len()
+                "{elsewhere} of {} beads whose shadows are found do not stand where the others have them: which of them moved one view hardly tells",
+                matched + elsewhere
             ));
         } else if chi2 > LOOSE_CHI2 {
             cautions.say(format!("residuals are {:.1} times what noise and bead positions allow", chi2.sqrt()));
         }
         Ok(())
+    }
+
+    /// Beads whose shadow is not where the others have it, or that have none but one that is nobody's close by.
+    fn elsewhere(&self, last: &Settled) -> usize {
+        let beads = &self.request.layout.beads;
+        let merged = |bead: usize| last.merged.iter().any(|(m, other)| m.bead == bead || *other == bead);
+        let unknown = (0..beads.len()).filter(|bead| !merged(*bead) && !last.known().any(|m| m.bead == *bead));
+        let close_by = |bead: &usize| {
+            let place =
+                last.solution.place(beads[*bead].lps_mm).1.filter(|at| self.can_show(*at) && !self.request.is_outside(*at));
+            place.is_some_and(|at| self.nearest_free(last, at).is_some())
+        };
+        last.left_out.len() + unknown.filter(close_by).count()
     }
 
     /// The size of the shadows against depth and size of the beads: the same pose of a larger layout is farther away. Only values that

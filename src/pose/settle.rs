@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, Matrix2, Vector2};
 use super::case::Case;
 use super::propose::Candidate;
 use super::search::MISSED;
-use super::solve::{Match, Measured, Options, Solution, image_by_point, solve};
+use super::solve::{Match, Measured, Options, Solution, image_by_point, left_out, solve};
 use super::start;
 
 /// Squared residual (in standard deviations, two degrees of freedom) beyond which a bead is left out.
@@ -30,17 +30,16 @@ pub(super) struct Settled {
     pub matches: Vec<Match>,
     /// Outliers, and how far off they are.
     pub left_out: Vec<(Match, DVec2)>,
-    /// Shadows into which another bead's runs that has none of its own, and that bead: their centres are nobody's.
+    /// Shadows into which another bead's runs that has none of its own, and that bead: their centres are nobody's, and the pose rests on them only
+    /// for want of others.
     pub merged: Vec<(Match, usize)>,
-    /// The same of shadows on which the pose rests for want of others.
-    pub used_merged: Vec<(Match, usize)>,
     pub chi2_per_dof: f64,
     /// How the solution was asked for, priors among it.
     pub options: Options,
 }
 
 impl Settled {
-    /// Matched beads, outliers and merged ones: all whose shadow is known.
+    /// Matched beads, outliers and merged ones: all whose shadow is known, some twice.
     pub fn known(&self) -> impl Iterator<Item = &Match> {
         self.matches.iter().chain(self.left_out.iter().map(|(m, _)| m)).chain(self.merged.iter().map(|(m, _)| m))
     }
@@ -70,27 +69,22 @@ impl Settled {
     }
 }
 
-/// Few beads follow one that has moved, and its own residual hides it. The bead without which all others agree, where that is one and no other,
-/// and the solution without it.
-fn the_one_that_moved(matches: &[Match], all: &Solution, plain: &Options, fewest: usize) -> Option<(usize, Solution)> {
-    let total = |s: &Solution| s.chi2.iter().sum::<f64>() + s.prior_chi2;
-    let per_dof = |s: &Solution| total(s) / s.degrees_of_freedom.max(1) as f64;
+/// Few beads follow one that has moved, and its own residual hides it: the one without which all others agree, where that is one and no other.
+fn the_one_that_moved(matches: &[Match], all: &Solution, plain: &Options, fewest: usize) -> Option<usize> {
+    let (total, dof) = (all.chi2.iter().sum::<f64>() + all.prior_chi2, all.degrees_of_freedom as f64);
     // Of five, any one that is left out leaves too little to agree.
-    if matches.len() < fewest + 2 || !(per_dof(all) > DISAGREE) {
+    if matches.len() < fewest + 2 || !(total > DISAGREE * dof) {
         return None;
     }
-    let without = |n: usize| {
-        let others: Vec<Match> = matches.iter().enumerate().filter(|(m, _)| *m != n).map(|(_, other)| *other).collect();
-        Some((n, solve(&others, &all.camera_from_lps, &all.intrinsics, plain)?))
-    };
-    let mut found: Vec<(usize, Solution)> = (0..matches.len()).filter_map(without).collect();
-    found.sort_by(|a, b| total(&a.1).total_cmp(&total(&b.1)));
-    let mut found = found.into_iter();
-    let (best, next) = (found.next()?, found.next()?);
+    // χ² falls by as much without a bead as that is off under the others.
+    let falls = left_out(matches, all, plain).into_iter().enumerate().filter_map(|(n, out)| Some((out?.chi2, n)));
+    let mut falls: Vec<(f64, usize)> = falls.collect();
+    falls.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let [(most, moved), (next, _), ..] = falls[..] else { return None };
+    let per_dof = (total - most) / (dof - 2.0);
     // Others that agree better than they need to leave less room.
-    let limit = OUTLIER * per_dof(&best.1).clamp(0.25, 1.0);
-    let is_clear = per_dof(&best.1) <= AGREE && total(all) - total(&best.1) > limit;
-    (is_clear && total(&next.1) - total(&best.1) > 0.5 * limit).then_some(best)
+    let limit = OUTLIER * per_dof.clamp(0.25, 1.0);
+    (per_dof <= AGREE && most > limit && most - next > 0.5 * limit).then_some(moved)
 }
 
 impl Case<'_> {
@@ -142,14 +136,12 @@ impl Case<'_> {
         }
         let plain = Options { loss: f64::INFINITY, ..options };
         let mut first = solve(&matches, &best.camera_from_lps, &best.intrinsics, &plain)?;
-        if let Some((moved, without)) = the_one_that_moved(&matches, &first, &plain, fewest) {
+        if let Some(moved) = the_one_that_moved(&matches, &first, &plain, fewest) {
             left_out.push((matches.remove(moved), first.residuals_px[moved]));
-            first = without;
+            first = solve(&matches, &first.camera_from_lps, &first.intrinsics, &plain)?;
         }
         let merged = self.merged(&matches, &left_out, &first);
-        let (merged, used_merged) =
-            if matches.len() < fewest + merged.len() { (Vec::new(), merged) } else { (merged, Vec::new()) };
-        if !merged.is_empty() {
+        if !merged.is_empty() && matches.len() >= fewest + merged.len() {
             matches.retain(|m| merged.iter().all(|(other, _)| other.bead != m.bead));
             first = solve(&matches, &first.camera_from_lps, &first.intrinsics, &plain)?;
         }
@@ -171,7 +163,7 @@ impl Case<'_> {
                 (m, off)
             })
             .collect();
-        Some(Settled { solution, matches, left_out, merged, used_merged, chi2_per_dof, options: plain })
+        Some(Settled { solution, matches, left_out, merged, chi2_per_dof, options: plain })
     }
 
     /// Of the matches those whose shadow, by the pose, is also that of a bead without a shadow of its own, and that bead.

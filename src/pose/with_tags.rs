@@ -253,7 +253,6 @@ impl Tags<'_> {
             matches: found.matches.clone(),
             left_out: Vec::new(),
             merged: Vec::new(),
-            used_merged: Vec::new(),
             chi2_per_dof: found.chi2_per_dof,
             options: Options::least_squares(Free::Pose),
         };

@@ -53,12 +53,7 @@ fn encoded(rendered: &Rendered, scene: &Scene, view: &View) -> Result<Vec<u8>, S
     };
     let is_valid = |n: usize| rendered.valid.pixels[n] == 1 && page.pixels[n].is_finite();
     let largest = (0..page.pixels.len()).filter(|n| is_valid(*n)).map(|n| f64::from(page.pixels[n])).fold(0.0, f64::max);
-    let per_unit = match largest * wanted {
-        most if most > MOST => MOST / largest,
-        // Behind a thick body hardly a hundredth arrives: its steps are to be no coarser than those of air.
-        most if most > 0.0 && rendered.quantity == Quantity::Intensity => wanted * (MOST / most).log2().floor().exp2(),
-        _ => wanted,
-    };
+    let per_unit = stored_per_unit(rendered.quantity, wanted, largest);
     let stored = |n: usize| match is_valid(n) {
         true => (f64::from(page.pixels[n]) * per_unit).round().clamp(1.0, MOST) as u16,
         false => 0,
@@ -161,6 +156,16 @@ fn encoded(rendered: &Rendered, scene: &Scene, view: &View) -> Result<Vec<u8>, S
     Ok(bytes)
 }
 
+/// Stored values a unit of an image whose largest value is `largest`.
+fn stored_per_unit(quantity: Quantity, wanted: f64, largest: f64) -> f64 {
+    match largest * wanted {
+        most if most > MOST => MOST / largest,
+        // Behind a thick body hardly a hundredth arrives: its steps are to be no coarser than those of air.
+        most if most > 0.0 && quantity == Quantity::Intensity => wanted * (MOST / most).log2().floor().exp2(),
+        _ => wanted,
+    }
+}
+
 /// Where a direction in LPS goes, in DICOM's letters, the most first: `LH` is to the left and somewhat to the head.
 fn towards(direction: DVec3) -> String {
     let mut axes = [(direction.x, ['L', 'R']), (direction.y, ['P', 'A']), (direction.z, ['H', 'F'])];
@@ -175,4 +180,22 @@ fn short(value: f64) -> String {
     let plain = format!("{value:.6}");
     let trimmed = plain.trim_end_matches('0').trim_end_matches('.');
     if trimmed.len() <= 16 { trimmed.to_owned() } else { format!("{value:.8e}") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_dark_image_uses_the_bits_that_there_are() {
+        let of = |quantity, wanted, largest| stored_per_unit(quantity, wanted, largest);
+        for largest in [1.0, 0.5, 0.0126, 1e-4] {
+            let most = largest * of(Quantity::Intensity, PER_UNIT, largest);
+            assert!(most > 0.5 * MOST && most <= MOST, "{largest}: {most}");
+        }
+        assert_eq!(of(Quantity::Intensity, PER_UNIT, 1.0), PER_UNIT);
+        assert_eq!(of(Quantity::LineIntegral, PER_NEPER, 0.2), PER_NEPER);
+        assert_eq!(of(Quantity::Counts, 1.0, 1e6), MOST / 1e6);
+        assert_eq!(of(Quantity::Intensity, PER_UNIT, 0.0), PER_UNIT);
+    }
 }

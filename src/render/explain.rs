@@ -64,19 +64,19 @@ const SMALLEST_MM: f64 = 0.05;
 #[must_use]
 pub fn explain_unseen(scene: &Scene, view: &View) -> Vec<String> {
     let detector_mm = view.intrinsics.source_to_detector_mm(scene.detector.pitch_mm);
-    let (mut outside, mut tiny) = (Vec::new(), Vec::new());
+    let (mut outside, mut tiny, mut some_seen) = (Vec::new(), Vec::new(), false);
     for object in &scene.objects {
         let Some((centre, radius)) = bounding_sphere(object) else { continue };
         if radius < SMALLEST_MM {
             tiny.push(format!("{} ({:.1e} mm)", object.name, 2.0 * radius));
-        } else if !object.name.ends_with(".sphere") && !in_view(view, detector_mm, centre, radius) {
+        } else if in_view(view, detector_mm, centre, radius) {
+            some_seen = true;
+        } else if !object.name.ends_with(".sphere") {
             outside.push(format!("{} around ({:.0}, {:.0}, {:.0}) mm in lps", object.name, centre.x, centre.y, centre.z));
         }
     }
     let mut words = Vec::new();
     // Why nothing at all is seen is said by the image.
-    let mut spheres = scene.objects.iter().filter_map(bounding_sphere);
-    let some_seen = spheres.any(|(centre, radius)| in_view(view, detector_mm, centre, radius));
     if !outside.is_empty() && some_seen {
         words.push(format!("not in view: {}", outside.join("; ")));
     }

@@ -209,7 +209,8 @@ impl Engine {
     /// Frames that are of none of the exposures, each of which has its frame, in words.
     #[must_use]
     pub fn frames_of_no_exposure(&self) -> Option<String> {
-        of_no_exposure(&self.timeline.exposures(), &self.shown, self.without_exposure())
+        let exposures = self.timeline.exposures().iter().map(|exposure| exposure.index).collect();
+        of_no_exposure(&exposures, &self.shown, self.without_exposure())
     }
 
     /// Where no more frames were tied to exposures than were not, in words: the session has lost what telemetry knew of them.

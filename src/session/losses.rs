@@ -52,9 +52,9 @@ pub(super) fn without_frame(exposures: &[ExposureInterval], shown: &BTreeSet<u64
     })
 }
 
-/// That `unbound` frames are of none of the exposures that telemetry tells of, where each of those has its frame.
-pub(super) fn of_no_exposure(exposures: &[ExposureInterval], shown: &BTreeSet<u64>, unbound: usize) -> Option<String> {
-    let all_shown = !exposures.is_empty() && exposures.iter().all(|exposure| shown.contains(&exposure.index));
+/// That `unbound` frames are of none of the exposures (their indices) that telemetry tells of, where each of those has its frame.
+pub(super) fn of_no_exposure(exposures: &BTreeSet<u64>, shown: &BTreeSet<u64>, unbound: usize) -> Option<String> {
+    let all_shown = !exposures.is_empty() && exposures.is_subset(shown);
     (all_shown && unbound > 0).then(|| {
         format!(
             "{unbound} frames are of no exposure that telemetry tells of: pictures of another day or another room? Their pairs have no joints, \
@@ -108,6 +108,14 @@ mod tests {
         torn.replace_by(2);
         assert!(none_accepted(&[torn, refused()]).is_some());
         assert_eq!(none_accepted(&[]), None);
+    }
+
+    #[test]
+    fn frames_of_another_day_are_said_where_every_exposure_has_its_own() {
+        let of = |shown: &[u64], unbound| of_no_exposure(&BTreeSet::from([0, 1]), &shown.iter().copied().collect(), unbound);
+        assert!(of(&[0, 1], 3).is_some_and(|words| words.contains("3 frames are of no exposure")));
+        // Else they may be of the exposures that have none, which is said.
+        assert_eq!([of(&[0, 1], 0), of(&[0], 3), of_no_exposure(&BTreeSet::new(), &BTreeSet::new(), 3)], [None, None, None]);
     }
 
     #[test]

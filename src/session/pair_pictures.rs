@@ -16,8 +16,10 @@ pub(super) const THUMBNAIL_PX: usize = 155;
 pub struct PairPictures {
     /// Columns and rows of the frame; the pictures may be smaller.
     pub size_px: [usize; 2],
-    /// Gray values from black to white, where nobody chose others.
+    /// Gray values from black to white of the frame, where nobody chose others.
     pub window: [f64; 2],
+    /// Those of the DRR that go with them.
+    pub window_of_drr: [f64; 2],
     /// How acquired minus simulated is shown; absent without a matched DRR.
     pub difference: Option<SignedDifference>,
     /// Of the values.
@@ -35,10 +37,10 @@ impl PairPictures {
     /// A frame of `size_px` that was compared.
     #[must_use]
     pub fn compared(size_px: [usize; 2], pictures: &Arc<Pictures>) -> Self {
-        let window = report::window(&[&pictures.acquired, &pictures.simulated], Some(&pictures.usable));
         let (difference, _) = SignedDifference::of(pictures);
-        let unit = pictures.unit.to_owned();
-        Self { size_px, window, difference: Some(difference), unit, source: Source::Compared(Arc::clone(pictures)) }
+        let [window, window_of_drr] = difference.windows(pictures);
+        let (difference, unit) = (Some(difference), pictures.unit.to_owned());
+        Self { size_px, window, window_of_drr, difference, unit, source: Source::Compared(Arc::clone(pictures)) }
     }
 
     /// A frame that has no partner.
@@ -48,7 +50,14 @@ impl PairPictures {
         let usable = masks.usable(shown.width, shown.height, &[]);
         let window = report::window(&[&shown], Some(&usable));
         let size_px = [shown.width, shown.height];
-        Self { size_px, window, difference: None, unit, source: Source::Alone { shown, usable } }
+        Self { size_px, window, window_of_drr: window, difference: None, unit, source: Source::Alone { shown, usable } }
+    }
+
+    /// Gray values of the DRR from black to white where the frame's are `window`: the same, moved and widened as they are by themselves.
+    #[must_use]
+    pub fn drr_window(&self, window: [f64; 2]) -> [f64; 2] {
+        let ([from, to], [low, high]) = (self.window, self.window_of_drr);
+        window.map(|end| low + (end - from) * ((high - low) / (to - from)))
     }
 
     /// The frame.

@@ -192,4 +192,29 @@ mod tests {
         assert_eq!(said(DeviceKind::Carm, 0b11).as_deref(), Some("the C-arm reports fault"));
         assert_eq!(said(DeviceKind::Robot, 0b10_0100).as_deref(), Some("the robot reports homing, status bit 5"));
     }
+
+    #[test]
+    fn a_device_that_is_another_one_is_said_once_and_without_its_number() {
+        let mut tracks = Tracks::new();
+        let mut says = |serial_number: &str, calibration_id: &str| {
+            let metadata = Metadata {
+                device_us: 0,
+                sequence: 0,
+                device: DeviceKind::Robot,
+                schema: 0,
+                serial_number: serial_number.to_owned(),
+                firmware: String::new(),
+                calibration_id: calibration_id.to_owned(),
+                units: String::new(),
+                limits: Vec::new(),
+            };
+            tracks.sample(0, &Sample::Metadata(metadata))
+        };
+        assert_eq!([says("SNAKE-9", "a"), says("SNAKE-9", "a")], [None, None]);
+        assert!(
+            says("SNAKE-10", "a").is_some_and(|words| words.contains("the robot is another one") && !words.contains("SNAKE"))
+        );
+        assert_eq!(says("SNAKE-10", "a"), None);
+        assert!(says("SNAKE-10", "b").is_some_and(|words| words.contains("another calibration")));
+    }
 }

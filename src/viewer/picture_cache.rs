@@ -60,10 +60,10 @@ impl PictureCache {
 }
 
 fn made(pictures: &PairPictures, picture: Picture, window: [f64; 2], most: usize) -> Option<ColorImage> {
-    let gray = |image: &Image<f32>| coloured(image, most, |at| gray(image.pixels[at], window));
+    let gray = |image: &Image<f32>, window: [f64; 2]| coloured(image, most, |at| gray(image.pixels[at], window));
     Some(match picture {
-        Picture::Acquired => gray(pictures.acquired()),
-        Picture::Drr => gray(pictures.simulated()?),
+        Picture::Acquired => gray(pictures.acquired(), window),
+        Picture::Drr => gray(pictures.simulated()?, pictures.drr_window(window)),
         Picture::Difference => {
             let scale = pictures.difference.filter(|difference| difference.comparable)?;
             let (acquired, simulated, usable) = (pictures.acquired(), pictures.simulated()?, pictures.usable());

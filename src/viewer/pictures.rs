@@ -243,7 +243,8 @@ fn legend(painter: &Painter, pane: Pane, placed: &Placed, pair: &PairView, state
     };
     match (pane, pair.pictures.difference) {
         (Pane::Acquired | Pane::Drr, _) => {
-            let [low, high] = state.window_of(pair);
+            let window = state.window_of(pair);
+            let [low, high] = if pane == Pane::Drr { pair.pictures.drr_window(window) } else { window };
             scale(low, high, &|share| Color32::from_gray((10.0 + 240.0 * share) as u8));
         }
         (Pane::Difference, Some(difference)) => {

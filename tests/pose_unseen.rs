@@ -83,14 +83,13 @@ fn one_of_six_beads_that_moved_is_left_out() {
         let moved = (random.uniform() * 6.0) as usize % 6;
         let way = view.camera_from_lps.rotation.conjugate() * DVec3::new(random.normal(), random.normal(), 0.0).normalize();
         let mut layout = truth.clone();
-        layout.beads[moved].lps_mm += 1.4 * way;
+        layout.beads[moved].lps_mm += 0.9 * way;
         let pose = register_shadows(&matching(&view, &layout), &found);
         all += 1;
-        let used: Vec<bool> = pose.beads.iter().map(|bead| bead.used).collect();
         if !pose.is_accepted() {
             continue;
         }
-        let out: Vec<usize> = (0..6).filter(|n| !used[*n]).collect();
+        let out: Vec<usize> = (0..6).filter(|n| !pose.beads[*n].used).collect();
         match out[..] {
             [] => kept += 1,
             [n] if n == moved => right += 1,
@@ -98,7 +97,7 @@ fn one_of_six_beads_that_moved_is_left_out() {
         }
     }
     println!("of {all}: {right} leave it out, {kept} keep it, {other} leave out others");
-    assert!(all >= 20 && 10 * right >= 8 * all && other == 0, "of {all}: {right} leave it out, {kept} keep it, {other} others");
+    assert!(all >= 20 && 10 * right >= 8 * all && kept == 0 && other == 0, "{kept} keep it, {other} leave out others");
 }
 
 /// Three of eight beads on a part that has moved drag the pose along, which fits so-so: it is never plain where it is pixels off.

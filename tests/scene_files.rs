@@ -329,7 +329,7 @@ fn a_ct_that_is_listed_after_a_tool_erases_it_and_that_is_said() {
     let folder = tempfile::tempdir().expect("temporary folder");
     NiftiFile::int16([2, 2, 2], &[40; 8]).write(&folder.path().join("ct.nii"));
     let (ct, robot) = (json!({"ct": {"path": "ct.nii", "materials": "threshold"}}), example()["objects"][4].clone());
-    let ball = example()["objects"][0].clone();
+    let (ball, water) = (example()["objects"][0].clone(), example()["objects"][1].clone());
     let words = |objects: Value| {
         let mut scene = example();
         scene["objects"] = objects;
@@ -337,9 +337,12 @@ fn a_ct_that_is_listed_after_a_tool_erases_it_and_that_is_said() {
         scene::load_text(&scene.to_string(), &folder.path().join("scene.json"), true, &reporter).expect("good");
         reporter.warnings().get("order of objects").map(|counted| counted.latest.clone())
     };
-    let said = words(json!([ball, robot, ct])).expect("said");
-    assert!(said.contains("objects[2].ct comes after objects[1].robot"), "{said}");
+    for (objects, tool) in [(json!([water, robot, ct]), "objects[1].robot"), (json!([ball, robot, ct]), "objects[0].sphere")] {
+        let said = words(objects).expect("said");
+        assert!(said.contains(&format!("objects[2].ct comes after {tool}")), "{said}");
+    }
     assert_eq!(words(json!([ct, robot, ball])), None);
+    assert_eq!(words(json!([water, ct])), None, "what is no metal is no tool");
 }
 
 fn scene_text() -> String {

@@ -7,6 +7,7 @@
 mod beside;
 mod corrected;
 mod correction;
+mod departed;
 mod detector_record;
 mod dicom;
 mod dimse;

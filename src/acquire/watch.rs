@@ -8,6 +8,7 @@ use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, Sender, channel};
 
+use super::departed::{Departed, REMEMBERED};
 use super::entry::{Entry, PATIENCE_US, State};
 use super::label;
 use super::listing::{Listing, is_wanted, list};
@@ -17,9 +18,6 @@ use super::passed_over::PassedOver;
 use super::source::{FrameSource, Sighting, Trouble};
 use super::{Domain, Fault};
 use crate::foreign::{FileStamp, ForeignReader};
-
-/// Versions that are remembered after their name is gone, so that a renamed file is not taken for a new one.
-const REMEMBERED: usize = 4096;
 
 /// Where a folder stands among those that are watched.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -43,7 +41,7 @@ pub struct FolderSource {
     /// Files that somebody has begun to write and not closed yet, as far as the system tells.
     being_written: BTreeSet<OsString>,
     passed_over: PassedOver,
-    departed: VecDeque<(FileStamp, Option<Delivered>)>,
+    departed: Departed,
     /// Versions that were said to have vanished before they were read: a notice of them may come later.
     vanished: VecDeque<FileStamp>,
     place: Place,
@@ -69,7 +67,7 @@ impl FolderSource {
             entries: BTreeMap::new(),
             being_written: BTreeSet::new(),
             passed_over: PassedOver::default(),
-            departed: VecDeque::new(),
+            departed: Departed::default(),
             vanished: VecDeque::new(),
             notices: Notices::of(folder, &held, is_wanted),
             place: Place::default(),
@@ -100,17 +98,27 @@ impl FolderSource {
                 _ => None,
             };
             found.extend(trouble.map(Sighting::Trouble));
-            // By the offer first: the file may have been renamed meanwhile.
-            let offered = self.entries.iter().find(|(_, entry)| entry.state == State::Offered(offer));
-            let name = offered.map_or(name, |(name, _)| name.clone());
-            let Some(entry) = self.entries.get_mut(&name) else { continue };
-            if let Outcome::Frames(delivered) | Outcome::Same(delivered) = &outcome {
-                entry.earlier = Some(delivered.clone());
-            }
-            if entry.state != State::Offered(offer) {
+            // By the offer: the file may have been renamed meanwhile, or be away.
+            let offered =
+                self.entries.values_mut().chain(self.departed.entries_mut()).find(|entry| entry.state == State::Offered(offer));
+            let delivered = match &outcome {
+                Outcome::Frames(delivered) | Outcome::Same(delivered) => Some(delivered.clone()),
+                _ => None,
+            };
+            let Some(entry) = offered else {
+                // A later version has taken its place.
+                if let Some(entry) = self.entries.get_mut(&name) {
+                    entry.earlier = delivered.or_else(|| entry.earlier.take());
+                }
                 continue;
-            }
+            };
+            entry.earlier = delivered.or_else(|| entry.earlier.take());
             entry.state = match outcome {
+                // With a share that was away it may be back: once more.
+                Outcome::Missing if !std::mem::replace(&mut entry.said_gone, true) => {
+                    entry.since_us = now_us;
+                    State::Settling
+                }
                 // Whatever takes the place of an overwritten version is a new one.
                 Outcome::Frames(_) | Outcome::Same(_) | Outcome::Refused | Outcome::Missing | Outcome::Overwritten => State::Done,
                 Outcome::Unfinished(fault) => State::Unfinished(fault),
@@ -167,7 +175,10 @@ impl FolderSource {
     fn add(&mut self, name: OsString, stamp: FileStamp, now_us: i64) {
         self.seen += 1;
         let said_gone = self.vanished.contains(&stamp);
-        self.entries.insert(name, Entry { said_gone, ..Entry::new(stamp, now_us, self.seen) });
+        // It is back, or a notice of it comes late.
+        let known = self.departed.take(stamp);
+        let entry = known.unwrap_or_else(|| Entry { said_gone, ..Entry::new(stamp, now_us, self.seen) });
+        self.entries.insert(name, entry);
     }
 
     /// The file `name` has a new version. The one before is read if it is held open, and reported if it is lost.
@@ -270,6 +281,16 @@ impl FolderSource {
         }
     }
 
+    /// A file was completed and is gone: whether that was a version which has its word, or gets it when it departs.
+    fn is_of_known(&mut self, name: &OsStr, now_us: i64) -> bool {
+        let Some(entry) = self.entries.get_mut(name).or_else(|| self.departed.named_mut(name)) else { return false };
+        if entry.state != State::Done {
+            return true;
+        }
+        // The notice that completed the version that was read already comes late.
+        entry.closed.replace(entry.stamp) != Some(entry.stamp) && now_us - entry.since_us < PATIENCE_US
+    }
+
     /// Names that are gone: their unread versions are read from the open file, or reported.
     fn depart(&mut self, listed: &BTreeMap<OsString, FileStamp>, now_us: i64, found: &mut Vec<Sighting>) {
         let gone: Vec<OsString> = self.entries.keys().filter(|name| !listed.contains_key(*name)).cloned().collect();
@@ -300,13 +321,9 @@ impl FolderSource {
                         self.vanished.pop_front();
                     }
                 }
-                (State::Done, _) => {
-                    self.departed.push_back((entry.stamp, entry.earlier));
-                    if self.departed.len() > REMEMBERED {
-                        self.departed.pop_front();
-                    }
+                (state @ (State::Done | State::Offered(_)), held) => {
+                    self.departed.push(name, Entry { state, held, ..entry });
                 }
-                (State::Offered(_), _) => {}
             }
         }
     }
@@ -350,7 +367,7 @@ impl FrameSource for FolderSource {
         }
         // Completed, and gone before it could be opened. What was seen settling is reported when it departs.
         missed.retain(|name| !listing.files.contains_key(name) && !listing.others.contains_key(name));
-        missed.retain(|name| self.entries.get(name).is_none_or(|entry| entry.state == State::Done));
+        missed.retain(|name| !self.is_of_known(name, now_us));
         let seen = &mut self.seen;
         let mut label = |name: &OsStr| {
             *seen += 1;
@@ -370,12 +387,8 @@ impl FrameSource for FolderSource {
                 None => {
                     self.add(name.clone(), stamp, now_us);
                     let skip = existing.as_ref().is_none_or(|files| files.get(&name) == Some(&stamp));
-                    let known = self.departed.iter().find(|(known, _)| *known == stamp).map(|(_, earlier)| earlier.clone());
-                    if let Some(entry) = self.entries.get_mut(&name)
-                        && (skip || known.is_some())
-                    {
-                        entry.state = State::Done;
-                        entry.earlier = known.flatten();
+                    if skip && let Some(entry) = self.entries.get_mut(&name) {
+                        (entry.state, entry.closed) = (State::Done, Some(stamp));
                     }
                 }
                 Some(entry) if entry.stamp != stamp => self.replace(&name, stamp, now_us, &mut found),

@@ -66,3 +66,31 @@ fn a_console_that_numbers_every_picture_one_binds_none_but_the_first_to_the_firs
         runs.into_iter().for_each(|run| run.join().expect("bound"));
     });
 }
+
+/// Two frames without a count, their clock an hour and a half off: what each pair says of it is what was known at the end.
+#[test]
+fn why_a_frame_has_no_exposure_is_said_as_it_is_known_at_the_end() {
+    let Some(lab) = Lab::start(&["--duration-s", "8", "--exposures", "2", "--faults", "none", "--await-all", "--idle-s", "300"])
+    else {
+        return;
+    };
+    let folder = lab.kit.join("exported");
+    std::fs::create_dir(&folder).expect("a folder");
+    let session = lab.session("two.json", |session| session["frames"]["folder"] = "exported".into());
+    let mut live = Live::start(&session, &lab.kit.with_file_name("session"), &[]);
+    hand_on(&lab, &folder, 2, |counter, mut object, to| {
+        for tag in [tags::ACQUISITION_NUMBER, tags::INSTANCE_NUMBER] {
+            object.remove_element(tag);
+        }
+        put(&mut object, tags::ACQUISITION_TIME, VR::TM, &format!("0312{counter:02}"));
+        object.write_to_file(to).expect("written");
+    });
+    wait_for_pairs(&live, 2);
+    live.signalled(Signal::INT);
+    assert!(live.program.end(HANG_S).is_some(), "{}{}", live.stdout(), live.stderr());
+    for (pair, pose, _) in &told_frames(&live) {
+        let evidence = pair["binding_evidence"].to_string();
+        assert!(pose["binding"]["exposure"].is_null(), "{pair:#}");
+        assert!(evidence.contains("takes 5 others") && !evidence.contains("when this frame was judged"), "{evidence}");
+    }
+}

@@ -137,7 +137,11 @@ impl Case<'_> {
             candidate.others.iter().filter(|other| !self.gate_excludes(&other.camera_from_lps)).cloned().collect();
         if let Some(other) = rival(&candidate.hypothesis, &others, scale, !prior_given || self.without_prior) {
             let own = (&hypothesis.camera_from_lps, matched, hypothesis.rms_px);
-            return Err(self.ambiguous(Rival::OtherNames, own, (&other.camera_from_lps, other.matches.len(), other.rms_px)));
+            // Two that fit as well are both wrong where the mirror image fits far better.
+            let mirrored = self.mirrored(&settled.solution.intrinsics, matched, Some(hypothesis.rms_px));
+            return Err(mirrored.unwrap_or_else(|| {
+                self.ambiguous(Rival::OtherNames, own, (&other.camera_from_lps, other.matches.len(), other.rms_px))
+            }));
         }
         if self.request.intrinsics.is_some()
             && let Some((twin, other_fit)) =

@@ -450,6 +450,12 @@ impl Engine {
         }
     }
 
+    /// Why a frame is bound to no exposure, as far as is known by now; `None` where it is bound.
+    pub(super) fn why_unbound(&self, number: u32) -> Option<&[String]> {
+        let binding = self.binder.binding(number).filter(|binding| binding.exposure.is_none())?;
+        Some(&binding.evidence)
+    }
+
     /// Keeps a frame for [`Engine::bind_late`]; the pixels of the oldest are let go where there are too many.
     fn keep_unbound(&mut self, number: u32, frame: &Arc<Frame>, host_us: i64) {
         self.unbound.insert(number, Unbound { frame: Some(Arc::clone(frame)), host_us });

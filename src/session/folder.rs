@@ -233,6 +233,14 @@ impl Collector {
         self.note("timings.json", written);
         self.report.ended_us = tracks.last_us().or(self.report.started_us);
         (self.report.links, self.report.tracks) = tracks.links(engine);
+        for (number, pair) in
+            self.rows.iter_mut().filter(|(number, pair)| pair.binding == "none" && !self.replaced.contains_key(number))
+        {
+            // More was known at the end than when it was developed.
+            if let Some(evidence) = engine.why_unbound(*number) {
+                pair.binding_evidence = evidence.to_vec();
+            }
+        }
         self.report.pairs = std::mem::take(&mut self.rows).into_values().collect();
         self.report.losses = losses;
         self.report.losses.extend(none_accepted(&self.report.pairs).filter(|_| engine.seeks_beads()));

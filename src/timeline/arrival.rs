@@ -63,7 +63,12 @@ impl Weighed<'_> {
         }
         let late_us = arrival_us.saturating_sub(self.known.shots.get(at).end_us);
         let Some(usual_us) = self.usual_delay_us() else {
-            words.push("how soon frames come after their exposures was not known when this frame was judged".to_owned());
+            words.push(match self.known.finished {
+                true => format!(
+                    "how soon frames come after their exposures is not known: it takes {DELAYS} others that came promptly"
+                ),
+                false => "how soon frames come after their exposures was not known when this frame was judged".to_owned(),
+            });
             return Judgement::None(words);
         };
         if !usual_us.contains(&late_us) {

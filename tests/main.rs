@@ -211,6 +211,7 @@ mod lab_truth;
 mod session_clocks;
 mod session_counters;
 mod session_export;
+mod session_header;
 mod session_runs;
 mod session_stalls;
 mod session_unplugged;

@@ -265,6 +265,13 @@ fn the_command_undoes_what_the_console_did_and_compare_follows() {
         String::from_utf8_lossy(&posed.stderr)
     );
     let pose = Pose::read(&at("POSE.json")).expect("a pose");
+    // A file that states its camera twice, 15 mm apart.
+    let mut twice: serde_json::Value = serde_json::from_slice(&std::fs::read(at("POSE.json")).expect("written")).expect("JSON");
+    let moved = twice["camera_from_lps"][0][3].as_f64().expect("mm") + 15.0;
+    twice["camera_from_lps"][0][3] = moved.into();
+    std::fs::write(at("TWICE.json"), twice.to_string()).expect("written");
+    let error = Pose::read(&at("TWICE.json")).expect_err("which of the two?").to_string();
+    assert!(error.contains("projection is not K [I|0] camera_from_lps"), "{error}");
     let camera = pose.detector.as_ref().and_then(|detector| detector.camera_from_lps).expect("a pose of the panel");
     let (angle_deg, mm) = off(&camera, &view.camera_from_lps);
     assert!(pose.mirrored && angle_deg <= 0.02 && mm <= 0.1, "{angle_deg}°, {mm} mm");

@@ -137,6 +137,15 @@ fn what_a_format_cannot_know_must_be_given() {
         }
     }
     assert_eq!(refused, 9);
-    let skewed = ExchangedCamera { intrinsics: camera.intrinsics.map(|k| Intrinsics { skew: 1.0, ..k }), ..camera };
+    let skewed = ExchangedCamera { intrinsics: camera.intrinsics.map(|k| Intrinsics { skew: 1.0, ..k }), ..camera.clone() };
     assert!(write(Format::Rtk, &skewed, PatientAxes::Lps).expect_err("skew").to_string().contains("skew is 1"));
+    // OpenCV computes as if there were none.
+    assert!(write(Format::OpenCv, &skewed, PatientAxes::Lps).expect_err("skew").to_string().contains("skew is 1"));
+    let text = write(Format::OpenCv, &camera, PatientAxes::Lps).expect("written");
+    let row = text.lines().find(|line| line.contains("data: [")).expect("K");
+    let mut numbers: Vec<&str> = row.split(", ").collect();
+    numbers[1] = "30.";
+    let text = text.replace(row, &numbers.join(", "));
+    let error = read(Format::OpenCv, &text, PatientAxes::Lps, &Known::default()).expect_err("skew");
+    assert!(error.to_string().contains("skew is 30"), "{error}");
 }

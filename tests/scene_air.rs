@@ -238,6 +238,14 @@ fn labels_go_by_name_and_the_nearest_is_offered() {
     for materials in &named {
         let scene = load(folder.path(), &ct(materials.clone())).0.expect("good");
         assert_eq!([(28, 10), (28, 2), (0, 0)].map(|(x, y)| matter_at(&scene, x, y).0), ["lung", "bone_cortical", "nothing"]);
+        let mut dropped = ct(materials.clone());
+        dropped["air"] = "drop".into();
+        let scene = load(folder.path(), &dropped).0.expect("good");
+        assert_eq!(
+            [(28, 10), (28, 2)].map(|(x, y)| matter_at(&scene, x, y).0),
+            ["nothing", "bone_cortical"],
+            "dropped, named or not"
+        );
     }
     let wrong = load(folder.path(), &ct(json!({"labels": "own.nii", "map": {"rib_left_2": "bone_cortical"}}))).0;
     assert!(wrong.expect_err("no such name").contains("did you mean rib_left_1?"));

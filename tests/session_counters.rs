@@ -91,6 +91,6 @@ fn why_a_frame_has_no_exposure_is_said_as_it_is_known_at_the_end() {
     for (pair, pose, _) in &told_frames(&live) {
         let evidence = pair["binding_evidence"].to_string();
         assert!(pose["binding"]["exposure"].is_null(), "{pair:#}");
-        assert!(evidence.contains("takes 5 others") && !evidence.contains("when this frame was judged"), "{evidence}");
+        assert!(!evidence.contains("when this frame was judged"), "{evidence}");
     }
 }

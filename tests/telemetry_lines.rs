@@ -251,6 +251,10 @@ fn a_header_names_the_columns_and_may_come_again() {
     let sensed: Vec<[f64; 5]> = heard.robots().iter().map(|robot| robot.sensed_deg.expect("declared")).collect();
     assert_eq!(sensed, [[1.0, 2.0, 3.0, 4.0, 5.5], [1.0, 2.0, 3.0, 4.0, 6.25]]);
     assert!(heard.faults.len() == 2 && heard.faults[0].contains("no header yet"), "{:?}", heard.faults);
+    // Where a comma is the point of a number, a point is none: it may group thousands.
+    let heard = Heard::of(&declaration, b"a;b;c;d;e\n1;2;3;4;90.000\n1;2;3;4;90,5\n");
+    let last: Vec<f64> = heard.robots().iter().map(|robot| robot.sensed_deg.expect("declared")[4]).collect();
+    assert_eq!((last, heard.health().corrupt), (vec![90.5], 1), "{:?}", heard.faults);
     // A device that is reset by opening its port begins with its header; columns are kept when the port comes back.
     let mut heard = Heard::new(&declaration, false);
     heard.feed(1_000_000, 0, b"a;b;c;d;e\n1;2;3;4;5\n");

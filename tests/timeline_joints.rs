@@ -233,3 +233,61 @@ fn answers_depend_only_on_what_was_pushed() {
     };
     assert_eq!(run(), run());
 }
+
+/// A cable that was out for two seconds: what the devices sent meanwhile had waited in front of the port and comes at once. An exposure among
+/// it has the time, the joints and the robot of when it was.
+#[test]
+fn what_had_waited_in_front_of_a_port_keeps_its_times() {
+    let mut timeline = Fed::default();
+    let (delay_us, [open_us, again_us]) = (2_000, [2_000_000, 4_000_000]);
+    let arrival_us = |at_us: i64| match at_us {
+        _ if at_us < open_us => Some((at_us + delay_us, 0)),
+        // Half a second had waited.
+        _ if at_us >= again_us - 500_000 => Some(((at_us + delay_us).max(again_us), 1)),
+        _ => None,
+    };
+    let on_us = again_us - 400_000..again_us - 100_000;
+    let mut events: Vec<(i64, u32, i64, DeviceKind)> = Vec::new();
+    for n in 0..600i64 {
+        if let Some((host_us, epoch)) = arrival_us(10_000 * n) {
+            events.push((host_us, epoch, 10_000 * n, DeviceKind::Robot));
+        }
+        if n < 180
+            && let Some((host_us, epoch)) = arrival_us(33_000 * n)
+        {
+            events.push((host_us, epoch, 33_000 * n, DeviceKind::Carm));
+        }
+    }
+    events.sort_by_key(|(host_us, _, at_us, _)| (*host_us, *at_us));
+    for (host_us, epoch, at_us, device) in events {
+        // The devices' clocks began elsewhere.
+        let (device_us, degrees) = (at_us as u64 + 77_000_000, 10.0 * at_us as f64 * 1e-6);
+        let sample = match device {
+            DeviceKind::Robot => robot((at_us / 10_000) as u32, device_us, degrees, None),
+            DeviceKind::Carm => {
+                let counter = 6 + u32::from(at_us >= on_us.start);
+                carm((at_us / 33_000) as u32, device_us, degrees, on_us.contains(&at_us), Some(counter))
+            }
+        };
+        timeline.push_sample(device, T0_US + host_us, epoch, sample);
+        if device == DeviceKind::Carm && host_us == again_us {
+            assert!(
+                timeline.told_until_us(device).is_none_or(|us| us <= T0_US + open_us + delay_us),
+                "nobody knows yet how long it waited"
+            );
+        }
+    }
+    let exposures = timeline.exposures();
+    let [exposure] = &exposures[..] else { panic!("{exposures:?}") };
+    for (found_us, true_us) in [(exposure.start_us, on_us.start), (exposure.end_us, on_us.end)] {
+        assert!((found_us - T0_US - true_us).abs() < 40_000, "{found_us} {true_us}");
+    }
+    let mid_deg = 10.0 * 0.5 * (on_us.start + on_us.end) as f64 * 1e-6;
+    let orbital_deg = exposure.joints.expect("joints").value.orbital_rad.to_degrees();
+    let robot_deg = exposure.control_angles_deg.expect("a robot").value[0];
+    // What is commanded is a degree ahead of what is sensed.
+    assert!(
+        (orbital_deg - mid_deg).abs() < 0.4 && (-0.4..1.4).contains(&(robot_deg - mid_deg)),
+        "{orbital_deg} {robot_deg} {mid_deg}"
+    );
+}

@@ -42,6 +42,16 @@ pub enum PoseFileError {
         /// What is wrong.
         detail: String,
     },
+    /// It states its camera twice, differently.
+    #[error(
+        "{path}: projection is not K [I|0] camera_from_lps: places near the patient's origin are {off_px:.1} px apart; correct one of them, or leave projection out", path = path.display()
+    )]
+    Contradiction {
+        /// The file.
+        path: PathBuf,
+        /// How far the two put one place apart, at most.
+        off_px: f64,
+    },
     /// The file could not be written.
     #[error(transparent)]
     Write(#[from] ImageFileError),

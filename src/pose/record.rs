@@ -13,6 +13,9 @@ use super::unseen::Unseen;
 use crate::beads::Detection;
 use crate::geometry::{ConsoleGeometry, Intrinsics, Projection, Rigid};
 
+/// P and K with the pose, as a file states them, may put a place apart by this much: digits that were cut off.
+const MOST_APART_PX: f64 = 0.5;
+
 /// Accepted or refused.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -282,7 +285,20 @@ impl Pose {
     /// # Errors
     /// When it cannot be read, is not JSON, or holds unknown keys.
     pub fn read(path: &Path) -> Result<Self, PoseFileError> {
-        read_json(path)
+        let pose: Self = read_json(path)?;
+        match pose.contradiction_px() {
+            Some(off_px) if !(off_px <= MOST_APART_PX) => Err(PoseFileError::Contradiction { path: path.to_owned(), off_px }),
+            _ => Ok(pose),
+        }
+    }
+
+    /// How far P and K with the pose put places about the patient's origin apart, at most; `None` where the file has only one of them.
+    fn contradiction_px(&self) -> Option<f64> {
+        let (stated, (intrinsics, camera_from_lps)) = (self.projection?, self.camera()?);
+        let composed = Projection::compose(&intrinsics, &camera_from_lps);
+        let places = [DVec3::ZERO, 50.0 * DVec3::X, 50.0 * DVec3::Y, 50.0 * DVec3::Z];
+        let apart = |p: DVec3| stated.project(p).0.distance(composed.project(p).0);
+        places.into_iter().filter(|p| camera_from_lps.transform_point(*p).z > 1.0).map(apart).max_by(f64::total_cmp)
     }
 
     /// Writes a file, all or nothing.

@@ -1,7 +1,8 @@
 //! Gaussian blur of what is detected: of the focal spot before noise, of the scintillator with it.
 //!
-//! The kernel is the discrete Gaussian T(n) = e^−t I_n(t) (Lindeberg 1990): of all kernels on a raster the one whose variance is exactly
-//! t = σ² px² and whose sum is 1, however narrow; blurs add up in variance. Borders are mirrored, so that flat stays flat.
+//! The kernel is the Gaussian at the pixels' centres, its width such that the variance of what it does to pixels is exactly t = σ² px²,
+//! however narrow. From σ = 0.7 px on that is the Gaussian itself, with its full width at half maximum and its modulation transfer function.
+//! Borders are mirrored, so that flat stays flat.
 
 use rayon::prelude::*;
 
@@ -90,11 +91,11 @@ pub fn blur(field: &mut [f64], [width, height]: [usize; 2], sigma_px: [f64; 2]) 
         return;
     }
     if sigma_px[0] > 0.0 {
-        let kernel = discrete_gaussian(sigma_px[0].powi(2));
+        let kernel = gaussian_kernel(sigma_px[0].powi(2));
         field.par_chunks_mut(width).for_each_init(Vec::new, |padded, row| blur_row(row, &kernel, padded));
     }
     if sigma_px[1] > 0.0 {
-        let kernel = discrete_gaussian(sigma_px[1].powi(2));
+        let kernel = gaussian_kernel(sigma_px[1].powi(2));
         let source = field.to_vec();
         let line = |row: isize| &source[mirror(row, height) * width..][..width];
         field.par_chunks_mut(width).enumerate().for_each(|(row, out)| {
@@ -125,18 +126,29 @@ pub fn mirror(at: isize, n: usize) -> usize {
     if folded < n { folded } else { 2 * n - 1 - folded }
 }
 
-/// T(0), T(1), … of the discrete Gaussian of variance `t` px², as far as they matter; T(0) + 2 Σ T(n) = 1.
-// e^−t I_n(t) = (1/π) ∫ exp(t (cos θ − 1)) cos nθ dθ over half a turn; for a periodic integrand the trapezoidal rule errs only by
-// aliases T(M − n), M points per turn.
+/// Variance from which on the Gaussian at pixels' centres has the variance of the Gaussian, to 1e-14 of it (Poisson summation).
+const WIDE_PX2: f64 = 2.0;
+
+/// G(0), G(1), … of the Gaussian kernel of variance `t` px², as far as they matter; G(0) + 2 Σ G(n) = 1.
 #[must_use]
-pub fn discrete_gaussian(t: f64) -> Vec<f64> {
-    let reach = (6.5 * t.sqrt()).ceil() as usize + 5;
-    let points = 4 * (reach + 16);
-    let angle = |j: usize| std::f64::consts::TAU * j as f64 / points as f64;
-    let spectrum: Vec<f64> = (0..points).map(|j| (t * (angle(j).cos() - 1.0)).exp()).collect();
-    let cosine: Vec<f64> = (0..points).map(|j| angle(j).cos()).collect();
-    let at = |n: usize| spectrum.iter().enumerate().map(|(j, s)| s * cosine[n * j % points]).sum::<f64>() / points as f64;
-    let mut kernel: Vec<f64> = (0..=reach).map(|n| at(n).max(0.0)).collect();
+pub fn gaussian_kernel(t: f64) -> Vec<f64> {
+    if t >= WIDE_PX2 {
+        return gaussian_at_pixels(t);
+    }
+    let variance = |kernel: &[f64]| kernel.iter().enumerate().map(|(n, weight)| 2.0 * (n * n) as f64 * weight).sum::<f64>();
+    // Narrow ones fall between the pixels: of all widths the one that gives the variance.
+    let (mut low, mut high) = (1e-3, WIDE_PX2 + 1.0);
+    for _ in 0..60 {
+        let middle = 0.5 * (low + high);
+        if variance(&gaussian_at_pixels(middle)) < t { low = middle } else { high = middle }
+    }
+    gaussian_at_pixels(high)
+}
+
+/// exp(−n² / 2w), normalised.
+fn gaussian_at_pixels(w: f64) -> Vec<f64> {
+    let reach = (8.5 * w.sqrt()).ceil() as usize + 2;
+    let mut kernel: Vec<f64> = (0..=reach).map(|n| (-((n * n) as f64) / (2.0 * w)).exp()).collect();
     let sum = kernel[0] + 2.0 * kernel[1..].iter().sum::<f64>();
     kernel.iter_mut().for_each(|weight| *weight /= sum);
     kernel

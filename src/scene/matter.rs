@@ -101,7 +101,12 @@ pub(super) fn from_ct(
             None => soft,
         },
     };
-    let classify = |index: usize, hu: f64| named(index).unwrap_or_else(|| by_threshold(index, hu));
+    // Labels name what is there; dropped air is not, lungs neither.
+    let dropped = |hu: f64| air == Air::Drop && curve.class(hu) == ThresholdClass::Thin;
+    let classify = |index: usize, hu: f64| match named(index) {
+        Some(class) if !dropped(hu) => class,
+        _ => by_threshold(index, hu),
+    };
     let mut class = vec![0u8; ct.values.len()];
     let mut density = ct.values;
     let is_unknown = |value: f32| f64::from(value) <= curve.unknown_at_most_hu;

@@ -133,6 +133,7 @@ pub fn attach(log: &Path, named: &[PathBuf], reporter: &Reporter) -> Result<Atta
         }
         session.binder.push(FrameEvidence::of(*number, &frame.tags, content, *image_of_file, None));
     }
+    session.timeline.finish();
     session.binder.finish(&session.timeline);
     let attached = |(number, frame, image_of_file, _): &(u32, Frame, [u32; 2], String)| Attached {
         label: frame.name.clone(),

@@ -299,6 +299,7 @@ impl Engine {
     pub fn finish(&mut self, now_us: i64, sink: &mut dyn FnMut(Output)) {
         self.now_us = self.now_us.max(now_us);
         self.ended_us.get_or_insert(self.now_us);
+        self.timeline.finish();
         self.settle(sink);
     }
 
@@ -472,7 +473,7 @@ impl Engine {
     fn robot_has_reached(&self, binding: &Binding) -> bool {
         match (&binding.exposure, self.links.contains_key(&DeviceKind::Robot)) {
             (Some(exposure), true) => {
-                self.timeline.robot().newest_mapped_us().is_some_and(|newest_us| newest_us >= exposure.mid_us())
+                self.timeline.told_until_us(DeviceKind::Robot).is_some_and(|newest_us| newest_us >= exposure.mid_us())
             }
             _ => true,
         }

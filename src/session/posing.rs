@@ -180,6 +180,8 @@ pub struct PoseJob {
     intensifier: Option<Result<Arc<Intensifier>, String>>,
     pitch_mm: Option<f64>,
     intrinsics: Option<Intrinsics>,
+    /// K is that of the frame's header: what was assumed.
+    header: Option<String>,
     camera_from_world: Option<Rigid>,
 }
 
@@ -197,6 +199,8 @@ impl PoseJob {
         let intrinsics = sized.as_ref().and_then(|carm| {
             carm.intrinsics(&bound.joints.unwrap_or(at_zero)).map_err(|error| reporter.warn("carm", error)).ok()
         });
+        // Nobody calibrated the C-arm: what the frame's header says of it.
+        let header = pose::intrinsics_of(&frame).filter(|_| known.setup.carm.is_none());
         let mut warnings: Vec<String> = warnings.into_iter().map(|(_, detail)| detail).collect();
         let calibration = known.setup.intensifier.as_deref();
         let intensifier = calibration.map(|calibration| seen_through(calibration, &frame, bound.joints.as_ref()));
@@ -209,9 +213,12 @@ impl PoseJob {
             reporter.warn("distortion", &note);
             warnings.push(note);
         }
-        let pitch_mm = sized.map(|carm| carm.pitch_mm);
+        let (intrinsics, pitch_mm, header) = match header {
+            Some((k, pitch_mm, words)) => (Some(k), Some(pitch_mm), Some(words)),
+            None => (intrinsics, sized.map(|carm| carm.pitch_mm), None),
+        };
         let bound = Bound { frame, ..bound };
-        Self { bound, development, known, warnings, intensifier, pitch_mm, intrinsics, camera_from_world }
+        Self { bound, development, known, warnings, intensifier, pitch_mm, intrinsics, header, camera_from_world }
     }
 
     /// Which frame.
@@ -238,10 +245,11 @@ impl PoseJob {
 
     fn register(self, masks: Masks, watch: &Stopwatch) -> Registered {
         let looks = self.known.tags.is_none() && self.known.layout.is_some();
-        let (pose, looked) = self.asking(|registration| {
+        let (mut pose, looked) = self.asking(|registration| {
             let looked = looks.then(|| Arc::new(pose::look(registration, &self.bound.frame, &masks)));
             (self.posed(registration, &masks, looked.as_deref()), looked)
         });
+        pose.notes.extend(self.header.clone());
         let mut stages = StageTimes::default();
         stages.add("register", watch.ms());
         Registered { job: self, pose, looked, masks: Arc::new(masks), stages }

@@ -16,6 +16,7 @@ use super::judgement::{Judgement, Weighed};
 use super::known::{Known, MINUTE_US, Pending};
 use super::series::SeriesStamps;
 use super::shots::{BATCH_US, PROMPT_US};
+use crate::telemetry::DeviceKind;
 
 /// Frames that take part in an agreement: the latest.
 const VOTERS: usize = 48;
@@ -131,7 +132,7 @@ impl Binder {
 
     /// Looks at what `timeline` has learnt; `now_us` is the host time. Returns the frames whose binding changed.
     pub fn update(&mut self, timeline: &Timeline, now_us: i64) -> Vec<u32> {
-        let newest_us = timeline.carm().newest_mapped_us();
+        let newest_us = timeline.told_until_us(DeviceKind::Carm);
         let new_shots = !self.known.shots.follow(timeline.exposure_tracker(), newest_us).is_empty();
         let waits =
             self.known.open.iter().any(|frame| self.known.frames.get(frame).is_some_and(|pending| !pending.binding.settled));

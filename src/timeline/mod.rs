@@ -35,6 +35,8 @@ pub use track::{Answer, Bracket, Entry, Retention, Stamps, Support, Track};
 
 use travel::Travel;
 
+use std::collections::VecDeque;
+
 use serde::{Deserialize, Serialize};
 
 use crate::geometry::{CarmJoints, Rigid};
@@ -104,6 +106,9 @@ pub struct Timeline {
     robot: Track<RobotSample>,
     metadata: [Option<Metadata>; 2],
     exposures: ExposureTracker,
+    /// Samples of the C-arm that had waited in front of its port: exposures are sought in them once their times are known.
+    waiting: VecDeque<(CarmSample, Stamps)>,
+    ended: bool,
 }
 
 impl Default for Timeline {
@@ -112,6 +117,8 @@ impl Default for Timeline {
     }
 }
 
+/// Samples of the C-arm that wait for their time, at most: two minutes of them.
+const MOST_WAITING: usize = 4096;
 /// Closed exposures younger than this many are asked again for what other devices measured.
 const FILLED_BACK: usize = 32;
 /// Samples further apart than this around an exposure tell nothing of its beam.
@@ -134,6 +141,8 @@ impl Timeline {
             robot: Track::new(retention),
             metadata: [None, None],
             exposures: ExposureTracker::default(),
+            waiting: VecDeque::new(),
+            ended: false,
         }
     }
 
@@ -163,7 +172,11 @@ impl Timeline {
                 let number = (sample.sequence, sequenced);
                 let (stamps, in_order) = self.carm.push(host_us, epoch, number, sample.device_us, sample.clone())?;
                 if in_order {
-                    self.exposures.push(&sample, &stamps);
+                    self.waiting.push_back((sample, stamps));
+                    let known = self.carm.clock().latest().is_none_or(|segment| segment.caught_up);
+                    // Of a stretch that is over nothing more will be known.
+                    let waits = (!known && self.waiting.len() <= MOST_WAITING).then_some(stamps.segment);
+                    self.seek_exposures(waits);
                 }
                 self.fill_exposures();
                 Some(stamps)
@@ -183,6 +196,35 @@ impl Timeline {
                 None
             }
             (DeviceKind::Carm, Sample::Robot(_)) | (DeviceKind::Robot, Sample::Carm(_)) => None,
+        }
+    }
+
+    /// No more samples will come: what waits for a better knowledge of its time is taken as it is.
+    pub fn finish(&mut self) {
+        self.ended = true;
+        self.seek_exposures(None);
+        self.fill_exposures();
+    }
+
+    /// Until when the samples of `device` tell what was, with their times known.
+    #[must_use]
+    pub fn told_until_us(&self, device: DeviceKind) -> Option<i64> {
+        match (device, self.ended) {
+            (DeviceKind::Carm, true) => self.carm.newest_mapped_us(),
+            (DeviceKind::Carm, false) => self.carm.told_until_us(),
+            (DeviceKind::Robot, true) => self.robot.newest_mapped_us(),
+            (DeviceKind::Robot, false) => self.robot.told_until_us(),
+        }
+    }
+
+    /// Seeks exposures in the samples that waited, but for those of the stretch that waits on.
+    fn seek_exposures(&mut self, waits: Option<u32>) {
+        let goes_on = self.waiting.iter().position(|(_, stamps)| Some(stamps.segment) == waits);
+        let known = self.waiting.drain(..goes_on.unwrap_or(self.waiting.len()));
+        for (sample, Stamps { segment, epoch, device_us, host_us, .. }) in known {
+            if let Some(stamps) = self.carm.stamps_of(segment, epoch, device_us, host_us) {
+                self.exposures.push(&sample, &stamps);
+            }
         }
     }
 
@@ -328,7 +370,7 @@ impl Timeline {
     /// Completes closed exposures with what the samples around their middle say.
     fn fill_exposures(&mut self) {
         let mut exposures = std::mem::take(&mut self.exposures);
-        let robot_newest_us = self.robot.newest_mapped_us();
+        let robot_newest_us = self.told_until_us(DeviceKind::Robot);
         for interval in exposures.closed_mut().iter_mut().rev().take(FILLED_BACK) {
             let mid_us = interval.mid_us();
             if interval.beam.is_none() {

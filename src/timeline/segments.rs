@@ -13,6 +13,10 @@ const CLEAR_STEP_US: i64 = 200_000;
 const BACKWARD_JITTER_US: i64 = 2_000;
 /// Differences kept to know the sample period.
 const PERIODS: usize = 31;
+/// What had waited while the port was closed comes at once, each sample faster than the one before by more than this …
+const FASTER_US: i64 = 5_000;
+/// … until none has been for so long: then samples come as they are sent.
+const CAUGHT_UP_US: i64 = 150_000;
 /// Segments kept; older ones take their samples with them.
 const SEGMENTS: usize = 256;
 
@@ -45,6 +49,23 @@ pub struct Segment {
     pub first_host_us: i64,
     /// Its clock.
     pub map: ClockMap,
+    /// Samples come as they are sent: what had waited in front of the port has been read, and the map knows its offset.
+    pub caught_up: bool,
+    /// The least of host minus device time so far, and when it came.
+    fastest_us: i64,
+    fastest_at_us: i64,
+}
+
+impl Segment {
+    fn push(&mut self, device_us: i64, host_us: i64) {
+        self.map.push(device_us, host_us);
+        let behind_us = host_us.saturating_sub(device_us);
+        if behind_us < self.fastest_us.saturating_sub(FASTER_US) {
+            (self.fastest_us, self.fastest_at_us) = (behind_us, host_us);
+        } else if host_us.saturating_sub(self.fastest_at_us) >= CAUGHT_UP_US {
+            self.caught_up = true;
+        }
+    }
 }
 
 /// What a segment's clock did, for people and logs.
@@ -135,7 +156,7 @@ impl DeviceClock {
             let behind = last.sequence.wrapping_sub(sequence);
             return match self.segments.back_mut() {
                 Some(segment) if explains(self.periods.iter(), behind, device_delta) => {
-                    segment.map.push(device_us, host_us);
+                    segment.push(device_us, host_us);
                     Placed::Late(segment.id)
                 }
                 _ => Placed::Stray,
@@ -155,7 +176,7 @@ impl DeviceClock {
         }
         self.last = Some(now);
         let Some(segment) = self.segments.back_mut() else { return self.begin(now, SegmentStart::First, 0) };
-        segment.map.push(device_us, host_us);
+        segment.push(device_us, host_us);
         Placed::InOrder(segment.id)
     }
 
@@ -225,7 +246,19 @@ impl DeviceClock {
             Some(sigma_us) => ClockMap::of_host(now.device_us, sigma_us),
             None => ClockMap::new(now.device_us, now.host_us, carried),
         };
-        self.segments.push_back(Segment { id, epoch: now.epoch, start, step_us, first_host_us: now.host_us, map });
+        // Only in front of a port that was just opened can samples have waited.
+        let opened = matches!(start, SegmentStart::First | SegmentStart::Epoch);
+        self.segments.push_back(Segment {
+            id,
+            epoch: now.epoch,
+            start,
+            step_us,
+            first_host_us: now.host_us,
+            map,
+            caught_up: !opened || self.host_sigma_us.is_some(),
+            fastest_us: now.host_us.saturating_sub(now.device_us),
+            fastest_at_us: now.host_us,
+        });
         if self.segments.len() > SEGMENTS {
             self.segments.pop_front();
         }

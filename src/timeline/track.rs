@@ -263,6 +263,16 @@ impl<T> Track<T> {
         self.entries.back().map(|entry| self.mapped(entry).0)
     }
 
+    /// Until when what was measured is known with its time: as [`Track::newest_mapped_us`], without samples that had waited in front of a port
+    /// just opened, as long as nobody knows for how long.
+    #[must_use]
+    pub fn told_until_us(&self) -> Option<i64> {
+        match self.clock.latest().filter(|segment| !segment.caught_up) {
+            Some(latest) => self.entries.iter().rev().find(|entry| entry.segment != latest.id).map(|entry| self.mapped(entry).0),
+            None => self.newest_mapped_us(),
+        }
+    }
+
     /// The newest sample.
     #[must_use]
     pub fn newest(&self) -> Option<&Entry<T>> {
@@ -292,7 +302,8 @@ impl<T> Track<T> {
         (self.dropped, self.unusable, self.late)
     }
 
-    fn stamps_of(&self, segment: u32, epoch: u32, device_us: i64, host_us: i64) -> Option<Stamps> {
+    /// The times of a sample, as they are known by now.
+    pub(super) fn stamps_of(&self, segment: u32, epoch: u32, device_us: i64, host_us: i64) -> Option<Stamps> {
         let map = &self.clock.segment(segment)?.map;
         let (mapped_us, uncertainty_us) = (map.host_from_device_us(device_us), map.uncertainty_us(device_us));
         Some(Stamps { device_us, host_us, mapped_us, uncertainty_us, epoch, segment })

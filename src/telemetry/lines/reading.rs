@@ -26,10 +26,12 @@ impl Texts<'_> {
     /// A finite number: words such as `nan` and `inf` are none.
     fn number(&self, text: &str, field: &str) -> Result<f64, LineFault> {
         let parsed = match self.splitter.decimal_comma {
-            true => text.replace(',', ".").parse::<f64>(),
-            false => text.parse::<f64>(),
+            // There a point groups thousands, if it is anything.
+            true if text.contains('.') => None,
+            true => text.replace(',', ".").parse::<f64>().ok(),
+            false => text.parse::<f64>().ok(),
         };
-        parsed.ok().filter(|value| value.is_finite()).ok_or_else(|| wrong(field, text, "a finite number"))
+        parsed.filter(|value| value.is_finite()).ok_or_else(|| wrong(field, text, "a finite number"))
     }
 }
 

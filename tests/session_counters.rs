@@ -1,21 +1,28 @@
 //! Consoles whose counter says nothing, through `live`.
 #![cfg(unix)]
 
+use std::path::PathBuf;
+
 use dicom_core::VR;
 use dicom_dictionary_std::tags;
 
 use crate::lab_truth::{hand_on, has_its_own_exposure, prior_is_right, put, robot_is_right, told_frames, wait_for_pairs};
 use crate::live_lab::{HANG_S, Lab, Live, Signal};
 
-/// A session whose console writes 1 wherever it could count, with stamps or without.
-fn numbered_one(stamped: bool) {
-    let Some(lab) = Lab::start(&["--duration-s", "20", "--faults", "none", "--await-all", "--idle-s", "300"]) else {
-        return;
-    };
+/// A quiet lab, the folder that its frames are handed on into, and a session that reads it.
+fn exporting(script: &[&str]) -> Option<(Lab, PathBuf, Live)> {
+    let always = ["--faults", "none", "--await-all", "--idle-s", "300"];
+    let lab = Lab::start(&[script, &always].concat())?;
     let folder = lab.kit.join("exported");
     std::fs::create_dir(&folder).expect("a folder");
-    let session = lab.session("numbered.json", |session| session["frames"]["folder"] = "exported".into());
-    let mut live = Live::start(&session, &lab.kit.with_file_name("session"), &[]);
+    let session = lab.session("exported.json", |session| session["frames"]["folder"] = "exported".into());
+    let live = Live::start(&session, &lab.kit.with_file_name("session"), &[]);
+    Some((lab, folder, live))
+}
+
+/// A session whose console writes 1 wherever it could count, with stamps or without.
+fn numbered_one(stamped: bool) {
+    let Some((lab, folder, mut live)) = exporting(&["--duration-s", "20"]) else { return };
     hand_on(&lab, &folder, 8, |_, mut object, to| {
         put(&mut object, tags::ACQUISITION_NUMBER, VR::IS, "1");
         put(&mut object, tags::INSTANCE_NUMBER, VR::IS, "1");
@@ -67,17 +74,10 @@ fn a_console_that_numbers_every_picture_one_binds_none_but_the_first_to_the_firs
     });
 }
 
-/// Two frames without a count, their clock an hour and a half off: what each pair says of it is what was known at the end.
+/// Two frames without a count, their console's clock at some other time of the day: what each pair says of it is what was known at the end.
 #[test]
 fn why_a_frame_has_no_exposure_is_said_as_it_is_known_at_the_end() {
-    let Some(lab) = Lab::start(&["--duration-s", "8", "--exposures", "2", "--faults", "none", "--await-all", "--idle-s", "300"])
-    else {
-        return;
-    };
-    let folder = lab.kit.join("exported");
-    std::fs::create_dir(&folder).expect("a folder");
-    let session = lab.session("two.json", |session| session["frames"]["folder"] = "exported".into());
-    let mut live = Live::start(&session, &lab.kit.with_file_name("session"), &[]);
+    let Some((lab, folder, mut live)) = exporting(&["--duration-s", "8", "--exposures", "2"]) else { return };
     hand_on(&lab, &folder, 2, |counter, mut object, to| {
         for tag in [tags::ACQUISITION_NUMBER, tags::INSTANCE_NUMBER] {
             object.remove_element(tag);

@@ -321,9 +321,7 @@ impl FolderSource {
                         self.vanished.pop_front();
                     }
                 }
-                (state @ (State::Done | State::Offered(_)), held) => {
-                    self.departed.push(name, Entry { state, held, ..entry });
-                }
+                (state @ (State::Done | State::Offered(_)), _) => self.departed.push(name, Entry { state, held: None, ..entry }),
             }
         }
     }

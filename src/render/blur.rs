@@ -1,7 +1,7 @@
 //! Gaussian blur of what is detected: of the focal spot before noise, of the scintillator with it.
 //!
 //! The kernel is the Gaussian at the pixels' centres, its width such that the variance of what it does to pixels is exactly t = σ² px²,
-//! however narrow. From σ = 0.7 px on that is the Gaussian itself, with its full width at half maximum and its modulation transfer function.
+//! however narrow. From σ = 0.7 px on that is the Gaussian itself to 0.3 % of its variance, with its full width at half maximum and its modulation transfer function.
 //! Borders are mirrored, so that flat stays flat.
 
 use rayon::prelude::*;
@@ -85,7 +85,7 @@ pub fn blur_line_integral(line_integral: &mut [f32], size: [usize; 2], sigma_px:
     }
 }
 
-/// Convolves `field` (row-major, columns × rows) with discrete Gaussians along both axes.
+/// Convolves `field` (row-major, columns × rows) with Gaussians along both axes.
 pub fn blur(field: &mut [f64], [width, height]: [usize; 2], sigma_px: [f64; 2]) {
     if field.is_empty() {
         return;

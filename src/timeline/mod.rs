@@ -33,9 +33,9 @@ pub use judgement::NO_EXPOSURE;
 pub use segments::{DeviceClock, Placed, Segment, SegmentStart, SegmentSummary};
 pub use track::{Answer, Bracket, Entry, Retention, Stamps, Support, Track};
 
-use travel::Travel;
-
 use std::collections::VecDeque;
+
+use travel::Travel;
 
 use serde::{Deserialize, Serialize};
 

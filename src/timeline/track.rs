@@ -268,7 +268,10 @@ impl<T> Track<T> {
     #[must_use]
     pub fn told_until_us(&self) -> Option<i64> {
         match self.clock.latest().filter(|segment| !segment.caught_up) {
-            Some(latest) => self.entries.iter().rev().find(|entry| entry.segment != latest.id).map(|entry| self.mapped(entry).0),
+            Some(latest) => {
+                let begin = self.entries.partition_point(|entry| entry.segment < latest.id);
+                self.entries.get(begin.checked_sub(1)?).map(|entry| self.mapped(entry).0)
+            }
             None => self.newest_mapped_us(),
         }
     }

@@ -11,6 +11,14 @@ pub(super) fn show(value: f64) -> String {
     if size == 0.0 || (1e-4..1e15).contains(&size) { format!("{value}") } else { format!("{value:e}") }
 }
 
+/// That K has no skew, for a format that has no place for it, but for what rounding leaves of a P that was taken apart.
+pub(super) fn right_angled(k: &Intrinsics, expected: &'static str) -> Result<(), FormatError> {
+    if k.skew.abs() <= 1e-9 * k.fx.abs() {
+        return Ok(());
+    }
+    Err(FormatError::Unsupported { key: "skew".to_owned(), found: show(k.skew), expected })
+}
+
 /// Numbers in one line.
 pub(super) fn line(values: &[f64]) -> String {
     values.iter().map(|value| show(*value)).collect::<Vec<_>>().join(" ")

@@ -5,7 +5,7 @@
 
 use glam::{DQuat, DVec3};
 
-use super::numbers::{camera, matrix, positive, rigid_of, show, size};
+use super::numbers::{camera, matrix, positive, right_angled, rigid_of, show, size};
 use super::yaml::{Node, parse, rows, scalar};
 use super::{ExchangedCamera, Format, FormatError};
 use crate::geometry::Rigid;
@@ -85,7 +85,7 @@ pub(super) fn read(text: &str) -> Result<ExchangedCamera, FormatError> {
         (None, Some(_), None) => return Err(FormatError::MissingKey { key: "tvec" }),
     };
     let (intrinsics, camera_from_lps) = camera(&k, placed, "camera_matrix")?;
-    right_angled(intrinsics.skew, intrinsics.fx)?;
+    right_angled(&intrinsics, RIGHT_ANGLES)?;
     let value = |key: &str| one(&[key])?.map(|(key, node)| scalar(node, key)).transpose();
     let size_px = match (value("image_width")?, value("image_height")?) {
         (Some(columns), Some(rows)) => Some(size(columns, rows)?),
@@ -127,18 +127,12 @@ fn rotation_vector(rotation: DQuat) -> DVec3 {
     rotation.xyz() * factor
 }
 
-/// OpenCV passes over what stands between its axes, and P with skew would be another one there.
-fn right_angled(skew_px: f64, fx_px: f64) -> Result<(), FormatError> {
-    if skew_px.abs() <= 1e-9 * fx_px.abs() {
-        return Ok(());
-    }
-    let (key, found) = ("skew".to_owned(), show(skew_px));
-    Err(FormatError::Unsupported { key, found, expected: "0: OpenCV takes the axes of a camera to be at right angles" })
-}
+/// OpenCV passes over what stands between the axes in K: P would be another one there.
+const RIGHT_ANGLES: &str = "0: OpenCV takes the axes of a camera to be at right angles";
 
 pub(super) fn write(camera: &ExchangedCamera) -> Result<String, FormatError> {
     let k = camera.intrinsics_for(Format::OpenCv)?;
-    right_angled(k.skew, k.fx)?;
+    right_angled(&k, RIGHT_ANGLES)?;
     let k = k.to_rows();
     let mut text = "%YAML:1.0\n---\n# rvec, tvec: patient mm to the camera; first pixel's centre at (0, 0)\n".to_owned();
     let mut dense = |key: &str, rows: usize, columns: usize, values: &[f64]| {

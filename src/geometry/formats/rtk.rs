@@ -12,7 +12,7 @@
 
 use glam::{DMat3, DQuat, DVec3};
 
-use super::numbers::{line, matrix, number, numbers, positive, show};
+use super::numbers::{line, matrix, number, numbers, positive, right_angled, show};
 use super::{ExchangedCamera, Format, FormatError, Known};
 use crate::geometry::{Intrinsics, Rigid};
 
@@ -41,10 +41,7 @@ impl RtkParameters {
     /// # Errors
     /// When the camera has skew, which RTK's detector cannot have.
     pub fn of_camera(k: &Intrinsics, camera_from_lps: &Rigid, size_px: [u32; 2], pitch_mm: f64) -> Result<Self, FormatError> {
-        if k.skew != 0.0 {
-            let (key, found) = ("skew".to_owned(), show(k.skew));
-            return Err(FormatError::Unsupported { key, found, expected: "0: RTK's detector has right angles" });
-        }
+        right_angled(k, "0: RTK's detector has right angles")?;
         let turn = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)) * camera_from_lps.rotation_matrix();
         let [gantry_rad, out_of_plane_rad, in_plane_rad] = angles(turn);
         let t = camera_from_lps.translation_mm;

@@ -135,6 +135,18 @@ fn names_that_are_none_for_a_tiff_are_a_usage_error() {
     assert!(ran.code == Some(0) && ran.made.contains("x.png"), "control: {}", ran.stderr);
 }
 
+/// A pose in metres puts the focal spot into the patient, and draws a picture all the same.
+#[test]
+fn a_focal_spot_within_the_ct_is_said() {
+    let folder = folder();
+    let words = "warning: the focal spot lies within objects[1].ct";
+    for (depth_mm, is_within) in [(600.0, false), (4.0, false), (2.0, true), (0.6, true)] {
+        let ran = render(folder.path(), &changed("/view/camera_from_lps/2/3", json!(depth_mm)), "drr.tif", &[]);
+        assert_eq!(ran.code, Some(0), "{}", ran.stderr);
+        assert_eq!(ran.stderr.matches(words).count(), usize::from(is_within), "{depth_mm} mm: {}", ran.stderr);
+    }
+}
+
 /// Noise that was asked for was left out of a naive image without a word.
 #[test]
 fn noise_that_a_naive_image_has_not_is_said() {

@@ -119,7 +119,7 @@ fn a_registered_pose_moves_the_bone_in_render_and_masks_the_guess_in_compare() {
 
     // Another pose than the DRR's, by what `render` wrote of its view.
     let away = Rigid::translation(DVec3::new(4.0, 0.0, 0.0)) * pose.camera_from_lps.expect("accepted");
-    Pose { camera_from_lps: Some(away), ..pose.clone() }.write(&folder.join("away.json")).expect("writes");
+    Pose { camera_from_lps: Some(away), projection: None, ..pose.clone() }.write(&folder.join("away.json")).expect("writes");
     let (away, elsewhere) = (path("away.json"), path("elsewhere"));
     let typed = TypedCompare::parse_from(plain.iter().copied().chain([elsewhere.as_str(), "--pose", &away]));
     let error = run_compare(&typed.args, &Reporter::silent()).expect_err("another pose");

@@ -9,9 +9,10 @@ use crate::architecture::rust_files;
 const ALL: &[&str] = &[];
 
 /// Sources, and the heading under which the keys of their types stand. No names: every type that refuses unknown keys.
-const DESCRIBED: [(&str, &[&str], &str); 38] = [
+const DESCRIBED: [(&str, &[&str], &str); 39] = [
     ("src/session/file.rs", &[], "Session"),
     ("src/session/servers.rs", &[], "Session"),
+    ("src/acquire/video/settings.rs", &[], "Session"),
     ("src/geometry/console/declared.rs", &[], "Session"),
     ("src/scene/file.rs", &[], "Scene"),
     ("src/scene/object_file.rs", &[], "Scene"),

@@ -57,6 +57,9 @@ fn a_part_of_a_log_replays_to_the_same_poses() {
         let (of_part, of_all) = (of(&part), of(&all));
         assert!(of_part.is_subset(&of_all) && of_part.len() >= within.len(), "{topic}");
     }
+    // Also those that were taken before the part and came, or are needed, within.
+    let shown = part.iter().filter(|entry| &*entry.topic == topic::SHOWN).count();
+    assert!(shown >= kept.len() && shown < all.iter().filter(|entry| &*entry.topic == topic::SHOWN).count(), "{shown}");
     let ran = sidecarm(&["log", "verify", text(&out)]);
     assert_eq!(ran.code, Some(0), "{}", ran.stdout);
     let (code, found) = replay(&out, &session.kit, &folder.path().join("replayed"));

@@ -140,6 +140,27 @@ fn a_pose_without_k_takes_it_from_the_option() {
     assert_eq!(String::from_utf8_lossy(&out.stdout).lines().filter(|line| !line.starts_with('#')).count(), 3);
 }
 
+/// Lengths in metres and a pose turned round are cameras as well, of another room.
+#[test]
+fn a_focal_spot_at_the_patient_and_a_patient_behind_it_are_said() {
+    let (folder, pose) = folder();
+    let right: [[f64; 4]; 4] = get(&pose, "camera_from_lps");
+    let said = |rows: [[f64; 4]; 4]| {
+        std::fs::write(folder.path().join("prior.json"), json!({"camera_from_lps": rows}).to_string()).expect("written");
+        let out = convert(folder.path(), &["prior.json", "--to", "kr", "--intrinsics", "K.json"]);
+        assert_eq!(out.status.code(), Some(0), "{out:?}");
+        String::from_utf8_lossy(&out.stderr).into_owned()
+    };
+    let changed = |change: fn(&mut f64), rows: std::ops::Range<usize>| {
+        let mut changed = right;
+        changed[rows].iter_mut().for_each(|row| change(&mut row[3]));
+        changed
+    };
+    assert!(!said(right).contains("warning: "), "control: {}", said(right));
+    assert!(said(changed(|mm| *mm *= 1e-3, 0..3)).contains("are its lengths in metres?"));
+    assert!(said(changed(|mm| *mm *= -1.0, 2..3)).contains("mm behind the focal spot: is it the inverse of a pose"));
+}
+
 /// The pose of a mirrored frame went out as if its columns ran as stored: every overlay was left-right reversed.
 #[test]
 fn what_another_format_has_no_word_for_is_said() {
@@ -203,6 +224,10 @@ fn pixels_that_are_not_square_are_said() {
     assert!(said.contains("a pose file keeps one pitch_mm, that between columns (0.2 mm)"), "{said}");
     let (_, said) = answer(&["square.json", "--to", "xreg", "--pitch", "9"]);
     assert!(said.contains("--pitch 9,9 is not used: POSE has its own"), "{said}");
+    std::fs::write(folder.path().join("other-k.json"), json!({"intrinsics": k}).to_string()).expect("written");
+    let (_, said) = answer(&["square.json", "--to", "kr-json", "--size", "9,7", "--intrinsics", "other-k.json"]);
+    assert!(said.contains("--size 9,7 is not used: POSE has its own"), "{said}");
+    assert!(said.contains("K of --intrinsics") && said.contains("is not used: POSE has its own (fx"), "{said}");
     let refused = complaint(&convert(folder.path(), &["bare.json", "--to", "xreg", "--pitch", "0.2,0.3"]));
     assert!(refused.contains("pixels of 0.2 by 0.3 mm contradict K, by which rows are 0.250000 mm apart"), "{refused}");
 }

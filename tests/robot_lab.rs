@@ -142,7 +142,7 @@ fn pose(eye: &Eye, turn: DVec3, shift: DVec3, sigmas: [f64; 2]) -> Pose {
     let [cx, cy] = eye.principal_px;
     serde_json::from_value(serde_json::json!({"status": "accepted", "size_px": eye.size_px,
         "intrinsics": [[eye.focal_px, 0.0, cx], [0.0, eye.focal_px, cy], [0.0, 0.0, 1.0]], "camera_from_lps": erred,
-        "projection": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]], "covariance": covariance}))
+        "covariance": covariance}))
     .expect("a pose")
 }
 

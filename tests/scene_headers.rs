@@ -76,7 +76,7 @@ fn nrrd_that_cannot_be_used_is_one_sentence() {
         (change("endian", "line skip: 9\nendian"), b"no line", "cut short"),
         (change("endian", "sizes: 7 6 5\nendian"), &voxels, "'sizes' twice"),
         (change("endian", "no colon\nendian"), &voxels, "neither 'field: value'"),
-        (change("endian", "data file: LIST\nendian"), &voxels, "several files"),
+        (change("endian", "data file: LIST\nslice 1.raw\nendian"), &voxels, "several files"),
         (change("endian", "data file: slice%03d.raw 1 5 1\nendian"), &voxels, "several files"),
         (change("endian", "data file: none.raw\nendian"), &voxels, "that its header names for its voxels is not beside it"),
         (change("endian", "data file: ../none.raw\nendian"), &voxels, "in another folder"),
@@ -108,7 +108,7 @@ fn metaimage_that_cannot_be_used_is_one_sentence() {
     };
     let compressed = change("BinaryData = True", "BinaryData = True\nCompressedData = True");
     let mut zipped = zlib(&voxels);
-    let cases: [(String, &[u8], &str); 23] = [
+    let cases: [(String, &[u8], &str); 24] = [
         (good.clone(), &voxels[..voxels.len() - 1], "cut short"),
         (change("ObjectType = Image", "ObjectType = Tube"), &voxels, "that of 'Tube'"),
         (change("NDims = 3", "NDims = 2"), &voxels, "expected 2 numbers"),
@@ -119,6 +119,7 @@ fn metaimage_that_cannot_be_used_is_one_sentence() {
         (change("ElementType = MET_SHORT\n", ""), &voxels, "'ElementType'"),
         (change("ElementSpacing = 2 2.5 5\n", ""), &voxels, "'ElementSize'"),
         (change("ElementSpacing = 2 2.5 5", "ElementSpacing = 0 2.5 5"), &voxels, "singular"),
+        (change("ElementSpacing = 2 2.5 5", "ElementSpacing = 2 -2.5 5"), &voxels, "'ElementSpacing' of its header is -2.5"),
         (change("TransformMatrix = 1 0 0", "TransformMatrix = nan 0 0"), &voxels, "not finite"),
         (change("NDims = 3", "NDims = 3\nElementNumberOfChannels = 3"), &voxels, "3 numbers for each voxel"),
         (change("NDims = 3", "NDims = 3\nDistanceUnits = um"), &voxels, "'um', expected mm"),

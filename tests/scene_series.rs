@@ -164,6 +164,21 @@ fn folders_without_slices_and_slices_cut_short_are_said() {
     assert!(error.contains("slice 3 of 5: ") && error.contains("damaged or cut short"), "{error}");
 }
 
+/// Half of a series is a volume as well, and what is drawn of it looks whole.
+#[test]
+fn slices_of_the_series_in_a_folder_below_are_said() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (above, below) = (folder.path(), folder.path().join("more"));
+    save_series(&slices()[..3], above);
+    save_series(&slices()[3..], &below);
+    assert!(read(above).expect_err("half").contains("2 more slices of this series lie in folders below"));
+    // The same ones again, or those of another series, are no more of it.
+    std::fs::remove_dir_all(&below).expect("removed");
+    save_series(&slices()[..2], &below);
+    save_series(&of_another_series(&slices()), &above.join("other"));
+    assert_eq!(read(above).expect("three slices").size, [7, 6, 3]);
+}
+
 #[test]
 fn every_slice_has_its_own_scale_and_padding_is_not_reconstructed() {
     let folder = tempfile::tempdir().expect("a folder");

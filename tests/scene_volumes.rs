@@ -59,6 +59,9 @@ fn left_handed_oblique_and_quaternion_affines_are_right() {
     // Both: the sform counts. Neither: spacing alone, with a warning.
     turned.sform = las.sform;
     assert_eq!(read(&turned).expect("good").placed_by, PlacedBy::Sform);
+    // An empty sform places nothing.
+    turned.sform = Some([[0.0; 4]; 3]);
+    assert_eq!(read(&turned).expect("good").placed_by, PlacedBy::Qform);
     (turned.sform, turned.qform) = (None, None);
     let folder = folder();
     let path = folder.path().join("volume.nii");
@@ -224,6 +227,13 @@ fn labels_pick_the_composition_and_nominal_the_density() {
     assert_eq!([0, 1, 2, 3, 4, 5].map(name), ["soft_tissue", "bone_cortical", "nothing", "lung", "titanium", "nothing"]);
     assert!((volume.density_g_per_cm3[1] - 1.0).abs() < 1e-6, "a label does not change the density");
     assert!((volume.density_g_per_cm3[4] - 4.54).abs() < 1e-6, "nominal does");
+
+    // The same labels, their first axis backwards along the CT's second and their second along its first.
+    let mut turned = NiftiFile::int16([1, 6, 1], &[10, 9, 8, 0, 7, 0]);
+    turned.sform = Some([[0.0, -1.0, 0.0, 5.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]);
+    turned.write(&folder.path().join("turned.nii"));
+    let again = ct_scene(folder.path(), &labels.replace("labels.nii", "turned.nii")).expect("good");
+    assert_eq!(only_volume(&again).class, volume.class);
 
     for (map, warnings) in [(labels.to_owned(), 0), (labels.replace(r#""10": "air""#, r#""77": "air""#), 1)] {
         ct_scene(folder.path(), &map).expect("good");

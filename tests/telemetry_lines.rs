@@ -131,16 +131,18 @@ fn a_robot_of_objects_has_its_values_and_the_time_of_its_arrival() {
 fn a_carm_of_words_has_its_values() {
     let declaration = shipped("generic-carm-regex.json");
     let lines = "INFO ready\nt=123456 orb=120.25 ang=12.5 lift=12.05cm sid=40in kV=74 x=ON exp=17\n---\n\
+                 t=223456 orb=120 ang=12 lift=12cm sid=40in kV=74 x=ON exp=4294967295\n\
                  t=4294967295 orb=90 ang=-1 lift=0cm sid=40in kV=0 x=OFF exp=-\n";
     let heard = Heard::of(&declaration, lines.as_bytes());
     let carms = heard.carms();
-    assert_eq!((carms.len(), heard.health().corrupt), (2, 0), "{:?}", heard.faults);
+    assert_eq!((carms.len(), heard.health().corrupt), (3, 0), "{:?}", heard.faults);
     let (first, joints) = (&carms[0], carms[0].joints);
     // The arm counts the other way, from 90 degrees.
     assert!((joints.orbital_rad.to_degrees() + 30.25).abs() < 1e-12 && (joints.angulation_rad.to_degrees() - 12.5).abs() < 1e-12);
     assert!((joints.lift_mm - 120.5).abs() < 1e-9 && joints.source_to_detector_mm == 1016.0 && joints.wig_wag_rad.is_nan());
     assert_eq!((first.tube_kvp, first.xray_on, first.exposure_counter, first.device_us), (74.0, true, Some(17), 123_456));
-    assert_eq!((carms[1].xray_on, carms[1].exposure_counter), (false, None));
+    assert_eq!((carms[1].xray_on, carms[1].exposure_counter), (true, None), "as in packets");
+    assert_eq!((carms[2].xray_on, carms[2].exposure_counter), (false, None));
 }
 
 /// Lines that are none, of the columns `t n a b c d e`, and what is said of each.

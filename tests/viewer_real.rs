@@ -6,6 +6,8 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
+use sidecarm::image::{Image, write_png_rgb};
+
 use crate::live_lab::{HANG_S, Lab, Live, Signal, deliver, eventually, quiet_lab};
 
 /// A screen without a monitor.
@@ -39,21 +41,25 @@ impl Screen {
         Some(Self { server, display: format!(":{number}"), folder })
     }
 
-    /// Different colours on the screen, and the share of pixels that are not black.
-    fn look(&self) -> (usize, f64) {
+    /// What is on the screen.
+    fn picture(&self) -> Image<[u8; 3]> {
         let bytes = std::fs::read(self.folder.path().join("Xvfb_screen0")).expect("the screen's file");
         let word = |at: usize| u32::from_be_bytes(bytes[4 * at..][..4].try_into().expect("four bytes")) as usize;
         // XWD: size of the header, then (from the 4th word) depth, columns, rows; bytes a row; colours of 12 bytes behind the header.
         let (header, columns, rows, row_bytes, colours) = (word(0), word(4), word(5), word(12), word(19));
         let from = header + 12 * colours;
         let pixels = (0..rows).flat_map(|row| bytes[from + row * row_bytes..][..4 * columns].chunks_exact(4));
-        let (mut seen, mut lit, mut all) = (std::collections::BTreeSet::new(), 0, 0);
-        for pixel in pixels {
-            all += 1;
-            lit += usize::from(pixel[..3].iter().any(|channel| *channel > 4));
-            seen.insert([pixel[0], pixel[1], pixel[2]]);
-        }
-        (seen.len(), f64::from(lit as u32) / f64::from(all as u32))
+        // Blue comes first.
+        let pixels = pixels.map(|pixel| [pixel[2], pixel[1], pixel[0]]).collect();
+        Image::from_pixels(columns, rows, pixels).expect("as large as its header says")
+    }
+
+    /// Different colours on the screen, and the share of pixels that are not black.
+    fn look(&self) -> (usize, f64) {
+        let picture = self.picture();
+        let lit = picture.pixels.iter().filter(|pixel| pixel.iter().any(|channel| *channel > 4)).count();
+        let seen: std::collections::BTreeSet<_> = picture.pixels.iter().collect();
+        (seen.len(), lit as f64 / picture.pixels.len() as f64)
     }
 }
 
@@ -95,6 +101,31 @@ fn a_session_that_cannot_start_leaves_no_window() {
     let status = live.program.end(HANG_S).unwrap_or_else(|| panic!("the window is still there: {}", live.stderr()));
     assert_eq!(status.code(), Some(1), "{}", live.stderr());
     assert!(live.stderr().contains("there is a session in this folder already"), "{}", live.stderr());
+}
+
+/// The pictures of the README: the window of a session and of its replay, and the strip of a pair.
+#[test]
+#[ignore = "makes pictures: scripts/evaluate gallery runs it"]
+fn gallery() {
+    let Some(screen) = Screen::open() else { return };
+    let Some(lab) = Lab::start(&["--duration-s", "25", "--faults", "none"]) else { return };
+    let folder =
+        std::env::var("SIDECARM_OUT").unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/docs/pictures").to_owned());
+    let write = |name: &str| write_png_rgb(&Path::new(&folder).join(name), &screen.picture()).expect("written");
+    let mut live = Live::windowed(&lab.kit.join("session.json"), &lab.kit.with_file_name("session"), &screen.display);
+    let pairs = eventually(HANG_S, || (live.pairs() >= 6).then_some(()));
+    assert!(pairs.is_some(), "{}", live.stderr());
+    std::thread::sleep(Duration::from_secs(1));
+    write("window-live.png");
+    live.program.signal(Signal::TERM);
+    assert!(live.program.end(HANG_S).is_some(), "{}", live.stderr());
+    let mut replay = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
+    replay.arg("replay").arg(&live.log).args(["--window", "--rate", "8"]).env("DISPLAY", &screen.display);
+    let mut replay = replay.env_remove("WAYLAND_DISPLAY").stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("starts");
+    std::thread::sleep(Duration::from_secs(20));
+    write("window-replay.png");
+    let _ = replay.kill();
+    let _ = replay.wait();
 }
 
 /// Time that a process has used, in seconds.

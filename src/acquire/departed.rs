@@ -3,11 +3,11 @@
 use std::collections::VecDeque;
 use std::ffi::{OsStr, OsString};
 
-use super::entry::{Entry, State};
+use super::entry::Entry;
 use crate::foreign::FileStamp;
 
 /// So many are remembered.
-pub(super) const REMEMBERED: usize = 4096;
+const REMEMBERED: usize = 4096;
 
 /// See the module; the oldest first.
 #[derive(Debug, Default)]
@@ -21,11 +21,10 @@ impl Departed {
         }
     }
 
-    /// The version `stamp`, if it was delivered, refused, or is being read.
+    /// The version `stamp`, which is away no longer.
     pub(super) fn take(&mut self, stamp: FileStamp) -> Option<Entry> {
         let place = self.0.iter().position(|(_, entry)| entry.stamp == stamp)?;
-        let (_, entry) = self.0.remove(place)?;
-        matches!(entry.state, State::Done | State::Offered(_)).then_some(entry)
+        self.0.remove(place).map(|(_, entry)| entry)
     }
 
     /// All of them.

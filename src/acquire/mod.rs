@@ -37,6 +37,7 @@ mod tag_reader;
 mod tags;
 mod terms;
 mod tree;
+pub mod video;
 mod watch;
 mod whole;
 

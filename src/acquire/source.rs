@@ -113,6 +113,12 @@ pub enum Trouble {
         /// What had come of it.
         bytes: u64,
     },
+    /// Nothing comes of the video; what it shows meanwhile is lost.
+    #[error("no frames come of the video: {detail}")]
+    NoVideo {
+        /// Why.
+        detail: String,
+    },
     /// An object that came over DICOM was refused, and its sender was told so.
     #[error("an object that came over DICOM is not taken: {detail} (association {association})")]
     NotReceived {
@@ -137,6 +143,7 @@ impl Trouble {
             Self::StillWritten { .. } => "frame still being written",
             Self::HalfReceived { .. } => "half a DICOM object",
             Self::NotReceived { .. } => "DICOM object not taken",
+            Self::NoVideo { .. } => "no video",
         }
     }
 }

@@ -1,4 +1,4 @@
-//! An object that arrives, as a file of the watched folder: Part 10 (PS3.10 §7.1) around the very bytes that came. Nothing of it is parsed
+//! An object that arrives or is made, as a file of the watched folder: Part 10 (PS3.10 §7.1) around the very bytes that came. Nothing of it is parsed
 //! here, and nothing of it is to be seen before it is whole.
 
 use std::collections::HashMap;
@@ -50,6 +50,8 @@ pub(super) enum Taken {
 /// The folder that objects are written into, by any number of associations.
 pub(super) struct Spool {
     folder: PathBuf,
+    /// What its files are called before their number.
+    prefix: &'static str,
     named: Mutex<Named>,
 }
 
@@ -62,8 +64,9 @@ struct Named {
 }
 
 impl Spool {
-    pub(super) fn new(folder: &Path) -> Self {
-        Self { folder: folder.to_owned(), named: Mutex::default() }
+    /// Its files are `PREFIX-0001.dcm` and so on.
+    pub(super) fn named(folder: &Path, prefix: &'static str) -> Self {
+        Self { folder: folder.to_owned(), prefix, named: Mutex::default() }
     }
 
     /// Begins an object.
@@ -119,7 +122,7 @@ impl Incoming {
         }
         while named.number < MOST_FILES {
             named.number += 1;
-            match file.persist_noclobber(spool.folder.join(format!("dicom-{:04}.dcm", named.number))) {
+            match file.persist_noclobber(spool.folder.join(format!("{}-{:04}.dcm", spool.prefix, named.number))) {
                 Ok(_) => {
                     named.hashes.insert(instance, hash);
                     return Ok(Taken::New);
@@ -140,7 +143,7 @@ mod tests {
     fn whole_objects_get_names_of_their_own_and_half_ones_leave_nothing() {
         let folder = tempfile::tempdir().expect("a folder");
         std::fs::write(folder.path().join("dicom-0001.dcm"), b"of an earlier session").expect("written");
-        let spool = Spool::new(folder.path());
+        let spool = Spool::named(folder.path(), "dicom");
         let incoming = |instance: &str, bytes: &[u8]| {
             let mut incoming = spool.begin("1.2.840.10008.5.1.4.1.1.12.1", instance, "1.2.840.10008.1.2.1").expect("a file");
             incoming.write(bytes).expect("written");
@@ -162,7 +165,7 @@ mod tests {
     #[test]
     fn an_object_without_end_is_not_taken() {
         let folder = tempfile::tempdir().expect("a folder");
-        let spool = Spool::new(folder.path());
+        let spool = Spool::named(folder.path(), "dicom");
         let mut incoming = spool.begin("1.2", "1.2.3", "1.2.840.10008.1.2").expect("a file");
         incoming.bytes = MOST_OBJECT_BYTES;
         assert!(matches!(incoming.write(b"!"), Err(SpoolError::TooLarge { .. })));

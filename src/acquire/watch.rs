@@ -3,12 +3,12 @@
 //! A file is known by its name, and each version of it by size, time of change and inode. A version that has lain still is offered once; how
 //! reading it ended comes back through a channel. What changes is a new version, and is offered again.
 
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, Sender, channel};
 
-use super::departed::{Departed, REMEMBERED};
+use super::departed::Departed;
 use super::entry::{Entry, PATIENCE_US, State};
 use super::label;
 use super::listing::{Listing, is_wanted, list};
@@ -42,8 +42,6 @@ pub struct FolderSource {
     being_written: BTreeSet<OsString>,
     passed_over: PassedOver,
     departed: Departed,
-    /// Versions that were said to have vanished before they were read: a notice of them may come later.
-    vanished: VecDeque<FileStamp>,
     place: Place,
     held: HeldCount,
     notices: Notices,
@@ -68,7 +66,6 @@ impl FolderSource {
             being_written: BTreeSet::new(),
             passed_over: PassedOver::default(),
             departed: Departed::default(),
-            vanished: VecDeque::new(),
             notices: Notices::of(folder, &held, is_wanted),
             place: Place::default(),
             held,
@@ -174,10 +171,11 @@ impl FolderSource {
 
     fn add(&mut self, name: OsString, stamp: FileStamp, now_us: i64) {
         self.seen += 1;
-        let said_gone = self.vanished.contains(&stamp);
         // It is back, or a notice of it comes late.
-        let known = self.departed.take(stamp);
-        let entry = known.unwrap_or_else(|| Entry { said_gone, ..Entry::new(stamp, now_us, self.seen) });
+        let entry = match self.departed.take(stamp) {
+            Some(known) if matches!(known.state, State::Done | State::Offered(_)) => known,
+            known => Entry { said_gone: known.is_some_and(|known| known.said_gone), ..Entry::new(stamp, now_us, self.seen) },
+        };
         self.entries.insert(name, entry);
     }
 
@@ -283,11 +281,11 @@ impl FolderSource {
 
     /// A file was completed and is gone: whether that was a version which has its word, or gets it when it departs.
     fn is_of_known(&mut self, name: &OsStr, now_us: i64) -> bool {
-        let Some(entry) = self.entries.get_mut(name).or_else(|| self.departed.named_mut(name)) else { return false };
-        if entry.state != State::Done {
+        if self.entries.get(name).is_some_and(|entry| entry.state != State::Done) {
             return true;
         }
-        // The notice that completed the version that was read already comes late.
+        let Some(entry) = self.entries.get_mut(name).or_else(|| self.departed.named_mut(name)) else { return false };
+        // The notice that completed the version that has its word already comes late.
         entry.closed.replace(entry.stamp) != Some(entry.stamp) && now_us - entry.since_us < PATIENCE_US
     }
 
@@ -309,17 +307,16 @@ impl FolderSource {
                     let stamp = held.open.file.metadata().map_or(entry.stamp, |metadata| FileStamp::of(&metadata));
                     // What is gone is not written any further.
                     let zeros = if entry.take_zeros { Zeros::Content } else { Zeros::HolesUnwritten };
-                    let offer = self.offer(&name, stamp, now_us, Some(held), entry.earlier, label, !entry.said_gone, zeros);
+                    let earlier = entry.earlier.clone();
+                    let offer = self.offer(&name, stamp, now_us, Some(held), earlier, label, !entry.said_gone, zeros);
                     found.push(offer);
+                    self.departed.push(name, Entry { stamp, state: State::Offered(self.offers), held: None, ..entry });
                 }
-                (State::Settling | State::Unfinished(_) | State::Blank, _) => {
+                (state @ (State::Settling | State::Unfinished(_) | State::Blank), _) => {
                     if !entry.said_gone {
                         found.push(Sighting::Trouble(Trouble::Vanished { label }));
-                        self.vanished.push_back(entry.stamp);
                     }
-                    if self.vanished.len() > REMEMBERED {
-                        self.vanished.pop_front();
-                    }
+                    self.departed.push(name, Entry { state, held: None, said_gone: true, ..entry });
                 }
                 (state @ (State::Done | State::Offered(_)), _) => self.departed.push(name, Entry { state, held: None, ..entry }),
             }

@@ -13,7 +13,7 @@ use crate::render::Renderer;
 use crate::reporter::Reporter;
 use crate::scene::{self, Scene};
 use crate::session::crosscheck::{
-    ExposureFacts, Finding, Level, check_disk, check_exposure, check_listened, check_ports, check_session, rehearse,
+    ExposureFacts, Finding, Level, check_disk, check_exposure, check_listened, check_ports, check_session, check_video, rehearse,
 };
 use crate::session::file::{SessionFileError, Setup};
 use crate::session::import::Import;
@@ -116,6 +116,7 @@ fn work(args: &CheckArgs, reporter: &Reporter, found: &Sender<Finding>) {
     tell(Finding::pass("session file", args.session.display().to_string()));
     check_disk(&out_folder(args, &setup), &setup.session.frames.folder).into_iter().for_each(tell);
     check_ports(&setup).into_iter().for_each(tell);
+    check_video(&setup).into_iter().for_each(tell);
     reporter.note("check: listening to the ports, reading files");
     for (_, words) in setup.adapters.unknowns() {
         let remedy = "declare device_time and sequence in the adapter where the device sends them; else this is how it is";

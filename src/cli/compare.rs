@@ -338,7 +338,8 @@ fn centre(pose: &Pose, scene: Option<&Scene>) -> Option<DVec3> {
 }
 
 fn add_null(compared: &mut Compared, scene: &Scene, reporter: &Reporter) -> Result<(), CompareCommandError> {
-    let mut renderer = Renderer::new(DeviceChoice::Auto, reporter)?;
+    // Of poses that are wrong on purpose nothing is to be said: some look past the specimen.
+    let mut renderer = Renderer::new(DeviceChoice::Auto, &Reporter::silent())?;
     let asked = Asked { rel_error: SCATTER_ERROR, network: None, budget_ms: None, gpu: renderer.gpu() };
     let found = scene.view.as_ref().map_or(Ok(None), |view| scattered(scene, view, &asked, reporter));
     let scatter = found.unwrap_or_else(|error| {

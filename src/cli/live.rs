@@ -13,6 +13,7 @@ use crate::session::{SessionError, Stop};
 ///
 /// With "igtl": {"port": 18944} in the session file, 3D Slicer and others hear poses, pictures and lines over OpenIGTLink meanwhile.
 /// With "dicom": {"port": 11112} under "frames", consoles may send frames (C-STORE to SIDECARM); they are kept in the watched folder.
+/// With "video": {"from": "/dev/video0"} there, pictures that stand still on a monitor's output are grabbed into it (see `sidecarm grab`).
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Example:\n  sidecarm check session.json && sidecarm live session.json --out run-1")]
 pub struct LiveArgs {

@@ -7,6 +7,8 @@ mod merge;
 mod outcome;
 mod redact;
 mod verify;
+#[cfg(feature = "vision")]
+mod video;
 
 use clap::Subcommand;
 
@@ -28,6 +30,8 @@ enum LogCommand {
     Merge(merge::MergeArgs),
     Csv(csv::CsvArgs),
     Redact(redact::RedactArgs),
+    #[cfg(feature = "vision")]
+    Video(video::VideoArgs),
 }
 
 /// Does what was asked; exit code 0, or 3 where something is lost from the log.
@@ -42,5 +46,7 @@ pub fn run(args: &LogArgs, reporter: &Reporter) -> Result<u8, LogbookError> {
         LogCommand::Merge(args) => merge::run(args, reporter),
         LogCommand::Csv(args) => csv::run(args, reporter),
         LogCommand::Redact(args) => redact::run(args, reporter),
+        #[cfg(feature = "vision")]
+        LogCommand::Video(args) => video::run(args, reporter),
     }
 }

@@ -33,6 +33,7 @@ mod dataset_error;
 mod dataset_materials;
 pub mod demo;
 pub mod devices;
+pub mod grab;
 pub mod hints;
 pub mod info;
 #[cfg(target_os = "linux")]
@@ -104,6 +105,7 @@ enum Command {
     Compare(compare::CompareArgs),
     Calibrate(calibrate::CalibrateArgs),
     Attach(attach::AttachArgs),
+    Grab(grab::GrabArgs),
     Log(log::LogArgs),
     Attenuation(attenuation::AttenuationArgs),
     Spectrum(spectrum::SpectrumArgs),
@@ -160,6 +162,7 @@ fn dispatch(command: &Command, reporter: &Reporter) -> u8 {
         Command::Pose(args) => end(pose::run(args, reporter), reporter),
         Command::Tags(args) => end(tags::run(args, reporter), reporter),
         Command::Attach(args) => end(attach::run(args, reporter), reporter),
+        Command::Grab(args) => end(grab::run(args, reporter), reporter),
         Command::Log(args) => end(log::run(args, reporter), reporter),
         Command::Attenuation(args) => end(attenuation::run(args, &mut std::io::stdout().lock()).map(|()| 0), reporter),
         Command::Spectrum(args) => end(spectrum::run(args, &mut std::io::stdout().lock()).map(|()| 0), reporter),

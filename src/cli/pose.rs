@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Subcommand;
 use serde_json::{Map, Value, json};
 
-use super::pose_losses::{PitchContradiction, settle_pitch, unkept};
+use super::pose_losses::{PitchContradiction, implausible, settle_pitch, unkept, unused};
 use crate::geometry::formats::{ExchangedCamera, Format, FormatError, Known, PatientAxes, read, recognise, write};
 use crate::geometry::{AngleConvention, CameraError, PatientPosition, View};
 use crate::image::{ImageFileError, refuse_overwrite, write_atomically};
@@ -217,6 +217,9 @@ pub fn run(args: &PoseArgs, reporter: &Reporter) -> Result<u8, ConvertError> {
     let typed_mm = known.pitch_mm.filter(|_| !args.pitch.is_empty());
     let settled = settle_pitch(&mut camera, typed_mm, args.to == Target::Pose);
     warnings.extend(settled.map_err(|source| ConvertError::Pitch { path: args.pose.clone(), source })?);
+    let typed_size_px = known.size_px.filter(|_| !args.size.is_empty());
+    warnings.extend(unused(&camera, typed_size_px, known.intrinsics));
+    warnings.extend(implausible(&camera.camera_from_lps));
     let text = match args.to {
         Target::Pose => serde_json::to_string_pretty(&pose_of(&camera, from))? + "\n",
         Target::Foreign(format) => {

@@ -1,7 +1,7 @@
-//! What a conversion of a pose does not keep, in sentences, and what the pixels' pitch must be by K.
+//! What a conversion of a pose does not keep or use, and what is doubtful in it, in sentences; and what the pixels' pitch must be by K.
 
 use crate::geometry::formats::ExchangedCamera;
-use crate::geometry::{ConsoleGeometry, Rigid};
+use crate::geometry::{ConsoleGeometry, Intrinsics, Rigid};
 use crate::pose::Pose;
 
 /// Relative difference of lengths that is rounding.
@@ -35,6 +35,42 @@ pub(super) fn unkept(pose: &Pose, format: &str) -> Vec<String> {
     losses
         .extend(pose.cautions.iter().map(|caution| format!("the pose was accepted with caution, which is not kept: {caution}")));
     losses
+}
+
+/// What was typed of the panel and not used, as the pose has its own.
+pub(super) fn unused(camera: &ExchangedCamera, size_px: Option<[u32; 2]>, k: Option<Intrinsics>) -> Vec<String> {
+    let other_size = size_px.zip(camera.size_px).filter(|(typed, own)| typed != own);
+    let size = other_size.map(|([columns, rows], [own_columns, own_rows])| {
+        format!("--size {columns},{rows} is not used: POSE has its own, {own_columns} by {own_rows} pixels")
+    });
+    let alike = |a: &Intrinsics, b: &Intrinsics| {
+        let pairs = a.to_rows().into_iter().flatten().zip(b.to_rows().into_iter().flatten());
+        pairs.map(|(a, b)| (a - b).abs()).all(|apart| apart <= ROUNDING * a.fx)
+    };
+    let other_k = k.zip(camera.intrinsics).filter(|(typed, own)| !alike(typed, own));
+    let k = other_k.map(|(typed, own)| {
+        format!("K of --intrinsics (fx {:.1} px) is not used: POSE has its own (fx {:.1} px)", typed.fx, own.fx)
+    });
+    size.into_iter().chain(k).collect()
+}
+
+/// No patient's origin lies nearer to a focal spot: on the housing of the tube.
+const NEAREST_ORIGIN_MM: f64 = 50.0;
+
+/// What no C-arm does, though other tools' patients may lie anywhere.
+pub(super) fn implausible(camera_from_lps: &Rigid) -> Option<String> {
+    let origin_mm = camera_from_lps.translation_mm;
+    let away_mm = origin_mm.length();
+    if !(away_mm >= NEAREST_ORIGIN_MM) {
+        return Some(format!("the focal spot lies {away_mm:.3} mm from the patient's origin: are its lengths in metres?"));
+    }
+    let behind = !(origin_mm.z > 0.0);
+    behind.then(|| {
+        format!(
+            "the patient's origin lies {:.0} mm behind the focal spot: is it the inverse of a pose, or of a camera that looks along -z?",
+            -origin_mm.z
+        )
+    })
 }
 
 /// K and the pitches of columns and rows say two distances from source to detector.

@@ -219,7 +219,7 @@ fn answered<R: BufRead, W: Write>(
             model,
             adapter: args.robot_adapter.as_deref().map(named),
         }),
-        frames: FrameSource { folder: frames, sub_folders: false, domain: None, dicom: further.dicom },
+        frames: FrameSource { folder: frames, sub_folders: false, domain: None, dicom: further.dicom, video: None },
         scene,
         beads,
         world_from_lps: None,

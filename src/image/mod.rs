@@ -5,6 +5,8 @@ mod new_file;
 pub mod plot;
 mod ticks;
 mod vectors;
+#[cfg(feature = "vision")]
+mod video;
 
 pub use files::{
     ImageFileError, cache_file, check_writable, hex, read_png_rgb, read_tiff_f32, refuse_overwrite, refuse_same_content,
@@ -13,6 +15,8 @@ pub use files::{
 
 pub use new_file::NewFile;
 pub use vectors::{exp, on_widest_vectors};
+#[cfg(feature = "vision")]
+pub use video::VideoFile;
 
 /// A row-major raster; the index of pixel (column, row) is `row * width + column`.
 #[derive(Clone, Debug, PartialEq)]

@@ -59,7 +59,7 @@ pub fn explain_empty(scene: &Scene, prepared: &Prepared) -> String {
 /// Objects smaller than this are nobody's.
 const SMALLEST_MM: f64 = 0.05;
 
-/// What to say of objects that `view` does not show, or that are too small for anything: one sentence for each kind of fault. Beads are not
+/// What to say of objects that `view` does not show, that are too small for anything, or that hold the focal spot: one sentence for each kind of fault. Beads are not
 /// spoken of, of which some lie outside most views.
 #[must_use]
 pub fn explain_unseen(scene: &Scene, view: &View) -> Vec<String> {
@@ -83,7 +83,18 @@ pub fn explain_unseen(scene: &Scene, view: &View) -> Vec<String> {
     if !tiny.is_empty() {
         words.push(format!("too small to be seen: {}: in metres where millimetres are expected?", tiny.join("; ")));
     }
+    let holds_source = |object: &&Object| object.matter.volumes().iter().any(|volume| holds(volume, view.source_in_lps()));
+    words.extend(scene.objects.iter().find(holds_source).map(|object| {
+        let name = &object.name;
+        format!("the focal spot lies within {name}, as no C-arm's does: is the pose in metres, or the inverse of one?")
+    }));
     words
+}
+
+/// Whether a point lies within the grid of a CT.
+fn holds(volume: &Volume, p_in_lps: DVec3) -> bool {
+    let voxel = volume.lps_from_voxel.inverse().transform_point3(p_in_lps);
+    volume.truncated_at_faces && (0..3).all(|axis| voxel[axis] > -0.5 && voxel[axis] < volume.size[axis] as f64 - 0.5)
 }
 
 fn in_view(view: &View, detector_mm: f64, centre: DVec3, radius: f64) -> bool {

@@ -192,7 +192,7 @@ pub(super) fn from_fractions(
     })
 }
 
-/// Labels on the grid of the CT.
+/// Labels on the grid of the CT, whatever the order of their axes.
 ///
 /// # Errors
 /// When size or place differ, or a value is no label.
@@ -200,6 +200,7 @@ pub(super) fn labels_on_grid(
     (ct_path, ct): (&Path, &VolumeFile),
     (labels_path, labels): (&Path, VolumeFile),
 ) -> Result<Vec<u32>, SceneError> {
+    let labels = labels.in_order_of(&ct.grid());
     let differ = |detail: String| SceneError::Grid { labels: labels_path.to_owned(), ct: ct_path.to_owned(), detail };
     if labels.size != ct.size {
         return Err(differ(format!("size {:?}, the CT has {:?}", labels.size, ct.size)));

@@ -9,6 +9,7 @@ use super::adapters::{self, Adapters};
 use super::air_word::AirWord;
 pub use super::file_error::SessionFileError;
 use super::servers::{DicomServer, IgtlServer};
+use crate::acquire::video::VideoSettings;
 use crate::acquire::{DetectorCalibration, Domain, Frame};
 use crate::beads::tags::{TagLayout, parse_tags};
 use crate::beads::{Landmark, parse_landmarks};
@@ -68,6 +69,9 @@ pub struct FrameSource {
     /// DICOM storage into that folder, if frames are also sent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub dicom: Option<DicomServer>,
+    /// A video output of which pictures come into that folder.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub video: Option<VideoSettings>,
 }
 
 /// A session file as typed.
@@ -347,6 +351,9 @@ impl Setup {
         if let Some(title) = session.frames.dicom.as_ref().and_then(DicomServer::wrong_title) {
             let expected = "AE titles of 1 to 16 ASCII characters, no backslash, no space at either end";
             return Err(wrong("frames.dicom", format!("{title:?}"), expected));
+        }
+        if let Some((key, found, expected)) = session.frames.video.as_ref().and_then(VideoSettings::wrong) {
+            return Err(place(&format!("frames.video.{key}"), format!("found {found}, expected {expected}")));
         }
         if let (Some(of_session), Some(of_frames)) = (session.domain, session.frames.domain)
             && of_session != of_frames

@@ -144,7 +144,7 @@ impl InputNames {
         session.out = None;
         // Nothing that is computed depends on who listens, or on how frames came into the folder.
         session.igtl = None;
-        session.frames.dicom = None;
+        (session.frames.dicom, session.frames.video) = (None, None);
         session.beads = session.beads.as_deref().map(|path| told(path, "beads"));
         session.landmarks = session.landmarks.as_deref().map(|path| told(path, "landmarks"));
         session.detector = session.detector.as_deref().map(|path| told(path, "detector"));

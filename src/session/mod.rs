@@ -119,6 +119,9 @@ pub enum SessionError {
     /// Frames over DICOM.
     #[error(transparent)]
     Receiver(#[from] crate::acquire::ReceiverError),
+    /// Frames off a video output.
+    #[error(transparent)]
+    Grab(#[from] crate::acquire::video::GrabError),
     /// Report, strips or DRRs.
     #[error(transparent)]
     Report(#[from] crate::report::ReportError),

@@ -11,6 +11,7 @@ use super::event::{Event, Source};
 use super::file::Setup;
 use super::input::Input;
 use super::log::SessionLog;
+use crate::acquire::video::GrabbedSource;
 use crate::acquire::{Arrival, FolderSource, FolderTree, Frame, FrameSource, Reading, ReceivedSource, Sighting};
 use crate::foreign;
 use crate::record::Level;
@@ -74,6 +75,10 @@ pub(super) fn frame_source(
     let folder: Box<dyn FrameSource> = match setup.session.frames.sub_folders {
         true => Box::new(FolderTree::new(path, domain, include_existing, reader)),
         false => Box::new(FolderSource::new(path, domain, include_existing, reader)),
+    };
+    let folder: Box<dyn FrameSource> = match &setup.session.frames.video {
+        Some(video) => Box::new(GrabbedSource::open(folder, path, video, include_existing)?),
+        None => folder,
     };
     let Some(dicom) = &setup.session.frames.dicom else { return Ok(folder) };
     let received = ReceivedSource::open(folder, path, dicom.options())?;

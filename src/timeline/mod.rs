@@ -206,6 +206,29 @@ impl Timeline {
         self.fill_exposures();
     }
 
+    /// Samples of `device` come that had waited in front of a port just opened, and nobody knows yet for how long.
+    #[must_use]
+    pub fn is_catching_up(&self, device: DeviceKind) -> bool {
+        !self.ended && self.clock(device).latest().is_some_and(|segment| !segment.caught_up)
+    }
+
+    /// The times of a sample of `device` as they are known by now; `None` where its stretch of the clock is forgotten.
+    #[must_use]
+    pub fn stamps_now(&self, device: DeviceKind, stamps: &Stamps) -> Option<Stamps> {
+        let Stamps { segment, epoch, device_us, host_us, .. } = *stamps;
+        match device {
+            DeviceKind::Carm => self.carm.stamps_of(segment, epoch, device_us, host_us),
+            DeviceKind::Robot => self.robot.stamps_of(segment, epoch, device_us, host_us),
+        }
+    }
+
+    fn clock(&self, device: DeviceKind) -> &DeviceClock {
+        match device {
+            DeviceKind::Carm => self.carm.clock(),
+            DeviceKind::Robot => self.robot.clock(),
+        }
+    }
+
     /// Until when the samples of `device` tell what was, with their times known.
     #[must_use]
     pub fn told_until_us(&self, device: DeviceKind) -> Option<i64> {
@@ -220,9 +243,9 @@ impl Timeline {
     /// Seeks exposures in the samples that waited, but for those of the stretch that waits on.
     fn seek_exposures(&mut self, waits: Option<u32>) {
         let goes_on = self.waiting.iter().position(|(_, stamps)| Some(stamps.segment) == waits);
-        let known = self.waiting.drain(..goes_on.unwrap_or(self.waiting.len()));
-        for (sample, Stamps { segment, epoch, device_us, host_us, .. }) in known {
-            if let Some(stamps) = self.carm.stamps_of(segment, epoch, device_us, host_us) {
+        let known: Vec<_> = self.waiting.drain(..goes_on.unwrap_or(self.waiting.len())).collect();
+        for (sample, stamps) in known {
+            if let Some(stamps) = self.stamps_now(DeviceKind::Carm, &stamps) {
                 self.exposures.push(&sample, &stamps);
             }
         }

@@ -141,6 +141,11 @@ fn placement(header: &Header, axes: usize, remarks: &mut Vec<Remark>) -> Result<
         Some(spacing) => spacing,
         None => header.needed(&["ElementSize"], axes)?,
     };
+    if let Some(mirrored) = spacing.iter().find(|spacing| **spacing < 0.0) {
+        return Err(format!(
+            "'ElementSpacing' of its header is {mirrored}, expected more than 0; mirror the axis in TransformMatrix"
+        ));
+    }
     if matrix.is_none() || offset.is_none() {
         let words = "without TransformMatrix or Offset: axes are taken as LPS, and the first voxel lies at its origin";
         remarks.push((Some("no orientation".to_owned()), words.to_owned()));

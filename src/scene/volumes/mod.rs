@@ -14,6 +14,7 @@ mod label_table;
 mod metaimage;
 mod nifti;
 mod nrrd;
+mod reorder;
 mod series;
 mod slices;
 mod source;

@@ -155,7 +155,13 @@ fn scaling(header: &NiftiHeader) -> Result<(f64, f64), String> {
 
 fn placement(header: &NiftiHeader, remarks: &mut Vec<Remark>) -> Result<(DAffine3, PlacedBy), String> {
     let mut warn = |kind: &str, words: String| remarks.push((Some(kind.to_owned()), words));
-    let (ras_from_voxel, placed_by) = if header.sform_code > 0 {
+    // Some tools set its code and leave it empty.
+    let is_empty = header.sform_code > 0 && header.qform_code > 0 && sform(header).matrix3 == DMat3::ZERO;
+    if is_empty {
+        warn("sform and qform", "the sform is all zero; the qform is used".into());
+    }
+    let has_sform = header.sform_code > 0 && !is_empty;
+    let (ras_from_voxel, placed_by) = if has_sform {
         (sform(header), PlacedBy::Sform)
     } else if header.qform_code > 0 {
         (qform(header), PlacedBy::Qform)
@@ -164,7 +170,7 @@ fn placement(header: &NiftiHeader, remarks: &mut Vec<Remark>) -> Result<(DAffine
         warn("no orientation", "neither sform nor qform: placed by spacing alone, axes taken as RAS".into());
         (DAffine3::from_scale(spacing), PlacedBy::SpacingOnly)
     };
-    if header.sform_code > 0 && header.qform_code > 0 {
+    if has_sform && header.qform_code > 0 {
         let disagreement_mm = corner_distance(&sform(header), &qform(header), header);
         if !(disagreement_mm <= 1.0) {
             let words = format!("sform and qform disagree by up to {disagreement_mm:.1} units; the sform is used");

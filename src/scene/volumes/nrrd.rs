@@ -15,6 +15,9 @@ pub(super) const MAGIC: &[u8] = b"NRRD000";
 /// Axes that a file may have; those beyond three must have one sample.
 const MOST_AXES: usize = 16;
 
+/// Their names follow the header, or are numbered.
+const SEVERAL_FILES: &str = "its voxels are in several files; save it in one";
+
 /// What the header at the start of `bytes` says.
 ///
 /// # Errors
@@ -60,6 +63,9 @@ impl Header {
             } else {
                 let key = key.to_ascii_lowercase().replace(' ', "");
                 let (key, value) = (if key == "centers" { "centerings".to_owned() } else { key }, value.trim().to_owned());
+                if key == "datafile" && value.starts_with("LIST") {
+                    return Err(SEVERAL_FILES.to_owned());
+                }
                 if fields.insert(key.clone(), value).is_some() {
                     return Err(format!("its header has {} twice", shown(&key)));
                 }
@@ -234,9 +240,9 @@ fn data_place(header: &Header, encoding: Encoding) -> Result<DataPlace, String> 
     };
     let file = header.field("datafile").map(str::to_owned);
     if let Some(name) = &file
-        && (name.starts_with("LIST") || name.contains('%'))
+        && name.contains('%')
     {
-        return Err("its voxels are in several files; save it in one".to_owned());
+        return Err(SEVERAL_FILES.to_owned());
     }
     let skip_bytes = if file.is_some() { 0 } else { header.bytes };
     Ok(DataPlace { file, at_end, skip_bytes, skip_lines, skip_decoded_bytes })

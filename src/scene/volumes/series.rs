@@ -1,5 +1,7 @@
 //! From the slices of a folder to one volume: which belong together, in which order, and whether they fill a grid. No file is opened here.
 
+use std::collections::HashSet;
+
 use glam::{DAffine3, DMat3, DVec3};
 
 use super::ct_slice::{CtHead, FileHead, SliceHead};
@@ -42,7 +44,6 @@ pub(super) fn arrange(
     limits: &Limits,
 ) -> Result<Series, String> {
     let damaged = files.iter().filter(|file| matches!(file, FileHead::Damaged)).count();
-    let ct = |index: usize| if let FileHead::Ct(head) = &files[index] { Some(head) } else { None };
     let chosen = match named {
         Some(index) => match &files[index] {
             FileHead::Ct(head) => head.series.as_str(),
@@ -57,7 +58,9 @@ pub(super) fn arrange(
         return Err(format!("{damaged} of {all} DICOM files of the folder are damaged: slices may be missing; copy it again"));
     }
     let (mut slices, mut places) = (Vec::new(), Vec::new());
-    for (file, head) in (0..files.len()).filter_map(|index| Some((index, ct(index)?))).filter(|(_, head)| head.series == chosen) {
+    for (file, head) in
+        files.iter().enumerate().filter_map(|(index, file)| Some((index, ct(file)?))).filter(|(_, head)| head.series == chosen)
+    {
         let heads = head.slices.as_ref().map_err(|lacks| format!("{} {lacks}; export the series again", names(file)))?;
         places.extend((0..heads.len()).map(|slice| (file, slice)));
         slices.extend(heads.iter());
@@ -86,6 +89,23 @@ pub(super) fn arrange(
     };
     head.doubt_spacing();
     Ok(Series { head, files: by_file(order.into_iter().map(|slice| places[slice]))? })
+}
+
+/// How many slices of `below` belong to the series that `chosen` of `files` are of, and are none of these.
+pub(super) fn more_slices(files: &[FileHead], chosen: &[(usize, Vec<usize>)], below: &[FileHead]) -> usize {
+    let known: Vec<&CtHead> = chosen.iter().filter_map(|(file, _)| ct(&files[*file])).collect();
+    let Some(first) = known.first() else { return 0 };
+    let images_known: HashSet<&str> = known.iter().flat_map(|head| images(head)).collect();
+    let same_series = below.iter().filter_map(ct).filter(|head| head.series == first.series);
+    same_series.flat_map(images).filter(|image| !images_known.contains(image)).count()
+}
+
+fn ct(file: &FileHead) -> Option<&CtHead> {
+    if let FileHead::Ct(head) = file { Some(head) } else { None }
+}
+
+fn images(head: &CtHead) -> impl Iterator<Item = &str> {
+    head.slices.iter().flatten().map(|slice| slice.image.as_str())
 }
 
 /// The series of a folder with one.
@@ -238,7 +258,7 @@ fn check_gaps(places_mm: &[f64]) -> Result<(), String> {
 /// Slices in order, gathered by their file.
 fn by_file(slices: impl Iterator<Item = (usize, usize)>) -> Result<Vec<(usize, Vec<usize>)>, String> {
     let mut files: Vec<(usize, Vec<usize>)> = Vec::new();
-    let mut seen = std::collections::HashSet::new();
+    let mut seen = HashSet::new();
     for (file, slice) in slices {
         match files.last_mut() {
             Some((last, slices)) if *last == file => slices.push(slice),

@@ -6,7 +6,7 @@ use std::path::{Component, Path, PathBuf};
 use super::ct_slice::FileHead;
 use super::exchange::{HeaderFormat, Volume, Wanted, read_file_heads, read_header, read_voxels_of};
 use super::header_file::HeaderPlan;
-use super::series::{Series, arrange};
+use super::series::{Series, arrange, more_slices};
 use super::slices::SlicesWanted;
 use super::{metaimage, nrrd};
 use crate::acquire::{input_label, is_dicom};
@@ -187,8 +187,8 @@ fn many(files: Vec<PathBuf>, most: u64) -> Input {
 /// The series of a folder: the only one, or that of the file `named`.
 fn series(folder: &Path, named: Option<&Path>) -> Result<Form, String> {
     let (files, folders) = dicom_files(folder)?;
-    if files.is_empty() && folders > 0 {
-        return Err(format!("the folder holds no DICOM file, and {folders} folders; name that of the slices themselves"));
+    if files.is_empty() && !folders.is_empty() {
+        return Err(format!("the folder holds no DICOM file, and {} folders; name that of the slices themselves", folders.len()));
     }
     let heads = read_file_heads(many(files.clone(), DICOM_HEAD_BYTES), files.len())?;
     let named = named.map(|named| {
@@ -201,23 +201,32 @@ fn series(folder: &Path, named: Option<&Path>) -> Result<Form, String> {
     };
     let limits = Limits::of(Kind::Volume);
     let Series { head, files: order } = arrange(&heads, named.transpose()?, &name, &limits)?;
+    let below: Vec<PathBuf> = folders.iter().filter_map(|folder| dicom_files(folder).ok()).flat_map(|(files, _)| files).collect();
+    let heads_below = read_file_heads(many(below.clone(), DICOM_HEAD_BYTES), below.len())?;
+    let more = more_slices(&heads, &order, &heads_below);
+    if more > 0 {
+        return Err(format!("{more} more slices of this series lie in folders below; put all of them into one folder"));
+    }
     let (in_order, slices_of_files): (Vec<PathBuf>, Vec<Vec<usize>>) =
         order.into_iter().map(|(file, slices)| (files[file].clone(), slices)).unzip();
     Ok(Form::Series { files: in_order, wanted: Box::new(SlicesWanted { head, slices_of_files }) })
 }
 
-/// The DICOM files of a folder in the order of their names, and how many folders are in it. What ends as a DICOM file does and is none
+/// The DICOM files of a folder in the order of their names, and the folders in it. What ends as a DICOM file does and is none
 /// counts as one: it is damaged.
-fn dicom_files(folder: &Path) -> Result<(Vec<PathBuf>, usize), String> {
+fn dicom_files(folder: &Path) -> Result<(Vec<PathBuf>, Vec<PathBuf>), String> {
     let unreadable = |error: std::io::Error| format!("cannot be read ({error})");
-    let (mut files, mut folders) = (Vec::new(), 0);
+    let (mut files, mut folders) = (Vec::new(), Vec::new());
     for (count, entry) in std::fs::read_dir(folder).map_err(unreadable)?.enumerate() {
         if count >= MOST_ENTRIES {
             return Err(format!("the folder holds more than {MOST_ENTRIES} entries; name one that has the slices alone"));
         }
         let path = entry.map_err(unreadable)?.path();
         let Ok(metadata) = std::fs::metadata(&path) else { continue };
-        folders += usize::from(metadata.is_dir());
+        if metadata.is_dir() {
+            folders.push(path);
+            continue;
+        }
         let ends_so = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("dcm"));
         if metadata.is_file() && (ends_so || begins_so(&path)) {
             files.push(path);

@@ -16,6 +16,7 @@ mod rehearsal;
 mod robot;
 mod robot_watch;
 mod units;
+mod video;
 
 use glam::DVec3;
 
@@ -29,6 +30,7 @@ pub use listened::{Listened, check_listened};
 pub use ports::check_ports;
 pub use rehearsal::{choose_view, rehearse};
 pub use robot::APART_DEG;
+pub use video::check_video;
 
 use super::file::Setup;
 use crate::beads::BeadLayout;

@@ -171,6 +171,8 @@ struct CutPlan {
     to_us: i64,
     within: BTreeSet<u32>,
     of_the_tie: BTreeSet<u32>,
+    /// Times of the poses of both, which their pictures for the eye have.
+    shown_us: BTreeSet<i64>,
     /// Place of the last message that a kept frame needs.
     last_place: Option<u64>,
 }
@@ -183,7 +185,9 @@ impl CutPlan {
         let within: BTreeSet<u32> = within.map(|frame| frame.number).collect();
         let of_the_tie = rested_on(&within, tie_at);
         let last_place = within.iter().filter_map(|number| glance.needed.get(number)).copied().max();
-        Self { from_us, to_us, within, of_the_tie, last_place }
+        let kept = within.iter().chain(&of_the_tie).filter_map(|number| glance.frames.by_number.get(number));
+        let shown_us = kept.flat_map(|frame| frame.times_us.iter().copied()).collect();
+        Self { from_us, to_us, within, of_the_tie, shown_us, last_place }
     }
 
     fn keeps(&self, number: u32) -> bool {
@@ -277,6 +281,8 @@ impl Writing {
                 self.kept.posed.is_some()
             }
             topic::CALIBRATION | topic::TRANSFORMS | topic::ANNOTATIONS => self.kept.posed.is_some(),
+            // Made beside the poses, and known by the time of its frame alone.
+            topic::SHOWN => self.plan.shown_us.contains(&entry.host_us),
             topic::EVENTS => self.event(entry, is_within),
             topic::DRR => self.kept.rendered.take().is_some_and(|number| self.plan.keeps(number)),
             _ => is_within,

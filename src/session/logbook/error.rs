@@ -28,6 +28,14 @@ pub enum LogbookError {
         /// The file.
         path: PathBuf,
     },
+    /// A video of a session's pairs.
+    #[error("{path}: {detail}", path = path.display())]
+    Video {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        detail: String,
+    },
     /// Nothing was recorded between the two times.
     #[error(
         "{path}: nothing lies between --from {from_s:.3} s and --to {to_s:.3} s of the log, which is {length_s:.3} s long",

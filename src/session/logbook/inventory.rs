@@ -212,6 +212,7 @@ pub fn take_inventory(path: &Path, reporter: &Reporter) -> Result<Inventory, Log
         told.per_s = per_s(told.messages, told.first_us, told.last_us);
     }
     found.devices = devices(&lines, &heard);
+    lines.finish();
     found.exposures = lines.exposures().iter().map(Vec::len).sum();
     found.line_losses = lines.losses();
     found.frames = frames.by_number.into_values().collect();

@@ -6,7 +6,7 @@ use super::super::losses::line_losses;
 use super::super::records::RESTART_TOPIC;
 use crate::record::{LogEntry, RecordError, topic};
 use crate::telemetry::{DeviceKind, Event, Health, Link};
-use crate::timeline::{ExposureInterval, Timeline};
+use crate::timeline::{ExposureInterval, Stamps, Timeline};
 
 /// What the decoder found in the bytes of a message.
 pub(super) struct Heard<'a> {
@@ -14,8 +14,8 @@ pub(super) struct Heard<'a> {
     /// Opening of the port.
     pub epoch: u32,
     pub event: &'a Event,
-    /// Host time by the device's clock, and the segment of that clock; of samples that have one.
-    pub mapped: Option<(i64, u32)>,
+    /// Its times as they are known so far; of samples that have one.
+    pub stamps: Option<Stamps>,
 }
 
 /// Takes the messages of a log in order.
@@ -53,6 +53,7 @@ impl Lines {
                 return Ok(());
             }
             RESTART_TOPIC => {
+                self.finish();
                 self.before.push((self.timeline.exposures(), self.links.clone()));
                 self.listen_anew();
                 return Ok(());
@@ -62,14 +63,13 @@ impl Lines {
         let Some(raw) = entry.raw_bytes()? else { return Ok(()) };
         let Self { links, timeline, .. } = self;
         links[device as usize].feed(entry.host_us, raw.epoch, raw.bytes, &mut |received| {
-            let mapped = match &received.event {
+            let stamps = match &received.event {
                 Event::Sample(sample, sequenced) => {
                     timeline.push_sample(device, entry.host_us, raw.epoch, *sequenced, sample.clone())
                 }
                 Event::Fault(_) => None,
             };
-            let mapped = mapped.map(|stamps| (stamps.mapped_us, stamps.segment));
-            sink(Heard { device, epoch: raw.epoch, event: &received.event, mapped });
+            sink(Heard { device, epoch: raw.epoch, event: &received.event, stamps });
         });
         Ok(())
     }
@@ -81,6 +81,18 @@ impl Lines {
             return;
         };
         (self.links, self.timeline) = (DeviceKind::ALL.map(|device| setup.link(device)), setup.adapters.timeline());
+    }
+
+    /// Times of a sample of the log that is being read, as they are known by now; `None` while they may yet become better, because samples
+    /// like it had waited in front of a port that was just opened.
+    pub(super) fn stamps_now(&self, device: DeviceKind, stamps: &Stamps) -> Option<Stamps> {
+        let now = self.timeline.stamps_now(device, stamps);
+        (!self.timeline.is_catching_up(device)).then(|| now.unwrap_or(*stamps))
+    }
+
+    /// Nothing more comes of the log that is being read.
+    pub(super) fn finish(&mut self) {
+        self.timeline.finish();
     }
 
     /// Exposures of each of the logs that were joined, in order.

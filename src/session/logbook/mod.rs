@@ -17,6 +17,8 @@ mod retrace;
 mod serial_numbers;
 mod tables;
 mod verify;
+#[cfg(feature = "vision")]
+mod video;
 
 pub use cut::{CutReport, cut};
 pub use error::LogbookError;
@@ -27,3 +29,5 @@ pub use moment::Moment;
 pub use redact::{RedactOptions, RedactReport, redact};
 pub use tables::{TablesReport, write_tables};
 pub use verify::{Fault, Verdict, verify};
+#[cfg(feature = "vision")]
+pub use video::{Pace, VideoReport, write_video};

@@ -105,7 +105,7 @@ impl Names {
             line.adapter = line.adapter.as_ref().map(|_| "robot-lines.json".into());
         }
         session.frames.folder = "frames".into();
-        (session.frames.dicom, session.igtl, session.out) = (None, None, None);
+        (session.frames.dicom, session.frames.video, session.igtl, session.out) = (None, None, None, None);
         let roles = [
             (&mut session.beads, "beads.mrk.json"),
             (&mut session.landmarks, "landmarks.mrk.json"),

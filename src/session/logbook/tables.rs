@@ -1,6 +1,6 @@
 //! A log as tables: exposures, both devices, beads and scores, each a CSV file with units in its headers. What was not measured is empty.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 
 use super::super::log::PoseRecord;
+use super::super::records::RESTART_TOPIC;
 use super::LogbookError;
 use super::frames::Frames;
 use super::inventory::Reading;
@@ -18,9 +19,9 @@ use crate::pose::Pose;
 use crate::record::{LogReader, Tolerance, topic};
 use crate::report::Pair;
 use crate::reporter::Reporter;
-use crate::telemetry::{CarmSample, Event, RobotSample, Sample, Sequenced};
+use crate::telemetry::{CarmSample, DeviceKind, Event, RobotSample, Sample, Sequenced};
 use crate::time::rfc3339_from_us;
-use crate::timeline::ExposureInterval;
+use crate::timeline::{ExposureInterval, Stamps};
 
 /// The files, in the order in which they are told.
 const FILES: [&str; 5] = ["exposures.csv", "carm.csv", "robot.csv", "beads.csv", "scores.csv"];
@@ -81,6 +82,32 @@ impl Table {
     }
 }
 
+/// Rows of a device, which wait until the times of their samples are known.
+struct Samples {
+    device: DeviceKind,
+    table: Table,
+    waiting: VecDeque<(Vec<String>, Option<Stamps>)>,
+}
+
+impl Samples {
+    fn new(device: DeviceKind, table: Table) -> Self {
+        Self { device, table, waiting: VecDeque::new() }
+    }
+
+    /// Writes what is known by now.
+    fn write(&mut self, lines: &Lines) -> Result<(), LogbookError> {
+        while let Some((row, stamps)) = self.waiting.front_mut() {
+            if let Some(stamps) = stamps {
+                let Some(now) = lines.stamps_now(self.device, stamps) else { break };
+                row[HOST_US] = now.mapped_us.to_string();
+            }
+            self.table.row(std::mem::take(row))?;
+            self.waiting.pop_front();
+        }
+        Ok(())
+    }
+}
+
 fn failed(path: &Path, source: std::io::Error) -> LogbookError {
     let path = path.to_owned();
     match source.kind() {
@@ -108,29 +135,30 @@ pub fn write_tables(log: &Path, folder: &Path, reporter: &Reporter) -> Result<Ta
     let (mut exposures, mut carm, mut robot, mut beads, mut scores) = (exposures?, carm?, robot?, beads?, scores?);
     carm.head(carm_columns())?;
     robot.head(robot_columns())?;
+    let (mut carm, mut robot) = (Samples::new(DeviceKind::Carm, carm), Samples::new(DeviceKind::Robot, robot));
     let mut reading = Reading::new("reading", &reader, reporter);
     let (mut frames, mut lines, mut tolerance) = (Frames::default(), Lines::new(), Tolerance::default());
     let (mut poses, mut pairs): (BTreeMap<u32, PoseRecord>, BTreeMap<u32, Pair>) = Default::default();
-    let mut failed = Ok(());
     while let Some(entry) = reader.next() {
         reading.at(&reader);
         tolerance.take(frames.take(&entry));
+        if &*entry.topic == RESTART_TOPIC {
+            lines.finish();
+            carm.write(&lines)?;
+            robot.write(&lines)?;
+        }
         let piece = lines.piece();
-        tolerance.take(lines.take(&entry, &mut |heard| {
-            let written = match heard.event {
-                Event::Sample(Sample::Carm(sample), sequenced) => {
-                    carm.row(carm_row(piece, entry.host_us, &heard, *sequenced, sample))
-                }
-                Event::Sample(Sample::Robot(sample), sequenced) => {
-                    robot.row(robot_row(piece, entry.host_us, &heard, *sequenced, sample))
-                }
-                Event::Sample(Sample::Metadata(_), _) | Event::Fault(_) => Ok(()),
-            };
-            if failed.is_ok() {
-                failed = written;
+        tolerance.take(lines.take(&entry, &mut |heard| match heard.event {
+            Event::Sample(Sample::Carm(sample), sequenced) => {
+                carm.waiting.push_back((carm_row(piece, entry.host_us, &heard, *sequenced, sample), heard.stamps));
             }
+            Event::Sample(Sample::Robot(sample), sequenced) => {
+                robot.waiting.push_back((robot_row(piece, entry.host_us, &heard, *sequenced, sample), heard.stamps));
+            }
+            Event::Sample(Sample::Metadata(_), _) | Event::Fault(_) => {}
         }));
-        std::mem::replace(&mut failed, Ok(()))?;
+        carm.write(&lines)?;
+        robot.write(&lines)?;
         frames.piece = lines.piece();
         match &*entry.topic {
             topic::POSE => {
@@ -145,13 +173,20 @@ pub fn write_tables(log: &Path, folder: &Path, reporter: &Reporter) -> Result<Ta
             _ => {}
         }
     }
+    lines.finish();
+    carm.write(&lines)?;
+    robot.write(&lines)?;
     write_exposures(&mut exposures, &lines, &frames)?;
     write_beads(&mut beads, &poses)?;
     write_scores(&mut scores, &pairs)?;
-    let rows = [exposures, carm, robot, beads, scores].map(Table::finish).into_iter().collect::<Result<Vec<_>, _>>()?;
+    let rows =
+        [exposures, carm.table, robot.table, beads, scores].map(Table::finish).into_iter().collect::<Result<Vec<_>, _>>()?;
     let damage = reader.losses().iter().map(ToString::to_string);
     Ok(TablesReport { rows, losses: damage.chain(tolerance.losses()).collect() })
 }
+
+/// The column of the time at which a sample was measured.
+const HOST_US: usize = 2;
 
 fn of_sample() -> impl Iterator<Item = String> {
     ["log", "arrival_us", "host_us", "device_us", "segment", "sequence", "epoch", "follows"].map(str::to_owned).into_iter()
@@ -190,13 +225,13 @@ fn sample_cells(
         Sequenced::Early(lost) => format!("late, before all others, with {lost} between"),
         Sequenced::Reset => "restart".to_owned(),
     };
-    let (host_us, segment) = heard.mapped.unzip();
     vec![
         (piece + 1).to_string(),
         arrival_us.to_string(),
-        or_empty(host_us),
+        // When its times are known.
+        String::new(),
         device_us.to_string(),
-        or_empty(segment),
+        or_empty(heard.stamps.map(|stamps| stamps.segment)),
         number.to_string(),
         heard.epoch.to_string(),
         follows,

@@ -157,8 +157,10 @@ impl Counter {
         if is_none(text) {
             return Ok(None);
         }
-        let expected = format!("a whole number from 0 to {}", u32::MAX);
-        text.parse().map(Some).map_err(|_| wrong(&self.field, text, expected))
+        // The largest is none in packets, and what a device writes that has -1 for it.
+        let expected = format!("a whole number from 0 to {}", u32::MAX - 1);
+        let counter: u32 = text.parse().map_err(|_| wrong(&self.field, text, expected))?;
+        Ok(Some(counter).filter(|counter| *counter != u32::MAX))
     }
 }
 

@@ -1,0 +1,75 @@
+//! A grabbed picture as a DICOM object: secondary capture with the time at which it began to stand, and with the meaning of its values.
+
+use dicom_core::{DataElement, PrimitiveValue, Tag, VR};
+use dicom_dictionary_std::{tags, uids};
+use dicom_object::InMemDicomObject;
+
+use super::super::spool::{Spool, SpoolError};
+use super::settings::VideoSettings;
+use crate::image::{Image, sha256_bytes};
+use crate::time::rfc3339_from_us;
+
+/// Stored values of full white.
+const MOST: f64 = 65_535.0;
+
+/// Writes `picture` (0 to 255), which has stood since `since_us` of the host's clock.
+pub(super) fn write_picture(
+    picture: &Image<f32>,
+    since_us: i64,
+    settings: &VideoSettings,
+    spool: &Spool,
+) -> Result<(), SpoolError> {
+    let gamma = settings.gamma.unwrap_or(1.0);
+    let stored = |grey: &f32| ((f64::from(*grey) / 255.0).powf(gamma) * MOST).round() as u16;
+    let values: Vec<u16> = picture.pixels.iter().map(stored).collect();
+    let stamp = rfc3339_from_us(since_us);
+    let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).chain(stamp.bytes()).collect();
+    let hash = sha256_bytes(&bytes);
+    let instance = u128::from_str_radix(&hash[..32], 16).map(|number| format!("2.25.{number}")).map_err(|_| SpoolError::Head)?;
+    let object = object(values, picture, &stamp, &instance, settings);
+    let mut data_set = Vec::new();
+    let syntax = dicom_transfer_syntax_registry::entries::EXPLICIT_VR_LITTLE_ENDIAN.erased();
+    object.write_dataset_with_ts(&mut data_set, &syntax).map_err(|_| SpoolError::Head)?;
+    let mut incoming = spool.begin(uids::SECONDARY_CAPTURE_IMAGE_STORAGE, &instance, uids::EXPLICIT_VR_LITTLE_ENDIAN)?;
+    incoming.write(&data_set)?;
+    incoming.finish(spool).map(drop)
+}
+
+fn object(values: Vec<u16>, picture: &Image<f32>, stamp: &str, instance: &str, settings: &VideoSettings) -> InMemDicomObject {
+    // 2026-11-21T10:00:00.123456Z
+    let digits = |part: &str| part.chars().filter(|digit| digit.is_ascii_digit() || *digit == '.').collect::<String>();
+    let (date, time) = stamp.split_once('T').map_or_else(Default::default, |(date, time)| (digits(date), digits(time)));
+    let text = |tag: Tag, vr: VR, value: &str| DataElement::new(tag, vr, PrimitiveValue::from(value));
+    let number = |tag: Tag, value: u16| DataElement::new(tag, VR::US, PrimitiveValue::from(value));
+    let (relationship, intent) = match settings.gamma {
+        Some(_) => ("LIN", "FOR PROCESSING"),
+        None => ("DISP", "FOR PRESENTATION"),
+    };
+    let sign: i16 = if settings.metal_white { -1 } else { 1 };
+    InMemDicomObject::from_element_iter([
+        text(tags::SOP_CLASS_UID, VR::UI, uids::SECONDARY_CAPTURE_IMAGE_STORAGE),
+        text(tags::SOP_INSTANCE_UID, VR::UI, instance),
+        text(tags::ACQUISITION_DATE, VR::DA, &date),
+        text(tags::ACQUISITION_TIME, VR::TM, &time),
+        text(tags::TIMEZONE_OFFSET_FROM_UTC, VR::SH, "+0000"),
+        // The C-arm's own; the grabber is none.
+        text(tags::MODALITY, VR::CS, "XA"),
+        text(tags::CONVERSION_TYPE, VR::CS, "DV"),
+        text(tags::PRESENTATION_INTENT_TYPE, VR::CS, intent),
+        text(tags::IMAGE_TYPE, VR::CS, "DERIVED\\SECONDARY"),
+        text(tags::MANUFACTURER, VR::LO, "Sidecarm"),
+        text(tags::MANUFACTURER_MODEL_NAME, VR::LO, "grabbed from video"),
+        text(tags::PIXEL_INTENSITY_RELATIONSHIP, VR::CS, relationship),
+        DataElement::new(tags::PIXEL_INTENSITY_RELATIONSHIP_SIGN, VR::SS, PrimitiveValue::from(sign)),
+        text(tags::BURNED_IN_ANNOTATION, VR::CS, "YES"),
+        number(tags::SAMPLES_PER_PIXEL, 1),
+        text(tags::PHOTOMETRIC_INTERPRETATION, VR::CS, "MONOCHROME2"),
+        number(tags::ROWS, picture.height as u16),
+        number(tags::COLUMNS, picture.width as u16),
+        number(tags::BITS_ALLOCATED, 16),
+        number(tags::BITS_STORED, 16),
+        number(tags::HIGH_BIT, 15),
+        number(tags::PIXEL_REPRESENTATION, 0),
+        DataElement::new(tags::PIXEL_DATA, VR::OW, PrimitiveValue::U16(values.into())),
+    ])
+}

@@ -1,0 +1,199 @@
+//! A watched folder into which pictures of a video come, grabbed by a process of its own.
+
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::{Receiver, Sender, channel};
+
+use super::super::source::{FrameSource, Sighting, Trouble};
+use super::grabber::{GrabError, Grabbed};
+use super::settings::VideoSettings;
+use crate::foreign;
+
+/// A process that died is started again after so long.
+const AGAIN_US: i64 = 1_000_000;
+
+/// See the module.
+pub struct GrabbedSource {
+    folder: Box<dyn FrameSource>,
+    wanted: Wanted,
+    process: Option<Process>,
+    said: (Sender<Said>, Receiver<Said>),
+    /// When it is started again.
+    again_us: Option<i64>,
+    is_closed: bool,
+}
+
+/// What is grabbed, and into which folder.
+struct Wanted {
+    settings: VideoSettings,
+    path: PathBuf,
+    include_first: bool,
+}
+
+/// What the process says.
+enum Said {
+    Event(Grabbed),
+    /// In words of the program's own: why it ended.
+    Last(String),
+    /// Its output has ended.
+    End,
+}
+
+/// The process; it ends when its standard input does.
+struct Process(Child);
+
+impl Process {
+    fn start(wanted: &Wanted, more: &[&str], said: Sender<Said>) -> Result<Self, GrabError> {
+        let start = |detail: String| GrabError::Start { detail };
+        let program = foreign::installed().program().map(Path::to_owned);
+        let program = program.map_or_else(std::env::current_exe, Ok).map_err(|error| start(error.to_string()))?;
+        let settings = serde_json::to_string(&wanted.settings).map_err(|error| start(error.to_string()))?;
+        let mut command = Command::new(program);
+        command.args(["grab", &wanted.settings.from, "--settings", &settings, "--json", "--attended", "--into"]);
+        command.arg(&wanted.path).args(more).args(wanted.include_first.then_some("--include-first"));
+        command.env("RUST_BACKTRACE", "0").env("OPENCV_LOG_LEVEL", "OFF").env("OPENCV_FFMPEG_LOGLEVEL", "-8");
+        command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        // Ctrl-C in the terminal is meant for the session.
+        #[cfg(unix)]
+        std::os::unix::process::CommandExt::process_group(&mut command, 0);
+        let mut child = command.spawn().map_err(|error| start(error.kind().to_string()))?;
+        let (Some(out), Some(err)) = (child.stdout.take(), child.stderr.take()) else { return Err(start("no pipe".to_owned())) };
+        std::thread::spawn(move || {
+            let lines = BufReader::new(out).lines().map_while(Result::ok);
+            for event in lines.filter_map(|line| serde_json::from_str(&line).ok()) {
+                let _ = said.send(Said::Event(event));
+            }
+            // Drivers and decoders speak there as well.
+            let words = BufReader::new(err)
+                .lines()
+                .map_while(Result::ok)
+                .filter_map(|line| line.strip_prefix("sidecarm: ").map(str::to_owned));
+            if let Some(words) = words.last() {
+                let _ = said.send(Said::Last(words));
+            }
+            let _ = said.send(Said::End);
+        });
+        Ok(Self(child))
+    }
+
+    /// Lets it end: at its next picture.
+    fn release(&mut self) {
+        drop(self.0.stdin.take());
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+impl GrabbedSource {
+    /// Starts to grab; `path` is the folder that `folder` watches. `include_first`: what stands on the screen is taken as well.
+    ///
+    /// # Errors
+    /// When the process cannot be started.
+    pub fn open(
+        folder: Box<dyn FrameSource>,
+        path: &Path,
+        settings: &VideoSettings,
+        include_first: bool,
+    ) -> Result<Self, GrabError> {
+        let wanted = Wanted { settings: settings.clone(), path: path.to_owned(), include_first };
+        let said = channel();
+        let process = Some(Process::start(&wanted, &[], said.0.clone())?);
+        Ok(Self { folder, wanted, process, said, again_us: None, is_closed: false })
+    }
+
+    fn hear(&mut self, now_us: i64, found: &mut Vec<Sighting>) {
+        let said: Vec<Said> = self.said.1.try_iter().collect();
+        for said in said {
+            match said {
+                Said::Event(event) => found.extend(sighting(&event)),
+                Said::Last(words) => found.push(trouble(words)),
+                Said::End => {
+                    let failed =
+                        self.process.take().is_none_or(|mut process| !process.0.wait().is_ok_and(|status| status.success()));
+                    if failed && !self.is_closed {
+                        found.push(trouble("the process that grabs it ended; it is started again".to_owned()));
+                        self.again_us = Some(now_us.saturating_add(AGAIN_US));
+                    }
+                }
+            }
+        }
+        if self.again_us.take_if(|again_us| now_us >= *again_us).is_some() && !self.is_closed {
+            // What stands there now may have come while nobody looked.
+            self.wanted.include_first = true;
+            match Process::start(&self.wanted, &[], self.said.0.clone()) {
+                Ok(process) => self.process = Some(process),
+                Err(_) => self.again_us = Some(now_us.saturating_add(AGAIN_US)),
+            }
+        }
+    }
+}
+
+fn trouble(detail: String) -> Sighting {
+    Sighting::Trouble(Trouble::NoVideo { detail })
+}
+
+/// What a person is told of an event.
+fn sighting(event: &Grabbed) -> Option<Sighting> {
+    match event {
+        Grabbed::Picture { .. } => None,
+        Grabbed::Lost { detail } => Some(trouble(format!("{detail}; it is tried again"))),
+        Grabbed::Unwritten { .. } => Some(trouble(event.to_string())),
+        Grabbed::Restless { .. } => Some(Sighting::Said { kind: "video never still", words: event.to_string() }),
+        Grabbed::Opened { .. } | Grabbed::Back | Grabbed::Ended { .. } => {
+            Some(Sighting::Said { kind: "video", words: event.to_string() })
+        }
+    }
+}
+
+impl FrameSource for GrabbedSource {
+    fn look(&mut self, now_us: i64) -> Vec<Sighting> {
+        let mut found = Vec::new();
+        self.hear(now_us, &mut found);
+        found.extend(self.folder.look(now_us));
+        found
+    }
+
+    fn close(&mut self) {
+        self.is_closed = true;
+        self.process.iter_mut().for_each(Process::release);
+        self.folder.close();
+    }
+
+    fn is_expecting(&self) -> bool {
+        self.folder.is_expecting()
+    }
+
+    fn give_up(&mut self) -> Vec<Sighting> {
+        self.folder.give_up()
+    }
+}
+
+/// Grabs `seconds` of a video for a trial and returns what happened.
+///
+/// # Errors
+/// When there is no video, or the process that looks ends otherwise than it should.
+pub fn probe(settings: &VideoSettings, seconds: f64) -> Result<Vec<Grabbed>, GrabError> {
+    let folder = tempfile::tempdir().map_err(|error| GrabError::Start { detail: error.to_string() })?;
+    let wanted = Wanted { settings: settings.clone(), path: folder.path().to_owned(), include_first: true };
+    let (sender, said) = channel();
+    let seconds = seconds.to_string();
+    let _process = Process::start(&wanted, &["--seconds", &seconds, "--at-once"], sender)?;
+    let (mut events, mut last) = (Vec::new(), None);
+    for said in said {
+        match said {
+            Said::Event(event) => events.push(event),
+            Said::Last(words) => last = Some(words),
+            Said::End => break,
+        }
+    }
+    match last {
+        Some(detail) => Err(GrabError::Video { from: settings.from.clone(), detail }),
+        None => Ok(events),
+    }
+}

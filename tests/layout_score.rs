@@ -106,6 +106,11 @@ fn the_command_scores_a_file() {
     let bad = run(&["--score", "box.mrk.json"]);
     assert_eq!(bad.status.code(), Some(1));
     assert!(String::from_utf8_lossy(&bad.stderr).contains("warning: alike"), "{bad:?}");
+    let verdict = |words: &[&str]| String::from_utf8_lossy(&run(words).stdout).lines().last().unwrap_or_default().to_owned();
+    assert_eq!(verdict(&["--score", "box.mrk.json"]), "not good, for what is said below");
+    assert_eq!(verdict(&["--score", "good.mrk.json"]), "good: neither flat nor like itself");
+    let planned = ["--score", "good.mrk.json", "--intrinsics", "K.json", "--orbital=-30,60", "--angulation=0"];
+    assert_eq!(verdict(&planned), "good: neither flat nor like itself, and gives a pose in all 2 views");
     let good = run(&["--score", "good.mrk.json", "--intrinsics", "K.json", "--orbital=-30,60", "--angulation=0", "--json"]);
     assert_eq!(good.status.code(), Some(0), "{good:?}");
     let answer: Value = serde_json::from_slice(&good.stdout).expect("one JSON object");

@@ -110,7 +110,7 @@ fn a_resumed_training_is_the_straight_one() {
     // Of three phantoms some are held out, and their loss chooses; a seed that holds out all of them is refused.
     let chosen = (1..20).find_map(|seed| {
         let hold_out = HoldOut::Seeds { share: 0.4 };
-        let recipe = MaterialsRecipe { seed, epochs: 3, hold_out, patience: Some(1), ..short() };
+        let recipe = MaterialsRecipe { seed, epochs: 3, steps: 1, hold_out, patience: Some(1), ..short() };
         let trained =
             train_materials(&options(folder.path(), &format!("chosen-{seed}"), recipe), &mut |_| ControlFlow::Continue(()));
         trained.ok().filter(|trained| trained.card.judged_by == JudgedBy::Seeds)

@@ -1,6 +1,6 @@
 //! Beads that show a distorted picture, and a fused prior that only looks like one.
 
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 use sidecarm::beads::{BeadLayout, Detection};
 use sidecarm::geometry::{Rigid, View};
 use sidecarm::pose::{Pose, Prior, Refusal, Registration, register_shadows};
@@ -82,4 +82,52 @@ fn a_bent_picture_is_refused_with_and_without_a_fused_prior() {
     }
     println!("{named} of {cases} are refused as distorted");
     assert!(cases >= 8 && 2 * named > cases, "{named} of {cases}");
+}
+
+/// The shadows in a picture that was stretched along its columns, as a video grabber of another aspect does, and sheared.
+fn stretched(view: &View, found: &[Detection], times: f64, shear: f64) -> Vec<Detection> {
+    let k = view.intrinsics;
+    let moved = |shadow: &Detection| {
+        let DVec2 { x, y } = shadow.image_px;
+        let image_px = DVec2::new(k.cx + times * (x - k.cx) + shear * (y - k.cy), y);
+        Detection { image_px, ..*shadow }
+    };
+    found.iter().map(moved).collect()
+}
+
+/// A picture whose pixels are not those of K was taken for a straight one, its depth and turn wrong.
+#[test]
+fn a_stretched_picture_is_refused_or_in_doubt() {
+    let (mut plain, mut named, mut cases, mut doubted) = (0, 0, 0, 0);
+    for seed in 0..30 {
+        let (view, layout) = (synthetic::view(1024, 1024, seed), synthetic::layout(9, 0.75, seed));
+        let straight = shadows(&view, &layout, 0.1, 0.03, seed);
+        if straight.len() < 9 {
+            continue;
+        }
+        for (times, shear) in [(1.04, 0.0), (0.97, 0.0), (1.0, 0.03)] {
+            let pose = register_shadows(&matching(&view, &layout), &stretched(&view, &straight, times, shear));
+            let k = view.intrinsics;
+            let shown = |at: DVec2| DVec2::new(k.cx + times * (at.x - k.cx) + shear * (at.y - k.cy), at.y);
+            let off = |bead: &sidecarm::beads::Bead| {
+                let found = pose.projection.map(|projection| projection.project(bead.lps_mm).0);
+                found.map_or(0.0, |found| found.distance(shown(view.projection().project(bead.lps_mm).0)))
+            };
+            let off_px = layout.beads.iter().map(off).fold(0.0, f64::max);
+            plain += usize::from(pose.is_accepted() && pose.doubt.is_none() && off_px > 2.0);
+            let said = pose.doubt.as_ref().is_some_and(|doubt| doubt.contains("its pixels are"));
+            named += usize::from(said || matches!(pose.refusal, Some(Refusal::Pixels { .. })));
+            if pose.is_accepted() && pose.doubt.is_none() && off_px > 2.0 {
+                println!("seed {seed}, {times} and {shear}: {off_px:.1} px off, plain, chi2 {:?}", pose.chi2_per_dof);
+            }
+            cases += 1;
+        }
+        let control = register_shadows(&matching(&view, &layout), &straight);
+        assert!(control.is_accepted(), "control, seed {seed}: {:?}", control.reason);
+        doubted += usize::from(control.doubt.is_some());
+    }
+    println!("{cases} stretched: {named} named, {plain} pixels off and plainly accepted; {doubted} straight ones in doubt");
+    // Nine beads do not always show it, and few of those that do not are far off.
+    assert!(cases >= 30 && named >= 5 && 20 * plain <= cases, "{named} of {cases} named, {plain} plain");
+    assert!(doubted <= 1, "{doubted} straight pictures are in doubt");
 }

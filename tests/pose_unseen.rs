@@ -228,3 +228,29 @@ fn roles_are_read_from_the_description() {
     let words = points(["role=check"; 3]).expect_err("nothing to solve from").to_string();
     assert!(words.contains("all 3 points"), "{words}");
 }
+
+/// Half of twelve beads on a part that has moved a little: all are used, the pose lies between, and fits far worse than it should.
+#[test]
+fn many_beads_that_fit_too_badly_are_in_doubt() {
+    let (mut plain, mut all, mut doubted) = (0, 0, 0);
+    for seed in 0..60 {
+        let (view, mut truth) = (synthetic::view(1024, 1024, seed), synthetic::layout(12, 0.75, seed));
+        truth.beads.iter_mut().for_each(|bead| bead.sigma_mm = Some(0.1));
+        let found = shadows(&view, &truth, 0.05, 0.1, seed);
+        if found.len() < 12 {
+            continue;
+        }
+        let control = register_shadows(&matching(&view, &truth), &found);
+        assert!(control.is_accepted(), "control, seed {seed}: {:?}", control.reason);
+        doubted += usize::from(control.doubt.is_some());
+        let mut random = Stream::new(seed, 94, 0, Purpose::Evaluation);
+        let way = view.camera_from_lps.rotation.conjugate() * DVec3::new(random.normal(), random.normal(), 0.0).normalize();
+        let mut layout = truth.clone();
+        layout.beads.iter_mut().take(6).for_each(|bead| bead.lps_mm += 0.5 * way);
+        let pose = register_shadows(&matching(&view, &layout), &found);
+        all += 1;
+        plain += usize::from(pose.is_accepted() && pose.doubt.is_none() && pose.beads.iter().all(|bead| bead.used));
+    }
+    println!("of {all}: {plain} are plainly accepted on all beads; {doubted} controls in doubt");
+    assert!(all >= 20 && 20 * plain <= all && doubted <= 1, "{plain} of {all} plain, {doubted} controls in doubt");
+}

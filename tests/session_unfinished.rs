@@ -24,6 +24,8 @@ enum Way {
     Closed,
     /// The same, and the time of change is set back afterwards.
     ClosedAndSetBack,
+    /// All but the middle third at once, that 2 s later; closed in between.
+    Hole,
 }
 
 fn relay(from: &Path, to: &Path, way: Way) {
@@ -40,7 +42,8 @@ fn relay(from: &Path, to: &Path, way: Way) {
     }
     let file = File::create(to).expect("created");
     let mut torn = whole.clone();
-    torn[whole.len() / 3..].fill(0);
+    let third = whole.len() / 3;
+    torn[third..if way == Way::Hole { 2 * third } else { whole.len() }].fill(0);
     file.write_all_at(&torn, 0).expect("size and first part");
     let modified = file.metadata().expect("metadata").modified().expect("a time");
     let file = if way == Way::KeptOpen {
@@ -92,7 +95,7 @@ fn a_frame_that_is_not_finished_is_waited_for_or_taken_back() {
     let session = lab.session("session-relayed.json", |session| session["frames"]["folder"] = json!(relayed));
     let home = tempfile::tempdir().expect("a folder");
     let mut live = Live::launch(&session, &home.path().join("session"), &["--seconds", "32"]);
-    let ways = [Way::Whole, Way::KeptOpen, Way::Closed, Way::Whole, Way::ClosedAndSetBack, Way::Whole];
+    let ways = [Way::Whole, Way::KeptOpen, Way::Closed, Way::Hole, Way::ClosedAndSetBack, Way::Whole];
     let mut seen = BTreeSet::new();
     let ended = eventually(HANG_S, || {
         for entry in std::fs::read_dir(lab.frames()).expect("listed").flatten() {
@@ -114,7 +117,7 @@ fn a_frame_that_is_not_finished_is_waited_for_or_taken_back() {
     };
     let pairs = read(&live.out);
     let torn: Vec<&Value> = pairs.iter().filter(|pair| said(pair).contains("not finished")).collect();
-    assert_eq!((pairs.len(), torn.len()), (seen.len() + 2, 2), "two were closed unfinished: {}", live.stderr());
+    assert_eq!((pairs.len(), torn.len()), (seen.len() + 3, 3), "three were closed unfinished: {}", live.stderr());
     for pair in &torn {
         assert!(pair["status"] == "refused" && pair["binding"] == "none", "{pair:#}");
         let flags = pair["flags"].to_string() + &said(pair);

@@ -153,10 +153,10 @@ impl Offer {
         if holes && zeros != Zeros::Content {
             return (Outcome::Unfinished(Fault::Unwritten), Reading::Later);
         }
-        let written = Written::before_zeros(&watched, stamp.bytes);
-        if written.is_some() && zeros == Zeros::Unwritten {
+        if zeros == Zeros::Unwritten && foreign::ends_in_zeros(&watched, stamp.bytes) {
             return (Outcome::Blank, Reading::Later);
         }
+        let written = Written::around_zeros(&watched, stamp.bytes);
         let goes_on =
             |earlier: &Delivered| earlier.written.as_ref().is_some_and(|before| before.goes_on_in(&watched, stamp.bytes));
         let earlier = earlier.map(|earlier| Earlier { was_unfinished: goes_on(&earlier), sha256: earlier.sha256 });

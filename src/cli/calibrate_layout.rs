@@ -214,5 +214,20 @@ fn table(found: &LayoutScore) -> String {
             worst.map_or(String::new(), |sigma| format!("{sigma:8.3}"))
         );
     }
+    text += &verdict(found);
     text
+}
+
+/// What the score comes to, in a line.
+fn verdict(found: &LayoutScore) -> String {
+    let without = found.views.iter().filter(|view| view.centroid_mm.is_none()).count();
+    let views = match (found.views.len(), without) {
+        (0, _) => String::new(),
+        (all, 0) => format!(", and gives a pose in all {all} views"),
+        (all, without) => format!(", but gives no pose in {without} of {all} views"),
+    };
+    match found.warnings.len() {
+        0 => format!("good: neither flat nor like itself{views}\n"),
+        _ => format!("not good, for what is said below{views}\n"),
+    }
 }

@@ -369,9 +369,11 @@ fn picture(frame: &Frame, compared: &Compared, pose: Option<&Pose>) -> Image<[u8
         Some(pose) if pose.camera().is_some() => {
             let rms = pose.rms_px.map(|px| format!("rms {px:.3} px")).unwrap_or_default();
             let rms = pose.rms_mm.map_or(rms.clone(), |mm| format!("{rms} ({mm:.3} mm)"));
-            match elsewhere(&compared.comparison.null) {
-                Some(found) => (Standing::ImageDisagrees, format!("{rms} · {found}")),
-                None => (Standing::Accepted, rms),
+            match (elsewhere(&compared.comparison.null), &pose.doubt) {
+                (Some(found), _) => (Standing::ImageDisagrees, format!("{rms} · {found}")),
+                (None, Some(doubt)) => (Standing::InDoubt, format!("{rms} · {doubt}")),
+                (None, None) if pose.cautions.is_empty() => (Standing::Accepted, rms),
+                (None, None) => (Standing::Accepted, format!("{rms} · with caution: {}", pose.cautions.join("; "))),
             }
         }
         Some(pose) => (Standing::Refused, pose.reason.clone().unwrap_or_default()),

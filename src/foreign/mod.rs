@@ -19,7 +19,7 @@ mod wire;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-pub use blank::Written;
+pub use blank::{Written, ends_in_zeros};
 pub use feed::{Fed, Input};
 pub use helper::{ForeignFault, run};
 pub use kind::Kind;

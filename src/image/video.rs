@@ -25,7 +25,7 @@ impl VideoFile {
         let [columns, rows] = size.map(|n| i32::try_from(n).unwrap_or(i32::MAX));
         let name = path.to_str().ok_or("its name is not UTF-8")?;
         // OpenCV's own writer: the same file wherever it is made.
-        let backend = i32::from(CAP_OPENCV_MJPEG);
+        let backend = CAP_OPENCV_MJPEG;
         let writer =
             VideoWriter::new_with_backend(name, backend, fourcc, per_s, Size::new(columns, rows), true).map_err(failed)?;
         if !writer.is_opened().unwrap_or(false) {

@@ -36,6 +36,8 @@ const USUAL_RADIUS: f64 = 0.97;
 /// Relative differences of the radius from which on it is said, and refused. Of grey values of unknown scale it is only said: their curve
 /// changes what half the depth is.
 const OTHER_RADIUS: (f64, f64) = (0.10, 0.15);
+/// Radii of few pixels are measured worse: so much more by the square of the radius, px².
+const SMALL_RADIUS_PX2: f64 = 0.3;
 /// Squared standard deviations from the prior (six degrees of freedom) beyond which it is said, and for so few beads refused.
 const FAR_FROM_PRIOR: f64 = 14.0;
 const FEW: usize = 5;
@@ -60,11 +62,12 @@ struct OtherK {
 
 /// Fewer beads than this follow one that is not where it should be.
 const FOLLOWING: usize = 10;
-/// Residuals that are larger by accident once in two hundred times, in standard deviations.
+/// Residuals that are larger by accident once in two hundred times, in standard deviations; with many beads, once in two thousand.
 const UNLIKELY: f64 = 2.6;
+pub(super) const UNLIKELY_OF_MANY: f64 = 3.3;
 
 /// How unlikely χ² per degree of freedom is, as standard deviations of a Gaussian (Wilson and Hilferty 1931).
-fn chi2_sigmas(per_dof: f64, dof: i64) -> f64 {
+pub(super) fn chi2_sigmas(per_dof: f64, dof: i64) -> f64 {
     let ninth = 2.0 / (9.0 * dof.max(1) as f64);
     (per_dof.max(0.0).cbrt() - (1.0 - ninth)) / ninth.sqrt()
 }
@@ -161,8 +164,12 @@ impl Case<'_> {
                 "{elsewhere} of {} beads whose shadows are found do not stand where the others have them: which of them moved one view hardly tells",
                 matched + elsewhere
             ));
-        } else if chi2 > LOOSE_CHI2 {
-            cautions.say(format!("residuals are {:.1} times what noise and bead positions allow", chi2.sqrt()));
+        } else if chi2_sigmas(chi2, dof) > UNLIKELY_OF_MANY {
+            cautions.doubt(format!(
+                "{matched} beads fit {:.1} times worse than noise and bead positions allow: did some of them move together, is K right, or is \
+                 their sigma_mm larger?",
+                chi2.sqrt()
+            ));
         }
         Ok(())
     }
@@ -184,12 +191,13 @@ impl Case<'_> {
     /// are proportional to quanta, or their logarithms, show the size of what is in the beam.
     fn check_radii(&self, last: &Settled, cautions: &mut Cautions) -> Result<(), Refusal> {
         let quantitative = self.probe.as_ref().is_some_and(Probe::is_quantitative);
-        let Some(ratio) = self.radius_ratio(last) else { return Ok(()) };
+        let Some((ratio, expected_px)) = self.radius_ratio(last) else { return Ok(()) };
         let off = (ratio - 1.0).abs();
-        if quantitative && !(off <= OTHER_RADIUS.1) {
+        let small = SMALL_RADIUS_PX2 / expected_px.powi(2);
+        if quantitative && !(off <= OTHER_RADIUS.1 + small) {
             return Err(Refusal::Radii { ratio });
         }
-        if off > OTHER_RADIUS.0 {
+        if off > OTHER_RADIUS.0 + small {
             cautions.doubt(format!(
                 "the shadows are {:.0} % {} than the beads' radii give at their depth: check the layout's scale, the beads' radius, and SID and pitch",
                 100.0 * off,
@@ -199,20 +207,21 @@ impl Case<'_> {
         Ok(())
     }
 
-    /// Fitted over stated radius of the matched beads, the median; `None` where fewer than four radii are known.
-    fn radius_ratio(&self, last: &Settled) -> Option<f64> {
+    /// Fitted over stated radius of the matched beads, the median, and what it should be in pixels; `None` where fewer than four radii are known.
+    fn radius_ratio(&self, last: &Settled) -> Option<(f64, f64)> {
         let (pose, k) = (last.solution.camera_from_lps, last.solution.intrinsics);
         let ratio = |m: &Match| {
             let radius_mm = self.request.layout.radius_mm(m.bead, self.request.bead_radius_mm)?;
             let expected_px = k.fx * radius_mm / pose.transform_point(m.lps_mm).z;
-            Some(self.detections.get(m.detection)?.radius_px / expected_px)
+            Some((self.detections.get(m.detection)?.radius_px / expected_px, expected_px))
         };
-        let mut ratios: Vec<f64> = last.matches.iter().filter_map(ratio).collect();
+        let mut ratios: Vec<(f64, f64)> = last.matches.iter().filter_map(ratio).collect();
         if ratios.len() < 4 {
             return None;
         }
-        ratios.sort_by(f64::total_cmp);
-        Some(ratios[ratios.len() / 2] / USUAL_RADIUS)
+        ratios.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let (ratio, expected_px) = ratios[ratios.len() / 2];
+        Some((ratio / USUAL_RADIUS, expected_px))
     }
 
     /// A second reading of the shadows that are left.

@@ -105,6 +105,16 @@ pub enum Refusal {
         "distorted: the beads agree to {bent_px:.2} px instead of {given_px:.2} px if the picture is distorted by {shift_px:.1} px at the outermost of them; calibrate the intensifier or lens (calibrate intensifier) and give --distortion"
     )]
     Distorted { given_px: f64, bent_px: f64, shift_px: f64 },
+    /// Pixels that are not those of K.
+    #[error(
+        "pixels: the beads agree to {bent_px:.2} px instead of {given_px:.2} px if pixels are {:.1} % {} than K says; was the picture stretched on its way (a video grabber, an export)? undo that, or give K with fx and fy of this picture", 100.0 * (taller - 1.0).abs(), super::lens::taller_words(*taller)
+    )]
+    Pixels {
+        given_px: f64,
+        bent_px: f64,
+        /// Height of a pixel over its width, by K's.
+        taller: f64,
+    },
     /// What the image intensifier did to the frame is not known.
     #[error("distortion: {detail}")]
     Distortion { detail: String },

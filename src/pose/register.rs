@@ -186,7 +186,9 @@ impl Case<'_> {
         if let Some(pose) = near.as_ref().filter(|pose| !as_good_as_none(pose)) {
             return pose.clone();
         }
-        if let Some(prior) = self.request.prior.filter(|_| self.request.intrinsics.is_some() && !self.request.fuse)
+        // A prior that is fused is not given up; that it contradicts the beads is said.
+        let may_differ = |prior: &&Prior| !self.request.fuse || near.is_none() && prior.covariance.is_some();
+        if let Some(prior) = self.request.prior.filter(|_| self.request.intrinsics.is_some()).filter(may_differ)
             && (near.is_none() || prior.covariance.is_none() || self.request.ignore_prior)
             && let Some(far) = self.without_prior(prior, near.is_none(), &notes)
         {

@@ -30,13 +30,19 @@ pub(super) enum CaptureError {
 #[cfg(feature = "vision")]
 mod with_opencv {
     use opencv::core::{Mat, MatTraitConst, MatTraitConstManual, Vec3b};
-    use opencv::videoio::{CAP_ANY, CAP_PROP_FPS, CAP_V4L2, VideoCapture, VideoCaptureTrait, VideoCaptureTraitConst};
+    use opencv::videoio::{
+        CAP_ANY, CAP_PROP_FOURCC, CAP_PROP_FPS, CAP_V4L2, VideoCapture, VideoCaptureTrait, VideoCaptureTraitConst,
+    };
 
     use super::CaptureError;
     use crate::image::Image;
 
     /// Pictures a second of a recording that does not say it.
     const USUAL_PER_S: f64 = 25.0;
+
+    /// Recordings whose pictures are told as differences from others, by the first letters of their four.
+    const OF_DIFFERENCES: [&str; 13] =
+        ["h26", "x26", "avc", "hev", "hvc", "mp4", "fmp4", "xvi", "div", "dx5", "mpg", "vp", "av0"];
 
     /// An open video.
     pub(in super::super) struct Capture {
@@ -68,6 +74,13 @@ mod with_opencv {
         /// Pictures a second, as the video says.
         pub(in super::super) fn per_s(&self) -> f64 {
             self.per_s
+        }
+
+        /// Whether its pictures are compressed as differences: a recording's may be, a device's are not.
+        pub(in super::super) fn is_of_differences(&self) -> bool {
+            let code = self.video.get(CAP_PROP_FOURCC).unwrap_or(0.0) as u32;
+            let letters = String::from_utf8_lossy(&code.to_le_bytes()).to_ascii_lowercase();
+            !self.is_live && OF_DIFFERENCES.iter().any(|start| letters.starts_with(start))
         }
 
         /// The next picture; `None` at the end of a file, or when the device gives none.
@@ -112,6 +125,10 @@ mod without {
         }
 
         pub(in super::super) fn per_s(&self) -> f64 {
+            match *self {}
+        }
+
+        pub(in super::super) fn is_of_differences(&self) -> bool {
             match *self {}
         }
 

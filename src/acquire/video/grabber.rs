@@ -2,6 +2,7 @@
 
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
@@ -10,7 +11,7 @@ use super::super::spool::Spool;
 use super::capture::{Capture, CaptureError};
 use super::picture::write_picture;
 use super::settings::VideoSettings;
-use super::stillness::{Noted, Stillness};
+use super::stillness::{Leftover, Noted, Stillness};
 use crate::image::Image;
 use crate::time::{Stopwatch, host_now_us};
 
@@ -20,6 +21,12 @@ const AGAIN: Duration = Duration::from_millis(500);
 const FAILURES: u32 = 10;
 /// Between two of them.
 const SHORTLY: Duration = Duration::from_millis(20);
+/// A device that has given no picture for so long is silent, though its driver still waits for one.
+const SILENT: Duration = Duration::from_secs(3);
+/// How often is looked whether it is all over.
+const LOOK: Duration = Duration::from_millis(200);
+/// Pictures that wait.
+const AHEAD: usize = 2;
 
 /// How long, and from when on.
 #[derive(Clone, Copy, Debug, Default)]
@@ -93,6 +100,11 @@ impl std::fmt::Display for Grabbed {
             Self::Picture { size_px: [columns, rows], at_s } => {
                 write!(f, "picture of {columns} x {rows}, standing since {at_s:.2} s")
             }
+            Self::Restless { for_s: 0.0, at_px: [column, row], change, .. } => write!(
+                f,
+                "the video changes again and again around column {column}, row {row} alone, by {change:.1} grey values: that is taken for a \
+                 clock or a cursor, and for no picture; name the place in masks_px"
+            ),
             Self::Restless { for_s, at_px: [column, row], change, limit } => write!(
                 f,
                 "no picture of the video stood still for {for_s:.0} s: around column {column}, row {row} of the video it changes by up to \
@@ -184,8 +196,8 @@ impl Grabbing<'_> {
         let failed = |error: &CaptureError| GrabError::Video { from: self.settings.from.clone(), detail: error.to_string() };
         loop {
             match Capture::open(&self.settings.from) {
-                Ok(mut capture) => {
-                    if self.follow(&mut capture)? {
+                Ok(capture) => {
+                    if self.follow(capture)? {
                         return Ok(());
                     }
                 }
@@ -201,31 +213,40 @@ impl Grabbing<'_> {
     }
 
     /// Follows the video; whether that is all of it.
-    fn follow(&mut self, capture: &mut Capture) -> Result<bool, GrabError> {
+    fn follow(&mut self, capture: Capture) -> Result<bool, GrabError> {
         let (is_live, per_s) = (capture.is_live(), capture.per_s());
-        let (mut number, mut failures, mut size_px) = (0u64, 0, [0; 2]);
+        self.stillness.expect(if capture.is_of_differences() { Leftover::DIFFERENCES } else { Leftover::EACH });
+        let pictures = read_on(capture);
+        let (mut number, mut size_px, mut silent_s) = (0u64, [0; 2], 0.0);
         loop {
-            let file_s = number as f64 / per_s;
-            if self.is_over(if is_live { self.elapsed_s() } else { file_s }) {
-                self.end(if is_live { self.elapsed_s() } else { file_s });
+            let at_s = if is_live { self.elapsed_s() } else { number as f64 / per_s };
+            if self.is_over(at_s) {
+                self.end(at_s);
                 return Ok(true);
             }
-            let video = |error: CaptureError| GrabError::Video { from: self.settings.from.clone(), detail: error.to_string() };
-            let Some(picture) = capture.next().map_err(video)? else {
-                if !is_live {
-                    self.end(file_s);
-                    return Ok(true);
+            let picture = match pictures.recv_timeout(LOOK) {
+                Ok(Ok(picture)) => picture,
+                Ok(Err(error)) => {
+                    return Err(GrabError::Video { from: self.settings.from.clone(), detail: error.to_string() });
                 }
-                failures += 1;
-                if failures >= FAILURES {
-                    self.lose("the device gives no pictures".to_owned());
+                Err(RecvTimeoutError::Timeout) => {
+                    silent_s += LOOK.as_secs_f64();
+                    if silent_s >= SILENT.as_secs_f64() {
+                        self.lose(format!("no picture has come for {} s", SILENT.as_secs()));
+                    }
+                    continue;
+                }
+                Err(RecvTimeoutError::Disconnected) if is_live => {
+                    self.lose("it gives no pictures".to_owned());
                     return Ok(false);
                 }
-                std::thread::sleep(SHORTLY);
-                continue;
+                Err(RecvTimeoutError::Disconnected) => {
+                    self.end(at_s);
+                    return Ok(true);
+                }
             };
-            failures = 0;
-            let at_s = if is_live { self.elapsed_s() } else { file_s };
+            silent_s = 0.0;
+            let at_s = if is_live { self.elapsed_s() } else { at_s };
             if size_px != [picture.width, picture.height] {
                 size_px = [picture.width, picture.height];
                 (self.tell)(Grabbed::Opened { size_px, per_s });
@@ -290,6 +311,31 @@ impl Grabbing<'_> {
     fn end(&mut self, after_s: f64) {
         (self.tell)(Grabbed::Ended { pictures: self.pictures, after_s });
     }
+}
+
+/// The pictures of a video, read on a thread of their own: a driver may wait for one without end. Over when the channel is.
+fn read_on(mut capture: Capture) -> Receiver<Result<Image<u8>, CaptureError>> {
+    let (sender, pictures) = sync_channel(AHEAD);
+    std::thread::spawn(move || {
+        let mut failures = 0;
+        while failures < FAILURES {
+            let picture = match capture.next().transpose() {
+                Some(picture) => picture,
+                None if capture.is_live() => {
+                    failures += 1;
+                    std::thread::sleep(SHORTLY);
+                    continue;
+                }
+                None => return,
+            };
+            failures = 0;
+            let is_last = picture.is_err();
+            if sender.send(picture).is_err() || is_last {
+                return;
+            }
+        }
+    });
+    pictures
 }
 
 /// Waiting does not help.

@@ -2,7 +2,9 @@
 //!
 //! Changes are means over blocks, of which the largest counts: a tip that moves a little is few pixels, and noise is alike everywhere. What
 //! noise a still picture has is learnt: the least that most blocks had over any stretch of `still_s` (0 of a digital line, some grey values of
-//! an analogue one), so that fluoroscopy of something that does not move is no still picture, and a clock is no noise.
+//! an analogue one), so that fluoroscopy of something that does not move is no still picture, and a clock is no noise. A picture stands that
+//! changes neither from one to the next nor from its first to its last: what fades or settles goes on until it has arrived. It is looked at
+//! again every `still_s`: behind a noisy line only means show that another exposure has taken its place.
 
 use std::collections::VecDeque;
 
@@ -15,24 +17,44 @@ const MOST_BLOCKS: f64 = 0.75;
 const BLOCK_PX: usize = 16;
 /// A block with fewer unmasked pixels tells nothing.
 const LEAST_PIXELS: u32 = 32;
-/// Changes up to this many grey values are none, whatever the line: compression leaves them in recordings.
-const LEAST_CHANGE: f64 = 1.5;
 /// A still picture may change by so many times what the least noisy one did.
-const OVER_NOISE: f64 = 2.0;
+const OVER_NOISE: f64 = 1.6;
 /// Pictures that make a still one, at least.
-const LEAST_PICTURES: u32 = 3;
-/// A picture is new that differs by so many grey values from the last one …
-const NEW: f64 = 1.0;
-/// … or by so many where the video had changed clearly in between: two exposures of one thing are hardly different when they are compressed.
+const LEAST_PICTURES: u32 = 4;
+/// From its first half to its second a still picture differs by no more than this share of what would be another one: else what settles slowly
+/// would be several.
+const SETTLED: f64 = 0.25;
+/// A picture is new that differs by so many grey values from the last one where the video had changed by so many in between, whatever its
+/// compression: two exposures of one thing are hardly different.
 const NEW_AFTER_CHANGE: f64 = 0.25;
-/// That clearly, in limits of a still picture.
-const CLEARLY: f64 = 4.0;
+const CLEAR_CHANGE: f64 = 6.0;
 /// What the mean of n pictures differs by for its noise alone is the change from picture to picture over √n; so many times that is new.
-const OVER_MEAN_NOISE: f64 = 2.5;
+const OVER_MEAN_NOISE: f64 = 1.6;
 /// A picture of so few grey values is an empty screen.
 const EMPTY: f32 = 8.0;
 /// A video that has not stood still for so long is said to.
 const RESTLESS_S: f64 = 20.0;
+/// A new picture that differs in no more of its blocks than this is perhaps a clock …
+const LOCAL: f64 = 0.05;
+/// … and is one from the third on that follow each other so soon.
+const TICKS: u32 = 3;
+const TICK_S: f64 = 5.0;
+
+/// Changes that are none, whatever the line: what compression leaves in them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Leftover {
+    /// From picture to picture, grey values.
+    change: f64,
+    /// Between two pictures that stand.
+    between: f64,
+}
+
+impl Leftover {
+    /// Each picture is compressed by itself, if at all.
+    pub(super) const EACH: Self = Self { change: 0.4, between: 0.25 };
+    /// Pictures are compressed as differences, and made anew every few seconds.
+    pub(super) const DIFFERENCES: Self = Self { change: 1.5, between: 1.0 };
+}
 
 /// A picture that stands, of which nobody was told yet.
 #[derive(Clone, Debug)]
@@ -43,12 +65,12 @@ pub(super) struct Still {
     pub(super) since_s: f64,
 }
 
-/// A video in which nothing stands still.
+/// A video in which nothing stands still, or a part of it never.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Restless {
     /// For so long.
     pub(super) for_s: f64,
-    /// The block that changes most in most pictures: its first pixel in the video.
+    /// The block that changes most often: its first pixel in the video.
     pub(super) at_px: [u32; 2],
     /// By how much it changes, grey values.
     pub(super) change: f64,
@@ -70,55 +92,71 @@ pub(super) enum Noted {
 /// Pictures in succession that are alike.
 struct Run {
     since_s: f64,
-    sums: Vec<u32>,
-    pictures: u32,
+    first: Image<u8>,
+    /// Of its first half, and of its second.
+    sums: [Vec<u32>; 2],
+    pictures: [u32; 2],
     /// The largest change among them.
     change: f64,
-    is_judged: bool,
 }
 
 impl Run {
     fn of(picture: &Image<u8>, since_s: f64) -> Self {
         let sums = picture.pixels.iter().map(|value| u32::from(*value)).collect();
-        Self { since_s, sums, pictures: 1, change: 0.0, is_judged: false }
+        let none = vec![0; picture.pixels.len()];
+        Self { since_s, first: picture.clone(), sums: [sums, none], pictures: [1, 0], change: 0.0 }
     }
 
-    fn add(&mut self, picture: &Image<u8>, change: f64) {
-        // What was judged is not looked at again.
-        if self.is_judged {
-            return;
-        }
-        self.sums.iter_mut().zip(&picture.pixels).for_each(|(sum, value)| *sum += u32::from(*value));
-        self.pictures += 1;
+    fn add(&mut self, picture: &Image<u8>, change: f64, half: usize) {
+        self.sums[half].iter_mut().zip(&picture.pixels).for_each(|(sum, value)| *sum += u32::from(*value));
+        self.pictures[half] += 1;
         self.change = self.change.max(change);
     }
 
+    fn count(&self) -> u32 {
+        self.pictures[0] + self.pictures[1]
+    }
+
     fn mean(&self) -> Vec<f32> {
-        self.sums.iter().map(|sum| *sum as f32 / self.pictures as f32).collect()
+        let count = self.count() as f32;
+        self.sums[0].iter().zip(&self.sums[1]).map(|(a, b)| (a + b) as f32 / count).collect()
+    }
+
+    fn half(&self, half: usize) -> Vec<f32> {
+        let count = self.pictures[half].max(1) as f32;
+        self.sums[half].iter().map(|sum| *sum as f32 / count).collect()
+    }
+
+    /// By how much the mean of so many of its pictures may differ for noise alone.
+    fn noise_of(&self, pictures: u32) -> f64 {
+        OVER_MEAN_NOISE * self.change / f64::from(pictures.max(1)).sqrt()
     }
 }
 
 /// Takes the pictures of a video in order, cropped.
 pub(super) struct Stillness {
     settings: VideoSettings,
+    leftover: Leftover,
     /// The first picture that stands is known already.
     knows_first: bool,
     usable: Vec<bool>,
     blocks: Vec<u32>,
     previous: Image<u8>,
     run: Run,
-    /// Changes of the last `still_s`.
+    /// Noise of the pictures of the last `still_s`.
     recent: VecDeque<(f64, f64)>,
     started_s: f64,
     /// The least noise of any stretch.
     noise: f64,
     /// The last picture that was told, or known.
     known: Option<Vec<f32>>,
-    /// The largest change since then, in limits.
+    /// The largest change since then, grey values.
     broken_by: f64,
     stood_at_s: f64,
     /// How often each block was the one that changed most, since the video stood still last, and the largest change of each.
     restless: Vec<(u32, f64)>,
+    /// Pictures one soon after the other that are new in few blocks, and when the last one was.
+    ticks: (u32, f64),
 }
 
 impl Stillness {
@@ -127,6 +165,7 @@ impl Stillness {
         let empty = Image::filled(0, 0, 0);
         Self {
             settings: settings.clone(),
+            leftover: Leftover::EACH,
             knows_first: skip_first,
             usable: Vec::new(),
             blocks: Vec::new(),
@@ -139,13 +178,19 @@ impl Stillness {
             broken_by: 0.0,
             stood_at_s: 0.0,
             restless: Vec::new(),
+            ticks: (0, f64::NEG_INFINITY),
         }
+    }
+
+    /// What is known of the video's compression.
+    pub(super) fn expect(&mut self, leftover: Leftover) {
+        self.leftover = leftover;
     }
 
     /// Up to which change a picture stands still.
     fn limit(&self) -> f64 {
         let learnt = if self.noise.is_finite() { OVER_NOISE * self.noise } else { 0.0 };
-        self.settings.change.unwrap_or(learnt.max(LEAST_CHANGE))
+        self.settings.change.unwrap_or(learnt.max(self.leftover.change))
     }
 
     /// A picture at `at_s`, which counts up.
@@ -154,14 +199,16 @@ impl Stillness {
             self.begin(picture, at_s);
             return Noted::Nothing;
         }
-        let changes = self.changes(&picture);
+        let changes = self.changes(&picture, &self.previous);
         let (block, change) = largest(&changes);
-        self.learn(at_s, changes);
+        self.learn(&picture, at_s, changes);
         let limit = self.limit();
-        if change <= limit {
-            self.run.add(&picture, change);
+        let drift = largest(&self.changes(&picture, &self.run.first)).1;
+        if change.max(drift) <= limit {
+            let half = usize::from(at_s - self.run.since_s > 0.5 * self.settings.still_s);
+            self.run.add(&picture, change, half);
         } else {
-            self.broken_by = self.broken_by.max(change / limit);
+            self.broken_by = self.broken_by.max(change.max(drift));
             self.run = Run::of(&picture, at_s);
             let (times, largest) = &mut self.restless[block];
             (*times, *largest) = (*times + 1, largest.max(change));
@@ -192,9 +239,9 @@ impl Stillness {
         self.previous = picture;
     }
 
-    /// By how much each block changed.
-    fn changes(&self, picture: &Image<u8>) -> Vec<f64> {
-        let apart = |index: usize| u32::from(picture.pixels[index].abs_diff(self.previous.pixels[index]));
+    /// By how much each block differs.
+    fn changes(&self, picture: &Image<u8>, other: &Image<u8>) -> Vec<f64> {
+        let apart = |index: usize| u32::from(picture.pixels[index].abs_diff(other.pixels[index]));
         let mut sums = vec![0u32; self.blocks.len()];
         let columns = picture.width.div_ceil(BLOCK_PX);
         for (row, start) in (0..picture.pixels.len()).step_by(picture.width).enumerate() {
@@ -207,42 +254,63 @@ impl Stillness {
         self.means(sums.into_iter().map(f64::from))
     }
 
+    /// The same of two means.
+    fn differences(&self, a: &[f32], b: &[f32]) -> Vec<f64> {
+        let mut sums = vec![0.0; self.blocks.len()];
+        for index in (0..a.len()).filter(|index| self.usable[*index]) {
+            sums[block_of(index, self.previous.width)] += f64::from((a[index] - b[index]).abs());
+        }
+        self.means(sums.into_iter())
+    }
+
     /// Of the sums of blocks; 0 where nothing is known.
     fn means(&self, sums: impl Iterator<Item = f64>) -> Vec<f64> {
         sums.zip(&self.blocks).map(|(sum, pixels)| if *pixels >= LEAST_PIXELS { sum / f64::from(*pixels) } else { 0.0 }).collect()
     }
 
-    fn learn(&mut self, at_s: f64, mut changes: Vec<f64>) {
+    /// Learns the noise of the line.
+    fn learn(&mut self, picture: &Image<u8>, at_s: f64, mut changes: Vec<f64>) {
+        // An empty screen has no noise on any line: black is cut off.
+        let values = || picture.pixels.iter().zip(&self.usable).filter(|(_, usable)| **usable).map(|(value, _)| *value);
+        let range = values().max().unwrap_or(0) - values().min().unwrap_or(0);
+        if f32::from(range) <= 2.0 * EMPTY {
+            self.recent.clear();
+            return;
+        }
         let most = (((changes.len() - 1) as f64) * MOST_BLOCKS) as usize;
         self.recent.push_back((at_s, *changes.select_nth_unstable_by(most, f64::total_cmp).1));
         while self.recent.front().is_some_and(|(then_s, _)| at_s - then_s > self.settings.still_s) {
             self.recent.pop_front();
         }
-        if at_s - self.started_s >= self.settings.still_s && self.recent.len() >= LEAST_PICTURES as usize {
+        let is_full = self.recent.front().is_some_and(|(then_s, _)| at_s - then_s > 0.8 * self.settings.still_s);
+        if is_full && self.recent.len() >= LEAST_PICTURES as usize {
             let most = self.recent.iter().map(|(_, change)| *change).fold(0.0, f64::max);
             self.noise = self.noise.min(most);
         }
     }
 
     fn judge(&mut self, at_s: f64) -> Noted {
-        let stands = at_s - self.run.since_s >= self.settings.still_s && self.run.pictures >= LEAST_PICTURES;
+        let stands = at_s - self.run.since_s >= self.settings.still_s && self.run.count() >= LEAST_PICTURES;
         if !stands {
             let for_s = at_s - self.stood_at_s;
             return if for_s >= RESTLESS_S { self.complain(at_s, for_s) } else { Noted::Nothing };
         }
-        self.stood_at_s = at_s;
-        self.restless.fill((0, 0.0));
-        if std::mem::replace(&mut self.run.is_judged, true) {
+        let run = std::mem::replace(&mut self.run, Run::of(&self.previous, at_s));
+        let settled = largest(&self.differences(&run.half(0), &run.half(1))).1;
+        if settled > (SETTLED * self.leftover.between).max(run.noise_of(run.pictures[0].min(run.pictures[1]))) {
             return Noted::Nothing;
         }
-        let mean = self.run.mean();
+        let mean = run.mean();
         let ends = mean.iter().zip(&self.usable).filter(|(_, usable)| **usable).map(|(value, _)| *value);
         let (low, high) = ends.fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)));
         if !(high - low > EMPTY) {
             self.knows_first = false;
             return Noted::Nothing;
         }
-        if !self.is_new(&mean) {
+        self.stood_at_s = at_s;
+        self.restless.fill((0, 0.0));
+        let new = self.new_blocks(&mean, &run);
+        if new.is_empty() {
             return Noted::Nothing;
         }
         self.broken_by = 0.0;
@@ -250,31 +318,52 @@ impl Stillness {
         if std::mem::take(&mut self.knows_first) {
             return Noted::Nothing;
         }
+        if let Some(clock) = self.ticks_at(&new, at_s) {
+            return clock;
+        }
         let value = |(index, mean): (usize, f32)| if self.usable[index] { mean } else { f32::from(self.previous.pixels[index]) };
         let pixels = mean.into_iter().enumerate().map(value).collect();
         let Image { width, height, .. } = self.previous;
-        Noted::Still(Still { picture: Image { width, height, pixels }, since_s: self.run.since_s })
+        Noted::Still(Still { picture: Image { width, height, pixels }, since_s: run.since_s })
     }
 
-    fn is_new(&self, mean: &[f32]) -> bool {
-        let Some(known) = &self.known else { return true };
-        let mut sums = vec![0.0; self.blocks.len()];
-        for index in (0..mean.len()).filter(|index| self.usable[*index]) {
-            sums[block_of(index, self.previous.width)] += f64::from((mean[index] - known[index]).abs());
+    /// The blocks in which a picture differs from the last one that was told, and by how much.
+    fn new_blocks(&self, mean: &[f32], run: &Run) -> Vec<(usize, f64)> {
+        let Some(known) = &self.known else { return vec![(0, f64::INFINITY); self.blocks.len()] };
+        let least = if self.broken_by > CLEAR_CHANGE { NEW_AFTER_CHANGE } else { self.leftover.between };
+        let limit = least.max(run.noise_of(run.count()));
+        self.differences(mean, known).into_iter().enumerate().filter(|(_, change)| *change > limit).collect()
+    }
+
+    /// Whether a picture is new in a few blocks only, again and again: then that is said every [`RESTLESS_S`].
+    fn ticks_at(&mut self, new: &[(usize, f64)], at_s: f64) -> Option<Noted> {
+        let is_local = new.len() as f64 <= (LOCAL * self.blocks.len() as f64).max(1.0);
+        let (ticks, last_s) = self.ticks;
+        self.ticks = (if is_local && at_s - last_s < TICK_S { ticks + 1 } else { u32::from(is_local) }, at_s);
+        if self.ticks.0 < TICKS {
+            return None;
         }
-        let least = if self.broken_by > CLEARLY { NEW_AFTER_CHANGE } else { NEW };
-        let noise = OVER_MEAN_NOISE * self.run.change / f64::from(self.run.pictures).sqrt();
-        largest(&self.means(sums.into_iter())).1 > least.max(noise)
+        let (block, change) = new.iter().copied().fold((0, 0.0), |most, own| if own.1 > most.1 { own } else { most });
+        let (at_px, limit) = (self.place_of(block), self.limit());
+        let is_said = (self.ticks.0 - TICKS).is_multiple_of(20);
+        Some(if is_said { Noted::Restless(Restless { for_s: 0.0, at_px, change, limit }) } else { Noted::Nothing })
     }
 
     fn complain(&mut self, at_s: f64, for_s: f64) -> Noted {
-        let columns = self.previous.width.div_ceil(BLOCK_PX);
         let most = self.restless.iter().enumerate().max_by_key(|(_, (times, _))| *times);
         let (block, (_, change)) = most.map_or((0, (0, 0.0)), |(block, found)| (block, *found));
-        let [left, top, ..] = self.settings.crop_px.unwrap_or_default();
-        let at_px = [left + (block % columns * BLOCK_PX) as u32, top + (block / columns * BLOCK_PX) as u32];
+        let found = Restless { for_s, at_px: self.place_of(block), change, limit: self.limit() };
         self.stood_at_s = at_s;
-        Noted::Restless(Restless { for_s, at_px, change, limit: self.limit() })
+        // Perhaps the line is noisier than a screen without a picture was.
+        self.noise = f64::INFINITY;
+        Noted::Restless(found)
+    }
+
+    /// The first pixel of a block in the video.
+    fn place_of(&self, block: usize) -> [u32; 2] {
+        let columns = self.previous.width.div_ceil(BLOCK_PX);
+        let [left, top, ..] = self.settings.crop_px.unwrap_or_default();
+        [left + (block % columns * BLOCK_PX) as u32, top + (block / columns * BLOCK_PX) as u32]
     }
 }
 
@@ -340,8 +429,10 @@ mod tests {
         for line in [0.0, 1.5] {
             let (still, restless) = told(&stretches, line, &settings);
             assert_eq!(still.len(), 3, "line noise {line}: {still:?}");
-            for (found, expected) in still.iter().zip([0.0, 100.0, 190.0]) {
-                assert!((found - expected * PERIOD_S).abs() < 2.5 * PERIOD_S, "line noise {line}: {still:?}");
+            for (found, expected) in still.iter().zip([0.0f64, 100.0, 190.0]) {
+                // What noise the line has is not known before the first `still_s` are over.
+                let late_s = if expected == 0.0 { settings.still_s } else { 2.5 * PERIOD_S };
+                assert!((found - expected * PERIOD_S).abs() < late_s, "line noise {line}: {still:?}");
             }
             assert!(restless.is_empty());
         }
@@ -403,5 +494,85 @@ mod tests {
             }
         }
         assert_eq!(since, [80.0]);
+    }
+
+    /// What is told of a video of so many pictures, drawn by their number: since which number each stands.
+    fn since(pictures: u32, skip_first: bool, draw: impl Fn(u32) -> Image<u8>) -> (Vec<f64>, usize) {
+        let mut stillness = Stillness::new(&VideoSettings::of("0"), skip_first);
+        let (mut since, mut restless) = (Vec::new(), 0);
+        for number in 0..pictures {
+            match stillness.take(draw(number), f64::from(number) * PERIOD_S) {
+                Noted::Nothing => {}
+                Noted::Still(found) => since.push((found.since_s / PERIOD_S).round()),
+                Noted::Restless(_) => restless += 1,
+            }
+        }
+        (since, restless)
+    }
+
+    /// Between two pictures, the share of the second.
+    fn blend(a: &Image<u8>, b: &Image<u8>, share: f64) -> Image<u8> {
+        crate::image::zip(a, b, |a, b| (f64::from(*a) * (1.0 - share) + f64::from(*b) * share).round() as u8)
+    }
+
+    #[test]
+    fn what_fades_or_settles_is_taken_when_it_has_arrived() {
+        let moved = |number: u32| {
+            let mut moved = picture(2, 3.0, number, 0.0);
+            moved.pixels[SIZE[0] * 44..SIZE[0] * 54].fill(30);
+            moved
+        };
+        // Over a second, two, and eight.
+        for fade in [30, 60, 240] {
+            let (found, _) = since(90 + fade, false, |number| {
+                let share = f64::from(number.saturating_sub(40)) / f64::from(fade);
+                blend(&picture(1, 3.0, number, 0.0), &moved(number), share.min(1.0))
+            });
+            assert_eq!(found.len(), 2, "a fade of {fade} pictures: {found:?}");
+            assert!(found[1] > f64::from(40 + fade) - 8.0, "a fade of {fade} pictures: {found:?}");
+        }
+        // Each picture keeps most of the one before.
+        let (found, _) = since(300, false, |number| {
+            let share = if number < 60 { 0.0 } else { 1.0 - 0.92f64.powi(number as i32 - 60) };
+            blend(&picture(1, 3.0, number, 0.0), &moved(number), share)
+        });
+        assert!(found.len() == 2 && found[1] > 90.0, "{found:?}");
+    }
+
+    #[test]
+    fn the_same_view_again_is_another_picture_and_a_tip_that_moved_as_well() {
+        // Bright enough for noise of half a grey value.
+        let (found, _) = since(120, false, |number| picture(1 + number / 40, 0.6, number, 0.0));
+        assert_eq!(found, [0.0, 40.0, 80.0]);
+        let (found, _) = since(80, false, |number| {
+            let mut shown = picture(1, 3.0, number, 0.0);
+            for row in 20..24 {
+                let value = if number < 40 { 140 } else { 120 };
+                shown.pixels[row * SIZE[0] + 20..][..4].fill(value);
+            }
+            shown
+        });
+        assert_eq!(found, [0.0, 40.0]);
+    }
+
+    #[test]
+    fn a_clock_of_seconds_is_said_and_not_taken_for_a_picture_a_second() {
+        let (found, restless) = since(600, false, |number| {
+            let mut shown = picture(7, 3.0, number, 0.0);
+            for row in 50..58 {
+                shown.pixels[row * SIZE[0] + 82..][..10].fill((number / 30 * 37 % 200) as u8);
+            }
+            shown
+        });
+        assert!(found.len() <= TICKS as usize && restless >= 1, "{found:?}, said {restless} times");
+    }
+
+    #[test]
+    fn noise_of_a_line_is_not_that_of_a_screen_without_a_picture() {
+        let (found, _) = since(160, false, |number| match number {
+            0..60 => Image::filled(SIZE[0], SIZE[1], 0),
+            _ => picture(1 + number / 110, 3.0, number, 2.0),
+        });
+        assert_eq!(found.len(), 2, "{found:?}");
     }
 }

@@ -18,6 +18,7 @@ pub use record::{Against, BeadVerdict, Bump, SolvedBead, Together, TogetherRefus
 use glam::DVec2;
 
 use super::bodies::names;
+use super::doubt::{UNLIKELY_OF_MANY, chi2_sigmas};
 use super::judge::MOST_CHI2_PER_DOF;
 use super::prior::Prior;
 use super::record::{Pose, Status};
@@ -86,7 +87,8 @@ impl SeveralViews<'_> {
         let poses: Vec<&Pose> = accepted.iter().map(|n| &self.views[*n].pose).collect();
         let mut setup = self.setup(&poses)?;
         let mut bumps = Vec::new();
-        let missing: Vec<usize> = (0..self.layout.beads.len()).filter(|n| setup.seen_in(*n).next().is_none()).collect();
+        let missing: Vec<usize> = (0..self.layout.beads.len()).filter(|n| self.may_be_elsewhere(&setup, &poses, *n)).collect();
+        let mut unclear = Vec::new();
         if !setup.segments.is_empty() || !missing.is_empty() {
             let mut apart = setup.clone();
             // A body's beads count only where its own place is solved.
@@ -99,7 +101,12 @@ impl SeveralViews<'_> {
             let (problem, blocks) = apart.problem();
             let (estimate, covariance) = solved(&problem).map_err(unsolved)?;
             apart.take(&estimate, &blocks);
-            for sought::Sought { bead, place_mm, observations } in sought::seek(&apart, &poses, &missing) {
+            let found = sought::seek(&apart, &poses, &missing);
+            // Seen where it should be by fewer views than not: these are not believed against the others.
+            let is_found = |bead: usize| found.iter().any(|sought| sought.bead == bead);
+            unclear.extend(missing.iter().copied().filter(|n| !is_found(*n) && setup.seen_in(*n).next().is_some()));
+            setup.observations.retain(|own| !missing.contains(&own.bead));
+            for sought::Sought { bead, place_mm, observations } in found {
                 setup.observations.extend(observations);
                 setup.places_mm[bead] = place_mm;
                 setup.freed[bead] = true;
@@ -107,7 +114,8 @@ impl SeveralViews<'_> {
             (setup.segments, bumps) = bumps::joined(&apart, &blocks, &estimate, &covariance);
             setup.cameras = apart.cameras;
         }
-        let sorted = strays::sort(&mut setup).map_err(unsolved)?;
+        let mut sorted = strays::sort(&mut setup).map_err(unsolved)?;
+        unclear.into_iter().for_each(|bead| sorted.verdicts[bead] = Some(BeadVerdict::Unclear));
         let (problem, blocks) = setup.problem();
         let (estimate, covariance) = solved(&problem).map_err(unsolved)?;
         setup.take(&estimate, &blocks);
@@ -148,7 +156,22 @@ impl SeveralViews<'_> {
             ..self.empty()
         };
         together.cautions = self.cautions(&together, &accepted, &sorted.aside);
+        if chi2_sigmas(chi2_per_dof, estimate.degrees_of_freedom()) > UNLIKELY_OF_MANY {
+            together.cautions.push(format!(
+                "the views agree {:.1} times worse than noise and bead positions allow: did several beads move together, or do their sigma_mm promise too much?",
+                chi2_per_dof.sqrt()
+            ));
+        }
         Ok(together)
+    }
+
+    /// Whether a bead is nowhere seen, or in no more views than those that show a shadow that is nobody's beside its place.
+    fn may_be_elsewhere(&self, setup: &Setup, poses: &[&Pose], bead: usize) -> bool {
+        let name = &self.layout.beads[bead].name;
+        let beside =
+            |pose: &&&Pose| pose.beads.iter().any(|row| row.name == *name && row.image_px.is_none() && row.beside_px.is_some());
+        let seen = setup.seen_in(bead).count();
+        seen <= poses.iter().filter(beside).count()
     }
 
     /// Everything as the views alone have it.

@@ -1,4 +1,4 @@
-//! Beads that no single view could name because they are not where they were: shadows that belong to no bead, put together over views.
+//! Beads that hardly any view could name because they are not where they were: shadows that belong to no bead, put together over views.
 
 use glam::{DVec2, DVec3};
 
@@ -12,6 +12,10 @@ const ALIKE: f64 = 0.3;
 /// A place explains a shadow to so many standard deviations of the shadow and of the cameras, which are good to so many px.
 const SIGMAS: f64 = 4.0;
 const CAMERA_PX: f64 = 0.5;
+
+/// Views that must agree on the place of a bead that none has, and of one that some view has where it was.
+const FEWEST: usize = 2;
+const SURE: usize = 3;
 
 /// A shadow that may be the bead's.
 struct Candidate {
@@ -35,6 +39,11 @@ pub fn seek(setup: &Setup, poses: &[&Pose], beads: &[usize]) -> Vec<Sought> {
         let candidates: Vec<Candidate> =
             poses.iter().enumerate().flat_map(|(view, pose)| in_view(setup, *bead, view, pose)).collect();
         let (place_mm, members) = agreed(setup, *bead, &candidates)?;
+        // Against a view that has it in its place two others prove nothing: their rays meet somewhere.
+        let needed = if setup.seen_in(*bead).next().is_some() { SURE } else { FEWEST };
+        if members.len() < needed {
+            return None;
+        }
         let observation = |n: usize| {
             let Candidate { view, image_px, sigma_px, .. } = candidates[n];
             Observation { view, bead: *bead, image_px, sigma_px }
@@ -56,10 +65,15 @@ fn in_view(setup: &Setup, bead: usize, view: usize, pose: &Pose) -> Vec<Candidat
     let Some(usual_px) = radii.get(radii.len() / 2) else { return Vec::new() };
     let (at, reach_px) = (k.project(p), REACH_MM * k.fx / p.z);
     let body_from_camera = camera_from_body.inverse();
-    let taken = |at: DVec2| setup.observations.iter().any(|o| o.view == view && o.image_px.distance(at) < 0.5 * usual_px);
+    let name = setup.layout.beads[bead].name.as_str();
+    let others = || setup.observations.iter().filter(|o| o.view == view && o.bead != bead);
+    let taken = |at: DVec2| others().any(|o| o.image_px.distance(at) < 0.5 * usual_px);
     let free = |s: &&Shadow| {
         let here = DVec2::from_array(s.image_px);
-        s.bead.is_none() && here.distance(at) < reach_px && (s.radius_px / usual_px).ln().abs() < ALIKE && !taken(here)
+        s.bead.as_deref().is_none_or(|own| own == name)
+            && here.distance(at) < reach_px
+            && (s.radius_px / usual_px).ln().abs() < ALIKE
+            && !taken(here)
     };
     let candidate = |s: &Shadow| {
         let image_px = DVec2::from_array(s.image_px);

@@ -125,6 +125,9 @@ impl Common<'_> {
                 Some("it has moved, or one of its shadows is not its own; these views cannot tell which".to_owned())
             }
             (None, Some(_), Some(BeadVerdict::Inconsistent)) => Some("no one place explains its shadows in all views".to_owned()),
+            (None, Some(_), _) if setup.seen_in(bead).next().is_none() => {
+                Some("no view that is left has it elsewhere or in its place: where it is cannot be told".to_owned())
+            }
             (None, Some(aside), _) => {
                 Some(format!("its shadow here is {:.2} px from where the other views put it", aside.off_px))
             }
@@ -154,6 +157,7 @@ impl Common<'_> {
         let views = setup.seen_in(bead).count();
         let verdict = match self.sorted.verdicts[bead] {
             Some(verdict) => verdict,
+            None if views == 0 && self.sorted.aside.iter().any(|aside| aside.bead == bead) => BeadVerdict::Unclear,
             None if views == 0 => BeadVerdict::NotSeen,
             None if setup.freed[bead] => BeadVerdict::Migrated,
             None => BeadVerdict::InPlace,

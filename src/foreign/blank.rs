@@ -90,7 +90,7 @@ impl Written {
 fn hash_around(file: &File, zeros: &[Range<u64>], bytes: u64) -> Option<[u8; 32]> {
     let mut hash = Sha256::new();
     let mut from = 0;
-    for run in zeros.iter().cloned().chain([bytes..bytes]) {
+    for run in zeros.iter().cloned().chain(std::iter::once(bytes..bytes)) {
         each_chunk(file, from..run.start.min(bytes), &mut |_, chunk| hash.update(chunk))?;
         from = run.end;
     }
@@ -140,21 +140,21 @@ mod tests {
         another[0] = 0xff;
         let (another, _) = file_of(&another);
         // Its end, its middle, and two places at once are not written yet.
-        let missing: [&[Range<usize>]; 6] = [
-            &[1..200_000],
-            &[300..200_000],
-            &[190_000..200_000],
-            &[70_000..140_001],
-            &[4000..9000, 150_000..170_000],
-            &[9..8000],
+        let missing: [&[(usize, usize)]; 6] = [
+            &[(1, 200_000)],
+            &[(300, 200_000)],
+            &[(190_000, 200_000)],
+            &[(70_000, 140_001)],
+            &[(4000, 9000), (150_000, 170_000)],
+            &[(9, 8000)],
         ];
         for missing in missing {
             let mut torn = whole.clone();
-            missing.iter().for_each(|part| torn[part.clone()].fill(0));
+            missing.iter().for_each(|(from, to)| torn[*from..*to].fill(0));
             let (torn, bytes) = file_of(&torn);
             let before = Written::around_zeros(&torn, bytes).unwrap();
             assert_eq!(before.zeros.len(), missing.len());
-            assert_eq!(ends_in_zeros(&torn, bytes), missing.last().unwrap().end == 200_000);
+            assert_eq!(ends_in_zeros(&torn, bytes), missing.last().unwrap().1 == 200_000);
             assert!(before.goes_on_in(&file, bytes), "{missing:?}");
             assert!(!before.goes_on_in(&torn, bytes), "nothing was added");
             assert!(!before.goes_on_in(&another, bytes), "another file");

@@ -5,7 +5,7 @@ use glam::{DVec2, DVec3};
 
 use super::case::Case;
 use super::cautions::Cautions;
-use super::refusal::Refusal;
+use super::refusal::{Refusal, taller_words};
 use super::settle::Settled;
 use super::solve::{Free, Match, Options, image_of, solve};
 use crate::estimate::{Freedom, Loss, Problem, Settings};
@@ -108,11 +108,6 @@ impl Case<'_> {
         let (taller, is_sure) = (k.fy / fy, ratio > needed(BY_CHANCE.1));
         shift_px.is_finite().then_some(Bent { fault, given_px: last.rms_px(), bent_px: rms(left), shift_px, taller, is_sure })
     }
-}
-
-/// Of pixels whose height is `taller` times that of K.
-pub(super) fn taller_words(taller: f64) -> &'static str {
-    if taller > 1.0 { "taller" } else { "wider" }
 }
 
 struct Bent {

@@ -21,6 +21,11 @@ impl std::fmt::Display for Points {
     }
 }
 
+/// Of pixels whose height is `taller` times that of K.
+pub(super) fn taller_words(taller: f64) -> &'static str {
+    if taller > 1.0 { "taller" } else { "wider" }
+}
+
 /// A pose that fits as well as the one that was found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -107,7 +112,7 @@ pub enum Refusal {
     Distorted { given_px: f64, bent_px: f64, shift_px: f64 },
     /// Pixels that are not those of K.
     #[error(
-        "pixels: the beads agree to {bent_px:.2} px instead of {given_px:.2} px if pixels are {:.1} % {} than K says; was the picture stretched on its way (a video grabber, an export)? undo that, or give K with fx and fy of this picture", 100.0 * (taller - 1.0).abs(), super::lens::taller_words(*taller)
+        "pixels: the beads agree to {bent_px:.2} px instead of {given_px:.2} px if pixels are {:.1} % {} than K says; was the picture stretched on its way (a video grabber, an export)? undo that, or give K with fx and fy of this picture", 100.0 * (taller - 1.0).abs(), taller_words(*taller)
     )]
     Pixels {
         given_px: f64,

@@ -139,7 +139,8 @@ pub(super) struct Stillness {
     leftover: Leftover,
     /// The first picture that stands is known already.
     knows_first: bool,
-    usable: Vec<bool>,
+    /// 255 where a pixel counts, 0 in masks.
+    usable: Vec<u8>,
     blocks: Vec<u32>,
     previous: Image<u8>,
     run: Run,
@@ -222,12 +223,12 @@ impl Stillness {
         let [left, top, ..] = self.settings.crop_px.unwrap_or_default();
         let is_usable = |index: usize| {
             let at = [left + (index % picture.width) as u32, top + (index / picture.width) as u32];
-            !self.settings.masks_px.iter().any(|mask| holds(mask, at))
+            if self.settings.masks_px.iter().any(|mask| holds(mask, at)) { 0 } else { u8::MAX }
         };
         self.usable = (0..picture.pixels.len()).map(is_usable).collect();
         self.blocks = vec![0; picture.width.div_ceil(BLOCK_PX) * picture.height.div_ceil(BLOCK_PX)];
         self.restless = vec![(0, 0.0); self.blocks.len()];
-        for index in (0..picture.pixels.len()).filter(|index| self.usable[*index]) {
+        for index in (0..picture.pixels.len()).filter(|index| self.usable[*index] != 0) {
             self.blocks[block_of(index, picture.width)] += 1;
         }
         self.recent.clear();
@@ -241,14 +242,15 @@ impl Stillness {
 
     /// By how much each block differs.
     fn changes(&self, picture: &Image<u8>, other: &Image<u8>) -> Vec<f64> {
-        let apart = |index: usize| u32::from(picture.pixels[index].abs_diff(other.pixels[index]));
         let mut sums = vec![0u32; self.blocks.len()];
-        let columns = picture.width.div_ceil(BLOCK_PX);
-        for (row, start) in (0..picture.pixels.len()).step_by(picture.width).enumerate() {
-            for column in 0..picture.width {
-                if self.usable[start + column] {
-                    sums[row / BLOCK_PX * columns + column / BLOCK_PX] += apart(start + column);
-                }
+        let (width, columns) = (picture.width, picture.width.div_ceil(BLOCK_PX));
+        let rows = picture.pixels.chunks(width).zip(other.pixels.chunks(width)).zip(self.usable.chunks(width));
+        for (row, ((a, b), usable)) in rows.enumerate() {
+            let sums = &mut sums[row / BLOCK_PX * columns..][..columns];
+            let parts = a.chunks(BLOCK_PX).zip(b.chunks(BLOCK_PX)).zip(usable.chunks(BLOCK_PX));
+            for (sum, ((a, b), usable)) in sums.iter_mut().zip(parts) {
+                let apart = a.iter().zip(b).zip(usable).map(|((a, b), usable)| u32::from(a.abs_diff(*b) & usable));
+                *sum += apart.sum::<u32>();
             }
         }
         self.means(sums.into_iter().map(f64::from))
@@ -257,7 +259,7 @@ impl Stillness {
     /// The same of two means.
     fn differences(&self, a: &[f32], b: &[f32]) -> Vec<f64> {
         let mut sums = vec![0.0; self.blocks.len()];
-        for index in (0..a.len()).filter(|index| self.usable[*index]) {
+        for index in (0..a.len()).filter(|index| self.usable[*index] != 0) {
             sums[block_of(index, self.previous.width)] += f64::from((a[index] - b[index]).abs());
         }
         self.means(sums.into_iter())
@@ -271,7 +273,7 @@ impl Stillness {
     /// Learns the noise of the line.
     fn learn(&mut self, picture: &Image<u8>, at_s: f64, mut changes: Vec<f64>) {
         // An empty screen has no noise on any line: black is cut off.
-        let values = || picture.pixels.iter().zip(&self.usable).filter(|(_, usable)| **usable).map(|(value, _)| *value);
+        let values = || picture.pixels.iter().zip(&self.usable).filter(|(_, usable)| **usable != 0).map(|(value, _)| *value);
         let range = values().max().unwrap_or(0) - values().min().unwrap_or(0);
         if f32::from(range) <= 2.0 * EMPTY {
             self.recent.clear();
@@ -301,7 +303,7 @@ impl Stillness {
             return Noted::Nothing;
         }
         let mean = run.mean();
-        let ends = mean.iter().zip(&self.usable).filter(|(_, usable)| **usable).map(|(value, _)| *value);
+        let ends = mean.iter().zip(&self.usable).filter(|(_, usable)| **usable != 0).map(|(value, _)| *value);
         let (low, high) = ends.fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)));
         if !(high - low > EMPTY) {
             self.knows_first = false;
@@ -321,7 +323,8 @@ impl Stillness {
         if let Some(clock) = self.ticks_at(&new, at_s) {
             return clock;
         }
-        let value = |(index, mean): (usize, f32)| if self.usable[index] { mean } else { f32::from(self.previous.pixels[index]) };
+        let value =
+            |(index, mean): (usize, f32)| if self.usable[index] != 0 { mean } else { f32::from(self.previous.pixels[index]) };
         let pixels = mean.into_iter().enumerate().map(value).collect();
         let Image { width, height, .. } = self.previous;
         Noted::Still(Still { picture: Image { width, height, pixels }, since_s: run.since_s })

@@ -138,3 +138,23 @@ fn a_monitor_that_falls_silent_is_a_loss_and_comes_back() {
     let report: Value = live.report().contains("no frames come of the video").into();
     assert!(report == true, "{}", live.report());
 }
+
+/// A crop that does not lie within the video is a loss once, however often the grabber tries.
+#[test]
+fn a_crop_outside_the_video_is_said_once() {
+    let Some(lab) = Lab::start(&["--duration-s", "60", "--faults", "none", "--kit-only"]) else { return };
+    let (folder, capture) = (lab.kit.join("grabbed"), lab.kit.join("still.y4m"));
+    std::fs::create_dir_all(&folder).expect("a folder");
+    let head = format!("YUV4MPEG2 W64 H48 F{PER_S}:1 Ip A1:1 Cmono\n");
+    let picture = [&b"FRAME\n"[..], &[90; 64 * 48]].concat();
+    std::fs::write(&capture, [head.as_bytes(), &picture.repeat(20)].concat()).expect("written");
+    let session = lab.session("cropped.json", |session| {
+        session["frames"]["folder"] = folder.to_str().expect("UTF-8").into();
+        session["frames"]["video"] = serde_json::json!({"from": capture, "crop_px": [0, 0, 640, 480]});
+        session.as_object_mut().expect("keys").retain(|key, _| !["carm", "robot"].contains(&key.as_str()));
+    });
+    let mut live = Live::launch(&session, &lab.kit.with_file_name("session"), &["--seconds", "8"]);
+    assert_eq!(live.program.end(HANG_S).and_then(|status| status.code()), Some(3), "{}", live.stderr());
+    let words = live.stderr();
+    assert_eq!(words.matches("does not lie within the video of 64 x 48").count(), 1, "{words}");
+}

@@ -127,7 +127,7 @@ pub fn run(args: &GrabArgs, reporter: &Reporter) -> Result<u8, GrabCommandError>
         match (args.json, &event) {
             (true, _) => to_stdout(&serde_json::to_string(&event).unwrap_or_default()),
             (false, Grabbed::Picture { .. }) => to_stdout(&event.to_string()),
-            (false, Grabbed::Restless { .. } | Grabbed::Lost { .. } | Grabbed::Unwritten { .. }) => {
+            (false, Grabbed::Restless { .. } | Grabbed::Ticking { .. } | Grabbed::Lost { .. } | Grabbed::Unwritten { .. }) => {
                 reporter.warn("video", &event)
             }
             (false, Grabbed::Opened { .. } | Grabbed::Back | Grabbed::Ended { .. }) => reporter.note(&event),

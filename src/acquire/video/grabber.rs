@@ -70,6 +70,13 @@ pub enum Grabbed {
         /// Up to which it would stand still.
         limit: f64,
     },
+    /// Pictures follow each other that differ in one place alone: none of them is taken.
+    Ticking {
+        /// First pixel of the block that changes most.
+        at_px: [u32; 2],
+        /// By how much, grey values.
+        change: f64,
+    },
     /// The device gives no pictures.
     Lost {
         /// Why.
@@ -100,7 +107,7 @@ impl std::fmt::Display for Grabbed {
             Self::Picture { size_px: [columns, rows], at_s } => {
                 write!(f, "picture of {columns} x {rows}, standing since {at_s:.2} s")
             }
-            Self::Restless { for_s: 0.0, at_px: [column, row], change, .. } => write!(
+            Self::Ticking { at_px: [column, row], change } => write!(
                 f,
                 "the video changes again and again around column {column}, row {row} alone, by {change:.1} grey values: that is taken for a \
                  clock or a cursor, and for no picture; name the place in masks_px"
@@ -268,9 +275,8 @@ impl Grabbing<'_> {
     fn told(&mut self, noted: Noted) {
         match noted {
             Noted::Nothing => {}
-            Noted::Restless(super::stillness::Restless { for_s, at_px, change, limit }) => {
-                (self.tell)(Grabbed::Restless { for_s, at_px, change, limit });
-            }
+            Noted::Restless { for_s, at_px, change, limit } => (self.tell)(Grabbed::Restless { for_s, at_px, change, limit }),
+            Noted::Ticking { at_px, change } => (self.tell)(Grabbed::Ticking { at_px, change }),
             Noted::Still(still) => {
                 let size_px = [still.picture.width, still.picture.height];
                 let since_us = self.started_us + (still.since_s * 1e6) as i64;

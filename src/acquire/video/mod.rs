@@ -6,9 +6,11 @@
 //! A monitor shows a picture until the next one: what stands still is a frame, at the time at which it began to stand. Grabbing runs in a
 //! process of its own, because drivers and decoders hang and crash; whoever watches the folder reads its files like all others.
 
+mod blocks;
 mod capture;
 mod grabber;
 mod picture;
+mod run;
 mod settings;
 mod source;
 mod stillness;

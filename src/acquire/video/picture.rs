@@ -1,12 +1,13 @@
 //! A grabbed picture as a DICOM object: secondary capture with the time at which it began to stand, and with the meaning of its values.
 
-use dicom_core::{DataElement, PrimitiveValue, Tag, VR};
+use dicom_core::{DataElement, PrimitiveValue, VR};
 use dicom_dictionary_std::{tags, uids};
 use dicom_object::InMemDicomObject;
 
 use super::super::spool::{Spool, SpoolError};
 use super::settings::VideoSettings;
-use crate::image::{Image, sha256_bytes};
+use crate::image::Image;
+use crate::image::dicom::{grey_16, text, uid_of};
 use crate::time::rfc3339_from_us;
 
 /// Stored values of full white.
@@ -24,8 +25,7 @@ pub(super) fn write_picture(
     let values: Vec<u16> = picture.pixels.iter().map(stored).collect();
     let stamp = rfc3339_from_us(since_us);
     let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).chain(stamp.bytes()).collect();
-    let hash = sha256_bytes(&bytes);
-    let instance = u128::from_str_radix(&hash[..32], 16).map(|number| format!("2.25.{number}")).map_err(|_| SpoolError::Head)?;
+    let instance = uid_of(&bytes);
     let object = object(values, picture, &stamp, &instance, settings);
     let mut data_set = Vec::new();
     let syntax = dicom_transfer_syntax_registry::entries::EXPLICIT_VR_LITTLE_ENDIAN.erased();
@@ -39,14 +39,12 @@ fn object(values: Vec<u16>, picture: &Image<f32>, stamp: &str, instance: &str, s
     // 2026-11-21T10:00:00.123456Z
     let digits = |part: &str| part.chars().filter(|digit| digit.is_ascii_digit() || *digit == '.').collect::<String>();
     let (date, time) = stamp.split_once('T').map_or_else(Default::default, |(date, time)| (digits(date), digits(time)));
-    let text = |tag: Tag, vr: VR, value: &str| DataElement::new(tag, vr, PrimitiveValue::from(value));
-    let number = |tag: Tag, value: u16| DataElement::new(tag, VR::US, PrimitiveValue::from(value));
     let (relationship, intent) = match settings.gamma {
         Some(_) => ("LIN", "FOR PROCESSING"),
         None => ("DISP", "FOR PRESENTATION"),
     };
     let sign: i16 = if settings.metal_white { -1 } else { 1 };
-    InMemDicomObject::from_element_iter([
+    let words = [
         text(tags::SOP_CLASS_UID, VR::UI, uids::SECONDARY_CAPTURE_IMAGE_STORAGE),
         text(tags::SOP_INSTANCE_UID, VR::UI, instance),
         text(tags::ACQUISITION_DATE, VR::DA, &date),
@@ -62,14 +60,6 @@ fn object(values: Vec<u16>, picture: &Image<f32>, stamp: &str, instance: &str, s
         text(tags::PIXEL_INTENSITY_RELATIONSHIP, VR::CS, relationship),
         DataElement::new(tags::PIXEL_INTENSITY_RELATIONSHIP_SIGN, VR::SS, PrimitiveValue::from(sign)),
         text(tags::BURNED_IN_ANNOTATION, VR::CS, "YES"),
-        number(tags::SAMPLES_PER_PIXEL, 1),
-        text(tags::PHOTOMETRIC_INTERPRETATION, VR::CS, "MONOCHROME2"),
-        number(tags::ROWS, picture.height as u16),
-        number(tags::COLUMNS, picture.width as u16),
-        number(tags::BITS_ALLOCATED, 16),
-        number(tags::BITS_STORED, 16),
-        number(tags::HIGH_BIT, 15),
-        number(tags::PIXEL_REPRESENTATION, 0),
-        DataElement::new(tags::PIXEL_DATA, VR::OW, PrimitiveValue::U16(values.into())),
-    ])
+    ];
+    InMemDicomObject::from_element_iter(words.into_iter().chain(grey_16([picture.width, picture.height], values)))
 }

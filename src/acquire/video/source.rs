@@ -10,8 +10,8 @@ use super::grabber::{GrabError, Grabbed};
 use super::settings::VideoSettings;
 use crate::foreign;
 
-/// A process that died is started again after so long.
-const AGAIN_US: i64 = 1_000_000;
+/// A process that died is started again after so long, and after twice as long each time that it dies of the same, up to the second.
+const AGAIN_US: (i64, i64) = (1_000_000, 60_000_000);
 
 /// See the module.
 pub struct GrabbedSource {
@@ -19,8 +19,11 @@ pub struct GrabbedSource {
     wanted: Wanted,
     process: Option<Process>,
     said: (Sender<Said>, Receiver<Said>),
-    /// When it is started again.
+    /// When it is started again, and how long that was waited for.
     again_us: Option<i64>,
+    wait_us: i64,
+    /// Why it ended last: what does not change, as a wrong crop, is a loss once.
+    ended_for: Option<String>,
     is_closed: bool,
 }
 
@@ -34,10 +37,8 @@ struct Wanted {
 /// What the process says.
 enum Said {
     Event(Grabbed),
-    /// In words of the program's own: why it ended.
-    Last(String),
-    /// Its output has ended.
-    End,
+    /// Its output has ended; why, in words of the program's own, if it said any.
+    End(Option<String>),
 }
 
 /// The process; it ends when its standard input does.
@@ -59,20 +60,17 @@ impl Process {
         std::os::unix::process::CommandExt::process_group(&mut command, 0);
         let mut child = command.spawn().map_err(|error| start(error.kind().to_string()))?;
         let (Some(out), Some(err)) = (child.stdout.take(), child.stderr.take()) else { return Err(start("no pipe".to_owned())) };
+        // Drivers and decoders speak there as well, some without end: read on, or they wait for us.
+        let words = std::thread::spawn(move || {
+            let lines = BufReader::new(err).split(b'\n').map_while(Result::ok);
+            lines.filter_map(|line| String::from_utf8_lossy(&line).strip_prefix("sidecarm: ").map(str::to_owned)).last()
+        });
         std::thread::spawn(move || {
             let lines = BufReader::new(out).lines().map_while(Result::ok);
             for event in lines.filter_map(|line| serde_json::from_str(&line).ok()) {
                 let _ = said.send(Said::Event(event));
             }
-            // Drivers and decoders speak there as well.
-            let words = BufReader::new(err)
-                .lines()
-                .map_while(Result::ok)
-                .filter_map(|line| line.strip_prefix("sidecarm: ").map(str::to_owned));
-            if let Some(words) = words.last() {
-                let _ = said.send(Said::Last(words));
-            }
-            let _ = said.send(Said::End);
+            let _ = said.send(Said::End(words.join().ok().flatten()));
         });
         Ok(Self(child))
     }
@@ -104,23 +102,16 @@ impl GrabbedSource {
         let wanted = Wanted { settings: settings.clone(), path: path.to_owned(), include_first };
         let said = channel();
         let process = Some(Process::start(&wanted, &[], said.0.clone())?);
-        Ok(Self { folder, wanted, process, said, again_us: None, is_closed: false })
+        Ok(Self { folder, wanted, process, said, again_us: None, wait_us: AGAIN_US.0, ended_for: None, is_closed: false })
     }
 
     fn hear(&mut self, now_us: i64, found: &mut Vec<Sighting>) {
         let said: Vec<Said> = self.said.1.try_iter().collect();
         for said in said {
             match said {
+                Said::Event(Grabbed::Picture { .. }) => self.ended_for = None,
                 Said::Event(event) => found.extend(sighting(&event)),
-                Said::Last(words) => found.push(trouble(words)),
-                Said::End => {
-                    let failed =
-                        self.process.take().is_none_or(|mut process| !process.0.wait().is_ok_and(|status| status.success()));
-                    if failed && !self.is_closed {
-                        found.push(trouble("the process that grabs it ended; it is started again".to_owned()));
-                        self.again_us = Some(now_us.saturating_add(AGAIN_US));
-                    }
-                }
+                Said::End(words) => self.ended(words, now_us, found),
             }
         }
         if self.again_us.take_if(|again_us| now_us >= *again_us).is_some() && !self.is_closed {
@@ -128,9 +119,26 @@ impl GrabbedSource {
             self.wanted.include_first = true;
             match Process::start(&self.wanted, &[], self.said.0.clone()) {
                 Ok(process) => self.process = Some(process),
-                Err(_) => self.again_us = Some(now_us.saturating_add(AGAIN_US)),
+                Err(error) => self.ended(Some(error.to_string()), now_us, found),
             }
         }
+    }
+
+    /// The process has ended, for what it said last, if it said anything.
+    fn ended(&mut self, words: Option<String>, now_us: i64, found: &mut Vec<Sighting>) {
+        let is_good = self.process.take().is_some_and(|mut process| process.0.wait().is_ok_and(|status| status.success()));
+        if is_good || self.is_closed {
+            return;
+        }
+        let words = words.unwrap_or_else(|| "the process that grabs it died".to_owned());
+        if self.ended_for.as_ref() == Some(&words) {
+            self.wait_us = (2 * self.wait_us).min(AGAIN_US.1);
+        } else {
+            self.wait_us = AGAIN_US.0;
+            found.push(trouble(format!("{words}; it is tried again")));
+            self.ended_for = Some(words);
+        }
+        self.again_us = Some(now_us.saturating_add(self.wait_us));
     }
 }
 
@@ -144,7 +152,9 @@ fn sighting(event: &Grabbed) -> Option<Sighting> {
         Grabbed::Picture { .. } => None,
         Grabbed::Lost { detail } => Some(trouble(format!("{detail}; it is tried again"))),
         Grabbed::Unwritten { .. } => Some(trouble(event.to_string())),
-        Grabbed::Restless { .. } => Some(Sighting::Said { kind: "video never still", words: event.to_string() }),
+        Grabbed::Restless { .. } | Grabbed::Ticking { .. } => {
+            Some(Sighting::Said { kind: "video never still", words: event.to_string() })
+        }
         Grabbed::Opened { .. } | Grabbed::Back | Grabbed::Ended { .. } => {
             Some(Sighting::Said { kind: "video", words: event.to_string() })
         }
@@ -184,16 +194,13 @@ pub fn probe(settings: &VideoSettings, seconds: f64) -> Result<Vec<Grabbed>, Gra
     let (sender, said) = channel();
     let seconds = seconds.to_string();
     let _process = Process::start(&wanted, &["--seconds", &seconds, "--at-once"], sender)?;
-    let (mut events, mut last) = (Vec::new(), None);
+    let mut events = Vec::new();
     for said in said {
         match said {
             Said::Event(event) => events.push(event),
-            Said::Last(words) => last = Some(words),
-            Said::End => break,
+            Said::End(Some(detail)) => return Err(GrabError::Video { from: settings.from.clone(), detail }),
+            Said::End(None) => break,
         }
     }
-    match last {
-        Some(detail) => Err(GrabError::Video { from: settings.from.clone(), detail }),
-        None => Ok(events),
-    }
+    Ok(events)
 }

@@ -8,15 +8,13 @@
 
 use std::collections::VecDeque;
 
-use super::settings::{Rectangle, VideoSettings};
+use super::blocks::{Blocks, largest};
+use super::run::Run;
+use super::settings::VideoSettings;
 use crate::image::Image;
 
 /// The noise of a picture is what this share of its blocks do not exceed: many of the others may be black, where noise is cut off.
 const MOST_BLOCKS: f64 = 0.75;
-/// Edge of a block.
-const BLOCK_PX: usize = 16;
-/// A block with fewer unmasked pixels tells nothing.
-const LEAST_PIXELS: u32 = 32;
 /// A still picture may change by so many times what the least noisy one did.
 const OVER_NOISE: f64 = 1.6;
 /// Pictures that make a still one, at least.
@@ -28,8 +26,6 @@ const SETTLED: f64 = 0.25;
 /// compression: two exposures of one thing are hardly different.
 const NEW_AFTER_CHANGE: f64 = 0.25;
 const CLEAR_CHANGE: f64 = 6.0;
-/// What the mean of n pictures differs by for its noise alone is the change from picture to picture over √n; so many times that is new.
-const OVER_MEAN_NOISE: f64 = 1.6;
 /// A picture of so few grey values is an empty screen.
 const EMPTY: f32 = 8.0;
 /// A video that has not stood still for so long is said to.
@@ -39,6 +35,7 @@ const LOCAL: f64 = 0.05;
 /// … and is one from the third on that follow each other so soon.
 const TICKS: u32 = 3;
 const TICK_S: f64 = 5.0;
+const TOLD_TICKS: u32 = 20;
 
 /// Changes that are none, whatever the line: what compression leaves in them.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -65,19 +62,6 @@ pub(super) struct Still {
     pub(super) since_s: f64,
 }
 
-/// A video in which nothing stands still, or a part of it never.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Restless {
-    /// For so long.
-    pub(super) for_s: f64,
-    /// The block that changes most often: its first pixel in the video.
-    pub(super) at_px: [u32; 2],
-    /// By how much it changes, grey values.
-    pub(super) change: f64,
-    /// Up to which it would stand still.
-    pub(super) limit: f64,
-}
-
 /// What a picture came to.
 #[derive(Clone, Debug)]
 pub(super) enum Noted {
@@ -85,52 +69,10 @@ pub(super) enum Noted {
     Nothing,
     /// A new picture stands still.
     Still(Still),
-    /// None has for long.
-    Restless(Restless),
-}
-
-/// Pictures in succession that are alike.
-struct Run {
-    since_s: f64,
-    first: Image<u8>,
-    /// Of its first half, and of its second.
-    sums: [Vec<u32>; 2],
-    pictures: [u32; 2],
-    /// The largest change among them.
-    change: f64,
-}
-
-impl Run {
-    fn of(picture: &Image<u8>, since_s: f64) -> Self {
-        let sums = picture.pixels.iter().map(|value| u32::from(*value)).collect();
-        let none = vec![0; picture.pixels.len()];
-        Self { since_s, first: picture.clone(), sums: [sums, none], pictures: [1, 0], change: 0.0 }
-    }
-
-    fn add(&mut self, picture: &Image<u8>, change: f64, half: usize) {
-        self.sums[half].iter_mut().zip(&picture.pixels).for_each(|(sum, value)| *sum += u32::from(*value));
-        self.pictures[half] += 1;
-        self.change = self.change.max(change);
-    }
-
-    fn count(&self) -> u32 {
-        self.pictures[0] + self.pictures[1]
-    }
-
-    fn mean(&self) -> Vec<f32> {
-        let count = self.count() as f32;
-        self.sums[0].iter().zip(&self.sums[1]).map(|(a, b)| (a + b) as f32 / count).collect()
-    }
-
-    fn half(&self, half: usize) -> Vec<f32> {
-        let count = self.pictures[half].max(1) as f32;
-        self.sums[half].iter().map(|sum| *sum as f32 / count).collect()
-    }
-
-    /// By how much the mean of so many of its pictures may differ for noise alone.
-    fn noise_of(&self, pictures: u32) -> f64 {
-        OVER_MEAN_NOISE * self.change / f64::from(pictures.max(1)).sqrt()
-    }
+    /// None has for `for_s`: the block at `at_px` of the video changed most often, by up to `change`, where `limit` would be still.
+    Restless { for_s: f64, at_px: [u32; 2], change: f64, limit: f64 },
+    /// New pictures follow each other that differ in few blocks alone, most in that at `at_px`: a clock, a cursor.
+    Ticking { at_px: [u32; 2], change: f64 },
 }
 
 /// Takes the pictures of a video in order, cropped.
@@ -139,14 +81,11 @@ pub(super) struct Stillness {
     leftover: Leftover,
     /// The first picture that stands is known already.
     knows_first: bool,
-    /// 255 where a pixel counts, 0 in masks.
-    usable: Vec<u8>,
-    blocks: Vec<u32>,
+    blocks: Blocks,
     previous: Image<u8>,
     run: Run,
     /// Noise of the pictures of the last `still_s`.
     recent: VecDeque<(f64, f64)>,
-    started_s: f64,
     /// The least noise of any stretch.
     noise: f64,
     /// The last picture that was told, or known.
@@ -168,12 +107,10 @@ impl Stillness {
             settings: settings.clone(),
             leftover: Leftover::EACH,
             knows_first: skip_first,
-            usable: Vec::new(),
-            blocks: Vec::new(),
+            blocks: Blocks::default(),
             run: Run::of(&empty, 0.0),
             previous: empty,
             recent: VecDeque::new(),
-            started_s: 0.0,
             noise: f64::INFINITY,
             known: None,
             broken_by: 0.0,
@@ -200,11 +137,11 @@ impl Stillness {
             self.begin(picture, at_s);
             return Noted::Nothing;
         }
-        let changes = self.changes(&picture, &self.previous);
+        let changes = self.blocks.changes(&picture, &self.previous);
         let (block, change) = largest(&changes);
         self.learn(&picture, at_s, changes);
         let limit = self.limit();
-        let drift = largest(&self.changes(&picture, &self.run.first)).1;
+        let drift = largest(&self.blocks.changes(&picture, &self.run.first)).1;
         if change.max(drift) <= limit {
             let half = usize::from(at_s - self.run.since_s > 0.5 * self.settings.still_s);
             self.run.add(&picture, change, half);
@@ -220,19 +157,10 @@ impl Stillness {
 
     /// Another video, or another mode of it.
     fn begin(&mut self, picture: Image<u8>, at_s: f64) {
-        let [left, top, ..] = self.settings.crop_px.unwrap_or_default();
-        let is_usable = |index: usize| {
-            let at = [left + (index % picture.width) as u32, top + (index / picture.width) as u32];
-            if self.settings.masks_px.iter().any(|mask| holds(mask, at)) { 0 } else { u8::MAX }
-        };
-        self.usable = (0..picture.pixels.len()).map(is_usable).collect();
-        self.blocks = vec![0; picture.width.div_ceil(BLOCK_PX) * picture.height.div_ceil(BLOCK_PX)];
-        self.restless = vec![(0, 0.0); self.blocks.len()];
-        for index in (0..picture.pixels.len()).filter(|index| self.usable[*index] != 0) {
-            self.blocks[block_of(index, picture.width)] += 1;
-        }
+        self.blocks = Blocks::of(&self.settings, [picture.width, picture.height]);
+        self.restless = vec![(0, 0.0); self.blocks.count()];
         self.recent.clear();
-        (self.started_s, self.stood_at_s, self.noise) = (at_s, at_s, f64::INFINITY);
+        (self.stood_at_s, self.noise) = (at_s, f64::INFINITY);
         // What another mode shows first is a picture like any other.
         self.knows_first &= self.previous.pixels.is_empty();
         (self.known, self.broken_by) = (None, f64::INFINITY);
@@ -240,40 +168,10 @@ impl Stillness {
         self.previous = picture;
     }
 
-    /// By how much each block differs.
-    fn changes(&self, picture: &Image<u8>, other: &Image<u8>) -> Vec<f64> {
-        let mut sums = vec![0u32; self.blocks.len()];
-        let (width, columns) = (picture.width, picture.width.div_ceil(BLOCK_PX));
-        let rows = picture.pixels.chunks(width).zip(other.pixels.chunks(width)).zip(self.usable.chunks(width));
-        for (row, ((a, b), usable)) in rows.enumerate() {
-            let sums = &mut sums[row / BLOCK_PX * columns..][..columns];
-            let parts = a.chunks(BLOCK_PX).zip(b.chunks(BLOCK_PX)).zip(usable.chunks(BLOCK_PX));
-            for (sum, ((a, b), usable)) in sums.iter_mut().zip(parts) {
-                let apart = a.iter().zip(b).zip(usable).map(|((a, b), usable)| u32::from(a.abs_diff(*b) & usable));
-                *sum += apart.sum::<u32>();
-            }
-        }
-        self.means(sums.into_iter().map(f64::from))
-    }
-
-    /// The same of two means.
-    fn differences(&self, a: &[f32], b: &[f32]) -> Vec<f64> {
-        let mut sums = vec![0.0; self.blocks.len()];
-        for index in (0..a.len()).filter(|index| self.usable[*index] != 0) {
-            sums[block_of(index, self.previous.width)] += f64::from((a[index] - b[index]).abs());
-        }
-        self.means(sums.into_iter())
-    }
-
-    /// Of the sums of blocks; 0 where nothing is known.
-    fn means(&self, sums: impl Iterator<Item = f64>) -> Vec<f64> {
-        sums.zip(&self.blocks).map(|(sum, pixels)| if *pixels >= LEAST_PIXELS { sum / f64::from(*pixels) } else { 0.0 }).collect()
-    }
-
     /// Learns the noise of the line.
     fn learn(&mut self, picture: &Image<u8>, at_s: f64, mut changes: Vec<f64>) {
         // An empty screen has no noise on any line: black is cut off.
-        let values = || picture.pixels.iter().zip(&self.usable).filter(|(_, usable)| **usable != 0).map(|(value, _)| *value);
+        let values = || self.blocks.usable(&picture.pixels);
         let range = values().max().unwrap_or(0) - values().min().unwrap_or(0);
         if f32::from(range) <= 2.0 * EMPTY {
             self.recent.clear();
@@ -298,13 +196,13 @@ impl Stillness {
             return if for_s >= RESTLESS_S { self.complain(at_s, for_s) } else { Noted::Nothing };
         }
         let run = std::mem::replace(&mut self.run, Run::of(&self.previous, at_s));
-        let settled = largest(&self.differences(&run.half(0), &run.half(1))).1;
+        let settled = largest(&self.blocks.differences(&run.half(0), &run.half(1))).1;
         if settled > (SETTLED * self.leftover.between).max(run.noise_of(run.pictures[0].min(run.pictures[1]))) {
             return Noted::Nothing;
         }
         let mean = run.mean();
-        let ends = mean.iter().zip(&self.usable).filter(|(_, usable)| **usable != 0).map(|(value, _)| *value);
-        let (low, high) = ends.fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)));
+        let fold = |(low, high): (f32, f32), value: f32| (low.min(value), high.max(value));
+        let (low, high) = self.blocks.usable(&mean).fold((f32::INFINITY, f32::NEG_INFINITY), fold);
         if !(high - low > EMPTY) {
             self.knows_first = false;
             return Noted::Nothing;
@@ -323,8 +221,10 @@ impl Stillness {
         if let Some(clock) = self.ticks_at(&new, at_s) {
             return clock;
         }
-        let value =
-            |(index, mean): (usize, f32)| if self.usable[index] != 0 { mean } else { f32::from(self.previous.pixels[index]) };
+        let value = |(index, mean): (usize, f32)| match self.blocks.counts(index) {
+            true => mean,
+            false => f32::from(self.previous.pixels[index]),
+        };
         let pixels = mean.into_iter().enumerate().map(value).collect();
         let Image { width, height, .. } = self.previous;
         Noted::Still(Still { picture: Image { width, height, pixels }, since_s: run.since_s })
@@ -332,55 +232,35 @@ impl Stillness {
 
     /// The blocks in which a picture differs from the last one that was told, and by how much.
     fn new_blocks(&self, mean: &[f32], run: &Run) -> Vec<(usize, f64)> {
-        let Some(known) = &self.known else { return vec![(0, f64::INFINITY); self.blocks.len()] };
+        let Some(known) = &self.known else { return vec![(0, f64::INFINITY); self.blocks.count()] };
         let least = if self.broken_by > CLEAR_CHANGE { NEW_AFTER_CHANGE } else { self.leftover.between };
         let limit = least.max(run.noise_of(run.count()));
-        self.differences(mean, known).into_iter().enumerate().filter(|(_, change)| *change > limit).collect()
+        self.blocks.differences(mean, known).into_iter().enumerate().filter(|(_, change)| *change > limit).collect()
     }
 
-    /// Whether a picture is new in a few blocks only, again and again: then that is said every [`RESTLESS_S`].
+    /// Whether a picture is new in a few blocks only, again and again: then that is said, and every [`TOLD_TICKS`]th time again.
     fn ticks_at(&mut self, new: &[(usize, f64)], at_s: f64) -> Option<Noted> {
-        let is_local = new.len() as f64 <= (LOCAL * self.blocks.len() as f64).max(1.0);
+        let is_local = new.len() as f64 <= (LOCAL * self.blocks.count() as f64).max(1.0);
         let (ticks, last_s) = self.ticks;
         self.ticks = (if is_local && at_s - last_s < TICK_S { ticks + 1 } else { u32::from(is_local) }, at_s);
         if self.ticks.0 < TICKS {
             return None;
         }
         let (block, change) = new.iter().copied().fold((0, 0.0), |most, own| if own.1 > most.1 { own } else { most });
-        let (at_px, limit) = (self.place_of(block), self.limit());
-        let is_said = (self.ticks.0 - TICKS).is_multiple_of(20);
-        Some(if is_said { Noted::Restless(Restless { for_s: 0.0, at_px, change, limit }) } else { Noted::Nothing })
+        let at_px = self.blocks.place_of(block);
+        let is_said = (self.ticks.0 - TICKS).is_multiple_of(TOLD_TICKS);
+        Some(if is_said { Noted::Ticking { at_px, change } } else { Noted::Nothing })
     }
 
     fn complain(&mut self, at_s: f64, for_s: f64) -> Noted {
         let most = self.restless.iter().enumerate().max_by_key(|(_, (times, _))| *times);
         let (block, (_, change)) = most.map_or((0, (0, 0.0)), |(block, found)| (block, *found));
-        let found = Restless { for_s, at_px: self.place_of(block), change, limit: self.limit() };
+        let found = Noted::Restless { for_s, at_px: self.blocks.place_of(block), change, limit: self.limit() };
         self.stood_at_s = at_s;
         // Perhaps the line is noisier than a screen without a picture was.
         self.noise = f64::INFINITY;
-        Noted::Restless(found)
+        found
     }
-
-    /// The first pixel of a block in the video.
-    fn place_of(&self, block: usize) -> [u32; 2] {
-        let columns = self.previous.width.div_ceil(BLOCK_PX);
-        let [left, top, ..] = self.settings.crop_px.unwrap_or_default();
-        [left + (block % columns * BLOCK_PX) as u32, top + (block / columns * BLOCK_PX) as u32]
-    }
-}
-
-/// The block that has the most, and what it has.
-fn largest(blocks: &[f64]) -> (usize, f64) {
-    blocks.iter().copied().enumerate().fold((0, 0.0), |most, block| if block.1 > most.1 { block } else { most })
-}
-
-fn block_of(index: usize, width: usize) -> usize {
-    index / width / BLOCK_PX * width.div_ceil(BLOCK_PX) + index % width / BLOCK_PX
-}
-
-fn holds([left, top, width, height]: &Rectangle, [column, row]: [u32; 2]) -> bool {
-    (*left..left.saturating_add(*width)).contains(&column) && (*top..top.saturating_add(*height)).contains(&row)
 }
 
 #[cfg(test)]
@@ -405,7 +285,7 @@ mod tests {
     }
 
     /// What is told of a video of these stretches: (pictures, quantum noise of each new exposure, whether each picture is one).
-    fn told(stretches: &[(u32, f64, bool)], line: f64, settings: &VideoSettings) -> (Vec<f64>, Vec<Restless>) {
+    fn told(stretches: &[(u32, f64, bool)], line: f64, settings: &VideoSettings) -> (Vec<f64>, Vec<[u32; 2]>) {
         let mut stillness = Stillness::new(settings, false);
         let (mut still, mut restless) = (Vec::new(), Vec::new());
         let (mut number, mut exposure) = (0, 0);
@@ -416,7 +296,7 @@ mod tests {
                 match stillness.take(picture(exposure, *quantum, number, line), f64::from(number) * PERIOD_S) {
                     Noted::Nothing => {}
                     Noted::Still(found) => still.push(found.since_s),
-                    Noted::Restless(found) => restless.push(found),
+                    Noted::Restless { at_px, .. } | Noted::Ticking { at_px, .. } => restless.push(at_px),
                 }
                 number += 1;
             }
@@ -469,14 +349,14 @@ mod tests {
                 match stillness.take(shown, f64::from(number) * PERIOD_S) {
                     Noted::Nothing => {}
                     Noted::Still(_) => still += 1,
-                    Noted::Restless(found) => restless.push(found),
+                    Noted::Restless { at_px, .. } | Noted::Ticking { at_px, .. } => restless.push(at_px),
                 }
             }
             (still, restless)
         };
         let (still, restless) = clocked(&VideoSettings::of("0"));
         assert!(still == 0 && restless.len() == 1, "{still} {restless:?}");
-        assert!(restless[0].at_px == [80, 48] && restless[0].change > restless[0].limit, "{restless:?}");
+        assert!(restless[0] == [80, 48], "{restless:?}");
         let masked = VideoSettings { masks_px: vec![[78, 48, 18, 12]], ..VideoSettings::of("0") };
         let (still, restless) = clocked(&masked);
         assert!(still == 1 && restless.is_empty(), "{still} {restless:?}");
@@ -507,7 +387,7 @@ mod tests {
             match stillness.take(draw(number), f64::from(number) * PERIOD_S) {
                 Noted::Nothing => {}
                 Noted::Still(found) => since.push((found.since_s / PERIOD_S).round()),
-                Noted::Restless(_) => restless += 1,
+                Noted::Restless { .. } | Noted::Ticking { .. } => restless += 1,
             }
         }
         (since, restless)

@@ -218,6 +218,11 @@ fn a_bead_that_migrated_is_told_from_a_shadow_that_is_off() {
     assert!(unclear <= 12, "{unclear} of 120 are not told apart");
 }
 
+/// The shadow of a bead's row, which is known as `bead`'s or nobody's.
+fn shadow_of(row: &BeadResidual, bead: Option<String>) -> Shadow {
+    Shadow { image_px: row.image_px.expect("seen"), sigma_px: NOISE_PX, radius_px: 3.8, snr: 30.0, bead }
+}
+
 /// Too far away for any single view to name: its shadows belong to no bead in all of them.
 #[test]
 fn a_bead_that_no_view_could_name_is_found_where_its_shadows_meet() {
@@ -228,15 +233,8 @@ fn a_bead_that_no_view_could_name_is_found_where_its_shadows_meet() {
         lab.places[4] += away;
         let mut views = lab.all(&k);
         for view in &mut views {
-            let own = |row: &BeadResidual, bead| Shadow {
-                image_px: row.image_px.expect("seen"),
-                sigma_px: NOISE_PX,
-                radius_px: 3.8,
-                snr: 30.0,
-                bead,
-            };
             let rows = &mut view.pose.beads;
-            view.pose.shadows = rows.iter().map(|row| own(row, (row.name != "b4").then(|| row.name.clone()))).collect();
+            view.pose.shadows = rows.iter().map(|row| shadow_of(row, (row.name != "b4").then(|| row.name.clone()))).collect();
             rows[4].image_px = None;
             rows[4].used = false;
         }
@@ -261,17 +259,10 @@ fn a_bead_that_one_view_alone_has_in_its_place_is_not_in_place() {
         lab.places[4] += away;
         let mut views = lab.all(&k);
         for (n, view) in views.iter_mut().enumerate() {
-            let own = |row: &BeadResidual, bead| Shadow {
-                image_px: row.image_px.expect("seen"),
-                sigma_px: NOISE_PX,
-                radius_px: 3.8,
-                snr: 30.0,
-                bead,
-            };
             let rows = &mut view.pose.beads;
             let is_seen = n == 3;
             view.pose.shadows =
-                rows.iter().map(|row| own(row, (row.name != "b4" || is_seen).then(|| row.name.clone()))).collect();
+                rows.iter().map(|row| shadow_of(row, (row.name != "b4" || is_seen).then(|| row.name.clone()))).collect();
             if !is_seen {
                 (rows[4].image_px, rows[4].used, rows[4].beside_px) = (None, false, Some([4.0, 0.0]));
             }

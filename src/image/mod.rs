@@ -1,5 +1,6 @@
 //! Images in memory and on disk: row-major, first pixel's centre at (0, 0).
 
+pub mod dicom;
 mod files;
 mod new_file;
 pub mod plot;

@@ -20,6 +20,7 @@ use glam::DVec3;
 
 use super::{Quantity, RenderError, Rendered};
 use crate::geometry::{AngleConvention, PatientPosition, View};
+use crate::image::dicom::{grey_16, text, uid_of};
 use crate::image::{sha256_bytes, write_atomically};
 use crate::scene::model::Scene;
 
@@ -72,14 +73,8 @@ fn encoded(rendered: &Rendered, scene: &Scene, view: &View) -> Result<Vec<u8>, S
     .to_string();
     // Identifiers are of what is in the object: the same image is the same object.
     let content = sha256_bytes(&[&pixels, comments.as_bytes()].concat());
-    let uid = |role: &str| {
-        let hash = sha256_bytes(format!("{role} {content}").as_bytes());
-        // Valid hexadecimal digits, so that 128 bits of them are a number.
-        u128::from_str_radix(&hash[..32], 16).map(|number| format!("2.25.{number}")).map_err(|error| error.to_string())
-    };
-    let instance = uid("instance")?;
-    let text = |tag: Tag, vr: VR, value: &str| DataElement::new(tag, vr, PrimitiveValue::from(value));
-    let number = |tag: Tag, value: u16| DataElement::new(tag, VR::US, PrimitiveValue::from(value));
+    let uid = |role: &str| uid_of(format!("{role} {content}").as_bytes());
+    let instance = uid("instance");
     // A decimal string has sixteen characters at most.
     let decimal = |tag: Tag, value: f64| text(tag, VR::DS, &short(value));
     let empty = |tag: Tag, vr: VR| DataElement::new(tag, vr, PrimitiveValue::Empty);
@@ -90,11 +85,11 @@ fn encoded(rendered: &Rendered, scene: &Scene, view: &View) -> Result<Vec<u8>, S
     let lps_from_camera = view.camera_from_lps.rotation.conjugate();
     let [primary_deg, secondary_deg, _] =
         AngleConvention::Dicom.angles(lps_from_camera, PatientPosition::HeadFirstSupine).to_degrees();
-    let object = InMemDicomObject::from_element_iter([
+    let words = [
         text(tags::SOP_CLASS_UID, VR::UI, uids::DIGITAL_X_RAY_IMAGE_STORAGE_FOR_PROCESSING),
         text(tags::SOP_INSTANCE_UID, VR::UI, &instance),
-        text(tags::STUDY_INSTANCE_UID, VR::UI, &uid("study")?),
-        text(tags::SERIES_INSTANCE_UID, VR::UI, &uid("series")?),
+        text(tags::STUDY_INSTANCE_UID, VR::UI, &uid("study")),
+        text(tags::SERIES_INSTANCE_UID, VR::UI, &uid("series")),
         empty(tags::PATIENT_NAME, VR::PN),
         empty(tags::PATIENT_ID, VR::LO),
         empty(tags::PATIENT_BIRTH_DATE, VR::DA),
@@ -136,17 +131,9 @@ fn encoded(rendered: &Rendered, scene: &Scene, view: &View) -> Result<Vec<u8>, S
         text(tags::PRESENTATION_LUT_SHAPE, VR::CS, "IDENTITY"),
         text(tags::LOSSY_IMAGE_COMPRESSION, VR::CS, "00"),
         text(tags::BURNED_IN_ANNOTATION, VR::CS, "NO"),
-        number(tags::SAMPLES_PER_PIXEL, 1),
-        text(tags::PHOTOMETRIC_INTERPRETATION, VR::CS, "MONOCHROME2"),
-        number(tags::ROWS, page.height as u16),
-        number(tags::COLUMNS, page.width as u16),
-        number(tags::BITS_ALLOCATED, 16),
-        number(tags::BITS_STORED, 16),
-        number(tags::HIGH_BIT, 15),
-        number(tags::PIXEL_REPRESENTATION, 0),
-        number(tags::PIXEL_PADDING_VALUE, 0),
-        DataElement::new(tags::PIXEL_DATA, VR::OW, PrimitiveValue::U16(values.into())),
-    ]);
+        DataElement::new(tags::PIXEL_PADDING_VALUE, VR::US, PrimitiveValue::from(0u16)),
+    ];
+    let object = InMemDicomObject::from_element_iter(words.into_iter().chain(grey_16([page.width, page.height], values)));
     let meta = FileMetaTableBuilder::new()
         .transfer_syntax(uids::EXPLICIT_VR_LITTLE_ENDIAN)
         .media_storage_sop_class_uid(uids::DIGITAL_X_RAY_IMAGE_STORAGE_FOR_PROCESSING)

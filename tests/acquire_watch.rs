@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use sidecarm::acquire::{Fault, FolderSource, FrameSource, QueuedFrames, Reading, Sighting, Trouble};
+use sidecarm::acquire::{Fault, FolderSource, FrameSource, Reading, Sighting, Trouble};
 use sidecarm::foreign::{ForeignReader, NotRegular};
 use sidecarm::time::host_now_us;
 
@@ -353,22 +353,4 @@ fn a_burst_is_seen_at_once_and_read_in_any_order() {
     watched.settle();
     assert_eq!(watched.frames.len(), 500, "what was dropped unread is offered again");
     assert!(watched.troubles.is_empty());
-}
-
-#[test]
-fn frames_of_a_log_come_through_the_same_seam() {
-    let frame = sidecarm::acquire::Frame::from_pixels(
-        "run",
-        sidecarm::image::Image { width: 1, height: 1, pixels: vec![1.0] },
-        sidecarm::acquire::Domain::Linear,
-    )
-    .expect("a frame");
-    let mut queued = QueuedFrames::default();
-    queued.push(100, vec![frame.clone()]);
-    queued.push(300, vec![frame]);
-    assert!(queued.look(99).is_empty());
-    let mut found = queued.look(250);
-    assert_eq!((found.len(), queued.is_empty()), (1, false));
-    let Some(Sighting::Ready(arrival)) = found.pop() else { panic!("no arrival") };
-    assert!(matches!(arrival.read(), Reading::Frames { frames, earlier: None } if frames.len() == 1));
 }

@@ -220,3 +220,31 @@ fn a_damaged_byte_is_found_wherever_it_is() {
     let ran = sidecarm(&["log", "verify", text(&log), "--json"]);
     assert!(ran.code == Some(0) && count(&ran.json(), "frames") == 3 && count(&ran.json(), "packets") == 90, "{}", ran.stdout);
 }
+
+/// Where the records with this opcode begin, and where the record after each.
+fn records(bytes: &[u8], opcode: u8) -> Vec<(usize, usize)> {
+    let (mut at, mut found) = (8, Vec::new());
+    while at + 9 <= bytes.len() - 8 {
+        let length = u64::from_le_bytes(bytes[at + 1..at + 9].try_into().expect("eight bytes")) as usize;
+        if bytes[at] == opcode {
+            found.push((at, at + 9 + length));
+        }
+        at += 9 + length;
+    }
+    found
+}
+
+#[test]
+fn chunks_that_changed_places_are_a_fault() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (log, swapped) = (small(folder.path()), folder.path().join("swapped.mcap"));
+    let bytes = std::fs::read(&log).expect("the log");
+    let chunks = records(&bytes, 0x06);
+    assert!(chunks.len() >= 3, "{chunks:?}");
+    let [(first, _), (second, _), (third, _)] = chunks[..3] else { panic!("three chunks") };
+    let parts = [&bytes[..first], &bytes[second..third], &bytes[first..second], &bytes[third..]];
+    std::fs::write(&swapped, parts.concat()).expect("written");
+    assert_eq!(sidecarm(&["log", "verify", text(&log)]).code, Some(0));
+    let ran = sidecarm(&["log", "verify", text(&swapped)]);
+    assert!(ran.code == Some(1) && ran.stdout.contains("stands behind message"), "{:?} {}{}", ran.code, ran.stdout, ran.stderr);
+}

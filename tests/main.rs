@@ -178,6 +178,7 @@ mod session_robot;
 mod session_silence;
 mod session_series;
 mod session_signals;
+mod session_slow;
 mod replay_bad_logs;
 mod replay_meddled;
 mod wire_corruption;

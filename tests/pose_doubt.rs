@@ -7,7 +7,7 @@ use sidecarm::acquire::{Domain, Frame, read_frame};
 use sidecarm::beads::{BeadLayout, Detection, read_markups};
 use sidecarm::geometry::{Intrinsics, Projection, Rigid, View};
 use sidecarm::image::Image;
-use sidecarm::pose::{Covariance, IntrinsicsFile, Pose, Prior, Registration, register, register_shadows};
+use sidecarm::pose::{Covariance, IntrinsicsFile, Pose, Prior, Refusal, Registration, register, register_shadows};
 
 use crate::pose_registration::{landmark_error_px, matching, reason, shadows};
 use crate::pose_synthetic as synthetic;
@@ -252,4 +252,48 @@ fn independent_radiographs_give_p_however_the_shutters_are_stored() {
         }
     }
     assert_eq!(cases, 12);
+}
+
+/// Inverted pictures whose file still says linear gave `chance` or `too few shadows`, which sends one to the collimator.
+#[test]
+fn a_picture_inverted_against_its_domain_is_named() {
+    let (view, layout) = (synthetic::view(620, 480, 8), synthetic::layout(10, 0.75, 5));
+    let pixels = synthetic::radiograph(view, &layout, 50_000.0, 3).draw();
+    let highest = pixels.pixels.iter().copied().fold(0.0f32, f32::max);
+    let inverted = pixels.map(|value| highest - value);
+    let posed = |pixels: &Image<f32>, domain: Domain| {
+        register(&matching(&view, &layout), &Frame::from_pixels("drawn", pixels.clone(), domain).expect("a frame"))
+    };
+    assert!(posed(&pixels, Domain::Linear).is_accepted(), "{:?}", posed(&pixels, Domain::Linear).reason);
+    let pose = posed(&inverted, Domain::Linear);
+    assert!(matches!(pose.refusal, Some(Refusal::Sense { dark: true, matched: 6.., .. })), "{:?}", pose.reason);
+    assert!(posed(&inverted, Domain::Unknown).is_accepted());
+    // Where nothing matches either way, that is said as before.
+    let other = synthetic::layout(10, 0.75, 77);
+    let pose = register(
+        &matching(&view, &other),
+        &Frame::from_pixels("drawn", inverted, Domain::Linear).expect("a frame"),
+    );
+    assert!(!pose.is_accepted() && !matches!(pose.refusal, Some(Refusal::Sense { .. })), "{:?}", pose.reason);
+}
+
+/// One pixel of 1e13 in a float TIFF left no shadow in the frame: sums over pixels consisted of it.
+#[test]
+fn pixels_beyond_all_others_are_masked() {
+    let (view, layout) = (synthetic::view(620, 480, 8), synthetic::layout(10, 0.75, 5));
+    let pixels = synthetic::radiograph(view, &layout, 50_000.0, 3).draw();
+    let plain = register(&matching(&view, &layout), &Frame::from_pixels("a", pixels.clone(), Domain::Linear).expect("a frame"));
+    for far in [1e13f32, -1e20, 3e38] {
+        let mut marked = pixels.clone();
+        marked.pixels[620 * 30 + 40] = far;
+        let frame = Frame::from_pixels("b", marked, Domain::Linear).expect("a frame");
+        assert!(frame.altered.iter().any(|words| words.starts_with("1 of 297600 pixels masked")), "{far}: {:?}", frame.altered);
+        let pose = register(&matching(&view, &layout), &frame);
+        assert_eq!((pose.status, pose.projection.is_some()), (plain.status, true), "{far}: {:?}", pose.reason);
+    }
+    // What most pixels are not far from is part of the picture.
+    let frame = Frame::from_pixels("c", pixels.map(|value| value * 1e-9), Domain::Linear).expect("a frame");
+    assert!(frame.altered.is_empty(), "{:?}", frame.altered);
+    let even = Frame::from_pixels("d", Image::filled(64, 64, 3.0f32), Domain::Linear).expect("a frame");
+    assert!(even.altered.is_empty() && even.notes.iter().any(|words| words.contains("the same value")), "{:?}", even.notes);
 }

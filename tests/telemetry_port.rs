@@ -204,7 +204,9 @@ fn a_recording_goes_the_same_way_as_a_port() {
         (0..40u32).map(|i| (1_000_000 + i64::from(i) * 33_333 + if i >= 20 { 2_000_000 } else { 0 }, i / 20, plain(i))).collect();
     let mut whole = Link::new(DeviceKind::Carm);
     let mut events = Vec::new();
-    whole.drain(&mut script.clone().into_iter(), &mut |received| events.push(received));
+    for (host_us, epoch, bytes) in script.clone() {
+        whole.handle(&PortEvent::Bytes { host_us, epoch, bytes }, &mut |received| events.push(received));
+    }
     assert_eq!(events.iter().filter(|received| matches!(received.event, Event::Sample(..))).count(), 40);
     let health = *whole.health();
     assert_eq!((health.stale, health.epochs, health.lost), (1, 2, 0));

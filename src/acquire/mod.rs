@@ -57,7 +57,7 @@ pub use log_form::Samples;
 pub use read::{read_frame, read_frames, read_open, read_photo, serve};
 pub use received::ReceivedSource;
 pub use receiver::{MOST_ASSOCIATIONS, ReceiverError, ReceiverOptions};
-pub use source::{Arrival, Earlier, FrameSource, QueuedFrames, Reading, Sighting, Trouble};
+pub use source::{Arrival, Earlier, FrameSource, Reading, Sighting, Trouble};
 pub use stored_values::{StoredValue, StoredValues, is_dicom, parse_dicom};
 pub use tags::{FrameTags, KEPT_TAGS, KeptTag};
 pub use tree::FolderTree;
@@ -216,6 +216,17 @@ impl Raw {
             self.altered.push(format!("{lost} pixels ({:.2} %) are NaN or infinite: they are masked", percent(lost)));
             self.pixels.pixels.iter_mut().filter(|value| !value.is_finite()).for_each(|value| *value = f32::NAN);
         }
+        // Integers cannot lie that far out.
+        if self.scale_ends.is_none() {
+            let far = mask_far_values(&mut self.pixels.pixels);
+            if far > 0 {
+                let all = self.pixels.pixels.len();
+                self.altered.push(format!("{far} of {all} pixels masked: over {FAR:.0e} times the range of all others away from them"));
+            }
+        }
+        if is_uniform(&self.pixels.pixels) {
+            self.notes.push("every pixel has the same value: there is no picture in this frame".to_owned());
+        }
         let clipping = clipping(&self.pixels, self.scale_ends, self.domain == Domain::Log);
         Ok(Frame {
             number: 0,
@@ -238,6 +249,35 @@ impl Raw {
             correction: None,
         })
     }
+}
+
+/// A few pixels that lie so many ranges of the others away from them are marks or faults: sums over pixels would consist of them.
+const FAR: f32 = 1e4;
+/// Values that tell the range of all others, and their share that is left out at either end of it.
+const RANGE_SAMPLES: usize = 65_536;
+const STRANGE_SHARE: usize = 1000;
+
+/// Makes pixels NaN that cannot be of the picture; how many. Wherever most pixels are equal none is.
+fn mask_far_values(pixels: &mut [f32]) -> usize {
+    let step = (pixels.len() / RANGE_SAMPLES).max(1);
+    let mut some: Vec<f32> = pixels.iter().copied().filter(|value| value.is_finite()).step_by(step).collect();
+    some.sort_by(f32::total_cmp);
+    let strange = some.len() / STRANGE_SHARE;
+    let (Some(&low), Some(&high)) = (some.get(strange), some.iter().rev().nth(strange)) else { return 0 };
+    let reach = FAR * (high - low);
+    // A range of 0, or beyond what a float holds.
+    if !(reach > 0.0 && reach.is_finite()) {
+        return 0;
+    }
+    let far: Vec<&mut f32> = pixels.iter_mut().filter(|value| **value > high + reach || **value < low - reach).collect();
+    let count = far.len();
+    far.into_iter().for_each(|value| *value = f32::NAN);
+    count
+}
+
+fn is_uniform(pixels: &[f32]) -> bool {
+    let mut values = pixels.iter().copied().filter(|value| value.is_finite());
+    values.next().is_some_and(|first| values.all(|value| value == first))
 }
 
 /// Below this share, pixels at the image's own extreme are its brightest pixels, not a clipped plateau.

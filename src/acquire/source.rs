@@ -1,7 +1,6 @@
 //! The seam through which frames come: a watched folder, a log, a script. Seeing is cheap and reading is slow, so they are apart: whoever
 //! reads decides the order and the thread.
 
-use std::collections::VecDeque;
 
 use super::{AcquireError, Fault, Frame};
 use crate::foreign::NotRegular;
@@ -204,13 +203,6 @@ impl Arrival {
         Self { label, seen_us, modified_us, bytes, read: Box::new(read) }
     }
 
-    /// Frames that are in memory already: from a log, a mock, a test.
-    #[must_use]
-    pub fn of_frames(label: &str, seen_us: i64, frames: Vec<Frame>) -> Self {
-        let bytes = frames.iter().map(|frame| frame.pixels.pixels.len() as u64 * 4).sum();
-        Self::new(label.to_owned(), seen_us, seen_us, bytes, move || Reading::Frames { frames, earlier: None })
-    }
-
     /// What it may be called before it is read.
     #[must_use]
     pub fn label(&self) -> &str {
@@ -239,36 +231,5 @@ impl Arrival {
     #[must_use]
     pub fn read(self) -> Reading {
         (self.read)()
-    }
-}
-
-/// Frames that come at given times: what a replay and a scripted test give to a session.
-#[derive(Debug, Default)]
-pub struct QueuedFrames {
-    queue: VecDeque<(i64, Vec<Frame>)>,
-}
-
-impl QueuedFrames {
-    /// Adds the frames of one file, due at `due_us` by the host clock; times must not decrease.
-    pub fn push(&mut self, due_us: i64, frames: Vec<Frame>) {
-        self.queue.push_back((due_us, frames));
-    }
-
-    /// Whether all have been given.
-    #[must_use]
-    pub fn is_empty(&self) -> bool {
-        self.queue.is_empty()
-    }
-}
-
-impl FrameSource for QueuedFrames {
-    fn look(&mut self, now_us: i64) -> Vec<Sighting> {
-        let mut found = Vec::new();
-        while self.queue.front().is_some_and(|(due_us, _)| *due_us <= now_us) {
-            let Some((due_us, frames)) = self.queue.pop_front() else { break };
-            let label = frames.first().map(|frame| frame.name.clone()).unwrap_or_default();
-            found.push(Sighting::Ready(Arrival::of_frames(&label, due_us, frames)));
-        }
-        found
     }
 }

@@ -165,6 +165,11 @@ pub enum Refusal {
         "radii: the shadows are {percent:.0} % {way} than the beads' radii give at the depth of this pose; check the layout's scale and radius_mm", percent = 100.0 * (ratio - 1.0).abs(), way = if *ratio < 1.0 { "smaller" } else { "larger" }
     )]
     Radii { ratio: f64 },
+    /// The beads match the other way round: metal is not where the frame's domain says that it is.
+    #[error(
+        "sense: {matched} beads match shadows that are {found}, and in {domain} values metal is {expected}: the frame was inverted, or its values are others (--domain)", found = sense(!*dark), expected = sense(*dark)
+    )]
+    Sense { matched: usize, domain: String, dark: bool },
     /// The layout with x and y negated is where the prior says.
     #[error(
         "axes: the only match, {matched} beads, is turned by half a turn about the patient's long axis from the prior, and with x and y of the layout negated it agrees with it: the layout's file says LPS and holds RAS, or the reverse"
@@ -296,6 +301,10 @@ fn more_shadows(prior_puts_into_frame: Option<&[usize; 2]>) -> String {
         ),
         _ => "open the collimator, raise the dose, or check --bead-radius".to_owned(),
     }
+}
+
+fn sense(dark: bool) -> &'static str {
+    if dark { "dark" } else { "bright" }
 }
 
 fn has(points: Points) -> &'static str {

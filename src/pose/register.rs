@@ -1,5 +1,7 @@
 //! From a frame and a layout to a pose, or to the reason why there is none.
 
+use std::sync::{Arc, OnceLock};
+
 use glam::DVec3;
 
 use super::bodies;
@@ -9,8 +11,8 @@ use super::record::{Pose, Shadow};
 use super::refusal::Refusal;
 use super::request::Registration;
 use super::residual::BeadResidual;
-use crate::acquire::Frame;
-use crate::beads::{Detection, Detections, Polarity, Probe, detect};
+use crate::acquire::{Domain, Frame};
+use crate::beads::{Detection, Detections, Polarity, Probe, Signal, detect, detect_image};
 use crate::geometry::{Intrinsics, Rigid};
 use crate::image::Image;
 use crate::mask::{self, Cause, Masks};
@@ -39,6 +41,8 @@ pub struct Looked {
     /// In the undistorted picture.
     detections: Detections,
     usable: Image<bool>,
+    /// What looks like beads where metal is not what the frame's domain says; sought once, where nothing else matches.
+    otherwise: Arc<OnceLock<Vec<Detection>>>,
 }
 
 /// Looks for bead-like shadows.
@@ -48,7 +52,8 @@ pub fn look(request: &Registration, frame: &Frame, masks: &Masks) -> Looked {
         // No picture makes it good.
         let (found, opposite, evidence) = (Vec::new(), Vec::new(), String::new());
         let detections = Detections { found, polarity: Polarity::Dark, opposite, evidence };
-        return Looked { detections, usable: Image { width: 0, height: 0, pixels: Vec::new() } };
+        let usable = Image { width: 0, height: 0, pixels: Vec::new() };
+        return Looked { detections, usable, otherwise: Arc::default() };
     }
     // A bead before clipped air is still a shadow, and a row of beads clipped to black looks like writing; writing has no round shadows.
     // What is behind the shutters or dead is none.
@@ -57,7 +62,7 @@ pub fn look(request: &Registration, frame: &Frame, masks: &Masks) -> Looked {
     let found = detect(frame, Some(&usable), &request.expectation());
     let straight = |shadows| request.straight_shadows(shadows);
     let detections = Detections { found: straight(found.found), opposite: straight(found.opposite), ..found };
-    Looked { detections, usable }
+    Looked { detections, usable, otherwise: Arc::default() }
 }
 
 /// [`register_masked`] where it is known what the frame shows.
@@ -65,13 +70,13 @@ pub fn look(request: &Registration, frame: &Frame, masks: &Masks) -> Looked {
 pub fn register_looked(request: &Registration, frame: &Frame, looked: &Looked) -> Pose {
     let pose = match request.fault() {
         Some(fault) => request.refuse(&fault),
-        None => either_polarity(request, frame, looked),
+        None => other_sense(request, frame, looked, either_polarity(request, frame, looked)),
     };
     pose.on_panel(frame)
 }
 
 fn either_polarity(request: &Registration, frame: &Frame, looked: &Looked) -> Pose {
-    let Looked { detections, usable } = looked;
+    let Looked { detections, usable, .. } = looked;
     let probe = |polarity| Some(Probe::new(frame, usable, polarity));
     let mut pose = attempt(request, &detections.found, probe(detections.polarity));
     pose.notes.insert(0, detections.evidence.clone());
@@ -88,6 +93,33 @@ fn either_polarity(request: &Registration, frame: &Frame, looked: &Looked) -> Po
         }
     }
     pose
+}
+
+/// A refused pose of a frame whose domain says what metal is, where the beads match the other way round.
+fn other_sense(request: &Registration, frame: &Frame, looked: &Looked, pose: Pose) -> Pose {
+    use Refusal::{Chance, NoMatch, TooFewShadows};
+    let expected = match frame.domain {
+        Domain::Linear => Polarity::Dark,
+        Domain::Log => Polarity::Bright,
+        Domain::Display | Domain::Unknown => return pose,
+    };
+    if !matches!(pose.refusal, Some(TooFewShadows { .. } | NoMatch { .. } | Chance { .. })) {
+        return pose;
+    }
+    let otherwise = looked.otherwise.get_or_init(|| {
+        let found = detect_image(&frame.pixels, Signal::Unknown, Some(&looked.usable), &request.expectation());
+        request.straight_shadows(if found.polarity == expected { found.opposite } else { found.found })
+    });
+    if otherwise.len() < request.fewest() {
+        return pose;
+    }
+    let other = attempt(request, otherwise, None);
+    if !other.is_accepted() {
+        return pose;
+    }
+    let matched = other.beads.iter().filter(|bead| bead.used).count();
+    let domain = frame.domain.to_string();
+    pose.refused_for(Refusal::Sense { matched, domain, dark: expected == Polarity::Dark })
 }
 
 /// The same from shadows that are already found.

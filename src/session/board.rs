@@ -21,6 +21,8 @@ pub struct BoardState {
     pub frames_seen: usize,
     /// Frames that wait to be registered, rendered or compared.
     pub frames_waiting: usize,
+    /// What takes unusually long right now, in sentences.
+    pub slow: Vec<String>,
     /// Age of the oldest message that is not in the log's file yet, ms.
     pub recorder_behind_ms: f64,
     /// Why nothing is recorded any more.
@@ -79,6 +81,7 @@ impl BoardState {
         Telling {
             frames: [self.frames_seen, self.frames_waiting, self.warnings.len()],
             said: [self.recorder_failure.is_some(), self.finished],
+            slow: self.slow.clone(),
             lines: self.links.iter().map(|link| (link.silent_steps(self.now_us), link.moves)).collect(),
         }
     }
@@ -89,6 +92,7 @@ impl BoardState {
 struct Telling {
     frames: [usize; 3],
     said: [bool; 2],
+    slow: Vec<String>,
     lines: Vec<(Option<i64>, u64)>,
 }
 

@@ -10,6 +10,7 @@ use super::SessionError;
 use super::background::stand_back;
 use super::board::Board;
 use super::broadcast::Broadcast;
+use super::busy::{Busy, Task};
 use super::developed::Developed;
 use super::folder::Collector;
 use super::input::Input;
@@ -29,6 +30,16 @@ pub(super) struct Scribe {
     thread: std::thread::JoinHandle<Collector>,
     complete: Arc<AtomicUsize>,
     leave: Arc<AtomicBool>,
+    died: Arc<AtomicBool>,
+}
+
+/// Notes that the thread died; one whose pairs have ended ends as well, and did not.
+struct Death(Arc<AtomicBool>);
+
+impl Drop for Death {
+    fn drop(&mut self) {
+        self.0.store(std::thread::panicking(), Ordering::Relaxed);
+    }
 }
 
 impl Scribe {
@@ -37,7 +48,7 @@ impl Scribe {
         collector: Collector,
         log: Arc<SessionLog>,
         board: Board,
-        broadcast: Arc<Broadcast>,
+        (broadcast, busy): (Arc<Broadcast>, &Busy),
         reporter: &Reporter,
     ) -> Result<(Self, SyncSender<Developed>), SessionError> {
         let (sender, inbox) = sync_channel(QUEUE);
@@ -47,17 +58,20 @@ impl Scribe {
             log,
             board,
             broadcast,
+            busy: busy.clone(),
             reporter: reporter.clone(),
             complete: Arc::clone(&complete),
             completed: BTreeSet::new(),
         };
-        let left = Arc::clone(&leave);
+        let (left, died) = (Arc::clone(&leave), Arc::default());
+        let death = Death(Arc::clone(&died));
         let thread = std::thread::Builder::new().name("scribe".to_owned()).spawn(move || {
+            let _death = death;
             stand_back();
             work.run(&inbox, &left)
         });
         let thread = thread.map_err(|source| SessionError::Thread { source })?;
-        Ok((Self { thread, complete, leave }, sender))
+        Ok((Self { thread, complete, leave, died }, sender))
     }
 
     /// Pairs that are as complete as they get.
@@ -68,6 +82,11 @@ impl Scribe {
     /// Whether the thread has ended.
     pub(super) fn has_ended(&self) -> bool {
         self.thread.is_finished()
+    }
+
+    /// Whether it ended because of a fault of this program.
+    pub(super) fn has_died(&self) -> bool {
+        self.died.load(Ordering::Relaxed)
     }
 
     /// What waits is not written any more.
@@ -86,6 +105,7 @@ struct Work {
     log: Arc<SessionLog>,
     board: Board,
     broadcast: Arc<Broadcast>,
+    busy: Busy,
     reporter: Reporter,
     complete: Arc<AtomicUsize>,
     completed: BTreeSet<u32>,
@@ -107,6 +127,7 @@ impl Work {
     }
 
     fn take(&mut self, developed: Developed) {
+        let _at_work = self.busy.begin(Task::Writing(developed.posed.number));
         let (number, time_us, complete) = (developed.posed.number, developed.posed.time_us, developed.complete);
         let is_new = !self.collector.knows(&developed);
         if let (Some((drr, _)), Some(sha256), true) = (&developed.drr, &developed.drr_sha256, is_new) {

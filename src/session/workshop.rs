@@ -6,6 +6,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 use super::SessionError;
+use super::busy::{Busy, Task};
 use super::background::stand_back;
 use super::crosscheck::{self, check_session};
 use super::declared::Declared;
@@ -48,6 +49,7 @@ struct Queue {
 struct Shared {
     queue: Mutex<Queue>,
     changed: Condvar,
+    busy: Busy,
 }
 
 impl Shared {
@@ -186,6 +188,11 @@ impl Workshop {
         self.shared.lock().ended
     }
 
+    /// What the session's threads are at.
+    pub(super) fn busy(&self) -> &Busy {
+        &self.shared.busy
+    }
+
     /// No more frames: the thread ends when every pair and its null are made.
     pub fn close(&self) {
         self.shared.change(|queue| queue.closed = true);
@@ -256,7 +263,9 @@ fn work(mut bench: Bench, shared: &Shared, mut sink: impl FnMut(Developed) -> bo
                 let Job { posed, plan } = *job;
                 // An earlier pair of the same frame is replaced: it needs no null any more.
                 nulls.retain(|waiting| waiting.posed.number != posed.number);
+                let at_work = shared.busy.begin(Task::Developing(posed.number));
                 let attempt = catch_unwind(AssertUnwindSafe(|| bench.develop(posed.clone(), plan)));
+                drop(at_work);
                 let developed =
                     attempt.unwrap_or_else(|_| bench.failed(posed, "rendering or comparing it failed (a fault of this program)"));
                 if !developed.complete {
@@ -270,7 +279,9 @@ fn work(mut bench: Bench, shared: &Shared, mut sink: impl FnMut(Developed) -> bo
                     let queue = shared.lock();
                     queue.abandoned || !queue.jobs.is_empty()
                 };
+                let at_work = shared.busy.begin(Task::Developing(developed.posed.number));
                 let attempt = catch_unwind(AssertUnwindSafe(|| bench.add_null(developed.clone(), &cancelled)));
+                drop(at_work);
                 match attempt {
                     Ok(Some(with_null)) => with_null,
                     Ok(None) => {

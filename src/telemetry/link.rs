@@ -22,19 +22,6 @@ pub struct Received {
     pub event: Event,
 }
 
-/// Anything that yields what happens on one device's line: a port, a recording, a script.
-pub trait ByteSource {
-    /// What happened next; `None` at the end, or when nothing is there yet.
-    fn next_event(&mut self) -> Option<PortEvent>;
-}
-
-/// Recordings and scripts: `(host_us, epoch, bytes)` in order.
-impl<I: Iterator<Item = (i64, u32, Vec<u8>)>> ByteSource for I {
-    fn next_event(&mut self) -> Option<PortEvent> {
-        self.next().map(|(host_us, epoch, bytes)| PortEvent::Bytes { host_us, epoch, bytes })
-    }
-}
-
 /// What a device's bytes are.
 #[derive(Clone, Debug)]
 enum Decoding {
@@ -115,13 +102,6 @@ impl Link {
                 }
                 decoder.push(host_us, bytes, &mut sink);
             }
-        }
-    }
-
-    /// Takes all that `source` has.
-    pub fn drain(&mut self, source: &mut dyn ByteSource, sink: &mut dyn FnMut(Received)) {
-        while let Some(event) = source.next_event() {
-            self.handle(&event, sink);
         }
     }
 

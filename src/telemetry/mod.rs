@@ -31,7 +31,7 @@ pub use event::{DecodeFault, Event};
 pub use health::Health;
 pub use line_fault::LineFault;
 pub use lines::LineAdapter;
-pub use link::{ByteSource, Link, Received, STALE_SILENCE_US};
+pub use link::{Link, Received, STALE_SILENCE_US};
 pub use outlet::PortEvent;
 pub use port::{FIRST_BACKOFF, LONGEST_BACKOFF, PortTask, spawn_port};
 pub use port_error::{PortError, hint};

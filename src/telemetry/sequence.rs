@@ -13,8 +13,11 @@ const LONGEST_GAP: u32 = 1 << 27;
 /// By so much the pace of the count before a gap may differ from that within, and so many frames say what it was.
 const PACE: f64 = 1.25;
 const PACED: usize = 16;
-/// So many known frames in a row, in order, are no duplicates but a device that started over and repeats itself exactly.
+/// So many known frames in a row, in order and from the first on, are no duplicates but a device that started over and repeats itself
+/// exactly.
 const REPEATED_RUN: u32 = 3;
+/// A count that goes on after older frames came in between has lost at most so many of its own.
+const RESUMED_GAP: u32 = 8;
 
 /// What a sequence number says about its frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -46,11 +49,13 @@ pub struct SequenceTracker {
     seen: Vec<Option<(u32, u64)>>,
     repeated: Option<(u32, u32)>,
     reopened: bool,
+    /// The count before the latest restart, and frames since: whoever stores and forwards may have sent old frames in between.
+    before: Option<(Box<SequenceTracker>, u32)>,
 }
 
 impl Default for SequenceTracker {
     fn default() -> Self {
-        Self { first: 0, last: None, seen: vec![None; WINDOW], repeated: None, reopened: false }
+        Self { first: 0, last: None, seen: vec![None; WINDOW], repeated: None, reopened: false, before: None }
     }
 }
 
@@ -67,6 +72,9 @@ impl SequenceTracker {
             self.first = sequence;
         }
         let verdict = self.judge(sequence, device_us, reopened);
+        if let Some(resumed) = self.resumed(verdict, sequence, device_us) {
+            return resumed;
+        }
         match verdict {
             Sequenced::Duplicate => {
                 let run = match self.repeated {
@@ -74,7 +82,8 @@ impl SequenceTracker {
                     _ => 1,
                 };
                 self.repeated = Some((sequence, run));
-                if run < REPEATED_RUN {
+                let begins = sequence.wrapping_sub(run - 1);
+                if run < REPEATED_RUN || begins.wrapping_sub(self.first) >= EARLIER_DEPTH {
                     return Sequenced::Duplicate;
                 }
                 self.restart(sequence, device_us);
@@ -93,6 +102,28 @@ impl SequenceTracker {
         }
         self.repeated = None;
         verdict
+    }
+
+    /// What the frame is to the count before the restart, where that goes on with it.
+    fn resumed(&mut self, verdict: Sequenced, sequence: u32, device_us: u64) -> Option<Sequenced> {
+        let (before, frames) = self.before.as_mut()?;
+        *frames += 1;
+        if *frames > REORDER_DEPTH {
+            self.before = None;
+            return None;
+        }
+        if matches!(verdict, Sequenced::Next | Sequenced::Duplicate) {
+            return None;
+        }
+        let resumed = before.judge(sequence, device_us, false);
+        if !matches!(resumed, Sequenced::Next | Sequenced::Gap(..=RESUMED_GAP)) {
+            return None;
+        }
+        let (before, _) = self.before.take()?;
+        *self = *before;
+        self.seen[sequence as usize % WINDOW] = Some((sequence, device_us));
+        self.last = Some((sequence, device_us));
+        Some(resumed)
     }
 
     fn judge(&self, sequence: u32, device_us: u64, reopened: bool) -> Sequenced {
@@ -162,7 +193,9 @@ impl SequenceTracker {
     }
 
     fn restart(&mut self, sequence: u32, device_us: u64) {
-        *self = Self { first: sequence, ..Self::default() };
+        let mut before = Box::new(std::mem::take(self));
+        (before.before, before.repeated) = (None, None);
+        *self = Self { first: sequence, before: Some((before, 0)), ..Self::default() };
         self.last = Some((sequence, device_us));
         self.seen[sequence as usize % WINDOW] = Some((sequence, device_us));
     }
@@ -217,6 +250,28 @@ mod tests {
         let seen = verdicts(&twice);
         assert_eq!(seen.iter().filter(|v| **v == Sequenced::Duplicate).count(), 2);
         assert_eq!(seen.iter().filter(|v| **v == Reset).count(), 1);
+    }
+
+    /// A gateway that sends again what it holds made a restart, and losses when the count went on.
+    #[test]
+    fn old_frames_in_between_are_no_losses() {
+        use Sequenced::{Duplicate, Gap, Next, Reset};
+        let frame = |n: u32| (n, 1_000_000 + 10_000 * u64::from(n));
+        // Known ones.
+        let recent: Vec<(u32, u64)> = (100..140).chain(120..135).chain(140..150).map(frame).collect();
+        let seen = verdicts(&recent);
+        assert_eq!(seen.iter().filter(|verdict| **verdict == Duplicate).count(), 15);
+        assert!(seen.iter().all(|verdict| matches!(verdict, Next | Duplicate)), "{seen:?}");
+        // Those from before anything that is remembered.
+        let old: Vec<(u32, u64)> = (5_000..5_040).chain(2_000..2_020).chain(5_040..5_050).map(frame).collect();
+        let seen = verdicts(&old);
+        assert_eq!((seen[40], seen[60]), (Reset, Next));
+        assert!(seen.iter().enumerate().all(|(at, verdict)| at == 40 || *verdict == Next), "{seen:?}");
+        let lossy: Vec<(u32, u64)> = (5_000..5_040).chain(2_000..2_020).chain(5_043..5_050).map(frame).collect();
+        assert_eq!(verdicts(&lossy)[60..62], [Gap(3), Next]);
+        // A device that began anew goes on with its new count, whatever that loses.
+        let anew: Vec<(u32, u64)> = (5_000..5_040).map(frame).chain([(0, 100), (1, 10_100), (40, 400_100)]).collect();
+        assert_eq!(verdicts(&anew)[40..], [Reset, Next, Gap(38)]);
     }
 
     #[test]

@@ -204,6 +204,15 @@ impl Weighed<'_> {
         self.known.finished || gave_up || self.newest_us.is_some_and(|newest_us| newest_us >= limit_us)
     }
 
+    /// That the counter names the exposure, which a console that counts otherwise gives another number.
+    fn counter_words(&self, at: usize) -> String {
+        let own = self.pending.evidence.counter.filter(|counter| self.known.shots.get(at).counter.is_some_and(|own| own != *counter));
+        match own {
+            Some(counter) => format!("the counter, {counter}, means {} by the console's count of other frames", self.label(at)),
+            None => format!("the counter names {} as well", self.label(at)),
+        }
+    }
+
     pub(super) fn with_stamp(
         &self,
         stamp: &ByStamp,
@@ -214,7 +223,7 @@ impl Weighed<'_> {
         let both: Vec<(usize, Firmness)> = candidates.iter().filter(|(at, _)| stamp.fitting.contains(at)).copied().collect();
         match (&both[..], &stamp.fitting[..]) {
             ([(at, firmness)], fitting) if fitting.len() == 1 || self.decides(*at, *firmness, fitting) => {
-                words.push(format!("the counter names {} as well", self.label(*at)));
+                words.push(self.counter_words(*at));
                 words.push(format!("the console's stamp fits {}", self.label(*at)));
                 self.of(*at, BindingHow::Counter, words, true)
             }

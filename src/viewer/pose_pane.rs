@@ -44,12 +44,13 @@ pub(super) fn show(ui: &mut Ui, pair: Option<&PairView>) {
         row(ui, "drill tip", &format!("seen {u:+.1}, {v:+.1} ± {sigma_mm:.1} mm off").replace('-', "−"));
     }
     uncertainty(ui, view);
-    let words: Vec<&String> = pair.robot_cautions.iter().chain(&pair.flags).collect();
+    let others = pair.robot_cautions.iter().chain(&pair.flags).map(String::as_str);
+    let words: Vec<&str> = pair.robot_words().into_iter().chain(others).collect();
     for flag in words.iter().take(FLAGS) {
-        ui.add(egui::Label::new(RichText::new(flag.as_str()).size(SMALL).color(CAUTION)).truncate()).on_hover_text(flag.as_str());
+        ui.add(egui::Label::new(RichText::new(*flag).size(SMALL).color(CAUTION)).truncate()).on_hover_text(*flag);
     }
     if words.len() > FLAGS {
-        let more: Vec<&str> = words[FLAGS..].iter().map(|words| words.as_str()).collect();
+        let more = &words[FLAGS..];
         ui.label(dim(format!("and {} more to beware of", more.len()))).on_hover_text(more.join("\n"));
     }
 }

@@ -114,6 +114,9 @@ pub(super) fn backlog(ui: &mut Ui, board: &BoardState, pair: Option<&PairView>) 
             let colour = if behind_ms > 1_000.0 { CAUTION } else { DIM };
             ui.label(RichText::new(format!("log {behind_ms:.0} ms behind")).size(SMALL).color(colour));
         }
+        for words in &board.slow {
+            ui.label(RichText::new(words).size(SMALL).color(CAUTION));
+        }
         for (kind, count) in &board.warnings {
             ui.label(RichText::new(format!("{kind}: {count}")).size(SMALL).color(CAUTION));
         }

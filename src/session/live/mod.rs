@@ -10,7 +10,7 @@
 mod ending;
 mod telling;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -20,6 +20,7 @@ use super::SessionError;
 use super::background::loops_stand_back;
 use super::board::Board;
 use super::broadcast::Broadcast;
+use super::busy::{AtWork, Busy, Task};
 use super::develop::solved;
 use super::edit::EditRequest;
 use super::editor::Editor;
@@ -103,11 +104,12 @@ pub fn run(
         engine.keep_for_edits();
         board.update(|state| state.editable = true);
     }
-    let (scribe, pairs) = Scribe::start(collector, Arc::clone(&log), board.clone(), Arc::clone(&broadcast), reporter)?;
+    let busy = workshop.busy().clone();
+    let (scribe, pairs) = Scribe::start(collector, Arc::clone(&log), board.clone(), (Arc::clone(&broadcast), &busy), reporter)?;
     workshop.start(true, move |developed| pairs.send(developed).is_ok())?;
     let jobs = start_registrar(Arc::clone(&log))?;
     let lines = ports.record(&setup, &log, board, reporter)?;
-    let frames = Frames::watch(source, &log, board, reporter)?;
+    let frames = Frames::watch(source, &log, (board, &busy), reporter)?;
     let session = Session {
         engine,
         log,
@@ -124,6 +126,8 @@ pub fn run(
         frames_ended: false,
         end_is_logged: false,
         registering: None,
+        busy,
+        slow_said: BTreeSet::new(),
         editor,
         newest_posed: 0,
         faults_this_tick: 0,
@@ -179,7 +183,10 @@ struct Session {
     frames_ended: bool,
     end_is_logged: bool,
     /// The frame that is being registered.
-    registering: Option<u32>,
+    registering: Option<(u32, AtWork)>,
+    busy: Busy,
+    /// Tasks whose slowness was said, and whether as a warning.
+    slow_said: BTreeSet<(Task, bool)>,
     /// Who edits beads; absent without a window.
     editor: Option<Editor>,
     /// Number of the newest frame that was handed to be posed.
@@ -321,14 +328,14 @@ impl Session {
             return;
         }
         self.newest_posed = self.newest_posed.max(newest);
-        self.registering = Some(newest);
+        self.registering = Some((newest, self.busy.begin(Task::Registering(newest))));
         self.log.input(Input::Develop { number: newest });
     }
 
     /// What a person asks for is logged, and comes to the engine as all else does.
     fn take_edits(&mut self) {
         let Some(editor) = self.editor.as_mut().filter(|_| matches!(self.stage, Stage::Open { .. })) else { return };
-        for EditRequest { number, edit } in editor.take(self.registering) {
+        for EditRequest { number, edit } in editor.take(self.registering.as_ref().map(|(number, _)| *number)) {
             self.log.input(Input::Edit { number, edit, host_us: host_now_us() });
         }
     }

@@ -1,5 +1,6 @@
 //! What a running session tells while it runs: losses, what is behind, and how far it has come.
 
+use super::super::busy::{SAID_AFTER, SHOWN_AFTER, WARNED_AFTER};
 use super::super::input::Input;
 use super::{Session, Stage};
 use crate::record::Level;
@@ -8,7 +9,7 @@ use crate::time::host_now_us;
 
 /// Ticks keep waiting frames and stale marks moving when nothing arrives.
 const TICK_US: i64 = 100_000;
-/// Losses on the lines are told at most this often.
+/// Losses on the lines, and what takes long, are told at most this often.
 const TELL_LOSSES_US: i64 = 1_000_000;
 /// A log that is so far behind is said.
 const BEHIND_MS: f64 = 1_000.0;
@@ -71,18 +72,40 @@ impl Session {
                 format!("the log's file is {:.0} s behind: its disk is slow or stands still{safe}", recorder.behind_ms / 1e3);
             self.reporter.warn("recording behind", words);
         }
-        if self.scribe.has_ended() && !matches!(self.stage, Stage::Finishing) {
+        self.tell_slow();
+        if self.scribe.has_died() && !matches!(self.stage, Stage::Finishing) {
             self.log.lose(format!("the thread that writes files died; {}", self.log.again()));
             self.reporter.warn(
                 "files not written",
                 "the thread that writes files died; recording goes on, replay the log for pairs and report",
             );
         }
-        if self.workshop.has_ended() && !matches!(self.stage, Stage::Finishing) {
+        // Without pairs to write the other thread would have ended as well.
+        if self.workshop.has_ended() && !self.scribe.has_died() && !matches!(self.stage, Stage::Finishing) {
             self.log.lose("the rendering thread died: frames after that have no DRR; a replay of the log makes them".to_owned());
             self.reporter
                 .warn("no rendering", "the rendering thread died; recording and registration go on, replay the log for the DRRs");
         }
+    }
+
+    /// What is not over after seconds is said once, and once more as a warning where it hangs; that it went on is said as well.
+    fn tell_slow(&mut self) {
+        let long = self.busy.longer_than(SAID_AFTER);
+        for (task, taken) in &long {
+            let hangs = *taken >= WARNED_AFTER;
+            if !self.slow_said.insert((*task, hangs)) {
+                continue;
+            }
+            let words = task.words(*taken);
+            match hangs {
+                true => {
+                    self.reporter.warn(task.kind(), &words);
+                    self.log.event(Level::Warning, host_now_us(), &words);
+                }
+                false => self.reporter.note(&words),
+            }
+        }
+        self.slow_said.retain(|(task, _)| long.iter().any(|(other, _)| other == task));
     }
 
     pub(super) fn publish(&mut self, now_us: i64) {
@@ -91,12 +114,14 @@ impl Session {
             + self.engine.bound().count()
             + usize::from(self.registering.is_some())
             + self.workshop.open_jobs();
+        let slow = self.busy.longer_than(SHOWN_AFTER).into_iter().map(|(task, taken)| task.words(taken)).collect();
         let Self { board, readings, engine, reporter, .. } = self;
         board.tick(|state| {
             state.now_us = now_us;
             state.frames_waiting = waiting;
             state.recorder_behind_ms = recorder.behind_ms;
             state.recorder_failure = recorder.failure;
+            state.slow = slow;
             readings.update(&mut state.links, engine, now_us);
             state.warnings = reporter.warnings().into_iter().map(|(kind, counted)| (kind, counted.count)).collect();
         });

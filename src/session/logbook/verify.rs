@@ -193,6 +193,9 @@ impl Check {
             count.next = sequence.saturating_add(1);
         } else if count.missing.remove(&sequence).is_none() {
             self.fault(entry, at_byte, format!("message {sequence} is there twice"));
+        } else if matches!(&*entry.topic, topic::CARM_RAW | topic::ROBOT_RAW) {
+            // What a line brought is one stream: in another order its packets are others.
+            self.fault(entry, at_byte, format!("message {sequence} stands behind message {}", next - 1));
         }
     }
 

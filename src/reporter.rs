@@ -12,6 +12,15 @@ pub struct Reporter {
     state: Arc<Mutex<State>>,
     loud: bool,
     shows_progress: bool,
+    /// What is kept until [`Reporter::release`]; `None` inside where that has been.
+    held: Option<Arc<Mutex<Option<Vec<Held>>>>>,
+}
+
+/// What is said later.
+#[derive(Debug)]
+enum Held {
+    Warning { kind: String, message: String },
+    Note(String),
 }
 
 #[derive(Debug, Default)]
@@ -39,24 +48,58 @@ impl Reporter {
     /// Prints to standard error.
     #[must_use]
     pub fn stderr() -> Self {
-        Self { state: Arc::default(), loud: true, shows_progress: true }
+        Self { state: Arc::default(), loud: true, shows_progress: true, held: None }
     }
 
     /// Only counts: for tests and libraries.
     #[must_use]
     pub fn silent() -> Self {
-        Self { state: Arc::default(), loud: false, shows_progress: false }
+        Self { state: Arc::default(), loud: false, shows_progress: false, held: None }
     }
 
     /// Only counts, and shows progress: for those who say in their own words what was counted.
     #[must_use]
     pub fn counting() -> Self {
-        Self { state: Arc::default(), loud: false, shows_progress: true }
+        Self { state: Arc::default(), loud: false, shows_progress: true, held: None }
+    }
+
+    /// The same, but warnings and notes are kept until [`Reporter::release`]: for what is said of files before it is known what they may be called.
+    #[must_use]
+    pub fn holding(&self) -> Self {
+        Self { held: Some(Arc::new(Mutex::new(Some(Vec::new())))), ..self.clone() }
+    }
+
+    /// Says what was kept, in other words; nothing is kept from then on.
+    pub fn release(&self, reword: impl Fn(&str) -> String) {
+        let Some(held) = &self.held else { return };
+        let said = held.lock().unwrap_or_else(PoisonError::into_inner).take();
+        for said in said.into_iter().flatten() {
+            match said {
+                Held::Warning { kind, message } => self.warn(&kind, reword(&message)),
+                Held::Note(message) => self.note(reword(&message)),
+            }
+        }
+    }
+
+    /// Whether it is kept for later.
+    fn keeps(&self, said: impl FnOnce() -> Held) -> bool {
+        let Some(held) = &self.held else { return false };
+        let mut held = held.lock().unwrap_or_else(PoisonError::into_inner);
+        match held.as_mut() {
+            Some(held) => {
+                held.push(said());
+                true
+            }
+            None => false,
+        }
     }
 
     /// Something went less well than it should: counted under `kind`, the first few of a kind are printed.
     pub fn warn(&self, kind: &str, message: impl std::fmt::Display) {
         let message = message.to_string();
+        if self.keeps(|| Held::Warning { kind: kind.to_owned(), message: message.clone() }) {
+            return;
+        }
         let (count, reminds) = {
             let mut state = self.lock();
             let reminds = state.printed.get(kind).is_none_or(|printed| printed.ms() >= REMINDED_MS);
@@ -79,9 +122,21 @@ impl Reporter {
         }
     }
 
+    /// What was warned of under `kind` has turned out well: printed, and from now on the latest message of its kind; it stays counted.
+    pub fn mend(&self, kind: &str, message: impl std::fmt::Display) {
+        let message = message.to_string();
+        if let Some(counted) = self.lock().warnings.get_mut(kind) {
+            counted.latest = printable(&message).into_owned();
+        }
+        self.print(&message);
+    }
+
     /// Something worth knowing.
     pub fn note(&self, message: impl std::fmt::Display) {
-        self.print(&message.to_string());
+        let message = message.to_string();
+        if !self.keeps(|| Held::Note(message.clone())) {
+            self.print(&message);
+        }
     }
 
     /// All warnings so far, by kind.
@@ -177,7 +232,32 @@ impl Drop for Progress {
 
 #[cfg(test)]
 mod tests {
-    use super::printable;
+    use super::{Counted, Reporter, printable};
+
+    #[test]
+    fn what_is_held_is_said_in_other_words_once_it_is_released() {
+        let reporter = Reporter::silent();
+        let held = reporter.holding();
+        held.warn("not HU", "/home/somebody/ct.nii.gz: 8 bits?");
+        held.warn("not HU", "/home/somebody/ct.nii.gz: densities?");
+        assert!(reporter.warnings().is_empty());
+        held.release(|words| words.replace("/home/somebody/", ""));
+        let said = Counted { count: 2, latest: "ct.nii.gz: densities?".to_owned() };
+        assert_eq!(reporter.warnings().remove("not HU"), Some(said));
+        held.warn("not HU", "at once");
+        held.release(str::to_owned);
+        assert_eq!(reporter.warnings()["not HU"].count, 3, "nothing is said twice, and nothing is held any more");
+    }
+
+    #[test]
+    fn what_turned_out_well_is_the_latest_word_and_stays_counted() {
+        let reporter = Reporter::silent();
+        reporter.warn("unfinished frame", "f4: cut");
+        reporter.mend("unfinished frame", "f4: completed");
+        reporter.mend("of no such kind", "good news");
+        let told = Counted { count: 1, latest: "f4: completed".to_owned() };
+        assert_eq!(reporter.warnings().into_iter().collect::<Vec<_>>(), [("unfinished frame".to_owned(), told)]);
+    }
 
     #[test]
     fn nothing_that_a_terminal_obeys_is_printed() {

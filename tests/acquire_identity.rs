@@ -37,7 +37,10 @@ const HEADER: [(Tag, VR, &str, &[&str]); 22] = [
 ];
 
 /// Free text where the standard has terms.
-const CODES: [(Tag, &str, &str); 5] = [
+const CODES: [(Tag, &str, &str); 8] = [
+    (tags::FILTER_TYPE, "CU KNORZELFINK", "knorzelfink"),
+    (tags::FILTER_MATERIAL, "WUMMERBACH", "wummerbach"),
+    (tags::COLLIMATOR_SHAPE, "FRAU ZIPPELT", "zippelt"),
     (tags::MODALITY, "XYLOTAN", "xylotan"),
     (tags::IMAGE_TYPE, "ORIGINAL\\GRUMBELT", "grumbelt"),
     (tags::PRESENTATION_INTENT_TYPE, "HERR ZOLPERICH", "zolperich"),

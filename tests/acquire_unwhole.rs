@@ -3,7 +3,7 @@
 use sidecarm::acquire::Trouble;
 
 use crate::acquire_frames::{fluoroscopy, save};
-use crate::acquire_watch::{Watched, frame_bytes};
+use crate::acquire_watch::{Watched, age, frame_bytes};
 
 #[test]
 fn a_half_written_file_waits_is_reported_after_its_patience_and_read_when_whole() {
@@ -21,6 +21,71 @@ fn a_half_written_file_waits_is_reported_after_its_patience_and_read_when_whole(
     std::fs::write(watched.path("x.dcm"), &whole).expect("whole");
     watched.settle();
     assert_eq!(watched.names(), ["x"]);
+    assert_eq!(watched.mended, watched.troubles, "it is lost no more");
+    // The same again is another matter.
+    std::fs::write(watched.path("x.dcm"), frame_bytes(2)).expect("another");
+    watched.settle();
+    assert_eq!((watched.names().len(), watched.mended.len()), (2, 1));
+}
+
+/// A frame that was cut at 60 % and completed 13 s later was bound, and report and exit code said that it was lost: what was reported of a
+/// file is taken back when that file comes whole, and only then.
+#[test]
+fn what_was_said_to_be_lost_is_taken_back_when_that_very_file_comes_whole() {
+    let cut = |watched: &mut Watched, bytes: &[u8]| {
+        std::fs::write(watched.path("x.dcm"), &bytes[..bytes.len() - 9]).expect("a part");
+        age(&watched.path("x.dcm"), 20);
+        watched.settle();
+        watched.settle();
+        assert!(matches!(watched.troubles.as_slice(), [Trouble::Unfinished { .. }]), "{:?}", watched.troubles);
+    };
+    type Way = fn(&mut Watched, &[u8]);
+    let ways: [(&str, Way, usize); 5] = [
+        ("completed", |watched, whole| append(&watched.path("x.dcm"), &whole[whole.len() - 9..]), 1),
+        (
+            "completed in two parts",
+            |watched, whole| {
+                append(&watched.path("x.dcm"), &whole[whole.len() - 9..whole.len() - 5]);
+                age(&watched.path("x.dcm"), 20);
+                watched.settle();
+                watched.settle();
+                append(&watched.path("x.dcm"), &whole[whole.len() - 5..]);
+            },
+            2,
+        ),
+        (
+            "copied once more",
+            |watched, whole| {
+                std::fs::remove_file(watched.path("x.dcm")).expect("removed");
+                watched.settle();
+                std::fs::write(watched.path("x.dcm"), whole).expect("written");
+            },
+            1,
+        ),
+        (
+            "replaced by itself",
+            |watched, whole| {
+                std::fs::write(watched.path("x.part"), whole).expect("written");
+                std::fs::rename(watched.path("x.part"), watched.path("x.dcm")).expect("renamed");
+            },
+            1,
+        ),
+        ("replaced by another", |watched, _| std::fs::write(watched.path("x.dcm"), frame_bytes(77)).expect("written"), 0),
+    ];
+    for (what, way, mended) in ways {
+        let mut watched = Watched::new(true);
+        let whole = frame_bytes(1);
+        cut(&mut watched, &whole);
+        way(&mut watched, &whole);
+        watched.settle();
+        assert_eq!((watched.names(), watched.mended.len()), (vec!["x"], mended), "{what}: {:?}", watched.troubles);
+        assert_eq!(watched.mended.iter().filter(|trouble| watched.troubles.contains(trouble)).count(), mended, "{what}");
+    }
+}
+
+fn append(path: &std::path::Path, bytes: &[u8]) {
+    let mut file = std::fs::File::options().append(true).open(path).expect("there");
+    std::io::Write::write_all(&mut file, bytes).expect("written");
 }
 
 /// A TIFF whose table of strips comes first and whose strips come last, as scanners write them.

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use sidecarm::acquire::{Fault, FolderSource, FrameSource, Reading, Sighting, Trouble};
+use sidecarm::acquire::{Arrival, Fault, FolderSource, FrameSource, Reading, Sighting, Trouble};
 use sidecarm::foreign::{ForeignReader, NotRegular};
 use sidecarm::time::host_now_us;
 
@@ -17,6 +17,8 @@ pub struct Watched {
     /// Frames of which an earlier version was delivered unfinished.
     pub unfinished: Vec<String>,
     pub troubles: Vec<Trouble>,
+    /// Those that turned out to be none.
+    pub mended: Vec<Trouble>,
     pub refused: Vec<String>,
     pub other: Vec<String>,
 }
@@ -30,7 +32,8 @@ impl Watched {
     pub fn of(folder: tempfile::TempDir, include_existing: bool) -> Self {
         let source = FolderSource::new(folder.path(), None, include_existing, ForeignReader::in_process());
         let (frames, troubles, refused, other) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-        Self { folder, source, now_us: host_now_us(), frames, unfinished: Vec::new(), troubles, refused, other }
+        let (unfinished, mended) = (Vec::new(), Vec::new());
+        Self { folder, source, now_us: host_now_us(), frames, unfinished, troubles, mended, refused, other }
     }
 
     pub fn path(&self, name: &str) -> std::path::PathBuf {
@@ -51,7 +54,7 @@ impl Watched {
 
     pub fn take(&mut self, sighting: Sighting) {
         match sighting {
-            Sighting::Ready(arrival) => match arrival.read() {
+            Sighting::Ready(arrival) => match self.read(arrival) {
                 Reading::Frames { frames, earlier } => {
                     for frame in frames {
                         let before = earlier.as_ref().map(|earlier| earlier.sha256.clone());
@@ -69,6 +72,12 @@ impl Watched {
             Sighting::Said { words, .. } => self.other.push(words),
             Sighting::FolderBack => self.other.push("back".into()),
         }
+    }
+
+    fn read(&mut self, arrival: Arrival) -> Reading {
+        let (reading, mended) = arrival.read_and_mend();
+        self.mended.extend(mended);
+        reading
     }
 
     /// Steps until nothing more can come of what is there.
@@ -332,6 +341,76 @@ fn a_folder_that_is_gone_is_said_once_and_so_is_its_return() {
     std::fs::create_dir(&below).expect("folder");
     assert!(matches!(source.look(start + 2).as_slice(), [Sighting::FolderBack]));
     assert!(source.look(start + 3).is_empty());
+}
+
+/// `.f6.dcm` was never read, and nobody said a word but that exposure 6 has no frame.
+#[test]
+fn a_picture_that_stays_under_a_hidden_name_is_said_once_and_taken_back_when_it_gets_another() {
+    let folder = tempfile::tempdir().expect("folder");
+    std::fs::write(folder.path().join(".old.dcm"), frame_bytes(1)).expect("written");
+    let mut watched = Watched::of(folder, false);
+    watched.settle();
+    // What is no picture, and what other programs leave everywhere, is nobody's frame.
+    std::fs::write(watched.path(".DS_Store"), [b'x'; 4096]).expect("written");
+    std::fs::write(watched.path("a.json.part"), b"{}").expect("written");
+    std::fs::write(watched.path(".frame 6.dcm"), frame_bytes(6)).expect("written");
+    std::fs::write(watched.path(".Quaxwelk.dcm.Ab12Cd"), frame_bytes(7)).expect("written");
+    for _ in 0..19 {
+        watched.step(500_000);
+    }
+    assert!(watched.troubles.is_empty(), "a copy may take that long: {:?}", watched.troubles);
+    for _ in 0..5 {
+        watched.step(500_000);
+    }
+    let hidden = |trouble: &Trouble| matches!(trouble, Trouble::Hidden { .. });
+    assert!(watched.troubles.len() == 2 && watched.troubles.iter().all(hidden), "{:?}", watched.troubles);
+    let words: String = watched.troubles.iter().map(ToString::to_string).collect();
+    assert!(words.contains(".frame 6") && words.contains("file-") && !words.contains("Quaxwelk"), "{words}");
+    std::fs::write(watched.path(".frame 6.dcm"), frame_bytes(8)).expect("written again");
+    for _ in 0..25 {
+        watched.step(500_000);
+    }
+    assert_eq!(watched.troubles.len(), 2, "once a name: {:?}", watched.troubles);
+    std::fs::rename(watched.path(".Quaxwelk.dcm.Ab12Cd"), watched.path("frame 7.dcm")).expect("renamed");
+    watched.settle();
+    assert_eq!((watched.names(), watched.mended.len()), (vec!["frame 7"], 1), "{:?}", watched.troubles);
+    assert!(watched.mended[0].mended().contains("not lost") && watched.troubles.contains(&watched.mended[0]));
+}
+
+/// The folder was moved away and another made in its place: what the console wrote on into the one before was lost, and the session ended
+/// with 0.
+#[cfg(unix)]
+#[test]
+fn another_folder_in_the_place_of_the_watched_one_is_said() {
+    let home = tempfile::tempdir().expect("folder");
+    let (below, beside) = (home.path().join("frames"), home.path().join("frames.old"));
+    std::fs::create_dir(&below).expect("folder");
+    let mut source = FolderSource::new(&below, None, true, ForeignReader::in_process());
+    let start = host_now_us();
+    let said = |sightings: Vec<Sighting>| -> Vec<String> {
+        let words = |sighting| match sighting {
+            Sighting::Said { words, .. } => words,
+            other => format!("{other:?}"),
+        };
+        sightings.into_iter().map(words).collect()
+    };
+    assert!(said(source.look(start)).is_empty());
+    // Away for a moment, and back.
+    std::fs::rename(&below, &beside).expect("renamed");
+    assert!(matches!(source.look(start + 1).as_slice(), [Sighting::FolderLost { .. }]));
+    std::fs::rename(&beside, &below).expect("renamed");
+    assert!(matches!(source.look(start + 2).as_slice(), [Sighting::FolderBack]));
+    // Another one, with and without having been missed.
+    std::fs::rename(&below, &beside).expect("renamed");
+    std::fs::create_dir(&below).expect("folder");
+    let found = said(source.look(start + 3));
+    assert!(found.len() == 1 && found[0].contains("another one than before"), "{found:?}");
+    assert!(said(source.look(start + 4)).is_empty(), "said once");
+    std::fs::rename(&below, home.path().join("frames.older")).expect("renamed");
+    assert!(matches!(source.look(start + 5).as_slice(), [Sighting::FolderLost { .. }]));
+    std::fs::create_dir(&below).expect("folder");
+    let found = said(source.look(start + 6));
+    assert!(found.len() == 2 && found[1].contains("another one than before"), "{found:?}");
 }
 
 #[test]

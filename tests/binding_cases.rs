@@ -1,5 +1,6 @@
 //! Single situations in which a frame once was, or could be, given the exposure beside its own.
 
+use sidecarm::report::is_second_picture;
 use sidecarm::timeline::FrameEvidence;
 
 use crate::binding_draw::{Draw, Exposed, Sent, Session, Truth, samples};
@@ -288,6 +289,26 @@ fn one_picture_too_few_and_one_too_many_do_not_name_the_exposure_between() {
     }
     let score = played(&exposures, &[], true, false, &came);
     assert!(score.wrong.is_empty() && score.bound >= 10, "{} bound, {:#?}", score.bound, score.wrong);
+}
+
+/// The summary of a session whose console stores a processed picture beside each raw one asked whether they were of another day.
+#[test]
+fn a_second_picture_is_told_from_one_that_fits_nothing() {
+    let exposures = calm(8);
+    let mut came: Vec<Came> = (0..8).map(|i| (Truth::Of(i), exposures[i].1 + 1.5, Some(i as u32 + 1))).collect();
+    came.extend((0..8).map(|i| (Truth::SecondOf(i), exposures[i].1 + 2.9, Some(i as u32 + 1))));
+    came.push((Truth::Foreign, exposures[7].1 + 9.0, None));
+    let score = played(&exposures, &[], true, true, &came);
+    assert!(score.wrong.is_empty() && score.bound >= 7, "{} bound, {:#?}", score.bound, score.wrong);
+    let unbound: Vec<&String> = score.told.iter().filter(|told| told.contains(": None ")).collect();
+    let (second, other): (Vec<&String>, Vec<&String>) =
+        unbound.iter().copied().partition(|told| is_second_picture(std::slice::from_ref(*told)));
+    assert!(second.len() >= 6, "{unbound:#?}");
+    assert!(
+        other.iter().any(|told| told.contains("Foreign")) && !second.iter().any(|told| told.contains("Foreign")),
+        "{unbound:#?}"
+    );
+    assert!(!is_second_picture(&[]));
 }
 
 #[test]

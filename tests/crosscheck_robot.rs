@@ -3,7 +3,7 @@
 
 use glam::{DQuat, DVec3};
 use serde_json::json as value;
-use sidecarm::geometry::Rigid;
+use sidecarm::geometry::{Rigid, RobotModel};
 use sidecarm::reporter::Reporter;
 use sidecarm::scene::Scene;
 use sidecarm::session::crosscheck::{Level, LineWatch, Listened, check_listened, check_session};
@@ -193,6 +193,21 @@ fn a_tracked_base_is_held_against_the_session_and_the_scene() {
     };
     let short = listened(at(right), in_metres);
     assert!(is_said(&short, &["world_from_tracker is in metres"]), "{short:?}");
+}
+
+/// Every replay of a redacted log said that the session's robot is not the scene's: a redacted log has no origins.
+#[test]
+fn the_robot_is_the_one_that_the_scene_draws_whoever_measured_it() {
+    let text = scene_json([0.0, 0.0, 30.0]);
+    let levels = |change: fn(&mut RobotModel)| {
+        let mut setup = setup(&text, calibration());
+        change(setup.robot.as_mut().expect("a robot"));
+        let found = check_session(&setup, &scene(&text), None);
+        found.iter().filter(|finding| finding.check == "robot").map(|finding| finding.level).collect::<Vec<_>>()
+    };
+    assert_eq!(levels(|_| ()), [Level::Pass]);
+    assert_eq!(levels(|model| "removed".clone_into(&mut model.origin)), [Level::Pass]);
+    assert_eq!(levels(|model| model.max_bend_deg += 0.1), [Level::Warn], "the control");
 }
 
 #[test]

@@ -9,7 +9,7 @@ use crate::architecture::rust_files;
 const ALL: &[&str] = &[];
 
 /// Sources, and the heading under which the keys of their types stand. No names: every type that refuses unknown keys.
-const DESCRIBED: [(&str, &[&str], &str); 39] = [
+const DESCRIBED: [(&str, &[&str], &str); 41] = [
     ("src/session/file.rs", &[], "Session"),
     ("src/session/servers.rs", &[], "Session"),
     ("src/acquire/video/settings.rs", &[], "Session"),
@@ -49,6 +49,8 @@ const DESCRIBED: [(&str, &[&str], &str); 39] = [
     ("src/render/trade.rs", &["Trade", "Row"], "Other results"),
     ("src/session/attach.rs", &["Attached", "AttachReport"], "Other results"),
     ("src/calibrate/layout/mod.rs", &["LayoutScore"], "Other results"),
+    ("src/acquire/tags.rs", &["FrameTags"], "The log"),
+    ("src/acquire/beam_tags.rs", &["FilterTags", "FilterLayer", "CollimatorTags"], "The log"),
 ];
 
 /// Calibrations, their reports and networks: every type that refuses unknown keys.

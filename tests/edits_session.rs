@@ -54,7 +54,7 @@ fn edits_change_the_pose_undo_restores_it_and_a_replay_makes_them_again() {
     let (board, stop) = (Board::default(), Stop::default());
     board.update(|state| state.watched = true);
     let (requests, edits) = channel();
-    let options = LiveOptions { out: folder.clone(), stop: stop.clone(), seconds: None, include_existing: true };
+    let options = LiveOptions { out: folder.clone(), stop: stop.clone(), seconds: None, include_existing: true, sound: false };
     let of_session = board.clone();
     let session = std::thread::spawn(move || run(setup, &options, Some(edits), &of_session, &Reporter::silent()));
 

@@ -22,6 +22,7 @@ mod telemetry_port;
 mod telemetry_wire;
 mod senders;
 mod timeline_clock;
+mod timeline_counters;
 mod record_keeper;
 mod record_log;
 mod record_writer;
@@ -167,6 +168,7 @@ mod igtl_server;
 mod igtl_session;
 mod session_late;
 mod session_loading;
+mod session_moved;
 mod session_optics;
 #[cfg(feature = "learn")]
 mod session_materials;

@@ -270,10 +270,7 @@ fn a_picture_inverted_against_its_domain_is_named() {
     assert!(posed(&inverted, Domain::Unknown).is_accepted());
     // Where nothing matches either way, that is said as before.
     let other = synthetic::layout(10, 0.75, 77);
-    let pose = register(
-        &matching(&view, &other),
-        &Frame::from_pixels("drawn", inverted, Domain::Linear).expect("a frame"),
-    );
+    let pose = register(&matching(&view, &other), &Frame::from_pixels("drawn", inverted, Domain::Linear).expect("a frame"));
     assert!(!pose.is_accepted() && !matches!(pose.refusal, Some(Refusal::Sense { .. })), "{:?}", pose.reason);
 }
 

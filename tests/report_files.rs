@@ -6,14 +6,29 @@ use glam::DVec3;
 use sidecarm::compare::{CompareInput, Tone, compare};
 use sidecarm::geometry::{Rigid, View};
 use sidecarm::image::Image;
+use sidecarm::pose::{Pose, Refusal};
 use sidecarm::report::{
     BeadRow, Gap, LinkReport, Pair, PairStatus, PairsFile, PoseSource, Provenance, SessionReport, Standing, StripInput, Track,
-    TruthError, html, png_bytes, strip, write_session,
+    TruthError, counted, html, png_bytes, strip, write_session,
 };
 
 use crate::compare_synthetic::{acquired, line_integral, pose, view};
 
 const START_US: i64 = 1_795_000_000_000_000;
+
+/// With telemetry, frames of a session that names no beads counted as refused.
+#[test]
+fn a_frame_without_beads_to_look_for_was_not_tried_whatever_telemetry_tells() {
+    let layout = || Refusal::Layout { detail: "the session names no beads".to_owned() };
+    for source in [PoseSource::Telemetry, PoseSource::None] {
+        assert_eq!(PairStatus::of(&Pose::default().refused_for(layout()), source), PairStatus::NoPose);
+        assert_eq!(PairStatus::of(&Pose::default().refused_for(Refusal::Unsolved), source), PairStatus::Refused);
+    }
+    let pair = |status| Pair { status, pose_source: PoseSource::Telemetry, ..Pair::unmatched("a", "no beads") };
+    let pairs = [pair(PairStatus::NoPose), pair(PairStatus::NoPose), pair(PairStatus::Refused)];
+    assert_eq!(counted(&pairs), "3 frames, 0 accepted, 1 refused, 2 not registered");
+    assert_eq!(pairs[0].standing(), Standing::Telemetry, "its pose is telemetry's");
+}
 
 /// A pair with its strip; `turn_deg` off the truth when refused.
 fn exposure(index: usize) -> (Pair, Image<[u8; 3]>) {
@@ -141,7 +156,7 @@ fn a_session_becomes_one_page_without_outside_resources() {
     let kept = std::env::var_os("SIDECARM_LOOK").map(std::path::PathBuf::from);
     let folder = kept.as_deref().unwrap_or(scratch.path());
     let report = session(folder);
-    write_session(folder, &report).expect("writes");
+    assert!(write_session(folder, &report).is_empty());
     let page = std::fs::read_to_string(folder.join("report.html")).expect("page");
     for outside in ["http://", "https://", "<script", "src=\"", "@import", "<session>"] {
         assert!(!page.contains(outside), "{outside}");

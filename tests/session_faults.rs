@@ -4,6 +4,7 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use serde_json::Value;
 use sidecarm::time::host_now_us;
 
 use crate::live_lab::{HANG_S, Lab, Live, Signal, eventually};
@@ -172,14 +173,20 @@ fn a_log_that_is_cut_short_is_said_while_the_session_goes_on() {
     assert_eq!(status.code(), Some(3), "{}", live.stderr());
 }
 
-/// Where strips should be there is a file: pairs cannot be written, recording goes on to its end, and the loss is said.
+/// Where strips, DRRs, `pairs.json` and the report should be, something else stands: recording goes on to its end, each is said once and is a
+/// loss, and a replay of the log makes all of it.
 #[test]
-fn strips_that_cannot_be_written_do_not_end_the_recording() {
+fn files_that_cannot_be_written_do_not_end_the_recording_and_a_replay_makes_them() {
     let Some(lab) = Lab::start(&["--duration-s", "10", "--faults", "none"]) else { return };
     let out = lab.kit.with_file_name("session");
     let mut live = Live::start(&lab.kit.join("session.json"), &out, &[]);
-    std::fs::rename(out.join("strips"), out.join("strips-away")).expect("moved");
-    std::fs::write(out.join("strips"), "no folder").expect("written");
+    for folder in ["strips", "drr"] {
+        std::fs::rename(out.join(folder), out.join(format!("{folder}-away"))).expect("moved");
+        std::fs::write(out.join(folder), "no folder").expect("written");
+    }
+    for file in ["pairs.json", "report.html"] {
+        std::fs::create_dir(out.join(file)).expect("a folder in its place");
+    }
     // Two frames come and cannot be drawn.
     let frames = eventually(HANG_S, || (live.heard().frames.len() >= 2).then_some(()));
     assert!(frames.is_some(), "the lab delivers: {}", live.stderr());
@@ -187,10 +194,48 @@ fn strips_that_cannot_be_written_do_not_end_the_recording() {
     live.program.signal(Signal::INT);
     let status = live.program.end(HANG_S).unwrap_or_else(|| panic!("hangs: {}", live.stderr()));
     let heard = live.heard();
-    let words = format!("{} {}", live.stdout(), live.stderr());
-    assert!(heard.end_us.is_some(), "the recording ended early: {words}");
+    let (strips, drrs) = made_again(&live, heard.images, &out.with_file_name("again"));
+    let (stdout, stderr) = (live.stdout(), live.stderr());
+    let words = format!("{stdout} {stderr}");
+    assert!(heard.end_us.is_some() && heard.losses.is_empty(), "the recording ended early: {:?} {words}", heard.losses);
     assert_eq!(heard.missing(&lab.sent(), live.recording_us, signal_us).lost, 0, "{words}");
     assert!(heard.frames.len() >= 2, "{words}");
     assert_eq!(status.code(), Some(3), "{words}");
-    assert!(words.contains("strips") && !words.contains("panicked"), "{words}");
+    assert!(!words.contains("panicked"), "{words}");
+    assert!(strips == heard.images && drrs > 0, "{strips} strips and {drrs} DRRs of {} frames: {words}", heard.images);
+
+    // The first of each is said while something can be done about it; what is not written after that is counted.
+    for file in ["strips/", "drr/", "pairs.json"] {
+        let start = format!("warning: {file}");
+        let is_new = |line: &&str| line.starts_with(&start) && line.contains("is not written: ") && !line.contains("so far)");
+        assert_eq!(stderr.lines().filter(is_new).count(), 1, "{file}: {words}");
+    }
+    let lost: Vec<&str> = stdout.lines().filter(|line| line.starts_with("lost: ")).collect();
+    let others = format!(" and {} other files could not be written", strips + drrs - 1);
+    for what in [others.as_str(), "pairs.json", "report.html"] {
+        assert_eq!(lost.iter().filter(|line| line.contains(what)).count(), 1, "'{what}': {words}");
+    }
+    // It named the folder that stands in its place.
+    assert!(stdout.contains("no report could be written"), "{words}");
+}
+
+/// Replays the log of a session of so many frames; how many strips and DRRs there are then.
+fn made_again(live: &Live, frames: usize, again: &Path) -> (usize, usize) {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
+    let output = command.arg("replay").arg(&live.log).arg("--json").arg("--out").arg(again).output().expect("starts");
+    let words = format!("{} {}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    assert_eq!(output.status.code(), Some(0), "{words}");
+    let told: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let pairs: Value = serde_json::from_slice(&std::fs::read(again.join("pairs.json")).expect("pairs")).expect("JSON");
+    let report = std::fs::read_to_string(again.join("report.html")).expect("a report");
+    let pairs = pairs["pairs"].as_array().expect("a list");
+    assert!(told["frames"] == frames && pairs.len() == frames && report.contains("</html>"), "{words}");
+    let written = |key: &str| {
+        let named = pairs.iter().filter_map(|pair| pair[key].as_str());
+        named.filter(|name| std::fs::metadata(again.join(name)).is_ok_and(|file| file.is_file() && file.len() > 0)).count()
+    };
+    let (strips, drrs) = (written("strip"), written("drr"));
+    // The log had them, although the session could write none.
+    assert!(told["images_identical"] == drrs && told["not_in_log"] == serde_json::json!([]), "{drrs} DRRs: {words}");
+    (strips, drrs)
 }

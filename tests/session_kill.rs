@@ -1,12 +1,17 @@
-//! kill −9 at random moments of a session: every log opens, what is lost is counted in milliseconds and frames.
+//! kill −9 at random moments of a session, while a frame is being registered: every log opens, what is lost is counted in milliseconds and
+//! frames.
 //!
 //! A frame counts as delivered when it has lain complete in its folder for [`DELIVERED_US`]. Telemetry lost is the span from the oldest
 //! packet that the device sent before the kill and that the log does not hold, up to the kill. `scripts/evaluate kill` runs many.
 #![cfg(unix)]
 
+use std::path::Path;
+use std::time::Duration;
+
 use sidecarm::random::{Purpose, Stream};
 
-use crate::live_lab::{HANG_S, Lab, Live, Missing, eventually};
+use crate::live_lab::{HANG_S, Lab, Live, Missing, deliver, eventually, many_images, quiet_lab};
+use crate::session_signals::Registrations;
 
 /// A frame that had been complete for so long must be in the log: the folder is looked at every 100 ms, a file must rest for 100 ms, then
 /// it is read.
@@ -15,6 +20,8 @@ const DELIVERED_US: i64 = 500_000;
 const WORST_MS: f64 = 200.0;
 /// Same, among other tests on a crowded machine: what is judged there is that nothing is lost for long.
 const WORST_CROWDED_MS: f64 = 1000.0;
+/// Images that come in one file before each kill: two cores take a second and more to register them, one after the other.
+const RUN: usize = 6;
 
 /// What one kill cost.
 #[derive(Clone, Copy, Debug)]
@@ -24,16 +31,29 @@ struct Killed {
     frames_lost: usize,
     /// Frames in the log that were not yet delivered by the rule: it is no rule of convenience.
     frames_early: usize,
+    /// The frame that had been begun and had no pose, as far as the log tells.
+    registering: Option<u32>,
 }
 
-/// One session, killed `after_s` seconds into its recording.
-fn killed(lab: &Lab, out: &std::path::Path, after_s: f64) -> Killed {
+/// One session. `run`, a file of [`RUN`] images, comes `after_s` seconds into its recording; the kill comes `later_s` after the log has told
+/// that one of them is being registered.
+fn killed(lab: &Lab, out: &Path, run: &Path, [after_s, later_s]: [f64; 2]) -> Killed {
     let mut live = Live::start(&lab.kit.join("session.json"), out, &[]);
     let from_us = live.recording_us;
-    std::thread::sleep(std::time::Duration::from_secs_f64(after_s));
+    std::thread::sleep(Duration::from_secs_f64(after_s));
+    deliver(&[run.to_owned()], lab);
+    let begun = || {
+        // Reading the log takes from the session what is judged here.
+        std::thread::sleep(Duration::from_millis(100));
+        let told = Registrations::of_log(&live.log);
+        (told.run_images == RUN && told.run_images_begun > 0).then_some(())
+    };
+    assert!(eventually(HANG_S, begun).is_some(), "no image of the run is ever registered: {}", live.stderr());
+    std::thread::sleep(Duration::from_secs_f64(later_s));
     let kill_us = live.kill();
     let heard = live.heard();
     assert!(!heard.losses.is_empty(), "a log that was not closed says so");
+    let registering = Registrations::of_log(&live.log).open;
     let missing = heard.missing(&lab.sent(), from_us, kill_us);
     let due: Vec<(String, i64)> = lab.delivered().into_iter().filter(|(_, at_us)| (from_us..kill_us).contains(at_us)).collect();
     let (delivered, fresh): (Vec<_>, Vec<_>) = due.iter().partition(|(_, at_us)| kill_us - at_us >= DELIVERED_US);
@@ -43,24 +63,40 @@ fn killed(lab: &Lab, out: &std::path::Path, after_s: f64) -> Killed {
         frames_delivered: delivered.len(),
         frames_lost: delivered.len() - delivered.iter().filter(there).count(),
         frames_early: fresh.iter().filter(there).count(),
+        registering,
     }
 }
 
-/// `count` kills on one lab; moments are drawn from `seed`.
+/// `count` kills on one lab with a frame being registered, and those between two registrations; moments are drawn from `seed`.
 fn kills(seed: u64, count: usize) -> Vec<Killed> {
-    let seconds = (12 * count).clamp(30, 3600);
+    let Some((_, frame, folder)) = quiet_lab("60") else { return Vec::new() };
+    let seconds = (12 * count).clamp(90, 3600);
     let (duration, repeat) = (seconds.to_string(), (seconds / 6).clamp(1, 1000).to_string());
     let args = ["--duration-s", &duration, "--repeat", &repeat, "--faults", "none", "--linger-s", "60"];
     let Some(lab) = Lab::start(&args) else { return Vec::new() };
     let mut draw = Stream::new(seed, 10, 0, Purpose::Evaluation);
-    let outs = tempfile::tempdir().expect("temporary folder");
-    let one = |index: usize| {
-        let after_s = 0.5 + 3.0 * draw.uniform();
-        let killed = killed(&lab, &outs.path().join(format!("{index}")), after_s);
-        println!("seed {seed}, kill {index} after {after_s:.2} s: {killed:?}");
-        killed
-    };
-    (0..count).map(one).collect()
+    let mut done: Vec<Killed> = Vec::new();
+    while with_registration(&done) < count {
+        let index = done.len();
+        // Between two registrations there are milliseconds.
+        assert!(index < count + 2 + count / 8, "frames are hardly ever being registered when the kill comes: {done:?}");
+        let (out, run) = (folder.path().join(format!("{index}")), folder.path().join(format!("run-{index}.dcm")));
+        many_images(&frame, RUN, &run);
+        let [after_s, later_s] = [0.3 + 1.5 * draw.uniform(), 0.4 * draw.uniform()];
+        let killed = killed(&lab, &out, &run, [after_s, later_s]);
+        println!("seed {seed}, kill {index}, run after {after_s:.2} s, kill {later_s:.2} s later: {killed:?}");
+        done.push(killed);
+        // Two hundred of them would fill the disk, and each is hashed again after every kill.
+        std::fs::remove_file(lab.frames().join(run.file_name().expect("a name"))).expect("removed");
+        std::fs::remove_file(run).expect("removed");
+        std::fs::remove_dir_all(out).expect("removed");
+    }
+    done
+}
+
+/// Kills at which a frame was being registered.
+fn with_registration(killed: &[Killed]) -> usize {
+    killed.iter().filter(|kill| kill.registering.is_some()).count()
 }
 
 fn judge(killed: &[Killed], worst_ms: f64) {
@@ -72,9 +108,11 @@ fn judge(killed: &[Killed], worst_ms: f64) {
     let (delivered, lost) = (sum(|kill| kill.frames_delivered), sum(|kill| kill.frames_lost));
     let worst = lost_ms[lost_ms.len() - 1];
     println!(
-        "{} kills: telemetry lost median {:.0} ms, worst {worst:.0} ms, {} of {} packets; {lost} of {delivered} delivered frames lost, \
-         {} more were in the log before they counted as delivered; slowest packet from the device to the program {slowest_read_ms:.0} ms",
+        "{} kills, {} with a frame being registered: telemetry lost median {:.0} ms, worst {worst:.0} ms, {} of {} packets; \
+         {lost} of {delivered} delivered frames lost, {} more were in the log before they counted as delivered; \
+         slowest packet from the device to the program {slowest_read_ms:.0} ms",
         killed.len(),
+        with_registration(killed),
         lost_ms[lost_ms.len() / 2],
         sum(|kill| kill.missing.lost),
         sum(|kill| kill.missing.sent),
@@ -89,6 +127,7 @@ fn judge(killed: &[Killed], worst_ms: f64) {
 fn three_kills_cost_little_telemetry_and_no_frame() {
     let killed = kills(7, 3);
     if !killed.is_empty() {
+        assert_eq!(with_registration(&killed), 3, "{killed:?}");
         judge(&killed, WORST_CROWDED_MS);
     }
 }
@@ -99,9 +138,9 @@ fn a_log_that_ends_early_is_seen() {
     let Some(lab) = Lab::start(&["--duration-s", "8", "--faults", "none", "--exposures", "0"]) else { return };
     let out = tempfile::tempdir().expect("temporary folder");
     let mut live = Live::start(&lab.kit.join("session.json"), &out.path().join("session"), &[]);
-    std::thread::sleep(std::time::Duration::from_millis(700));
+    std::thread::sleep(Duration::from_millis(700));
     live.kill();
-    std::thread::sleep(std::time::Duration::from_millis(500));
+    std::thread::sleep(Duration::from_millis(500));
     let missing = live.heard().missing(&lab.sent(), live.recording_us, sidecarm::time::host_now_us());
     assert!(missing.oldest_ms > 450.0 && missing.lost > 40, "{missing:?}");
 }
@@ -123,7 +162,7 @@ fn many_kills_cost_little_telemetry_and_no_frame() {
         }
     });
     let results = results.into_inner().expect("not poisoned");
-    assert_eq!(results.len(), count);
+    assert_eq!(with_registration(&results), count, "kills with a frame being registered, of {}", results.len());
     judge(&results, WORST_MS);
 }
 

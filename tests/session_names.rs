@@ -5,9 +5,14 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use serde_json::{Value, json};
+use sidecarm::gpu::DeviceChoice;
+use sidecarm::reporter::Reporter;
+use sidecarm::session::Workshop;
 
 use crate::acquire_identity::{hits, written};
+use crate::crosscheck_facts::{calibration, setup};
 use crate::live_lab::{HANG_S, Lab, Live, eventually};
+use crate::scene_support::NiftiFile;
 
 /// Folders and files are named after these persons.
 const PERSONS: [&str; 7] = ["quaxwelk", "annegrund", "pfriemk", "wimmelrath", "zettelhuber", "trullgasse", "borvelde"];
@@ -64,6 +69,25 @@ pub fn far_copy(log: &Path, home: &Path) -> PathBuf {
     std::fs::create_dir_all(far.parent().expect("folders")).expect("folders");
     std::fs::copy(log, &far).expect("copied");
     far
+}
+
+/// The terminal showed the whole path of a CT whose numbers are no Hounsfield units.
+#[test]
+fn what_a_session_says_of_a_ct_does_not_tell_its_name() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let ct = folder.path().join("Pfriemk 19520317.nii.gz");
+    let values: Vec<i16> = (0..512).map(|n| n % 256).collect();
+    NiftiFile::int16([8, 8, 8], &values).write(&ct);
+    let scene = json!({
+        "objects": [{"ct": {"path": ct, "materials": "threshold"}}], "beam": {"mono_kev": 60}, "detector": {"pitch_mm": 0.2}
+    });
+    let reporter = Reporter::silent();
+    Workshop::open(&setup(&scene.to_string(), calibration()), DeviceChoice::Cpu, &reporter).expect("opens");
+    let warned = reporter.warnings();
+    let said = &warned.get("not HU").expect("8 bits are no Hounsfield units").latest;
+    assert!(said.starts_with("input-") && said.contains(".nii.gz: ") && said.contains("8 bits"), "{said}");
+    let all = format!("{warned:?}");
+    assert!(!all.contains("Pfriemk") && !all.contains(&folder.path().display().to_string()), "{all}");
 }
 
 #[test]

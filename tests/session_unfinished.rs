@@ -11,6 +11,7 @@ use std::time::Duration;
 
 use serde_json::{Value, json};
 
+use crate::acquire_watch::age;
 use crate::live_lab::{HANG_S, Lab, Live, Signal, eventually, quiet_lab};
 
 /// How a frame gets into the watched folder.
@@ -85,6 +86,34 @@ fn what_is_being_written_at_the_end_is_waited_for_or_said() {
         assert_eq!(words.contains("lost: ") && live.report().contains("the file "), !completes, "{words}");
         assert!(heard.losses.is_empty() && heard.end_us.is_some(), "{:?}", heard.losses);
     }
+}
+
+/// A frame that was cut and completed 13 s later was bound, and the session ended with "lost: … copy the file again" all the same.
+#[test]
+fn a_cut_file_that_is_completed_later_is_no_loss() {
+    let Some((lab, frame, folder)) = quiet_lab("60") else { return };
+    let whole = std::fs::read(&frame).expect("a frame");
+    let (first, second) = whole.split_at(whole.len() * 6 / 10);
+    let mut live = Live::start(&lab.kit.join("session.json"), &folder.path().join("session"), &[]);
+    let (beside, path) = (lab.kit.join("part"), lab.frames().join("frame-900.dcm"));
+    std::fs::write(&beside, first).expect("written");
+    // Nobody waits for the rest of what was written so long ago.
+    age(&beside, 60);
+    std::fs::rename(&beside, &path).expect("renamed");
+    let says = |live: &Live, words: &str| {
+        let said = eventually(HANG_S, || live.stderr().contains(words).then_some(()));
+        assert!(said.is_some(), "{words}: {}", live.stderr());
+    };
+    says(&live, "frame-900: the file has not been completed");
+    File::options().append(true).open(&path).expect("there").write_all(second).expect("the rest");
+    says(&live, "frame-900: the file has been completed after all");
+    says(&live, "frame 1 (frame-900): ");
+    live.signalled(Signal::INT);
+    let status = live.program.end(HANG_S).unwrap_or_else(|| panic!("still there: {}", live.stderr()));
+    let words = live.stdout() + &live.stderr();
+    assert_eq!((status.code(), live.heard().frames.len()), (Some(0), 1), "{words}");
+    assert!(!words.contains("lost: ") && live.report().contains("completed after all"), "{words}");
+    assert!(live.stdout().contains("1 x unfinished frame: frame-900: the file has been completed after all"), "{words}");
 }
 
 #[test]

@@ -2,7 +2,8 @@
 
 use proptest::prelude::*;
 use sidecarm::telemetry::{
-    DecodeFault, Decoder, DeviceKind, Event, FrameFault, MAX_ENCODED_BYTES, Sample, Sequenced, Telling, blanked,
+    DecodeFault, Decoder, DeviceKind, Event, FrameFault, MAX_ENCODED_BYTES, Metadata, SCHEMA_HASH, Sample, Sequenced, Telling,
+    blanked,
 };
 
 use crate::telemetry_frames::{GOLDEN_CARM, GOLDEN_METADATA, GOLDEN_ROBOT, bytes, carm, decode, frame, frame_of_schema, plain};
@@ -266,6 +267,35 @@ proptest! {
     }
 }
 
+/// Whoever wrote something else where a device states its units would find it in a log that was given away.
+#[test]
+fn of_the_units_of_a_blanked_packet_only_units_are_left() {
+    let with_units = |units: &str| {
+        let mut payload = vec![2, 0, 0, 0];
+        payload.extend(SCHEMA_HASH.to_le_bytes());
+        for text in ["SN-1", "1.0", "c", units] {
+            payload.push(text.len() as u8);
+            payload.extend(text.as_bytes());
+        }
+        frame(1, 3, 0, 7, 1_000_000, &payload)
+    };
+    for (units, kept) in [
+        ("mm,deg,kV,mA,ms", "mm,deg,kV,mA,ms"),
+        ("mm, deg; N", "mm, deg; N"),
+        ("mm,deg Quaxwelk,Trullgasse 4", "mm,deg ????????,?????????? ?"),
+        ("MM,rad/s,", "??,rad/s,"),
+        ("", ""),
+    ] {
+        let packet = with_units(units);
+        let Telling::Blanked(mut now) = blanked(packet.strip_suffix(&[0]).expect("a delimiter")) else { panic!("{units}") };
+        assert_eq!(now.len() + 1, packet.len());
+        now.push(0);
+        let Sample::Metadata(told) = only(DeviceKind::Carm, &now) else { panic!("{units}") };
+        let letter = told.serial_number.chars().next().expect("as long as before");
+        assert_eq!(told.units, kept.replace('?', &letter.to_string()), "{units}");
+    }
+}
+
 /// What is given away keeps its length, its checksum and all else that it says.
 #[test]
 fn a_blanked_packet_tells_the_same_but_no_serial_number() {
@@ -279,11 +309,13 @@ fn a_blanked_packet_tells_the_same_but_no_serial_number() {
     else {
         panic!("metadata")
     };
-    let (serial_number, calibration_id) = (after.serial_number.clone(), after.calibration_id.clone());
-    assert_eq!((serial_number.len(), calibration_id.len()), (before.serial_number.len(), before.calibration_id.len()));
-    assert!(serial_number.bytes().chain(calibration_id.bytes()).all(|letter| letter == serial_number.as_bytes()[0]));
-    let blank = |metadata: &sidecarm::telemetry::Metadata| sidecarm::telemetry::Metadata {
+    let texts = |metadata: &Metadata| [&metadata.serial_number, &metadata.firmware, &metadata.calibration_id].map(String::clone);
+    assert_eq!(texts(&after).map(|text| text.len()), texts(&before).map(|text| text.len()));
+    let letter = after.serial_number.chars().next().expect("as long as before");
+    assert!(texts(&after).iter().all(|text| !text.is_empty() && text.chars().all(|other| other == letter)), "{after:?}");
+    let blank = |metadata: &Metadata| Metadata {
         serial_number: String::new(),
+        firmware: String::new(),
         calibration_id: String::new(),
         ..metadata.clone()
     };

@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 
 use crate::MockError;
 use crate::kinematics::{CarmGeometry, DRILL_LENGTH_MM, camera_from_lps, pieces, projection};
-use crate::lab::{Exposure, Lab};
+use crate::lab::{Displacement, Exposure, Lab};
 use crate::matrix::{Mat4, dot, mul, point, rotation, translation};
 use crate::phantom::Phantom;
 use crate::script::Script;
@@ -42,13 +42,22 @@ pub fn arm(lab: &Lab) -> Result<Arm, MockError> {
     Ok(Arm { geometry, size_px, pitch_mm, source_to_detector_mm })
 }
 
-/// Where the specimen really lies.
+/// Where the specimen really lies at the `index`-th exposure, from 0.
 #[must_use]
-pub fn true_world_from_lps(lab: &Lab) -> Mat4 {
-    let [rx, ry, rz] = lab.setup_error.rotation_deg;
-    let [x, y, z] = lab.setup_error.translation_mm;
+pub fn true_world_from_lps(lab: &Lab, index: usize) -> Mat4 {
+    let at_first = displaced(&lab.world_from_lps, &lab.setup_error);
+    match lab.moved_from {
+        Some(first) if index >= first => displaced(&at_first, &lab.specimen_move),
+        _ => at_first,
+    }
+}
+
+/// Turned about the specimen's origin, then shifted in the room.
+fn displaced(world_from_lps: &Mat4, by: &Displacement) -> Mat4 {
+    let [rx, ry, rz] = by.rotation_deg;
+    let [x, y, z] = by.translation_mm;
     let turned = mul(&mul(&rotation(0, rx), &rotation(1, ry)), &rotation(2, rz));
-    mul(&mul(&translation(x, y, z), &lab.world_from_lps), &turned)
+    mul(&mul(&translation(x, y, z), world_from_lps), &turned)
 }
 
 /// Writes the lab kit into `folder`: CT, beads, scene, calibrations, session and truth.
@@ -147,9 +156,8 @@ fn detector(lab: &Lab) -> Value {
 fn truth(script: &Script, phantom: &Phantom) -> Result<Value, MockError> {
     let lab = script.lab;
     let arm = arm(lab)?;
-    let world_from_lps = true_world_from_lps(lab);
     let frame = |(index, exposure): (usize, &Exposure)| {
-        let camera = camera_from_lps(&arm.geometry, &exposure.joints(), &world_from_lps);
+        let camera = camera_from_lps(&arm.geometry, &exposure.joints(), &true_world_from_lps(lab, index));
         let projection = projection(&arm.geometry, &camera);
         let (_, end) = pieces(&exposure.control_deg);
         let tip = point(&mul(&phantom.lps_from_base, &end), [0.0, 0.0, DRILL_LENGTH_MM]);
@@ -173,7 +181,7 @@ fn truth(script: &Script, phantom: &Phantom) -> Result<Value, MockError> {
     };
     Ok(json!({
         "frames": frames, "landmarks": named(&phantom.landmarks), "beads": named(&phantom.beads), "air_value": lab.air_value,
-        "world_from_lps": world_from_lps
+        "world_from_lps": true_world_from_lps(lab, 0)
     }))
 }
 

@@ -15,8 +15,13 @@ pub struct Lab {
     pub robot: serde_json::Value,
     /// Nominal place of the specimen.
     pub world_from_lps: Mat4,
-    /// How far the truth is from nominal.
-    pub setup_error: SetupError,
+    /// How far the truth is from nominal: nobody measured it.
+    pub setup_error: Displacement,
+    /// How the specimen slides on the table where somebody moves it in mid-session.
+    pub specimen_move: Displacement,
+    /// The exposure, from 0, from which on it lies there; absent where nobody moves it.
+    #[serde(skip)]
+    pub moved_from: Option<usize>,
     /// Standard deviations of the encoders.
     pub encoder_noise: EncoderNoise,
     /// Photons per pixel in air.
@@ -45,10 +50,10 @@ pub struct Lab {
     pub faults: Vec<Fault>,
 }
 
-/// What nobody measured: a tilt and a shift of the specimen on the table.
+/// A tilt and a shift of the specimen on the table.
 #[derive(Clone, Copy, Debug, Deserialize)]
-pub struct SetupError {
-    /// About x, y, z, in that order.
+pub struct Displacement {
+    /// About the specimen's own x, y, z, in that order.
     pub rotation_deg: Vec3,
     /// Along x, y, z of the world.
     pub translation_mm: Vec3,
@@ -158,6 +163,24 @@ impl Lab {
             self.exposures.extend(once.iter().map(moved));
         }
         self
+    }
+
+    /// The lab with its exposures taken at these `stands`, numbers of exposures from 1: arm and field are those of the stand, time and robot stay.
+    ///
+    /// # Errors
+    /// When there are more of them than exposures, or one that is none of the exposures.
+    pub fn at_stands(mut self, stands: &[usize]) -> Result<Self, MockError> {
+        let scripted = self.exposures.clone();
+        let wrong = |detail: String| MockError::Data { what: "--stands".to_owned(), detail };
+        if stands.len() > scripted.len() {
+            return Err(wrong(format!("{} of them, expected at most {}", stands.len(), scripted.len())));
+        }
+        for (exposure, number) in self.exposures.iter_mut().zip(stands) {
+            let stand = number.checked_sub(1).and_then(|index| scripted.get(index));
+            let stand = stand.ok_or_else(|| wrong(format!("{number}, expected 1 to {}", scripted.len())))?;
+            *exposure = Exposure { at: exposure.at, control_deg: exposure.control_deg, ..stand.clone() };
+        }
+        Ok(self)
     }
 
     /// The lab with a square panel as high as its own, of `side_px` by `side_px` pixels and as many photons for its area.

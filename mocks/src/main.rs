@@ -89,6 +89,12 @@ struct Args {
     /// Writes for every packet that leaves a device: host time in µs, device, sequence, bytes.
     #[arg(long, value_name = "FILE.csv")]
     sent: Option<PathBuf>,
+    /// Takes the exposures at these stands of the script, counted from 1: in 1,2,2 the arm stays where it is for the third.
+    #[arg(long, value_delimiter = ',', value_name = "LIST")]
+    stands: Vec<usize>,
+    /// From this exposure on, counted from 1, the specimen lies 15 mm and 4 degrees from where it lay: somebody moved it, and no device tells.
+    #[arg(long, value_name = "EXPOSURE")]
+    specimen_moves: Option<usize>,
     /// Another panel: square, as high as the lab's own, of so many pixels a side.
     #[arg(long, value_name = "PIXELS")]
     panel_px: Option<u32>,
@@ -143,7 +149,11 @@ fn run(args: &Args) -> Result<(), MockError> {
     within("--rate", args.rate, 0.01, 100.0)?;
     within("--repeat", args.repeat as f64, 1.0, 1000.0)?;
     within("--missing", args.missing, 0.0, 1.0)?;
-    let mut lab = Lab::embedded()?.repeated(args.repeat);
+    let mut lab = Lab::embedded()?.at_stands(&args.stands)?.repeated(args.repeat);
+    if let Some(exposure) = args.specimen_moves {
+        within("--specimen-moves", exposure as f64, 1.0, lab.exposures.len() as f64)?;
+        lab.moved_from = exposure.checked_sub(1);
+    }
     if let Some(side_px) = args.panel_px {
         within("--panel-px", f64::from(side_px), 64.0, 4096.0)?;
         lab = lab.with_square_panel(side_px);
@@ -260,8 +270,9 @@ fn draw_frames(args: &Args, script: &Script, phantom: &Phantom) -> Result<Vec<Dr
     let lab = script.lab;
     let arm = arm(lab)?;
     let physics = Physics::embedded()?;
-    let world_from_lps = true_world_from_lps(lab);
-    let distinct = script.count().min(lab.exposures.len() / args.repeat);
+    // What is moved has another picture in the next round.
+    let rounds = if lab.moved_from.is_some() { 1 } else { args.repeat };
+    let distinct = script.count().min(lab.exposures.len() / rounds);
     eprintln!("mock-lab: drawing {distinct} frames");
     let mut frames: Vec<Drawn> = Vec::new();
     for (index, exposure) in lab.exposures.iter().take(script.count()).enumerate() {
@@ -278,7 +289,7 @@ fn draw_frames(args: &Args, script: &Script, phantom: &Phantom) -> Result<Vec<Dr
             geometry: arm.geometry,
             source_to_detector_mm: arm.source_to_detector_mm,
             pitch_mm: arm.pitch_mm,
-            camera_from_lps: camera_from_lps(&arm.geometry, &exposure.joints(), &world_from_lps),
+            camera_from_lps: camera_from_lps(&arm.geometry, &exposure.joints(), &true_world_from_lps(lab, index)),
             field_mm: exposure.field_mm,
             photons_per_pixel: lab.photons_per_pixel,
             readout_sigma: lab.readout_sigma,

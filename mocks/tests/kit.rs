@@ -4,8 +4,9 @@ use std::io::Read;
 use std::path::Path;
 
 use mock_lab::kinematics::{BODY_RADII_MM, DRILL_LENGTH_MM, DRILL_RADIUS_MM, SHAFT_RADIUS_MM};
-use mock_lab::kit::write;
+use mock_lab::kit::{true_world_from_lps, write};
 use mock_lab::lab::Lab;
+use mock_lab::matrix::{inverse, mul, point};
 use mock_lab::phantom::{Phantom, area_densities};
 use mock_lab::script::Script;
 use serde_json::Value;
@@ -91,6 +92,51 @@ fn mass_g(phantom: &Phantom, excess: f64) -> f64 {
         }
     }
     sum * (1.0 + excess)
+}
+
+#[test]
+fn a_specimen_that_is_moved_lies_elsewhere_from_then_on() {
+    let (unmoved, phantom) = (Lab::embedded().expect("embedded"), Phantom::embedded().expect("embedded"));
+    let moved = Lab { moved_from: Some(3), ..unmoved.clone() };
+    for index in 0..unmoved.exposures.len() {
+        let (before, now) = (true_world_from_lps(&unmoved, index), true_world_from_lps(&moved, index));
+        let turned = mul(&inverse(&before), &now);
+        let turn_deg = (0.5 * (turned[0][0] + turned[1][1] + turned[2][2] - 1.0)).clamp(-1.0, 1.0).acos().to_degrees();
+        let [was, is] = [&before, &now].map(|world_from_lps| point(world_from_lps, [0.0; 3]));
+        let shift_mm = was.iter().zip(is).map(|(was, is)| (is - was).powi(2)).sum::<f64>().sqrt();
+        match index {
+            0..3 => assert_eq!(before, now, "exposure {index}"),
+            _ => assert!((shift_mm - 15.0).abs() < 1e-9 && (turn_deg - 4.0).abs() < 1e-6, "{shift_mm} mm, {turn_deg} degrees"),
+        }
+    }
+    // The truth of the kit follows.
+    let folder = folder("moved");
+    let truth_of = |lab: &Lab| {
+        let script = Script { lab, duration_s: 20.0, exposures: usize::MAX, counter: true };
+        write(&folder, &script, &phantom, true, true).expect("written");
+        json(&folder, "truth.json")
+    };
+    let (before, now) = (truth_of(&unmoved), truth_of(&moved));
+    std::fs::remove_dir_all(&folder).expect("removed");
+    assert_eq!(before["world_from_lps"], now["world_from_lps"]);
+    for index in 0..unmoved.exposures.len() {
+        assert_eq!(before["frames"][index] == now["frames"][index], index < 3, "exposure {index}");
+    }
+}
+
+#[test]
+fn exposures_are_taken_at_the_stands_that_are_asked_for() {
+    let lab = Lab::embedded().expect("embedded");
+    let stands = lab.clone().at_stands(&[1, 2, 2]).expect("they are there").exposures;
+    for (index, stand) in [0, 1, 1, 3].into_iter().enumerate() {
+        let (taken, scripted) = (&stands[index], &lab.exposures[index]);
+        assert_eq!((taken.joints(), taken.field_mm), (lab.exposures[stand].joints(), lab.exposures[stand].field_mm));
+        assert_eq!((taken.at, taken.control_deg), (scripted.at, scripted.control_deg));
+    }
+    let wrong: [&[usize]; 3] = [&[0], &[99], &[1; 99]];
+    for wrong in wrong {
+        assert!(lab.clone().at_stands(wrong).is_err(), "{wrong:?}");
+    }
 }
 
 #[test]

@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 use std::ffi::{OsStr, OsString};
 
 use super::entry::Entry;
+use super::offer::Reported;
 use crate::foreign::FileStamp;
 
 /// So many are remembered.
@@ -25,6 +26,12 @@ impl Departed {
     pub(super) fn take(&mut self, stamp: FileStamp) -> Option<Entry> {
         let place = self.0.iter().position(|(_, entry)| entry.stamp == stamp)?;
         self.0.remove(place).map(|(_, entry)| entry)
+    }
+
+    /// What was reported of the one that had this name last, as far as another copy of it may mend it.
+    pub(super) fn reported_of(&mut self, name: &OsStr) -> Vec<Reported> {
+        let reported = self.named_mut(name).map(|entry| std::mem::take(&mut entry.reported)).unwrap_or_default();
+        reported.into_iter().filter(|reported| reported.written.is_some()).collect()
     }
 
     /// All of them.

@@ -2,9 +2,9 @@
 
 use super::Fault;
 use super::notices::Held;
-use super::offer::{Delivered, Zeros};
+use super::offer::{Delivered, Reported, Zeros};
 use super::source::Trouble;
-use crate::foreign::FileStamp;
+use crate::foreign::{FileStamp, Written};
 
 /// A file lies still when its stamp was the same for this long.
 const SETTLE_US: i64 = 100_000;
@@ -46,6 +46,10 @@ pub(super) struct Entry {
     pub(super) held: Option<Held>,
     /// The version delivered before.
     pub(super) earlier: Option<Delivered>,
+    /// What there is of a version that was read and is not whole.
+    pub(super) written: Option<Written>,
+    /// What was said to be lost of this file and would not be, should it come whole.
+    pub(super) reported: Vec<Reported>,
     /// The how-manieth file that was seen, for a label that gives nothing away.
     pub(super) number: u64,
     /// Patience is over: holes in the file, and zeros at its end, are content.
@@ -62,6 +66,8 @@ impl Entry {
             closed: None,
             held: None,
             earlier: None,
+            written: None,
+            reported: Vec::new(),
             number,
             take_zeros: false,
         }
@@ -95,6 +101,23 @@ impl Entry {
     /// Whether it is on its way still.
     pub(super) fn is_expected(&self) -> bool {
         self.state != State::Done
+    }
+
+    /// What a reader must know of earlier versions.
+    pub(super) fn known(&self) -> (Option<Delivered>, Vec<Reported>) {
+        (self.earlier.clone(), self.reported.clone())
+    }
+
+    /// A version was read: `delivered` if it gave frames, and then nothing that was reported before is lost, or it was another file.
+    pub(super) fn was_read(&mut self, delivered: Option<Delivered>) {
+        if delivered.is_some() {
+            (self.earlier, self.reported) = (delivered, Vec::new());
+        }
+    }
+
+    /// Notes that `trouble` was reported of it.
+    pub(super) fn note(&mut self, trouble: Trouble) {
+        self.reported.push(Reported { trouble, written: self.written.clone() });
     }
 
     /// Nobody waits for it any longer: what is to be said of it, if it was on its way.

@@ -5,6 +5,7 @@ use std::ffi::{OsStr, OsString};
 use std::path::Path;
 
 use super::label;
+use super::spool::INCOMING;
 use crate::foreign::{FileStamp, NotRegular};
 
 /// Whether a file of this name could be a frame.
@@ -12,6 +13,12 @@ pub(super) fn is_wanted(name: &OsStr) -> bool {
     let name = name.to_string_lossy().to_lowercase();
     let passed_over = [".tmp", ".part", ".partial", ".json"].iter().any(|ending| name.ends_with(ending));
     !(name.starts_with('.') || name.starts_with('~') || passed_over)
+}
+
+/// Whether a picture may lie under this name that is passed over: hidden, or on its way.
+fn may_be_hidden(name: &OsStr) -> bool {
+    let name = name.to_string_lossy().to_lowercase();
+    !name.ends_with(".json") && !name.starts_with(INCOMING)
 }
 
 /// Whether a person should hear of it: folders are ordinary, unless named like an image.
@@ -25,15 +32,23 @@ pub(super) struct Listing {
     pub(super) files: BTreeMap<OsString, FileStamp>,
     /// What is none, with its stamp unless it cannot be told.
     pub(super) others: BTreeMap<OsString, (NotRegular, Option<FileStamp>)>,
+    /// Files that are passed over for their names.
+    pub(super) hidden: BTreeMap<OsString, FileStamp>,
 }
 
 /// Lists `folder`: regular files (and links to such) with their stamps, and what is none.
 pub(super) fn list(folder: &Path) -> std::io::Result<Listing> {
-    let mut listing = Listing { files: BTreeMap::new(), others: BTreeMap::new() };
+    let mut listing = Listing::default();
     for entry in std::fs::read_dir(folder)? {
         let Ok(entry) = entry else { continue };
         let name = entry.file_name();
         if !is_wanted(&name) {
+            if may_be_hidden(&name)
+                && let Ok(metadata) = std::fs::metadata(entry.path())
+                && metadata.is_file()
+            {
+                listing.hidden.insert(name, FileStamp::of(&metadata));
+            }
             continue;
         }
         match std::fs::metadata(entry.path()) {

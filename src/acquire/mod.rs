@@ -4,6 +4,7 @@
 //! X-rays at the detector, in `log` frames a larger value means more attenuation (like a line integral). What had to be turned round
 //! for that is in [`Frame::inverted`], and why is in [`Frame::domain_evidence`].
 
+mod beam_tags;
 mod beside;
 mod corrected;
 mod correction;
@@ -29,6 +30,7 @@ mod raster;
 mod read;
 mod received;
 mod receiver;
+mod same_folder;
 mod services;
 mod source;
 mod spool;
@@ -44,6 +46,7 @@ mod whole;
 use crate::foreign::Limits;
 use crate::image::{Image, sha256_bytes};
 
+pub use beam_tags::{CollimatorShape, CollimatorTags, FilterForm, FilterLayer, FilterMaterial, FilterTags};
 pub use corrected::{Correction, Stored};
 pub use correction::exposure_mas;
 pub use detector_record::{
@@ -221,7 +224,8 @@ impl Raw {
             let far = mask_far_values(&mut self.pixels.pixels);
             if far > 0 {
                 let all = self.pixels.pixels.len();
-                self.altered.push(format!("{far} of {all} pixels masked: over {FAR:.0e} times the range of all others away from them"));
+                self.altered
+                    .push(format!("{far} of {all} pixels masked: over {FAR:.0e} times the range of all others away from them"));
             }
         }
         if is_uniform(&self.pixels.pixels) {

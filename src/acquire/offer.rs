@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::sync::mpsc::Sender;
 
 use super::notices::Held;
-use super::source::{Arrival, Earlier, Reading};
+use super::source::{Arrival, Earlier, Reading, Trouble};
 use super::{AcquireError, Domain, Fault, read_open};
 use crate::foreign::{self, FileStamp, ForeignReader, Kind, OpenFault, OpenFile, Written};
 
@@ -15,6 +15,14 @@ pub(super) struct Delivered {
     sha256: String,
     /// What comes before the zeros at its end.
     written: Option<Written>,
+}
+
+/// A trouble that was reported and may turn out to be none: the file may come whole after all.
+#[derive(Clone, Debug)]
+pub(super) struct Reported {
+    pub(super) trouble: Trouble,
+    /// What there was of the file: one with the same content and more is the same file. `None` where only this very version is.
+    pub(super) written: Option<Written>,
 }
 
 /// What zeros may be.
@@ -39,8 +47,8 @@ pub(super) enum Outcome {
     Blank,
     /// Cannot be used.
     Refused,
-    /// Not whole.
-    Unfinished(Fault),
+    /// Not whole, and what there is of it.
+    Unfinished(Fault, Option<Written>),
     /// Grew, or changed while it was read.
     Changed,
     /// Rewritten before it was read.
@@ -71,6 +79,7 @@ pub(super) struct Offer {
     pub(super) stamp: FileStamp,
     pub(super) held: Option<Held>,
     pub(super) earlier: Option<Delivered>,
+    pub(super) reported: Vec<Reported>,
     pub(super) gone: bool,
     pub(super) zeros: Zeros,
     pub(super) domain: Option<Domain>,
@@ -115,14 +124,16 @@ impl Offer {
             outcome: Outcome::Unread,
         };
         Arrival::new(label, seen_us, modified_us, bytes, move || {
-            let (outcome, reading) = self.read();
+            let mut mended = Vec::new();
+            let (outcome, reading) = self.read(&mut mended);
             teller.tell(outcome);
-            reading
+            (reading, mended)
         })
     }
 
-    fn read(self) -> (Outcome, Reading) {
-        let Self { path, label, stamp, held, earlier, zeros, domain, reader, .. } = self;
+    /// `mended` gets what was reported of the file and is no trouble any more, now that it was read.
+    fn read(self, mended: &mut Vec<Trouble>) -> (Outcome, Reading) {
+        let Self { path, label, stamp, held, earlier, reported, zeros, domain, reader, .. } = self;
         let refused = |fault: Fault| (Outcome::Refused, Reading::Refused(AcquireError::Refused { file: label.clone(), fault }));
         let limit = reader.limits(Kind::Frames).file_bytes;
         let opened = match &held {
@@ -151,7 +162,7 @@ impl Offer {
         }
         let holes = foreign::has_hole(&watched, stamp.bytes);
         if holes && zeros != Zeros::Content {
-            return (Outcome::Unfinished(Fault::Unwritten), Reading::Later);
+            return (Outcome::Unfinished(Fault::Unwritten, Written::so_far(&watched, stamp.bytes)), Reading::Later);
         }
         if zeros == Zeros::Unwritten && foreign::ends_in_zeros(&watched, stamp.bytes) {
             return (Outcome::Blank, Reading::Later);
@@ -160,6 +171,9 @@ impl Offer {
         let goes_on =
             |earlier: &Delivered| earlier.written.as_ref().is_some_and(|before| before.goes_on_in(&watched, stamp.bytes));
         let earlier = earlier.map(|earlier| Earlier { was_unfinished: goes_on(&earlier), sha256: earlier.sha256 });
+        let is_of_it =
+            |reported: &Reported| reported.written.as_ref().is_none_or(|before| before.is_kept_in(&watched, stamp.bytes));
+        let of_it: Vec<Trouble> = reported.into_iter().filter(is_of_it).map(|reported| reported.trouble).collect();
         let read = read_open(&reader, open, &path, domain);
         if let Some(outcome) = changed() {
             return (outcome, Reading::Later);
@@ -168,6 +182,7 @@ impl Offer {
             Ok(mut frames) => {
                 let sha256 = frames.first().map(|frame| frame.sha256.clone()).unwrap_or_default();
                 let delivered = Delivered { sha256: sha256.clone(), written };
+                *mended = of_it;
                 if earlier.as_ref().is_some_and(|earlier| earlier.sha256 == sha256) {
                     return (Outcome::Same(delivered), Reading::Same { sha256 });
                 }
@@ -177,7 +192,9 @@ impl Offer {
                 }
                 (Outcome::Frames(delivered), Reading::Frames { frames, earlier })
             }
-            Err(fault) if fault.may_be_unfinished() => (Outcome::Unfinished(fault), Reading::Later),
+            Err(fault) if fault.may_be_unfinished() => {
+                (Outcome::Unfinished(fault, Written::so_far(&watched, stamp.bytes)), Reading::Later)
+            }
             Err(fault) => refused(fault),
         }
     }

@@ -1,7 +1,6 @@
 //! The seam through which frames come: a watched folder, a log, a script. Seeing is cheap and reading is slow, so they are apart: whoever
 //! reads decides the order and the thread.
 
-
 use super::{AcquireError, Fault, Frame};
 use crate::foreign::NotRegular;
 
@@ -70,6 +69,14 @@ pub enum Trouble {
         /// What it is.
         kind: NotRegular,
     },
+    /// A picture whose name says that it is hidden, or on its way still, lies there and does not change.
+    #[error(
+        "{label}: a picture lies still under a name that begins with a dot or ends as that of a copy on its way, and those are not read; let the console write it under another name, or rename it"
+    )]
+    Hidden {
+        /// The file.
+        label: String,
+    },
     /// Something came into a folder below the watched one.
     #[error(
         "{label}: something came into this sub-folder of the watched folder, and sub-folders are not read; let the console write into the watched folder itself, or set \"sub_folders\": true under \"frames\" in the session"
@@ -137,12 +144,24 @@ impl Trouble {
             Self::Overwritten { .. } => "frame overwritten before it was read",
             Self::NotAFile { .. } => "not a file",
             Self::SubFolder { .. } => "sub-folder not read",
+            Self::Hidden { .. } => "hidden file not read",
             Self::TooManyFolders { .. } => "too many sub-folders",
             Self::Unfinished { .. } => "unfinished frame",
             Self::StillWritten { .. } => "frame still being written",
             Self::HalfReceived { .. } => "half a DICOM object",
             Self::NotReceived { .. } => "DICOM object not taken",
             Self::NoVideo { .. } => "no video",
+        }
+    }
+
+    /// In words, that it was none: the file came whole after all.
+    #[must_use]
+    pub fn mended(&self) -> String {
+        match self {
+            Self::Unfinished { label, .. } => format!("{label}: the file has been completed after all, and is not lost"),
+            Self::Vanished { label } => format!("{label}: the file is back, and is not lost"),
+            Self::Hidden { label } => format!("{label}: the file has another name now, and is not lost"),
+            other => format!("not lost after all: {other}"),
         }
     }
 }
@@ -183,7 +202,7 @@ pub struct Arrival {
     seen_us: i64,
     modified_us: i64,
     bytes: u64,
-    read: Box<dyn FnOnce() -> Reading + Send>,
+    read: Box<dyn FnOnce() -> (Reading, Vec<Trouble>) + Send>,
 }
 
 impl std::fmt::Debug for Arrival {
@@ -198,7 +217,7 @@ impl Arrival {
         seen_us: i64,
         modified_us: i64,
         bytes: u64,
-        read: impl FnOnce() -> Reading + Send + 'static,
+        read: impl FnOnce() -> (Reading, Vec<Trouble>) + Send + 'static,
     ) -> Self {
         Self { label, seen_us, modified_us, bytes, read: Box::new(read) }
     }
@@ -230,6 +249,12 @@ impl Arrival {
     /// Reads it: slow, on any thread.
     #[must_use]
     pub fn read(self) -> Reading {
+        self.read_and_mend().0
+    }
+
+    /// The same, with the troubles that were reported of this file and have turned out to be none: what was lost then is here.
+    #[must_use]
+    pub fn read_and_mend(self) -> (Reading, Vec<Trouble>) {
         (self.read)()
     }
 }

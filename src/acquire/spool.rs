@@ -12,6 +12,8 @@ use tempfile::NamedTempFile;
 
 /// The largest object that is taken.
 pub(super) const MOST_OBJECT_BYTES: u64 = 256 << 20;
+/// What an object on its way is called before its random part.
+pub(super) const INCOMING: &str = ".incoming-";
 /// Files in one folder whose names are tried.
 const MOST_FILES: u32 = 1_000_000;
 
@@ -78,7 +80,7 @@ impl Spool {
             .build()
             .map_err(|_| SpoolError::Head)?;
         // Passed over by the watch for its first letter and for its ending; gone when it is dropped.
-        let file = tempfile::Builder::new().prefix(".incoming-").suffix(".part").tempfile_in(&self.folder)?;
+        let file = tempfile::Builder::new().prefix(INCOMING).suffix(".part").tempfile_in(&self.folder)?;
         let mut file = BufWriter::with_capacity(1 << 16, file);
         file.write_all(&[0; 128])?;
         file.write_all(b"DICM")?;

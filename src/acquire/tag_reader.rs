@@ -3,10 +3,19 @@
 use dicom_core::Tag;
 use dicom_dictionary_std::tags;
 use dicom_object::InMemDicomObject;
+use serde::de::DeserializeOwned;
 
+use super::beam_tags::{CollimatorTags, FilterForm, FilterLayer, FilterMaterial, FilterTags};
 use super::tags::FrameTags;
 use super::terms::is_term;
 use crate::image::sha256_bytes;
+
+/// Thicker filters are none, and numbers beyond it are something else.
+const MOST_FILTER_MM: f64 = 50.0;
+/// Shutters further from the picture are no shutters.
+const MOST_PX: f64 = 65_535.0;
+/// No picture is wider.
+const MOST_FIELD_MM: f64 = 5000.0;
 
 /// Reads attributes one by one and refuses what does not look as the standard says; a refused value is noted without being repeated.
 pub(super) struct TagReader<'a> {
@@ -105,6 +114,10 @@ impl<'a> TagReader<'a> {
         if value >= 0.0 && value <= f64::from(u32::MAX) && value.fract() == 0.0 {
             return Some(value as u32);
         }
+        // An integer string ends at 2³¹ − 1: a count beyond that is written as its complement of two. −1 is the count that is none.
+        if (f64::from(i32::MIN)..-1.0).contains(&value) && value.fract() == 0.0 {
+            return Some((value as i32).cast_unsigned());
+        }
         self.refuse(tag, "a count");
         None
     }
@@ -127,6 +140,96 @@ impl<'a> TagReader<'a> {
             "NO" => Some(false),
             _ => {
                 self.refuse(tag, "YES or NO");
+                None
+            }
+        }
+    }
+
+    /// The variants that stand for the standard's terms, each at its place among the values; any other word is dropped.
+    fn variants<T: DeserializeOwned>(&mut self, tag: Tag) -> Vec<Option<T>> {
+        let values = self.texts(tag);
+        let variants: Vec<Option<T>> = values.into_iter().map(|value| serde_json::from_value(value.into()).ok()).collect();
+        if variants.iter().any(Option::is_none) {
+            self.refuse(tag, "a term of the standard");
+        }
+        variants
+    }
+
+    fn filter(&mut self) -> Option<FilterTags> {
+        let materials = self.variants::<FilterMaterial>(tags::FILTER_MATERIAL);
+        let form = self.variants::<FilterForm>(tags::FILTER_TYPE).into_iter().flatten().next();
+        // "None" beside a material is of wedges alone.
+        let form = form.filter(|form| *form != FilterForm::NoFilter || materials.is_empty());
+        let thinnest = self.thicknesses(tags::FILTER_THICKNESS_MINIMUM, materials.len());
+        let thickest = self.thicknesses(tags::FILTER_THICKNESS_MAXIMUM, materials.len());
+        let ends = thinnest.as_ref().or(thickest.as_ref()).zip(thickest.as_ref().or(thinnest.as_ref()));
+        let layer = |(place, material): (usize, Option<FilterMaterial>)| {
+            let thickness_mm = ends.map(|(a, b)| [a[place].min(b[place]), a[place].max(b[place])]);
+            Some(FilterLayer { material: material?, thickness_mm })
+        };
+        let layers: Vec<FilterLayer> = materials.into_iter().enumerate().filter_map(layer).collect();
+        (form.is_some() || !layers.is_empty()).then_some(FilterTags { form, layers })
+    }
+
+    fn thicknesses(&mut self, tag: Tag, materials: usize) -> Option<Vec<f64>> {
+        let values = self.numbers(tag);
+        if values.is_empty() {
+            return None;
+        }
+        if values.len() == materials && values.iter().all(|mm| (0.0..=MOST_FILTER_MM).contains(mm)) {
+            return Some(values);
+        }
+        self.refuse(tag, "a thickness in mm for each filter material");
+        None
+    }
+
+    fn collimator(&mut self) -> Option<CollimatorTags> {
+        let shapes: Vec<_> = self.variants(tags::COLLIMATOR_SHAPE).into_iter().flatten().collect();
+        let edges = [
+            tags::COLLIMATOR_LEFT_VERTICAL_EDGE,
+            tags::COLLIMATOR_UPPER_HORIZONTAL_EDGE,
+            tags::COLLIMATOR_RIGHT_VERTICAL_EDGE,
+            tags::COLLIMATOR_LOWER_HORIZONTAL_EDGE,
+        ];
+        let edges_px = match edges.map(|tag| self.place(tag)) {
+            [Some(left), Some(top), Some(right), Some(bottom)] if left < right && top < bottom => {
+                Some([left, top, right, bottom])
+            }
+            _ => None,
+        };
+        let centre_px = match self.places(tags::CENTER_OF_CIRCULAR_COLLIMATOR)[..] {
+            // DICOM gives the row first; this is (u, v).
+            [row, column] => Some([column, row]),
+            _ => None,
+        };
+        let radius_px = self.place(tags::RADIUS_OF_CIRCULAR_COLLIMATOR).filter(|radius| *radius > 0.0);
+        let collimator = CollimatorTags { shapes, edges_px, centre_px, radius_px };
+        (collimator != CollimatorTags::default()).then_some(collimator)
+    }
+
+    /// Numbers of columns, rows or pixels, in the picture or not far from it.
+    fn places(&mut self, tag: Tag) -> Vec<f64> {
+        let values = self.numbers(tag);
+        if values.iter().all(|px| px.abs() <= MOST_PX) {
+            return values;
+        }
+        self.refuse(tag, "a place in the picture");
+        Vec::new()
+    }
+
+    fn place(&mut self, tag: Tag) -> Option<f64> {
+        self.places(tag).into_iter().next()
+    }
+
+    fn field_of_view(&mut self) -> Option<[f64; 2]> {
+        let is_length = |mm: &f64| *mm > 0.0 && *mm <= MOST_FIELD_MM;
+        match self.numbers(tags::FIELD_OF_VIEW_DIMENSIONS)[..] {
+            [] => None,
+            [diameter] if is_length(&diameter) => Some([diameter; 2]),
+            // PS3.3 C.8.11.4.1.1: the row dimension, which is row spacing times rows, comes first; this is (u, v).
+            [down, across] if is_length(&down) && is_length(&across) => Some([across, down]),
+            _ => {
+                self.refuse(tags::FIELD_OF_VIEW_DIMENSIONS, "one or two lengths in mm");
                 None
             }
         }
@@ -175,6 +278,9 @@ impl<'a> TagReader<'a> {
             timezone_offset_min: zone.as_deref().and_then(minutes_from_zone),
             primary_deg: self.number(tags::POSITIONER_PRIMARY_ANGLE),
             secondary_deg: self.number(tags::POSITIONER_SECONDARY_ANGLE),
+            filter: self.filter(),
+            collimator: self.collimator(),
+            field_of_view_mm: self.field_of_view(),
             intensifier_mm: self.positive(tags::INTENSIFIER_SIZE),
             field_of_view_rotation_deg: self.number(tags::FIELD_OF_VIEW_ROTATION),
             field_of_view_flipped: self.yes(tags::FIELD_OF_VIEW_HORIZONTAL_FLIP),

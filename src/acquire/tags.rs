@@ -3,6 +3,8 @@
 use dicom_core::Tag;
 use dicom_dictionary_std::tags;
 
+use super::beam_tags::{CollimatorTags, FilterTags};
+
 /// One attribute that is kept, and why it is needed.
 #[derive(Clone, Copy, Debug)]
 pub struct KeptTag {
@@ -20,7 +22,7 @@ const fn kept(tag: Tag, field: &'static str, reason: &'static str) -> KeptTag {
 
 /// The whitelist. Whatever is not here never leaves the import: names, identifiers, institutions, comments, private groups. Dates and
 /// times of the acquisition itself are kept, because they bind a frame to telemetry; birth, study and series dates are not.
-pub const KEPT_TAGS: [KeptTag; 33] = [
+pub const KEPT_TAGS: [KeptTag; 45] = [
     kept(tags::MODALITY, "modality", "decides how a console presents the image"),
     kept(tags::IMAGE_TYPE, "image_type", "ORIGINAL or DERIVED: evidence of processing"),
     kept(tags::ACQUISITION_DATE, "acquired_date", "binds the frame to telemetry"),
@@ -37,6 +39,18 @@ pub const KEPT_TAGS: [KeptTag; 33] = [
     kept(tags::X_RAY_TUBE_CURRENT, "tube_ma", "dose"),
     kept(tags::EXPOSURE, "exposure_uas", "dose, in mAs, when the finer attribute is missing"),
     kept(tags::EXPOSURE_INU_AS, "exposure_uas", "dose"),
+    kept(tags::FILTER_TYPE, "filter", "spectrum, against telemetry's; a term or nothing, because any text may stand there"),
+    kept(tags::FILTER_MATERIAL, "filter", "spectrum, against telemetry's"),
+    kept(tags::FILTER_THICKNESS_MINIMUM, "filter", "spectrum, against telemetry's"),
+    kept(tags::FILTER_THICKNESS_MAXIMUM, "filter", "spectrum, against telemetry's"),
+    kept(tags::COLLIMATOR_SHAPE, "collimator", "which of the next six hold"),
+    kept(tags::COLLIMATOR_LEFT_VERTICAL_EDGE, "collimator", "open field, against telemetry's"),
+    kept(tags::COLLIMATOR_RIGHT_VERTICAL_EDGE, "collimator", "open field, against telemetry's"),
+    kept(tags::COLLIMATOR_UPPER_HORIZONTAL_EDGE, "collimator", "open field, against telemetry's"),
+    kept(tags::COLLIMATOR_LOWER_HORIZONTAL_EDGE, "collimator", "open field, against telemetry's"),
+    kept(tags::CENTER_OF_CIRCULAR_COLLIMATOR, "collimator", "open field, against telemetry's"),
+    kept(tags::RADIUS_OF_CIRCULAR_COLLIMATOR, "collimator", "open field, against telemetry's"),
+    kept(tags::FIELD_OF_VIEW_DIMENSIONS, "field_of_view_mm", "the part of the panel that is shown, against telemetry's field"),
     kept(tags::INTENSIFIER_SIZE, "intensifier_mm", "evidence of an image intensifier: distortion and processing"),
     kept(tags::IMAGER_PIXEL_SPACING, "pitch_mm", "pixel pitch at the detector"),
     kept(tags::PIXEL_SPACING, "pixel_spacing_mm", "pixel pitch at the object, where calibrated"),
@@ -117,6 +131,15 @@ pub struct FrameTags {
     /// Positioner secondary angle; + is cranial.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub secondary_deg: Option<f64>,
+    /// What filters the beam.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub filter: Option<FilterTags>,
+    /// What the shutters leave open, in pixels of the picture as stored.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub collimator: Option<CollimatorTags>,
+    /// The picture's extent at the detector along u and v as stored, or its diameter twice (0018,1149).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub field_of_view_mm: Option<[f64; 2]>,
     /// Diameter of the image intensifier.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub intensifier_mm: Option<f64>,

@@ -13,8 +13,9 @@ use super::entry::{Entry, PATIENCE_US, State};
 use super::label;
 use super::listing::{Listing, is_wanted, list};
 use super::notices::{Held, HeldCount, Notice, Notices, What};
-use super::offer::{Delivered, Offer, Outcome, Told, Zeros};
+use super::offer::{Delivered, Offer, Outcome, Reported, Told, Zeros};
 use super::passed_over::PassedOver;
+use super::same_folder::SameFolder;
 use super::source::{FrameSource, Sighting, Trouble};
 use super::{Domain, Fault};
 use crate::foreign::{FileStamp, ForeignReader};
@@ -28,7 +29,8 @@ pub(super) struct Place {
     pub(super) may_go: bool,
 }
 
-/// Watches one folder, not those below it: that something came into one is said. Hidden files and names that end in `.tmp`, `.part`, `.partial`, `.json` are passed over.
+/// Watches one folder, not those below it: that something came into one is said. Hidden files and names that end in `.tmp`, `.part`, `.partial`, `.json`
+/// are passed over; that a picture stays under such a name is said.
 #[derive(Debug)]
 pub struct FolderSource {
     folder: PathBuf,
@@ -37,6 +39,7 @@ pub struct FolderSource {
     /// Files that the first look passes over; all that it finds where the folder could not be read when the watch began.
     existing: Option<BTreeMap<OsString, FileStamp>>,
     lost: bool,
+    itself: SameFolder,
     entries: BTreeMap<OsString, Entry>,
     /// Files that somebody has begun to write and not closed yet, as far as the system tells.
     being_written: BTreeSet<OsString>,
@@ -56,15 +59,18 @@ impl FolderSource {
     #[must_use]
     pub fn new(folder: &Path, domain: Option<Domain>, include_existing: bool, reader: ForeignReader) -> Self {
         let held = HeldCount::default();
+        let there = if include_existing { Some(Listing::default()) } else { list(folder).ok() };
+        let (existing, hidden) = there.map(|listing| (listing.files, listing.hidden)).unzip();
         Self {
             folder: folder.to_owned(),
             domain,
             reader,
-            existing: if include_existing { Some(BTreeMap::new()) } else { list(folder).ok().map(|listing| listing.files) },
+            existing,
             lost: false,
+            itself: SameFolder::of(folder),
             entries: BTreeMap::new(),
             being_written: BTreeSet::new(),
-            passed_over: PassedOver::default(),
+            passed_over: PassedOver::of_old(hidden),
             departed: Departed::default(),
             notices: Notices::of(folder, &held, is_wanted),
             place: Place::default(),
@@ -90,11 +96,11 @@ impl FolderSource {
         let told: Vec<Told> = self.told.1.try_iter().collect();
         for Told { offer, name, label, gone, outcome } in told {
             let trouble = match (&outcome, gone) {
-                (Outcome::Missing, _) | (Outcome::Unfinished(_) | Outcome::Blank, true) => Some(Trouble::Vanished { label }),
+                (Outcome::Missing, _) | (Outcome::Unfinished(..) | Outcome::Blank, true) => Some(Trouble::Vanished { label }),
                 (Outcome::Overwritten, _) => Some(Trouble::Overwritten { label }),
                 _ => None,
             };
-            found.extend(trouble.map(Sighting::Trouble));
+            found.extend(trouble.clone().map(Sighting::Trouble));
             // By the offer: the file may have been renamed meanwhile, or be away.
             let offered =
                 self.entries.values_mut().chain(self.departed.entries_mut()).find(|entry| entry.state == State::Offered(offer));
@@ -105,11 +111,17 @@ impl FolderSource {
             let Some(entry) = offered else {
                 // A later version has taken its place.
                 if let Some(entry) = self.entries.get_mut(&name) {
-                    entry.earlier = delivered.or_else(|| entry.earlier.take());
+                    entry.was_read(delivered);
                 }
                 continue;
             };
-            entry.earlier = delivered.or_else(|| entry.earlier.take());
+            entry.was_read(delivered);
+            entry.written = match &outcome {
+                Outcome::Unfinished(_, written) => written.clone(),
+                _ => None,
+            };
+            // Whatever takes the place of an overwritten version is another.
+            trouble.filter(|trouble| matches!(trouble, Trouble::Vanished { .. })).into_iter().for_each(|gone| entry.note(gone));
             entry.state = match outcome {
                 // With a share that was away it may be back: once more.
                 Outcome::Missing if !std::mem::replace(&mut entry.said_gone, true) => {
@@ -118,7 +130,7 @@ impl FolderSource {
                 }
                 // Whatever takes the place of an overwritten version is a new one.
                 Outcome::Frames(_) | Outcome::Same(_) | Outcome::Refused | Outcome::Missing | Outcome::Overwritten => State::Done,
-                Outcome::Unfinished(fault) => State::Unfinished(fault),
+                Outcome::Unfinished(fault, _) => State::Unfinished(fault),
                 Outcome::Blank => State::Blank,
                 Outcome::Changed => {
                     entry.closed = None;
@@ -172,10 +184,13 @@ impl FolderSource {
     fn add(&mut self, name: OsString, stamp: FileStamp, now_us: i64) {
         self.seen += 1;
         // It is back, or a notice of it comes late.
-        let entry = match self.departed.take(stamp) {
+        let mut entry = match self.departed.take(stamp) {
             Some(known) if matches!(known.state, State::Done | State::Offered(_)) => known,
-            known => Entry { said_gone: known.is_some_and(|known| known.said_gone), ..Entry::new(stamp, now_us, self.seen) },
+            Some(known) => Entry { said_gone: known.said_gone, reported: known.reported, ..Entry::new(stamp, now_us, self.seen) },
+            // Copied once more, perhaps.
+            None => Entry { reported: self.departed.reported_of(&name), ..Entry::new(stamp, now_us, self.seen) },
         };
+        entry.reported.extend(self.passed_over.renamed(stamp));
         self.entries.insert(name, entry);
     }
 
@@ -189,6 +204,9 @@ impl FolderSource {
         entry.since_us = now_us;
         entry.take_zeros = false;
         entry.said_gone = false;
+        let reported = entry.reported.clone();
+        entry.reported.retain(|reported| reported.written.is_some());
+        entry.written = None;
         // That a version which was read has been completed says nothing about the next one.
         if !same_file || stamp.bytes != before.bytes || !matches!(entry.state, State::Settling) {
             entry.closed = None;
@@ -203,7 +221,8 @@ impl FolderSource {
         match held {
             // The old content is still there behind its own inode.
             Some(held) => {
-                let offer = self.offer(name, before, now_us, Some(held), earlier, label, true, Zeros::HolesUnwritten);
+                let known = (earlier, reported);
+                let offer = self.offer(name, before, now_us, Some(held), known, label, true, Zeros::HolesUnwritten);
                 found.push(offer);
             }
             // A file that grew is a copy that goes on; one whose time alone changed, may be.
@@ -221,7 +240,7 @@ impl FolderSource {
         stamp: FileStamp,
         since_us: i64,
         held: Option<Held>,
-        earlier: Option<Delivered>,
+        (earlier, reported): (Option<Delivered>, Vec<Reported>),
         label: String,
         gone: bool,
         zeros: Zeros,
@@ -235,6 +254,7 @@ impl FolderSource {
             stamp,
             held,
             earlier,
+            reported,
             gone,
             zeros,
             domain: self.domain,
@@ -258,8 +278,8 @@ impl FolderSource {
             State::Settling if now_us - entry.since_us >= entry.settle_us(is_written) => {
                 entry.state = State::Offered(next);
                 let (stamp, since_us, held) = (entry.stamp, entry.since_us, entry.held.take());
-                let (earlier, zeros) = (entry.earlier.clone(), entry.zeros(is_written));
-                let offer = self.offer(name, stamp, since_us, held, earlier, label, false, zeros);
+                let (known, zeros) = (entry.known(), entry.zeros(is_written));
+                let offer = self.offer(name, stamp, since_us, held, known, label, false, zeros);
                 found.push(offer);
             }
             State::Blank if waited_us >= entry.blank_patience_us(is_written) => {
@@ -272,8 +292,10 @@ impl FolderSource {
                 entry.state = State::Settling;
             }
             State::Unfinished(fault) if waited_us >= PATIENCE_US => {
-                found.push(Sighting::Trouble(Trouble::Unfinished { label, fault: fault.clone() }));
+                let trouble = Trouble::Unfinished { label, fault: fault.clone() };
+                entry.note(trouble.clone());
                 entry.state = State::Done;
+                found.push(Sighting::Trouble(trouble));
             }
             _ => {}
         }
@@ -293,7 +315,7 @@ impl FolderSource {
     fn depart(&mut self, listed: &BTreeMap<OsString, FileStamp>, now_us: i64, found: &mut Vec<Sighting>) {
         let gone: Vec<OsString> = self.entries.keys().filter(|name| !listed.contains_key(*name)).cloned().collect();
         for name in gone {
-            let Some(entry) = self.entries.remove(&name) else { continue };
+            let Some(mut entry) = self.entries.remove(&name) else { continue };
             // Renamed: the same file with the same content under a name that is new.
             let renamed = listed.iter().find(|(other, stamp)| **stamp == entry.stamp && !self.entries.contains_key(*other));
             if let Some((other, _)) = renamed.filter(|_| entry.stamp.inode != (0, 0)) {
@@ -302,24 +324,23 @@ impl FolderSource {
                 continue;
             }
             let label = self.label(&name, entry.number);
-            match (entry.state, entry.held) {
-                (State::Settling, Some(held)) => {
-                    let stamp = held.open.file.metadata().map_or(entry.stamp, |metadata| FileStamp::of(&metadata));
-                    // What is gone is not written any further.
-                    let zeros = if entry.take_zeros { Zeros::Content } else { Zeros::HolesUnwritten };
-                    let earlier = entry.earlier.clone();
-                    let offer = self.offer(&name, stamp, now_us, Some(held), earlier, label, !entry.said_gone, zeros);
-                    found.push(offer);
-                    self.departed.push(name, Entry { stamp, state: State::Offered(self.offers), held: None, ..entry });
-                }
-                (state @ (State::Settling | State::Unfinished(_) | State::Blank), _) => {
-                    if !entry.said_gone {
-                        found.push(Sighting::Trouble(Trouble::Vanished { label }));
-                    }
-                    self.departed.push(name, Entry { state, held: None, said_gone: true, ..entry });
-                }
-                (state @ (State::Done | State::Offered(_)), _) => self.departed.push(name, Entry { state, held: None, ..entry }),
+            let held = entry.held.take();
+            if let Some(held) = held.filter(|_| entry.state == State::Settling) {
+                entry.stamp = held.open.file.metadata().map_or(entry.stamp, |metadata| FileStamp::of(&metadata));
+                // What is gone is not written any further.
+                let zeros = if entry.take_zeros { Zeros::Content } else { Zeros::HolesUnwritten };
+                let (known, gone) = (entry.known(), !entry.said_gone);
+                let offer = self.offer(&name, entry.stamp, now_us, Some(held), known, label, gone, zeros);
+                found.push(offer);
+                entry.state = State::Offered(self.offers);
+            } else if matches!(entry.state, State::Settling | State::Unfinished(_) | State::Blank)
+                && !std::mem::replace(&mut entry.said_gone, true)
+            {
+                let trouble = Trouble::Vanished { label };
+                entry.note(trouble.clone());
+                found.push(Sighting::Trouble(trouble));
             }
+            self.departed.push(name, entry);
         }
     }
 }
@@ -360,6 +381,8 @@ impl FrameSource for FolderSource {
         if std::mem::take(&mut self.lost) {
             found.push(Sighting::FolderBack);
         }
+        // Folders come and go below the watched one.
+        found.extend(self.itself.look(&self.folder).filter(|_| !self.place.may_go));
         // Completed, and gone before it could be opened. What was seen settling is reported when it departs.
         missed.retain(|name| !listing.files.contains_key(name) && !listing.others.contains_key(name));
         missed.retain(|name| !self.is_of_known(name, now_us));
@@ -369,7 +392,8 @@ impl FrameSource for FolderSource {
             label::of_unread(Path::new(name), *seen)
         };
         let passed_over = self.passed_over.look(&self.folder, self.place.reads_below, listing.others, &mut label);
-        found.extend(passed_over.into_iter().map(Sighting::Trouble));
+        let hidden = self.passed_over.look_at_hidden(&self.folder, now_us, listing.hidden, &mut label);
+        found.extend(passed_over.into_iter().chain(hidden).map(Sighting::Trouble));
         for name in missed {
             self.seen += 1;
             found.push(Sighting::Trouble(Trouble::Vanished { label: self.label(&name, self.seen) }));

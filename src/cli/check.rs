@@ -206,7 +206,7 @@ fn load(loaded: &mut Loaded, tell: &dyn Fn(Finding)) {
     }
 }
 
-/// A frame that is there already tells the size, pitch, distance and voltage of those to come.
+/// A frame that is there already tells the size, pitch, distance, voltage and filter of those to come.
 fn check_newest_frame(loaded: &Loaded, scene: &Scene, tell: &dyn Fn(Finding)) {
     let Ok(entries) = std::fs::read_dir(&loaded.setup.session.frames.folder) else { return };
     let dated = entries.flatten().filter_map(|entry| {

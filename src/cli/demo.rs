@@ -99,7 +99,7 @@ pub fn run(args: &DemoArgs, reporter: &Reporter) -> Result<u8, DemoError> {
     let stop = Stop::default();
     stop_on_signals(&stop, reporter);
     let follower = lab.follow(stop.clone(), reporter.clone());
-    let options = LiveOptions { out: session_folder, stop, seconds: None, include_existing: true };
+    let options = LiveOptions { out: session_folder, stop, seconds: None, include_existing: true, sound: false };
     let folder = watch(setup, options, args.headless, reporter);
     drop(lab);
     let _ = follower.join();

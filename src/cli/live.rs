@@ -31,6 +31,9 @@ pub struct LiveArgs {
     /// Also take frames that are in the folder already.
     #[arg(long)]
     pub include_existing: bool,
+    /// A sound for each exposure: one high tone for an accepted pose, two for one to beware of, a low one for none.
+    #[arg(long)]
+    pub sound: bool,
 }
 
 /// Runs a session; exit code 0, or 3 when something was lost.
@@ -45,7 +48,7 @@ pub fn run(args: &LiveArgs, reporter: &Reporter) -> Result<u8, SessionError> {
     let out = args.out.clone().or(named).unwrap_or_else(|| beside.join("session"));
     let stop = Stop::default();
     stop_on_signals(&stop, reporter);
-    let options = LiveOptions { out, stop, seconds: args.seconds, include_existing: args.include_existing };
+    let options = LiveOptions { out, stop, seconds: args.seconds, include_existing: args.include_existing, sound: args.sound };
     let folder = watch(setup, options, args.headless, reporter)?;
     summary(&folder, reporter);
     Ok(if folder.losses.is_empty() { 0 } else { 3 })
@@ -168,7 +171,7 @@ impl Signals {
 /// Where everything is, on standard output.
 fn summary(folder: &Folder, reporter: &Reporter) {
     let report = folder.path.join("report.html");
-    let place = if report.exists() { report.display().to_string() } else { "no report could be written".to_owned() };
+    let place = if report.is_file() { report.display().to_string() } else { "no report could be written".to_owned() };
     to_stdout(&format!("{}: {place}", crate::report::counted(&folder.pairs)));
     for (kind, counted) in reporter.warnings() {
         to_stdout(&format!("{} x {kind}: {}", counted.count, counted.latest));

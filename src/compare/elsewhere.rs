@@ -21,6 +21,11 @@ const SHARE: f64 = 0.1;
 /// make what is missing large at every pose; they do not make all scores agree on the same half-turn.
 const SHARE_OF_ANOTHER_LAYOUT: f64 = 0.05;
 const FEWEST_UNANIMOUS: usize = 3;
+/// Scores of local structure, in which neither the scene's beads nor its tools, which are where the pose puts them whatever CT surrounds
+/// them, outweigh the bones; and the least by which one must be better. Both together tell a CT that is turned or mirrored against the beads.
+const STRUCTURE: [(&str, f64); 2] = [("local_ncc", 0.03), ("ssim", 0.01)];
+/// Of what is missing to a perfect score, that much: a CT that is the right one leaves no other layout so far ahead.
+const SHARE_OF_STRUCTURE: f64 = 0.25;
 /// Fewer voters than this decide nothing.
 const FEWEST_VOTERS: usize = 2;
 
@@ -49,7 +54,11 @@ impl std::fmt::Display for Elsewhere {
             self.asked,
             self.pose,
             scores.join(", ")
-        )
+        )?;
+        if is_of_another_layout(&self.pose) {
+            f.write_str("; are CT and beads turned or mirrored against each other?")?;
+        }
+        Ok(())
     }
 }
 
@@ -87,6 +96,29 @@ pub fn elsewhere(null: &BTreeMap<String, NullScore>) -> Option<Elsewhere> {
         let majority = 2 * preferring.len() > voters.len();
         if majority && best.as_ref().is_none_or(|(most, _)| gain > *most) {
             best = Some((gain, Elsewhere { pose: shift.shift.clone(), preferring, asked: voters.len() }));
+        }
+    }
+    best.map(|(_, found)| found).or_else(|| by_structure(null))
+}
+
+/// The other layout in which both scores of structure gain most, where they gain much.
+fn by_structure(null: &BTreeMap<String, NullScore>) -> Option<Elsewhere> {
+    let scores: Option<Vec<_>> = STRUCTURE.into_iter().map(|(name, least)| Some((name, least, null.get(name)?))).collect();
+    let scores = scores?;
+    let shifts = scores.first()?.2.shifts.iter().filter(|shift| !shift.same_picture && is_of_another_layout(&shift.shift));
+    let mut best: Option<(f64, Elsewhere)> = None;
+    for shift in shifts {
+        let gained = |(name, least, score): &(&str, f64, &NullScore)| {
+            let here = score.at_pose?;
+            let there = score.shifts.iter().find(|other| other.shift == shift.shift)?.value?;
+            let share = (there - here) / (1.0 - here);
+            (there - here > *least && share > SHARE_OF_STRUCTURE).then(|| (((*name).to_owned(), here, there), share))
+        };
+        let Some(gains) = scores.iter().map(gained).collect::<Option<Vec<_>>>() else { continue };
+        let gain: f64 = gains.iter().map(|(_, share)| share).sum();
+        if best.as_ref().is_none_or(|(most, _)| gain > *most) {
+            let preferring: Vec<_> = gains.into_iter().map(|(score, _)| score).collect();
+            best = Some((gain, Elsewhere { pose: shift.shift.clone(), asked: preferring.len(), preferring }));
         }
     }
     best.map(|(_, found)| found)
@@ -154,5 +186,31 @@ mod tests {
         assert_eq!(elsewhere(&BTreeMap::new()), None);
         let not_numbers = null(&[("zncc", f64::NAN, [0.9; 3]), ("local_ncc", f64::NAN, [0.9; 3])]);
         assert_eq!(elsewhere(&not_numbers), None);
+    }
+
+    /// A CT mirrored against right beads was accepted without a word: beads and robot, which stand where the pose has them, decided.
+    #[test]
+    fn structure_tells_a_ct_that_is_mirrored_against_its_beads() {
+        // Measured with a mirrored CT (stated, mirrored) and with the right one.
+        let of = |zncc: [f64; 2], gradient: [f64; 2], local: [f64; 2], ssim: [f64; 2], distance: [f64; 2]| {
+            let scores = [
+                ("zncc", zncc),
+                ("gradient_ncc", gradient),
+                ("local_ncc", local),
+                ("ssim", ssim),
+                ("edge_distance_px", distance),
+            ];
+            let mut null = null(&scores.map(|(name, [here, there])| (name, here, [here, there, here])));
+            null.values_mut().for_each(|score| score.shifts[1].shift = "z of lps mirrored".to_owned());
+            elsewhere(&null)
+        };
+        let found = of([0.981, 0.970], [0.872, 0.719], [0.753, 0.878], [0.898, 0.941], [0.071, 0.068]).expect("it is seen");
+        assert_eq!((found.pose.as_str(), found.preferring.len()), ("z of lps mirrored", 2));
+        assert!(found.to_string().ends_with("are CT and beads turned or mirrored against each other?"), "{found}");
+        assert_eq!(of([0.999, 0.970], [0.992, 0.72], [0.988, 0.794], [0.993, 0.916], [0.068, 0.069]), None);
+        // One of them alone, or both by less, say nothing.
+        assert_eq!(of([0.981, 0.970], [0.872, 0.719], [0.753, 0.878], [0.898, 0.900], [0.071, 0.068]), None);
+        assert_eq!(of([0.981, 0.970], [0.872, 0.719], [0.753, 0.80], [0.898, 0.915], [0.071, 0.068]), None);
+        assert_eq!(of([0.981, 0.970], [0.872, 0.719], [f64::NAN, 0.9], [0.8, 0.98], [0.071, 0.068]), None);
     }
 }

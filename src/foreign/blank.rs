@@ -46,6 +46,14 @@ impl Written {
     /// Of a file of `bytes` bytes; `None` where it has few zeros, nothing else, or cannot be read.
     #[must_use]
     pub fn around_zeros(file: &File, bytes: u64) -> Option<Self> {
+        let written = Self::so_far(file, bytes)?;
+        let all = written.zeros.iter().map(|run| run.end - run.start).sum();
+        (is_much(all, bytes) && all < bytes).then_some(written)
+    }
+
+    /// Of any file of `bytes` bytes; `None` where it cannot be read.
+    #[must_use]
+    pub fn so_far(file: &File, bytes: u64) -> Option<Self> {
         let (mut zeros, mut since): (Vec<Range<u64>>, Option<u64>) = (Vec::new(), None);
         let mut end = |since: &mut Option<u64>, at: u64| {
             zeros.extend(since.take().map(|since| since..at).filter(|run| run.end - run.start >= LEAST_BYTES));
@@ -63,17 +71,22 @@ impl Written {
             }
         })?;
         end(&mut since, bytes);
-        let all = zeros.iter().map(|run| run.end - run.start).sum();
         let sha256 = hash_around(file, &zeros, bytes)?;
-        (is_much(all, bytes) && all < bytes).then_some(Self { zeros, bytes, sha256 })
+        Some(Self { zeros, bytes, sha256 })
     }
 
-    /// Whether `file` has the same content wherever this one has any, and more: it is the same file, written further.
+    /// Whether `file` has the same content wherever this one has any.
     #[must_use]
-    pub fn goes_on_in(&self, file: &File, bytes: u64) -> bool {
+    pub fn is_kept_in(&self, file: &File, bytes: u64) -> bool {
         // Reserved bytes at its end may have been too many.
         let last = self.zeros.last().filter(|run| run.end == self.bytes).map_or(self.bytes, |run| run.start);
-        if bytes < last || hash_around(file, &self.zeros, self.bytes.min(bytes)).as_ref() != Some(&self.sha256) {
+        bytes >= last && hash_around(file, &self.zeros, self.bytes.min(bytes)).as_ref() == Some(&self.sha256)
+    }
+
+    /// Whether `file` has the same content wherever this one has any, and more where this one has zeros: it is the same file, written further.
+    #[must_use]
+    pub fn goes_on_in(&self, file: &File, bytes: u64) -> bool {
+        if !self.is_kept_in(file, bytes) {
             return false;
         }
         let gains = |run: &Range<u64>| {
@@ -134,8 +147,9 @@ mod tests {
     #[test]
     fn what_was_written_is_told_from_what_was_reserved() {
         let whole: Vec<u8> = (0..200_000u32).map(|n| (n % 251) as u8 + 1).collect();
-        let (file, bytes) = file_of(&whole);
-        assert!(Written::around_zeros(&file, bytes).is_none() && !ends_in_zeros(&file, bytes), "a whole file has no zeros");
+        let (file, bytes_of_whole) = file_of(&whole);
+        let has_zeros = Written::around_zeros(&file, bytes_of_whole).is_some() || ends_in_zeros(&file, bytes_of_whole);
+        assert!(!has_zeros, "a whole file has no zeros");
         let mut another = whole.clone();
         another[0] = 0xff;
         let (another, _) = file_of(&another);
@@ -155,7 +169,7 @@ mod tests {
             let before = Written::around_zeros(&torn, bytes).unwrap();
             assert_eq!(before.zeros.len(), missing.len());
             assert_eq!(ends_in_zeros(&torn, bytes), missing.last().unwrap().1 == 200_000);
-            assert!(before.goes_on_in(&file, bytes), "{missing:?}");
+            assert!(before.goes_on_in(&file, bytes) && before.is_kept_in(&file, bytes), "{missing:?}");
             assert!(!before.goes_on_in(&torn, bytes), "nothing was added");
             assert!(!before.goes_on_in(&another, bytes), "another file");
         }
@@ -163,6 +177,11 @@ mod tests {
         assert!(Written::around_zeros(&few, bytes).is_none() && !ends_in_zeros(&few, bytes), "a few zeros are content");
         let (none, bytes) = file_of(&[0; 4096]);
         assert!(Written::around_zeros(&none, bytes).is_none() && ends_in_zeros(&none, bytes));
+        // One that was cut, without zeros: it is kept in the whole one and in no other.
+        let cut = Written::so_far(&file, 70_000).unwrap();
+        assert!(cut.is_kept_in(&file, bytes_of_whole) && cut.is_kept_in(&file, 70_000) && !cut.is_kept_in(&file, 69_999));
+        assert!(!cut.is_kept_in(&another, bytes_of_whole) && !cut.goes_on_in(&file, bytes_of_whole));
+        assert!(Written::so_far(&file, 0).unwrap().is_kept_in(&another, bytes_of_whole), "nothing is kept in whatever comes");
         // More was reserved than is needed.
         let (long, bytes) = file_of(&[&whole[..100_000], &[0; 150_000]].concat());
         assert!(Written::around_zeros(&long, bytes).unwrap().goes_on_in(&file, 200_000));

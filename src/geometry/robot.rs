@@ -92,6 +92,12 @@ pub struct RobotShape {
 }
 
 impl RobotModel {
+    /// Whether both are the same robot, whoever measured it: a log that was redacted does not say that any more.
+    #[must_use]
+    pub fn is_like(&self, other: &Self) -> bool {
+        Self { origin: other.origin.clone(), ..self.clone() } == *other
+    }
+
     /// Checks what JSON cannot.
     ///
     /// # Errors

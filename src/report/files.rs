@@ -22,16 +22,14 @@ pub enum ReportError {
 }
 
 /// Writes `pairs.json` and `report.html` into `folder`; each file is whole or absent. The page holds a small picture of each strip and
-/// links to the strip itself; strips that `pictures` lacks are read from the folder, and the page says which is not there.
-///
-/// # Errors
-/// When the folder is not writable.
-pub fn write_session(folder: &Path, report: &SessionReport) -> Result<(), ReportError> {
-    write_pairs(&folder.join("pairs.json"), &report.pairs)?;
+/// links to the strip itself; strips that `pictures` lacks are read from the folder, and the page says which is not there. Returns what could
+/// not be written; the one does not keep the other from being tried.
+pub fn write_session(folder: &Path, report: &SessionReport) -> Vec<ReportError> {
+    let pairs = write_pairs(&folder.join("pairs.json"), &report.pairs);
     let strip = |path: &str| report.pictures.get(path).cloned().or_else(|| std::fs::read(folder.join(path)).ok());
     let text = html::page(report, &strip);
-    write_atomically(&folder.join("report.html"), |file| file.write_all(text.as_bytes()))?;
-    Ok(())
+    let page = write_atomically(&folder.join("report.html"), |file| file.write_all(text.as_bytes())).map_err(ReportError::from);
+    [pairs, page].into_iter().filter_map(Result::err).collect()
 }
 
 /// Writes `pairs.json` alone, as a session does after each exposure.

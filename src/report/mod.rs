@@ -22,7 +22,7 @@ pub use colour::{diverging, gray, short, window};
 pub use files::{ReportError, png_bytes, write_pairs, write_session};
 pub use html::html;
 pub use overlay::overlay;
-pub use pair::{Innovation, Pair, PairStatus, PoseSource, Standing, TruthError, score_words};
+pub use pair::{Innovation, Pair, PairStatus, PoseSource, Standing, TruthError, is_second_picture, score_words};
 pub use session::{Counts, Gap, LinkReport, PairsFile, Provenance, SessionReport, Track, counted};
 pub use signed_difference::{NOT_COMPARABLE, SignedDifference};
 pub use strip::{StripInput, restated, strip};

@@ -8,7 +8,7 @@ use super::colour;
 use crate::calibrate::robot::SeenTip;
 use crate::compare::{AirReport, Comparison, Disagreement, Elsewhere, NullPlan, NullScore, Scores, ToneFit, elsewhere};
 use crate::mask::{Cause, MaskShares};
-use crate::pose::Edited;
+use crate::pose::{Edited, Pose, Refusal};
 use crate::time::StageTimes;
 use crate::timeline::NO_EXPOSURE;
 
@@ -38,11 +38,22 @@ pub enum PairStatus {
     AcceptedInDoubt,
     /// Tried and refused, with a reason.
     Refused,
-    /// Not tried: the frame could not be bound, or there are no beads to look for.
+    /// Not tried: the session names no beads to look for, or its layout was refused.
     NoPose,
 }
 
 impl PairStatus {
+    /// What became of a frame whose beads gave `pose`; `source` says which is used.
+    #[must_use]
+    pub fn of(pose: &Pose, source: PoseSource) -> Self {
+        match (&pose.refusal, source) {
+            _ if pose.is_accepted() => Self::Accepted,
+            // Without beads to look for, nothing was tried, whatever telemetry tells.
+            (Some(Refusal::Layout { .. }), _) | (None, PoseSource::None) => Self::NoPose,
+            _ => Self::Refused,
+        }
+    }
+
     /// Whether P rests on beads, doubted or not.
     #[must_use]
     pub fn is_accepted(self) -> bool {
@@ -412,6 +423,14 @@ impl Pair {
     pub fn score_words(&self) -> Vec<String> {
         score_words(&self.scores, &self.null)
     }
+}
+
+/// Whether a frame is bound to no exposure because the one that all names has another frame, by what its binding rests on: a second picture
+/// of that exposure, as a console makes that stores a processed one beside the raw one.
+#[must_use]
+pub fn is_second_picture(binding_evidence: &[String]) -> bool {
+    let decisive = binding_evidence.last().map_or("", String::as_str);
+    decisive.ends_with("; one exposure has one frame") || decisive.ends_with(" has already")
 }
 
 /// The most telling scores in a few words each; those that do not discriminate carry a question mark.

@@ -142,7 +142,7 @@ pub fn counted(pairs: &[Pair]) -> String {
             words += &format!(", {doubtful} accepted {what}");
         }
     }
-    for (status, what) in [(PairStatus::Refused, "refused"), (PairStatus::NoPose, "without a pose")] {
+    for (status, what) in [(PairStatus::Refused, "refused"), (PairStatus::NoPose, "not registered")] {
         let left = count(&|pair| pair.status == status);
         if left > 0 {
             words += &format!(", {left} {what}");

@@ -19,6 +19,8 @@ pub struct BoardState {
     pub pairs: Vec<Arc<PairView>>,
     /// Frames seen so far.
     pub frames_seen: usize,
+    /// Files that were seen and not read yet.
+    pub frames_unread: usize,
     /// Frames that wait to be registered, rendered or compared.
     pub frames_waiting: usize,
     /// What takes unusually long right now, in sentences.
@@ -79,7 +81,7 @@ impl BoardState {
     /// What is drawn anew when it changes.
     fn telling(&self) -> Telling {
         Telling {
-            frames: [self.frames_seen, self.frames_waiting, self.warnings.len()],
+            frames: [self.frames_seen, self.frames_unread, self.frames_waiting, self.warnings.len()],
             said: [self.recorder_failure.is_some(), self.finished],
             slow: self.slow.clone(),
             lines: self.links.iter().map(|link| (link.silent_steps(self.now_us), link.moves)).collect(),
@@ -90,7 +92,7 @@ impl BoardState {
 /// See [`BoardState::telling`].
 #[derive(PartialEq)]
 struct Telling {
-    frames: [usize; 3],
+    frames: [usize; 4],
     said: [bool; 2],
     slow: Vec<String>,
     lines: Vec<(Option<i64>, u64)>,

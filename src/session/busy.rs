@@ -45,19 +45,25 @@ impl Task {
         let seconds = taken.as_secs();
         match self {
             Self::Folder => {
-                format!("the frame folder has not answered for {seconds} s: is its server or disk there? no frame is taken meanwhile")
+                format!(
+                    "the frame folder has not answered for {seconds} s: is its server or disk there? no frame is taken meanwhile"
+                )
             }
             Self::Reading(frame) => {
                 format!("frame {frame}: its file has been read for {seconds} s and is not there yet; other frames pass it")
             }
             Self::Registering(frame) => {
-                format!("frame {frame}: it has been registered for {seconds} s and is not done; recording goes on, other frames wait")
+                format!(
+                    "frame {frame}: it has been registered for {seconds} s and is not done; recording goes on, other frames wait"
+                )
             }
             Self::Developing(frame) => {
                 format!("frame {frame}: its DRR has been made for {seconds} s and is not done; recording and registration go on")
             }
             Self::Writing(frame) => {
-                format!("frame {frame}: its files have been written for {seconds} s and are not done: is the disk slow? recording goes on")
+                format!(
+                    "frame {frame}: its files have been written for {seconds} s and are not done: is the disk slow? recording goes on"
+                )
             }
         }
     }

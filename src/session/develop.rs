@@ -16,7 +16,6 @@ use crate::compare::{CompareInput, NullError, NullRenders, NullScatter, bead_mar
 use crate::geometry::View;
 use crate::image::{Image, sha256_bytes};
 use crate::mask::{Cause, MaskShares};
-use crate::pose::Refusal;
 use crate::render::{Options, Plan, Quantity, Renderer, Scatter};
 use crate::report::{BeadRow, Pair, PairStatus, PoseSource};
 use crate::reporter::Reporter;
@@ -339,13 +338,7 @@ fn row(posed: &Posed) -> Pair {
     pair.binding = how(&posed.binding).to_owned();
     pair.binding_evidence = posed.binding.evidence.clone();
     pair.pose_source = posed.pose_source;
-    // Without beads to look for, nothing was tried.
-    let tried = posed.pose.refusal.as_ref().filter(|refusal| !matches!(refusal, Refusal::Layout { .. }));
-    pair.status = match (posed.pose.is_accepted(), posed.pose_source, tried) {
-        (true, _, _) => PairStatus::Accepted,
-        (false, PoseSource::None, None) => PairStatus::NoPose,
-        (false, _, _) => PairStatus::Refused,
-    };
+    pair.status = PairStatus::of(&posed.pose, posed.pose_source);
     if let Some(doubt) = &posed.pose.doubt {
         pair.doubt(doubt);
     }

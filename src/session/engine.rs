@@ -17,7 +17,7 @@ use super::file::Setup;
 use super::hearing::Hearing;
 use super::import::Import;
 use super::input::{Input, Output};
-use super::losses::{few_bound, line_losses, of_no_exposure, without_frame};
+use super::losses::{Untied, all_shown, few_bound, line_losses, of_no_exposure, without_frame};
 use super::pictures::{PictureDigest, Pictures};
 use super::posing::{Bound, Known, PoseJob, Registered};
 use super::standstill::Standstill;
@@ -28,6 +28,7 @@ use crate::acquire::Frame;
 use crate::beads::tags::TagLayout;
 use crate::beads::{BeadLayout, Landmark};
 use crate::geometry::Rigid;
+use crate::report::is_second_picture;
 use crate::reporter::Reporter;
 use crate::telemetry::{DeviceKind, Event, Health, Link, Sequenced};
 use crate::timeline::{Binder, Binding, BindingFlag, FrameEvidence, Timeline};
@@ -203,29 +204,44 @@ impl Engine {
     /// Exposures that telemetry tells of and no frame came of, in words.
     #[must_use]
     pub fn exposures_without_frame(&self) -> Option<String> {
-        without_frame(&self.timeline.exposures(), &self.shown, self.without_exposure())
+        without_frame(&self.timeline.exposures(), &self.shown, self.untied().all())
     }
 
-    /// Frames that are of none of the exposures, each of which has its frame, in words.
+    /// Frames that are bound to none of the exposures, each of which has its frame, in words.
     #[must_use]
     pub fn frames_of_no_exposure(&self) -> Option<String> {
-        let exposures = self.timeline.exposures().iter().map(|exposure| exposure.index).collect();
-        of_no_exposure(&exposures, &self.shown, self.without_exposure())
+        of_no_exposure(all_shown(&self.timeline.exposures(), &self.shown), self.untied())
     }
 
     /// Where no more frames were tied to exposures than were not, in words: the session has lost what telemetry knew of them.
     #[must_use]
     pub fn hardly_bound(&self) -> Option<String> {
-        few_bound(self.timeline.exposures().len(), self.without_exposure(), self.tied.len())
+        let (exposures, untied) = (self.timeline.exposures(), self.untied());
+        // Where each exposure has its frame, nothing is lost with a second picture of it.
+        let second = if all_shown(&exposures, &self.shown) { untied.second } else { 0 };
+        few_bound(exposures.len(), untied.all() - second, self.tied.len())
     }
 
     /// Frames that may be of an exposure and are bound to none: no copies, and no pictures that were taken back.
-    fn without_exposure(&self) -> usize {
-        let stands_for_another = |number: &u32| {
-            let flags = self.binder.binding(*number).map_or(&[][..], |binding| &binding.flags);
-            flags.iter().any(|flag| matches!(flag, BindingFlag::Duplicate { .. } | BindingFlag::Unfinished { .. }))
-        };
-        self.unbound.keys().filter(|number| !stands_for_another(number)).count()
+    fn untied(&self) -> Untied {
+        let end_us = self.ended_us.unwrap_or(self.now_us);
+        let stands_for_another =
+            |flag: &BindingFlag| matches!(flag, BindingFlag::Duplicate { .. } | BindingFlag::Unfinished { .. });
+        let mut untied = Untied::default();
+        for number in self.unbound.keys() {
+            let binding = self.binder.binding(*number);
+            if binding.is_some_and(|binding| binding.flags.iter().any(stands_for_another)) {
+                continue;
+            }
+            if binding.is_some_and(|binding| is_second_picture(&binding.evidence)) {
+                untied.second += 1;
+            } else if self.hearing.came_unheard(*number, DeviceKind::Carm, end_us) {
+                untied.unheard += 1;
+            } else {
+                untied.other += 1;
+            }
+        }
+        untied
     }
 
     /// Lines that have fallen silent since this was last asked, a sentence each.
@@ -318,8 +334,10 @@ impl Engine {
         let posed = match world_from_lps {
             Some(world_from_lps) => {
                 let verdict = self.tie.observe(number, &posed.frame.sha256, world_from_lps, posed.pose.doubt.is_some());
-                if let Some(words) = &verdict.words {
+                if let Some(words) = verdict.words {
                     self.reporter.warn("specimen in the room", format!("frame {number}: {words}"));
+                    // What only says that nothing is tied yet is no fault of the frame.
+                    posed.warnings.extend(verdict.disagreement.map(|_| words));
                 }
                 posed.with_telemetry_disagreement(verdict.disagreement)
             }
@@ -488,6 +506,7 @@ impl Engine {
             tags: self.tags.clone(),
             landmarks: Arc::clone(&self.landmarks),
             world_from_lps: self.tie.world_from_lps(),
+            tie_disputed: self.tie.is_disputed(),
         };
         let development = self.developments.get(&bound.frame().number).copied().unwrap_or(0);
         PoseJob::new(bound, imported, known, development, &self.reporter)

@@ -42,7 +42,7 @@ impl Folder {
     pub fn write_again(&self) -> Result<(), SessionError> {
         let Some(report) = &self.report else { return Ok(write_pairs(&self.path.join("pairs.json"), &self.pairs)?) };
         let report = SessionReport { pairs: self.pairs.clone(), ..SessionReport::clone(report) };
-        Ok(write_session(&self.path, &report)?)
+        write_session(&self.path, &report).into_iter().next().map_or(Ok(()), |error| Err(error.into()))
     }
 }
 
@@ -256,10 +256,12 @@ impl Collector {
             self.report.losses.push(sentence);
         }
         self.hide_names();
-        if let Err(error) = write_session(&self.path, &self.report) {
+        for error in write_session(&self.path, &self.report) {
             reporter.warn("report not written", &error);
             self.report.losses.push(format!("{error}; {again}"));
         }
+        // What is said of them now holds a path again.
+        self.hide_names();
         let (pairs, losses) = (std::mem::take(&mut self.report.pairs), self.report.losses.clone());
         Folder { path: self.path, log, pairs, views: self.views, losses, report: Some(Box::new(self.report)) }
     }

@@ -42,6 +42,16 @@ impl Line {
         let start_us = self.last_us?;
         (now_us.saturating_sub(start_us) > SILENT_US).then_some(Silence { start_us, end_us: now_us })
     }
+
+    /// All silences up to `end_us`.
+    fn silences_until(&self, end_us: i64) -> Vec<Silence> {
+        self.silences.iter().copied().chain(self.silence_until(end_us)).collect()
+    }
+}
+
+/// Whether a frame that came at `at_us` may be of an exposure in one of `silences`.
+fn fell_into(silences: &[Silence], at_us: i64) -> bool {
+    silences.iter().any(|silence| (silence.start_us..silence.end_us.saturating_add(PROMPT_US)).contains(&at_us))
 }
 
 /// See the module.
@@ -141,14 +151,20 @@ impl Hearing {
         words
     }
 
+    /// Whether the frame came while nothing was heard of `device`, which says nothing of it; time has come to `end_us`.
+    pub(super) fn came_unheard(&self, number: u32, device: DeviceKind, end_us: i64) -> bool {
+        let of_frame = self.frames.get(&number).filter(|(_, unknown)| unknown.contains(&device));
+        let silences = || self.lines.get(&device).map(|line| line.silences_until(end_us)).unwrap_or_default();
+        of_frame.is_some_and(|(at_us, _)| fell_into(&silences(), *at_us))
+    }
+
     /// What silence and clocks have cost, a sentence each. A device that is switched off after the last frame has cost nothing.
     pub(super) fn losses(&self, end_us: i64) -> Vec<String> {
         let mut words = Vec::new();
         for (device, line) in &self.lines {
-            let silences: Vec<Silence> = line.silences.iter().copied().chain(line.silence_until(end_us)).collect();
-            let in_silence =
-                |at_us: i64| silences.iter().any(|s| (s.start_us..s.end_us.saturating_add(PROMPT_US)).contains(&at_us));
-            let without = self.frames.values().filter(|(at_us, unknown)| unknown.contains(device) && in_silence(*at_us)).count();
+            let silences = line.silences_until(end_us);
+            let lacks = |(at_us, unknown): &&(i64, Vec<DeviceKind>)| unknown.contains(device) && fell_into(&silences, *at_us);
+            let without = self.frames.values().filter(lacks).count();
             let silent_s = silences.iter().map(|s| s.end_us.saturating_sub(s.start_us)).sum::<i64>() as f64 * 1e-6;
             match (line.ever, without) {
                 (false, _) if !silences.is_empty() => words.push(format!("{device}: not one packet in {silent_s:.0} s")),
@@ -163,5 +179,34 @@ impl Hearing {
             }
         }
         words
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::acquire::{Domain, Frame};
+    use crate::image::Image;
+    use crate::timeline::{Binding, Timeline};
+
+    /// All that came while the C-arm was unplugged was said to be of another day or another room.
+    #[test]
+    fn a_frame_that_came_while_nothing_was_heard_is_told_from_one_that_fits_nothing() {
+        let pixels = Image::from_pixels(2, 2, vec![1.0, 2.0, 3.0, 4.0]).expect("size");
+        let frame = Arc::new(Frame::from_pixels("frame", pixels, Domain::Linear).expect("finite"));
+        let mut hearing = Hearing::new([DeviceKind::Carm]);
+        hearing.advance(0);
+        for (number, arrived_us) in [(1, 9_000_000), (2, 12_500_000)] {
+            let bound = Bound::new(Arc::clone(&frame), arrived_us, Binding::default(), &Timeline::new());
+            hearing.bound(number, arrived_us, &bound);
+        }
+        let unheard = |number, device, end_us| hearing.came_unheard(number, device, end_us);
+        assert!(unheard(1, DeviceKind::Carm, 10_000_000));
+        assert!(!unheard(1, DeviceKind::Carm, 2_000_000), "two seconds are no silence");
+        assert!(!unheard(2, DeviceKind::Carm, 10_000_000), "long after it");
+        assert!(!unheard(1, DeviceKind::Robot, 10_000_000) && !unheard(3, DeviceKind::Carm, 10_000_000));
+        assert_eq!(hearing.losses(10_000_000), ["C-arm: not one packet in 10 s"]);
     }
 }

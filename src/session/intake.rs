@@ -11,7 +11,7 @@ use super::board::Board;
 use super::busy::{Busy, Task};
 use super::input::Input;
 use super::log::SessionLog;
-use crate::acquire::{Arrival, Frame, FrameSource, Reading, Sighting};
+use crate::acquire::{Arrival, Frame, FrameSource, Reading, Sighting, Trouble};
 use crate::record::Level;
 use crate::reporter::Reporter;
 use crate::time::{Stopwatch, host_now_us};
@@ -41,11 +41,11 @@ struct Seen {
     arrival: Arrival,
 }
 
-/// How a reading ended; `None` where its thread died in it.
+/// How a reading ended, and what was said to be lost of the file and is not; `None` where its thread died in it.
 struct Read {
     number: u32,
     host_us: i64,
-    reading: Option<Reading>,
+    reading: Option<(Reading, Vec<Trouble>)>,
 }
 
 /// See the module.
@@ -111,6 +111,8 @@ impl FrameIntake {
             {
                 self.begin(seen);
             }
+            let unread = self.backlog.len() + self.reading.len();
+            self.board.tick(|state| state.frames_unread = unread);
             if let Ok(read) = self.read.1.recv_timeout(FOLDER_POLL) {
                 self.take(read);
                 continue;
@@ -154,7 +156,7 @@ impl FrameIntake {
         let (told, busy) = (self.read.0.clone(), self.busy.clone());
         let reader = std::thread::Builder::new().name("frame".to_owned()).spawn(move || {
             let at_work = busy.begin(Task::Reading(number));
-            let reading = catch_unwind(AssertUnwindSafe(|| arrival.read())).ok();
+            let reading = catch_unwind(AssertUnwindSafe(|| arrival.read_and_mend())).ok();
             drop(at_work);
             // Whoever left at once does not listen.
             let _ = told.send(Read { number, host_us, reading });
@@ -220,6 +222,8 @@ impl FrameIntake {
     fn take(&mut self, read: Read) {
         let Read { number, host_us, reading } = read;
         self.reading.remove(&number);
+        let (reading, mended) = reading.unzip();
+        mended.into_iter().flatten().for_each(|trouble| self.take_back(&trouble));
         match reading {
             Some(Reading::Frames { frames, earlier }) => {
                 let before =
@@ -264,6 +268,15 @@ impl FrameIntake {
             // The source offers it again, or reports it.
             Some(Reading::Later | Reading::Same { .. }) => self.give_back(number),
             None => self.refuse(number, &format!("frame {number}: reading it failed (a fault of this program)")),
+        }
+    }
+
+    /// What was said to be lost of a file has come with it after all.
+    fn take_back(&self, trouble: &Trouble) {
+        if self.log.take_back(&trouble.to_string()) {
+            let words = trouble.mended();
+            self.log.event(Level::Info, host_now_us(), &words);
+            self.reporter.mend(trouble.kind(), words);
         }
     }
 

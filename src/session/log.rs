@@ -16,6 +16,7 @@ use super::event::Event;
 use super::file::Setup;
 use super::input::Input;
 use super::inputs::InputNames;
+use super::losses::Losses;
 use super::posing::Posed;
 use super::workshop::Workshop;
 use crate::geometry::Rigid;
@@ -52,7 +53,7 @@ pub(super) struct SessionLog {
     failed: AtomicBool,
     /// The log has its end.
     finished: AtomicBool,
-    losses: Mutex<Vec<String>>,
+    losses: Mutex<Losses>,
 }
 
 impl SessionLog {
@@ -148,14 +149,16 @@ impl SessionLog {
 
     /// Something is lost: it stands in the report, and the exit code is 3.
     pub(super) fn lose(&self, what: String) {
-        let mut losses = self.losses.lock().unwrap_or_else(PoisonError::into_inner);
-        if !losses.contains(&what) {
-            losses.push(what);
-        }
+        self.losses.lock().unwrap_or_else(PoisonError::into_inner).add(what);
+    }
+
+    /// It is not lost after all; false where nobody said that it was.
+    pub(super) fn take_back(&self, what: &str) -> bool {
+        self.losses.lock().unwrap_or_else(PoisonError::into_inner).take_back(what)
     }
 
     pub(super) fn losses(&self) -> Vec<String> {
-        self.losses.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.losses.lock().unwrap_or_else(PoisonError::into_inner).sentences()
     }
 
     /// Records an input and hands it to the engine; both in one order, whatever thread calls.

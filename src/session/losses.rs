@@ -9,6 +9,33 @@ use crate::timeline::ExposureInterval;
 /// So many exposures are named.
 const NAMED: usize = 8;
 
+/// Sentences about what was lost, each once and in the order in which they came. What turns out not to be lost is taken back.
+#[derive(Debug, Default)]
+pub(super) struct Losses(Vec<(String, u32)>);
+
+impl Losses {
+    pub(super) fn add(&mut self, what: String) {
+        match self.0.iter_mut().find(|(known, _)| *known == what) {
+            Some((_, times)) => *times += 1,
+            None => self.0.push((what, 1)),
+        }
+    }
+
+    /// Whether it was there to be taken back; of two alike, one is.
+    pub(super) fn take_back(&mut self, what: &str) -> bool {
+        let Some(at) = self.0.iter().position(|(known, _)| known == what) else { return false };
+        self.0[at].1 -= 1;
+        if self.0[at].1 == 0 {
+            self.0.remove(at);
+        }
+        true
+    }
+
+    pub(super) fn sentences(&self) -> Vec<String> {
+        self.0.iter().map(|(what, _)| what.clone()).collect()
+    }
+}
+
 /// `None` when nothing was lost.
 pub(super) fn line_losses(link: &Link) -> Option<String> {
     let (device, health, [one, all]) = (link.device(), link.health(), link.units());
@@ -52,13 +79,43 @@ pub(super) fn without_frame(exposures: &[ExposureInterval], shown: &BTreeSet<u64
     })
 }
 
-/// That `unbound` frames are of none of the exposures (their indices) that telemetry tells of, where each of those has its frame.
-pub(super) fn of_no_exposure(exposures: &BTreeSet<u64>, shown: &BTreeSet<u64>, unbound: usize) -> Option<String> {
-    let all_shown = !exposures.is_empty() && exposures.is_subset(shown);
-    (all_shown && unbound > 0).then(|| {
+/// Frames that are bound to no exposure, by what is known of why.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Untied {
+    /// What they say names an exposure that has its frame.
+    pub(super) second: usize,
+    /// They came while nothing was heard of the C-arm.
+    pub(super) unheard: usize,
+    /// Nothing that telemetry tells of fits.
+    pub(super) other: usize,
+}
+
+impl Untied {
+    pub(super) fn all(self) -> usize {
+        self.second + self.unheard + self.other
+    }
+}
+
+/// Whether each of the exposures (their indices) that telemetry tells of has its frame.
+pub(super) fn all_shown(exposures: &[ExposureInterval], shown: &BTreeSet<u64>) -> bool {
+    !exposures.is_empty() && exposures.iter().all(|exposure| shown.contains(&exposure.index))
+}
+
+/// That frames are bound to none of the exposures that telemetry tells of, where each of those has its frame (`all_shown`).
+pub(super) fn of_no_exposure(all_shown: bool, untied: Untied) -> Option<String> {
+    let Untied { second, unheard, other } = untied;
+    let parts = [
+        (second, "are second pictures of exposures that have their frame (processed ones beside raw ones?)"),
+        (unheard, "came while nothing was heard of the C-arm: of which exposures they are is not known"),
+        (other, "are of no exposure that telemetry tells of: pictures of another day or another room?"),
+    ];
+    let parts: Vec<String> =
+        parts.iter().filter(|(count, _)| *count > 0).map(|(count, words)| format!("{count} frames {words}")).collect();
+    let end = if other > 0 { "" } else { "." };
+    (all_shown && !parts.is_empty()).then(|| {
         format!(
-            "{unbound} frames are of no exposure that telemetry tells of: pictures of another day or another room? Their pairs have no joints, \
-             robot or beam of telemetry; `binding_evidence` of each pair says why"
+            "{}{end} Their pairs have no joints, robot or beam of telemetry; `binding_evidence` of each pair says why",
+            parts.join("; ")
         )
     })
 }
@@ -98,6 +155,19 @@ mod tests {
     use crate::report::PairStatus;
 
     #[test]
+    fn what_is_not_lost_after_all_is_taken_back_and_its_like_stays() {
+        let mut losses = Losses::default();
+        for what in ["latest: cut", "half a packet", "latest: cut"] {
+            losses.add(what.to_owned());
+        }
+        assert_eq!(losses.sentences(), ["latest: cut", "half a packet"]);
+        assert!(losses.take_back("latest: cut") && !losses.take_back("another"));
+        assert_eq!(losses.sentences(), ["latest: cut", "half a packet"], "one of the two is lost still");
+        assert!(losses.take_back("latest: cut") && !losses.take_back("latest: cut"));
+        assert_eq!(losses.sentences(), ["half a packet"]);
+    }
+
+    #[test]
     fn a_session_without_one_pose_by_beads_has_lost_what_it_was_for() {
         let refused = || Pair::unmatched("a", "no beads");
         assert!(none_accepted(&[refused(), refused()]).is_some_and(|words| words.contains("not one of 2 frames")));
@@ -110,12 +180,29 @@ mod tests {
         assert_eq!(none_accepted(&[]), None);
     }
 
+    /// Processed pictures beside raw ones, and all that came while the C-arm was unplugged, were said to be of another day.
     #[test]
-    fn frames_of_another_day_are_said_where_every_exposure_has_its_own() {
-        let of = |shown: &[u64], unbound| of_no_exposure(&BTreeSet::from([0, 1]), &shown.iter().copied().collect(), unbound);
-        assert!(of(&[0, 1], 3).is_some_and(|words| words.contains("3 frames are of no exposure")));
+    fn frames_without_an_exposure_are_said_by_what_is_known_of_why() {
+        let says = |untied, all: &[&str], none: &[&str]| {
+            let words = of_no_exposure(true, untied).expect("something to say");
+            assert!(all.iter().all(|word| words.contains(word)) && !none.iter().any(|word| words.contains(word)), "{words}");
+        };
+        says(
+            Untied { other: 3, ..Untied::default() },
+            &["3 frames are of no exposure", "another room? Their"],
+            &["second", "heard"],
+        );
+        says(
+            Untied { second: 5, ..Untied::default() },
+            &["5 frames are second pictures", "ones?). Their"],
+            &["another day", "heard"],
+        );
+        says(Untied { unheard: 4, ..Untied::default() }, &["4 frames came while nothing was heard"], &["another day", "second"]);
+        let mixed = Untied { second: 3, unheard: 1, other: 2 };
+        says(mixed, &["3 frames are second", "; 1 frames came while", "; 2 frames are of no exposure"], &[]);
+        assert_eq!(mixed.all(), 6);
         // Else they may be of the exposures that have none, which is said.
-        assert_eq!([of(&[0, 1], 0), of(&[0], 3), of_no_exposure(&BTreeSet::new(), &BTreeSet::new(), 3)], [None, None, None]);
+        assert_eq!([of_no_exposure(true, Untied::default()), of_no_exposure(false, mixed)], [None, None]);
     }
 
     #[test]

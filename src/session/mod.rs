@@ -36,6 +36,7 @@ mod basis;
 mod bell;
 mod broadcast;
 mod busy;
+mod chime;
 mod develop;
 mod developed;
 mod editing;

@@ -75,6 +75,7 @@ impl Posed {
     #[must_use]
     pub fn announcement(&self) -> String {
         let outcome = match &self.pose.reason {
+            Some(reason) if matches!(self.pose.refusal, Some(Refusal::Layout { .. })) => format!("not registered, {reason}"),
             Some(reason) => format!("refused, {reason}"),
             None => {
                 let unseen = self.pose.unseen.as_ref().map(|unseen| format!(", unseen beads {:.3} px", unseen.rms_px));
@@ -167,6 +168,8 @@ pub struct Known {
     pub landmarks: Arc<[Landmark]>,
     /// Where the specimen lies in the room.
     pub world_from_lps: Option<Rigid>,
+    /// The latest frame with beads contradicts that.
+    pub tie_disputed: bool,
 }
 
 /// A registration with all that it rests on; it may run on any thread.
@@ -384,8 +387,12 @@ impl Registered {
 
     /// The frame with its pose, and where its beads put the specimen in the room, if both are known.
     pub(super) fn into_posed(self, world_from_tracker: Option<Rigid>) -> (Posed, Option<Rigid>) {
-        let Self { job, pose, masks, stages, .. } = self;
+        let Self { mut job, pose, masks, stages, .. } = self;
         let Used { pose_source, view, world_from_lps: seen } = job.used(&pose);
+        if pose_source == PoseSource::Telemetry && job.known.tie_disputed {
+            let words = "the pose is telemetry's alone, and the latest frame with beads contradicts where that has the specimen";
+            job.warnings.push(words.to_owned());
+        }
         let nominal = job.nominal();
         let Bound { frame, time_us, binding, joints, carm_gap_us, robot, beam } = job.bound;
         let robot = robot.map(|robot| robot.in_lps(world_from_tracker, job.known.world_from_lps));

@@ -68,7 +68,7 @@ fn of_refusal(refusal: &Refusal) -> &'static str {
             "bring the listed tags into the field, flat and unmoved, and check their sizes and places"
         }
         Refusal::ByHand { .. } => "take that edit back (Ctrl Z), or put the bead where its shadow is",
-        Refusal::Layout { .. } => "run sidecarm check on the session: its bead layout is not usable",
+        Refusal::Layout { .. } => "run sidecarm check on the session: it names no beads, or their layout is not usable",
         Refusal::Fault { .. } | Refusal::Unsolved | Refusal::Correspondences { .. } => {
             "expose again; the log keeps this frame as it came"
         }

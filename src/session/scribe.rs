@@ -11,6 +11,7 @@ use super::background::stand_back;
 use super::board::Board;
 use super::broadcast::Broadcast;
 use super::busy::{Busy, Task};
+use super::chime::Chime;
 use super::developed::Developed;
 use super::folder::Collector;
 use super::input::Input;
@@ -48,7 +49,7 @@ impl Scribe {
         collector: Collector,
         log: Arc<SessionLog>,
         board: Board,
-        (broadcast, busy): (Arc<Broadcast>, &Busy),
+        (broadcast, busy, chime): (Arc<Broadcast>, &Busy, Option<Chime>),
         reporter: &Reporter,
     ) -> Result<(Self, SyncSender<Developed>), SessionError> {
         let (sender, inbox) = sync_channel(QUEUE);
@@ -59,6 +60,7 @@ impl Scribe {
             board,
             broadcast,
             busy: busy.clone(),
+            chime,
             reporter: reporter.clone(),
             complete: Arc::clone(&complete),
             completed: BTreeSet::new(),
@@ -106,6 +108,7 @@ struct Work {
     board: Board,
     broadcast: Arc<Broadcast>,
     busy: Busy,
+    chime: Option<Chime>,
     reporter: Reporter,
     complete: Arc<AtomicUsize>,
     completed: BTreeSet<u32>,
@@ -150,6 +153,9 @@ impl Work {
             let latency_ms = developed.pair.edited.is_none().then_some(late_ms);
             PairView { latency_ms, ..developed.picture() }
         });
+        if let Some(chime) = self.chime.as_ref().filter(|_| is_new) {
+            chime.sound(developed.pair.standing());
+        }
         self.broadcast.developed(&developed, is_new);
         let failures = self.collector.take(developed);
         failures.into_iter().for_each(|failure| self.say(Some(failure)));

@@ -41,7 +41,7 @@ impl Disagreement {
 /// What a frame's pose means for the tie.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TieVerdict {
-    /// How far the frame is from the tie that held before it; `None` where there was none, or where it agrees.
+    /// How far the frame is from the tie that held before it, and without one from the frame before; `None` where it agrees, and of the first.
     pub disagreement: Option<Disagreement>,
     /// What changed, or what is wrong, for a person.
     pub words: Option<String>,
@@ -81,6 +81,12 @@ impl SpecimenTie {
         self.tied
     }
 
+    /// Whether the latest frame contradicts where the specimen is taken to lie.
+    #[must_use]
+    pub fn is_disputed(&self) -> bool {
+        self.tied.is_some() && !self.dissenting.is_empty()
+    }
+
     /// Frames without which the tie, or the next one, would be another.
     pub fn rests_on(&self) -> impl Iterator<Item = u32> + '_ {
         self.tied_by.iter().copied().chain(self.dissenting.iter().map(|witness| witness.number))
@@ -102,6 +108,10 @@ impl SpecimenTie {
             |other: &&Witness| Disagreement::between(&other.world_from_lps, &world_from_lps, self.centre_lps_mm).agrees();
         let others = self.dissenting.iter().rev().filter(|other| other.content != content);
         let supporters: Vec<u32> = others.take_while(agrees).map(|other| other.number).collect();
+        // Without a tie, one of two that contradict each other is wrong; which one nobody knows.
+        let latest = self.dissenting.iter().rev().find(|other| other.content != content).filter(|_| self.tied.is_none());
+        let before = latest.map(|other| Disagreement::between(&other.world_from_lps, &world_from_lps, self.centre_lps_mm));
+        let before = before.filter(|before| !before.agrees());
         let words = match (apart, supporters.len() + 1 >= REPLACED_BY, self.declared) {
             (Some(apart), _, true) => Some(format!(
                 "its beads put the specimen {:.1} mm and {:.1} degrees from where the session's world_from_lps and telemetry do: check \
@@ -119,12 +129,14 @@ impl SpecimenTie {
                 apart.mm, apart.deg
             )),
             (None, true, _) => None,
-            (None, false, _) if self.dissenting.iter().all(|other| other.content == content) => None,
-            (None, false, _) => Some(
-                "it does not agree with the frame before on where the specimen lies in the room: there is no pose from telemetry until \
-                 two frames agree"
-                    .to_owned(),
-            ),
+            (None, false, _) => before.map(|before| {
+                format!(
+                    "it does not agree with the frame before on where the specimen lies in the room ({:.1} mm, {:.1} degrees apart): check the \
+                     C-arm's calibration, its joints' signs and which frame belongs to which exposure; there is no pose from telemetry until \
+                     two frames agree",
+                    before.mm, before.deg
+                )
+            }),
         };
         if supporters.len() + 1 >= REPLACED_BY && !self.declared {
             self.tied = Some(world_from_lps);
@@ -136,7 +148,7 @@ impl SpecimenTie {
                 self.dissenting.remove(0);
             }
         }
-        TieVerdict { disagreement: apart, words }
+        TieVerdict { disagreement: apart.or(before), words }
     }
 
     /// A frame turned out to be wrong: what rests on it is given up. Returns what changed, for a person.
@@ -195,7 +207,8 @@ mod tests {
         let mut tie = SpecimenTie::new(None, DVec3::ZERO);
         assert_eq!(observe(&mut tie, 1, at(0.0)), TieVerdict::default());
         assert_eq!(tie.world_from_lps(), None);
-        assert!(observe(&mut tie, 2, at(500.0)).words.is_some(), "a contradiction is said");
+        let contradiction = observe(&mut tie, 2, at(500.0));
+        assert!(contradiction.words.is_some() && contradiction.disagreement.is_some(), "a contradiction is said");
         assert_eq!(tie.world_from_lps(), None);
         observe(&mut tie, 3, at(501.0));
         assert_eq!(tie.world_from_lps(), Some(at(501.0)));

@@ -6,8 +6,8 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 use super::SessionError;
-use super::busy::{Busy, Task};
 use super::background::stand_back;
+use super::busy::{Busy, Task};
 use super::crosscheck::{self, check_session};
 use super::declared::Declared;
 use super::develop::Bench;
@@ -81,8 +81,12 @@ impl Workshop {
     /// # Errors
     /// When scene or beads are wrong, or the renderer is not available.
     pub fn open(setup: &Setup, device: DeviceChoice, reporter: &Reporter) -> Result<Self, SessionError> {
-        let mut scene = scene::load_text_with(&setup.scene_json, &setup.scene_path, &setup.places, false, reporter)?;
+        // What is said of the scene's files waits until it is known what they may be called; an error names them as they were typed.
+        let held = reporter.holding();
+        let scene = scene::load_text_with(&setup.scene_json, &setup.scene_path, &setup.places, false, &held);
+        let mut scene = scene.inspect_err(|_| held.release(str::to_owned))?;
         let names = InputNames::of(setup, &scene.inputs);
+        held.release(|words| names.hide(words));
         // From here on files have the names that may be shown.
         scene.inputs = names.shown();
         let mut layout = match &setup.beads {

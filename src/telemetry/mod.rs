@@ -5,6 +5,7 @@
 //! sends lines of text ([`LineAdapter`]). Nothing here can write to a device.
 
 mod address;
+mod blank_packet;
 mod counting;
 mod decoder;
 mod device;
@@ -25,6 +26,7 @@ mod udp;
 mod wire;
 
 pub use address::{AddressError, PortAddress, PortConfig};
+pub use blank_packet::{Telling, blanked};
 pub use decoder::Decoder;
 pub use device::{DEFAULT_BAUD, DeviceKind};
 pub use event::{DecodeFault, Event};
@@ -38,4 +40,4 @@ pub use port_error::{PortError, hint};
 pub use sample::{AngleSource, CarmSample, Limit, Metadata, RobotSample, Sample, Tendon};
 pub use sequence::{SequenceTracker, Sequenced};
 pub use status::status_words;
-pub use wire::{FrameFault, MAX_ENCODED_BYTES, SCHEMA_HASH, Telling, VERSION, blanked};
+pub use wire::{FrameFault, MAX_ENCODED_BYTES, SCHEMA_HASH, VERSION};

@@ -15,11 +15,11 @@ pub const SCHEMA_HASH: u32 = 0x9A57_EB41;
 /// Longest stuffed frame without its delimiter.
 pub const MAX_ENCODED_BYTES: usize = 512;
 
-const HEADER_BYTES: usize = 16;
-const CRC_BYTES: usize = 4;
+pub(super) const HEADER_BYTES: usize = 16;
+pub(super) const CRC_BYTES: usize = 4;
 const ROBOT: u8 = 1;
 const CARM: u8 = 2;
-const METADATA: u8 = 3;
+pub(super) const METADATA: u8 = 3;
 const NO_COUNTER: u32 = u32::MAX;
 const CRC32C: Crc<u32> = Crc::<u32>::new(&CRC_32_ISCSI);
 /// A tracked rotation may be off unit length by this much, as f64 on the wire never is.
@@ -111,7 +111,7 @@ pub(super) fn read_frame(stuffed: &mut [u8], foreign: Option<u32>) -> Result<Sam
 }
 
 /// CRC-32C over the schema hash and then `body`.
-fn seeded_crc(schema: u32, body: &[u8]) -> u32 {
+pub(super) fn seeded_crc(schema: u32, body: &[u8]) -> u32 {
     let mut digest = CRC32C.digest();
     digest.update(&schema.to_le_bytes());
     digest.update(body);
@@ -157,61 +157,6 @@ fn read_payload(id: u8, flags: u16, stamp: Stamp, payload: &[u8]) -> Result<Samp
         0 => Ok(sample),
         extra => Err(fields.malformed(format!("{extra} bytes too many"))),
     }
-}
-
-/// What a packet may tell of whose device it is, as it lies on the line without its delimiter.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Telling {
-    /// Intact, and it tells nothing.
-    Nothing,
-    /// Intact; the same with other letters for serial number and calibration, as long as it was.
-    Blanked(Vec<u8>),
-    /// Not intact: what its bytes mean is not known.
-    Unknown,
-}
-
-/// Letters that may stand for others: with one of them the stuffing is as long as before.
-const FILLERS: &[u8] = b"xyzwvutsrqponm";
-
-/// Takes serial number and calibration out of a packet that tells them.
-#[must_use]
-pub fn blanked(stuffed: &[u8]) -> Telling {
-    let mut packet = stuffed.to_vec();
-    let Ok(length) = cobs::decode_in_place(&mut packet) else { return Telling::Unknown };
-    packet.truncate(length);
-    let Some((body, crc)) = packet.split_last_chunk::<CRC_BYTES>().filter(|(body, _)| body.len() >= HEADER_BYTES) else {
-        return Telling::Unknown;
-    };
-    if u32::from_le_bytes(*crc) != seeded_crc(SCHEMA_HASH, body) {
-        return Telling::Unknown;
-    }
-    if body[1] != METADATA {
-        return Telling::Nothing;
-    }
-    let Some([serial_number, _, calibration_id, _]) = texts_of_metadata(body) else { return Telling::Unknown };
-    let with = |filler: u8| {
-        let mut body = body.to_vec();
-        for place in [serial_number.clone(), calibration_id.clone()] {
-            body[place].iter_mut().filter(|byte| **byte != 0).for_each(|byte| *byte = filler);
-        }
-        let crc = seeded_crc(SCHEMA_HASH, &body);
-        body.extend(crc.to_le_bytes());
-        cobs::encode_vec(&body)
-    };
-    let as_long = FILLERS.iter().map(|filler| with(*filler)).find(|packet| packet.len() == stuffed.len());
-    as_long.map_or(Telling::Unknown, Telling::Blanked)
-}
-
-/// Where the four texts of a metadata message lie in its packet.
-fn texts_of_metadata(body: &[u8]) -> Option<[std::ops::Range<usize>; 4]> {
-    let mut at = HEADER_BYTES + 8;
-    let mut places = [0..0, 0..0, 0..0, 0..0];
-    for place in &mut places {
-        let length = usize::from(*body.get(at)?);
-        *place = at + 1..at + 1 + length;
-        at += 1 + length;
-    }
-    (at <= body.len()).then_some(places)
 }
 
 /// Number and device time of a packet.

@@ -4,7 +4,7 @@
 //! Every pair of stamp and exposure allows a short range of offsets; the true offset lies in one range of every frame, a wrong one only
 //! in as many as chance (or a regular rhythm of exposures) provides. Unless the best outweighs every other clearly, nothing is known.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::console::Bounds;
 use super::shots::Shots;
@@ -28,6 +28,8 @@ const MOST_LOST: usize = 3;
 pub(super) struct Stamped {
     pub console_us: i64,
     pub resolution_us: i64,
+    /// The console's count.
+    pub counter: Option<u32>,
     /// It cannot be of an exposure that ended later.
     pub arrival_us: Option<i64>,
 }
@@ -120,6 +122,24 @@ impl<'a> Stamps<'a> {
         reading
     }
 
+    /// How many stamps find the exposure that their counts name, if these are all shifted alike: with that shift with which the most do, and
+    /// with none.
+    fn counted(&self, offset_us: i64) -> (usize, usize) {
+        let mut shifts: BTreeMap<i64, usize> = BTreeMap::new();
+        for stamped in &self.list {
+            let Some(counter) = stamped.counter else { continue };
+            let around_us = stamped.console_us.saturating_add(offset_us);
+            let reach_us = stamped.resolution_us.saturating_add(SAME_US);
+            let near = self.shots.touching(around_us.saturating_sub(reach_us), around_us.saturating_add(reach_us));
+            let fits = |at: &usize| stamped.range(self.shots, *at, self.middle_us).is_some_and(|range| range.holds(offset_us));
+            let of = |at: usize| self.shots.number(at).map(|number| i64::from(counter) - number);
+            for shift in near.filter(fits).filter_map(of).collect::<BTreeSet<i64>>() {
+                *shifts.entry(shift).or_default() += 1;
+            }
+        }
+        (shifts.values().copied().max().unwrap_or(0), shifts.get(&0).copied().unwrap_or(0))
+    }
+
     /// Exposures may follow each other within a second or two: an offset that is off by one of them is another one.
     fn apart_us(&self) -> i64 {
         let coarsest_us = self.list.iter().map(|stamped| stamped.resolution_us).max().unwrap_or(0);
@@ -134,8 +154,8 @@ impl<'a> Stamps<'a> {
     }
 
     /// Whether another offset than `own` explains as many stamps, a few perhaps by exposures that were not seen (`blind`: whether telemetry was
-    /// silent within two host times).
-    pub(super) fn has_rival(&self, own: &Bounds, blind: &dyn Fn(i64, i64) -> bool) -> bool {
+    /// silent within two host times). `counts`: console and C-arm count alike with `own`, so that they do with a rival, but for a shift.
+    pub(super) fn has_rival(&self, own: &Bounds, counts: bool, blind: &dyn Fn(i64, i64) -> bool) -> bool {
         let own = own.at(self.middle_us);
         let Reading { count, lost, .. } = self.read(&self.list, own.low_us / 2 + own.high_us / 2);
         // What falls out of the session with either offset tells nothing.
@@ -148,7 +168,8 @@ impl<'a> Stamps<'a> {
                     !lost.contains(&stamped.console_us) && Self::unseen(stamped, reading.offset_us, APART_US, blind)
                 };
                 let unseen = reading.lost.iter().filter(hidden).count();
-                (after || before) && reading.count + unseen.min((count / UNSEEN).max(1)) >= count
+                let explained = || if counts { self.counted(reading.offset_us).0 } else { reading.count };
+                (after || before) && explained() + unseen.min((count / UNSEEN).max(1)) >= count
             })
     }
 }
@@ -164,7 +185,10 @@ pub(super) fn align(stamps: Vec<Stamped>, shots: &Shots, blind: &dyn Fn(i64, i64
     };
     let apart_us = stamps.apart_us();
     let elsewhere = tried.iter().filter(|other| other.offset_us.saturating_sub(offset_us).saturating_abs() > apart_us);
-    let second = elsewhere.map(|other| other.count).max().unwrap_or(0);
+    // Where console and C-arm count alike by the best reading, they do by any other that is true, but for a shift.
+    let counts = shots.counted && stamps.counted(offset_us).1 == best;
+    let explained = |other: &Reading| if counts { stamps.counted(other.offset_us).0 } else { other.count };
+    let second = elsewhere.map(explained).max().unwrap_or(0);
     let mut different: Vec<i64> = stamps.list.iter().map(|stamped| stamped.console_us).collect();
     different.dedup();
     let margin = if whole { (best / 5).max(3) } else { (best / 2).max(4) };

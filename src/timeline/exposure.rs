@@ -1,4 +1,7 @@
 //! Exposure intervals from the X-ray-on flag and the exposure counter.
+//!
+//! The flag says when, the counter says which. C-arms raise it when the beam goes on, but some a packet or two later and some when the beam
+//! goes off; some count by other steps than one; and a flag may bounce. What has one beam and one count is one exposure.
 
 use std::collections::VecDeque;
 
@@ -17,6 +20,11 @@ const SILENCES_KEPT: usize = 10_000;
 pub const HIDING_SILENCE_US: i64 = 100_000;
 /// A counter that runs ahead by more than this between two samples was set, not counted.
 const MOST_UNSEEN: u32 = 16;
+/// A flag that drops for no longer while the counter stands has bounced: nobody asks for two exposures within that time. So long an exposure
+/// may get its count after it.
+const BOUNCE_US: i64 = 150_000;
+/// What the protocol sends for a counter that is none.
+const NO_COUNT: u32 = u32::MAX;
 
 /// One exposure: an interval of host time during which the beam was on.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -105,6 +113,10 @@ struct Seen {
 struct Open {
     interval: ExposureInterval,
     last_on: Seen,
+    /// It still has the count that stood before the beam went on: the C-arm may yet count it.
+    uncounted: bool,
+    /// The beam is off since this sample, which may be a bounce.
+    off: Option<Seen>,
     travel: Travel<7>,
     kvp: (f64, u32),
     ma: (f64, u32),
@@ -118,6 +130,8 @@ pub struct ExposureTracker {
     previous: Option<Seen>,
     silences: VecDeque<Silence>,
     first_us: Option<i64>,
+    /// The exposure that ended last was not counted yet.
+    uncounted: bool,
     next_index: u64,
     counter_resets: u64,
     dropped: u64,
@@ -131,24 +145,26 @@ impl ExposureTracker {
         let now = Seen { device_us, segment, mapped_us, uncertainty_us, epoch, counter, xray_on };
         self.first_us.get_or_insert(mapped_us);
         self.note_silence(&now);
-        let continues = self.open.as_ref().is_some_and(|open| continues(open, &now));
-        if let Some(open) = &mut self.open
-            && continues
-        {
-            open.extend(sample, now);
-        } else {
-            let ended = self.close(&now);
-            let counted_from = ended.or_else(|| self.previous.and_then(|seen| seen.counter));
-            let counted_to = match (now.xray_on, now.counter) {
-                (true, Some(counter)) => Some(counter.wrapping_sub(1)),
-                (_, counter) => counter,
-            };
-            self.add_unseen(counted_from, counted_to, &now);
-            if now.xray_on {
-                self.begin(sample, now);
+        match self.open.as_mut().map(|open| (open.goes(&now), open)) {
+            Some((Goes::On, open)) => open.extend(sample, now),
+            Some((Goes::PerhapsOn, open)) => _ = open.off.get_or_insert(now),
+            Some((Goes::Over, _)) | None => {
+                let ended = self.close(&now);
+                let counted_from = ended.or_else(|| self.previous.and_then(|seen| seen.counter));
+                self.add_unseen(counted_from, &now);
+                if now.xray_on {
+                    self.begin(sample, now);
+                }
             }
         }
         self.previous = Some(now);
+    }
+
+    /// No more samples come: an exposure after which the beam was seen off has ended.
+    pub fn finish(&mut self) {
+        if let Some(off) = self.open.as_ref().and_then(|open| open.off) {
+            self.close(&off);
+        }
     }
 
     /// Closed exposures, oldest first.
@@ -166,6 +182,12 @@ impl ExposureTracker {
     #[must_use]
     pub fn open(&self) -> Option<&ExposureInterval> {
         self.open.as_ref().map(|open| &open.interval)
+    }
+
+    /// Whether it will be known shortly that an exposure has ended.
+    #[must_use]
+    pub fn is_ending(&self) -> bool {
+        self.open.as_ref().is_some_and(|open| open.off.is_some())
     }
 
     /// A stretch that touches [`from_us`, `to_us`] in which an exposure may have happened unseen: before the first sample, a silence,
@@ -213,14 +235,11 @@ impl ExposureTracker {
 
     fn begin(&mut self, sample: &CarmSample, now: Seen) {
         // A counter that ran ahead of the flag by a sample announced this very exposure.
-        if let Some(last) = self.closed.back()
-            && last.samples == 0
-            && last.counter.is_some()
-            && last.counter == now.counter
-        {
-            self.closed.pop_back();
-        }
+        let is_announcement =
+            |last: &ExposureInterval| last.samples == 0 && last.counter.is_some() && last.counter == now.counter;
+        let announced = self.closed.pop_back_if(|last| is_announcement(last)).is_some();
         let before = self.previous.filter(|previous| !previous.xray_on && previous.epoch == now.epoch);
+        self.uncounted = false;
         let (start_us, half_us) = match before {
             Some(off) => between(off.mapped_us, now.mapped_us),
             None => (now.mapped_us, 0.0),
@@ -252,15 +271,18 @@ impl ExposureTracker {
             tracker_from_base: None,
         };
         self.next_index += 1;
-        let mut open =
-            Open { interval, last_on: now, travel: Travel::of_arm(sample.joints.to_array()), kvp: (0.0, 0), ma: (0.0, 0) };
+        let uncounted = !announced && now.counter.is_some() && before.is_some_and(|before| before.counter == now.counter);
+        let travel = Travel::of_arm(sample.joints.to_array());
+        let mut open = Open { interval, last_on: now, uncounted, off: None, travel, kvp: (0.0, 0), ma: (0.0, 0) };
         open.extend(sample, now);
         self.open = Some(open);
     }
 
     /// Ends the running exposure; returns its counter.
     fn close(&mut self, now: &Seen) -> Option<u32> {
-        let Open { mut interval, last_on, .. } = self.open.take()?;
+        let Open { mut interval, last_on, uncounted, off, .. } = self.open.take()?;
+        let now = off.as_ref().unwrap_or(now);
+        self.uncounted = uncounted;
         interval.open = false;
         interval.end_seen = !now.xray_on && now.epoch == last_on.epoch;
         if now.epoch == last_on.epoch {
@@ -277,24 +299,33 @@ impl ExposureTracker {
         counter
     }
 
-    /// Exposures of which only the counter tells: each lies somewhere between the previous sample and this one.
-    fn add_unseen(&mut self, from: Option<u32>, to: Option<u32>, now: &Seen) {
-        let (Some(from), Some(to), Some(previous)) = (from, to, self.previous) else { return };
-        let count = to.wrapping_sub(from);
-        if count == 0 || (now.xray_on && count == u32::MAX) {
+    /// Exposures of which only the counter tells: each lies somewhere between the previous sample and this one. Between two samples that
+    /// follow each other at once there is room for one at most, and for none before one that is seen: a counter that has gone further there
+    /// counts otherwise.
+    fn add_unseen(&mut self, from: Option<u32>, now: &Seen) {
+        let (Some(from), Some(to), Some(previous)) = (from, now.counter, self.previous) else { return };
+        // The late count of the exposure that ended last: it keeps the number under which it is known.
+        if !now.xray_on && raised(Some(from), now.counter) && std::mem::take(&mut self.uncounted) && now.follows(&previous) {
             return;
         }
-        if count > MOST_UNSEEN {
+        let seen = u32::from(now.xray_on);
+        let ahead = to.wrapping_sub(from).wrapping_sub(seen);
+        if ahead == 0 || (now.xray_on && ahead == u32::MAX) {
+            return;
+        }
+        if ahead > MOST_UNSEEN {
             self.counter_resets += 1;
             return;
         }
-        for ahead in 1..=count {
+        let room = if now.follows(&previous) { 1 - seen } else { ahead };
+        let unseen = (0..ahead.min(room)).rev().map(|behind| to.wrapping_sub(seen).wrapping_sub(behind));
+        for counter in unseen.filter(|counter| *counter != NO_COUNT) {
             let (_, half_us) = between(previous.mapped_us, now.mapped_us);
             let index = self.next_index;
             self.next_index += 1;
             self.keep(ExposureInterval {
                 index,
-                counter: Some(from.wrapping_add(ahead)),
+                counter: Some(counter),
                 epoch: now.epoch,
                 start_us: previous.mapped_us,
                 end_us: now.mapped_us.max(previous.mapped_us),
@@ -326,7 +357,52 @@ impl ExposureTracker {
     }
 }
 
+/// What a sample is to the running exposure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Goes {
+    On,
+    /// The beam is off; if it comes back soon it was not.
+    PerhapsOn,
+    Over,
+}
+
+impl Seen {
+    /// Whether nothing fits in between.
+    fn follows(&self, previous: &Self) -> bool {
+        let silent = self.mapped_us.saturating_sub(previous.mapped_us) > HIDING_SILENCE_US;
+        self.epoch == previous.epoch && self.segment == previous.segment && !silent
+    }
+}
+
+/// Whether a counter went on, not anew.
+fn raised(from: Option<u32>, to: Option<u32>) -> bool {
+    from.zip(to).is_some_and(|(from, to)| (1..=MOST_UNSEEN).contains(&to.wrapping_sub(from)))
+}
+
 impl Open {
+    fn goes(&mut self, now: &Seen) -> Goes {
+        let (last, counter) = (self.last_on, self.interval.counter);
+        let soon =
+            now.epoch == last.epoch && now.segment == last.segment && now.mapped_us.saturating_sub(last.mapped_us) <= BOUNCE_US;
+        if self.uncounted && soon && now.follows(self.off.as_ref().unwrap_or(&last)) && raised(counter, now.counter) {
+            // By steps of whatever size.
+            self.interval.counter = now.counter;
+            self.uncounted = false;
+        }
+        let same = match (self.interval.counter, now.counter) {
+            (Some(a), Some(b)) => a == b,
+            // Without counters two exposures may hide behind one silence.
+            _ => now.epoch == last.epoch && now.mapped_us.saturating_sub(last.mapped_us) <= HIDING_SILENCE_US,
+        };
+        match (now.xray_on, same, self.off.is_some()) {
+            (true, true, false) => Goes::On,
+            // A count that does not move does not say that it was one exposure.
+            (true, true, true) if soon && !self.uncounted => Goes::On,
+            (false, true, _) if soon && self.interval.counter.is_some() => Goes::PerhapsOn,
+            _ => Goes::Over,
+        }
+    }
+
     fn extend(&mut self, sample: &CarmSample, now: Seen) {
         self.travel.push(sample.joints.to_array());
         for (sum, value) in [(&mut self.kvp, sample.tube_kvp), (&mut self.ma, sample.tube_ma)] {
@@ -342,19 +418,8 @@ impl Open {
         self.interval.tube_kvp = mean(self.kvp);
         self.interval.tube_ma = mean(self.ma);
         self.interval.joint_range = self.travel.range();
-        self.last_on = now;
+        (self.last_on, self.off) = (now, None);
     }
-}
-
-/// Whether a sample belongs to the running exposure.
-fn continues(open: &Open, now: &Seen) -> bool {
-    let silent = now.mapped_us.saturating_sub(open.last_on.mapped_us) > HIDING_SILENCE_US;
-    now.xray_on
-        && match (open.interval.counter, now.counter) {
-            (Some(a), Some(b)) => a == b,
-            // Without counters two exposures may hide behind one silence.
-            _ => now.epoch == open.last_on.epoch && !silent,
-        }
 }
 
 /// The middle of two times and half their distance.

@@ -116,11 +116,11 @@ impl Known {
         zone_of(common).filter(|_| (0..=least_step_us / 4 * 3).contains(&width_us))?;
         let stamped = |pending: &&Pending| {
             let (said, resolution_us) = (&pending.evidence, self.resolution_us(&pending.evidence));
-            Some(Stamped { console_us: said.console_us?, resolution_us, arrival_us: said.arrival_us })
+            Some(Stamped { console_us: said.console_us?, resolution_us, counter: said.counter, arrival_us: said.arrival_us })
         };
         let stamps: Vec<Stamped> = frames.iter().filter_map(stamped).collect();
         let stamps = Stamps::new(stamps, &self.shots, false);
-        (!stamps.has_rival(&common, &blind)).then_some(single)
+        (!stamps.has_rival(&common, alike, &blind)).then_some(single)
     }
 
     /// For each frame that has any, the exposures that it may be of in the zone that most frames agree on. `None` while telemetry may yet show

@@ -74,7 +74,7 @@ impl Known {
         let stamped = |frame: &u32| {
             let said = &self.frames.get(frame)?.evidence;
             let (console_us, resolution_us) = (said.console_us?, self.resolution_us(said));
-            Some(Stamped { console_us, resolution_us, arrival_us: said.arrival_us })
+            Some(Stamped { console_us, resolution_us, counter: said.counter, arrival_us: said.arrival_us })
         };
         let stamps: Vec<Stamped> = self.open.iter().filter_map(stamped).collect();
         let blind = |from_us: i64, to_us: i64| timeline.exposure_tracker().blind_spot(from_us, to_us).is_some();

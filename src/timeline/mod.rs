@@ -203,6 +203,7 @@ impl Timeline {
     pub fn finish(&mut self) {
         self.ended = true;
         self.seek_exposures(None);
+        self.exposures.finish();
         self.fill_exposures();
     }
 

@@ -153,9 +153,10 @@ impl Shots {
         self.touching(from_us, to_us).filter(|at| ended(&self.list[*at])).collect()
     }
 
-    /// Whether an exposure of which only the counter tells is still to be taken.
+    /// Whether an exposure is still to be taken that is over, or of which only the counter tells.
     pub(super) fn lags(&self, tracker: &ExposureTracker) -> bool {
         let last = tracker.closed().back();
-        last.is_some_and(|last| last.samples == 0 && self.list.last().is_none_or(|shot| shot.index < last.index))
+        tracker.is_ending()
+            || last.is_some_and(|last| last.samples == 0 && self.list.last().is_none_or(|shot| shot.index < last.index))
     }
 }

@@ -206,7 +206,8 @@ impl Weighed<'_> {
 
     /// That the counter names the exposure, which a console that counts otherwise gives another number.
     fn counter_words(&self, at: usize) -> String {
-        let own = self.pending.evidence.counter.filter(|counter| self.known.shots.get(at).counter.is_some_and(|own| own != *counter));
+        let own =
+            self.pending.evidence.counter.filter(|counter| self.known.shots.get(at).counter.is_some_and(|own| own != *counter));
         match own {
             Some(counter) => format!("the counter, {counter}, means {} by the console's count of other frames", self.label(at)),
             None => format!("the counter names {} as well", self.label(at)),

@@ -93,7 +93,7 @@ pub(super) fn alarm(ui: &mut Ui, board: &BoardState) {
 /// Backlog and latency, always there.
 pub(super) fn backlog(ui: &mut Ui, board: &BoardState, pair: Option<&PairView>) {
     ui.horizontal_wrapped(|ui| {
-        let waiting = board.frames_waiting;
+        let waiting = board.frames_waiting + board.frames_unread;
         let colour = if waiting > 1 { CAUTION } else { DIM };
         ui.label(RichText::new(format!("backlog {waiting}")).size(SMALL).color(colour));
         let late = pair.and_then(|pair| pair.latency_ms);

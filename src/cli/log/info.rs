@@ -84,9 +84,10 @@ fn text(told: &Inventory) -> String {
     for loss in &told.line_losses {
         lines.push(format!("    lost in the session: {loss}"));
     }
-    let [accepted, refused, none] = told.poses();
+    let [accepted, refused, untried, none] = told.poses();
     lines.push(format!("{}, {}", counted(told.exposures, "exposure"), counted(told.frames.len(), "frame")));
-    lines.push(format!("poses: {accepted} accepted, {refused} refused, {none} frames without one"));
+    let untried = if untried > 0 { format!(", {untried} not registered") } else { String::new() };
+    lines.push(format!("poses: {accepted} accepted, {refused} refused{untried}, {none} frames without one"));
     lines.extend(told.frames.iter().map(|frame| row(frame, seconds(frame.arrival_us))));
     if told.damage.is_empty() && told.malformed.is_empty() {
         lines.push("no damage found (`sidecarm log verify` looks closer)".to_owned());
@@ -112,7 +113,10 @@ fn row(frame: &FrameTold, arrival_s: f64) -> String {
             let words = match (pose.accepted, pose.rms_px, &pose.reason) {
                 (true, Some(rms_px), _) => format!("accepted, rms {rms_px:.3} px"),
                 (true, None, _) => "accepted".to_owned(),
-                (false, _, reason) => format!("refused, {}", reason.as_deref().unwrap_or("no reason is told")),
+                (false, _, reason) => {
+                    let what = if pose.tried { "refused" } else { "not registered" };
+                    format!("{what}, {}", reason.as_deref().unwrap_or("no reason is told"))
+                }
             };
             (exposure, words)
         }

@@ -10,9 +10,9 @@ use crate::session::logbook::{LogbookError, RedactOptions, redact};
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Example:\n  sidecarm log redact run-1/session.mcap --out for-the-vendor.mcap\n\n\
     Taken out: labels of frames, names of files and ports, names of beads, bodies and landmarks that may be of persons, origins of calibrations, \
-    told events, sentences about pairs, headers' tags besides physics and time, serial numbers in the devices' bytes, and topics that are not \
-    known here. What stays: times, numbers, hashes of files, and whatever is burned into the pixels (--no-pixels leaves out frames and DRRs; \
-    then nothing is posed anew, and a replay says so). The CT and the tools are not in a log.")]
+    told events, sentences about pairs, headers' tags besides physics and time, serial numbers, firmware and other words in the devices' \
+    bytes, and topics that are not known here. What stays: times, numbers, units, hashes of files, and whatever is burned into the pixels \
+    (--no-pixels leaves out frames and DRRs; then nothing is posed anew, and a replay says so). The CT and the tools are not in a log.")]
 pub struct RedactArgs {
     /// The log.
     pub log: PathBuf,
@@ -32,7 +32,7 @@ pub fn run(args: &RedactArgs, reporter: &Reporter) -> Result<u8, LogbookError> {
     let report = redact(&args.log, RedactOptions { no_pixels: args.no_pixels }, &args.out, reporter)?;
     println!("{}: {} messages", report.path.display(), report.messages);
     println!(
-        "taken out: {}, {}, serial numbers in {}, pixels of {}",
+        "taken out: {}, {}, what devices say of themselves in {}, pixels of {}",
         counted(report.names, "name"),
         counted(report.events, "event"),
         counted(report.serial_numbers, "packet"),

@@ -2,6 +2,8 @@
 
 use glam::DVec3;
 
+use super::field::check_field;
+use super::filter::check_filter;
 use super::finding::Finding;
 use super::units::{PITCH_SHARE, scene_kvp, sid};
 use crate::acquire::Frame;
@@ -14,19 +16,11 @@ use crate::telemetry::CarmSample;
 const KVP_TOLERANCE: f64 = 3.0;
 /// DRRs of another voltage are off by more than the renderer's error beyond this.
 const SCENE_KVP_TOLERANCE: f64 = 5.0;
-/// Copper beyond this changes the spectrum visibly.
-const COPPER_MM: f64 = 0.05;
-/// Aluminium beyond what the scene has in all.
-const ALUMINIUM_MM: f64 = 0.3;
-/// A tube, its housing and its collimator have at most this of their own, as aluminium.
-const OWN_ALUMINIUM_MM: f64 = 4.0;
 /// What tubes of C-arms can do, and filters that are put before them.
 const TUBE_KVP: (f64, f64) = (20.0, 160.0);
 const MOST_FILTER_MM: (f64, f64) = (30.0, 3.0);
 /// Distances of tags and telemetry differ by rounding at most.
 pub(super) const SID_TOLERANCE_MM: f64 = 6.0;
-/// Shutters are found to within their penumbra.
-const FIELD_SHARE: f64 = 0.15;
 /// Sag and an uncalibrated arm explain this much: degrees, mm across, mm in depth.
 const POSE_TOLERANCE: (f64, f64, f64) = (3.0, 18.0, 25.0);
 
@@ -64,8 +58,9 @@ pub fn check_exposure(facts: &ExposureFacts) -> Vec<Finding> {
     found.extend(check_pitch(facts));
     found.extend(check_distance(facts));
     found.extend(check_voltage(facts));
-    found.extend(check_filter(facts));
-    found.extend(check_field(facts));
+    found.extend(check_filter(facts.beam, facts.frame.tags.filter.as_ref(), facts.scene_json));
+    let told = facts.beam.zip(facts.carm);
+    found.extend(told.and_then(|(beam, carm)| check_field(beam, carm, facts.frame, facts.shuttered_share)));
     found.extend(check_pose(facts));
     found
 }
@@ -142,27 +137,6 @@ pub(super) fn against_scene(check: &str, whose: &str, seen_kvp: f64, scene: &Sce
     Some(Finding::warn(check, detail, format!("set beam.tube_kvp of the scene to {seen_kvp:.0}")))
 }
 
-fn check_filter(facts: &ExposureFacts) -> Option<Finding> {
-    filter_against_scene(facts.beam?, facts.scene_json)
-}
-
-/// The filter that telemetry reports against the one that is rendered.
-pub(super) fn filter_against_scene(beam: &CarmSample, scene_json: &str) -> Option<Finding> {
-    // The scene's filtration holds the tube's own as well, which telemetry does not count: less aluminium there is ordinary.
-    let rendered = |names: &[&str]| filtration_mm(scene_json, names);
-    let (aluminium_mm, copper_mm) = (rendered(&["aluminium", "aluminum", "al"])?, rendered(&["copper", "cu"])?);
-    let more_mm = beam.filter_mm_al - aluminium_mm;
-    // A filter that was not measured is NaN, and no filter.
-    let other_aluminium = !more_mm.is_nan() && !(-OWN_ALUMINIUM_MM..=ALUMINIUM_MM).contains(&more_mm);
-    let wrong = [
-        ("copper", beam.filter_mm_cu, copper_mm, (beam.filter_mm_cu - copper_mm).abs() > COPPER_MM),
-        ("aluminium", beam.filter_mm_al, aluminium_mm, other_aluminium),
-    ];
-    let (name, told_mm, scene_mm, _) = wrong.into_iter().find(|(.., wrong)| *wrong)?;
-    let detail = format!("telemetry says {told_mm:.2} mm of {name} in the beam, the scene renders {scene_mm:.2} mm");
-    Some(Finding::warn("filter", detail, format!("correct beam.filtration_mm.{name} of the scene, or the filter at the console")))
-}
-
 /// Numbers of a beam that no tube has. What is not measured is NaN on the wire, not zero.
 pub(super) fn plausible_beam(beam: &CarmSample) -> Vec<Finding> {
     let (low_kvp, high_kvp) = TUBE_KVP;
@@ -180,39 +154,6 @@ pub(super) fn plausible_beam(beam: &CarmSample) -> Vec<Finding> {
             Finding::warn(check, detail, remedy)
         })
         .collect()
-}
-
-/// Thickness of a filter in the scene's file, 0 where it has none; `None` where the beam is not that of a tube.
-fn filtration_mm(scene_json: &str, names: &[&str]) -> Option<f64> {
-    let scene: serde_json::Value = serde_json::from_str(scene_json).ok()?;
-    scene["beam"]["tube_kvp"].as_f64()?;
-    let filters = scene["beam"]["filtration_mm"].as_object();
-    let thickness =
-        |(name, mm): (&String, &serde_json::Value)| names.contains(&name.to_lowercase().as_str()).then(|| mm.as_f64()).flatten();
-    // The sum of nothing is −0.
-    Some(filters.into_iter().flatten().filter_map(thickness).fold(0.0, |sum, mm| sum + mm))
-}
-
-fn check_field(facts: &ExposureFacts) -> Option<Finding> {
-    let ((beam, carm), shuttered) = facts.beam.zip(facts.carm).zip(facts.shuttered_share)?;
-    let [left, top, right, bottom] = beam.field_mm;
-    let half = [carm.columns_px, carm.rows_px].map(|n| 0.5 * f64::from(n) * carm.pitch_mm);
-    let overlap = |low: f64, high: f64, half: f64| (high.min(half) - low.max(-half)).max(0.0) / (2.0 * half);
-    let told = 1.0 - overlap(left, right, half[0]) * overlap(top, bottom, half[1]);
-    // A field that was not measured is NaN and says nothing.
-    if !told.is_finite() || (told - shuttered).abs() <= FIELD_SHARE {
-        return None;
-    }
-    let detail = format!(
-        "telemetry's field leaves {:.0} % of the frame behind shutters, the frame shows {:.0} %",
-        100.0 * told,
-        100.0 * shuttered
-    );
-    Some(Finding::warn(
-        "field",
-        detail,
-        "check that the frame belongs to this exposure, and the size of the panel in the calibration",
-    ))
 }
 
 /// How far telemetry puts the specimen from where the beads say it is.

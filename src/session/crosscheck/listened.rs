@@ -1,6 +1,7 @@
 //! What a device said while its port was listened to before a session, against the session and the scene.
 
-use super::exposure::{filter_against_scene, plausible_beam};
+use super::exposure::plausible_beam;
+use super::filter::filter_against_scene;
 use super::finding::Finding;
 use super::line::check_line;
 use super::robot::check_robot_line;

@@ -7,6 +7,8 @@ mod alignment;
 mod beads;
 mod disk;
 mod exposure;
+mod field;
+mod filter;
 mod finding;
 mod line;
 mod listened;

@@ -20,7 +20,7 @@ pub(super) fn check_robot(setup: &Setup, scene: &Scene) -> Vec<Finding> {
     const CHECK: &str = "robot";
     let of_line = match (&setup.robot, &scene.robot) {
         (None, None) => None,
-        (Some(line), Some(drawn)) if line != drawn.model.as_ref() => Some(Finding::warn(
+        (Some(line), Some(drawn)) if !line.is_like(&drawn.model) => Some(Finding::warn(
             CHECK,
             "the session's robot model is not the one that the scene draws",
             "name the same model file in both",

@@ -69,6 +69,10 @@ impl Session {
         }
         self.workshop.abandon();
         self.scribe.leave();
+        let unread = self.board.read(|state| state.frames_unread);
+        if unread > 0 {
+            self.log.lose(format!("left at once: {unread} files of the frame folder were not read yet; attach them to the log"));
+        }
         if open > 0 {
             self.log.lose(format!("left at once: {open} frames were not finished; {}", self.log.again()));
         }

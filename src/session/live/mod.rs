@@ -21,6 +21,7 @@ use super::background::loops_stand_back;
 use super::board::Board;
 use super::broadcast::Broadcast;
 use super::busy::{AtWork, Busy, Task};
+use super::chime::Chime;
 use super::develop::solved;
 use super::edit::EditRequest;
 use super::editor::Editor;
@@ -59,6 +60,8 @@ pub struct LiveOptions {
     pub seconds: Option<f64>,
     /// Also take frames that were in the folder before the start.
     pub include_existing: bool,
+    /// Each exposure makes a sound.
+    pub sound: bool,
 }
 
 /// The session's thread looks at the clock and the stop flag this often.
@@ -105,7 +108,9 @@ pub fn run(
         board.update(|state| state.editable = true);
     }
     let busy = workshop.busy().clone();
-    let (scribe, pairs) = Scribe::start(collector, Arc::clone(&log), board.clone(), (Arc::clone(&broadcast), &busy), reporter)?;
+    let chime = if options.sound { Some(Chime::start(reporter)?) } else { None };
+    let (scribe, pairs) =
+        Scribe::start(collector, Arc::clone(&log), board.clone(), (Arc::clone(&broadcast), &busy, chime), reporter)?;
     workshop.start(true, move |developed| pairs.send(developed).is_ok())?;
     let jobs = start_registrar(Arc::clone(&log))?;
     let lines = ports.record(&setup, &log, board, reporter)?;

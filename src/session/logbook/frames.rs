@@ -36,6 +36,9 @@ pub struct PoseTold {
     /// Why not.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
+    /// Whether there were beads to look for.
+    #[serde(skip)]
+    pub tried: bool,
     /// √mean(dx² + dy²) over used beads.
     pub rms_px: Option<f64>,
     /// Place of its exposure in the session, from 0; `None` for a frame that is bound to none.
@@ -151,6 +154,7 @@ impl Frames {
             source,
             accepted: pose["status"] == "accepted",
             reason: pose["reason"].as_str().map(str::to_owned),
+            tried: pose["refusal"]["code"] != "layout",
             rms_px: pose["rms_px"].as_f64(),
             exposure: exposure["index"].as_u64(),
             exposure_counter: exposure["counter"].as_u64().and_then(|counter| u32::try_from(counter).ok()),

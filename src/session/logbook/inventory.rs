@@ -9,7 +9,7 @@ use serde_json::Value;
 use super::super::log::{END_TOPIC, SETUP_TOPIC};
 use super::super::records::{CUT_TOPIC, REDACTED_TOPIC, RESTART_TOPIC};
 use super::LogbookError;
-use super::frames::{FrameTold, Frames};
+use super::frames::{FrameTold, Frames, PoseTold};
 use super::lines::Lines;
 use crate::record::{LogLoss, LogReader, Provenance, Tolerance, topic};
 use crate::reporter::Reporter;
@@ -95,13 +95,15 @@ pub struct Inventory {
 }
 
 impl Inventory {
-    /// Frames with a pose from beads, refused ones, and those that the session did not come to.
+    /// Frames with a pose from beads, refused ones, those without beads to look for, and those that the session did not come to.
     #[must_use]
-    pub fn poses(&self) -> [usize; 3] {
-        let count = |is: &dyn Fn(&FrameTold) -> bool| self.frames.iter().filter(|frame| is(frame)).count();
-        let accepted = count(&|frame| frame.pose.as_ref().is_some_and(|pose| pose.accepted));
-        let none = count(&|frame| frame.pose.is_none());
-        [accepted, self.frames.len() - accepted - none, none]
+    pub fn poses(&self) -> [usize; 4] {
+        let count = |is: &dyn Fn(&PoseTold) -> bool| {
+            self.frames.iter().filter_map(|frame| frame.pose.as_ref()).filter(|pose| is(pose)).count()
+        };
+        let [accepted, untried] = [count(&|pose| pose.accepted), count(&|pose| !pose.accepted && !pose.tried)];
+        let all = count(&|_| true);
+        [accepted, all - accepted - untried, untried, self.frames.len() - all]
     }
 
     /// What is lost, a sentence each.

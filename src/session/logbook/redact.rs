@@ -44,7 +44,7 @@ pub struct RedactReport {
     pub names: usize,
     /// Events that were told.
     pub events: usize,
-    /// Packets in which a device told its serial number.
+    /// Packets in which a device told its serial number, and lines in which there was more than a sample.
     pub serial_numbers: usize,
     /// Frames whose pixels were left out.
     pub pixels: usize,
@@ -238,7 +238,7 @@ impl Redacting {
                 Some(sample) => value = as_value(sample),
                 // The bytes that said it are gone.
                 None => {
-                    for key in ["serial_number", "calibration_id"] {
+                    for key in ["serial_number", "firmware", "calibration_id", "units"] {
                         value[key] = json!("");
                     }
                 }

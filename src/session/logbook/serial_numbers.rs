@@ -1,5 +1,5 @@
-//! Serial numbers of devices, taken out of the bytes that came from them without moving one byte: packets keep their length, their place and
-//! a right checksum, lines of text all that a sample rests on, so everything decodes as before.
+//! Serial numbers and other words of devices, taken out of the bytes that came from them without moving one byte: packets keep their length,
+//! their place and a right checksum, lines of text all that a sample rests on, so everything decodes as before.
 
 use std::collections::HashMap;
 use std::path::Path;

@@ -19,3 +19,4 @@ pub use declaration::{
 };
 pub use decoder::{LineDecoder, MAX_LINE_BYTES};
 pub use error::AdapterError;
+pub(super) use quantity::is_unit;

@@ -29,7 +29,26 @@ pub(super) enum Quantity {
 
 const DEG_PER_RAD: f64 = 180.0 / std::f64::consts::PI;
 
+/// Whether the program knows `word` as a unit.
+pub(in crate::telemetry) fn is_unit(word: &str) -> bool {
+    Quantity::ALL.iter().any(|quantity| quantity.units().iter().any(|(name, _)| *name == word))
+}
+
 impl Quantity {
+    const ALL: [Self; 11] = [
+        Self::Angle,
+        Self::Length,
+        Self::Velocity,
+        Self::Force,
+        Self::MotorCurrent,
+        Self::TubeCurrent,
+        Self::Voltage,
+        Self::Duration,
+        Self::Rotation,
+        Self::Time,
+        Self::Number,
+    ];
+
     /// Units by name, and what one of each is in the program's.
     fn units(self) -> &'static [(&'static str, f64)] {
         match self {

@@ -356,6 +356,52 @@ fn beads_that_say_ras_but_hold_lps_are_refused_in_a_live_session() {
     );
 }
 
+fn change_ct(lab: &Path, change: impl FnOnce(&mut [u8])) {
+    let mut bytes = Vec::new();
+    let path = lab.join("ct.nii.gz");
+    let file = std::fs::File::open(&path).expect("the CT");
+    flate2::read::GzDecoder::new(file).read_to_end(&mut bytes).expect("unpacks");
+    change(&mut bytes);
+    let mut packed = flate2::write::GzEncoder::new(std::fs::File::create(&path).expect("writable"), flate2::Compression::fast());
+    packed.write_all(&bytes).and_then(|()| packed.finish().map(drop)).expect("written");
+}
+
+/// Every pair by beads, two at least, is amber because of the image; how many.
+fn assert_amber(pairs: &[Value], because: &str) -> usize {
+    let by_beads = || pairs.iter().filter(|pair| pair["pose_source"] == "beads");
+    for pair in by_beads() {
+        assert_eq!(pair["status"], "accepted_image_disagrees", "{}: {}", pair["frame"], pair["null"]["local_ncc"]);
+        let reason = pair["reason"].as_str().unwrap_or_default();
+        assert!(reason.contains("image disagrees") && reason.contains(because), "{reason}");
+    }
+    let amber = by_beads().count();
+    assert!(amber >= 2, "{amber} of {}", pairs.len());
+    amber
+}
+
+/// Beads, spheres and robot right, only the voxels in a mirror: every frame was accepted in green.
+#[test]
+fn a_ct_in_a_mirror_is_amber_in_a_live_session() {
+    if !mock_is_built() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let (pairs, ..) = live(folder.path(), &[], |lab| {
+        change_ct(lab, |bytes| {
+            let half = |at: usize| i16::from_le_bytes([bytes[at], bytes[at + 1]]);
+            // NIfTI-1: dim at 42, bits of a voxel at 72, voxels from 352 on. Slices in reverse: head for foot.
+            let [columns, rows, slices] = [42, 44, 46].map(|at| half(at) as usize);
+            let slice = columns * rows * half(72) as usize / 8;
+            let voxels = bytes[352..352 + slices * slice].to_vec();
+            bytes[352..]
+                .chunks_exact_mut(slice)
+                .zip(voxels.chunks_exact(slice).rev())
+                .for_each(|(to, from)| to.copy_from_slice(from));
+        });
+    });
+    assert_amber(&pairs, "are CT and beads turned or mirrored against each other?");
+}
+
 /// A CT that lies 10 mm too high under beads that are right: the beads agree, the image does not.
 #[test]
 fn an_image_that_disagrees_with_its_beads_is_amber_in_a_live_session() {
@@ -364,26 +410,14 @@ fn an_image_that_disagrees_with_its_beads_is_amber_in_a_live_session() {
     }
     let folder = tempfile::tempdir().expect("temporary folder");
     let (pairs, report, words) = live(folder.path(), &[], |lab| {
-        let mut bytes = Vec::new();
-        let path = lab.join("ct.nii.gz");
-        let file = std::fs::File::open(&path).expect("the CT");
-        flate2::read::GzDecoder::new(file).read_to_end(&mut bytes).expect("unpacks");
-        // Row z of the sform, its offset.
-        let at = 312 + 12;
-        let number = f32::from_le_bytes(bytes[at..at + 4].try_into().expect("four"));
-        bytes[at..at + 4].copy_from_slice(&(number + 10.0).to_le_bytes());
-        let mut packed =
-            flate2::write::GzEncoder::new(std::fs::File::create(&path).expect("writable"), flate2::Compression::fast());
-        packed.write_all(&bytes).and_then(|()| packed.finish().map(drop)).expect("written");
+        change_ct(lab, |bytes| {
+            // Row z of the sform, its offset.
+            let at = 312 + 12;
+            let number = f32::from_le_bytes(bytes[at..at + 4].try_into().expect("four"));
+            bytes[at..at + 4].copy_from_slice(&(number + 10.0).to_le_bytes());
+        });
     });
-    let mut amber = 0;
-    for pair in pairs.iter().filter(|pair| pair["pose_source"] == "beads") {
-        assert_eq!(pair["status"], "accepted_image_disagrees", "{}: {}", pair["frame"], pair["null"]["zncc"]);
-        let reason = pair["reason"].as_str().unwrap_or_default();
-        assert!(reason.contains("image disagrees") && reason.contains("scores prefer"), "{reason}");
-        amber += 1;
-    }
-    assert!(amber >= 2, "{amber} of {}", pairs.len());
+    let amber = assert_amber(&pairs, "scores prefer");
     assert!(words.contains(&format!(" 0 accepted, {amber} accepted but the image disagrees")), "{words}");
     assert!(report.contains("class=\"badge caution\">accepted, image disagrees") && !report.contains("badge good"));
 }

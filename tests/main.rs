@@ -208,6 +208,7 @@ mod session_unfinished;
 mod session_unheard;
 mod ct_phantom;
 mod crosscheck_facts;
+mod crosscheck_tags;
 mod crosscheck_image;
 mod crosscheck_robot;
 mod crosscheck_session;

@@ -126,8 +126,11 @@ impl<'a> Stamps<'a> {
     /// with none.
     fn counted(&self, offset_us: i64) -> (usize, usize) {
         let mut shifts: BTreeMap<i64, usize> = BTreeMap::new();
+        let mut last = None;
         for stamped in &self.list {
-            let Some(counter) = stamped.counter else { continue };
+            // Of two pictures of one exposure one speaks.
+            let same = last.replace((stamped.console_us, stamped.counter)) == Some((stamped.console_us, stamped.counter));
+            let Some(counter) = stamped.counter.filter(|_| !same) else { continue };
             let around_us = stamped.console_us.saturating_add(offset_us);
             let reach_us = stamped.resolution_us.saturating_add(SAME_US);
             let near = self.shots.touching(around_us.saturating_sub(reach_us), around_us.saturating_add(reach_us));

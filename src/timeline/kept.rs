@@ -92,7 +92,10 @@ impl Known {
         if self.shots.len() == 0 || stamped.saturating_mul(self.shots.len()) > most {
             return None;
         }
-        let frames: Vec<&Pending> = self.frames.values().filter(stands).collect();
+        // Of two pictures of one exposure, as it came and processed, one speaks.
+        let mut said = BTreeSet::new();
+        let is_first = |pending: &&Pending| said.insert((pending.evidence.console_us, pending.evidence.counter));
+        let frames: Vec<&Pending> = self.frames.values().filter(stands).filter(is_first).collect();
         let blind = |from_us: i64, to_us: i64| timeline.exposure_tracker().blind_spot(from_us, to_us).is_some();
         let mut members = self.of_one_zone(&frames, &blind)?;
         let strangers = frames.len() - members.len();

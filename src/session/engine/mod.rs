@@ -5,6 +5,8 @@
 //! frame at a time, in an order that whoever drives the engine chooses ([`Input::Develop`]) and a log keeps: the state that it rests on,
 //! where the specimen lies in the room, changes only with [`Engine::registered`].
 
+mod accounts;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::Arc;
@@ -17,7 +19,7 @@ use super::file::Setup;
 use super::hearing::Hearing;
 use super::import::Import;
 use super::input::{Input, Output};
-use super::losses::{Untied, all_shown, few_bound, line_losses, of_no_exposure, without_frame};
+use super::losses::line_losses;
 use super::pictures::{PictureDigest, Pictures};
 use super::posing::{Bound, Known, PoseJob, Registered};
 use super::standstill::Standstill;
@@ -28,10 +30,9 @@ use crate::acquire::Frame;
 use crate::beads::tags::TagLayout;
 use crate::beads::{BeadLayout, Landmark};
 use crate::geometry::Rigid;
-use crate::report::is_second_picture;
 use crate::reporter::Reporter;
 use crate::telemetry::{DeviceKind, Event, Health, Link, Sequenced};
-use crate::timeline::{Binder, Binding, BindingFlag, FrameEvidence, Timeline};
+use crate::timeline::{Binder, Binding, FrameEvidence, Timeline};
 
 /// A frame that waits for the telemetry of its exposure.
 struct Pending {
@@ -186,62 +187,6 @@ impl Engine {
     /// Frames that wait to be registered, by number.
     pub fn bound(&self) -> impl DoubleEndedIterator<Item = u32> + '_ {
         self.bound.numbers()
-    }
-
-    /// What the lines have lost, a sentence each.
-    #[must_use]
-    pub fn line_losses(&self) -> Vec<String> {
-        let packets = self.links.values().filter_map(line_losses);
-        packets.chain(self.hearing.losses(self.ended_us.unwrap_or(self.now_us))).collect()
-    }
-
-    /// Whether frames are expected to give poses by beads or tags.
-    #[must_use]
-    pub fn seeks_beads(&self) -> bool {
-        self.layout.is_some() || self.tags.is_some()
-    }
-
-    /// Exposures that telemetry tells of and no frame came of, in words.
-    #[must_use]
-    pub fn exposures_without_frame(&self) -> Option<String> {
-        without_frame(&self.timeline.exposures(), &self.shown, self.untied().all())
-    }
-
-    /// Frames that are bound to none of the exposures, each of which has its frame, in words.
-    #[must_use]
-    pub fn frames_of_no_exposure(&self) -> Option<String> {
-        of_no_exposure(all_shown(&self.timeline.exposures(), &self.shown), self.untied())
-    }
-
-    /// Where no more frames were tied to exposures than were not, in words: the session has lost what telemetry knew of them.
-    #[must_use]
-    pub fn hardly_bound(&self) -> Option<String> {
-        let (exposures, untied) = (self.timeline.exposures(), self.untied());
-        // Where each exposure has its frame, nothing is lost with a second picture of it.
-        let second = if all_shown(&exposures, &self.shown) { untied.second } else { 0 };
-        few_bound(exposures.len(), untied.all() - second, self.tied.len())
-    }
-
-    /// Frames that may be of an exposure and are bound to none: no copies, and no pictures that were taken back.
-    fn untied(&self) -> Untied {
-        let end_us = self.ended_us.unwrap_or(self.now_us);
-        let stands_for_another =
-            |flag: &BindingFlag| matches!(flag, BindingFlag::Duplicate { .. } | BindingFlag::Unfinished { .. });
-        let mut untied = Untied::default();
-        for number in self.unbound.keys() {
-            let binding = self.binder.binding(*number);
-            if binding.is_some_and(|binding| binding.flags.iter().any(stands_for_another)) {
-                continue;
-            }
-            if binding.is_some_and(|binding| is_second_picture(&binding.evidence)) {
-                untied.second += 1;
-            } else if self.hearing.came_unheard(*number, DeviceKind::Carm, end_us) {
-                untied.unheard += 1;
-            } else {
-                untied.other += 1;
-            }
-        }
-        untied
     }
 
     /// Lines that have fallen silent since this was last asked, a sentence each.

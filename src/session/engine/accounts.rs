@@ -1,0 +1,65 @@
+//! What a session has lost, and what was never matched, as its engine knows it.
+
+use super::super::losses::{Untied, all_shown, few_bound, line_losses, of_no_exposure, without_frame};
+use super::Engine;
+use crate::report::is_second_picture;
+use crate::telemetry::DeviceKind;
+use crate::timeline::BindingFlag;
+
+impl Engine {
+    /// What the lines have lost, a sentence each.
+    #[must_use]
+    pub fn line_losses(&self) -> Vec<String> {
+        let packets = self.links.values().filter_map(line_losses);
+        packets.chain(self.hearing.losses(self.ended_us.unwrap_or(self.now_us))).collect()
+    }
+
+    /// Whether frames are expected to give poses by beads or tags.
+    #[must_use]
+    pub fn seeks_beads(&self) -> bool {
+        self.layout.is_some() || self.tags.is_some()
+    }
+
+    /// Exposures that telemetry tells of and no frame came of, in words.
+    #[must_use]
+    pub fn exposures_without_frame(&self) -> Option<String> {
+        without_frame(&self.timeline.exposures(), &self.shown, self.untied().all())
+    }
+
+    /// Frames that are bound to none of the exposures, each of which has its frame, in words.
+    #[must_use]
+    pub fn frames_of_no_exposure(&self) -> Option<String> {
+        of_no_exposure(all_shown(&self.timeline.exposures(), &self.shown), self.untied())
+    }
+
+    /// Where no more frames were tied to exposures than were not, in words: the session has lost what telemetry knew of them.
+    #[must_use]
+    pub fn hardly_bound(&self) -> Option<String> {
+        let (exposures, untied) = (self.timeline.exposures(), self.untied());
+        // Where each exposure has its frame, nothing is lost with a second picture of it.
+        let second = if all_shown(&exposures, &self.shown) { untied.second } else { 0 };
+        few_bound(exposures.len(), untied.all() - second, self.tied.len())
+    }
+
+    /// Frames that may be of an exposure and are bound to none: no copies, and no pictures that were taken back.
+    fn untied(&self) -> Untied {
+        let end_us = self.ended_us.unwrap_or(self.now_us);
+        let stands_for_another =
+            |flag: &BindingFlag| matches!(flag, BindingFlag::Duplicate { .. } | BindingFlag::Unfinished { .. });
+        let mut untied = Untied::default();
+        for number in self.unbound.keys() {
+            let binding = self.binder.binding(*number);
+            if binding.is_some_and(|binding| binding.flags.iter().any(stands_for_another)) {
+                continue;
+            }
+            if binding.is_some_and(|binding| is_second_picture(&binding.evidence)) {
+                untied.second += 1;
+            } else if self.hearing.came_unheard(*number, DeviceKind::Carm, end_us) {
+                untied.unheard += 1;
+            } else {
+                untied.other += 1;
+            }
+        }
+        untied
+    }
+}

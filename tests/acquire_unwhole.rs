@@ -33,8 +33,8 @@ fn a_half_written_file_waits_is_reported_after_its_patience_and_read_when_whole(
 #[test]
 fn what_was_said_to_be_lost_is_taken_back_when_that_very_file_comes_whole() {
     let cut = |watched: &mut Watched, bytes: &[u8]| {
-        std::fs::write(watched.path("x.dcm"), &bytes[..bytes.len() - 9]).expect("a part");
-        age(&watched.path("x.dcm"), 20);
+        let file = std::fs::File::create(watched.path("x.dcm")).expect("created");
+        write_aged(file, &bytes[..bytes.len() - 9]);
         watched.settle();
         watched.settle();
         assert!(matches!(watched.troubles.as_slice(), [Trouble::Unfinished { .. }]), "{:?}", watched.troubles);
@@ -45,8 +45,8 @@ fn what_was_said_to_be_lost_is_taken_back_when_that_very_file_comes_whole() {
         (
             "completed in two parts",
             |watched, whole| {
-                append(&watched.path("x.dcm"), &whole[whole.len() - 9..whole.len() - 5]);
-                age(&watched.path("x.dcm"), 20);
+                let file = std::fs::File::options().append(true).open(watched.path("x.dcm")).expect("there");
+                write_aged(file, &whole[whole.len() - 9..whole.len() - 5]);
                 watched.settle();
                 watched.settle();
                 append(&watched.path("x.dcm"), &whole[whole.len() - 5..]);
@@ -81,6 +81,13 @@ fn what_was_said_to_be_lost_is_taken_back_when_that_very_file_comes_whole() {
         assert_eq!((watched.names(), watched.mended.len()), (vec!["x"], mended), "{what}: {:?}", watched.troubles);
         assert_eq!(watched.mended.iter().filter(|trouble| watched.troubles.contains(trouble)).count(), mended, "{what}");
     }
+}
+
+/// Last changed twenty seconds ago when it is closed: a time that is set after that is another change.
+fn write_aged(mut file: std::fs::File, bytes: &[u8]) {
+    std::io::Write::write_all(&mut file, bytes).expect("written");
+    let now = std::time::UNIX_EPOCH + std::time::Duration::from_micros(sidecarm::time::host_now_us() as u64);
+    file.set_modified(now - std::time::Duration::from_secs(20)).expect("a time");
 }
 
 fn append(path: &std::path::Path, bytes: &[u8]) {

@@ -3,7 +3,7 @@
 use sidecarm::acquire::Trouble;
 
 use crate::acquire_frames::{fluoroscopy, save};
-use crate::acquire_watch::{Watched, age, frame_bytes};
+use crate::acquire_watch::{Watched, frame_bytes};
 
 #[test]
 fn a_half_written_file_waits_is_reported_after_its_patience_and_read_when_whole() {

@@ -36,7 +36,7 @@ struct Killed {
 }
 
 /// One session. `run`, a file of [`RUN`] images, comes `after_s` seconds into its recording; the kill comes `later_s` after the log has told
-/// that one of them is being registered.
+/// that they are there and a frame is being registered.
 fn killed(lab: &Lab, out: &Path, run: &Path, [after_s, later_s]: [f64; 2]) -> Killed {
     let mut live = Live::start(&lab.kit.join("session.json"), out, &[]);
     let from_us = live.recording_us;
@@ -46,9 +46,10 @@ fn killed(lab: &Lab, out: &Path, run: &Path, [after_s, later_s]: [f64; 2]) -> Ki
         // Reading the log takes from the session what is judged here.
         std::thread::sleep(Duration::from_millis(100));
         let told = Registrations::of_log(&live.log);
-        (told.run_images == RUN && told.run_images_begun > 0).then_some(())
+        // Where the machine does not keep up, newer frames come first for ever.
+        (told.run_images == RUN && (told.run_images_begun > 0 || told.open.is_some())).then_some(())
     };
-    assert!(eventually(HANG_S, begun).is_some(), "no image of the run is ever registered: {}", live.stderr());
+    assert!(eventually(HANG_S, begun).is_some(), "the run does not come, or nothing is ever registered: {}", live.stderr());
     std::thread::sleep(Duration::from_secs_f64(later_s));
     let kill_us = live.kill();
     let heard = live.heard();

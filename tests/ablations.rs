@@ -136,7 +136,7 @@ fn montage(tiles: &[Vec<u8>], across: usize) -> Image<[u8; 3]> {
     image
 }
 
-/// Prints the table and draws the figure of the README, into the folder `SIDECARM_OUT`. `SIDECARM_DATA` is the folder of `ct-pelvis` and
+/// Prints the table and draws the figure of docs/figures.md, into the folder `SIDECARM_OUT`. `SIDECARM_DATA` is the folder of `ct-pelvis` and
 /// `ct-chest`, `SIDECARM_NETWORKS` that of networks trained without one of them; `SIDECARM_REL_ERROR` is how well the photons' scatter is known.
 #[test]
 #[ignore = "minutes long: scripts/evaluate ablations runs it"]

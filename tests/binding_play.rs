@@ -144,7 +144,7 @@ pub fn play(session: &Session) -> Score {
             sent.evidence.console_us.map(|us| (us - T0_US) as f64 * 1e-6),
             (sent.evidence.arrival_us.unwrap_or(i64::MAX) - T0_US) as f64 * 1e-6,
             binding.exposure.as_ref().map(|x| ((x.start_us - T0_US) as f64 * 1e-6, x.counter)),
-            binding.evidence.join("; ")
+            binding.evidence.iter().cloned().chain(binding.flags.iter().map(ToString::to_string)).collect::<Vec<_>>().join("; ")
         ));
         let right = match sent.truth {
             Truth::Of(index) | Truth::SecondOf(index) => is_of(binding, &session.exposures[index]),

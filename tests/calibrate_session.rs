@@ -24,7 +24,7 @@ pub fn write_png16(path: &Path, picture: &Image<f32>) {
     buffer.expect("size").save(path).expect("written");
 }
 
-fn write_png8(path: &Path, picture: &Image<f32>) {
+pub fn write_png8(path: &Path, picture: &Image<f32>) {
     let values: Vec<u8> = picture.pixels.iter().map(|v| v.round().clamp(0.0, 255.0) as u8).collect();
     let buffer = image::ImageBuffer::<image::Luma<u8>, _>::from_raw(picture.width as u32, picture.height as u32, values);
     buffer.expect("size").save(path).expect("written");

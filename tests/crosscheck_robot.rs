@@ -303,7 +303,7 @@ fn a_robot_that_is_drawn_otherwise_than_it_may_be_is_said_in_each_pair() {
         assert!(words.contains(said), "'{said}' is not in {words}");
     }
     assert!(
-        report.contains("the robot bent by ") && report.contains("robot drawn at the scene&#39;s base")
+        report.contains("the robot bent by ") && report.contains("robot drawn at the scene's base")
             || report.contains("robot drawn at the scene's base")
     );
 }

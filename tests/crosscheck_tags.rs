@@ -18,6 +18,14 @@ fn filter(layers: &[(FilterMaterial, [f64; 2])]) -> Option<FilterTags> {
     Some(FilterTags { form: None, layers })
 }
 
+/// One warning of `check` is found, in a sentence that has all `words`.
+fn warns_once(check: &str, found: &[Finding], words: &[&str]) {
+    assert_eq!(found.len(), 1, "{words:?}: {found:#?}");
+    let sentence = found[0].to_string();
+    assert!(found[0].check == check && found[0].level == Level::Warn, "{sentence}");
+    assert!(words.iter().all(|word| sentence.contains(word)), "{words:?} in {sentence}");
+}
+
 /// A console that puts copper into the beam by itself, and telemetry that knows nothing of it: only the scene was compared, with telemetry.
 #[test]
 fn telemetry_s_filter_is_held_against_the_frame_s_tags_and_a_silent_side_says_nothing() {
@@ -49,11 +57,7 @@ fn telemetry_s_filter_is_held_against_the_frame_s_tags_and_a_silent_side_says_no
         ),
     ];
     for (change, words) in cases {
-        let found = with(change);
-        assert_eq!(found.len(), 1, "{words:?}: {found:#?}");
-        let sentence = found[0].to_string();
-        assert!(found[0].check == "filter" && found[0].level == Level::Warn, "{sentence}");
-        assert!(words.iter().all(|word| sentence.contains(word)), "{words:?} in {sentence}");
+        warns_once("filter", &with(change), words);
     }
     let silent: [Change; 10] = [
         |t, _| t.filter = None,
@@ -141,11 +145,7 @@ fn telemetry_s_field_is_held_against_the_frame_s_tags_and_a_silent_side_says_not
         (|f, _, _| f.unmirrored = true, &["shutter at", "mm from the panel's middle"]),
     ];
     for (change, words) in cases {
-        let found = collimated(change);
-        assert_eq!(found.len(), 1, "{words:?}: {found:#?}");
-        let sentence = found[0].to_string();
-        assert!(found[0].check == "field" && found[0].level == Level::Warn, "{sentence}");
-        assert!(words.iter().all(|word| sentence.contains(word)), "{words:?} in {sentence}");
+        warns_once("field", &collimated(change), words);
     }
     let silent: [Change; 14] = [
         |_, _, _| (),

@@ -141,6 +141,35 @@ fn spongy_bone_is_bone_and_the_network_is_asked_once() {
     assert_eq!(kept().len(), 2);
 }
 
+/// Labels that name a vessel alone: the network says the rest, and thresholding does not.
+#[test]
+fn what_no_label_names_the_network_says() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let cache = tempfile::tempdir().expect("a folder");
+    let ct = limb(0.0);
+    ct.nifti(&folder.path().join("ct.nii"));
+    let in_vessel = |index: usize| {
+        let [i, j] = [index % SIZE[0], index / SIZE[0] % SIZE[1]].map(|n| n as f64 * SPACING);
+        i16::from((i - VESSEL_AT[0]).hypot(j - VESSEL_AT[1]) < 8.0)
+    };
+    let labels = Sample { hu: (0..ct.hu.len()).map(in_vessel).collect(), ..limb(0.0) };
+    labels.nifti(&folder.path().join("labels.nii"));
+    let column = |place: f64| (31.5 + 250.0 / 700.0 * (64.0 - place)).round() as usize;
+    let (at_bone, at_vessel) = (column(BONE_AT[0]), column(VESSEL_AT[0]));
+    let (by_network, ..) = bone(folder.path(), cache.path(), &json!("network"));
+    let with = |otherwise: &str| {
+        let materials = json!({"labels": "labels.nii", "map": {"1": "soft_tissue"}, "else": otherwise});
+        bone(folder.path(), cache.path(), &materials)
+    };
+    let (by_both, beside, _) = with("network");
+    assert!((by_both[at_bone] / by_network[at_bone] - 1.0).abs() < 1e-3, "{} {}", by_both[at_bone], by_network[at_bone]);
+    assert!(by_both[at_vessel] < 0.05, "{}: its label is no bone's", by_both[at_vessel]);
+    let named = beside["inputs"].to_string();
+    assert!(named.contains("networks/materials.safetensors") && named.contains("labels.nii"), "{named}");
+    let (by_threshold, ..) = with("threshold");
+    assert!(by_threshold[at_bone] < 0.8 * by_both[at_bone], "the control: {}", by_threshold[at_bone]);
+}
+
 /// What is no network, and what a network was not trained for, is said.
 #[test]
 fn a_network_that_is_none_is_named() {

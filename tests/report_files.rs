@@ -9,7 +9,7 @@ use sidecarm::image::Image;
 use sidecarm::pose::{Pose, Refusal};
 use sidecarm::report::{
     BeadRow, Gap, LinkReport, Pair, PairStatus, PairsFile, PoseSource, Provenance, SessionReport, Standing, StripInput, Track,
-    TruthError, counted, html, png_bytes, strip, write_session,
+    TruthError, counted, png_bytes, report_page, strip, write_session,
 };
 
 use crate::compare_synthetic::{acquired, line_integral, pose, view};
@@ -218,10 +218,10 @@ fn a_session_becomes_one_page_without_outside_resources() {
 
 #[test]
 fn an_empty_session_and_a_missing_strip_still_make_a_page() {
-    assert!(html(&SessionReport::default()).contains("nothing was lost"));
+    assert!(report_page(&SessionReport::default()).contains("nothing was lost"));
     let mut pair = Pair::unmatched("frame_001", "no telemetry");
     pair.strip = Some("strips/001.png".into());
-    let page = html(&SessionReport { pairs: vec![pair], ..SessionReport::default() });
+    let page = report_page(&SessionReport { pairs: vec![pair], ..SessionReport::default() });
     assert!(page.contains("strips/001.png is missing"));
 }
 

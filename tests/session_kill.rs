@@ -16,6 +16,8 @@ use crate::session_signals::Registrations;
 /// A frame that had been complete for so long must be in the log: the folder is looked at every 100 ms, a file must rest for 100 ms, then
 /// it is read.
 const DELIVERED_US: i64 = 500_000;
+/// Same, among other tests on a crowded machine, where reading alone takes as long.
+const DELIVERED_CROWDED_US: i64 = 1_500_000;
 /// The most telemetry that a kill may cost.
 const WORST_MS: f64 = 200.0;
 /// Same, among other tests on a crowded machine: what is judged there is that nothing is lost for long.
@@ -37,7 +39,7 @@ struct Killed {
 
 /// One session. `run`, a file of [`RUN`] images, comes `after_s` seconds into its recording; the kill comes `later_s` after the log has told
 /// that they are there and a frame is being registered.
-fn killed(lab: &Lab, out: &Path, run: &Path, [after_s, later_s]: [f64; 2]) -> Killed {
+fn killed(lab: &Lab, out: &Path, run: &Path, [after_s, later_s]: [f64; 2], delivered_us: i64) -> Killed {
     let mut live = Live::start(&lab.kit.join("session.json"), out, &[]);
     let from_us = live.recording_us;
     std::thread::sleep(Duration::from_secs_f64(after_s));
@@ -57,7 +59,7 @@ fn killed(lab: &Lab, out: &Path, run: &Path, [after_s, later_s]: [f64; 2]) -> Ki
     let registering = Registrations::of_log(&live.log).open;
     let missing = heard.missing(&lab.sent(), from_us, kill_us);
     let due: Vec<(String, i64)> = lab.delivered().into_iter().filter(|(_, at_us)| (from_us..kill_us).contains(at_us)).collect();
-    let (delivered, fresh): (Vec<_>, Vec<_>) = due.iter().partition(|(_, at_us)| kill_us - at_us >= DELIVERED_US);
+    let (delivered, fresh): (Vec<_>, Vec<_>) = due.iter().partition(|(_, at_us)| kill_us - at_us >= delivered_us);
     let there = |(hash, _): &&&(String, i64)| heard.frames.contains(hash);
     Killed {
         missing,
@@ -69,7 +71,7 @@ fn killed(lab: &Lab, out: &Path, run: &Path, [after_s, later_s]: [f64; 2]) -> Ki
 }
 
 /// `count` kills on one lab with a frame being registered, and those between two registrations; moments are drawn from `seed`.
-fn kills(seed: u64, count: usize) -> Vec<Killed> {
+fn kills(seed: u64, count: usize, delivered_us: i64) -> Vec<Killed> {
     let Some((_, frame, folder)) = quiet_lab("60") else { return Vec::new() };
     let seconds = (12 * count).clamp(90, 3600);
     let (duration, repeat) = (seconds.to_string(), (seconds / 6).clamp(1, 1000).to_string());
@@ -84,7 +86,7 @@ fn kills(seed: u64, count: usize) -> Vec<Killed> {
         let (out, run) = (folder.path().join(format!("{index}")), folder.path().join(format!("run-{index}.dcm")));
         many_images(&frame, RUN, &run);
         let [after_s, later_s] = [0.3 + 1.5 * draw.uniform(), 0.4 * draw.uniform()];
-        let killed = killed(&lab, &out, &run, [after_s, later_s]);
+        let killed = killed(&lab, &out, &run, [after_s, later_s], delivered_us);
         println!("seed {seed}, kill {index}, run after {after_s:.2} s, kill {later_s:.2} s later: {killed:?}");
         done.push(killed);
         // Two hundred of them would fill the disk, and each is hashed again after every kill.
@@ -126,7 +128,7 @@ fn judge(killed: &[Killed], worst_ms: f64) {
 
 #[test]
 fn three_kills_cost_little_telemetry_and_no_frame() {
-    let killed = kills(7, 3);
+    let killed = kills(7, 3, DELIVERED_CROWDED_US);
     if !killed.is_empty() {
         assert_eq!(with_registration(&killed), 3, "{killed:?}");
         judge(&killed, WORST_CROWDED_MS);
@@ -157,7 +159,7 @@ fn many_kills_cost_little_telemetry_and_no_frame() {
             let share = count / labs + usize::from(lab < count % labs);
             let results = &results;
             scope.spawn(move || {
-                let killed = kills(100 + lab as u64, share);
+                let killed = kills(100 + lab as u64, share, DELIVERED_US);
                 results.lock().expect("not poisoned").extend(killed);
             });
         }

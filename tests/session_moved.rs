@@ -131,6 +131,15 @@ fn telemetry_is_off(pair: &Value) {
     assert!(pair["flags"].to_string().contains(reason), "{pair:#}");
 }
 
+/// So many frames are accepted against telemetry, in the summary and in the report, which says `why`.
+fn in_amber(session: &Session, count: u32, why: &str) {
+    let (words, report) = (&session.words, session.live.report());
+    let others = EXPOSURES - count;
+    assert!(words.contains(&format!("6 frames, {others} accepted, {count} accepted but telemetry disagrees")), "{words}");
+    let told = format!("<b class=\"caution\">{count}</b><span>accepted, telemetry disagrees");
+    assert!(report.contains(&told) && report.contains(why), "{words}");
+}
+
 fn statuses(session: &Session) -> Vec<&str> {
     session.pairs.iter().map(|pair| pair["status"].as_str().unwrap_or_default()).collect()
 }
@@ -274,10 +283,7 @@ fn a_specimen_that_is_moved_is_said_and_tied_anew_by_two_frames() {
     assert!(second.ends_with("it was moved, or telemetry is wrong"), "{second}");
     says_how_far(second);
     assert!(words.contains("2 x specimen in the room: ") && !words.contains("no longer tied"), "{words}");
-    assert!(words.contains("6 frames, 4 accepted, 2 accepted but telemetry disagrees"), "{words}");
-    let report = session.live.report();
-    assert!(report.contains("<b class=\"caution\">2</b><span>accepted, telemetry disagrees"), "{words}");
-    assert!(report.contains("tied to the room anew"), "{words}");
+    in_amber(&session, 2, "tied to the room anew");
 
     for (pair, counter) in session.pairs.iter().zip(1..) {
         has_its_own_exposure(&session.lab, &session.poses[counter as usize - 1], counter);
@@ -311,10 +317,7 @@ fn a_specimen_that_is_moved_from_where_the_session_declares_it_stays_in_doubt() 
         says_how_far(said);
     }
     assert!(words.contains("3 x specimen in the room: ") && !words.contains("tied to the room"), "{words}");
-    assert!(words.contains("6 frames, 3 accepted, 3 accepted but telemetry disagrees"), "{words}");
-    let report = session.live.report();
-    assert!(report.contains("<b class=\"caution\">3</b><span>accepted, telemetry disagrees"), "{words}");
-    assert!(report.contains("world_from_lps and telemetry do"), "{words}");
+    in_amber(&session, 3, "world_from_lps and telemetry do");
     // Said once: frames after it are held against frames that show the specimen where it lies now.
     let moved =
         sentence(words, "frame 4 (XA): the specimen lies ", " from where frame 3 shows it, with the arm in the same place");

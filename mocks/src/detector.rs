@@ -285,6 +285,7 @@ pub fn write(folder: &Path, panel: &Panel, series: &Series) -> Result<(), MockEr
             acquired_us: Some(1_795_237_262_250_000 + 1_000_000 * nth as i64),
             exposure_counter: Some(nth as u32),
             instance: nth as u32,
+            beam: None,
         };
         let path = folder.join(name);
         deliver(&path, &encode(&tags, &values)?)?;

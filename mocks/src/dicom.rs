@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use dicom_core::{DataElement, PrimitiveValue, VR};
+use dicom_core::{DataElement, PrimitiveValue, Tag, VR};
 use dicom_dictionary_std::{tags, uids};
 use dicom_object::{FileMetaTableBuilder, InMemDicomObject};
 
@@ -29,6 +29,45 @@ pub struct FrameTags {
     pub exposure_counter: Option<u32>,
     /// Counts files of the session.
     pub instance: u32,
+    /// Filter and collimator, if the console stores them.
+    pub beam: Option<BeamTags>,
+}
+
+/// What a console knows of the beam besides its voltage and current.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BeamTags {
+    /// Filters that are put in: aluminium and copper.
+    pub filter_mm: [f64; 2],
+    /// Left, top, right, bottom of the open field at the detector, from the panel's middle.
+    pub field_mm: [f64; 4],
+}
+
+impl BeamTags {
+    /// Type, materials and thicknesses of the filters that are in the beam (PS3.3 C.8.7.10), and the collimator's edges (C.8.7.3): the first
+    /// and the last column and row that are open, counted from 1.
+    fn texts(&self, [columns, rows]: [usize; 2], pitch_mm: f64) -> Vec<(Tag, VR, String)> {
+        let materials = ["ALUMINUM", "COPPER"].into_iter().zip(self.filter_mm).filter(|(_, mm)| *mm > 0.0);
+        let (names, thicknesses): (Vec<&str>, Vec<String>) = materials.map(|(name, mm)| (name, format!("{mm:.2}"))).unzip();
+        let form = ["NONE", "FLAT", "MULTIPLE"][names.len()];
+        let mut texts = vec![(tags::FILTER_TYPE, VR::SH, form.to_owned())];
+        if !names.is_empty() {
+            texts.push((tags::FILTER_MATERIAL, VR::CS, names.join("\\")));
+            for tag in [tags::FILTER_THICKNESS_MINIMUM, tags::FILTER_THICKNESS_MAXIMUM] {
+                texts.push((tag, VR::DS, thicknesses.join("\\")));
+            }
+        }
+        let [left, top, right, bottom] = self.field_mm.map(|mm| mm / pitch_mm);
+        let (half_width, half_height) = (0.5 * columns as f64, 0.5 * rows as f64);
+        let edges = [
+            (tags::COLLIMATOR_LEFT_VERTICAL_EDGE, left + half_width + 1.0),
+            (tags::COLLIMATOR_RIGHT_VERTICAL_EDGE, right + half_width),
+            (tags::COLLIMATOR_UPPER_HORIZONTAL_EDGE, top + half_height + 1.0),
+            (tags::COLLIMATOR_LOWER_HORIZONTAL_EDGE, bottom + half_height),
+        ];
+        texts.push((tags::COLLIMATOR_SHAPE, VR::CS, "RECTANGULAR".to_owned()));
+        texts.extend(edges.map(|(tag, edge)| (tag, VR::IS, format!("{edge:.0}"))));
+        texts
+    }
 }
 
 /// First of the mock's UIDs: 2.25 and a UUID (version 8), whose low 62 bits are counted.
@@ -100,6 +139,9 @@ pub fn encode(tags_in: &FrameTags, values: &[u16]) -> Result<Vec<u8>, MockError>
     if let Some(counter) = tags_in.exposure_counter {
         object.put(text(tags::ACQUISITION_NUMBER, VR::IS, &counter.to_string()));
     }
+    for (tag, vr, value) in tags_in.beam.iter().flat_map(|beam| beam.texts(tags_in.size_px, tags_in.pitch_mm)) {
+        object.put(text(tag, vr, &value));
+    }
     if let Some((date, time)) = tags_in.acquired_us.map(date_and_time) {
         object.put(text(tags::ACQUISITION_DATE, VR::DA, &date));
         object.put(text(tags::ACQUISITION_TIME, VR::TM, &time));
@@ -140,6 +182,7 @@ mod tests {
             acquired_us: Some(1_795_237_262_250_000),
             exposure_counter: Some(7),
             instance: 3,
+            beam: Some(BeamTags { filter_mm: [4.3, 0.25], field_mm: [-0.388, -0.582, 0.776, 0.582] }),
         };
         let values: Vec<u16> = (0..12).map(|i| i * 5000).collect();
         let object = dicom_object::from_reader(encode(&tags_in, &values).expect("encodes").as_slice()).expect("reads");
@@ -155,6 +198,29 @@ mod tests {
             (word(tags::EXPOSURE_INU_AS), word(tags::PIXEL_INTENSITY_RELATIONSHIP)),
             ("1050".to_owned(), "LIN".to_owned())
         );
+        assert_eq!([tags::FILTER_TYPE, tags::COLLIMATOR_SHAPE].map(word), ["MULTIPLE", "RECTANGULAR"]);
+        let words = |tag| -> Vec<String> {
+            let texts = object.element(tag).expect("there").to_multi_str().expect("texts");
+            texts.iter().map(|text| text.trim().to_owned()).collect()
+        };
+        assert_eq!(words(tags::FILTER_MATERIAL), ["ALUMINUM", "COPPER"]);
+        assert_eq!([tags::FILTER_THICKNESS_MINIMUM, tags::FILTER_THICKNESS_MAXIMUM].map(words), [["4.30", "0.25"]; 2]);
+        // The first column is shut; the blades above and below are out of the picture.
+        let edges = [
+            tags::COLLIMATOR_LEFT_VERTICAL_EDGE,
+            tags::COLLIMATOR_RIGHT_VERTICAL_EDGE,
+            tags::COLLIMATOR_UPPER_HORIZONTAL_EDGE,
+            tags::COLLIMATOR_LOWER_HORIZONTAL_EDGE,
+        ];
+        assert_eq!(edges.map(word), ["2", "4", "1", "3"]);
+    }
+
+    #[test]
+    fn a_filter_that_is_not_in_the_beam_has_no_material() {
+        let open = BeamTags { filter_mm: [0.0; 2], field_mm: [-1.0, -1.0, 1.0, 1.0] };
+        let texts = open.texts([4, 4], 0.5);
+        assert_eq!(texts[0], (tags::FILTER_TYPE, VR::SH, "NONE".to_owned()));
+        assert!(texts.iter().all(|(tag, ..)| *tag != tags::FILTER_MATERIAL), "{texts:?}");
     }
 
     #[test]

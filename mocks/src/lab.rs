@@ -22,6 +22,9 @@ pub struct Lab {
     /// The exposure, from 0, from which on it lies there; absent where nobody moves it.
     #[serde(skip)]
     pub moved_from: Option<usize>,
+    /// Exposures, from 0, in which the arm moves while the beam is on.
+    #[serde(skip)]
+    pub arm_moves: Vec<usize>,
     /// Standard deviations of the encoders.
     pub encoder_noise: EncoderNoise,
     /// Photons per pixel in air.

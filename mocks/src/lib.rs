@@ -15,6 +15,7 @@ pub mod phantom;
 pub mod radiograph;
 pub mod voxels;
 pub mod dicom;
+pub mod tag_lie;
 pub mod detector;
 pub mod kit;
 pub mod script;

@@ -4,10 +4,12 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::Parser;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
 use serde_json::json;
 
 use mock_lab::MockError;
-use mock_lab::dicom::{FrameTags, deliver, encode};
+use mock_lab::dicom::{BeamTags, FrameTags, deliver, encode};
 use mock_lab::fault::FaultKind;
 use mock_lab::kinematics::camera_from_lps;
 use mock_lab::kit::{arm, frame_name, true_world_from_lps, write};
@@ -18,6 +20,8 @@ use mock_lab::play::{Drawn, Performance, play, say};
 use mock_lab::pty::Line;
 use mock_lab::radiograph::{Physics, Shot, take};
 use mock_lab::script::Script;
+use mock_lab::tag_lie::TagLie;
+use mock_lab::wire::CarmMessage;
 
 /// A C-arm, a snake robot and a detector at the wire: pseudo-terminals with real-time telemetry and faults, DICOM frames in a folder.
 ///
@@ -95,6 +99,13 @@ struct Args {
     /// From this exposure on, counted from 1, the specimen lies 15 mm and 4 degrees from where it lay: somebody moved it, and no device tells.
     #[arg(long, value_name = "EXPOSURE")]
     specimen_moves: Option<usize>,
+    /// In these exposures, counted from 1, the arm's orbital angle goes on by 2 degrees while the beam is on; the picture is that of the middle.
+    #[arg(long, value_delimiter = ',', value_name = "LIST")]
+    arm_moves: Vec<usize>,
+    /// What the tags of frames say otherwise than the arm's line: a list of KIND@EXPOSURE, counted from 1; kinds: kvp (20 kV more), filter
+    /// (0.3 mm more of copper), collimator (the left shutter 60 mm further in).
+    #[arg(long, value_delimiter = ',', value_parser = tag_lie, value_name = "LIST")]
+    tags_lie: Vec<(TagLie, usize)>,
     /// Another panel: square, as high as the lab's own, of so many pixels a side.
     #[arg(long, value_name = "PIXELS")]
     panel_px: Option<u32>,
@@ -122,6 +133,13 @@ fn device(name: &str) -> Result<Device, String> {
 fn oddity(name: &str) -> Result<Oddity, String> {
     let known = Oddity::ALL.into_iter().find(|known| known.name() == name);
     known.ok_or_else(|| format!("expected one of {}", Oddity::ALL.map(Oddity::name).join(", ")))
+}
+
+fn tag_lie(text: &str) -> Result<(TagLie, usize), String> {
+    let (name, exposure) = text.split_once('@').ok_or("expected KIND@EXPOSURE")?;
+    let known = TagLie::ALL.into_iter().find(|known| known.name() == name);
+    let known = known.ok_or_else(|| format!("expected one of {}", TagLie::ALL.map(TagLie::name).join(", ")))?;
+    Ok((known, exposure.parse().map_err(|_| "the exposure is not a number")?))
 }
 
 fn main() -> ExitCode {
@@ -153,6 +171,14 @@ fn run(args: &Args) -> Result<(), MockError> {
     if let Some(exposure) = args.specimen_moves {
         within("--specimen-moves", exposure as f64, 1.0, lab.exposures.len() as f64)?;
         lab.moved_from = exposure.checked_sub(1);
+    }
+    let exposures = lab.exposures.len() as f64;
+    for exposure in &args.arm_moves {
+        within("--arm-moves", *exposure as f64, 1.0, exposures)?;
+        lab.arm_moves.push(exposure - 1);
+    }
+    for (_, exposure) in &args.tags_lie {
+        within("--tags-lie", *exposure as f64, 1.0, exposures)?;
     }
     if let Some(side_px) = args.panel_px {
         within("--panel-px", f64::from(side_px), 64.0, 4096.0)?;
@@ -265,6 +291,14 @@ fn choose(list: &str, scripted: &[Fault]) -> Result<Vec<Fault>, MockError> {
     Ok(out)
 }
 
+/// What the arm tells in the middle of the `index`-th exposure, from 0: its console knows the same.
+fn told(args: &Args, script: &Script, index: usize) -> CarmMessage {
+    let at_s = script.start_s(index) + 0.5 * script.lab.exposure_s;
+    let mut message = script.carm(at_s, &mut ChaCha8Rng::seed_from_u64(args.seed));
+    args.odd.iter().for_each(|oddity| oddity.befall_carm(&mut message));
+    message
+}
+
 /// Draws every frame of the session beforehand.
 fn draw_frames(args: &Args, script: &Script, phantom: &Phantom) -> Result<Vec<Drawn>, MockError> {
     let lab = script.lab;
@@ -300,17 +334,21 @@ fn draw_frames(args: &Args, script: &Script, phantom: &Phantom) -> Result<Vec<Dr
         bodies.extend(phantom.metal(&exposure.control_deg));
         let image = take(&shot, &bodies, &physics);
         let values: Vec<u16> = image.iter().map(|v| (v * lab.air_value).round().clamp(0.0, 65_535.0) as u16).collect();
-        let tags = FrameTags {
+        let told = told(args, script, index);
+        let mut tags = FrameTags {
             size_px: arm.size_px,
             pitch_mm: arm.pitch_mm,
             source_to_detector_mm: arm.source_to_detector_mm,
-            tube_kvp: lab.tube_kvp,
-            tube_ma: lab.tube_ma,
+            tube_kvp: told.tube_kvp,
+            tube_ma: told.tube_ma,
             exposure_ms: 1e3 * lab.exposure_s,
             acquired_us: None,
             exposure_counter: script.counter.then_some(index as u32 + 1),
             instance: index as u32 + 1,
+            beam: Some(BeamTags { filter_mm: told.filter_mm.map(f64::from), field_mm: told.field_mm.map(f64::from) }),
         };
+        let lies = args.tags_lie.iter().filter(|(_, exposure)| *exposure == index + 1);
+        lies.for_each(|(lie, _)| lie.befall(&mut tags));
         frames.push(Drawn { path, tags, values: values.into() });
     }
     Ok(frames)
@@ -332,6 +370,14 @@ mod tests {
         assert!(asked.len() > 1 && asked[1..].iter().all(|fault| fault.kind == FaultKind::Flip));
         for wrong in ["", "melt", "arm:flip", "flip@0.5", "robot:flip@1.5", "robot:flip@NaN", "carm:tear"] {
             assert!(choose(wrong, &scripted).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn lies_of_tags_are_of_an_exposure() {
+        assert_eq!(tag_lie("filter@3"), Ok((TagLie::Filter, 3)));
+        for wrong in ["", "filter", "@3", "dose@3", "filter@x", "filter@-1"] {
+            assert!(tag_lie(wrong).is_err(), "{wrong}");
         }
     }
 }

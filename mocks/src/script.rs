@@ -8,6 +8,8 @@ use crate::wire::{CarmMessage, MetadataMessage, NO_COUNTER, RobotMessage};
 
 /// For how long the arm is still before an exposure.
 const STILL_S: f64 = 0.2;
+/// How far the orbital angle goes, either way from where the picture is taken, in an exposure in which the arm moves.
+const SWING_DEG: f64 = 1.0;
 /// Tendon travel per degree of summed control angles.
 const TENDON_MM_PER_DEG: f64 = 0.2;
 
@@ -65,6 +67,18 @@ impl Script<'_> {
         std::array::from_fn(|i| start[i] + (target[i] - start[i]) * smooth)
     }
 
+    /// How far the orbital angle is from that of the picture, in and around exposures in which the arm moves: it goes on evenly while the
+    /// beam is on, is there in the middle, and comes from and returns to rest in the time in which it is still elsewhere.
+    fn swing_deg(&self, at_s: f64) -> f64 {
+        let half_s = 0.5 * self.lab.exposure_s;
+        let swing = |index: &usize| {
+            let from_middle_s = at_s - (self.start_s(*index) + half_s);
+            let beyond_s = (from_middle_s.abs() - half_s).max(0.0);
+            SWING_DEG * (from_middle_s / half_s).clamp(-1.0, 1.0) * (1.0 - beyond_s / STILL_S).max(0.0)
+        };
+        self.lab.arm_moves.iter().map(swing).sum()
+    }
+
     fn exposure_at(&self, at_s: f64) -> Option<usize> {
         (0..self.count()).find(|index| (self.start_s(*index)..self.start_s(*index) + self.lab.exposure_s).contains(&at_s))
     }
@@ -72,7 +86,8 @@ impl Script<'_> {
     /// What the arm's encoders and generator report.
     #[must_use]
     pub fn carm(&self, at_s: f64, random: &mut impl Rng) -> CarmMessage {
-        let [lift, wig_wag, longitudinal, angulation, orbital, rotation] = self.blend(at_s, Exposure::joints);
+        let [lift, wig_wag, longitudinal, angulation, at_rest, rotation] = self.blend(at_s, Exposure::joints);
+        let orbital = at_rest + self.swing_deg(at_s);
         let (deg, mm) = (self.lab.encoder_noise.deg, self.lab.encoder_noise.mm);
         let joints = [
             lift + noise(mm, random),
@@ -172,6 +187,22 @@ mod tests {
         }
         assert_eq!(before.exposure_counter as usize, lab.exposures.len());
         assert!(on >= 9 * lab.exposures.len() && moved > 200, "{on} {moved}");
+    }
+
+    #[test]
+    fn an_arm_that_moves_in_an_exposure_is_where_its_picture_is_taken_in_the_middle_of_it() {
+        let mut lab = Lab::embedded().expect("embedded");
+        (lab.encoder_noise.deg, lab.encoder_noise.mm) = (0.0, 0.0);
+        lab.arm_moves = vec![1];
+        let script = Script { lab: &lab, duration_s: 20.0, exposures: usize::MAX, counter: true };
+        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(1);
+        let mut orbital = |index: usize, share: f64| {
+            script.carm(script.start_s(index) + share * lab.exposure_s, &mut random).joints[4] - lab.exposures[index].orbital_deg
+        };
+        for (share, deg) in [(0.0, -1.0), (0.25, -0.5), (0.5, 0.0), (0.75, 0.5), (0.999, 0.998)] {
+            assert!((orbital(1, share) - deg).abs() < 1e-9, "{share}: {}", orbital(1, share));
+            assert_eq!([0, 2].map(|index| orbital(index, share)), [0.0; 2], "the others' arm is still");
+        }
     }
 
     #[test]

@@ -59,7 +59,8 @@ fn each(
 ) -> Result<(), Fault> {
     let mut notes = Vec::new();
     let frame_tags = TagReader::new(object, &mut notes).read();
-    let mapping = Mapping::of(object, layout, frame_tags.intensity_relationship.as_deref(), &mut notes);
+    let mut altered = Vec::new();
+    let mapping = Mapping::of(object, layout, frame_tags.intensity_relationship.as_deref(), &mut notes, &mut altered);
     let traces = Traces {
         voi_lut: object.get(tags::VOILUT_SEQUENCE).is_some(),
         processing: has_text(object, tags::PROCESSING_FUNCTION)
@@ -70,7 +71,7 @@ fn each(
     let verdict = judge(&frame_tags, traces, mapping.decreasing(), declared);
     notes.extend(verdict.notes);
     if traces.lossy {
-        notes.push("the pixels passed through lossy compression".into());
+        altered.push("the pixels passed through lossy compression".to_owned());
     }
     if frame_tags.pitch_mm.is_none() && frame_tags.pixel_spacing_mm.is_some() {
         notes.push(
@@ -113,12 +114,13 @@ fn each(
                 (if inverted { ends[0] + ends[1] - value } else { value }) as f32
             })
             .collect();
-        let altered = (beyond > 0).then(|| {
-            format!(
+        let mut altered = altered.clone();
+        if beyond > 0 {
+            altered.push(format!(
                 "{beyond} pixels hold more than the {} bits that are stored (0028,0101): the rest was cut off, as overlays are; if they are bright, their values have wrapped round",
                 layout.bits_stored
-            )
-        });
+            ));
+        }
         if unmirrored {
             pixels.chunks_exact_mut(layout.columns).for_each(<[f32]>::reverse);
         }
@@ -132,7 +134,7 @@ fn each(
             tags: frame_tags.clone(),
             scale_ends: Some([ends[0] as f32, ends[1] as f32]),
             padded,
-            altered: altered.into_iter().collect(),
+            altered,
             notes: notes.clone(),
         })?;
     }
@@ -330,7 +332,13 @@ enum Mapping {
 }
 
 impl Mapping {
-    fn of(object: &DefaultDicomObject, layout: &Layout, relation: Option<&str>, notes: &mut Vec<String>) -> Self {
+    fn of(
+        object: &DefaultDicomObject,
+        layout: &Layout,
+        relation: Option<&str>,
+        notes: &mut Vec<String>,
+        altered: &mut Vec<String>,
+    ) -> Self {
         if object.get(tags::MODALITY_LUT_SEQUENCE).is_some() {
             // XA files with a LOG relationship bring a table that linearises them; the stored logarithm is what is wanted here.
             if relation == Some("LOG") {
@@ -343,14 +351,14 @@ impl Mapping {
                 notes.push("a modality look-up table was applied".into());
                 return table;
             }
-            notes.push("the modality look-up table (0028,3000) is not usable and was ignored".into());
+            altered.push("the modality look-up table (0028,3000) is not usable and was ignored".to_owned());
             return Self::identity();
         }
         let mut reader = TagReader::new(object, notes);
         let (slope, intercept) = (reader.number(tags::RESCALE_SLOPE), reader.number(tags::RESCALE_INTERCEPT));
         let (slope, intercept) = (slope.unwrap_or(1.0), intercept.unwrap_or(0.0));
         if slope == 0.0 {
-            notes.push("rescale slope (0028,1053) is 0 and was ignored".into());
+            altered.push("rescale slope (0028,1053) is 0 and was ignored".to_owned());
             return Self::identity();
         }
         if (slope, intercept) != (1.0, 0.0) {

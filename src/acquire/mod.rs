@@ -107,7 +107,8 @@ pub struct Frame {
     pub completes: Option<u32>,
     /// Pixels clipped at either end of the scale.
     pub clipping: Clipping,
-    /// Pixels that were masked, and pixels that were put elsewhere, at import, a sentence each: whoever uses the frame says them aloud.
+    /// Pixels that were masked, put elsewhere, or are not what the panel measured, at import, a sentence each: whoever uses the frame says them
+    /// aloud.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub altered: Vec<String>,
     /// What else a person should know: assumptions, ignored values, conversions.
@@ -229,7 +230,7 @@ impl Raw {
             }
         }
         if is_uniform(&self.pixels.pixels) {
-            self.notes.push("every pixel has the same value: there is no picture in this frame".to_owned());
+            self.altered.push("every pixel has the same value: there is no picture in this frame".to_owned());
         }
         let clipping = clipping(&self.pixels, self.scale_ends, self.domain == Domain::Log);
         Ok(Frame {
@@ -265,9 +266,13 @@ const STRANGE_SHARE: usize = 1000;
 fn mask_far_values(pixels: &mut [f32]) -> usize {
     let step = (pixels.len() / RANGE_SAMPLES).max(1);
     let mut some: Vec<f32> = pixels.iter().copied().filter(|value| value.is_finite()).step_by(step).collect();
-    some.sort_by(f32::total_cmp);
+    if some.is_empty() {
+        return 0;
+    }
     let strange = some.len() / STRANGE_SHARE;
-    let (Some(&low), Some(&high)) = (some.get(strange), some.iter().rev().nth(strange)) else { return 0 };
+    let last = some.len() - 1;
+    let low = *some.select_nth_unstable_by(strange, f32::total_cmp).1;
+    let high = *some.select_nth_unstable_by(last - strange, f32::total_cmp).1;
     let reach = FAR * (high - low);
     // A range of 0, or beyond what a float holds.
     if !(reach > 0.0 && reach.is_finite()) {

@@ -312,7 +312,7 @@ fn open_air(pixels: &Image<f32>, simulated: &Image<f32>, usable: &Image<bool>, s
     let count = values.len();
     if count < OPEN_AIR_PIXELS {
         return unknown_air(&format!(
-            "{count} usable pixels are open air according to the simulation, {OPEN_AIR_PIXELS} are needed; measure it without specimen and give --air VALUE"
+            "{count} usable pixels are open air according to the simulation, {OPEN_AIR_PIXELS} are needed; measure it without specimen and say it (--air, a session's \"air_level\")"
         ));
     }
     let Some((level, spread)) = median_and_spread(&mut values) else {

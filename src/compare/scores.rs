@@ -116,16 +116,18 @@ pub(super) fn score(input: &Scored, edges: (&EdgeMap, &EdgeMap)) -> Scores {
     let mut missing = |name: &str, reason: &str| {
         scores.reasons.insert(name.into(), reason.into());
     };
-    let gray_reason = "display gray values relate to nepers by an unknown curve; --tone monotone fits one";
+    let gray_reason = "gray values relate to nepers by an unknown curve; a monotone tone (--tone, a session's \"tone\") fits one";
     let toned_gray = input.domain == CommonDomain::GrayValues && input.tone != Tone::Monotone;
     let relative = input.domain == CommonDomain::RelativeLineIntegral;
     let ssim_reason = match input.domain {
         CommonDomain::GrayValues if toned_gray => Some(gray_reason),
-        CommonDomain::RelativeLineIntegral if input.tone == Tone::None => Some("the offset is unknown; --tone gain fits it"),
+        CommonDomain::RelativeLineIntegral if input.tone == Tone::None => {
+            Some("the offset is unknown; a gain (--tone, a session's \"tone\") fits it")
+        }
         _ => None,
     };
     let absolute_reason = match input.domain {
-        CommonDomain::GrayValues => Some("display gray values are no line integrals"),
+        CommonDomain::GrayValues => Some("gray values of an unknown curve are no line integrals"),
         CommonDomain::RelativeLineIntegral => Some(input.air_reason.unwrap_or("the air level is unknown")),
         CommonDomain::LineIntegral if input.tone == Tone::Monotone => Some("a monotone tone absorbs absolute errors"),
         CommonDomain::LineIntegral => None,

@@ -1,125 +1,140 @@
 //! Each exposure of the page: strip, scores against their null, circumstances.
 
-use std::fmt::Write as _;
+use maud::{Markup, html};
 
 use super::html_parts::{Shown, margin_words, number};
 use super::pair::{Pair, Standing};
-use super::plots::escape;
 use super::session::SessionReport;
 use crate::compare::NULL_SCORES;
 
-pub(super) fn each_exposure(page: &mut String, report: &SessionReport, strips: &[Option<Shown>]) {
-    page.push_str("<h2>Each exposure</h2>");
-    for (index, (pair, strip)) in report.pairs.iter().zip(strips).enumerate() {
-        let standing = pair.standing();
-        let open = if index == 0 { " open" } else { "" };
-        let _ = write!(
-            page,
-            "<details id=\"e{index}\"{open}><summary><b>{}</b><span class=\"badge {}\">{}</span><span class=\"dim\">{}</span></summary><div class=\"inside\">",
-            escape(&pair.frame),
-            standing.class(),
-            standing.word().to_lowercase(),
-            escape(&pair.status_line())
-        );
-        match (strip, &pair.strip) {
-            (Some(strip), _) => {
-                let words = format!("{}: acquired, matched DRR, difference, edges", pair.frame);
-                let path = pair.strip.as_deref().map(escape).unwrap_or_default();
-                let _ = write!(
-                    page,
-                    "<a class=\"strip p{index}\" role=\"img\" aria-label=\"{}\" href=\"{path}\" style=\"aspect-ratio:{}/{}\"></a>",
-                    escape(&words),
-                    strip.width,
-                    strip.height
-                );
-                let drr = pair.drr.as_deref().map(escape).map(|drr| format!(", DRR <a href=\"{drr}\">{drr}</a>"));
-                let _ = write!(
-                    page,
-                    "<p class=\"dim\">In full, beside this page: <a href=\"{path}\">{path}</a>{}</p>",
-                    drr.unwrap_or_default()
-                );
+pub(super) fn each_exposure(report: &SessionReport, strips: &[Option<Shown>]) -> Markup {
+    html! {
+        h2 { "Each exposure" }
+        @for (index, (pair, strip)) in report.pairs.iter().zip(strips).enumerate() {
+            @let standing = pair.standing();
+            details id={ "e" (index) } open[index == 0] {
+                summary {
+                    b { (pair.frame) }
+                    span class={ "badge " (standing.class()) } { (standing.word().to_lowercase()) }
+                    span class="dim" { (pair.status_line()) }
+                }
+                div class="inside" {
+                    (pictures(index, pair, strip.as_ref()))
+                    div class="two wide" {
+                        (score_table(pair))
+                        ul class="plain" { @for line in circumstances(pair, standing) { li { (line) } } }
+                    }
+                    @if !pair.beads.is_empty() { (bead_table(pair)) }
+                }
             }
-            (None, Some(path)) => {
-                let _ = write!(page, "<p class=\"caution\">The strip {} is missing or no PNG.</p>", escape(path));
-            }
-            (None, None) => page.push_str("<p class=\"dim\">No strip was made.</p>"),
         }
-        page.push_str("<div class=\"two wide\">");
-        score_table(page, pair);
-        circumstances(page, pair, standing);
-        page.push_str("</div>");
-        bead_table(page, pair);
-        page.push_str("</div></details>");
     }
 }
 
-fn score_table(page: &mut String, pair: &Pair) {
-    page.push_str("<div class=\"over\"><table><thead><tr><th class=\"l\">score</th><th>in full</th><th>without tone</th><th>at null size</th><th>best wrong pose,<br>at null size</th><th class=\"l\">here, against that</th><th>rank</th></tr></thead><tbody>");
-    for (name, _) in NULL_SCORES {
-        let plain = pair.scores_without_tone.as_ref().and_then(|scores| scores.get(name));
-        let null = pair.null.get(name);
-        let best = null.map_or_else(
-            || "–".into(),
-            |null| {
-                format!("{} <small>{}</small>", number(null.best_shifted, 4), escape(null.best_shift.as_deref().unwrap_or("")))
-            },
-        );
-        let rank = null.map_or_else(
-            || "–".into(),
-            |null| {
-                format!(
-                    "<span class=\"{}\">{} of {}</span>",
-                    if null.discriminating { "good" } else { "caution" },
-                    null.rank,
-                    null.of
-                )
-            },
-        );
-        let margin = null.map_or_else(|| "no null".to_owned(), margin_words);
-        let here = pair.scores.get(name);
-        let reason = pair.scores.reasons.get(name).filter(|_| here.is_none());
-        let title = reason.map(|reason| format!(" title=\"{}\"", escape(reason))).unwrap_or_default();
-        let _ = write!(
-            page,
-            "<tr><td class=\"l\"{title}>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{best}</td><td class=\"l words\">{margin}</td><td>{rank}</td></tr>",
-            name.replace('_', " "),
-            number(here, 4),
-            number(plain, 4),
-            number(null.and_then(|null| null.at_pose), 4)
-        );
+/// The strip, and where it and the DRR lie.
+fn pictures(index: usize, pair: &Pair, strip: Option<&Shown>) -> Markup {
+    html! {
+        @match (strip, &pair.strip) {
+            (Some(strip), path) => {
+                @let path = path.as_deref().unwrap_or_default();
+                a class={ "strip p" (index) } role="img" href=(path) style={ "aspect-ratio:" (strip.width) "/" (strip.height) }
+                    aria-label={ (pair.frame) ": acquired, matched DRR, difference, edges" } {}
+                p class="dim" {
+                    "In full, beside this page: " a href=(path) { (path) }
+                    @if let Some(drr) = &pair.drr { ", DRR " a href=(drr) { (drr) } }
+                }
+            }
+            (None, Some(path)) => p class="caution" { "The strip " (path) " is missing or no PNG." },
+            (None, None) => p class="dim" { "No strip was made." },
+        }
     }
-    page.push_str("</tbody></table></div>");
+}
+
+fn score_table(pair: &Pair) -> Markup {
+    html! {
+        div class="over" {
+            table {
+                thead {
+                    tr {
+                        th class="l" { "score" }
+                        th { "in full" }
+                        th { "without tone" }
+                        th { "at null size" }
+                        th { "best wrong pose," br; "at null size" }
+                        th class="l" { "here, against that" }
+                        th { "rank" }
+                    }
+                }
+                tbody { @for (name, _) in NULL_SCORES { (score_row(pair, name)) } }
+            }
+        }
+    }
+}
+
+fn score_row(pair: &Pair, name: &str) -> Markup {
+    let here = pair.scores.get(name);
+    let plain = pair.scores_without_tone.as_ref().and_then(|scores| scores.get(name));
+    let null = pair.null.get(name);
+    let reason = pair.scores.reasons.get(name).filter(|_| here.is_none());
+    html! {
+        tr {
+            td class="l" title=[reason] { (name.replace('_', " ")) }
+            td { (number(here, 4)) }
+            td { (number(plain, 4)) }
+            td { (number(null.and_then(|null| null.at_pose), 4)) }
+            @match null {
+                Some(null) => {
+                    td { (number(null.best_shifted, 4)) " " small { (null.best_shift.as_deref().unwrap_or("")) } }
+                    td class="l words" { (margin_words(null)) }
+                    td { span class=(if null.discriminating { "good" } else { "caution" }) { (null.rank) " of " (null.of) } }
+                }
+                None => {
+                    td { "–" }
+                    td class="l words" { "no null" }
+                    td { "–" }
+                }
+            }
+        }
+    }
 }
 
 /// Each bead of the layout: where its shadow was found, by how much P misses it, and whether P rests on it.
-fn bead_table(page: &mut String, pair: &Pair) {
-    if pair.beads.is_empty() {
-        return;
-    }
-    page.push_str("<div class=\"over\"><table><thead><tr><th class=\"l\">bead</th><th>found<br>column, row px</th><th>found minus P<br>column, row px</th><th>distance<br>px</th><th class=\"l\">part in P</th></tr></thead><tbody>");
+fn bead_table(pair: &Pair) -> Markup {
     let both = |place: Option<[f64; 2]>, decimals| {
         place.map_or_else(|| "–".to_owned(), |place| place.map(|px| number(Some(px), decimals)).join(", "))
     };
-    for bead in &pair.beads {
-        let class = if bead.used { "l words" } else { "l words caution" };
-        let _ = write!(
-            page,
-            "<tr><td class=\"l\">{}</td><td>{}</td><td>{}</td><td>{}</td><td class=\"{class}\">{}</td></tr>",
-            escape(&bead.name),
-            both(bead.found_px, 2),
-            both(bead.residual_px, 3),
-            number(bead.residual_px.map(|[u, v]| u.hypot(v)), 3),
-            escape(bead.part())
-        );
+    html! {
+        div class="over" {
+            table {
+                thead {
+                    tr {
+                        th class="l" { "bead" }
+                        th { "found" br; "column, row px" }
+                        th { "found minus P" br; "column, row px" }
+                        th { "distance" br; "px" }
+                        th class="l" { "part in P" }
+                    }
+                }
+                tbody {
+                    @for bead in &pair.beads {
+                        tr {
+                            td class="l" { (bead.name) }
+                            td { (both(bead.found_px, 2)) }
+                            td { (both(bead.residual_px, 3)) }
+                            td { (number(bead.residual_px.map(|[u, v]| u.hypot(v)), 3)) }
+                            td class=(if bead.used { "l words" } else { "l words caution" }) { (bead.part()) }
+                        }
+                    }
+                }
+            }
+        }
     }
-    page.push_str("</tbody></table></div>");
 }
 
-fn circumstances(page: &mut String, pair: &Pair, standing: Standing) {
-    page.push_str("<ul class=\"plain\">");
-    let mut item = |text: String| {
-        let _ = write!(page, "<li>{}</li>", escape(&text));
-    };
+/// What is to be known of an exposure besides its scores, a line each.
+fn circumstances(pair: &Pair, standing: Standing) -> Vec<String> {
+    let mut lines = Vec::new();
+    let mut item = |text: String| lines.push(text);
     if let (Some(reason), true) = (&pair.reason, standing != Standing::Accepted) {
         item(format!("reason: {reason}"));
     }
@@ -186,5 +201,5 @@ fn circumstances(page: &mut String, pair: &Pair, standing: Standing) {
     for flag in &pair.flags {
         item(flag.clone());
     }
-    page.push_str("</ul>");
+    lines
 }

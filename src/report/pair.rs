@@ -425,14 +425,6 @@ impl Pair {
     }
 }
 
-/// Whether a frame is bound to no exposure because the one that all names has another frame, by what its binding rests on: a second picture
-/// of that exposure, as a console makes that stores a processed one beside the raw one.
-#[must_use]
-pub fn is_second_picture(binding_evidence: &[String]) -> bool {
-    let decisive = binding_evidence.last().map_or("", String::as_str);
-    decisive.ends_with("; one exposure has one frame") || decisive.ends_with(" has already")
-}
-
 /// The most telling scores in a few words each; those that do not discriminate carry a question mark.
 #[must_use]
 pub fn score_words(scores: &Scores, null: &BTreeMap<String, NullScore>) -> Vec<String> {

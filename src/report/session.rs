@@ -109,6 +109,12 @@ pub struct Counts {
 }
 
 impl SessionReport {
+    /// Seconds from the session's start, which is its first exposure where nothing else is known, to a host time.
+    pub(super) fn seconds(&self, host_us: i64) -> f64 {
+        let start_us = self.started_us.or_else(|| self.pairs.iter().filter_map(|pair| pair.time_us).min()).unwrap_or(0);
+        (host_us - start_us) as f64 * 1e-6
+    }
+
     /// Counts by status.
     #[must_use]
     pub fn counts(&self) -> Counts {

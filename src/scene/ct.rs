@@ -205,7 +205,11 @@ impl Builder<'_> {
         self.labelled_bodies(of.body.as_deref().unwrap_or(BODY), file, &names, &numbers)?;
         let mut classes = match (file.otherwise, &file.default) {
             (Some(ElseFile::Threshold), None) => self.threshold_classes(local)?,
-            (Some(ElseFile::Threshold), Some(_)) => {
+            (Some(ElseFile::Network), None) => {
+                let seen = self.seen_bone(None, path, ct)?;
+                Classes { seen_bone: Some(seen), ..self.threshold_classes(local)? }
+            }
+            (Some(_), Some(_)) => {
                 let detail = "default and else both say what the other labels are; leave one out".to_owned();
                 return Err(SceneError::Keys { place: self.place("materials"), detail });
             }
@@ -220,7 +224,7 @@ impl Builder<'_> {
         if map.is_empty() && file.otherwise.is_none() {
             let words = format!(
                 "{}: no label is given a material, so that bone is {} too; add a map, \"map\": \"totalsegmentator\", or \"else\": \
-                 \"threshold\"",
+                 \"threshold\" or \"network\"",
                 labels_path.display(),
                 file.default.as_deref().unwrap_or("soft_tissue")
             );

@@ -107,6 +107,8 @@ pub struct LabelsFile {
 pub enum ElseFile {
     /// As without labels.
     Threshold,
+    /// As the network says that comes with the program.
+    Network,
 }
 
 /// Materials of the labels of a well-known segmentation, by their names.

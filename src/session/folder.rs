@@ -42,7 +42,12 @@ impl Folder {
     pub fn write_again(&self) -> Result<(), SessionError> {
         let Some(report) = &self.report else { return Ok(write_pairs(&self.path.join("pairs.json"), &self.pairs)?) };
         let report = SessionReport { pairs: self.pairs.clone(), ..SessionReport::clone(report) };
-        write_session(&self.path, &report).into_iter().next().map_or(Ok(()), |error| Err(error.into()))
+        let mut errors = write_session(&self.path, &report);
+        match errors.len() {
+            0 => Ok(()),
+            1 => Err(errors.remove(0).into()),
+            _ => Err(SessionError::Unwritten(errors.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "))),
+        }
     }
 }
 

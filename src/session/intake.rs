@@ -27,7 +27,7 @@ const SAY_WAIT_US: i64 = 700_000;
 /// So many files are read in the order in which they came.
 const FEW: usize = 4;
 /// A file that takes longer is passed by the next.
-const SLOW_MS: f64 = 400.0;
+const SLOW_MS: f64 = 150.0;
 /// Files that are read at once, at most: each by a process that may take much memory.
 const MOST_READ: usize = 4;
 /// Pixels of frames that wait to be developed may take this much memory, those on the disk apart; then reading waits, and files wait in their

@@ -128,6 +128,9 @@ pub enum SessionError {
     /// Report, strips or DRRs.
     #[error(transparent)]
     Report(#[from] crate::report::ReportError),
+    /// Several files of the session's folder.
+    #[error("{0}")]
+    Unwritten(String),
     /// An image file.
     #[error(transparent)]
     Image(#[from] crate::image::ImageFileError),

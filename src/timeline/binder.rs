@@ -259,15 +259,24 @@ impl Binder {
             }
             Judgement::Wait(reason) => Binding { evidence: vec![reason], settled: self.known.finished, ..Binding::default() },
             Judgement::None(evidence) => {
-                let arrival_us = self.known.frames.get(&frame).and_then(|pending| pending.evidence.arrival_us);
-                let reached = arrival_us.is_none_or(|arrival_us| {
-                    newest_us.is_some_and(|newest_us| newest_us >= arrival_us) || now_us.saturating_sub(arrival_us) >= PATIENCE_US
-                });
-                Binding { evidence, settled: self.known.finished || reached, ..Binding::default() }
+                Binding { evidence, settled: self.may_conclude(frame, newest_us, now_us), ..Binding::default() }
+            }
+            Judgement::Taken { by, evidence } => {
+                let (settled, flags) = (self.may_conclude(frame, newest_us, now_us), vec![BindingFlag::SecondPicture { of: by }]);
+                Binding { evidence, settled, flags, ..Binding::default() }
             }
         };
         self.tell(frame, binding);
         false
+    }
+
+    /// Whether telemetry has reached the frame's arrival, or is no longer waited for.
+    fn may_conclude(&self, frame: u32, newest_us: Option<i64>, now_us: i64) -> bool {
+        let arrival_us = self.known.frames.get(&frame).and_then(|pending| pending.evidence.arrival_us);
+        let reached = arrival_us.is_none_or(|arrival_us| {
+            newest_us.is_some_and(|newest_us| newest_us >= arrival_us) || now_us.saturating_sub(arrival_us) >= PATIENCE_US
+        });
+        self.known.finished || reached
     }
 
     /// Notes a frame's binding, and those of the images of its run, where it is another than before.

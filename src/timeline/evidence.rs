@@ -112,6 +112,11 @@ pub enum BindingFlag {
         /// That frame.
         of: u32,
     },
+    /// Bound to no exposure because the one that all names has another frame: a console may store a processed picture beside the raw one.
+    SecondPicture {
+        /// That frame.
+        of: u32,
+    },
     /// The file was not finished when it was read; the whole picture, which has the exposure, came later.
     Unfinished {
         /// As that frame.
@@ -131,6 +136,7 @@ impl std::fmt::Display for BindingFlag {
             Self::Late { by_us } => write!(f, "came {} after its exposure", seconds(*by_us)),
             Self::Run { image, count } => write!(f, "image {} of {count} of one run", image + 1),
             Self::Duplicate { of } => write!(f, "the same picture as frame {of}, exported again"),
+            Self::SecondPicture { of } => write!(f, "a second picture of the exposure that frame {of} has"),
             Self::Unfinished { replaced_by } => write!(f, "the file was not finished: frame {replaced_by} is the whole picture"),
         }
     }

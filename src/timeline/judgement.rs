@@ -30,6 +30,8 @@ pub(super) enum Judgement {
     Wait(String),
     /// No exposure, with what was found.
     None(Vec<String>),
+    /// No exposure: that which all names has frame `by`.
+    Taken { by: u32, evidence: Vec<String> },
 }
 
 /// A frame with all that bears on it.
@@ -218,7 +220,7 @@ impl Weighed<'_> {
             && let Some(other) = self.known.shots.get(*at).frame
         {
             words.push(format!("counter {counter} names {}, which frame {other} has already", self.label(*at)));
-            return Judgement::None(words);
+            return Judgement::Taken { by: other, evidence: words };
         }
         self.by_arrival(prompt, words)
     }
@@ -227,7 +229,7 @@ impl Weighed<'_> {
     pub(super) fn of(&self, shot: usize, how: BindingHow, mut evidence: Vec<String>, teaches: bool) -> Judgement {
         if let Some(other) = self.known.shots.get(shot).frame {
             evidence.push(format!("{} has frame {other} already; one exposure has one frame", self.label(shot)));
-            return Judgement::None(evidence);
+            return Judgement::Taken { by: other, evidence };
         }
         Judgement::Of { shot, how, evidence, teaches }
     }

@@ -2,7 +2,6 @@
 
 use super::super::losses::{Untied, all_shown, few_bound, line_losses, of_no_exposure, without_frame};
 use super::Engine;
-use crate::report::is_second_picture;
 use crate::telemetry::DeviceKind;
 use crate::timeline::BindingFlag;
 
@@ -52,7 +51,7 @@ impl Engine {
             if binding.is_some_and(|binding| binding.flags.iter().any(stands_for_another)) {
                 continue;
             }
-            if binding.is_some_and(|binding| is_second_picture(&binding.evidence)) {
+            if binding.is_some_and(|binding| binding.flags.iter().any(|flag| matches!(flag, BindingFlag::SecondPicture { .. }))) {
                 untied.second += 1;
             } else if self.hearing.came_unheard(*number, DeviceKind::Carm, end_us) {
                 untied.unheard += 1;

@@ -48,7 +48,7 @@ fn frame(value: &mut Value, by: u32) {
     add(value.get_mut("completes"), by);
 }
 
-/// Its binding may name other frames: copies, and pictures that were not finished.
+/// Its binding may name other frames: copies, second pictures, and pictures that were not finished.
 fn pose(value: &mut Value, by: u32) {
     add(value.get_mut("number"), by);
     let Some(binding) = value.get_mut("binding") else { return };
@@ -128,6 +128,7 @@ mod tests {
             flags: vec![
                 BindingFlag::Duplicate { of },
                 BindingFlag::Unfinished { replaced_by: by },
+                BindingFlag::SecondPicture { of },
                 BindingFlag::Run { image: 1, count: 3 },
                 BindingFlag::Late { by_us: 2 },
             ],

@@ -254,3 +254,32 @@ fn many_beads_that_fit_too_badly_are_in_doubt() {
     println!("of {all}: {plain} are plainly accepted on all beads; {doubted} controls in doubt");
     assert!(all >= 20 && 20 * plain <= all && doubted <= 1, "{plain} of {all} plain, {doubted} controls in doubt");
 }
+
+/// Two of twelve beads moved by the same, and two by different ways: the ten others carry the pose, and only of the first is it said that
+/// they moved together.
+#[test]
+fn beads_that_moved_together_are_said() {
+    let (mut all, mut together, mut apart) = (0, 0, 0);
+    for seed in 0..40 {
+        let (view, truth) = (synthetic::view(1024, 1024, seed), synthetic::layout(12, 0.75, seed));
+        let found = shadows(&view, &truth, 0.05, 0.1, seed);
+        if found.len() < 12 {
+            continue;
+        }
+        let mut random = Stream::new(seed, 95, 0, Purpose::Evaluation);
+        let way = view.camera_from_lps.rotation.conjugate() * DVec3::new(random.normal(), random.normal(), 0.0).normalize();
+        let said = |second: f64| {
+            let mut layout = truth.clone();
+            layout.beads[0].lps_mm += 4.0 * way;
+            layout.beads[1].lps_mm += 4.0 * second * way;
+            let pose = register_shadows(&matching(&view, &layout), &found);
+            assert!(pose.is_accepted(), "seed {seed}: {:?}", pose.reason);
+            usize::from(pose.cautions.iter().any(|words| words.contains("did they move together")))
+        };
+        all += 1;
+        together += said(1.0);
+        apart += said(-1.0);
+    }
+    println!("of {all}: said of {together} that moved together, of {apart} that did not");
+    assert!(all >= 20 && 10 * together >= 9 * all && 20 * apart <= all, "{together} and {apart} of {all}");
+}

@@ -189,3 +189,45 @@ fn a_session_in_which_no_frame_is_tied_to_an_exposure_ends_with_loss() {
     let again = replay_words(&live.log, &lab.kit.with_file_name("again"));
     assert!(again.contains("lost in the session: not one of 3 frames could be tied"), "{again}");
 }
+
+/// A console that exports a picture without number or time before the file that has them: the file took no exposure, as a copy of that
+/// picture, and the session ended with "nothing was lost".
+#[test]
+fn a_picture_without_a_word_of_its_exposure_is_the_copy_though_it_came_first() {
+    let Some(lab) = Lab::start(&["--duration-s", "12", "--faults", "none"]) else { return };
+    let exported = lab.kit.join("exported");
+    std::fs::create_dir(&exported).expect("a folder");
+    let session = lab.session("previews.json", |session| session["frames"]["folder"] = json!(exported));
+    let out = lab.kit.with_file_name("session");
+    let mut live = Live::launch(&session, &out, &["--seconds", "24"]);
+    let mut seen = BTreeSet::new();
+    let ended = eventually(HANG_S, || {
+        for path in whole_frames(&lab) {
+            if seen.insert(path.clone()) {
+                let name = path.file_name().expect("a name");
+                export(&path, &exported.join(format!("preview-{}.dcm", seen.len())), &format!("2.25.77{}", seen.len()), &TIMES);
+                std::thread::sleep(Duration::from_millis(500));
+                let part = exported.join(name).with_extension("part");
+                std::fs::copy(&path, &part).expect("copied");
+                std::fs::rename(part, exported.join(name)).expect("renamed");
+            }
+        }
+        live.program.end(0.02)
+    });
+    assert!(ended.is_some_and(|status| matches!(status.code(), Some(0 | 3))), "{}", live.stderr());
+    let pairs = pairs(&out);
+    assert_eq!(pairs.len(), 2 * seen.len(), "{}", live.stderr());
+    let is_copy = |pair: &Value| pair["flags"].to_string().contains("the same picture as frame");
+    let (copies, frames): (Vec<&Value>, Vec<&Value>) = pairs.iter().partition(|pair| is_copy(pair));
+    assert!(copies.len() == seen.len() && copies.iter().all(|copy| copy["binding"] == "none"), "{copies:#?}");
+    for frame in &frames {
+        assert!(frame["binding"] != "none" && frame["robot_source"] == "sensed", "{frame:#}");
+    }
+    // Numbers of the frames whose copies came before them.
+    let first = copies
+        .iter()
+        .filter(|copy| copy["flags"].to_string().contains(&format!("frame {},", copy["number"].as_u64().unwrap_or(0) + 1)));
+    assert!(first.count() + 1 >= seen.len(), "{copies:#?}");
+    let again = replay_words(&live.log, &lab.kit.with_file_name("again"));
+    assert!(again.contains("identical"), "{again}");
+}

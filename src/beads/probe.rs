@@ -69,8 +69,8 @@ impl<'a> Probe<'a> {
     }
 
     /// Depth of a sphere's shadow of `radius_px` at `at_px` as a detection's contrast has it, and its standard deviation, structure of the
-    /// surroundings included; `None` where too little of the place can be used, or where the frame is saturated: what is in front of that does
-    /// not show.
+    /// surroundings included; `None` where too little of the place can be used, or where the frame is saturated or black all about: what is in
+    /// front of that does not show.
     #[must_use]
     pub fn contrast(&self, at_px: DVec2, radius_px: f64) -> Option<(f64, f64)> {
         let radius = radius_px.max(1.5);
@@ -80,6 +80,8 @@ impl<'a> Probe<'a> {
         }
         let (mut disc, mut ring, mut sectors) = (Moments::default(), Moments::default(), [Moments::default(); 8]);
         let (mut wanted, mut saturated) = (0u32, 0.0);
+        // Pixels of disc and ring below which the scale has nothing.
+        let mut black = [0.0; 2];
         let range = |centre: f64| (centre - reach).floor() as i64..=(centre + reach).ceil() as i64;
         for row in range(at_px.y) {
             for column in range(at_px.x) {
@@ -95,6 +97,8 @@ impl<'a> Probe<'a> {
                     continue;
                 }
                 let value = self.value(column, row);
+                let is_black = self.frame.clipping.black_at == Some(*self.frame.pixels.at(column, row));
+                black[usize::from(in_ring)] += f64::from(u8::from(is_black));
                 if in_ring {
                     let sector = ((d.y.atan2(d.x) / std::f64::consts::TAU + 0.5) * 8.0) as usize;
                     sectors[sector.min(7)].take(value);
@@ -107,7 +111,8 @@ impl<'a> Probe<'a> {
             }
         }
         let seen = disc.0[2] + ring.0[2];
-        if saturated > 0.5 * disc.0[2] {
+        let hidden = black[0] > 0.5 * disc.0[2] && black[1] > 0.5 * ring.0[2];
+        if hidden || saturated > 0.5 * disc.0[2] {
             return None;
         }
         if !(disc.0[2] >= 2.0 && ring.0[2] >= 8.0 && seen >= COVERED * f64::from(wanted)) {
@@ -175,5 +180,11 @@ mod tests {
         let probe = Probe::new(&clipped, &usable, Polarity::Dark);
         assert!(probe.contrast(DVec2::new(55.0, 30.0), 6.0).is_none());
         assert!(probe.contrast(DVec2::new(20.0, 30.0), 6.0).is_some_and(|(depth, _)| depth > 0.6));
+        // Nor where a display has cut off all that is so dark.
+        let mut dark = frame.clone();
+        dark.pixels = dark.pixels.map(|value| (value - 2000.0).max(0.0));
+        dark.clipping.black_at = Some(0.0);
+        let probe = Probe::new(&dark, &usable, Polarity::Dark);
+        assert!(probe.contrast(DVec2::new(20.0, 30.0), 6.0).is_none());
     }
 }

@@ -154,7 +154,7 @@ impl<'a> NullRenders<'a> {
         if scatter.is_none() {
             coarse.model.scatter = ScatterModel::Off;
         }
-        let options = Options { quantity: Quantity::LineIntegral, scatter, ..Options::default() };
+        let options = Options { quantity: Quantity::LineIntegral, scatter, beside: true, ..Options::default() };
         let plan = match &self.plan {
             Some(plan) => plan.clone(),
             None => self.renderer.plan(&coarse, &options).map_err(|error| error.to_string())?.whole(),

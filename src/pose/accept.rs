@@ -160,7 +160,7 @@ impl Case<'_> {
     }
 
     /// Residual of each used bead under the pose of all others, the prior among them where it is fused.
-    fn left_out(&self, last: &Settled) -> Vec<Option<LeftOut>> {
+    pub(super) fn left_out(&self, last: &Settled) -> Vec<Option<LeftOut>> {
         // At least one other bead must be left to contradict it.
         if last.solution.degrees_of_freedom < 4 {
             return vec![None; last.matches.len()];

@@ -109,6 +109,7 @@ impl Case<'_> {
         self.check_second(last, hypothesis, unexplained, &mut cautions)?;
         self.check_prior(last, hypothesis, &mut cautions)?;
         self.doubt_put(last, &mut cautions);
+        self.doubt_moved(last, &mut cautions);
         let rests_on = |m: &Match| last.matches.iter().any(|used| used.bead == m.bead);
         let merged: Vec<_> = last.merged.iter().filter(|(m, _)| rests_on(m)).collect();
         if !merged.is_empty() {

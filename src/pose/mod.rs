@@ -19,6 +19,7 @@ mod hand_shadows;
 mod intrinsics_file;
 mod judge;
 mod lens;
+mod moved;
 mod occupancy;
 mod on_panel;
 mod orientation;

@@ -123,7 +123,9 @@ impl Renderer {
         let mut added = None;
         if !cast.matter {
             let why = explain_empty(scene, &prepared);
-            self.reporter.warn("empty image", &why);
+            if !options.beside {
+                self.reporter.warn("empty image", &why);
+            }
             notes.push(why);
         }
         let mut valid = Image { width: size[0], height: size[1], pixels: cast.density.valid.clone() };

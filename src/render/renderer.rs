@@ -38,6 +38,8 @@ pub struct Options {
     pub count_non_finite: bool,
     /// Say which pixels show a guess ([`Rendered::guessed`]).
     pub guessed: bool,
+    /// One of many pictures beside the one that is wanted: that it is empty warns nobody.
+    pub beside: bool,
     /// Scatter to add, where the scene asks for it and somebody has followed photons.
     pub scatter: Option<Arc<Scatter>>,
 }

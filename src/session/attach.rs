@@ -14,7 +14,7 @@ use crate::acquire::{Fault, Frame, read_frames};
 use crate::record::{FrameAssembler, LogReader, RecordError, topic};
 use crate::reporter::Reporter;
 use crate::telemetry::{DeviceKind, Event, Link};
-use crate::timeline::{Binder, Binding, BindingFlag, ConsoleClock, FrameEvidence, Timeline};
+use crate::timeline::{Binder, Binding, BindingFlag, ConsoleClock, ConsoleZone, FrameEvidence, Timeline};
 
 /// Why nothing could be attached.
 #[derive(Debug, thiserror::Error)]
@@ -131,7 +131,8 @@ pub fn attach(log: &Path, named: &[PathBuf], reporter: &Reporter) -> Result<Atta
         if let Some(words) = studies.meet(place as u32 + 1, frame.tags.study.as_deref()) {
             reporter.warn("another study", words);
         }
-        session.binder.push(FrameEvidence::of(*number, &frame.tags, content, *image_of_file, None));
+        let said = FrameEvidence::of(*number, &frame.tags, content, *image_of_file, None);
+        session.binder.push(session.zone.steady(&frame.tags, said));
     }
     session.timeline.finish();
     session.binder.finish(&session.timeline);
@@ -194,6 +195,7 @@ struct Recorded {
     /// What the log calls its frames.
     numbers: BTreeMap<u32, u32>,
     pictures: Pictures,
+    zone: ConsoleZone,
     losses: Vec<String>,
 }
 
@@ -282,7 +284,10 @@ impl Recorded {
         let evidence = FrameEvidence::of(number, &frame.tags, &content, image_of(&frame), Some(host_us));
         self.numbers.insert(frame.number, number);
         let completes = frame.completes.and_then(|before| self.numbers.get(&before).copied());
-        self.binder.push(FrameEvidence { completes, ..evidence });
+        self.binder.push(FrameEvidence { completes, ..self.zone.steady(&frame.tags, evidence) });
+        if let Some(before) = self.pictures.copied_before(&content) {
+            self.binder.was_copied_by(before, number);
+        }
         self.binder.update(&self.timeline, host_us);
     }
 

@@ -242,8 +242,11 @@ impl Collector {
             self.rows.iter_mut().filter(|(number, pair)| pair.binding == "none" && !self.replaced.contains_key(number))
         {
             // More was known at the end than when it was developed.
-            if let Some(evidence) = engine.why_unbound(*number) {
-                pair.binding_evidence = evidence.to_vec();
+            if let Some(binding) = engine.why_unbound(*number) {
+                pair.binding_evidence.clone_from(&binding.evidence);
+                let flags = binding.flags.iter().map(ToString::to_string);
+                let new: Vec<String> = flags.filter(|flag| !pair.flags.contains(flag)).collect();
+                pair.flags.extend(new);
             }
         }
         self.report.pairs = std::mem::take(&mut self.rows).into_values().collect();

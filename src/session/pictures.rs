@@ -58,8 +58,18 @@ impl PictureDigest {
 /// The content that first showed each picture.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Pictures {
-    first: BTreeMap<Digest, String>,
+    first: BTreeMap<Digest, First>,
     grains: Vec<Known>,
+    /// By content that says of which exposure it is: the one that showed the same picture before, and does not.
+    copied_before: BTreeMap<String, String>,
+}
+
+/// What showed a picture first.
+#[derive(Clone, Debug)]
+struct First {
+    content: String,
+    /// It says which exposure it is of.
+    told: bool,
 }
 
 /// A picture that is no copy.
@@ -74,28 +84,42 @@ struct Known {
 
 impl Pictures {
     /// The content that `frame`, whose picture this is, is a copy of, or its own. What says of which exposure it is, is no copy of a picture
-    /// in another grey scale that does not.
+    /// that does not.
     pub(super) fn first_of(&mut self, frame: &Frame, picture: Option<PictureDigest>) -> String {
         let Some(PictureDigest { digest, grain, copy_of }) = picture else { return frame.sha256.clone() };
-        if let Some(first) = self.first.get(&digest) {
-            return first.clone();
-        }
         let told = frame.tags.names_exposure();
-        let same = |known: &&Known| {
+        // The whole picture takes the place of the unfinished one.
+        let copies = |known_told: bool| known_told || !told || frame.completes.is_some();
+        match self.first.get(&digest) {
+            Some(First { content, told }) if copies(*told) => return content.clone(),
+            Some(First { content, .. }) => drop(self.copied_before.insert(frame.sha256.clone(), content.clone())),
+            None => {}
+        }
+        let alike = |known: &&Known| {
             known.size_px == frame.size_px
-                && (known.told || !told)
                 // The whole picture takes the place of the unfinished one, however little of that was missing.
                 && frame.completes.is_none()
                 && grain.as_ref().is_some_and(|grain| grain.is_of_one_exposure(&known.grain))
         };
-        let first = copy_of.or_else(|| self.grains.iter().find(same).map(|known| known.content.clone())).unwrap_or_else(|| {
+        let mut alike = self.grains.iter().filter(alike);
+        let before = alike.clone().next().map(|known| known.content.clone());
+        let same = alike.find(|known| copies(known.told)).map(|known| known.content.clone());
+        let content = copy_of.or(same).unwrap_or_else(|| {
             let content = frame.sha256.clone();
+            if let Some(before) = before {
+                self.copied_before.entry(content.clone()).or_insert(before);
+            }
             let known = |grain| Known { size_px: frame.size_px, grain, content: content.clone(), told };
             self.grains.extend(grain.map(known));
             content
         });
-        self.first.insert(digest, first.clone());
-        first
+        self.first.insert(digest, First { content: content.clone(), told });
+        content
+    }
+
+    /// The content that showed the picture of `content` before, without a word of its exposure.
+    pub(super) fn copied_before(&self, content: &str) -> Option<&str> {
+        self.copied_before.get(content).map(String::as_str)
     }
 
     /// What is left of the picture of `frame` where its pixels are not to be guessed at: only whether it is a copy.
@@ -259,6 +283,13 @@ mod tests {
         assert_eq!(first_of(&mut pictures, &told(scene(8, 12.0, false).map(|p| p.sqrt()), "m")), "m");
         assert_eq!(first_of(&mut pictures, &framed(scene(8, 12.0, false).map(|p| p * p), "n")), "l");
         assert_eq!(first_of(&mut pictures, &told(scene(8, 12.0, false).map(|p| p * p * p), "o")), "m");
+        // The same pixels, exported without a word of their exposure before the file that says it.
+        let mut pictures = Pictures::default();
+        assert_eq!(first_of(&mut pictures, &framed(scene(8, 12.0, false), "p")), "p");
+        assert_eq!(first_of(&mut pictures, &told(scene(8, 12.0, false), "q")), "q");
+        assert_eq!((pictures.copied_before("q"), pictures.copied_before("p")), (Some("p"), None));
+        assert_eq!(first_of(&mut pictures, &framed(scene(8, 12.0, false), "r")), "q");
+        assert_eq!(first_of(&mut pictures, &told(scene(8, 12.0, false), "s")), "q");
         // Nothing tells two exposures without noise from one in two grey scales.
         let mut pictures = Pictures::default();
         assert_eq!(first_of(&mut pictures, &framed(scene(5, 0.0, false), "g")), "g");

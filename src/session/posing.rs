@@ -113,6 +113,10 @@ impl Bound {
             .filter(|answer| answer.gap_us <= MAX_GAP_US && answer.support == Support::Between)
             .or_else(|| exposure.and_then(|exposure| exposure.joints).filter(|answer| answer.gap_us <= MAX_GAP_US));
         let robot = mid_us.and_then(|mid_us| BoundRobot::at(timeline, mid_us, &binding));
+        let joints_at = |us: i64| timeline.joints_at(us).filter(|answer| answer.gap_us <= MAX_GAP_US);
+        let ends = mid_us.zip(binding.half_image_us()).and_then(|(mid_us, half_us)| {
+            joints_at(mid_us.saturating_sub(half_us)).zip(joints_at(mid_us.saturating_add(half_us)))
+        });
         Self {
             frame,
             time_us: mid_us.unwrap_or(arrival_us),
@@ -121,7 +125,10 @@ impl Bound {
             beam: mid_us
                 .and_then(|mid_us| timeline.beam_at(mid_us).map(Box::new))
                 .or_else(|| exposure.and_then(|exposure| exposure.beam.clone())),
-            binding,
+            binding: match ends {
+                Some((before, after)) => binding.moved_between([&before.value, &after.value]),
+                None => binding,
+            },
             robot,
         }
     }

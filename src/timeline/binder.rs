@@ -96,6 +96,31 @@ impl Binder {
         self.known.frames.insert(frame, Pending { evidence, prompt: None, binding: waiting(), images: Vec::new() });
     }
 
+    /// The picture of `content`, which says nothing of its exposure, came again as `frame`, which does: the first one is the copy, unless it has
+    /// an exposure already.
+    pub fn was_copied_by(&mut self, content: &str, frame: u32) {
+        let Some((first, _)) = self.known.contents.get(content) else { return };
+        let first = *first;
+        let Some(pending) = self.known.frames.get_mut(&first).filter(|pending| pending.binding.exposure.is_none()) else {
+            return;
+        };
+        // It did not come for an exposure of its own.
+        for at in pending.prompt.take().into_iter().flatten() {
+            let shot = self.known.shots.get_mut(at);
+            shot.prompt_frames = shot.prompt_frames.saturating_sub(1);
+        }
+        self.known.open.remove(&first);
+        let copy = Binding {
+            evidence: vec![format!("the picture is that of frame {frame}, which says of which exposure it is: a copy")],
+            settled: true,
+            flags: vec![BindingFlag::Duplicate { of: frame }],
+            ..Binding::default()
+        };
+        self.stands_for.insert(first, (frame, copy));
+        self.changed.insert(first);
+        self.fresh = true;
+    }
+
     /// The frame takes the place of `before`, which was the same picture, unfinished: whatever that one is bound to, this one is. False
     /// where the two say different things of when they were taken.
     fn take_place(&mut self, before: u32, evidence: &FrameEvidence) -> bool {

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::exposure::ExposureInterval;
 use crate::acquire::FrameTags;
+use crate::geometry::CarmJoints;
 
 /// What one image says about when it was taken; made once, when its file has arrived.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -44,6 +45,24 @@ impl FrameEvidence {
             frame_time_us: tags.frame_time_ms.map(|ms| (ms * 1e3).round() as i64),
             completes: None,
         }
+    }
+}
+
+/// The time zone of a console's stamps: that of the first file that states one. Stamps of another zone are brought to it, so that summer time
+/// may begin in mid-session.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct ConsoleZone {
+    offset_min: Option<i32>,
+}
+
+impl ConsoleZone {
+    /// What a frame with these tags says, in the one zone.
+    #[must_use]
+    pub fn steady(&mut self, tags: &FrameTags, evidence: FrameEvidence) -> FrameEvidence {
+        let Some(own_min) = tags.timezone_offset_min else { return evidence };
+        let first_min = *self.offset_min.get_or_insert(own_min);
+        let later_us = (i64::from(first_min) - i64::from(own_min)) * 60_000_000;
+        FrameEvidence { console_us: evidence.console_us.map(|us| us.saturating_add(later_us)), ..evidence }
     }
 }
 
@@ -194,7 +213,7 @@ pub(super) fn flags_of(frame: &FrameEvidence, exposure: &ExposureInterval, span_
     let mut flags = Vec::new();
     for (i, (joint, limit)) in MOVED_LIMITS.into_iter().enumerate() {
         let range = exposure.joint_range[i];
-        let moved = if matches!(i, 1 | 3 | 4 | 5) { range.to_degrees() } else { range };
+        let moved = if is_angle(i) { range.to_degrees() } else { range };
         // A joint without an encoder is NaN here; that it moved is not known.
         if moved > limit {
             flags.push(BindingFlag::Moved { joint, moved, limit });
@@ -219,6 +238,42 @@ pub(super) fn flags_of(frame: &FrameEvidence, exposure: &ExposureInterval, span_
     flags
 }
 
+impl Binding {
+    /// The half length of the time that one image of a run took, where it is that.
+    #[must_use]
+    pub fn half_image_us(&self) -> Option<i64> {
+        let count =
+            self.flags.iter().find_map(|flag| if let BindingFlag::Run { count, .. } = flag { Some(*count) } else { None })?;
+        let exposure = self.exposure.as_ref()?;
+        Some(exposure.end_us.saturating_sub(exposure.start_us).max(0) / (2 * i64::from(count.max(1))))
+    }
+
+    /// The same without word of motion that was in other images of the run: `at` are the joints before and after this one.
+    #[must_use]
+    pub fn moved_between(mut self, at: [&CarmJoints; 2]) -> Self {
+        let [before, after] = at.map(|joints| joints.to_array());
+        let moved_by = |joint: &str| {
+            let i = MOVED_LIMITS.iter().position(|(name, _)| *name == joint)?;
+            let moved = (after[i] - before[i]).abs();
+            Some(if is_angle(i) { moved.to_degrees() } else { moved })
+        };
+        self.flags.retain_mut(|flag| match flag {
+            BindingFlag::Moved { joint, moved, limit } => {
+                // A joint that is not known may have moved as far as in all of the run.
+                *moved = moved_by(joint).filter(|own| own.is_finite()).unwrap_or(*moved);
+                *moved > *limit
+            }
+            _ => true,
+        });
+        self
+    }
+}
+
+/// Whether the joint in this place of [`MOVED_LIMITS`] turns.
+fn is_angle(i: usize) -> bool {
+    matches!(i, 1 | 3 | 4 | 5)
+}
+
 /// Host time of `frame` within `span_us`: the middle, or the image's share of the run.
 pub(super) fn time_within(frame: &FrameEvidence, [start_us, end_us]: [i64; 2]) -> i64 {
     let [image, count] = frame.image_of_file;
@@ -241,6 +296,26 @@ pub(super) fn seconds(us: i64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn stamps_of_two_zones_come_to_one() {
+        let at = |time: &str, offset_min: Option<i32>| FrameTags {
+            acquired_date: Some("20261128".to_owned()),
+            acquired_time: Some(time.to_owned()),
+            timezone_offset_min: offset_min,
+            ..FrameTags::default()
+        };
+        let mut zone = ConsoleZone::default();
+        let mut stamp = |tags: FrameTags| {
+            let said = FrameEvidence::of(1, &tags, "a", [0, 1], None);
+            zone.steady(&tags, said).console_us.expect("a stamp")
+        };
+        let first_us = stamp(at("010000", None));
+        assert_eq!(stamp(at("010010", Some(60))) - first_us, 10_000_000);
+        // Summer time: an hour more on the clock, ten seconds later.
+        assert_eq!(stamp(at("020020", Some(120))) - first_us, 20_000_000);
+        assert_eq!(stamp(at("010030", Some(60))) - first_us, 30_000_000);
+    }
 
     #[test]
     fn a_stamp_is_as_fine_as_its_last_digit() {

@@ -27,7 +27,7 @@ mod travel;
 pub use binder::Binder;
 pub use clock::{ClockEstimate, ClockMap, LEAST_DELAY_US, MAX_DRIFT};
 pub use console::ConsoleClock;
-pub use evidence::{Binding, BindingFlag, BindingHow, FrameEvidence};
+pub use evidence::{Binding, BindingFlag, BindingHow, ConsoleZone, FrameEvidence};
 pub use exposure::{ExposureInterval, ExposureTracker, HIDING_SILENCE_US, Silence};
 pub use judgement::NO_EXPOSURE;
 pub use segments::{DeviceClock, Placed, Segment, SegmentStart, SegmentSummary};

@@ -113,6 +113,11 @@ fn check_voltage(facts: &ExposureFacts) -> Option<Finding> {
     const CHECK: &str = "kVp";
     let told = facts.beam.map(|beam| beam.tube_kvp).filter(|kvp| *kvp > 0.0);
     let tag = facts.frame.tags.kvp;
+    // Beside the beam, none is what a generator tells.
+    if let Some(tag) = tag.filter(|_| facts.beam.is_some_and(|beam| beam.xray_on && beam.tube_kvp == 0.0)) {
+        let detail = format!("telemetry says 0 kVp while the beam is on, the frame {tag:.0}");
+        return Some(Finding::warn(CHECK, detail, "correct the generator's telemetry, or send NaN for what it does not know"));
+    }
     if let (Some(told), Some(tag)) = (told, tag)
         && !((told - tag).abs() <= KVP_TOLERANCE)
     {

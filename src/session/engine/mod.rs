@@ -32,7 +32,7 @@ use crate::beads::{BeadLayout, Landmark};
 use crate::geometry::Rigid;
 use crate::reporter::Reporter;
 use crate::telemetry::{DeviceKind, Event, Health, Link, Sequenced};
-use crate::timeline::{Binder, Binding, FrameEvidence, Timeline};
+use crate::timeline::{Binder, Binding, ConsoleZone, FrameEvidence, Timeline};
 
 /// A frame that waits for the telemetry of its exposure.
 struct Pending {
@@ -85,6 +85,7 @@ pub struct Engine {
     /// Frames of unfinished files, whose whole pictures came later.
     replaced: BTreeSet<u32>,
     pictures: Pictures,
+    zone: ConsoleZone,
     studies: Studies,
     editing: Editing,
     reporter: Reporter,
@@ -128,6 +129,7 @@ impl Engine {
             bound: Waiting::new(reporter.clone()),
             replaced: BTreeSet::new(),
             pictures: Pictures::default(),
+            zone: ConsoleZone::default(),
             studies: Studies::default(),
             editing: Editing::default(),
             reporter,
@@ -246,7 +248,10 @@ impl Engine {
         // The same picture in another file, with other identifiers and stamps, is no other exposure.
         let content = self.pictures.first_of(frame, picture);
         let evidence = FrameEvidence::of(frame.number, &frame.tags, &content, image, Some(host_us));
-        self.binder.push(FrameEvidence { completes: frame.completes, ..evidence });
+        self.binder.push(FrameEvidence { completes: frame.completes, ..self.zone.steady(&frame.tags, evidence) });
+        if let Some(before) = self.pictures.copied_before(&content) {
+            self.binder.was_copied_by(before, frame.number);
+        }
         if let Some(words) = self.studies.meet(frame.number, frame.tags.study.as_deref()) {
             self.reporter.warn("another study", words);
         }
@@ -415,9 +420,8 @@ impl Engine {
     }
 
     /// Why a frame is bound to no exposure, as far as is known by now; `None` where it is bound.
-    pub(super) fn why_unbound(&self, number: u32) -> Option<&[String]> {
-        let binding = self.binder.binding(number).filter(|binding| binding.exposure.is_none())?;
-        Some(&binding.evidence)
+    pub(super) fn why_unbound(&self, number: u32) -> Option<&Binding> {
+        self.binder.binding(number).filter(|binding| binding.exposure.is_none())
     }
 
     /// Keeps a frame for [`Engine::bind_late`]; the pixels of the oldest are let go where there are too many.

@@ -123,7 +123,7 @@ fn the_innovation_is_telemetry_minus_beads_at_the_centroid() {
 fn an_exposure_in_which_all_agrees_is_silent_and_each_disagreement_is_named() {
     assert_eq!(exposure(|_, _, _, _| ()), Vec::new());
     type Change = fn(&mut Frame, &mut CarmSample, &mut Rigid, &mut f64);
-    let cases: [(&str, Change, &[&str]); 12] = [
+    let cases: [(&str, Change, &[&str]); 13] = [
         ("frame size", |f, _, _, _| f.size_px = [31, 24], &["31 x 24", "62 x 48", "binned 2 x 2"]),
         ("frame size", |f, _, _, _| f.size_px = [48, 62], &["turned it by 90 degrees"]),
         ("pitch", |f, _, _, _| f.tags.pitch_mm = Some([0.194, 0.194]), &["0.194", "0.388"]),
@@ -131,6 +131,7 @@ fn an_exposure_in_which_all_agrees_is_silent_and_each_disagreement_is_named() {
         ("SID", |_, b, _, _| b.joints.source_to_detector_mm = 1.02, &["1.02", "metres"]),
         ("kVp", |f, _, _, _| f.tags.kvp = Some(74.0), &["telemetry says 90", "the frame 74"]),
         ("kVp", |f, b, _, _| (f.tags.kvp, b.tube_kvp) = (Some(74.0), f64::NAN), &["of the frame 74", "the scene renders 90"]),
+        ("kVp", |_, b, _, _| b.tube_kvp = 0.0, &["0 kVp while the beam is on", "the frame 90", "send NaN"]),
         ("filter", |_, b, _, _| b.filter_mm_cu = 0.2, &["0.20 mm of copper", "the scene renders 0.00"]),
         ("filter", |_, b, _, _| b.filter_mm_al = 6.0, &["6.00 mm of aluminium", "4.30"]),
         ("field", |_, b, _, _| b.field_mm = [-6.0, -9.312, 12.028, 9.312], &["25 % of the frame", "shows 0 %"]),

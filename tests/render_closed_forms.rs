@@ -4,7 +4,8 @@ use std::sync::Arc;
 
 use glam::{DAffine3, DQuat, DVec2, DVec3};
 use sidecarm::gpu::DeviceChoice;
-use sidecarm::render::{Options, Quantity};
+use sidecarm::render::{Options, Quantity, Renderer};
+use sidecarm::reporter::Reporter;
 use sidecarm::scene::model::{Formation, Matter, Response, Shape, Solid};
 use sidecarm::scene::physics::{Material, Spectrum};
 
@@ -269,6 +270,14 @@ fn an_empty_image_says_why() {
         let notes = render_on(DeviceChoice::Cpu, &scene, Quantity::Intensity).notes;
         assert!(notes.iter().any(|note| note.contains("image is empty") && note.contains(words)), "{words}: {notes:?}");
         cases += 1;
+    }
+    // One of many pictures beside the one that is wanted warns nobody.
+    for (beside, warnings) in [(false, 1), (true, 0)] {
+        let reporter = Reporter::silent();
+        let mut renderer = Renderer::new(DeviceChoice::Cpu, &reporter).expect("a renderer");
+        let options = Options { beside, ..Options::default() };
+        renderer.render(&at(DVec3::new(0.0, 0.0, 1500.0)), &options).expect("an image");
+        assert_eq!(reporter.warnings().len(), warnings, "{:?}", reporter.warnings());
     }
     // An off-centre camera: metres for millimetres, RAS for LPS.
     let mut scene = empty(&["water"]).with(solids(&[sphere(DVec3::new(0.1, -0.05, 0.3), 0.02, 0, 1.0)]));

@@ -61,6 +61,9 @@ fn killed(lab: &Lab, out: &Path, run: &Path, [after_s, later_s]: [f64; 2], deliv
     let due: Vec<(String, i64)> = lab.delivered().into_iter().filter(|(_, at_us)| (from_us..kill_us).contains(at_us)).collect();
     let (delivered, fresh): (Vec<_>, Vec<_>) = due.iter().partition(|(_, at_us)| kill_us - at_us >= delivered_us);
     let there = |(hash, _): &&&(String, i64)| heard.frames.contains(hash);
+    for (_, at_us) in delivered.iter().filter(|frame| !there(frame)) {
+        println!("a frame that had lain for {} ms is not in the log", (kill_us - at_us) / 1000);
+    }
     Killed {
         missing,
         frames_delivered: delivered.len(),

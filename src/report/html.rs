@@ -4,7 +4,7 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 use rayon::prelude::*;
 
 use super::html_exposures::each_exposure;
-use super::html_parts::{Shown, margin_words, number, shown};
+use super::html_parts::{Shown, margin_words, number, shown, table};
 use super::html_time::over_time;
 use super::pair::{Pair, PairStatus};
 use super::session::SessionReport;
@@ -39,7 +39,7 @@ pub(super) fn page(report: &SessionReport, strip: &(dyn Fn(&str) -> Option<Vec<u
                 main {
                     (summary(report, title))
                     (contact_sheet(report, &strips))
-                    (table(report))
+                    (exposures(report))
                     (over_time(report))
                     (each_exposure(report, &strips))
                     (notes(report))
@@ -146,33 +146,15 @@ fn tile_style(pair: &Pair, strip: &Shown) -> String {
     )
 }
 
-fn table(report: &SessionReport) -> Markup {
+fn exposures(report: &SessionReport) -> Markup {
     let truth = report.pairs.iter().any(|pair| pair.truth.is_some());
+    let mut headings = vec!["<frame", "time\ns", "<bound by", "<status", "rms\npx", "rms\nmm"];
+    headings.extend(truth.then_some("truth error\npx"));
+    headings.extend(["ZNCC", "best wrong\npose", "<here, against that", "RMSE\nnepers", "edges\nmm", "masked\n%", "total\nms"]);
+    let rows = html! { @for (index, pair) in report.pairs.iter().enumerate() { (row(report, index, pair, truth)) } };
     html! {
         h2 { "Exposures" }
-        div class="scroll" {
-            table {
-                thead {
-                    tr {
-                        th class="l" { "frame" }
-                        th { "time" br; "s" }
-                        th class="l" { "bound by" }
-                        th class="l" { "status" }
-                        th { "rms" br; "px" }
-                        th { "rms" br; "mm" }
-                        @if truth { th { "truth error" br; "px" } }
-                        th { "ZNCC" }
-                        th { "best wrong" br; "pose" }
-                        th class="l" { "here, against that" }
-                        th { "RMSE" br; "nepers" }
-                        th { "edges" br; "mm" }
-                        th { "masked" br; "%" }
-                        th { "total" br; "ms" }
-                    }
-                }
-                tbody { @for (index, pair) in report.pairs.iter().enumerate() { (row(report, index, pair, truth)) } }
-            }
-        }
+        (table("scroll", &headings, &rows))
         p class="dim" style="margin-top:8px" {
             "ZNCC and best wrong pose are both of pictures at reduced size, at most 256 px wide: the score at the stated pose, and the \
              highest at other poses (±1, 3, 10 mm; ±1, 3°; turned round, negated, mirrored) and in mirrored pictures. Where a wrong pose is \

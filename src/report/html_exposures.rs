@@ -2,7 +2,7 @@
 
 use maud::{Markup, html};
 
-use super::html_parts::{Shown, margin_words, number};
+use super::html_parts::{Shown, margin_words, number, table};
 use super::pair::{Pair, Standing};
 use super::session::SessionReport;
 use crate::compare::NULL_SCORES;
@@ -51,24 +51,9 @@ fn pictures(index: usize, pair: &Pair, strip: Option<&Shown>) -> Markup {
 }
 
 fn score_table(pair: &Pair) -> Markup {
-    html! {
-        div class="over" {
-            table {
-                thead {
-                    tr {
-                        th class="l" { "score" }
-                        th { "in full" }
-                        th { "without tone" }
-                        th { "at null size" }
-                        th { "best wrong pose," br; "at null size" }
-                        th class="l" { "here, against that" }
-                        th { "rank" }
-                    }
-                }
-                tbody { @for (name, _) in NULL_SCORES { (score_row(pair, name)) } }
-            }
-        }
-    }
+    let headings =
+        ["<score", "in full", "without tone", "at null size", "best wrong pose,\nat null size", "<here, against that", "rank"];
+    table("over", &headings, &html! { @for (name, _) in NULL_SCORES { (score_row(pair, name)) } })
 }
 
 fn score_row(pair: &Pair, name: &str) -> Markup {
@@ -103,32 +88,19 @@ fn bead_table(pair: &Pair) -> Markup {
     let both = |place: Option<[f64; 2]>, decimals| {
         place.map_or_else(|| "–".to_owned(), |place| place.map(|px| number(Some(px), decimals)).join(", "))
     };
-    html! {
-        div class="over" {
-            table {
-                thead {
-                    tr {
-                        th class="l" { "bead" }
-                        th { "found" br; "column, row px" }
-                        th { "found minus P" br; "column, row px" }
-                        th { "distance" br; "px" }
-                        th class="l" { "part in P" }
-                    }
-                }
-                tbody {
-                    @for bead in &pair.beads {
-                        tr {
-                            td class="l" { (bead.name) }
-                            td { (both(bead.found_px, 2)) }
-                            td { (both(bead.residual_px, 3)) }
-                            td { (number(bead.residual_px.map(|[u, v]| u.hypot(v)), 3)) }
-                            td class=(if bead.used { "l words" } else { "l words caution" }) { (bead.part()) }
-                        }
-                    }
-                }
+    let headings = ["<bead", "found\ncolumn, row px", "found minus P\ncolumn, row px", "distance\npx", "<part in P"];
+    let rows = html! {
+        @for bead in &pair.beads {
+            tr {
+                td class="l" { (bead.name) }
+                td { (both(bead.found_px, 2)) }
+                td { (both(bead.residual_px, 3)) }
+                td { (number(bead.residual_px.map(|[u, v]| u.hypot(v)), 3)) }
+                td class=(if bead.used { "l words" } else { "l words caution" }) { (bead.part()) }
             }
         }
-    }
+    };
+    table("over", &headings, &rows)
 }
 
 /// What is to be known of an exposure besides its scores, a line each.

@@ -1,6 +1,7 @@
 //! What several parts of the page show: strips and numbers.
 
 use base64::Engine as _;
+use maud::{Markup, html};
 
 use crate::compare::NullScore;
 
@@ -38,6 +39,30 @@ pub(super) fn shown(png: &[u8]) -> Option<Shown> {
             }
         }
         wide = wide.div_ceil(2);
+    }
+}
+
+/// A table in a box of the class `around`, which scrolls where it is too wide. Headings of numbers stand above them; those that begin with `<`
+/// are of words and stand at the left. A heading may have two lines.
+pub(super) fn table(around: &str, headings: &[&str], rows: &Markup) -> Markup {
+    let parts = |heading: &&str| {
+        let words = heading.trim_start_matches('<');
+        let (first, second) = words.split_once('\n').map_or((words, None), |(first, second)| (first, Some(second)));
+        (heading.starts_with('<').then_some("l"), first.to_owned(), second.map(str::to_owned))
+    };
+    html! {
+        div class=(around) {
+            table {
+                thead {
+                    tr {
+                        @for (class, first, second) in headings.iter().map(parts) {
+                            th class=[class] { (first) @if let Some(second) = second { br; (second) } }
+                        }
+                    }
+                }
+                tbody { (rows) }
+            }
+        }
     }
 }
 

@@ -2,10 +2,10 @@
 
 use maud::{Markup, html};
 
-use super::html_parts::number;
+use super::html_parts::{number, table};
 use super::pair::Pair;
 use super::plots::{self, Dot};
-use super::session::SessionReport;
+use super::session::{Gap, LinkReport, SessionReport};
 
 pub(super) fn over_time(report: &SessionReport) -> Markup {
     let end_us = report.ended_us.or_else(|| report.pairs.iter().filter_map(|pair| pair.time_us).max()).unwrap_or(0);
@@ -68,9 +68,9 @@ fn of_stages(report: &SessionReport) -> Markup {
 }
 
 fn of_links(report: &SessionReport, span_s: [f64; 2]) -> Markup {
-    let band = |link: &super::session::LinkReport| {
+    let band = |link: &LinkReport| {
         let at = |us: Option<i64>, otherwise: f64| us.map_or(otherwise, |us| report.seconds(us));
-        let gap = |gap: &super::session::Gap| ([report.seconds(gap.start_us), report.seconds(gap.end_us)], gap.reason.clone());
+        let gap = |gap: &Gap| ([report.seconds(gap.start_us), report.seconds(gap.end_us)], gap.reason.clone());
         let there_s = [at(link.first_us, 0.0), at(link.last_us, 0.0)];
         plots::Band { name: link.device.clone(), there_s, gaps: link.gaps.iter().map(gap).collect() }
     };
@@ -95,33 +95,22 @@ fn of_tracks(report: &SessionReport, span_s: [f64; 2]) -> Markup {
 fn link_table(report: &SessionReport) -> Markup {
     let names: Vec<&str> =
         report.links.first().map(|link| link.counters.iter().map(|(name, _)| &**name).collect()).unwrap_or_default();
-    html! {
-        div style="overflow-x:auto" {
-            table {
-                thead {
-                    tr {
-                        th class="l" { "link" }
-                        @for name in &names { th { (name) } }
-                        th { "gaps" }
-                    }
-                }
-                tbody {
-                    @for link in &report.links {
-                        tr {
-                            td class="l" { (link.device) }
-                            @for name in &names {
-                                td {
-                                    @match link.counters.iter().find(|(known, _)| known == name) {
-                                        Some((_, count)) => (count),
-                                        None => "–",
-                                    }
-                                }
-                            }
-                            td { (link.gaps.len()) }
+    let headings: Vec<&str> = ["<link"].into_iter().chain(names.iter().copied()).chain(["gaps"]).collect();
+    let rows = html! {
+        @for link in &report.links {
+            tr {
+                td class="l" { (link.device) }
+                @for name in &names {
+                    td {
+                        @match link.counters.iter().find(|(known, _)| known == name) {
+                            Some((_, count)) => (count),
+                            None => "–",
                         }
                     }
                 }
+                td { (link.gaps.len()) }
             }
         }
-    }
+    };
+    table("over", &headings, &rows)
 }

@@ -285,8 +285,8 @@ impl Recorded {
         self.numbers.insert(frame.number, number);
         let completes = frame.completes.and_then(|before| self.numbers.get(&before).copied());
         self.binder.push(FrameEvidence { completes, ..self.zone.steady(&frame.tags, evidence) });
-        if let Some(before) = self.pictures.copied_before(&content) {
-            self.binder.was_copied_by(before, number);
+        if let Some(before) = self.pictures.take_copied_before(&content) {
+            self.binder.was_copied_by(&before, number);
         }
         self.binder.update(&self.timeline, host_us);
     }

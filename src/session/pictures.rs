@@ -117,9 +117,10 @@ impl Pictures {
         content
     }
 
-    /// The content that showed the picture of `content` before, without a word of its exposure.
-    pub(super) fn copied_before(&self, content: &str) -> Option<&str> {
-        self.copied_before.get(content).map(String::as_str)
+    /// The content that showed the picture of `content` before, without a word of its exposure. It is told once: later pictures of `content`
+    /// are copies themselves.
+    pub(super) fn take_copied_before(&mut self, content: &str) -> Option<String> {
+        self.copied_before.remove(content)
     }
 
     /// What is left of the picture of `frame` where its pixels are not to be guessed at: only whether it is a copy.
@@ -287,9 +288,10 @@ mod tests {
         let mut pictures = Pictures::default();
         assert_eq!(first_of(&mut pictures, &framed(scene(8, 12.0, false), "p")), "p");
         assert_eq!(first_of(&mut pictures, &told(scene(8, 12.0, false), "q")), "q");
-        assert_eq!((pictures.copied_before("q"), pictures.copied_before("p")), (Some("p"), None));
+        assert_eq!((pictures.take_copied_before("q").as_deref(), pictures.take_copied_before("p")), (Some("p"), None));
         assert_eq!(first_of(&mut pictures, &framed(scene(8, 12.0, false), "r")), "q");
         assert_eq!(first_of(&mut pictures, &told(scene(8, 12.0, false), "s")), "q");
+        assert_eq!(["q", "r", "s"].map(|content| pictures.take_copied_before(content)), [None, None, None]);
         // Nothing tells two exposures without noise from one in two grey scales.
         let mut pictures = Pictures::default();
         assert_eq!(first_of(&mut pictures, &framed(scene(5, 0.0, false), "g")), "g");

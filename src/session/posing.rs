@@ -108,14 +108,16 @@ impl Bound {
     pub fn new(frame: Arc<Frame>, arrival_us: i64, binding: Binding, timeline: &Timeline) -> Self {
         let exposure = binding.exposure.as_ref();
         let mid_us = binding.time_us.or_else(|| exposure.map(|exposure| exposure.mid_us()));
+        let joints_at =
+            |us: i64| timeline.joints_at(us).filter(|answer| answer.gap_us <= MAX_GAP_US && answer.support == Support::Between);
         let joints = mid_us
-            .and_then(|mid_us| timeline.joints_at(mid_us))
-            .filter(|answer| answer.gap_us <= MAX_GAP_US && answer.support == Support::Between)
+            .and_then(joints_at)
             .or_else(|| exposure.and_then(|exposure| exposure.joints).filter(|answer| answer.gap_us <= MAX_GAP_US));
         let robot = mid_us.and_then(|mid_us| BoundRobot::at(timeline, mid_us, &binding));
-        let joints_at = |us: i64| timeline.joints_at(us).filter(|answer| answer.gap_us <= MAX_GAP_US);
-        let ends = mid_us.zip(binding.half_image_us()).and_then(|(mid_us, half_us)| {
-            joints_at(mid_us.saturating_sub(half_us)).zip(joints_at(mid_us.saturating_add(half_us)))
+        // Of an image of a run: the joints at its beginning, in its middle, and at its end.
+        let within: Option<Vec<CarmJoints>> = mid_us.zip(binding.half_image_us()).and_then(|(mid_us, half_us)| {
+            let times_us = [mid_us.saturating_sub(half_us), mid_us, mid_us.saturating_add(half_us)];
+            times_us.into_iter().map(|us| joints_at(us).map(|answer| answer.value)).collect()
         });
         Self {
             frame,
@@ -125,8 +127,8 @@ impl Bound {
             beam: mid_us
                 .and_then(|mid_us| timeline.beam_at(mid_us).map(Box::new))
                 .or_else(|| exposure.and_then(|exposure| exposure.beam.clone())),
-            binding: match ends {
-                Some((before, after)) => binding.moved_between([&before.value, &after.value]),
+            binding: match within {
+                Some(joints) => binding.moved_within(&joints),
                 None => binding,
             },
             robot,

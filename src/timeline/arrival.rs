@@ -3,7 +3,7 @@
 use std::ops::RangeInclusive;
 
 use super::evidence::{BindingHow, seconds};
-use super::judgement::{Judgement, Weighed};
+use super::judgement::{Judgement, Weighed, none};
 use super::known::Pending;
 use super::shots::{BATCH_US, PROMPT_US};
 
@@ -27,27 +27,27 @@ impl Weighed<'_> {
                     .to_owned(),
                 false => "without a stamp or counter a frame exported afterwards cannot be tied".to_owned(),
             });
-            return Judgement::None(words);
+            return none(words);
         };
         let unlearnt = said.console_us.is_some() || said.counter.is_some() && self.known.counting.useless().is_none();
         if self.known.others_say_more(said) {
             words.push("it lacks the stamp or counter that other frames have".to_owned());
-            return Judgement::None(words);
+            return none(words);
         }
         if unlearnt && !self.known.finished {
             words.push("what the console's clock and counter mean was not known when this frame was judged".to_owned());
-            return Judgement::None(words);
+            return none(words);
         }
         let at = match prompt {
             [] => {
                 words.push(format!("no exposure ended within {} before the frame arrived", seconds(PROMPT_US)));
-                return Judgement::None(words);
+                return none(words);
             }
             [at] => *at,
             several => {
                 let count = several.len();
                 words.push(format!("{count} exposures ended within {} before the frame arrived: ambiguous", seconds(PROMPT_US)));
-                return Judgement::None(words);
+                return none(words);
             }
         };
         if !self.known.finished && self.now_us.saturating_sub(arrival_us) < BATCH_US {
@@ -55,11 +55,11 @@ impl Weighed<'_> {
         }
         if self.known.shots.get(at).prompt_frames > 1 || self.came_with_another(arrival_us) {
             words.push(format!("several frames came after {}: ambiguous", self.label(at)));
-            return Judgement::None(words);
+            return none(words);
         }
         if let Some(blind) = self.blind(at, arrival_us.saturating_sub(PROMPT_US), arrival_us) {
             words.push(blind);
-            return Judgement::None(words);
+            return none(words);
         }
         let late_us = arrival_us.saturating_sub(self.known.shots.get(at).end_us);
         let Some(usual_us) = self.usual_delay_us() else {
@@ -69,12 +69,12 @@ impl Weighed<'_> {
                 ),
                 false => "how soon frames come after their exposures was not known when this frame was judged".to_owned(),
             });
-            return Judgement::None(words);
+            return none(words);
         };
         if !usual_us.contains(&late_us) {
             let (late, from, to) = (seconds(late_us), seconds(*usual_us.start()), seconds(*usual_us.end()));
             words.push(format!("it came {late} after {}, others come after {from} to {to}: ambiguous", self.label(at)));
-            return Judgement::None(words);
+            return none(words);
         }
         let (risk, lacking, count) = self.arrival_risk(arrival_us, usual_us.end().saturating_sub(*usual_us.start()));
         if !(risk <= ARRIVAL_RISK) {
@@ -82,7 +82,7 @@ impl Weighed<'_> {
             words.push(format!(
                 "frames are missing or late here ({lacking} of the last {count} exposures had none promptly, {strays} frames came when none was near): arrival alone does not tell"
             ));
-            return Judgement::None(words);
+            return none(words);
         }
         words.push(format!("{} ended {} before the frame arrived, and no other was near", self.label(at), seconds(late_us)));
         self.of(at, BindingHow::Time, words, false)

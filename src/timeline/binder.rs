@@ -60,13 +60,8 @@ impl Binder {
         if let Some((first, images)) = self.known.contents.get_mut(&evidence.content) {
             let first = *first;
             if let Some(same) = images.get(&image).copied() {
-                let binding = Binding {
-                    evidence: vec![format!("the picture is that of frame {same}: a copy, not another exposure")],
-                    settled: true,
-                    flags: vec![BindingFlag::Duplicate { of: same }],
-                    ..Binding::default()
-                };
-                self.stands_for.insert(frame, (same, binding));
+                let words = format!("the picture is that of frame {same}: a copy, not another exposure");
+                self.stands_for.insert(frame, (same, aside(words, BindingFlag::Duplicate { of: same })));
                 return;
             }
             images.insert(image, frame);
@@ -110,13 +105,8 @@ impl Binder {
             shot.prompt_frames = shot.prompt_frames.saturating_sub(1);
         }
         self.known.open.remove(&first);
-        let copy = Binding {
-            evidence: vec![format!("the picture is that of frame {frame}, which says of which exposure it is: a copy")],
-            settled: true,
-            flags: vec![BindingFlag::Duplicate { of: frame }],
-            ..Binding::default()
-        };
-        self.stands_for.insert(first, (frame, copy));
+        let words = format!("the picture is that of frame {frame}, which says of which exposure it is: a copy");
+        self.stands_for.insert(first, (frame, aside(words, BindingFlag::Duplicate { of: frame })));
         self.changed.insert(first);
         self.fresh = true;
     }
@@ -144,13 +134,8 @@ impl Binder {
         self.stands_for.insert(frame, (first, own));
         let place = Pending { evidence: evidence.clone(), prompt: None, binding: Binding::default(), images: Vec::new() };
         self.known.frames.insert(frame, place);
-        let replaced = Binding {
-            evidence: vec![format!("the file was not finished: frame {frame} is the whole picture and has its exposure")],
-            settled: true,
-            flags: vec![BindingFlag::Unfinished { replaced_by: frame }],
-            ..Binding::default()
-        };
-        self.stands_for.insert(before, (first, replaced));
+        let words = format!("the file was not finished: frame {frame} is the whole picture and has its exposure");
+        self.stands_for.insert(before, (first, aside(words, BindingFlag::Unfinished { replaced_by: frame })));
         self.changed.insert(before);
         true
     }
@@ -283,25 +268,17 @@ impl Binder {
                 return true;
             }
             Judgement::Wait(reason) => Binding { evidence: vec![reason], settled: self.known.finished, ..Binding::default() },
-            Judgement::None(evidence) => {
-                Binding { evidence, settled: self.may_conclude(frame, newest_us, now_us), ..Binding::default() }
-            }
-            Judgement::Taken { by, evidence } => {
-                let (settled, flags) = (self.may_conclude(frame, newest_us, now_us), vec![BindingFlag::SecondPicture { of: by }]);
-                Binding { evidence, settled, flags, ..Binding::default() }
+            Judgement::None { evidence, taken_by } => {
+                let arrival_us = self.known.frames.get(&frame).and_then(|pending| pending.evidence.arrival_us);
+                let reached = arrival_us.is_none_or(|arrival_us| {
+                    newest_us.is_some_and(|newest_us| newest_us >= arrival_us) || now_us.saturating_sub(arrival_us) >= PATIENCE_US
+                });
+                let flags = taken_by.into_iter().map(|of| BindingFlag::SecondPicture { of }).collect();
+                Binding { evidence, settled: self.known.finished || reached, flags, ..Binding::default() }
             }
         };
         self.tell(frame, binding);
         false
-    }
-
-    /// Whether telemetry has reached the frame's arrival, or is no longer waited for.
-    fn may_conclude(&self, frame: u32, newest_us: Option<i64>, now_us: i64) -> bool {
-        let arrival_us = self.known.frames.get(&frame).and_then(|pending| pending.evidence.arrival_us);
-        let reached = arrival_us.is_none_or(|arrival_us| {
-            newest_us.is_some_and(|newest_us| newest_us >= arrival_us) || now_us.saturating_sub(arrival_us) >= PATIENCE_US
-        });
-        self.known.finished || reached
     }
 
     /// Notes a frame's binding, and those of the images of its run, where it is another than before.
@@ -320,6 +297,11 @@ impl Binder {
             self.changed.insert(image);
         }
     }
+}
+
+/// What a frame has for which another one stands.
+fn aside(words: String, flag: BindingFlag) -> Binding {
+    Binding { evidence: vec![words], settled: true, flags: vec![flag], ..Binding::default() }
 }
 
 /// What a frame has before it was judged.

@@ -248,22 +248,19 @@ impl Binding {
         Some(exposure.end_us.saturating_sub(exposure.start_us).max(0) / (2 * i64::from(count.max(1))))
     }
 
-    /// The same without word of motion that was in other images of the run: `at` are the joints before and after this one.
+    /// The same without word of motion that was in other images of the run: `joints` are those while this one was taken.
     #[must_use]
-    pub fn moved_between(mut self, at: [&CarmJoints; 2]) -> Self {
-        let [before, after] = at.map(|joints| joints.to_array());
-        let moved_by = |joint: &str| {
-            let i = MOVED_LIMITS.iter().position(|(name, _)| *name == joint)?;
-            let moved = (after[i] - before[i]).abs();
-            Some(if is_angle(i) { moved.to_degrees() } else { moved })
-        };
-        self.flags.retain_mut(|flag| match flag {
-            BindingFlag::Moved { joint, moved, limit } => {
-                // A joint that is not known may have moved as far as in all of the run.
-                *moved = moved_by(joint).filter(|own| own.is_finite()).unwrap_or(*moved);
-                *moved > *limit
-            }
-            _ => true,
+    pub fn moved_within(mut self, joints: &[CarmJoints]) -> Self {
+        self.flags.retain_mut(|flag| {
+            let BindingFlag::Moved { joint, moved, limit } = flag else { return true };
+            let own = MOVED_LIMITS.iter().position(|(name, _)| name == joint).map(|i| {
+                let values = joints.iter().map(|joints| joints.to_array()[i]);
+                let (low, high) = values.fold((f64::MAX, f64::MIN), |(low, high), value| (low.min(value), high.max(value)));
+                if is_angle(i) { (high - low).to_degrees() } else { high - low }
+            });
+            // A joint that is not known may have moved as far as in all of the run.
+            *moved = own.filter(|own| own.is_finite() && *own >= 0.0).unwrap_or(*moved);
+            *moved > *limit
         });
         self
     }
@@ -296,6 +293,22 @@ pub(super) fn seconds(us: i64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// An arm that turns by ten degrees in the middle of a run of ten images.
+    #[test]
+    fn an_image_of_a_run_has_moved_only_where_it_did() {
+        let moved = BindingFlag::Moved { joint: "orbital", moved: 10.0, limit: 0.2 };
+        let binding = Binding { flags: vec![moved, BindingFlag::Run { image: 4, count: 10 }], ..Binding::default() };
+        let at = |deg: f64| CarmJoints { orbital_rad: deg.to_radians(), ..CarmJoints::ZERO };
+        let of = |degs: [f64; 3]| {
+            let flags = binding.clone().moved_within(&degs.map(at)).flags;
+            flags.iter().find_map(|flag| if let BindingFlag::Moved { moved, .. } = flag { Some(*moved) } else { None })
+        };
+        assert_eq!(of([3.0, 3.1, 3.05]), None);
+        assert!(of([3.0, 5.0, 3.0]).is_some_and(|deg| (deg - 2.0).abs() < 1e-9), "there and back");
+        assert_eq!(of([f64::NAN; 3]), Some(10.0), "an encoder that says nothing");
+        assert_eq!(binding.half_image_us(), None, "of no exposure");
+    }
 
     #[test]
     fn stamps_of_two_zones_come_to_one() {

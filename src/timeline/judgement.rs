@@ -28,10 +28,8 @@ pub(super) enum Judgement {
     Of { shot: usize, how: BindingHow, evidence: Vec<String>, teaches: bool },
     /// Telemetry or other frames may decide within a second.
     Wait(String),
-    /// No exposure, with what was found.
-    None(Vec<String>),
-    /// No exposure: that which all names has frame `by`.
-    Taken { by: u32, evidence: Vec<String> },
+    /// No exposure, with what was found, and the frame that has the one that all names.
+    None { evidence: Vec<String>, taken_by: Option<u32> },
 }
 
 /// A frame with all that bears on it.
@@ -46,7 +44,7 @@ pub(super) struct Weighed<'a> {
 impl Weighed<'_> {
     pub(super) fn judge(&self) -> Judgement {
         if self.known.shots.len() == 0 {
-            return none(NO_EXPOSURE);
+            return none(vec![NO_EXPOSURE.to_owned()]);
         }
         let Some(prompt) = &self.pending.prompt else {
             return Judgement::Wait("telemetry has not yet reached the frame's arrival".to_owned());
@@ -163,13 +161,13 @@ impl Weighed<'_> {
                 words.push(format!("counter and arrival name {}", self.label(*at)));
                 if !self.known.finished {
                     words.push("until the end of the session a frame like the others may come for it".to_owned());
-                    return Judgement::None(words);
+                    return none(words);
                 }
                 self.of(*at, BindingHow::Counter, words, false)
             }
             _ => {
                 words.push("counter and arrival do not name one exposure".to_owned());
-                Judgement::None(words)
+                none(words)
             }
         }
     }
@@ -185,7 +183,7 @@ impl Weighed<'_> {
                 words.push(
                     "a count that has not moved yet may be one that does not move, of a picture of something else".to_owned(),
                 );
-                return Judgement::None(words);
+                return none(words);
             }
             // Where nothing is known yet, an equal number proves little beside a second exposure, or an earlier one that waits for its frame.
             let waits = |other: usize| *firmness == Firmness::Equal && free(other);
@@ -208,7 +206,7 @@ impl Weighed<'_> {
             let firm = steady && *firmness == Firmness::Enclosed;
             if let Some(rival) = rival.filter(|_| firm) {
                 words.push(format!("the counter names {}, the arrival {}: ambiguous", self.label(*at), self.label(*rival)));
-                return Judgement::None(words);
+                return none(words);
             }
             let anew = self.known.counting.may_have_begun_anew(&self.known.shots, counter);
             if firm && !anew && candidates.len() == 1 && fresh && said.console_us.is_none() {
@@ -220,7 +218,7 @@ impl Weighed<'_> {
             && let Some(other) = self.known.shots.get(*at).frame
         {
             words.push(format!("counter {counter} names {}, which frame {other} has already", self.label(*at)));
-            return Judgement::Taken { by: other, evidence: words };
+            return Judgement::None { evidence: words, taken_by: Some(other) };
         }
         self.by_arrival(prompt, words)
     }
@@ -229,7 +227,7 @@ impl Weighed<'_> {
     pub(super) fn of(&self, shot: usize, how: BindingHow, mut evidence: Vec<String>, teaches: bool) -> Judgement {
         if let Some(other) = self.known.shots.get(shot).frame {
             evidence.push(format!("{} has frame {other} already; one exposure has one frame", self.label(shot)));
-            return Judgement::Taken { by: other, evidence };
+            return Judgement::None { evidence, taken_by: Some(other) };
         }
         Judgement::Of { shot, how, evidence, teaches }
     }
@@ -261,8 +259,9 @@ pub(super) fn off_zone_us(offset_us: i64) -> i64 {
     beside_broken_us.fold(beside_hours_us, |best, beside| if beside.saturating_abs() < best.abs() { beside } else { best })
 }
 
-fn none(reason: &str) -> Judgement {
-    Judgement::None(vec![reason.to_owned()])
+/// No exposure, and no frame that has it.
+pub(super) fn none(evidence: Vec<String>) -> Judgement {
+    Judgement::None { evidence, taken_by: None }
 }
 
 #[cfg(test)]

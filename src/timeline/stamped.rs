@@ -2,7 +2,7 @@
 
 use super::counting::Firmness;
 use super::evidence::{BindingHow, FrameEvidence, seconds};
-use super::judgement::{Judgement, Weighed};
+use super::judgement::{Judgement, Weighed, none};
 use super::known::KNOWN_FRAMES;
 
 /// Telemetry must be this far past the moment that a stamp names, or another exposure may still come up there.
@@ -230,12 +230,12 @@ impl Weighed<'_> {
             }
             (_, []) => {
                 words.push(format!("the console's stamp fits no exposure{}", self.offset_words()));
-                Judgement::None(words)
+                none(words)
             }
             (_, [at]) => {
                 if let Some(set) = self.may_be_set(*at, candidates, prompt) {
                     words.push(set);
-                    return Judgement::None(words);
+                    return none(words);
                 }
                 let free = |at: usize| self.known.shots.get(at).frame.is_none();
                 let firm = candidates.iter().find(|(other, firmness)| *firmness == Firmness::Enclosed && free(*other));
@@ -244,7 +244,7 @@ impl Weighed<'_> {
                 {
                     let (by_stamp, by_counter) = (self.label(*at), self.label(*other));
                     words.push(format!("the console's stamp points to {by_stamp}, the counter to {by_counter}: contradictory"));
-                    return Judgement::None(words);
+                    return none(words);
                 }
                 if self.pending.evidence.counter.is_some() && !both.iter().any(|(both, _)| both == at) && words.is_empty() {
                     words.push("the counter contradicts the stamp and is dropped for this frame".to_owned());
@@ -254,11 +254,11 @@ impl Weighed<'_> {
                         "the console's stamp fits {}, but its counter never began anew and is at another number: contradictory",
                         self.label(*at)
                     ));
-                    return Judgement::None(words);
+                    return none(words);
                 }
                 if let Some(blind) = self.blind(*at, stamp.from_us, stamp.to_us) {
                     words.push(blind);
-                    return Judgement::None(words);
+                    return none(words);
                 }
                 words.push(format!(
                     "{} is the only exposure that the console's stamp fits{}",
@@ -269,7 +269,7 @@ impl Weighed<'_> {
             }
             (_, several) => {
                 words.push(format!("the console's stamp fits {} exposures: ambiguous", several.len()));
-                Judgement::None(words)
+                none(words)
             }
         }
     }

@@ -249,8 +249,8 @@ impl Engine {
         let content = self.pictures.first_of(frame, picture);
         let evidence = FrameEvidence::of(frame.number, &frame.tags, &content, image, Some(host_us));
         self.binder.push(FrameEvidence { completes: frame.completes, ..self.zone.steady(&frame.tags, evidence) });
-        if let Some(before) = self.pictures.copied_before(&content) {
-            self.binder.was_copied_by(before, frame.number);
+        if let Some(before) = self.pictures.take_copied_before(&content) {
+            self.binder.was_copied_by(&before, frame.number);
         }
         if let Some(words) = self.studies.meet(frame.number, frame.tags.study.as_deref()) {
             self.reporter.warn("another study", words);

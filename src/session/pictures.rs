@@ -101,9 +101,9 @@ impl Pictures {
                 && frame.completes.is_none()
                 && grain.as_ref().is_some_and(|grain| grain.is_of_one_exposure(&known.grain))
         };
-        let mut alike = self.grains.iter().filter(alike);
-        let before = alike.clone().next().map(|known| known.content.clone());
-        let same = alike.find(|known| copies(known.told)).map(|known| known.content.clone());
+        let alike: Vec<&Known> = self.grains.iter().filter(alike).collect();
+        let before = alike.first().map(|known| known.content.clone());
+        let same = alike.iter().find(|known| copies(known.told)).map(|known| known.content.clone());
         let content = copy_of.or(same).unwrap_or_else(|| {
             let content = frame.sha256.clone();
             if let Some(before) = before {

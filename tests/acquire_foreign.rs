@@ -102,6 +102,56 @@ fn whatever_a_helper_does_it_is_one_refused_file() {
     assert_eq!(through(&helper(), &path).expect("control: the file is good").len(), 1);
 }
 
+/// The processes of `parent`'s that read foreign files, or wait for one.
+#[cfg(target_os = "linux")]
+pub fn readers(parent: u32) -> Vec<rustix::process::Pid> {
+    let found = std::fs::read_dir("/proc").into_iter().flatten().flatten().filter_map(|entry| {
+        let pid = entry.file_name().to_str()?.parse().ok()?;
+        let words = std::fs::read(entry.path().join("cmdline")).ok()?;
+        let stat = std::fs::read_to_string(entry.path().join("stat")).ok()?;
+        // Behind the name in parentheses: state, then the parent.
+        let of: u32 = stat.rsplit_once(") ")?.1.split(' ').nth(1)?.parse().ok()?;
+        (of == parent && words.split(|byte| *byte == 0).nth(1)? == b"read-foreign")
+            .then(|| rustix::process::Pid::from_raw(pid))?
+    });
+    found.collect()
+}
+
+/// A helper that stands ready reads what a fresh one reads; one that was killed meanwhile is replaced; none is left behind.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_helper_that_stands_ready_is_as_good_as_a_fresh_one() {
+    use rustix::process::{Signal, kill_process, test_kill_process};
+    let folder = tempfile::tempdir().expect("folder");
+    let path = save(fluoroscopy(), &folder.path().join("x.dcm"));
+    let fresh = through(&helper(), &path).expect("readable");
+    let (before, reader) = (readers(std::process::id()), helper().with_reserve());
+    // Other tests of this process have their own.
+    let waiting = |reader: &ForeignReader| reader.waiting().and_then(|pid| rustix::process::Pid::from_raw(pid as i32));
+    let first = waiting(&reader).expect("it stands ready");
+    assert!(!before.contains(&first) && readers(std::process::id()).contains(&first));
+    for _ in 0..2 {
+        assert_eq!(through(&reader, &path).expect("readable"), fresh, "bit for bit, tags and notes included");
+    }
+    let third = waiting(&reader).expect("another stands ready");
+    assert_ne!(third, first);
+    kill_process(third, Signal::KILL).expect("it is there");
+    let stat = format!("/proc/{}/stat", third.as_raw_nonzero());
+    let dead = || std::fs::read_to_string(&stat).is_ok_and(|stat| stat.contains(") Z")).then_some(());
+    assert!(eventually(HANG_S, dead).is_some(), "it was killed");
+    assert_eq!(through(&reader, &path).expect("readable"), fresh, "by another");
+    let last = waiting(&reader).expect("another stands ready");
+    let copy = reader.clone();
+    drop(reader);
+    assert_eq!(waiting(&copy), Some(last));
+    drop(copy);
+    assert!(test_kill_process(last).is_err(), "it ended with whom it served");
+    // Files that break a helper break the ready one alike.
+    let broken =
+        script(folder.path(), "breaks", "read request; echo thread has overflowed its stack >&2; kill -ABRT $$").with_reserve();
+    assert_eq!(through(&broken, &path), Err(Fault::Helper(ForeignFault::TooDeep)));
+}
+
 /// A classic TIFF of `pages` pages that all show the same strip of `strip_bytes` zeros.
 pub fn tiff_pages(pages: u32, width: u32, height: u32, strip_bytes: u32) -> Vec<u8> {
     let mut bytes = b"II*\0".to_vec();

@@ -64,7 +64,7 @@ pub fn read_open(reader: &ForeignReader, open: OpenFile, path: &Path, domain: Op
 
 fn read_with(reader: &ForeignReader, open: OpenFile, settings: Settings) -> Result<Vec<Frame>, Fault> {
     let limits = reader.limits(Kind::Frames);
-    let Some(program) = reader.program() else {
+    let Some(helpers) = reader.helpers() else {
         let bytes = content(open.file, &limits)?;
         let mut frames = Vec::new();
         decode(&bytes, &settings, &limits, &mut |frame| {
@@ -75,7 +75,7 @@ fn read_with(reader: &ForeignReader, open: OpenFile, settings: Settings) -> Resu
     };
     let detail = serde_json::to_value(&settings).unwrap_or_default();
     let request = Request { kind: Kind::Frames, limits: limits.clone(), detail };
-    match foreign::run(program, &request, open.file, move |messages| receive(messages, &limits)) {
+    match helpers.run(&request, open.file, move |messages| receive(messages, &limits)) {
         Ok(outcome) => outcome,
         Err(fault) => Err(Fault::Helper(fault)),
     }

@@ -7,8 +7,8 @@ use crate::{acquire, scene};
 #[derive(Debug, clap::Args)]
 #[command(hide = true)]
 pub struct ReadForeignArgs {
-    /// What is asked for, as JSON.
-    pub request: String,
+    /// What is asked for, as JSON; without it, that comes on standard input before the file.
+    pub request: Option<String>,
 }
 
 /// Why a helper cannot even start.
@@ -27,9 +27,15 @@ pub enum ReadForeignError {
 /// # Errors
 /// When the request is unknown, a limit cannot be set, or the parent has gone.
 pub fn run(args: &ReadForeignArgs) -> Result<u8, ReadForeignError> {
-    let request: Request = serde_json::from_str(&args.request)?;
+    let mut file = foreign::standard_input()?;
+    let asked = match &args.request {
+        Some(asked) => Some(asked.clone()),
+        None => foreign::request(&mut file)?,
+    };
+    // One that stood ready, and was not needed.
+    let Some(asked) = asked else { return Ok(0) };
+    let request: Request = serde_json::from_str(&asked)?;
     foreign::impose(&request.limits)?;
-    let file = foreign::standard_input()?;
     let out = std::io::stdout().lock();
     match request.kind {
         Kind::Frames => acquire::serve(&request, file, out)?,

@@ -3,6 +3,8 @@
 use std::fs::File;
 use std::io::{self, ErrorKind, Read, Write};
 
+use super::wire::MAX_JSON_BYTES;
+
 /// What a helper reads.
 pub enum Input {
     /// One file, from its start: the helper's standard input itself.
@@ -34,6 +36,41 @@ pub(super) fn feed(files: impl Iterator<Item = io::Result<(File, u64)>>, mut out
         }
     }
     Ok(())
+}
+
+/// Writes `request`, then all of `file`, to `out`, for a helper that had started before either was known.
+///
+/// # Errors
+/// When the file cannot be read.
+pub(super) fn request_and_file(request: &str, mut file: File, mut out: impl Write) -> io::Result<()> {
+    let head = (request.len() as u64).to_ne_bytes();
+    let asked = out.write_all(&head).and_then(|()| out.write_all(request.as_bytes()));
+    match asked.and_then(|()| io::copy(&mut file, &mut out)) {
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(error),
+        _ => Ok(()),
+    }
+}
+
+/// The helper's side of [`request_and_file`]: the request; `from` goes on with the file. `None` when the parent has none and is gone.
+///
+/// # Errors
+/// When what comes is no request.
+pub fn request(from: &mut impl Read) -> io::Result<Option<String>> {
+    let mut head = [0u8; 8];
+    if from.read(&mut head[..1])? == 0 {
+        return Ok(None);
+    }
+    from.read_exact(&mut head[1..])?;
+    let bytes = u64::from_ne_bytes(head);
+    if bytes > MAX_JSON_BYTES as u64 {
+        return Err(io::Error::other(format!("a request of {bytes} bytes")));
+    }
+    let mut text = String::new();
+    from.by_ref().take(bytes).read_to_string(&mut text)?;
+    match text.len() as u64 == bytes {
+        true => Ok(Some(text)),
+        false => Err(ErrorKind::UnexpectedEof.into()),
+    }
 }
 
 /// The helper's side: the files that come, one by one.
@@ -95,5 +132,16 @@ mod tests {
         assert!(Fed::new(out.as_slice(), 2).next_file().is_err(), "longer than allowed");
         let gone = [Err(ErrorKind::NotFound.into())];
         assert_eq!(feed(gone.into_iter(), &mut Vec::new()).expect_err("not there").kind(), ErrorKind::NotFound);
+    }
+
+    #[test]
+    fn a_request_comes_before_its_file() {
+        let mut out = Vec::new();
+        request_and_file("{\"kind\":1}", file(b"content"), &mut out).expect("written");
+        let mut from = out.as_slice();
+        assert_eq!(request(&mut from).expect("whole").as_deref(), Some("{\"kind\":1}"));
+        assert_eq!(from, b"content");
+        assert_eq!(request(&mut [].as_slice()).expect("nobody asks"), None);
+        assert!(request(&mut &out[..12]).is_err() && request(&mut [0xffu8; 40].as_slice()).is_err(), "cut, and too long");
     }
 }

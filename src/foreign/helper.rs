@@ -2,13 +2,16 @@
 
 use std::io::Read;
 use std::path::Path;
-use std::process::{Child, ChildStdout, Command, ExitStatus, Stdio};
+use std::process::{Child, ChildStdin, ChildStdout, ExitStatus, Stdio};
 use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
 use std::time::Duration;
 
-use super::feed::{Input, feed};
-use super::{Receiver, Request, WireError};
+use super::feed::{self, Input};
+use super::process::spawn;
+use super::reserve::Reserve;
+use super::{Kind, Receiver, Request, WireError};
 
 /// Why a helper gave no answer. Nothing in here comes from the file.
 #[derive(Clone, Debug, PartialEq, thiserror::Error, serde::Serialize, serde::Deserialize)]
@@ -54,83 +57,102 @@ pub enum ForeignFault {
 /// Bytes of a helper's standard error that are looked at, for the kind of its end; nothing of it is ever shown.
 const ERROR_BYTES: u64 = 4096;
 
-/// Runs a helper on `input` and gives its messages to `receive`, on a thread of its own.
-///
-/// # Errors
-/// When the helper does not start, crashes, runs out of memory or time, or `receive` does not understand it.
-pub fn run<T: Send + 'static>(
-    program: &Path,
-    request: &Request,
-    input: impl Into<Input>,
-    receive: impl FnOnce(&mut Receiver<ChildStdout>) -> Result<T, WireError> + Send + 'static,
-) -> Result<T, ForeignFault> {
-    let start = |error: std::io::Error| ForeignFault::Start { detail: error.kind().to_string() };
-    let (stdin, files) = match input.into() {
-        Input::One(mut file) => {
-            std::io::Seek::rewind(&mut file).map_err(start)?;
-            (Stdio::from(file), None)
-        }
-        Input::Many(files) => (Stdio::piped(), Some(files)),
-    };
-    let argument = serde_json::to_string(request).map_err(|error| start(error.into()))?;
-    let mut command = Command::new(program);
-    command
-        .args(["read-foreign", &argument])
-        .env("RUST_BACKTRACE", "0")
-        .env("RAYON_NUM_THREADS", "2")
-        // Address space that the allocator reserves before the limit is imposed would escape it.
-        .env("MIMALLOC_ARENA_RESERVE", "32MiB")
-        .stdin(stdin)
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped());
-    // Ctrl-C in the terminal is meant for the session, which then finishes the file at hand.
-    #[cfg(unix)]
-    std::os::unix::process::CommandExt::process_group(&mut command, 0);
-    let mut child = command.spawn().map_err(start)?;
-    let (Some(out), Some(err)) = (child.stdout.take(), child.stderr.take()) else {
-        return Err(ForeignFault::Answer { detail: "no pipe".into() });
-    };
-    #[cfg(target_os = "linux")]
-    let _ = rustix::pipe::fcntl_setpipe_size(&out, 1 << 20);
-    let feeder = files.zip(child.stdin.take()).map(|(files, into)| {
+/// A helper at work, and the thread that gives it what it reads, where it does not read its file itself.
+type Begun = (Child, Option<JoinHandle<std::io::Result<()>>>);
+
+/// What decodes foreign files.
+#[derive(Clone, Copy, Debug)]
+pub struct Helpers<'a> {
+    pub(super) program: &'a Path,
+    pub(super) reserve: Option<&'a Reserve>,
+}
+
+impl Helpers<'_> {
+    /// Runs a helper on `input` and gives its messages to `receive`, on a thread of its own.
+    ///
+    /// # Errors
+    /// When the helper does not start, crashes, runs out of memory or time, or `receive` does not understand it.
+    pub fn run<T: Send + 'static>(
+        self,
+        request: &Request,
+        input: impl Into<Input>,
+        receive: impl FnOnce(&mut Receiver<ChildStdout>) -> Result<T, WireError> + Send + 'static,
+    ) -> Result<T, ForeignFault> {
+        let start = |error: std::io::Error| ForeignFault::Start { detail: error.kind().to_string() };
+        let (mut child, feeder) = self.begin(request, input.into()).map_err(start)?;
+        let (Some(out), Some(err)) = (child.stdout.take(), child.stderr.take()) else {
+            return Err(ForeignFault::Answer { detail: "no pipe".into() });
+        };
         #[cfg(target_os = "linux")]
-        let _ = rustix::pipe::fcntl_setpipe_size(&into, 1 << 20);
-        std::thread::spawn(move || feed(files, into))
-    });
-    let child = Arc::new(Mutex::new(child));
-    let (sender, outcome) = channel();
-    let limits = request.limits.clone();
-    let (for_thread, wall) = (child.clone(), Duration::from_secs_f64(limits.wall_s));
-    let listen = move || {
-        let words = std::thread::spawn(move || last_words(err));
-        let mut receiver = Receiver::new(out);
-        let received = receive(&mut receiver);
-        drop(receiver);
-        let status = reap(&for_thread, !matches!(received, Err(WireError::Ended)));
-        let words = words.join().unwrap_or_default();
-        let _ = sender.send(match received {
-            Ok(value) => Ok(value),
-            Err(WireError::Ended) => Err(how_it_ended(status, &words, &limits)),
-            Err(other) => Err(ForeignFault::Answer { detail: other.to_string() }),
-        });
-    };
-    let listener = std::thread::Builder::new().name("foreign file".into()).spawn(listen);
-    if let Err(error) = listener {
-        kill(&child);
-        return Err(start(error));
-    }
-    match outcome.recv_timeout(wall) {
-        // A file that could not be given explains whatever the helper makes of the others.
-        Ok(result) => match feeder.map(std::thread::JoinHandle::join) {
-            Some(Ok(Err(error))) => Err(ForeignFault::Fed { detail: error.to_string() }),
-            _ => result,
-        },
-        Err(RecvTimeoutError::Timeout) => {
+        let _ = rustix::pipe::fcntl_setpipe_size(&out, 1 << 20);
+        let child = Arc::new(Mutex::new(child));
+        let (sender, outcome) = channel();
+        let limits = request.limits.clone();
+        let (for_thread, wall) = (child.clone(), Duration::from_secs_f64(limits.wall_s));
+        let listen = move || {
+            let words = std::thread::spawn(move || last_words(err));
+            let mut receiver = Receiver::new(out);
+            let received = receive(&mut receiver);
+            drop(receiver);
+            let status = reap(&for_thread, !matches!(received, Err(WireError::Ended)));
+            let words = words.join().unwrap_or_default();
+            let _ = sender.send(match received {
+                Ok(value) => Ok(value),
+                Err(WireError::Ended) => Err(how_it_ended(status, &words, &limits)),
+                Err(other) => Err(ForeignFault::Answer { detail: other.to_string() }),
+            });
+        };
+        let listener = std::thread::Builder::new().name("foreign file".into()).spawn(listen);
+        if let Err(error) = listener {
             kill(&child);
-            Err(ForeignFault::Time { limit_s: request.limits.wall_s })
+            return Err(start(error));
         }
-        Err(RecvTimeoutError::Disconnected) => Err(ForeignFault::Answer { detail: "the listening thread ended".into() }),
+        let outcome = outcome.recv_timeout(wall);
+        // The next one starts when this one has left the processor.
+        self.reserve.inspect(|reserve| reserve.refill());
+        match outcome {
+            // A file that could not be given explains whatever the helper makes of the others.
+            Ok(result) => match feeder.map(std::thread::JoinHandle::join) {
+                Some(Ok(Err(error))) => Err(ForeignFault::Fed { detail: error.to_string() }),
+                _ => result,
+            },
+            Err(RecvTimeoutError::Timeout) => {
+                kill(&child);
+                Err(ForeignFault::Time { limit_s: request.limits.wall_s })
+            }
+            Err(RecvTimeoutError::Disconnected) => Err(ForeignFault::Answer { detail: "the listening thread ended".into() }),
+        }
     }
+
+    /// A fresh helper, or the one that stands ready, which gets its file through a pipe.
+    fn begin(self, request: &Request, input: Input) -> std::io::Result<Begun> {
+        let argument = serde_json::to_string(request)?;
+        match input {
+            Input::One(mut file) => {
+                std::io::Seek::rewind(&mut file)?;
+                let reserve = self.reserve.filter(|_| request.kind == Kind::Frames);
+                let waiting = reserve.and_then(Reserve::take).and_then(|mut child| Some((child.stdin.take()?, child)));
+                let Some((into, child)) = waiting else {
+                    return Ok((spawn(self.program, Some(&argument), Stdio::from(file))?, None));
+                };
+                Ok((child, Some(feeding(into, move |into| feed::request_and_file(&argument, file, into)))))
+            }
+            Input::Many(files) => {
+                let mut child = spawn(self.program, Some(&argument), Stdio::piped())?;
+                let feeder = child.stdin.take().map(|into| feeding(into, move |into| feed::feed(files, into)));
+                Ok((child, feeder))
+            }
+        }
+    }
+}
+
+fn feeding(
+    into: ChildStdin,
+    feed: impl FnOnce(ChildStdin) -> std::io::Result<()> + Send + 'static,
+) -> JoinHandle<std::io::Result<()>> {
+    #[cfg(target_os = "linux")]
+    let _ = rustix::pipe::fcntl_setpipe_size(&into, 1 << 20);
+    std::thread::spawn(move || feed(into))
 }
 
 /// The start of what a helper wrote on standard error; the rest is read and dropped, so that it never waits for us.

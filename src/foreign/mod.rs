@@ -14,20 +14,23 @@ mod helper;
 mod kind;
 mod limits;
 mod open;
+mod process;
+mod reserve;
 mod wire;
 
 use std::path::{Path, PathBuf};
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 pub use blank::{Written, ends_in_zeros};
-pub use feed::{Fed, Input};
-pub use helper::{ForeignFault, run};
+pub use feed::{Fed, Input, request};
+pub use helper::{ForeignFault, Helpers};
 pub use kind::Kind;
 pub use limits::{Limits, impose};
 pub use open::{FileStamp, NotRegular, OpenFault, OpenFile, has_hole, open_regular, standard_input};
+use reserve::Reserve;
 pub use wire::{MAX_JSON_BYTES, Message, Receiver, Sender, WireError};
 
-/// What a helper is asked for, on its command line.
+/// What a helper is asked for: on its command line, or first of all on its standard input.
 #[derive(Clone, Debug, serde::Serialize, serde::Deserialize)]
 pub struct Request {
     /// What the file should be.
@@ -44,6 +47,7 @@ pub struct Request {
 pub struct ForeignReader {
     program: Option<PathBuf>,
     limits: Option<Limits>,
+    reserve: Option<Arc<Reserve>>,
 }
 
 impl ForeignReader {
@@ -53,25 +57,44 @@ impl ForeignReader {
         // On Linux by a name that holds even when the program's file is replaced during a long session.
         let own = PathBuf::from("/proc/self/exe");
         let program = if own.exists() { Some(own) } else { std::env::current_exe().ok() };
-        Self { program, limits: None }
+        Self { program, limits: None, reserve: None }
     }
 
     /// Helpers are `program`, which must know `read-foreign`.
     #[must_use]
     pub fn of(program: impl Into<PathBuf>) -> Self {
-        Self { program: Some(program.into()), limits: None }
+        Self { program: Some(program.into()), limits: None, reserve: None }
     }
 
     /// No helper: a crash of a decoder is a crash of this process. For files of one's own, and for the helper itself.
     #[must_use]
     pub fn in_process() -> Self {
-        Self { program: None, limits: None }
+        Self { program: None, limits: None, reserve: None }
     }
 
     /// With `limits` instead of those of the kind.
     #[must_use]
     pub fn with_limits(self, limits: Limits) -> Self {
         Self { limits: Some(limits), ..self }
+    }
+
+    /// With a helper that has started before it is needed, for whoever waits for single files.
+    #[must_use]
+    pub fn with_reserve(self) -> Self {
+        let reserve = self.program.as_deref().map(|program| Arc::new(Reserve::of(program)));
+        Self { reserve, ..self }
+    }
+
+    /// Helpers to decode with; `None` in process.
+    #[must_use]
+    pub fn helpers(&self) -> Option<Helpers<'_>> {
+        Some(Helpers { program: self.program.as_deref()?, reserve: self.reserve.as_deref() })
+    }
+
+    /// Process number of the helper that stands ready.
+    #[must_use]
+    pub fn waiting(&self) -> Option<u32> {
+        self.reserve.as_deref()?.waiting()
     }
 
     /// The helper's program; `None` in process.

@@ -18,11 +18,12 @@ pub fn read_triangles(path: &Path) -> Result<Vec<Triangle>, SceneError> {
     let reader = foreign::installed();
     let limits = reader.limits(Kind::Mesh);
     let open = open(path, &limits, &wrong)?;
-    let numbers = match reader.program() {
-        Some(program) => {
+    let numbers = match reader.helpers() {
+        Some(helpers) => {
             let request = Request { kind: Kind::Mesh, limits: limits.clone(), detail: serde_json::Value::Null };
             let most = limits.file_pixels as usize * 9;
-            foreign::run(program, &request, open.file, move |messages| receive_mesh(messages, most))
+            helpers
+                .run(&request, open.file, move |messages| receive_mesh(messages, most))
                 .map_err(|fault: ForeignFault| wrong(fault.to_string()))?
         }
         None => {

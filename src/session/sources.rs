@@ -56,7 +56,7 @@ pub(super) fn frame_source(
     reporter: &Reporter,
 ) -> Result<Box<dyn FrameSource>, SessionError> {
     let path = &setup.session.frames.folder;
-    let (domain, reader) = (setup.domain(), foreign::installed());
+    let (domain, reader) = (setup.domain(), foreign::installed().with_reserve());
     let folder: Box<dyn FrameSource> = match setup.session.frames.sub_folders {
         true => Box::new(FolderTree::new(path, domain, include_existing, reader)),
         false => Box::new(FolderSource::new(path, domain, include_existing, reader)),

@@ -45,10 +45,10 @@ pub(super) type Volume = (VolumeHead, Vec<f32>, VoxelSummary);
 pub(super) fn read_header(format: HeaderFormat, file: File) -> Result<HeaderPlan, String> {
     let reader = foreign::installed();
     let limits = reader.limits(Kind::VolumeHeader);
-    let Some(program) = reader.program() else { return plan(format, file, &limits) };
+    let Some(helpers) = reader.helpers() else { return plan(format, file, &limits) };
     let request = request(Kind::VolumeHeader, &limits, &Wanted::Header(format))?;
-    let plan = foreign::run(program, &request, file, |messages| receive_all(messages, 1))
-        .map_err(|fault: ForeignFault| fault.to_string())??;
+    let plan =
+        helpers.run(&request, file, |messages| receive_all(messages, 1)).map_err(|fault: ForeignFault| fault.to_string())??;
     plan.into_iter().next().ok_or_else(|| "its header was not read".to_owned())
 }
 
@@ -59,10 +59,11 @@ pub(super) fn read_header(format: HeaderFormat, file: File) -> Result<HeaderPlan
 pub(super) fn read_file_heads(files: Input, count: usize) -> Result<Vec<FileHead>, String> {
     let reader = foreign::installed();
     let limits = reader.limits(Kind::Slices);
-    let heads = match reader.program() {
-        Some(program) => {
+    let heads = match reader.helpers() {
+        Some(helpers) => {
             let request = request(Kind::Slices, &limits, &Wanted::FileHeads)?;
-            foreign::run(program, &request, files, move |messages| receive_all(messages, count))
+            helpers
+                .run(&request, files, move |messages| receive_all(messages, count))
                 .map_err(|fault: ForeignFault| fault.to_string())??
         }
         None => {
@@ -84,10 +85,11 @@ pub(super) fn read_file_heads(files: Input, count: usize) -> Result<Vec<FileHead
 pub(super) fn read_voxels_of(wanted: &Wanted, input: Input, kind: Kind) -> Result<Volume, String> {
     let reader = foreign::installed();
     let limits = reader.limits(kind);
-    match reader.program() {
-        Some(program) => {
+    match reader.helpers() {
+        Some(helpers) => {
             let (request, most) = (request(kind, &limits, wanted)?, limits.file_pixels);
-            foreign::run(program, &request, input, move |messages| receive_volume(messages, kind, most))
+            helpers
+                .run(&request, input, move |messages| receive_volume(messages, kind, most))
                 .map_err(|fault: ForeignFault| fault.to_string())?
         }
         None => {

@@ -8,6 +8,7 @@ pub mod time;
 pub mod random;
 pub mod memory;
 pub mod json;
+pub mod table;
 pub mod image;
 pub mod reporter;
 pub mod foreign;

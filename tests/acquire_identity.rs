@@ -1,13 +1,18 @@
 //! Forty planted names, identifiers, dates and texts: none comes out of a session, wherever one looks.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use dicom_core::{DataElement, PrimitiveValue, Tag, VR};
 use dicom_dictionary_std::tags;
 use dicom_object::InMemDicomObject;
+use serde_json::{Value, json};
+use sidecarm::image::{sha256_file, write_tiff_f32};
+use sidecarm::record::{Provenance, Recorder};
 
 use crate::acquire_frames::{fluoroscopy, save};
 use crate::acquire_live::Room;
+use crate::compare_synthetic::{acquired, line_integral, view};
+use crate::telemetry_frames::carm;
 
 /// What is planted in headers: attribute, representation, value, and what must not be found (in lower case). Words are long and numbers
 /// longer, because compressed files hold every short one by chance; short names are judged by the labels.
@@ -104,6 +109,25 @@ fn plant_rasters(frames: &Path) {
     image.write_data(grey(2).as_raw()).expect("data");
 }
 
+/// Frames in names that identify and in one that does not, and files that are refused, whose names are in warnings.
+fn plant_folder(frames: &Path) {
+    for (number, (name, _)) in NAMES.iter().enumerate() {
+        save(planted(10 + number as u16), &frames.join(name));
+    }
+    save(planted(90), &frames.join("phantom run-07.dcm"));
+    plant_rasters(frames);
+    std::fs::write(frames.join("Schlonz.dcm"), b"no image at all").expect("written");
+    let whole = std::fs::read(frames.join(NAMES[0].0)).expect("bytes");
+    let cut = frames.join("Annegrund-cut.dcm");
+    std::fs::write(&cut, &whole[..whole.len() - 9]).expect("written");
+    // One that never becomes whole.
+    let old = std::time::UNIX_EPOCH + std::time::Duration::from_secs(1_500_000_000);
+    std::fs::File::options().append(true).open(&cut).expect("file").set_modified(old).expect("aged");
+}
+
+/// Frames that come in it and can be read.
+const READABLE: usize = NAMES.len() + 3;
+
 /// All that must not be found, in lower case.
 fn canaries() -> Vec<String> {
     let mut found: Vec<String> = Vec::new();
@@ -175,36 +199,45 @@ pub fn hits(outputs: &[(String, Vec<u8>)], word: &str) -> Vec<String> {
     outputs.iter().filter(|(_, bytes)| contains(bytes)).map(|(name, _)| name.clone()).collect()
 }
 
+fn holds_no_canary(outputs: &[(String, Vec<u8>)]) {
+    let canaries = canaries();
+    assert!(canaries.len() >= 40, "{}", canaries.len());
+    let found: Vec<_> = canaries.iter().map(|word| (word, hits(outputs, word))).filter(|(_, hits)| !hits.is_empty()).collect();
+    assert!(found.is_empty(), "{found:?}");
+}
+
+/// What the program prints with these arguments in a folder; it ends with one of the `codes`.
+fn ran(folder: &Path, arguments: &[&str], codes: &[i32]) -> Vec<u8> {
+    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_sidecarm"));
+    let output = command.args(arguments).current_dir(folder).output().expect("starts");
+    let printed = [output.stdout, output.stderr].concat();
+    let is_expected = output.status.code().is_some_and(|code| codes.contains(&code));
+    assert!(is_expected, "{arguments:?}: {:?}: {}", output.status, String::from_utf8_lossy(&printed));
+    printed
+}
+
 #[test]
 fn nothing_that_identifies_anybody_comes_out_of_a_session() {
     let room = Room::new("Meisterfolder/frames");
-    for (number, (name, _)) in NAMES.iter().enumerate() {
-        save(planted(10 + number as u16), &room.frames.join(name));
-    }
-    save(planted(90), &room.frames.join("phantom run-07.dcm"));
-    plant_rasters(&room.frames);
-    // Files that are refused, and one that never becomes whole: their names are in warnings.
-    std::fs::write(room.frames.join("Schlonz.dcm"), b"no image at all").expect("written");
-    let whole = std::fs::read(room.frames.join(NAMES[0].0)).expect("bytes");
-    let cut = room.frames.join("Annegrund-cut.dcm");
-    std::fs::write(&cut, &whole[..whole.len() - 9]).expect("written");
-    let old = std::time::UNIX_EPOCH + std::time::Duration::from_secs(1_500_000_000);
-    std::fs::File::options().append(true).open(&cut).expect("file").set_modified(old).expect("aged");
+    plant_folder(&room.frames);
     std::fs::create_dir(room.frames.join("Zettelhuber.dcm")).expect("folder");
     let ended = room.end(room.start(9.0));
     let stderr = String::from_utf8_lossy(&ended.stderr);
     assert!(matches!(ended.code, Some(0 | 3)), "{:?}: {stderr}", ended.code);
-    assert_eq!(ended.pairs.len(), NAMES.len() + 3, "{stderr}");
+    assert_eq!(ended.pairs.len(), READABLE, "{stderr}");
 
-    let outputs = outputs(&room, &[&ended.stdout, &ended.stderr]);
+    let mut outputs = outputs(&room, &[&ended.stdout, &ended.stderr]);
+    // What a replay says and makes of its log.
+    let printed = ran(room.folder.path(), &["replay", "out/session.mcap", "--json", "--out", "replayed"], &[0, 3]);
+    let replayed = written(&room.folder.path().join("replayed"));
+    assert!(hits(&replayed, "phantom run-07").len() >= 2, "control: {:?}", hits(&replayed, "phantom run-07"));
+    outputs.extend(replayed);
+    outputs.push(("printed by replay".to_owned(), printed));
     // The control: what may be shown is found by the same search, in the log and on paper.
     for allowed in ["phantom run-07", "unreadable frame"] {
         assert!(hits(&outputs, allowed).len() >= 2, "{allowed} in {:?}", hits(&outputs, allowed));
     }
-    let canaries = canaries();
-    assert!(canaries.len() >= 40, "{}", canaries.len());
-    let found: Vec<_> = canaries.iter().map(|word| (word, hits(&outputs, word))).filter(|(_, hits)| !hits.is_empty()).collect();
-    assert!(found.is_empty(), "{found:?}");
+    holds_no_canary(&outputs);
     let texts: Vec<_> = outputs.iter().filter(|(_, bytes)| std::str::from_utf8(bytes).is_ok()).cloned().collect();
     assert!(texts.len() > 10 && hits(&texts, "\u{1b}").is_empty(), "{:?}", hits(&texts, "\u{1b}"));
     for pair in &ended.pairs {
@@ -234,4 +267,87 @@ fn info_shows_nothing_of_the_header_that_identifies() {
         assert!(hits(&outputs, "\u{1b}").is_empty(), "what a terminal obeys is escaped");
         assert!(searched > 20 && !hits(&outputs, "78.5").is_empty(), "control: the tube voltage is shown");
     }
+}
+
+/// A log of an arm with a few exposures and no frame.
+fn arm_log(path: &Path) {
+    const T0_US: i64 = 1_795_255_200_000_000;
+    let recorder = Recorder::create(path, &Provenance::of_this_program(T0_US, Value::Null)).expect("a log");
+    for number in 0..500 {
+        let at_us = i64::from(number) * 40_000;
+        let packet = carm(number, 1_000 + at_us as u64, [0.0, 0.0, 0.0, 0.0, 9.0, 0.0, 1020.0], number % 100 >= 90, None);
+        recorder.raw_bytes("carm", 1, T0_US + at_us + 800, &packet).expect("recorded");
+    }
+    recorder.finish().expect("finished");
+}
+
+/// What the commands read that take a frame by its name: planted frames in harmless names, a picture of something and its DRR,
+/// beads.
+fn plant_named(folder: &Path) {
+    save(planted(1), &folder.join("small.dcm"));
+    plant_rasters(folder);
+    for (from, to) in [("Wunderlich_Ottokar.png", "scan.png"), ("Ostruemmler.tif", "scan.tif")] {
+        std::fs::rename(folder.join(from), folder.join(to)).expect("renamed");
+    }
+    let simulated = line_integral(&view());
+    let mut picture = planted(0);
+    for (tag, side) in [(tags::ROWS, simulated.height), (tags::COLUMNS, simulated.width)] {
+        picture.put(DataElement::new(tag, VR::US, PrimitiveValue::from(side as u16)));
+    }
+    let values: Vec<u16> = acquired(&simulated, 0.01).pixels.pixels.iter().map(|value| (3000.0 * value) as u16).collect();
+    picture.put(DataElement::new(tags::PIXEL_DATA, VR::OW, PrimitiveValue::U16(values.into())));
+    save(picture, &folder.join("frame.dcm"));
+    write_tiff_f32(&folder.join("drr.tif"), &[simulated]).expect("written");
+    let places = [[0, 0, 0], [40, 5, -10], [-35, 12, 20], [8, -30, 31], [-20, 27, -33], [26, 38, 14], [-44, -18, -7]];
+    let point = |(index, place): (usize, &[i32; 3])| {
+        let label = format!("B{index}");
+        json!({"label": label, "position": place, "description": "radius_mm=0.75"})
+    };
+    let points: Vec<Value> = places.iter().enumerate().map(point).collect();
+    let list = json!({"type": "Fiducial", "coordinateSystem": "LPS", "controlPoints": points});
+    std::fs::write(folder.join("beads.mrk.json"), json!({"markups": [list]}).to_string()).expect("written");
+}
+
+/// All bytes that `register`, `compare`, `attach` and `check` print and write of planted frames.
+#[test]
+fn nothing_that_identifies_anybody_comes_out_of_the_commands_that_read_frames() {
+    let room = Room::new("frames");
+    let folder = room.folder.path();
+    let out = room.out();
+    std::fs::create_dir(&out).expect("folder");
+    plant_folder(&room.frames);
+    plant_named(folder);
+    arm_log(&folder.join("arm.mcap"));
+    let mut outputs: Vec<(String, Vec<u8>)> = Vec::new();
+    // What is typed is harmless; the control is a word that each command says of the planted frame.
+    for (frame, pose) in [("small.dcm", "of-dicom.json"), ("scan.png", "of-png.json"), ("scan.tif", "of-tiff.json")] {
+        let path: PathBuf = out.join(pose);
+        let arguments = ["register", frame, "--beads", "beads.mrk.json", "--explain", "--out", path.to_str().expect("UTF-8")];
+        outputs.push((frame.to_owned(), ran(folder, &arguments, &[1])));
+        let pose: Value = serde_json::from_slice(&std::fs::read(&path).expect("a pose")).expect("JSON");
+        assert!(pose["status"] == "refused" && pose["reason"].is_string(), "{frame}: {pose:#}");
+        assert!(hits(&outputs, "bead-like shadows in the frame").contains(&frame.to_owned()), "{frame}");
+    }
+    let compare = ["compare", "frame.dcm", "drr.tif", "--domain", "linear", "--quantity", "line_integral", "--json"];
+    outputs.push(("compare".to_owned(), ran(folder, &[&compare[..], &["--out", "out/compared"]].concat(), &[0])));
+    assert!(hits(&outputs, "declared by the user: linear").contains(&"compare".to_owned()), "control");
+    let attach = ["attach", "arm.mcap", "frames", "--json", "--out", "out/bindings.json"];
+    let printed = ran(folder, &attach, &[3]);
+    let attached: Value = serde_json::from_slice(&std::fs::read(out.join("bindings.json")).expect("bindings")).expect("JSON");
+    assert_eq!(attached["frames"].as_array().map(Vec::len), Some(READABLE), "{attached:#}");
+    assert!(attached["losses"].to_string().contains("file "), "the damaged one: {:#}", attached["losses"]);
+    outputs.push(("attach".to_owned(), printed));
+    assert!(hits(&outputs, "phantom run-07").contains(&"attach".to_owned()), "control");
+    // The newest frame of the folder is looked at: it has a name that identifies.
+    let other = Room::new("frames");
+    let newest = save(planted(2), &other.frames.join(NAMES[0].0));
+    outputs.push(("check".to_owned(), ran(other.folder.path(), &["check", "session.json", "--json"], &[0, 1])));
+    let label = format!("frame-{}", &sha256_file(&newest).expect("readable")[..12]);
+    assert!(hits(&outputs, &label).contains(&"check".to_owned()), "control: {label}");
+
+    outputs.extend(written(&out));
+    for file in ["of-dicom.json", "compare.json", "strip.png", "bindings.json"] {
+        assert!(outputs.iter().any(|(name, bytes)| name.ends_with(file) && bytes.len() > 100), "{file}");
+    }
+    holds_no_canary(&outputs);
 }

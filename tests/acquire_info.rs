@@ -66,6 +66,19 @@ fn text_files_are_recognised_by_what_they_hold() {
     assert_eq!(info.facts["names"], serde_json::json!(["tip"]));
 }
 
+/// A label with a comma was cut at it, and the column behind it was taken for the next; a spreadsheet's file was damaged.
+#[test]
+fn labels_in_quotes_are_listed_as_they_are_meant() {
+    let folder = tempfile::tempdir().expect("folder");
+    let text = "\u{feff}# Markups fiducial file version = 4.11\r\n# CoordinateSystem = LPS\r\n# columns = id,x,y,z,desc,label\r\n\
+                1,1.5,2,3,\"steel, 1.5 mm\",\"hip, \"\"left\"\"\"\r\n\r\n2, 4,5 ,6,,knee\r\n \r\n";
+    let info = examine(&write(folder.path(), "points.fcsv", text)).expect("known");
+    assert_eq!(info.facts["names"], serde_json::json!(["hip, \"left\"", "knee"]));
+    assert_eq!((&info.facts["points"], &info.facts["coordinate_system"]), (&serde_json::json!(2), &serde_json::json!("LPS")));
+    let error = examine(&write(folder.path(), "wrong.fcsv", &text.replace("2, 4,5 ,6", "\"2,4,5,6\""))).expect_err("one cell");
+    assert!(error.to_string().contains("line 6"), "{error}");
+}
+
 #[test]
 fn what_is_not_known_is_said() {
     let folder = tempfile::tempdir().expect("folder");

@@ -28,15 +28,33 @@ fn a_half_written_file_waits_is_reported_after_its_patience_and_read_when_whole(
     assert_eq!((watched.names().len(), watched.mended.len()), (2, 1));
 }
 
+/// As the clock of a share may have it that is behind, or this one once someone has set it.
+fn an_hour_back(file: &std::fs::File) {
+    let modified = file.metadata().and_then(|metadata| metadata.modified()).expect("a time");
+    file.set_modified(modified - std::time::Duration::from_secs(3600)).expect("time is set");
+}
+
+#[test]
+fn how_old_a_file_claims_to_be_takes_nothing_from_the_patience() {
+    let mut watched = Watched::new(true);
+    let whole = frame_bytes(1);
+    let mut file = std::fs::File::create(watched.path("x.dcm")).expect("created");
+    std::io::Write::write_all(&mut file, &whole[..whole.len() - 5]).expect("written");
+    an_hour_back(&file);
+    drop(file);
+    (0..30).for_each(|_| watched.step(300_000));
+    assert!(watched.troubles.is_empty(), "nine seconds are no reason: {:?}", watched.troubles);
+    watched.outlast();
+    assert_eq!(watched.troubles.len(), 1, "control");
+}
+
 /// A frame that was cut at 60 % and completed 13 s later was bound, and report and exit code said that it was lost: what was reported of a
 /// file is taken back when that file comes whole, and only then.
 #[test]
 fn what_was_said_to_be_lost_is_taken_back_when_that_very_file_comes_whole() {
     let cut = |watched: &mut Watched, bytes: &[u8]| {
-        let file = std::fs::File::create(watched.path("x.dcm")).expect("created");
-        write_aged(file, &bytes[..bytes.len() - 9]);
-        watched.settle();
-        watched.settle();
+        std::fs::write(watched.path("x.dcm"), &bytes[..bytes.len() - 9]).expect("written");
+        watched.outlast();
         assert!(matches!(watched.troubles.as_slice(), [Trouble::Unfinished { .. }]), "{:?}", watched.troubles);
     };
     type Way = fn(&mut Watched, &[u8]);
@@ -45,10 +63,8 @@ fn what_was_said_to_be_lost_is_taken_back_when_that_very_file_comes_whole() {
         (
             "completed in two parts",
             |watched, whole| {
-                let file = std::fs::File::options().append(true).open(watched.path("x.dcm")).expect("there");
-                write_aged(file, &whole[whole.len() - 9..whole.len() - 5]);
-                watched.settle();
-                watched.settle();
+                append(&watched.path("x.dcm"), &whole[whole.len() - 9..whole.len() - 5]);
+                watched.outlast();
                 append(&watched.path("x.dcm"), &whole[whole.len() - 5..]);
             },
             2,
@@ -81,13 +97,6 @@ fn what_was_said_to_be_lost_is_taken_back_when_that_very_file_comes_whole() {
         assert_eq!((watched.names(), watched.mended.len()), (vec!["x"], mended), "{what}: {:?}", watched.troubles);
         assert_eq!(watched.mended.iter().filter(|trouble| watched.troubles.contains(trouble)).count(), mended, "{what}");
     }
-}
-
-/// Last changed twenty seconds ago when it is closed: a time that is set after that is another change.
-fn write_aged(mut file: std::fs::File, bytes: &[u8]) {
-    std::io::Write::write_all(&mut file, bytes).expect("written");
-    let now = std::time::UNIX_EPOCH + std::time::Duration::from_micros(sidecarm::time::host_now_us() as u64);
-    file.set_modified(now - std::time::Duration::from_secs(20)).expect("a time");
 }
 
 fn append(path: &std::path::Path, bytes: &[u8]) {
@@ -203,6 +212,7 @@ fn zeros_at_the_end_are_waited_for_while_the_file_is_open_and_taken_back_otherwi
     let mut watched = Watched::new(true);
     let file = std::fs::File::create(watched.path("b.dcm")).expect("file");
     file.write_all_at(&torn, 0).expect("size and half");
+    an_hour_back(&file);
     watched.step(1);
     std::thread::sleep(std::time::Duration::from_millis(100));
     (0..30).for_each(|_| watched.step(120_000));

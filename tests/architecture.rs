@@ -3,12 +3,13 @@
 use std::path::{Path, PathBuf};
 
 /// The data-flow order, as `lib.rs` declares it. `report` stands before `session`, because a session draws each strip as it goes.
-const ORDER: [&str; 30] = [
+const ORDER: [&str; 31] = [
     "units",
     "time",
     "random",
     "memory",
     "json",
+    "table",
     "image",
     "reporter",
     "foreign",

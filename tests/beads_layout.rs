@@ -58,6 +58,24 @@ fn fcsv_is_read_with_its_columns_and_status() {
     assert!(matches!(read_markups(&path), Err(BeadsError::Form { .. })));
 }
 
+/// As spreadsheets and Windows write it: a byte order mark, CRLF, labels in quotes with commas and quotes of their own, blank lines.
+#[test]
+fn an_fcsv_keeps_labels_in_quotes_whatever_wrote_it() {
+    let text = "\u{feff}# Markups fiducial file version = 4.11\r\n# CoordinateSystem = LPS\r\n# columns = id,x,y,z,label,desc,associatedNodeID\r\n\
+        n0,10,20,30,\"hip, left, \"\"upper\"\"\",\"radius_mm=1.0, body=pelvis\",\r\n\r\n# of the second day\r\nn1, 1 ,2,3, b ,,\r\n \r\n\r\n";
+    let (_folder, path) = file("b.fcsv", text);
+    let beads = read_markups(&path).expect("readable").beads;
+    let found: Vec<(&str, DVec3)> = beads.iter().map(|bead| (bead.name.as_str(), bead.lps_mm)).collect();
+    assert_eq!(found, [("hip, left, \"upper\"", DVec3::new(10.0, 20.0, 30.0)), ("b", DVec3::new(1.0, 2.0, 3.0))]);
+    assert_eq!((beads[0].radius_mm, beads[0].body.as_str()), (Some(1.0), "pelvis"));
+    // Blank lines and comments count, and a comma within quotes parts nothing.
+    for (last, words) in [("n1,1,y,3,b,,", "line 7: 1,y,3"), ("\"n1,1,2,3,b\"", "line 7 is 1 cells")] {
+        let (_folder, path) = file("b.fcsv", &text.replace("n1, 1 ,2,3, b ,,", last));
+        let message = read_markups(&path).expect_err(words).to_string();
+        assert!(message.contains(words), "{message}");
+    }
+}
+
 #[test]
 fn damage_is_named() {
     let good = r#"{"label":"F-1","position":[1,2,3]}"#;

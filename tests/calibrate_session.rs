@@ -4,10 +4,16 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 use sidecarm::acquire::read_frame;
+use sidecarm::beads::read_markups;
+use sidecarm::compare::bead_marks;
+use sidecarm::geometry::{Projection, View};
 use sidecarm::image::Image;
+use sidecarm::mask::discs;
 use sidecarm::record::{read_log, topic};
 
 use crate::live_lab::{HANG_S, Lab, Live};
+use crate::replay_meddled::meddled;
+use crate::session_names::replay;
 
 /// The kit's frames as the console would store them.
 pub fn pictures(lab: &Lab) -> Vec<Image<f32>> {
@@ -71,9 +77,13 @@ pub fn session(lab: &Lab, seconds: &str, change: impl FnOnce(&mut Value)) -> (Ve
     let log = read_log(&live.log).expect("the log opens");
     let poses =
         log.entries.iter().filter(|entry| &*entry.topic == topic::POSE).map(|entry| entry.json().expect("JSON")).collect();
-    let text = std::fs::read(out.join("pairs.json")).expect("pairs");
+    (poses, pairs_in(&out), said)
+}
+
+fn pairs_in(folder: &Path) -> Vec<Value> {
+    let text = std::fs::read(folder.join("pairs.json")).expect("pairs");
     let pairs: Value = serde_json::from_slice(&text).expect("JSON");
-    (poses, pairs["pairs"].as_array().expect("a list").clone(), said)
+    pairs["pairs"].as_array().expect("a list").clone()
 }
 
 pub fn rows(matrix: &Value) -> Vec<Vec<f64>> {
@@ -109,7 +119,50 @@ pub fn errors_px(lab: &Lab, poses: &[Value], on_panel: impl Fn([f64; 2]) -> [f64
     poses.iter().filter(|pose| pose["pose_source"] == "beads").map(nearest).collect()
 }
 
-/// A console that turns, mirrors and crops gave frames of a size that nobody knew: no K, no pose, or one of the wrong picture.
+/// Takes the radius out of the descriptions of the kit's beads: what a session declares is all that tells it.
+fn without_radii(lab: &Lab) {
+    let path = lab.kit.join("beads.mrk.json");
+    let mut beads: Value = serde_json::from_slice(&std::fs::read(&path).expect("beads")).expect("JSON");
+    for point in beads["markups"][0]["controlPoints"].as_array_mut().expect("points") {
+        assert_eq!(point["description"], "radius_mm=0.75");
+        point["description"] = json!("");
+    }
+    std::fs::write(&path, beads.to_string()).expect("written");
+}
+
+/// Share of a frame of this size that is masked for beads of this radius at this pose.
+fn share_of_beads(lab: &Lab, pose: &Value, [columns, rows]: [usize; 2], radius_mm: f64) -> f64 {
+    let projection: Projection = serde_json::from_value(pose["projection"].clone()).expect("3 x 4");
+    let (intrinsics, camera_from_lps) = projection.decompose().expect("a camera");
+    let view = View { size_px: [columns as u32, rows as u32], intrinsics, camera_from_lps };
+    let layout = read_markups(&lab.kit.join("beads.mrk.json")).expect("beads");
+    let marks = bead_marks(layout.beads.iter().map(|bead| (bead.lps_mm, Some(radius_mm))), &view, None);
+    let mask = discs(columns, rows, &marks);
+    mask.pixels.iter().filter(|masked| **masked).count() as f64 / mask.pixels.len() as f64
+}
+
+/// The log of the session in the kit's `out` with another radius declared: what a replay makes of its frames.
+fn pairs_of_radius(lab: &Lab, radius_mm: f64) -> Vec<Value> {
+    let (log, again) = (lab.kit.join("other-radius.mcap"), lab.kit.join("other-radius"));
+    let mut changed = 0;
+    meddled(&lab.kit.join("out/session.mcap"), &log, &mut |topic, data| {
+        if topic == "/session/setup" {
+            let mut setup: Value = serde_json::from_slice(data).expect("JSON");
+            assert!(setup["session"]["bead_radius_mm"].is_f64(), "the log keeps what was declared");
+            setup["session"]["bead_radius_mm"] = json!(radius_mm);
+            *data = setup.to_string().into_bytes();
+            changed += 1;
+        }
+        true
+    });
+    assert_eq!(changed, 1);
+    let (code, words) = replay(&log, Some(&lab.kit), &lab.kit.join("cache"), &again);
+    assert_eq!(code, Some(3), "other poses than those of the log: {words}");
+    pairs_in(&again)
+}
+
+/// A console that turns, mirrors and crops gave frames of a size that nobody knew: no K, no pose, or one of the wrong picture. The radius of
+/// the beads is what the session declares.
 #[test]
 fn a_turned_mirrored_and_cropped_picture_gives_the_pose_of_the_panel() {
     let Some(lab) = Lab::start(&["--kit-only", "--exposures", "2"]) else { return };
@@ -121,6 +174,7 @@ fn a_turned_mirrored_and_cropped_picture_gives_the_pose_of_the_panel() {
     }
     // One that the console did not crop: its K is not known, and that is said with what to do.
     write_png16(&lab.frames().join("frame-009.png"), &pictures[0]);
+    without_radii(&lab);
     let (poses, pairs, said) = session(&lab, "9", |session| {
         session["domain"] = json!("linear");
         session["console"] = json!({"rotation_deg": 90, "flip": "horizontal", "crop_px": shown});
@@ -142,6 +196,19 @@ fn a_turned_mirrored_and_cropped_picture_gives_the_pose_of_the_panel() {
         let size: Vec<u64> =
             pair["null_plan"]["size_px"].as_array().map(|s| s.iter().filter_map(Value::as_u64).collect()).unwrap_or_default();
         assert!(size.is_empty() || size[0] > size[1], "the panel lies across: {size:?}");
+        // Beads of unknown radius are masked as if it were 1 mm.
+        let pose = good.iter().find(|pose| pose["frame"] == pair["frame"]).expect("posed");
+        let [declared, unknown] = [0.75, 1.0].map(|radius_mm| share_of_beads(&lab, pose, [shown[2], shown[3]], radius_mm));
+        let share = pair["masks"]["causes"]["beads"].as_f64().expect("beads are masked");
+        assert!((share / declared - 1.0).abs() < 0.02 && unknown > 1.2 * declared, "{share}, {declared}, {unknown}");
+    }
+    // A third more, and the shadows contradict it.
+    let refused: Vec<Value> = pairs_of_radius(&lab, 0.975).into_iter().filter(|pair| pair["frame"] != "frame-009").collect();
+    assert_eq!(refused.len(), 2);
+    for pair in &refused {
+        assert_eq!((&pair["status"], &pair["pose_source"]), (&json!("refused"), &json!("none")), "{pair:#}");
+        let reason = pair["reason"].as_str().unwrap_or_default();
+        assert!(reason.contains("smaller than the beads' radii give"), "{reason}");
     }
 }
 

@@ -8,6 +8,7 @@ use sidecarm::compare::{AirLevel, CompareError, OffsetRule, Tone};
 use sidecarm::geometry::Rigid;
 use sidecarm::image::{Image, ImageFileError, sha256_file, write_png_rgb, write_tiff_f32};
 use sidecarm::pose::{Pose, Status};
+use sidecarm::random::{Purpose, Stream};
 use sidecarm::reporter::Reporter;
 
 use crate::compare_synthetic::{acquired, line_integral, view};
@@ -141,4 +142,65 @@ fn what_disagrees_is_counted_and_a_contradicted_quantity_is_refused() {
     let contradicted = CompareArgs { quantity: Some("line_integral".into()), ..plain };
     let error = run(&contradicted, &Reporter::silent()).expect_err("refused");
     assert!(matches!(error, CompareCommandError::OtherQuantity { .. }), "{error}");
+}
+
+/// The frame of a panel that reads 3000 in air, noise included, and `pedestal` more everywhere; with a blade over its left 90 columns that
+/// lets a thousandth through, where it is shut.
+fn frame_on_pedestal(pedestal: f64, is_shut: bool) -> Image<f32> {
+    let mut random = Stream::new(3, 0, 0, Purpose::Evaluation);
+    let simulated = line_integral(&view());
+    let value = |(at, l): (usize, &f32)| {
+        let depth_px = (at % simulated.width) as f64 - 90.0;
+        // A penumbra of four pixels.
+        let share = if is_shut { (depth_px / 4.0 + 0.5).clamp(0.0, 1.0) } else { 1.0 };
+        let open = share * share * (3.0 - 2.0 * share);
+        let signal = 3000.0 * (open + 1e-3 * (1.0 - open)) * f64::from(-l).exp();
+        (pedestal + signal * (1.0 + 0.004 * random.normal()) + 3.0 * random.normal()) as f32
+    };
+    let pixels = simulated.pixels.iter().enumerate().map(value).collect();
+    Image { width: simulated.width, height: simulated.height, pixels }
+}
+
+#[test]
+fn a_pedestal_is_read_from_the_shutters_and_an_open_frame_shows_none() {
+    let folder = tempfile::tempdir().expect("scratch");
+    write_inputs(folder.path());
+    let compared = |frame: Image<f32>, offset: OffsetRule| -> serde_json::Value {
+        write_tiff_f32(&folder.path().join("frame.tif"), &[frame]).expect("writes");
+        let asked = CompareArgs { offset, ..args(folder.path()) };
+        assert_eq!(run(&asked, &Reporter::silent()).expect("compares"), 0);
+        let text = std::fs::read_to_string(asked.out.join("compare.json")).expect("written");
+        let mut found: serde_json::Value = serde_json::from_str(&text).expect("json");
+        found["comparison"].take()
+    };
+    let score =
+        |found: &serde_json::Value, name: &str| found["scores"][name].as_f64().unwrap_or_else(|| panic!("{name}: {found:#}"));
+    let says = |found: &serde_json::Value, rule: &str, reason: &str| {
+        let offset = &found["air"]["offset"];
+        assert!(offset["rule"] == rule && offset["reason"].as_str().is_some_and(|words| words.contains(reason)), "{offset}");
+        assert_eq!(found["flags"].to_string().contains("pedestal of"), rule == "shutters", "{}", found["flags"]);
+    };
+
+    let raised = compared(frame_on_pedestal(212.0, true), OffsetRule::Shutters);
+    says(&raised, "shutters", "estimated behind the shutters");
+    let value = raised["air"]["offset"]["value"].as_f64().expect("a number");
+    assert!((value - 212.0).abs() < 2.5, "{}", raised["air"]["offset"]);
+    let shut = raised["masks"]["causes"]["collimation"].as_f64().expect("the blade is found");
+    assert!((shut - 0.3).abs() < 0.02, "{shut}");
+    let plain = compared(frame_on_pedestal(0.0, true), OffsetRule::Shutters);
+    says(&plain, "none", "no pedestal");
+    for (name, most) in [("zncc", 5e-3), ("gradient_ncc", 5e-3), ("ssim", 5e-3), ("rmse_nepers", 2e-3)] {
+        let [with, without] = [&raised, &plain].map(|found| score(found, name));
+        assert!((with - without).abs() < most, "{name}: {with}, without pedestal {without}");
+    }
+    assert!(score(&raised, "rmse_nepers") < 0.01, "{}", raised["scores"]);
+
+    // The controls: left in, it costs a tenth of a neper; so it does where no shutters show it.
+    let kept = compared(frame_on_pedestal(212.0, true), OffsetRule::None);
+    says(&kept, "none", "declared");
+    let open = compared(frame_on_pedestal(212.0, false), OffsetRule::Shutters);
+    says(&open, "none", "no shuttered area");
+    for found in [&kept, &open] {
+        assert!(score(found, "rmse_nepers") > 0.05, "{}", found["scores"]);
+    }
 }

@@ -72,13 +72,20 @@ pub fn check(folder: &Path) -> (Vec<(String, String, String)>, i32) {
 type Fault = (&'static str, fn(&Path), &'static str, &'static str, &'static [&'static str]);
 
 /// Faults of files: name, how, the check that names it, its level, words that it uses.
-const FILE_FAULTS: [Fault; 16] = [
+const FILE_FAULTS: [Fault; 17] = [
     (
         "ras",
         |lab| edit(lab, "beads.mrk.json", |b| b["markups"][0]["coordinateSystem"] = value!("RAS")),
         "beads and spheres",
         "fail",
-        &["RAS and LPS were swapped", "says RAS but its numbers are LPS"],
+        &["RAS and LPS were swapped", "says RAS but its numbers are LPS", "set its coordinateSystem to \"LPS\""],
+    ),
+    (
+        "lps",
+        |lab| move_beads(lab, |[x, y, z]| [-x, -y, z]),
+        "beads and spheres",
+        "fail",
+        &["RAS and LPS were swapped", "says LPS but its numbers are RAS", "set its coordinateSystem to \"RAS\""],
     ),
     ("mirrored", |lab| move_beads(lab, |[x, y, z]| [-x, y, z]), "beads and spheres", "fail", &["mirrored (x negated)"]),
     ("exchanged", |lab| move_beads(lab, |[x, y, z]| [z, x, y]), "beads and spheres", "fail", &["axes were exchanged"]),

@@ -9,8 +9,9 @@ use sidecarm::image::Image;
 use sidecarm::pose::{Pose, Refusal};
 use sidecarm::report::{
     BeadRow, Gap, LinkReport, Pair, PairStatus, PairsFile, PoseSource, Provenance, SessionReport, Standing, StripInput, Track,
-    TruthError, counted, png_bytes, report_page, strip, write_session,
+    TruthError, counted, png_bytes, report_page, restated, strip, write_session,
 };
+use sidecarm::timeline::NO_EXPOSURE;
 
 use crate::compare_synthetic::{acquired, line_integral, pose, view};
 
@@ -44,6 +45,7 @@ fn exposure(index: usize) -> (Pair, Image<[u8; 3]>) {
             acquired: &frame,
             pictures: None,
             without: pair.reason.as_deref(),
+            marks: None,
             standing: pair.standing(),
             status: &pair.status_line(),
             scores: &pair.score_words(),
@@ -81,6 +83,7 @@ fn exposure(index: usize) -> (Pair, Image<[u8; 3]>) {
         acquired: &frame,
         pictures: Some(&*compared.pictures),
         without: None,
+        marks: None,
         standing: pair.standing(),
         status: &pair.status_line(),
         scores: &pair.score_words(),
@@ -170,12 +173,20 @@ fn a_session_becomes_one_page_without_outside_resources() {
         "pose from telemetry",
         "no pose",
         "3 beads found",
-        "u -10 mm",
         "unplugged",
         "Demo &lt;session&gt; &amp; friends",
     ] {
-        assert!(page.contains(wanted) || wanted == "u -10 mm", "{wanted}");
+        assert!(page.contains(wanted), "{wanted}");
     }
+    // Which wrong pose is the best one stands beside its score.
+    let mut named = 0;
+    for null in report.pairs.iter().flat_map(|pair| pair.null.values()) {
+        let (Some(score), Some(shift)) = (null.best_shifted, null.best_shift.as_deref()) else { continue };
+        let cell = format!("<td>{score:.4} <small>{shift}</small></td>").replace(">-", ">−");
+        assert!(page.contains(&cell), "{cell}");
+        named += 1;
+    }
+    assert!(named > 5, "{named} scores have a best wrong pose");
     assert_eq!(page.matches("class=\"tile ").count(), 6);
     let counts = report.counts();
     assert_eq!((counts.exposures, counts.accepted, counts.refused, counts.no_pose, counts.from_telemetry), (6, 4, 1, 1, 1));
@@ -225,36 +236,80 @@ fn an_empty_session_and_a_missing_strip_still_make_a_page() {
     assert!(page.contains("strips/001.png is missing"));
 }
 
+/// A robot that is drawn as in the scene file is not to be taken for one that telemetry tells of.
 #[test]
-fn a_strip_shows_four_panels_even_without_a_drr() {
+fn a_robot_that_no_telemetry_tells_of_is_said_on_strip_and_page() {
+    let of = |source: &str, binding: &str, evidence: &str| Pair {
+        robot_source: Some(source.to_owned()),
+        binding: binding.to_owned(),
+        binding_evidence: vec![evidence.to_owned()],
+        ..Pair::unmatched("frame_001", "too few beads")
+    };
+    let (uncovered, unbound) = ("no telemetry covers the exposure", "the frame is bound to no exposure");
+    // The line above the pictures of a strip.
+    let drawn = |pair: &Pair| {
+        let blank = Image::filled(1900, 80, [0; 3]);
+        restated(blank, &pair.frame, pair.standing(), &pair.status_line())
+    };
+    let told = of("sensed", "counter", "exposure 3");
+    assert_eq!((told.robot_words(), told.status_line().as_str()), (None, "too few beads"), "control");
+    assert!(!counted(std::slice::from_ref(&told)).contains("robot"));
+    let mut cases = 0;
+    for (binding, evidence, why) in
+        [("counter", "exposure 3", uncovered), ("none", NO_EXPOSURE, uncovered), ("none", "two exposures fit", unbound)]
+    {
+        let pair = of("scene", binding, evidence);
+        let words = format!("robot drawn as in the scene file: {why}");
+        let line = format!("{words} · too few beads");
+        assert_eq!(pair.status_line(), line, "{binding}, {evidence}");
+        assert!(drawn(&pair).pixels != drawn(&told).pixels, "the strip shows it: {words}");
+        assert!(counted(std::slice::from_ref(&pair)).contains("1 with the robot drawn as in the scene file"));
+        let page = report_page(&SessionReport { pairs: vec![told.clone(), pair], ..SessionReport::default() });
+        // At its head, on the contact sheet, and with the exposure.
+        let places =
+            [format!("1 of 2: {words}."), format!("title=\"{line}\""), format!(">{line}</span>"), format!("<li>{words}</li>")];
+        for place in places {
+            assert!(page.contains(&place), "{place}");
+        }
+        cases += 1;
+    }
+    assert_eq!(cases, 3);
+}
+
+#[test]
+fn a_strip_shows_four_panels_and_a_frame_without_a_drr_stands_there_large() {
     let frame = acquired(&line_integral(&view()), 0.01);
     let alone = strip(&StripInput {
         acquired: &frame,
         pictures: None,
         without: Some("no pose"),
+        marks: None,
         standing: Standing::NoPose,
         status: "no telemetry",
         scores: &[],
         mm_per_px: None,
     });
-    assert!(alone.width > 4 * 310 && alone.height > 240);
     let simulated = line_integral(&view());
     let compared = compare(&CompareInput::new(&frame, &simulated)).expect("comparable");
     let full = strip(&StripInput {
         pictures: Some(&*compared.pictures),
         without: None,
+        marks: None,
         standing: Standing::Accepted,
         ..StripInput {
             acquired: &frame,
             pictures: None,
             without: None,
+            marks: None,
             standing: Standing::Accepted,
             status: "",
             scores: &[],
             mm_per_px: Some(0.228),
         }
     });
-    assert_eq!((full.width, full.height), (alone.width, alone.height));
+    assert!(full.width > 4 * 310 && full.height > 240);
+    // As wide; a frame of 310 × 240 px stands in twice its size beside the words, below the header and above the scale.
+    assert_eq!((alone.width, alone.height), (full.width, full.height + 2 * 240 - 356));
     let teal = full.pixels.iter().filter(|p| p[1] > 190 && p[0] < 110).count();
     let none = alone.pixels.iter().filter(|p| p[1] > 190 && p[0] < 110).count();
     assert!(teal > 500 && none == 0, "edges are drawn: {teal}, without a DRR: {none}");

@@ -96,6 +96,7 @@ fn a_mocked_session_matches_its_frames_and_replays_byte_for_byte() {
     let replayed = sidecarm(&["replay", text(&log), "--json", "--out", text(&folder.path().join("replayed"))]);
     assert_eq!(replayed.status.code(), Some(0), "{}", words(&replayed));
     let found = json(&replayed.stdout);
+    assert_losses_are_told(&report, &String::from_utf8_lossy(&run.stdout), &found);
     // A frame that is bound late, as on a crowded machine, is posed and drawn once more.
     for what in ["poses", "images"] {
         let identical = found[format!("{what}_identical")].as_u64().expect("a count");
@@ -132,6 +133,46 @@ fn a_mocked_session_matches_its_frames_and_replays_byte_for_byte() {
     assert!(found["losses"].as_array().is_some_and(|losses| !losses.is_empty()));
     assert_eq!(found["poses_different"].as_array().map(Vec::len), Some(0), "{found}");
     crate::replay_meddled::every_change_is_seen(&log, folder.path());
+}
+
+/// A count in the report's table of lines.
+fn counter_of(report: &str, device: &str, counter: &str) -> Option<u64> {
+    let head = report.split("<th class=\"l\">link</th>").nth(1)?;
+    let column = head.split("</tr>").next()?.split("<th>").position(|name| name.starts_with(&format!("{counter}<")))?;
+    let row = head.split(&format!("<td class=\"l\">{device}</td>")).nth(1)?;
+    row.split("<td>").nth(column)?.split('<').next()?.parse().ok()
+}
+
+/// The number before `what` in a sentence; 0 where it says nothing of it.
+fn count_of(sentence: &str, what: &str) -> u64 {
+    let Some((before, _)) = sentence.split_once(what) else { return 0 };
+    before.rsplit(' ').next().and_then(|number| number.parse().ok()).unwrap_or_else(|| panic!("{what}: {sentence}"))
+}
+
+/// What the mocks spoil on purpose is told by the terminal, the report and the replay (`found`) with the same counts, and nobody says that
+/// nothing was lost.
+fn assert_losses_are_told(report: &str, printed: &str, found: &serde_json::Value) {
+    assert!(!report.to_lowercase().contains("nothing was lost"), "{printed}");
+    let of_replay = found["session_losses"].as_array().expect("a list");
+    for (device, key) in [("C-arm", "carm"), ("robot", "robot")] {
+        let start = format!("lost    {device}: ");
+        let line = printed.lines().find(|line| line.starts_with(&start)).unwrap_or_else(|| panic!("{start}: {printed}"));
+        let sentence = line.trim_start_matches("lost    ").trim_end_matches(" (faults that the demo injects)");
+        assert!(report.contains(sentence), "not in the report: {sentence}");
+        assert!(of_replay.iter().any(|loss| loss == sentence), "{sentence}: {of_replay:?}");
+        let told = [
+            ("lost", " packets lost on the line"),
+            ("missed_unplugged", " packets missed while it was unplugged"),
+            ("corrupt", " corrupt packets"),
+        ]
+        .map(|(counter, what)| {
+            let count = count_of(sentence, what);
+            assert_eq!(counter_of(report, key, counter), Some(count), "{counter}: {sentence}");
+            count
+        });
+        // Each line has a packet dropped and one in which a bit is wrong, and is unplugged.
+        assert!(told[0] >= 2 && told[1] >= 1 && told[2] >= 1, "{sentence}");
+    }
 }
 
 /// Foxglove's annotations lay 0.6 s beside the only image that there was, the tree had one frame, and joints had no message of theirs.

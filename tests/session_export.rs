@@ -1,14 +1,17 @@
 //! A console that exports everything long after it was taken, through `live`: the samples of the exposures are forgotten by then.
 #![cfg(unix)]
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use dicom_core::VR;
 use dicom_dictionary_std::tags;
+use serde_json::{Value, json};
+use sidecarm::record::{FrameAssembler, Provenance, Recorder, topic};
 use sidecarm::telemetry::DeviceKind;
 
 use crate::lab_truth::{counter_of, has_its_own_exposure, prior_is_right, put, told_frames, wait_for_pairs};
 use crate::live_lab::{HANG_S, Lab, Live, Sent, Signal, eventually};
+use crate::log_lab::{entries, recorded, replay};
 
 /// Samples of a device that the timeline keeps: ten minutes at 300 Hz. At a hundred times the C-arm's rate that is a minute and some
 /// seconds, which a test can wait for.
@@ -94,4 +97,84 @@ fn frames_that_come_when_their_samples_are_forgotten_keep_exposure_joints_and_be
         words.contains("telemetry says 90 kVp, the frame 70") && words.contains("check that the frame belongs to this exposure"),
         "{words}"
     );
+}
+
+/// A device's samples are kept for ten minutes: later than that they are forgotten.
+const LATER_US: i64 = 700_000_000;
+/// Farthest that the drill's tip is seen from where it is drawn with the angles of telemetry, as in the demo. With those of the scene
+/// file, which are all zero, none is seen near it.
+const TIP_MM: f64 = 0.6;
+
+/// Records the inputs of `log` anew in `out`, its frames last: before them the robot goes on, eleven minutes later and at a port that
+/// was opened anew, with what it said in the log `after`.
+fn with_forgotten_samples(log: &Path, after: &Path, out: &Path) {
+    let inputs = entries(log);
+    let mut last_us = inputs.first().expect("messages").host_us;
+    let recorder = Recorder::create(out, &Provenance::of_this_program(last_us, Value::Null)).expect("a log");
+    let mut assembler = FrameAssembler::default();
+    let (mut frames, mut epoch) = (Vec::new(), 0);
+    for entry in &inputs {
+        match &*entry.topic {
+            "/session/setup" | "/session/clock" => {
+                recorder.json(&entry.topic, entry.host_us, &entry.json::<Value>().expect("JSON")).expect("recorded");
+            }
+            topic::CARM_RAW | topic::ROBOT_RAW => {
+                let device = entry.topic.trim_matches('/').trim_end_matches("/raw");
+                let raw = entry.raw_bytes().expect("sound").expect("bytes");
+                recorder.raw_bytes(device, raw.epoch, entry.host_us, raw.bytes).expect("recorded");
+                (epoch, last_us) = (epoch.max(raw.epoch), last_us.max(entry.host_us));
+            }
+            topic::FRAME_TAGS | topic::FRAME_PIXELS => frames.extend(assembler.push(entry).expect("a frame")),
+            _ => {}
+        }
+    }
+    let mut at_us = last_us + LATER_US;
+    for entry in entries(after).iter().filter(|entry| &*entry.topic == topic::ROBOT_RAW).take(100) {
+        let raw = entry.raw_bytes().expect("sound").expect("bytes");
+        recorder.raw_bytes("robot", epoch + 1, at_us, raw.bytes).expect("recorded");
+        at_us += 10_000;
+    }
+    for frame in &frames {
+        recorder.frame(frame, at_us).expect("recorded");
+    }
+    recorder.json("/session/end", at_us, &json!({"host_us": at_us})).expect("recorded");
+    recorder.finish().expect("finished");
+}
+
+fn rows(folder: &Path) -> Vec<Value> {
+    let bytes = std::fs::read(folder.join("pairs.json")).expect("pairs.json");
+    let value: Value = serde_json::from_slice(&bytes).expect("JSON");
+    value["pairs"].as_array().expect("a list").clone()
+}
+
+/// The robot is drawn as it was in the exposure, by what is kept with that, in frames that come when its samples are forgotten. A
+/// replay needs no ten minutes for that: it takes the times of its log.
+#[test]
+fn frames_that_come_when_the_robots_samples_are_forgotten_show_it_as_it_was() {
+    let Some(recorded) = recorded() else { return };
+    let folder = tempfile::tempdir().expect("a folder");
+    let [log, after] = &recorded.logs;
+    let (late, again) = (folder.path().join("late.mcap"), folder.path().join("again"));
+    with_forgotten_samples(log, after, &late);
+    let (code, found) = replay(&late, &recorded.kit, &again);
+    assert!(matches!(code, Some(0 | 3)), "{found:#}");
+    let (in_time, late) = (rows(log.parent().expect("a folder")), rows(&again));
+    let (mut stored, mut seen) = (0, 0);
+    for before in in_time.iter().filter(|pair| pair["robot_source"] == "sensed") {
+        let pair = late.iter().find(|pair| pair["number"] == before["number"]).expect("the same frame");
+        // Where its exposure was heard only in part, stamp and count may name none.
+        if pair["binding"] == "none" {
+            continue;
+        }
+        assert_eq!(pair["robot_source"], "stored with the exposure", "{pair:#}");
+        assert!(pair["flags"].to_string().contains("after its exposure"), "{pair:#}");
+        assert!(pair["gap_us"].as_i64().is_some_and(|gap_us| gap_us < 100_000), "angles of its own samples: {pair:#}");
+        stored += 1;
+        // Where beads say it, the camera is known to a fraction of a millimetre.
+        if let Some(mm) = pair["tip"]["length_mm"].as_f64().filter(|_| pair["status"] == "accepted") {
+            assert!(mm < TIP_MM, "{pair:#}");
+            seen += 1;
+        }
+    }
+    assert!(stored >= 3 && seen >= 2, "{stored} stored, {seen} seen: {found:#}");
 }

@@ -11,8 +11,9 @@ use sidecarm::time::Stopwatch;
 
 use crate::live_lab::{HANG_S, Live, Signal, copies, deliver, eventually, many_images, quiet_lab};
 
-/// The bar is 100 ms, and `scripts/evaluate burst` prints the figure. Among other tests on two cores it may be tenths of a second more; a
-/// session that hears a signal only between two frames takes seconds.
+/// The bar, to which `scripts/evaluate burst` holds a session on a machine that does nothing else.
+const HEARD_ALONE_MS: f64 = 100.0;
+/// Among other tests on two cores it may be tenths of a second more; a session that hears a signal only between two frames takes seconds.
 const HEARD_MS: f64 = 2_000.0;
 /// Whoever leaves at once waits up to a second for the log and writes the report of the pairs that are there.
 const LEFT_MS: f64 = 5_000.0;
@@ -249,13 +250,15 @@ fn nothing_but_air(path: &std::path::Path, size: [i16; 3]) {
     packed.finish().expect("written");
 }
 
-/// `count` frames at once, then Ctrl-C: telemetry is complete whatever the workshop does, so are the frames, and the newest come first.
-fn burst(count: usize, record_s: f64) {
-    let Some((lab, frame, folder)) = quiet_lab("300") else { return };
+/// `count` frames at once, then Ctrl-C: telemetry is complete whatever the workshop does, so are the frames, the newest come first, and
+/// pairs are made meanwhile. Gives how many milliseconds later Ctrl-C was heard.
+fn burst(count: usize, record_s: f64) -> Option<f64> {
+    let (lab, frame, folder) = quiet_lab("300")?;
     let files = copies(&frame, count, &folder.path().join("copies"));
     let mut live = Live::start(&lab.kit.join("session.json"), &folder.path().join("session"), &[]);
     deliver(&files, &lab);
     std::thread::sleep(Duration::from_secs_f64(record_s));
+    let pairs_before = live.pairs();
     let (signal_us, heard_ms) = heard_after(&live, Signal::INT);
     std::thread::sleep(Duration::from_millis(500));
     let watch = Stopwatch::start();
@@ -269,7 +272,8 @@ fn burst(count: usize, record_s: f64) {
     let missing = heard.missing(&lab.sent(), live.recording_us, signal_us);
     let pairs = live.pairs();
     println!(
-        "{count} frames delivered at once, {record_s} s of session: {} of {} packets lost, {} frames in the log, {pairs} pairs",
+        "{count} frames delivered at once, {record_s} s of session: {} of {} packets lost, {} frames in the log, {pairs} pairs, {pairs_before} \
+         of them before Ctrl-C",
         missing.lost, missing.sent, heard.images
     );
     println!(
@@ -281,17 +285,18 @@ fn burst(count: usize, record_s: f64) {
         registrations.begun.iter().take(16).collect::<Vec<_>>()
     );
     assert!(ended.is_some(), "{}", live.stderr());
-    assert!(heard_ms <= HEARD_MS, "Ctrl-C is heard after {heard_ms:.0} ms, {HEARD_MS} allowed: {}", live.stderr());
     assert_eq!((heard.images, heard.frames.len()), (count, count), "every frame delivered is in the log: {}", live.stderr());
+    assert!(pairs_before > 0, "no pair while the frames came: {}", live.stderr());
     assert!(registrations.choices >= 20, "hardly ever could another frame have been begun: {registrations:?}");
     assert!(registrations.passed_over.is_empty(), "the newest is not registered first: {:?}", registrations.passed_over);
     assert_eq!(missing.lost, 0, "{missing:?}");
     assert!(missing.sent as f64 > 80.0 * record_s, "{missing:?}");
+    Some(heard_ms)
 }
 
 #[test]
 #[ignore = "minutes long: scripts/evaluate burst runs it"]
 fn bursts_of_frames_leave_the_telemetry_alone() {
-    burst(200, 40.0);
-    burst(500, 60.0);
+    let heard_ms: Vec<f64> = [burst(200, 40.0), burst(500, 60.0)].into_iter().flatten().collect();
+    assert!(heard_ms.iter().all(|ms| *ms <= HEARD_ALONE_MS), "Ctrl-C is heard after {heard_ms:.0?} ms, {HEARD_ALONE_MS} allowed");
 }

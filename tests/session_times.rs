@@ -7,16 +7,28 @@ use serde_json::Value;
 
 use crate::live_lab::{HANG_S, Lab, Live};
 
+/// Milliseconds that the median pair of the live size may take, one of 1536², and the null of either, on a machine that does nothing else.
+const PAIR_MS: f64 = 400.0;
+const LARGE_PAIR_MS: f64 = 1500.0;
+const NULL_MS: f64 = 300.0;
+
 /// Smallest, median and largest; `None` of nothing.
 fn spread(mut values: Vec<f64>) -> Option<[f64; 3]> {
     values.sort_by(f64::total_cmp);
     Some([*values.first()?, values[values.len() / 2], *values.last()?])
 }
 
-fn times_of(panel_px: Option<&str>) {
+/// Milliseconds of the median pair, and of the median null where there is one.
+struct Medians {
+    title: &'static str,
+    pair_ms: f64,
+    null_ms: Option<f64>,
+}
+
+fn times_of(panel_px: Option<&'static str>) -> Option<Medians> {
     let mut args = vec!["--duration-s", "80", "--exposures", "12", "--faults", "none", "--linger-s", "10"];
     args.extend(panel_px.iter().flat_map(|panel| ["--panel-px", panel]));
-    let Some(lab) = Lab::start(&args) else { return };
+    let lab = Lab::start(&args)?;
     let folder = tempfile::tempdir().expect("temporary folder");
     let mut live = Live::launch(&lab.kit.join("session.json"), &folder.path().join("session"), &["--seconds", "84"]);
     let code = live.program.end(HANG_S).expect("it ends").code();
@@ -34,24 +46,35 @@ fn times_of(panel_px: Option<&str>) {
     let rows: Vec<_> = timings.iter().filter(|(number, _)| accepted(number)).map(|(_, stages)| stages).collect();
     assert!(rows.len() >= 4, "{} of {} frames: {code:?} {}", rows.len(), timings.len(), live.stderr());
     let whole = |stages: &BTreeMap<String, f64>| stages.iter().filter(|(name, _)| *name != "null").map(|(_, ms)| ms).sum::<f64>();
+    let pair_ms = spread(rows.iter().map(|stages| whole(stages)).collect()).expect("rows");
+    let stage_ms = |name: &str| spread(rows.iter().filter_map(|stages| stages.get(name)).copied().collect());
     let title = panel_px.unwrap_or("620x480 (the live size)");
     println!("{title}: {} accepted pairs, milliseconds least, median, most", rows.len());
     println!("  first pair {:.0}", whole(rows[0]));
-    println!("  pair       {:.0?}", spread(rows.iter().map(|stages| whole(stages)).collect()).expect("rows"));
+    println!("  pair       {pair_ms:.0?}");
     let mut names: Vec<&String> = rows.iter().flat_map(|stages| stages.keys()).collect();
     names.sort();
     names.dedup();
     for name in names {
-        println!(
-            "  {name:10} {:.0?}",
-            spread(rows.iter().filter_map(|stages| stages.get(name)).copied().collect()).expect("rows")
-        );
+        println!("  {name:10} {:.0?}", stage_ms(name).expect("rows"));
     }
+    Some(Medians { title, pair_ms: pair_ms[1], null_ms: stage_ms("null").map(|spread| spread[1]) })
 }
 
 #[test]
 #[ignore = "minutes long: scripts/evaluate pairs runs it"]
 fn pairs_and_their_nulls() {
-    times_of(None);
-    times_of(Some("1536"));
+    // Every figure is printed before any is judged.
+    let found = [(None, PAIR_MS), (Some("1536"), LARGE_PAIR_MS)].map(|(panel_px, most_ms)| (times_of(panel_px), most_ms));
+    let mut slow = Vec::new();
+    for (medians, most_ms) in found {
+        let Some(Medians { title, pair_ms, null_ms }) = medians else { return };
+        if !(pair_ms <= most_ms) {
+            slow.push(format!("{title}: {pair_ms:.0} ms a pair, {most_ms:.0} allowed"));
+        }
+        if !null_ms.is_some_and(|ms| ms <= NULL_MS) {
+            slow.push(format!("{title}: {null_ms:.0?} ms a null, {NULL_MS:.0} allowed"));
+        }
+    }
+    assert!(slow.is_empty(), "{slow:#?}");
 }

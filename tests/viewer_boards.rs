@@ -8,7 +8,7 @@ use sidecarm::compare::{CompareInput, Compared, compare};
 use sidecarm::geometry::{CarmJoints, View};
 use sidecarm::mask::Masks;
 use sidecarm::pose::Pose;
-use sidecarm::report::{Pair, PairStatus, PoseSource};
+use sidecarm::report::{Pair, PairStatus, PoseSource, ShadowMark};
 use sidecarm::session::board::{BeadMark, BoardState, LandmarkMark, Link, PairMarks, PairPictures, PairView, RobotMark};
 use sidecarm::telemetry::{CarmSample, DeviceKind, Sample};
 
@@ -36,6 +36,9 @@ fn compared() -> &'static (sidecarm::acquire::Frame, Compared) {
 pub const FOUND_PX: [f64; 2] = [120.0, 90.0];
 pub const RESIDUAL_PX: [f64; 2] = [1.0, 0.5];
 pub const TIP_PX: [f64; 2] = [220.0, 170.0];
+pub const LANDMARK_PX: [f64; 2] = [160.0, 60.0];
+/// It is known best across the diagonal that falls to the right.
+pub const LANDMARK_PX2: [[f64; 2]; 2] = [[0.36, 0.30], [0.30, 0.36]];
 
 fn marks() -> PairMarks {
     let bead = |name: &str, at: [f64; 2], used| BeadMark {
@@ -45,14 +48,15 @@ fn marks() -> PairMarks {
         predicted_px: Some([at[0] - RESIDUAL_PX[0], at[1] - RESIDUAL_PX[1]]),
         residual_px: Some(RESIDUAL_PX),
         used,
+        by_hand: false,
     };
     PairMarks {
         beads: vec![bead("B1", FOUND_PX, true), bead("B2", [60.0, 150.0], false)],
-        shadows: vec![([30.0, 30.0], 4.0)],
+        shadows: vec![ShadowMark { rank: 3, image_px: [30.0, 30.0], radius_px: 4.0, snr: 6.0, bead: None }],
         landmarks: vec![LandmarkMark {
             name: "acetabulum".to_owned(),
-            image_px: Some([160.0, 60.0]),
-            sigma_px: Some([0.3, 0.2]),
+            image_px: Some(LANDMARK_PX),
+            covariance_px2: Some(LANDMARK_PX2),
             sigma_mm: [0.05, 0.04, 1.2],
         }],
         robot: Some(RobotMark { centreline_px: vec![[150.0, 200.0], [180.0, 190.0], [200.0, 180.0]], tip_px: TIP_PX }),

@@ -5,11 +5,13 @@ use eframe::egui::{self, Context, Pos2, RawInput, Rect, pos2, vec2};
 use eframe::egui_wgpu::{Renderer, RendererOptions, ScreenDescriptor};
 use sidecarm::gpu::{Device, DeviceChoice, Gpu};
 use sidecarm::image::Image;
+use sidecarm::mask::{Cause, Masks};
 use sidecarm::reporter::Reporter;
-use sidecarm::session::board::BoardState;
+use sidecarm::session::board::{BoardState, PairPictures};
 use sidecarm::viewer::{Arrangement, Mark, Overlay, ViewState, draw};
 
-use crate::viewer_boards::{FOUND_PX, TIP_PX, accepted, amber, board, refused};
+use crate::compare_synthetic::{acquired, line_integral, view};
+use crate::viewer_boards::{FOUND_PX, LANDMARK_PX, LANDMARK_PX2, TIP_PX, accepted, amber, board, refused};
 
 /// The size that the window opens with.
 const SIZE: [u32; 2] = [1400, 900];
@@ -253,4 +255,130 @@ fn overlays_and_gray_levels_change_what_is_seen() {
     drawn.state.shift_window(&pair, 0.5, 0.0);
     let darker = mean(&drawn.picture(&one), middle);
     assert!(darker < before - 20.0, "{darker:.0} after {before:.0}");
+}
+
+/// Where the acquired picture shows a pixel of a frame of 310 × 240 px.
+fn on_screen(picture: Rect, [u, v]: [f64; 2]) -> Pos2 {
+    picture.min + vec2((u as f32 + 0.5) / 310.0, (v as f32 + 0.5) / 240.0) * picture.size()
+}
+
+/// Ellipses lay along columns and rows, whichever way a landmark was uncertain.
+#[test]
+fn a_landmark_s_ellipse_lies_the_way_it_is_uncertain() {
+    let Some(mut drawn) = Drawn::open() else { return };
+    drawn.state.toggle(Mark::Names);
+    let one = board(vec![accepted(1)]);
+    let seen = drawn.picture(&one);
+    let picture = picture_at(&seen, IN_ACQUIRED);
+    let colour = [255, 170, 90];
+    // Both directions are uncertain alike; their common part puts the long axis on the falling diagonal.
+    let [[uu, uv], [vu, vv]] = LANDMARK_PX2;
+    assert!(uu == vv && uv == vu && uv > 0.0);
+    let axes = [uu + uv, uu - uv].map(|variance| 20.0 * variance.sqrt() / std::f64::consts::SQRT_2);
+    let at = |du: f64, dv: f64| near(&seen, on_screen(picture, [LANDMARK_PX[0] + du, LANDMARK_PX[1] + dv]), 4.0, colour);
+    for side in [1.0, -1.0] {
+        let (long, narrow) = (side * axes[0], side * axes[1]);
+        assert!(at(long, long) > 3, "the end of its long axis: {}", at(long, long));
+        assert!(at(narrow, -narrow) > 3, "the end of its narrow axis: {}", at(narrow, -narrow));
+        assert_eq!(at(long, -long), 0, "the mirrored ellipse would reach there");
+    }
+    drawn.state.toggle(Mark::Landmarks);
+    let bare = drawn.picture(&one);
+    let end = on_screen(picture, [LANDMARK_PX[0] + axes[0], LANDMARK_PX[1] + axes[0]]);
+    assert_eq!(near(&bare, end, 4.0, colour), 0, "control: no landmarks, no ellipse");
+}
+
+#[test]
+fn the_scale_bar_is_as_long_as_it_says() {
+    let Some(mut drawn) = Drawn::open() else { return };
+    // At most three tenths of 310 px are 18.6, 46.5 and 5.58 mm: bars of 10, 20 and 5 mm.
+    let mut cases = 0;
+    for (mm_per_px, length_mm) in [(0.2, 10.0), (0.5, 20.0), (0.06, 5.0)] {
+        let mut pair = accepted(1);
+        pair.mm_per_px = Some(mm_per_px);
+        let seen = drawn.picture(&board(vec![pair]));
+        let picture = picture_at(&seen, IN_ACQUIRED);
+        let points_per_px = f64::from(picture.width() + 1.0) / 310.0;
+        let expected = length_mm / mm_per_px * points_per_px;
+        // In air at the lower left, ten points from both edges: white on dark.
+        let (left, row) = (picture.left() as usize + 10, picture.bottom() as usize + 1 - 10);
+        let is_white = |column: usize| (row - 2..=row + 2).any(|row| seen.at(column, row).iter().all(|level| *level > 170));
+        let from = (left - 4..left + 5).find(|column| is_white(*column)).expect("a bar begins there");
+        let length = (from..seen.width).take_while(|column| is_white(*column)).count() as f64;
+        // Its end marks are two points wide.
+        assert!((length - 2.0 - expected).abs() < 3.0, "{length} points for {expected:.1} at {mm_per_px} mm a pixel");
+        cases += 1;
+    }
+    assert_eq!(cases, 3);
+    let mut unknown = accepted(1);
+    unknown.mm_per_px = None;
+    let seen = drawn.picture(&board(vec![unknown]));
+    let picture = picture_at(&seen, IN_ACQUIRED);
+    let corner = pos2(picture.left() + 40.0, picture.bottom() - 10.0);
+    assert_eq!(near(&seen, corner, 8.0, [231, 236, 241]), 0, "no bar without a scale");
+}
+
+#[test]
+fn masked_pixels_are_tinted_and_others_are_not() {
+    let Some(mut drawn) = Drawn::open() else { return };
+    let frame = acquired(&line_integral(&view()), 0.02);
+    let mut masks = Masks::default();
+    masks.add(Cause::Extra, Image { width: 310, height: 240, pixels: (0..310 * 240).map(|at| at % 310 >= 155).collect() });
+    let mut pair = refused(1);
+    pair.pictures = std::sync::Arc::new(PairPictures::alone(&frame, &masks));
+    let one = board(vec![pair]);
+    assert!(!drawn.state.draws(Mark::Masks), "only where it is wanted");
+    let plain = drawn.picture(&one);
+    drawn.state.toggle(Mark::Masks);
+    let tinted = drawn.picture(&one);
+    let picture = picture_at(&plain, IN_ACQUIRED);
+    let both = |at: [f64; 2]| {
+        let at = on_screen(picture, at);
+        [&plain, &tinted].map(|seen| seen.at(at.x as usize, at.y as usize).map(f64::from))
+    };
+    let mut cases = 0;
+    for row in [180.0, 190.0, 200.0] {
+        for column in [80.0, 110.0, 200.0, 230.0] {
+            let [before, after] = both([column, row]);
+            // A violet that covers 112 of 255 parts.
+            let expected = match column < 155.0 {
+                true => before,
+                false => [0, 1, 2].map(|n| before[n] * (1.0 - 112.0 / 255.0) + [80.0, 24.0, 96.0][n]),
+            };
+            let off = (0..3).map(|n| (after[n] - expected[n]).abs()).fold(0.0, f64::max);
+            assert!(off < 5.0, "({column}, {row}): {before:?} became {after:?}, expected {expected:?}");
+            cases += 1;
+        }
+    }
+    assert_eq!(cases, 12);
+}
+
+#[test]
+fn the_blinking_overlay_shows_frame_and_drr_in_turn_and_wakes_the_window_for_each() {
+    let Some(mut drawn) = Drawn::open() else { return };
+    (drawn.state.arrangement, drawn.state.overlay) = (Arrangement::Overlay, Overlay::Blink);
+    let mut pair = accepted(1);
+    // A DRR that is black tells which of the two is seen.
+    let mut pictures = (*pair.pictures).clone();
+    pictures.window_of_drr = [90.0, 91.0];
+    pair.pictures = std::sync::Arc::new(pictures);
+    let one = board(vec![pair]);
+    let middle = Rect::from_min_max(pos2(600.0, 250.0), pos2(1100.0, 600.0));
+    let mut at_s = |time_s: f64| {
+        drawn.looks = 100.0 * time_s;
+        mean(&drawn.picture(&one), middle)
+    };
+    // Each is shown for half a second.
+    let shown = [0.1, 0.3, 0.6, 0.9, 1.1, 1.6].map(&mut at_s);
+    let bright = shown.map(|level| level > shown[2] + 40.0);
+    assert_eq!(bright, [true, true, false, false, true, false], "{shown:?}");
+    assert!((shown[0] - shown[4]).abs() < 1.0 && (shown[2] - shown[5]).abs() < 1.0, "{shown:?}");
+    let rests_s = |drawn: &mut Drawn| drawn.look(&one).viewport_output[&egui::ViewportId::ROOT].repaint_delay.as_secs_f64();
+    drawn.looks = 209.0;
+    let rest = rests_s(&mut drawn);
+    assert!(rest < 0.45, "at 2.1 s the next picture is due in 0.4 s: {rest}");
+    drawn.state.overlay = Overlay::Edges;
+    (0..3).for_each(|_| drop(drawn.look(&one)));
+    let rest = rests_s(&mut drawn);
+    assert!(rest > 0.45, "control: nothing is due where nothing blinks: {rest}");
 }

@@ -3,11 +3,13 @@
 
 use std::cell::RefCell;
 use std::rc::Rc;
+use std::sync::Arc;
 
 use eframe::egui::{Key, Vec2};
 use egui_kittest::Harness;
 use egui_kittest::kittest::NodeT;
 use sidecarm::session::board::{BoardState, Link};
+use sidecarm::timeline::NO_EXPOSURE;
 use sidecarm::viewer::{Arrangement, Mark, Overlay, ViewState, draw};
 
 use crate::viewer_boards::{NOW_US, accepted, amber, board, line, refused};
@@ -107,6 +109,44 @@ fn a_backlog_a_slow_log_and_a_failed_one_are_said() {
     {
         assert!(seen.contains(words), "{words}: {seen}");
     }
+}
+
+/// What hangs is published in sentences, one for each part that does.
+#[test]
+fn parts_that_take_long_are_said_each_in_a_sentence() {
+    let slow = [
+        "the frame folder has not answered for 4 s: is its server or disk there? no frame is taken meanwhile",
+        "frame 7: its DRR has been made for 13 s and is not done; recording and registration go on",
+    ];
+    let quiet = texts(board(vec![accepted(1)]));
+    let seen = texts(BoardState { slow: slow.map(str::to_owned).to_vec(), ..board(vec![accepted(1)]) });
+    for words in slow {
+        assert!(seen.contains(words) && !quiet.contains(words), "{words}: {seen}");
+    }
+}
+
+/// A robot that is drawn as in the scene file is not to be taken for one that telemetry tells of.
+#[test]
+fn a_robot_that_no_telemetry_tells_of_is_said_beside_the_pose() {
+    let with = |source: &str, binding: &str, evidence: &str| {
+        let mut view = accepted(3);
+        let pair = Arc::make_mut(&mut view.pair);
+        (pair.robot_source, pair.binding) = (Some(source.to_owned()), binding.to_owned());
+        pair.binding_evidence = vec![evidence.to_owned()];
+        texts(board(vec![view]))
+    };
+    let (uncovered, unbound) = (": no telemetry covers the exposure", ": the frame is bound to no exposure");
+    let mut cases = 0;
+    for (binding, evidence, words) in
+        [("counter", "exposure 3", uncovered), ("none", NO_EXPOSURE, uncovered), ("none", "two exposures fit", unbound)]
+    {
+        let seen = with("scene", binding, evidence);
+        assert!(seen.contains(&format!("robot drawn as in the scene file{words}")), "{binding}, {evidence}: {seen}");
+        cases += 1;
+    }
+    assert_eq!(cases, 3);
+    let told = with("sensed", "counter", "exposure 3");
+    assert!(!told.contains("robot drawn"), "control: {told}");
 }
 
 #[test]

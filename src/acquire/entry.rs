@@ -83,10 +83,10 @@ impl Entry {
         if is_being_written { PATIENCE_US } else { BLANK_PATIENCE_US }
     }
 
-    /// How long nothing has come to this version.
+    /// How long nothing has come to this version, by the host's clock alone: the clock of the share that a file lies on, and this one after
+    /// someone has set it, may be hours from that.
     pub(super) fn waited_us(&self, now_us: i64) -> i64 {
-        let modified_us = (self.stamp.modified_ns / 1000) as i64;
-        (now_us - self.since_us).max(if modified_us < now_us { now_us - modified_us } else { 0 })
+        now_us - self.since_us
     }
 
     /// What zeros in this version are.

@@ -8,6 +8,7 @@ use serde_json::Value;
 use super::markups_error::BeadsError;
 use super::{Bead, BeadLayout, DEFAULT_BODY, Landmark};
 use crate::geometry::lps_from_ras;
+use crate::table::{cells_of, unmarked};
 
 struct Point {
     label: String,
@@ -232,7 +233,7 @@ fn read_fcsv(path: &Path, text: &str) -> Result<(Points, usize), BeadsError> {
     let mut columns: Vec<String> = FCSV_COLUMNS.split(',').map(str::to_owned).collect();
     let mut read = Points { points: Vec::new(), notes: Vec::new() };
     let mut skipped = 0;
-    for (index, line) in text.trim_start_matches('\u{feff}').lines().enumerate() {
+    for (index, line) in unmarked(text).lines().enumerate() {
         let place = format!("line {}", index + 1);
         if let Some(header) = line.strip_prefix('#') {
             if let Some((key, value)) = header.split_once('=') {
@@ -253,8 +254,8 @@ fn read_fcsv(path: &Path, text: &str) -> Result<(Points, usize), BeadsError> {
         if line.trim().is_empty() {
             continue;
         }
-        let cells = split_csv(line);
-        let cell = |name: &str| columns.iter().position(|column| column == name).and_then(|at| cells.get(at)).map(|s| s.trim());
+        let cells = cells_of(line);
+        let cell = |name: &str| columns.iter().position(|column| column == name).and_then(|at| cells.get(at));
         if cells.len() < 4 {
             let found = format!("{} cells", cells.len());
             return Err(BeadsError::Form { path: path.to_owned(), place, found, expected: "at least id,x,y,z" });
@@ -268,7 +269,7 @@ fn read_fcsv(path: &Path, text: &str) -> Result<(Points, usize), BeadsError> {
         let coordinate = |name: &str| cell(name).and_then(|text| text.parse::<f64>().ok()).unwrap_or(f64::NAN);
         let position = DVec3::new(coordinate("x"), coordinate("y"), coordinate("z"));
         if !position.is_finite() {
-            let found = format!("{place}: {}", cells[1..4].join(","));
+            let found = format!("{place}: {}", cells.iter().skip(1).take(3).collect::<Vec<_>>().join(","));
             return Err(BeadsError::Position { path: path.to_owned(), name: label, found });
         }
         let Some(ras) = ras else {
@@ -284,29 +285,4 @@ fn read_fcsv(path: &Path, text: &str) -> Result<(Points, usize), BeadsError> {
         read.points.push(Point { label, description: cell("desc").unwrap_or_default().to_owned(), lps_mm });
     }
     Ok((read, skipped))
-}
-
-/// Cells of one line; a quoted cell may hold commas and doubled quotes.
-fn split_csv(line: &str) -> Vec<String> {
-    let mut cells = vec![String::new()];
-    let mut quoted = false;
-    let mut characters = line.chars().peekable();
-    while let Some(character) = characters.next() {
-        match (character, quoted) {
-            ('"', true) if characters.peek() == Some(&'"') => {
-                characters.next();
-                if let Some(cell) = cells.last_mut() {
-                    cell.push('"');
-                }
-            }
-            ('"', _) => quoted = !quoted,
-            (',', false) => cells.push(String::new()),
-            _ => {
-                if let Some(cell) = cells.last_mut() {
-                    cell.push(character);
-                }
-            }
-        }
-    }
-    cells
 }

@@ -19,7 +19,7 @@ use crate::gpu::DeviceChoice;
 use crate::image::{Image, ImageFileError, read_tiff_f32, refuse_overwrite, sha256_file, write_atomically, write_png_rgb};
 use crate::pose::{BeadResidual, Pose, PoseFileError};
 use crate::render::{RenderError, Renderer, guessed};
-use crate::report::{Standing, StripInput, score_words, strip};
+use crate::report::{PairMarks, Standing, StripInput, score_words, strip};
 use crate::reporter::Reporter;
 use crate::scene::model::Scene;
 use crate::scene::{SceneError, input_files, load};
@@ -260,7 +260,7 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
     });
     let text = format!("{result:#}\n");
     write_atomically(&json_path, |file| file.write_all(text.as_bytes()))?;
-    write_png_rgb(&strip_path, &picture(&frame, &compared, pose.as_ref()))?;
+    write_png_rgb(&strip_path, &picture(&frame, &compared, pose.as_ref(), posed_scene.as_ref()))?;
     if args.json {
         print!("{text}");
     } else {
@@ -364,7 +364,15 @@ fn add_null(compared: &mut Compared, scene: &Scene, reporter: &Reporter) -> Resu
     Ok(())
 }
 
-fn picture(frame: &Frame, compared: &Compared, pose: Option<&Pose>) -> Image<[u8; 3]> {
+/// What the strip marks in the frame.
+fn marked(pose: &Pose, scene: Option<&Scene>) -> PairMarks {
+    let view = pose.camera().zip(pose.size_px);
+    let view = view.map(|((intrinsics, camera_from_lps), size_px)| View { size_px, intrinsics, camera_from_lps });
+    let through = scene.and_then(|scene| scene.detector.panel.intensifier.as_ref()?.for_size(pose.size_px?).ok());
+    PairMarks::of(pose, through.as_ref().map(|through| &through.distortion), view.as_ref(), scene)
+}
+
+fn picture(frame: &Frame, compared: &Compared, pose: Option<&Pose>, scene: Option<&Scene>) -> Image<[u8; 3]> {
     let (standing, status) = match pose {
         Some(pose) if pose.camera().is_some() => {
             let rms = pose.rms_px.map(|px| format!("rms {px:.3} px")).unwrap_or_default();
@@ -383,6 +391,7 @@ fn picture(frame: &Frame, compared: &Compared, pose: Option<&Pose>) -> Image<[u8
         acquired: frame,
         pictures: Some(&*compared.pictures),
         without: None,
+        marks: pose.map(|pose| marked(pose, scene)).as_ref(),
         standing,
         status: &status,
         scores: &score_words(&compared.comparison.scores, &compared.comparison.null),

@@ -1,10 +1,12 @@
 //! `sidecarm info FILE`: what a file is, and what this program makes of it.
 
+mod cameras;
 mod documents;
 mod found;
 mod frames;
 mod kinds;
 mod logs;
+mod pictures;
 mod tables;
 mod volumes;
 
@@ -24,12 +26,15 @@ pub use found::InfoError;
 const GOOD: u8 = 0;
 /// Exit code of an answer about a file from which something is lost.
 const LOSS: u8 = 3;
+/// A text that is longer describes no single thing.
+const LONGEST_TEXT: u64 = 1 << 20;
 
 /// Says what a file is and what is in it.
 ///
 /// Knows frames (DICOM, PNG, TIFF), logs (MCAP), volumes (NIfTI, NRRD, MetaImage, the folder or one slice of a DICOM
-/// series), beads and landmarks (.mrk.json, .fcsv), meshes (STL), tables (CSV), networks (safetensors), and this
-/// program's own JSON files: sessions, scenes, poses, pairs, calibrations and what else a command writes. Patient data are never shown.
+/// series), beads and landmarks (.mrk.json, .fcsv), meshes (STL), tables (CSV), networks (safetensors), reports (HTML),
+/// drawings (SVG), videos (AVI), cameras as `pose convert` writes them, and this program's own JSON files: sessions, scenes,
+/// poses, pairs, calibrations, adapters of telemetry and what else a command writes. Patient data are never shown.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Example:\n  sidecarm info frame-01.dcm\n  sidecarm info session.mcap --json\n\nExit codes: 0 good, 1 unreadable, 3 readable with losses (said which)."
@@ -96,12 +101,25 @@ pub fn examine(path: &Path) -> Result<Info, InfoError> {
         tables::tensors(path)?
     } else if name.ends_with(".fcsv") || name.ends_with(".json") || head.trim_ascii_start().starts_with(b"{") {
         documents::examine(path, &name)?
+    } else if pictures::is_html(&head) {
+        pictures::report(path)?
+    } else if name.ends_with(".svg") || head.trim_ascii_start().starts_with(b"<svg") {
+        pictures::svg(path)?
+    } else if pictures::is_avi(&head) {
+        pictures::avi(path, metadata.len(), &head)?
     } else if is_dicom(&head) && is_ct_slice(path) {
         volumes::of_slice(path)?
     } else {
         match frames::examine(path) {
             Err(InfoError::Frame(AcquireError::Refused { fault: Fault::NotAnImage { found }, .. })) => {
-                return Err(InfoError::Unknown { path: path.to_owned(), found });
+                let text = short_text(path, metadata.len());
+                let camera = cameras::examine(path, &text)?;
+                camera.or_else(|| tables::trade(&text)).ok_or_else(|| InfoError::Unknown { path: path.to_owned(), found })?
+            }
+            Err(InfoError::Frame(AcquireError::Refused { fault: Fault::Colour { .. }, .. }))
+                if head.starts_with(pictures::PNG_START) =>
+            {
+                pictures::png(&head)
             }
             other => other?,
         }
@@ -119,6 +137,11 @@ fn whole(path: &Path, bytes: Option<u64>, (kind, mut facts, losses): Found) -> I
         all.insert("losses".into(), losses.clone().into());
     }
     Info { facts: all, losses }
+}
+
+/// A text of one thing; empty where the file is none.
+fn short_text(path: &Path, bytes: u64) -> String {
+    (bytes <= LONGEST_TEXT).then(|| std::fs::read_to_string(path).ok()).flatten().unwrap_or_default()
 }
 
 fn head(path: &Path) -> std::io::Result<Vec<u8>> {

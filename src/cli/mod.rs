@@ -45,6 +45,7 @@ pub mod materials;
 pub mod pose;
 mod pose_losses;
 mod read_aloud;
+mod quiet;
 pub mod read_foreign;
 pub mod register;
 mod register_args;
@@ -133,9 +134,31 @@ pub fn main() -> ExitCode {
         to_stderr(&format!("sidecarm: a fault of this program{place}; please report it with what you did"));
     }));
     let cli = Cli::parse();
+    if lists_devices(&cli.command) {
+        quiet::begin_without_device_layer();
+    }
     crate::foreign::install(crate::foreign::ForeignReader::this_program());
     let reporter = Reporter::stderr();
     ExitCode::from(dispatch(&cli.command, &reporter))
+}
+
+/// Whether a command opens a GPU.
+fn lists_devices(command: &Command) -> bool {
+    match command {
+        Command::Demo(_)
+        | Command::Live(_)
+        | Command::Replay(_)
+        | Command::Render(_)
+        | Command::Time(_)
+        | Command::Trade(_)
+        | Command::Scatter(_)
+        | Command::Compare(_)
+        | Command::Check(_)
+        | Command::Devices(_) => true,
+        #[cfg(feature = "learn")]
+        Command::Train(_) | Command::Dataset(_) => true,
+        _ => false,
+    }
 }
 
 /// Why standard output could not be written, where a panic is of that.

@@ -1,5 +1,7 @@
 //! `sidecarm read-foreign`: the helper process that decodes one foreign file (see [`crate::foreign`]). Not for people.
 
+use std::io::{Read, Write};
+
 use crate::foreign::{self, Kind, Request};
 use crate::{acquire, scene};
 
@@ -7,7 +9,7 @@ use crate::{acquire, scene};
 #[derive(Debug, clap::Args)]
 #[command(hide = true)]
 pub struct ReadForeignArgs {
-    /// What is asked for, as JSON; without it, that comes on standard input before the file.
+    /// What is asked for, as JSON; without it, requests come on standard input, each before its file.
     pub request: Option<String>,
 }
 
@@ -22,24 +24,32 @@ pub enum ReadForeignError {
     Io(#[from] std::io::Error),
 }
 
-/// Serves one request. The limits come first, before a byte of the file is looked at.
+/// Serves one request, or all that come. The limits come first, before a byte of the file is looked at.
 ///
 /// # Errors
 /// When the request is unknown, a limit cannot be set, or the parent has gone.
 pub fn run(args: &ReadForeignArgs) -> Result<u8, ReadForeignError> {
-    let mut file = foreign::standard_input()?;
-    let asked = match &args.request {
-        Some(asked) => Some(asked.clone()),
-        None => foreign::request(&mut file)?,
-    };
-    // One that stood ready, and was not needed.
-    let Some(asked) = asked else { return Ok(0) };
-    let request: Request = serde_json::from_str(&asked)?;
+    let mut input = foreign::standard_input()?;
+    let mut out = std::io::stdout().lock();
+    let Some(asked) = &args.request else { return frames(&mut input, &mut out) };
+    let request: Request = serde_json::from_str(asked)?;
     foreign::impose(&request.limits)?;
-    let out = std::io::stdout().lock();
     match request.kind {
-        Kind::Frames => acquire::serve(&request, file, out)?,
-        Kind::Volume | Kind::VolumeFacts | Kind::VolumeHeader | Kind::Slices | Kind::Mesh => scene::serve(&request, file, out)?,
+        Kind::Frames => acquire::serve(&request, input, out)?,
+        Kind::Volume | Kind::VolumeFacts | Kind::VolumeHeader | Kind::Slices | Kind::Mesh => scene::serve(&request, input, out)?,
+    }
+    Ok(0)
+}
+
+/// One file of frames after the other, until no more is asked.
+fn frames(input: &mut impl Read, out: &mut impl Write) -> Result<u8, ReadForeignError> {
+    while let Some((asked, bytes)) = foreign::next_request(input)? {
+        let request: Request = serde_json::from_str(&asked)?;
+        foreign::impose_on_next(&request.limits)?;
+        let mut file = input.by_ref().take(bytes);
+        acquire::serve(&request, &mut file, &mut *out)?;
+        // A decoder that had its reasons left a rest.
+        std::io::copy(&mut file, &mut std::io::sink())?;
     }
     Ok(0)
 }

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use crate::json::parse_json;
+use crate::table::{cells_of, unmarked};
 
 /// A session's log, by its ending.
 pub(super) fn is_log(path: &Path) -> bool {
@@ -68,16 +69,15 @@ pub(super) fn csv_table<Row>(
     check: impl Fn(&[&str]) -> Result<(), String>,
     row: impl Fn(&[&str], &[&str]) -> Result<Row, String>,
 ) -> Result<BTreeMap<String, Row>, String> {
-    let cells = |line: &'_ str| line.split(',').map(|cell| cell.trim().to_owned()).collect::<Vec<String>>();
-    let mut lines = (1..).zip(text.lines()).filter(|(_, line)| !line.trim().is_empty());
-    let header = lines.next().map(|(_, line)| cells(line)).unwrap_or_default();
-    let header: Vec<&str> = header.iter().map(String::as_str).collect();
+    let mut lines = (1..).zip(unmarked(text).lines()).filter(|(_, line)| !line.trim().is_empty());
+    let header = lines.next().map(|(_, line)| cells_of(line)).unwrap_or_default();
+    let header: Vec<&str> = header.iter().collect();
     check(&header).map_err(|wrong| format!("line 1: the columns are {}, expected {wrong}", header.join(",")))?;
     let mut rows = BTreeMap::new();
     for (line_number, line) in lines {
         let wrong = |detail: String| format!("line {line_number}: {detail}");
-        let cells = cells(line);
-        let cells: Vec<&str> = cells.iter().map(String::as_str).collect();
+        let cells = cells_of(line);
+        let cells: Vec<&str> = cells.iter().collect();
         if cells.len() != header.len() {
             return Err(wrong(format!("{} cells, the header has {}", cells.len(), header.len())));
         }
@@ -86,4 +86,34 @@ pub(super) fn csv_table<Row>(
         }
     }
     Ok(rows)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(text: &str) -> Result<BTreeMap<String, f64>, String> {
+        let check = |header: &[&str]| if header == ["frame", "lift_mm"] { Ok(()) } else { Err("frame,lift_mm".to_owned()) };
+        csv_table(text, check, |header, cells| number(header[1], cells[1]))
+    }
+
+    /// A spreadsheet's mark stood in the first column's name, and a shot whose name has a comma had a cell too many.
+    #[test]
+    fn a_table_is_read_as_spreadsheets_write_it() {
+        let text = "\u{feff}frame,\"lift_mm\"\r\n\r\n\"a, first\", 1.5\r\nb,\"2\"\r\n  \r\n";
+        assert_eq!(read(text), Ok(BTreeMap::from([("a, first".to_owned(), 1.5), ("b".to_owned(), 2.0)])));
+    }
+
+    #[test]
+    fn what_is_wrong_is_said_with_its_line() {
+        for (text, words) in [
+            ("frame,height\n", "line 1: the columns are frame,height"),
+            ("frame,lift_mm\n\na\n", "line 3: 1 cells, the header has 2"),
+            ("frame,lift_mm\na,1\na,2\n", "line 3: 'a' stands in the table twice"),
+            ("frame,lift_mm\na,1\n\"b,2\"\n", "line 3: 1 cells"),
+        ] {
+            let said = read(text).expect_err(words);
+            assert!(said.contains(words), "{said}");
+        }
+    }
 }

@@ -38,39 +38,46 @@ pub(super) fn feed(files: impl Iterator<Item = io::Result<(File, u64)>>, mut out
     Ok(())
 }
 
-/// Writes `request`, then all of `file`, to `out`, for a helper that had started before either was known.
+/// Writes `request` and `file` to `out`, each after its length, for a helper that serves one after the other.
 ///
 /// # Errors
-/// When the file cannot be read.
-pub(super) fn request_and_file(request: &str, mut file: File, mut out: impl Write) -> io::Result<()> {
-    let head = (request.len() as u64).to_ne_bytes();
-    let asked = out.write_all(&head).and_then(|()| out.write_all(request.as_bytes()));
-    match asked.and_then(|()| io::copy(&mut file, &mut out)) {
-        Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(error),
-        _ => Ok(()),
+/// When the file cannot be read or becomes shorter, or the helper does not listen to the end.
+pub(super) fn request_and_file(request: &str, file: File, mut out: impl Write) -> io::Result<()> {
+    let bytes = file.metadata()?.len();
+    out.write_all(&(request.len() as u64).to_ne_bytes())?;
+    out.write_all(request.as_bytes())?;
+    out.write_all(&bytes.to_ne_bytes())?;
+    match io::copy(&mut file.take(bytes), &mut out)? == bytes {
+        true => Ok(()),
+        false => Err(io::Error::new(ErrorKind::UnexpectedEof, "it became shorter while it was read")),
     }
 }
 
-/// The helper's side of [`request_and_file`]: the request; `from` goes on with the file. `None` when the parent has none and is gone.
+/// The helper's side of [`request_and_file`]: the request and how many bytes of its file follow. `None` when no more is asked.
 ///
 /// # Errors
 /// When what comes is no request.
-pub fn request(from: &mut impl Read) -> io::Result<Option<String>> {
+pub fn next_request(from: &mut impl Read) -> io::Result<Option<(String, u64)>> {
+    let Some(asked) = length(from)? else { return Ok(None) };
+    if asked > MAX_JSON_BYTES as u64 {
+        return Err(io::Error::other(format!("a request of {asked} bytes")));
+    }
+    let mut text = String::new();
+    from.by_ref().take(asked).read_to_string(&mut text)?;
+    match length(from)? {
+        Some(bytes) => Ok(Some((text, bytes))),
+        None => Err(ErrorKind::UnexpectedEof.into()),
+    }
+}
+
+/// A length; `None` at the end of what comes.
+fn length(from: &mut impl Read) -> io::Result<Option<u64>> {
     let mut head = [0u8; 8];
     if from.read(&mut head[..1])? == 0 {
         return Ok(None);
     }
     from.read_exact(&mut head[1..])?;
-    let bytes = u64::from_ne_bytes(head);
-    if bytes > MAX_JSON_BYTES as u64 {
-        return Err(io::Error::other(format!("a request of {bytes} bytes")));
-    }
-    let mut text = String::new();
-    from.by_ref().take(bytes).read_to_string(&mut text)?;
-    match text.len() as u64 == bytes {
-        true => Ok(Some(text)),
-        false => Err(ErrorKind::UnexpectedEof.into()),
-    }
+    Ok(Some(u64::from_ne_bytes(head)))
 }
 
 /// The helper's side: the files that come, one by one.
@@ -90,12 +97,7 @@ impl<R: Read> Fed<R> {
     /// # Errors
     /// When it is too large, or does not come whole.
     pub fn next_file(&mut self) -> io::Result<Option<Vec<u8>>> {
-        let mut head = [0u8; 8];
-        if self.from.read(&mut head[..1])? == 0 {
-            return Ok(None);
-        }
-        self.from.read_exact(&mut head[1..])?;
-        let bytes = u64::from_ne_bytes(head);
+        let Some(bytes) = length(&mut self.from)? else { return Ok(None) };
         if bytes > self.most_bytes {
             return Err(io::Error::other(format!("{bytes} bytes, at most {} are read", self.most_bytes)));
         }
@@ -135,13 +137,19 @@ mod tests {
     }
 
     #[test]
-    fn a_request_comes_before_its_file() {
+    fn requests_and_their_files_follow_each_other() {
         let mut out = Vec::new();
-        request_and_file("{\"kind\":1}", file(b"content"), &mut out).expect("written");
+        for (request, content) in [("{\"kind\":1}", &b"content"[..]), ("{}", b"")] {
+            request_and_file(request, file(content), &mut out).expect("written");
+        }
         let mut from = out.as_slice();
-        assert_eq!(request(&mut from).expect("whole").as_deref(), Some("{\"kind\":1}"));
-        assert_eq!(from, b"content");
-        assert_eq!(request(&mut [].as_slice()).expect("nobody asks"), None);
-        assert!(request(&mut &out[..12]).is_err() && request(&mut [0xffu8; 40].as_slice()).is_err(), "cut, and too long");
+        assert_eq!(next_request(&mut from).expect("whole"), Some(("{\"kind\":1}".to_owned(), 7)));
+        assert_eq!(from.split_off(..7), Some(&b"content"[..]));
+        assert_eq!(next_request(&mut from).expect("whole"), Some(("{}".to_owned(), 0)));
+        assert_eq!(next_request(&mut from).expect("nobody asks"), None);
+        assert!(
+            next_request(&mut &out[..12]).is_err() && next_request(&mut [0xffu8; 40].as_slice()).is_err(),
+            "cut, and too long"
+        );
     }
 }

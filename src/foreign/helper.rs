@@ -1,17 +1,19 @@
 //! Starting a helper, listening to it, and telling how it ended.
 
-use std::io::Read;
+use std::fs::File;
+use std::io::ErrorKind;
 use std::path::Path;
-use std::process::{Child, ChildStdin, ChildStdout, ExitStatus, Stdio};
+use std::process::{ChildStdin, ChildStdout, ExitStatus, Stdio};
 use std::sync::mpsc::{RecvTimeoutError, channel};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use super::feed::{self, Input};
-use super::process::spawn;
+use super::process::{LOOK, Process};
+use super::request::Request;
 use super::reserve::Reserve;
-use super::{Kind, Receiver, Request, WireError};
+use super::{Kind, Limits, Receiver, WireError};
+use crate::time::Stopwatch;
 
 /// Why a helper gave no answer. Nothing in here comes from the file.
 #[derive(Clone, Debug, PartialEq, thiserror::Error, serde::Serialize, serde::Deserialize)]
@@ -54,18 +56,15 @@ pub enum ForeignFault {
     },
 }
 
-/// Bytes of a helper's standard error that are looked at, for the kind of its end; nothing of it is ever shown.
-const ERROR_BYTES: u64 = 4096;
-
-/// A helper at work, and the thread that gives it what it reads, where it does not read its file itself.
-type Begun = (Child, Option<JoinHandle<std::io::Result<()>>>);
-
 /// What decodes foreign files.
 #[derive(Clone, Copy, Debug)]
 pub struct Helpers<'a> {
     pub(super) program: &'a Path,
     pub(super) reserve: Option<&'a Reserve>,
 }
+
+/// The thread that gives a helper what it reads; the helper's standard input comes back where more may follow.
+type Feeder = JoinHandle<std::io::Result<Option<ChildStdin>>>;
 
 impl Helpers<'_> {
     /// Runs a helper on `input` and gives its messages to `receive`, on a thread of its own.
@@ -79,114 +78,114 @@ impl Helpers<'_> {
         receive: impl FnOnce(&mut Receiver<ChildStdout>) -> Result<T, WireError> + Send + 'static,
     ) -> Result<T, ForeignFault> {
         let start = |error: std::io::Error| ForeignFault::Start { detail: error.kind().to_string() };
-        let (mut child, feeder) = self.begin(request, input.into()).map_err(start)?;
-        let (Some(out), Some(err)) = (child.stdout.take(), child.stderr.take()) else {
-            return Err(ForeignFault::Answer { detail: "no pipe".into() });
-        };
-        #[cfg(target_os = "linux")]
-        let _ = rustix::pipe::fcntl_setpipe_size(&out, 1 << 20);
-        let child = Arc::new(Mutex::new(child));
-        let (sender, outcome) = channel();
-        let limits = request.limits.clone();
-        let (for_thread, wall) = (child.clone(), Duration::from_secs_f64(limits.wall_s));
-        let listen = move || {
-            let words = std::thread::spawn(move || last_words(err));
-            let mut receiver = Receiver::new(out);
-            let received = receive(&mut receiver);
-            drop(receiver);
-            let status = reap(&for_thread, !matches!(received, Err(WireError::Ended)));
-            let words = words.join().unwrap_or_default();
-            let _ = sender.send(match received {
-                Ok(value) => Ok(value),
-                Err(WireError::Ended) => Err(how_it_ended(status, &words, &limits)),
-                Err(other) => Err(ForeignFault::Answer { detail: other.to_string() }),
-            });
-        };
-        let listener = std::thread::Builder::new().name("foreign file".into()).spawn(listen);
-        if let Err(error) = listener {
-            kill(&child);
-            return Err(start(error));
-        }
-        let outcome = outcome.recv_timeout(wall);
-        // The next one starts when this one has left the processor.
-        self.reserve.inspect(|reserve| reserve.refill());
-        match outcome {
-            // A file that could not be given explains whatever the helper makes of the others.
-            Ok(result) => match feeder.map(std::thread::JoinHandle::join) {
-                Some(Ok(Err(error))) => Err(ForeignFault::Fed { detail: error.to_string() }),
-                _ => result,
-            },
-            Err(RecvTimeoutError::Timeout) => {
-                kill(&child);
-                Err(ForeignFault::Time { limit_s: request.limits.wall_s })
-            }
-            Err(RecvTimeoutError::Disconnected) => Err(ForeignFault::Answer { detail: "the listening thread ended".into() }),
-        }
-    }
-
-    /// A fresh helper, or the one that stands ready, which gets its file through a pipe.
-    fn begin(self, request: &Request, input: Input) -> std::io::Result<Begun> {
-        let argument = serde_json::to_string(request)?;
-        match input {
-            Input::One(mut file) => {
-                std::io::Seek::rewind(&mut file)?;
-                let reserve = self.reserve.filter(|_| request.kind == Kind::Frames);
-                let waiting = reserve.and_then(Reserve::take).and_then(|mut child| Some((child.stdin.take()?, child)));
-                let Some((into, child)) = waiting else {
-                    return Ok((spawn(self.program, Some(&argument), Stdio::from(file))?, None));
+        let argument = serde_json::to_string(request).map_err(|error| start(error.into()))?;
+        match (input.into(), self.reserve) {
+            (Input::One(file), Some(reserve)) if request.kind == Kind::Frames => {
+                let file = rewound(file).map_err(start)?;
+                let mut standing = reserve.take().map_err(start)?;
+                let feed = move |mut into: ChildStdin| match feed::request_and_file(&argument, file, &mut into) {
+                    Ok(()) => Ok(Some(into)),
+                    // Why it does not listen, it says itself.
+                    Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(None),
+                    Err(error) => Err(error),
                 };
-                Ok((child, Some(feeding(into, move |into| feed::request_and_file(&argument, file, into)))))
+                let feeder = standing.process.into.take().map(|into| std::thread::spawn(move || feed(into)));
+                let (outcome, into) = serve(&mut standing.process, feeder, &request.limits, receive);
+                match into {
+                    Some(into) if outcome.is_ok() => {
+                        standing.process.into = Some(into);
+                        reserve.give_back(standing);
+                    }
+                    _ => drop(standing),
+                }
+                // The next one starts when this one has left the processor.
+                reserve.refill();
+                outcome
             }
-            Input::Many(files) => {
-                let mut child = spawn(self.program, Some(&argument), Stdio::piped())?;
-                let feeder = child.stdin.take().map(|into| feeding(into, move |into| feed::feed(files, into)));
-                Ok((child, feeder))
+            (Input::One(file), _) => {
+                let stdin = Stdio::from(rewound(file).map_err(start)?);
+                let mut process = Process::start(self.program, Some(&argument), stdin).map_err(start)?;
+                serve(&mut process, None, &request.limits, receive).0
+            }
+            (Input::Many(files), _) => {
+                let mut process = Process::start(self.program, Some(&argument), Stdio::piped()).map_err(start)?;
+                let feed = move |mut into: ChildStdin| feed::feed(files, &mut into).map(|()| None);
+                let feeder = process.into.take().map(|into| std::thread::spawn(move || feed(into)));
+                serve(&mut process, feeder, &request.limits, receive).0
             }
         }
     }
 }
 
-fn feeding(
-    into: ChildStdin,
-    feed: impl FnOnce(ChildStdin) -> std::io::Result<()> + Send + 'static,
-) -> JoinHandle<std::io::Result<()>> {
-    #[cfg(target_os = "linux")]
-    let _ = rustix::pipe::fcntl_setpipe_size(&into, 1 << 20);
-    std::thread::spawn(move || feed(into))
+fn rewound(mut file: File) -> std::io::Result<File> {
+    std::io::Seek::rewind(&mut file)?;
+    Ok(file)
 }
 
-/// The start of what a helper wrote on standard error; the rest is read and dropped, so that it never waits for us.
-fn last_words(mut err: impl Read) -> String {
-    let mut words = Vec::new();
-    let _ = err.by_ref().take(ERROR_BYTES).read_to_end(&mut words);
-    let _ = std::io::copy(&mut err, &mut std::io::sink());
-    String::from_utf8_lossy(&words).into_owned()
-}
-
-fn kill(child: &Mutex<Child>) {
-    let mut child = child.lock().unwrap_or_else(PoisonError::into_inner);
-    let _ = child.kill();
-}
-
-/// Waits for the end of a helper whose output has ended. One that is not listened to any more has nothing left to do.
-fn reap(child: &Mutex<Child>, heard: bool) -> Option<ExitStatus> {
-    let mut child = child.lock().unwrap_or_else(PoisonError::into_inner);
-    if heard {
-        let _ = child.kill();
+/// Hears one answer of `process`; with it the way to ask it more, where it was given all and stands.
+fn serve<T: Send + 'static>(
+    process: &mut Process,
+    feeder: Option<Feeder>,
+    limits: &Limits,
+    receive: impl FnOnce(&mut Receiver<ChildStdout>) -> Result<T, WireError> + Send + 'static,
+) -> (Result<T, ForeignFault>, Option<ChildStdin>) {
+    let Some(out) = process.out.take() else { return (Err(ForeignFault::Answer { detail: "no pipe".into() }), None) };
+    let (sender, answers) = channel();
+    let listen = move || {
+        let mut receiver = Receiver::new(out);
+        let received = receive(&mut receiver);
+        let _ = sender.send((received, receiver.into_inner()));
+    };
+    if let Err(error) = std::thread::Builder::new().name("foreign file".into()).spawn(listen) {
+        return (Err(ForeignFault::Start { detail: error.kind().to_string() }), None);
     }
-    child.wait().ok()
+    let (watch, wall) = (Stopwatch::start(), Duration::from_secs_f64(limits.wall_s));
+    let left = || wall.saturating_sub(Duration::from_secs_f64(watch.ms() * 1e-3));
+    let late = ForeignFault::Time { limit_s: limits.wall_s };
+    let outcome = match answers.recv_timeout(wall) {
+        Ok((Ok(value), out)) => {
+            process.out = Some(out);
+            Ok(value)
+        }
+        Ok((Err(WireError::Ended), _)) => Err(match process.ended_within(left()) {
+            Some((status, words)) => how_it_ended(status, &words, limits),
+            None => late.clone(),
+        }),
+        Ok((Err(other), _)) => Err(ForeignFault::Answer { detail: other.to_string() }),
+        Err(RecvTimeoutError::Timeout) => Err(late.clone()),
+        Err(RecvTimeoutError::Disconnected) => Err(ForeignFault::Answer { detail: "the listening thread ended".into() }),
+    };
+    let Some(feeder) = feeder else { return (outcome, None) };
+    // One that has answered still takes what it was given.
+    while outcome.is_ok() && !feeder.is_finished() && !left().is_zero() {
+        std::thread::sleep(LOOK);
+    }
+    if !feeder.is_finished() {
+        process.kill();
+    }
+    // A feeder may hang on its file for ever, as the helper did.
+    if outcome.as_ref().err() == Some(&late) {
+        return (outcome, None);
+    }
+    match feeder.join() {
+        Ok(Ok(into)) => (outcome, into),
+        // A file that could not be given explains whatever the helper makes of it.
+        Ok(Err(error)) => (Err(ForeignFault::Fed { detail: error.to_string() }), None),
+        Err(_) => (outcome, None),
+    }
 }
 
-fn how_it_ended(status: Option<ExitStatus>, words: &str, limits: &super::Limits) -> ForeignFault {
+fn how_it_ended(status: ExitStatus, words: &str, limits: &Limits) -> ForeignFault {
     #[cfg(unix)]
     {
         use rustix::process::Signal;
         use std::os::unix::process::ExitStatusExt;
-        let signal = status.and_then(|status| status.signal());
+        let signal = status.signal();
         if signal == Some(Signal::XCPU.as_raw()) || signal == Some(Signal::KILL.as_raw()) {
             return ForeignFault::Time { limit_s: limits.cpu_s as f64 };
         }
     }
+    #[cfg(not(unix))]
     let _ = status;
     if words.contains("memory allocation of") || words.contains("capacity overflow") {
         ForeignFault::Memory { limit_mib: limits.memory_bytes >> 20 }

@@ -68,12 +68,28 @@ const DESCRIPTORS: u64 = 64;
 /// When the system refuses a limit.
 #[cfg(unix)]
 pub fn impose(limits: &Limits) -> std::io::Result<()> {
+    impose_all(limits, rustix::process::Rlimit { current: Some(limits.cpu_s), maximum: Some(limits.cpu_s + 1) })
+}
+
+/// Imposes `limits` for the next of several files: processor time counts from here on, and all else is as [`impose`] has it.
+///
+/// # Errors
+/// When the system refuses a limit.
+#[cfg(unix)]
+pub fn impose_on_next(limits: &Limits) -> std::io::Result<()> {
+    use rustix::time::{ClockId, clock_gettime};
+    let used_s = u64::try_from(clock_gettime(ClockId::ProcessCPUTime).tv_sec).unwrap_or(0);
+    impose_all(limits, rustix::process::Rlimit { current: Some(used_s + limits.cpu_s + 1), maximum: None })
+}
+
+#[cfg(unix)]
+fn impose_all(limits: &Limits, cpu: rustix::process::Rlimit) -> std::io::Result<()> {
     use rustix::process::{Resource, Rlimit, setrlimit};
     let both = |most: u64| Rlimit { current: Some(most), maximum: Some(most) };
     setrlimit(Resource::Core, both(0))?;
     setrlimit(Resource::Fsize, both(0))?;
     setrlimit(Resource::Nofile, both(DESCRIPTORS))?;
-    setrlimit(Resource::Cpu, Rlimit { current: Some(limits.cpu_s), maximum: Some(limits.cpu_s + 1) })?;
+    setrlimit(Resource::Cpu, cpu)?;
     // macOS has no limit on address space that it keeps.
     #[cfg(target_os = "linux")]
     setrlimit(Resource::As, both(limits.memory_bytes))?;
@@ -86,5 +102,14 @@ pub fn impose(limits: &Limits) -> std::io::Result<()> {
 /// Never.
 #[cfg(not(unix))]
 pub fn impose(_limits: &Limits) -> std::io::Result<()> {
+    Ok(())
+}
+
+/// As [`impose`].
+///
+/// # Errors
+/// Never.
+#[cfg(not(unix))]
+pub fn impose_on_next(_limits: &Limits) -> std::io::Result<()> {
     Ok(())
 }

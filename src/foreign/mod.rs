@@ -15,6 +15,7 @@ mod kind;
 mod limits;
 mod open;
 mod process;
+mod request;
 mod reserve;
 mod wire;
 
@@ -22,25 +23,14 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
 pub use blank::{Written, ends_in_zeros};
-pub use feed::{Fed, Input, request};
+pub use feed::{Fed, Input, next_request};
 pub use helper::{ForeignFault, Helpers};
 pub use kind::Kind;
-pub use limits::{Limits, impose};
+pub use limits::{Limits, impose, impose_on_next};
 pub use open::{FileStamp, NotRegular, OpenFault, OpenFile, has_hole, open_regular, standard_input};
+pub use request::Request;
 use reserve::Reserve;
 pub use wire::{MAX_JSON_BYTES, Message, Receiver, Sender, WireError};
-
-/// What a helper is asked for: on its command line, or first of all on its standard input.
-#[derive(Clone, Debug, serde::Serialize, serde::Deserialize)]
-pub struct Request {
-    /// What the file should be.
-    pub kind: Kind,
-    /// What the helper may take.
-    pub limits: Limits,
-    /// What else the decoder of this kind needs to know; never a name or a path.
-    #[serde(default)]
-    pub detail: serde_json::Value,
-}
 
 /// Opens foreign files: through a helper process, or (trusted files only) in this one.
 #[derive(Clone, Debug)]
@@ -75,10 +65,12 @@ impl ForeignReader {
     /// With `limits` instead of those of the kind.
     #[must_use]
     pub fn with_limits(self, limits: Limits) -> Self {
-        Self { limits: Some(limits), ..self }
+        // Limits that were imposed on a helper are never raised again.
+        Self { limits: Some(limits), reserve: None, ..self }
     }
 
-    /// With a helper that has started before it is needed, for whoever waits for single files.
+    /// With a helper that has started before it is needed and reads one frame after the other, for whoever waits for them. One that fails on a
+    /// file is replaced.
     #[must_use]
     pub fn with_reserve(self) -> Self {
         let reserve = self.program.as_deref().map(|program| Arc::new(Reserve::of(program)));

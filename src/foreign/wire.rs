@@ -125,6 +125,11 @@ impl<R: Read> Receiver<R> {
         Self { from, buffer: Vec::new() }
     }
 
+    /// Where the messages came from.
+    pub fn into_inner(self) -> R {
+        self.from
+    }
+
     /// The next message.
     ///
     /// # Errors

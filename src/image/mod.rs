@@ -15,6 +15,7 @@ pub use files::{
 };
 
 pub use new_file::NewFile;
+pub use ticks::{round_down, round_values};
 pub use vectors::{exp, on_widest_vectors};
 #[cfg(feature = "vision")]
 pub use video::VideoFile;

@@ -44,7 +44,7 @@ pub fn round_range(scale: Scale, low: f64, high: f64) -> [f64; 2] {
         Scale::Linear => {
             // A constant gets an axis around it; a hair above the data's own rounding.
             let spread = if high - low > 1e-12 * low.abs().max(high.abs()) { high - low } else { low.abs().max(1.0) };
-            let step = linear_step(spread);
+            let step = round_step(spread, COUNT);
             let (first, last) = ((low / step + 1e-9).floor() * step, (high / step - 1e-9).ceil() * step);
             if last > first { [first, last] } else { [first - step, last + step] }
         }
@@ -61,14 +61,13 @@ pub fn round_range(scale: Scale, low: f64, high: f64) -> [f64; 2] {
 pub fn ticks(scale: Scale, range: [f64; 2]) -> Vec<Tick> {
     match scale {
         Scale::Linear => {
-            let step = linear_step(range[1] - range[0]);
+            let step = round_step(range[1] - range[0], COUNT);
             let decimals = (-(step * 1.000_001).log10().floor()).max(0.0) as usize;
-            let (first, last) = ((range[0] / step - 1e-6).ceil() as i64, (range[1] / step + 1e-6).floor() as i64);
             let far = range[0].abs().max(range[1].abs());
             let label = |value: f64| {
                 if !(1e-4..1e6).contains(&far) { trimmed_exponent(value) } else { format!("{value:.decimals$}") }
             };
-            (first..=last).map(|i| i as f64 * step).map(|value| Tick { value, label: label(value) }).collect()
+            round_values(range, COUNT).into_iter().map(|value| Tick { value, label: label(value) }).collect()
         }
         Scale::Log => {
             let (first, last) = (range[0].log10().floor() as i32, range[1].log10().ceil() as i32);
@@ -90,9 +89,26 @@ pub fn ticks(scale: Scale, range: [f64; 2]) -> Vec<Tick> {
     }
 }
 
-/// 1, 2 or 5 times a power of ten, such that `spread` holds four to eight of them.
-fn linear_step(spread: f64) -> f64 {
-    let raw = spread / 6.0;
+/// Of a linear axis.
+const COUNT: usize = 6;
+
+/// Round values within `range`, about `count` of them: multiples of 1, 2 or 5 times a power of ten. The ends are finite, the first the lower.
+#[must_use]
+pub fn round_values(range: [f64; 2], count: usize) -> Vec<f64> {
+    let step = round_step(range[1] - range[0], count);
+    let (first, last) = ((range[0] / step - 1e-6).ceil() as i64, (range[1] / step + 1e-6).floor() as i64);
+    (first..=last).map(|i| i as f64 * step).collect()
+}
+
+/// The largest of 1, 2, 5 times a power of ten that is not above `value`; 1 where there is none.
+#[must_use]
+pub fn round_down(value: f64) -> f64 {
+    if value > 0.0 && value.is_finite() { below(value) } else { 1.0 }
+}
+
+/// 1, 2 or 5 times a power of ten, such that `spread` holds about `count` of them: 0.7 to 1.75 times as many.
+fn round_step(spread: f64, count: usize) -> f64 {
+    let raw = spread / count as f64;
     let power = 10f64.powf(raw.log10().floor());
     let digit = raw / power;
     power
@@ -150,6 +166,31 @@ mod tests {
         assert_eq!(labels(Scale::Linear, [0.0, 0.03]), ["0.000", "0.005", "0.010", "0.015", "0.020", "0.025", "0.030"]);
         assert_eq!(labels(Scale::Linear, [-1.0, 1.0])[0], "-1.0");
         assert_eq!(labels(Scale::Linear, [0.0, 6e6]), ["0", "1e6", "2e6", "3e6", "4e6", "5e6", "6e6"]);
+    }
+
+    #[test]
+    fn round_values_lie_within_and_are_about_as_many_as_wanted() {
+        assert_eq!(round_values([0.0, 20.0], 8), [0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 14.0, 16.0, 18.0, 20.0]);
+        let mut cases = 0;
+        for count in [4, 6, 8] {
+            for range in [[0.03, 0.98], [-7.0, 31.0], [1.0e6, 1.7e6], [-0.002, -0.001], [0.0, 1.08 * 341.0]] {
+                let found = round_values(range, count);
+                let hair = 1e-9 * (range[1] - range[0]);
+                assert!(found.iter().all(|v| *v > range[0] - hair && *v < range[1] + hair), "{range:?}: {found:?}");
+                let (wanted, found) = (count as f64, found.len() as f64);
+                assert!(found >= 0.7 * wanted - 1.0 && found <= 1.75 * wanted + 1.0, "{count} in {range:?}: {found}");
+                cases += 1;
+            }
+        }
+        assert_eq!(cases, 15);
+    }
+
+    #[test]
+    fn lengths_are_rounded_down() {
+        let cases = [(18.6, 10.0), (46.5, 20.0), (5.0, 5.0), (0.49, 0.2), (20.0, 20.0), (f64::NAN, 1.0), (0.0, 1.0)];
+        for (value, round) in cases {
+            assert!((round_down(value) - round).abs() < 1e-12, "{value}: {}", round_down(value));
+        }
     }
 
     #[test]

@@ -180,6 +180,10 @@ pub(super) fn landmarks_of(landmarks: &[Landmark], solution: &Solution, covarian
             image_px: (p.z > 1.0).then(|| solution.intrinsics.project(p).to_array()),
             sigma_mm: std::array::from_fn(|n| sharpness.camera_mm2[(n, n)].sqrt()),
             sigma_px: sharpness.image_px2.map(|image| [image[(0, 0)].sqrt(), image[(1, 1)].sqrt()]),
+            covariance_px2: sharpness.image_px2.map(|image| {
+                let across = 0.5 * (image[(0, 1)] + image[(1, 0)]);
+                [[image[(0, 0)], across], [across, image[(1, 1)]]]
+            }),
         }
     };
     landmarks.iter().map(of).collect()

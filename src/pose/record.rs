@@ -99,6 +99,9 @@ pub struct LandmarkUncertainty {
     pub sigma_mm: [f64; 3],
     /// Standard deviation of its projection along columns and rows.
     pub sigma_px: Option<[f64; 2]>,
+    /// Covariance of its projection, columns and rows.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub covariance_px2: Option<[[f64; 2]; 2]>,
 }
 
 /// The pose in the panel's own pixels and axes.

@@ -50,7 +50,7 @@ impl Registration<'_> {
 }
 
 impl Pose {
-    /// The same with the places of beads, shadows and tags where the distorted frame shows them: to be drawn on it.
+    /// The same with the places of beads, shadows, landmarks and tags where the distorted frame shows them: to be drawn on it.
     #[must_use]
     pub fn drawn_on_distorted(&self, distortion: &Distortion) -> Self {
         let shown = |p: [f64; 2]| distortion.distorted(DVec2::from_array(p)).ok().map(|p| p.to_array());
@@ -60,6 +60,15 @@ impl Pose {
             bead.predicted_px = bead.predicted_px.and_then(shown);
         }
         pose.shadows.iter_mut().for_each(|shadow| shadow.image_px = shown(shadow.image_px).unwrap_or(shadow.image_px));
+        for landmark in &mut pose.landmarks {
+            landmark.image_px = landmark.image_px.and_then(shown);
+            let placed = landmark.image_px.zip(landmark.covariance_px2);
+            landmark.covariance_px2 = placed.map(|(at, covariance)| {
+                // What is a step on the straight picture is one through the inverse Jacobian on the frame.
+                let back = distortion.jacobian(DVec2::from_array(at)).inverse();
+                (back * DMat2::from_cols_array_2d(&covariance) * back.transpose()).to_cols_array_2d()
+            });
+        }
         for corner in pose.tags.iter_mut().flat_map(|tag| &mut tag.corners_px) {
             *corner = shown(*corner).unwrap_or(*corner);
         }

@@ -8,7 +8,7 @@ use super::html_parts::{Shown, margin_words, number, shown, table};
 use super::html_time::over_time;
 use super::pair::{Pair, PairStatus};
 use super::session::SessionReport;
-use super::strip::panel_rectangle;
+use super::strip::telling_rectangle;
 use crate::time::utc;
 
 /// Width of a tile of the contact sheet in CSS pixels.
@@ -135,9 +135,7 @@ fn contact_sheet(report: &SessionReport, strips: &[Option<Shown>]) -> Markup {
 
 /// Which part of a strip its tile shows.
 fn tile_style(pair: &Pair, strip: &Shown) -> String {
-    // The last panel (edges over acquired) tells most; without a DRR the first is the only picture.
-    let panel = if pair.masks.is_some() { 3 } else { 0 };
-    let [left, top, width, height] = panel_rectangle(panel, strip.width, strip.height);
+    let [left, top, width, height] = telling_rectangle(pair.masks.is_some(), strip.width, strip.height);
     let size = [strip.width as f64 / width, strip.height as f64 / height].map(|part| 100.0 * part);
     let at = [100.0 * left / (strip.width as f64 - width), 100.0 * top / (strip.height as f64 - height)];
     format!(

@@ -31,14 +31,20 @@ pub(super) fn each_exposure(report: &SessionReport, strips: &[Option<Shown>]) ->
     }
 }
 
+/// What a strip shows of a pair that was compared.
+const COMPARED: &str = "acquired, matched DRR, difference, edges with beads and residuals";
+/// And of a frame without a DRR.
+const ALONE: &str = "acquired, with the shadows seen";
+
 /// The strip, and where it and the DRR lie.
 fn pictures(index: usize, pair: &Pair, strip: Option<&Shown>) -> Markup {
     html! {
         @match (strip, &pair.strip) {
             (Some(strip), path) => {
                 @let path = path.as_deref().unwrap_or_default();
+                @let shows = if pair.masks.is_some() { COMPARED } else { ALONE };
                 a class={ "strip p" (index) } role="img" href=(path) style={ "aspect-ratio:" (strip.width) "/" (strip.height) }
-                    aria-label={ (pair.frame) ": acquired, matched DRR, difference, edges" } {}
+                    aria-label={ (pair.frame) ": " (shows) } {}
                 p class="dim" {
                     "In full, beside this page: " a href=(path) { (path) }
                     @if let Some(drr) = &pair.drr { ", DRR " a href=(drr) { (drr) } }

@@ -4,7 +4,8 @@ use std::fmt::Write as _;
 
 use maud::{Markup, html};
 
-use super::colour::{round_up, short};
+use super::colour::short;
+use crate::image::round_values;
 
 /// Drawn width in user units; the page scales it.
 const WIDTH: f64 = 640.0;
@@ -52,13 +53,13 @@ impl Axes {
     fn around(&self, label: &str, inside: &Markup) -> Markup {
         html! {
             svg viewBox={ "0 0 " (WIDTH) " " (HEIGHT) } role="img" aria-label=(label) {
-                @for value in ticks(self.y, 4) {
+                @for value in round_values(self.y, 4) {
                     @let v = self.v(value);
                     line class="grid" x1=(LEFT) x2=(WIDTH - RIGHT) y1=(tenths(v)) y2=(tenths(v)) {}
                     (tick("end", LEFT - 8.0, v + 4.0, &short(value, self.y[1] - self.y[0])))
                 }
                 @if self.timed {
-                    @for value in ticks(self.x, 8) {
+                    @for value in round_values(self.x, 8) {
                         (tick("middle", self.u(value), HEIGHT - 16.0, &short(value, self.x[1] - self.x[0])))
                     }
                 }
@@ -76,13 +77,6 @@ fn tenths(at: f64) -> String {
 
 fn tick(anchor: &str, x: f64, y: f64, words: &str) -> Markup {
     html! { text class="tick" x=(tenths(x)) y=(tenths(y)) text-anchor=(anchor) { (words) } }
-}
-
-/// Round values within `range`, about `count` of them.
-fn ticks(range: [f64; 2], count: usize) -> Vec<f64> {
-    let step = round_up((range[1] - range[0]) / (1.6 * count as f64));
-    let first = (range[0] / step - 1e-9).ceil() as i64;
-    (0..=2 * count as i64).map(|i| (first + i) as f64 * step).take_while(|value| *value <= range[1] + 1e-9 * step).collect()
 }
 
 /// The span of `values`, widened by a tenth; from zero when `from_zero`.
@@ -210,7 +204,7 @@ pub(super) fn links(label: &str, bands: &[Band], time_s: [f64; 2]) -> Markup {
                     (block("gone", v, *gap_s, 2.0, &html! { title { (reason) (format!(" ({:.2} s)", gap_s[1] - gap_s[0])) } }))
                 }
             }
-            @for value in ticks(time_s, 8) { (tick("middle", u(value), height - 18.0, &short(value, span))) }
+            @for value in round_values(time_s, 8) { (tick("middle", u(value), height - 18.0, &short(value, span))) }
             (tick("end", WIDTH - RIGHT, height - 3.0, "s since start"))
         }
     }
@@ -225,13 +219,6 @@ fn legend(names: &[String]) -> Markup {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn ticks_are_round_and_within() {
-        let found = ticks([0.03, 0.98], 4);
-        assert!(found.len() >= 3 && found.iter().all(|t| (0.03..=0.98).contains(t)), "{found:?}");
-        assert!(ticks([0.0, 20.0], 8).contains(&10.0));
-    }
 
     #[test]
     fn names_from_outside_cannot_break_the_page() {

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use super::object_file::PresetFile;
 use super::physics::nearest;
+use crate::table::{cells_of, unmarked};
 
 /// Numbers and names of labels.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -24,8 +25,9 @@ impl LabelNames {
     /// # Errors
     /// One sentence, when a column or a number is missing.
     pub fn from_csv(source: &str, text: &str) -> Result<Self, String> {
-        let mut lines = text.trim_start_matches('\u{feff}').lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
-        let header: Vec<String> = lines.next().map(|(_, line)| cells(line).map(str::to_lowercase).collect()).unwrap_or_default();
+        let mut lines = unmarked(text).lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
+        let header: Vec<String> =
+            lines.next().map(|(_, line)| cells_of(line).iter().map(str::to_lowercase).collect()).unwrap_or_default();
         let column = |names: &[&str]| {
             let found = names.iter().find_map(|name| header.iter().position(|cell| cell == name));
             found.ok_or_else(|| format!("no column {} in its first line; expected for example id,structure", names.join(" or ")))
@@ -33,12 +35,12 @@ impl LabelNames {
         let (id, name) = (column(&["id", "label", "index"])?, column(&["structure", "name"])?);
         let mut names = Vec::new();
         for (at, line) in lines {
-            let row: Vec<&str> = cells(line).collect();
+            let row = cells_of(line);
             let number = row.get(id).and_then(|cell| cell.parse().ok());
             let (Some(number), Some(name)) = (number, row.get(name)) else {
                 return Err(format!("line {}: '{line}' is no number and name of a label", at + 1));
             };
-            names.push((number, (*name).to_owned()));
+            names.push((number, name.to_owned()));
         }
         Ok(Self::new(source, names))
     }
@@ -74,10 +76,6 @@ impl LabelNames {
     }
 }
 
-fn cells(line: &str) -> impl Iterator<Item = &str> {
-    line.split(',').map(|cell| cell.trim().trim_matches('"'))
-}
-
 /// What a structure is made of; `None` where the preset does not know it.
 pub(super) fn preset_material(preset: PresetFile, structure: &str) -> Option<&'static str> {
     let PresetFile::TotalSegmentator = preset;
@@ -107,6 +105,16 @@ mod tests {
         assert!(LabelNames::new("seg.nii.gz", Vec::new()).number("femur_left").expect_err("no names").contains("seg.nii.gz"));
         let twice = LabelNames::new("seg.nii.gz", vec![(1, "rib".into()), (2, "rib".into())]);
         assert!(twice.number("rib").expect_err("twice").contains("1 and 2"));
+    }
+
+    /// Quotes were cut off after the line had been split: a name with a comma was the part before it.
+    #[test]
+    fn a_quoted_name_may_hold_commas_and_quotes() {
+        let text = "\u{feff}\"id\",\"structure\"\r\n80,\"femur, \"\"left\"\"\"\r\n\r\n77, hip \r\n  \r\n";
+        let found = LabelNames::from_csv("a", text).expect("good");
+        assert_eq!(found.iter().collect::<Vec<_>>(), [(77, "hip"), (80, "femur, \"left\"")]);
+        let wrong = text.replace("77,", "hip,");
+        assert!(LabelNames::from_csv("a", &wrong).expect_err("no number").contains("line 4"), "blank lines count");
     }
 
     #[test]

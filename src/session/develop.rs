@@ -108,7 +108,7 @@ impl Bench {
         self.look_for_writing(&posed, &mut pair);
         let watch = Stopwatch::start();
         let without = compared.is_none().then(|| pair.flags.last().cloned().unwrap_or_default());
-        let strip = Arc::new(draw(&posed, &pair, compared.as_deref(), without.as_deref()));
+        let strip = Arc::new(draw(&posed, &pair, Some(&scene), compared.as_deref(), without.as_deref()));
         pair.stages_ms.add("strip", watch.ms());
         let complete = compared.is_none();
         if !complete {
@@ -290,7 +290,7 @@ impl Bench {
         }
         developed.pair.stages_ms.add("null", watch.ms());
         self.look_for_tip(&developed.posed, &scene, &mut developed.pair);
-        developed.strip = Arc::new(draw(&developed.posed, &developed.pair, Some(&compared), None));
+        developed.strip = Arc::new(draw(&developed.posed, &developed.pair, Some(&scene), Some(&compared), None));
         developed.compared = Some(Arc::new(compared));
         Some(developed)
     }
@@ -308,7 +308,7 @@ impl Bench {
         if pair.pose_source != PoseSource::None {
             self.reporter.warn("no DRR", format!("{}: {reason}", posed.label()));
         }
-        let strip = Arc::new(draw(&posed, &pair, None, Some(reason)));
+        let strip = Arc::new(draw(&posed, &pair, None, None, Some(reason)));
         Developed { posed, pair, drr: None, scatter: None, compared: None, strip, drr_sha256: None, complete: true }
     }
 }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::pair_marks::PairMarks;
+use super::pair_marks::marks_of;
 use super::pair_pictures::PairPictures;
 use super::pair_view::PairView;
 use super::posing::Posed;
@@ -37,12 +37,19 @@ pub struct Developed {
     pub complete: bool,
 }
 
-/// The strip of a pair as it stands; in place of a DRR the words why there is none.
-pub(super) fn draw(posed: &Posed, pair: &Pair, compared: Option<&Compared>, without: Option<&str>) -> Image<[u8; 3]> {
+/// The strip of a pair as it stands, and of the scene that its DRR shows; in place of a DRR the words why there is none.
+pub(super) fn draw(
+    posed: &Posed,
+    pair: &Pair,
+    scene: Option<&Scene>,
+    compared: Option<&Compared>,
+    without: Option<&str>,
+) -> Image<[u8; 3]> {
     report::strip(&StripInput {
         acquired: &posed.frame,
         pictures: compared.map(|compared| &*compared.pictures),
         without,
+        marks: Some(&marks_of(posed, scene)),
         standing: pair.standing(),
         status: &pair.status_line(),
         scores: &pair.score_words(),
@@ -58,9 +65,14 @@ impl Developed {
         // An image that nobody has looked at may prefer another pose.
         self.pair.doubt(&words);
         self.pair.flags.push(words);
-        self.strip = Arc::new(draw(&self.posed, &self.pair, self.compared.as_deref(), None));
+        self.strip = Arc::new(draw(&self.posed, &self.pair, self.scene(), self.compared.as_deref(), None));
         self.complete = true;
         self
+    }
+
+    /// What its DRR shows.
+    fn scene(&self) -> Option<&Scene> {
+        self.drr.as_ref().map(|(_, scene)| &**scene)
     }
 
     /// Side of a pixel at the detector, if it is known.
@@ -92,7 +104,7 @@ impl Developed {
             complete: self.complete,
             mm_per_px: of_comparison.or_else(of_pose),
             remedy: remedy(posed, pair),
-            marks: Arc::new(PairMarks::of(posed, self.drr.as_ref().map(|(_, scene)| &**scene))),
+            marks: Arc::new(marks_of(posed, self.scene())),
             pictures: Arc::new(pictures),
             latency_ms: None,
         }

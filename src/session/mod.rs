@@ -42,6 +42,7 @@ mod developed;
 mod editing;
 mod editor;
 mod event;
+mod fault;
 mod file_error;
 mod image_difference;
 mod intake;

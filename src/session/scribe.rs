@@ -13,6 +13,7 @@ use super::broadcast::Broadcast;
 use super::busy::{Busy, Task};
 use super::chime::Chime;
 use super::developed::Developed;
+use super::fault;
 use super::folder::Collector;
 use super::input::Input;
 use super::log::SessionLog;
@@ -130,6 +131,7 @@ impl Work {
     }
 
     fn take(&mut self, developed: Developed) {
+        fault::breaks("scribe", developed.posed.number);
         let _at_work = self.busy.begin(Task::Writing(developed.posed.number));
         let (number, time_us, complete) = (developed.posed.number, developed.posed.time_us, developed.complete);
         let is_new = !self.collector.knows(&developed);

@@ -11,6 +11,8 @@ const AGREE_MM: f64 = 20.0;
 const AGREE_DEG: f64 = 3.0;
 /// So many frames in a row that disagree with the tie, and agree with each other, replace it.
 const REPLACED_BY: usize = 2;
+/// So many files in a row that disagree with the tie, and with each other, end it: where the specimen lies nobody knows then.
+const GIVEN_UP_AFTER: usize = 3;
 
 /// How far two ideas of the specimen in the room lie apart.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -112,7 +114,7 @@ impl SpecimenTie {
         let latest = self.dissenting.iter().rev().find(|other| other.content != content).filter(|_| self.tied.is_none());
         let before = latest.map(|other| Disagreement::between(&other.world_from_lps, &world_from_lps, self.centre_lps_mm));
         let before = before.filter(|before| !before.agrees());
-        let words = match (apart, supporters.len() + 1 >= REPLACED_BY, self.declared) {
+        let mut words = match (apart, supporters.len() + 1 >= REPLACED_BY, self.declared) {
             (Some(apart), _, true) => Some(format!(
                 "its beads put the specimen {:.1} mm and {:.1} degrees from where the session's world_from_lps and telemetry do: check \
                  world_from_lps, the C-arm's calibration and its encoders",
@@ -143,9 +145,17 @@ impl SpecimenTie {
             self.tied_by = supporters.into_iter().chain([number]).collect();
             self.dissenting.clear();
         } else {
+            self.dissenting.retain(|other| other.content != content);
             self.dissenting.push(Witness { number, content: content.to_owned(), world_from_lps });
-            if self.dissenting.len() > REPLACED_BY {
+            if self.dissenting.len() > GIVEN_UP_AFTER {
                 self.dissenting.remove(0);
+            }
+            if self.dissenting.len() == GIVEN_UP_AFTER && self.tied.is_some() && !self.declared {
+                self.tied = None;
+                self.tied_by.clear();
+                words = words.map(|words| {
+                    format!("{words}; the specimen is no longer tied to the room: three files in a row put it elsewhere, each in another place")
+                });
             }
         }
         TieVerdict { disagreement: apart.or(before), words }
@@ -230,6 +240,22 @@ mod tests {
         assert_eq!(tie.retract(1, "why"), None, "an old frame no longer matters");
         assert!(tie.retract(5, "why").is_some());
         assert_eq!(tie.world_from_lps(), None);
+    }
+
+    #[test]
+    fn a_tie_that_nothing_supports_any_more_is_given_up() {
+        let mut tie = SpecimenTie::new(None, DVec3::ZERO);
+        observe(&mut tie, 1, at(0.0));
+        observe(&mut tie, 2, at(1.0));
+        let [_, second, third] = [(3, 100.0), (4, 200.0), (5, 300.0)].map(|(number, x)| observe(&mut tie, number, at(x)));
+        assert!(second.words.is_some_and(|words| !words.contains("no longer tied")));
+        assert!(third.words.is_some_and(|words| words.contains("no longer tied")));
+        assert_eq!(tie.world_from_lps(), None);
+        observe(&mut tie, 6, at(301.0));
+        assert_eq!(tie.world_from_lps(), Some(at(301.0)), "the next two that agree tie it");
+        // The images of one run count once.
+        (7..20).for_each(|number| drop(tie.observe(number, "run", at(100.0 * f64::from(number)), false)));
+        assert_eq!(tie.world_from_lps(), Some(at(301.0)));
     }
 
     #[test]

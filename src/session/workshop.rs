@@ -12,6 +12,7 @@ use super::crosscheck::{self, check_session};
 use super::declared::Declared;
 use super::develop::Bench;
 use super::developed::Developed;
+use super::fault;
 use super::file::Setup;
 use super::inputs::InputNames;
 use super::posing::Posed;
@@ -166,9 +167,12 @@ impl Workshop {
         &self.names
     }
 
-    /// Hands in a frame; `plan` is executed as it is where there is one, else the renderer plans.
+    /// Hands in a frame; `plan` is executed as it is where there is one, else the renderer plans. Where the thread has ended nobody takes it.
     pub fn submit(&self, posed: Posed, plan: Option<Plan>) {
         self.shared.change(|queue| {
+            if queue.ended {
+                return;
+            }
             // Of a frame that is edited step by step, the last step is looked at.
             queue.jobs.retain(|Job { posed: other, plan }| {
                 // What a log has a plan for was drawn in its session.
@@ -224,7 +228,11 @@ struct Ended<'a>(&'a Shared);
 
 impl Drop for Ended<'_> {
     fn drop(&mut self) {
-        self.0.change(|queue| queue.ended = true);
+        self.0.change(|queue| {
+            queue.ended = true;
+            queue.busy = false;
+            queue.jobs.clear();
+        });
     }
 }
 
@@ -265,6 +273,7 @@ fn work(mut bench: Bench, shared: &Shared, mut sink: impl FnMut(Developed) -> bo
         let developed = match next(shared, nulls.is_empty()) {
             Next::Frame(job) => {
                 let Job { posed, plan } = *job;
+                fault::breaks("workshop", posed.number);
                 // An earlier pair of the same frame is replaced: it needs no null any more.
                 nulls.retain(|waiting| waiting.posed.number != posed.number);
                 let at_work = shared.busy.begin(Task::Developing(posed.number));

@@ -216,7 +216,7 @@ impl Editing {
 fn places(pair: &PairView) -> Vec<Chosen> {
     let place = |image_px: [f64; 2], bead: Option<&str>| Chosen { image_px, bead: bead.map(str::to_owned), moved_px: [0.0; 2] };
     let beads = pair.marks.beads.iter().filter_map(|bead| Some(place(bead.found_px?, Some(&bead.name))));
-    beads.chain(pair.marks.shadows.iter().map(|(at, _)| place(*at, None))).collect()
+    beads.chain(pair.marks.strays().map(|shadow| place(shadow.image_px, None))).collect()
 }
 
 fn apart_px(a: [f64; 2], b: [f64; 2]) -> f64 {

@@ -1,151 +1,99 @@
-//! What is drawn over a frame: beads with their residuals, landmarks with their uncertainty, the robot, a scale bar.
+//! What is drawn over a frame: the figures of its marks, what a hand has chosen, a scale bar.
 
-use eframe::egui::{Align2, Color32, Painter, Pos2, Shape, Stroke, Vec2, epaint::EllipseShape, pos2, vec2};
+use eframe::egui::{Align2, Color32, Painter, Pos2, Shape, Stroke, pos2, vec2};
 
 use super::editing::names;
 use super::sight::Placed;
 use super::state::{Mark, ViewState};
-use super::theme::{SMALL, TEXT, font};
-use crate::session::board::{BeadMark, LandmarkMark, PairView, RobotMark};
+use super::theme::{SMALL, TEXT, font, rgb};
+use crate::image::round_down;
+use crate::report::figures::{Figure, Form, GAP_PX, RADIUS_PX, Tells, arrow, ring_reach};
+use crate::session::board::PairView;
 
-/// Residuals and uncertainties are drawn so many times as large as they are.
-pub(super) const STRETCH: f64 = 20.0;
-const USED: Color32 = Color32::from_rgb(40, 230, 80);
-const LEFT_OUT: Color32 = Color32::from_rgb(240, 50, 40);
-const PREDICTED: Color32 = Color32::from_rgb(250, 220, 30);
-/// Put or named by a hand.
-const OF_HAND: Color32 = Color32::from_rgb(80, 220, 250);
+/// What a hand has chosen.
 const CHOSEN: Color32 = Color32::WHITE;
-const SHADOW: Color32 = Color32::from_rgb(190, 190, 200);
-const RESIDUAL: Color32 = Color32::from_rgb(255, 110, 230);
-const ROBOT: Color32 = Color32::from_rgb(90, 190, 255);
-const LANDMARK: Color32 = Color32::from_rgb(255, 170, 90);
-/// Between a shadow's rim and its ring, pixels of the frame.
-const GAP_PX: f64 = 4.0;
-/// Rings of shadows whose radius is not known.
-const RADIUS_PX: f64 = 8.0;
+/// Width of crosses.
+const THIN: f32 = 1.2;
+/// Width of arrows.
+const ARROW: f32 = 1.6;
 
 /// Everything that `state` draws over a picture of the frame.
 pub(super) fn all(painter: &Painter, placed: &Placed, pair: &PairView, state: &ViewState) {
-    let marks = &pair.marks;
-    if state.draws(Mark::Robot)
-        && let Some(mark) = &marks.robot
-    {
-        robot(painter, placed, mark);
-    }
-    if state.draws(Mark::Beads) {
-        for (at, radius_px) in &marks.shadows {
-            ring(painter, placed, *at, *radius_px, 1.0, SHADOW);
-        }
-    }
-    for mark in &marks.beads {
-        let of_hand = pair.pair.edited.as_ref().is_some_and(|edited| edited.is_of(&mark.name));
-        bead(painter, placed, mark, of_hand, state);
-    }
-    if state.draws(Mark::Landmarks) {
-        marks.landmarks.iter().for_each(|mark| landmark(painter, placed, mark, state.draws(Mark::Names)));
-    }
+    let figures = pair.marks.figures();
+    figures.iter().filter(|figure| draws(state, figure.tells)).for_each(|figure| paint(painter, placed, figure));
 }
 
 /// What is chosen while beads are edited, where it was moved to, and the names that it may get.
 pub(super) fn chosen(painter: &Painter, placed: &Placed, pair: &PairView, state: &ViewState) {
     let Some(chosen) = state.editing.chosen().filter(|_| state.editing.is_on()) else { return };
-    let at = chosen.now_px();
-    ring(painter, placed, at, RADIUS_PX + GAP_PX, 2.5, CHOSEN);
-    cross(painter, placed.screen(at), 7.0, CHOSEN);
-    let beside = ring_points(placed, RADIUS_PX + GAP_PX) + 4.0;
+    let (at, reach) = (placed.screen(chosen.now_px()), reach(placed, RADIUS_PX + GAP_PX));
+    painter.circle_stroke(at, reach, Stroke::new(2.5, CHOSEN));
+    cross(painter, at, 7.0, CHOSEN);
     let listed: Vec<String> =
         names(pair, chosen.image_px).iter().enumerate().map(|(n, name)| format!("{} {name}", n + 1)).collect();
-    let corner = placed.screen(at) + vec2(beside, beside);
-    words(painter, corner, Align2::LEFT_TOP, &listed.join("  "), CHOSEN);
+    words(painter, at + vec2(reach + 4.0, reach + 4.0), Align2::LEFT_TOP, &listed.join("  "), CHOSEN);
 }
 
 /// Where P puts things, over the DRR.
 pub(super) fn predicted(painter: &Painter, placed: &Placed, pair: &PairView, state: &ViewState) {
-    if state.draws(Mark::Robot)
-        && let Some(mark) = &pair.marks.robot
-    {
-        robot(painter, placed, mark);
-    }
-    let at = pair.marks.beads.iter().filter_map(|bead| bead.predicted_px);
-    at.filter(|_| state.draws(Mark::Beads)).for_each(|at| cross(painter, placed.screen(at), 5.0, PREDICTED));
+    let figures = pair.marks.figures();
+    let of_p = figures.iter().filter(|figure| matches!(figure.tells, Tells::Predicted | Tells::Robot));
+    of_p.filter(|figure| draws(state, figure.tells)).for_each(|figure| paint(painter, placed, figure));
 }
 
-fn bead(painter: &Painter, placed: &Placed, mark: &BeadMark, of_hand: bool, state: &ViewState) {
-    let radius_px = mark.radius_px.unwrap_or(RADIUS_PX);
-    if state.draws(Mark::Beads) {
-        if let Some(at) = mark.found_px {
-            let colour = match (mark.used, of_hand) {
-                (true, true) => OF_HAND,
-                (true, false) => USED,
-                (false, _) => LEFT_OUT,
+/// Whether figures that tell of this are drawn.
+fn draws(state: &ViewState, tells: Tells) -> bool {
+    match tells {
+        Tells::Seen | Tells::Predicted => state.draws(Mark::Beads),
+        Tells::Residual => state.draws(Mark::Residuals),
+        Tells::Name => state.draws(Mark::Names),
+        Tells::Landmark => state.draws(Mark::Landmarks),
+        Tells::LandmarkName => state.draws(Mark::Landmarks) && state.draws(Mark::Names),
+        Tells::Robot => state.draws(Mark::Robot),
+    }
+}
+
+fn paint(painter: &Painter, placed: &Placed, figure: &Figure) {
+    let colour = rgb(figure.colour);
+    match &figure.form {
+        Form::Ring { at_px, radius_px, width } => {
+            painter.circle_stroke(placed.screen(*at_px), reach(placed, *radius_px), Stroke::new(*width as f32, colour));
+        }
+        Form::Spot { at_px, reach, width } => {
+            painter.circle_stroke(placed.screen(*at_px), *reach as f32, Stroke::new(*width as f32, colour));
+        }
+        Form::Cross { at_px, reach } => cross(painter, placed.screen(*at_px), *reach as f32, colour),
+        Form::Arrow { from_px, to_px } => {
+            let on_screen = |at: [f64; 2]| {
+                let at = placed.screen(at);
+                [f64::from(at.x), f64::from(at.y)]
             };
-            ring(painter, placed, at, radius_px, 1.8, colour);
+            for line in arrow(on_screen(*from_px), on_screen(*to_px)) {
+                painter.line_segment(line.map(|[x, y]| pos2(x as f32, y as f32)), Stroke::new(ARROW, colour));
+            }
         }
-        if let Some(at) = mark.predicted_px {
-            cross(painter, placed.screen(at), 4.0, PREDICTED);
+        Form::Line { along_px, width } => {
+            let along = along_px.iter().map(|at| placed.screen(*at)).collect();
+            painter.add(Shape::line(along, Stroke::new(*width as f32, colour)));
+        }
+        Form::Words { at_px, radius_px, below, text } => {
+            let aside = reach(placed, *radius_px) + 2.0;
+            let (corner, off) =
+                if *below { (Align2::LEFT_TOP, vec2(aside, aside)) } else { (Align2::LEFT_BOTTOM, vec2(aside, -aside)) };
+            words(painter, placed.screen(*at_px) + off, corner, text, colour);
         }
     }
-    if state.draws(Mark::Residuals)
-        && let Some((from, [du, dv])) = mark.predicted_px.zip(mark.residual_px)
-    {
-        let to = placed.screen([from[0] + STRETCH * du, from[1] + STRETCH * dv]);
-        arrow(painter, placed.screen(from), to, RESIDUAL);
-    }
-    if state.draws(Mark::Names)
-        && let Some(at) = mark.found_px.or(mark.predicted_px)
-    {
-        let beside = ring_points(placed, radius_px) + 2.0;
-        let colour = if mark.used { USED } else { PREDICTED };
-        words(painter, placed.screen(at) + vec2(beside, -beside), Align2::LEFT_BOTTOM, &mark.name, colour);
-    }
 }
 
-fn landmark(painter: &Painter, placed: &Placed, mark: &LandmarkMark, named: bool) {
-    let Some(at) = mark.image_px else { return };
-    let centre = placed.screen(at);
-    cross(painter, centre, 6.0, LANDMARK);
-    if let Some([u, v]) = mark.sigma_px {
-        let radius = vec2((STRETCH * u) as f32, (STRETCH * v) as f32) * placed.scale;
-        painter.add(Shape::Ellipse(EllipseShape::stroke(centre, radius.max(vec2(1.0, 1.0)), Stroke::new(1.4, LANDMARK))));
-    }
-    if named {
-        words(painter, centre + vec2(9.0, 4.0), Align2::LEFT_TOP, &mark.name, LANDMARK);
-    }
-}
-
-fn robot(painter: &Painter, placed: &Placed, mark: &RobotMark) {
-    let tip = placed.screen(mark.tip_px);
-    let line: Vec<Pos2> = mark.centreline_px.iter().map(|at| placed.screen(*at)).chain([tip]).collect();
-    painter.add(Shape::line(line, Stroke::new(1.6, ROBOT)));
-    painter.circle_stroke(tip, 5.0, Stroke::new(1.8, ROBOT));
-}
-
-/// Radius of a bead's ring on the screen.
-fn ring_points(placed: &Placed, radius_px: f64) -> f32 {
-    ((radius_px + GAP_PX) as f32 * placed.scale).max(4.0)
-}
-
-fn ring(painter: &Painter, placed: &Placed, at: [f64; 2], radius_px: f64, width: f32, colour: Color32) {
-    painter.circle_stroke(placed.screen(at), ring_points(placed, radius_px), Stroke::new(width, colour));
+/// Radius of the ring about a shadow on the screen.
+fn reach(placed: &Placed, radius_px: f64) -> f32 {
+    ring_reach(radius_px, f64::from(placed.scale)) as f32
 }
 
 fn cross(painter: &Painter, at: Pos2, reach: f32, colour: Color32) {
-    let stroke = Stroke::new(1.2, colour);
+    let stroke = Stroke::new(THIN, colour);
     painter.line_segment([at - vec2(reach, 0.0), at + vec2(reach, 0.0)], stroke);
     painter.line_segment([at - vec2(0.0, reach), at + vec2(0.0, reach)], stroke);
-}
-
-fn arrow(painter: &Painter, from: Pos2, to: Pos2, colour: Color32) {
-    let stroke = Stroke::new(1.6, colour);
-    painter.line_segment([from, to], stroke);
-    let along = to - from;
-    if along.length() > 5.0 {
-        let back = -along.normalized() * 5.0;
-        let aside = Vec2::new(-back.y, back.x) * 0.6;
-        painter.line_segment([to, to + back + aside], stroke);
-        painter.line_segment([to, to + back - aside], stroke);
-    }
 }
 
 /// Words that can be read on any ground.
@@ -164,8 +112,7 @@ pub(super) fn scale_bar(painter: &Painter, placed: &Placed, mm_per_px: f64) {
     }
     let seen = placed.seen();
     let most_mm = 0.3 * f64::from(seen.width()) / points_per_mm;
-    let decade = 10f64.powf(most_mm.max(1e-9).log10().floor());
-    let length_mm = [5.0, 2.0, 1.0].map(|step| step * decade).into_iter().find(|mm| *mm <= most_mm).unwrap_or(decade);
+    let length_mm = round_down(most_mm);
     let from = pos2(seen.left() + 10.0, seen.bottom() - 10.0);
     let to = from + vec2((length_mm * points_per_mm) as f32, 0.0);
     for (width, colour) in [(5.0, Color32::from_black_alpha(150)), (2.0, TEXT)] {

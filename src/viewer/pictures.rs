@@ -8,11 +8,12 @@ use eframe::egui::{
 };
 
 use super::arrange::{Pane, panes};
-use super::marks::{self, STRETCH};
+use super::marks;
 use super::picture_cache::Picture;
 use super::sight::Placed;
 use super::state::{Mark, Overlay, ViewState};
 use super::theme::{BODY, DIM, EDGE, SMALL, TEXT, WELL, font};
+use crate::report::figures::STRETCH;
 use crate::report::{NOT_COMPARABLE, diverging, short};
 use crate::session::board::{BoardState, PairView};
 

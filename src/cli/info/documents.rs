@@ -4,8 +4,10 @@ use std::path::Path;
 
 use serde_json::{Map, Value, json};
 
+use super::cameras;
 use super::found::{Found, InfoError, object};
 use super::kinds::{COUNTED, recognise, shown};
+use crate::table::{cells_of, unmarked};
 
 pub(super) fn examine(path: &Path, name: &str) -> Result<Found, InfoError> {
     let text = std::fs::read_to_string(path).map_err(|source| InfoError::Io { path: path.to_owned(), source })?;
@@ -20,6 +22,10 @@ pub(super) fn examine(path: &Path, name: &str) -> Result<Found, InfoError> {
     let Value::Object(map) = json else {
         return Err(InfoError::Unknown { path: path.to_owned(), found: "JSON that is no object".into() });
     };
+    // Before ours: one of theirs has the keys of our K, and more.
+    if let Some(camera) = cameras::examine(path, &text)? {
+        return Ok(camera);
+    }
     match recognise(&map) {
         Some("markups") => Ok(("markups", markups(path, &map)?, Vec::new())),
         Some(kind) => Ok((kind, facts(kind, &map), Vec::new())),
@@ -56,6 +62,7 @@ fn facts(kind: &str, map: &Map<String, Value>) -> Map<String, Value> {
             }
             facts
         }
+        "adapter" => adapter(map),
         "session" | "intrinsics" | "prior" | "console" => map.clone(),
         _ => {
             let mut facts = pick(shown(kind));
@@ -72,6 +79,18 @@ fn facts(kind: &str, map: &Map<String, Value>) -> Map<String, Value> {
     }
     facts.insert("format".into(), "JSON".into());
     facts
+}
+
+/// Of a device's lines: of what form they are, whose time they have, and what of a device they tell.
+fn adapter(map: &Map<String, Value>) -> Map<String, Value> {
+    let keys = |key: &str| -> Option<Vec<String>> { Some(map.get(key)?.as_object()?.keys().cloned().collect()) };
+    object(json!({
+        "origin": map.get("origin"),
+        "lines": keys("format").and_then(|forms| forms.into_iter().next()),
+        "time": if map.contains_key("device_time") { "of the device's clock" } else { "of arrival" },
+        "carm": keys("carm"),
+        "robot": keys("robot"),
+    }))
 }
 
 fn markups(path: &Path, map: &Map<String, Value>) -> Result<Map<String, Value>, InfoError> {
@@ -96,6 +115,7 @@ fn markups(path: &Path, map: &Map<String, Value>) -> Result<Map<String, Value>, 
 }
 
 fn fcsv(path: &Path, text: &str) -> Result<Map<String, Value>, InfoError> {
+    let text = unmarked(text);
     let header = |key: &str| {
         text.lines().find_map(|line| {
             let (name, value) = line.strip_prefix('#')?.split_once('=')?;
@@ -106,12 +126,12 @@ fn fcsv(path: &Path, text: &str) -> Result<Map<String, Value>, InfoError> {
     let label = columns.iter().position(|column| column == "label").unwrap_or(11);
     let mut names = Vec::new();
     for (index, line) in text.lines().enumerate().filter(|(_, line)| !line.starts_with('#') && !line.trim().is_empty()) {
-        let cells: Vec<&str> = line.split(',').collect();
-        if cells.get(1..4).is_none_or(|position| position.iter().any(|cell| cell.trim().parse::<f64>().is_err())) {
+        let cells = cells_of(line);
+        if !(1..4).all(|at| cells.get(at).is_some_and(|cell| cell.parse::<f64>().is_ok())) {
             let detail = format!("line {} has no position in its second to fourth column", index + 1);
             return Err(InfoError::Damaged { path: path.to_owned(), kind: "fcsv file", detail });
         }
-        names.push(cells.get(label).copied().unwrap_or("?").to_owned());
+        names.push(cells.get(label).unwrap_or("?").to_owned());
     }
     Ok(object(json!({
         "format": "3D Slicer fcsv",

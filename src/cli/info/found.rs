@@ -56,7 +56,8 @@ pub enum InfoError {
     /// A file of no kind that is known here.
     #[error(
         "{path}: not a kind of file that is known here ({found}); expected DICOM, PNG, TIFF, MCAP, NIfTI, NRRD, MetaImage, .mrk.json, \
-         .fcsv, STL, CSV, safetensors, a JSON file of this program or the folder of a DICOM series",
+         .fcsv, STL, CSV, safetensors, a report (HTML), SVG, AVI, a camera as `sidecarm pose convert` writes it, a JSON file of this \
+         program or the folder of a DICOM series",
         path = path.display()
     )]
     Unknown {

@@ -3,7 +3,7 @@
 use serde_json::{Map, Value};
 
 /// Kinds in the order in which they are tried: a file is of the first whose keys it all has.
-const KINDS: [(&str, &[&str]); 22] = [
+const KINDS: [(&str, &[&str]); 23] = [
     ("markups", &["markups"]),
     ("scene", &["objects"]),
     ("pairs", &["pairs"]),
@@ -25,6 +25,7 @@ const KINDS: [(&str, &[&str]); 22] = [
     ("calibration_report", &["shots", "left_out", "chi2_per_dof"]),
     ("prior", &["camera_from_lps"]),
     ("intrinsics", &["intrinsics"]),
+    ("adapter", &["origin", "format"]),
     ("calibration", &["origin"]),
 ];
 

@@ -29,6 +29,17 @@ pub(super) fn csv(path: &Path) -> Result<Found, InfoError> {
     Ok(("table", object(json!({"format": "CSV", "rows": rows, "columns": columns})), Vec::new()))
 }
 
+/// The table of `sidecarm trade`, by its first line; `None` where it is none.
+pub(super) fn trade(text: &str) -> Option<Found> {
+    let (first, rows) = text.split_once('\n')?;
+    let (seen, judged) = first.split_once("; error against the yardstick on ")?;
+    let (size, adapter) = seen.split_once(" px on ")?;
+    // Below the first line stand the names of the columns.
+    let rows = rows.lines().skip(1).count();
+    let facts = json!({"format": "text", "size": size, "adapter": adapter, "judged": judged, "rows": rows});
+    Some(("trade", object(facts), Vec::new()))
+}
+
 /// Weights of a network, or what a training or a data set keeps.
 pub(super) fn tensors(path: &Path) -> Result<Found, InfoError> {
     let io = |source| InfoError::Io { path: path.to_owned(), source };

@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use super::{Bin, PhysicsError, Spectrum, element_attenuation};
+use crate::table::{cells_of, unmarked};
 
-/// Written before the text by spreadsheets; it marks UTF-8 and is no part of the first cell.
-const BYTE_ORDER_MARK: char = '\u{feff}';
+const COLUMNS: [&str; 2] = ["energy_kev", "fluence"];
 
 impl Spectrum {
     /// A file with the columns `energy_kev,fluence` (photons per bin at its centre, equal spacing, up or down), Σφ = 1.
@@ -17,20 +17,19 @@ impl Spectrum {
         let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
         let mut bins: Vec<Bin> = Vec::new();
         let mut headed = false;
-        for (index, line) in text.trim_start_matches(BYTE_ORDER_MARK).lines().enumerate() {
+        for (index, line) in unmarked(&text).lines().enumerate() {
             let (row, line) = (index + 1, line.trim());
             if line.is_empty() || line.starts_with('#') {
                 continue;
             }
             if !headed {
-                let header: String = line.split_whitespace().collect();
-                if header != "energy_kev,fluence" {
+                if !cells_of(line).iter().eq(COLUMNS) {
                     return Err(wrong(format!("row {row} is '{line}', expected the header energy_kev,fluence")));
                 }
                 headed = true;
                 continue;
             }
-            let numbers: Option<Vec<f64>> = line.split(',').map(|cell| cell.trim().parse().ok()).collect();
+            let numbers: Option<Vec<f64>> = cells_of(line).iter().map(|cell| cell.parse().ok()).collect();
             let Some([energy_kev, fluence]) = numbers.as_deref() else {
                 return Err(wrong(format!("row {row} is '{line}', expected two numbers")));
             };
@@ -93,5 +92,15 @@ mod tests {
         let rising = read(b"energy_kev,fluence\n30,1\n31,3\n32,2\n").expect("good");
         assert_eq!(read(b"\xef\xbb\xbfenergy_kev,fluence\r\n30,1\r\n31,3\r\n32,2\r\n").expect("marked"), rising);
         assert_eq!(read(b"energy_kev,fluence\n32,2\n31,3\n30,1\n").expect("falling"), rising);
+    }
+
+    /// What writes text in quotes writes numbers so as well; the header was not known then.
+    #[test]
+    fn quoted_cells_are_cells() {
+        let plain = read(b"energy_kev,fluence\n30,1\n31,3\n").expect("good");
+        let quoted = b"# measured\n\"energy_kev\", fluence\n\n\"30\",\"1\"\n\"31\" , 3 \n\n";
+        assert_eq!(read(quoted).expect("quoted"), plain);
+        let error = read(b"energy_kev,fluence\n30,1\n\n\"31,3\"\n").expect_err("one cell");
+        assert!(error.contains("row 4") && error.contains("two numbers"), "{error}");
     }
 }

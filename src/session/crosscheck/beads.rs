@@ -41,8 +41,8 @@ fn stated_system(setup: &Setup) -> Option<&'static str> {
     let (_, text) = setup.beads.as_ref()?;
     let value: serde_json::Value = serde_json::from_str(text).ok()?;
     match value["markups"][0]["coordinateSystem"].as_str()? {
-        "LPS" | "0" => Some("LPS"),
-        "RAS" | "1" => Some("RAS"),
+        "LPS" | "1" => Some("LPS"),
+        "RAS" | "0" => Some("RAS"),
         _ => None,
     }
 }

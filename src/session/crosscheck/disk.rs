@@ -28,7 +28,7 @@ pub fn check_disk(out: &Path, frames: &Path) -> Vec<Finding> {
         let detail = format!("{}: lies in no folder", out.display());
         return vec![Finding::fail(CHECK, detail, "choose another --out")];
     };
-    vec![among_frames(out, &folder, frames), writing(out, &folder), space(&folder)]
+    vec![among_frames(out, &folder, frames), writing(out, &folder), space(free_bytes(&folder), &folder)]
 }
 
 /// Whether the session would write into the folder in which it looks for frames; `folder` is the part of `out` that exists.
@@ -100,9 +100,10 @@ pub(crate) fn free_bytes(_folder: &Path) -> Option<u64> {
     None
 }
 
-fn space(folder: &Path) -> Finding {
+/// Whether `free` bytes at `folder` are enough.
+fn space(free: Option<u64>, folder: &Path) -> Finding {
     const CHECK: &str = "disk space";
-    let Some(free) = free_bytes(folder) else { return Finding::pass(CHECK, "the system does not say how much is free") };
+    let Some(free) = free else { return Finding::pass(CHECK, "the system does not say how much is free") };
     let detail = format!("{:.1} GB free at {}", free as f64 * 1e-9, folder.display());
     if free < LEAST_BYTES {
         Finding::fail(CHECK, detail, "free at least 1 GB, or choose another --out")
@@ -110,5 +111,31 @@ fn space(folder: &Path) -> Finding {
         Finding::warn(CHECK, detail, "a long session with full-size frames needs 10 GB")
     } else {
         Finding::pass(CHECK, detail)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::finding::Level;
+    use super::*;
+
+    #[test]
+    fn too_little_space_is_said_with_what_to_do_and_enough_is_not() {
+        const GIB: u64 = 1 << 30;
+        let mut cases = 0;
+        for (free, level, shown, remedy) in [
+            (0, Level::Fail, "0.0 GB free", Some("free at least 1 GB, or choose another --out")),
+            (GIB - 1, Level::Fail, "1.1 GB free", Some("free at least 1 GB, or choose another --out")),
+            (GIB, Level::Warn, "1.1 GB free", Some("a long session with full-size frames needs 10 GB")),
+            (10 * GIB - 1, Level::Warn, "10.7 GB free", Some("a long session with full-size frames needs 10 GB")),
+            (10 * GIB, Level::Pass, "10.7 GB free", None),
+        ] {
+            let found = space(Some(free), Path::new("/data"));
+            assert_eq!((found.check.as_str(), found.level, found.remedy.as_deref()), ("disk space", level, remedy), "{free}");
+            assert_eq!(found.detail, format!("{shown} at /data"));
+            cases += 1;
+        }
+        assert_eq!(cases, 5);
+        assert_eq!(space(None, Path::new("/data")).level, Level::Pass, "nobody knows");
     }
 }

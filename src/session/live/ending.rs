@@ -40,14 +40,20 @@ impl Session {
                 self.finishing = Some((progress, complete));
             }
             Stage::Finishing => {
-                let drained = self.engine.waiting() == 0 && self.engine.bound().next().is_none() && self.registering.is_none();
-                let drained = drained && self.editor.as_ref().is_none_or(Editor::is_idle);
-                if drained {
+                if self.is_registered() {
                     self.workshop.close();
                 }
             }
             stage => self.stage = stage,
         }
+    }
+
+    /// Whether every frame has its pose, and every edit.
+    pub(super) fn is_registered(&self) -> bool {
+        self.engine.waiting() == 0
+            && self.engine.bound().next().is_none()
+            && self.registering.is_none()
+            && self.editor.as_ref().is_none_or(Editor::is_idle)
     }
 
     /// Everything is developed and written.

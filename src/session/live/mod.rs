@@ -223,7 +223,8 @@ impl Session {
                 return Ok(self.leave());
             }
             self.advance(over || options.stop.is_asked());
-            if matches!(self.stage, Stage::Finishing) && self.scribe.has_ended() {
+            // Where a thread died, the others end before it is over.
+            if matches!(self.stage, Stage::Finishing) && self.scribe.has_ended() && self.is_registered() {
                 return self.close();
             }
         }

@@ -57,16 +57,22 @@ pub fn write_video(log: &Path, out: &Path, pace: Pace, reporter: &Reporter) -> R
         file.pairs.iter().filter_map(|pair| Some((pair.time_us?, folder.join(pair.strip.as_ref()?)))).collect();
     shown.sort();
     let without_strip = file.pairs.len() - shown.len();
-    let Some((_, first)) = shown.first() else { return Err(failed(&pairs_path, "none of its pairs has a strip".to_owned())) };
-    let picture = read_png_rgb(first)?;
+    if shown.is_empty() {
+        return Err(failed(&pairs_path, "none of its pairs has a strip".to_owned()));
+    }
+    // That of a frame without a DRR is higher.
+    let mut size_px = [0; 2];
+    for (_, strip) in &shown {
+        let picture = read_png_rgb(strip)?;
+        size_px = [size_px[0].max(picture.width), size_px[1].max(picture.height)];
+    }
     // It is written under another name, and appears when it is whole; the format goes by the ending.
     NewFile::refuse_existing(out)
         .map_err(|_| failed(out, "exists already, and is not written over; choose another --out".to_owned()))?;
     let out_folder = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let made = tempfile::Builder::new().prefix(".sidecarm-").suffix(".avi").tempfile_in(out_folder);
     let temporary = made.map_err(|source| LogbookError::Out { path: out.to_owned(), source })?.into_temp_path();
-    let mut video =
-        VideoFile::create(&temporary, [picture.width, picture.height], PER_S).map_err(|detail| failed(out, detail))?;
+    let mut video = VideoFile::create(&temporary, size_px, PER_S).map_err(|detail| failed(out, detail))?;
     let (bar, mut pictures) = (reporter.progress("pairs", shown.len() as u64), 0u32);
     for (index, (time_us, strip)) in shown.iter().enumerate() {
         let until_next_s = shown.get(index + 1).map_or(STANDS_S.0, |(next_us, _)| (next_us - time_us) as f64 * 1e-6);

@@ -1,0 +1,214 @@
+//! The frames of a log as Foxglove reads them: its own messages, decoded by its own library, and walked from the room to camera and tip.
+#![cfg(unix)]
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use foxglove::Decode;
+use foxglove::messages as fg;
+use glam::{DQuat, DVec3};
+use serde_json::Value;
+use sidecarm::geometry::{CarmCalibration, CarmJoints, Intrinsics, Rigid, RobotModel, View};
+use sidecarm::record::{LogEntry, Provenance, Recorder, read_log, topic};
+
+use crate::log_lab::{entries, recorded};
+
+/// What rounding leaves of metres and quaternions.
+const LIMIT_MM: f64 = 1e-6;
+/// What encoders, and the arm that still moves, leave of where the specimen is taken to lie.
+const TIED_MM: f64 = 15.0;
+
+fn decoded(entry: &LogEntry) -> fg::FrameTransforms {
+    assert_eq!((&*entry.schema, &*entry.encoding), ("foxglove.FrameTransforms", "protobuf"));
+    fg::FrameTransforms::decode(entry.data.as_slice()).expect("a message of Foxglove's")
+}
+
+/// Each frame's parent, and where it is in that, mm.
+#[derive(Default)]
+struct Tree(BTreeMap<String, (String, Rigid)>);
+
+impl Tree {
+    /// From now on the frames of `message` are where it says, metres. A frame has one parent, or the tree is none.
+    fn take(&mut self, message: &fg::FrameTransforms) {
+        for placed in &message.transforms {
+            let at = placed.translation.as_ref().expect("a place");
+            let turn = placed.rotation.as_ref().expect("a turn");
+            let rotation = DQuat::from_xyzw(turn.x, turn.y, turn.z, turn.w);
+            assert!((rotation.length() - 1.0).abs() < 1e-9, "{rotation} of {}", placed.child_frame_id);
+            let parent_from_child = Rigid { rotation, translation_mm: 1000.0 * DVec3::new(at.x, at.y, at.z) };
+            let (parent, child) = (placed.parent_frame_id.clone(), placed.child_frame_id.clone());
+            let before = self.0.insert(child, (parent, parent_from_child));
+            assert!(before.is_none_or(|(other, _)| other == placed.parent_frame_id), "two parents of {}", placed.child_frame_id);
+        }
+    }
+
+    /// `root_from_leaf`, where the leaf hangs on the root.
+    fn walk(&self, root: &str, leaf: &str) -> Option<Rigid> {
+        let (mut name, mut name_from_leaf) = (leaf, Rigid::IDENTITY);
+        // No way is longer than there are frames.
+        for _ in 0..=self.0.len() {
+            if name == root {
+                return Some(name_from_leaf);
+            }
+            let (parent, parent_from_name) = self.0.get(name)?;
+            (name, name_from_leaf) = (parent.as_str(), *parent_from_name * name_from_leaf);
+        }
+        None
+    }
+}
+
+/// How far apart two motions put points within 100 mm, at most.
+fn apart_mm(a: &Rigid, b: &Rigid) -> f64 {
+    let points = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z].map(|point| 100.0 * point);
+    points.iter().map(|point| a.transform_point(*point).distance(b.transform_point(*point))).fold(0.0, f64::max)
+}
+
+fn read<T: serde::de::DeserializeOwned>(value: &Value) -> T {
+    serde_json::from_value(value.clone()).unwrap_or_else(|error| panic!("{error}: {value}"))
+}
+
+/// What the log said last on another topic: of the time of `entry`, of which it is made.
+fn said(latest: &BTreeMap<&str, &LogEntry>, topic: &str, entry: &LogEntry) -> Value {
+    let source = latest.get(topic).unwrap_or_else(|| panic!("{} without {topic}", entry.topic));
+    assert_eq!(source.host_us, entry.host_us, "{} is not of the last message on {topic}", entry.topic);
+    source.json().expect("JSON")
+}
+
+/// What the tree of a session is held against: the files that the log holds, and the mocked room.
+struct Truth {
+    carm: CarmCalibration,
+    robot: RobotModel,
+    lps_from_base: Rigid,
+    world_from_lps: Rigid,
+}
+
+impl Truth {
+    fn of(messages: &[LogEntry]) -> Self {
+        let setup = messages.iter().find(|entry| &*entry.topic == "/session/setup").expect("a setup");
+        let setup: Value = setup.json().expect("JSON");
+        let scene: Value = serde_json::from_str(setup["scene_json"].as_str().expect("text")).expect("JSON");
+        let robot = scene["objects"].as_array().expect("a list").iter().find_map(|object| object.get("robot")).expect("a robot");
+        let lab = Path::new(env!("CARGO_MANIFEST_DIR")).join("mocks/data/lab.json");
+        let lab: Value = serde_json::from_slice(&std::fs::read(lab).expect("the lab's data")).expect("JSON");
+        Self {
+            carm: read(&setup["carm"]),
+            robot: read(&setup["robot"]),
+            lps_from_base: read(&robot["lps_from_base"]),
+            world_from_lps: read(&lab["world_from_lps"]),
+        }
+    }
+
+    fn check_arm(&self, tree: &Tree, sample: &Value) {
+        let joints: CarmJoints = read(&sample["joints"]);
+        let by_joints = self.carm.world_from_camera(&joints).expect("joints are measured");
+        let told = tree.walk("world", "camera_by_telemetry").expect("the arm stands in the room");
+        assert!(apart_mm(&told, &by_joints) < LIMIT_MM, "{told:?} {by_joints:?}");
+    }
+
+    /// Each piece and the tip in the specimen, and in the room once the specimen is tied to that; whether it is.
+    fn check_robot(&self, tree: &Tree, sample: &Value) -> bool {
+        let sensed: Option<[f64; 5]> = serde_json::from_value(sample["sensed_deg"].clone()).ok();
+        let shape = self.robot.shape(&sensed.unwrap_or_else(|| read(&sample["commanded_deg"]))).expect("finite");
+        let pieces = shape.base_from_pieces.iter().enumerate().map(|(n, (piece, _))| (format!("piece_{n:02}"), *piece));
+        let frames = [("base".to_owned(), Rigid::IDENTITY), ("tip".to_owned(), shape.base_from_tip)];
+        let mut checked = 0;
+        for (name, base_from_frame) in pieces.chain(frames) {
+            let told = tree.walk("lps", &name).unwrap_or_else(|| panic!("{name} hangs nowhere"));
+            let off_mm = apart_mm(&told, &(self.lps_from_base * base_from_frame));
+            assert!(off_mm < LIMIT_MM, "{name}: {off_mm} mm");
+            checked += 1;
+        }
+        assert_eq!(checked, 30, "base, 28 pieces, tip");
+        let Some((world_from_lps, world_from_tip)) = tree.walk("world", "lps").zip(tree.walk("world", "tip")) else {
+            return false;
+        };
+        let lps_from_tip = self.lps_from_base * shape.base_from_tip;
+        assert!(apart_mm(&world_from_tip, &(world_from_lps * lps_from_tip)) < LIMIT_MM);
+        let off_mm = apart_mm(&world_from_tip, &(self.world_from_lps * lps_from_tip));
+        assert!(off_mm < TIED_MM, "the tip in the room: {off_mm} mm");
+        true
+    }
+
+    /// The camera in the specimen, and in the room once the specimen is tied to that; whether it is.
+    fn check_camera(&self, tree: &Tree, pose: &Value) -> bool {
+        let camera_from_lps: Rigid = read(&pose["camera_from_lps"]);
+        let lps_from_camera = camera_from_lps.inverse();
+        let told = tree.walk("lps", "camera").expect("the camera stands about the specimen");
+        assert!(apart_mm(&told, &lps_from_camera) < LIMIT_MM, "{told:?} {lps_from_camera:?}");
+        assert!(apart_mm(&told, &camera_from_lps) > 100.0, "the control: a child in its parent, not the other way round");
+        let Some((world_from_lps, world_from_camera)) = tree.walk("world", "lps").zip(tree.walk("world", "camera")) else {
+            return false;
+        };
+        assert!(apart_mm(&world_from_camera, &(world_from_lps * lps_from_camera)) < LIMIT_MM);
+        let off_mm = apart_mm(&world_from_lps, &self.world_from_lps);
+        assert!(off_mm < TIED_MM, "the specimen in the room: {off_mm} mm");
+        true
+    }
+}
+
+/// Foxglove had a tree of which nobody had looked at more than the names. The specimen is tied to the room by the session's own frames, so its
+/// place is that of the mocked room up to what encoders are good for; all else is rounding.
+#[test]
+fn the_tree_of_a_session_leads_from_the_room_to_camera_and_tip() {
+    let Some(session) = recorded() else { return };
+    let (mut arms, mut robots, mut cameras, mut tips) = (0, 0, [0, 0], 0);
+    for log in &session.logs {
+        let messages = entries(log);
+        let truth = Truth::of(&messages);
+        let (mut tree, mut latest, mut robot) = (Tree::default(), BTreeMap::new(), Value::Null);
+        for entry in &messages {
+            match &*entry.topic {
+                topic::POSE | topic::CARM_JOINTS | topic::ROBOT_JOINTS => {
+                    latest.insert(&*entry.topic, entry);
+                }
+                topic::CARM_TRANSFORMS => {
+                    tree.take(&decoded(entry));
+                    truth.check_arm(&tree, &said(&latest, topic::CARM_JOINTS, entry));
+                    arms += 1;
+                }
+                topic::ROBOT_TRANSFORMS => {
+                    tree.take(&decoded(entry));
+                    robot = said(&latest, topic::ROBOT_JOINTS, entry);
+                    truth.check_robot(&tree, &robot);
+                    robots += 1;
+                }
+                topic::TRANSFORMS => {
+                    tree.take(&decoded(entry));
+                    cameras[usize::from(truth.check_camera(&tree, &said(&latest, topic::POSE, entry)))] += 1;
+                }
+                _ => {}
+            }
+        }
+        // A crowded machine may solve its poses when the lines have ended.
+        tips += usize::from(truth.check_robot(&tree, &robot));
+    }
+    println!("{arms} of the arm, {robots} of the robot; {cameras:?} of the camera, untied and tied; {tips} tips in the room");
+    assert!(arms > 10 && robots > 10 && cameras[1] > 0 && tips > 0, "{arms} {robots} {cameras:?} {tips}");
+}
+
+/// Numbers by hand: 800 mm are 0.8 m, and a pose that maps the specimen into the camera is told as the camera in the specimen.
+#[test]
+fn what_is_recorded_in_millimetres_is_read_in_metres() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("s.mcap");
+    let recorder = Recorder::create(&path, &Provenance::of_this_program(1_000, Value::Null)).expect("begun");
+    let world_from_lps = Rigid { rotation: DQuat::from_rotation_z(-1.2), translation_mm: DVec3::new(800.0, -20.5, 1000.0) };
+    let view = View {
+        size_px: [8, 6],
+        intrinsics: Intrinsics { fx: 5000.0, fy: 5000.0, skew: 0.0, cx: 3.5, cy: 2.5 },
+        camera_from_lps: Rigid { rotation: DQuat::from_rotation_x(0.3), translation_mm: DVec3::new(1.0, 2.0, 600.0) },
+    };
+    recorder.pose_geometry(&view, Some(world_from_lps), &[], 7_000).expect("recorded");
+    recorder.finish().expect("finished");
+    let log = read_log(&path).expect("readable");
+    let entry = log.entries.iter().find(|entry| &*entry.topic == topic::TRANSFORMS).expect("transforms");
+    let message = decoded(entry);
+    let lps = message.transforms.iter().find(|placed| placed.child_frame_id == "lps").expect("the specimen");
+    assert_eq!(lps.parent_frame_id, "world");
+    assert_eq!(lps.translation, Some(fg::Vector3 { x: 0.8, y: -0.0205, z: 1.0 }));
+    let mut tree = Tree::default();
+    tree.take(&message);
+    let walked = tree.walk("world", "camera").expect("by way of the specimen");
+    assert!(apart_mm(&walked, &(world_from_lps * view.camera_from_lps.inverse())) < LIMIT_MM);
+    assert!(tree.walk("camera", "world").is_none() && tree.walk("world", "tip").is_none(), "the control");
+}

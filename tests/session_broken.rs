@@ -1,0 +1,147 @@
+//! Threads of a session that die: what stands in front of them goes on, it is said at once and ends in exit code 3, and a replay of the log
+//! makes what is missing. They die because they are asked to (`src/session/fault.rs`), which only a build with debug assertions hears.
+#![cfg(all(unix, debug_assertions))]
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+
+use rustix::process::{Pid, kill_process};
+use serde_json::Value;
+use sidecarm::record::{read_log, topic};
+use sidecarm::time::host_now_us;
+
+use crate::live_lab::{HANG_S, Heard, Lab, Signal, copies, deliver, eventually, quiet_lab};
+use crate::log_lab::replay;
+
+/// Frames of each session: one before the fault, the one that it befalls, and one after it.
+const FRAMES: usize = 3;
+
+/// A thread that dies with the second frame: what is said at once, how the loss is put, and what is said of its neighbour where that dies.
+struct Part {
+    name: &'static str,
+    said: &'static str,
+    lost: &'static str,
+    others: &'static str,
+    /// Whether there is still who writes the report.
+    reports: bool,
+}
+
+const PARTS: [Part; 2] = [
+    Part {
+        name: "workshop",
+        said: "warning: the rendering thread died; recording and registration go on, replay the log for the DRRs",
+        lost: "the rendering thread died: frames after that have no DRR; a replay of the log makes them",
+        others: "the thread that writes files died",
+        reports: true,
+    },
+    Part {
+        name: "scribe",
+        said: "warning: the thread that writes files died; recording goes on, replay the log for pairs and report",
+        lost: "the thread that writes files died; a replay of the log makes what is missing",
+        others: "the rendering thread died",
+        reports: false,
+    },
+];
+
+/// A `sidecarm live` one of whose threads dies; what it prints goes to files. Ends with the test.
+struct Broken {
+    child: Child,
+    out: PathBuf,
+}
+
+impl Broken {
+    fn start(session: &Path, out: PathBuf, part: &str) -> Self {
+        std::fs::create_dir_all(&out).expect("a folder");
+        let print = |name: &str| File::create(out.with_extension(name)).expect("created");
+        let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
+        command.arg("live").arg(session).arg("--out").arg(&out).arg("--headless").env("SIDECARM_BREAKS", format!("{part}:2"));
+        let child = command.stdin(Stdio::null()).stdout(print("stdout")).stderr(print("stderr")).spawn().expect("starts");
+        Self { child, out }
+    }
+
+    /// What it printed so far on `stdout` or `stderr`.
+    fn printed(&self, name: &str) -> String {
+        std::fs::read_to_string(self.out.with_extension(name)).unwrap_or_default()
+    }
+
+    fn log(&self) -> PathBuf {
+        self.out.join("session.mcap")
+    }
+
+    fn pairs(&self) -> usize {
+        let bytes = std::fs::read(self.out.join("pairs.json")).unwrap_or_default();
+        let value: Value = serde_json::from_slice(&bytes).unwrap_or_default();
+        value["pairs"].as_array().map_or(0, Vec::len)
+    }
+
+    /// Numbers of the frames whose pose is in the log.
+    fn posed(&self) -> Vec<u64> {
+        let entries = read_log(&self.log()).map(|log| log.entries).unwrap_or_default();
+        let poses = entries.iter().filter(|entry| &*entry.topic == topic::POSE);
+        let numbers = poses.filter_map(|entry| entry.json::<Value>().ok()?["number"].as_u64());
+        numbers.collect()
+    }
+
+    fn waits(&self, what: &str, mut fact: impl FnMut() -> bool) {
+        let found = eventually(HANG_S, || fact().then_some(()));
+        assert!(found.is_some(), "never: {what}: {}", self.printed("stderr"));
+    }
+}
+
+impl Drop for Broken {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// A session whose `part` dies with the second of `files`.
+fn dies(lab: &Lab, files: &[PathBuf], part: &Part) {
+    let mut live = Broken::start(&lab.kit.join("session.json"), lab.kit.with_file_name(part.name), part.name);
+    live.waits("a log", || live.log().exists());
+    deliver(&files[..1], lab);
+    live.waits("the first pair", || live.pairs() == 1);
+    assert!(!live.printed("stderr").contains("died"), "the control: {}", live.printed("stderr"));
+    deliver(&files[1..2], lab);
+    live.waits(part.said, || live.printed("stderr").contains(part.said));
+    let said_us = host_now_us();
+    deliver(&files[2..], lab);
+    live.waits("a pose of every frame", || live.posed().len() == FRAMES);
+    live.waits("telemetry after that", || Heard::of(&live.log()).packets.values().any(|host_us| *host_us > said_us));
+    kill_process(Pid::from_child(&live.child), Signal::INT).expect("it is there");
+    let status = eventually(HANG_S, || live.child.try_wait().expect("a child can be asked"));
+
+    let (stdout, stderr) = (live.printed("stdout"), live.printed("stderr"));
+    let words = format!("{}: {stdout} {stderr}", part.name);
+    assert_eq!(status.and_then(|status| status.code()), Some(3), "{words}");
+    let heard = Heard::of(&live.log());
+    assert!(heard.end_us.is_some() && heard.losses.is_empty(), "{:?} {words}", heard.losses);
+    assert_eq!((heard.images, live.posed()), (FRAMES, vec![1, 2, 3]), "{words}");
+    assert!(stdout.contains(&format!("lost: {}", part.lost)), "{words}");
+    assert!(!words.contains(part.others), "a neighbour that ended with it is said to have died: {words}");
+    let report = std::fs::read_to_string(live.out.join("report.html")).unwrap_or_default();
+    assert_eq!(report.contains(part.lost), part.reports, "{words}");
+    assert!(part.reports || stdout.contains("no report could be written"), "{words}");
+
+    let again = lab.kit.with_file_name(format!("{}-again", part.name));
+    let (code, found) = replay(&live.log(), &lab.kit, &again);
+    assert_eq!(code, Some(0), "{found}");
+    // The first frame's DRR is in the log; that of no other came so far.
+    let same = ["frames", "poses_identical", "images_identical"].map(|key| found[key].as_u64());
+    assert_eq!(same, [Some(3), Some(3), Some(1)], "{found}");
+    let missing: Vec<String> = (2..=FRAMES).map(|number| format!("DRR of frame {number}")).collect();
+    assert_eq!(found["not_in_log"], serde_json::json!(missing), "{found}");
+    for name in ["strips/002.png", "strips/003.png", "drr/001.tif", "drr/002.tif", "drr/003.tif", "report.html"] {
+        assert!(again.join(name).is_file(), "{name}: {found}");
+    }
+}
+
+#[test]
+fn a_thread_that_dies_costs_what_it_makes_and_a_replay_makes_it() {
+    let Some((lab, frame, folder)) = quiet_lab("900") else { return };
+    let files = copies(&frame, FRAMES * PARTS.len(), &folder.path().join("copies"));
+    for (part, files) in PARTS.iter().zip(files.chunks(FRAMES)) {
+        dies(&lab, files, part);
+    }
+}

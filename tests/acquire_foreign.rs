@@ -140,7 +140,19 @@ fn a_helper_that_stands_ready_is_as_good_as_a_fresh_one() {
     let dead = || std::fs::read_to_string(&stat).is_ok_and(|stat| stat.contains(") Z")).then_some(());
     assert!(eventually(HANG_S, dead).is_some(), "it was killed");
     assert_eq!(through(&reader, &path).expect("readable"), fresh, "by another");
+    // One that ends while it reads a file is no fault of that file, unless a fresh one ends as well.
+    let used = waiting(&reader).expect("another stands ready");
+    let long = folder.path().join("long.tif");
+    std::fs::write(&long, tiff_pages(16, 4000, 4000, 16_000_000)).expect("written");
+    let pages = std::thread::scope(|scope| {
+        let reading = scope.spawn(|| through(&reader, &long).map(|pages| pages.len()));
+        assert!(eventually(HANG_S, || waiting(&reader).is_none().then_some(())).is_some(), "it is taken");
+        kill_process(used, Signal::KILL).expect("it is there");
+        reading.join().expect("no panic")
+    });
+    assert_eq!(pages, Ok(16));
     let last = waiting(&reader).expect("another stands ready");
+    assert_ne!(last, used);
     let copy = reader.clone();
     drop(reader);
     assert_eq!(waiting(&copy), Some(last));

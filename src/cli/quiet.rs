@@ -7,16 +7,18 @@
 pub(super) fn begin_without_device_layer() {
     use std::os::unix::process::CommandExt;
     const LAYER_OFF: &str = "NODEVICE_SELECT";
-    let unset = |name: &str| std::env::var_os(name).is_none();
-    if !unset("XDG_RUNTIME_DIR") || !unset(LAYER_OFF) {
+    /// A name that holds even when the program's file is replaced.
+    const PROGRAM: &str = "/proc/self/exe";
+    // Whoever chooses a device by this layer has it.
+    let is_set = |name: &&str| std::env::var_os(name).is_some();
+    let is_asked_for = ["XDG_RUNTIME_DIR", LAYER_OFF, "MESA_VK_DEVICE_SELECT", "DRI_PRIME"].iter().any(is_set);
+    if is_asked_for || !std::path::Path::new(PROGRAM).exists() {
         return;
     }
-    if let Ok(program) = std::env::current_exe() {
-        let mut args = std::env::args_os();
-        let mut again = std::process::Command::new(program);
-        again.arg0(args.next().unwrap_or_else(|| "sidecarm".into()));
-        let _error = again.args(args).env(LAYER_OFF, "1").exec();
-    }
+    let mut args = std::env::args_os();
+    let mut again = std::process::Command::new(PROGRAM);
+    again.arg0(args.next().unwrap_or_else(|| "sidecarm".into()));
+    let _error = again.args(args).env(LAYER_OFF, "1").exec();
 }
 
 /// Elsewhere there is no such layer.

@@ -9,7 +9,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use super::feed::{self, Input};
-use super::process::{LOOK, Process};
+use super::process::{KILLED, LOOK, Process};
 use super::request::Request;
 use super::reserve::Reserve;
 use super::{Kind, Limits, Receiver, WireError};
@@ -75,32 +75,24 @@ impl Helpers<'_> {
         self,
         request: &Request,
         input: impl Into<Input>,
-        receive: impl FnOnce(&mut Receiver<ChildStdout>) -> Result<T, WireError> + Send + 'static,
+        receive: impl FnOnce(&mut Receiver<ChildStdout>) -> Result<T, WireError> + Clone + Send + 'static,
     ) -> Result<T, ForeignFault> {
         let start = |error: std::io::Error| ForeignFault::Start { detail: error.kind().to_string() };
         let argument = serde_json::to_string(request).map_err(|error| start(error.into()))?;
         match (input.into(), self.reserve) {
             (Input::One(file), Some(reserve)) if request.kind == Kind::Frames => {
-                let file = rewound(file).map_err(start)?;
-                let mut standing = reserve.take().map_err(start)?;
-                let feed = move |mut into: ChildStdin| match feed::request_and_file(&argument, file, &mut into) {
-                    Ok(()) => Ok(Some(into)),
-                    // Why it does not listen, it says itself.
-                    Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(None),
-                    Err(error) => Err(error),
-                };
-                let feeder = standing.process.into.take().map(|into| std::thread::spawn(move || feed(into)));
-                let (outcome, into) = serve(&mut standing.process, feeder, &request.limits, receive);
-                match into {
-                    Some(into) if outcome.is_ok() => {
-                        standing.process.into = Some(into);
-                        reserve.give_back(standing);
+                let same = file.try_clone().map_err(start)?;
+                let watch = Stopwatch::start();
+                let (outcome, was_used) = ask(reserve, &argument, file, &request.limits, receive.clone()).map_err(start)?;
+                // Sooner than its time could be over, even on several processors.
+                let is_early = watch.ms() < 250.0 * request.limits.cpu_s as f64;
+                match outcome {
+                    // What it read before may have broken it, or the system has ended it: this file is judged by one that begins with it.
+                    Err(fault) if was_used && (is_early || !matches!(fault, ForeignFault::Time { .. })) => {
+                        ask(reserve, &argument, same, &request.limits, receive).map_err(start)?.0
                     }
-                    _ => drop(standing),
+                    outcome => outcome,
                 }
-                // The next one starts when this one has left the processor.
-                reserve.refill();
-                outcome
             }
             (Input::One(file), _) => {
                 let stdin = Stdio::from(rewound(file).map_err(start)?);
@@ -115,6 +107,37 @@ impl Helpers<'_> {
             }
         }
     }
+}
+
+/// What the helper of `reserve` makes of one file, and whether it had read others before.
+fn ask<T: Send + 'static>(
+    reserve: &Reserve,
+    argument: &str,
+    file: File,
+    limits: &Limits,
+    receive: impl FnOnce(&mut Receiver<ChildStdout>) -> Result<T, WireError> + Send + 'static,
+) -> std::io::Result<(Result<T, ForeignFault>, bool)> {
+    let (file, argument) = (rewound(file)?, argument.to_owned());
+    let mut standing = reserve.take()?;
+    let was_used = standing.served > 0;
+    let feed = move |mut into: ChildStdin| match feed::request_and_file(&argument, file, &mut into) {
+        Ok(()) => Ok(Some(into)),
+        // Why it does not listen, it says itself.
+        Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(None),
+        Err(error) => Err(error),
+    };
+    let feeder = standing.process.into.take().map(|into| std::thread::spawn(move || feed(into)));
+    let (outcome, into) = serve(&mut standing.process, feeder, limits, receive);
+    match into {
+        Some(into) if outcome.is_ok() => {
+            standing.process.into = Some(into);
+            reserve.give_back(standing);
+        }
+        _ => drop(standing),
+    }
+    // The next one starts when this one has left the processor.
+    reserve.refill();
+    Ok((outcome, was_used))
 }
 
 fn rewound(mut file: File) -> std::io::Result<File> {
@@ -149,22 +172,26 @@ fn serve<T: Send + 'static>(
         }
         Ok((Err(WireError::Ended), _)) => Err(match process.ended_within(left()) {
             Some((status, words)) => how_it_ended(status, &words, limits),
-            None => late.clone(),
+            None => late,
         }),
         Ok((Err(other), _)) => Err(ForeignFault::Answer { detail: other.to_string() }),
-        Err(RecvTimeoutError::Timeout) => Err(late.clone()),
+        Err(RecvTimeoutError::Timeout) => Err(late),
         Err(RecvTimeoutError::Disconnected) => Err(ForeignFault::Answer { detail: "the listening thread ended".into() }),
     };
     let Some(feeder) = feeder else { return (outcome, None) };
+    let fed_within = |limit: Duration| {
+        let waited = Stopwatch::start();
+        while !feeder.is_finished() && waited.ms() < limit.as_secs_f64() * 1e3 {
+            std::thread::sleep(LOOK);
+        }
+        feeder.is_finished()
+    };
     // One that has answered still takes what it was given.
-    while outcome.is_ok() && !feeder.is_finished() && !left().is_zero() {
-        std::thread::sleep(LOOK);
-    }
-    if !feeder.is_finished() {
+    if !fed_within(if outcome.is_ok() { left() } else { Duration::ZERO }) {
         process.kill();
     }
-    // A feeder may hang on its file for ever, as the helper did.
-    if outcome.as_ref().err() == Some(&late) {
+    // A feeder may hang on its file for ever.
+    if !fed_within(KILLED) {
         return (outcome, None);
     }
     match feeder.join() {

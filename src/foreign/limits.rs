@@ -77,9 +77,13 @@ pub fn impose(limits: &Limits) -> std::io::Result<()> {
 /// When the system refuses a limit.
 #[cfg(unix)]
 pub fn impose_on_next(limits: &Limits) -> std::io::Result<()> {
+    use rustix::process::{Resource, Rlimit, getrlimit};
     use rustix::time::{ClockId, clock_gettime};
     let used_s = u64::try_from(clock_gettime(ClockId::ProcessCPUTime).tv_sec).unwrap_or(0);
-    impose_all(limits, rustix::process::Rlimit { current: Some(used_s + limits.cpu_s + 1), maximum: None })
+    // What whoever started the session is given cannot be raised.
+    let most = getrlimit(Resource::Cpu).maximum;
+    let current_s = (used_s + limits.cpu_s + 1).min(most.unwrap_or(u64::MAX));
+    impose_all(limits, Rlimit { current: Some(current_s), maximum: most })
 }
 
 #[cfg(unix)]

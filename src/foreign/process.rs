@@ -10,13 +10,16 @@ use crate::time::Stopwatch;
 
 /// Bytes of a helper's standard error that are looked at, for the kind of its end; nothing of it is ever shown.
 const ERROR_BYTES: u64 = 4096;
+/// One that was killed has ended by then, unless the system has it in a read that cannot be interrupted.
+pub(super) const KILLED: Duration = Duration::from_secs(1);
 /// How often whoever waits for a helper looks.
 pub(super) const LOOK: Duration = Duration::from_millis(1);
 
 /// A helper. Dropped, it ends.
 #[derive(Debug)]
 pub(super) struct Process {
-    child: Child,
+    /// Until it is dropped.
+    child: Option<Child>,
     /// What it is asked and reads; `None` where it reads a file itself, and after the last byte.
     pub(super) into: Option<ChildStdin>,
     /// Its answers.
@@ -43,7 +46,7 @@ impl Process {
         std::os::unix::process::CommandExt::process_group(&mut command, 0);
         let mut child = command.spawn()?;
         let (into, out, err) = (child.stdin.take(), child.stdout.take(), child.stderr.take());
-        let mut started = Self { child, into, out, words: None };
+        let mut started = Self { child: Some(child), into, out, words: None };
         started.words = match err {
             Some(err) => Some(std::thread::Builder::new().name("foreign words".into()).spawn(move || last_words(err))?),
             None => None,
@@ -58,30 +61,23 @@ impl Process {
     }
 
     /// Its number.
-    pub(super) fn id(&self) -> u32 {
-        self.child.id()
+    pub(super) fn id(&self) -> Option<u32> {
+        self.child.as_ref().map(Child::id)
     }
 
     /// Whether it has not ended.
     pub(super) fn is_alive(&mut self) -> bool {
-        matches!(self.child.try_wait(), Ok(None))
+        self.child.as_mut().is_some_and(|child| matches!(child.try_wait(), Ok(None)))
     }
 
     /// Ends it.
     pub(super) fn kill(&mut self) {
-        let _ = self.child.kill();
+        let _ = self.child.as_mut().map(Child::kill);
     }
 
     /// How it ended, and its last words; `None` when it goes on for longer.
     pub(super) fn ended_within(&mut self, limit: Duration) -> Option<(ExitStatus, String)> {
-        let watch = Stopwatch::start();
-        let status = loop {
-            match self.child.try_wait() {
-                Ok(Some(status)) => break status,
-                Ok(None) if watch.ms() < limit.as_secs_f64() * 1e3 => std::thread::sleep(LOOK),
-                _ => return None,
-            }
-        };
+        let status = waited_for(self.child.as_mut()?, limit)?;
         let words = self.words.take().map(JoinHandle::join);
         Some((status, words.and_then(Result::ok).unwrap_or_default()))
     }
@@ -90,7 +86,23 @@ impl Process {
 impl Drop for Process {
     fn drop(&mut self) {
         self.kill();
-        let _ = self.child.wait();
+        let Some(mut child) = self.child.take() else { return };
+        if waited_for(&mut child, KILLED).is_none() {
+            // In a read that nothing ends: nobody waits for that.
+            let _ = std::thread::Builder::new().name("foreign end".into()).spawn(move || child.wait());
+        }
+    }
+}
+
+/// How a process ended; `None` when it goes on for longer.
+fn waited_for(child: &mut Child, limit: Duration) -> Option<ExitStatus> {
+    let watch = Stopwatch::start();
+    loop {
+        match child.try_wait() {
+            Ok(Some(status)) => return Some(status),
+            Ok(None) if watch.ms() < limit.as_secs_f64() * 1e3 => std::thread::sleep(LOOK),
+            _ => return None,
+        }
     }
 }
 

@@ -21,7 +21,7 @@ pub struct Reserve {
 #[derive(Debug)]
 pub(super) struct Standing {
     pub(super) process: Process,
-    served: u32,
+    pub(super) served: u32,
 }
 
 impl Reserve {
@@ -48,7 +48,7 @@ impl Reserve {
     /// Process number of the helper that stands ready.
     pub(super) fn waiting(&self) -> Option<u32> {
         let ready = self.ready.lock().unwrap_or_else(PoisonError::into_inner);
-        ready.as_ref().map(|ready| ready.process.id())
+        ready.as_ref()?.process.id()
     }
 
     /// One that has served a file well, to its last byte.

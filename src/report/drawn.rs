@@ -66,7 +66,14 @@ fn segment(canvas: &mut Canvas, from: DVec2, to: DVec2, width: f64, colour: Rgb)
     let (along, out) = (to - from, DVec2::splat(0.5 * width + 1.0));
     let [columns, rows] = within(canvas, from.min(to) - out, from.max(to) + out);
     for v in rows {
-        for u in columns.clone() {
+        // Where the line crosses the row, and what its width takes of it.
+        let reach = (out.x * along.length() + along.x.abs()) / along.y.abs();
+        let crossing = from.x + (v as f64 - from.y) / along.y * along.x;
+        let [crossed, _] = match (crossing - reach).is_finite() && (crossing + reach).is_finite() {
+            true => within(canvas, DVec2::new(crossing - reach, 0.0), DVec2::new(crossing + reach, 0.0)),
+            false => [columns.clone(), 0..0],
+        };
+        for u in columns.start.max(crossed.start)..columns.end.min(crossed.end) {
             let at = DVec2::new(u as f64, v as f64);
             let share = ((at - from).dot(along) / along.length_squared().max(1e-12)).clamp(0.0, 1.0);
             let off = at.distance(from + share * along);

@@ -1,7 +1,6 @@
 //! The person who edits beads in the window, as the session's thread hears of it: requests come by a channel, are logged as inputs in an
 //! order that a replay has again, and their poses are solved on a thread of their own, one after the other.
 
-use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -15,8 +14,6 @@ use super::log::SessionLog;
 /// See the module.
 pub(super) struct Editor {
     requests: Receiver<EditRequest>,
-    /// Of the frame that is being registered: its edits are made upon what that comes to.
-    waiting: VecDeque<EditRequest>,
     jobs: Sender<EditJob>,
     /// Edits that were logged and are not posed, or refused, yet.
     open: usize,
@@ -42,15 +39,16 @@ impl Editor {
                 }
             })
             .map_err(|source| SessionError::Thread { source })?;
-        Ok(Self { requests, waiting: VecDeque::new(), jobs, open: 0 })
+        Ok(Self { requests, jobs, open: 0 })
     }
 
-    /// Requests that may be logged now, while the frame `registering` is registered; each counts as open until [`Editor::done`].
-    pub(super) fn take(&mut self, registering: Option<u32>) -> Vec<EditRequest> {
-        self.waiting.extend(self.requests.try_iter().filter(|request| request.edit.is_finite()));
-        let (later, now): (Vec<_>, Vec<_>) =
-            std::mem::take(&mut self.waiting).into_iter().partition(|request| Some(request.number) == registering);
-        self.waiting = later.into();
+    /// Requests that may be logged now: none while a frame is registered, for a replay registers at once. Each counts as open until
+    /// [`Editor::done`].
+    pub(super) fn take(&mut self, is_registering: bool) -> Vec<EditRequest> {
+        if is_registering {
+            return Vec::new();
+        }
+        let now: Vec<_> = self.requests.try_iter().filter(|request| request.edit.is_finite()).collect();
         self.open += now.len();
         now
     }

@@ -56,6 +56,8 @@ struct Witness {
     /// Hash of its file: the images of one run are one witness.
     content: String,
     world_from_lps: Rigid,
+    /// Its pose may be another: it may end a tie, and ties nothing.
+    in_doubt: bool,
 }
 
 /// See the module.
@@ -146,15 +148,16 @@ impl SpecimenTie {
             self.dissenting.clear();
         } else {
             self.dissenting.retain(|other| other.content != content);
-            self.dissenting.push(Witness { number, content: content.to_owned(), world_from_lps });
+            self.dissenting.push(Witness { number, content: content.to_owned(), world_from_lps, in_doubt });
             if self.dissenting.len() > GIVEN_UP_AFTER {
                 self.dissenting.remove(0);
             }
             if self.dissenting.len() == GIVEN_UP_AFTER && self.tied.is_some() && !self.declared {
                 self.tied = None;
                 self.tied_by.clear();
+                self.dissenting.retain(|other| !other.in_doubt);
                 words = words.map(|words| {
-                    format!("{words}; the specimen is no longer tied to the room: three files in a row put it elsewhere, each in another place")
+                    format!("{words}; the specimen is no longer tied to the room: three files in a row put it elsewhere, no two alike in a row")
                 });
             }
         }

@@ -149,22 +149,6 @@ impl Weighed<'_> {
         !near.filter_map(|frame| self.known.frames.get(frame)).any(|other| same(&other.evidence))
     }
 
-    /// The frame of another exposure, and that, which has the same count, where the counter is not known to begin anew: what was exported
-    /// twice, and stamped when it was exported, may fit the next exposure. Once much is known of the counter, it tells by itself.
-    fn repeats(&self, at: usize) -> Option<(u32, usize)> {
-        let (said, counting) = (&self.pending.evidence, &self.known.counting);
-        let counter = said.counter?;
-        if counting.useless().is_some() || counting.shifts().nth(1).is_some() || counting.steady(&self.known.shots) {
-            return None;
-        }
-        self.known.frames.values().find_map(|other| {
-            let exposure = other.binding.exposure.as_ref()?;
-            let position = self.known.shots.position(exposure.index)?;
-            let repeated = other.evidence.counter == Some(counter) && other.evidence.content != said.content;
-            (repeated && position != at).then_some((other.evidence.frame, position))
-        })
-    }
-
     /// Exposures of which a frame with this stamp must have one: none where telemetry was silent, for it may be of one that was not seen.
     fn places(&self, stamp: ByStamp) -> Vec<usize> {
         let blind = self.timeline.exposure_tracker().blind_spot(stamp.from_us, stamp.to_us).is_some();
@@ -260,14 +244,6 @@ impl Weighed<'_> {
                 {
                     let (by_stamp, by_counter) = (self.label(*at), self.label(*other));
                     words.push(format!("the console's stamp points to {by_stamp}, the counter to {by_counter}: contradictory"));
-                    return none(words);
-                }
-                if let Some((first, other)) = self.repeats(*at) {
-                    let (by_stamp, by_counter) = (self.label(*at), self.label(other));
-                    words.push(format!(
-                        "the console's stamp points to {by_stamp}, but the counter is that of frame {first}, which has {by_counter}: a \
-                         second picture of that perhaps, ambiguous"
-                    ));
                     return none(words);
                 }
                 let counts = self.known.counting.shifts().next().is_some();

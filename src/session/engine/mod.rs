@@ -88,17 +88,11 @@ pub struct Engine {
     zone: ConsoleZone,
     studies: Studies,
     editing: Editing,
-    /// The frame that is being registered, and whether it was known by then that its file was not finished.
-    registering: Option<(u32, bool)>,
-    /// What came while a frame is being registered and changes what its result means: a replay, which registers at once, has it after that.
-    held_back: Vec<HeldBack>,
+    /// Frames that are being registered, and whether it was known by then that their files were not finished.
+    registering: BTreeMap<u32, bool>,
+    /// Frames that turned out to be wrong, and why, while one is being registered: a replay, which registers at once, hears of it after that.
+    retractions: Vec<(u32, &'static str)>,
     reporter: Reporter,
-}
-
-/// See [`Engine::registered`].
-enum HeldBack {
-    Retraction { number: u32, because: &'static str },
-    Edit { number: u32, edit: BeadEdit },
 }
 
 impl Engine {
@@ -142,8 +136,8 @@ impl Engine {
             zone: ConsoleZone::default(),
             studies: Studies::default(),
             editing: Editing::default(),
-            registering: None,
-            held_back: Vec::new(),
+            registering: BTreeMap::new(),
+            retractions: Vec::new(),
             reporter,
         }
     }
@@ -230,9 +224,6 @@ impl Engine {
             Input::ImageDisagrees { number } => {
                 return self.retract(number, "the image of this frame, on which the tie rested, prefers another pose");
             }
-            Input::Edit { number, edit, .. } if self.registering.is_some() => {
-                return self.held_back.push(HeldBack::Edit { number, edit });
-            }
             Input::Edit { number, edit, .. } => return self.edit(number, &edit, sink),
             Input::Develop { number } => {
                 let lost_edits = self.editing.forget(number);
@@ -243,7 +234,7 @@ impl Engine {
                     self.reporter.warn("edits lost", words);
                 }
                 if let Some((bound, lost)) = self.bound.take(number) {
-                    self.registering = Some((number, self.replaced.contains(&number)));
+                    self.registering.insert(number, self.replaced.contains(&number));
                     let job = Box::new(self.job(bound));
                     sink(match lost {
                         Some(words) => Output::PictureLost { job, words },
@@ -285,13 +276,13 @@ impl Engine {
         self.settle(sink);
     }
 
-    /// Takes the result of a job: ties the specimen to the room, chooses the pose that is used. Then comes what was held back meanwhile.
+    /// Takes the result of a job: ties the specimen to the room, chooses the pose that is used.
     pub fn registered(&mut self, registered: Registered, sink: &mut dyn FnMut(Output)) {
         let number = registered.number();
         let basis = self.editing.keeps().then(|| Basis::of(&registered));
         let (mut posed, world_from_lps) = registered.into_posed(self.world_from_tracker);
         // A picture that was torn says nothing of where the specimen lies.
-        let was_replaced = self.registering.take().is_some_and(|(_, was_replaced)| was_replaced);
+        let was_replaced = self.registering.remove(&number).unwrap_or(false);
         let world_from_lps = world_from_lps.filter(|_| !was_replaced);
         posed.warnings.extend(self.studies.of(number));
         if let Some(words) = self.standstill.observe(&posed, world_from_lps) {
@@ -314,11 +305,8 @@ impl Engine {
             self.editing.keep(basis, posed.clone());
         }
         sink(Output::Posed(Box::new(posed)));
-        for held_back in std::mem::take(&mut self.held_back) {
-            match held_back {
-                HeldBack::Retraction { number, because } => self.retract(number, because),
-                HeldBack::Edit { number, edit } => self.edit(number, &edit, sink),
-            }
+        if self.registering.is_empty() {
+            std::mem::take(&mut self.retractions).into_iter().for_each(|(number, because)| self.retract(number, because));
         }
     }
 
@@ -343,8 +331,8 @@ impl Engine {
 
     /// The frame says nothing about where the specimen lies.
     fn retract(&mut self, number: u32, because: &'static str) {
-        if self.registering.is_some() {
-            return self.held_back.push(HeldBack::Retraction { number, because });
+        if !self.registering.is_empty() {
+            return self.retractions.push((number, because));
         }
         if let Some(words) = self.tie.retract(number, because) {
             self.reporter.warn("specimen in the room", format!("frame {number}: {words}"));

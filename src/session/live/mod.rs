@@ -341,7 +341,7 @@ impl Session {
     /// What a person asks for is logged, and comes to the engine as all else does.
     fn take_edits(&mut self) {
         let Some(editor) = self.editor.as_mut().filter(|_| matches!(self.stage, Stage::Open { .. })) else { return };
-        for EditRequest { number, edit } in editor.take(self.registering.as_ref().map(|(number, _)| *number)) {
+        for EditRequest { number, edit } in editor.take(self.registering.is_some()) {
             self.log.input(Input::Edit { number, edit, host_us: host_now_us() });
         }
     }

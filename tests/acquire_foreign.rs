@@ -1,5 +1,6 @@
 //! Hostile and damaged files: each is one refused file with its reason, whatever it does to the helper that decodes it.
 
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -11,6 +12,7 @@ use sidecarm::foreign::{ForeignFault, ForeignReader, Kind, Limits, open_regular}
 use sidecarm::image::{Image, write_tiff_f32};
 
 use crate::acquire_frames::{fluoroscopy, save};
+use crate::acquire_live::frame_bytes;
 #[cfg(unix)]
 use crate::live_lab::{HANG_S, eventually};
 use crate::scene_support::NiftiFile;
@@ -210,6 +212,24 @@ pub fn png_of_size(width: u32, height: u32) -> Vec<u8> {
     bytes
 }
 
+/// A PNG of 64 x 48 grey pixels in 64 kB that inflate to 64 MiB. They begin with a filter that no PNG has: whoever stops at the 3 kB that
+/// are declared refuses it as well.
+fn png_that_inflates() -> Vec<u8> {
+    let mut packer = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::best());
+    packer.write_all(&vec![0xff_u8; 64 << 20]).expect("packs");
+    let packed = packer.finish().expect("packs");
+    assert!(packed.len() < 1 << 18, "64 MiB in {} bytes", packed.len());
+    let mut bytes = b"\x89PNG\r\n\x1a\n".to_vec();
+    let header = [0u8, 0, 0, 64, 0, 0, 0, 48, 8, 0, 0, 0, 0];
+    for (kind, content) in [(b"IHDR", &header[..]), (b"IDAT", &packed[..]), (b"IEND", &b""[..])] {
+        let summed = [&kind[..], content].concat();
+        bytes.extend((content.len() as u32).to_be_bytes());
+        bytes.extend(&summed);
+        bytes.extend(crc32fast::hash(&summed).to_be_bytes());
+    }
+    bytes
+}
+
 /// The made frame's file up to its pixel data, then `rest`.
 pub fn dicom_ending_in(folder: &Path, transfer_syntax: Option<&str>, rest: &[u8]) -> Vec<u8> {
     let path = folder.join("start.dcm");
@@ -246,6 +266,14 @@ fn run_length(planes: u8) -> Vec<u8> {
     bytes
 }
 
+/// Beads for the commands that want some.
+fn write_beads(folder: &Path) {
+    let markups = r#"{"markups": [{"type": "Fiducial", "coordinateSystem": "LPS", "controlPoints": [
+        {"label": "b1", "position": [0, 0, 0]}, {"label": "b2", "position": [9, 0, 0]}, {"label": "b3", "position": [0, 9, 0]},
+        {"label": "b4", "position": [0, 0, 9]}, {"label": "b5", "position": [9, 9, 0]}, {"label": "b6", "position": [9, 0, 9]}]}]}"#;
+    std::fs::write(folder.join("beads.mrk.json"), markups).expect("written");
+}
+
 /// Panics in decoders, a stack overflow by nesting, gigabytes from small files: each ended the program.
 #[test]
 fn made_bombs_are_refused_with_their_reason() {
@@ -253,16 +281,19 @@ fn made_bombs_are_refused_with_their_reason() {
     let rle = Some("1.2.840.10008.1.2.5");
     let mut endless_element = vec![0xe1, 0x7f, 0x10, 0, b'O', b'B', 0, 0];
     endless_element.extend(0xffff_fffeu32.to_le_bytes());
-    let cases: [(&str, Vec<u8>, &str); 7] = [
+    let cases: [(&str, Vec<u8>, &str); 8] = [
         ("pages.tif", tiff_pages(100, 4000, 4000, 4), "pixels, at most"),
         ("many.tif", tiff_pages(5000, 1, 4, 4), "images, at most"),
         ("wide.tif", tiff_pages(1, 100_000, 100_000, 4), "larger than the limit"),
         ("wide.png", png_of_size(60_000, 60_000), "larger than the limit"),
+        ("inflates.png", png_that_inflates(), "its compressed pixels do not decode"),
         ("nested.dcm", dicom_ending_in(folder.path(), None, &nested(20_000)), "nested too deeply"),
         ("planes.dcm", dicom_ending_in(folder.path(), rle, &run_length(200)), "200 run-length planes"),
         ("element.dcm", dicom_ending_in(folder.path(), None, &endless_element), ""),
     ];
     let (ready, good) = (helper().with_reserve(), save(fluoroscopy(), &folder.path().join("good.dcm")));
+    write_beads(folder.path());
+    let register = |name: &str| sidecarm(folder.path(), &["register", name, "--beads", "beads.mrk.json", "--out", "pose.json"]);
     let mut refused = 0;
     for (name, bytes, words) in cases {
         let path = folder.path().join(name);
@@ -274,10 +305,20 @@ fn made_bombs_are_refused_with_their_reason() {
         let fault = fault.to_string();
         println!("{name}: {fault}");
         assert!(fault.contains(words) && !fault.contains('\n'), "{name}: {fault}");
-        assert_one_sentence(name, &sidecarm(folder.path(), &["info", name]), words);
+        // Whoever looks into the file says so, and whoever wants a pose of it.
+        for said in [sidecarm(folder.path(), &["info", name]), register(name)] {
+            assert_one_sentence(name, &said, words);
+            let stderr = String::from_utf8_lossy(&said.stderr);
+            assert!(stderr.contains(&fault), "{name}: what the helper found, '{fault}', in {stderr}");
+        }
         refused += 1;
     }
-    assert_eq!(refused, 7);
+    assert_eq!(refused, 8);
+    let pose = folder.path().join("pose.json");
+    assert!(!pose.exists(), "no pose is written of what cannot be read");
+    std::fs::write(folder.path().join("fine.dcm"), frame_bytes(10)).expect("written");
+    let said = register("fine.dcm");
+    assert!(pose.exists(), "control: of what can be read, refused as it is: {}", String::from_utf8_lossy(&said.stderr));
 }
 
 /// The helper's own limits: memory and processor time.
@@ -408,10 +449,7 @@ fn commands_do_not_wait_for_pipes_and_devices() {
     let folder = tempfile::tempdir().expect("folder");
     assert!(Command::new("mkfifo").arg(folder.path().join("pipe.dcm")).status().expect("mkfifo").success());
     std::os::unix::fs::symlink("/dev/zero", folder.path().join("zero.png")).expect("link");
-    let markups = r#"{"markups": [{"type": "Fiducial", "coordinateSystem": "LPS", "controlPoints": [
-        {"label": "b1", "position": [0, 0, 0]}, {"label": "b2", "position": [9, 0, 0]}, {"label": "b3", "position": [0, 9, 0]},
-        {"label": "b4", "position": [0, 0, 9]}, {"label": "b5", "position": [9, 9, 0]}, {"label": "b6", "position": [9, 0, 9]}]}]}"#;
-    std::fs::write(folder.path().join("beads.mrk.json"), markups).expect("written");
+    write_beads(folder.path());
     let mut cases = 0;
     for (name, words) in [("pipe.dcm", "a named pipe"), ("zero.png", "a device")] {
         let register = ["register", name, "--beads", "beads.mrk.json", "--out", "pose.json"];

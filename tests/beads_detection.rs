@@ -136,6 +136,7 @@ fn touching_beads_are_told_apart() {
 #[test]
 #[ignore = "prints figures: scripts/evaluate beads runs it"]
 fn figures() {
+    let (mut seen, mut all, mut all_errors) = (0, 0, Vec::new());
     for (width, height) in [(620u32, 480u32), (1024, 1024), (1536, 1536)] {
         for radius_mm in [0.75, 2.0] {
             for photons in [300.0, 2000.0, 20000.0, 1e6] {
@@ -165,6 +166,11 @@ fn figures() {
                         errors.extend(one.errors_px);
                         pulls.extend(one.pulls);
                     }
+                    if kind == "linear" && photons >= 20000.0 {
+                        seen += found;
+                        all += visible;
+                        all_errors.extend_from_slice(&errors);
+                    }
                     let pull = (pulls.iter().map(|p| p * p).sum::<f64>() / pulls.len().max(1) as f64).sqrt();
                     let worst = errors.iter().copied().fold(0.0, f64::max);
                     println!(
@@ -176,6 +182,11 @@ fn figures() {
             }
         }
     }
+    // Recall of 99.5 % and 0.02 px rms are targets for clear beads beside clutter, which `scripts/evaluate varied` counts. Here beads lie over
+    // bone edges and metal too, and no figure is stated: what the small test of the hardest size holds, holds for all sizes.
+    println!("linear, 20000 quanta and more: found {seen} of {all}, median error {:.4} px", median(&mut all_errors));
+    assert!(all >= 60 && 10 * seen >= 9 * all, "{seen} of {all}");
+    assert!(median(&mut all_errors) < 0.06, "{} px", median(&mut all_errors));
 }
 
 /// Writing and dead pixels are hundreds of strong blobs; beads that were far clearer than they had to be were not looked at.

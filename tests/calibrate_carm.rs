@@ -155,6 +155,7 @@ fn many(first: u64, count: u64, shots: usize, sensors: Sensors, wig_wags: bool) 
 fn many_arms() {
     let count = std::env::var("SIDECARM_ARMS").ok().and_then(|count| count.parse().ok()).unwrap_or(100u64);
     let poor = Sensors { sigma_deg: 0.2 / 3f64.sqrt(), sigma_mm: 0.1 };
+    let mut reached = Vec::new();
     for (sensors, wig_wags, shots) in [(GOOD, false, 10), (GOOD, true, 10), (poor, false, 10), (GOOD, false, 8)] {
         let [piercing, ray, exact_piercing, exact_ray] = many(0, count, shots, sensors, wig_wags);
         println!(
@@ -164,7 +165,19 @@ fn many_arms() {
             sensors.sigma_mm,
             if wig_wags { ", the column turning" } else { "" }
         );
+        reached.push((piercing, ray));
     }
+    // Targets, for good encoders and ten shots: 0.3 mm and 0.05 degrees. Reached over a hundred arms, median and 95 %: 0.35 and 0.85 mm on the
+    // panel, which at the isocentre is 0.21 and 0.5 mm, and 0.032 and 0.071 degrees: medians meet them there, the 95 % do not.
+    let (piercing, ray) = reached[0];
+    assert!(piercing[0] <= 0.42 && piercing[1] <= 1.0, "good encoders: piercing point {piercing:?} mm");
+    assert!(ray[0] <= 0.04 && ray[1] <= 0.085, "good encoders: ray {ray:?} degrees");
+    // With sensors of ±0.2 degrees no target is set; reached: 0.56 and 1.50 mm, 0.14 and 0.31 degrees.
+    let (piercing, ray) = reached[2];
+    assert!(piercing[0] <= 0.67 && piercing[1] <= 1.8, "poor encoders: piercing point {piercing:?} mm");
+    assert!(ray[0] <= 0.17 && ray[1] <= 0.37, "poor encoders: ray {ray:?} degrees");
+    // Of the column that turns and of eight shots no figure is stated: they are printed.
+    assert_eq!(reached.len(), 4);
 }
 
 pub const GOOD_LAB: Lab = Lab { seed: 0, shots: 10, sensors: GOOD, wig_wags: false };

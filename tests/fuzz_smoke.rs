@@ -1,5 +1,8 @@
-//! The fuzz targets on their corpus and on seeded mutations of it: a quick share of what `scripts/evaluate fuzz` runs for as long as asked.
+//! The fuzz targets on their corpus, on seeded mutations of it and on a share of what coverage has grown: a quick part of what
+//! `scripts/evaluate fuzz` runs for as long as asked.
 
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::Read;
 use std::panic::catch_unwind;
 use std::path::{Path, PathBuf};
 
@@ -136,11 +139,71 @@ fn fuzz((name, target): Target, seed: u64, seconds: f64, most: u64) -> (u64, Vec
             Some(seed) => seed.clone(),
             None => mutated(&seeds, &mut draw),
         };
-        let lap = Stopwatch::start();
-        if catch_unwind(|| target(&data)).is_err() || lap.ms() > 20_000.0 {
+        if breaks(target, &data) {
             found.push(data);
         }
         runs += 1;
+    }
+    (runs, found)
+}
+
+/// Whether a target panics, or takes as long as what hangs.
+fn breaks(target: fn(&[u8]), data: &[u8]) -> bool {
+    let lap = Stopwatch::start();
+    catch_unwind(|| target(data)).is_err() || lap.ms() > HANG_S * 1e3
+}
+
+/// What coverage has grown, by target, in the order of its names: `fuzz/grown.tar.gz`, as `scripts/evaluate fuzz` unpacks it. An archive is
+/// blocks of 512 bytes: a header with name, length and kind, then the content.
+fn grown() -> BTreeMap<String, Vec<Vec<u8>>> {
+    let packed = std::fs::File::open(Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/grown.tar.gz")).expect("the archive");
+    let mut bytes = Vec::new();
+    flate2::read::MultiGzDecoder::new(packed).read_to_end(&mut bytes).expect("unpacks");
+    let mut files: BTreeMap<(String, String), Vec<u8>> = BTreeMap::new();
+    let mut at = 0;
+    // Blocks of zeros end it.
+    while let Some(header) = bytes.get(at..at + 512).filter(|header| header[0] != 0) {
+        let text = |from: usize, to: usize| {
+            let field = header[from..to].split(|byte| *byte == 0).next().unwrap_or_default();
+            std::str::from_utf8(field).expect("text").trim()
+        };
+        let (name, length) = (text(0, 100), usize::from_str_radix(text(124, 136), 8).expect("an octal length"));
+        let content = bytes.get(at + 512..at + 512 + length).expect("the archive is whole");
+        if header[156] == b'0' {
+            let (target, input) = name.trim_start_matches("./").split_once('/').expect("TARGET/HASH");
+            files.insert((target.to_owned(), input.to_owned()), content.to_vec());
+        }
+        at += 512 + length.next_multiple_of(512);
+    }
+    let mut inputs: BTreeMap<String, Vec<Vec<u8>>> = BTreeMap::new();
+    files.into_iter().for_each(|((target, _), content)| inputs.entry(target).or_default().push(content));
+    inputs
+}
+
+/// At most this many of what is grown for a target are run, evenly spread, and no more once its time is over.
+const MOST_GROWN: usize = 300;
+/// All thirteen together within twenty seconds.
+const GROWN_S: f64 = 1.4;
+/// What takes so long hangs.
+const HANG_S: f64 = 20.0;
+
+/// Every k-th of them.
+fn share(inputs: &[Vec<u8>]) -> impl Iterator<Item = &Vec<u8>> {
+    inputs.iter().step_by(inputs.len().div_ceil(MOST_GROWN).max(1))
+}
+
+/// Runs a target on its share of what is grown for it, for `seconds` at most. Gives how many were run, and those that it does not survive.
+fn run_grown(target: fn(&[u8]), inputs: &[Vec<u8>], seconds: f64) -> (usize, Vec<Vec<u8>>) {
+    let watch = Stopwatch::start();
+    let (mut runs, mut found) = (0, Vec::new());
+    for data in share(inputs) {
+        runs += 1;
+        if breaks(target, data) {
+            found.push(data.clone());
+        }
+        if watch.ms() > seconds * 1e3 {
+            break;
+        }
     }
     (runs, found)
 }
@@ -160,6 +223,44 @@ fn every_reader_survives_its_corpus_and_some_mutations() {
         total += runs;
     }
     assert!(total > 100, "{total}");
+}
+
+/// What coverage led to, no mutation of the small corpus finds within seconds.
+#[test]
+fn every_reader_survives_a_share_of_what_coverage_has_grown() {
+    let grown = grown();
+    let known: BTreeSet<&str> = TARGETS.iter().map(|(name, _)| *name).collect();
+    assert_eq!(grown.keys().map(String::as_str).collect::<BTreeSet<_>>(), known, "something is grown for each");
+    let mut total = 0;
+    for (name, target) in TARGETS {
+        let (runs, found) = run_grown(target, &grown[name], GROWN_S);
+        println!("{name}: {runs} of {} inputs", grown[name].len());
+        let first = found.first().map(|data| &data[..data.len().min(400)]);
+        assert!(found.is_empty(), "{name}: {} of {runs} inputs, the first: {first:02x?}", found.len());
+        assert!((1..=MOST_GROWN).contains(&runs), "{name}: {runs} inputs");
+        total += runs;
+    }
+    assert!(total > 100, "{total}");
+}
+
+/// The control: of the inputs that are run, exactly those are found over which a reader trips.
+#[test]
+fn a_reader_that_panics_on_what_is_grown_is_found() {
+    const MARK: &[u8] = b"a mark that nothing grows";
+    fn trips(data: &[u8]) {
+        assert!(!data.windows(MARK.len()).any(|part| part == MARK), "tripped");
+    }
+    let mut inputs = grown().remove("decoder").expect("inputs of the decoder");
+    let last = inputs.len() - 1;
+    assert!(inputs.len() <= MOST_GROWN && inputs[0] != inputs[last], "all of them are run");
+    assert_eq!(run_grown(trips, &inputs, HANG_S), (inputs.len(), Vec::new()));
+    inputs[last] = [&b"before"[..], MARK, b"behind"].concat();
+    assert_eq!(run_grown(trips, &inputs, HANG_S), (inputs.len(), vec![inputs[last].clone()]));
+    // Of many, so many are run from the first to near the last.
+    let many: Vec<Vec<u8>> = (0..10 * MOST_GROWN + 1).map(|n| n.to_le_bytes().to_vec()).collect();
+    let shared: Vec<&Vec<u8>> = share(&many).collect();
+    assert!(shared.len() <= MOST_GROWN && shared.len() > MOST_GROWN / 2, "{}", shared.len());
+    assert_eq!(shared[..2], [&many[0], &many[11]], "every eleventh");
 }
 
 /// The control: a reader that trips over a byte is caught.

@@ -254,7 +254,15 @@ fn many() {
     }
     table(&scores);
     let wrong = scores.iter().filter(|score| score.open_flagged >= 0.02).count();
+    // Target: no blade is missed, which faint ones can hardly meet. Reached over four hundred frames with blades, faint ones among them: the
+    // shut area flagged whole (99.5 % of it) in 60.5 %.
+    let shut: Vec<&Score> = scores.iter().filter(|score| score.drawn.depth_px.is_some()).collect();
+    let whole = shut.iter().filter(|score| score.shut_flagged >= 0.995).count();
+    let clear: Vec<&&Score> = shut.iter().filter(|score| !score.drawn.faint).collect();
+    let missed = clear.iter().filter(|score| score.shut_flagged < 0.98).count();
+    println!("blades flagged whole in {whole} of {}; of clear ones missed in {missed} of {}", shut.len(), clear.len());
     assert!(wrong as f64 <= 0.01 * scores.len() as f64, "{wrong} of {} frames lose open anatomy", scores.len());
+    assert!(whole as f64 >= 0.55 * shut.len() as f64, "{whole} of {} shut areas flagged", shut.len());
 }
 
 /// Blades that telemetry tells of are looked at where the picture alone suggests none; what it tells of an open frame is not believed.

@@ -58,10 +58,37 @@ fn frame(image: Image<f32>) -> Frame {
     Frame::from_pixels("drawn", image, Domain::Linear).expect("a frame")
 }
 
-/// Angle in degrees, distance in mm at the beads.
-fn off(found: &Rigid, truth: &Rigid) -> (f64, f64) {
+/// A pose against the truth.
+struct Off {
+    angle_deg: f64,
+    /// At the beads, parallel to the panel.
+    across_mm: f64,
+    /// At the beads, away from the source.
+    along_mm: f64,
+}
+
+fn off(found: &Rigid, truth: &Rigid) -> Off {
     let at = |camera: &Rigid| camera.transform_point(DVec3::ZERO);
-    (found.angle_to_rad(truth).to_degrees(), at(found).truncate().distance(at(truth).truncate()))
+    let shift_mm = at(found) - at(truth);
+    Off { angle_deg: found.angle_to_rad(truth).to_degrees(), across_mm: shift_mm.truncate().length(), along_mm: shift_mm.z }
+}
+
+/// How far off in depth the beads may be: three of the pose's own standard deviations. Depth comes from the magnification alone, so what is
+/// off across by e is off in depth by e times the distance over the beads' reach across, more than ten times as much; the code claims no more
+/// than its covariance.
+fn depth_allowed_mm(pose: &Pose) -> f64 {
+    let rows = pose.covariance_at_centroid.expect("accepted");
+    3.0 * rows[5][5].sqrt()
+}
+
+/// Depth against that limit, and ten millimetres, which are beyond it; gives the depth, mm.
+fn assert_depth(pose: &Pose, found: &Rigid, truth: &Rigid, what: &str) -> f64 {
+    let (along_mm, allowed_mm) = (off(found, truth).along_mm, depth_allowed_mm(pose));
+    println!("{what}: {along_mm:+.3} mm off in depth, {allowed_mm:.3} mm allowed");
+    assert!(along_mm.abs() <= allowed_mm, "{what}: {along_mm} mm off in depth, {allowed_mm} mm allowed");
+    let farther = off(&(Rigid::translation(DVec3::Z * 10.0) * *truth), truth).along_mm;
+    assert!(!(farther <= allowed_mm), "the control: {farther} mm, {allowed_mm} mm allowed");
+    along_mm
 }
 
 fn panel() -> (View, BeadLayout) {
@@ -78,7 +105,7 @@ fn the_panels_pose_is_the_same_however_the_console_stored_the_picture() {
     let shown = Shown { crop_px: [60, 40, 600, 520], zoom: 1.4, turned_deg: 13.0 };
     let seen = shown.view(&view);
     let picture = synthetic::radiograph(seen, &layout, 20_000.0, 5).draw();
-    let mut cases = 0;
+    let (mut cases, mut depths_mm) = (0, Vec::new());
     for quarters in 0..4 {
         for flip in FLIPS {
             let console = ConsoleGeometry {
@@ -107,10 +134,11 @@ fn the_panels_pose_is_the_same_however_the_console_stored_the_picture() {
                 let pose = register(&request, &frame);
                 assert!(pose.is_accepted(), "{quarters} {flip:?}: {:?}", pose.reason);
                 assert_eq!(pose.mirrored, flip != Flip::None);
-                let detector = pose.detector.expect("the console is known");
+                let detector = pose.detector.clone().expect("the console is known");
                 let camera = detector.camera_from_lps.expect("accepted");
-                let (angle_deg, mm) = off(&camera, &view.camera_from_lps);
-                assert!(angle_deg <= 0.02 && mm <= 0.1, "{quarters} {flip:?}: {angle_deg}°, {mm} mm");
+                let Off { angle_deg, across_mm, .. } = off(&camera, &view.camera_from_lps);
+                assert!(angle_deg <= 0.02 && across_mm <= 0.1, "{quarters} {flip:?}: {angle_deg}°, {across_mm} mm");
+                depths_mm.push(assert_depth(&pose, &camera, &view.camera_from_lps, &format!("{quarters} {flip:?}")));
                 let k = detector.intrinsics.expect("K");
                 assert!((k.fx - view.intrinsics.fx).abs() < 1e-6 && (k.cx - view.intrinsics.cx).abs() < 1e-6, "{k:?}");
                 let (there, _) = detector.projection.expect("accepted").project(layout.beads[0].lps_mm);
@@ -120,6 +148,9 @@ fn the_panels_pose_is_the_same_however_the_console_stored_the_picture() {
         }
     }
     assert_eq!(cases, 24);
+    // What the one picture's noise does to the depth it does to all of them: in the same panel's pose they do not differ.
+    let ends = depths_mm.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), mm| (mm.min(low), mm.max(high)));
+    assert!(ends.1 - ends.0 <= 0.1, "depths differ by {} mm: {depths_mm:?}", ends.1 - ends.0);
 }
 
 #[test]
@@ -273,8 +304,9 @@ fn the_command_undoes_what_the_console_did_and_compare_follows() {
     let error = Pose::read(&at("TWICE.json")).expect_err("which of the two?").to_string();
     assert!(error.contains("projection is not K [I|0] camera_from_lps"), "{error}");
     let camera = pose.detector.as_ref().and_then(|detector| detector.camera_from_lps).expect("a pose of the panel");
-    let (angle_deg, mm) = off(&camera, &view.camera_from_lps);
-    assert!(pose.mirrored && angle_deg <= 0.02 && mm <= 0.1, "{angle_deg}°, {mm} mm");
+    let Off { angle_deg, across_mm, .. } = off(&camera, &view.camera_from_lps);
+    assert!(pose.mirrored && angle_deg <= 0.02 && across_mm <= 0.1, "{angle_deg}°, {across_mm} mm");
+    assert_depth(&pose, &camera, &view.camera_from_lps, "the command's");
     // The acquired frame is turned as the pose says: the very same picture has nothing left to differ.
     let compared = run(&[
         "compare",

@@ -6,35 +6,42 @@ use glam::{DQuat, DVec2, DVec3};
 use rayon::prelude::*;
 use sidecarm::beads::{BeadLayout, Detection};
 use sidecarm::geometry::{Intrinsics, Rigid, View};
-use sidecarm::pose::{Pose, Prior, Refusal, Registration, register_shadows};
+use sidecarm::pose::{IntrinsicsPrior, Pose, Prior, Refusal, Registration, register_shadows};
 use sidecarm::random::{Purpose, Stream};
 
-use crate::pose_registration::{clutter, landmark_error_px, shadows};
+use crate::pose_registration::{clutter, landmark_error_px, shadows, worst_landmark_px};
 use crate::pose_synthetic as synthetic;
 
 /// Landmarks off by more are a wrong pose.
-const WRONG_PX: f64 = 2.0;
+pub const WRONG_PX: f64 = 2.0;
+/// How well K is stated where it is solved with priors.
+const DISTANCE_SIGMA_MM: f64 = 3.0;
+const CENTRE_SIGMA_PX: f64 = 5.0;
+/// Radii tell a scale that is off by more than a tenth and the few per cent that blur takes from them; those of small shadows one that is off
+/// by so many px² over their square more.
+const RADIUS_TELLS: f64 = 0.13;
+const SMALL_RADIUS_PX2: f64 = 0.3;
 
-struct Draw(Stream);
+pub struct Draw(pub Stream);
 
 impl Draw {
-    fn between(&mut self, low: f64, high: f64) -> f64 {
+    pub fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.0.uniform()
     }
 
-    fn chance(&mut self, share: f64) -> bool {
+    pub fn chance(&mut self, share: f64) -> bool {
         self.0.uniform() < share
     }
 
-    fn one_of<T: Copy>(&mut self, list: &[T]) -> T {
+    pub fn one_of<T: Copy>(&mut self, list: &[T]) -> T {
         list[(self.0.uniform() * list.len() as f64) as usize % list.len()]
     }
 
-    fn sign(&mut self) -> f64 {
+    pub fn sign(&mut self) -> f64 {
         if self.chance(0.5) { 1.0 } else { -1.0 }
     }
 
-    fn normal3(&mut self, sigma: f64) -> DVec3 {
+    pub fn normal3(&mut self, sigma: f64) -> DVec3 {
         DVec3::new(self.0.normal(), self.0.normal(), self.0.normal()) * sigma
     }
 }
@@ -78,6 +85,8 @@ enum Expected {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum K {
     Known,
+    /// Solved with priors.
+    Stated,
     Free,
 }
 
@@ -88,12 +97,55 @@ struct Case {
     k: K,
     visible: usize,
     pose: Pose,
+    /// Mean over places near the middle.
     error_px: f64,
-    /// From here on the error is no noise.
+    /// Of the landmarks that is farthest off.
+    worst_px: f64,
+    /// From here on an error is no noise.
     wrong_px: f64,
-    /// Nothing that is given tells the mistake.
+    /// The fixed cases are not held to the mistake.
     untold: bool,
+    /// Nothing that is given, and nothing that a lab has besides, tells the mistake.
+    nothing_tells: bool,
     ms: f64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Verdict {
+    Right,
+    Refused,
+    GreenWrong,
+    AmberWrong,
+    NothingTells,
+}
+
+impl Case {
+    /// Strips and pairs show a pose with a caution in the colour of one without; a doubt has another.
+    fn verdict(&self) -> Verdict {
+        if !self.pose.is_accepted() {
+            Verdict::Refused
+        } else if self.worst_px <= WRONG_PX {
+            Verdict::Right
+        } else if self.pose.doubt.is_some() {
+            Verdict::AmberWrong
+        } else if self.nothing_tells {
+            Verdict::NothingTells
+        } else {
+            Verdict::GreenWrong
+        }
+    }
+
+    /// What a lab may ask for: no mistake, six beads that are not flat, K, and a prior near the pose.
+    fn is_clear(&self) -> bool {
+        let solid = matches!(self.beads, Beads::Scattered) && self.visible >= 6 && self.k == K::Known;
+        let near = matches!(self.expected, Expected::Near | Expected::NearWithCovariance);
+        self.mistake == Mistake::None && solid && near
+    }
+
+    /// Of the fixed cases: by the mean error, beyond noise.
+    fn is_off(&self) -> bool {
+        self.pose.is_accepted() && !(self.error_px <= self.wrong_px) && !self.untold
+    }
 }
 
 fn places(kind: Beads, count: usize, draw: &mut Draw) -> Vec<DVec3> {
@@ -135,7 +187,21 @@ pub fn turned(view: &View, turn: DQuat, shift_mm: DVec3) -> Rigid {
     Rigid::translation(centre + shift_mm) * Rigid::rotation(turn) * Rigid::translation(-centre) * view.camera_from_lps
 }
 
+/// K as a lab states it, off by what it states.
+fn stated_k(k: &Intrinsics, pitch_mm: f64, draw: &mut Draw) -> IntrinsicsPrior {
+    let fx = k.fx + DISTANCE_SIGMA_MM / pitch_mm * draw.0.normal();
+    let mut about = |centre_px: f64| centre_px + CENTRE_SIGMA_PX * draw.0.normal();
+    let mean = Intrinsics { fx, fy: fx, cx: about(k.cx), cy: about(k.cy), ..*k };
+    IntrinsicsPrior::from_distance(mean, (fx * pitch_mm, DISTANCE_SIGMA_MM), (pitch_mm, 0.0), CENTRE_SIGMA_PX)
+}
+
+/// One of the fixed cases: K is known or free.
 fn case(seed: u64) -> Option<Case> {
+    drawn(seed, false)
+}
+
+/// `with_stated_k`: a third of those whose K is known have it stated with its deviations instead, and are else the same.
+fn drawn(seed: u64, with_stated_k: bool) -> Option<Case> {
     let mut draw = Draw(Stream::new(seed, 90, 0, Purpose::Evaluation));
     let side = draw.one_of(&[512, 768, 1024, 1536]);
     let view = synthetic::view(side, side, seed);
@@ -174,11 +240,13 @@ fn case(seed: u64) -> Option<Case> {
     let visible = found.len();
     let mut copies = 0;
     let radius_px = found.first()?.radius_px;
+    let smallest_px = found.iter().map(|shadow| shadow.radius_px).fold(f64::INFINITY, f64::min);
     let false_ones = draw.one_of(&[0, 0, 3, 8, visible]);
     let quality = draw.one_of(&[0.3, 0.8]);
     found.extend(clutter(&view, false_ones, radius_px, seed).into_iter().map(|shadow| Detection { quality, ..shadow }));
     let mut layout = truth.clone();
     let mut k = view.intrinsics;
+    let mut scale = 1.0f64;
     let each = |layout: &mut BeadLayout, image: &dyn Fn(DVec3) -> DVec3| {
         layout.beads.iter_mut().for_each(|bead| bead.lps_mm = image(bead.lps_mm));
     };
@@ -186,7 +254,7 @@ fn case(seed: u64) -> Option<Case> {
         Mistake::None => {}
         Mistake::OtherLayout => layout = synthetic::layout_of(&places(beads, count, &mut draw), 0.75),
         Mistake::LayoutScaled => {
-            let scale = 1.0 + draw.sign() * draw.between(0.02, 0.2);
+            scale = 1.0 + draw.sign() * draw.between(0.02, 0.2);
             each(&mut layout, &|p| p * scale);
         }
         Mistake::LayoutMirrored => each(&mut layout, &|p| p * DVec3::new(-1.0, 1.0, 1.0)),
@@ -239,17 +307,28 @@ fn case(seed: u64) -> Option<Case> {
         covariance: stated.then(|| about_beads(&camera_from_lps, 1.0, 3.0)),
     });
     let free = draw.chance(0.25);
+    let mut of_k = Draw(Stream::new(seed, 93, 0, Purpose::Evaluation));
+    let mode = if free {
+        K::Free
+    } else if with_stated_k && of_k.chance(1.0 / 3.0) {
+        K::Stated
+    } else {
+        K::Known
+    };
+    let pitch_mm = 1020.0 / view.intrinsics.fx;
+    let intrinsics_prior = (mode == K::Stated).then(|| stated_k(&k, pitch_mm, &mut of_k));
     let request = Registration {
-        intrinsics: (!free).then_some(k),
-        pitch_mm: Some(1020.0 / view.intrinsics.fx),
+        intrinsics: (mode != K::Free).then_some(intrinsics_prior.map_or(k, |prior| prior.mean)),
+        intrinsics_prior,
+        pitch_mm: Some(pitch_mm),
         prior: prior.as_ref(),
         ..Registration::new(view.size_px, &layout)
     };
     let watch = sidecarm::time::Stopwatch::start();
     let pose = register_shadows(&request, &found);
     let ms = watch.ms();
-    let error_px = if pose.is_accepted() { landmark_error_px(&pose, &view) } else { 0.0 };
-    let k = if free { K::Free } else { K::Known };
+    let (error_px, worst_px) =
+        if pose.is_accepted() { (landmark_error_px(&pose, &view), worst_landmark_px(&pose, &view, &truth)) } else { (0.0, 0.0) };
     let near = matches!(expected, Expected::Near | Expected::NearWithCovariance);
     let used = pose.beads.iter().filter(|bead| bead.used).count();
     let untold = match mistake {
@@ -261,9 +340,32 @@ fn case(seed: u64) -> Option<Case> {
         Mistake::SecondSpecimen | Mistake::Ghost => copies > visible || 10 * used < 7 * visible,
         _ => false,
     };
+    let fewest = if free { 6 } else { 4 };
+    // One frame alone: no earlier pose, no innovation, and no header whose SID and pitch K could be held against. What else could tell:
+    // a prior with covariance is never left unheeded here, and what it contradicts counts; the shadows' radii as each case says.
+    let unheld = prior.as_ref().is_none_or(|prior| prior.covariance.is_none());
+    let nothing_tells = unheld
+        && match mistake {
+            // The same picture from nearer or farther, K and tags being right. Beads of known size are then too large or too small, which tells
+            // of a scale only what is beyond the radii's own error.
+            Mistake::LayoutScaled => (scale - 1.0).abs() <= RADIUS_TELLS + SMALL_RADIUS_PX2 * (scale / smallest_px).powi(2),
+            // The depth changes as f does, and with it no radius; a principal point is made up for by a shift across. SID and pitch are what K
+            // says, stated or known. Where K is solved, neither is given and nothing is wrong.
+            Mistake::FocalLength | Mistake::PrincipalPoint => mode != K::Free,
+            // A rigid turn of the layout: the same shadows of the same radii under the same K, from a camera half a turn away. A prior near the
+            // pose tells it, if one is there.
+            Mistake::LayoutAxes => !near,
+            // The frame shows too few of the specimen for any reading of them, and of the other all that a pose needs: that one is read, with
+            // its own right radii and K. A prior near the pose is far from a second specimen, and not from a ghost.
+            Mistake::SecondSpecimen => visible < fewest && !near,
+            Mistake::Ghost => visible < fewest,
+            // A layout that is its own mirror image, or resembles itself, shows that it does, and of two specimens that can both be read the
+            // frame shows both: what cannot be told is then to be said.
+            _ => false,
+        };
     let depth_mm = view.camera_from_lps.transform_point(DVec3::ZERO).z;
     let wrong_px = WRONG_PX.max(6.0 * noise_px.hypot(noise_mm * view.intrinsics.fx / depth_mm));
-    Some(Case { beads, mistake, expected, k, visible, pose, error_px, wrong_px, untold, ms })
+    Some(Case { beads, mistake, expected, k: mode, visible, pose, error_px, worst_px, wrong_px, untold, nothing_tells, ms })
 }
 
 /// Covariance of ξ about the source that is σ of `deg` and `mm` about the beads' middle.
@@ -277,69 +379,101 @@ pub fn about_beads(camera_from_lps: &Rigid, deg: f64, mm: f64) -> [[f64; 6]; 6] 
     std::array::from_fn(|i| std::array::from_fn(|j| covariance[(i, j)]))
 }
 
-/// `count` cases from `first`; gives right ones of those without a mistake, all of those, and wrong ones of which nothing is said.
-fn evaluate(first: u64, count: u64) -> (usize, usize, usize) {
-    let cases: Vec<(u64, Case)> = (first..first + count).into_par_iter().filter_map(|seed| Some((seed, case(seed)?))).collect();
-    let mut table: BTreeMap<Mistake, [usize; 5]> = BTreeMap::new();
+/// What came of some cases; they add up.
+#[derive(Clone, Copy, Debug, Default)]
+struct Counts {
+    cases: usize,
+    right: usize,
+    refused: usize,
+    green_wrong: usize,
+    /// Of the green and wrong: with a caution, and off by no more than six times the noise.
+    cautioned: usize,
+    within_noise: usize,
+    amber_wrong: usize,
+    nothing_tells: usize,
+}
+
+impl Counts {
+    fn add(&mut self, case: &Case) {
+        self.cases += 1;
+        match case.verdict() {
+            Verdict::Right => self.right += 1,
+            Verdict::Refused => self.refused += 1,
+            Verdict::AmberWrong => self.amber_wrong += 1,
+            Verdict::NothingTells => self.nothing_tells += 1,
+            Verdict::GreenWrong => {
+                self.green_wrong += 1;
+                self.cautioned += usize::from(!case.pose.cautions.is_empty());
+                self.within_noise += usize::from(case.worst_px <= case.wrong_px);
+            }
+        }
+    }
+}
+
+/// `count` cases from `first`; gives all their counts, and of those that a lab may ask for the right ones and all.
+fn evaluate(first: u64, count: u64) -> (Counts, usize, usize) {
+    let cases: Vec<(u64, Case)> =
+        (first..first + count).into_par_iter().filter_map(|seed| Some((seed, drawn(seed, true)?))).collect();
+    let mut table: BTreeMap<String, Counts> = BTreeMap::new();
     let mut refusals: BTreeMap<String, usize> = BTreeMap::new();
-    let (mut right, mut clear, mut wrong) = (0, 0, [0; 3]);
+    let mut all = Counts::default();
+    let (mut right, mut clear) = (0, 0);
     for (seed, case) in &cases {
-        let row = table.entry(case.mistake).or_default();
-        let accepted = case.pose.is_accepted();
-        let plain = case.pose.cautions.is_empty();
-        let is_wrong = accepted && !(case.error_px <= case.wrong_px) && !case.untold;
-        row[usize::from(!accepted)] += 1;
-        if is_wrong {
-            let kind = if plain { 0 } else { 1 + usize::from(case.pose.doubt.is_some()) };
-            row[2 + kind] += 1;
-            wrong[kind] += 1;
-            let Case { beads, mistake, expected, k, visible, pose, error_px, .. } = case;
+        let Case { beads, mistake, expected, k, visible, pose, worst_px, wrong_px, .. } = case;
+        all.add(case);
+        let classes = [format!("{mistake:?}"), format!("K {k:?}"), format!("beads {beads:?}"), format!("prior {expected:?}")];
+        classes.into_iter().for_each(|class| table.entry(class).or_default().add(case));
+        let verdict = case.verdict();
+        if matches!(verdict, Verdict::GreenWrong | Verdict::AmberWrong) {
             println!(
-                "seed {seed}: {}accepted with landmarks {error_px:.1} px off: {beads:?}, {mistake:?}, prior {expected:?}, K {k:?}, {visible} of {} \
-                 visible, {} used, rms {:.3} px, {:?}",
-                ["plainly ", "with a caution ", "in doubt "][kind],
+                "seed {seed}: {verdict:?}, landmarks up to {worst_px:.1} px off (six sigma of noise, or 2 px: {wrong_px:.1}): {beads:?}, {mistake:?}, \
+                 prior {expected:?}, K {k:?}, {visible} of {} visible, {} used, rms {:.3} px, {:?}",
                 pose.beads.len(),
                 pose.beads.iter().filter(|bead| bead.used).count(),
                 pose.rms_px.unwrap_or(f64::NAN),
                 pose.cautions
             );
         }
-        // What a lab may ask for: no mistake, six beads that are not flat, and K.
-        let solid = matches!(case.beads, Beads::Scattered) && case.visible >= 6 && case.k == K::Known;
-        if case.mistake == Mistake::None && solid && matches!(case.expected, Expected::Near | Expected::NearWithCovariance) {
+        if case.is_clear() {
             clear += 1;
-            right += usize::from(accepted && !is_wrong);
-            if !accepted {
-                *refusals.entry(case.pose.refusal.as_ref().map(Refusal::code).unwrap_or_default()).or_default() += 1;
+            right += usize::from(pose.is_accepted() && worst_px <= wrong_px);
+            if !pose.is_accepted() {
+                *refusals.entry(pose.refusal.as_ref().map(Refusal::code).unwrap_or_default()).or_default() += 1;
             }
         }
     }
-    for k in [K::Known, K::Free] {
+    for k in [K::Known, K::Stated, K::Free] {
         let mut ms: Vec<(f64, u64)> = cases.iter().filter(|(_, case)| case.k == k).map(|(seed, case)| (case.ms, *seed)).collect();
         ms.sort_by(|a, b| a.0.total_cmp(&b.0));
         let Some((worst, slowest)) = ms.last() else { continue };
         let [median, most] = [ms[ms.len() / 2].0, ms[ms.len() * 99 / 100].0];
         println!("K {k:?}: median {median:.1} ms, 99 % {most:.0} ms, worst {worst:.0} ms (seed {slowest})");
     }
-    println!("{:16} accepted  refused  wrong: plainly  with a caution  in doubt", "");
-    table.iter().for_each(|(mistake, [a, r, w, s, d])| {
-        println!("{:16} {a:8} {r:8} {w:14} {s:15} {d:9}", format!("{mistake:?}"));
-    });
-    let [plainly, cautioned, doubted] = wrong;
     println!(
-        "seeds {first} to {}: {} cases, wrong and accepted: {plainly} plainly, {cautioned} with a caution, {doubted} in doubt; no mistake and a good prior: {right} of {clear} \
-         right, the others {refusals:?}",
-        first + count - 1,
-        cases.len()
+        "wrong: off by over 2 px     cases  right  refused  green wrong: all  with a caution  within 6 sigma  amber wrong  nothing tells"
     );
-    (right, clear, plainly)
+    for (class, counts) in &table {
+        let Counts { cases, right, refused, green_wrong, cautioned, within_noise, amber_wrong, nothing_tells } = counts;
+        println!(
+            "{class:26} {cases:6} {right:6} {refused:8} {green_wrong:17} {cautioned:15} {within_noise:15} {amber_wrong:12} {nothing_tells:14}"
+        );
+    }
+    println!("seeds {first} to {}; no mistake, K and a good prior, but refused: {refusals:?}", first + count - 1);
+    let Counts { cases, right: all_right, refused, green_wrong, cautioned, within_noise, amber_wrong, nothing_tells } = all;
+    println!(
+        "SUM cases {cases} green_wrong {green_wrong} amber_wrong {amber_wrong} refused {refused} right {all_right} nothing_tells {nothing_tells} \
+         green_wrong_cautioned {cautioned} green_wrong_within_6_sigma {within_noise} clear {clear} clear_right {right}"
+    );
+    (all, right, clear)
 }
 
 #[test]
 fn no_drawn_mistake_gives_a_wrong_pose() {
-    let (right, clear, wrong) = evaluate(400, 60);
-    assert_eq!(wrong, 0);
-    assert!(clear >= 1 && right + 1 >= clear, "{right} of {clear}");
+    let cases: Vec<Case> = (400..460u64).into_par_iter().filter_map(case).collect();
+    assert_eq!(cases.iter().filter(|case| case.is_off() && case.pose.cautions.is_empty()).count(), 0);
+    let clear: Vec<&Case> = cases.iter().filter(|case| case.is_clear()).collect();
+    let right = clear.iter().filter(|case| case.pose.is_accepted() && !case.is_off()).count();
+    assert!(!clear.is_empty() && right + 1 >= clear.len(), "{right} of {}", clear.len());
 }
 
 /// A layout that half a turn puts onto itself, under a prior that is turned so: the wrong pose fits, and nothing but the prior speaks for it.
@@ -397,7 +531,8 @@ fn the_reading_that_a_prior_or_a_mirror_hides_is_found() {
 #[ignore = "minutes to hours long: scripts/evaluate pose runs it"]
 fn many_registrations() {
     let number = |name: &str, default: u64| std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(default);
-    let (right, clear, wrong) = evaluate(number("SIDECARM_FIRST_SEED", 0), number("SIDECARM_POSES", 50_000));
-    assert!(wrong * 50_000 <= number("SIDECARM_POSES", 50_000) as usize, "{wrong} wrong poses");
-    assert!(right as f64 >= 0.999 * clear as f64, "{right} of {clear}");
+    let (all, right, clear) = evaluate(number("SIDECARM_FIRST_SEED", 0), number("SIDECARM_POSES", 50_000));
+    assert!(all.cases > 0 && all.green_wrong == 0, "{} of {} wrong, and nothing doubts them", all.green_wrong, all.cases);
+    // A part of a run has few of them.
+    assert!(clear - right <= (clear / 1000).max(1), "{right} of {clear}");
 }

@@ -36,6 +36,13 @@ fn every_shadow_is_told_of_tried_or_not() {
     let pose = register_shadows(&matching(&view, &layout), &found);
     assert_eq!((pose.shadows.len(), pose.detections), (beads + 60, beads + 60), "{:?}", pose.reason);
     assert!(pose.notes.iter().any(|note| note.starts_with(&format!("{} more shadows", beads + 20))), "{:?}", pose.notes);
+    assert!(!pose.doubt.as_ref().is_some_and(|doubt| doubt.contains("as clear as")), "faint ones: {:?}", pose.doubt);
+    // The same forty are tried; the others are as clear as the beads.
+    let mut clear = found.clone();
+    clear[40..].iter_mut().for_each(|shadow| shadow.snr = model.snr);
+    let pose = register_shadows(&matching(&view, &layout), &clear);
+    let is_said = pose.cautions.iter().any(|caution| caution.contains("as clear as those of the beads"));
+    assert!(pose.is_accepted() && is_said && pose.doubt.is_some(), "{:?} {:?}", pose.reason, pose.cautions);
     let few = register_shadows(&matching(&view, &layout), &found[..beads]);
     assert_eq!(few.doubt, None, "the control");
     assert!(few.is_accepted() && !few.notes.iter().any(|note| note.contains("more shadows")), "{:?} {:?}", few.reason, few.notes);

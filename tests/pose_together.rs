@@ -139,6 +139,8 @@ fn many_together() {
     );
     assert!((0.93..=0.97).contains(&poses) && (0.93..=0.97).contains(&landmarks));
     assert!(alarms as u64 * 200 <= count, "{alarms}");
+    // Target 0.2 mm; reached 0.21 mm, as the 95th percentile of the worst of six.
+    assert!(worst_mm <= 0.22, "{worst_mm} mm");
 }
 
 /// Of beads that migrated by `mm`, in four views of eight: the shares found, unclear and missed, and that of runs that name another.
@@ -163,12 +165,24 @@ fn power(mm: f64, count: u64) -> [f64; 4] {
 #[ignore = "a minute long: scripts/evaluate together runs it"]
 fn many_together_with_a_migrated_bead() {
     let count = std::env::var("SIDECARM_TOGETHER").ok().and_then(|n| n.parse().ok()).unwrap_or(10_000) / 5;
+    let mut reached = Vec::new();
     for mm in [0.5, 1.0, 1.5, 2.0, 3.0] {
         let [found, unclear, missed, other] = power(mm, count).map(|share| 100.0 * share);
         println!(
             "{count} beads known to 0.15 mm that migrated by {mm} mm: found {found:.1} %, unclear {unclear:.1} %, missed {missed:.1} %; another named {other:.1} %"
         );
-        assert!(mm < 2.0 || found >= 95.0);
+        reached.push((mm, found));
+    }
+    // Target 95 % at 1 mm. Reached over a thousand: 47 % at 1 mm, 98 % at 1.5 mm, all at 2 mm.
+    for (mm, found) in reached {
+        let least = if mm >= 1.5 {
+            95.0
+        } else if mm >= 1.0 {
+            40.0
+        } else {
+            0.0
+        };
+        assert!(found >= least, "{mm} mm: {found} %, expected {least} %");
     }
 }
 

@@ -6,13 +6,15 @@ use std::process::{Command, Output};
 use serde_json::{Value, json};
 use sidecarm::gpu::DeviceChoice;
 use sidecarm::image::read_tiff_f32;
-use sidecarm::render::{Quantity, reference};
+use sidecarm::render::achieved::Achieved;
+use sidecarm::render::plan::Sampling;
+use sidecarm::render::{Goal, Options, Quantity, Renderer, reference};
 use sidecarm::reporter::Reporter;
 use sidecarm::scene::model::{Matter, Volume};
 use sidecarm::scene::physics::Material;
 use sidecarm::scene::{self, Scene};
 
-use super::render_scenes::render_on;
+use super::render_scenes::{render_on, worst};
 use super::scene_support::NiftiFile;
 
 /// Voxels along x, y, z, 4 mm each: 52 along x, of which 200 mm are lung.
@@ -191,6 +193,58 @@ fn kept_air_that_meets_padding_cuts_nothing_off() {
     assert_eq!(["ambient", "keep", "drop"].map(invalid), [0, 0, 0]);
     trunk(2);
     assert_eq!(["ambient", "keep", "drop"].map(invalid), [9, 9, 9], "control: tissue that meets padding");
+}
+
+/// Rays through air that is kept are not crossed in slabs: a plan of such a scene uses them, or says that it does not, and its image is off by
+/// no more than it states, whether a shape stands before the CT, which displaces it, or after it.
+#[test]
+fn a_plan_for_kept_air_says_how_it_is_cast_and_its_image_is_as_exact_as_stated() {
+    let folder = tempfile::tempdir().expect("folder");
+    chest().write(&folder.path().join("ct.nii"));
+    // Partly in lung and skin, partly in the room's air, partly outside the scan.
+    let ball = json!({"sphere": {"centre_lps_mm": [-110, -10, 38], "radius_mm": 30, "material": "water"}});
+    let scene = |air: &str, ball_first: bool| {
+        let ct = json!({"ct": {"path": "ct.nii", "air": air}});
+        let objects = if ball_first { [&ball, &ct] } else { [&ct, &ball] };
+        let text = json!({
+            "objects": objects,
+            "view": {"size_px": [96, 96], "intrinsics": [[500, 0, 47.5], [0, 500, 47.5], [0, 0, 1]],
+                     "camera_from_lps": [[0, 1, 0, 38], [0, 0, -1, 38], [-1, 0, 0, 400], [0, 0, 0, 1]]},
+            "beam": {"tube_kvp": 80, "filtration_mm": {"aluminium": 3}, "photons_per_pixel": 1e5},
+            "detector": {"response": "energy", "pitch_mm": 2.0}
+        });
+        scene::load_text(&text.to_string(), &folder.path().join("scene.json"), true, &Reporter::silent()).expect("good")
+    };
+    let quantity = Quantity::LineIntegral;
+    let mut renderer = Renderer::new(DeviceChoice::Cpu, &Reporter::silent()).expect("cpu");
+    let mut page = |scene: &Scene, options: &Options| {
+        let plan = renderer.plan(scene, options).expect("a plan");
+        let rendered = renderer.render(scene, &Options { plan: Some(plan.clone()), ..options.clone() }).expect("renders");
+        (rendered.pages[0].pixels.clone(), plan)
+    };
+    let yardstick = Options { quantity, reference: true, ..Options::default() };
+    let in_slabs = |sampling: Sampling| matches!(sampling, Sampling::ExactSlabs | Sampling::FixedSlabs);
+    let said = "not in slabs, because rays meet another volume or kept air";
+    let slabs = Goal::Explicit { sampling: Sampling::ExactSlabs, energies: None, step_px: 1 };
+    let mut cases = 0;
+    for ball_first in [true, false] {
+        let (kept, ambient) = (scene("keep", ball_first), scene("ambient", ball_first));
+        let (truth, _) = page(&kept, &yardstick);
+        assert!(worst(&page(&ambient, &yardstick).0, &truth) > 1e-4, "control: the room's air is in the picture");
+        for goal in [slabs, Goal::MaxError(1e-5), Goal::MaxError(1e-2)] {
+            let (found, plan) = page(&kept, &Options { quantity, goal: Some(goal), ..Options::default() });
+            let text = plan.explain();
+            let achieved = Achieved::of(&found, &truth, 0.0);
+            assert!(in_slabs(plan.sampling) != text.contains(said), "ball first {ball_first}, {goal:?}: {text}");
+            assert!(achieved.error <= plan.stated_error, "ball first {ball_first}, {goal:?}: {achieved:?}, {text}");
+            cases += 1;
+        }
+        let (_, plan) = page(&ambient, &Options { quantity, goal: Some(slabs), ..Options::default() });
+        assert!(in_slabs(plan.sampling) && !plan.explain().contains(said), "control, without air: {}", plan.explain());
+    }
+    assert_eq!(cases, 6);
+    let balls = [true, false].map(|ball_first| page(&scene("keep", ball_first), &yardstick).0);
+    assert!(worst(&balls[0], &balls[1]) > 1e-2, "control: which is first makes another picture");
 }
 
 /// A label volume of the chest: lung 1, tissue 2, with a table of names in its header.

@@ -7,6 +7,7 @@ use std::process::Command;
 use serde_json::Value;
 use sidecarm::time::host_now_us;
 
+use crate::lab_truth::hand_on;
 use crate::live_lab::{HANG_S, Lab, Live, Signal, eventually};
 
 /// A session of four seconds; its words and how it ended.
@@ -113,22 +114,39 @@ impl Drop for Mount {
     }
 }
 
+/// Frames that come when the log has stopped have their poses, which stand nowhere but on the screen.
 #[test]
 fn a_full_disk_is_said_while_the_session_goes_on_and_the_log_stays_readable() {
-    let Some(lab) = Lab::start(&["--duration-s", "30", "--faults", "none", "--exposures", "0"]) else { return };
+    const FRAMES: usize = 2;
+    let exposures = FRAMES.to_string();
+    let Some(lab) = Lab::start(&["--duration-s", "30", "--faults", "none", "--exposures", &exposures]) else { return };
     let Some(mount) = Mount::tmpfs(&lab.kit.with_file_name("disk"), "size=8m") else { return };
-    let mut live = Live::start(&lab.kit.join("session.json"), &mount.0.join("session"), &[]);
+    let folder = lab.kit.join("exported");
+    std::fs::create_dir(&folder).expect("a folder");
+    let session = lab.session("full.json", |session| session["frames"]["folder"] = "exported".into());
+    let mut live = Live::start(&session, &mount.0.join("session"), &[]);
     let filled_us = host_now_us();
     let ballast = vec![1u8; 16 << 20];
     let full = std::fs::write(mount.0.join("ballast"), ballast).expect_err("the disk is full");
     assert_eq!(full.kind(), std::io::ErrorKind::StorageFull);
-    let said = eventually(HANG_S, || live.stderr().to_lowercase().contains("no space left").then_some(()));
-    assert!(said.is_some(), "nobody said that the disk is full: {}", live.stderr());
+    // Before any frame has come: whoever looks on has time to make room.
+    let why = |line: &str| line.contains("go on without a log") && line.to_lowercase().contains("no space left");
+    let said = eventually(HANG_S, || live.stderr().lines().any(why).then_some(()));
+    assert!(said.is_some(), "nobody said that recording stopped because the disk is full: {}", live.stderr());
+    hand_on(&lab, &folder, FRAMES, |_, object, to| object.write_to_file(to).expect("written"));
+    for counter in 1..=FRAMES {
+        let words = format!("(frame-{counter:03}): accepted, rms ");
+        let posed = eventually(HANG_S, || live.stderr().contains(&words).then_some(()));
+        assert!(posed.is_some(), "no '{words}': {}", live.stderr());
+    }
     live.program.signal(Signal::INT);
     let status = live.program.end(HANG_S).unwrap_or_else(|| panic!("hangs on a full disk: {}", live.stderr()));
     assert!(matches!(status.code(), Some(1 | 3)), "{status:?}");
     assert!(!live.stderr().contains("panicked"), "{}", live.stderr());
-    let missing = live.heard().missing(&lab.sent(), live.recording_us, filled_us - 200_000);
+    assert_eq!(live.stderr().lines().filter(|line| why(line)).count(), 1, "once: {}", live.stderr());
+    let heard = live.heard();
+    assert_eq!((heard.images, heard.end_us), (0, None), "control: the log had stopped before");
+    let missing = heard.missing(&lab.sent(), live.recording_us, filled_us - 200_000);
     assert_eq!(missing.lost, 0, "{missing:?}");
 }
 

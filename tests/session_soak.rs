@@ -1,21 +1,66 @@
-//! Ten hours in minutes: telemetry and exposures come faster than in a lab, and memory is sampled all the while.
+//! Ten hours in minutes: telemetry and exposures come faster than in a lab, and memory is sampled all the while, then that of a replay.
 //!
 //! `scripts/evaluate soak [HOURS] [SPEED]`: packets at SPEED times their rate, thirty frames for every hour. What is bounded by time of
 //! day (retention in seconds) is not sped up, what is bounded by numbers of packets, exposures and frames is.
 #![cfg(target_os = "linux")]
 
+use std::path::Path;
+use std::process::{Command, ExitStatus, Stdio};
 use std::time::Duration;
 
 use sidecarm::time::{Stopwatch, host_now_us};
 
-use crate::live_lab::{Lab, Live, Signal};
+use crate::live_lab::{HANG_S, Lab, Live, Signal, eventually, keeper};
 
-/// Resident memory of a process in MiB.
-fn resident_mib(pid: u32) -> Option<f64> {
+/// Memory of a process in MiB: `VmRSS` is what is resident, `VmHWM` the most that ever was.
+fn memory_mib(pid: u32, key: &str) -> Option<f64> {
     let status = std::fs::read_to_string(format!("/proc/{pid}/status")).ok()?;
-    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
+    let line = status.lines().find_map(|line| line.strip_prefix(key)?.strip_prefix(':'))?;
     line.split_whitespace().next()?.parse::<f64>().ok().map(|kib| kib / 1024.0)
 }
+
+/// The processes that a process has started: for a session the one that writes its log, and those that read foreign files.
+fn started_by(parent: u32) -> Vec<u32> {
+    let found = std::fs::read_dir("/proc").into_iter().flatten().flatten().filter_map(|entry| {
+        let pid = entry.file_name().to_str()?.parse().ok()?;
+        let stat = std::fs::read_to_string(entry.path().join("stat")).ok()?;
+        // Behind the name in parentheses: state, then the parent.
+        let of: u32 = stat.rsplit_once(") ")?.1.split(' ').nth(1)?.parse().ok()?;
+        (of == parent).then_some(pid)
+    });
+    found.collect()
+}
+
+/// Resident memory of a session in MiB, with that of the processes that it has started. Pages that they share count for each: what is said
+/// is never too little.
+fn resident_mib(pid: u32) -> Option<f64> {
+    let own = memory_mib(pid, "VmRSS")?;
+    // One that has just ended has none.
+    Some(own + started_by(pid).into_iter().filter_map(|child| memory_mib(child, "VmRSS")).sum::<f64>())
+}
+
+/// Replays a log; how that ended, unless it hangs, and the most memory that it took, in MiB.
+fn replayed(log: &Path, out: &Path, limit_s: f64) -> (Option<ExitStatus>, f64) {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
+    command.arg("replay").arg(log).arg("--out").arg(out).stdout(Stdio::null()).stderr(Stdio::null());
+    let mut replay = command.spawn().expect("the program starts");
+    let mut peak_mib = 0.0f64;
+    let ended = eventually(limit_s, || {
+        // The system keeps the highest: a peak between two looks is not missed.
+        peak_mib = peak_mib.max(memory_mib(replay.id(), "VmHWM").unwrap_or(0.0));
+        replay.try_wait().expect("a child can be asked")
+    });
+    if ended.is_none() {
+        let _ = replay.kill();
+    }
+    replay.wait().expect("it has ended");
+    (ended, peak_mib)
+}
+
+/// What a replay may take beyond its session, MiB. It reads the log message by message, so that nothing in it grows with the log; but it goes
+/// as fast as it can, where a session waits for exposures: six frames wait for their DRR and six pairs to be written, all the time, each of
+/// the frame, its DRR, that of the log and the strip, 9 MB apiece at the size of a panel. A replay that holds the log of hours has gigabytes.
+const REPLAY_MORE_MIB: f64 = 512.0;
 
 /// Seconds, MiB of memory, bytes of log.
 type Sample = (f64, f64, u64);
@@ -49,17 +94,22 @@ fn memory_stays_bounded_over_hours() {
     let Some(lab) = Lab::start(&args) else { return };
     let mut live = Live::start(&lab.kit.join("session.json"), &lab.kit.with_file_name("session"), &[]);
     let watch = Stopwatch::start();
+    let writes_log = keeper(&live.log).expect("the log has its keeper").as_raw_nonzero().get();
+    assert!(started_by(live.program.id()).iter().any(|pid| i64::from(*pid) == i64::from(writes_log)), "the keeper is counted");
     let mut curve: Vec<Sample> = Vec::new();
+    let mut peak_mib = 0.0f64;
     while watch.ms() < (seconds - 3.0).max(5.0) * 1e3 {
         let log_bytes = std::fs::metadata(&live.log).map_or(0, |found| found.len());
         let mib = resident_mib(live.program.id()).unwrap_or_else(|| panic!("the session ended: {}", live.stderr()));
         curve.push((watch.ms() * 1e-3, mib, log_bytes));
+        peak_mib = peak_mib.max(mib).max(memory_mib(live.program.id(), "VmHWM").unwrap_or(0.0));
         std::thread::sleep(Duration::from_millis(500));
     }
     let signal_us = host_now_us();
     live.program.signal(Signal::INT);
     // Large frames wait for their DRRs: each takes seconds, and telemetry no longer comes.
-    let status = live.program.end(300.0 + 8.0 * 8.0 * rounds as f64).unwrap_or_else(|| panic!("hangs: {}", live.stderr()));
+    let finishing_s = 300.0 + 8.0 * 8.0 * rounds as f64;
+    let status = live.program.end(finishing_s).unwrap_or_else(|| panic!("hangs: {}", live.stderr()));
     let rows: String = curve.iter().map(|(s, mib, bytes)| format!("{s:.1},{mib:.1},{bytes}\n")).collect();
     let csv = format!("seconds,resident_mib,log_bytes\n{rows}");
     let path = std::env::var("SIDECARM_SOAK_CSV").unwrap_or_else(|_| "target/soak.csv".to_owned());
@@ -76,6 +126,12 @@ fn memory_stays_bounded_over_hours() {
     // A pseudo-terminal holds twelve thousand bytes: nothing at the rate of a lab, ten milliseconds at a hundred times that.
     assert!(missing.lost as f64 <= 2e-3 * missing.sent as f64, "{missing:?}");
     assert_eq!(status.code(), Some(if missing.lost == 0 { 0 } else { 3 }), "what is lost is said: {}", live.stdout());
+
+    let (ended, replay_mib) = replayed(&live.log, &lab.kit.with_file_name("again"), seconds + finishing_s);
+    println!("memory at most: {peak_mib:.0} MiB of the session, {replay_mib:.0} MiB of the replay of its log ({ended:?})");
+    assert!(ended.is_some_and(|status| matches!(status.code(), Some(0 | 3))), "the replay: {ended:?}");
+    assert!(replay_mib > 1.0 && peak_mib > 1.0, "both were looked at");
+    assert!(replay_mib <= peak_mib + REPLAY_MORE_MIB, "a replay takes {replay_mib:.0} MiB, its session took {peak_mib:.0} MiB");
 }
 
 /// The control: a leak is seen, a plateau is none.
@@ -85,4 +141,18 @@ fn a_leak_is_seen() {
     assert!(still_grows(&curve(4.0)));
     assert!(!still_grows(&curve(0.1)));
     assert!(still_grows(&[(0.0, f64::NAN, 0); 8]), "NaN is no proof");
+}
+
+/// The control: what a process that was started takes is counted with the one that started it.
+#[test]
+fn memory_of_what_a_process_has_started_is_counted() {
+    let mut command = Command::new("sh");
+    let mut shell = command.args(["-c", "cat; true"]).stdin(Stdio::piped()).stdout(Stdio::null()).spawn().expect("a shell");
+    let started = eventually(HANG_S, || started_by(shell.id()).into_iter().find_map(|child| memory_mib(child, "VmRSS")));
+    let (own, both) = (memory_mib(shell.id(), "VmRSS"), resident_mib(shell.id()));
+    // Its input ends, and so does what it has started.
+    shell.wait().expect("it has ended");
+    assert!(started.is_some_and(|mib| mib > 0.0), "{started:?}");
+    assert!(own.is_some() && both > own, "{own:?} of it, {both:?} of both");
+    assert!(memory_mib(std::process::id(), "VmHWM").is_some_and(|mib| mib > 1.0), "the highest is known");
 }

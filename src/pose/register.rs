@@ -19,6 +19,8 @@ use crate::mask::{self, Cause, Masks};
 
 /// Shadows used in the search: the best.
 const MOST_DETECTIONS: usize = 40;
+/// So many of the others, where they are as clear as the beads that match, may be another match.
+const RIVAL_SHADOWS: usize = 4;
 
 /// Registers a frame. A refusal is a result, not an error: `status` is refused and `reason` says why.
 #[must_use]
@@ -165,9 +167,18 @@ fn attempt(request: &Registration, seen: &[Detection], probe: Option<Probe>) -> 
         Some(refusal) => Pose { cautions: Vec::new(), doubt: None, ..pose }.refused_for(refusal),
         None => pose,
     };
-    let untried = placed(seen).skip(MOST_DETECTIONS).map(|detection| Shadow::of(detection, None));
+    let untried = || placed(seen).skip(MOST_DETECTIONS).map(|detection| Shadow::of(detection, None));
+    let faintest =
+        pose.shadows.iter().filter(|shadow| shadow.bead.is_some()).map(|shadow| shadow.snr).fold(f64::INFINITY, f64::min);
+    let as_clear = untried().filter(|shadow| shadow.snr >= faintest).count();
+    if pose.is_accepted() && as_clear >= RIVAL_SHADOWS {
+        pose.doubt(format!(
+            "{as_clear} more shadows are as clear as those of the beads, and no match was sought among them: narrow the collimator, or give \
+             --bead-radius"
+        ));
+    }
     let tried = pose.shadows.len();
-    pose.shadows.extend(untried);
+    pose.shadows.extend(untried());
     let more = pose.shadows.len() - tried;
     if more > 0 {
         pose.detections += more;

@@ -17,12 +17,13 @@ fn a_file_that_is_slow_to_read_is_passed_by_the_next_and_said() {
     let held = eventually(HANG_S, || readers(live.program.id()).pop()).expect("a helper stands ready");
     rustix::process::kill_process(held, Signal::STOP).expect("it is there");
     deliver(&[run], &lab);
+    let said = eventually(20.0, || live.stderr().contains("its file has been read for").then_some(()));
+    assert!(said.is_some(), "nobody says what is slow: {}", live.stderr());
+    assert_eq!(live.heard().images, 0, "it is held");
     deliver(&[next], &lab);
     // A reader is killed after half a minute: until then the next frame must have come.
     let passed = eventually(20.0, || (live.heard().images == 1).then_some(()));
     assert!(passed.is_some(), "the next frame waits: {}", live.stderr());
-    let said = eventually(20.0, || live.stderr().contains("its file has been read for").then_some(()));
-    assert!(said.is_some(), "nobody says what is slow: {}", live.stderr());
     rustix::process::kill_process(held, Signal::CONT).expect("it is there");
     let all = eventually(HANG_S, || (live.heard().images == 1 + IMAGES).then_some(()));
     assert!(all.is_some(), "{} images: {}", live.heard().images, live.stderr());

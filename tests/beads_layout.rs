@@ -1,9 +1,9 @@
 //! Slicer's point lists, right and wrong.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use glam::DVec3;
-use sidecarm::beads::{BeadsError, read_landmarks, read_markups};
+use sidecarm::beads::{BeadsError, read_landmarks, read_markups, says_ras};
 
 fn file(name: &str, text: &str) -> (tempfile::TempDir, PathBuf) {
     let folder = tempfile::tempdir().expect("a temporary folder");
@@ -98,4 +98,20 @@ fn damage_is_named() {
     );
     expect("b.fcsv", "# CoordinateSystem = LPS\nn0,nan,2,3,0,0,0,1,1,1,0,a,,\n", "position");
     expect("b.txt", "", "expected a Slicer markups file");
+}
+
+/// Whoever puts right what a file says of its axes must know what it says, in either format and in Slicer's old numbers.
+#[test]
+fn what_a_file_says_of_its_axes_is_known_in_every_form() {
+    let json = |stated: &str| format!("{{\"markups\": [{{\"coordinateSystem\": {stated}}}]}}");
+    let fcsv =
+        |stated: &str| format!("# Markups fiducial file version = 4.11\n# CoordinateSystem = {stated}\n# columns = id,x,y,z\n");
+    for (stated, ras) in [("RAS", Some(true)), ("0", Some(true)), ("LPS", Some(false)), ("1", Some(false)), ("IJK", None)] {
+        for text in [json(&format!("\"{stated}\"")), fcsv(stated)] {
+            assert_eq!(says_ras(Path::new("b"), text.as_bytes()), ras, "{text}");
+        }
+    }
+    assert_eq!(says_ras(Path::new("b"), json("0").as_bytes()), Some(true));
+    assert_eq!(says_ras(Path::new("b"), json("null").as_bytes()), None);
+    assert_eq!(says_ras(Path::new("b"), b"id,x,y,z\n"), None);
 }

@@ -7,8 +7,8 @@ use rayon::prelude::*;
 use sidecarm::pose::{Prior, Registration, register_shadows};
 use sidecarm::random::{Purpose, Stream};
 
-use crate::pose_evaluate::{about_beads, turned};
 use crate::pose_intrinsics::{Held, held, landmarks};
+use crate::pose_mistakes::{about_beads, turned};
 use crate::pose_registration::{matching, shadows};
 use crate::pose_synthetic as synthetic;
 use crate::pose_unseen::eight;

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use sidecarm::pose::{Prior, Registration, register_shadows};
 use sidecarm::random::{Purpose, Stream};
 
-use crate::pose_evaluate::{Draw, WRONG_PX, turned};
+use crate::pose_mistakes::{Draw, WRONG_PX, turned};
 use crate::pose_registration::{clutter, matching, shadows, worst_landmark_px};
 use crate::pose_synthetic as synthetic;
 

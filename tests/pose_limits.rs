@@ -7,7 +7,7 @@ use sidecarm::beads::{BeadLayout, Detection, Landmark};
 use sidecarm::geometry::{Intrinsics, Rigid, View};
 use sidecarm::pose::{Pose, Prior, Refusal, Registration, register_shadows};
 
-use crate::pose_evaluate::about_beads;
+use crate::pose_mistakes::about_beads;
 use crate::pose_registration::{clutter, landmark_error_px, matching, shadows};
 use crate::pose_synthetic as synthetic;
 

@@ -17,15 +17,15 @@ use sidecarm::scene::optics::{Field, Heel, Towards};
 use crate::render_scenes::{With, cuboid, empty, solids, spectrum};
 
 #[derive(Parser)]
-struct Render {
+pub struct Render {
     #[command(flatten)]
-    args: render::RenderArgs,
+    pub args: render::RenderArgs,
 }
 
 #[derive(Parser)]
-struct Follow {
+pub struct Follow {
     #[command(flatten)]
-    args: scatter::ScatterArgs,
+    pub args: scatter::ScatterArgs,
 }
 
 const SCENE: &str = r#"{

@@ -9,19 +9,8 @@ use sidecarm::cli::{render, scatter};
 use sidecarm::reporter::Reporter;
 use sidecarm::scene;
 
+use crate::render_scatter::{Follow, Render};
 use crate::scene_support::NiftiFile;
-
-#[derive(Parser)]
-struct Render {
-    #[command(flatten)]
-    args: render::RenderArgs,
-}
-
-#[derive(Parser)]
-struct Follow {
-    #[command(flatten)]
-    args: scatter::ScatterArgs,
-}
 
 /// Eight voxels along each edge, room air around what `inside` gives the inner six.
 fn ct(folder: &Path, voxel_mm: f32, inside: impl Fn(usize) -> i16) {

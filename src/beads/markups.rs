@@ -131,6 +131,23 @@ fn parse_points(path: &Path, bytes: &[u8]) -> Result<Points, BeadsError> {
     Ok(Points { points, notes })
 }
 
+/// Whether a file says that its coordinates are RAS, else LPS; `None` where it says neither.
+#[must_use]
+pub fn says_ras(path: &Path, bytes: &[u8]) -> Option<bool> {
+    let stated = match crate::json::parse_json::<Value>(bytes) {
+        Ok(document) => match &document["markups"][0]["coordinateSystem"] {
+            Value::String(text) => text.clone(),
+            other => other.to_string(),
+        },
+        Err(_) => {
+            let text = String::from_utf8_lossy(bytes);
+            let header = |line: &str| Some(line.strip_prefix('#')?.split_once('=')?.1.to_owned());
+            unmarked(&text).lines().filter(|line| line.contains("CoordinateSystem")).find_map(header)?
+        }
+    };
+    is_ras(path, "", &stated).ok()
+}
+
 /// Whether coordinates are RAS (else LPS): Slicer writes `LPS`, `RAS`, or in older files `1` and `0`.
 fn is_ras(path: &Path, place: &str, found: &str) -> Result<bool, BeadsError> {
     match found.trim().to_ascii_uppercase().as_str() {

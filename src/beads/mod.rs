@@ -29,6 +29,6 @@ pub use correspondences::{Correspondence, CorrespondencesError, read_corresponde
 pub use detect::{Detection, Detections, Expectation, Polarity, Signal, detect, detect_image};
 pub use flags::Flags;
 pub use layout::{Bead, BeadLayout, DEFAULT_BODY, DEFAULT_SIGMA_MM, Landmark};
-pub use markups::{parse_landmarks, parse_markups, read_landmarks, read_markups};
+pub use markups::{parse_landmarks, parse_markups, read_landmarks, read_markups, says_ras};
 pub use markups_error::BeadsError;
 pub use probe::Probe;

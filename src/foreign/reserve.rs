@@ -7,7 +7,7 @@ use std::sync::{Mutex, PoisonError};
 
 use super::process::Process;
 
-/// After so many files a helper gives way to a fresh one.
+/// After so many files a helper gives way to a fresh one: what decoders keep is never more than these leave.
 const MOST_FILES: u32 = 200;
 
 /// One started helper of `program` that waits for its next file.

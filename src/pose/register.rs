@@ -21,6 +21,8 @@ use crate::mask::{self, Cause, Masks};
 const MOST_DETECTIONS: usize = 40;
 /// So many of the others, where they are as clear as the beads that match, may be another match.
 const RIVAL_SHADOWS: usize = 4;
+/// They are as clear where they stand out of the noise as far, and look like beads to this share of the worst that matches.
+const LIKE_A_BEAD: f64 = 0.9;
 
 /// Registers a frame. A refusal is a result, not an error: `status` is refused and `reason` says why.
 #[must_use]
@@ -167,10 +169,12 @@ fn attempt(request: &Registration, seen: &[Detection], probe: Option<Probe>) -> 
         Some(refusal) => Pose { cautions: Vec::new(), doubt: None, ..pose }.refused_for(refusal),
         None => pose,
     };
-    let untried = || placed(seen).skip(MOST_DETECTIONS).map(|detection| Shadow::of(detection, None));
-    let faintest =
-        pose.shadows.iter().filter(|shadow| shadow.bead.is_some()).map(|shadow| shadow.snr).fold(f64::INFINITY, f64::min);
-    let as_clear = untried().filter(|shadow| shadow.snr >= faintest).count();
+    let is_used = |seen: &&Detection| {
+        pose.shadows.iter().any(|shadow| shadow.bead.is_some() && shadow.image_px == seen.image_px.to_array())
+    };
+    let least = |of: fn(&Detection) -> f64| detections.iter().filter(is_used).map(of).fold(f64::INFINITY, f64::min);
+    let (snr, quality) = (least(|seen| seen.snr), LIKE_A_BEAD * least(|seen| seen.quality));
+    let as_clear = placed(seen).skip(MOST_DETECTIONS).filter(|other| other.snr >= snr && other.quality >= quality).count();
     if pose.is_accepted() && as_clear >= RIVAL_SHADOWS {
         pose.doubt(format!(
             "{as_clear} more shadows are as clear as those of the beads, and no match was sought among them: narrow the collimator, or give \
@@ -178,7 +182,7 @@ fn attempt(request: &Registration, seen: &[Detection], probe: Option<Probe>) -> 
         ));
     }
     let tried = pose.shadows.len();
-    pose.shadows.extend(untried());
+    pose.shadows.extend(placed(seen).skip(MOST_DETECTIONS).map(|detection| Shadow::of(detection, None)));
     let more = pose.shadows.len() - tried;
     if more > 0 {
         pose.detections += more;

@@ -66,14 +66,14 @@ fn segment(canvas: &mut Canvas, from: DVec2, to: DVec2, width: f64, colour: Rgb)
     let (along, out) = (to - from, DVec2::splat(0.5 * width + 1.0));
     let [columns, rows] = within(canvas, from.min(to) - out, from.max(to) + out);
     for v in rows {
-        // Where the line crosses the row, and what its width takes of it.
-        let reach = (out.x * along.length() + along.x.abs()) / along.y.abs();
-        let crossing = from.x + (v as f64 - from.y) / along.y * along.x;
-        let [crossed, _] = match (crossing - reach).is_finite() && (crossing + reach).is_finite() {
-            true => within(canvas, DVec2::new(crossing - reach, 0.0), DVec2::new(crossing + reach, 0.0)),
-            false => [columns.clone(), 0..0],
-        };
-        for u in columns.start.max(crossed.start)..columns.end.min(crossed.end) {
+        // Only what the line's width takes of the row; of a level line that is all of it.
+        let (crossing, reach) = (
+            from.x + (v as f64 - from.y) / along.y * along.x,
+            out.x * along.length() / along.y.abs() + (along.x / along.y).abs(),
+        );
+        let taken =
+            if (crossing + reach).is_finite() { cut(crossing - reach, crossing + reach, columns.end) } else { columns.clone() };
+        for u in columns.start.max(taken.start)..columns.end.min(taken.end) {
             let at = DVec2::new(u as f64, v as f64);
             let share = ((at - from).dot(along) / along.length_squared().max(1e-12)).clamp(0.0, 1.0);
             let off = at.distance(from + share * along);
@@ -84,9 +84,13 @@ fn segment(canvas: &mut Canvas, from: DVec2, to: DVec2, width: f64, colour: Rgb)
 
 /// Columns and rows of the canvas between two corners.
 fn within(canvas: &Canvas, low: DVec2, high: DVec2) -> [Range<usize>; 2] {
-    let limit = |value: f64, end: usize| value.clamp(0.0, end as f64) as usize;
-    let range = |low: f64, high: f64, end: usize| limit(low.floor(), end)..limit(high.ceil() + 1.0, end);
-    [range(low.x, high.x, canvas.image.width), range(low.y, high.y, canvas.image.height)]
+    [cut(low.x, high.x, canvas.image.width), cut(low.y, high.y, canvas.image.height)]
+}
+
+/// Pixels from `low` to `high`, cut at 0 and `end`.
+fn cut(low: f64, high: f64, end: usize) -> Range<usize> {
+    let limit = |value: f64| value.clamp(0.0, end as f64) as usize;
+    limit(low.floor())..limit(high.ceil() + 1.0)
 }
 
 /// Words at the right of a place, at its left where there is no room; they can be read on any ground.

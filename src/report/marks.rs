@@ -30,7 +30,7 @@ pub struct BeadMark {
 /// A shadow that looks like a bead's.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ShadowMark {
-    /// Its place among all shadows of the frame, the most significant first: from 1.
+    /// Its place among all shadows of the frame, the most bead-like first: from 1.
     pub rank: usize,
     /// Its centre.
     pub image_px: [f64; 2],

@@ -62,7 +62,7 @@ pub(super) fn show(panel: &mut Panels, shown: &Unmatched, left: i64, beside: Ran
 fn table(canvas: &mut Canvas, shadows: &[ShadowMark], columns: &Range<i64>, rows: Range<i64>) {
     let words = match shadows {
         [_] => "1 bead-like shadow; centre and radius in px".to_owned(),
-        _ => format!("{} bead-like shadows, the most significant first; centre and radius in px", shadows.len()),
+        _ => format!("{} bead-like shadows, the most bead-like first; centre and radius in px", shadows.len()),
     };
     canvas.text(columns.start as f32, rows.start as f32, &words, 16.0, DIM, Align::Left);
     let beside = ((columns.end - columns.start) / WIDE).max(1);

@@ -11,7 +11,7 @@ const AGREE_MM: f64 = 20.0;
 const AGREE_DEG: f64 = 3.0;
 /// So many frames in a row that disagree with the tie, and agree with each other, replace it.
 const REPLACED_BY: usize = 2;
-/// So many files in a row that disagree with the tie, and with each other, end it: where the specimen lies nobody knows then.
+/// So many files in a row that disagree with the tie, each also with the one before, end it: where the specimen lies nobody knows then.
 const GIVEN_UP_AFTER: usize = 3;
 
 /// How far two ideas of the specimen in the room lie apart.

@@ -5,7 +5,7 @@ use glam::DVec3;
 use super::alignment::{Alignment, Mistake, Strictness, align, mistakes};
 use super::finding::Finding;
 use super::metal::{CtMetal, Specimen, bead_spheres, ct_metal};
-use crate::beads::BeadLayout;
+use crate::beads::{BeadLayout, says_ras};
 use crate::scene::Scene;
 use crate::session::file::Setup;
 
@@ -38,13 +38,8 @@ pub fn check_beads(setup: &Setup, scene: &Scene, layout: &BeadLayout) -> Vec<Fin
 
 /// What the markups file says of its axes: `LPS` or `RAS`.
 fn stated_system(setup: &Setup) -> Option<&'static str> {
-    let (_, text) = setup.beads.as_ref()?;
-    let value: serde_json::Value = serde_json::from_str(text).ok()?;
-    match value["markups"][0]["coordinateSystem"].as_str()? {
-        "LPS" | "1" => Some("LPS"),
-        "RAS" | "0" => Some("RAS"),
-        _ => None,
-    }
+    let (path, text) = setup.beads.as_ref()?;
+    says_ras(path, text.as_bytes()).map(|ras| if ras { "RAS" } else { "LPS" })
 }
 
 /// The remedy for a mistake.

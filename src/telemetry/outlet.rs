@@ -73,8 +73,6 @@ pub(super) struct Counters {
 pub(super) struct Outlet {
     pub(super) device: DeviceKind,
     pub(super) sink: Sender<(DeviceKind, PortEvent)>,
-    /// True once the port is to be closed.
-    pub(super) finishing: tokio::sync::watch::Receiver<bool>,
     pub(super) counters: Arc<Counters>,
 }
 
@@ -95,13 +93,4 @@ impl Outlet {
             }
         }
     }
-
-    /// Comes back once the port is to be closed.
-    pub(super) async fn asked_to_finish(&mut self) {
-        // A task that is dropped is not asked.
-        let _ = self.finishing.wait_for(|finishing| *finishing).await;
-    }
 }
-
-/// Why reading ended, and whether anything had come.
-pub(super) type Ended = (String, bool);

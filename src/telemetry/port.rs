@@ -1,7 +1,9 @@
-//! Ports, driven from tokio: bytes with their arrival time, unplugging, re-opening; serial lines, datagrams and growing files alike.
+//! Byte sources, driven from tokio: bytes with their arrival time, unplugging, re-opening; serial lines, datagrams, growing files and
+//! scripts alike.
 //!
 //! Read-only toward devices: nothing here can send a byte. [`PortTask`] owns the port and offers no access to it.
 
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -9,11 +11,12 @@ use std::time::Duration;
 use tokio::sync::mpsc::Sender;
 
 use super::address::{PortAddress, PortConfig};
+use super::byte_source::{ByteSource, Closing, Heard};
 use super::device::DeviceKind;
-use super::outlet::{Counters, Deaf, Ended, Outlet, PortEvent};
-use super::port_error::PortError;
-use super::tail::{self, Tail};
-use super::{serial, udp};
+use super::outlet::{Counters, Deaf, Outlet, PortEvent};
+use super::serial::Serial;
+use super::tail::Tail;
+use super::udp::Listener;
 use crate::time::host_now_us;
 
 /// Wait before the first attempt to open again; doubled after each failure.
@@ -73,86 +76,52 @@ impl Drop for PortTask {
 /// The first failure to open is an event like later ones: a device may be plugged in after the start. When `sink` is full, reading waits.
 #[must_use = "the port closes when the task is dropped"]
 pub fn spawn_port(handle: &tokio::runtime::Handle, config: PortConfig, sink: Sender<(DeviceKind, PortEvent)>) -> PortTask {
+    let PortConfig { device, path: port, adapter, .. } = config.clone();
+    let listener = |address| Listener::new(port.clone(), address, adapter.is_some());
+    match PortAddress::of(&port) {
+        Ok(PortAddress::Serial(_)) => spawn_source(handle, device, port, Serial::new(config), sink),
+        Ok(PortAddress::Udp(address)) => spawn_source(handle, device, port.clone(), listener(Ok(address)), sink),
+        Ok(PortAddress::File(path)) => spawn_source(handle, device, port.clone(), Tail::new(port, path, adapter), sink),
+        // Told as a port that does not open.
+        Err(error) => spawn_source(handle, device, port.clone(), listener(Err(error)), sink),
+    }
+}
+
+/// Reads any source of `device`'s bytes as [`spawn_port`] does a port; `name` is what it is called when it opens.
+#[must_use = "the source closes when the task is dropped"]
+pub fn spawn_source(
+    handle: &tokio::runtime::Handle,
+    device: DeviceKind,
+    name: PathBuf,
+    source: impl ByteSource + 'static,
+    sink: Sender<(DeviceKind, PortEvent)>,
+) -> PortTask {
     let counters = Arc::new(Counters::default());
     let (finish, finishing) = tokio::sync::watch::channel(false);
-    let outlet = Outlet { device: config.device, sink, finishing, counters: Arc::clone(&counters) };
-    PortTask { task: handle.spawn(run(config, outlet)), finish, counters }
+    let outlet = Outlet { device, sink, counters: Arc::clone(&counters) };
+    PortTask { task: handle.spawn(run(name, source, Closing(finishing), outlet)), finish, counters }
 }
 
-/// A port that is open, or opening.
-enum Source {
-    Serial,
-    Udp(udp::Listener),
-    File(Tail),
-}
-
-impl Source {
-    fn of(config: &PortConfig) -> Result<Self, PortError> {
-        let of_lines = config.adapter.is_some();
-        match PortAddress::of(&config.path) {
-            Ok(PortAddress::Serial(_)) => Ok(Self::Serial),
-            Ok(PortAddress::Udp(address)) => Ok(Self::Udp(udp::Listener::new(address, of_lines))),
-            Ok(PortAddress::File(path)) => Ok(Self::File(Tail::new(path, config.adapter.clone()))),
-            Err(error) => Err(PortError::Io { path: config.path.clone(), reason: error.to_string() }),
-        }
-    }
-
-    /// Opens it and reads until it ends; `Err` in the outer result when nobody listens any more.
-    async fn read(&mut self, config: &PortConfig, epoch: u32, outlet: &mut Outlet) -> Result<Result<Ended, PortError>, Deaf> {
-        let path = config.path.clone();
-        let opened = |resolved| PortEvent::Opened { epoch, host_us: host_now_us(), path: path.clone(), resolved };
-        match self {
-            Self::Serial => match serial::open(config, epoch == 0) {
-                Ok((port, resolved)) => {
-                    outlet.send(opened(resolved)).await?;
-                    serial::pump(port, epoch, outlet).await.map(Ok)
-                }
-                Err(error) => Ok(Err(error)),
-            },
-            Self::Udp(listener) => match listener.open(&path).await {
-                Ok(socket) => {
-                    outlet.send(opened(path.clone())).await?;
-                    listener.pump(socket, epoch, outlet).await.map(Ok)
-                }
-                Err(error) => Ok(Err(error)),
-            },
-            Self::File(tail) => match tail.open(&path).await {
-                Ok(open) => {
-                    outlet.send(opened(path.clone())).await?;
-                    tail::pump(tail, open, epoch, outlet).await.map(Ok)
-                }
-                Err(error) => Ok(Err(error)),
-            },
-        }
-    }
-}
-
-async fn run(config: PortConfig, mut outlet: Outlet) {
+async fn run<S: ByteSource>(name: PathBuf, mut source: S, mut closing: Closing, outlet: Outlet) {
     let mut epoch = 0;
     let mut attempt = 0;
     let mut backoff = FIRST_BACKOFF;
-    let mut source = Source::of(&config);
-    let is_whole = PortAddress::begins_whole(&config.path);
     loop {
-        // What waits in a socket or stands in another file must not wait longer: its time would be that of the wait's end.
         let mut at_once = false;
-        let read = match &mut source {
-            Ok(source) => source.read(&config, epoch, &mut outlet).await,
-            Err(error) => Ok(Err(error.clone())),
-        };
-        let event = match read {
-            Err(Deaf) => return,
-            Ok(Ok((reason, received))) => {
+        let event = match source.open().await {
+            Ok(resolved) => {
+                let opened = PortEvent::Opened { epoch, host_us: host_now_us(), path: name.clone(), resolved };
+                let Ok((reason, received)) = read(&mut source, opened, epoch, &mut closing, &outlet).await else { return };
                 attempt = 0;
                 // A port that opens and dies at once must not be hammered.
                 if received {
                     backoff = FIRST_BACKOFF;
-                    at_once = is_whole;
+                    at_once = S::KEEPS_BYTES;
                 }
                 epoch += 1;
                 PortEvent::Lost { epoch: epoch - 1, host_us: host_now_us(), reason }
             }
-            Ok(Err(error)) => {
+            Err(error) => {
                 attempt += 1;
                 PortEvent::Retry { host_us: host_now_us(), attempt, wait_ms: backoff.as_millis() as u64, error }
             }
@@ -165,11 +134,34 @@ async fn run(config: PortConfig, mut outlet: Outlet) {
         }
         tokio::select! {
             () = tokio::time::sleep(backoff) => {}
-            () = outlet.asked_to_finish() => return,
+            () = closing.asked() => return,
         }
         backoff = (backoff * 2).min(LONGEST_BACKOFF);
         if outlet.sink.is_closed() {
             return;
+        }
+    }
+}
+
+/// Reads a source that is open: why it ended, and whether anything had come; `Err` when nobody listens any more, or all is read.
+async fn read(
+    source: &mut impl ByteSource,
+    opened: PortEvent,
+    epoch: u32,
+    closing: &mut Closing,
+    outlet: &Outlet,
+) -> Result<(String, bool), Deaf> {
+    outlet.send(opened).await?;
+    let mut received = false;
+    loop {
+        match source.next(closing).await {
+            Heard::Bytes { host_us, bytes } => {
+                received = true;
+                outlet.send(PortEvent::Bytes { host_us, epoch, bytes }).await?;
+            }
+            Heard::Said { host_us, words } => outlet.send(PortEvent::Said { host_us, words }).await?,
+            Heard::Lost { reason } => return Ok((reason, received)),
+            Heard::Closed => return Err(Deaf),
         }
     }
 }

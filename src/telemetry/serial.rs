@@ -7,7 +7,7 @@ use tokio::io::AsyncReadExt;
 use tokio_serial::SerialStream;
 
 use super::address::PortConfig;
-use super::outlet::{Deaf, Ended, Outlet, PortEvent};
+use super::byte_source::{ByteSource, Closing, Heard};
 use super::port_error::PortError;
 use crate::time::host_now_us;
 
@@ -16,51 +16,76 @@ const IN_THE_DRIVER: Duration = Duration::from_millis(25);
 /// Most bytes in one event.
 const CHUNK_BYTES: usize = 4096;
 
-/// Reads until the device goes; returns why, and whether anything arrived at all.
-pub(super) async fn pump(mut port: SerialStream, epoch: u32, outlet: &mut Outlet) -> Result<Ended, Deaf> {
-    let mut buffer = vec![0; CHUNK_BYTES];
-    let mut received = false;
-    loop {
-        // What has arrived comes first: when the port is to be closed, it is read to the end before.
-        let outcome = tokio::select! {
-            biased;
-            outcome = port.read(&mut buffer) => Some(outcome),
-            () = outlet.asked_to_finish() => None,
-        };
-        let Some(outcome) = outcome else {
-            drain(&mut port, epoch, outlet, &mut buffer).await?;
-            return Err(Deaf);
-        };
-        let host_us = host_now_us();
-        match outcome {
-            // After an unplug Linux returns nothing, at once and for ever.
-            Ok(0) => return Ok(("the device returns no bytes any more (unplugged?)".to_owned(), received)),
-            Ok(count) => {
-                received = true;
-                outlet.send(PortEvent::Bytes { host_us, epoch, bytes: buffer[..count].to_vec() }).await?;
+/// Reads a serial port.
+pub(super) struct Serial {
+    config: PortConfig,
+    /// While it is open.
+    port: Option<SerialStream>,
+    buffer: Vec<u8>,
+    was_open: bool,
+    /// It is to be closed: what is left is read.
+    is_draining: bool,
+}
+
+impl Serial {
+    pub(super) fn new(config: PortConfig) -> Self {
+        Self { config, port: None, buffer: vec![0; CHUNK_BYTES], was_open: false, is_draining: false }
+    }
+
+    async fn read(&mut self, closing: &mut Closing) -> Heard {
+        let Self { port: Some(port), buffer, is_draining, .. } = self else { return Heard::Closed };
+        while !*is_draining {
+            // What has arrived comes first: when the port is to be closed, it is read to the end before.
+            let outcome = tokio::select! {
+                biased;
+                outcome = port.read(buffer) => Some(outcome),
+                () = closing.asked() => None,
+            };
+            match outcome {
+                // After an unplug Linux returns nothing, at once and for ever.
+                Some(Ok(0)) => return Heard::Lost { reason: "the device returns no bytes any more (unplugged?)".to_owned() },
+                Some(Ok(count)) => return Heard::Bytes { host_us: host_now_us(), bytes: buffer[..count].to_vec() },
+                Some(Err(error)) if error.kind() == std::io::ErrorKind::Interrupted => {}
+                Some(Err(error)) => return Heard::Lost { reason: error.to_string() },
+                None => {
+                    // What the device sent a moment ago may not have come through the driver yet.
+                    tokio::time::sleep(IN_THE_DRIVER).await;
+                    *is_draining = true;
+                }
             }
-            Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
-            Err(error) => return Ok((error.to_string(), received)),
+        }
+        // What has come through, the runtime need not have noticed: this asks the system itself.
+        match port.try_read(buffer) {
+            Ok(count @ 1..) => Heard::Bytes { host_us: host_now_us(), bytes: buffer[..count].to_vec() },
+            Ok(_) | Err(_) => Heard::Closed,
         }
     }
 }
 
-/// Reads what is left. What the device sent a moment ago may not have come through the driver yet, and what has, the runtime need not have
-/// noticed: the reads ask the system itself.
-async fn drain(port: &mut SerialStream, epoch: u32, outlet: &mut Outlet, buffer: &mut [u8]) -> Result<(), Deaf> {
-    tokio::time::sleep(IN_THE_DRIVER).await;
-    while let Ok(count @ 1..) = port.try_read(buffer) {
-        let bytes = buffer[..count].to_vec();
-        outlet.send(PortEvent::Bytes { host_us: host_now_us(), epoch, bytes }).await?;
+impl ByteSource for Serial {
+    const KEEPS_BYTES: bool = false;
+
+    async fn open(&mut self) -> Result<PathBuf, PortError> {
+        let (port, resolved) = open(&self.config, !self.was_open)?;
+        (self.port, self.was_open) = (Some(port), true);
+        Ok(resolved)
     }
-    Ok(())
+
+    async fn next(&mut self, closing: &mut Closing) -> Heard {
+        let heard = self.read(closing).await;
+        if !matches!(heard, Heard::Bytes { .. }) {
+            // While it is held, it cannot be opened again.
+            self.port = None;
+        }
+        heard
+    }
 }
 
 /// Opens the port exclusively, raw, 8N1, without flow control. Returns it with the device file behind symbolic links.
 ///
 /// # Errors
 /// As [`PortError`] tells apart.
-pub(super) fn open(config: &PortConfig, is_first: bool) -> Result<(SerialStream, PathBuf), PortError> {
+fn open(config: &PortConfig, is_first: bool) -> Result<(SerialStream, PathBuf), PortError> {
     let path = config.path.clone();
     let resolved = std::fs::canonicalize(&path).map_err(|error| PortError::of(&path, &error))?;
     let pty = is_pseudo_terminal(&resolved);

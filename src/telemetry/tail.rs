@@ -5,8 +5,8 @@ use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use super::byte_source::{ByteSource, Closing, Heard};
 use super::lines::LineAdapter;
-use super::outlet::{Deaf, Ended, Outlet, PortEvent};
 use super::port_error::PortError;
 use crate::time::host_now_us;
 
@@ -21,8 +21,9 @@ const NEAR_BYTES: u64 = 64 << 10;
 type Identity = (u64, u64);
 
 /// Follows the file at a path.
-#[derive(Clone)]
 pub(super) struct Tail {
+    /// As configured.
+    port: PathBuf,
     path: PathBuf,
     /// How its lines are read: a header that names their columns is read as well. None where they are packets.
     adapter: Option<LineAdapter>,
@@ -30,51 +31,51 @@ pub(super) struct Tail {
     known: Option<(Identity, u64)>,
     /// There was no file: whatever is in one that appears was written since.
     was_missing: bool,
+    open: Option<Open>,
 }
 
 /// The file, and what of its beginning is read first.
-pub(super) struct Open {
+struct Open {
     file: File,
     identity: Identity,
     at: u64,
     header: Vec<u8>,
 }
 
-impl Tail {
-    pub(super) fn new(path: PathBuf, adapter: Option<LineAdapter>) -> Self {
-        Self { path, adapter, known: None, was_missing: false }
-    }
-
-    /// Opens the file at the beginning of its last line where it was there before, at its beginning where it is new, and where reading
-    /// ended where it is the same; on a thread for what may take long, as [`look`] does.
-    pub(super) async fn open(&mut self, configured: &Path) -> Result<Open, PortError> {
-        let seen = self.clone();
-        let opening = tokio::task::spawn_blocking(move || seen.opened());
-        let opened = opening.await.map_err(std::io::Error::other).flatten();
-        self.was_missing |= opened.as_ref().is_err_and(|error| error.kind() == std::io::ErrorKind::NotFound);
-        opened.map_err(|error| PortError::of(configured, &error))
-    }
-
-    fn opened(&self) -> std::io::Result<Open> {
+impl Open {
+    /// At the beginning of its last line where it was there before, at its beginning where it is new, and where reading ended where it is
+    /// the same.
+    fn of(
+        path: &Path,
+        adapter: Option<&LineAdapter>,
+        known: Option<(Identity, u64)>,
+        was_missing: bool,
+    ) -> std::io::Result<Self> {
         // A pipe that nobody writes to would not open.
-        let metadata = std::fs::metadata(&self.path)?;
+        let metadata = std::fs::metadata(path)?;
         if !metadata.is_file() {
             return Err(std::io::Error::new(std::io::ErrorKind::InvalidInput, "no regular file"));
         }
-        let mut file = File::open(&self.path)?;
+        let mut file = File::open(path)?;
         let metadata = file.metadata()?;
         let (identity, length) = (identity(&metadata), metadata.len());
-        let (at, header) = match self.known {
+        let (at, header) = match known {
             Some((known, at)) if known == identity && at <= length => (at, Vec::new()),
             Some(_) => (0, Vec::new()),
-            None if self.was_missing => (0, Vec::new()),
+            None if was_missing => (0, Vec::new()),
             None => {
-                let at = last_unit(&mut file, length, self.adapter.is_some())?;
-                let header = self.adapter.as_ref().map(|adapter| last_header(&mut file, at, adapter));
+                let at = last_unit(&mut file, length, adapter.is_some())?;
+                let header = adapter.map(|adapter| last_header(&mut file, at, adapter));
                 (at, header.transpose()?.unwrap_or_default())
             }
         };
-        Ok(Open { file, identity, at, header })
+        Ok(Self { file, identity, at, header })
+    }
+}
+
+impl Tail {
+    pub(super) fn new(port: PathBuf, path: PathBuf, adapter: Option<LineAdapter>) -> Self {
+        Self { port, path, adapter, known: None, was_missing: false, open: None }
     }
 }
 
@@ -98,48 +99,63 @@ async fn look(mut file: File, path: PathBuf, at: u64) -> std::io::Result<(File, 
     looking.await.map_err(std::io::Error::other)?
 }
 
-/// Reads what is written until the file is another, shorter or gone.
-pub(super) async fn pump(tail: &mut Tail, open: Open, epoch: u32, outlet: &mut Outlet) -> Result<Ended, Deaf> {
-    let Open { mut file, identity: own, mut at, header } = open;
-    let mut received = !header.is_empty();
-    if received {
-        outlet.send(PortEvent::Bytes { host_us: host_now_us(), epoch, bytes: header }).await?;
+impl ByteSource for Tail {
+    const KEEPS_BYTES: bool = true;
+
+    /// On a thread for what may take long, as [`look`] does.
+    async fn open(&mut self) -> Result<PathBuf, PortError> {
+        let (path, adapter, known, was_missing) = (self.path.clone(), self.adapter.clone(), self.known, self.was_missing);
+        let opening = tokio::task::spawn_blocking(move || Open::of(&path, adapter.as_ref(), known, was_missing));
+        let opened = opening.await.map_err(std::io::Error::other).flatten();
+        self.was_missing |= opened.as_ref().is_err_and(|error| error.kind() == std::io::ErrorKind::NotFound);
+        self.open = Some(opened.map_err(|error| PortError::of(&self.port, &error))?);
+        Ok(self.port.clone())
     }
-    loop {
-        tail.known = Some((own, at));
-        let is_last = *outlet.finishing.borrow();
-        let Look { there, bytes } = match look(file, tail.path.clone(), at).await {
-            Ok((same, found)) => {
-                file = same;
-                found
+
+    /// It ends when the file is another, shorter or gone.
+    async fn next(&mut self, closing: &mut Closing) -> Heard {
+        // Put back where reading goes on.
+        let Some(mut open) = self.open.take() else { return Heard::Closed };
+        let header = std::mem::take(&mut open.header);
+        if !header.is_empty() {
+            self.open = Some(open);
+            return Heard::Bytes { host_us: host_now_us(), bytes: header };
+        }
+        loop {
+            self.known = Some((open.identity, open.at));
+            let is_last = closing.is_asked();
+            let Look { there, bytes } = match look(open.file, self.path.clone(), open.at).await {
+                Ok((same, found)) => {
+                    open.file = same;
+                    found
+                }
+                Err(error) => return Heard::Lost { reason: error.to_string() },
+            };
+            if !bytes.is_empty() {
+                open.at += bytes.len() as u64;
+                self.open = Some(open);
+                return Heard::Bytes { host_us: host_now_us(), bytes };
             }
-            Err(error) => return Ok((error.to_string(), received)),
-        };
-        if !bytes.is_empty() {
-            at += bytes.len() as u64;
-            received = true;
-            outlet.send(PortEvent::Bytes { host_us: host_now_us(), epoch, bytes }).await?;
-            continue;
-        }
-        if is_last {
-            return Err(Deaf);
-        }
-        let reason = match &there {
-            None => Some("the file is gone"),
-            Some(there) if identity(there) != own => Some("another file stands in its place"),
-            Some(there) if there.len() < at => Some("the file was cut short"),
-            Some(_) => None,
-        };
-        if let Some(reason) = reason {
-            if there.is_none() {
-                // What appears is new.
-                (tail.known, tail.was_missing) = (None, true);
+            if is_last {
+                return Heard::Closed;
             }
-            return Ok((reason.to_owned(), received));
-        }
-        tokio::select! {
-            () = tokio::time::sleep(POLL) => {}
-            () = outlet.asked_to_finish() => {}
+            let reason = match &there {
+                None => Some("the file is gone"),
+                Some(there) if identity(there) != open.identity => Some("another file stands in its place"),
+                Some(there) if there.len() < open.at => Some("the file was cut short"),
+                Some(_) => None,
+            };
+            if let Some(reason) = reason {
+                if there.is_none() {
+                    // What appears is new.
+                    (self.known, self.was_missing) = (None, true);
+                }
+                return Heard::Lost { reason: reason.to_owned() };
+            }
+            tokio::select! {
+                () = tokio::time::sleep(POLL) => {}
+                () = closing.asked() => {}
+            }
         }
     }
 }

@@ -102,7 +102,8 @@ fn bone(folder: &Path, ct: &Path, name: &str) -> PathBuf {
 fn formed(folder: &Path, given: &Given, (name, middle): (&str, [f64; 3]), step: &Step, more: &[&str]) -> (Vec<f64>, Value) {
     let (path, image) = (folder.join("scene.json"), folder.join("image.tif"));
     std::fs::write(&path, scene(folder, given, name, middle, step).to_string()).expect("written");
-    let base = ["render", text(&path), "--out", text(&image), "--quantity", "line_integral", "--device", "cpu", "--json"];
+    let device = std::env::var("SIDECARM_DEVICE").unwrap_or_else(|_| "auto".to_owned());
+    let base = ["render", text(&path), "--out", text(&image), "--quantity", "line_integral", "--device", &device, "--json"];
     let network = given.network("scatter", name).filter(|_| step.scatter == "network");
     let with = network.as_ref().map_or(Vec::new(), |path| vec!["--scatter-network", text(path)]);
     let ran = sidecarm(&[&base, more, &with].concat());
@@ -138,6 +139,7 @@ fn montage(tiles: &[Vec<u8>], across: usize) -> Image<[u8; 3]> {
 
 /// Prints the table and draws the figure of docs/figures.md, into the folder `SIDECARM_OUT`. `SIDECARM_DATA` is the folder of `ct-pelvis` and
 /// `ct-chest`, `SIDECARM_NETWORKS` that of networks trained without one of them; `SIDECARM_REL_ERROR` is how well the photons' scatter is known.
+/// A GPU renders and follows the photons where there is one, unless `SIDECARM_DEVICE` says otherwise.
 #[test]
 #[ignore = "minutes long: scripts/evaluate ablations runs it"]
 fn ablations() {

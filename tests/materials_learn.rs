@@ -3,7 +3,7 @@
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
-use sidecarm::infer::materials::{LoadedMaterials, MaterialsCard};
+use sidecarm::infer::materials::{CLASSES, INPUTS, LoadedMaterials, MaterialsArchitecture, MaterialsCard};
 use sidecarm::infer::{JudgedBy, NetworkDevice, NetworkFiles};
 use sidecarm::learn::materials::{MaterialsFigures, MaterialsRecipe, TrainedMaterials, phantom, train_materials};
 use sidecarm::learn::{HoldOut, LabelledSpecimen, StepRule, TrainOptions, TrainingEnd};
@@ -152,6 +152,31 @@ fn a_resumed_training_is_the_straight_one() {
     let paths = [folder.path().join("third")].to_vec();
     let whole = MaterialsRecipe { epochs: 2, steps: 1, fresh_phantoms: 1, ..short() };
     refused(&TrainOptions { siblings: paths, ..options(folder.path(), "other", whole) }, "not at its end");
+}
+
+/// "Patches with 128³ voxels with voxel sizes of 0.86×0.86×1.0 mm³ […] fed forward with stride of 64 since only labels for the central 64³ voxels are
+/// accepted", "of encoder–decoder structure with skip-ahead connections", for air, soft tissue and bone.
+#[test]
+fn the_paper_s_pass_is_that_of_the_paper() {
+    let [pass] = MaterialsArchitecture::Paper.passes() else { panic!("one pass") };
+    assert_eq!((pass.spacing_mm, pass.patch, pass.keep, pass.fold), ([0.86, 0.86, 1.0], 128, 64, 1));
+    // Patches follow each other as far as they are kept, and what is kept is their middle.
+    assert_eq!((pass.patch - pass.keep) % 2, 0);
+    let layers = pass.layers();
+    assert!(layers.iter().all(|layer| layer.dimensions == 3));
+    let halvings: Vec<usize> = layers.iter().map(|layer| layer.stride).filter(|stride| *stride == 2).collect();
+    assert_eq!(halvings.len(), pass.channels.len() - 1);
+    assert_eq!(pass.patch % (1 << halvings.len()), 0, "every level has whole points");
+    // On the way up each level takes what the level below says and what itself said on the way down.
+    let joined: Vec<usize> = layers.iter().filter(|layer| layer.name.contains(".up.")).map(|layer| layer.inputs).collect();
+    assert_eq!(joined, pass.channels.windows(2).rev().map(|two| two[0] + two[1]).collect::<Vec<_>>());
+    let (first, last) = (&layers[0], &layers[layers.len() - 1]);
+    assert_eq!((first.inputs, last.outputs), (INPUTS, CLASSES));
+    // Channels of 8, 16, 32 and 64, by hand: down, up, and to the classes.
+    let down = 440 + 1_736 + 1_040 + 6_928 + 4_128 + 27_680 + 16_448 + 110_656;
+    let count = pass.parameter_count();
+    assert_eq!(count, down + 82_976 + 20_752 + 5_192 + 27);
+    assert!(MaterialsArchitecture::Default.passes().iter().all(|other| other.parameter_count() != count), "the control");
 }
 
 /// The loss falls: two dozen steps over patches of one phantom are a beginning.

@@ -125,6 +125,11 @@ fn a_network_is_trained_and_asked() {
         "{scatter}"
     );
 
+    // And of the three ways, beside what it costs.
+    let ran = render("network", &["--scatter-network", text(&network), "--explain"]);
+    let row = ran.stdout.lines().find(|line| line.starts_with("  network (asked for): "));
+    assert!(row.is_some_and(|row| row.contains(" ms; ") && row.contains("was not trained for this scene")), "{}", ran.stdout);
+
     // The one that comes with the program, and what every way costs.
     let ran = render("network", &["--explain"]);
     assert_eq!(ran.code, Some(0), "{}", ran.stderr);

@@ -2,7 +2,7 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use sidecarm::image::sha256_bytes;
-use sidecarm::infer::{Architecture, Card, InferError, Input, LoadedNetwork, NetworkFiles, ScatterNetwork, weights_file};
+use sidecarm::infer::{Architecture, Card, InferError, Input, Layer, LoadedNetwork, NetworkFiles, ScatterNetwork, weights_file};
 use sidecarm::learn::{Dataset, HoldOut, Recipe, TrainOptions, train};
 
 use crate::network_samples as samples;
@@ -156,6 +156,27 @@ fn with_first_deviation_zero(card: &str) -> String {
     let mut card: serde_json::Value = serde_json::from_str(card).expect("the test's own files");
     card["channels"][1]["deviation"] = 0.0.into();
     card.to_string()
+}
+
+/// "The first six layers consist of 11×11 kernels arranged in multiple channels […] and the last four layers, with 31×31 kernels and a single
+/// channel": but for the last one, which has a channel for what is scattered once and one for what is scattered more often.
+#[test]
+fn the_paper_s_layers_are_those_of_the_paper() {
+    let layers = Architecture::Paper.layers(9, 6);
+    assert!(layers.iter().all(|layer| (layer.dimensions, layer.stride) == (2, 1)), "at the resolution of the input");
+    let shapes: Vec<Vec<usize>> = layers.iter().map(Layer::weight_shape).collect();
+    let several = shapes[0][0];
+    assert!(several > 1);
+    let mut expected = vec![vec![several, 15, 11, 11]];
+    expected.extend(std::iter::repeat_n(vec![several, several, 11, 11], 5));
+    expected.push(vec![1, several, 31, 31]);
+    expected.extend(std::iter::repeat_n(vec![1, 1, 31, 31], 2));
+    expected.push(vec![2, 1, 31, 31]);
+    assert_eq!(shapes, expected);
+    // With 8 channels: 8·15·11² + 8, five times 8·8·11² + 8, 8·31² + 1, twice 31² + 1, 2·31² + 2.
+    let count: usize = layers.iter().map(Layer::value_count).sum();
+    assert_eq!((several, count), (8, 14_528 + 5 * 7_752 + 7_689 + 2 * 962 + 1_924));
+    assert_ne!(Architecture::Default.layers(9, 6).len(), layers.len(), "the control");
 }
 
 #[test]

@@ -4,6 +4,7 @@
 use std::io::Read;
 use std::path::Path;
 
+use sidecarm::image::sha256_bytes;
 use sidecarm::infer::{CELLS, JudgedBy, LoadedNetwork, ScatterNetwork};
 use sidecarm::learn::{Dataset, Sample};
 use sidecarm::transport::{CHANNELS, SCALARS};
@@ -54,6 +55,29 @@ fn the_shipped_network_is_as_good_as_its_card_says() {
     assert!((nmse - PINNED.0).abs() < 0.02 * PINNED.0 && (bias - PINNED.1).abs() < 1e-3, "{nmse} {bias}");
     let (off, _) = figures(&network, &samples, 1.2);
     assert!(off > 1.5 * card.held_out["nmse"], "the control: {off}");
+}
+
+/// Whoever clones the program carries them: 10 MB in all, and every weights file is the one that its card speaks of.
+#[test]
+fn the_shipped_networks_are_few_bytes_and_those_of_their_cards() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("calibration/networks");
+    let (mut bytes, mut networks) = (0, Vec::new());
+    for entry in std::fs::read_dir(&folder).expect("networks") {
+        let path = entry.expect("readable").path();
+        bytes += std::fs::metadata(&path).expect("readable").len();
+        if path.extension().is_none_or(|ending| ending != "json") {
+            continue;
+        }
+        let card: serde_json::Value = serde_json::from_slice(&std::fs::read(&path).expect("readable")).expect("JSON");
+        let mut weights = std::fs::read(path.with_extension("safetensors")).expect("weights beside their card");
+        assert_eq!(card["weights_sha256"].as_str(), Some(sha256_bytes(&weights).as_str()), "{}", path.display());
+        weights[0] ^= 1;
+        assert_ne!(card["weights_sha256"].as_str(), Some(sha256_bytes(&weights).as_str()), "the control");
+        networks.push(path.file_stem().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default());
+    }
+    networks.sort();
+    assert_eq!(networks, ["materials", "scatter"]);
+    assert!(bytes <= 10_000_000, "{bytes} bytes");
 }
 
 /// `nmse` and bias of these weights on these samples.

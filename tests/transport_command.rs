@@ -1,6 +1,7 @@
 //! `sidecarm scatter`: files, refusals, and what an interrupted run leaves.
 
 use std::path::Path;
+use std::process::{Command, Stdio};
 
 use clap::Parser;
 use sidecarm::cli::scatter::{ScatterArgs, ScatterError, run};
@@ -8,6 +9,9 @@ use sidecarm::image::{ImageFileError, read_tiff_f32, sha256_file};
 use sidecarm::reporter::Reporter;
 use sidecarm::scene;
 use sidecarm::transport::{Checkpoint, Estimator, Histories, Simulation, TransportError};
+
+use crate::live_lab::{HANG_S, eventually};
+use crate::log_lab::{sidecarm, text};
 
 #[derive(Parser)]
 struct Typed {
@@ -93,6 +97,36 @@ fn the_same_command_goes_on_from_a_checkpoint_as_if_it_had_never_stopped() {
     assert!(std::fs::read(&out).expect("reads") != straight, "control");
 }
 
+/// A run keeps what it has while it goes on: one that is killed loses what came since, and no more.
+#[test]
+fn a_run_that_is_killed_is_gone_on_with_from_what_it_kept() {
+    let folder = tempfile::tempdir().expect("folder");
+    let [path, out, checkpoint] = ["scene.json", "scatter.tif", "scatter.tif.checkpoint"].map(|name| folder.path().join(name));
+    std::fs::write(&path, SCENE).expect("writes");
+    let base = ["scatter", text(&path), "--out", text(&out), "--grid-px", "8x6", "--device", "cpu", "--checkpoint-s", "0"];
+    // More than any machine follows meanwhile.
+    let mut running = Command::new(env!("CARGO_BIN_EXE_sidecarm"))
+        .args(base)
+        .args(["--histories", "1e12"])
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("the program starts");
+    let kept = eventually(HANG_S, || checkpoint.is_file().then_some(()));
+    running.kill().expect("runs still");
+    running.wait().expect("ends");
+    assert!(kept.is_some() && !out.exists(), "nothing was kept");
+    let saved: serde_json::Value = serde_json::from_slice(&std::fs::read(&checkpoint).expect("reads")).expect("whole");
+    let followed = 4096 * saved["tally"]["batches"].as_u64().expect("a count");
+    assert!(followed >= 1_000_000, "{followed}");
+    // No more than are there: nothing is left to follow.
+    let ran = sidecarm(&[&base[..], &["--histories", "1e6", "--json"]].concat());
+    assert_eq!(ran.code, Some(0), "{}", ran.stderr);
+    assert!(ran.stderr.contains(&format!("going on after {followed} histories")), "{}", ran.stderr);
+    assert_eq!(ran.json()["histories"].as_u64(), Some(followed));
+    assert!(!checkpoint.exists());
+}
+
 #[test]
 fn a_checkpoint_of_something_else_is_refused_and_fresh_starts_anew() {
     let folder = tempfile::tempdir().expect("folder");
@@ -161,6 +195,8 @@ fn it_refuses_what_makes_no_sense() {
         cases += 1;
     }
     assert!(typed(folder.path(), &[]).is_err() && typed(folder.path(), &["--histories", "10", "--grid-px", "64"]).is_err());
+    assert!(typed(folder.path(), &["--histories", "10", "--checkpoint-s", "nan"]).is_err());
+    assert!(typed(folder.path(), &["--histories", "10", "--checkpoint-s", "0"]).is_ok(), "the control");
     for (more, says) in [
         (["--histories", "10", "--rel-error", "nan"], "positive"),
         (["--histories", "10", "--rel-error", "0"], "positive"),

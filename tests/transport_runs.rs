@@ -7,7 +7,7 @@ use sidecarm::image::Image;
 use sidecarm::render::Quantity;
 use sidecarm::render::reference;
 use sidecarm::scene::Scene;
-use sidecarm::scene::model::{Matter, Response};
+use sidecarm::scene::model::{Matter, Response, Shape, Solid};
 use sidecarm::scene::optics::{Axis, BowTie, Field, Heel, Scintillator, Towards};
 use sidecarm::scene::physics::{Material, Spectrum};
 use sidecarm::transport::{Estimator, Page, ScatterImage, Simulation, TransportError};
@@ -179,6 +179,62 @@ fn no_energy_is_lost_or_made() {
         assert!((found.started_kev - 60.0).abs() < 1e-9 && (sum / 60.0 - 1.0).abs() < 1e-9, "{sum}");
         assert!(absorbed > 1.0 && found.detected_kev > 0.1 && found.escaped_kev > 1.0);
     }
+}
+
+/// Dose is energy over mass: masses are those of the shapes, what is displaced not counted; over them comes back what was absorbed; and the photons
+/// of an exposure are those that its pixels ask for.
+#[test]
+fn the_dose_is_what_is_absorbed_over_the_mass_that_is_there() {
+    let ball = Solid {
+        shape: Shape::Ellipsoid { semi_axes_mm: DVec3::splat(20.0) },
+        lps_from_local: Rigid::translation(DVec3::new(3.0, -2.0, 690.0)),
+        material: 1,
+        density_g_per_cm3: 8.0,
+    };
+    let body = cuboid([0.0, 0.0, 700.0], [200.0, 200.0, 200.0], 0, 1.0);
+    let mut scene = scene_of(&["water", "steel_316l"], vec![Matter::Solids(vec![body]), Matter::Solids(vec![ball])]);
+    scene.beam.photons_per_pixel = 1e5;
+    let view = view(160, 120, 1000.0);
+    let asked = histories(50_000, 1, [4, 3], Estimator::Expected);
+    let simulation = Simulation::new(&scene, &view, asked).expect("transports");
+    let ball_cm3 = 4.0 / 3.0 * std::f64::consts::PI * 2.0_f64.powi(3);
+    for (mass, truth_g) in simulation.masses_g().iter().zip([8000.0 - ball_cm3, 8.0 * ball_cm3]) {
+        let off_g = (mass.mean - truth_g).abs();
+        assert!(off_g < 2e-3 * truth_g && off_g < 4.5 * mass.standard_error, "{mass:?} of {truth_g}");
+    }
+    let mut tally = simulation.tally();
+    simulation.advance(&mut tally, simulation.batches());
+    let image = simulation.image(&tally);
+    let json = simulation.describe(&image, &scene, "a processor");
+    let mean = |key: &str, material: &str| json[key][material]["mean"].as_f64().expect("a number");
+    let joules = |material: &&str| mean("dose_gy_per_history", material) * 1e-3 * mean("mass_g", material);
+    let kev = ["water", "steel_316l"].iter().map(joules).sum::<f64>() / 1.602_176_634e-16;
+    let absorbed_kev = image.started_kev - image.detected_kev - image.escaped_kev;
+    assert!((kev / absorbed_kev - 1.0).abs() < 1e-8, "{kev} of {absorbed_kev}");
+    // Pixels of 1 mm²: as many photons as they ask for, but for the obliquity of the outer ones.
+    let photons = json["exposure"]["photons"].as_f64().expect("a number");
+    assert!((0.99..0.999).contains(&(photons / (1e5 * 160.0 * 120.0))), "{photons}");
+    let dose_gy = json["exposure"]["dose_gy"]["water"]["mean"].as_f64().expect("a number");
+    assert!((dose_gy / photons / mean("dose_gy_per_history", "water") - 1.0).abs() < 1e-9, "{dose_gy}");
+    // Some 20 keV of each of 2e9 photons in 8 kg.
+    assert!((1e-7..5e-6).contains(&dose_gy), "{dose_gy}");
+    let photons_of = |change: &dyn Fn(&mut Scene)| {
+        let mut changed = scene.clone();
+        change(&mut changed);
+        Simulation::new(&changed, &view, asked).expect("transports").histories_of_exposure(1e5)
+    };
+    let half = Field::Rectangle { size_mm: DVec2::new(80.0, 60.0), centre_mm: DVec2::ZERO, rotation_deg: 0.0 };
+    let share = photons_of(&|scene| scene.beam.shape.field = Some(half.clone())) / photons;
+    assert!((0.25..0.252).contains(&share), "a quarter of the field: {share}");
+    // 5 mm of aluminium let pass 0.69 of 60 keV: so many more start for as many behind it.
+    let bowtie = BowTie {
+        material: Material::parse("aluminium").expect("known"),
+        density_g_per_cm3: 2.7,
+        axis: Axis::Row,
+        thickness_mm: vec![[-40.0, 5.0], [40.0, 5.0]],
+    };
+    let share = photons_of(&|scene| scene.beam.shape.bowtie = Some(bowtie.clone())) / photons;
+    assert!((1.40..1.50).contains(&share), "{share}");
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::render::DeviceArg;
-use super::scattered::gpu_or_said;
+use super::scattered::{LONG_MS, gpu_or_said, lasting, needed};
 use crate::gpu::{Device, GpuError, cpu_name};
 use crate::image::{ImageFileError, check_writable, refuse_overwrite, sha256_file};
 use crate::reporter::Reporter;
@@ -14,9 +14,6 @@ use crate::transport::{
     written_with,
 };
 
-/// An interrupted run loses no more than this.
-const CHECKPOINT_MS: f64 = 10_000.0;
-
 /// Follow photons through a scene: primary, Compton once, Rayleigh once and multiple scatter on a coarse detector.
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Examples:
@@ -24,8 +21,8 @@ const CHECKPOINT_MS: f64 = 10_000.0;
   sidecarm scatter scene.json --histories 1e10 --rel-error 0.01 --out scatter.tif --json
 
 SCATTER.tif has eight pages: primary, compton_once, rayleigh_once, multiple, then their standard errors, in units of the unattenuated
-signal. Beside it lies SCATTER.tif.json (energy absorbed by material, histories, seed, inputs). While it runs, SCATTER.tif.checkpoint is kept
-up to date: the same command goes on from there. Without beam.field in the scene the field is the image.")]
+signal. Beside it lies SCATTER.tif.json (energy absorbed, mass and mean dose by material, histories, seed, inputs). While it runs,
+SCATTER.tif.checkpoint is kept up to date: the same command goes on from there. Without beam.field in the scene the field is the image.")]
 pub struct ScatterArgs {
     /// The scene
     pub scene: PathBuf,
@@ -53,6 +50,9 @@ pub struct ScatterArgs {
     /// Start anew where an interrupted run left a checkpoint
     #[arg(long)]
     pub fresh: bool,
+    /// Keep a checkpoint every so many seconds: an interrupted run loses no more
+    #[arg(long, value_name = "SECONDS", default_value_t = 10.0, value_parser = seconds)]
+    pub checkpoint_s: f64,
     /// Print a summary as JSON
     #[arg(long)]
     pub json: bool,
@@ -63,6 +63,12 @@ fn whole(text: &str) -> Result<u64, String> {
     let number: f64 = text.parse().map_err(|_| format!("'{text}' is no number"))?;
     let is_whole = (1.0..=1e15).contains(&number) && number.fract() == 0.0;
     if is_whole { Ok(number as u64) } else { Err(format!("{text}: expected a whole number from 1 to 1e15")) }
+}
+
+/// A time to wait.
+fn seconds(text: &str) -> Result<f64, String> {
+    let number: f64 = text.parse().map_err(|_| format!("'{text}' is no number"))?;
+    if number >= 0.0 && number.is_finite() { Ok(number) } else { Err(format!("{text}: expected seconds from 0 up")) }
 }
 
 /// `64x48`.
@@ -135,7 +141,8 @@ pub fn run(args: &ScatterArgs, reporter: &Reporter) -> Result<u8, ScatterError> 
     };
     let watch = Stopwatch::start();
     let before = tally.histories();
-    let keep = |tally: &Tally| Checkpoint::new(simulation.histories(), kept_of, &hashes, tally).write(checkpoint);
+    let write = |tally: &Tally| Checkpoint::new(simulation.histories(), kept_of, &hashes, tally).write(checkpoint);
+    let keep = Keep { every_ms: 1e3 * args.checkpoint_s, write: &write };
     transport(&simulation, gpu.as_mut(), &mut tally, &keep, reporter)?;
     stages.add("transport", watch.ms());
     let image = simulation.image(&tally);
@@ -156,23 +163,40 @@ pub fn run(args: &ScatterArgs, reporter: &Reporter) -> Result<u8, ScatterError> 
     Ok(0)
 }
 
-/// Runs to the end, keeping what is there so far on disk.
+/// How what is there so far is kept on disk.
+struct Keep<'a> {
+    every_ms: f64,
+    write: &'a dyn Fn(&Tally) -> Result<(), TransportError>,
+}
+
+/// Runs to the end, keeping what is there so far on disk; what will take long is said after the first step.
 fn transport(
     simulation: &Simulation,
     gpu: Option<&mut GpuTransport>,
     tally: &mut Tally,
-    keep: &dyn Fn(&Tally) -> Result<(), TransportError>,
+    keep: &Keep<'_>,
     reporter: &Reporter,
 ) -> Result<(), ScatterError> {
     let all = gpu.as_ref().map_or(simulation.batches() * BATCH, |gpu| gpu.histories());
     let progress = reporter.progress("histories", all);
     progress.advance(tally.histories());
-    let (mut shown, mut saved) = (tally.histories(), Stopwatch::start());
+    let (before, watch, mut is_announced) = (tally.histories(), Stopwatch::start(), false);
+    let (mut shown, mut saved) = (before, Stopwatch::start());
     let after = |tally: &Tally| {
-        progress.advance(tally.histories() - shown);
-        shown = tally.histories();
-        if saved.ms() > CHECKPOINT_MS {
-            keep(tally)?;
+        let histories = tally.histories();
+        progress.advance(histories - shown);
+        shown = histories;
+        if !is_announced {
+            is_announced = true;
+            let precise = |wanted: f64| needed(histories, simulation.relative_error(tally), wanted);
+            let end = simulation.histories().rel_error.map_or(f64::INFINITY, precise).min(all as f64);
+            let left_ms = watch.ms() * (end - histories as f64) / (histories - before) as f64;
+            if left_ms > LONG_MS {
+                reporter.note(format_args!("{end:.1e} histories: about {} to go", lasting(left_ms)));
+            }
+        }
+        if saved.ms() > keep.every_ms {
+            (keep.write)(tally)?;
             saved = Stopwatch::start();
         }
         Ok::<(), ScatterError>(())

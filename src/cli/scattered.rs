@@ -16,8 +16,11 @@ use crate::transport::{
 
 /// Columns and rows of the raster: scatter is smooth over centimetres.
 const GRID_PX: [usize; 2] = [16, 12];
-/// Photons after which scatter is as good as it is, and after which it may be known to be little.
-const MOST_HISTORIES: u64 = 200_000_000;
+/// Photons that are followed at most. The sums have room for ten thousand times as many, but no machine the time: these take a GPU minutes, and
+/// make ten times the paper's image.
+const MOST_HISTORIES: u64 = 100_000_000_000;
+/// Photons after which it is known whether so many will do, and after which scatter may be known to be little.
+const ENOUGH_TO_TELL: u64 = 200_000_000;
 const ENOUGH_FOR_LITTLE: u64 = 1_000_000;
 /// Standard error over all that arrives below which nobody needs more photons.
 const NEGLIGIBLE: f64 = 3e-6;
@@ -31,6 +34,8 @@ const MEAN_TARGET: f64 = 0.05;
 #[cfg(feature = "learn")]
 const MEAN_ERROR: &str = "mean_rms";
 
+/// What takes longer than this is announced.
+pub const LONG_MS: f64 = 10e3;
 /// Photons by which the cost of many is told.
 const PILOT_HISTORIES: u64 = 131_072;
 /// What is faster.
@@ -39,6 +44,7 @@ const ADVICE: &str = "a larger --scatter-error takes less, model.scatter \"netwo
 /// Why no more photons are followed.
 enum Stop {
     LittleScatters,
+    OutOfReach,
     Device(GpuTransportError),
 }
 
@@ -84,11 +90,10 @@ pub fn scattered(scene: &Scene, view: &View, asked: &Asked<'_>, reporter: &Repor
         ScatterModel::Off => Ok(None),
         ScatterModel::MonteCarlo => {
             if let Some(budget_ms) = asked.budget_ms {
-                let predicted_ms = photons_ms(scene, view, asked)?;
+                let predicted_ms = photons_cost(scene, view, asked)?.ms;
                 if !(predicted_ms <= budget_ms) {
-                    let seconds = predicted_ms / 1e3;
-                    let words =
-                        format!("--budget-ms {budget_ms}: following photons is predicted to take {seconds:.1} s; {ADVICE}");
+                    let time = lasting(predicted_ms);
+                    let words = format!("--budget-ms {budget_ms}: following photons is predicted to take {time}; {ADVICE}");
                     reporter.warn("budget", words);
                 }
             }
@@ -121,10 +126,8 @@ pub fn ways(scene: &Scene, view: &View, asked: &Asked<'_>) -> String {
         }
         Err(error) => ("nothing; lacks all of it".to_owned(), error.to_string()),
     };
-    let photons = match photons_ms(scene, view, asked) {
-        Ok(ms) => {
-            format!("about {:.1} s; good to {:.0} % in the median cell (--scatter-error)", ms / 1e3, 100.0 * asked.rel_error)
-        }
+    let photons = match photons_cost(scene, view, asked) {
+        Ok(Cost { ms, photons }) => format!("about {}; {}", lasting(ms), reaches(photons, asked.rel_error)),
         Err(error) => error.to_string(),
     };
     let rows = [
@@ -172,8 +175,51 @@ pub fn gpu_or_said<'a>(gpu: &'a Gpu, simulation: &Simulation, reporter: &Reporte
     GpuTransport::new(gpu, simulation).map_err(told).ok()
 }
 
-/// How long following photons to the wanted relative standard error takes, by a few.
-fn photons_ms(scene: &Scene, view: &View, asked: &Asked<'_>) -> Result<f64, ScatteredError> {
+/// Photons in all after which scatter is known to `wanted`, where the first `histories` know it to `relative_error`: errors fall with their
+/// root. Infinite where most cells have seen none.
+#[must_use]
+pub fn needed(histories: u64, relative_error: f64, wanted: f64) -> f64 {
+    histories as f64 * (relative_error / wanted).powi(2)
+}
+
+/// Whether nobody need go on after so many photons, for it would take more than anybody follows.
+fn is_out_of_reach(histories: u64, needed: f64) -> bool {
+    histories >= ENOUGH_TO_TELL && !(needed <= MOST_HISTORIES as f64)
+}
+
+/// A time for people.
+#[must_use]
+pub fn lasting(ms: f64) -> String {
+    match ms / 1e3 {
+        seconds if seconds < 10.0 => format!("{seconds:.1} s"),
+        seconds if seconds < 120.0 => format!("{seconds:.0} s"),
+        seconds if seconds < 7200.0 => format!("{:.0} min", seconds / 60.0),
+        seconds => format!("{:.1} h", seconds / 3600.0),
+    }
+}
+
+/// How good scatter gets that takes so many photons to be good to `wanted`.
+fn reaches(photons: f64, wanted: f64) -> String {
+    let percent = 100.0 * wanted;
+    if photons <= MOST_HISTORIES as f64 {
+        format!("{photons:.1e} photons, good to {percent:.2} % in the median cell (--scatter-error)")
+    } else if photons.is_finite() {
+        format!("{percent:.2} % in the median cell (--scatter-error) is out of reach: {photons:.1e} photons")
+    } else {
+        format!("most cells saw no scatter of {PILOT_HISTORIES} photons")
+    }
+}
+
+/// What following photons costs.
+struct Cost {
+    /// Time on this machine.
+    ms: f64,
+    /// Photons that the wanted relative standard error takes, whether or not anybody follows so many.
+    photons: f64,
+}
+
+/// What following photons to the wanted relative standard error costs, by a few.
+fn photons_cost(scene: &Scene, view: &View, asked: &Asked<'_>) -> Result<Cost, ScatteredError> {
     let watch = Stopwatch::start();
     let pilot = Histories { count: PILOT_HISTORIES, seed: scene.model.seed, grid_px: GRID_PX, ..Histories::default() };
     let simulation = Simulation::new(scene, view, pilot)?;
@@ -188,12 +234,12 @@ fn photons_ms(scene: &Scene, view: &View, asked: &Asked<'_>) -> Result<f64, Scat
             let Ok(()) = run;
         }
     }
-    let needed = tally.histories() as f64 * (simulation.relative_error(&tally) / asked.rel_error).powi(2);
-    let needed = if needed <= MOST_HISTORIES as f64 { needed } else { MOST_HISTORIES as f64 };
+    let photons = needed(tally.histories(), simulation.relative_error(&tally), asked.rel_error);
+    let least = if photons <= MOST_HISTORIES as f64 { photons } else { ENOUGH_TO_TELL as f64 };
     // Precision is judged after whole steps.
     let step = if gpu.is_some() { tally.histories() } else { simulation.batches_at_once() * BATCH } as f64;
-    let followed = (needed / step).ceil().max(1.0) * step;
-    Ok(prepared_ms + watch.ms() / tally.histories() as f64 * followed)
+    let followed = (least / step).ceil().max(1.0) * step;
+    Ok(Cost { ms: prepared_ms + watch.ms() / tally.histories() as f64 * followed, photons })
 }
 
 fn follow_photons(scene: &Scene, view: &View, asked: &Asked<'_>, reporter: &Reporter) -> Result<Scatter, ScatteredError> {
@@ -202,17 +248,30 @@ fn follow_photons(scene: &Scene, view: &View, asked: &Asked<'_>, reporter: &Repo
     let simulation = Simulation::new(scene, view, wanted)?;
     let cells = 0..simulation.unattenuated().len();
     let progress = reporter.progress("scatter: per mille of the photons", 1000);
-    let mut shown = 0;
+    let (watch, mut is_announced, mut shown) = (Stopwatch::start(), false, 0);
     let mut after = |tally: &Tally| {
-        let done = (1000.0 * (rel_error / simulation.relative_error(tally)).powi(2)).min(1000.0) as u64;
+        let histories = tally.histories();
+        let in_all = needed(histories, simulation.relative_error(tally), rel_error);
+        let done = (1000.0 * histories as f64 / in_all).min(1000.0) as u64;
         progress.advance(done.saturating_sub(shown));
         shown = done.max(shown);
+        if !is_announced && in_all <= MOST_HISTORIES as f64 {
+            is_announced = true;
+            let left_ms = watch.ms() * (in_all / histories as f64 - 1.0);
+            if left_ms > LONG_MS {
+                let (percent, time) = (100.0 * rel_error, lasting(left_ms));
+                reporter.note(format_args!("scatter to {percent:.2} %: {in_all:.1e} photons, about {time} to go; {ADVICE}"));
+            }
+        }
         let is_little = |cell: usize| {
             let (found, primary) = (tally.scatter(cell), tally.signal(Page::Primary, cell).mean);
             found.standard_error <= NEGLIGIBLE * (primary + found.mean)
         };
-        match tally.histories() >= ENOUGH_FOR_LITTLE && cells.clone().all(is_little) {
-            true => Err(Stop::LittleScatters),
+        if histories >= ENOUGH_FOR_LITTLE && cells.clone().all(is_little) {
+            return Err(Stop::LittleScatters);
+        }
+        match is_out_of_reach(histories, in_all) {
+            true => Err(Stop::OutOfReach),
             false => Ok(()),
         }
     };
@@ -231,9 +290,15 @@ fn follow_photons(scene: &Scene, view: &View, asked: &Asked<'_>, reporter: &Repo
         (tally, "cpu".to_owned())
     });
     let (histories, relative_error) = (tally.histories(), simulation.relative_error(&tally));
-    if histories >= MOST_HISTORIES && !(relative_error <= rel_error) {
-        let good = 100.0 * relative_error;
-        reporter.warn("scatter", format_args!("after {histories} photons the scatter is good to {good:.1} % in the median cell"));
+    let is_short = histories >= MOST_HISTORIES || is_out_of_reach(histories, needed(histories, relative_error, rel_error));
+    if is_short && !(relative_error <= rel_error) {
+        let (good, wanted) = (100.0 * relative_error, 100.0 * rel_error);
+        reporter.warn(
+            "scatter",
+            format_args!(
+                "after {histories} photons the scatter is good to {good:.2} % in the median cell; {wanted:.2} % is out of reach"
+            ),
+        );
     }
     let image = |pixels: Vec<f64>| Image { width: GRID_PX[0], height: GRID_PX[1], pixels };
     Ok(Scatter {
@@ -248,6 +313,33 @@ fn follow_photons(scene: &Scene, view: &View, asked: &Asked<'_>, reporter: &Repo
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Scatter ended at 2e8 photons whatever was asked; what can be reached is followed to the end, and what cannot ends there still.
+    #[test]
+    fn a_wish_that_can_be_reached_is_followed_to_the_end() {
+        // 3 % by four million: 0.19 % takes a thousand million.
+        let photons = needed(4_000_000, 0.03, 0.03 / 250.0_f64.sqrt());
+        assert!((photons / 1e9 - 1.0).abs() < 1e-9, "{photons}");
+        for (histories, needed, ends) in [
+            (ENOUGH_TO_TELL, 1e9, false),
+            (ENOUGH_TO_TELL, 5e10, false),
+            (ENOUGH_TO_TELL, 1e13, true),
+            (ENOUGH_TO_TELL, f64::INFINITY, true),
+            (ENOUGH_TO_TELL, f64::NAN, true),
+            (ENOUGH_FOR_LITTLE, 1e13, false),
+        ] {
+            assert_eq!(is_out_of_reach(histories, needed), ends, "{histories} of {needed}");
+        }
+    }
+
+    #[test]
+    fn what_photons_cost_is_told_in_times_for_people_and_never_promised_in_vain() {
+        let times = [0.4e3, 59e3, 600e3, 9e6].map(lasting);
+        assert_eq!(times, ["0.4 s", "59 s", "10 min", "2.5 h"]);
+        assert!(reaches(1e9, 0.002).contains("good to 0.20 %"), "{}", reaches(1e9, 0.002));
+        assert!(reaches(1e13, 1e-5).contains("out of reach") && !reaches(1e13, 1e-5).contains("good to"));
+        assert!(reaches(f64::INFINITY, 0.02).contains("saw no scatter"));
+    }
 
     /// Only the error of the cells was told, not that of the mean, which misses its target.
     #[test]

@@ -71,12 +71,15 @@ impl Simulation<'_> {
     #[must_use]
     pub fn describe(&self, image: &ScatterImage, scene: &Scene, adapter: &str) -> serde_json::Value {
         let asked = self.histories();
-        let absorbed: serde_json::Map<String, serde_json::Value> = scene
-            .materials
-            .iter()
-            .zip(&image.absorbed_kev)
-            .map(|(material, found)| (material.name.clone(), json!(found)))
-            .collect();
+        let by_material = |found: &[Estimate]| -> serde_json::Map<String, serde_json::Value> {
+            scene.materials.iter().zip(found).map(|(material, found)| (material.name.clone(), json!(found))).collect()
+        };
+        let masses = self.masses_g();
+        let doses: Vec<Estimate> =
+            image.absorbed_kev.iter().zip(&masses).map(|(absorbed, mass)| dose_gy(*absorbed, *mass, 1.0)).collect();
+        let exposed = self.histories_of_exposure(scene.beam.photons_per_pixel);
+        let of_exposure: Vec<Estimate> =
+            image.absorbed_kev.iter().zip(&masses).map(|(absorbed, mass)| dose_gy(*absorbed, *mass, exposed)).collect();
         let errors = PAGE_NAMES.iter().map(|name| format!("{name}_standard_error"));
         json!({
             "quantity": "scatter",
@@ -97,9 +100,16 @@ impl Simulation<'_> {
             },
             "energy_kev_per_history": {
                 "started": image.started_kev,
-                "absorbed": absorbed,
+                "absorbed": by_material(&image.absorbed_kev),
                 "detector_plane": image.detected_kev,
                 "escaped": image.escaped_kev,
+            },
+            "mass_g": by_material(&masses),
+            "dose_gy_per_history": by_material(&doses),
+            "exposure": {
+                "photons_per_pixel": scene.beam.photons_per_pixel,
+                "photons": exposed,
+                "dose_gy": by_material(&of_exposure),
             },
             "scatter_to_primary": finite(image.scatter_to_primary()),
             "inputs": scene.inputs,
@@ -107,6 +117,20 @@ impl Simulation<'_> {
             "adapter": adapter,
         })
     }
+}
+
+/// Mean dose after `histories` in a material that absorbs so much energy in each, over all of it that the scene holds; what is nowhere has none.
+// Of 1 keV in 1 g: 1.602e-16 J in 1e-3 kg.
+fn dose_gy(absorbed_kev: Estimate, mass_g: Estimate, histories: f64) -> Estimate {
+    const GY_OF_KEV_PER_G: f64 = 1.602_176_634e-13;
+    if !(mass_g.mean > 0.0) {
+        // What absorbs and was met by no point has a dose that nobody knows.
+        let unknown = if absorbed_kev.mean > 0.0 { f64::NAN } else { 0.0 };
+        return Estimate { mean: unknown, standard_error: unknown };
+    }
+    let scale = GY_OF_KEV_PER_G * histories / mass_g.mean;
+    let of_mass = absorbed_kev.mean * mass_g.standard_error / mass_g.mean;
+    Estimate { mean: scale * absorbed_kev.mean, standard_error: scale * absorbed_kev.standard_error.hypot(of_mass) }
 }
 
 /// JSON has no infinity.

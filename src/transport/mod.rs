@@ -20,6 +20,7 @@ mod panel;
 mod beam_shape;
 mod source;
 mod tally;
+mod mass;
 mod history;
 mod simulation;
 mod columns;

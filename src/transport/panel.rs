@@ -146,6 +146,12 @@ impl Panel {
         self.grid_px[0] * self.grid_px[1]
     }
 
+    /// Area of one pixel of the image on the plane.
+    #[must_use]
+    pub fn image_pixel_area_mm2(&self) -> f64 {
+        self.area_mm2 / self.view.size_px.map(f64::from).iter().product::<f64>()
+    }
+
     /// Area of one pixel of the raster on the plane.
     #[must_use]
     pub fn pixel_area_mm2(&self) -> f64 {

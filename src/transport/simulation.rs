@@ -7,12 +7,13 @@ use super::compton::Compton;
 use super::error::TransportError;
 use super::flight::{Medium, Space};
 use super::history::{Estimator, Material, World};
+use super::mass::masses;
 use super::matter::things_of;
 use super::panel::Panel;
 use super::rayleigh::Rayleigh;
 use super::source::Source;
 use super::stream::Stream;
-use super::tally::{Batch, Tally};
+use super::tally::{Batch, Estimate, Tally};
 use crate::geometry::View;
 use crate::scene::model::{Formation, Matter, Scene};
 
@@ -112,6 +113,23 @@ impl<'a> Simulation<'a> {
     #[must_use]
     pub fn materials(&self) -> usize {
         self.world.materials.len()
+    }
+
+    /// Grams of each scene material, with what drawing points leaves uncertain of them.
+    #[must_use]
+    pub fn masses_g(&self) -> Vec<Estimate> {
+        match &self.world.space {
+            Some(space) => masses(space, self.materials()),
+            None => vec![Estimate { mean: 0.0, standard_error: 0.0 }; self.materials()],
+        }
+    }
+
+    /// Histories of an exposure that brings `photons_per_pixel` to a pixel of the image on the principal ray with nothing in the beam, behind
+    /// filters and bow-tie, were the collimator open there.
+    #[must_use]
+    pub fn histories_of_exposure(&self, photons_per_pixel: f64) -> f64 {
+        let World { source, panel, .. } = &self.world;
+        photons_per_pixel / (panel.image_pixel_area_mm2() * source.on_principal_ray_per_mm2())
     }
 
     /// An empty tally for this scene.

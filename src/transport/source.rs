@@ -142,6 +142,17 @@ impl Source {
         self.open_mm2
     }
 
+    /// Photons that one history brings on average to a mm² of the plane on the principal ray, were the collimator open there.
+    #[must_use]
+    pub fn on_principal_ray_per_mm2(&self) -> f64 {
+        let left: f64 = if self.left.is_everything() {
+            1.0
+        } else {
+            self.fractions.iter().enumerate().map(|(bin, fraction)| fraction * self.left.share(bin, DVec3::Z)).sum()
+        };
+        left / self.open_mm2
+    }
+
     /// Mean energy of the photons on the principal ray.
     #[must_use]
     pub fn mean_kev(&self) -> f64 {

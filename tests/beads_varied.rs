@@ -197,6 +197,16 @@ fn beads_are_found_behind_every_shutter_and_little_else_is() {
     assert!(all.extra as f64 <= 0.2 * all.frames as f64, "{} shadows of nothing", all.extra);
 }
 
+/// Clear beads among many blobs: noise behind shutters that nobody finds and few quanta, where peaks of the smallest scale are the most.
+#[test]
+fn clear_beads_are_not_crowded_out_by_noise() {
+    for seed in [20_188, 20_357, 20_596, 20_664] {
+        let rows = evaluate(seed, 1);
+        let all = &rows["all"];
+        assert!(all.plain[1] > 0 && all.plain[0] == all.plain[1], "seed {seed}: {} of {}", all.plain[0], all.plain[1]);
+    }
+}
+
 #[test]
 #[ignore = "minutes long: scripts/evaluate varied runs it"]
 fn many_varied_frames() {

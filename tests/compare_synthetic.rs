@@ -321,9 +321,13 @@ fn nan_and_zero_pixels_are_masked_and_sizes_must_fit() {
     frame.pixels.pixels[310 * 120..310 * 130].fill(0.0);
     frame.pixels.pixels[5] = f32::INFINITY;
     let found = compared(&CompareInput::new(&frame, &simulated)).comparison;
-    assert!((found.masks.causes[&Cause::Invalid] - (40.0 * 310.0 + 1.0) / 74_400.0).abs() < 1e-9);
+    // 30 rows are unknown to the simulation; of 10 others, and one pixel more, the frame has nothing.
+    assert!((found.masks.causes[&Cause::Invalid] - 30.0 / 240.0).abs() < 1e-9, "{:?}", found.masks);
+    assert!((found.masks.causes[&Cause::NotMeasured] - (10.0 * 310.0 + 1.0) / 74_400.0).abs() < 1e-9, "{:?}", found.masks);
     assert!((found.masks.causes[&Cause::NoSignal] - 10.0 / 240.0).abs() < 1e-9);
     let json = serde_json::to_value(&found).expect("json");
+    let shares = ["not_measured", "invalid"].map(|cause| json["masks"]["causes"][cause].as_f64().expect("its own share"));
+    assert!(shares[0] < 0.05 && shares[1] > 0.12, "{shares:?}");
     assert!(json["scores"]["zncc"].as_f64().expect("a number") > 0.9999, "{}", json["scores"]);
     assert!(json["scores"]["edge_distance_px"].as_f64().expect("a number") < 0.1);
 

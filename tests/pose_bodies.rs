@@ -1,9 +1,11 @@
 //! Beads on two rigid parts, one of which has moved against the other since the scan.
 
-use glam::DVec3;
+use glam::{DVec2, DVec3};
+use nalgebra::Matrix6;
 use sidecarm::beads::{BeadLayout, Detection};
+use sidecarm::estimate::{about, deviation};
 use sidecarm::geometry::{Rigid, View};
-use sidecarm::pose::{Pose, Refusal, Registration, register_shadows};
+use sidecarm::pose::{Pose, Prior, Refusal, Registration, register_shadows};
 use sidecarm::random::{Purpose, Stream};
 
 use crate::pose_registration::{matching, shadows};
@@ -124,7 +126,58 @@ fn a_body_of_three_beads_that_moved_is_refused() {
         // Where the beads are too far off to be known as theirs, the pose of the pelvis is right, and no bead of the femur is used.
         let unused = pose.beads.iter().all(|bead| bead.body == "pelvis" || !bead.used);
         assert!(matches!(pose.refusal, Some(Refusal::BodySplit { .. })) || (pose.is_accepted() && unused), "{:?}", pose.reason);
+        let why = pose.notes.iter().find(|note| note.starts_with("femur has no place of its own"));
+        assert!(why.is_some_and(|why| why.contains("without a prior")), "{:?}", pose.notes);
         cases += 1;
     }
     assert!(cases >= 5, "{cases}");
+}
+
+/// With a prior three beads do say it, as sure as they are; and where many shadows may be theirs, nothing is said.
+#[test]
+fn three_beads_place_a_body_where_a_prior_is_given() {
+    let (mut cases, mut placed) = (0, 0);
+    for seed in 0..16 {
+        let (view, layout) = (synthetic::view(1024, 1024, seed), two(10, 3, seed));
+        let truth = motion(&layout, 3.0, 4.0, seed);
+        let found = seen(&view, &layout, &truth, seed);
+        if found.len() < 13 {
+            continue;
+        }
+        cases += 1;
+        let prior = Prior { camera_from_lps: view.camera_from_lps, covariance: None };
+        let given = Registration { prior: Some(&prior), ..matching(&view, &layout) };
+        let femur_of = |found: &[Detection]| {
+            let pose = register_shadows(&given, found);
+            let femur = pose.bodies.iter().find(|body| body.name == "femur" && body.used == 3).cloned();
+            femur.filter(|_| pose.is_accepted()).map(|femur| (pose, femur))
+        };
+        if let Some((pose, femur)) = femur_of(&found) {
+            placed += 1;
+            let own = pose.camera_from_lps.expect("accepted") * femur.lps_from_body;
+            let centre = layout.beads.iter().filter(|bead| bead.body == "femur").map(|bead| bead.lps_mm).sum::<DVec3>() / 3.0;
+            let rows = femur.covariance_at_centroid.expect("solved apart");
+            let inverse = Matrix6::from_fn(|i, j| rows[i][j]).try_inverse().expect("regular");
+            let squares = |truth: Rigid| {
+                let xi = about(own.transform_point(centre)) * deviation(&truth, &own);
+                (xi.transpose() * inverse * xi)[(0, 0)]
+            };
+            let off = squares(view.camera_from_lps * truth);
+            println!("seed {seed}: {off:.2} with six degrees of freedom");
+            assert!(off <= 30.0, "seed {seed}: {off}");
+            // The control: where it was scanned is not within what is claimed, and no claim is so wide that everything is.
+            assert!(squares(view.camera_from_lps) > 100.0, "seed {seed}: {}", squares(view.camera_from_lps));
+            assert!(pose.cautions.iter().any(|caution| caution.starts_with("femur is placed by 3 beads")), "{:?}", pose.cautions);
+        }
+        // Shadows of nothing, of the beads' size, about its place: the other beads' pose, or none, but no place of three.
+        let middle = found.iter().skip(10).map(|shadow| shadow.image_px).sum::<DVec2>() / (found.len() - 10) as f64;
+        let ring = (0..80).map(|n| {
+            let at = middle + 3.0 * f64::from(n).sqrt() * 6.0 * DVec2::from_angle(2.4 * f64::from(n));
+            Detection { image_px: at, quality: 0.3, ..found[12] }
+        });
+        let crowded: Vec<Detection> = found.iter().copied().chain(ring).collect();
+        assert!(femur_of(&crowded).is_none(), "seed {seed}: three of {} shadows are no evidence", crowded.len());
+    }
+    println!("{placed} of {cases} placed");
+    assert!(cases >= 5 && 2 * placed > cases, "{placed} of {cases}");
 }

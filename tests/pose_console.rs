@@ -39,7 +39,7 @@ impl Shown {
 }
 
 /// The picture after `quarters` clockwise and a flip, pixel by pixel.
-fn stored(picture: &Image<f32>, quarters: u32, flip: Flip) -> Image<f32> {
+pub fn stored(picture: &Image<f32>, quarters: u32, flip: Flip) -> Image<f32> {
     let mut image = picture.clone();
     for _ in 0..quarters {
         let (w, h) = (image.height, image.width);
@@ -59,15 +59,15 @@ fn frame(image: Image<f32>) -> Frame {
 }
 
 /// A pose against the truth.
-struct Off {
-    angle_deg: f64,
+pub struct Off {
+    pub angle_deg: f64,
     /// At the beads, parallel to the panel.
-    across_mm: f64,
+    pub across_mm: f64,
     /// At the beads, away from the source.
-    along_mm: f64,
+    pub along_mm: f64,
 }
 
-fn off(found: &Rigid, truth: &Rigid) -> Off {
+pub fn off(found: &Rigid, truth: &Rigid) -> Off {
     let at = |camera: &Rigid| camera.transform_point(DVec3::ZERO);
     let shift_mm = at(found) - at(truth);
     Off { angle_deg: found.angle_to_rad(truth).to_degrees(), across_mm: shift_mm.truncate().length(), along_mm: shift_mm.z }
@@ -76,7 +76,7 @@ fn off(found: &Rigid, truth: &Rigid) -> Off {
 /// How far off in depth the beads may be: three of the pose's own standard deviations. Depth comes from the magnification alone, so what is
 /// off across by e is off in depth by e times the distance over the beads' reach across, more than ten times as much; the code claims no more
 /// than its covariance.
-fn depth_allowed_mm(pose: &Pose) -> f64 {
+pub fn depth_allowed_mm(pose: &Pose) -> f64 {
     let rows = pose.covariance_at_centroid.expect("accepted");
     3.0 * rows[5][5].sqrt()
 }

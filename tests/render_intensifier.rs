@@ -3,11 +3,12 @@
 use glam::{DVec2, DVec3};
 use sidecarm::acquire::{Domain, Frame};
 use sidecarm::calibrate::intensifier::measure_glare;
-use sidecarm::compare::bead_marks;
-use sidecarm::geometry::{Distortion, Glare, Intensifier, term_count};
+use sidecarm::compare::{bead_marks, posed_scene};
+use sidecarm::geometry::{ConsoleGeometry, Distortion, Glare, Intensifier, View, homogeneous_rows, term_count};
 use sidecarm::gpu::DeviceChoice;
 use sidecarm::image::Image;
 use sidecarm::mask::Disc;
+use sidecarm::pose::{DetectorPose, Pose};
 use sidecarm::render::{Options, Quantity, Rendered, Renderer};
 use sidecarm::reporter::Reporter;
 use sidecarm::scene::Scene;
@@ -205,6 +206,52 @@ fn glare_shines_behind_lead_and_is_measured_there() {
     refused(&behind(&|_, _| 0.7 * beside), "is no glare");
     let shown = Frame::from_pixels("lead", counts.clone(), Domain::Display).expect("a frame");
     refused(&shown, "linear values only");
+}
+
+/// A console's part of the picture is drawn, and its beads are marked, as in the whole.
+#[test]
+fn a_part_of_the_picture_is_distorted_as_it_is_in_the_whole() {
+    let balls = [DVec2::new(70.0, 60.0), DVec2::new(140.0, 90.0), DVec2::new(100.0, 130.0)]
+        .map(|px| (DVec3::new((px.x - 99.5) * 0.3, (px.y - 99.5) * 0.3, 600.0), 0.9));
+    let whole = scene(&balls, Some(intensifier(None)));
+    let console = ConsoleGeometry { crop_px: Some([40, 30, 130, 120]), ..ConsoleGeometry::default() };
+    let of_panel = whole.view.expect("has one");
+    let (intrinsics, _) = console.window([130, 120]).intrinsics(&of_panel.intrinsics);
+    let view = View { size_px: [130, 120], intrinsics, ..of_panel };
+    let detector = DetectorPose {
+        detector_from_image: homogeneous_rows(&console.detector_from_image([130, 120])),
+        size_px: Some([200, 200]),
+        projection: None,
+        intrinsics: None,
+        camera_from_lps: None,
+        covariance: None,
+    };
+    let pose = Pose { size_px: Some([130, 120]), console: Some(console), detector: Some(detector), ..Pose::default() };
+    let part = posed_scene(&whole, &pose, view).expect("of this panel");
+    let [all, cut] = [&whole, &part].map(|scene| render_on(DeviceChoice::Cpu, scene, Quantity::Intensity));
+    let mut compared = 0;
+    for row in 0..120 {
+        for column in 0..130 {
+            // What lies outside the part without distortion was not cast.
+            if *cut.valid.at(column, row) != 0 {
+                let (here, there) = (cut.pages[0].at(column, row), all.pages[0].at(column + 40, row + 30));
+                // Rays that graze lead are of single precision; a pixel farther is air or lead.
+                assert!((here - there).abs() < 0.05, "{column}, {row}: {here}, in the whole {there}");
+                compared += 1;
+            }
+        }
+    }
+    assert!(compared > 13_000, "{compared} of 15600 pixels");
+    let marks = |scene: &Scene| {
+        bead_marks(balls.iter().map(|(at, radius)| (*at, Some(*radius))), &scene.view.expect("has one"), Some(scene))
+    };
+    let (in_part, in_whole) = (marks(&part), marks(&whole));
+    assert_eq!((in_part.len(), in_whole.len()), (3, 3));
+    for (part, whole) in in_part.iter().zip(&in_whole) {
+        assert!((part.0 + DVec2::new(40.0, 30.0)).distance(whole.0) < 1e-6, "{} {}", part.0, whole.0);
+    }
+    // The control: the panel's own file, of a picture of another shape.
+    assert!(marks(&whole.with_view(view))[0].0.distance(in_part[0].0) > 1.0);
 }
 
 #[test]

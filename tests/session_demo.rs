@@ -193,7 +193,7 @@ fn assert_foxglove_shows(log: &Path) {
         }
     };
     names(topic::TRANSFORMS, &["lps", "camera", "world"]);
-    names(topic::CARM_TRANSFORMS, &["world", "camera_by_telemetry"]);
+    names(topic::CARM_TRANSFORMS, &["world", "carm"]);
     names(topic::ROBOT_TRANSFORMS, &["lps", "base", "piece_27", "tip"]);
     names(topic::CARM_JOINT_STATES, &["orbital"]);
     names(topic::ROBOT_JOINT_STATES, &["control_5"]);

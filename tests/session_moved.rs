@@ -24,6 +24,10 @@ const MOVED_DEG: std::ops::Range<f64> = 3.2..4.7;
 const RIGHT_PX: f64 = 0.5;
 const WRONG_PX: f64 = 20.0;
 
+/// The arm of the lab as one that is known to so many mm and degrees: what it does unmeasured is no jump, the move is.
+const MEASURED: &str = "measured.json";
+const SIGMA: (f64, f64) = (4.0, 0.45);
+
 const PLAIN: &str = "accepted";
 const DISAGREES: &str = "accepted_telemetry_disagrees";
 
@@ -67,6 +71,10 @@ fn session(stands: &str, names: [&str; EXPOSURES as usize], declare: impl FnOnce
     ])?;
     let received = lab.kit.join("received");
     std::fs::create_dir(&received).expect("a folder");
+    let arm = std::fs::read(lab.kit.join("carm.json")).expect("the arm");
+    let mut arm: Value = serde_json::from_slice(&arm).expect("JSON");
+    (arm["camera_sigma_mm"], arm["camera_sigma_deg"]) = (json!(SIGMA.0), json!(SIGMA.1));
+    std::fs::write(lab.kit.join(MEASURED), arm.to_string()).expect("written");
     let file = lab.session("moved.json", |session| {
         session["frames"]["folder"] = json!(received);
         declare(session);
@@ -260,6 +268,24 @@ fn replays_alike(session: &Session) {
     }
 }
 
+/// Telemetry is fused where it says where the specimen lies and nothing contradicts that; the move is a jump, and no part of the pose.
+fn fused_but_for_the_jump(poses: &[Value]) {
+    for (pose, counter) in poses.iter().zip(1..) {
+        let pose = &pose["pose"];
+        let chi2 = pose["innovation"]["chi2"].as_f64();
+        let doubt = pose["doubt"].as_str().unwrap_or_default();
+        match counter {
+            3 | 6 => assert!(pose["fused"] == true && chi2.is_some_and(|chi2| chi2 < 22.0) && doubt.is_empty(), "{pose:#}"),
+            MOVED_FROM => {
+                assert!(pose["fused"] == false && chi2.is_some_and(|chi2| chi2 > 23.0), "{pose:#}");
+                assert!(doubt.starts_with("telemetry is ") && doubt.contains("is not fused"), "{pose:#}");
+            }
+            // Before the specimen is tied, and while that is disputed, telemetry measures nothing.
+            _ => assert!(pose["fused"] == false && pose["innovation"].is_null() && doubt.is_empty(), "{pose:#}"),
+        }
+    }
+}
+
 /// The first frame after the move contradicts the tie, the second one replaces it, and from the third on all is as before. Frames named by a
 /// DICOM receiver once lost the end of their UIDs to a supposed extension: one frame's picture stood beside another's scores.
 #[test]
@@ -272,7 +298,11 @@ fn a_specimen_that_is_moved_is_said_and_tied_anew_by_two_frames() {
         "XA.1.2.840.113619.5",
         "XA.1.2.840.113619.6",
     ];
-    let Some(session) = session("1,2,3,4,5,6", names, |session| session["world_from_lps"] = Value::Null) else { return };
+    let declare = |session: &mut Value| {
+        session["world_from_lps"] = Value::Null;
+        (session["carm"]["calibration"], session["carm"]["fuse"]) = (json!(MEASURED), json!(true));
+    };
+    let Some(session) = session("1,2,3,4,5,6", names, declare) else { return };
     let words = &session.words;
     assert_eq!(statuses(&session), [PLAIN, PLAIN, PLAIN, DISAGREES, DISAGREES, PLAIN], "{words}");
     let first = sentence(words, "frame 4: its beads put the specimen ", " from where earlier frames and telemetry do");
@@ -284,6 +314,7 @@ fn a_specimen_that_is_moved_is_said_and_tied_anew_by_two_frames() {
     says_how_far(second);
     assert!(words.contains("2 x specimen in the room: ") && !words.contains("no longer tied"), "{words}");
     in_amber(&session, 2, "tied to the room anew");
+    fused_but_for_the_jump(&session.poses);
 
     for (pair, counter) in session.pairs.iter().zip(1..) {
         has_its_own_exposure(&session.lab, &session.poses[counter as usize - 1], counter);

@@ -166,13 +166,65 @@ fn finished(line: &str, all: usize) -> Option<usize> {
     Some(done.parse().unwrap_or_else(|_| panic!("{line}")))
 }
 
-/// Six frames came shortly before the end. They are finished, how far that has come is said while it goes on, and each has its pair.
+/// Counts how often each picture of a session's folder is put in its place, as the system tells.
+#[cfg(target_os = "linux")]
+struct Written([(&'static str, std::os::fd::OwnedFd); 2]);
+
+#[cfg(target_os = "linux")]
+impl Written {
+    fn watch(out: &std::path::Path) -> Self {
+        use rustix::fs::inotify::{CreateFlags, WatchFlags, add_watch, init};
+        Self(["strips", "drr"].map(|part| {
+            let inotify = init(CreateFlags::NONBLOCK | CreateFlags::CLOEXEC).expect("the system tells");
+            add_watch(&inotify, out.join(part).as_path(), WatchFlags::MOVED_TO).expect("the system tells of this folder");
+            (part, inotify)
+        }))
+    }
+
+    /// Up to now, by path.
+    fn counts(&self) -> std::collections::BTreeMap<String, usize> {
+        use rustix::fs::inotify::{ReadFlags, Reader};
+        let mut counts = std::collections::BTreeMap::new();
+        for (part, inotify) in &self.0 {
+            let mut buffer = [std::mem::MaybeUninit::uninit(); 1 << 14];
+            let mut reader = Reader::new(inotify, &mut buffer);
+            while let Ok(event) = reader.next() {
+                assert!(!event.events().contains(ReadFlags::QUEUE_OVERFLOW), "more was written than the system counts");
+                let name = event.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+                *counts.entry(format!("{part}/{name}")).or_default() += 1;
+            }
+        }
+        counts
+    }
+
+    /// A DRR is written once, and so is a strip, unless its null changes what it says and other frames came before that.
+    fn are_once(&self, rows: &[Value]) {
+        let written = self.counts();
+        let mut again = 0;
+        for pair in rows {
+            let count = |what: &str| written.get(pair[what].as_str().expect("a path")).copied().unwrap_or_default();
+            let last = if pair["scores"]["rmse_nepers"].is_f64() { "rmse_nepers" } else { "edge_distance_px" };
+            let is_questioned = |score: &str| pair["null"][score]["discriminating"].as_bool() == Some(false);
+            let says_more = pair["image_prefers"].is_object() || ["zncc", "gradient_ncc", last].into_iter().any(is_questioned);
+            let (strip, drr) = (count("strip"), count("drr"));
+            assert_eq!(drr, 1, "{written:?}: {pair:#}");
+            assert!(strip == 1 || says_more && strip == 2, "{written:?}: {pair:#}");
+            again += strip - 1;
+        }
+        assert!(again < rows.len(), "every strip is written twice: {written:?}");
+    }
+}
+
+/// Six frames came shortly before the end. They are finished, how far that has come is said while it goes on, and each has its pair, whose
+/// pictures are written once: each strip was written when its pair could be shown, and again with its null.
 #[test]
 fn what_waits_at_the_end_is_finished_and_counted() {
     const COUNT: usize = 6;
     let Some((lab, frame, folder)) = quiet_lab("60") else { return };
     let files = copies(&frame, COUNT, &folder.path().join("copies"));
     let live = Live::start(&lab.kit.join("session.json"), &folder.path().join("session"), &[]);
+    #[cfg(target_os = "linux")]
+    let written = Written::watch(&live.out);
     deliver(&files, &lab);
     let recorded = eventually(HANG_S, || {
         std::thread::sleep(Duration::from_millis(50));
@@ -200,4 +252,6 @@ fn what_waits_at_the_end_is_finished_and_counted() {
             assert!(pair[what].as_str().is_some_and(|path| live.out.join(path).exists()), "{what}: {pair:#}");
         }
     }
+    #[cfg(target_os = "linux")]
+    written.are_once(&rows);
 }

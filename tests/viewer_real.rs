@@ -1,14 +1,17 @@
 //! A real window, on a screen of its own: it opens, shows something, is quiet, and goes when it is told to.
 #![cfg(all(feature = "viewer", target_os = "linux"))]
 
+use std::collections::BTreeSet;
 use std::io::Read;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
+use serde_json::{Value, json};
 use sidecarm::image::{Image, write_png_rgb};
 
 use crate::live_lab::{HANG_S, Lab, Live, Signal, deliver, eventually, quiet_lab};
+use crate::log_lab::recorded;
 
 /// A screen without a monitor.
 struct Screen {
@@ -58,8 +61,35 @@ impl Screen {
     fn look(&self) -> (usize, f64) {
         let picture = self.picture();
         let lit = picture.pixels.iter().filter(|pixel| pixel.iter().any(|channel| *channel > 4)).count();
-        let seen: std::collections::BTreeSet<_> = picture.pixels.iter().collect();
+        let seen: BTreeSet<_> = picture.pixels.iter().collect();
         (seen.len(), lit as f64 / picture.pixels.len() as f64)
+    }
+
+    /// Different grays on the screen. The window's own colours are no grays.
+    fn grays(&self) -> usize {
+        let picture = self.picture();
+        let grays = picture.pixels.iter().filter(|[red, green, blue]| red == green && green == blue);
+        grays.collect::<BTreeSet<_>>().len()
+    }
+}
+
+/// A window of a program that goes with the test.
+struct Window(Child);
+
+impl Window {
+    /// Replays `log` in a window on `screen`.
+    fn of_replay(log: &Path, args: &[&str], screen: &Screen) -> Self {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
+        command.arg("replay").arg(log).arg("--window").args(args).env("DISPLAY", &screen.display);
+        command.env_remove("WAYLAND_DISPLAY").env_remove("WAYLAND_SOCKET");
+        Self(command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("the program starts"))
+    }
+}
+
+impl Drop for Window {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
     }
 }
 
@@ -70,6 +100,9 @@ impl Drop for Screen {
     }
 }
 
+/// Grays on a screen that shows a radiograph.
+const RADIOGRAPH: usize = 100;
+
 /// `sidecarm live` in a window shows the exposure, and goes with SIGTERM: log and report complete, exit code 0.
 #[test]
 fn a_live_window_shows_the_exposure_and_goes_when_it_is_told_to() {
@@ -79,6 +112,8 @@ fn a_live_window_shows_the_exposure_and_goes_when_it_is_told_to() {
     let opened = eventually(HANG_S, || (screen.look().1 > 0.5).then_some(()));
     assert!(opened.is_some(), "no window: {}", live.stderr());
     let (before, _) = screen.look();
+    let grays = screen.grays();
+    assert!(grays < RADIOGRAPH, "{grays} grays in a window without a radiograph");
     deliver(&[frame], &lab);
     // A radiograph has more grays than a window without one.
     let shown = eventually(HANG_S, || Some(screen.look().0).filter(|colours| *colours > before + 100));
@@ -87,6 +122,23 @@ fn a_live_window_shows_the_exposure_and_goes_when_it_is_told_to() {
     let status = live.program.end(HANG_S).unwrap_or_else(|| panic!("still there: {}", live.stderr()));
     assert_eq!(status.code(), Some(0), "{} {}", live.stderr(), live.stdout());
     assert!(live.report().contains("</html>") && live.pairs() == 1, "{}", live.stderr());
+}
+
+/// `sidecarm replay --window` shows the exposures of its log, and goes on to show them when all are replayed.
+#[test]
+fn a_window_of_a_replay_shows_exposures_and_stays() {
+    let Some(screen) = Screen::open() else { return };
+    let Some(session) = recorded() else { return };
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let out = folder.path().join("replayed");
+    let [out, kit] = [&out, &session.kit].map(|path| path.to_str().expect("paths of tests are UTF-8"));
+    let mut window = Window::of_replay(&session.logs[0], &["--data", kit, "--out", out], &screen);
+    let report = Path::new(out).join("report.html");
+    let is_whole = || std::fs::read_to_string(&report).is_ok_and(|page| page.contains("</html>"));
+    assert!(eventually(HANG_S, || is_whole().then_some(())).is_some(), "no report: {:?}", window.0.try_wait());
+    let shown = eventually(HANG_S, || (screen.grays() > RADIOGRAPH).then_some(()));
+    assert!(shown.is_some(), "no picture: {} grays, {:?}", screen.grays(), window.0.try_wait());
+    assert_eq!(window.0.try_wait().expect("a child can be asked"), None, "the window is still there");
 }
 
 /// A session that could not start left an empty window, and its reason unsaid until that was closed.
@@ -103,29 +155,56 @@ fn a_session_that_cannot_start_leaves_no_window() {
     assert!(live.stderr().contains("there is a session in this folder already"), "{}", live.stderr());
 }
 
-/// The pictures of the README: the window of a session and of its replay, and the strip of a pair.
+/// Whether the session's newest pair has this status.
+fn newest_is(live: &Live, status: &str) -> bool {
+    let bytes = std::fs::read(live.out.join("pairs.json")).unwrap_or_default();
+    let value: Value = serde_json::from_slice(&bytes).unwrap_or_default();
+    value["pairs"].as_array().and_then(|pairs| pairs.last()).is_some_and(|pair| pair["status"] == status)
+}
+
+/// The pictures of the README: the window of a session, of a refused exposure, of its replay, and of one that telemetry contradicts.
 #[test]
 #[ignore = "makes pictures: scripts/evaluate gallery runs it"]
 fn gallery() {
     let Some(screen) = Screen::open() else { return };
-    let Some(lab) = Lab::start(&["--duration-s", "25", "--faults", "none"]) else { return };
+    let Some(lab) = Lab::start(&["--duration-s", "40", "--faults", "none"]) else { return };
     let folder =
         std::env::var("SIDECARM_OUT").unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/docs/pictures").to_owned());
-    let write = |name: &str| write_png_rgb(&Path::new(&folder).join(name), &screen.picture()).expect("written");
+    // What is written is shown a moment later.
+    let write = |name: &str| {
+        std::thread::sleep(Duration::from_secs(1));
+        write_png_rgb(&Path::new(&folder).join(name), &screen.picture()).expect("written");
+    };
     let mut live = Live::windowed(&lab.kit.join("session.json"), &lab.kit.with_file_name("session"), &screen.display);
     let pairs = eventually(HANG_S, || (live.pairs() >= 6).then_some(()));
     assert!(pairs.is_some(), "{}", live.stderr());
-    std::thread::sleep(Duration::from_secs(1));
     write("window-live.png");
+    // In the seventh exposure the collimator leaves too few beads.
+    let refused = eventually(HANG_S, || newest_is(&live, "refused").then_some(()));
+    assert!(refused.is_some(), "{}", live.stderr());
+    write("window-refused.png");
     live.program.signal(Signal::TERM);
     assert!(live.program.end(HANG_S).is_some(), "{}", live.stderr());
-    let mut replay = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
-    replay.arg("replay").arg(&live.log).args(["--window", "--rate", "8"]).env("DISPLAY", &screen.display);
-    let mut replay = replay.env_remove("WAYLAND_DISPLAY").stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("starts");
-    std::thread::sleep(Duration::from_secs(20));
+
+    let out = lab.kit.with_file_name("replayed");
+    let replay = Window::of_replay(&live.log, &["--rate", "8", "--out", out.to_str().expect("UTF-8")], &screen);
+    let replayed = eventually(HANG_S, || std::fs::metadata(out.join("report.html")).ok());
+    assert!(replayed.is_some(), "no report of the replay");
     write("window-replay.png");
-    let _ = replay.kill();
-    let _ = replay.wait();
+    drop(replay);
+
+    let Some(lab) = Lab::start(&["--duration-s", "40", "--faults", "none"]) else { return };
+    // The session says that the specimen lies three centimetres beside where it does.
+    let elsewhere = lab.session("elsewhere.json", |session| {
+        let x_mm = session["world_from_lps"][0][3].as_f64().expect("a place");
+        session["world_from_lps"][0][3] = json!(x_mm + 30.0);
+    });
+    let mut live = Live::windowed(&elsewhere, &lab.kit.with_file_name("elsewhere"), &screen.display);
+    let amber = eventually(HANG_S, || newest_is(&live, "accepted_telemetry_disagrees").then_some(()));
+    assert!(amber.is_some(), "{}", live.stderr());
+    write("window-amber.png");
+    live.program.signal(Signal::TERM);
+    assert!(live.program.end(HANG_S).is_some(), "{}", live.stderr());
 }
 
 /// Time that a process has used, in seconds.

@@ -2,13 +2,16 @@
 #![cfg(feature = "viewer")]
 
 use std::cell::RefCell;
+use std::collections::BTreeMap;
 use std::rc::Rc;
 use std::sync::Arc;
 
-use eframe::egui::{Key, Vec2};
+use eframe::egui::{Event, Key, Vec2};
 use egui_kittest::Harness;
 use egui_kittest::kittest::NodeT;
-use sidecarm::session::board::{BoardState, Link};
+use sidecarm::session::board::{BoardState, Link, Phase};
+use sidecarm::session::edit::{BeadEdit, EditRequest};
+use sidecarm::telemetry::Sample;
 use sidecarm::timeline::NO_EXPOSURE;
 use sidecarm::viewer::{Arrangement, Mark, Overlay, ViewState, draw};
 
@@ -198,6 +201,64 @@ fn play_steps_at_the_recorded_pace() {
     assert_eq!(state.borrow().selected, Some(2));
     harness.run_steps(5);
     assert_eq!((state.borrow().selected, state.borrow().player.is_playing()), (None, false));
+}
+
+/// Whatever was in work was one tile with dots.
+#[test]
+fn how_far_frames_have_come_and_that_the_beam_is_on_is_told() {
+    let phases = BTreeMap::from([(2, Phase::Null), (3, Phase::Registering), (4, Phase::Binding)]);
+    let words =
+        ["frame 4 waits for the telemetry of its exposure", "frame 3 is being registered", "frame 2 is put against other poses"];
+    let idle = texts(board(vec![accepted(1), accepted(2)]));
+    let seen = texts(BoardState { phases, frames_waiting: 2, ..board(vec![accepted(1), accepted(2)]) });
+    for words in words {
+        assert!(seen.contains(words) && !idle.contains(words), "{words}: {seen}");
+    }
+    let with = |xray_on: bool, age_us: i64| {
+        let mut link = line(age_us);
+        let Some(Sample::Carm(carm)) = &mut link.latest else { panic!("a sample of the C-arm") };
+        carm.xray_on = xray_on;
+        texts(BoardState { links: vec![link], ..board(vec![accepted(1)]) }).contains("X-RAY ON")
+    };
+    assert!(with(true, 20_000));
+    assert!(!with(false, 20_000) && !with(true, 2_000_000), "the beam is off, or nobody knows");
+}
+
+/// While a note is written, keys are its letters; Enter asks the session to keep it, Escape does not.
+#[test]
+fn a_note_is_written_in_a_line_of_the_window() {
+    let written = |editable: bool, last: Key| {
+        let (mut harness, state) = window(BoardState { editable, ..board(vec![accepted(1), accepted(7)]) });
+        harness.key_press(Key::T);
+        harness.run_steps(4);
+        let opened = said(&harness).contains("note on frame 7");
+        harness.event(Event::Text("table high".to_owned()));
+        if opened {
+            // Outside a note it blinks.
+            harness.key_press(Key::B);
+        }
+        harness.run_steps(2);
+        harness.key_press(last);
+        harness.run_steps(4);
+        assert_eq!(state.borrow().overlay, Overlay::Edges);
+        assert!(!said(&harness).contains("note on frame 7"), "it is closed");
+        let asked = state.borrow_mut().editing.take_asked();
+        (opened, asked)
+    };
+    let note = EditRequest { number: 7, edit: BeadEdit::Note { words: "table high".to_owned() } };
+    assert_eq!(written(true, Key::Enter), (true, vec![note]));
+    assert_eq!(written(true, Key::Escape), (true, Vec::new()));
+    assert_eq!(written(false, Key::Enter), (false, Vec::new()), "a replay takes none");
+}
+
+#[test]
+fn a_note_is_shown_with_its_exposure_alone() {
+    let with = |number: u32| {
+        let notes = BTreeMap::from([(number, "table high".to_owned())]);
+        texts(BoardState { notes, replayed: true, ..board(vec![accepted(1), accepted(7)]) })
+    };
+    assert!(with(7).contains("note: table high"), "{}", with(7));
+    assert!(!with(1).contains("table high"), "the newest exposure is shown");
 }
 
 /// A pair that was posed again stands in the place of the one before: its own words, and its own pictures (see `viewer_drawn`).

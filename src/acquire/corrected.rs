@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::geometry::ConsoleGeometry;
+use crate::geometry::{ConsoleGeometry, Intensifier, IntensifierError};
 use crate::image::Image;
 
 /// How a console stored a frame.
@@ -14,6 +14,16 @@ pub struct Stored {
     pub size_px: [u32; 2],
     /// Columns and rows of the panel, where they are known.
     pub panel_px: Option<[u32; 2]>,
+}
+
+impl Stored {
+    /// What an intensifier that is `whole` in the panel's picture did to this one, in the pixels of the oriented frame.
+    ///
+    /// # Errors
+    /// When the panel's picture is no other size of the one it was measured in.
+    pub fn seen_through(&self, whole: &Intensifier) -> Result<Intensifier, IntensifierError> {
+        whole.through_window(&self.console.window(self.size_px), self.panel_px, self.console.stored_size(self.size_px))
+    }
 }
 
 /// What was done to a frame after it was read, and what is known about its values since.

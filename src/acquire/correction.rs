@@ -8,7 +8,7 @@ use glam::DVec2;
 use super::detector_record::{AirBeam, DetectorCalibration, DetectorCalibrationError};
 use super::panel_maps::{AT_LOW_END, BURNED_IN, DEAD, HOT, SATURATED, UNSTABLE};
 use super::{Domain, Frame, FrameTags, Stored};
-use crate::geometry::{ConsoleGeometry, PanelWindow};
+use crate::geometry::{ConsoleGeometry, Intensifier, IntensifierError, PanelWindow};
 use crate::image::Image;
 
 /// Tube voltages this close are the same.
@@ -33,11 +33,15 @@ pub fn exposure_mas(tags: &FrameTags) -> Option<f64> {
 }
 
 impl Frame {
-    /// Whether every pixel of the panel is one of the frame, and the other way round, as far as anybody declared.
-    #[must_use]
-    pub fn shows_whole_panel(&self) -> bool {
-        let stored = self.correction.as_ref().and_then(|correction| correction.stored.as_ref());
-        stored.is_none_or(|stored| stored.console.window(stored.size_px) == PanelWindow::WHOLE)
+    /// What an intensifier that is `whole` in the panel's picture did to this frame, in its own pixels.
+    ///
+    /// # Errors
+    /// When the panel's picture is no other size of the one it was measured in.
+    pub fn seen_through(&self, whole: &Intensifier) -> Result<Intensifier, IntensifierError> {
+        match self.correction.as_ref().and_then(|correction| correction.stored.as_ref()) {
+            Some(stored) => stored.seen_through(whole),
+            None => whole.for_size(self.size_px.map(|side| side as u32)),
+        }
     }
 
     /// The frame as it lies on the panel: quarter turns and mirroring undone pixel by pixel, declared writing marked, and what the

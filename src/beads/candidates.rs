@@ -3,6 +3,8 @@
 //! An edge or a wire has one strong and one weak curvature; a sphere's shadow has two strong ones. The response at scale σ is
 //! q = −σ² λ_max of the Hessian of the Gaussian-smoothed image (scale-normalised, Lindeberg 1998), on a pyramid with two scales an octave.
 
+use std::collections::BTreeMap;
+
 use rayon::prelude::*;
 
 use crate::image::Image;
@@ -22,8 +24,61 @@ pub struct Candidate {
     response: f64,
 }
 
+impl Candidate {
+    /// Whether `other` is the same blob at another scale.
+    fn is_place_of(&self, other: &Self) -> bool {
+        let ratio = self.radius_px / other.radius_px;
+        (0.4..2.5).contains(&ratio)
+            && (self.u_px - other.u_px).hypot(self.v_px - other.v_px) < SAME_RADII * self.radius_px.max(other.radius_px)
+    }
+}
+
+/// Blobs of alike scales that are nearer than so many radii are one.
+const SAME_RADII: f64 = 0.5;
+
+/// Which blobs lie near a place: a frame of few quanta has a hundred thousand peaks.
+struct Places {
+    /// Side of the cells.
+    cell_px: f64,
+    columns: usize,
+    cells: Vec<Vec<usize>>,
+}
+
+impl Places {
+    /// Of blobs in `image` that are one with none farther than `reach_px` away.
+    fn new(image: &Image<f32>, reach_px: f64) -> Self {
+        let cell_px = reach_px.max(4.0);
+        let cells_along = |side: usize| (side as f64 / cell_px) as usize + 1;
+        let (columns, rows) = (cells_along(image.width), cells_along(image.height));
+        Self { cell_px, columns, cells: vec![Vec::new(); columns * rows] }
+    }
+
+    /// Column and row of the cell that holds a blob.
+    fn cell(&self, candidate: &Candidate) -> (usize, usize) {
+        ((candidate.u_px / self.cell_px) as usize, (candidate.v_px / self.cell_px) as usize)
+    }
+
+    fn add(&mut self, candidate: &Candidate, index: usize) {
+        let (column, row) = self.cell(candidate);
+        self.cells[row * self.columns + column].push(index);
+    }
+
+    /// Those in the cells about a blob.
+    fn near(&self, candidate: &Candidate) -> impl Iterator<Item = usize> + '_ {
+        let (column, row) = self.cell(candidate);
+        let rows = self.cells.len() / self.columns;
+        let across = column.saturating_sub(1)..(column + 2).min(self.columns);
+        (row.saturating_sub(1)..(row + 2).min(rows))
+            .flat_map(move |row| across.clone().map(move |column| row * self.columns + column))
+            .flat_map(|cell| self.cells[cell].iter().copied())
+    }
+}
+
 /// A chord profile of radius r responds most at σ ≈ 0.55 r.
 const RADIUS_PER_SIGMA: f64 = 1.8;
+/// Scales that are looked at, in the smallest and the largest radius.
+const SMALLEST: f64 = 0.55;
+const LARGEST: f64 = 1.8;
 /// Side of the tiles in which responses are compared, in pixels of the octave.
 const TILE: usize = 32;
 
@@ -31,9 +86,11 @@ const TILE: usize = 32;
 /// is no less clear for that.
 const STRONG: f64 = 10.0;
 const MOST_BESIDES: usize = 480;
+/// Blobs of each scale that are looked at however strong others are.
+const OF_EACH_SCALE: usize = 16;
 
-/// Bright blobs of `image` whose radius may lie in `radius_px`, the `most` strongest and other strong ones, strongest first. Pixels that are
-/// not `usable` yield none.
+/// Bright blobs of `image` whose radius may lie in `radius_px`, the `most` strongest, other strong ones and the strongest of each scale,
+/// strongest first. Pixels that are not `usable` yield none.
 pub fn find(image: &Image<f32>, usable: &Image<bool>, radius_px: (f64, f64), most: usize) -> Vec<Candidate> {
     let mut found = Vec::new();
     let mut level = blur(image, (1.0f64 - 0.25).sqrt());
@@ -42,33 +99,43 @@ pub fn find(image: &Image<f32>, usable: &Image<bool>, radius_px: (f64, f64), mos
         let wider = blur(&level, 1.0);
         for (smoothed, sigma) in [(&level, 1.0), (&wider, std::f64::consts::SQRT_2)] {
             let radius = sigma * step as f64 * RADIUS_PER_SIGMA;
-            if radius >= 0.55 * radius_px.0 && radius <= 1.8 * radius_px.1 {
+            if radius >= SMALLEST * radius_px.0 && radius <= LARGEST * radius_px.1 {
                 find_at_scale(smoothed, usable, sigma, step, &mut found);
             }
         }
-        if step as f64 * RADIUS_PER_SIGMA > 1.8 * radius_px.1 {
+        if step as f64 * RADIUS_PER_SIGMA > LARGEST * radius_px.1 {
             break;
         }
         level = halve(&blur(&wider, std::f64::consts::SQRT_2));
         step *= 2;
     }
     found.sort_by(|a, b| b.response.total_cmp(&a.response));
-    let mut kept: Vec<Candidate> = Vec::new();
+    let (mut kept, mut places) = (Vec::<Candidate>::new(), Places::new(image, SAME_RADII * LARGEST * radius_px.1));
     for candidate in found {
-        let same = |other: &Candidate| {
-            let ratio = other.radius_px / candidate.radius_px;
-            (0.4..2.5).contains(&ratio)
-                && (other.u_px - candidate.u_px).hypot(other.v_px - candidate.v_px)
-                    < 0.5 * other.radius_px.max(candidate.radius_px)
-        };
-        if !kept.iter().any(same) && stands_out(image, &candidate) {
+        if let Some(at) = places.near(&candidate).filter(|at| kept[*at].is_place_of(&candidate)).min() {
+            // How clear a blob is does not depend on the scale at which it is largest: there it may lie among others as large.
+            if candidate.strength > kept[at].strength && stands_out(image, &candidate) {
+                kept[at].strength = candidate.strength;
+            }
+        } else if stands_out(image, &candidate) {
+            places.add(&candidate, kept.len());
             kept.push(candidate);
         }
     }
     kept.sort_by(|a, b| b.strength.total_cmp(&a.strength));
     let strong = kept.iter().take_while(|candidate| candidate.strength >= STRONG).count();
-    kept.truncate(strong.clamp(most, most + MOST_BESIDES));
-    kept
+    let taken = strong.clamp(most, most + MOST_BESIDES);
+    // Noise has by far the most peaks at the smallest scale: they must not crowd out the few of a larger one.
+    let mut of_scale: BTreeMap<u64, usize> = BTreeMap::new();
+    kept.into_iter()
+        .enumerate()
+        .filter(|(rank, candidate)| {
+            let ahead = of_scale.entry(candidate.radius_px.to_bits()).or_default();
+            *ahead += 1;
+            *rank < taken || *ahead <= OF_EACH_SCALE
+        })
+        .map(|(_, candidate)| candidate)
+        .collect()
 }
 
 /// Whether the middle is brighter than its surroundings all round: of eight sectors of the ring outside, six at least lie clearly below

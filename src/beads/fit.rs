@@ -6,6 +6,7 @@ use super::fitted;
 use super::model::{Fit, Model};
 use super::shadow::{BLUR_PRIOR, COUNT, Equations, Evaluated, Prior, SHAPE, Vector, Weighing};
 use super::window::{Field, Window};
+use crate::estimate::SmallSteps;
 
 /// Pixels that are enough to tell a shadow from what is none.
 const SCREENED: usize = 450;
@@ -91,7 +92,7 @@ fn fit_window(field: &Field, model: Model, start: Start, others: &[Fit], effort:
     let mut prior = Prior { ln_radius: start.radius_px.ln(), stiffness: 0.0 };
     let (mut at, mut trial) = (Evaluated::default(), Evaluated::default());
     let (mut weighing, mut equations) = (Weighing::default(), Equations::default());
-    let mut damping = 1e-3;
+    let mut steps = SmallSteps { damping: 1e-3, lower: 0.1, raise: 8.0, most: f64::INFINITY, attempts: 6 };
     at.fill(model, &theta, &window);
     for iteration in 0..effort.iterations {
         let is_early = iteration < effort.stiff;
@@ -100,26 +101,18 @@ fn fit_window(field: &Field, model: Model, start: Start, others: &[Fit], effort:
         let cost = weighing.cost(&window, &at, &theta, &prior);
         let (normal, right) = equations.normal(&window, &at, &weighing, &theta, &prior);
         let mut gain = 0.0;
-        for _ in 0..6 {
-            let mut damped = normal;
-            for n in 0..COUNT {
-                damped[(n, n)] += damping * normal[(n, n)].max(1e-12);
-            }
-            let Some(step) = damped.cholesky().map(|c| c.solve(&right)) else {
-                damping *= 10.0;
-                continue;
-            };
-            let next = limited(&theta, &step);
+        let taken = steps.take(&normal, &right, |step| {
+            let next = limited(&theta, step);
             trial.fill(model, &next, &window);
-            let next_cost = weighing.cost(&window, &trial, &next, &prior);
-            if next_cost <= cost {
-                gain = cost - next_cost;
-                theta = next;
+            gain = cost - weighing.cost(&window, &trial, &next, &prior);
+            gain >= 0.0
+        });
+        match taken {
+            Some(step) => {
+                theta = limited(&theta, &step);
                 std::mem::swap(&mut at, &mut trial);
-                damping = (damping * 0.1).max(1e-9);
-                break;
             }
-            damping *= 8.0;
+            None => gain = 0.0,
         }
         if iteration > effort.stiff && gain < effort.arrived {
             break;

@@ -203,9 +203,9 @@ pub fn run(args: &CompareArgs, reporter: &Reporter) -> Result<u8, CompareCommand
         centre_lps_mm,
     };
     let doubts = doubts(&given)?;
-    let beads = view.zip(pose.as_ref()).map(|(view, pose)| marks(pose, &view, scene.as_ref())).unwrap_or_default();
     let posed = scene.as_ref().zip(pose.as_ref()).zip(view).map(|((scene, pose), view)| posed_scene(scene, pose, view));
     let posed_scene = posed.transpose()?;
+    let beads = view.zip(pose.as_ref()).map(|(view, pose)| marks(pose, &view, posed_scene.as_ref())).unwrap_or_default();
     let guessed = match &posed_scene {
         Some(scene) => guessed(scene)?,
         None => read_flags(&beside(&args.simulated, "guessed.png"))?,

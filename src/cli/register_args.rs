@@ -63,7 +63,7 @@ pub struct RegisterArgs {
     #[arg(long, value_name = "DETECTOR.json")]
     pub detector: Option<PathBuf>,
     /// Calibration of an image intensifier, from `calibrate intensifier`: shadows are undistorted before the pose; K is then that of the
-    /// undistorted picture
+    /// undistorted picture. Of a picture that the console cropped, binned, enlarged or turned, say with --console how
     #[arg(long, value_name = "FILE.json", conflicts_with = "together")]
     pub distortion: Option<PathBuf>,
     /// Orbital and angulation angle of the C-arm, for a distortion at several angles; from the header where it was calibrated by those

@@ -82,11 +82,11 @@ pub enum RegisterError {
         /// What does not fit.
         source: Box<IntensifierError>,
     },
-    /// A distortion is that of the whole picture.
+    /// Which part of a distorted picture is seen was found as if it were straight.
     #[error(
-        "--distortion is for pictures as the intensifier gives them, the console cropped, enlarged or turned this one by part of a quarter; store it as it is, or calibrate the pictures as the console stores them and leave --console out"
+        "--console solve finds cropping and enlargement from beads in an undistorted picture, and --distortion needs to know them first; state them, --console FILE.json"
     )]
-    DistortedAndCut,
+    DistortedAndSolved,
     /// Nothing says what the panel's picture would be.
     #[error(
         "--console solve needs --intrinsics K.json with size_px, the panel's, and --prior POSE.json: beads cannot tell a turned picture from a turned camera"

@@ -73,6 +73,9 @@ impl Seen {
         file: Option<&IntrinsicsFile>,
         console: Option<&Console>,
     ) -> Result<Self, RegisterError> {
+        if args.distortion.is_some() && console.is_some_and(|console| console.solve_intrinsics) {
+            return Err(RegisterError::DistortedAndSolved);
+        }
         let found = stored.size_px.map(|n| n as u32);
         let panel_px = file.and_then(|file| file.size_px);
         let console_error = |error| RegisterError::Console { path: args.console.clone().unwrap_or_default(), error };
@@ -137,11 +140,8 @@ impl Seen {
         }
     }
 
-    /// What the image intensifier did to the frame.
+    /// What the image intensifier did to the frame, in the frame's own pixels.
     pub fn intensifier(&self, path: &Path, typed_deg: &[f64]) -> Result<Intensifier, RegisterError> {
-        if !self.frame.shows_whole_panel() {
-            return Err(RegisterError::DistortedAndCut);
-        }
         let at = || {
             let calibration = IntensifierCalibration::read(path)?;
             let tags = &self.frame.tags;
@@ -150,7 +150,7 @@ impl Seen {
                 [orbital, angulation] => Some([*orbital, *angulation]),
                 _ => tagged.map(|(primary, secondary)| [primary, secondary]),
             };
-            calibration.at(angles_deg)?.for_size(self.frame.size_px.map(|n| n as u32))
+            self.frame.seen_through(&calibration.at(angles_deg)?)
         };
         at().map_err(|source| RegisterError::Distortion { path: path.to_owned(), source: Box::new(source) })
     }

@@ -212,6 +212,7 @@ fn answered<R: BufRead, W: Write>(
             baud: args.carm_baud,
             calibration,
             adapter: args.carm_adapter.as_deref().map(named),
+            fuse: false,
         }),
         robot: robot.map(|(port, model)| RobotLine {
             port,

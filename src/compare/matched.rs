@@ -23,14 +23,17 @@ fn seen_through(scene: &Scene, view: &View) -> Option<Intensifier> {
 }
 
 /// The scene as an image by `pose` shows it: from `view`, the pose's own or one of larger pixels, on a panel at the pose's distance, every body
-/// where the pose has it.
+/// where the pose has it, through the part of the intensifier that the pose's frame shows.
 ///
 /// # Errors
-/// When a body has moved that the scene does not know.
+/// When a body has moved that the scene does not know, or the intensifier was measured in another picture than the panel's.
 pub fn posed_scene(scene: &Scene, pose: &Pose, view: View) -> Result<Scene, SceneError> {
     let mut scene = scene.with_bodies(&pose.places())?.with_view(view);
     let pitch_mm = pose.pitch_mm.unwrap_or(scene.detector.pitch_mm);
     scene.detector.pitch_mm = pose.intrinsics.map_or(pitch_mm, |k| k.source_to_detector_mm(pitch_mm) / view.intrinsics.fx);
+    let through = scene.detector.panel.intensifier.take().map(|whole| pose.frame_seen_through(&whole)).transpose();
+    scene.detector.panel.intensifier = through
+        .map_err(|source| SceneError::Intensifier { place: "detector.intensifier".to_owned(), source: Box::new(source) })?;
     Ok(scene)
 }
 

@@ -9,6 +9,8 @@
 //! blocks, and what every residual would have been had it been left out. What the residuals leave undetermined is an error that names
 //! the direction. Nothing here depends on thread order, hash order or time.
 //!
+//! Fits of one shadow to its pixels, or one ball to its voxels, take their steps by [`SmallSteps`], which says why.
+//!
 //! It is our own because neither apex-solver nor factrs leaves a residual out, nor weighs by what the state says; both find the same optimum.
 
 mod motion;
@@ -26,6 +28,7 @@ mod levenberg;
 mod covariance;
 mod left_out;
 mod solution;
+mod small_steps;
 
 pub use block::{BlockId, Freedom, PoseBlock, State, VectorBlock};
 pub use covariance::{Covariance, Rows};
@@ -39,4 +42,5 @@ pub use numeric::Numeric;
 pub use priors::{PosePrior, Reading};
 pub use problem::Problem;
 pub use residual::{Evaluation, Residual};
+pub use small_steps::SmallSteps;
 pub use solution::Estimate;

@@ -73,6 +73,16 @@ pub struct CarmCalibration {
     /// Standard deviation, per axis, of the camera's attitude by joint readings, likewise.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub camera_sigma_deg: Option<f64>,
+    /// Standard deviation, per axis, of where joint readings put the isocentre in the true camera: K's error, which the beads of few shots
+    /// hardly tell from a turn and a shift of the camera, is in it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub true_camera_sigma_mm: Option<f64>,
+    /// Standard deviation, per axis, of the true camera's attitude by joint readings, likewise.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub true_camera_sigma_deg: Option<f64>,
+    /// Lowest and highest orbital reading, then those of the angulation, between which the standard deviations hold.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub calibrated_angles_deg: Option<[[f64; 2]; 2]>,
 }
 
 fn is_default<T: Default + PartialEq>(value: &T) -> bool {

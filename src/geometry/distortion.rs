@@ -6,6 +6,8 @@
 
 use glam::{DMat2, DVec2};
 
+use super::panel_window::PanelWindow;
+
 /// Order of the polynomial where none is asked for.
 pub const DEFAULT_ORDER: usize = 5;
 /// Orders that are taken; the highest has as many terms as a usual grid can determine.
@@ -85,7 +87,10 @@ pub struct Distortion {
     centre_px: DVec2,
     radius_px: f64,
     order: usize,
+    /// In the polynomial's own axes.
     shift_px: Vec<DVec2>,
+    /// A turn from the frame's axes to the polynomial's, which are the panel's: a console may have turned the picture.
+    axes_from_frame: DMat2,
 }
 
 impl Distortion {
@@ -104,7 +109,7 @@ impl Distortion {
         if found != expected || !shift_px.iter().all(|shift| shift.is_finite()) {
             return Err(DistortionError::Coefficients { order, found, expected });
         }
-        let made = Self { centre_px, radius_px, order, shift_px };
+        let made = Self { centre_px, radius_px, order, shift_px, axes_from_frame: DMat2::IDENTITY };
         match made.fold() {
             Some(at_px) => Err(DistortionError::Folded { at_px }),
             None => Ok(made),
@@ -147,22 +152,27 @@ impl Distortion {
         p_distorted.distance(self.centre_px) <= self.radius_px
     }
 
+    /// The polynomial's x: radii from the disc's centre, along the polynomial's axes.
+    fn polynomial_place(&self, p_distorted: DVec2) -> DVec2 {
+        self.axes_from_frame * (p_distorted - self.centre_px) / self.radius_px
+    }
+
     /// Where `p_distorted` would be without distortion.
     #[must_use]
     pub fn undistorted(&self, p_distorted: DVec2) -> DVec2 {
-        let x = (p_distorted - self.centre_px) / self.radius_px;
-        p_distorted + terms(self.order, x).zip(&self.shift_px).map(|(term, shift)| term * *shift).sum::<DVec2>()
+        let shift = terms(self.order, self.polynomial_place(p_distorted)).zip(&self.shift_px).map(|(term, shift)| term * *shift);
+        p_distorted + self.axes_from_frame.transpose() * shift.sum::<DVec2>()
     }
 
     /// Derivative of [`Distortion::undistorted`]; its determinant is the area on the undistorted picture that one pixel shows.
     #[must_use]
     pub fn jacobian(&self, p_distorted: DVec2) -> DMat2 {
-        let x = (p_distorted - self.centre_px) / self.radius_px;
         let zero = (DVec2::ZERO, DVec2::ZERO);
-        let (by_x, by_y) = slopes(self.order, x)
+        let (by_x, by_y) = slopes(self.order, self.polynomial_place(p_distorted))
             .zip(&self.shift_px)
             .fold(zero, |(by_x, by_y), (slope, shift)| (by_x + slope.x * *shift, by_y + slope.y * *shift));
-        DMat2::IDENTITY + DMat2::from_cols(by_x, by_y) * self.radius_px.recip()
+        let axes = self.axes_from_frame;
+        DMat2::IDENTITY + axes.transpose() * DMat2::from_cols(by_x, by_y) * axes * self.radius_px.recip()
     }
 
     /// Where the frame as it is acquired shows `p_undistorted`, by Newton steps to 1e-9 px.
@@ -195,7 +205,24 @@ impl Distortion {
     pub fn scaled(&self, scale: f64) -> Self {
         let half = DVec2::splat(0.5);
         let shift_px = self.shift_px.iter().map(|shift| scale * *shift).collect();
-        Self { centre_px: scale * (self.centre_px + half) - half, radius_px: scale * self.radius_px, order: self.order, shift_px }
+        let centre_px = scale * (self.centre_px + half) - half;
+        Self { centre_px, radius_px: scale * self.radius_px, shift_px, ..self.clone() }
+    }
+
+    /// The same distortion in a frame whose pixels lie on this one's picture as `window` says.
+    // With A = detector_from_oriented, A(p) = step · R p + t, a place p of the frame lies without distortion at A⁻¹(undistorted(A(p))),
+    // since K of the frame is folded through A as well. With c' = A⁻¹(c) the polynomial's x is R (p − c') / (radius / step), and its shift
+    // comes back as Rᵀ shift / step.
+    #[must_use]
+    pub fn through_window(&self, window: &PanelWindow) -> Self {
+        let detector_from_oriented = window.detector_from_oriented();
+        Self {
+            centre_px: detector_from_oriented.inverse().transform_point2(self.centre_px),
+            radius_px: self.radius_px / window.step,
+            order: self.order,
+            shift_px: self.shift_px.iter().map(|shift| *shift / window.step).collect(),
+            axes_from_frame: self.axes_from_frame * detector_from_oriented.matrix2 * window.step.recip(),
+        }
     }
 }
 
@@ -242,6 +269,35 @@ mod tests {
         assert!(pincushion(3.5).is_ok());
         assert!(matches!(pincushion(4.2), Err(DistortionError::Folded { .. })), "{:?}", pincushion(4.2));
         assert!(matches!(pincushion(f64::NAN), Err(DistortionError::Coefficients { .. })));
+    }
+
+    /// Of a picture that a console cropped, enlarged and turned each place is undistorted as it is on the panel.
+    #[test]
+    fn a_window_of_the_picture_has_the_same_places() {
+        let whole = pincushion(1.0).expect("good");
+        let mut cases = 0;
+        for (first_px, step, turned_rad) in
+            [([0.0; 2], 1.0, 0.0), ([37.0, 61.5], 1.0, 0.0), ([20.0, -9.0], 0.7, 0.4), ([0.0; 2], 2.0, -0.7)]
+        {
+            let window = PanelWindow { first_px, step, turned_rad };
+            let (part, detector_from_oriented) = (whole.through_window(&window), window.detector_from_oriented());
+            for n in 0..60 {
+                let on_panel = whole.centre_px() + 245.0 * (f64::from(n) / 60.0).sqrt() * DVec2::from_angle(2.4 * f64::from(n));
+                let at = detector_from_oriented.inverse().transform_point2(on_panel);
+                let straight = detector_from_oriented.transform_point2(part.undistorted(at));
+                assert!(straight.distance(whole.undistorted(on_panel)) < 1e-9, "{window:?}: {straight}");
+                assert!(part.distorted(part.undistorted(at)).expect("inside").distance(at) < 2e-9, "{window:?}: {at}");
+                let slope = (part.undistorted(at + 1e-4 * DVec2::X) - part.undistorted(at - 1e-4 * DVec2::X)) / 2e-4;
+                assert!(slope.distance(part.jacobian(at).x_axis) < 1e-7, "{window:?}: {slope}");
+                let beyond = on_panel + 20.0 * (on_panel - whole.centre_px()).normalize_or(DVec2::X);
+                for p in [on_panel, beyond] {
+                    assert_eq!(part.sees(detector_from_oriented.inverse().transform_point2(p)), whole.sees(p), "{window:?}: {p}");
+                }
+                cases += 1;
+            }
+        }
+        assert_eq!(cases, 240);
+        assert_eq!(whole.through_window(&PanelWindow::WHOLE), whole, "bit for bit");
     }
 
     #[test]

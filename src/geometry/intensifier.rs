@@ -6,6 +6,7 @@ use glam::DVec2;
 use serde::{Deserialize, Serialize};
 
 use super::distortion::{Distortion, DistortionError};
+use super::panel_window::PanelWindow;
 use crate::json::{JsonFault, parse_json};
 
 /// Orbital and angulation angle of a C-arm, degrees.
@@ -185,9 +186,12 @@ pub struct Intensifier {
     pub distortion: Distortion,
     /// Veiling glare, if measured.
     pub glare: Option<Glare>,
-    /// How it was interpolated, for people; `None` where it was measured so.
+    /// How it was interpolated, for people, and what is not in it; `None` where it was measured so.
     pub note: Option<String>,
 }
+
+/// The note of a part of the picture that glares.
+const BEYOND_THE_PICTURE: &str = "veiling glare of what the console cut off is not drawn";
 
 impl Intensifier {
     /// The same for a picture of `size_px`, binned or enlarged.
@@ -201,6 +205,43 @@ impl Intensifier {
             distortion: self.distortion.scaled(scale),
             glare: self.glare.map(|glare| Glare { scale_px: scale * glare.scale_px, ..glare }),
             note: self.note.clone(),
+        })
+    }
+
+    /// The same for a picture of `size_px` whose pixels lie on the panel's as `window` says: what a console cropped, binned, enlarged or
+    /// turned. `panel_px` are the panel's columns and rows, as many as it was measured in where nobody states them.
+    ///
+    /// # Errors
+    /// When the panel's picture is no other size of the one it was measured in.
+    pub fn through_window(
+        &self,
+        window: &PanelWindow,
+        panel_px: Option<[u32; 2]>,
+        size_px: [u32; 2],
+    ) -> Result<Self, IntensifierError> {
+        if *window == PanelWindow::WHOLE {
+            return self.for_size(size_px);
+        }
+        let whole = self.for_size(panel_px.unwrap_or(self.size_px))?;
+        let distortion = whole.distortion.through_window(window);
+        // A frame that reaches beyond the picture is of another panel; corners of a turned one may.
+        let share = if window.turned_rad == 0.0 { 1.0 } else { 0.5 };
+        let end = share * DVec2::new(f64::from(size_px[0]), f64::from(size_px[1])) - 0.5;
+        let end = window.detector_from_oriented().transform_point2(end) + 0.5;
+        let reaches = |axis: usize| !(end[axis] < f64::from(whole.size_px[axis]) + 1.0);
+        if panel_px.is_none() && (reaches(0) || reaches(1)) {
+            return Err(IntensifierError::Size { expected: whole.size_px, found: end.to_array().map(|side| side as u32) });
+        }
+        let (centre, reach) = (distortion.centre_px(), DVec2::splat(distortion.radius_px()));
+        let last = DVec2::new(f64::from(size_px[0]), f64::from(size_px[1])) - 0.5;
+        let is_cut = (centre - reach).min_element() < -0.5 || (centre + reach - last).max_element() > 0.0;
+        let glares = whole.glare.filter(|_| is_cut).map(|_| BEYOND_THE_PICTURE.to_owned());
+        let notes: Vec<String> = whole.note.into_iter().chain(glares).collect();
+        Ok(Self {
+            size_px,
+            distortion,
+            glare: whole.glare.map(|glare| Glare { scale_px: glare.scale_px / window.step, ..glare }),
+            note: Some(notes.join("; ")).filter(|words| !words.is_empty()),
         })
     }
 }

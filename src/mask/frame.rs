@@ -19,7 +19,7 @@ pub fn of_frame(frame: &Frame) -> Masks {
 pub fn of_told_frame(frame: &Frame, told: &FieldShape) -> Masks {
     let pixels = &frame.pixels;
     let mut masks = Masks::default();
-    masks.add(Cause::Invalid, pixels.map(|v| !v.is_finite()));
+    masks.add(Cause::NotMeasured, pixels.map(|v| !v.is_finite()));
     if let Some(field) = find_told_field(pixels, frame.larger_is_more_attenuation(), frame.domain.is_gray(), told) {
         masks.field = Some(field.description);
         masks.add(Cause::Collimation, field.outside);

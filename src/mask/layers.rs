@@ -18,7 +18,9 @@ pub enum Cause {
     NoSignal,
     /// Text and marks that the console wrote into the pixels.
     BurnedIn,
-    /// Not finite in either image, or the simulation says that it cannot know (truncated CT).
+    /// Not finite in the acquired frame: nothing was measured, or somebody marked it so.
+    NotMeasured,
+    /// The simulation says that it cannot know: beyond a cut face of the CT, or outside the field that the scene states.
     Invalid,
     /// The simulation shows a guess: what fills the place that a moved body left.
     Filled,
@@ -41,7 +43,8 @@ impl Cause {
             Self::Saturation => "saturation",
             Self::NoSignal => "no signal",
             Self::BurnedIn => "burned in",
-            Self::Invalid => "invalid",
+            Self::NotMeasured => "not measured",
+            Self::Invalid => "unknown to the DRR",
             Self::Filled => "filled where a body lay",
             Self::DeadPixels => "dead pixels",
             Self::Beads => "beads",

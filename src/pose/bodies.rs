@@ -2,22 +2,24 @@
 //!
 //! The camera is that of the body with most beads. A body's place is lps_from_body = camera_from_lps⁻¹ · camera_from_body, where
 //! camera_from_body is the pose that its own beads give. It has moved when that differs from the identity by more than both poses'
-//! covariances allow (χ² with six degrees of freedom).
+//! covariances allow (χ² with six degrees of freedom). Where but three of its beads are seen, a prior must say where it is expected.
 
 use glam::DVec3;
 use nalgebra::{Matrix6, Vector6};
 
+use super::case::area_px2;
 use super::prior::Prior;
 use super::record::{BodyPose, Pose};
 use super::refusal::Refusal;
 use super::request::Registration;
 use super::residual::BeadResidual;
 use super::solve::{about, deviation};
+use super::three::{self, Expected, Placed};
 use super::unseen::Unseen;
 use crate::beads::{Bead, BeadLayout, Correspondence, Detection};
 use crate::geometry::Rigid;
 
-/// Fewest beads from which a body's place is solved.
+/// Fewest beads from which a body's place is solved without a prior.
 pub(super) const FEWEST: usize = 4;
 /// Squared deviation, in standard deviations, beyond which a body has moved: one in 10⁵ by accident.
 pub(super) const MOVED: f64 = 33.0;
@@ -74,6 +76,10 @@ fn layout_of(layout: &BeadLayout, body: &str) -> BeadLayout {
     BeadLayout { beads: of_body(&layout.beads), checks: of_body(&layout.checks), ..layout.clone() }
 }
 
+fn of_layout(given: &[Correspondence], layout: &BeadLayout) -> Vec<Correspondence> {
+    given.iter().filter(|given| layout.beads.iter().any(|bead| bead.name == given.bead)).cloned().collect()
+}
+
 /// `one` is the pose of all beads taken as one rigid specimen. Gives it back where no body has moved, the camera and each body's place
 /// where one has, and a refusal where one has and the request takes them as one all the same.
 pub(super) fn apart(request: &Registration, detections: &[Detection], one: Pose, register: Register) -> Pose {
@@ -84,8 +90,7 @@ pub(super) fn apart(request: &Registration, detections: &[Detection], one: Pose,
     }
     let alone = |body: &str, changed: Registration, detections: &[Detection]| {
         let layout = layout_of(request.layout, body);
-        let known = |given: &&Correspondence| layout.beads.iter().any(|bead| bead.name == given.bead);
-        let correspondences: Vec<Correspondence> = changed.correspondences.iter().filter(known).cloned().collect();
+        let correspondences = of_layout(changed.correspondences, &layout);
         register(&Registration { layout: &layout, correspondences: &correspondences, ..changed }, detections)
     };
     let first = alone(reference, *request, detections);
@@ -99,6 +104,7 @@ pub(super) fn apart(request: &Registration, detections: &[Detection], one: Pose,
     let held = held.filter(Pose::is_accepted).unwrap_or_else(|| first.clone());
     let mut left: Vec<Detection> = without(detections, &first);
     let mut bodies: Vec<Apart> = Vec::new();
+    let mut unplaced: Vec<(&String, String)> = Vec::new();
     for name in others {
         let known = Registration {
             intrinsics: Some(intrinsics),
@@ -108,22 +114,55 @@ pub(super) fn apart(request: &Registration, detections: &[Detection], one: Pose,
             ignore_prior: false,
             ..*request
         };
-        if layout_of(request.layout, name).beads.len() < FEWEST {
-            continue;
+        let layout = layout_of(request.layout, name);
+        let by_four = (layout.beads.len() >= FEWEST).then(|| alone(name, known, &left));
+        let found = match by_four {
+            Some(pose) if pose.is_accepted() => Ok(Placed { pose, off: None }),
+            // What is refused for another reason than that too few are seen is not right by three of them.
+            Some(Pose { refusal, reason, .. })
+                if !matches!(refusal, Some(Refusal::TooFewShadows { .. } | Refusal::NoMatch { .. })) =>
+            {
+                Err(reason.unwrap_or_default())
+            }
+            _ if request.prior.is_none() && layout.beads.len() >= 3 => Err(
+                "no four of its beads are found; three would leave several places open, and without a prior nothing says which"
+                    .to_owned(),
+            ),
+            _ => match held.camera_from_lps.zip(held.covariance) {
+                Some((camera_from_lps, covariance)) => {
+                    let correspondences = of_layout(request.correspondences, &layout);
+                    let body = Registration { layout: &layout, correspondences: &correspondences, ..known };
+                    let area_px2 = area_px2(request.size_px, detections);
+                    three::place(&body, &left, &Expected { camera_from_lps, covariance, intrinsics, area_px2 })
+                }
+                None => Err("the camera's own covariance is not known".to_owned()),
+            },
+        };
+        match found {
+            Ok(placed) => {
+                left = without(&left, &placed.pose);
+                bodies.extend(motion(name, &held, placed));
+            }
+            Err(why) => unplaced.push((name, why)),
         }
-        let pose = alone(name, known, &left);
-        left = without(&left, &pose);
-        bodies.extend(motion(name, &held, pose));
     }
     let Some(moved) = bodies.iter().filter(|body| body.moved).max_by(|a, b| a.angle_deg.total_cmp(&b.angle_deg)) else {
-        return split(one, others);
+        let mut one = split(one, others);
+        let rests_on_all = |body: &String| one.beads.iter().all(|bead| bead.check || bead.used || bead.body != *body);
+        let told: Vec<String> = unplaced
+            .iter()
+            .filter(|(body, _)| !rests_on_all(body))
+            .map(|(body, why)| format!("{body} has no place of its own: {why}"))
+            .collect();
+        one.notes.extend(told);
+        return one;
     };
     if request.one_body {
         let (angle_deg, shift_mm) = (moved.angle_deg, moved.shift_mm);
         let refusal = Refusal::Bodies { body: moved.name.clone(), reference: reference.clone(), angle_deg, shift_mm };
         return request.refuse(&refusal).with_shadows_of(&one);
     }
-    together(request, first, &bodies, reference)
+    together(request, first, &bodies, &unplaced, reference)
 }
 
 /// Shadows that the beads of a pose do not take.
@@ -135,7 +174,8 @@ fn without(detections: &[Detection], pose: &Pose) -> Vec<Detection> {
     detections.iter().filter(|d| !taken(d)).copied().collect()
 }
 
-fn motion(name: &str, first: &Pose, pose: Pose) -> Option<Apart> {
+/// How a body has moved; one of three beads is placed by what is expected of it as well, so that its shadows alone say whether it has.
+fn motion(name: &str, first: &Pose, Placed { pose, off }: Placed) -> Option<Apart> {
     let (reference, own) = (first.camera_from_lps?, pose.camera().map(|(_, own)| own)?);
     let lps_from_body = reference.inverse() * own;
     let centre_lps = pose.centroid_lps_mm?;
@@ -147,7 +187,10 @@ fn motion(name: &str, first: &Pose, pose: Pose) -> Option<Apart> {
     let xi: Vector6<f64> = shift * deviation(&own, &reference);
     let angle_deg = lps_from_body.angle_to_rad(&Rigid::IDENTITY).to_degrees();
     let shift_mm = lps_from_body.transform_point(centre_lps).distance(centre_lps);
-    let chi2 = (xi.transpose() * covariance.try_inverse()? * xi)[(0, 0)];
+    let chi2 = match off {
+        Some(off) => off,
+        None => (xi.transpose() * covariance.try_inverse()? * xi)[(0, 0)],
+    };
     let moved = chi2 > MOVED && (angle_deg > LEAST_MOTION.0 || shift_mm > LEAST_MOTION.1);
     Some(Apart { name: name.to_owned(), pose, lps_from_body, angle_deg, shift_mm, moved })
 }
@@ -169,19 +212,31 @@ fn split(one: Pose, others: &[String]) -> Pose {
 }
 
 /// The camera by the first body, each bead's residual by its own body's place.
-fn together(request: &Registration, first: Pose, bodies: &[Apart], reference: &str) -> Pose {
+fn together(request: &Registration, first: Pose, bodies: &[Apart], unplaced: &[(&String, String)], reference: &str) -> Pose {
     let mut pose = first;
     let all = &request.layout.beads;
     let count = |body: &str| all.iter().filter(|bead| bead.body == body).count();
     let mut beads = std::mem::take(&mut pose.beads);
     for body in bodies {
         beads.extend(body.pose.beads.iter().cloned());
+        let used = body.pose.beads.iter().filter(|bead| bead.used).count();
         pose.bodies.push(BodyPose {
             name: body.name.clone(),
             lps_from_body: body.lps_from_body,
             beads: count(&body.name),
-            used: body.pose.beads.iter().filter(|bead| bead.used).count(),
+            used,
+            covariance_at_centroid: body.pose.covariance_at_centroid,
         });
+        if let Some(rows) = body.pose.covariance_at_centroid.filter(|_| used < FEWEST) {
+            let sigma = |from: usize| (from..from + 3).map(|n| rows[n][n].sqrt()).fold(0.0, f64::max);
+            pose.cautions.push(format!(
+                "{} is placed by {used} beads and by where the prior has the specimen, to {:.2}° and {:.2} mm: more of its beads in view would \
+                 tell whether one of them has moved",
+                body.name,
+                sigma(0).to_degrees(),
+                sigma(3)
+            ));
+        }
         for shadow in body.pose.shadows.iter().filter(|shadow| shadow.bead.is_some()) {
             if let Some(known) = pose.shadows.iter_mut().find(|known| known.image_px == shadow.image_px) {
                 known.bead.clone_from(&shadow.bead);
@@ -197,8 +252,10 @@ fn together(request: &Registration, first: Pose, bodies: &[Apart], reference: &s
     let mm_per_px = pose.rms_mm.zip(pose.rms_px).map_or(f64::NAN, |(mm, px)| mm / px);
     let row = |bead: &Bead, check: bool| {
         let solved = beads.iter().find(|row| row.name == bead.name).cloned();
-        let without = "its body gave no pose of its own: too few of its beads are seen, or they do not fit";
-        solved.unwrap_or_else(|| BeadResidual { check, ..request.row(bead, without) })
+        let why = unplaced.iter().find(|(body, _)| **body == bead.body);
+        let why = why.map_or("too few of its beads are seen, or they do not fit", |(_, why)| why.as_str());
+        let without = format!("its body gave no pose of its own: {why}");
+        solved.unwrap_or_else(|| BeadResidual { check, ..request.row(bead, &without) })
     };
     let checks = request.layout.checks.iter().map(|bead| row(bead, true));
     pose.beads = all.iter().map(|bead| row(bead, false)).chain(checks).collect();

@@ -160,13 +160,7 @@ impl<'a> Case<'a> {
 
     /// Accidents expected behind a match of `detections` after `tried` tries, where so many `parameters` were solved.
     fn chance_with(&self, hypothesis: &Hypothesis, tried: u64, detections: &[Detection], parameters: usize) -> f64 {
-        let [width, height] = self.request.size_px.map(f64::from);
-        let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
-        for detection in detections {
-            low = low.min(detection.image_px);
-            high = high.max(detection.image_px);
-        }
-        let area = ((high - low).x * (high - low).y).clamp(0.05 * width * height, width * height);
+        let area = area_px2(self.request.size_px, detections);
         chance(tried, hypothesis.matches.len(), hypothesis.in_view, hypothesis.rms_px, detections.len(), area, parameters)
     }
 
@@ -185,6 +179,17 @@ impl<'a> Case<'a> {
         let parameters = if self.request.free() == Free::Square { 9 } else { 6 };
         self.chance_with(hypothesis, tried, self.detections, parameters)
     }
+}
+
+/// Area on which shadows lie: that of their bounds, a twentieth of the picture at least.
+pub(super) fn area_px2(size_px: [u32; 2], detections: &[Detection]) -> f64 {
+    let [width, height] = size_px.map(f64::from);
+    let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
+    for detection in detections {
+        low = low.min(detection.image_px);
+        high = high.max(detection.image_px);
+    }
+    ((high - low).x * (high - low).y).clamp(0.05 * width * height, width * height)
 }
 
 /// Pairs bead × detection that the gate leaves, row by row of beads.

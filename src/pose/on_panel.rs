@@ -6,7 +6,9 @@ use super::file::{PoseFileError, read_json};
 use super::prior::Prior;
 use super::record::{Covariance, DetectorPose, Pose};
 use crate::acquire::{Frame, Stored};
-use crate::geometry::{ConsoleGeometry, Projection, homogeneous_rows, seen_through, turned_camera};
+use crate::geometry::{
+    ConsoleGeometry, Intensifier, IntensifierError, Projection, homogeneous_rows, seen_through, turned_camera,
+};
 
 /// Reads what a console does: the keys of a session's `console`.
 ///
@@ -51,12 +53,22 @@ impl Pose {
 
     /// The same after its camera or K has changed: what it says of the panel follows.
     pub(super) fn on_panel_anew(self) -> Self {
-        let (Some(console), Some(oriented_px), Some(detector)) = (&self.console, self.size_px, &self.detector) else {
-            return self;
-        };
-        let stored = Stored { console: console.clone(), size_px: console.stored_size(oriented_px), panel_px: detector.size_px };
-        let mirrored = self.mirrored;
+        let (Some(stored), mirrored) = (self.stored(), self.mirrored) else { return self };
         self.of_stored(&stored, mirrored)
+    }
+
+    /// How the console stored the frame, if that is known.
+    fn stored(&self) -> Option<Stored> {
+        let (console, oriented_px, detector) = (self.console.clone()?, self.size_px?, self.detector.as_ref()?);
+        Some(Stored { size_px: console.stored_size(oriented_px), console, panel_px: detector.size_px })
+    }
+
+    /// What an intensifier that is `whole` in the panel's picture did to the frame of this pose, in the frame's pixels.
+    ///
+    /// # Errors
+    /// When the panel's picture is no other size of the one it was measured in.
+    pub fn frame_seen_through(&self, whole: &Intensifier) -> Result<Intensifier, IntensifierError> {
+        self.stored().map_or_else(|| Ok(whole.clone()), |stored| stored.seen_through(whole))
     }
 
     fn of_stored(self, stored: &Stored, unmirrored: bool) -> Self {

@@ -65,6 +65,9 @@ pub struct BodyPose {
     pub beads: usize,
     /// Beads of it that P rests on.
     pub used: usize,
+    /// Of ξ of the body in `camera` about its used beads' centroid, where its place was solved apart from the others'.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub covariance_at_centroid: Option<Covariance>,
 }
 
 impl BodyPose {
@@ -78,7 +81,13 @@ impl BodyPose {
                     body.beads += 1;
                     body.used += used;
                 }
-                None => bodies.push(Self { name: bead.body.clone(), lps_from_body: lps_from_body(n), beads: 1, used }),
+                None => bodies.push(Self {
+                    name: bead.body.clone(),
+                    lps_from_body: lps_from_body(n),
+                    beads: 1,
+                    used,
+                    covariance_at_centroid: None,
+                }),
             }
         }
         bodies
@@ -125,6 +134,40 @@ pub struct DetectorPose {
     /// Of ξ of that camera.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub covariance: Option<Covariance>,
+}
+
+/// χ² of six degrees of freedom that is larger by accident once in a thousand times.
+const JUMP_CHI2: f64 = 22.458;
+
+/// Telemetry against the beads alone, where a session fuses the two.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TelemetryInnovation {
+    /// Squared distance between the two, in standard deviations of both together.
+    pub chi2: f64,
+    /// Numbers that `chi2` sums.
+    pub degrees_of_freedom: u32,
+    /// Telemetry minus beads, about the axes of the camera.
+    pub turn_deg: [f64; 3],
+    /// The same along them, at the centroid of the beads.
+    pub shift_mm: [f64; 3],
+    /// Standard deviations of `turn_deg`.
+    pub sigma_deg: [f64; 3],
+    /// Standard deviations of `shift_mm`.
+    pub sigma_mm: [f64; 3],
+    /// The specimen in the camera by the beads alone.
+    pub camera_from_lps: Rigid,
+}
+
+impl TelemetryInnovation {
+    /// The root of the largest `chi2` that is no jump.
+    pub(super) const MOST_SIGMAS: f64 = 4.739;
+
+    /// Whether the two contradict each other: no accident is that large.
+    #[must_use]
+    pub fn is_jump(&self) -> bool {
+        !(self.chi2 <= JUMP_CHI2)
+    }
 }
 
 /// The result of a registration; the file of DESIGN §7. Refused poses carry no projection.
@@ -199,6 +242,9 @@ pub struct Pose {
     pub shadows: Vec<Shadow>,
     /// Whether the prior entered as a measurement.
     pub fused: bool,
+    /// Telemetry against the beads, where a session fuses the two.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub innovation: Option<TelemetryInnovation>,
     /// The picture was stored mirrored; `image` is the un-mirrored one.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub mirrored: bool,

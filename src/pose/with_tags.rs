@@ -264,8 +264,8 @@ impl Tags<'_> {
         (pose.chance, pose.fused) = (None, false);
         for view in self.views {
             if pose.bodies.iter().all(|body| body.name != view.tag.body) {
-                let lps_from_body = Rigid::IDENTITY;
-                pose.bodies.push(BodyPose { name: view.tag.body.clone(), lps_from_body, beads: 0, used: 0 });
+                let (name, lps_from_body) = (view.tag.body.clone(), Rigid::IDENTITY);
+                pose.bodies.push(BodyPose { name, lps_from_body, beads: 0, used: 0, covariance_at_centroid: None });
             }
         }
         if let Some(refused) = beads {

@@ -112,8 +112,8 @@ pub(super) fn calibration(view: &View, host_us: i64) -> fg::CameraCalibration {
 /// A frame of the tree in its parent.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Placed {
-    /// `lps`, `world`, `base` …
-    pub parent: &'static str,
+    /// `world`, `carm`, `base` …
+    pub parent: String,
     /// Its name.
     pub child: String,
     /// Where it is, mm.
@@ -123,9 +123,39 @@ pub struct Placed {
 impl Placed {
     /// `child` in `parent`.
     #[must_use]
-    pub fn new(parent: &'static str, child: impl Into<String>, parent_from_child: Rigid) -> Self {
-        Self { parent, child: child.into(), parent_from_child }
+    pub fn new(parent: impl Into<String>, child: impl Into<String>, parent_from_child: Rigid) -> Self {
+        Self { parent: parent.into(), child: child.into(), parent_from_child }
     }
+}
+
+/// The C-arm in the room.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ArmInRoom {
+    /// By its joints: the focal spot, with the axes of the panel.
+    pub world_from_carm: Rigid,
+    /// Where the specimen lies; `None` where that is not known.
+    pub world_from_lps: Option<Rigid>,
+}
+
+impl ArmInRoom {
+    /// The camera of a pose in the arm: where joints and pose differ, and how the console turned the picture. Without the specimen's place
+    /// in the room nothing tells it.
+    #[must_use]
+    pub fn carm_from_camera(&self, camera_from_lps: Rigid) -> Option<Rigid> {
+        let world_from_camera = self.world_from_lps? * camera_from_lps.inverse();
+        Some(self.world_from_carm.inverse() * world_from_camera)
+    }
+}
+
+/// C-arm, camera and specimen, each in the one before. What is not known is left out, and the tree falls into parts there: no frame has
+/// another parent instead.
+#[must_use]
+pub fn placed_in_room(arm: Option<ArmInRoom>, camera_from_lps: Option<Rigid>) -> Vec<Placed> {
+    let world_from_carm = arm.map(|arm| Placed::new("world", "carm", arm.world_from_carm));
+    let link = arm.zip(camera_from_lps).and_then(|(arm, camera_from_lps)| arm.carm_from_camera(camera_from_lps));
+    let carm_from_camera = link.map(|link| Placed::new("carm", "camera", link));
+    let specimen = camera_from_lps.map(|camera_from_lps| Placed::new("camera", "lps", camera_from_lps));
+    [world_from_carm, carm_from_camera, specimen].into_iter().flatten().collect()
 }
 
 /// Foxglove wants the pose of the child in its parent, in metres.
@@ -134,7 +164,7 @@ pub(super) fn transforms(placed: &[Placed], host_us: i64) -> fg::FrameTransforms
         let (at, turn) = (placed.parent_from_child.translation_mm / 1000.0, placed.parent_from_child.rotation);
         fg::FrameTransform {
             timestamp: timestamp(host_us),
-            parent_frame_id: placed.parent.into(),
+            parent_frame_id: placed.parent.clone(),
             child_frame_id: placed.child.clone(),
             translation: Some(fg::Vector3 { x: at.x, y: at.y, z: at.z }),
             rotation: Some(fg::Quaternion { x: turn.x, y: turn.y, z: turn.z, w: turn.w }),

@@ -10,8 +10,8 @@
 //! | `/pose`, `/plan`, `/scores`, `/provenance` | JSON | results as they were used |
 //! | `/camera/calibration` | `foxglove.CameraCalibration` | K, and P = K \[I\|0\] of the camera frame (`/pose` has P of `lps`) |
 //! | `/camera/image` | `foxglove.RawImage` | the acquired frame for the eye, `mono8`, at the time of its exposure, as the annotations are |
-//! | `/tf` | `foxglove.FrameTransforms` | `camera` in `lps`, and `lps` in `world` where it is known, in metres; at each exposure |
-//! | `/carm/tf`, `/robot/tf` | `foxglove.FrameTransforms` | `camera_by_telemetry` in `world`; `base` in `lps`, its pieces and `tip` in `base`; ten times a second |
+//! | `/tf` | `foxglove.FrameTransforms` | `carm` in `world`, `camera` in `carm`, `lps` in `camera`, each where it is known, in metres; at each exposure |
+//! | `/carm/tf`, `/robot/tf` | `foxglove.FrameTransforms` | the same, with the `camera` where the last exposure left it in the arm; `base` in `lps`, each piece in the one before, `tip` in the last; ten times a second |
 //! | `/carm/joint_states`, `/robot/joint_states` | `foxglove.JointStates` | rad and m, ten times a second |
 //! | `/camera/annotations` | `foxglove.ImageAnnotations` | beads detected (green) and projected (red) |
 //! | `/events` | `foxglove.Log` | what was told to the person |
@@ -61,7 +61,7 @@ pub use decode::{FrameAssembler, RawBytes};
 pub use error::RecordError;
 #[cfg(target_os = "linux")]
 pub use keeper::keep;
-pub use messages::{BeadMark, Level, Placed};
+pub use messages::{ArmInRoom, BeadMark, Level, Placed, placed_in_room};
 pub use queue::RecorderHealth;
 pub use reader::{Attachment, LogContents, LogEntry, LogLoss, LogReader, read_log};
 pub use recorder::{Prepared, Recorder};

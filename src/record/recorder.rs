@@ -11,14 +11,14 @@ use foxglove::Encode;
 
 use super::channel::Kind;
 use super::chunk::{ClosedChunk, OpenChunk};
-use super::messages::{self, BeadMark, Level, Placed};
+use super::messages::{self, BeadMark, Level, Placed, placed_in_room};
 use super::place::Watched;
 use super::queue::{Queue, RecorderHealth};
 use super::sink::{LogTarget, OwnFile, Sink};
 use super::writer::{Summary, write_until_finished};
 use super::{Provenance, RecordError, topic};
 use crate::acquire::{Frame, Samples};
-use crate::geometry::{Rigid, View};
+use crate::geometry::View;
 use crate::image::{Image, sha256_bytes};
 use crate::time::Stopwatch;
 
@@ -232,22 +232,24 @@ impl Recorder {
         self.queue.flush(limit)
     }
 
-    /// The geometry of a pose for Foxglove's image and 3D panels: intrinsics, the camera in `lps`, beads. The pose itself is JSON on
-    /// `/pose`.
+    /// The geometry of a pose for Foxglove's image and 3D panels: intrinsics, `placed` as where the frame stands in the tree (`None`: the
+    /// specimen in the camera, and nothing else is known), beads. The pose itself is JSON on `/pose`.
     ///
     /// # Errors
     /// When recording has stopped.
     pub fn pose_geometry(
         &self,
         view: &View,
-        world_from_lps: Option<Rigid>,
+        placed: Option<&[Placed]>,
         beads: &[BeadMark],
         host_us: i64,
     ) -> Result<(), RecordError> {
-        let mut placed = vec![Placed::new("lps", "camera", view.camera_from_lps.inverse())];
-        placed.extend(world_from_lps.map(|world_from_lps| Placed::new("world", "lps", world_from_lps)));
         self.foxglove(topic::CALIBRATION, host_us, &messages::calibration(view, host_us))?;
-        self.transforms(topic::TRANSFORMS, &placed, host_us)?;
+        match placed {
+            Some([]) => {}
+            Some(placed) => self.transforms(topic::TRANSFORMS, placed, host_us)?,
+            None => self.transforms(topic::TRANSFORMS, &placed_in_room(None, Some(view.camera_from_lps)), host_us)?,
+        }
         self.foxglove(topic::ANNOTATIONS, host_us, &messages::annotations(beads, host_us))
     }
 

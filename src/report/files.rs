@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::html;
 use super::pair::Pair;
-use super::session::{PairsFile, SessionReport};
+use super::session::SessionReport;
 use crate::image::{Image, ImageFileError, write_atomically};
 
 /// Why a report could not be written.
@@ -13,12 +13,6 @@ pub enum ReportError {
     /// The file system refused.
     #[error("report: {0}")]
     File(#[from] ImageFileError),
-    /// The numbers could not be put into JSON.
-    #[error("report: pairs.json cannot be written ({detail})")]
-    Json {
-        /// What serde said.
-        detail: String,
-    },
 }
 
 /// Writes `pairs.json` and `report.html` into `folder`; each file is whole or absent. The page holds a small picture of each strip and
@@ -32,15 +26,29 @@ pub fn write_session(folder: &Path, report: &SessionReport) -> Vec<ReportError> 
     [pairs, page].into_iter().filter_map(Result::err).collect()
 }
 
-/// Writes `pairs.json` alone, as a session does after each exposure.
+/// [`super::PairsFile`] as it is written: row by row, without a copy of all.
+#[derive(serde::Serialize)]
+struct Written<P> {
+    pairs: P,
+}
+
+/// The rows of a list that is walked through each time.
+struct Rows<P>(P);
+
+impl<'a, P: IntoIterator<Item = &'a Pair> + Clone> serde::Serialize for Rows<P> {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_seq(self.0.clone())
+    }
+}
+
+/// Writes `pairs.json` alone, as a session does while it runs.
 ///
 /// # Errors
 /// When the file cannot be written.
-pub fn write_pairs(path: &Path, pairs: &[Pair]) -> Result<(), ReportError> {
-    let file = PairsFile { pairs: pairs.to_vec() };
-    let text = serde_json::to_string_pretty(&file).map_err(|error| ReportError::Json { detail: error.to_string() })?;
+pub fn write_pairs<'a>(path: &Path, pairs: impl IntoIterator<Item = &'a Pair> + Clone) -> Result<(), ReportError> {
+    let written = Written { pairs: Rows(pairs) };
     write_atomically(path, |out| {
-        out.write_all(text.as_bytes())?;
+        serde_json::to_writer_pretty(&mut *out, &written)?;
         out.write_all(b"\n")
     })?;
     Ok(())

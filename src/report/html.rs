@@ -166,7 +166,7 @@ fn row(report: &SessionReport, index: usize, pair: &Pair, truth: bool) -> Markup
     let total: f64 = pair.stages_ms.iter().map(|(_, ms)| ms).sum();
     html! {
         tr {
-            td class="l name" { a href={ "#e" (index) } { (pair.frame) } }
+            td class="l name" title=[pair.note.as_deref()] { a href={ "#e" (index) } { (pair.frame) @if pair.note.is_some() { " *" } } }
             td { (number(pair.time_us.map(|us| report.seconds(us)), 2)) }
             td class="l" { (pair.binding) }
             td class="l words" { span class={ "badge " (standing.class()) } { (standing.word().to_lowercase()) } }

@@ -116,6 +116,9 @@ fn circumstances(pair: &Pair, standing: Standing) -> Vec<String> {
     if let (Some(reason), true) = (&pair.reason, standing != Standing::Accepted) {
         item(format!("reason: {reason}"));
     }
+    if let Some(note) = &pair.note {
+        item(format!("note: {note}"));
+    }
     item(format!(
         "bound by {}",
         if pair.binding_evidence.is_empty() {

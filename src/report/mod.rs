@@ -29,7 +29,7 @@ pub use files::{ReportError, png_bytes, write_pairs, write_session};
 pub use html::report_page;
 pub use marks::{BeadMark, LandmarkMark, PairMarks, RobotMark, ShadowMark};
 pub use overlay::overlay;
-pub use pair::{Innovation, Pair, PairStatus, PoseSource, Standing, TruthError, score_words};
+pub use pair::{Heading, Innovation, Pair, PairStatus, PoseSource, Standing, TruthError, score_words};
 pub use session::{Counts, Gap, LinkReport, PairsFile, Provenance, SessionReport, Track, counted};
 pub use signed_difference::{NOT_COMPARABLE, SignedDifference};
 pub use strip::{StripInput, restated, strip};

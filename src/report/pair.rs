@@ -132,6 +132,17 @@ impl Standing {
     }
 }
 
+/// What a strip says above its pictures. Of one comparison, strips that say the same are the same.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Heading {
+    /// Colour and word.
+    pub standing: Standing,
+    /// Residuals, or the reason.
+    pub status: String,
+    /// Scores, each short.
+    pub scores: Vec<String>,
+}
+
 /// The error against a known truth, at landmarks.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct TruthError {
@@ -184,6 +195,9 @@ pub struct Pair {
     /// What of the pose comes from a hand; absent where nothing does.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub edited: Option<Edited>,
+    /// What a person noted of the exposure in the window.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub note: Option<String>,
     /// √mean(dx² + dy²) over the used beads, px.
     pub rms_px: Option<f64>,
     /// The same at the isocentre, mm.
@@ -268,6 +282,7 @@ impl Pair {
             status: PairStatus::NoPose,
             reason: Some(reason.to_owned()),
             edited: None,
+            note: None,
             rms_px: None,
             rms_mm: None,
             beads: Vec::new(),
@@ -416,6 +431,12 @@ impl Pair {
         parts.extend(self.robot_cautions.iter().cloned());
         parts.extend(self.reason.clone());
         parts.join(" · ")
+    }
+
+    /// What its strip says.
+    #[must_use]
+    pub fn heading(&self) -> Heading {
+        Heading { standing: self.standing(), status: self.status_line(), scores: self.score_words() }
     }
 
     /// Scores for the strip's header, each short.

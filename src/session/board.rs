@@ -1,5 +1,6 @@
 //! What a person should see right now: the latest state, published by the session, drawn by the window.
 
+use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -9,6 +10,7 @@ pub use super::link_view::{Link, STALE_AFTER_US};
 pub use super::pair_marks::{BeadMark, LandmarkMark, PairMarks, RobotMark};
 pub use super::pair_pictures::PairPictures;
 pub use super::pair_view::PairView;
+pub use super::phase::Phase;
 
 /// Everything at once.
 #[derive(Clone, Debug, Default)]
@@ -23,6 +25,10 @@ pub struct BoardState {
     pub frames_unread: usize,
     /// Frames that wait to be registered, rendered or compared.
     pub frames_waiting: usize,
+    /// How far those have come of which it is known, and pairs whose null is made, by the frame's number.
+    pub phases: BTreeMap<u32, Phase>,
+    /// What persons noted, by the frame's number.
+    pub notes: BTreeMap<u32, String>,
     /// What takes unusually long right now, in sentences.
     pub slow: Vec<String>,
     /// Age of the oldest message that is not in the log's file yet, ms.
@@ -84,6 +90,7 @@ impl BoardState {
             frames: [self.frames_seen, self.frames_unread, self.frames_waiting, self.warnings.len()],
             said: [self.recorder_failure.is_some(), self.finished],
             slow: self.slow.clone(),
+            phases: self.phases.clone(),
             lines: self.links.iter().map(|link| (link.silent_steps(self.now_us), link.moves)).collect(),
         }
     }
@@ -95,6 +102,7 @@ struct Telling {
     frames: [usize; 4],
     said: [bool; 2],
     slow: Vec<String>,
+    phases: BTreeMap<u32, Phase>,
     lines: Vec<(Option<i64>, u64)>,
 }
 

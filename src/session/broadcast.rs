@@ -90,7 +90,7 @@ impl Broadcast {
     }
 
     fn carm_sample(&self, server: &Server, time_us: i64, sample: &CarmSample) {
-        if let Some(world_from_camera) = self.whereabouts.world_from_camera(sample) {
+        if let Some(world_from_camera) = self.whereabouts.world_from_camera(&sample.joints) {
             server.send(transform("CameraToWorld", time_us, world_from_camera));
         }
     }

@@ -127,7 +127,12 @@ impl Bench {
             scene: &self.scene,
             scene_json: &self.setup.scene_json,
             beam: posed.beam.as_deref(),
-            from_beads: posed.view.as_ref().filter(|_| posed.pose_source == PoseSource::Beads).map(|view| &view.camera_from_lps),
+            // Of a pose that telemetry is fused into, what the beads alone say.
+            from_beads: posed
+                .view
+                .as_ref()
+                .filter(|_| posed.pose_source == PoseSource::Beads)
+                .map(|view| posed.pose.innovation.as_ref().map_or(&view.camera_from_lps, |off| &off.camera_from_lps)),
             nominal: posed.nominal.as_ref(),
             centre_lps_mm: self.centre(),
             shuttered_share: pair.masks.as_ref().map(shuttered),

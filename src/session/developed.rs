@@ -10,7 +10,7 @@ use super::remedy::remedy;
 use crate::compare::Compared;
 use crate::image::Image;
 use crate::render::{Rendered, Scatter};
-use crate::report::{self, Pair, StripInput};
+use crate::report::{self, Heading, Pair, StripInput};
 use crate::scene::Scene;
 
 /// Stands in a pair until its null is made.
@@ -45,14 +45,15 @@ pub(super) fn draw(
     compared: Option<&Compared>,
     without: Option<&str>,
 ) -> Image<[u8; 3]> {
+    let Heading { standing, status, scores } = pair.heading();
     report::strip(&StripInput {
         acquired: &posed.frame,
         pictures: compared.map(|compared| &*compared.pictures),
         without,
         marks: Some(&marks_of(posed, scene)),
-        standing: pair.standing(),
-        status: &pair.status_line(),
-        scores: &pair.score_words(),
+        standing,
+        status: &status,
+        scores: &scores,
         mm_per_px: compared.and_then(|compared| compared.comparison.mm_per_px),
     })
 }
@@ -60,12 +61,15 @@ pub(super) fn draw(
 impl Developed {
     /// Complete as it is, and why there is no null.
     pub(super) fn without_null(mut self, because: &str) -> Self {
+        let before = self.pair.heading();
         self.pair.flags.retain(|flag| flag != UNCHECKED);
         let words = format!("no null, so the image has not been put against other poses: {because}");
         // An image that nobody has looked at may prefer another pose.
         self.pair.doubt(&words);
         self.pair.flags.push(words);
-        self.strip = Arc::new(draw(&self.posed, &self.pair, self.scene(), self.compared.as_deref(), None));
+        if self.pair.heading() != before {
+            self.strip = Arc::new(draw(&self.posed, &self.pair, self.scene(), self.compared.as_deref(), None));
+        }
         self.complete = true;
         self
     }

@@ -1,12 +1,21 @@
-//! Edits of a frame's beads: what a person asks for in the window, what a log keeps of it, and what a frame's edits come to.
+//! Edits of a frame's beads: what a person asks for in the window, what a log keeps of it, and what a frame's edits come to. And what a person
+//! notes of a frame, in words of his own, which change nothing that is computed.
+
+use std::collections::BTreeMap;
 
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
 
 use crate::pose::{HandMark, HandSays};
+use crate::reporter::printable;
 
 /// Edits of beads, as they were asked for: [`EditRecord`].
 pub(super) const EDIT_TOPIC: &str = "/session/edits";
+/// What a person noted of frames: [`NoteRecord`]. Words of his own may hold anybody's name, so they stand here and nowhere else in a log.
+pub(super) const NOTE_TOPIC: &str = "/session/notes";
+
+/// Longest note, characters.
+pub const MOST_NOTE: usize = 200;
 
 /// Marks closer together than this are of one place, px.
 const SAME_PX: f64 = 2.0;
@@ -36,6 +45,12 @@ pub enum BeadEdit {
     },
     /// Takes back the latest edit of the frame that is not taken back yet.
     Undo,
+    /// Changes no bead: what a person notes of the frame, in place of what was noted before. A log keeps it apart.
+    #[serde(skip)]
+    Note {
+        /// Without words the note before is taken back.
+        words: String,
+    },
 }
 
 impl BeadEdit {
@@ -44,7 +59,7 @@ impl BeadEdit {
     pub fn image_px(&self) -> Option<DVec2> {
         match self {
             Self::Put { image_px, .. } | Self::Name { image_px, .. } | Self::Drop { image_px } => Some(*image_px),
-            Self::Undo => None,
+            Self::Undo | Self::Note { .. } => None,
         }
     }
 
@@ -53,8 +68,14 @@ impl BeadEdit {
     pub fn bead(&self) -> Option<&str> {
         match self {
             Self::Put { bead, .. } | Self::Name { bead, .. } => Some(bead),
-            Self::Drop { .. } | Self::Undo => None,
+            Self::Drop { .. } | Self::Undo | Self::Note { .. } => None,
         }
+    }
+
+    /// Whether it is words.
+    #[must_use]
+    pub fn is_note(&self) -> bool {
+        matches!(self, Self::Note { .. })
     }
 
     /// Whether its place is one.
@@ -85,6 +106,30 @@ pub(super) struct EditRecord {
     pub edit: BeadEdit,
 }
 
+/// What a log keeps of a note.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct NoteRecord {
+    /// The frame's number of arrival.
+    pub number: u32,
+    /// When it was written, host time.
+    pub host_us: i64,
+    /// The words; none take back what was noted before.
+    pub words: String,
+}
+
+/// Takes a note among those of other frames.
+pub(super) fn take_note(notes: &mut BTreeMap<u32, String>, number: u32, words: &str) {
+    // A log may be anybody's: nothing that a terminal obeys, one line, no more than the window takes.
+    let one_line = words.trim().replace(['\n', '\t'], " ");
+    let words: String = printable(&one_line).chars().take(MOST_NOTE).collect();
+    if words.is_empty() {
+        notes.remove(&number);
+    } else {
+        notes.insert(number, words);
+    }
+}
+
 /// What `edits`, in their order and without those that were taken back, say of a frame: of no bead twice, and of no place.
 pub(super) fn marks_of(edits: &[BeadEdit]) -> Vec<HandMark> {
     let mut marks: Vec<HandMark> = Vec::new();
@@ -101,7 +146,7 @@ pub(super) fn marks_of(edits: &[BeadEdit]) -> Vec<HandMark> {
             // What a hand put stays where it was put, under its new name.
             (BeadEdit::Name { bead, .. }, Some(at)) => HandMark { image_px: at, says: HandSays::Put(bead.clone()) },
             (BeadEdit::Name { bead, .. }, None) => HandMark { image_px, says: HandSays::Named(bead.clone()) },
-            (BeadEdit::Drop { .. } | BeadEdit::Undo, _) => HandMark { image_px, says: HandSays::NoBead },
+            (BeadEdit::Drop { .. } | BeadEdit::Undo | BeadEdit::Note { .. }, _) => HandMark { image_px, says: HandSays::NoBead },
         });
     }
     marks

@@ -15,6 +15,8 @@ use super::log::SessionLog;
 pub(super) struct Editor {
     requests: Receiver<EditRequest>,
     jobs: Sender<EditJob>,
+    /// Edits that are not logged yet.
+    waiting: Vec<EditRequest>,
     /// Edits that were logged and are not posed, or refused, yet.
     open: usize,
 }
@@ -39,17 +41,17 @@ impl Editor {
                 }
             })
             .map_err(|source| SessionError::Thread { source })?;
-        Ok(Self { requests, jobs, open: 0 })
+        Ok(Self { requests, jobs, waiting: Vec::new(), open: 0 })
     }
 
-    /// Requests that may be logged now: none while a frame is registered, for a replay registers at once. Each counts as open until
-    /// [`Editor::done`].
+    /// Requests that may be logged now: no edit while a frame is registered, for a replay registers at once. Each edit counts as open until
+    /// [`Editor::done`]. Notes wait for nothing.
     pub(super) fn take(&mut self, is_registering: bool) -> Vec<EditRequest> {
-        if is_registering {
-            return Vec::new();
-        }
-        let now: Vec<_> = self.requests.try_iter().filter(|request| request.edit.is_finite()).collect();
-        self.open += now.len();
+        self.waiting.extend(self.requests.try_iter().filter(|request| request.edit.is_finite()));
+        let is_due = |request: &EditRequest| request.edit.is_note() || !is_registering;
+        let (now, waiting): (Vec<_>, Vec<_>) = std::mem::take(&mut self.waiting).into_iter().partition(is_due);
+        self.waiting = waiting;
+        self.open += now.iter().filter(|request| !request.edit.is_note()).count();
         now
     }
 

@@ -14,7 +14,7 @@ use crate::acquire::{DetectorCalibration, Domain, Frame};
 use crate::beads::tags::{TagLayout, parse_tags};
 use crate::beads::{Landmark, parse_landmarks};
 use crate::compare::Tone;
-use crate::geometry::{CarmCalibration, ConsoleGeometry, IntensifierCalibration, PanelWindow, Rigid, RobotModel};
+use crate::geometry::{CarmCalibration, ConsoleGeometry, IntensifierCalibration, Rigid, RobotModel};
 use crate::json::{JsonFault, parse_json};
 use crate::telemetry::{DeviceKind, LineAdapter, Link, PortAddress, PortConfig};
 
@@ -32,6 +32,10 @@ pub struct CarmLine {
     /// How its lines are read, where it does not speak packets: a file such as those of `calibration/telemetry/`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub adapter: Option<PathBuf>,
+    /// Whether telemetry is a measurement beside the beads, with the standard deviations that the calibration states; else it only says where
+    /// to look for them.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub fuse: bool,
 }
 
 /// The robot's line.
@@ -400,11 +404,6 @@ impl Setup {
             let sized = of_carm.map_or(Ok(()), |size_px| calibration.check_size(size_px));
             sized
                 .map_err(|error| place("intensifier", format!("{error}; the C-arm's calibration has columns_px and rows_px")))?;
-            if session.console.as_ref().is_some_and(|console| console.window(calibration.size_px) != PanelWindow::WHOLE) {
-                let detail = "a distortion is that of the whole picture, which this console crops, enlarges or turns; calibrate the \
-                              pictures as it stores them and leave \"console\" out";
-                return Err(place("intensifier", detail.to_owned()));
-            }
             self.intensifier = Some(Box::new(calibration));
             session.intensifier = Some(found);
         }

@@ -58,6 +58,15 @@ pub enum Input {
         /// When it was asked for.
         host_us: i64,
     },
+    /// A person has noted something of a frame.
+    Note {
+        /// Which.
+        number: u32,
+        /// What; nothing takes back what was noted before.
+        words: String,
+        /// When it was written.
+        host_us: i64,
+    },
     /// The image of an accepted frame prefers another pose: it says nothing about where the specimen lies.
     ImageDisagrees {
         /// Which.
@@ -115,6 +124,13 @@ pub enum Output {
         /// The frame that it was of.
         number: u32,
         /// Why, for a person.
+        words: String,
+    },
+    /// A note.
+    Noted {
+        /// The frame that it is of.
+        number: u32,
+        /// What it says.
         words: String,
     },
     /// A frame is ready to be rendered and compared.

@@ -5,21 +5,16 @@ use std::sync::Arc;
 use crate::acquire::Frame;
 use crate::geometry::{AnglesFrom, CarmJoints, Intensifier, IntensifierCalibration};
 
-/// The intensifier as it was at `frame`'s exposure, for the frame's size. A calibration by positioner angles takes those of the frame's
-/// tags, any other the joints of telemetry.
+/// The intensifier as it was at `frame`'s exposure, in the frame's own pixels. A calibration by positioner angles takes those of the
+/// frame's tags, any other the joints of telemetry.
 ///
 /// # Errors
-/// In words: when the angle is not known, or the picture is not the whole one.
+/// In words: when the angle is not known, or the panel's picture is no other size of the one that was calibrated.
 pub(super) fn seen_through(
     calibration: &IntensifierCalibration,
     frame: &Frame,
     joints: Option<&CarmJoints>,
 ) -> Result<Arc<Intensifier>, String> {
-    if !frame.shows_whole_panel() {
-        return Err("a distortion is that of the whole picture, and the console cropped, enlarged or turned this one; \
-                    calibrate the pictures as the console stores them and leave \"console\" out"
-            .to_owned());
-    }
     let angles_deg = match calibration.angles_from {
         AnglesFrom::Positioner => {
             frame.tags.primary_deg.zip(frame.tags.secondary_deg).map(|(primary, secondary)| [primary, secondary])
@@ -32,6 +27,6 @@ pub(super) fn seen_through(
         AnglesFrom::Positioner => "the frame's tags",
         AnglesFrom::Given | AnglesFrom::Unknown => "telemetry",
     };
-    let at = calibration.at(angles_deg).and_then(|intensifier| intensifier.for_size(frame.size_px.map(|n| n as u32)));
+    let at = calibration.at(angles_deg).and_then(|intensifier| frame.seen_through(&intensifier));
     at.map(Arc::new).map_err(|error| format!("{error} (angles come from {whose})"))
 }

@@ -116,7 +116,10 @@ impl LinkReadings {
 
     fn is_worth_a_look(&mut self, device: DeviceKind, sample: &Sample, now_us: i64) -> bool {
         let worth = match self.looked.get(&device) {
-            Some((then_us, before)) => now_us - then_us >= LOOK_US && has_moved(before, sample),
+            // Whether the beam is on is seen at once.
+            Some((then_us, before)) => {
+                is_beam_on(before) != is_beam_on(sample) || now_us - then_us >= LOOK_US && has_moved(before, sample)
+            }
             None => true,
         };
         if worth {
@@ -135,6 +138,10 @@ impl LinkReadings {
         self.counted.insert(device, (now_us, frames, rate_hz));
         rate_hz
     }
+}
+
+fn is_beam_on(sample: &Sample) -> bool {
+    matches!(sample, Sample::Carm(carm) if carm.xray_on)
 }
 
 /// Whether an eye would see the difference, or somebody must.

@@ -11,7 +11,7 @@ use serde_json::json;
 
 use super::SessionError;
 use super::against_log::topic_of;
-use super::edit::{EDIT_TOPIC, EditRecord};
+use super::edit::{EDIT_TOPIC, EditRecord, NOTE_TOPIC, NoteRecord};
 use super::event::Event;
 use super::file::Setup;
 use super::input::Input;
@@ -19,7 +19,6 @@ use super::inputs::InputNames;
 use super::losses::Losses;
 use super::posing::Posed;
 use super::workshop::Workshop;
-use crate::geometry::Rigid;
 use crate::record::{BeadMark, Level, Placed, Provenance, RecordError, Recorder, RecorderHealth, topic};
 use crate::render::Rendered;
 use crate::report::{self, PoseSource};
@@ -185,6 +184,10 @@ impl SessionLog {
                 let record = EditRecord { number: *number, host_us: *host_us, edit: edit.clone() };
                 self.recorder.json(EDIT_TOPIC, *host_us, &record)
             }
+            (Input::Note { number, words, host_us }, _) => {
+                let record = NoteRecord { number: *number, host_us: *host_us, words: words.clone() };
+                self.recorder.json(NOTE_TOPIC, *host_us, &record)
+            }
             // Of a log, never of a session.
             (Input::Frame { .. } | Input::Seen { .. }, _) => Ok(()),
         };
@@ -226,7 +229,8 @@ impl SessionLog {
         self.check(self.recorder.shown(&pixels.map(|value| report::gray(*value, window)[0]), posed.time_us));
     }
 
-    pub(super) fn pose(&self, posed: &Posed, world_from_lps: Option<Rigid>) {
+    /// A pose, and where its frame stands in the tree.
+    pub(super) fn pose(&self, posed: &Posed, placed: &[Placed]) {
         self.check(self.recorder.json(topic::POSE, posed.time_us, &PoseRecord::of(posed)));
         if let Some(view) = &posed.view {
             let projection = view.projection();
@@ -245,7 +249,7 @@ impl SessionLog {
                 (depth_mm > 0.0).then(|| BeadMark { name: bead.name.clone(), detected_px, projected_px, radius_px })
             };
             let marks: Vec<BeadMark> = posed.pose.beads.iter().filter_map(mark).collect();
-            self.check(self.recorder.pose_geometry(view, world_from_lps, &marks, posed.time_us));
+            self.check(self.recorder.pose_geometry(view, Some(placed), &marks, posed.time_us));
         }
     }
 

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::edit::{EDIT_TOPIC, EditRecord};
+use super::edit::{EDIT_TOPIC, EditRecord, NOTE_TOPIC, NoteRecord};
 use super::input::Input;
 use super::log::{CLOCK_TOPIC, DISAGREES_TOPIC, ORDER_TOPIC};
 use super::records::{SEEN_TOPIC, SeenRecord};
@@ -49,6 +49,10 @@ impl LogInputs {
             EDIT_TOPIC => {
                 let EditRecord { number, host_us, edit } = tolerance.take(entry.json())?;
                 return Some(Input::Edit { number, edit, host_us });
+            }
+            NOTE_TOPIC => {
+                let NoteRecord { number, host_us, words } = tolerance.take(entry.json())?;
+                return Some(Input::Note { number, words, host_us });
             }
             DISAGREES_TOPIC => {
                 let Numbered { number } = tolerance.take(entry.json())?;

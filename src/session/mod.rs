@@ -60,6 +60,7 @@ mod pair_marks;
 mod pair_pictures;
 mod pair_view;
 mod park;
+mod phase;
 mod pictures;
 mod places;
 mod posing;

@@ -20,7 +20,7 @@ use crate::report::PoseSource;
 use crate::reporter::Reporter;
 use crate::telemetry::{CarmSample, DeviceKind};
 use crate::time::{StageTimes, Stopwatch};
-use crate::timeline::{Binding, Support, Timeline};
+use crate::timeline::{Binding, BindingFlag, Support, Timeline};
 
 /// A frame with everything known about when and where it was taken.
 #[derive(Clone, Debug)]
@@ -288,6 +288,12 @@ impl PoseJob {
     /// By the beads and tags that the session names; `looked` is what the frame shows, if that is known.
     pub(super) fn posed(&self, registration: &Registration, masks: &Masks, looked: Option<&Looked>) -> Pose {
         let pose = self.registered(registration, masks, looked);
+        let pose = match self.measured() {
+            Some(measured) => pose::fuse(pose, &measured, &|measured| {
+                self.registered(&Registration { prior: Some(measured), fuse: true, ..*registration }, masks, looked)
+            }),
+            None => pose,
+        };
         match &self.intensifier {
             Some(Err(detail)) => pose.refused_for(Refusal::Distortion { detail: detail.clone() }),
             _ => pose,
@@ -321,6 +327,25 @@ impl PoseJob {
         self.camera_from_world.zip(self.known.world_from_lps).map(|(camera, world)| camera * world)
     }
 
+    /// Telemetry as a measurement, where the session fuses it and it is as good as the arm's calibration says: the joints are those of the
+    /// picture, nothing contradicts where the specimen lies, and the beads are solved with the arm's own K.
+    fn measured(&self) -> Option<Prior> {
+        let setup = &self.known.setup;
+        let fuses = setup.session.carm.as_ref().is_some_and(|line| line.fuse);
+        let unsure = |flag: &BindingFlag| {
+            matches!(flag, BindingFlag::Moved { .. } | BindingFlag::TelemetryGap { .. } | BindingFlag::Unseen { .. })
+        };
+        if !fuses
+            || self.known.tie_disputed
+            || self.intrinsics.is_none()
+            || matches!(self.intensifier, Some(Err(_)))
+            || self.bound.binding.flags.iter().any(unsure)
+        {
+            return None;
+        }
+        Prior::by_joints(setup.carm.as_ref()?, self.bound.joints.as_ref()?, self.nominal()?)
+    }
+
     /// What a pose of the frame comes to.
     pub(super) fn used(&self, pose: &Pose) -> Used {
         let (pose_source, camera) = match (pose.camera(), self.intrinsics.zip(self.nominal())) {
@@ -331,7 +356,9 @@ impl PoseJob {
         // world_from_lps = world_from_camera · camera_from_lps.
         let world_from_lps = match (pose_source, camera, self.camera_from_world) {
             (PoseSource::Beads, Some((_, camera_from_lps)), Some(camera_from_world)) => {
-                Some(camera_from_world.inverse() * camera_from_lps)
+                // A pose that telemetry has drawn to itself would agree with it ever after.
+                let by_beads = pose.innovation.map_or(camera_from_lps, |innovation| innovation.camera_from_lps);
+                Some(camera_from_world.inverse() * by_beads)
             }
             _ => None,
         };

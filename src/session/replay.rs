@@ -11,6 +11,7 @@ use super::against_log::Samples;
 use super::board::Board;
 use super::broadcast::Broadcast;
 use super::developed::Developed;
+use super::edit::take_note;
 use super::engine::Engine;
 use super::file::Setup;
 use super::folder::{Collector, Folder, Times};
@@ -256,6 +257,10 @@ impl Replay<'_> {
                 Output::PictureLost { job, words } => {
                     self.report.losses.push(format!("frame {}: {words}", job.number()));
                     engine.registered(Registered::failed(*job, &words), &mut sink);
+                }
+                Output::Noted { number, words } => {
+                    self.tracks.noted(number, &words);
+                    self.board.board().update(|state| take_note(&mut state.notes, number, &words));
                 }
                 Output::Edit(job) => self.take_posed(job.run()),
                 Output::Posed(posed) => self.take_posed(*posed),

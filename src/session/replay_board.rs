@@ -4,6 +4,7 @@ use super::board::{Board, Link};
 use super::engine::Engine;
 use super::file::Setup;
 use super::link_view::LinkReadings;
+use super::phase;
 use crate::time::Stopwatch;
 
 /// Wall time between two looks at the engine.
@@ -42,6 +43,7 @@ impl<'a> ReplayBoard<'a> {
             state.now_us = now_us;
             state.frames_seen = seen;
             state.frames_waiting = waiting + engine.waiting() + engine.bound().count();
+            state.phases = phase::of_engine(engine);
             readings.update(&mut state.links, engine, now_us);
         });
     }

@@ -10,7 +10,7 @@ use super::SessionError;
 use super::background::stand_back;
 use super::board::Board;
 use super::broadcast::Broadcast;
-use super::busy::{Busy, Task};
+use super::busy::{Busy, Task, WARNED_AFTER};
 use super::chime::Chime;
 use super::developed::Developed;
 use super::fault;
@@ -26,6 +26,8 @@ use crate::time::host_now_us;
 const QUEUE: usize = 4;
 /// How often the scribe looks whether it is to leave.
 const LOOK: Duration = Duration::from_millis(100);
+/// So long a strip waits for its null to begin: where other frames come first it is written as it is.
+const STRIP_WAITS_MS: f64 = 1000.0;
 
 /// See the module.
 pub(super) struct Scribe {
@@ -127,6 +129,22 @@ impl Work {
                 }
                 Err(RecvTimeoutError::Disconnected) => return self.collector,
             }
+            self.write_strips();
+        }
+    }
+
+    /// Writes the strips whose null is not coming soon.
+    fn write_strips(&mut self) {
+        let at_work = self.busy.longer_than(Duration::ZERO);
+        let is_due = |(number, waited_ms): &(u32, f64)| {
+            let making = at_work.iter().find(|(task, _)| *task == Task::Developing(*number));
+            strip_is_due(*waited_ms, making.map(|(_, taken)| *taken))
+        };
+        let due: Vec<(u32, f64)> = self.collector.waiting().filter(is_due).collect();
+        for (number, _) in due {
+            let _at_work = self.busy.begin(Task::Writing(number));
+            let failure = self.collector.write_waiting(number);
+            self.say(failure);
         }
     }
 
@@ -171,5 +189,25 @@ impl Work {
         if let Some(failure) = failure {
             self.reporter.warn("file not written", format!("{failure}; {}", self.log.again()));
         }
+    }
+}
+
+/// Whether a strip is written that has waited so long; `making` is for how long its null is being made, if it is.
+fn strip_is_due(waited_ms: f64, making: Option<Duration>) -> bool {
+    waited_ms >= STRIP_WAITS_MS && making.is_none_or(|taken| taken >= WARNED_AFTER)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_strip_waits_for_its_null_while_that_is_made_and_for_no_other_reason() {
+        let soon = Duration::from_secs(1);
+        // When the pair stands, its null has not begun yet.
+        assert!(!strip_is_due(0.0, None) && !strip_is_due(0.5 * STRIP_WAITS_MS, Some(soon)));
+        assert!(!strip_is_due(5.0 * STRIP_WAITS_MS, Some(soon)), "it would be written twice");
+        assert!(strip_is_due(STRIP_WAITS_MS, None), "other frames come first");
+        assert!(strip_is_due(2e4, Some(WARNED_AFTER)), "its null hangs");
     }
 }

@@ -60,8 +60,14 @@ impl Standstill {
     /// Takes a posed frame and where its beads put the specimen; words where the earlier frames contradict it.
     pub(super) fn observe(&mut self, posed: &Posed, world_from_lps: Option<Rigid>) -> Option<String> {
         let (joints, world_from_lps) = posed.joints.zip(world_from_lps)?;
-        let (camera_from_lps, covariance) = posed.pose.camera_from_lps.zip(posed.pose.covariance_at_centroid)?;
-        let variance = |from: usize| (from..6).map(|n| covariance[n][n]).sum::<f64>();
+        // Of a pose that telemetry is fused into, what the beads alone say, and no surer than both together.
+        let (camera_from_lps, variances) = match posed.pose.innovation.filter(|_| posed.pose.fused) {
+            Some(off) => (off.camera_from_lps, off.sigma_mm.map(|sigma| sigma * sigma)),
+            None => {
+                let covariance = posed.pose.covariance_at_centroid?;
+                (posed.pose.camera_from_lps?, [3, 4, 5].map(|n: usize| covariance[n][n]))
+            }
+        };
         let world_from_camera = world_from_lps * camera_from_lps.inverse();
         self.take(Stand {
             number: posed.number,
@@ -69,8 +75,8 @@ impl Standstill {
             world_from_lps,
             beam_in_world: world_from_camera.transform_vector(DVec3::Z),
             depth_mm: camera_from_lps.transform_point(self.centre_lps_mm).z,
-            sigma_mm: variance(3).sqrt(),
-            sigma_depth_mm: variance(5).sqrt(),
+            sigma_mm: variances.iter().sum::<f64>().sqrt(),
+            sigma_depth_mm: variances[2].sqrt(),
         })
     }
 

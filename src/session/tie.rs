@@ -98,13 +98,14 @@ impl SpecimenTie {
 
     /// Takes where an accepted frame of the file `content` puts the specimen; `in_doubt` when its pose may be another. What is in doubt ties
     /// nothing: a reading that is wrong in one view is as wrong in the next, and the two agree. It may end a tie that it is far from.
-    pub fn observe(&mut self, number: u32, content: &str, world_from_lps: Rigid, in_doubt: bool) -> TieVerdict {
+    /// A frame that `jumps` is too far from the tie for the arm as it was measured: however near, it disagrees.
+    pub fn observe(&mut self, number: u32, content: &str, world_from_lps: Rigid, in_doubt: bool, jumps: bool) -> TieVerdict {
         if in_doubt && self.tied.is_none() {
             let words = "its pose is in doubt and does not tie the specimen to the room".to_owned();
             return TieVerdict { disagreement: None, words: Some(words) };
         }
         let apart = self.tied.map(|tied| Disagreement::between(&tied, &world_from_lps, self.centre_lps_mm));
-        if apart.is_some_and(Disagreement::agrees) {
+        if !jumps && apart.is_some_and(Disagreement::agrees) {
             self.dissenting.clear();
             return TieVerdict::default();
         }
@@ -182,14 +183,14 @@ mod tests {
 
     /// Each number is a file of its own.
     fn observe(tie: &mut SpecimenTie, number: u32, world_from_lps: Rigid) -> TieVerdict {
-        tie.observe(number, &number.to_string(), world_from_lps, false)
+        tie.observe(number, &number.to_string(), world_from_lps, false, false)
     }
 
     #[test]
     fn poses_in_doubt_agree_with_each_other_and_tie_nothing() {
         let mut tie = SpecimenTie::new(None, DVec3::ZERO);
         for number in 1..5 {
-            let verdict = tie.observe(number, &number.to_string(), at(0.0), true);
+            let verdict = tie.observe(number, &number.to_string(), at(0.0), true, false);
             assert!(verdict.words.is_some_and(|words| words.contains("in doubt")));
         }
         assert_eq!(tie.world_from_lps(), None);
@@ -197,17 +198,17 @@ mod tests {
         observe(&mut tie, 6, at(61.0));
         assert_eq!(tie.world_from_lps(), Some(at(61.0)), "what is in doubt contradicts nothing");
         // A specimen that was moved is found far from where it was expected, which is a doubt.
-        tie.observe(7, "7", at(200.0), true);
-        tie.observe(8, "8", at(201.0), true);
+        tie.observe(7, "7", at(200.0), true, false);
+        tie.observe(8, "8", at(201.0), true, false);
         assert_eq!(tie.world_from_lps(), Some(at(201.0)));
     }
 
     #[test]
     fn the_images_of_one_run_are_one_witness() {
         let mut tie = SpecimenTie::new(None, DVec3::ZERO);
-        (1..9).for_each(|number| drop(tie.observe(number, "run", at(0.0), false)));
+        (1..9).for_each(|number| drop(tie.observe(number, "run", at(0.0), false, false)));
         assert_eq!(tie.world_from_lps(), None);
-        tie.observe(9, "another", at(1.0), false);
+        tie.observe(9, "another", at(1.0), false, false);
         assert_eq!(tie.world_from_lps(), Some(at(1.0)));
     }
 
@@ -257,7 +258,7 @@ mod tests {
         observe(&mut tie, 6, at(301.0));
         assert_eq!(tie.world_from_lps(), Some(at(301.0)), "the next two that agree tie it");
         // The images of one run count once.
-        (7..20).for_each(|number| drop(tie.observe(number, "run", at(100.0 * f64::from(number)), false)));
+        (7..20).for_each(|number| drop(tie.observe(number, "run", at(100.0 * f64::from(number)), false, false)));
         assert_eq!(tie.world_from_lps(), Some(at(301.0)));
     }
 

@@ -1,7 +1,8 @@
-//! What the report shows of telemetry: joints and angles over time, and how each line did.
+//! What the report shows besides what is made of frames: joints and angles over time, how each line did, and what persons noted.
 
 use std::collections::BTreeMap;
 
+use super::edit::take_note;
 use super::engine::Engine;
 use crate::geometry::CarmJoints;
 use crate::report::{Gap, LinkReport, Track};
@@ -50,6 +51,8 @@ pub(super) struct Tracks {
     status: BTreeMap<DeviceKind, u32>,
     /// Serial number and calibration that each device named last.
     named: BTreeMap<DeviceKind, [String; 2]>,
+    /// By the frame's number.
+    notes: BTreeMap<u32, String>,
 }
 
 impl Tracks {
@@ -60,7 +63,18 @@ impl Tracks {
             angles: Thinned::new(),
             status: BTreeMap::new(),
             named: BTreeMap::new(),
+            notes: BTreeMap::new(),
         }
+    }
+
+    /// What a person noted of a frame.
+    pub(super) fn noted(&mut self, number: u32, words: &str) {
+        take_note(&mut self.notes, number, words);
+    }
+
+    /// The note of a frame.
+    pub(super) fn note(&self, number: u32) -> Option<&str> {
+        self.notes.get(&number).map(String::as_str)
     }
 
     fn link(&mut self, device: DeviceKind) -> &mut LinkReport {

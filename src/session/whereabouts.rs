@@ -1,9 +1,9 @@
 //! Where telemetry puts arm and robot, for whoever looks on: OpenIGTLink, and Foxglove's frame tree in the log.
 
 use super::file::Setup;
-use crate::geometry::{CarmCalibration, Rigid, RobotShape};
+use crate::geometry::{CarmCalibration, CarmJoints, Rigid, RobotShape};
 use crate::scene::Robot;
-use crate::telemetry::{AngleSource, CarmSample, RobotSample};
+use crate::telemetry::{AngleSource, RobotSample};
 
 /// See the module.
 #[derive(Clone, Debug)]
@@ -29,8 +29,8 @@ impl Whereabouts {
     }
 
     /// `world_from_camera`, nominal, of the panel's own axes. Joints without encoders have no pose; that is said with each frame.
-    pub(super) fn world_from_camera(&self, sample: &CarmSample) -> Option<Rigid> {
-        self.carm.as_ref()?.world_from_camera(&sample.joints).ok()
+    pub(super) fn world_from_camera(&self, joints: &CarmJoints) -> Option<Rigid> {
+        self.carm.as_ref()?.world_from_camera(joints).ok()
     }
 
     /// The robot; `world_from_lps` is what is known of the specimen now.

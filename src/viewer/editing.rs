@@ -168,6 +168,11 @@ impl Editing {
         }
     }
 
+    /// A note about a frame goes to the session as edits do.
+    pub(super) fn ask_note(&mut self, number: u32, words: String) {
+        self.asked.push(EditRequest { number, edit: BeadEdit::Note { words } });
+    }
+
     fn ask(&mut self, pair: &PairView, edit: BeadEdit) {
         self.asked.push(EditRequest { number: pair.number(), edit });
     }

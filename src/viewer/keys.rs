@@ -30,6 +30,7 @@ pub(super) enum Command {
     AutoWindow,
     Toggle(Mark),
     Edit(EditCommand),
+    Note,
     Keys,
     Close,
 }
@@ -74,8 +75,9 @@ impl Binding {
 }
 
 /// All of them, as they are listed.
-pub(super) const KEYS: [Binding; 45] = [
+pub(super) const KEYS: [Binding; 46] = [
     with_control(Key::E, EditCommand::Toggle, "edit the beads of this exposure, or stop"),
+    on(Key::T, Command::Note, "write a note about this exposure"),
     on(Key::ArrowLeft, Command::Step(-1), "the exposure before"),
     on(Key::ArrowRight, Command::Step(1), "the next exposure"),
     on(Key::PageUp, Command::Step(-10), "ten exposures back"),
@@ -160,6 +162,10 @@ const UNDO: Binding = with_control(Key::Z, EditCommand::Undo, "take the latest e
 
 /// Does what the keys pressed since the last look ask for.
 pub(super) fn obey(ui: &Ui, board: &BoardState, state: &mut ViewState) {
+    // They are letters of a note.
+    if state.note.is_some() {
+        return;
+    }
     let edits = state.editing.is_on();
     let of_edits = EDIT_KEYS.iter().chain([&UNDO]).filter(|_| edits);
     for binding in of_edits.chain(&KEYS) {
@@ -219,6 +225,7 @@ pub(super) fn run(command: Command, now_s: f64, board: &BoardState, state: &mut 
         Command::Toggle(mark) => state.toggle(mark),
         Command::Edit(EditCommand::Leave) if state.shows_keys => state.shows_keys = false,
         Command::Edit(edit) => state.edit(edit, board),
+        Command::Note => state.begin_note(board),
         Command::Keys => state.shows_keys = !state.shows_keys,
         Command::Close => state.shows_keys = false,
     }

@@ -19,6 +19,9 @@ pub fn draw(ui: &mut Ui, board: &BoardState, state: &mut ViewState) {
             None => state.leave_editing(),
         }
     }
+    if !board.editable {
+        state.note = None;
+    }
     keys::obey(ui, board, state);
     timeline::advance(ui, board, state);
     let bare = |horizontal, vertical| Frame::new().fill(BACKGROUND).inner_margin(Margin::symmetric(horizontal, vertical));

@@ -7,6 +7,7 @@ mod sight;
 mod player;
 mod picture_cache;
 mod editing;
+mod note;
 mod state;
 mod keys;
 mod marks;

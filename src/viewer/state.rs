@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::editing::{EditCommand, Editing};
+use super::note::NoteField;
 use super::picture_cache::PictureCache;
 use super::player::Player;
 use super::sight::Sight;
@@ -125,6 +126,8 @@ pub struct ViewState {
     pub shows_keys: bool,
     /// Beads that are edited.
     pub editing: Editing,
+    /// A note that is being written.
+    pub(super) note: Option<NoteField>,
     /// What lies under the cursor, in pixels of the frame.
     pub(super) cursor_px: Option<[f64; 2]>,
     pub(super) cache: PictureCache,
@@ -143,6 +146,7 @@ impl Default for ViewState {
             player: Player::default(),
             shows_keys: false,
             editing: Editing::default(),
+            note: None,
             cursor_px: None,
             cache: PictureCache::default(),
         }
@@ -184,6 +188,15 @@ impl ViewState {
             }
             _ if self.editing.is_on() => self.leave_editing(),
             _ => {}
+        }
+    }
+
+    /// A note about the exposure shown is written, where the session takes one.
+    pub(super) fn begin_note(&mut self, board: &BoardState) {
+        if let Some(pair) = self.shown(board).filter(|_| board.editable) {
+            let number = pair.number();
+            self.player.stop();
+            self.note = Some(NoteField::of(number, board.notes.get(&number).map(String::as_str)));
         }
     }
 

@@ -1,12 +1,17 @@
-//! The exposures in a row, each in the colour of its state: to scrub, to step through, to play.
+//! The exposures in a row, each in the colour of its state, with how far it has come and what was noted of it: to scrub, to step through, to
+//! play.
 
-use eframe::egui::{self, Align2, Color32, Painter, Rect, RichText, Role, Sense, Stroke, StrokeKind, Ui, WidgetInfo, pos2, vec2};
+use eframe::egui::{
+    self, Align2, Color32, Label, Painter, Rect, RichText, Role, Sense, Stroke, StrokeKind, Ui, WidgetInfo, pos2, vec2,
+};
 
 use super::keys::{Command, run};
+use super::note::Written;
 use super::state::ViewState;
-use super::theme::{DIM, INK, LINE, SMALL, TEXT, WELL, font, of_standing};
+use super::theme::{CAUTION, DIM, INK, LINE, SMALL, TEXT, WELL, font, of_standing};
 use crate::report::Standing;
-use crate::session::board::BoardState;
+use crate::session::board::{BoardState, PairView, Phase};
+use crate::telemetry::Sample;
 use crate::time::utc;
 
 const HEIGHT: f32 = 34.0;
@@ -14,6 +19,12 @@ const HEIGHT: f32 = 34.0;
 const WIDEST: f32 = 46.0;
 /// Narrower tiles have no number.
 const NUMBERED: f32 = 20.0;
+/// Narrower tiles have no phase.
+const PHASED: f32 = 32.0;
+/// Letters of a phase.
+const TINY: f32 = 9.5;
+/// Frames in work of which is told in words.
+const MOST_TOLD: usize = 3;
 
 /// Moves on where it plays, and asks to be drawn again in time.
 pub(super) fn advance(ui: &Ui, board: &BoardState, state: &mut ViewState) {
@@ -48,7 +59,17 @@ pub(super) fn show(ui: &mut Ui, board: &BoardState, state: &mut ViewState) {
                 asked = Some(command);
             }
         }
+        if board.editable && state.note.is_none() && ui.button(RichText::new("note T").size(SMALL)).clicked() {
+            asked = Some(Command::Note);
+        }
         ui.label(RichText::new(format!("speed {}", state.player.speed().word())).size(SMALL).color(TEXT));
+        if let Some(mut field) = state.note.take() {
+            match field.show(ui) {
+                Written::Open => state.note = Some(field),
+                Written::Done(note) => note.into_iter().for_each(|(number, words)| state.editing.ask_note(number, words)),
+            }
+            return;
+        }
         let words = match state.shown_index(board) {
             Some(at) => {
                 let (pair, count) = (&board.pairs[at], board.pairs.len());
@@ -58,6 +79,16 @@ pub(super) fn show(ui: &mut Ui, board: &BoardState, state: &mut ViewState) {
             None => "no exposure yet".to_owned(),
         };
         ui.label(RichText::new(words).size(SMALL).color(DIM));
+        for (number, phase) in in_work(board).into_iter().take(MOST_TOLD) {
+            ui.label(RichText::new(format!("frame {number} {}", phase.words())).size(SMALL).color(TEXT));
+        }
+        if is_beam_on(board) {
+            ui.label(RichText::new("X-RAY ON").size(SMALL).color(CAUTION));
+        }
+        if let Some(note) = state.shown(board).and_then(|pair| board.notes.get(&pair.number())) {
+            ui.add(Label::new(RichText::new(format!("note: {note}")).size(SMALL).color(TEXT)).truncate())
+                .on_hover_text(note.as_str());
+        }
     });
     if let Some(command) = asked {
         run(command, ui.input(|input| input.time), board, state);
@@ -65,11 +96,33 @@ pub(super) fn show(ui: &mut Ui, board: &BoardState, state: &mut ViewState) {
     tiles(ui, board, state);
 }
 
+/// Frames in work and how far they have come, the newest first.
+fn in_work(board: &BoardState) -> Vec<(u32, Phase)> {
+    board.phases.iter().rev().map(|(number, phase)| (*number, *phase)).collect()
+}
+
+/// Whether the C-arm says so, now.
+fn is_beam_on(board: &BoardState) -> bool {
+    let says_so = |sample: &Sample| matches!(sample, Sample::Carm(carm) if carm.xray_on);
+    !board.finished && board.links.iter().any(|link| !link.is_stale(board.now_us) && link.latest.as_ref().is_some_and(says_so))
+}
+
+/// What is still to come of a pair that is shown.
+fn phase_of(board: &BoardState, pair: &PairView) -> Option<&'static str> {
+    match board.phases.get(&pair.number()) {
+        Some(phase) => Some(phase.short()),
+        None => (!pair.complete).then_some("…"),
+    }
+}
+
 fn tiles(ui: &mut Ui, board: &BoardState, state: &mut ViewState) {
     let (strip, response) = ui.allocate_exact_size(vec2(ui.available_width(), HEIGHT), Sense::click_and_drag());
     let painter = ui.painter_at(strip);
     painter.rect_filled(strip, 2.0, WELL);
-    let count = board.pairs.len() + board.frames_waiting;
+    let is_shown = |number: u32| board.pairs.iter().any(|pair| pair.number() == number);
+    let coming: Vec<(u32, Phase)> =
+        board.phases.iter().map(|(number, phase)| (*number, *phase)).filter(|(number, _)| !is_shown(*number)).collect();
+    let count = board.pairs.len() + board.frames_waiting.max(coming.len());
     let shown = state.shown_index(board);
     let said =
         shown.map(|at| format!("exposure {} of {}", at + 1, board.pairs.len())).unwrap_or_else(|| "no exposures".to_owned());
@@ -90,24 +143,36 @@ fn tiles(ui: &mut Ui, board: &BoardState, state: &mut ViewState) {
             Some(pair) => {
                 let standing = pair.pair.standing();
                 exposure(&painter, tile, standing, (wide >= NUMBERED).then(|| pair.number().to_string()));
+                if let Some(phase) = phase_of(board, pair).filter(|_| wide >= PHASED) {
+                    painter.text(pos2(tile.left() + 2.0, tile.top()), Align2::LEFT_TOP, phase, font(TINY), TEXT);
+                }
+                if board.notes.contains_key(&pair.number()) {
+                    let at = pos2(tile.right() - 5.0, tile.top() + 5.0);
+                    painter.circle(at, 3.5, Color32::WHITE, Stroke::new(1.0, INK));
+                }
                 if shown == Some(n) {
                     painter.rect_stroke(tile.expand(1.5), 3.0, Stroke::new(2.5, Color32::WHITE), StrokeKind::Middle);
                 }
             }
             None => {
                 painter.rect_stroke(tile.shrink(0.5), 2.0, Stroke::new(1.0, LINE), StrokeKind::Inside);
-                painter.text(tile.center(), Align2::CENTER_CENTER, "…", font(SMALL), DIM);
+                match coming.get(n - board.pairs.len()).filter(|_| wide >= PHASED) {
+                    Some((number, phase)) => {
+                        let bottom = pos2(tile.center().x, tile.bottom() - 1.0);
+                        painter.text(pos2(tile.center().x, tile.top()), Align2::CENTER_TOP, phase.short(), font(TINY), TEXT);
+                        painter.text(bottom, Align2::CENTER_BOTTOM, number, font(SMALL), DIM);
+                    }
+                    None => _ = painter.text(tile.center(), Align2::CENTER_CENTER, "…", font(SMALL), DIM),
+                }
             }
         }
     }
     if let Some(pair) = response.hover_pos().and_then(|at| board.pairs.get(((at.x - strip.left()) / wide) as usize)) {
-        let words = format!(
-            "frame {} ({})\n{}\n{}",
-            pair.number(),
-            pair.pair.frame,
-            pair.pair.standing().word(),
-            pair.pair.status_line()
-        );
+        let number = pair.number();
+        let phase = board.phases.get(&number).map(|phase| format!("\n{}", phase.words())).unwrap_or_default();
+        let note = board.notes.get(&number).map(|note| format!("\nnote: {note}")).unwrap_or_default();
+        let standing = pair.pair.standing().word();
+        let words = format!("frame {number} ({})\n{standing}\n{}{phase}{note}", pair.pair.frame, pair.pair.status_line());
         response.on_hover_ui_at_pointer(|ui| {
             ui.label(egui::RichText::new(words).size(SMALL));
         });

@@ -11,6 +11,7 @@ use glam::DVec3;
 use nalgebra::{SMatrix, SVector};
 
 use super::sphere::{VoxelPoints, error_function};
+use crate::estimate::SmallSteps;
 
 /// Unknowns: centre (3), ln mass, ln radius, ln blur, offset, gradient (3).
 pub(super) const UNKNOWNS: usize = 10;
@@ -138,34 +139,24 @@ impl Problem<'_> {
         at[3] = start.mass_hu_mm3.ln();
         at[4] = start.radius_mm.ln();
         at[5] = start.blur_mm.ln();
-        let (mut damping, mut cost) = (1e-2, self.cost(&at, origin));
+        let mut cost = self.cost(&at, origin);
+        let mut steps = SmallSteps { damping: 1e-2, lower: 0.2, raise: 5.0, most: 1e8, attempts: usize::MAX };
+        // Half a millimetre, or a factor of 1.6, at a time: farther than that the linear model says little.
+        let held = |step: &Vector| {
+            let largest = step.rows(0, 6).amax();
+            if largest > 0.5 { step * (0.5 / largest) } else { *step }
+        };
         for _ in 0..MOST_STEPS {
             let (gradient, curvature) = self.normal(&at, origin);
-            let settled;
-            loop {
-                let mut damped = curvature;
-                (0..UNKNOWNS).for_each(|n| damped[(n, n)] *= 1.0 + damping);
-                let mut step = -damped.cholesky()?.solve(&gradient);
-                // Half a millimetre, or a factor of 1.6, at a time: farther than that the linear model says little.
-                let largest = step.rows(0, 6).amax();
-                if largest > 0.5 {
-                    step *= 0.5 / largest;
-                }
-                let tried = at + step;
-                let tried_cost = self.cost(&tried, origin);
-                if tried_cost <= cost {
-                    settled = step.rows(0, 3).amax() < 2e-5 && step.rows(3, 3).amax() < 1e-3;
-                    (at, cost) = (tried, tried_cost);
-                    damping = (damping * 0.2).max(1e-9);
-                    break;
-                }
-                damping *= 5.0;
-                if !(damping < 1e8) {
-                    settled = true;
-                    break;
-                }
-            }
-            if settled {
+            let mut tried_cost = cost;
+            let taken = steps.take(&curvature, &-gradient, |step| {
+                tried_cost = self.cost(&(at + held(step)), origin);
+                tried_cost <= cost
+            });
+            let Some(step) = taken.map(|step| held(&step)) else { break };
+            at += step;
+            cost = tried_cost;
+            if step.rows(0, 3).amax() < 2e-5 && step.rows(3, 3).amax() < 1e-3 {
                 break;
             }
         }

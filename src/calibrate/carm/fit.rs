@@ -3,6 +3,7 @@
 use super::parameters::Parameter;
 use super::shot::Shot;
 use super::solve::{CameraError, Solution, by_beads, predicted, solve};
+use super::spread::{CameraSigmas, camera_sigmas};
 use super::{CarmFitError, Sensors};
 use crate::geometry::{CarmCalibration, JOINT_KEYS, Rigid};
 
@@ -73,7 +74,8 @@ pub fn calibrate(shots: &[Shot], nominal: &CarmCalibration, sensors: &Sensors) -
         let excess = |k: usize| excess(&whole, &others[k], used[k]);
         let worst = (0..used.len()).max_by(|a, b| excess(*a).total_cmp(&excess(*b))).filter(|k| excess(*k) > EXCESS);
         let Some(worst) = worst else {
-            let fit = finish(whole, parameters, &used, held_out, left_out);
+            let sigmas = camera_sigmas(&whole, &others, &used, &held_out, &parameters, sensors)?;
+            let fit = finish(whole, sigmas, parameters, &used, held_out, left_out);
             // Where half of the shots are wrong none stands out from the others.
             let times = fit.chi2_per_dof.sqrt();
             return if times <= MOST_TIMES { Ok(fit) } else { Err(CarmFitError::Residual { times, limit: MOST_TIMES }) };
@@ -113,11 +115,17 @@ fn check(shots: &[Shot], nominal: &CarmCalibration) -> Result<(), CarmFitError> 
     Ok(())
 }
 
+/// Lowest and highest of a joint's readings, in the unit of its key.
+fn limits(shots: &[&Shot], joint: usize) -> [f64; 2] {
+    let values = shots.iter().map(|shot| shot.joints.to_array()[joint]);
+    let limits = values.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| [low.min(value), high.max(value)]);
+    if JOINT_KEYS[joint].1 { limits.map(f64::to_degrees) } else { limits }
+}
+
 /// Range of a joint's readings, in the unit of its key.
 fn range(shots: &[&Shot], joint: usize) -> f64 {
-    let values = shots.iter().map(|shot| shot.joints.to_array()[joint]);
-    let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)));
-    if JOINT_KEYS[joint].1 { (high - low).to_degrees() } else { high - low }
+    let [low, high] = limits(shots, joint);
+    high - low
 }
 
 /// Where the arm turns must be known: from one angle, the focal spot's distance to the isocentre and the specimen's place are one.
@@ -133,7 +141,7 @@ fn check_determined(shots: &[&Shot], parameters: &[Parameter], whole: &Solution)
 }
 
 fn held_out(shot: &Shot, arm: &Solution) -> Result<CameraError, CarmFitError> {
-    let (camera, k) = predicted(&arm.calibration, &arm.world_from_lps, shot)?;
+    let (camera, k) = predicted(&arm.calibration, &arm.world_from_lps, &shot.joints)?;
     let seen = by_beads(shot, &k)?;
     let CarmCalibration { source_to_isocentre_mm, pitch_mm, .. } = arm.calibration;
     Ok(CameraError::between((&camera, &k), (&seen, &k), source_to_isocentre_mm, pitch_mm))
@@ -141,16 +149,20 @@ fn held_out(shot: &Shot, arm: &Solution) -> Result<CameraError, CarmFitError> {
 
 fn finish(
     whole: Solution,
+    sigmas: CameraSigmas,
     parameters: Vec<Parameter>,
     used: &[&Shot],
     held_out: Vec<CameraError>,
     left_out: Vec<LeftOutShot>,
 ) -> CarmFit {
-    let axes = 3.0 * held_out.len().max(1) as f64;
-    let squares = |of: &dyn Fn(&CameraError) -> f64| (held_out.iter().map(of).sum::<f64>() / axes).sqrt();
-    let mm = squares(&|error| error.isocentre_mm.iter().map(|mm| mm * mm).sum());
-    let deg = squares(&|error| error.attitude_deg.powi(2));
-    let calibration = CarmCalibration { camera_sigma_mm: Some(mm), camera_sigma_deg: Some(deg), ..whole.calibration };
+    let calibration = CarmCalibration {
+        camera_sigma_mm: Some(sigmas.mm),
+        camera_sigma_deg: Some(sigmas.deg),
+        true_camera_sigma_mm: Some(sigmas.true_mm),
+        true_camera_sigma_deg: Some(sigmas.true_deg),
+        calibrated_angles_deg: Some([limits(used, 4), limits(used, 3)]),
+        ..whole.calibration
+    };
     let in_unit = |(parameter, sigma): (Parameter, &f64)| {
         let sigma = parameter.prior_sigma * sigma;
         (parameter, sigma)

@@ -4,12 +4,14 @@
 //! Unknown are the arm ([`Parameter`], each with a weak prior about nominal), the specimen's place in the room, the true joints of every
 //! shot (their readings are observations) and the bead places (the CT's are observations). Observed are the beads' images. What the shots
 //! cannot tell stays at nominal, with a standard deviation that says so. The figure to believe is that of each shot predicted, from its
-//! joint readings alone, by the arm that the other shots give.
+//! joint readings alone, by the arm that the other shots give. The beads of that shot are seen through the arm's own K; how far K's error
+//! takes the camera from the true one only the covariance of what was fitted tells, and it is stated beside.
 
 mod parameters;
 mod shot;
 mod shots_of;
 mod solve;
+mod spread;
 mod fit;
 mod report;
 

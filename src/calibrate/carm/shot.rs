@@ -51,9 +51,9 @@ pub(super) struct ShotBeads<'a> {
 }
 
 /// Steps of central differences: prior standard deviations, radians, mm. The chain is smooth and at most quadratic over them to 1e-9.
-const STEP_SIGMAS: f64 = 1e-4;
-const STEP_RAD: f64 = 1e-5;
-const STEP_MM: f64 = 1e-2;
+pub(super) const STEP_SIGMAS: f64 = 1e-4;
+pub(super) const STEP_RAD: f64 = 1e-5;
+pub(super) const STEP_MM: f64 = 1e-2;
 
 fn camera(carm: &CarmCalibration, joints: &CarmJoints) -> Option<(Rigid, Intrinsics)> {
     Some((carm.world_from_camera(joints).ok()?.inverse(), carm.intrinsics(joints).ok()?))

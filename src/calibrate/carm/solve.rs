@@ -3,21 +3,26 @@
 use std::collections::BTreeMap;
 
 use glam::{DVec2, DVec3};
+use nalgebra::DMatrix;
 
 use super::Sensors;
 use super::parameters::{Parameter, moved};
 use super::shot::{JOINTS, Shot, ShotBeads};
 use crate::beads::DEFAULT_SIGMA_MM;
 use crate::estimate::{BeadImage, EstimateError, Freedom, Loss, Place, Problem, Reading, Settings, VectorBlock};
-use crate::geometry::{CarmCalibration, CarmCalibrationError, Intrinsics, Rigid};
+use crate::geometry::{CarmCalibration, CarmCalibrationError, CarmJoints, Intrinsics, Rigid};
 
 /// The arm as some shots have it.
 #[derive(Clone, Debug)]
 pub(super) struct Solution {
     pub calibration: CarmCalibration,
     pub world_from_lps: Rigid,
+    /// Where `world_from_lps` turns.
+    pub pivot_lps_mm: DVec3,
     /// Of each parameter, in prior standard deviations.
     pub sigmas: Vec<f64>,
+    /// Of the parameters, in prior standard deviations, then of (ω, v) of `world_from_lps` about its pivot, rad and mm.
+    pub covariance: DMatrix<f64>,
     /// Σ of squares in standard deviations, over beads, readings and priors.
     pub chi2: f64,
     pub degrees_of_freedom: i64,
@@ -29,9 +34,9 @@ pub(super) struct Solution {
 pub(super) fn predicted(
     carm: &CarmCalibration,
     world_from_lps: &Rigid,
-    shot: &Shot,
+    joints: &CarmJoints,
 ) -> Result<(Rigid, Intrinsics), CarmCalibrationError> {
-    Ok((carm.world_from_camera(&shot.joints)?.inverse() * *world_from_lps, carm.intrinsics(&shot.joints)?))
+    Ok((carm.world_from_camera(joints)?.inverse() * *world_from_lps, carm.intrinsics(joints)?))
 }
 
 /// The middle of the beads of all shots.
@@ -60,7 +65,8 @@ pub(super) fn solve(
     sensors: &Sensors,
 ) -> Result<Solution, super::CarmFitError> {
     let mut problem = Problem::new();
-    let tie = problem.pose("world_from_lps", start(nominal, shots)?, centre_lps_mm(shots), true);
+    let pivot_lps_mm = centre_lps_mm(shots);
+    let tie = problem.pose("world_from_lps", start(nominal, shots)?, pivot_lps_mm, true);
     let zeros = vec![0.0; parameters.len()];
     let arm = problem.vector("arm", &zeros, Freedom::All);
     problem.add(Reading::with_sigmas(arm, &zeros, &vec![1.0; parameters.len()]), Loss::None);
@@ -84,7 +90,7 @@ pub(super) fn solve(
         residuals.push((beads, reading));
     }
     let estimate = problem.solve(&Settings { step_sigmas: 1e-5, ..Settings::default() })?;
-    let covariance = estimate.covariance()?.of(&[arm.id()]);
+    let covariance = estimate.covariance()?.of(&[arm.id(), tie.id()]);
     let of_shot = |(beads, reading): &(usize, usize)| {
         let squares: f64 = estimate.offset(*beads).iter().map(|px| px * px).sum();
         let count = estimate.offset(*beads).len() / 2;
@@ -93,7 +99,9 @@ pub(super) fn solve(
     Ok(Solution {
         calibration: moved(nominal, parameters, estimate.state().vector(arm)),
         world_from_lps: *estimate.state().pose(tie),
-        sigmas: covariance.diagonal().iter().map(|variance| variance.sqrt()).collect(),
+        pivot_lps_mm,
+        sigmas: covariance.diagonal().iter().take(parameters.len()).map(|variance| variance.sqrt()).collect(),
+        covariance,
         chi2: estimate.chi2_sum(),
         degrees_of_freedom: estimate.degrees_of_freedom(),
         shots: residuals.iter().map(of_shot).collect(),

@@ -32,9 +32,10 @@ pub fn run(args: &RedactArgs, reporter: &Reporter) -> Result<u8, LogbookError> {
     let report = redact(&args.log, RedactOptions { no_pixels: args.no_pixels }, &args.out, reporter)?;
     println!("{}: {} messages", report.path.display(), report.messages);
     println!(
-        "taken out: {}, {}, what devices say of themselves in {}, pixels of {}",
+        "taken out: {}, {}, {}, what devices say of themselves in {}, pixels of {}",
         counted(report.names, "name"),
         counted(report.events, "event"),
+        counted(report.notes, "note"),
         counted(report.serial_numbers, "packet"),
         counted(report.pixels, "frame")
     );

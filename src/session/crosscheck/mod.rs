@@ -6,6 +6,7 @@
 mod alignment;
 mod beads;
 mod disk;
+mod drift;
 mod exposure;
 mod field;
 mod filter;
@@ -25,6 +26,7 @@ use glam::DVec3;
 pub use alignment::{Alignment, Mistake, Strictness, align, mistakes};
 pub use disk::check_disk;
 pub(super) use disk::free_bytes;
+pub use drift::DriftWatch;
 pub use exposure::{ExposureFacts, PoseDifference, check_exposure, innovation, pose_difference};
 pub use finding::{Finding, Level, refusal, tell};
 pub use line::{LineWatch, check_line};
@@ -45,9 +47,22 @@ pub fn check_session(setup: &Setup, scene: &Scene, layout: Option<&BeadLayout>) 
     found.extend(layout.into_iter().flat_map(|layout| beads::check_beads(setup, scene, layout)));
     found.extend(units::check_cts(scene));
     found.extend(setup.carm.iter().flat_map(units::check_calibration));
+    found.extend(check_fuse(setup));
     found.extend(units::check_scene_detector(setup, scene));
     let centre = layout.map(BeadLayout::centroid_lps_mm).or_else(|| scene.bounds().map(|(centre, _): (DVec3, f64)| centre));
     found.extend(units::check_room(setup, centre));
     found.extend(robot::check_robot(setup, scene));
     found
+}
+
+/// What is fused must say how good it is.
+fn check_fuse(setup: &Setup) -> Option<Finding> {
+    let carm = setup.carm.as_ref().filter(|_| setup.session.carm.as_ref().is_some_and(|line| line.fuse))?;
+    carm.camera_sigma_mm.zip(carm.camera_sigma_deg).is_none().then(|| {
+        let detail =
+            "the session fuses telemetry, and the C-arm's calibration does not say how good it is: poses are the beads' alone";
+        let remedy =
+            "`sidecarm calibrate carm` states camera_sigma_mm and camera_sigma_deg; or leave \"fuse\" out of the session";
+        Finding::warn("fuse", detail, remedy)
+    })
 }

@@ -12,7 +12,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::basis::Basis;
-use super::crosscheck::LineWatch;
+use super::crosscheck::{DriftWatch, LineWatch};
 use super::edit::BeadEdit;
 use super::editing::Editing;
 use super::file::Setup;
@@ -65,6 +65,7 @@ pub struct Engine {
     timeline: Timeline,
     tie: SpecimenTie,
     standstill: Standstill,
+    drift: DriftWatch,
     world_from_tracker: Option<Rigid>,
     binder: Binder,
     pending: BTreeMap<u32, Pending>,
@@ -120,6 +121,7 @@ impl Engine {
             timeline,
             tie,
             standstill: Standstill::new(centre),
+            drift: DriftWatch::default(),
             world_from_tracker,
             binder: Binder::default(),
             pending: BTreeMap::new(),
@@ -186,6 +188,11 @@ impl Engine {
         self.pending.len()
     }
 
+    /// Frames that wait for telemetry, by number.
+    pub fn awaiting(&self) -> impl Iterator<Item = u32> + '_ {
+        self.pending.keys().copied()
+    }
+
     /// Whether a frame that waits can be registered at once; where its picture is on the disk it is fetched.
     #[must_use]
     pub fn is_ready(&self, number: u32) -> bool {
@@ -225,6 +232,7 @@ impl Engine {
                 return self.retract(number, "the image of this frame, on which the tie rested, prefers another pose");
             }
             Input::Edit { number, edit, .. } => return self.edit(number, &edit, sink),
+            Input::Note { number, words, .. } => return sink(Output::Noted { number, words }),
             Input::Develop { number } => {
                 let lost_edits = self.editing.forget(number);
                 if lost_edits > 0 {
@@ -285,13 +293,19 @@ impl Engine {
         let was_replaced = self.registering.remove(&number).unwrap_or(false);
         let world_from_lps = world_from_lps.filter(|_| !was_replaced);
         posed.warnings.extend(self.studies.of(number));
+        if let Some(found) = posed.pose.innovation.as_ref().filter(|_| !was_replaced).and_then(|off| self.drift.take(off)) {
+            self.reporter.warn("check: telemetry and beads", format!("{}: {found}", posed.label()));
+            posed.warnings.push(found.to_string());
+        }
         if let Some(words) = self.standstill.observe(&posed, world_from_lps) {
             self.reporter.warn("specimen moved", format!("{}: {words}", posed.label()));
             posed.warnings.push(words);
         }
         let posed = match world_from_lps {
             Some(world_from_lps) => {
-                let verdict = self.tie.observe(number, &posed.frame.sha256, world_from_lps, posed.pose.doubt.is_some());
+                let jumps = posed.pose.innovation.is_some_and(|off| off.is_jump());
+                let in_doubt = posed.pose.doubt.is_some();
+                let verdict = self.tie.observe(number, &posed.frame.sha256, world_from_lps, in_doubt, jumps);
                 if let Some(words) = verdict.words {
                     self.reporter.warn("specimen in the room", format!("frame {number}: {words}"));
                     // What only says that nothing is tied yet is no fault of the frame.

@@ -23,7 +23,7 @@ use super::broadcast::Broadcast;
 use super::busy::{AtWork, Busy, Task};
 use super::chime::Chime;
 use super::develop::solved;
-use super::edit::EditRequest;
+use super::edit::{BeadEdit, EditRequest, take_note};
 use super::editor::Editor;
 use super::engine::Engine;
 use super::event::{Event, Source};
@@ -302,13 +302,18 @@ impl Session {
                 }
             }
             Output::NotEdited { words, .. } => self.not_edited(&words),
+            Output::Noted { number, words } => {
+                self.tracks.noted(number, &words);
+                self.board.update(|state| take_note(&mut state.notes, number, &words));
+            }
             Output::Posed(posed) => {
                 let words = posed.announcement();
                 self.reporter.note(&words);
                 for caution in posed.pose.cautions.iter().filter(|_| posed.pose.is_accepted()) {
                     self.reporter.warn("doubtful pose", format!("{}: {caution}", posed.label()));
                 }
-                self.log.pose(&posed, self.engine.world_from_lps());
+                let placed = self.onlooker.posed(&posed, self.engine.world_from_lps());
+                self.log.pose(&posed, &placed);
                 self.broadcast.posed(&posed, &words);
                 self.workshop.submit(*posed, None);
             }
@@ -342,7 +347,11 @@ impl Session {
     fn take_edits(&mut self) {
         let Some(editor) = self.editor.as_mut().filter(|_| matches!(self.stage, Stage::Open { .. })) else { return };
         for EditRequest { number, edit } in editor.take(self.registering.is_some()) {
-            self.log.input(Input::Edit { number, edit, host_us: host_now_us() });
+            let host_us = host_now_us();
+            self.log.input(match edit {
+                BeadEdit::Note { words } => Input::Note { number, words, host_us },
+                edit => Input::Edit { number, edit, host_us },
+            });
         }
     }
 }

@@ -1,7 +1,12 @@
 //! What a running session tells while it runs: losses, what is behind, and how far it has come.
 
-use super::super::busy::{SAID_AFTER, SHOWN_AFTER, WARNED_AFTER};
+use std::sync::Arc;
+use std::time::Duration;
+
+use super::super::board::PairView;
+use super::super::busy::{SAID_AFTER, SHOWN_AFTER, Task, WARNED_AFTER};
 use super::super::input::Input;
+use super::super::phase::{self, Phase};
 use super::{Session, Stage};
 use crate::record::Level;
 use crate::telemetry::DeviceKind;
@@ -115,10 +120,22 @@ impl Session {
             + usize::from(self.registering.is_some())
             + self.workshop.open_jobs();
         let slow = self.busy.longer_than(SHOWN_AFTER).into_iter().map(|(task, taken)| task.words(taken)).collect();
+        let mut phases = phase::of_engine(&self.engine);
+        phases.extend(self.registering.iter().map(|(number, _)| (*number, Phase::Registering)));
+        let at_work = self.busy.longer_than(Duration::ZERO);
         let Self { board, readings, engine, reporter, .. } = self;
         board.tick(|state| {
             state.now_us = now_us;
             state.frames_waiting = waiting;
+            phases.extend(at_work.iter().filter_map(|(task, _)| match task {
+                Task::Developing(number) => {
+                    let is_drawn = |pair: &Arc<PairView>| pair.number() == *number && pair.pictures.simulated().is_some();
+                    let phase = if state.pairs.iter().any(is_drawn) { Phase::Null } else { Phase::Rendering };
+                    Some((*number, phase))
+                }
+                Task::Folder | Task::Reading(_) | Task::Registering(_) | Task::Writing(_) => None,
+            }));
+            state.phases = phases;
             state.recorder_behind_ms = recorder.behind_ms;
             state.recorder_failure = recorder.failure;
             state.slow = slow;

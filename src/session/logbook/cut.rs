@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use super::super::edit::EDIT_TOPIC;
+use super::super::edit::{EDIT_TOPIC, NOTE_TOPIC};
 use super::super::log::{CLOCK_TOPIC, DISAGREES_TOPIC, DRR_HASH_TOPIC, END_TOPIC, ORDER_TOPIC, SETUP_TOPIC};
 use super::super::pictures::PictureDigest;
 use super::super::records::{CUT_TOPIC, CutRecord, REDACTED_TOPIC, RESTART_TOPIC, SEEN_TOPIC, SeenRecord};
@@ -273,7 +273,7 @@ impl Writing {
                 self.kept.without_pixels += usize::from(keeps);
                 keeps
             }
-            ORDER_TOPIC | EDIT_TOPIC | DISAGREES_TOPIC | topic::PLAN | DRR_HASH_TOPIC | topic::SCORES => {
+            ORDER_TOPIC | EDIT_TOPIC | NOTE_TOPIC | DISAGREES_TOPIC | topic::PLAN | DRR_HASH_TOPIC | topic::SCORES => {
                 self.names_kept(entry).is_some()
             }
             topic::POSE => {

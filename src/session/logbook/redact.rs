@@ -1,6 +1,6 @@
 //! A log that can be given away: what a replay needs, and no name, path, serial number or free text beyond that.
 //!
-//! Messages of topics that are not known here are left out, and of known ones whatever is not needed: told events, sentences about pairs, the
+//! Messages of topics that are not known here are left out, and of known ones whatever is not needed: told events, notes, sentences about pairs, the
 //! origin of calibrations, what the frames' headers said besides physics and time. Names are replaced alike in all messages, so the poses of a
 //! replay are those of the log, byte for byte. Times stay, and so does whatever is burned into the pixels.
 
@@ -11,7 +11,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::super::against_log::METADATA_TOPIC;
-use super::super::edit::EDIT_TOPIC;
+use super::super::edit::{EDIT_TOPIC, NOTE_TOPIC};
 use super::super::file::Setup;
 use super::super::log::{CLOCK_TOPIC, DISAGREES_TOPIC, DRR_HASH_TOPIC, END_TOPIC, ORDER_TOPIC, SCATTER_NETWORK, SETUP_TOPIC};
 use super::super::pictures::{PictureDigest, Pictures};
@@ -44,6 +44,8 @@ pub struct RedactReport {
     pub names: usize,
     /// Events that were told.
     pub events: usize,
+    /// What persons noted, in words of their own.
+    pub notes: usize,
     /// Packets in which a device told its serial number, and lines in which there was more than a sample.
     pub serial_numbers: usize,
     /// Frames whose pixels were left out.
@@ -69,7 +71,7 @@ const NEEDLESS_TAGS: [&str; 10] = [
 ];
 
 /// Sentences of a pair, and names of files.
-const NEEDLESS_OF_PAIRS: [&str; 6] = ["reason", "binding_evidence", "flags", "robot_cautions", "strip", "drr"];
+const NEEDLESS_OF_PAIRS: [&str; 7] = ["reason", "note", "binding_evidence", "flags", "robot_cautions", "strip", "drr"];
 
 /// Writes `log` to `out` without what identifies anybody.
 ///
@@ -192,6 +194,10 @@ impl Redacting {
             | CUT_TOPIC => {}
             RESTART_TOPIC => self.pictures = Pictures::default(),
             REDACTED_TOPIC => return Ok(()),
+            NOTE_TOPIC => {
+                self.report.notes += 1;
+                return Ok(());
+            }
             topic::PROVENANCE
             | SETUP_TOPIC
             | METADATA_TOPIC

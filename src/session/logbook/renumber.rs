@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use super::super::edit::EDIT_TOPIC;
+use super::super::edit::{EDIT_TOPIC, NOTE_TOPIC};
 use super::super::log::{DISAGREES_TOPIC, DRR_HASH_TOPIC, ORDER_TOPIC};
 use super::super::records::{CUT_TOPIC, RESTART_TOPIC, SEEN_TOPIC};
 use crate::record::{LogEntry, RecordError, topic};
@@ -16,7 +16,9 @@ pub(super) fn renumbered(entry: &LogEntry, by: u32) -> Result<LogEntry, RecordEr
     let change: fn(&mut Value, u32) = match &*entry.topic {
         topic::FRAME_TAGS => frame,
         SEEN_TOPIC => |value, by| frame(&mut value["frame"], by),
-        ORDER_TOPIC | EDIT_TOPIC | DISAGREES_TOPIC | DRR_HASH_TOPIC | topic::PLAN => |value, by| add(value.get_mut("number"), by),
+        ORDER_TOPIC | EDIT_TOPIC | NOTE_TOPIC | DISAGREES_TOPIC | DRR_HASH_TOPIC | topic::PLAN => {
+            |value, by| add(value.get_mut("number"), by)
+        }
         topic::POSE => pose,
         topic::SCORES => pair,
         CUT_TOPIC => |value, by| {
@@ -158,6 +160,7 @@ mod tests {
             ),
             (ORDER_TOPIC, one(3), one(8)),
             (EDIT_TOPIC, one(3), one(8)),
+            (NOTE_TOPIC, one(3), one(8)),
             (DISAGREES_TOPIC, one(3), one(8)),
             (DRR_HASH_TOPIC, one(3), one(8)),
             (topic::PLAN, one(3), one(8)),

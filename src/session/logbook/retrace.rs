@@ -120,6 +120,7 @@ impl Trace {
                 | Output::BoundLate { .. }
                 | Output::Edit(_)
                 | Output::NotEdited { .. }
+                | Output::Noted { .. }
                 | Output::Posed(_) => {}
             }
         }

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
+use super::super::edit::{NOTE_TOPIC, NoteRecord, take_note};
 use super::super::log::PoseRecord;
 use super::super::records::RESTART_TOPIC;
 use super::LogbookError;
@@ -139,6 +140,7 @@ pub fn write_tables(log: &Path, folder: &Path, reporter: &Reporter) -> Result<Ta
     let mut reading = Reading::new("reading", &reader, reporter);
     let (mut frames, mut lines, mut tolerance) = (Frames::default(), Lines::new(), Tolerance::default());
     let (mut poses, mut pairs): (BTreeMap<u32, PoseRecord>, BTreeMap<u32, Pair>) = Default::default();
+    let mut notes: BTreeMap<u32, String> = BTreeMap::new();
     while let Some(entry) = reader.next() {
         reading.at(&reader);
         tolerance.take(frames.take(&entry));
@@ -170,13 +172,18 @@ pub fn write_tables(log: &Path, folder: &Path, reporter: &Reporter) -> Result<Ta
                 let pair = tolerance.take(entry.json::<Pair>());
                 pairs.extend(pair.map(|pair| (pair.number, pair)));
             }
+            NOTE_TOPIC => {
+                if let Some(note) = tolerance.take(entry.json::<NoteRecord>()) {
+                    take_note(&mut notes, note.number, &note.words);
+                }
+            }
             _ => {}
         }
     }
     lines.finish();
     carm.write(&lines)?;
     robot.write(&lines)?;
-    write_exposures(&mut exposures, &lines, &frames)?;
+    write_exposures(&mut exposures, &lines, &frames, &notes)?;
     write_beads(&mut beads, &poses)?;
     write_scores(&mut scores, &pairs)?;
     let rows =
@@ -268,7 +275,7 @@ fn robot_row(piece: u32, arrival_us: i64, heard: &Heard<'_>, sequenced: Sequence
     row
 }
 
-fn write_exposures(table: &mut Table, lines: &Lines, frames: &Frames) -> Result<(), LogbookError> {
+fn write_exposures(table: &mut Table, lines: &Lines, frames: &Frames, notes: &BTreeMap<u32, String>) -> Result<(), LogbookError> {
     let head = [
         "log",
         "number",
@@ -286,21 +293,23 @@ fn write_exposures(table: &mut Table, lines: &Lines, frames: &Frames) -> Result<
     let beam = ["tube_kvp", "tube_ma"];
     let joints = JOINTS.iter().chain(&["joints_gap_us"]);
     let robot = (1..=5).map(|point| format!("robot_{point}_deg"));
-    let tail = ["frames", "binding"].map(str::to_owned);
+    let tail = ["frames", "binding", "notes"].map(str::to_owned);
     table.head(head.iter().chain(&beam).chain(joints).map(|name| (*name).to_owned()).chain(robot).chain(tail))?;
-    let mut bound: BTreeMap<(u32, u64), (Vec<String>, BTreeSet<String>)> = BTreeMap::new();
+    let mut bound: BTreeMap<(u32, u64), (Vec<u32>, BTreeSet<String>)> = BTreeMap::new();
     for (number, frame) in &frames.by_number {
         let Some(pose) = &frame.pose else { continue };
         let Some(exposure) = pose.exposure else { continue };
         let (numbers, how) = bound.entry((pose.piece, exposure)).or_default();
-        numbers.push(number.to_string());
+        numbers.push(*number);
         how.insert(pose.binding.clone());
     }
     for (piece, exposures) in (0u32..).zip(lines.exposures()) {
         for exposure in exposures {
             let (numbers, how) = bound.remove(&(piece, exposure.index)).unwrap_or_default();
             let mut row = exposure_cells(piece, &exposure);
-            row.extend([numbers.join(" "), how.into_iter().collect::<Vec<_>>().join(" ")]);
+            let noted: Vec<&str> = numbers.iter().filter_map(|number| Some(notes.get(number)?.as_str())).collect();
+            let numbers: Vec<String> = numbers.iter().map(u32::to_string).collect();
+            row.extend([numbers.join(" "), how.into_iter().collect::<Vec<_>>().join(" "), noted.join("; ")]);
             table.row(row)?;
         }
     }

@@ -7,7 +7,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::super::against_log::Samples;
-use super::super::edit::{EDIT_TOPIC, EditRecord};
+use super::super::edit::{EDIT_TOPIC, EditRecord, NOTE_TOPIC, NoteRecord};
 use super::super::file::Setup;
 use super::super::log::{DISAGREES_TOPIC, DRR_HASH_TOPIC, END_TOPIC, ORDER_TOPIC, PoseRecord, SETUP_TOPIC};
 use super::super::recorded::sha256_of;
@@ -239,6 +239,7 @@ impl Check {
                 self.hashes.extend(sha256.map(|sha256| (number, sha256, at_byte, entry.host_us)));
             }
             EDIT_TOPIC => self.names(entry.json::<EditRecord>()?.number, entry, at_byte),
+            NOTE_TOPIC => self.names(entry.json::<NoteRecord>()?.number, entry, at_byte),
             ORDER_TOPIC | DISAGREES_TOPIC => self.names(entry.json::<OfFrame>()?.number, entry, at_byte),
             topic::DRR => self.drr = entry.image()?.map(|image| sha256_of(&image)),
             DRR_HASH_TOPIC => self.drr_hash(entry, at_byte)?,

@@ -38,6 +38,9 @@ const USUAL_RADIUS: f64 = 0.97;
 const OTHER_RADIUS: (f64, f64) = (0.10, 0.15);
 /// Radii of few pixels are measured worse: so much more by the square of the radius, px².
 const SMALL_RADIUS_PX2: f64 = 0.3;
+/// Standard deviation of a median over the median deviation from it and the root of the number, and how many of these radii may be off by.
+const SIGMA_OF_MEDIAN: f64 = 1.86;
+const RADIUS_SIGMAS: f64 = 2.0;
 /// Squared standard deviations from the prior (six degrees of freedom) beyond which it is said, and for so few beads refused.
 const FAR_FROM_PRIOR: f64 = 14.0;
 const FEW: usize = 5;
@@ -70,6 +73,16 @@ pub(super) const UNLIKELY_OF_MANY: f64 = 3.3;
 pub(super) fn chi2_sigmas(per_dof: f64, dof: i64) -> f64 {
     let ninth = 2.0 / (9.0 * dof.max(1) as f64);
     (per_dof.max(0.0).cbrt() - (1.0 - ninth)) / ninth.sqrt()
+}
+
+/// How large the shadows of the matched beads are.
+struct RadiusRatio {
+    /// Fitted over stated radius, the median.
+    ratio: f64,
+    /// Its standard deviation by the scatter of the beads.
+    sigma: f64,
+    /// What the radius of that bead should be.
+    expected_px: f64,
 }
 
 impl Case<'_> {
@@ -192,13 +205,14 @@ impl Case<'_> {
     /// are proportional to quanta, or their logarithms, show the size of what is in the beam.
     fn check_radii(&self, last: &Settled, cautions: &mut Cautions) -> Result<(), Refusal> {
         let quantitative = self.probe.as_ref().is_some_and(Probe::is_quantitative);
-        let Some((ratio, expected_px)) = self.radius_ratio(last) else { return Ok(()) };
+        let Some(RadiusRatio { ratio, sigma, expected_px }) = self.radius_ratio(last) else { return Ok(()) };
         let off = (ratio - 1.0).abs();
         let small = SMALL_RADIUS_PX2 / expected_px.powi(2);
-        if quantitative && !(off <= OTHER_RADIUS.1 + small) {
+        // Radii that scatter are a doubt, and no contradiction.
+        if quantitative && !(off <= OTHER_RADIUS.1 + small + RADIUS_SIGMAS * sigma) {
             return Err(Refusal::Radii { ratio });
         }
-        if off > OTHER_RADIUS.0 + small {
+        if !(off <= OTHER_RADIUS.0 + small) {
             cautions.doubt(format!(
                 "the shadows are {:.0} % {} than the beads' radii give at their depth: check the layout's scale, the beads' radius, and SID and pitch",
                 100.0 * off,
@@ -208,8 +222,8 @@ impl Case<'_> {
         Ok(())
     }
 
-    /// Fitted over stated radius of the matched beads, the median, and what it should be in pixels; `None` where fewer than four radii are known.
-    fn radius_ratio(&self, last: &Settled) -> Option<(f64, f64)> {
+    /// Fitted over stated radius of the matched beads; `None` where fewer than four radii are known.
+    fn radius_ratio(&self, last: &Settled) -> Option<RadiusRatio> {
         let (pose, k) = (last.solution.camera_from_lps, last.solution.intrinsics);
         let ratio = |m: &Match| {
             let radius_mm = self.request.layout.radius_mm(m.bead, self.request.bead_radius_mm)?;
@@ -222,7 +236,10 @@ impl Case<'_> {
         }
         ratios.sort_by(|a, b| a.0.total_cmp(&b.0));
         let (ratio, expected_px) = ratios[ratios.len() / 2];
-        Some((ratio / USUAL_RADIUS, expected_px))
+        let mut off: Vec<f64> = ratios.iter().map(|other| (other.0 - ratio).abs()).collect();
+        off.sort_by(f64::total_cmp);
+        let sigma = SIGMA_OF_MEDIAN * off[off.len() / 2] / (off.len() as f64).sqrt();
+        Some(RadiusRatio { ratio: ratio / USUAL_RADIUS, sigma, expected_px })
     }
 
     /// A second reading of the shadows that are left.

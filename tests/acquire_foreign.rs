@@ -256,14 +256,25 @@ pub fn nested(depth: usize) -> Vec<u8> {
     bytes
 }
 
-fn run_length(planes: u8) -> Vec<u8> {
+/// Compressed pixels in one fragment of an even size.
+fn compressed(fragment: &[u8]) -> Vec<u8> {
     let mut bytes = vec![0xe0, 0x7f, 0x10, 0, b'O', b'B', 0, 0, 0xff, 0xff, 0xff, 0xff, 0xfe, 0xff, 0, 0xe0, 0, 0, 0, 0];
-    bytes.extend([0xfe, 0xff, 0, 0xe0, 80, 0, 0, 0]);
-    let mut fragment = [0u8; 80];
-    (fragment[0], fragment[4], fragment[8]) = (planes, 64, 70);
+    bytes.extend([0xfe, 0xff, 0, 0xe0]);
+    bytes.extend((fragment.len() as u32).to_le_bytes());
     bytes.extend(fragment);
     bytes.extend([0xfe, 0xff, 0xdd, 0xe0, 0, 0, 0, 0]);
     bytes
+}
+
+fn run_length(planes: u8) -> Vec<u8> {
+    let mut fragment = [0u8; 80];
+    (fragment[0], fragment[4], fragment[8]) = (planes, 64, 70);
+    compressed(&fragment)
+}
+
+/// A JPEG of the made frame's size that begins and ends as it should, with nothing in between that a decoder could decode.
+fn jpeg_without_a_scan() -> Vec<u8> {
+    compressed(&[0xff, 0xd8, 0xff, 0xc0, 0, 11, 8, 0, 2, 0, 4, 1, 1, 0x11, 0, 0xff, 0xd9, 0])
 }
 
 /// Beads for the commands that want some.
@@ -278,10 +289,10 @@ fn write_beads(folder: &Path) {
 #[test]
 fn made_bombs_are_refused_with_their_reason() {
     let folder = tempfile::tempdir().expect("folder");
-    let rle = Some("1.2.840.10008.1.2.5");
+    let (rle, jpeg) = (Some("1.2.840.10008.1.2.5"), Some(dicom_dictionary_std::uids::JPEG_BASELINE8_BIT));
     let mut endless_element = vec![0xe1, 0x7f, 0x10, 0, b'O', b'B', 0, 0];
     endless_element.extend(0xffff_fffeu32.to_le_bytes());
-    let cases: [(&str, Vec<u8>, &str); 8] = [
+    let cases: [(&str, Vec<u8>, &str); 9] = [
         ("pages.tif", tiff_pages(100, 4000, 4000, 4), "pixels, at most"),
         ("many.tif", tiff_pages(5000, 1, 4, 4), "images, at most"),
         ("wide.tif", tiff_pages(1, 100_000, 100_000, 4), "larger than the limit"),
@@ -289,6 +300,7 @@ fn made_bombs_are_refused_with_their_reason() {
         ("inflates.png", png_that_inflates(), "its compressed pixels do not decode"),
         ("nested.dcm", dicom_ending_in(folder.path(), None, &nested(20_000)), "nested too deeply"),
         ("planes.dcm", dicom_ending_in(folder.path(), rle, &run_length(200)), "200 run-length planes"),
+        ("scan.dcm", dicom_ending_in(folder.path(), jpeg, &jpeg_without_a_scan()), "damaged or cut short (in its pixel data)"),
         ("element.dcm", dicom_ending_in(folder.path(), None, &endless_element), ""),
     ];
     let (ready, good) = (helper().with_reserve(), save(fluoroscopy(), &folder.path().join("good.dcm")));
@@ -313,7 +325,7 @@ fn made_bombs_are_refused_with_their_reason() {
         }
         refused += 1;
     }
-    assert_eq!(refused, 8);
+    assert_eq!(refused, 9);
     let pose = folder.path().join("pose.json");
     assert!(!pose.exists(), "no pose is written of what cannot be read");
     std::fs::write(folder.path().join("fine.dcm"), frame_bytes(10)).expect("written");
@@ -443,12 +455,28 @@ fn unless_it_hangs(folder: &Path, args: &[&str]) -> Output {
     output
 }
 
+/// Commands that read `name` as beads, scene, pose and session before anything else that they are given.
+#[cfg(unix)]
+fn readers_of_small_files(name: &str) -> [Vec<&str>; 4] {
+    [
+        vec!["register", "frame.png", "--beads", name, "--out", "pose.json"],
+        vec!["render", name, "--out", "drr.tif", "--device", "cpu"],
+        vec!["compare", "frame.png", "drr.tif", "--pose", name, "--out", "compared"],
+        vec!["live", name, "--headless", "--out", "session"],
+    ]
+}
+
+/// A pipe named as beads or session was waited for without end, and a device was read until no memory was left.
 #[cfg(unix)]
 #[test]
 fn commands_do_not_wait_for_pipes_and_devices() {
     let folder = tempfile::tempdir().expect("folder");
     assert!(Command::new("mkfifo").arg(folder.path().join("pipe.dcm")).status().expect("mkfifo").success());
     std::os::unix::fs::symlink("/dev/zero", folder.path().join("zero.png")).expect("link");
+    // A hole: it takes no room.
+    let large = std::fs::File::create(folder.path().join("large.json")).expect("created");
+    large.set_len((64 << 20) + 1).expect("made longer");
+    std::fs::write(folder.path().join("plain.json"), "hello").expect("written");
     write_beads(folder.path());
     let mut cases = 0;
     for (name, words) in [("pipe.dcm", "a named pipe"), ("zero.png", "a device")] {
@@ -457,6 +485,31 @@ fn commands_do_not_wait_for_pipes_and_devices() {
             assert_one_sentence(name, &unless_it_hangs(folder.path(), args), words);
             cases += 1;
         }
+        for object in [
+            json!({"ct": {"path": name}}),
+            json!({"mesh": {"path": name, "material": "titanium", "lps_from_mesh": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}}),
+        ] {
+            std::fs::write(folder.path().join("scene.json"), scene_of(object)).expect("written");
+            let render = ["render", "scene.json", "--out", "drr.tif", "--device", "cpu"];
+            assert_one_sentence(name, &unless_it_hangs(folder.path(), &render), &format!("{name} is not there"));
+            cases += 1;
+        }
     }
-    assert_eq!(cases, 6);
+    assert_eq!(cases, 10);
+    // The last is the control: a plain file is opened, and what is wrong is its content.
+    for (name, words) in [
+        ("pipe.dcm", "it is a named pipe, expected a file"),
+        ("zero.png", "it is a device, expected a file"),
+        ("large.json", "the file has 67108865 bytes, at most 67108864 are read"),
+        ("plain.json", "this is no JSON text"),
+    ] {
+        for args in readers_of_small_files(name) {
+            let output = unless_it_hangs(folder.path(), &args);
+            assert_one_sentence(name, &output, words);
+            let named = String::from_utf8_lossy(&output.stderr).starts_with(&format!("sidecarm: {name}: "));
+            assert!(named, "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
+            cases += 1;
+        }
+    }
+    assert_eq!(cases, 26);
 }

@@ -91,6 +91,12 @@ fn a_folder_exported_afterwards_is_tied_to_the_logs_exposures() {
         // Joints come from the exposure itself, though the track has long forgotten the samples.
         let lift_mm = exposure["joints"]["value"]["lift_mm"].as_f64().expect("joints are there");
         assert!((lift_mm - starts_s[*index] - 0.2).abs() < 0.1, "{lift_mm} {}", starts_s[*index]);
+        // By the C-arm's own clock, to half the time between two samples, and that clock never jumps.
+        assert_eq!(exposure["segment"], 0, "{frame:#}");
+        for (end, at_s) in [starts_s[*index], starts_s[*index] + 0.4].into_iter().enumerate() {
+            let off_us = exposure["device_us"][end].as_f64().expect("a time") - 1_000.0 - 1e6 * at_s;
+            assert!(off_us.abs() < 21_000.0, "end {end} is {off_us} µs off: {frame:#}");
+        }
     }
     let offset_s = json["console"]["offset_us"].as_f64().expect("the clock is known") * 1e-6;
     assert!((offset_s - 271.3).abs() < 1.0, "{offset_s}");

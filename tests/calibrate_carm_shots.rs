@@ -72,7 +72,11 @@ fn a_log_gives_its_shots_and_says_what_is_none() {
             // Before its exposure was known it had the joints of another.
             record(number, 0, &bound(shots[5].joints, Vec::new()), &pose_of(shot));
         }
-        record(number, u32::from(number == 4), &bound(shot.joints, Vec::new()), &pose_of(shot));
+        let mut pose = pose_of(shot);
+        if number == 6 {
+            pose["doubt"] = json!("two shadows run into one");
+        }
+        record(number, u32::from(number == 4), &bound(shot.joints, Vec::new()), &pose);
     }
     let mut refused = pose_of(&shots[0]);
     refused["status"] = "refused".into();
@@ -95,9 +99,11 @@ fn a_log_gives_its_shots_and_says_what_is_none() {
         "frame 21 (XA-21) is no shot: it is not bound",
         "frame 22 (XA-22) is no shot: the arm moved",
         "frame 23 (XA-23) is no shot: telemetry has a gap",
+        "frame 6 (XA-6) is a shot, but its pose is in doubt: two shadows run into one",
     ] {
         assert!(said.contains(words), "{words}: {said}");
     }
+    assert_eq!(said.matches("is in doubt").count(), 1, "{said}");
 }
 
 /// Joints as JSON, and one shot with those of another moment: it is named, and the exit code says that something was left out.

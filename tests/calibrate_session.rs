@@ -173,7 +173,7 @@ fn a_turned_mirrored_and_cropped_picture_gives_the_pose_of_the_panel() {
         write_png16(&lab.frames().join(format!("frame-{:03}.png", index + 1)), &mirrored(&turned(&crop(picture, shown))));
     }
     // One that the console did not crop: its K is not known, and that is said with what to do.
-    write_png16(&lab.frames().join("frame-009.png"), &pictures[0]);
+    write_png16(&lab.frames().join("frame-009.png"), &mirrored(&turned(&pictures[0])));
     without_radii(&lab);
     let (poses, pairs, said) = session(&lab, "9", |session| {
         session["domain"] = json!("linear");
@@ -190,6 +190,16 @@ fn a_turned_mirrored_and_cropped_picture_gives_the_pose_of_the_panel() {
     assert_ne!(errors[0].0, errors[1].0, "each frame has its own pose");
     assert!(good.iter().all(|pose| !pose["pose"]["landmarks"].as_array().expect("asked for").is_empty()), "landmarks are stated");
     assert!(said.contains("frame size") && said.contains("declare"), "{said}");
+    // Its beads give a pose all the same, with a K that fits them: it is in doubt, and the size is why.
+    let told = poses.iter().find(|pose| pose["frame"] == "frame-009").expect("posed");
+    assert_eq!((&told["pose"]["status"], &told["pose_source"]), (&json!("accepted"), &json!("beads")), "{told:#}");
+    let doubted = told["pose"]["cautions"].to_string();
+    assert!(told["pose"]["doubt"].is_string() && doubted.contains("[480, 620]") && doubted.contains("[440, 540]"), "{told:#}");
+    assert!(good.iter().all(|pose| !pose["pose"]["cautions"].to_string().contains("[440, 540]")), "the control");
+    let uncropped = pairs.iter().find(|pair| pair["frame"] == "frame-009").expect("a pair");
+    let amber = ["accepted_in_doubt", "accepted_telemetry_disagrees"].map(Value::from);
+    assert!(amber.contains(&uncropped["status"]), "{uncropped:#}");
+    assert!(uncropped["flags"].to_string().contains("[480, 620]"), "{uncropped:#}");
     for pair in pairs.iter().filter(|pair| pair["frame"] != "frame-009") {
         assert_eq!(pair["air"]["rule"], "calibration", "{}", pair["air"]);
         assert!(pair["scores"]["rmse_nepers"].as_f64().is_some_and(|rmse| rmse < 0.3), "absolute numbers: {}", pair["scores"]);

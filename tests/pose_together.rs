@@ -127,6 +127,22 @@ fn regions_of_views_solved_together_hold_the_truth() {
     assert!(worst_mm <= 0.25 && alarms <= 1, "{worst_mm} {alarms}");
 }
 
+/// What leaves a view's own pose open leaves it open together: the top says so, with which view and why.
+#[test]
+fn a_view_in_doubt_is_told_at_the_top() {
+    let mut lab = Lab::new(3, beads(8, 3), 3);
+    let prior = stated(&lab.views[0].intrinsics, 3);
+    let mut views = lab.all(&prior.mean);
+    let sure = lab.together(&views, Some(prior));
+    assert!(sure.is_accepted() && sure.doubt.is_none(), "the control: {:?}", sure.doubt);
+    views[1].pose.doubt("another reading fits as well".to_owned());
+    let together = lab.together(&views, Some(prior));
+    assert!(together.is_accepted(), "{:?}", together.reason);
+    let doubt = together.doubt.clone().unwrap_or_default();
+    assert!(doubt.contains("view 2 (view-1.dcm)") && doubt.contains("another reading fits as well"), "{doubt}");
+    assert!(together.cautions.contains(&doubt), "{:?}", together.cautions);
+}
+
 #[test]
 #[ignore = "a minute long: scripts/evaluate together runs it"]
 fn many_together() {

@@ -44,6 +44,30 @@ const PARTS: [Part; 2] = [
     },
 ];
 
+/// A thread that reads and dies: when it does, and what is said at once, in the end and in the report.
+struct Reading {
+    name: &'static str,
+    breaks: &'static str,
+    said: &'static str,
+    /// Frames that come before it dies: the last of them is its end.
+    frames: usize,
+}
+
+const READINGS: [Reading; 2] = [
+    Reading {
+        name: "lines",
+        breaks: "lines:200",
+        said: "the thread that reads the serial lines died: no telemetry is recorded any more; end the session and start it again",
+        frames: 0,
+    },
+    Reading {
+        name: "frames",
+        breaks: "frames:2",
+        said: "the thread that reads frames died: no frame is taken any more; end the session, start it again, and attach what came meanwhile",
+        frames: 2,
+    },
+];
+
 /// A `sidecarm live` one of whose threads dies; what it prints goes to files. Ends with the test.
 struct Broken {
     child: Child,
@@ -51,11 +75,12 @@ struct Broken {
 }
 
 impl Broken {
-    fn start(session: &Path, out: PathBuf, part: &str) -> Self {
+    /// `breaks` names the thread and when it dies.
+    fn start(session: &Path, out: PathBuf, breaks: &str) -> Self {
         std::fs::create_dir_all(&out).expect("a folder");
         let print = |name: &str| File::create(out.with_extension(name)).expect("created");
         let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
-        command.arg("live").arg(session).arg("--out").arg(&out).arg("--headless").env("SIDECARM_BREAKS", format!("{part}:2"));
+        command.arg("live").arg(session).arg("--out").arg(&out).arg("--headless").env("SIDECARM_BREAKS", breaks);
         let child = command.stdin(Stdio::null()).stdout(print("stdout")).stderr(print("stderr")).spawn().expect("starts");
         Self { child, out }
     }
@@ -98,7 +123,8 @@ impl Drop for Broken {
 
 /// A session whose `part` dies with the second of `files`.
 fn dies(lab: &Lab, files: &[PathBuf], part: &Part) {
-    let mut live = Broken::start(&lab.kit.join("session.json"), lab.kit.with_file_name(part.name), part.name);
+    let breaks = format!("{}:2", part.name);
+    let mut live = Broken::start(&lab.kit.join("session.json"), lab.kit.with_file_name(part.name), &breaks);
     live.waits("a log", || live.log().exists());
     deliver(&files[..1], lab);
     live.waits("the first pair", || live.pairs() == 1);
@@ -144,4 +170,50 @@ fn a_thread_that_dies_costs_what_it_makes_and_a_replay_makes_it() {
     for (part, files) in PARTS.iter().zip(files.chunks(FRAMES)) {
         dies(&lab, files, part);
     }
+}
+
+/// A session whose `thread` dies; the other goes on to the end, which tells the loss.
+fn reading_dies(lab: &Lab, files: &[PathBuf], thread: &Reading) {
+    let mut live = Broken::start(&lab.kit.join("session.json"), lab.kit.with_file_name(thread.name), thread.breaks);
+    live.waits("a log", || live.log().exists());
+    if thread.frames > 0 {
+        deliver(&files[..1], lab);
+        live.waits("the first pair", || live.pairs() == 1);
+        assert!(!live.printed("stderr").contains("died"), "the control: {}", live.printed("stderr"));
+        deliver(&files[1..thread.frames], lab);
+    }
+    live.waits(thread.said, || live.printed("stderr").contains(thread.said));
+    let said_us = host_now_us();
+    let later = || Heard::of(&live.log()).packets.values().any(|host_us| *host_us > said_us);
+    if thread.frames > 0 {
+        live.waits("telemetry after that", later);
+    } else {
+        deliver(&files[..1], lab);
+        live.waits("a pair after that", || live.pairs() == 1);
+        assert!(!later() && !Heard::of(&live.log()).packets.is_empty(), "telemetry until then, and none after that");
+    }
+    kill_process(Pid::from_child(&live.child), Signal::INT).expect("it is there");
+    let status = eventually(HANG_S, || live.child.try_wait().expect("a child can be asked"));
+
+    let (stdout, stderr) = (live.printed("stdout"), live.printed("stderr"));
+    let words = format!("{}: {stdout} {stderr}", thread.name);
+    assert_eq!(status.and_then(|status| status.code()), Some(3), "{words}");
+    let heard = Heard::of(&live.log());
+    assert!(heard.end_us.is_some() && heard.losses.is_empty(), "{:?} {words}", heard.losses);
+    // The frame with which the thread died is in no log; its file is where it was.
+    assert_eq!((heard.images, live.pairs()), (1, 1), "{words}");
+    assert!(stdout.contains(&format!("lost: {}", thread.said)), "{words}");
+    let report = std::fs::read_to_string(live.out.join("report.html")).unwrap_or_default();
+    assert!(report.contains(thread.said), "{words}");
+    for other in READINGS.iter().filter(|other| other.name != thread.name) {
+        assert!(!words.contains(other.said), "the other is said to have died: {words}");
+    }
+}
+
+#[test]
+fn a_reading_thread_that_dies_is_said_at_once_and_is_a_loss() {
+    let Some((lab, frame, folder)) = quiet_lab("900") else { return };
+    let files = copies(&frame, 1 + 2, &folder.path().join("copies"));
+    reading_dies(&lab, &files[..1], &READINGS[0]);
+    reading_dies(&lab, &files[1..], &READINGS[1]);
 }

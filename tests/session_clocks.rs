@@ -5,7 +5,7 @@ use glam::DVec3;
 use serde_json::{Value, json};
 use sidecarm::geometry::{Projection, Rigid};
 
-use crate::lab_truth::{has_its_own_exposure, prior_is_right, robot_is_right, told_frames, wait_for_pairs};
+use crate::lab_truth::{TIME_US, has_its_own_exposure, prior_is_right, robot_is_right, told_frames, wait_for_pairs};
 use crate::live_lab::{HANG_S, Lab, Live, Signal};
 use crate::session_silence::steps_of;
 
@@ -52,6 +52,25 @@ fn falls_back_to_telemetry(lab: &Lab, pair: &Value, pose: &Value, counter: u32) 
     assert!(!pair["flags"].to_string().contains("the pose is telemetry's alone"), "{pair:#}");
 }
 
+/// That each exposure says when it began and ended by the C-arm's own clock, and in which stretch of that: before both jumps, an hour ahead
+/// between them, and after them. In the fifth the clock is set back.
+fn is_told_by_the_arms_clock(frames: &[(Value, Value, u32)]) {
+    const HOUR_US: i64 = 3_600_000_000;
+    const STRETCHES: [[u32; 2]; 8] = [[0, 0], [0, 0], [1, 1], [1, 1], [1, 2], [2, 2], [2, 2], [2, 2]];
+    let mut apart_us = Vec::new();
+    for (_, pose, counter) in frames {
+        let (exposure, stretches) = (&pose["binding"]["exposure"], STRETCHES[*counter as usize - 1]);
+        assert_eq!(exposure["segment"], stretches[0], "exposure {counter}: {exposure:#}");
+        for (end, key) in ["start_us", "end_us"].into_iter().enumerate() {
+            let time_us = |value: &Value| value.as_i64().expect("a time");
+            let ahead_us = if stretches[end] == 1 { HOUR_US } else { 0 };
+            apart_us.push(time_us(&exposure["device_us"][end]) - ahead_us - time_us(&exposure[key]));
+        }
+    }
+    let (least, most) = (apart_us.iter().min().expect("frames"), apart_us.iter().max().expect("frames"));
+    assert!(most - least < 4 * TIME_US, "the arm's clock and the host's, apart from the jumps: {apart_us:?} µs");
+}
+
 /// Both devices are set to summer time and back again, the C-arm once while the beam is on. An hour is no silence, and what was exposed
 /// before it is not an hour away.
 #[test]
@@ -80,6 +99,7 @@ fn clocks_that_jump_by_an_hour_and_back_cost_no_frame_its_exposure() {
 
     let frames = told_frames(&live);
     assert!(frames.len() == 8, "{} frames: {words}", frames.len());
+    is_told_by_the_arms_clock(&frames);
     for (pair, pose, counter) in &frames {
         assert!(pair["binding"] != "none", "{pair:#} {words}");
         has_its_own_exposure(&lab, pose, *counter);

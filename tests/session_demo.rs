@@ -1,6 +1,6 @@
 //! The main job, end to end: mocked devices on pseudo-terminals, log, replay, a log that was cut.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -119,8 +119,19 @@ fn a_mocked_session_matches_its_frames_and_replays_byte_for_byte() {
         compared += 1;
     }
     assert!(compared >= 2 + 3 * pairs.len(), "{compared} files");
+    // A replay never writes into the session's folder, not even the same bytes.
+    let state_of = |path: PathBuf| {
+        let modified = std::fs::metadata(&path).and_then(|about| about.modified()).expect("a time");
+        let bytes = std::fs::read(&path).expect("readable");
+        (path, (modified, bytes))
+    };
+    let state = || files_below(&session).into_iter().map(state_of).collect::<BTreeMap<_, _>>();
+    let before = state();
     let own = sidecarm(&["replay", text(&log), "--out", text(&session)]);
-    assert_eq!(own.status.code(), Some(1), "a replay never writes into the session's folder");
+    assert_eq!(own.status.code(), Some(1), "{}", words(&own));
+    let reason = format!("{}: holds a session's own files", text(&session));
+    assert!(words(&own).contains(&reason) && words(&own).contains("choose another --out"), "{}", words(&own));
+    assert!(before.contains_key(&log) && before == state(), "a replay has changed the session's folder");
 
     // A log cut in the middle: what is there is replayed, the loss is said, exit code 3.
     let bytes = std::fs::read(&log).expect("log");

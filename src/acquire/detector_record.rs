@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::panel_maps::{MapsError, PanelMaps};
+use crate::foreign::read_small_text;
 use crate::json::{JsonFault, parse_json};
 
 /// What the panel adds up.
@@ -253,8 +254,7 @@ impl DetectorCalibration {
     /// # Errors
     /// When a file is missing, damaged, or holds a number that no panel has; the message names file and key.
     pub fn read(path: &Path) -> Result<Self, DetectorCalibrationError> {
-        let text =
-            std::fs::read_to_string(path).map_err(|source| DetectorCalibrationError::Io { path: path.to_owned(), source })?;
+        let text = read_small_text(path).map_err(|source| DetectorCalibrationError::Io { path: path.to_owned(), source })?;
         let json = |JsonFault { place, detail }| DetectorCalibrationError::Json { path: path.to_owned(), place, detail };
         let record: DetectorRecord = parse_json(text.as_bytes()).map_err(json)?;
         record.check(path)?;

@@ -1,5 +1,6 @@
-//! The seam through which frames come: a watched folder, a log, a script. Seeing is cheap and reading is slow, so they are apart: whoever
-//! reads decides the order and the thread.
+//! The seam through which a session's frames come: a watched folder or a tree of them, and what a DICOM receiver or a video grabber puts
+//! into one. Seeing is cheap and reading is slow, so they are apart: whoever reads decides the order and the thread. A replay takes its
+//! frames from the log, and not through here.
 
 use super::{AcquireError, Fault, Frame};
 use crate::foreign::NotRegular;

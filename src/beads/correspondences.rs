@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
 
+use crate::foreign::read_small;
 use crate::json::{JsonFault, parse_json};
 
 /// A bead and where its shadow is.
@@ -50,7 +51,7 @@ pub fn read_correspondences(path: &Path) -> Result<Vec<Correspondence>, Correspo
     struct Given {
         correspondences: Vec<Correspondence>,
     }
-    let bytes = std::fs::read(path).map_err(|source| CorrespondencesError::Read { path: path.to_owned(), source })?;
+    let bytes = read_small(path).map_err(|source| CorrespondencesError::Read { path: path.to_owned(), source })?;
     let form = |place: String, message: String| CorrespondencesError::Form { path: path.to_owned(), place, message };
     let given: Given = parse_json(&bytes).map_err(|JsonFault { place, detail }| form(place, detail))?;
     match given.correspondences.iter().find(|one| !one.image_px.is_finite()) {

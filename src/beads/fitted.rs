@@ -51,7 +51,7 @@ struct Residuals {
     clipped: f64,
 }
 
-/// The fit with its uncertainty; `None` where the equations are singular or a number is not finite.
+/// The fit with its uncertainty; `None` where the equations are singular, a number is not finite or a variance not positive.
 pub fn judge(finished: &Finished) -> Option<Fit> {
     let Finished { model, theta, window, weighing, .. } = *finished;
     let inverse = finished.normal.cholesky()?.inverse();
@@ -74,10 +74,17 @@ pub fn judge(finished: &Finished) -> Option<Fit> {
         let [u, v] = influence.each_ref().map(|influence| window.on_grid(influence));
         let form = |a: &[f64], b: &[f64]| correlation.form(a, b, window.side);
         let mixed = form(&u, &v);
-        covariance = [[form(&u, &u), mixed], [mixed, form(&v, &v)]];
+        // A correlation that is measured need not be one that noise can have: then what white noise gives stays.
+        let of_noise = [[form(&u, &u), mixed], [mixed, form(&v, &v)]];
+        if is_positive(&of_noise) {
+            covariance = of_noise;
+        }
         let [by_contrast] = finished.equations.influence(&held, weighing, [4]);
         let grid = window.on_grid(&by_contrast);
-        contrast_variance = form(&grid, &grid);
+        let of_noise = form(&grid, &grid);
+        if of_noise > 0.0 {
+            contrast_variance = of_noise;
+        }
     }
     let structure = structure(finished, &inverse, &residuals.clustered, scale)?;
     let structure_px = (0.5 * (structure[0][0] + structure[1][1])).sqrt();
@@ -113,7 +120,12 @@ pub fn judge(finished: &Finished) -> Option<Fit> {
     };
     let [[uu, uv], [_, vv]] = fit.covariance_px2;
     let finite = [fit.u_px, fit.v_px, fit.radius_px, fit.contrast, fit.snr, uu, uv, vv, fit.misfit];
-    finite.iter().all(|x| x.is_finite()).then_some(fit)
+    (finite.iter().all(|x| x.is_finite()) && is_positive(&fit.covariance_px2)).then_some(fit)
+}
+
+/// Whether it can be a covariance.
+fn is_positive([[uu, uv], [_, vv]]: &Square) -> bool {
+    *uu > 0.0 && uu * vv - uv * uv > 0.0
 }
 
 fn residuals(finished: &Finished, influence: &[Vec<f64>; 2], correlated: bool) -> Residuals {

@@ -7,6 +7,7 @@ use serde_json::Value;
 
 use super::markups_error::BeadsError;
 use super::{Bead, BeadLayout, DEFAULT_BODY, Landmark};
+use crate::foreign::read_small;
 use crate::geometry::lps_from_ras;
 use crate::table::{cells_of, unmarked};
 
@@ -104,7 +105,7 @@ fn bead(path: &Path, point: Point) -> Result<(Bead, bool), BeadsError> {
 }
 
 fn read_points(path: &Path) -> Result<Points, BeadsError> {
-    let bytes = std::fs::read(path).map_err(|source| BeadsError::Read { path: path.to_owned(), source })?;
+    let bytes = read_small(path).map_err(|source| BeadsError::Read { path: path.to_owned(), source })?;
     parse_points(path, &bytes)
 }
 

@@ -7,6 +7,7 @@ use clap::Args;
 
 use super::shot_files::{OutOfRange, check_range, csv_table, is_json, is_log, number, pretty, read_json, shot_name};
 use crate::calibrate::carm::{CarmFitError, CarmReport, Sensors, Shot, calibrate, plot, shots_of_log};
+use crate::foreign::read_small_text;
 use crate::geometry::{CarmCalibration, CarmJoints, JOINT_KEYS};
 use crate::image::plot::PlotError;
 use crate::image::{ImageFileError, check_writable, refuse_overwrite, refuse_same_content, write_atomically};
@@ -169,6 +170,9 @@ fn read_shots(args: &CarmArgs, reporter: &Reporter) -> Result<Vec<Shot>, Calibra
         let pose = Pose::read(path)?;
         let name = shot_name(path);
         let of_shot = joints.get(&name).ok_or_else(|| CalibrateCarmError::NoJoints { shot: name.clone() })?;
+        if let Some(words) = pose.doubt.as_ref().filter(|_| pose.is_accepted()) {
+            reporter.note(format_args!("note: {name} is a shot, but its pose is in doubt: {words}"));
+        }
         match Shot::of(&name, &pose, *of_shot) {
             Ok(shot) => shots.push(shot),
             Err(why) => reporter.note(format_args!("note: {name} is no shot: {why}")),
@@ -183,7 +187,7 @@ pub(super) fn read_joints(path: &Path) -> Result<BTreeMap<String, CarmJoints>, C
     if is_json(path) {
         return read_json(path).map_err(wrong);
     }
-    let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
+    let text = read_small_text(path).map_err(|error| wrong(error.to_string()))?;
     let known = |key: &str| key == "frame" || JOINT_KEYS.iter().any(|(joint, _)| *joint == key);
     let check = |header: &[&str]| {
         let is_right = header.first() == Some(&"frame") && header.iter().all(|key| known(key));

@@ -10,6 +10,7 @@ pub use super::calibrate_intensifier_error::CalibrateIntensifierError;
 use super::read_aloud::frame_aloud;
 use crate::acquire::Frame;
 use crate::calibrate::intensifier::{GridFrame, GridOf, GridRequest, calibrate, calibrate_phantom, disc_of, measure_glare};
+use crate::foreign::read_small_text;
 use crate::geometry::{AnglesDeg, AnglesFrom, DEFAULT_ORDER, Glare, IntensifierCalibration, ORDERS};
 use crate::image::{check_writable, refuse_overwrite, refuse_same_content, write_atomically};
 use crate::json::parse_json;
@@ -123,7 +124,7 @@ fn check(args: &IntensifierArgs) -> Result<Option<Disc>, CalibrateIntensifierErr
 
 fn read_angles(path: &Path) -> Result<Vec<AngleRow>, CalibrateIntensifierError> {
     let fault = |detail: String| CalibrateIntensifierError::Angles { path: path.to_owned(), detail };
-    let text = std::fs::read_to_string(path).map_err(|error| fault(format!("cannot be read ({error})")))?;
+    let text = read_small_text(path).map_err(|error| fault(format!("cannot be read ({error})")))?;
     let rows: Vec<AngleRow> = parse_json(text.as_bytes()).map_err(|wrong| fault(wrong.to_string()))?;
     match rows.iter().find(|row| !(row.orbital_deg.abs() <= 360.0 && row.angulation_deg.abs() <= 360.0)) {
         Some(row) => Err(fault(format!("{} has no angle within 360 degrees", row.frame.display()))),

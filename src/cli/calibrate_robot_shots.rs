@@ -11,6 +11,7 @@ use super::read_aloud::frame_aloud;
 use super::shot_files::{csv_table, is_json, is_log, number, read_json, shot_name};
 use crate::acquire::{Domain, Frame};
 use crate::calibrate::robot::{LoggedShot, NoShot, Shot, shots_of_log};
+use crate::foreign::read_small_text;
 use crate::geometry::Rigid;
 use crate::pose::Pose;
 use crate::reporter::Reporter;
@@ -116,7 +117,7 @@ fn read_rows(path: &Path) -> Result<BTreeMap<String, Row>, CalibrateRobotError> 
     let mut rows: BTreeMap<String, Row> = if is_json(path) {
         read_json(path).map_err(wrong)?
     } else {
-        let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
+        let text = read_small_text(path).map_err(|error| wrong(error.to_string()))?;
         parse_csv(&text).map_err(wrong)?
     };
     let folder = path.parent().unwrap_or(Path::new(""));

@@ -14,6 +14,7 @@ use crate::compare::{
     AirLevel, CompareError, CompareInput, Compared, NullRenders, NullScatter, OffsetRule, Tone, bead_marks, compare, elsewhere,
     posed_scene, tool_mask,
 };
+use crate::foreign::read_small;
 use crate::geometry::{PanelWindow, View};
 use crate::gpu::DeviceChoice;
 use crate::image::{Image, ImageFileError, read_tiff_f32, refuse_overwrite, sha256_file, write_atomically, write_png_rgb};
@@ -279,7 +280,7 @@ fn beside(path: &Path, suffix: &str) -> PathBuf {
 
 /// What `render` wrote about an image; null where there is nothing.
 fn described(path: &Path) -> serde_json::Value {
-    let bytes = std::fs::read(beside(path, "json")).ok();
+    let bytes = read_small(&beside(path, "json")).ok();
     bytes.and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default()
 }
 
@@ -315,7 +316,7 @@ fn read_flags(path: &Path) -> Result<Option<Image<u8>>, CompareCommandError> {
 /// True where a pixel is not zero.
 fn read_mask(path: &Path) -> Result<Image<bool>, CompareCommandError> {
     let unreadable = |detail: String| CompareCommandError::Mask { path: path.to_owned(), detail };
-    let bytes = std::fs::read(path).map_err(|source| CompareCommandError::Io { path: path.to_owned(), source })?;
+    let bytes = read_small(path).map_err(|source| CompareCommandError::Io { path: path.to_owned(), source })?;
     let decoded = image::load_from_memory(&bytes).map_err(|error| unreadable(error.to_string()))?.to_luma16();
     let (width, height) = (decoded.width() as usize, decoded.height() as usize);
     let pixels = decoded.into_raw().into_iter().map(|value| value != 0).collect();

@@ -6,6 +6,7 @@ use std::time::Duration;
 use serde::Serialize;
 use tokio::sync::mpsc;
 
+use crate::foreign::read_small_text;
 use crate::geometry::{CarmCalibration, RobotModel};
 use crate::json::parse_json;
 use crate::session::crosscheck::Listened;
@@ -280,7 +281,7 @@ fn look_at(file: &CheckFile) -> Result<String, String> {
     if metadata.len() == 0 {
         return Err("is empty".to_owned());
     }
-    let text = || std::fs::read_to_string(&file.path).map_err(|error| error.to_string());
+    let text = || read_small_text(&file.path).map_err(|error| error.to_string());
     match file.check {
         FileCheck::Readable => {
             std::fs::File::open(&file.path).map_err(|error| error.to_string())?;

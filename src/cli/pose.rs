@@ -6,6 +6,7 @@ use clap::Subcommand;
 use serde_json::{Map, Value, json};
 
 use super::pose_losses::{PitchContradiction, implausible, settle_pitch, unkept, unused};
+use crate::foreign::read_small;
 use crate::geometry::formats::{ExchangedCamera, Format, FormatError, Known, PatientAxes, read, recognise, write};
 use crate::geometry::{AngleConvention, CameraError, PatientPosition, View};
 use crate::image::{ImageFileError, refuse_overwrite, write_atomically};
@@ -275,7 +276,7 @@ fn known(args: &ConvertArgs) -> Result<Known, ConvertError> {
 /// The camera of `args.pose`, the format it was in, and what of it is lost on the way.
 fn load(args: &ConvertArgs, known: &Known) -> Result<(Target, ExchangedCamera, Vec<String>), ConvertError> {
     let path = &args.pose;
-    let bytes = std::fs::read(path).map_err(|source| ConvertError::Read { path: path.clone(), source })?;
+    let bytes = read_small(path).map_err(|source| ConvertError::Read { path: path.clone(), source })?;
     let text = String::from_utf8_lossy(&bytes);
     let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let found = match args.from {

@@ -8,12 +8,11 @@ pub use super::register_args::RegisterArgs;
 use super::register_error::RegisterError;
 use super::register_seen::{Console, Seen};
 use super::register_together;
-use crate::acquire::Frame;
 use crate::beads::read_correspondences;
 use crate::beads::tags::{find_tags, read_tags};
 use crate::image::write_png_rgb;
 use crate::mask;
-use crate::pose::{Pose, Registration, Shadow, intrinsics_of, register_masked, register_tagged};
+use crate::pose::{Pose, Registration, Shadow, register_masked, register_tagged};
 use crate::report;
 use crate::reporter::Reporter;
 
@@ -65,33 +64,15 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
         pose.notes.extend(intensifier.note.clone());
     }
     pose.notes.extend(pose.beyond_sigma());
-    if let Some(words) = off_header(&pose, &seen.frame).filter(|_| args.console.is_none()) {
+    if let Some(words) = seen.off_header(&pose) {
         pose.doubt(words);
     }
+    given.pass_doubt_on(0, &mut pose);
     let drawn = request.distortion.map(|distortion| pose.drawn_on_distorted(distortion));
     if let Some(path) = &args.overlay {
         write_png_rgb(path, &report::overlay(&seen.frame, drawn.as_ref().unwrap_or(&pose), &masks))?;
     }
     answer(args, &pose, reporter)
-}
-
-/// The focal length of a calibrated panel is hardly off by more than this share of what the frame's header says.
-const OFF_HEADER: f64 = 0.03;
-
-/// That K as given is not that of the frame's own header, where the header has one.
-fn off_header(pose: &Pose, frame: &Frame) -> Option<String> {
-    let given = pose.intrinsics.filter(|_| pose.is_accepted() && pose.intrinsics_source.as_deref() == Some("given"))?;
-    let (header, ..) = intrinsics_of(frame)?;
-    let off = given.fx / header.fx - 1.0;
-    (!(off.abs() <= OFF_HEADER)).then(|| {
-        format!(
-            "the frame's own header says a focal length of {:.0} px (SID {:.0} mm), K as given is {:.1} % {}: one of the two is not this panel's at this distance, and depth goes wrong by as much",
-            header.fx,
-            frame.tags.sid_mm.unwrap_or(f64::NAN),
-            100.0 * off.abs(),
-            if off > 0.0 { "longer" } else { "shorter" }
-        )
-    })
 }
 
 /// Writes and prints.

@@ -6,7 +6,7 @@ use super::register_error::RegisterError;
 use crate::acquire::Domain;
 use crate::beads::{BeadLayout, Landmark, read_landmarks, read_markups};
 use crate::image::refuse_overwrite;
-use crate::pose::{IntrinsicsFile, Prior};
+use crate::pose::{IntrinsicsFile, Pose, Prior};
 
 /// Recover the projection matrix of a radiograph from the metal beads in it.
 #[derive(Clone, Debug, clap::Args)]
@@ -103,6 +103,8 @@ pub(super) struct Given {
     pub landmarks: Vec<Landmark>,
     /// None, or one for each frame.
     pub priors: Vec<Prior>,
+    /// Of each prior, why the pose it is read from is in doubt.
+    doubts: Vec<Option<String>>,
     /// K.
     pub file: Option<IntrinsicsFile>,
 }
@@ -130,11 +132,49 @@ impl Given {
         if !(priors == 0 || priors == frames) {
             return Err(RegisterError::Priors { priors, frames });
         }
+        let read = |path: &PathBuf| Prior::read_with_doubt(path);
+        let (priors, doubts) = args.prior.iter().map(read).collect::<Result<Vec<_>, _>>()?.into_iter().unzip();
         Ok(Self {
             layout: args.beads.as_deref().map_or_else(|| Ok(BeadLayout::none()), read_markups)?,
             landmarks: args.landmarks.as_deref().map(read_landmarks).transpose()?.unwrap_or_default(),
-            priors: args.prior.iter().map(|path| Prior::read(path)).collect::<Result<_, _>>()?,
+            priors,
+            doubts,
             file: args.intrinsics.as_deref().map(IntrinsicsFile::read).transpose()?,
         })
+    }
+
+    /// Says with a pose that what its prior, of this number, is read from is in doubt. A pose that the prior is part of is in doubt with it.
+    pub fn pass_doubt_on(&self, number: usize, pose: &mut Pose) {
+        let Some(words) = self.doubts.get(number).and_then(Option::as_ref) else { return };
+        let words = format!("the pose that the prior is read from is in doubt: {words}");
+        if pose.fused && pose.is_accepted() {
+            pose.doubt(words);
+        } else {
+            pose.notes.push(words);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{Intrinsics, Projection, Rigid};
+
+    #[test]
+    fn a_prior_in_doubt_is_told_and_doubts_what_it_is_part_of() {
+        let doubts = vec![None, Some("a mirror image".to_owned())];
+        let given = Given { layout: BeadLayout::none(), landmarks: Vec::new(), priors: Vec::new(), doubts, file: None };
+        let k = Intrinsics { fx: 1.0, fy: 1.0, skew: 0.0, cx: 0.0, cy: 0.0 };
+        let projection = Projection::compose(&k, &Rigid::IDENTITY);
+        let told = |number: usize, fused: bool| {
+            let mut pose = Pose { projection: Some(projection), fused, ..Pose::default() };
+            given.pass_doubt_on(number, &mut pose);
+            pose
+        };
+        let gated = told(1, false);
+        assert!(gated.doubt.is_none() && gated.notes.concat().contains("a mirror image"), "{:?}", gated.notes);
+        assert!(told(1, true).doubt.is_some_and(|words| words.contains("a mirror image")));
+        let sure = told(0, true);
+        assert!(sure.doubt.is_none() && sure.notes.is_empty(), "the control");
     }
 }

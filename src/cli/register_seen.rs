@@ -10,6 +10,11 @@ use crate::pose::{
     IntrinsicsFile, IntrinsicsPrior, Panel, Pose, Prior, Registration, intrinsics_of, read_console, solve_console, whole_binning,
 };
 
+/// The focal length of a calibrated panel is hardly off by more than this share of what the frame's header says …
+const OFF_HEADER: f64 = 0.03;
+/// … nor by more standard deviations, where it is stated or solved with one.
+const OFF_SIGMAS: f64 = 3.0;
+
 /// What the console did.
 pub(super) struct Console {
     pub geometry: ConsoleGeometry,
@@ -125,6 +130,29 @@ impl Seen {
         Ok(Self { notes, ..Self::plain(frame, Some(file.intrinsics.binned(factor)), prior, pitch_mm) })
     }
 
+    /// That K is not that of the frame's own header, where the header has one. Pixels of header and K are those of the picture as stored.
+    pub fn off_header(&self, pose: &Pose) -> Option<String> {
+        let k = pose.intrinsics.filter(|_| pose.is_accepted())?;
+        let (header, ..) = intrinsics_of(&self.frame)?;
+        let (whose, focal_px, sigma_px) = match (pose.intrinsics_source.as_deref(), &self.prior) {
+            (Some("given"), _) => ("given", k.fx, 0.0),
+            // Solved K lies between what is stated and what the beads say, and hides how far the former is off.
+            (Some("solved with priors"), Some(prior)) => ("stated", prior.mean.fx, prior.focal_sigma_px),
+            _ => ("solved from the beads", k.fx, pose.intrinsics_sigma_px.map_or(0.0, |[sigma_px, ..]| sigma_px)),
+        };
+        let off = focal_px / header.fx - 1.0;
+        let limit = OFF_HEADER.max(OFF_SIGMAS * sigma_px / header.fx);
+        (!(off.abs() <= limit)).then(|| {
+            format!(
+                "the frame's own header says a focal length of {:.0} px (SID {:.0} mm), K as {whose} is {:.1} % {}: one of the two is not this panel's at this distance, and depth goes wrong by as much",
+                header.fx,
+                self.frame.tags.sid_mm.unwrap_or(f64::NAN),
+                100.0 * off.abs(),
+                if off > 0.0 { "longer" } else { "shorter" }
+            )
+        })
+    }
+
     /// The request for one frame.
     pub fn request<'a>(&self, args: &RegisterArgs, given: &'a Given, prior: Option<&'a Prior>) -> Registration<'a> {
         Registration {
@@ -153,5 +181,56 @@ impl Seen {
             self.frame.seen_through(&calibration.at(angles_deg)?)
         };
         at().map_err(|source| RegisterError::Distortion { path: path.to_owned(), source: Box::new(source) })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::acquire::Domain;
+    use crate::geometry::{Projection, Rigid};
+    use crate::image::Image;
+
+    fn k(focal_px: f64) -> Intrinsics {
+        Intrinsics { fx: focal_px, fy: focal_px, skew: 0.0, cx: 31.5, cy: 23.5 }
+    }
+
+    /// A frame whose header, if it has one, says 5000 px, and K stated as 5250 px where a `sigma_px` is.
+    fn seen(with_header: bool, sigma_px: Option<f64>) -> Seen {
+        let mut frame = Frame::from_pixels("f", Image::filled(64, 48, 1.0f32), Domain::Linear).expect("a frame");
+        if with_header {
+            (frame.tags.sid_mm, frame.tags.pitch_mm) = (Some(1000.0), Some([0.2; 2]));
+        }
+        let prior = sigma_px.map(|sigma| IntrinsicsPrior { mean: k(5250.0), focal_sigma_px: sigma, centre_sigma_px: [5.0; 2] });
+        Seen::plain(frame, None, prior, None)
+    }
+
+    fn pose(focal_px: f64, source: &str, sigma_px: Option<f64>) -> Pose {
+        let camera_from_lps = Rigid::IDENTITY;
+        Pose {
+            projection: Some(Projection::compose(&k(focal_px), &camera_from_lps)),
+            intrinsics: Some(k(focal_px)),
+            intrinsics_source: Some(source.to_owned()),
+            intrinsics_sigma_px: sigma_px.map(|sigma| [sigma, sigma, 5.0, 5.0]),
+            camera_from_lps: Some(camera_from_lps),
+            ..Pose::default()
+        }
+    }
+
+    #[test]
+    fn k_that_is_not_that_of_the_header_is_told_however_it_came_about() {
+        let plain = seen(true, None);
+        assert_eq!(plain.off_header(&pose(5100.0, "given", None)), None, "2 % are nobody's concern");
+        let words = plain.off_header(&pose(5250.0, "given", None)).unwrap_or_default();
+        assert!(words.contains("5000 px (SID 1000 mm)") && words.contains("as given is 5.0 % longer"), "{words}");
+        let words = plain.off_header(&pose(4750.0, "solved", Some(20.0))).unwrap_or_default();
+        assert!(words.contains("solved from the beads is 5.0 % shorter"), "{words}");
+        assert_eq!(plain.off_header(&pose(4750.0, "solved", Some(100.0))), None, "no better than that is it solved");
+        let words = seen(true, Some(20.0)).off_header(&pose(5010.0, "solved with priors", Some(15.0))).unwrap_or_default();
+        assert!(words.contains("as stated is 5.0 % longer"), "{words}");
+        assert_eq!(seen(true, Some(100.0)).off_header(&pose(5010.0, "solved with priors", Some(15.0))), None, "as stated");
+        assert_eq!(seen(false, None).off_header(&pose(5250.0, "given", None)), None, "the header says nothing");
+        let refused = pose(5250.0, "given", None).refused_for(crate::pose::Refusal::Fault { detail: "a test".to_owned() });
+        assert_eq!(plain.off_header(&refused), None, "there is nothing to doubt");
     }
 }

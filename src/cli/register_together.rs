@@ -50,6 +50,10 @@ pub fn run(args: &RegisterArgs, reporter: &Reporter) -> Result<u8, RegisterError
         let prior = given.priors.get(number).map(|prior| prior.turned(seen.turn_rad));
         let request = seen.request(args, &given, prior.as_ref());
         let mut pose = register_masked(&request, &seen.frame, &mask::of_frame(&seen.frame));
+        if let Some(words) = seen.off_header(&pose) {
+            pose.doubt(words);
+        }
+        given.pass_doubt_on(number, &mut pose);
         pose.notes.extend(notes.into_iter().chain(seen.notes));
         if assumed > 0 {
             pose.notes.push(format!("{assumed} bead positions without sigma_mm are taken to be good to {SIGMA_MM} mm per axis"));
@@ -122,8 +126,9 @@ fn summary(together: &Together) -> String {
         lines.push(format!("refused: {reason}"));
     } else {
         let times = together.chi2_per_dof.map_or(f64::NAN, f64::sqrt);
+        let in_doubt = if together.doubt.is_some() { " in doubt" } else { "" };
         lines.push(format!(
-            "accepted: {accepted} of {} views together, residuals {times:.2} times what noise and bead positions give",
+            "accepted{in_doubt}: {accepted} of {} views together, residuals {times:.2} times what noise and bead positions give",
             together.views.len()
         ));
     }
@@ -168,4 +173,17 @@ fn summary(together: &Together) -> String {
     }
     lines.extend(together.cautions.iter().map(|caution| format!("caution: {caution}")));
     lines.join("\n") + "\n"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn views_in_doubt_are_said_in_the_first_line() {
+        let sure = Together::default();
+        let doubted = Together { doubt: Some("view 1 (a.dcm) is in doubt: a mirror image".to_owned()), ..Together::default() };
+        assert!(summary(&sure).starts_with("accepted: 0 of 0 views"), "{}", summary(&sure));
+        assert!(summary(&doubted).starts_with("accepted in doubt: 0 of 0 views"), "{}", summary(&doubted));
+    }
 }

@@ -11,6 +11,7 @@ pub use super::session_ask::SessionNewError;
 use super::session_ask::{Asker, Question};
 use crate::acquire::Domain;
 use crate::beads::parse_markups;
+use crate::foreign::read_small;
 use crate::geometry::{CarmCalibration, ConsoleGeometry, RobotModel};
 use crate::image::write_atomically;
 use crate::json::parse_json;
@@ -201,7 +202,7 @@ fn answered<R: BufRead, W: Write>(
             return Ok(None);
         }
         let path = Path::new(answer);
-        let content = std::fs::read(path).map_err(|error| format!("{answer}: {error}"))?;
+        let content = read_small(path).map_err(|error| format!("{answer}: {error}"))?;
         parse_markups(path, &content).map_err(|error| error.to_string())?;
         Ok(Some(named(path)))
     })?;
@@ -320,7 +321,7 @@ fn line<R: BufRead, W: Write>(
 
 /// One of our JSON files, or what is wrong with it.
 fn read<T: DeserializeOwned>(path: &Path) -> Result<T, String> {
-    let bytes = std::fs::read(path).map_err(|error| format!("{}: {error}", path.display()))?;
+    let bytes = read_small(path).map_err(|error| format!("{}: {error}", path.display()))?;
     parse_json(&bytes).map_err(|fault| format!("{}: {fault}", path.display()))
 }
 

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use crate::foreign::read_small;
 use crate::json::parse_json;
 use crate::table::{cells_of, unmarked};
 
@@ -45,7 +46,7 @@ pub(super) fn check_range<const N: usize>(options: [(&'static str, f64, f64); N]
 
 /// What a JSON file holds, or what is wrong with it and where.
 pub(super) fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, String> {
-    let bytes = std::fs::read(path).map_err(|error| error.to_string())?;
+    let bytes = read_small(path).map_err(|error| error.to_string())?;
     parse_json(&bytes).map_err(|fault| fault.to_string())
 }
 

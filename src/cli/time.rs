@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::cli::render::{DeviceArg, QuantityArg};
 use crate::cli::time_changes;
+use crate::foreign::read_small;
 use crate::geometry::{self, Rigid};
 use crate::render::{Goal, Options, RenderError, Renderer};
 use crate::reporter::Reporter;
@@ -187,7 +188,7 @@ fn time(scene: &scene::Scene, renderer: &mut Renderer, args: &TimeArgs) -> Resul
 
 fn poses(path: &Path) -> Result<Vec<Rigid>, TimeError> {
     let wrong = |detail: String| TimeError::Views { path: path.to_owned(), detail };
-    let text = std::fs::read(path).map_err(|error| wrong(error.to_string()))?;
+    let text = read_small(path).map_err(|error| wrong(error.to_string()))?;
     let rows: Vec<[[f64; 4]; 4]> = serde_json::from_slice(&text).map_err(|error| wrong(error.to_string()))?;
     let pose = |(index, rows): (usize, &[[f64; 4]; 4])| {
         let matrix = DMat4::from_cols_array_2d(rows).transpose();

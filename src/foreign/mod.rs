@@ -7,6 +7,8 @@
 //! ```
 //! The open file is the child's standard input, so no path crosses over, and a file that is deleted meanwhile can still be read. Where
 //! several files are one thing (the slices of a CT), their contents come one after the other on it.
+//!
+//! Small texts (scenes, poses, beads) need no helper: [`read_small`] takes regular files of a bounded size only.
 
 mod blank;
 mod feed;
@@ -17,6 +19,7 @@ mod open;
 mod process;
 mod request;
 mod reserve;
+mod small;
 mod wire;
 
 use std::path::{Path, PathBuf};
@@ -30,6 +33,7 @@ pub use limits::{Limits, impose, impose_on_next};
 pub use open::{FileStamp, NotRegular, OpenFault, OpenFile, has_hole, open_regular, standard_input};
 pub use request::Request;
 use reserve::Reserve;
+pub use small::{read_small, read_small_text};
 pub use wire::{MAX_JSON_BYTES, Message, Receiver, Sender, WireError};
 
 /// Opens foreign files: through a helper process, or (trusted files only) in this one.

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::distortion::{Distortion, DistortionError};
 use super::panel_window::PanelWindow;
+use crate::foreign::read_small;
 use crate::json::{JsonFault, parse_json};
 
 /// Orbital and angulation angle of a C-arm, degrees.
@@ -269,7 +270,7 @@ impl IntensifierCalibration {
     /// # Errors
     /// When it cannot be read, holds unknown keys, or a number makes no sense.
     pub fn read(path: &Path) -> Result<Self, IntensifierError> {
-        let bytes = std::fs::read(path).map_err(|source| IntensifierError::Read { source })?;
+        let bytes = read_small(path).map_err(|source| IntensifierError::Read { source })?;
         let json = |JsonFault { place, detail }| IntensifierError::Json { place, detail };
         let file: Self = parse_json(&bytes).map_err(json)?;
         file.check()?;

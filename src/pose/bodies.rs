@@ -237,6 +237,10 @@ fn together(request: &Registration, first: Pose, bodies: &[Apart], unplaced: &[(
                 sigma(3)
             ));
         }
+        // What leaves a body's place open leaves that of the whole open, once each.
+        if let Some(words) = &body.pose.doubt {
+            pose.doubt(format!("{}: {words}", body.name));
+        }
         for shadow in body.pose.shadows.iter().filter(|shadow| shadow.bead.is_some()) {
             if let Some(known) = pose.shadows.iter_mut().find(|known| known.image_px == shadow.image_px) {
                 known.bead.clone_from(&shadow.bead);

@@ -7,6 +7,12 @@ pub(super) struct Cautions {
     pub(super) words: Vec<String>,
     /// The first that leaves open whether the pose is this one: another reading, another scale, a mirror image.
     pub(super) doubt: Option<String>,
+    /// How many of them do.
+    pub(super) doubts: usize,
+    /// One of these: the pose is far from the prior.
+    pub(super) is_far_from_prior: bool,
+    /// Beads that are not seen although their places are clear.
+    pub(super) missing: usize,
 }
 
 impl Cautions {
@@ -19,6 +25,7 @@ impl Cautions {
     pub(super) fn doubt(&mut self, words: impl Into<String>) {
         let words = words.into();
         self.doubt.get_or_insert_with(|| words.clone());
+        self.doubts += 1;
         self.words.push(words);
     }
 }

@@ -134,6 +134,7 @@ impl Case<'_> {
             ));
         }
         if !missing.is_empty() {
+            cautions.missing = missing.len();
             cautions.say(format!("not seen although their places are clear: {}", missing.join(", ")));
         }
         Ok(cautions)
@@ -296,6 +297,7 @@ impl Case<'_> {
         if let Some(refusal) = self.better_elsewhere(last, hypothesis, -ALIKE * last.chi2_per_dof.max(1.0)) {
             return Err(refusal);
         }
+        cautions.is_far_from_prior = true;
         cautions.doubt(format!(
             "{angle_deg:.1}° and {shift_mm:.1} mm from the prior, {:.1} standard deviations: check K, SID, the layout's scale, and the prior",
             squares.sqrt()

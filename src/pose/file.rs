@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::foreign::read_small;
 use crate::image::{ImageFileError, write_atomically};
 use crate::json::{JsonFault, parse_json};
 
@@ -59,7 +60,7 @@ pub enum PoseFileError {
 
 /// Reads a JSON file; errors name the key.
 pub(super) fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, PoseFileError> {
-    let bytes = std::fs::read(path).map_err(|source| PoseFileError::Read { path: path.to_owned(), source })?;
+    let bytes = read_small(path).map_err(|source| PoseFileError::Read { path: path.to_owned(), source })?;
     let form = |JsonFault { place, detail }| PoseFileError::Form { path: path.to_owned(), place, message: detail };
     parse_json(&bytes).map_err(form)
 }

@@ -23,6 +23,8 @@ const MOST_CHI2_OF_FEW: (usize, f64) = (5, 4.0);
 const FOCAL_SIGMA: (f64, f64) = (0.10, 0.02);
 /// Standard deviations from what is stated of K beyond which it is said, and refused.
 const OFF_INTRINSICS: (f64, f64) = (3.3, 5.0);
+/// Beads that are not seen, of which one for so many that are, speak against a pose whose prior is contradicted; fewer may have fallen out.
+const MISSING_BESIDES: usize = 3;
 /// Share of a prior's variance that the beads must take away before they can contradict it.
 const LEAST_GAIN: f64 = 0.02;
 /// Standard deviations at the bead centroid, at most: rotation (degrees), shift across the beam, shift along it (mm).
@@ -36,7 +38,7 @@ impl Case<'_> {
         }
         match self.verdict(candidate, &mut notes) {
             Ok(Believed { settled, covariance, chance, cautions }) => {
-                let Cautions { words, doubt } = cautions;
+                let Cautions { words, doubt, .. } = cautions;
                 Pose { cautions: words, doubt, ..self.accept(&settled, &covariance, chance, notes) }
             }
             Err(refusal) => self.refuse(&refusal, notes),
@@ -107,7 +109,28 @@ impl Case<'_> {
         if matched < candidate.hypothesis.in_view {
             notes.push(format!("{matched} of {} beads that should be in view are matched", candidate.hypothesis.in_view));
         }
-        Ok(Believed { settled, covariance, chance, cautions })
+        match self.contradicted(&settled, &cautions) {
+            Some(refusal) => {
+                notes.extend(cautions.words);
+                Err(refusal)
+            }
+            None => Ok(Believed { settled, covariance, chance, cautions }),
+        }
+    }
+
+    /// An unrelated prior alone does not stop a pose. With another doubt, beads that should be seen, or K that the shadows told, what speaks
+    /// against the pose is more than the prior.
+    fn contradicted(&self, settled: &Settled, cautions: &Cautions) -> Option<Refusal> {
+        let prior = self.request.prior.filter(|_| !self.request.ignore_prior)?;
+        let others = cautions.doubts - usize::from(cautions.is_far_from_prior);
+        let is_far = self.without_prior || cautions.is_far_from_prior;
+        if !(is_far
+            && (others > 0 || MISSING_BESIDES * cautions.missing >= settled.matches.len() || self.request.intrinsics.is_none()))
+        {
+            return None;
+        }
+        let (angle_deg, shift_mm) = self.distance(&prior.camera_from_lps, &settled.solution.camera_from_lps);
+        Some(Refusal::PriorContradicted { matched: settled.matches.len(), rms_px: settled.rms_px(), angle_deg, shift_mm })
     }
 
     /// The number of accidents expected behind the match.

@@ -21,6 +21,14 @@ impl Prior {
     /// # Errors
     /// As [`Pose::read`]; also when there is no pose, or the covariance is not one.
     pub fn read(path: &Path) -> Result<Self, PoseFileError> {
+        Ok(Self::read_with_doubt(path)?.0)
+    }
+
+    /// [`Prior::read`], and why the pose it is read from is in doubt, where it is.
+    ///
+    /// # Errors
+    /// As [`Prior::read`].
+    pub fn read_with_doubt(path: &Path) -> Result<(Self, Option<String>), PoseFileError> {
         let pose = Pose::read(path)?;
         let refused = pose.status == Status::Refused;
         let why = if refused { ": the pose was refused".to_owned() } else { String::new() };
@@ -35,7 +43,7 @@ impl Prior {
         if let Some(detail) = prior.fault() {
             return Err(PoseFileError::Covariance { path: path.to_owned(), detail });
         }
-        Ok(prior)
+        Ok((prior, pose.doubt))
     }
 
     /// What is wrong with the covariance, if anything.

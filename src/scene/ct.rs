@@ -17,6 +17,7 @@ use super::object_file::{AirFile, BODY, CtFile, DensityFile, ElseFile, LabelMate
 use super::physics::Material;
 use super::volumes::VolumeFile;
 #[cfg(feature = "learn")]
+use crate::foreign::read_small_text;
 use crate::image::sha256_file;
 #[cfg(feature = "learn")]
 use crate::infer::NetworkFiles;
@@ -263,7 +264,7 @@ impl Builder<'_> {
             },
         };
         let Some(path) = path else { return Ok(LabelNames::new(&file.labels, Vec::new())) };
-        let text = std::fs::read_to_string(&path).map_err(|source| SceneError::Io { path: path.clone(), source })?;
+        let text = read_small_text(&path).map_err(|source| SceneError::Io { path: path.clone(), source })?;
         LabelNames::from_csv(name, &text).map_err(|detail| SceneError::Keys { place: path.display().to_string(), detail })
     }
 

@@ -8,7 +8,7 @@ use serde::de::DeserializeOwned;
 use super::SceneError;
 use super::model::InputFile;
 use super::volumes::{VolumeContent, VolumeSource};
-use crate::foreign::{Kind, Limits};
+use crate::foreign::{Kind, Limits, read_small};
 use crate::image::{ImageFileError, sha256_bytes, sha256_file};
 use crate::json::{self, JsonFault};
 
@@ -136,7 +136,7 @@ fn io_error(path: &Path, error: ImageFileError) -> SceneError {
 /// # Errors
 /// When the file cannot be read or is not what it should be.
 pub(super) fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, SceneError> {
-    let bytes = std::fs::read(path).map_err(|source| SceneError::Io { path: path.to_owned(), source })?;
+    let bytes = read_small(path).map_err(|source| SceneError::Io { path: path.to_owned(), source })?;
     parse_json(path, &bytes)
 }
 

@@ -12,6 +12,7 @@ use super::model::{Bodies, Detector, Formation, InputFile, Model, Object, Scatte
 use super::objects;
 use super::physics::Spectrum;
 use super::view;
+use crate::foreign::read_small;
 use crate::image::sha256_bytes;
 use crate::reporter::Reporter;
 
@@ -26,7 +27,7 @@ const DISTANCE_MM: (f64, f64) = (1.0, 100_000.0);
 /// # Errors
 /// When a file is missing, damaged or holds what it should not: one sentence naming the file, the place and the remedy.
 pub fn load(path: &Path, need_view: bool, reporter: &Reporter) -> Result<Scene, SceneError> {
-    let bytes = std::fs::read(path).map_err(|source| SceneError::Io { path: path.to_owned(), source })?;
+    let bytes = read_small(path).map_err(|source| SceneError::Io { path: path.to_owned(), source })?;
     load_bytes(&bytes, path, &BTreeMap::new(), need_view, reporter)
 }
 
@@ -57,7 +58,7 @@ pub fn load_text_with(
 /// # Errors
 /// As [`load`].
 pub fn load_labelled(path: &Path, reporter: &Reporter) -> Result<(Vec<LabelledCt>, Vec<InputFile>), SceneError> {
-    let bytes = std::fs::read(path).map_err(|source| SceneError::Io { path: path.to_owned(), source })?;
+    let bytes = read_small(path).map_err(|source| SceneError::Io { path: path.to_owned(), source })?;
     let file: SceneFile = parse_json(path, &bytes)?;
     let mut files = Files::new(path, &BTreeMap::new());
     let mut scene = Scene::plain(Spectrum { bins: Vec::new() });

@@ -14,6 +14,7 @@ use crate::acquire::{DetectorCalibration, Domain, Frame};
 use crate::beads::tags::{TagLayout, parse_tags};
 use crate::beads::{Landmark, parse_landmarks};
 use crate::compare::Tone;
+use crate::foreign::read_small_text;
 use crate::geometry::{CarmCalibration, ConsoleGeometry, IntensifierCalibration, Rigid, RobotModel};
 use crate::json::{JsonFault, parse_json};
 use crate::telemetry::{DeviceKind, LineAdapter, Link, PortAddress, PortConfig};
@@ -201,7 +202,7 @@ pub struct Setup {
 
 /// Reads text; the error names the file.
 fn read_text(path: &Path) -> Result<String, SessionFileError> {
-    std::fs::read_to_string(path).map_err(|source| SessionFileError::Io { path: path.to_owned(), source })
+    read_small_text(path).map_err(|source| SessionFileError::Io { path: path.to_owned(), source })
 }
 
 /// Angles of the scene's file would hold for one frame only.

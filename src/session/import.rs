@@ -6,6 +6,7 @@ use std::sync::Arc;
 use super::file::Setup;
 use crate::acquire::{DetectorCalibration, Frame};
 use crate::geometry::{CarmCalibration, ConsoleGeometry, PanelWindow};
+use crate::pose::whole_binning;
 
 /// What a session knows about its console and panel.
 #[derive(Clone, Debug)]
@@ -22,8 +23,17 @@ pub struct Imported {
     pub frame: Arc<Frame>,
     /// Size, pitch and principal point of this frame; `None` without a calibration, or when the frame's size does not fit it.
     pub carm: Option<CarmCalibration>,
+    /// Why a pose of the frame may be wrong however well it fits: its size is not that of the calibration, and K with it is not known.
+    pub doubt: Option<String>,
     /// Kind and sentence of what a person must know.
     pub warnings: Vec<(&'static str, String)>,
+}
+
+/// What a frame's size makes of console and calibration.
+struct Fitted {
+    console: Option<ConsoleGeometry>,
+    carm: Option<CarmCalibration>,
+    doubt: Option<String>,
 }
 
 impl Import {
@@ -37,26 +47,45 @@ impl Import {
     #[must_use]
     pub fn frame(&self, read: &Arc<Frame>) -> Imported {
         let mut warnings = Vec::new();
-        let undeclared = ConsoleGeometry::default();
-        let console = self.console.as_ref().unwrap_or(&undeclared);
         self.question_tags(read, &mut warnings);
         let stored_px = read.size_px.map(|side| side as u32);
-        let carm = self.carm.as_ref().and_then(|carm| {
-            let fitted = console.calibration_of(carm, stored_px);
-            fitted.map_err(|error| warnings.push(("frame size", format!("{}: {error}", read.name)))).ok()
-        });
+        let Fitted { console, carm, doubt } = self.fitted(read, stored_px, &mut warnings);
         let mut frame = Arc::clone(read);
-        if let Some(console) = &self.console {
+        if let Some(console) = &console {
             frame = Arc::new(frame.oriented(console, self.carm.as_ref().map(|carm| [carm.columns_px, carm.rows_px])));
         }
         if let Some(detector) = &self.detector {
-            let window = self.console.as_ref().map_or(PanelWindow::WHOLE, |console| console.window(stored_px));
+            let window = console.as_ref().map_or(PanelWindow::WHOLE, |console| console.window(stored_px));
             match detector.correct(&frame, window) {
                 Ok(corrected) => frame = Arc::new(corrected),
                 Err(reason) => warnings.push(("detector calibration", format!("{}: {reason}", read.name))),
             }
         }
-        Imported { frame, carm, warnings }
+        Imported { frame, carm, doubt, warnings }
+    }
+
+    /// The console as declared; where none is, a frame whose size is a whole binning of the calibration's is taken for that.
+    fn fitted(&self, read: &Frame, stored_px: [u32; 2], warnings: &mut Vec<(&'static str, String)>) -> Fitted {
+        let console = self.console.clone();
+        let Some(carm) = &self.carm else { return Fitted { console, carm: None, doubt: None } };
+        let error = match console.clone().unwrap_or_default().calibration_of(carm, stored_px) {
+            Ok(fitted) => return Fitted { console, carm: Some(fitted), doubt: None },
+            Err(error) => error,
+        };
+        let factor = whole_binning([carm.columns_px, carm.rows_px], stored_px).filter(|_| console.is_none());
+        let binned = factor.and_then(|binning| {
+            let console = ConsoleGeometry { binning, ..ConsoleGeometry::default() };
+            let fitted = console.calibration_of(carm, stored_px).ok()?;
+            Some((binning, console, fitted))
+        });
+        if let Some((binning, console, fitted)) = binned {
+            let words = format!("{}: {error}; undeclared, it is taken as binned {binning} x {binning}", read.name);
+            warnings.push(("frame size", words));
+            return Fitted { console: Some(console), carm: Some(fitted), doubt: None };
+        }
+        warnings.push(("frame size", format!("{}: {error}", read.name)));
+        let doubt = Some(format!("K is not the calibrated one but solved from the beads alone: {error}"));
+        Fitted { console, carm: None, doubt }
     }
 
     /// A file that says how its console turned the picture must not contradict the session.
@@ -79,5 +108,43 @@ impl Import {
                 read.name
             ),
         ));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::acquire::Domain;
+    use crate::image::Image;
+
+    fn carm() -> CarmCalibration {
+        serde_json::from_str(include_str!("../../calibration/carm/live-620x480.json")).expect("a calibration")
+    }
+
+    fn imported([columns, rows]: [usize; 2]) -> Imported {
+        let import = Import { carm: Some(carm()), console: None, detector: None };
+        let frame = Frame::from_pixels("f", Image::filled(columns, rows, 1.0f32), Domain::Linear).expect("a frame");
+        import.frame(&Arc::new(frame))
+    }
+
+    #[test]
+    fn a_whole_binning_is_taken_for_that_and_another_size_is_in_doubt() {
+        let whole = imported([620, 480]);
+        assert!(whole.warnings.is_empty() && whole.doubt.is_none() && whole.frame.correction.is_none(), "the control");
+        assert_eq!(whole.carm.map(|carm| carm.pitch_mm), Some(carm().pitch_mm));
+        for ([columns, rows], factor) in [([310, 240], 2.0), ([206, 160], 3.0)] {
+            let binned = imported([columns, rows]);
+            assert!(binned.doubt.is_none() && binned.warnings.len() == 1, "{:?}", binned.warnings);
+            assert!(binned.warnings[0].1.contains(&format!("binned {factor} x {factor}")), "{:?}", binned.warnings);
+            let fitted = binned.carm.expect("it fits");
+            assert_eq!([fitted.columns_px as usize, fitted.rows_px as usize], [columns, rows]);
+            assert!((fitted.pitch_mm - factor * carm().pitch_mm).abs() < 1e-12, "{}", fitted.pitch_mm);
+            let step = binned.frame.correction.as_ref().map_or(0.0, |correction| correction.panel_px_per_px);
+            assert!((step - factor).abs() < 1e-12, "{step}");
+        }
+        let cropped = imported([600, 470]);
+        assert!(cropped.carm.is_none(), "nobody knows its K");
+        let doubt = cropped.doubt.unwrap_or_default();
+        assert!(doubt.contains("[600, 470]") && doubt.contains("[620, 480]"), "{doubt}");
     }
 }

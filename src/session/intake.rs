@@ -9,6 +9,7 @@ use std::time::Duration;
 
 use super::board::Board;
 use super::busy::{Busy, Task};
+use super::fault;
 use super::input::Input;
 use super::log::SessionLog;
 use crate::acquire::{Arrival, Frame, FrameSource, Reading, Sighting, Trouble};
@@ -221,6 +222,7 @@ impl FrameIntake {
 
     fn take(&mut self, read: Read) {
         let Read { number, host_us, reading } = read;
+        fault::breaks("frames", number);
         self.reading.remove(&number);
         let (reading, mended) = reading.unzip();
         mended.into_iter().flatten().for_each(|trouble| self.take_back(&trouble));

@@ -8,6 +8,7 @@ use tokio::sync::mpsc::{Receiver, channel};
 use super::SessionError;
 use super::board::{Board, Link};
 use super::event::{Event, Source};
+use super::fault;
 use super::file::Setup;
 use super::input::Input;
 use super::log::SessionLog;
@@ -69,7 +70,10 @@ impl Ports {
             .name("lines".to_owned())
             .spawn(move || {
                 let _told = Ending::new(Source::Lines, &intake.log, &intake.reporter);
+                let mut taken = 0_u32;
                 while let Some((device, event)) = arrivals.blocking_recv() {
+                    taken = taken.saturating_add(1);
+                    fault::breaks("lines", taken);
                     intake.take(device, event);
                 }
             })

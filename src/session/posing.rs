@@ -194,6 +194,8 @@ pub struct PoseJob {
     intrinsics: Option<Intrinsics>,
     /// K is that of the frame's header: what was assumed.
     header: Option<String>,
+    /// K is that of no calibration, because the frame's size does not fit it: in words.
+    unfit: Option<String>,
     camera_from_world: Option<Rigid>,
 }
 
@@ -201,7 +203,7 @@ impl PoseJob {
     /// `imported` is the bound frame as it lies on the panel; `development` counts from 0.
     #[must_use]
     pub fn new(bound: Bound, imported: Imported, known: Known, development: u32, reporter: &Reporter) -> Self {
-        let Imported { frame, carm: sized, warnings } = imported;
+        let Imported { frame, carm: sized, doubt: unfit, warnings } = imported;
         // Of the frame where it fits the calibration: its columns may be turned against the panel's.
         let carm = sized.as_ref().or(known.setup.carm.as_ref());
         let camera_from_world = bound.joints.zip(carm).and_then(|(joints, carm)| {
@@ -230,7 +232,7 @@ impl PoseJob {
             None => (intrinsics, sized.map(|carm| carm.pitch_mm), None),
         };
         let bound = Bound { frame, ..bound };
-        Self { bound, development, known, warnings, intensifier, pitch_mm, intrinsics, header, camera_from_world }
+        Self { bound, development, known, warnings, intensifier, pitch_mm, intrinsics, header, unfit, camera_from_world }
     }
 
     /// Which frame.
@@ -294,10 +296,14 @@ impl PoseJob {
             }),
             None => pose,
         };
-        match &self.intensifier {
+        let mut pose = match &self.intensifier {
             Some(Err(detail)) => pose.refused_for(Refusal::Distortion { detail: detail.clone() }),
             _ => pose,
+        };
+        if let Some(words) = self.unfit.as_ref().filter(|_| pose.is_accepted()) {
+            pose.doubt(words.clone());
         }
+        pose
     }
 
     fn registered(&self, registration: &Registration, masks: &Masks, looked: Option<&Looked>) -> Pose {

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{CORNERS, Family};
 use crate::beads::{DEFAULT_BODY, DEFAULT_SIGMA_MM};
+use crate::foreign::read_small;
 use crate::geometry::Rigid;
 use crate::json::{JsonFault, parse_json};
 
@@ -111,7 +112,7 @@ pub enum TagsFileError {
 /// # Errors
 /// When it cannot be read, has another form or unknown keys, or a number in it cannot be.
 pub fn read_tags(path: &Path) -> Result<TagLayout, TagsFileError> {
-    let bytes = std::fs::read(path).map_err(|source| TagsFileError::Read { path: path.to_owned(), source })?;
+    let bytes = read_small(path).map_err(|source| TagsFileError::Read { path: path.to_owned(), source })?;
     parse_tags(path, &bytes)
 }
 

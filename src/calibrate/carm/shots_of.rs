@@ -100,10 +100,20 @@ impl BindingRecord {
 }
 
 /// The shots of a session's log: frames that are bound to an exposure during which the arm stood still, with an accepted pose, in order of
-/// arrival; a frame that was posed again counts with its last pose. Second: what is no shot and why, and what of the log could not be read.
+/// arrival; a frame that was posed again counts with its last pose. Second: what is no shot and why, which shots' poses are in doubt, and
+/// what of the log could not be read.
 ///
 /// # Errors
 /// When the file cannot be read or is no log.
 pub fn shots_of_log(path: &Path) -> Result<(Vec<Shot>, Vec<String>), RecordError> {
-    shots_of(path, |name, record: LoggedPose<BindingRecord>| Shot::of(name, &record.pose, record.binding.joints()?))
+    let (found, mut notes) = shots_of(path, |name, record: LoggedPose<BindingRecord>| {
+        let shot = Shot::of(name, &record.pose, record.binding.joints()?)?;
+        Ok::<_, NoShot>((shot, record.pose.doubt))
+    })?;
+    let mut shots = Vec::new();
+    for (shot, doubt) in found {
+        notes.extend(doubt.map(|words| format!("{} is a shot, but its pose is in doubt: {words}", shot.name)));
+        shots.push(shot);
+    }
+    Ok((shots, notes))
 }

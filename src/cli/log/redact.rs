@@ -10,7 +10,7 @@ use crate::session::logbook::{LogbookError, RedactOptions, redact};
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Example:\n  sidecarm log redact run-1/session.mcap --out for-the-vendor.mcap\n\n\
     Taken out: labels of frames, names of files and ports, names of beads, bodies and landmarks that may be of persons, origins of calibrations, \
-    told events, sentences about pairs, headers' tags besides physics and time, serial numbers, firmware and other words in the devices' \
+    told events, persons' notes, sentences about pairs, headers' tags besides physics and time, serial numbers, firmware and other words in the devices' \
     bytes, and topics that are not known here. What stays: times, numbers, units, hashes of files, and whatever is burned into the pixels \
     (--no-pixels leaves out frames and DRRs; then nothing is posed anew, and a replay says so). The CT and the tools are not in a log.")]
 pub struct RedactArgs {

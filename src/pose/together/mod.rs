@@ -156,6 +156,13 @@ impl SeveralViews<'_> {
             ..self.empty()
         };
         together.cautions = self.cautions(&together, &accepted, &sorted.aside);
+        let in_doubt = |(n, pose): (usize, &Pose)| {
+            let words = pose.doubt.as_ref().filter(|_| pose.is_accepted())?;
+            Some(format!("view {} ({}) is in doubt: {words}", n + 1, self.views[n].name))
+        };
+        let doubts: Vec<String> = together.views.iter().enumerate().filter_map(in_doubt).collect();
+        together.doubt = doubts.first().cloned();
+        together.cautions.extend(doubts);
         if chi2_sigmas(chi2_per_dof, estimate.degrees_of_freedom()) > UNLIKELY_OF_MANY {
             together.cautions.push(format!(
                 "the views agree {:.1} times worse than noise and bead positions allow: did several beads move together, or do their sigma_mm promise too much?",

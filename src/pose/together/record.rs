@@ -111,6 +111,9 @@ pub struct Together {
     /// The same in parts.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub refusal: Option<TogetherRefusal>,
+    /// The first view whose pose may be another one, and why; each view says its own.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub doubt: Option<String>,
     /// The frames, in the order of `views`.
     pub frames: Vec<String>,
     /// Each view's pose: solved together, or as it was refused alone.

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use super::{Bin, PhysicsError, Spectrum, element_attenuation};
+use crate::foreign::read_small_text;
 use crate::table::{cells_of, unmarked};
 
 const COLUMNS: [&str; 2] = ["energy_kev", "fluence"];
@@ -14,7 +15,7 @@ impl Spectrum {
     /// When the file cannot be read or a row is wrong; the message names the row.
     pub fn from_csv(path: &Path) -> Result<Self, PhysicsError> {
         let wrong = |detail: String| PhysicsError::SpectrumFile { path: path.display().to_string(), detail };
-        let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
+        let text = read_small_text(path).map_err(|error| wrong(error.to_string()))?;
         let mut bins: Vec<Bin> = Vec::new();
         let mut headed = false;
         for (index, line) in unmarked(&text).lines().enumerate() {

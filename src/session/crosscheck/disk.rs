@@ -74,17 +74,19 @@ fn writing(out: &Path, folder: &Path) -> Finding {
             let detail = format!("{}: cannot be written ({error})", out.display());
             Finding::fail(CHECK, detail, "choose another --out, or make the folder writable and free space on its disk")
         }
-        Ok(ms) => {
-            let speed = SAMPLE_BYTES as f64 * 1e-6 / (ms.max(1e-3) * 1e-3);
-            let detail = format!("{}: written at {speed:.0} MB/s", out.display());
-            if !(speed >= TOO_SLOW_MB_PER_S) {
-                Finding::fail(CHECK, detail, "write to a local disk and copy the session afterwards")
-            } else if !(speed >= SLOW_MB_PER_S) {
-                Finding::warn(CHECK, detail, "frames in quick succession are written late; a local disk is faster")
-            } else {
-                Finding::pass(CHECK, detail)
-            }
-        }
+        Ok(ms) => speed(SAMPLE_BYTES as f64 * 1e-6 / (ms.max(1e-3) * 1e-3), out),
+    }
+}
+
+/// Whether a disk on which `out` is written at `mb_per_s` is fast enough.
+fn speed(mb_per_s: f64, out: &Path) -> Finding {
+    let detail = format!("{}: written at {mb_per_s:.0} MB/s", out.display());
+    if !(mb_per_s >= TOO_SLOW_MB_PER_S) {
+        Finding::fail(CHECK, detail, "write to a local disk and copy the session afterwards")
+    } else if !(mb_per_s >= SLOW_MB_PER_S) {
+        Finding::warn(CHECK, detail, "frames in quick succession are written late; a local disk is faster")
+    } else {
+        Finding::pass(CHECK, detail)
     }
 }
 
@@ -137,5 +139,25 @@ mod tests {
         }
         assert_eq!(cases, 5);
         assert_eq!(space(None, Path::new("/data")).level, Level::Pass, "nobody knows");
+    }
+
+    #[test]
+    fn a_slow_disk_is_said_with_what_to_do_and_a_fast_one_is_not() {
+        const LOCAL: Option<&str> = Some("write to a local disk and copy the session afterwards");
+        const LATE: Option<&str> = Some("frames in quick succession are written late; a local disk is faster");
+        let mut cases = 0;
+        for (mb_per_s, level, shown, remedy) in [
+            (f64::NAN, Level::Fail, "NaN", LOCAL),
+            (0.99, Level::Fail, "1", LOCAL),
+            (1.0, Level::Warn, "1", LATE),
+            (19.9, Level::Warn, "20", LATE),
+            (20.0, Level::Pass, "20", None),
+        ] {
+            let found = speed(mb_per_s, Path::new("/data"));
+            assert_eq!((found.check.as_str(), found.level, found.remedy.as_deref()), ("disk", level, remedy), "{mb_per_s}");
+            assert_eq!(found.detail, format!("/data: written at {shown} MB/s"));
+            cases += 1;
+        }
+        assert_eq!(cases, 5);
     }
 }

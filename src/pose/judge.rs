@@ -68,6 +68,8 @@ impl Case<'_> {
         self.check_twins(candidate, &settled, &hypothesis)?;
         let mut cautions = self.doubt(&settled, &hypothesis)?;
         off_intrinsics.into_iter().for_each(|words| cautions.doubt(words));
+        // Doubts that the layout brings in every frame say nothing against this pose.
+        let contradicted = self.contradicted(&settled, &cautions);
         let alone = self.request.prior.is_none() || self.without_prior;
         if alone && (is_plate || self.has_mirror_twin(&settled)) {
             let (why, remedy) = if is_plate {
@@ -109,7 +111,7 @@ impl Case<'_> {
         if matched < candidate.hypothesis.in_view {
             notes.push(format!("{matched} of {} beads that should be in view are matched", candidate.hypothesis.in_view));
         }
-        match self.contradicted(&settled, &cautions) {
+        match contradicted {
             Some(refusal) => {
                 notes.extend(cautions.words);
                 Err(refusal)

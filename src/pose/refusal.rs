@@ -139,7 +139,7 @@ pub enum Refusal {
     NoMatch { shadows: usize, beads: usize },
     /// The only match is where the prior says it cannot be.
     #[error(
-        "prior_contradicted: the only match, {matched} beads to {rms_px:.2} px, is {angle_deg:.1}° and {shift_mm:.1} mm away from the prior, more than its covariance allows; check prior, K, and the layout's scale, or leave the prior out (--ignore-prior)"
+        "prior_contradicted: the only match, {matched} beads to {rms_px:.2} px, is {angle_deg:.1}° and {shift_mm:.1} mm away from the prior, more than that allows; check prior, K, and the layout's scale, or leave the prior out (--ignore-prior)"
     )]
     PriorContradicted { matched: usize, rms_px: f64, angle_deg: f64, shift_mm: f64 },
     /// Singular equations.

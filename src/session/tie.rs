@@ -148,21 +148,40 @@ impl SpecimenTie {
             self.tied_by = supporters.into_iter().chain([number]).collect();
             self.dissenting.clear();
         } else {
-            self.dissenting.retain(|other| other.content != content);
-            self.dissenting.push(Witness { number, content: content.to_owned(), world_from_lps, in_doubt });
-            if self.dissenting.len() > GIVEN_UP_AFTER {
-                self.dissenting.remove(0);
-            }
-            if self.dissenting.len() == GIVEN_UP_AFTER && self.tied.is_some() && !self.declared {
-                self.tied = None;
-                self.tied_by.clear();
-                self.dissenting.retain(|other| !other.in_doubt);
+            let witness = Witness { number, content: content.to_owned(), world_from_lps, in_doubt };
+            if self.gives_up_after(witness) {
                 words = words.map(|words| {
                     format!("{words}; the specimen is no longer tied to the room: three files in a row put it elsewhere, no two alike in a row")
                 });
             }
         }
         TieVerdict { disagreement: apart.or(before), words }
+    }
+
+    /// A frame was refused because its beads contradict where the specimen is expected: nobody knows where they have it. What changed, for a
+    /// person.
+    pub fn contradict(&mut self, number: u32, content: &str) -> Option<String> {
+        self.tied?;
+        let nowhere = Rigid { translation_mm: DVec3::NAN, ..Rigid::IDENTITY };
+        let witness = Witness { number, content: content.to_owned(), world_from_lps: nowhere, in_doubt: true };
+        let words = "the specimen is no longer tied to the room: three files in a row contradict where it is taken to lie";
+        self.gives_up_after(witness).then(|| words.to_owned())
+    }
+
+    /// Takes a frame that does not support the tie; whether the tie has ended with it.
+    fn gives_up_after(&mut self, witness: Witness) -> bool {
+        self.dissenting.retain(|other| other.content != witness.content);
+        self.dissenting.push(witness);
+        if self.dissenting.len() > GIVEN_UP_AFTER {
+            self.dissenting.remove(0);
+        }
+        let gives_up = self.dissenting.len() == GIVEN_UP_AFTER && self.tied.is_some() && !self.declared;
+        if gives_up {
+            self.tied = None;
+            self.tied_by.clear();
+            self.dissenting.retain(|other| !other.in_doubt);
+        }
+        gives_up
     }
 
     /// A frame turned out to be wrong: what rests on it is given up. Returns what changed, for a person.
@@ -260,6 +279,25 @@ mod tests {
         // The images of one run count once.
         (7..20).for_each(|number| drop(tie.observe(number, "run", at(100.0 * f64::from(number)), false, false)));
         assert_eq!(tie.world_from_lps(), Some(at(301.0)));
+    }
+
+    /// Else a specimen that was moved would be sought for ever where it lay.
+    #[test]
+    fn frames_that_are_refused_for_what_is_expected_of_them_end_the_tie() {
+        let mut tie = SpecimenTie::new(None, DVec3::ZERO);
+        assert_eq!((tie.contradict(1, "1"), tie.is_disputed()), (None, false), "nothing is tied");
+        observe(&mut tie, 2, at(0.0));
+        observe(&mut tie, 3, at(1.0));
+        assert_eq!((tie.contradict(4, "4"), tie.contradict(5, "run"), tie.contradict(6, "run")), (None, None, None));
+        assert!(tie.is_disputed());
+        observe(&mut tie, 7, at(1.0));
+        assert!(!tie.is_disputed(), "a frame supports it");
+        assert_eq!((tie.contradict(8, "8"), tie.contradict(9, "9")), (None, None));
+        assert!(tie.contradict(10, "10").is_some());
+        assert_eq!(tie.world_from_lps(), None);
+        let mut declared = SpecimenTie::new(Some(at(0.0)), DVec3::ZERO);
+        assert!((1..9).all(|number| declared.contradict(number, &number.to_string()).is_none()));
+        assert_eq!(declared.world_from_lps(), Some(at(0.0)));
     }
 
     #[test]

@@ -30,6 +30,7 @@ use crate::acquire::Frame;
 use crate::beads::tags::TagLayout;
 use crate::beads::{BeadLayout, Landmark};
 use crate::geometry::Rigid;
+use crate::pose::Refusal;
 use crate::reporter::Reporter;
 use crate::telemetry::{DeviceKind, Event, Health, Link, Sequenced};
 use crate::timeline::{Binder, Binding, ConsoleZone, FrameEvidence, Timeline};
@@ -313,7 +314,14 @@ impl Engine {
                 }
                 posed.with_telemetry_disagreement(verdict.disagreement)
             }
-            None => posed,
+            None => {
+                let contradicts = matches!(posed.pose.refusal, Some(Refusal::PriorContradicted { .. })) && !was_replaced;
+                if let Some(words) = contradicts.then(|| self.tie.contradict(number, &posed.frame.sha256)).flatten() {
+                    self.reporter.warn("specimen in the room", format!("frame {number}: {words}"));
+                    posed.warnings.push(words);
+                }
+                posed
+            }
         };
         if let Some(basis) = basis {
             self.editing.keep(basis, posed.clone());

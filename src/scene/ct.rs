@@ -16,8 +16,8 @@ use super::network_bone::BoneNetwork;
 use super::object_file::{AirFile, BODY, CtFile, DensityFile, ElseFile, LabelMaterialFile, LabelsFile, MapFile, MaterialsFile};
 use super::physics::Material;
 use super::volumes::VolumeFile;
-#[cfg(feature = "learn")]
 use crate::foreign::read_small_text;
+#[cfg(feature = "learn")]
 use crate::image::sha256_file;
 #[cfg(feature = "learn")]
 use crate::infer::NetworkFiles;

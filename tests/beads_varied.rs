@@ -12,12 +12,12 @@ use sidecarm::mask;
 use crate::mask_draw::{Drawn, DrawnBead, draw_beaded_frame};
 
 /// Beads that any method should find: contrast over noise, and room beside the shadow.
-const CLEAR_SNR: f64 = 20.0;
-const FREE_PX: f64 = 4.0;
+pub const CLEAR_SNR: f64 = 20.0;
+pub const FREE_PX: f64 = 4.0;
 /// Steps of the values within a bead's depth.
-const CLEAR_STEPS: f64 = 8.0;
+pub const CLEAR_STEPS: f64 = 8.0;
 /// Nepers in front of a bead beyond which it stands over an edge.
-const PLAIN_NEPERS: f64 = 0.2;
+pub const PLAIN_NEPERS: f64 = 0.2;
 
 struct Found {
     bead: DrawnBead,

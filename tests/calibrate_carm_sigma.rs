@@ -91,8 +91,7 @@ pub fn over_stated(seeds: Range<u64>) -> OverStated {
     OverStated { own_k: root(own_k), truth: root(truth), mistaken: root(mistaken) }
 }
 
-/// The stated figures were of cameras seen through the arm's own K, and taken for those of the true ones: 3.9 times too small in mm, 1.9 times
-/// in degrees.
+/// Cameras seen through the arm's own K have figures of their own; taken for those of the true ones they are several times too small.
 #[test]
 fn what_an_arm_states_of_its_cameras_holds_for_those_that_it_has_not_seen() {
     over_stated(10..16).assert_holds(OF_FEW);

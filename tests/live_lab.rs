@@ -42,7 +42,7 @@ fn mock_program() -> Option<PathBuf> {
 }
 
 /// Ends a process when the test ends, however it ends.
-pub struct Running(Child);
+pub struct Running(pub Child);
 
 impl Running {
     pub fn signal(&self, signal: Signal) {

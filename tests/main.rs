@@ -7,6 +7,7 @@ mod acquire_frames;
 mod acquire_identity;
 mod acquire_info;
 mod acquire_live;
+mod acquire_special;
 mod acquire_unwhole;
 mod acquire_video;
 mod acquire_watch;

@@ -69,10 +69,8 @@ fn the_shipped_networks_are_few_bytes_and_those_of_their_cards() {
             continue;
         }
         let card: serde_json::Value = serde_json::from_slice(&std::fs::read(&path).expect("readable")).expect("JSON");
-        let mut weights = std::fs::read(path.with_extension("safetensors")).expect("weights beside their card");
+        let weights = std::fs::read(path.with_extension("safetensors")).expect("weights beside their card");
         assert_eq!(card["weights_sha256"].as_str(), Some(sha256_bytes(&weights).as_str()), "{}", path.display());
-        weights[0] ^= 1;
-        assert_ne!(card["weights_sha256"].as_str(), Some(sha256_bytes(&weights).as_str()), "the control");
         networks.push(path.file_stem().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default());
     }
     networks.sort();

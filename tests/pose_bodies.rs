@@ -187,6 +187,7 @@ fn three_beads_place_a_body_where_a_prior_is_given() {
             };
             let off = squares(view.camera_from_lps * truth);
             println!("seed {seed}: {off:.2} with six degrees of freedom");
+            // More by accident once in 25 000 times.
             assert!(off <= 30.0, "seed {seed}: {off}");
             // The control: where it was scanned is not within what is claimed, and no claim is so wide that everything is.
             assert!(squares(view.camera_from_lps) > 100.0, "seed {seed}: {}", squares(view.camera_from_lps));

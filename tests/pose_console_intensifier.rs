@@ -11,32 +11,13 @@ use sidecarm::pose::{Pose, Prior, Registration, register};
 use crate::calibrate_intensifier_beads::markups;
 use crate::pose_console::{Off, depth_allowed_mm, off, stored};
 use crate::pose_synthetic as synthetic;
+use crate::session_optics::Bent;
 
 const SIZE: [u32; 2] = [768, 640];
-const CENTRE: DVec2 = DVec2::new(380.0, 325.0);
-/// Beyond the corners.
-const RADIUS_PX: f64 = 510.0;
-/// Pincushion and S at the rim.
-const RIM_PX: (f64, f64) = (-34.0, 10.0);
+/// The rim is beyond the corners.
+const BENT: Bent = Bent { centre: DVec2::new(380.0, 325.0), radius_px: 510.0, rim_px: (-34.0, 10.0) };
 /// All beads are in it, and its middle is not the disc's.
 const CROP_PX: [u32; 4] = [200, 70, 520, 470];
-
-/// r² (pincushion · x + S · x turned).
-fn undistorted(p: DVec2) -> DVec2 {
-    let x = (p - CENTRE) / RADIUS_PX;
-    p + x.length_squared() * (RIM_PX.0 * x + RIM_PX.1 * x.perp())
-}
-
-/// The same law as `calibrate intensifier` writes it: terms 6 to 9 of the third order are x³, x²y, xy², y³.
-fn calibration() -> serde_json::Value {
-    let (p, s) = RIM_PX;
-    let row = |terms: [f64; 4]| [vec![0.0; 6], terms.to_vec()].concat();
-    json!({
-        "origin": "written by a test", "size_px": SIZE, "disc_centre_px": CENTRE.to_array(), "disc_radius_px": RADIUS_PX,
-        "order": 3, "angles_from": "unknown",
-        "views": [{"shift_u_px": row([p, -s, p, -s]), "shift_v_px": row([s, p, s, p])}]
-    })
-}
 
 /// A picture whose pixels lie in `picture` where `place` says; black beside it.
 fn resampled(picture: &Image<f32>, size: [u32; 2], place: impl Fn(DVec2) -> DVec2) -> Image<f32> {
@@ -85,14 +66,14 @@ fn of_panel(pose: &Pose) -> Rigid {
     pose.detector.as_ref().and_then(|detector| detector.camera_from_lps).expect("a pose of the panel")
 }
 
-/// A distorted picture that the console had cropped was refused: the distortion was that of the whole picture only.
+/// A calibration knows the distortion of the whole picture; what the console stores may be a part of it, turned and mirrored.
 #[test]
 fn a_console_s_part_of_a_distorted_picture_gives_the_pose_of_the_whole() {
-    let read: IntensifierCalibration = serde_json::from_value(calibration()).expect("a calibration");
+    let read: IntensifierCalibration = serde_json::from_value(BENT.calibration(SIZE, "unknown")).expect("a calibration");
     let (view, layout) = (synthetic::view(SIZE[0], SIZE[1], 5), synthetic::layout(12, 0.75, 5));
     let lab = Lab { view, layout, whole: read.at(None).expect("one view") };
     let straight = synthetic::radiograph(view, &lab.layout, 20_000.0, 5).draw();
-    let panel = resampled(&straight, SIZE, undistorted);
+    let panel = resampled(&straight, SIZE, |p| BENT.undistorted(p));
     let whole = lab.registered(panel.clone(), &ConsoleGeometry::default(), |frame| lab.seen(frame));
     let truth = of_panel(&whole);
     let Off { angle_deg, across_mm, .. } = off(&truth, &view.camera_from_lps);
@@ -134,7 +115,7 @@ fn a_console_s_part_of_a_distorted_picture_gives_the_pose_of_the_whole() {
     let prior = Pose { camera_from_lps: Some(view.camera_from_lps), ..Pose::default() };
     let k = json!({"intrinsics": view.intrinsics, "size_px": SIZE, "pitch_mm": 1020.0 / view.intrinsics.fx});
     for (name, value) in [
-        ("ii.json", calibration()),
+        ("ii.json", BENT.calibration(SIZE, "unknown")),
         ("K.json", k),
         ("console.json", json!({"crop_px": CROP_PX})),
         ("prior.json", serde_json::to_value(prior).expect("JSON")),

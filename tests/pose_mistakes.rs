@@ -16,8 +16,8 @@ const DISTANCE_SIGMA_MM: f64 = 3.0;
 const CENTRE_SIGMA_PX: f64 = 5.0;
 /// Radii tell a scale that is off by more than a tenth and the few per cent that blur takes from them; those of small shadows one that is off
 /// by so many px² over their square more.
-const RADIUS_TELLS: f64 = 0.13;
-const SMALL_RADIUS_PX2: f64 = 0.3;
+pub const RADIUS_TELLS: f64 = 0.13;
+pub const SMALL_RADIUS_PX2: f64 = 0.3;
 
 pub struct Draw(pub Stream);
 
@@ -107,29 +107,33 @@ pub struct Case {
     pub ms: f64,
 }
 
+/// Up to `count` places within a box of so half sides, no two nearer than 8 mm.
+pub fn scattered(count: usize, half: DVec3, draw: &mut Draw) -> Vec<DVec3> {
+    let mut places: Vec<DVec3> = Vec::new();
+    for _ in 0..10_000 {
+        let place = half * DVec3::new(draw.between(-1.0, 1.0), draw.between(-1.0, 1.0), draw.between(-1.0, 1.0));
+        if places.len() < count && places.iter().all(|other| other.distance(place) > 8.0) {
+            places.push(place);
+        }
+    }
+    places
+}
+
+/// Half as many scattered places, each with its image.
+pub fn doubled(count: usize, half: DVec3, image: &dyn Fn(DVec3) -> DVec3, draw: &mut Draw) -> Vec<DVec3> {
+    let some = scattered(count.div_ceil(2), half, draw);
+    some.iter().flat_map(|place| [*place, image(*place)]).collect()
+}
+
 fn places(kind: Beads, count: usize, draw: &mut Draw) -> Vec<DVec3> {
     let half = DVec3::new(draw.between(30.0, 90.0), draw.between(30.0, 90.0), draw.between(20.0, 70.0));
-    let scattered = |count: usize, half: DVec3, draw: &mut Draw| {
-        let mut places: Vec<DVec3> = Vec::new();
-        for _ in 0..10_000 {
-            let place = half * DVec3::new(draw.between(-1.0, 1.0), draw.between(-1.0, 1.0), draw.between(-1.0, 1.0));
-            if places.len() < count && places.iter().all(|other| other.distance(place) > 8.0) {
-                places.push(place);
-            }
-        }
-        places
-    };
-    let doubled = |image: &dyn Fn(DVec3) -> DVec3, draw: &mut Draw| {
-        let some = scattered(count.div_ceil(2), half, draw);
-        some.iter().flat_map(|p| [*p, image(*p)]).collect::<Vec<_>>()
-    };
     match kind {
         Beads::Scattered => scattered(count, half, draw),
-        Beads::HalfTurn => doubled(&|p| DVec3::new(-p.x, -p.y, p.z), draw),
-        Beads::MirrorImage => doubled(&|p| DVec3::new(-p.x, p.y, p.z), draw),
+        Beads::HalfTurn => doubled(count, half, &|p| DVec3::new(-p.x, -p.y, p.z), draw),
+        Beads::MirrorImage => doubled(count, half, &|p| DVec3::new(-p.x, p.y, p.z), draw),
         Beads::ShiftedCopy => {
             let shift = DVec3::new(draw.between(15.0, 40.0), draw.between(-20.0, 20.0), draw.between(-10.0, 10.0));
-            doubled(&|p| p + shift, draw)
+            doubled(count, half, &|p| p + shift, draw)
         }
         Beads::Grid => {
             let step = draw.between(15.0, 30.0);
@@ -147,7 +151,7 @@ pub fn turned(view: &View, turn: DQuat, shift_mm: DVec3) -> Rigid {
 }
 
 /// K as a lab states it, off by what it states.
-fn stated_k(k: &Intrinsics, pitch_mm: f64, draw: &mut Draw) -> IntrinsicsPrior {
+pub fn stated_k(k: &Intrinsics, pitch_mm: f64, draw: &mut Draw) -> IntrinsicsPrior {
     let fx = k.fx + DISTANCE_SIGMA_MM / pitch_mm * draw.0.normal();
     let mut about = |centre_px: f64| centre_px + CENTRE_SIGMA_PX * draw.0.normal();
     let mean = Intrinsics { fx, fy: fx, cx: about(k.cx), cy: about(k.cy), ..*k };

@@ -5,22 +5,17 @@ use std::f64::consts::{PI, TAU};
 use glam::{DQuat, DVec2, DVec3};
 use sidecarm::beads::{Bead, BeadLayout, Landmark};
 use sidecarm::geometry::{Intrinsics, Projection, Rigid, View};
-use sidecarm::pose::{IntrinsicsPrior, Pose, Prior, Registration, register};
+use sidecarm::pose::{Pose, Prior, Registration, register};
 use sidecarm::random::{Purpose, Stream};
 
-use crate::pose_mistakes::{Draw, K, WRONG_PX, about_beads, turned};
+use crate::pose_mistakes::{
+    Draw, K, RADIUS_TELLS, SMALL_RADIUS_PX2, WRONG_PX, about_beads, doubled, scattered, stated_k, turned,
+};
 use crate::pose_pictures_draw::{Ball, Console, Looks, Sight, take};
 use crate::pose_synthetic as synthetic;
 
-/// How well K is stated where it is solved with priors.
-const DISTANCE_SIGMA_MM: f64 = 3.0;
-const CENTRE_SIGMA_PX: f64 = 5.0;
 /// What a stated prior states.
 const STATED: (f64, f64) = (1.0, 3.0);
-/// Radii tell a scale that is off by more than a tenth and the few per cent that blur takes from them; those of small shadows one that is off
-/// by so many px² over their square more.
-const RADIUS_TELLS: f64 = 0.13;
-const SMALL_RADIUS_PX2: f64 = 0.3;
 /// Landmarks within the beads' box, and how far beside a thin one there are others.
 const WITHIN: usize = 9;
 const BESIDE_MM: f64 = 15.0;
@@ -160,20 +155,6 @@ impl Case {
 
 fn places(layout: Layout, count: usize, draw: &mut Draw) -> Vec<DVec3> {
     let half = DVec3::new(draw.between(30.0, 60.0), draw.between(30.0, 60.0), draw.between(20.0, 50.0));
-    let scattered = |count: usize, half: DVec3, draw: &mut Draw| {
-        let mut places: Vec<DVec3> = Vec::new();
-        for _ in 0..10_000 {
-            let place = half * DVec3::new(draw.between(-1.0, 1.0), draw.between(-1.0, 1.0), draw.between(-1.0, 1.0));
-            if places.len() < count && places.iter().all(|other| other.distance(place) > 8.0) {
-                places.push(place);
-            }
-        }
-        places
-    };
-    let doubled = |image: &dyn Fn(DVec3) -> DVec3, draw: &mut Draw| {
-        let some = scattered(count.div_ceil(2), half, draw);
-        some.iter().flat_map(|place| [*place, image(*place)]).collect::<Vec<_>>()
-    };
     match layout {
         Layout::Scattered => scattered(count, half, draw),
         Layout::Flat => scattered(count, DVec3::new(half.x, half.y, 1e-6), draw),
@@ -185,11 +166,11 @@ fn places(layout: Layout, count: usize, draw: &mut Draw) -> Vec<DVec3> {
             let thin_mm = draw.between(2.0, 7.0);
             scattered(count, DVec3::new(70.0, thin_mm, thin_mm), draw)
         }
-        Layout::HalfTurn => doubled(&|p| DVec3::new(-p.x, -p.y, p.z), draw),
-        Layout::MirrorImage => doubled(&|p| DVec3::new(-p.x, p.y, p.z), draw),
+        Layout::HalfTurn => doubled(count, half, &|p| DVec3::new(-p.x, -p.y, p.z), draw),
+        Layout::MirrorImage => doubled(count, half, &|p| DVec3::new(-p.x, p.y, p.z), draw),
         Layout::ShiftedCopy => {
             let shift = DVec3::new(draw.between(15.0, 40.0), draw.between(-20.0, 20.0), draw.between(-10.0, 10.0));
-            doubled(&|p| p + shift, draw)
+            doubled(count, half, &|p| p + shift, draw)
         }
         Layout::Grid => {
             let step_mm = draw.between(15.0, 30.0);
@@ -226,14 +207,6 @@ fn prior(recipe: &Recipe, view: &View, draw: &mut Draw) -> Option<Prior> {
     };
     let covariance = is_stated.then(|| about_beads(&camera_from_lps, STATED.0, STATED.1));
     Some(Prior { camera_from_lps, covariance })
-}
-
-/// K as a lab states it, off by what it states.
-fn stated_k(k: &Intrinsics, pitch_mm: f64, draw: &mut Draw) -> IntrinsicsPrior {
-    let fx = k.fx + DISTANCE_SIGMA_MM / pitch_mm * draw.0.normal();
-    let (cx, cy) = (k.cx + CENTRE_SIGMA_PX * draw.0.normal(), k.cy + CENTRE_SIGMA_PX * draw.0.normal());
-    let mean = Intrinsics { fx, fy: fx, cx, cy, ..*k };
-    IntrinsicsPrior::from_distance(mean, (fx * pitch_mm, DISTANCE_SIGMA_MM), (pitch_mm, 0.0), CENTRE_SIGMA_PX)
 }
 
 /// Corners and middle of the beads' box, then the corners of one that is nowhere thin.

@@ -10,6 +10,7 @@ use sidecarm::image::Image;
 use sidecarm::random::{Purpose, Stream};
 
 use crate::beads_drawn::{gaussian, steel_passes};
+use crate::beads_varied::{CLEAR_SNR, CLEAR_STEPS, FREE_PX, PLAIN_NEPERS};
 use crate::mask_matter::Matter;
 use crate::pose_mistakes::Draw;
 use crate::pose_pictures_scenery::{Opening, Shutters, edges, metal, pelvis, write};
@@ -19,11 +20,6 @@ use crate::pose_synthetic::poisson;
 const FINE: usize = 4;
 /// Blur of the noise that a console leaves.
 const SMOOTHED_PX: f64 = 0.8;
-/// A shadow that any method should find: contrast over noise, room beside it, nepers that change in front of it, steps of coarse values.
-const CLEAR_SNR: f64 = 20.0;
-const FREE_PX: f64 = 4.0;
-const PLAIN_NEPERS: f64 = 0.2;
-const CLEAR_STEPS: f64 = 8.0;
 /// Share of equal pixels from which on the picture's own extreme is an end of its scale.
 const PLATEAU_SHARE: f64 = 1e-3;
 

@@ -9,7 +9,7 @@ use sidecarm::acquire::{Domain, Frame};
 use sidecarm::geometry::{Intrinsics, Rigid, View};
 use sidecarm::image::Image;
 use sidecarm::record::{
-    BeadMark, FrameAssembler, Level, LogContents, LogReader, Provenance, RecordError, Recorder, read_log, topic,
+    BeadMark, FrameAssembler, Level, LogContents, LogReader, Provenance, RecordError, Recorder, placed_in_room, read_log, topic,
 };
 
 fn provenance() -> Provenance {
@@ -43,7 +43,7 @@ fn fill(recorder: &Recorder) -> Result<(), RecordError> {
     recorder.frame(&float_frame(), 5_000)?;
     recorder.drr("integers", &Image { width: 2, height: 1, pixels: vec![0.125, 3.5] }, 6_000)?;
     let bead = BeadMark { name: "b1".into(), detected_px: Some(DVec2::new(1.0, 2.0)), projected_px: DVec2::ONE, radius_px: 3.0 };
-    recorder.pose_geometry(&view(), None, &[bead], 7_000)?;
+    recorder.pose_geometry(&view(), &placed_in_room(None, Some(view().camera_from_lps)), &[bead], 7_000)?;
     recorder.joint_states("/robot/joint_states", 7_500, &[("bend_1", 0.1), ("bend_2", f64::NAN)])?;
     recorder.event(Level::Warning, "line lost", 8_000)?;
     recorder.attach("scene.json", "application/json", 9_000, b"{}")

@@ -133,7 +133,8 @@ fn judge(killed: &[Killed], worst_ms: f64) {
 #[test]
 fn three_kills_cost_little_telemetry_and_no_frame() {
     let mut killed = kills(7, 3, DELIVERED_CROWDED_US);
-    if killed.iter().any(|kill| kill.missing.oldest_ms > WORST_CROWDED_MS) {
+    // One kill at which the machine stood still; more are the program's.
+    if killed.iter().filter(|kill| kill.missing.oldest_ms > WORST_CROWDED_MS).count() == 1 {
         println!("more than {WORST_CROWDED_MS} ms of telemetry lost: once again");
         judge(&killed, f64::INFINITY);
         killed = kills(8, 3, DELIVERED_CROWDED_US);

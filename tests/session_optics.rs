@@ -7,31 +7,38 @@ use sidecarm::image::Image;
 use crate::calibrate_session::{errors_px, pictures, rows, session, write_png16};
 use crate::live_lab::Lab;
 
-const CENTRE: DVec2 = DVec2::new(309.5, 239.5);
-const RADIUS_PX: f64 = 420.0;
-/// At the rim, which the corners of the frame reach: pincushion and S, px.
-const RIM_PX: (f64, f64) = (-16.0, 9.0);
-
 /// r² (pincushion · x + S · x turned).
-fn undistorted(p: DVec2) -> DVec2 {
-    let x = (p - CENTRE) / RADIUS_PX;
-    p + x.length_squared() * (RIM_PX.0 * x + RIM_PX.1 * x.perp())
+pub struct Bent {
+    pub centre: DVec2,
+    pub radius_px: f64,
+    /// Pincushion and S at the rim.
+    pub rim_px: (f64, f64),
 }
 
-/// The same law as `calibrate intensifier` writes it: terms 6 to 9 of the third order are x³, x²y, xy², y³.
-fn calibration(size_px: [u32; 2]) -> Value {
-    let (p, s) = RIM_PX;
-    let row = |terms: [f64; 4]| [vec![0.0; 6], terms.to_vec()].concat();
-    json!({
-        "origin": "written by a test", "size_px": size_px, "disc_centre_px": CENTRE.to_array(), "disc_radius_px": RADIUS_PX,
-        "order": 3, "angles_from": "given",
-        "views": [{"shift_u_px": row([p, -s, p, -s]), "shift_v_px": row([s, p, s, p])}]
-    })
+/// The corners of the frame reach the rim.
+const BENT: Bent = Bent { centre: DVec2::new(309.5, 239.5), radius_px: 420.0, rim_px: (-16.0, 9.0) };
+
+impl Bent {
+    pub fn undistorted(&self, p: DVec2) -> DVec2 {
+        let x = (p - self.centre) / self.radius_px;
+        p + x.length_squared() * (self.rim_px.0 * x + self.rim_px.1 * x.perp())
+    }
+
+    /// The same law as `calibrate intensifier` writes it: terms 6 to 9 of the third order are x³, x²y, xy², y³.
+    pub fn calibration(&self, size_px: [u32; 2], angles_from: &str) -> Value {
+        let (p, s) = self.rim_px;
+        let row = |terms: [f64; 4]| [vec![0.0; 6], terms.to_vec()].concat();
+        json!({
+            "origin": "written by a test", "size_px": size_px, "disc_centre_px": self.centre.to_array(),
+            "disc_radius_px": self.radius_px, "order": 3, "angles_from": angles_from,
+            "views": [{"shift_u_px": row([p, -s, p, -s]), "shift_v_px": row([s, p, s, p])}]
+        })
+    }
 }
 
 fn seen_through(picture: &Image<f32>) -> Image<f32> {
     let at = |n: usize| {
-        let from = undistorted(DVec2::new((n % picture.width) as f64, (n / picture.width) as f64));
+        let from = BENT.undistorted(DVec2::new((n % picture.width) as f64, (n / picture.width) as f64));
         picture.bilinear(from.x, from.y).map_or(0.0, |value| value as f32)
     };
     Image { width: picture.width, height: picture.height, pixels: (0..picture.pixels.len()).map(at).collect() }
@@ -50,7 +57,7 @@ fn frames_of_an_intensifier_are_undistorted_and_their_drrs_distorted() {
     };
     put();
     let size_px = [pictures[0].width as u32, pictures[0].height as u32];
-    std::fs::write(lab.kit.join("ii.json"), calibration(size_px).to_string()).expect("written");
+    std::fs::write(lab.kit.join("ii.json"), BENT.calibration(size_px, "given").to_string()).expect("written");
     let (poses, pairs, said) = session(&lab, "9", |session| {
         session["domain"] = json!("linear");
         session["intensifier"] = json!("ii.json");

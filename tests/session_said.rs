@@ -215,8 +215,8 @@ impl Written {
     }
 }
 
-/// Six frames came shortly before the end. They are finished, how far that has come is said while it goes on, and each has its pair, whose
-/// pictures are written once: each strip was written when its pair could be shown, and again with its null.
+/// Six frames come shortly before the end. They are finished, how far that has come is said while it goes on, and each has its pair. Its DRR
+/// is written once, and so is its strip, unless its null comes late and changes what that says.
 #[test]
 fn what_waits_at_the_end_is_finished_and_counted() {
     const COUNT: usize = 6;

@@ -8,7 +8,7 @@ use sidecarm::cli::scatter::{ScatterArgs, ScatterError, run};
 use sidecarm::image::{ImageFileError, read_tiff_f32, sha256_file};
 use sidecarm::reporter::Reporter;
 use sidecarm::scene;
-use sidecarm::transport::{Checkpoint, Estimator, Histories, Simulation, TransportError};
+use sidecarm::transport::{BATCH, Checkpoint, Estimator, Histories, Simulation, TransportError};
 
 use crate::live_lab::{HANG_S, eventually};
 use crate::log_lab::{sidecarm, text};
@@ -117,7 +117,7 @@ fn a_run_that_is_killed_is_gone_on_with_from_what_it_kept() {
     running.wait().expect("ends");
     assert!(kept.is_some() && !out.exists(), "nothing was kept");
     let saved: serde_json::Value = serde_json::from_slice(&std::fs::read(&checkpoint).expect("reads")).expect("whole");
-    let followed = 4096 * saved["tally"]["batches"].as_u64().expect("a count");
+    let followed = BATCH * saved["tally"]["batches"].as_u64().expect("a count");
     assert!(followed >= 1_000_000, "{followed}");
     // No more than are there: nothing is left to follow.
     let ran = sidecarm(&[&base[..], &["--histories", "1e6", "--json"]].concat());

@@ -10,7 +10,7 @@ use std::time::Duration;
 use serde_json::{Value, json};
 use sidecarm::image::{Image, write_png_rgb};
 
-use crate::live_lab::{HANG_S, Lab, Live, Signal, deliver, eventually, quiet_lab};
+use crate::live_lab::{HANG_S, Lab, Live, Running, Signal, deliver, eventually, quiet_lab};
 use crate::log_lab::recorded;
 
 /// A screen without a monitor.
@@ -73,24 +73,12 @@ impl Screen {
     }
 }
 
-/// A window of a program that goes with the test.
-struct Window(Child);
-
-impl Window {
-    /// Replays `log` in a window on `screen`.
-    fn of_replay(log: &Path, args: &[&str], screen: &Screen) -> Self {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
-        command.arg("replay").arg(log).arg("--window").args(args).env("DISPLAY", &screen.display);
-        command.env_remove("WAYLAND_DISPLAY").env_remove("WAYLAND_SOCKET");
-        Self(command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("the program starts"))
-    }
-}
-
-impl Drop for Window {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
+/// Replays `log` in a window on `screen`.
+fn window_of_replay(log: &Path, args: &[&str], screen: &Screen) -> Running {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_sidecarm"));
+    command.arg("replay").arg(log).arg("--window").args(args).env("DISPLAY", &screen.display);
+    command.env_remove("WAYLAND_DISPLAY").env_remove("WAYLAND_SOCKET");
+    Running(command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("the program starts"))
 }
 
 impl Drop for Screen {
@@ -132,7 +120,7 @@ fn a_window_of_a_replay_shows_exposures_and_stays() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let out = folder.path().join("replayed");
     let [out, kit] = [&out, &session.kit].map(|path| path.to_str().expect("paths of tests are UTF-8"));
-    let mut window = Window::of_replay(&session.logs[0], &["--data", kit, "--out", out], &screen);
+    let mut window = window_of_replay(&session.logs[0], &["--data", kit, "--out", out], &screen);
     let report = Path::new(out).join("report.html");
     let is_whole = || std::fs::read_to_string(&report).is_ok_and(|page| page.contains("</html>"));
     assert!(eventually(HANG_S, || is_whole().then_some(())).is_some(), "no report: {:?}", window.0.try_wait());
@@ -187,7 +175,7 @@ fn gallery() {
     assert!(live.program.end(HANG_S).is_some(), "{}", live.stderr());
 
     let out = lab.kit.with_file_name("replayed");
-    let replay = Window::of_replay(&live.log, &["--rate", "8", "--out", out.to_str().expect("UTF-8")], &screen);
+    let replay = window_of_replay(&live.log, &["--rate", "8", "--out", out.to_str().expect("UTF-8")], &screen);
     let replayed = eventually(HANG_S, || std::fs::metadata(out.join("report.html")).ok());
     assert!(replayed.is_some(), "no report of the replay");
     write("window-replay.png");

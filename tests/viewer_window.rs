@@ -203,7 +203,7 @@ fn play_steps_at_the_recorded_pace() {
     assert_eq!((state.borrow().selected, state.borrow().player.is_playing()), (None, false));
 }
 
-/// Whatever was in work was one tile with dots.
+/// Each frame in work says what it waits for; the beam is told on only while the line lives.
 #[test]
 fn how_far_frames_have_come_and_that_the_beam_is_on_is_told() {
     let phases = BTreeMap::from([(2, Phase::Null), (3, Phase::Registering), (4, Phase::Binding)]);
@@ -234,7 +234,7 @@ fn a_note_is_written_in_a_line_of_the_window() {
         let opened = said(&harness).contains("note on frame 7");
         harness.event(Event::Text("table high".to_owned()));
         if opened {
-            // Outside a note it blinks.
+            // A letter; it chooses no overlay.
             harness.key_press(Key::B);
         }
         harness.run_steps(2);
@@ -242,6 +242,9 @@ fn a_note_is_written_in_a_line_of_the_window() {
         harness.run_steps(4);
         assert_eq!(state.borrow().overlay, Overlay::Edges);
         assert!(!said(&harness).contains("note on frame 7"), "it is closed");
+        harness.key_press(Key::B);
+        harness.run_steps(2);
+        assert_eq!(state.borrow().overlay, Overlay::Blink, "the control");
         let asked = state.borrow_mut().editing.take_asked();
         (opened, asked)
     };

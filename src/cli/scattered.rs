@@ -314,7 +314,7 @@ fn follow_photons(scene: &Scene, view: &View, asked: &Asked<'_>, reporter: &Repo
 mod tests {
     use super::*;
 
-    /// Scatter ended at 2e8 photons whatever was asked; what can be reached is followed to the end, and what cannot ends there still.
+    /// What can be reached is followed to the end; what cannot ends as soon as that is known.
     #[test]
     fn a_wish_that_can_be_reached_is_followed_to_the_end() {
         // 3 % by four million: 0.19 % takes a thousand million.

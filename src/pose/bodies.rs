@@ -230,7 +230,7 @@ fn together(request: &Registration, first: Pose, bodies: &[Apart], unplaced: &[(
         if let Some(rows) = body.pose.covariance_at_centroid.filter(|_| used < FEWEST) {
             let sigma = |from: usize| (from..from + 3).map(|n| rows[n][n].sqrt()).fold(0.0, f64::max);
             pose.cautions.push(format!(
-                "{} is placed by {used} beads and by where the prior has the specimen, to {:.2}° and {:.2} mm: more of its beads in view would \
+                "{} is placed by {used} beads and by where the others' beads have the specimen, to {:.2}° and {:.2} mm: more of its beads in view would \
                  tell whether one of them has moved",
                 body.name,
                 sigma(0).to_degrees(),

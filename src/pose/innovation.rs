@@ -5,6 +5,7 @@
 use glam::DVec3;
 use nalgebra::{Matrix6, Vector6};
 
+use super::accept::rows_of;
 use super::prior::Prior;
 use super::record::{Covariance, Pose, TelemetryInnovation};
 use crate::estimate::{about, deviation};
@@ -33,8 +34,7 @@ impl Prior {
         let variances = Vector6::new(rad, rad, rad, mm, mm, mm).map(|sigma| 2.0 * sigma * sigma);
         let to_focal_spot = about(DVec3::new(0.0, 0.0, -carm.source_to_isocentre_mm));
         let covariance = to_focal_spot * Matrix6::from_diagonal(&variances) * to_focal_spot.transpose();
-        let rows = std::array::from_fn(|i| std::array::from_fn(|j| 0.5 * (covariance[(i, j)] + covariance[(j, i)])));
-        Some(Self { camera_from_lps, covariance: Some(rows) })
+        Some(Self { camera_from_lps, covariance: Some(rows_of(&covariance)) })
     }
 }
 
@@ -69,8 +69,7 @@ fn with_the_tie(measured: &Prior, pose: &Pose) -> Option<Prior> {
     let local = Matrix6::from_diagonal(&Vector6::new(turn, turn, turn, shift, shift, shift));
     let back = about(-camera_from_lps.transform_point(pose.centroid_lps_mm?));
     let covariance = matrix(&measured.covariance?) + back * local * back.transpose();
-    let rows = std::array::from_fn(|i| std::array::from_fn(|j| 0.5 * (covariance[(i, j)] + covariance[(j, i)])));
-    Some(Prior { covariance: Some(rows), ..*measured })
+    Some(Prior { covariance: Some(rows_of(&covariance)), ..*measured })
 }
 
 /// The beads' pose and `measured` together, where they do not contradict each other; `register` solves the beads with a prior that is fused.

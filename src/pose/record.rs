@@ -136,9 +136,6 @@ pub struct DetectorPose {
     pub covariance: Option<Covariance>,
 }
 
-/// χ² of six degrees of freedom that is larger by accident once in a thousand times.
-const JUMP_CHI2: f64 = 22.458;
-
 /// Telemetry against the beads alone, where a session fuses the two.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -160,13 +157,13 @@ pub struct TelemetryInnovation {
 }
 
 impl TelemetryInnovation {
-    /// The root of the largest `chi2` that is no jump.
+    /// The root of the largest `chi2` that is no jump: with six degrees of freedom, larger by accident once in a thousand times.
     pub(super) const MOST_SIGMAS: f64 = 4.739;
 
     /// Whether the two contradict each other: no accident is that large.
     #[must_use]
     pub fn is_jump(&self) -> bool {
-        !(self.chi2 <= JUMP_CHI2)
+        !(self.chi2 <= Self::MOST_SIGMAS.powi(2))
     }
 }
 

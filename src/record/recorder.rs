@@ -11,7 +11,7 @@ use foxglove::Encode;
 
 use super::channel::Kind;
 use super::chunk::{ClosedChunk, OpenChunk};
-use super::messages::{self, BeadMark, Level, Placed, placed_in_room};
+use super::messages::{self, BeadMark, Level, Placed};
 use super::place::Watched;
 use super::queue::{Queue, RecorderHealth};
 use super::sink::{LogTarget, OwnFile, Sink};
@@ -232,23 +232,14 @@ impl Recorder {
         self.queue.flush(limit)
     }
 
-    /// The geometry of a pose for Foxglove's image and 3D panels: intrinsics, `placed` as where the frame stands in the tree (`None`: the
-    /// specimen in the camera, and nothing else is known), beads. The pose itself is JSON on `/pose`.
+    /// The geometry of a pose for Foxglove's image and 3D panels: intrinsics, `placed` as where the frame stands in the tree, beads. The pose itself is JSON on `/pose`.
     ///
     /// # Errors
     /// When recording has stopped.
-    pub fn pose_geometry(
-        &self,
-        view: &View,
-        placed: Option<&[Placed]>,
-        beads: &[BeadMark],
-        host_us: i64,
-    ) -> Result<(), RecordError> {
+    pub fn pose_geometry(&self, view: &View, placed: &[Placed], beads: &[BeadMark], host_us: i64) -> Result<(), RecordError> {
         self.foxglove(topic::CALIBRATION, host_us, &messages::calibration(view, host_us))?;
-        match placed {
-            Some([]) => {}
-            Some(placed) => self.transforms(topic::TRANSFORMS, placed, host_us)?,
-            None => self.transforms(topic::TRANSFORMS, &placed_in_room(None, Some(view.camera_from_lps)), host_us)?,
+        if !placed.is_empty() {
+            self.transforms(topic::TRANSFORMS, placed, host_us)?;
         }
         self.foxglove(topic::ANNOTATIONS, host_us, &messages::annotations(beads, host_us))
     }

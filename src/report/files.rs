@@ -26,27 +26,18 @@ pub fn write_session(folder: &Path, report: &SessionReport) -> Vec<ReportError> 
     [pairs, page].into_iter().filter_map(Result::err).collect()
 }
 
-/// [`super::PairsFile`] as it is written: row by row, without a copy of all.
+/// [`super::PairsFile`] as it is written, without a copy of all.
 #[derive(serde::Serialize)]
-struct Written<P> {
-    pairs: P,
-}
-
-/// The rows of a list that is walked through each time.
-struct Rows<P>(P);
-
-impl<'a, P: IntoIterator<Item = &'a Pair> + Clone> serde::Serialize for Rows<P> {
-    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_seq(self.0.clone())
-    }
+struct Written<'a> {
+    pairs: Vec<&'a Pair>,
 }
 
 /// Writes `pairs.json` alone, as a session does while it runs.
 ///
 /// # Errors
 /// When the file cannot be written.
-pub fn write_pairs<'a>(path: &Path, pairs: impl IntoIterator<Item = &'a Pair> + Clone) -> Result<(), ReportError> {
-    let written = Written { pairs: Rows(pairs) };
+pub fn write_pairs<'a>(path: &Path, pairs: impl IntoIterator<Item = &'a Pair>) -> Result<(), ReportError> {
+    let written = Written { pairs: pairs.into_iter().collect() };
     write_atomically(path, |out| {
         serde_json::to_writer_pretty(&mut *out, &written)?;
         out.write_all(b"\n")

@@ -10,11 +10,10 @@ use super::developed::{Developed, UNCHECKED, draw};
 use super::file::Setup;
 use super::pair_view::PairView;
 use super::posing::Posed;
-use crate::acquire::Frame;
 use crate::beads::{Bead, BeadLayout};
 use crate::calibrate::robot::{SeenTip, tip_in_frame};
 use crate::compare::{CompareInput, NullError, NullRenders, NullScatter, bead_marks, compare, tool_mask};
-use crate::geometry::{CarmCalibration, View};
+use crate::geometry::View;
 use crate::image::{Image, sha256_bytes};
 use crate::mask::{Cause, MaskShares};
 use crate::render::{Options, Plan, Quantity, Renderer, Scatter};
@@ -121,7 +120,7 @@ impl Bench {
     /// What is known of the exposure from several sides, compared: disagreements are flags of the pair and counted warnings.
     fn cross_check(&self, posed: &Posed, pair: &mut Pair) {
         let shuttered = |masks: &MaskShares| masks.causes.get(&Cause::Collimation).copied().unwrap_or(0.0);
-        let carm = self.carm_of(&posed.frame);
+        let carm = self.setup.carm_of_frame(&posed.frame);
         let facts = ExposureFacts {
             frame: &posed.frame,
             carm: carm.as_ref(),
@@ -167,14 +166,6 @@ impl Bench {
             }
             pair.flags.push(finding.to_string());
         }
-    }
-
-    /// The C-arm's calibration as it holds for an imported frame, whether what the console did was declared or told by its size.
-    fn carm_of(&self, imported: &Frame) -> Option<CarmCalibration> {
-        let carm = self.setup.carm.as_ref()?;
-        let stored = imported.correction.as_ref().and_then(|correction| correction.stored.as_ref());
-        let fitted = stored.and_then(|stored| stored.console.calibration_of(carm, stored.size_px).ok());
-        fitted.or_else(|| self.setup.carm_of_frame(imported))
     }
 
     /// Writing in a picture may be a name, and it goes wherever the picture goes.

@@ -437,10 +437,8 @@ impl Setup {
     #[must_use]
     pub fn carm_of_frame(&self, imported: &Frame) -> Option<CarmCalibration> {
         let carm = self.carm.as_ref()?;
-        let folded = self.session.console.as_ref().and_then(|console| {
-            let stored_px = console.stored_size(imported.size_px.map(|side| side as u32));
-            console.calibration_of(carm, stored_px).ok()
-        });
+        let stored = imported.correction.as_ref().and_then(|correction| correction.stored.as_ref());
+        let folded = stored.and_then(|stored| stored.console.calibration_of(carm, stored.size_px).ok());
         Some(folded.unwrap_or_else(|| carm.clone()))
     }
 

@@ -11,6 +11,7 @@ use super::inputs::InputNames;
 use super::left_out::LeftOut;
 use super::losses::none_accepted;
 use super::tracks::Tracks;
+use super::unwritten::Unwritten;
 use super::workshop::Workshop;
 use crate::image::{Image, check_writable, read_png_rgb, write_atomically, write_png_rgb};
 use crate::render::write_image_without_times;
@@ -83,8 +84,8 @@ pub(super) struct Collector {
     timings: BTreeMap<u32, StageTimes>,
     /// Strips that are not written yet.
     waiting: BTreeMap<u32, WaitingStrip>,
-    /// Files that could not be written, and why the latest could not.
-    unwritten: BTreeMap<String, String>,
+    /// Files that could not be written.
+    unwritten: Unwritten,
     /// `pairs.json` lags behind.
     pairs_are_old: bool,
     since_pairs: Stopwatch,
@@ -152,7 +153,7 @@ impl Collector {
             left_out: LeftOut::default(),
             timings: BTreeMap::new(),
             waiting: BTreeMap::new(),
-            unwritten: BTreeMap::new(),
+            unwritten: Unwritten::default(),
             pairs_are_old: false,
             since_pairs: Stopwatch::start(),
             pairs_bytes: 0,
@@ -177,7 +178,7 @@ impl Collector {
         }
         let strip = strip_name(number);
         let is_same = self.developments.get(&number) == Some(&developed.posed.development);
-        let is_written = is_same && !self.waiting.contains_key(&number) && !self.unwritten.contains_key(&strip);
+        let is_written = is_same && !self.waiting.contains_key(&number) && !self.unwritten.holds(&strip);
         // The null has changed nothing of what the strip says.
         let stands = is_written && self.rows.get(&number).is_some_and(|row| row.heading() == pair.heading());
         pair.strip = Some(strip);
@@ -186,7 +187,7 @@ impl Collector {
             if !known {
                 self.left_out.take(number, &drr.plan);
                 let written = write_image_without_times(&self.path.join(&name), drr, scene);
-                failures.extend(self.note(&name, written));
+                failures.extend(self.unwritten.note(&name, written));
             }
             pair.drr = Some(name);
         }
@@ -219,7 +220,7 @@ impl Collector {
         // That it will not be written is said while something can be done about it.
         let name = strip_name(number);
         let writable = check_writable(&self.path.join(&name));
-        self.note(&name, writable)
+        self.unwritten.note(&name, writable)
     }
 
     /// Strips that are not written yet, by frame, and for how many milliseconds they have waited.
@@ -242,7 +243,7 @@ impl Collector {
             Some(pair) => write_png_rgb(&path, &restated(strip.clone(), &pair.frame, pair.standing(), &pair.status_line())),
             None => write_png_rgb(&path, strip),
         };
-        self.note(&name, written)
+        self.unwritten.note(&name, written)
     }
 
     /// What was said of a picture that was not finished is taken back, in its row and its strip.
@@ -256,7 +257,7 @@ impl Collector {
         let name = strip_name(number);
         match read_png_rgb(&self.path.join(&name)) {
             Ok(strip) => self.write_strip(number, &strip),
-            Err(error) => self.note(&name, Err(error)),
+            Err(error) => self.unwritten.note(&name, Err(error)),
         }
     }
 
@@ -270,21 +271,7 @@ impl Collector {
         let path = self.path.join("pairs.json");
         let written = write_pairs(&path, self.rows.values());
         self.pairs_bytes = std::fs::metadata(&path).map_or(0, |file| file.len());
-        self.note("pairs.json", written)
-    }
-
-    fn note<E: std::fmt::Display>(&mut self, file: &str, written: Result<(), E>) -> Option<String> {
-        match written {
-            Ok(()) => {
-                self.unwritten.remove(file);
-                None
-            }
-            Err(error) => {
-                let sentence = format!("{file} is not written: {error}");
-                self.unwritten.insert(file.to_owned(), error.to_string());
-                Some(sentence)
-            }
-        }
+        self.unwritten.note("pairs.json", written)
     }
 
     /// The names of this machine's files and folders do not reach the report.
@@ -318,7 +305,7 @@ impl Collector {
             reporter.warn("file not written", format!("{failure}; {again}"));
         }
         let written = self.write_timings();
-        self.note("timings.json", written);
+        self.unwritten.note("timings.json", written);
         self.report.ended_us = tracks.last_us().or(self.report.started_us);
         for (number, pair) in &mut self.rows {
             pair.note = tracks.note(*number).map(str::to_owned);
@@ -340,15 +327,8 @@ impl Collector {
         self.report.losses.extend(none_accepted(&self.report.pairs).filter(|_| engine.seeks_beads()));
         self.report.warnings = reporter.warnings();
         self.report.not_modelled = self.left_out.sentences();
-        self.unwritten.remove("pairs.json");
-        if let Some((file, reason)) = self.unwritten.iter().next_back() {
-            let others = match self.unwritten.len() {
-                1 => String::new(),
-                count => format!(" and {} other files", count - 1),
-            };
-            let sentence = format!("{file}{others} could not be written ({reason}); {again}");
-            self.report.losses.push(sentence);
-        }
+        self.unwritten.forget("pairs.json");
+        self.report.losses.extend(self.unwritten.sentence(again));
         self.hide_names();
         for error in write_session(&self.path, &self.report) {
             reporter.warn("report not written", &error);
@@ -365,10 +345,7 @@ impl Collector {
 mod tests {
     use super::super::posing::Posed;
     use super::*;
-    use crate::acquire::{Domain, Frame};
-    use crate::pose::Pose;
     use crate::report::{PairStatus, PoseSource};
-    use crate::timeline::Binding;
 
     const STRIP_PX: [usize; 2] = [1200, 80];
 
@@ -386,31 +363,9 @@ mod tests {
 
     /// An accepted pair of a frame; its strip is of one gray.
     fn pair_of(number: u32, gray: u8, complete: bool) -> Developed {
-        let mut frame = Frame::from_pixels("a", Image::filled(4, 3, 1.0f32), Domain::Linear).expect("a frame");
-        frame.number = number;
-        let posed = Posed {
-            number,
-            development: 0,
-            frame: Arc::new(frame),
-            time_us: 0,
-            binding: Binding::default(),
-            pose: Pose::default(),
-            masks: Arc::default(),
-            warnings: Vec::new(),
-            intensifier: None,
-            pose_source: PoseSource::Beads,
-            view: None,
-            robot: None,
-            joints: None,
-            carm_gap_us: None,
-            nominal: None,
-            beam: None,
-            telemetry_disagreement: None,
-            stages: StageTimes::default(),
-        };
         let mut pair = Pair { number, ..Pair::unmatched("a", "") };
         (pair.status, pair.reason, pair.pose_source) = (PairStatus::Accepted, None, PoseSource::Beads);
-        let (posed, strip) = (Arc::new(posed), Arc::new(gray_strip(gray)));
+        let (posed, strip) = (Arc::new(Posed::bare(number)), Arc::new(gray_strip(gray)));
         Developed { posed, pair, drr: None, scatter: None, compared: None, strip, drr_sha256: None, complete }
     }
 
@@ -421,7 +376,7 @@ mod tests {
         developed
     }
 
-    /// A session wrote each strip twice: when its pair could be shown, and again with its null.
+    /// A pair is shown before its null is there; its strip is not written for that.
     #[test]
     fn a_strip_is_written_once_with_its_null_or_before_where_that_is_late() {
         let (folder, mut collector) = begun();
@@ -479,7 +434,7 @@ mod tests {
         }
     }
 
-    /// All pairs were written whole for each that came: bytes by the square of their number.
+    /// All pairs written whole for each that comes are bytes by the square of their number.
     #[test]
     fn what_is_written_of_all_pairs_is_bounded_in_time() {
         const PAIR_BYTES: u64 = 45_000;

@@ -249,7 +249,7 @@ impl SessionLog {
                 (depth_mm > 0.0).then(|| BeadMark { name: bead.name.clone(), detected_px, projected_px, radius_px })
             };
             let marks: Vec<BeadMark> = posed.pose.beads.iter().filter_map(mark).collect();
-            self.check(self.recorder.pose_geometry(view, Some(placed), &marks, posed.time_us));
+            self.check(self.recorder.pose_geometry(view, placed, &marks, posed.time_us));
         }
     }
 

@@ -77,6 +77,7 @@ mod studies;
 mod tie;
 mod told_field;
 mod tracks;
+mod unwritten;
 mod waiting;
 mod warm;
 mod whereabouts;

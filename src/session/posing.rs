@@ -461,3 +461,34 @@ impl Registered {
         (posed, seen)
     }
 }
+
+#[cfg(test)]
+impl Posed {
+    /// A small frame of which nothing is known, for tests of what is done with pairs.
+    pub(super) fn bare(number: u32) -> Self {
+        use crate::acquire::Domain;
+        use crate::image::Image;
+        let mut frame = Frame::from_pixels("a", Image::filled(4, 3, 1.0f32), Domain::Linear).expect("a frame");
+        frame.number = number;
+        Self {
+            number,
+            development: 0,
+            frame: Arc::new(frame),
+            time_us: 0,
+            binding: Binding::default(),
+            pose: Pose::default(),
+            masks: Arc::default(),
+            warnings: Vec::new(),
+            intensifier: None,
+            pose_source: PoseSource::Beads,
+            view: None,
+            robot: None,
+            joints: None,
+            carm_gap_us: None,
+            nominal: None,
+            beam: None,
+            telemetry_disagreement: None,
+            stages: StageTimes::default(),
+        }
+    }
+}

@@ -326,37 +326,6 @@ fn work(mut bench: Bench, shared: &Shared, mut sink: impl FnMut(Developed) -> bo
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::acquire::{Domain, Frame};
-    use crate::image::Image;
-    use crate::pose::Pose;
-    use crate::report::PoseSource;
-    use crate::time::StageTimes;
-    use crate::timeline::Binding;
-
-    fn job() -> Job {
-        let frame = Frame::from_pixels("a", Image::filled(4, 3, 1.0f32), Domain::Linear).expect("a frame");
-        let posed = Posed {
-            number: 1,
-            development: 0,
-            frame: Arc::new(frame),
-            time_us: 0,
-            binding: Binding::default(),
-            pose: Pose::default(),
-            masks: Arc::default(),
-            warnings: Vec::new(),
-            intensifier: None,
-            pose_source: PoseSource::Beads,
-            view: None,
-            robot: None,
-            joints: None,
-            carm_gap_us: None,
-            nominal: None,
-            beam: None,
-            telemetry_disagreement: None,
-            stages: StageTimes::default(),
-        };
-        Job { posed, plan: None }
-    }
 
     #[test]
     fn a_null_is_put_off_for_a_frame_that_waits_and_for_nothing_else() {
@@ -365,7 +334,7 @@ mod tests {
             change(&mut queue);
             queue.puts_nulls_off()
         };
-        assert!(queue(&|queue| queue.jobs.push(job())), "a frame waits");
+        assert!(queue(&|queue| queue.jobs.push(Job { posed: Posed::bare(1), plan: None })), "a frame waits");
         assert!(queue(&|queue| queue.abandoned = true), "nothing is wanted any more");
         // A session that was told to end makes what it has.
         assert!(!queue(&|queue| queue.closed = true), "no frame waits");

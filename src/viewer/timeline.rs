@@ -79,7 +79,8 @@ pub(super) fn show(ui: &mut Ui, board: &BoardState, state: &mut ViewState) {
             None => "no exposure yet".to_owned(),
         };
         ui.label(RichText::new(words).size(SMALL).color(DIM));
-        for (number, phase) in in_work(board).into_iter().take(MOST_TOLD) {
+        // The newest first.
+        for (number, phase) in board.phases.iter().rev().take(MOST_TOLD) {
             ui.label(RichText::new(format!("frame {number} {}", phase.words())).size(SMALL).color(TEXT));
         }
         if is_beam_on(board) {
@@ -94,11 +95,6 @@ pub(super) fn show(ui: &mut Ui, board: &BoardState, state: &mut ViewState) {
         run(command, ui.input(|input| input.time), board, state);
     }
     tiles(ui, board, state);
-}
-
-/// Frames in work and how far they have come, the newest first.
-fn in_work(board: &BoardState) -> Vec<(u32, Phase)> {
-    board.phases.iter().rev().map(|(number, phase)| (*number, *phase)).collect()
 }
 
 /// Whether the C-arm says so, now.
